@@ -1,0 +1,225 @@
+"""Tetrahedral meshes of common shapes, without a mesher.
+
+Every mesh is conforming, without duplicate or unused vertices, its boundary watertight, and the same arguments give the
+same bytes. Two constructions serve all shapes:
+
+- edgewise subdivision of simplices (Edelsbrunner and Grayson, "Edgewise subdivision of a simplex", 2000; Kuhn cells
+  inside each simplex): conforming wherever neighbours list their common vertices in the same order;
+- prisms over a triangulated surface, each split into three tetrahedra along the diagonals that rise from the smaller
+  to the larger surface vertex: neighbours then agree on every quadrilateral.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import permutations
+from typing import NamedTuple
+
+import numpy as np
+
+from fracture_collision.geometry.tetrahedra import tetrahedron_volumes
+
+# Beyond this a mesh is a slip of the pen (an edge length in millimetres), not a body to simulate.
+TETRAHEDRA_LIMIT = 4_000_000
+
+
+class TetGeometry(NamedTuple):
+    """A tetrahedral mesh in the body frame."""
+
+    vertices: np.ndarray  # (n, 3) float64 [m]
+    tetrahedra: np.ndarray  # (m, 4) int32, positive volume
+
+
+def ball(radius: float, edge_length: float) -> TetGeometry:
+    """A ball about the origin; boundary vertices lie on the sphere of `radius` [m].
+
+    Concentric geodesic layers: the cones from the centre over an icosahedron's faces, subdivided.
+    """
+    _require_positive(radius=radius, edge_length=edge_length)
+    frequency = max(1, round(radius / edge_length))
+    _require_affordable(20 * frequency**3)
+    corners, triangles = _icosahedron()
+    cones = np.column_stack((np.full(len(triangles), len(corners)), triangles))
+    weights, tetrahedra = _edgewise_subdivision(cones, frequency)
+    layer = frequency - weights[:, len(corners)]
+    directions = weights[:, : len(corners)] @ corners
+    length = np.linalg.norm(directions, axis=1)
+    scale = radius * layer / (frequency * np.where(layer > 0, length, 1.0))
+    return _oriented(directions * scale[:, None], tetrahedra)
+
+
+def shell(outer_radius: float, inner_radius: float, edge_length: float, layers: int | None = None) -> TetGeometry:
+    """A hollow sphere about the origin; boundary vertices lie on its two spheres [m].
+
+    `layers` is the number of layers of prisms through the wall; by default the wall divided by the edge length, at
+    least two, so that there are nodes inside it.
+    """
+    _require_positive(outer_radius=outer_radius, inner_radius=inner_radius, edge_length=edge_length)
+    if inner_radius >= outer_radius:
+        raise ValueError(f"inner_radius: {inner_radius} m is not below outer_radius, {outer_radius} m")
+    layers = _layer_count(layers, outer_radius - inner_radius, edge_length)
+    corners, triangles = _icosahedron()
+    # The icosahedron's edge spans 1.107 rad of the sphere.
+    frequency = max(1, round(1.107 * outer_radius / edge_length))
+    _require_affordable(60 * frequency**2 * layers)
+    weights, triangles = _edgewise_subdivision(triangles, frequency)
+    directions = weights @ corners
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    radii = np.linspace(inner_radius, outer_radius, layers + 1)
+    return _oriented((radii[:, None, None] * directions).reshape(-1, 3), _prisms(triangles, len(directions), layers))
+
+
+def brick(size_xyz: tuple[float, float, float], edge_length: float) -> TetGeometry:
+    """A box of `size_xyz` [m] about the origin, its cells cut into six tetrahedra each (Kuhn)."""
+    size = np.asarray(size_xyz, dtype=np.float64)
+    if size.shape != (3,):
+        raise ValueError(f"size_xyz: needs three lengths, got {size_xyz!r}")
+    _require_positive(x=size[0], y=size[1], z=size[2], edge_length=edge_length)
+    cells = np.maximum(1, np.round(size / edge_length).astype(np.int64))
+    _require_affordable(6 * int(np.prod(cells.astype(object))))
+    axes = [np.linspace(-0.5 * s, 0.5 * s, n + 1) for s, n in zip(size, cells, strict=True)]
+    vertices = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    stride = np.array([(cells[1] + 1) * (cells[2] + 1), cells[2] + 1, 1])
+    first = (np.stack(np.meshgrid(*map(np.arange, cells), indexing="ij"), axis=-1).reshape(-1, 3) @ stride)[:, None]
+    paths = np.array([np.cumsum([0, *(stride[axis] for axis in order)]) for order in permutations(range(3))])
+    return _oriented(vertices, (first[:, None, :] + paths).reshape(-1, 4))
+
+
+def plate(
+    diameter: float, thickness: float, edge_length: float, rim_height: float, layers: int | None = None
+) -> TetGeometry:
+    """A dinner plate about the z axis: a flat well, and a rim that rises by `rim_height` to the edge [m].
+
+    The origin is the centre of the bounding box; +z is the side one eats from. The outer edge is a cylinder of
+    `diameter`, with vertices exactly on it; thickness is measured along z. `layers` as in `shell`.
+    """
+    _require_positive(diameter=diameter, thickness=thickness, edge_length=edge_length)
+    if not (math.isfinite(rim_height) and 0.0 <= rim_height <= 0.5 * diameter):
+        raise ValueError(f"rim_height: {rim_height} m is not between 0 and half the diameter, {0.5 * diameter} m")
+    layers = _layer_count(layers, thickness, edge_length)
+    radius = 0.5 * diameter
+    rings = max(2, round(radius / edge_length))
+    _require_affordable(18 * rings**2 * layers)
+    ring, azimuth, triangles = _disc(rings)
+    r = radius * ring / rings
+    # The well is flat to 0.55 of the radius; from there a half cosine leads up to the edge.
+    rise = np.clip((r / radius - 0.55) / 0.45, 0.0, 1.0)
+    height = rim_height * 0.5 * (1.0 - np.cos(np.pi * rise)) - 0.5 * (rim_height + thickness)
+    z = height + np.linspace(0.0, thickness, layers + 1)[:, None]
+    surface = np.column_stack((r * np.cos(azimuth), r * np.sin(azimuth)))
+    vertices = np.column_stack((np.tile(surface, (layers + 1, 1)), z.ravel()))
+    return _oriented(vertices, _prisms(triangles, len(surface), layers))
+
+
+def bowl(diameter: float, thickness: float, edge_length: float, depth: float, layers: int | None = None) -> TetGeometry:
+    """A bowl open towards +z: the cap of a hollow sphere, as deep outside as `depth`, `diameter` wide at the rim [m].
+
+    The outer sphere goes through the rim and the lowest point, the inner one is concentric, `thickness` smaller. The
+    origin is the centre of the rim circle; the lowest point is (0, 0, -depth). `layers` as in `shell`.
+    """
+    _require_positive(diameter=diameter, thickness=thickness, edge_length=edge_length, depth=depth)
+    if depth > 0.5 * diameter:
+        raise ValueError(f"depth: {depth} m is more than half the diameter, {0.5 * diameter} m (a hemisphere)")
+    outer = (0.25 * diameter**2 + depth**2) / (2.0 * depth)
+    if thickness >= 0.9 * min(outer, 0.5 * diameter):
+        raise ValueError(f"thickness: {thickness} m leaves no hollow in a bowl of diameter {diameter} m")
+    layers = _layer_count(layers, thickness, edge_length)
+    opening = math.atan2(0.5 * diameter, outer - depth)
+    rings = max(2, round(outer * opening / edge_length))
+    _require_affordable(18 * rings**2 * layers)
+    ring, azimuth, triangles = _disc(rings)
+    polar = opening * ring / rings
+    directions = np.column_stack(
+        (np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), -np.cos(polar))
+    )
+    radii = np.linspace(outer - thickness, outer, layers + 1)
+    vertices = (radii[:, None, None] * directions).reshape(-1, 3) + (0.0, 0.0, outer - depth)
+    return _oriented(vertices, _prisms(triangles, len(directions), layers))
+
+
+def _require_positive(**lengths: float) -> None:
+    for name, value in lengths.items():
+        if not (math.isfinite(value) and value > 0.0):
+            raise ValueError(f"{name}: {value} is not a positive length in metres")
+
+
+def _require_affordable(tetrahedron_count: int) -> None:
+    if tetrahedron_count > TETRAHEDRA_LIMIT:
+        raise ValueError(
+            f"edge_length: gives {tetrahedron_count} tetrahedra, more than {TETRAHEDRA_LIMIT}; choose a longer one"
+        )
+
+
+def _layer_count(layers: int | None, wall: float, edge_length: float) -> int:
+    if layers is None:
+        return max(2, round(wall / edge_length))
+    if layers < 1:
+        raise ValueError(f"layers: {layers} is not at least 1")
+    return int(layers)
+
+
+def _oriented(vertices: np.ndarray, tetrahedra: np.ndarray) -> TetGeometry:
+    vertices = np.ascontiguousarray(vertices, dtype=np.float64)
+    tetrahedra = np.array(tetrahedra, dtype=np.int32, order="C")
+    mirrored = tetrahedron_volumes(vertices, tetrahedra) < 0.0
+    tetrahedra[mirrored, 2:] = tetrahedra[mirrored, :1:-1]
+    return TetGeometry(vertices, tetrahedra)
+
+
+def _edgewise_subdivision(simplices: np.ndarray, frequency: int) -> tuple[np.ndarray, np.ndarray]:
+    """Divide each simplex (triangle or tetrahedron) into frequency^dimension.
+
+    Returns the lattice points as integer weights of the old vertices, (points, old vertices), rows ascending and each
+    summing to `frequency`, and the new simplices. A lattice point is n >= x1 >= x2 (>= x3) >= 0; a Kuhn cell goes from
+    the smallest to the largest corner of a lattice cube, one axis after the other.
+    """
+    simplices = np.sort(simplices, axis=1)
+    dimension = simplices.shape[1] - 1
+    corners = np.stack(np.meshgrid(*[np.arange(frequency)] * dimension, indexing="ij"), axis=-1).reshape(-1, dimension)
+    steps = [np.cumsum([np.zeros(dimension, dtype=int), *np.eye(dimension, dtype=int)[list(order)]], axis=0)
+             for order in permutations(range(dimension))]  # fmt: skip
+    cells = (corners[:, None, None, :] + np.array(steps)).reshape(-1, dimension + 1, dimension)
+    cells = cells[np.all(cells[..., :-1] >= cells[..., 1:], axis=(1, 2))]
+    bounds = np.concatenate((np.full((*cells.shape[:2], 1), frequency), cells, np.zeros((*cells.shape[:2], 1), int)), 2)
+    local = bounds[..., :-1] - bounds[..., 1:]
+    local_points, local_cells = np.unique(local.reshape(-1, dimension + 1), axis=0, return_inverse=True)
+    weights = np.zeros((len(simplices), len(local_points), simplices.max() + 1), dtype=np.int32)
+    for i, simplex in enumerate(simplices):
+        weights[i][:, simplex] = local_points
+    points, numbering = np.unique(weights.reshape(-1, weights.shape[2]), axis=0, return_inverse=True)
+    numbering = numbering.reshape(len(simplices), len(local_points))
+    return points, numbering[:, local_cells.ravel()].reshape(-1, dimension + 1)
+
+
+def _prisms(triangles: np.ndarray, surface_size: int, layers: int) -> np.ndarray:
+    """Tetrahedra of the prisms over `triangles` between layer l (vertices from l * surface_size) and l + 1."""
+    a, b, c = np.sort(triangles, axis=1).T
+    n = surface_size
+    stairs = np.stack([(a, b, c, c + n), (a, b, b + n, c + n), (a, a + n, b + n, c + n)]).transpose(2, 0, 1)
+    return (stairs.reshape(-1, 4)[None] + (n * np.arange(layers))[:, None, None]).reshape(-1, 4)
+
+
+def _disc(rings: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A disc of concentric rings, 6 k vertices in ring k: ring and azimuth [rad] of each vertex, and the triangles."""
+    ring = np.repeat(np.arange(rings + 1), np.maximum(1, 6 * np.arange(rings + 1)))
+    start = np.concatenate(([0], 1 + 3 * np.arange(rings + 1) * np.arange(1, rings + 2)))[: rings + 1]
+    within = np.arange(len(ring)) - start[ring]
+    azimuth = 2.0 * np.pi * within / np.maximum(1, 6 * ring)
+    triangles = []
+    for k in range(1, rings + 1):
+        sector = np.arange(6)[:, None]
+        outer = start[k] + (sector * k + np.arange(k + 1)) % (6 * k)
+        inner = start[k - 1] + (sector * (k - 1) + np.arange(k)) % max(1, 6 * (k - 1))
+        triangles.append(np.stack((inner, outer[:, :-1], outer[:, 1:]), axis=-1).reshape(-1, 3))
+        triangles.append(np.stack((inner[:, :-1], outer[:, 1:-1], inner[:, 1:]), axis=-1).reshape(-1, 3))
+    return ring, azimuth, np.concatenate(triangles)
+
+
+def _icosahedron() -> tuple[np.ndarray, np.ndarray]:
+    """Unit vertices (12, 3) and faces (20, 3)."""
+    g = 0.5 * (1.0 + math.sqrt(5.0))
+    corners = np.array([p for a in (-1, 1) for b in (-g, g) for p in ((0, a, b), (a, b, 0), (b, 0, a))])
+    near = np.linalg.norm(corners[:, None] - corners[None], axis=2) < 2.1
+    faces = [(i, j, k) for i in range(12) for j in range(i + 1, 12) for k in range(j + 1, 12)
+             if near[i, j] and near[j, k] and near[i, k]]  # fmt: skip
+    return corners / math.hypot(1.0, g), np.array(faces)
