@@ -1,0 +1,233 @@
+"""Generated and meshed bodies: volumes, topology, orientation, conformity, quality, determinism."""
+
+from __future__ import annotations
+
+import builtins
+
+import numpy as np
+import pytest
+
+from fracture_collision.geometry.generators import TetGeometry, ball, bowl, brick, plate, shell
+from fracture_collision.geometry.surface_meshing import tetrahedralize_surface
+from fracture_collision.geometry.tetrahedra import (
+    EDGE_VERTICES,
+    boundary_triangles,
+    connected_pieces,
+    face_neighbours,
+    tetrahedron_edges,
+    tetrahedron_volumes,
+    unique_edges,
+)
+
+SHAPES = {
+    "ball": lambda h: ball(0.05, 0.05 * h),
+    "shell": lambda h: shell(0.1, 0.08, 0.1 * h),
+    "brick": lambda h: brick((0.2, 0.1, 0.05), 0.1 * h),
+    "plate": lambda h: plate(0.25, 0.006, 0.125 * h, 0.02),
+    "flat plate": lambda h: plate(0.25, 0.03, 0.125 * h, 0.0, layers=1),
+    "bowl": lambda h: bowl(0.2, 0.006, 0.1 * h, 0.06),
+    "hemispherical bowl": lambda h: bowl(0.2, 0.02, 0.1 * h, 0.1),
+}
+EULER_CHARACTERISTIC = {"shell": 4}
+every_shape = pytest.mark.parametrize("name", SHAPES)
+
+
+def euler_characteristic(triangles: np.ndarray) -> int:
+    edges = np.unique(np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
+    return len(np.unique(triangles)) - len(edges) + len(triangles)
+
+
+def assert_valid(mesh: TetGeometry) -> None:
+    assert mesh.vertices.dtype == np.float64 and mesh.vertices.flags.c_contiguous
+    assert mesh.tetrahedra.dtype == np.int32 and mesh.tetrahedra.flags.c_contiguous
+    assert np.array_equal(np.unique(mesh.tetrahedra), np.arange(len(mesh.vertices)))
+    assert tetrahedron_volumes(*mesh).min() > 0.0
+    # Conforming: no two vertices at one place, no face shared by three (raises), and the boundary closed without any
+    # vertex of it inside one of its triangles' edges, which a hanging node would leave open.
+    assert len(np.unique(np.round(mesh.vertices, 12), axis=0)) == len(mesh.vertices)
+    triangles = boundary_triangles(mesh.tetrahedra)
+    directed = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    assert len(np.unique(directed, axis=0)) == len(directed)
+    assert {tuple(e) for e in directed} == {(b, a) for a, b in directed}
+    # Outward and watertight: the divergence theorem gives the volume of the tetrahedra.
+    a, b, c = (mesh.vertices[triangles[:, i]] for i in range(3))
+    enclosed = np.einsum("ij,ij->", np.cross(a, b), c) / 6.0
+    assert enclosed == pytest.approx(tetrahedron_volumes(*mesh).sum(), rel=1e-12)
+
+
+@every_shape
+@pytest.mark.parametrize("relative_edge", [0.5, 0.13])
+def test_mesh_is_valid(name: str, relative_edge: float) -> None:
+    mesh = SHAPES[name](relative_edge)
+    assert_valid(mesh)
+    assert euler_characteristic(boundary_triangles(mesh.tetrahedra)) == EULER_CHARACTERISTIC.get(name, 2)
+
+
+@every_shape
+def test_no_slivers(name: str) -> None:
+    mesh = SHAPES[name](0.13)
+    edges = unique_edges(mesh.tetrahedra)
+    length = np.linalg.norm(mesh.vertices[edges[:, 0]] - mesh.vertices[edges[:, 1]], axis=1)
+    longest = length[tetrahedron_edges(mesh.tetrahedra, edges)].max(axis=1)
+    regular = 6.0 * np.sqrt(2.0) * tetrahedron_volumes(*mesh) / longest**3
+    assert regular.min() > 0.05  # 1 for a regular tetrahedron; a third of a thin plate's prism is the flattest
+
+
+@every_shape
+def test_same_arguments_same_bytes(name: str) -> None:
+    first, second = SHAPES[name](0.2), SHAPES[name](0.2)
+    assert first.vertices.tobytes() == second.vertices.tobytes()
+    assert first.tetrahedra.tobytes() == second.tetrahedra.tobytes()
+
+
+def cap(radius: float, height: float) -> float:
+    return np.pi * height**2 * (3.0 * radius - height) / 3.0
+
+
+BOWL_OUTER = (0.1**2 + 0.06**2) / 0.12
+CLOSED_FORM = {
+    "ball": 4.0 / 3.0 * np.pi * 0.05**3,
+    "shell": 4.0 / 3.0 * np.pi * (0.1**3 - 0.08**3),
+    "brick": 0.2 * 0.1 * 0.05,
+    "plate": np.pi * 0.125**2 * 0.006,  # thickness is measured along z
+    "flat plate": np.pi * 0.125**2 * 0.03,
+    # a spherical sector of the cap's opening angle between the two spheres
+    "bowl": 2.0 * np.pi / 3.0 * (BOWL_OUTER**3 - (BOWL_OUTER - 0.006) ** 3) * 0.06 / BOWL_OUTER,
+    "hemispherical bowl": 2.0 * np.pi / 3.0 * (0.1**3 - 0.08**3),
+}
+
+
+@every_shape
+def test_volume_converges_to_the_closed_form(name: str) -> None:
+    errors = [abs(tetrahedron_volumes(*SHAPES[name](h)).sum() / CLOSED_FORM[name] - 1.0) for h in (0.2, 0.1, 0.05)]
+    if name == "brick":
+        assert max(errors) < 1e-12
+        return
+    # second order in the edge length: each halving leaves about a quarter
+    assert errors[2] < 0.02
+    assert errors[1] < 0.35 * errors[0] and errors[2] < 0.35 * errors[1]
+
+
+def test_boundary_vertices_lie_on_the_round_surfaces() -> None:
+    def boundary_vertices(mesh: TetGeometry) -> np.ndarray:
+        return mesh.vertices[np.unique(boundary_triangles(mesh.tetrahedra))]
+
+    assert np.allclose(np.linalg.norm(boundary_vertices(ball(0.05, 0.01)), axis=1), 0.05, rtol=1e-14, atol=0)
+    radius = np.linalg.norm(boundary_vertices(shell(0.1, 0.08, 0.03)), axis=1)
+    assert np.all((np.abs(radius - 0.1) < 1e-15) | (np.abs(radius - 0.08) < 1e-15))
+    dish = plate(0.25, 0.006, 0.02, 0.02)
+    outline = np.linalg.norm(dish.vertices[:, :2], axis=1)
+    rim = outline > 0.125 - 1e-6
+    assert np.count_nonzero(rim) == 3 * 36 and np.allclose(outline[rim], 0.125, rtol=1e-15, atol=0)
+    assert dish.vertices[:, 2].max() == pytest.approx(0.013) and dish.vertices[:, 2].min() == pytest.approx(-0.013)
+    cup = bowl(0.2, 0.01, 0.02, 0.06)
+    distance = np.linalg.norm(cup.vertices - (0, 0, BOWL_OUTER - 0.06), axis=1)
+    assert np.allclose(distance.max(), BOWL_OUTER) and np.allclose(distance.min(), BOWL_OUTER - 0.01)
+    assert np.linalg.norm(cup.vertices[:, :2], axis=1).max() == pytest.approx(0.1)
+    assert cup.vertices[:, 2].min() == pytest.approx(-0.06)
+
+
+@pytest.mark.parametrize("mesh", [ball(0.05, 0.02), brick((0.1, 0.1, 0.1), 0.03), plate(0.2, 0.01, 0.02, 0.01)])
+def test_there_are_nodes_inside(mesh: TetGeometry) -> None:
+    assert len(np.unique(boundary_triangles(mesh.tetrahedra))) < len(mesh.vertices)
+
+
+@pytest.mark.parametrize(
+    ("words", "make"),
+    [
+        ("radius: -1.0", lambda: ball(-1.0, 0.1)),
+        ("edge_length: nan", lambda: ball(1.0, float("nan"))),
+        ("tetrahedra, more than", lambda: ball(1.0, 1e-4)),
+        ("tetrahedra, more than", lambda: brick((1.0, 1.0, 1.0), 1e-9)),
+        ("inner_radius: 2.0 m is not below", lambda: shell(1.0, 2.0, 0.1)),
+        ("needs three lengths", lambda: brick((1.0, 2.0), 0.1)),
+        ("z: 0.0 is not", lambda: brick((1.0, 2.0, 0.0), 0.1)),
+        ("rim_height", lambda: plate(0.2, 0.01, 0.02, -0.01)),
+        ("layers: 0", lambda: plate(0.2, 0.01, 0.02, 0.01, layers=0)),
+        ("a hemisphere", lambda: bowl(0.2, 0.01, 0.02, 0.11)),
+        ("no hollow", lambda: bowl(0.2, 0.1, 0.02, 0.1)),
+    ],
+)
+def test_nonsense_is_refused_in_words(words: str, make) -> None:
+    with pytest.raises(ValueError, match=words):
+        make()
+
+
+def test_connectivity_of_a_small_mesh_against_brute_force() -> None:
+    mesh = ball(1.0, 0.4)
+    tets = mesh.tetrahedra
+    edges = unique_edges(tets)
+    assert edges.dtype == np.int32
+    expected = sorted({tuple(sorted((int(t[i]), int(t[j])))) for t in tets for i, j in EDGE_VERTICES})
+    assert [tuple(e) for e in edges.tolist()] == expected
+    rows = tetrahedron_edges(tets, edges)
+    assert np.array_equal(edges[rows], np.sort(tets[:, EDGE_VERTICES], axis=2))
+    neighbours = face_neighbours(tets)
+    faces = {}
+    for t, tet in enumerate(tets):
+        for i in range(4):
+            faces.setdefault(frozenset(np.delete(tet, i).tolist()), []).append(t)
+    for t, tet in enumerate(tets):
+        for i in range(4):
+            others = [o for o in faces[frozenset(np.delete(tet, i).tolist())] if o != t]
+            assert neighbours[t, i] == (others[0] if others else -1)
+    with pytest.raises(ValueError, match="not among them"):
+        tetrahedron_edges(tets, edges[1:])
+    with pytest.raises(ValueError, match="more than two"):
+        face_neighbours(np.array([[0, 1, 2, 3], [0, 1, 2, 4], [0, 1, 2, 5]]))
+
+
+def test_connected_pieces() -> None:
+    edges = np.array([[0, 1], [1, 2], [2, 3], [3, 4], [4, 5], [0, 6]])
+    labels = np.array([1, 1, 0, 1, 1, 0, 0, 0])
+    assert connected_pieces(edges, labels).tolist() == [0, 0, 1, 2, 2, 3, 4, 5]
+    # each piece of a mesh cut by a slab is one, the slab's two sides are two
+    mesh = brick((1.0, 0.2, 0.2), 0.1)
+    middle = np.abs(mesh.vertices[:, 0]) < 0.15
+    assert connected_pieces(unique_edges(mesh.tetrahedra), middle).max() + 1 == 3
+
+
+def torus_surface() -> tuple[np.ndarray, np.ndarray]:
+    n, m = 32, 16
+    u, v = np.meshgrid(2 * np.pi * np.arange(n) / n, 2 * np.pi * np.arange(m) / m, indexing="ij")
+    ring = 0.1 + 0.04 * np.cos(v)
+    vertices = np.stack((ring * np.cos(u), ring * np.sin(u), 0.04 * np.sin(v)), axis=-1).reshape(-1, 3)
+    i, j = np.meshgrid(np.arange(n), np.arange(m), indexing="ij")
+    a, b, c, d = (((i + p) % n * m + (j + q) % m).ravel() for p, q in ((0, 0), (1, 0), (1, 1), (0, 1)))
+    return vertices, np.concatenate((np.stack((a, b, c), 1), np.stack((a, c, d), 1)))
+
+
+def test_any_closed_surface_through_the_mesher() -> None:
+    pytest.importorskip("pytetwild", exc_type=ModuleNotFoundError)
+    vertices, triangles = torus_surface()
+    a, b, c = (vertices[triangles[:, i]] for i in range(3))
+    enclosed = np.einsum("ij,ij->", np.cross(a, b), c) / 6.0
+    mesh = tetrahedralize_surface(vertices, triangles, 0.03)
+    assert_valid(mesh)
+    assert euler_characteristic(boundary_triangles(mesh.tetrahedra)) == 0
+    assert tetrahedron_volumes(*mesh).sum() == pytest.approx(enclosed, rel=0.01)
+    to_the_ring = np.linalg.norm(mesh.vertices[:, :2], axis=1) - 0.1
+    assert np.hypot(to_the_ring, mesh.vertices[:, 2]).max() < 0.04 + 1e-3 * np.linalg.norm([0.28, 0.28, 0.08])
+
+
+def test_surfaces_that_bound_nothing_are_refused() -> None:
+    vertices, triangles = torus_surface()
+    with pytest.raises(ValueError, match="holes .* 3 edges lack"):
+        tetrahedralize_surface(vertices, triangles[1:], 0.03)
+    with pytest.raises(ValueError, match="clockwise"):
+        tetrahedralize_surface(vertices, triangles[:, ::-1], 0.03)
+    with pytest.raises(ValueError, match="index 600"):
+        tetrahedralize_surface(vertices, np.vstack((triangles, [[0, 1, 600]])), 0.03)
+
+
+def test_a_missing_mesher_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    import_module = builtins.__import__
+
+    def without_mesher(name: str, *args, **kwargs):
+        if name == "pytetwild":
+            raise ModuleNotFoundError("No module named 'pytetwild'", name=name)
+        return import_module(name, *args, **kwargs)
+
+    monkeypatch.setattr(builtins, "__import__", without_mesher)
+    with pytest.raises(ModuleNotFoundError, match="pip install"):
+        tetrahedralize_surface(*torus_surface(), 0.03)
