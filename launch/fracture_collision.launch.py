@@ -1,0 +1,46 @@
+"""Starts the collision service and the simulator: `ros2 launch fracture_collision fracture_collision.launch.py scene:=plates`."""
+
+from __future__ import annotations
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument, Shutdown
+from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+from launch_ros.substitutions import FindPackageShare
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Both nodes in one namespace; the simulator's end is the end of all."""
+    default_parameters = PathJoinSubstitution([FindPackageShare("fracture_collision"), "config", "collision.yaml"])
+    namespace = LaunchConfiguration("namespace")
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument("scene", default_value="plates", description="name in config/scenes, or a path"),
+            DeclareLaunchArgument("seed", default_value="0", description="of the fracture patterns and throws"),
+            DeclareLaunchArgument("namespace", default_value="", description="put before every topic"),
+            DeclareLaunchArgument(
+                "parameters", default_value=default_parameters, description="of the service, a parameter file"
+            ),
+            Node(
+                package="fracture_collision",
+                executable="collision_node",
+                namespace=namespace,
+                parameters=[LaunchConfiguration("parameters")],
+                output="screen",
+            ),
+            Node(
+                package="fracture_collision",
+                executable="simulator_node",
+                namespace=namespace,
+                parameters=[
+                    {
+                        "scene": ParameterValue(LaunchConfiguration("scene"), value_type=str),
+                        "seed": ParameterValue(LaunchConfiguration("seed"), value_type=int),
+                    }
+                ],
+                output="screen",
+                on_exit=Shutdown(),
+            ),
+        ]
+    )
