@@ -15,7 +15,8 @@ from pathlib import Path
 from setuptools import Command, Distribution, setup
 from setuptools.command.build import build
 
-from distutils.command.install_data import install_data  # setuptools brings distutils along and has no own name for it
+# isort: split
+from distutils.command.install_data import install_data  # setuptools brings it along and has no own name for it
 
 ROOT = Path(__file__).resolve().parent
 PACKAGE = "fracture_collision"
@@ -28,7 +29,7 @@ def requirements(file: Path) -> list[str]:
 
 
 def ament_prefixes() -> list[str]:
-    """Every prefix that holds ROS packages: an installed ROS, this environment, and pip's isolated build environment."""
+    """Every prefix that holds ROS packages: an installed ROS, this environment, pip's isolated build environment."""
     from_environment = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
     above_site_packages = [str(Path(entry).parents[2]) for entry in sys.path if entry.endswith("-packages")]
     candidates = dict.fromkeys([*from_environment, *above_site_packages, sys.prefix])
@@ -53,7 +54,7 @@ class BuildMessages(Command):
 
     def run(self) -> None:
         shutil.rmtree(self.stage, ignore_errors=True)
-        # A CMake cache made under another environment (pip's isolated ones have a new path each time) would lead astray.
+        # A CMake cache made under another environment (pip's isolated ones are new each time) would lead astray.
         (self.cmake_folder / "CMakeCache.txt").unlink(missing_ok=True)
         prefixes = ";".join(ament_prefixes())
         environment = os.environ | {"AMENT_PREFIX_PATH": prefixes.replace(";", os.pathsep)}

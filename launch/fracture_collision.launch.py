@@ -1,4 +1,7 @@
-"""Starts the collision service and the simulator: `ros2 launch fracture_collision fracture_collision.launch.py scene:=plates`."""
+"""Starts the collision service and the simulator:
+
+ros2 launch fracture_collision fracture_collision.launch.py scene:=plates seed:=1
+"""
 
 from __future__ import annotations
 
