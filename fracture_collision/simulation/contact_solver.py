@@ -1,0 +1,202 @@
+"""Velocity-level contact solver with Coulomb friction, and drift correction on poses.
+
+Sources
+  [A] Anitescu, Potra, "Formulating dynamic multi-rigid-body contact problems with friction as solvable linear
+      complementarity problems", 1997: the time-stepping problem solved here.
+  [C] Catto, "Iterative dynamics with temporal coherence", 2005: projected Gauss-Seidel on impulses, warm starting.
+  [G] Guendelman, Bridson, Fedkiw, "Nonconvex rigid bodies with stacking", 2003: positions are corrected by velocities
+      of their own, which never become kinetic energy ("split impulse" in Bullet).
+  Glondu 2014, section 5.2 asks for just this pair: a velocity-level solver plus drift correction.
+
+Symbols, for contact c between bodies a and b
+  n, t1, t2   unit normal from a to b, and two tangents
+  r_a, r_b    arms from the centres of mass to the contact point (one point for both, midway between the witnesses:
+              equal and opposite impulses at one point keep angular momentum exactly)
+  u           velocities (v, w), 6 a body; u* = u(t) with gravity and gyroscopic terms of this step
+  J_d         row of direction d: J_d u = d . (v_b + w_b x r_b - v_a - w_a x r_a)
+  M           masses and inertias; W = M^-1
+  lambda      impulse along n [N s], >= 0;  beta the two friction impulses
+  g           gap [m], negative inside; h the time step [s]; mu Coulomb's coefficient; e restitution
+
+  (1) u = u* + W sum_c (J_n^T lambda + J_t^T beta)                               [A, 2.11]
+  (2) 0 <= lambda  _|_  J_n u + max(g, 0) / h >= 0      an open gap may close within the step, no further
+  (3) |beta| <= mu lambda, opposing J_t u               the round cone: beta is projected as a vector
+  (4) where J_n u(t) < -v_e and lambda > 0:  J_n u >= -e J_n u(t)                 Newton's restitution, after (1)-(3)
+  (5) |tau| <= rho sum(lambda) of the pair, opposing w_b - w_a                    rolling and spinning resistance
+  (6) drift:  J_n (u + u_d) >= min(f d / h, v_max) with d = -g - slop, where d > 0; elsewhere >= d / h
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fracture_collision.records import ContactConstraintArray
+from fracture_collision.simulation import contact_rows as kernels
+
+
+class SolverSettings(NamedTuple):
+    """Numbers of the method; the scene file says why each has its value."""
+
+    iterations: int = 30  # sweeps of (2), (3), (5)
+    restitution_iterations: int = 10  # further sweeps with (4)
+    drift_iterations: int = 15  # sweeps of (6)
+    restitution_speed: float = 0.2  # v_e [m/s]
+    penetration_slop: float = 1.0e-4  # [m]
+    drift_fraction: float = 0.2  # f, the share of the penetration taken out in one step
+    drift_speed: float = 1.0  # v_max [m/s]
+
+
+class RigidBodies(NamedTuple):
+    """World frame. A contact names a body by its row; row n, one past the last, is everything that cannot move."""
+
+    masses: np.ndarray  # (n,) [kg]
+    inertias: np.ndarray  # (n, 3, 3) [kg m2], about the centre of mass
+    centers: np.ndarray  # (n, 3) [m]
+    velocities: np.ndarray  # (n, 6) u(t): v [m/s] of the centre of mass, w [rad/s]
+    free_velocities: np.ndarray  # (n, 6) u*
+
+
+class BodyPairs(NamedTuple):
+    """Beside a ContactConstraintArray, for each of its pairs: rows of the bodies, and rolling resistance."""
+
+    body_a: np.ndarray  # (p,) int64
+    body_b: np.ndarray  # (p,) int64
+    rolling_arm: np.ndarray  # (p,) rho [m]
+
+
+class WarmStart(NamedTuple):
+    """Impulses of one step, for the next: found again by (fragment_a, fragment_b, contact id)."""
+
+    fragment_a: np.ndarray  # (p,) uint32, ascending by (a, b)
+    fragment_b: np.ndarray
+    pair_begin: np.ndarray  # (p + 1,)
+    contact_ids: np.ndarray  # (N,) uint64
+    impulses: np.ndarray  # (N, 3) on b, world axes [N s]
+    rolling: np.ndarray  # (p, 3) angular, on b, world axes [N m s]
+
+
+class Solution(NamedTuple):
+    velocities: np.ndarray  # (n, 6) u(t + h)
+    drift: np.ndarray  # (n, 6) u_d, for the poses of this step only
+    normal_impulses: np.ndarray  # (N,) lambda [N s]
+    warm_start: WarmStart
+
+
+NO_WARM_START = WarmStart(
+    np.zeros(0, np.uint32), np.zeros(0, np.uint32), np.zeros(1, np.int64),
+    np.zeros(0, np.uint64), np.zeros((0, 3)), np.zeros((0, 3)),
+)  # fmt: skip
+
+
+def solve_contacts(
+    bodies: RigidBodies,
+    contacts: ContactConstraintArray,
+    pairs: BodyPairs,
+    warm_start: WarmStart,
+    settings: SolverSettings,
+    time_step: float,
+    impulse_limits: np.ndarray | None = None,
+) -> Solution:
+    """Velocities after one step of `time_step` [s] that respect the contacts.
+
+    Contacts are visited in the order they come in, so equal input gives equal bytes. `impulse_limits` (N,) [N s] caps
+    lambda of each contact: what a material can transmit before it breaks; such contacts do not bounce.
+    """
+    gaps, begin = contacts.gaps, contacts.pair_begin.astype(np.int64)
+    count = len(gaps)
+    velocities, free = _with_immovable(bodies.velocities), _with_immovable(bodies.free_velocities)
+    inverse_masses = np.append(1.0 / bodies.masses, 0.0)
+    inverse_inertias = np.zeros((len(bodies.masses) + 1, 3, 3))
+    inverse_inertias[:-1] = np.linalg.inv(bodies.inertias)
+    points = 0.5 * (contacts.points_a + contacts.points_b).reshape(-1, 3)
+    rows = kernels.contact_rows(
+        points, contacts.normals.reshape(-1, 3), begin, pairs.body_a, pairs.body_b,
+        _with_immovable(bodies.centers), inverse_masses, inverse_inertias,
+    )  # fmt: skip
+    unlimited = np.full(count, np.inf)
+    limits = unlimited if impulse_limits is None else impulse_limits
+    surfaces = kernels.Surfaces(contacts.friction, pairs.rolling_arm, limits)
+
+    impulses, rolling = kernels.carried_impulses(
+        contacts.fragment_a, contacts.fragment_b, begin, contacts.contact_ids,
+        warm_start.fragment_a, warm_start.fragment_b, warm_start.pair_begin, warm_start.contact_ids,
+        warm_start.impulses, warm_start.rolling, rows.directions,
+    )  # fmt: skip
+    np.minimum(impulses[:, 0], limits, out=impulses[:, 0])
+    targets = -np.maximum(gaps, 0.0) / time_step
+    u = free.copy()
+    kernels.apply_warm_start(rows, targets, u, impulses, rolling)
+    kernels.sweep(rows, surfaces, targets, u, impulses, rolling, settings.iterations)
+
+    approach = kernels.normal_velocities(rows, velocities)
+    restitution = np.repeat(contacts.restitution, np.diff(begin))
+    bounces = (approach < -settings.restitution_speed) & (impulses[:, 0] > 0.0) & (restitution > 0.0)
+    bounces &= limits == np.inf
+    if np.any(bounces):
+        targets = np.where(bounces, -restitution * approach, targets)
+        plastic, plastic_impulses, plastic_rolling = u.copy(), impulses.copy(), rolling.copy()
+        kernels.sweep(rows, surfaces, targets, u, impulses, rolling, settings.restitution_iterations)
+        share = _share_without_energy_gain(bodies, free, plastic, u)
+        u = plastic + share * (u - plastic)
+        impulses = plastic_impulses + share * (impulses - plastic_impulses)
+        rolling = plastic_rolling + share * (rolling - plastic_rolling)
+
+    drift = _drift(rows, gaps, kernels.normal_velocities(rows, u), len(bodies.masses), settings, time_step)
+    world_impulses = np.einsum("cd,cdk->ck", impulses, rows.directions)
+    carried = WarmStart(
+        contacts.fragment_a, contacts.fragment_b, begin, contacts.contact_ids, world_impulses, rolling
+    )
+    return Solution(u[:-1], drift, impulses[:, 0], carried)
+
+
+def normal_impulse_sums(solution: Solution, contacts: ContactConstraintArray, pairs: BodyPairs, body_count: int) -> np.ndarray:
+    """Sum of lambda over the contacts of each body: (n,) [N s]. A body squeezed between two counts both sides."""
+    repeat = np.diff(contacts.pair_begin.astype(np.int64))
+    sums = np.zeros(body_count + 1)
+    for body in (pairs.body_a, pairs.body_b):
+        np.add.at(sums, np.repeat(body, repeat), solution.normal_impulses)
+    return sums[:-1]
+
+
+def kinetic_energy(masses: np.ndarray, inertias: np.ndarray, velocities: np.ndarray) -> float:
+    """Of n bodies with velocities (n, 6) [J]."""
+    v, w = velocities[:, :3], velocities[:, 3:]
+    return float(0.5 * (masses @ np.einsum("ni,ni->n", v, v) + np.einsum("ni,nij,nj->", w, inertias, w)))
+
+
+def _with_immovable(values: np.ndarray) -> np.ndarray:
+    return np.concatenate((values, np.zeros((1, values.shape[1]))))
+
+
+def _drift(
+    rows: kernels.Rows, gaps: np.ndarray, closing: np.ndarray, body_count: int, settings: SolverSettings, time_step: float
+) -> np.ndarray:
+    depth = -gaps - settings.penetration_slop
+    u = np.zeros((body_count + 1, 6))
+    if np.any(depth > 0.0):
+        push = np.minimum(settings.drift_fraction * depth / time_step, settings.drift_speed)
+        # What the velocities do to a gap counts; one that is not too deep may still close, up to the slop.
+        targets = np.where(depth > 0.0, push, depth / time_step) - closing
+        kernels.sweep_normals(rows, targets, u, np.zeros(len(gaps)), settings.drift_iterations)
+    return u[:-1]
+
+
+def _share_without_energy_gain(bodies: RigidBodies, free: np.ndarray, plastic: np.ndarray, bounced: np.ndarray) -> float:
+    """The largest s in [0, 1] for which plastic + s (bounced - plastic) has no more kinetic energy than `free`.
+
+    Newton's restitution (4) together with friction can create energy in a body with several contacts (Stronge 1990).
+    (2) and (3) are convex, so any mixture of the two solutions obeys them as well.
+    """
+
+    def inner(x: np.ndarray, y: np.ndarray) -> float:
+        v = bodies.masses @ np.einsum("ni,ni->n", x[:-1, :3], y[:-1, :3])
+        return float(v + np.einsum("ni,nij,nj->", x[:-1, 3:], bodies.inertias, y[:-1, 3:]))
+
+    change = bounced - plastic
+    allowed = max(inner(free, free), inner(plastic, plastic))
+    if inner(bounced, bounced) <= allowed:
+        return 1.0
+    a, b, c = inner(change, change), inner(plastic, change), inner(plastic, plastic) - allowed
+    return float((-b + np.sqrt(max(b * b - a * c, 0.0))) / a)

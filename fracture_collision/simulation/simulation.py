@@ -1,0 +1,312 @@
+"""The simulator without any transport: what it asks of the collision service, and what it does with the answer.
+
+One step, from t_n to t_n+1:
+
+    begin_step     bodies, fracture events and the states at t_n, for the service
+    finish_step    its contacts at t_n and the fragments' masses; new fragments enter the engine with their parent's
+                   velocity field; contacts are solved for the velocities at t_n+1, gravity included; the engine moves
+                   all poses; what was hit harder than it bears breaks, and is told with the next states
+
+An impact that breaks. A contact solver makes bodies as strong as it takes: a ball would bounce off a plate that breaks
+in that instant. A real plate transmits no more than its strength, so where the normal impulses on a fragment sum up to
+more than that, all its contacts are capped in proportion and the step is solved again: the ball loses the capped
+impulse, keeps the rest of its momentum and meets the pieces in the next step.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from fracture_collision.records import (
+    CollisionBody,
+    ContactConstraintArray,
+    FractureEvent,
+    FragmentRegistry,
+    FragmentStates,
+)
+from fracture_collision.simulation.breakable_body import BreakableBody
+from fracture_collision.simulation.bullet_world import BulletWorld
+from fracture_collision.simulation.contact_solver import (
+    NO_WARM_START,
+    BodyPairs,
+    RigidBodies,
+    Solution,
+    kinetic_energy,
+    normal_impulse_sums,
+    solve_contacts,
+)
+from fracture_collision.simulation.engine import BodyStates, Engine, FrameState, MassProperties
+from fracture_collision.simulation.free_motion import free_velocities
+from fracture_collision.simulation.scene import Scene, SceneBody
+from fracture_collision.simulation.scene_records import collision_body
+
+
+class StepRequest(NamedTuple):
+    """What must be published before the answer can come."""
+
+    states: FragmentStates
+    bodies: list[CollisionBody]  # not yet announced, neither by `start_bodies` nor by an earlier request
+    events: list[FractureEvent]  # since the last request
+
+
+class StepReport(NamedTuple):
+    step: int
+    time: float  # [s] at the end of the step
+    contacts: int
+    fragments: int  # that can move and take part
+    solver_seconds: float  # wall time of the contact solver
+    fracture_seconds: float  # wall time of making the patterns
+    kinetic_energy: float  # [J] at the end of the step
+    potential_energy: float  # [J] in the scene's gravity, relative to the world's origin
+    drift_energy: float  # [J] potential energy that this step's drift correction put in by lifting bodies
+    max_speed: float  # [m/s] of any centre of mass at the end of the step
+    deepest_gap: float  # [m] the smallest gap among this step's contacts; 0 without contacts
+    events: list[FractureEvent]  # of this step, to be told with the next request
+
+
+class Simulation:
+    """A run of one scene. The same scene, seed and answers give the same states, byte for byte.
+
+    `seed` stands in for the scene's own where given. `engine` likewise for PyBullet.
+    """
+
+    def __init__(self, scene: Scene, seed: int | None = None, engine: Engine | None = None) -> None:
+        self._scene = scene
+        self._seed = scene.seed if seed is None else seed
+        self._engine = BulletWorld(scene.gravity, scene.time_step) if engine is None else engine
+        self._step = 0
+        self._sequence = 0
+        self._next_fragment_id = len(scene.bodies) + 1
+        self._body_of: dict[int, SceneBody] = {i: body for i, body in enumerate(scene.bodies, start=1)}
+        self._breakable = {
+            i: BreakableBody(i, i, body.shape.mesh) for i, body in self._body_of.items() if body.shape.mesh is not None
+        }
+        self._body_id_of = {i: i for i in self._body_of}  # of each living fragment
+        self._unthrown = sorted(
+            (body.start_time, i) for i, body in self._body_of.items() if not body.is_static
+        )
+        # A static body whose frame is the world's need not be named.
+        still = np.zeros(3)
+        self._static_frames = {
+            i: FrameState(body.position, body.orientation, still, still)
+            for i, body in self._body_of.items()
+            if body.is_static and (body.position.any() or body.orientation[3] != 1.0)
+        }
+        # Named in states, but not in the engine until the registry brings their masses.
+        self._waiting: dict[int, FrameState] = {}
+        self._events: list[FractureEvent] = []
+        self._announced = False
+        self._held_together: set[int] = set()  # fragments that were hit hard enough but found no pattern to break by
+        self._warm_start = NO_WARM_START
+
+    @property
+    def time(self) -> float:
+        """Simulated [s]."""
+        return self._step * self._scene.time_step
+
+    @property
+    def finished(self) -> bool:
+        return self._step >= self._scene.step_count
+
+    def close(self) -> None:
+        self._engine.close()
+
+    def start_bodies(self) -> list[CollisionBody]:
+        """All bodies of the scene, to be published before the first states."""
+        self._announced = True
+        return [collision_body(i, body) for i, body in self._body_of.items()]
+
+    def begin_step(self) -> StepRequest:
+        """Asks for the contacts at the present time. May be called again while no answer comes: it says the same."""
+        while self._unthrown and self._unthrown[0][0] <= self.time + 1e-9 * self._scene.time_step:
+            _, fragment_id = self._unthrown.pop(0)
+            body = self._body_of[fragment_id]
+            self._waiting[fragment_id] = FrameState(
+                body.position, body.orientation, body.linear_velocity, body.angular_velocity
+            )
+        bodies = [] if self._announced else self.start_bodies()
+        return StepRequest(self._states(), bodies, list(self._events))
+
+    def finish_step(self, contacts: ContactConstraintArray, registry: FragmentRegistry) -> StepReport:
+        """Takes the answer and goes one time step on. ValueError where it is the answer to another question."""
+        asked = (self._step, self._sequence)
+        if (contacts.step, contacts.fracture_sequence) != asked or registry.fracture_sequence != self._sequence:
+            raise ValueError(
+                f"asked for (step, fracture_sequence) {asked}, got contacts of"
+                f" {(contacts.step, contacts.fracture_sequence)} and the registry of {registry.fracture_sequence}"
+            )
+        self._events.clear()
+        self._admit_waiting(registry)
+        states = self._engine.states()
+        started = time.perf_counter()
+        pairs = self._body_pairs(contacts, states)
+        bodies = self._rigid_bodies(states)
+        solution, overloaded = self._solve(bodies, contacts, pairs)
+        solver_seconds = time.perf_counter() - started
+        v, drift = solution.velocities, solution.drift
+        self._engine.advance(v[:, :3], v[:, 3:], drift[:, :3], drift[:, 3:])
+        self._warm_start = solution.warm_start
+        self._step += 1
+
+        moved = self._engine.states()
+        velocities = np.hstack((moved.linear, moved.angular))
+        energy = kinetic_energy(moved.masses, moved.inertias, velocities)
+        lifted = -float(moved.masses @ (drift[:, :3] @ self._scene.gravity)) * self._scene.time_step
+        started = time.perf_counter()
+        for i in overloaded:
+            self._break(i, states, moved, contacts, pairs, solution)
+        return StepReport(
+            step=asked[0],
+            time=self.time,
+            contacts=len(contacts.gaps),
+            fragments=len(moved.fragment_ids),
+            solver_seconds=solver_seconds,
+            fracture_seconds=time.perf_counter() - started,
+            kinetic_energy=energy,
+            potential_energy=-float(moved.masses @ (moved.centers @ self._scene.gravity)),
+            drift_energy=lifted,
+            max_speed=float(np.linalg.norm(moved.linear, axis=1).max(initial=0.0)),
+            deepest_gap=float(contacts.gaps.min(initial=0.0)),
+            events=list(self._events),
+        )
+
+    def _states(self) -> FragmentStates:
+        moving = self._engine.states()
+        others = self._static_frames | self._waiting
+        ids = np.concatenate((moving.fragment_ids, np.array(list(others), dtype=np.uint32)))
+        order = np.argsort(ids)
+        in_engine = FrameState(
+            moving.frame_positions, moving.frame_orientations, moving.frame_velocities(), moving.angular
+        )
+        columns = [
+            np.concatenate((values, np.array([frame[k] for frame in others.values()]).reshape(-1, values.shape[1])))
+            for k, values in enumerate(in_engine)
+        ]
+        return FragmentStates(self._step, self._sequence, ids[order], *[column[order].ravel() for column in columns])
+
+    def _admit_waiting(self, registry: FragmentRegistry) -> None:
+        rows = {int(fragment_id): row for row, fragment_id in enumerate(registry.fragment_ids)}
+        for fragment_id in sorted(self._waiting):
+            if fragment_id not in rows:
+                raise ValueError(f"registry of fracture_sequence {self._sequence}: fragment {fragment_id} is missing")
+            row = rows[fragment_id]
+            xx, xy, xz, yy, yz, zz = registry.inertias[6 * row : 6 * row + 6]
+            properties = MassProperties(
+                mass=float(registry.masses[row]),
+                center_of_mass=np.array(registry.centers_of_mass[3 * row : 3 * row + 3]),
+                inertia=np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]),
+            )
+            self._engine.add(fragment_id, properties, self._waiting[fragment_id])
+        self._waiting.clear()
+
+    def _rigid_bodies(self, states: BodyStates) -> RigidBodies:
+        velocities = np.hstack((states.linear, states.angular))
+        free = free_velocities(velocities, states.inertias, self._scene.gravity, self._scene.time_step)
+        return RigidBodies(states.masses, states.inertias, states.centers, velocities, free)
+
+    def _body_pairs(self, contacts: ContactConstraintArray, states: BodyStates) -> BodyPairs:
+        arms = np.array([self._scene_body(int(i)).material.rolling_arm for i in states.fragment_ids] + [0.0])
+        immovable = len(states.fragment_ids)
+
+        def rows_of(fragments: np.ndarray) -> np.ndarray:
+            rows = np.searchsorted(states.fragment_ids, fragments)
+            padded = np.append(states.fragment_ids, 0)
+            rows = np.where(padded[rows] == fragments, rows, immovable)
+            for fragment in fragments[rows == immovable]:
+                if int(fragment) not in self._body_id_of or not self._scene_body(int(fragment)).is_static:
+                    raise ValueError(f"contacts of step {contacts.step}: fragment {fragment} is not in the states")
+            return rows.astype(np.int64)
+
+        a, b = rows_of(contacts.fragment_a), rows_of(contacts.fragment_b)
+        return BodyPairs(a, b, np.maximum(arms[a], arms[b]))
+
+    def _scene_body(self, fragment_id: int) -> SceneBody:
+        return self._body_of[self._body_id_of[fragment_id]]
+
+    def _solve(
+        self, bodies: RigidBodies, contacts: ContactConstraintArray, pairs: BodyPairs
+    ) -> tuple[Solution, np.ndarray]:
+        """Velocities, and the rows of the bodies that break."""
+        settings, time_step = self._scene.solver, self._scene.time_step
+        solution = solve_contacts(bodies, contacts, pairs, self._warm_start, settings, time_step)
+        count = len(bodies.masses)
+        loads = normal_impulse_sums(solution, contacts, pairs, count)
+        strengths = self._strengths(bodies.masses)
+        overloaded = np.flatnonzero(loads > strengths)
+        if len(overloaded):
+            share = np.ones(count + 1)
+            share[overloaded] = strengths[overloaded] / loads[overloaded]
+            share = np.repeat(np.minimum(share[pairs.body_a], share[pairs.body_b]), np.diff(contacts.pair_begin))
+            limits = np.where(share < 1.0, share * solution.normal_impulses, np.inf)
+            capped = solve_contacts(bodies, contacts, pairs, self._warm_start, settings, time_step, limits)
+            # Where it broke is told by the impulses that broke it.
+            solution = capped._replace(normal_impulses=solution.normal_impulses)
+        return solution, overloaded
+
+    def _strengths(self, masses: np.ndarray) -> np.ndarray:
+        """[N s] for each body of the engine; inf where it does not break."""
+        result = np.full(len(masses), np.inf)
+        for i, fragment_id in enumerate(self._engine.states().fragment_ids):
+            fracture = self._scene_body(int(fragment_id)).material.fracture
+            body = self._breakable.get(self._body_id_of[int(fragment_id)])
+            if (
+                fracture is not None
+                and body is not None
+                and int(fragment_id) not in self._held_together
+                and masses[i] >= fracture.minimum_mass
+                and body.node_count(int(fragment_id)) >= 2 * fracture.pattern.minimum_nodes
+            ):
+                result[i] = fracture.strength
+        return result
+
+    def _break(
+        self,
+        row: int,
+        states: BodyStates,
+        moved: BodyStates,
+        contacts: ContactConstraintArray,
+        pairs: BodyPairs,
+        solution: Solution,
+    ) -> None:
+        fragment_id = int(states.fragment_ids[row])
+        body = self._breakable[self._body_id_of[fragment_id]]
+        fracture = self._scene_body(fragment_id).material.fracture
+        impact, load = _hardest_hit(row, contacts, pairs, solution)
+        to_body = Rotation.from_quat(states.frame_orientations[row]).inv()
+        impact = to_body.apply(impact - states.frame_positions[row])
+        event = body.fracture(
+            fragment_id, self._sequence + 1, self._next_fragment_id, impact, load / fracture.strength, fracture.pattern,
+            np.random.default_rng([self._seed, self._sequence + 1]),
+        )  # fmt: skip
+        if event is None:
+            self._held_together.add(fragment_id)
+            return
+        self._sequence += 1
+        self._next_fragment_id += len(event.new_fragment_ids)
+        self._events.append(event)
+        self._engine.remove(fragment_id)
+        frame = moved.frame(row)
+        body_id = self._body_id_of.pop(fragment_id)
+        for new_id in event.new_fragment_ids:
+            self._body_id_of[int(new_id)] = body_id
+            self._waiting[int(new_id)] = frame
+
+
+def _hardest_hit(
+    row: int, contacts: ContactConstraintArray, pairs: BodyPairs, solution: Solution
+) -> tuple[np.ndarray, float]:
+    """Where (world, [m]) and how hard [N s] the neighbour that hit a body hardest did so."""
+    begin = contacts.pair_begin.astype(np.int64)
+    impulses = solution.normal_impulses
+    best, best_load = -1, -1.0
+    for pair in np.flatnonzero((pairs.body_a == row) | (pairs.body_b == row)):
+        load = float(impulses[begin[pair] : begin[pair + 1]].sum())
+        if load > best_load:
+            best, best_load = pair, load
+    those = slice(begin[best], begin[best + 1])
+    points = (contacts.points_a if pairs.body_a[best] == row else contacts.points_b).reshape(-1, 3)
+    return impulses[those] @ points[those] / best_load, best_load
