@@ -1,0 +1,1 @@
+"""Slow truths that the fast paths are tested against: plain numpy, brute force, small meshes."""
