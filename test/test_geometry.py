@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import builtins
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -197,12 +198,14 @@ def torus_surface() -> tuple[np.ndarray, np.ndarray]:
     return vertices, np.concatenate((np.stack((a, b, c), 1), np.stack((a, c, d), 1)))
 
 
-def test_any_closed_surface_through_the_mesher() -> None:
+def test_any_closed_surface_through_the_mesher(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("pytetwild", exc_type=ModuleNotFoundError)
     vertices, triangles = torus_surface()
     a, b, c = (vertices[triangles[:, i]] for i in range(3))
     enclosed = np.einsum("ij,ij->", np.cross(a, b), c) / 6.0
+    monkeypatch.chdir(tmp_path)
     mesh = tetrahedralize_surface(vertices, triangles, 0.03)
+    assert not list(tmp_path.iterdir())
     assert_valid(mesh)
     assert euler_characteristic(boundary_triangles(mesh.tetrahedra)) == 0
     assert tetrahedron_volumes(*mesh).sum() == pytest.approx(enclosed, rel=0.01)

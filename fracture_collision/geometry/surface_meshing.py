@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import math
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import numpy as np
 
@@ -41,9 +45,10 @@ def tetrahedralize_surface(
             "meshing a surface needs the optional mesher: pip install 'pytetwild[all]'", name=missing.name
         ) from missing
 
-    filled, tetrahedra = pytetwild.tetrahedralize(
-        vertices, triangles, edge_length_abs=float(edge_length), epsilon=surface_tolerance, num_threads=1
-    )
+    with _scratch_folder():
+        filled, tetrahedra = pytetwild.tetrahedralize(
+            vertices, triangles, edge_length_abs=float(edge_length), epsilon=surface_tolerance, num_threads=1
+        )
     used, tetrahedra = np.unique(tetrahedra, return_inverse=True)
     filled = np.ascontiguousarray(filled[used])
     tetrahedra = tetrahedra.reshape(-1, 4).astype(np.int32)
@@ -55,6 +60,18 @@ def tetrahedralize_surface(
     tetrahedra[volumes < 0.0, 2:] = tetrahedra[volumes < 0.0, :1:-1]
     face_neighbours(tetrahedra)  # raises where faces do not match
     return TetGeometry(filled, tetrahedra)
+
+
+@contextmanager
+def _scratch_folder() -> Iterator[None]:
+    """fTetWild leaves files in the working directory; let that be one that goes away."""
+    before = os.getcwd()
+    with tempfile.TemporaryDirectory() as folder:
+        os.chdir(folder)
+        try:
+            yield
+        finally:
+            os.chdir(before)
 
 
 def require_closed_surface(vertices: np.ndarray, triangles: np.ndarray) -> None:
