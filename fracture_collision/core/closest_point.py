@@ -1,0 +1,83 @@
+"""Closest points: on a triangle, of an axis-aligned box.
+
+The triangle follows the Voronoi-region walk of Ericson, Real-Time Collision Detection (2005), section 5.1.5.
+"""
+
+from __future__ import annotations
+
+import math
+
+from fracture_collision.core.compiled import kernel
+
+ON_FACE = 0
+ON_RIM = 1
+
+
+@kernel
+def box_distance_squared(x, y, z, box):
+    """Squared distance [m2] of a point from an axis-aligned box (6,) = lower corner, upper corner; 0 inside."""
+    dx = max(box[0] - x, 0.0, x - box[3])
+    dy = max(box[1] - y, 0.0, y - box[4])
+    dz = max(box[2] - z, 0.0, z - box[5])
+    return dx * dx + dy * dy + dz * dz
+
+
+@kernel
+def closest_on_triangle(px, py, pz, ax, ay, az, bx, by, bz, cx, cy, cz):
+    """Closest point of a triangle: (squared distance, x, y, z, feature); feature ON_FACE if interior, else ON_RIM."""
+    abx, aby, abz = bx - ax, by - ay, bz - az
+    acx, acy, acz = cx - ax, cy - ay, cz - az
+    apx, apy, apz = px - ax, py - ay, pz - az
+    d1 = abx * apx + aby * apy + abz * apz
+    d2 = acx * apx + acy * apy + acz * apz
+    feature = ON_RIM
+    if d1 <= 0.0 and d2 <= 0.0:
+        qx, qy, qz = ax, ay, az
+    else:
+        bpx, bpy, bpz = px - bx, py - by, pz - bz
+        d3 = abx * bpx + aby * bpy + abz * bpz
+        d4 = acx * bpx + acy * bpy + acz * bpz
+        if d3 >= 0.0 and d4 <= d3:
+            qx, qy, qz = bx, by, bz
+        else:
+            vc = d1 * d4 - d3 * d2
+            if vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
+                v = d1 / (d1 - d3)
+                qx, qy, qz = ax + v * abx, ay + v * aby, az + v * abz
+            else:
+                cpx, cpy, cpz = px - cx, py - cy, pz - cz
+                d5 = abx * cpx + aby * cpy + abz * cpz
+                d6 = acx * cpx + acy * cpy + acz * cpz
+                if d6 >= 0.0 and d5 <= d6:
+                    qx, qy, qz = cx, cy, cz
+                else:
+                    vb = d5 * d2 - d1 * d6
+                    if vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
+                        w = d2 / (d2 - d6)
+                        qx, qy, qz = ax + w * acx, ay + w * acy, az + w * acz
+                    else:
+                        va = d3 * d6 - d5 * d4
+                        if va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
+                            w = (d4 - d3) / ((d4 - d3) + (d5 - d6))
+                            qx, qy, qz = bx + w * (cx - bx), by + w * (cy - by), bz + w * (cz - bz)
+                        else:
+                            denominator = 1.0 / (va + vb + vc)
+                            v, w = vb * denominator, vc * denominator
+                            qx = ax + abx * v + acx * w
+                            qy = ay + aby * v + acy * w
+                            qz = az + abz * v + acz * w
+                            feature = ON_FACE
+    ex, ey, ez = px - qx, py - qy, pz - qz
+    return ex * ex + ey * ey + ez * ez, qx, qy, qz, feature
+
+
+@kernel
+def triangle_normal(ax, ay, az, bx, by, bz, cx, cy, cz):
+    """Unit normal, right-handed; zeros for a triangle without area."""
+    ux, uy, uz = bx - ax, by - ay, bz - az
+    vx, vy, vz = cx - ax, cy - ay, cz - az
+    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    length = math.sqrt(nx * nx + ny * ny + nz * nz)
+    if length == 0.0:
+        return 0.0, 0.0, 0.0
+    return nx / length, ny / length, nz / length

@@ -1,0 +1,326 @@
+"""All geometry of a world at one registry: bodies go in, fractures change it, `pools` is what the kernels read."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fracture_collision.core import fracture_update
+from fracture_collision.core.kinds import BOX, PLANE, SPHERE, TETRAHEDRA
+from fracture_collision.core.moments import box_mass_properties, mass_properties, sphere_mass_properties
+from fracture_collision.core.occupancy import cells_of_box, fill_pyramid, mark_boxes, pyramid_bytes
+from fracture_collision.core.pools import (
+    NEVER_BROKEN,
+    BodyPool,
+    FragmentPool,
+    GrowableArray,
+    MeshPool,
+    Pools,
+    TreePool,
+)
+from fracture_collision.core.sphere_tree import SphereTree, build_sphere_tree
+from fracture_collision.core.sphere_tree_split import split_sphere_tree
+from fracture_collision.core.tet_mesh import TetMesh
+
+# A box is sampled along its edges, where it pokes into faces of others; its faces answer in closed form. The spacing,
+# as a share of the longest edge, keeps the tree of a long shelf small and a cube's edge well covered.
+BOX_EDGE_SPACING = 1.0 / 64.0
+
+# A crossing counts as a point of its fragment's surface up to this share of R, the rounding of a few products.
+ON_CRACK_TOLERANCE = 1e-12
+
+
+class MassProperties(NamedTuple):
+    mass: float  # [kg]
+    center: np.ndarray  # (3,) [m], body frame
+    inertia: np.ndarray  # (6,) [kg m2] about the centre, body axes: xx xy xz yy yz zz
+
+
+class PreparedMesh(NamedTuple):
+    """A tetrahedral mesh with the sphere tree of the whole body: the preprocess equal geometries share."""
+
+    mesh: TetMesh
+    tree: SphereTree
+
+
+class _MeshRows(NamedTuple):
+    """Where a mesh begins in the pools."""
+
+    index: int
+    node: int
+    tet: int
+    edge: int
+    tree: int
+    cells: np.ndarray
+    prepared: PreparedMesh
+
+
+def prepare_mesh(mesh: TetMesh) -> PreparedMesh:
+    """The tree over all nodes, surface and interior (section 6.1)."""
+    return PreparedMesh(mesh, build_sphere_tree(mesh.nodes, mesh.on_surface))
+
+
+def _table(**columns: tuple[int, type]) -> dict[str, GrowableArray]:
+    return {name: GrowableArray(width, dtype) for name, (width, dtype) in columns.items()}
+
+
+class CollisionGeometry:
+    """Owner of the pools. Fragments are addressed by row, in the order in which they were made."""
+
+    def __init__(self) -> None:
+        f8, i4, u1 = np.float64, np.int32, np.uint8
+        self._mesh = _table(
+            nodes=(3, f8), tetrahedra=(4, i4), neighbours=(4, i4), tetrahedron_edges=(6, i4), edges=(2, i4),
+            boxes=(6, f8), barycentric=(12, f8), moments=(10, f8), on_surface=(0, u1), node_tets_begin=(0, i4),
+            node_tets=(0, i4), grid=(4, f8), grid_dims=(4, i4), cell_begin=(0, i4), cell_tets=(0, i4),
+        )  # fmt: skip
+        self._body = _table(
+            node_fragment=(0, i4), edge_plane=(0, i4), cut_begin=(0, i4), cut_count=(0, i4), planes=(4, f8),
+            triangles=(9, f8), front=(0, i4), back=(0, i4), kind=(0, u1),
+        )  # fmt: skip
+        self._fragment = _table(
+            kind=(0, i4), mesh=(0, i4), node_shift=(0, i4), tet_shift=(0, i4), edge_shift=(0, i4), box=(6, f8),
+            shape=(4, f8), radius=(0, f8), tree_begin=(0, i4), tree_end=(0, i4), cells=(7, i4),
+        )  # fmt: skip
+        self._tree = _table(center=(3, f8), radius=(0, f8), size=(0, i4), sample=(0, i4), on_surface=(0, u1))
+        self._occupancy = GrowableArray(0, u1)
+        self._moments = GrowableArray(10, f8)
+        self._gaps = GrowableArray(0, f8)
+        self._meshes: list[_MeshRows] = []
+        self._pools: Pools | None = None
+
+    @property
+    def pools(self) -> Pools:
+        if self._pools is None:
+            self._pools = Pools(
+                MeshPool(**{k: a.view for k, a in self._mesh.items()}),
+                BodyPool(**{k: a.view for k, a in self._body.items()}),
+                FragmentPool(**{k: a.view for k, a in self._fragment.items()}),
+                TreePool(**{k: a.view for k, a in self._tree.items()}),
+                self._occupancy.view,
+            )
+        return self._pools
+
+    def sampling_gap(self, row: int) -> float:
+        """[m] no point of the fragment's surface is farther from one of its samples."""
+        return float(self._gaps.view[row])
+
+    def tet_range(self, row: int) -> range:
+        """Rows of the mesh of a tetrahedral fragment's body."""
+        rows = self._meshes[self._fragment["mesh"].view[row]]
+        return range(rows.tet, rows.tet + len(rows.prepared.mesh.tetrahedra))
+
+    def tree_entries(self, row: int) -> int:
+        return int(self._fragment["tree_end"].view[row] - self._fragment["tree_begin"].view[row])
+
+    def mass_properties(self, row: int, density: float) -> MassProperties:
+        kind, shape = self._fragment["kind"].view[row], self._fragment["shape"].view[row]
+        if kind == PLANE:
+            return MassProperties(0.0, np.zeros(3), np.zeros(6))
+        if kind == SPHERE:
+            return MassProperties(*sphere_mass_properties(float(shape[0]), density))
+        if kind == BOX:
+            return MassProperties(*box_mass_properties(shape[:3], density))
+        return MassProperties(*mass_properties(self._moments.view[row], density))
+
+    def add_plane(self, normal: np.ndarray, offset: float) -> int:
+        """Half-space normal . x <= offset; `normal` unit."""
+        box = np.array([-np.inf] * 3 + [np.inf] * 3)
+        return self._add_row(PLANE, box, np.append(normal, offset), np.inf, 0, 0, 0.0)
+
+    def add_sphere(self, radius: float) -> int:
+        box = np.array([-radius] * 3 + [radius] * 3)
+        return self._add_row(SPHERE, box, np.array([radius, 0.0, 0.0, 0.0]), radius, 0, 0, 0.0)
+
+    def add_box(self, half: np.ndarray) -> int:
+        """`half` (3,) [m] half edge lengths."""
+        points = _box_edge_points(half)
+        begin = self._append_tree(build_sphere_tree(points, np.ones(len(points), np.uint8)))
+        # the point of a face farthest from its edges
+        gap = float(np.sort(half)[1])
+        return self._add_row(
+            BOX, np.concatenate([-half, half]), np.append(half, 0.0), float(half.max()), begin, self._tree["size"].used, gap
+        )
+
+    def add_tetrahedra(self, prepared: PreparedMesh) -> int:
+        """A whole body; equal `prepared` objects share their pool rows."""
+        rows = self._mesh_rows(prepared)
+        mesh = prepared.mesh
+        row = self._add_row(
+            TETRAHEDRA, mesh.box, np.zeros(4), 0.5 * float((mesh.box[3:] - mesh.box[:3]).max()),
+            rows.tree, rows.tree + len(prepared.tree.size), mesh.sampling_gap, rows.index, rows.cells,
+        )  # fmt: skip
+        # summed one by one, as a fracture sums what is left, so that parts add up to the whole
+        self._moments.view[row] = mesh.moments.sum(axis=0)
+        return row
+
+    def apply_fracture(
+        self, row: int, nodes: np.ndarray, parts: np.ndarray, edges: np.ndarray, planes: np.ndarray, count: int
+    ) -> int:
+        """Break fragment `row` into `count` new rows; returns the first.
+
+        nodes (n,): all its mesh nodes; parts (n,): the part of each, 0 .. count - 1; edges (k,): mesh edges it is cut
+        at, ascending; planes (k, 4): unit normal from the edge's first node to its second, offset [m].
+        """
+        k = int(self._fragment["mesh"].view[row])
+        rows = self._meshes[k]
+        self._own_body_rows(row, rows)
+        node_shift = int(self._fragment["node_shift"].view[row])
+        tet_shift = int(self._fragment["tet_shift"].view[row])
+        edge_shift = int(self._fragment["edge_shift"].view[row])
+        first = self._fragment["kind"].used
+        parent = {name: array.view[row].copy() for name, array in self._fragment.items()}
+        for name, array in self._fragment.items():
+            array.append(np.repeat(parent[name][None], count, axis=0))
+        self._moments.append(np.zeros((count, 10)))
+        self._gaps.append(np.zeros(count))
+        first_plane = self._body["planes"].append(planes)
+        self._pools = None
+        pools, end = self.pools, first + count
+        labels = pools.body.node_fragment
+        visited = np.zeros(len(pools.mesh.tetrahedra), np.uint8)
+        # node_tets_begin has one row more than nodes in each mesh before this one
+        tets = fracture_update.tetrahedra_of_nodes(pools.mesh, rows.node + k, nodes, visited)
+        label_rows = nodes + (rows.node + node_shift)
+        moments = self._moments.view
+        labels[label_rows] = first + parts
+        shared = fracture_update.tetrahedra_shared_by_three(pools.mesh, pools.body, node_shift, tets, first, end)
+        labels[label_rows] = row
+        if len(shared):
+            fracture_update.external_moments(
+                pools.mesh, pools.body, node_shift, edge_shift, shared, first, end, -1.0, moments
+            )
+        labels[label_rows] = first + parts
+        pools.body.edge_plane[edges + (rows.edge + edge_shift)] = first_plane + np.arange(len(edges), dtype=np.int32)
+        if len(shared):
+            fracture_update.external_moments(
+                pools.mesh, pools.body, node_shift, edge_shift, shared, first, end, 1.0, moments
+            )
+        boxes = np.empty((count, 6))
+        boxes[:, :3], boxes[:, 3:] = np.inf, -np.inf
+        on_crack = np.zeros((len(rows.prepared.mesh.edges), 2), np.uint8)
+        polygons = fracture_update.rebuild_surfaces(
+            pools.mesh, pools.body, node_shift, tet_shift, edge_shift, tets, first, end,
+            self._body["triangles"].used, rows.edge, ON_CRACK_TOLERANCE * self._fragment["radius"].view[row],
+            moments, boxes, self._gaps.view[first:], on_crack,
+        )  # fmt: skip
+        for name, array in zip(("triangles", "front", "back", "kind"), polygons, strict=True):
+            self._body[name].append(array)
+        self._fragment["box"].view[first:end] = boxes
+        self._mark_cells(k, node_shift, tets, first, end, boxes)
+        self._split_tree(row, rows, nodes, parts, edges, planes, on_crack, first, count)
+        self._pools = None
+        return first
+
+    def _split_tree(self, row, rows, nodes, parts, edges, planes, on_crack, first, count) -> None:
+        mesh = rows.prepared.mesh
+        n = len(mesh.nodes)
+        begin, end = (int(self._fragment[name].view[row]) for name in ("tree_begin", "tree_end"))
+        old = SphereTree(*(self._tree[name].view[begin:end].copy() for name in SphereTree._fields))
+        part_of_node = np.full(n, -1, dtype=np.int32)
+        part_of_node[nodes] = parts
+        at_crack = old.sample >= n
+        node = old.sample.copy()
+        node[at_crack] = mesh.edges[(old.sample[at_crack] - n) // 2, (old.sample[at_crack] - n) % 2]
+        ends = mesh.edges[edges]
+        points = fracture_update.edge_crossings(mesh.nodes, ends, planes)
+        samples = (n + 2 * np.asarray(edges, dtype=np.int32)[:, None] + np.arange(2, dtype=np.int32)).ravel()
+        parents = ends.ravel()
+        trees = split_sphere_tree(
+            old, part_of_node[node], count, np.repeat(points, 2, axis=0), samples, parents, part_of_node[parents]
+        )
+        for i, tree in enumerate(trees):
+            crossing = tree.sample >= n
+            tree.on_surface[crossing] = on_crack.ravel()[tree.sample[crossing] - n]
+            at = self._append_tree(tree)
+            self._fragment["tree_begin"].view[first + i] = at
+            self._fragment["tree_end"].view[first + i] = at + len(tree.size)
+
+    def _mark_cells(self, k, node_shift, tets, first, end, boxes) -> None:
+        grid, dims = self._mesh["grid"].view[k], self._mesh["grid_dims"].view[k, :3]
+        cells = np.empty((end - first, 7), np.int32)
+        for i, box in enumerate(boxes):
+            cells[i] = cells_of_box(box, grid[:3], grid[3], dims, 0)
+            cells[i, 6] = self._occupancy.append(np.zeros(pyramid_bytes(cells[i]), np.uint8))
+        self._fragment["cells"].view[first:end] = cells
+        occupancy = self._occupancy.view
+        fracture_update.mark_cells(
+            self.pools.mesh, k, self.pools.body, node_shift, tets, first, end, cells, occupancy
+        )
+        for row in cells:
+            fill_pyramid(row, occupancy)
+
+    def _own_body_rows(self, row: int, rows: _MeshRows) -> None:
+        """A body that breaks for the first time gets labels, cuts and planes of its own."""
+        if self._fragment["node_shift"].view[row] != NEVER_BROKEN:
+            return
+        mesh = rows.prepared.mesh
+        node = self._body["node_fragment"].append(np.full(len(mesh.nodes), row, np.int32))
+        edge = self._body["edge_plane"].append(np.full(len(mesh.edges), -1, np.int32))
+        tet = self._body["cut_begin"].append(np.full(len(mesh.tetrahedra), -1, np.int32))
+        self._body["cut_count"].append(np.zeros(len(mesh.tetrahedra), np.int32))
+        self._fragment["node_shift"].view[row] = node - rows.node
+        self._fragment["tet_shift"].view[row] = tet - rows.tet
+        self._fragment["edge_shift"].view[row] = edge - rows.edge
+
+    def _append_tree(self, tree: SphereTree) -> int:
+        begin = self._tree["size"].used
+        for name in SphereTree._fields:
+            self._tree[name].append(getattr(tree, name))
+        return begin
+
+    def _add_row(self, kind, box, shape, radius, tree_begin, tree_end, gap, mesh=-1, cells=None) -> int:
+        values = dict(
+            kind=kind, mesh=mesh, node_shift=NEVER_BROKEN, tet_shift=NEVER_BROKEN, edge_shift=NEVER_BROKEN, box=box,
+            shape=shape, radius=radius, tree_begin=tree_begin, tree_end=tree_end,
+            cells=np.zeros(7, np.int32) if cells is None else cells,
+        )  # fmt: skip
+        for name, value in values.items():
+            self._fragment[name].append(np.asarray(value)[None])
+        self._moments.append(np.zeros((1, 10)))
+        self._pools = None
+        return self._gaps.append(np.array([gap]))
+
+    def _mesh_rows(self, prepared: PreparedMesh) -> _MeshRows:
+        for known in self._meshes:
+            if known.prepared is prepared:
+                return known
+        mesh, table = prepared.mesh, self._mesh
+        index, node, tet, edge = table["grid"].used, table["nodes"].used, table["tetrahedra"].used, table["edges"].used
+        first_cell = table["cell_begin"].used
+        table["nodes"].append(mesh.nodes)
+        table["tetrahedra"].append(mesh.tetrahedra + node)
+        table["neighbours"].append(np.where(mesh.neighbours < 0, -1, mesh.neighbours + tet))
+        table["tetrahedron_edges"].append(mesh.tetrahedron_edges + edge)
+        table["edges"].append(mesh.edges + node)
+        for name in ("boxes", "barycentric", "moments", "on_surface"):
+            table[name].append(getattr(mesh, name))
+        table["node_tets_begin"].append(mesh.node_tets_begin + table["node_tets"].used)
+        table["node_tets"].append(mesh.node_tets + tet)
+        table["cell_begin"].append(mesh.cell_begin + table["cell_tets"].used)
+        table["cell_tets"].append(mesh.cell_tets + tet)
+        table["grid"].append(np.append(mesh.grid_origin, mesh.grid_cell)[None])
+        table["grid_dims"].append(np.append(mesh.grid_dims, first_cell)[None])
+        cells = cells_of_box(mesh.box, mesh.grid_origin, mesh.grid_cell, mesh.grid_dims, 0)
+        cells[6] = self._occupancy.append(np.zeros(pyramid_bytes(cells), np.uint8))
+        occupancy = self._occupancy.view
+        mark_boxes(mesh.boxes, *mesh.grid_origin, mesh.grid_cell, cells, occupancy)
+        fill_pyramid(cells, occupancy)
+        rows = _MeshRows(index, node, tet, edge, self._append_tree(prepared.tree), cells, prepared)
+        self._meshes.append(rows)
+        self._pools = None
+        return rows
+
+
+def _box_edge_points(half: np.ndarray) -> np.ndarray:
+    """Corners and evenly spaced points of the twelve edges, (n, 3) [m], no point twice."""
+    step = 2.0 * float(half.max()) * BOX_EDGE_SPACING
+    points = [np.array([x, y, z]) * half for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
+    for axis in range(3):
+        pieces = max(int(np.ceil(2.0 * half[axis] / step - 1e-9)), 1)
+        for t in np.linspace(-1.0, 1.0, pieces + 1)[1:-1]:
+            for u in (-1, 1):
+                for v in (-1, 1):
+                    points.append(np.insert(np.array([u, v], float), axis, t) * half)
+    return np.ascontiguousarray(points)

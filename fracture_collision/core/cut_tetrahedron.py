@@ -1,0 +1,242 @@
+"""A tetrahedron shared by several fragments: who owns a point, and the exact polygons between the owners.
+
+The margin rule (docs/numerics.md). Each fragment f with a node in the tetrahedron has a margin at x: the smallest
+signed distance to the planes of the tetrahedron's cut edges between f and another fragment, positive on f's side. The
+point belongs to the largest margin. For consistent planes (bisectors of a Voronoi pattern) that is the exact cell; for
+any planes it is a partition. Glondu 2014, sections 4.1 and 4.3 store the planes and ask the question; the rule for
+several planes in one tetrahedron is ours.
+
+Symbols: slot k = one distinct fragment of the (up to) four nodes; g = (nx, ny, nz, o) a linear functional n.x - o;
+M_k = min over the functionals of slot k.
+
+The polygons: for each choice of the functional that attains every slot's minimum, the set where the choice holds is
+convex and all margins are linear on it. So the interface of slots f and g is the plane M_f = M_g clipped by that set
+and by M_f >= M_h for the other slots h, and a face of the tetrahedron clipped likewise is f's share of that face.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fracture_collision.core.compiled import kernel
+
+EDGE_FIRST = np.array([0, 0, 0, 1, 1, 2])
+EDGE_SECOND = np.array([1, 2, 3, 2, 3, 3])
+# Face k lies opposite vertex k, counter-clockwise from outside for a tetrahedron of positive volume.
+FACE_VERTICES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
+INTERFACE = 4  # kind of a triangle between two fragments; 0..3: on that face
+MAX_TRIANGLES = 4096  # more than any choice of planes was seen to make (below 200); exceeding it raises
+
+
+@kernel
+def collect_margins(corner_labels, cut_planes, flips, planes, slot_labels, functionals, counts):
+    """Fill slot labels (4,), functionals (4, 4, 4), counts (4,); returns the number of slots.
+
+    corner_labels (4,): fragment of each node; cut_planes (6,): index into `planes` (p, 4) or -1; flips (6,): 1 where
+    the stored plane points from the edge's second local vertex to its first.
+    """
+    slots = 0
+    slot_of = np.empty(4, dtype=np.int64)
+    for i in range(4):
+        slot_of[i] = -1
+        for s in range(slots):
+            if slot_labels[s] == corner_labels[i]:
+                slot_of[i] = s
+        if slot_of[i] < 0:
+            slot_labels[slots] = corner_labels[i]
+            counts[slots] = 0
+            slot_of[i] = slots
+            slots += 1
+    for e in range(6):
+        p = cut_planes[e]
+        if p < 0:
+            continue
+        for end in range(2):
+            s = slot_of[EDGE_FIRST[e]] if end == 0 else slot_of[EDGE_SECOND[e]]
+            sign = -1.0 if (end == 0) != (flips[e] == 1) else 1.0
+            nx, ny, nz, o = sign * planes[p, 0], sign * planes[p, 1], sign * planes[p, 2], sign * planes[p, 3]
+            known = False
+            for q in range(counts[s]):
+                g = functionals[s, q]
+                if g[0] == nx and g[1] == ny and g[2] == nz and g[3] == o:
+                    known = True
+            if not known:
+                g = functionals[s, counts[s]]
+                g[0], g[1], g[2], g[3] = nx, ny, nz, o
+                counts[s] += 1
+    return slots
+
+
+@kernel
+def margin(functionals, count, x, y, z):
+    """Smallest signed distance [m] to a slot's `count` functionals; infinity without any."""
+    least = np.inf
+    for q in range(count):
+        g = functionals[q]
+        least = min(least, g[0] * x + g[1] * y + g[2] * z - g[3])
+    return least
+
+
+@kernel
+def owner_slot(slots, functionals, counts, slot_labels, x, y, z):
+    """Slot of the largest margin; the smaller label at a tie."""
+    best = 0
+    best_margin = margin(functionals[0], counts[0], x, y, z)
+    for s in range(1, slots):
+        m = margin(functionals[s], counts[s], x, y, z)
+        if m > best_margin or (m == best_margin and slot_labels[s] < slot_labels[best]):
+            best, best_margin = s, m
+    return best
+
+
+@kernel
+def _clip(polygon, count, spare, a, b, c, o):
+    """Keep the part of a convex polygon with a x + b y + c z - o >= 0, in place; returns its vertex count."""
+    kept = 0
+    px, py, pz = polygon[count - 1]
+    pv = a * px + b * py + c * pz - o
+    for i in range(count):
+        qx, qy, qz = polygon[i]
+        qv = a * qx + b * qy + c * qz - o
+        if (pv < 0.0) != (qv < 0.0):
+            t = pv / (pv - qv)
+            spare[kept, 0], spare[kept, 1], spare[kept, 2] = px + t * (qx - px), py + t * (qy - py), pz + t * (qz - pz)
+            kept += 1
+        if qv >= 0.0:
+            spare[kept, 0], spare[kept, 1], spare[kept, 2] = qx, qy, qz
+            kept += 1
+        px, py, pz, pv = qx, qy, qz, qv
+    for i in range(kept):
+        polygon[i, 0], polygon[i, 1], polygon[i, 2] = spare[i, 0], spare[i, 1], spare[i, 2]
+    return kept if kept >= 3 else 0
+
+
+@kernel
+def _section(corners, a, b, c, o, polygon):
+    """The tetrahedron's section with the plane a x + b y + c z = o, right-handed about (a, b, c); its vertex count."""
+    value = np.empty(4)
+    for i in range(4):
+        value[i] = a * corners[i, 0] + b * corners[i, 1] + c * corners[i, 2] - o
+    above = 0
+    for i in range(4):
+        if value[i] >= 0.0:
+            above += 1
+    if above == 0 or above == 4:
+        return 0
+    # an edge each, in cyclic order: around the lone vertex, or the cycle of the four mixed edges
+    first = np.empty(4, dtype=np.int64)
+    second = np.empty(4, dtype=np.int64)
+    up = np.empty(4, dtype=np.int64)
+    down = np.empty(4, dtype=np.int64)
+    nu = nd = 0
+    for i in range(4):
+        if value[i] >= 0.0:
+            up[nu] = i
+            nu += 1
+        else:
+            down[nd] = i
+            nd += 1
+    if nu == 2:
+        first[0], second[0] = up[0], down[0]
+        first[1], second[1] = up[0], down[1]
+        first[2], second[2] = up[1], down[1]
+        first[3], second[3] = up[1], down[0]
+        count = 4
+    else:
+        lone = up[0] if nu == 1 else down[0]
+        count = 0
+        for i in range(4):
+            if i != lone:
+                first[count], second[count] = lone, i
+                count += 1
+    for k in range(count):
+        p, q = first[k], second[k]
+        t = value[p] / (value[p] - value[q])
+        for d in range(3):
+            polygon[k, d] = corners[p, d] + t * (corners[q, d] - corners[p, d])
+    nx = ny = nz = 0.0
+    for k in range(1, count - 1):
+        ux, uy, uz = polygon[k, 0] - polygon[0, 0], polygon[k, 1] - polygon[0, 1], polygon[k, 2] - polygon[0, 2]
+        vx, vy, vz = (
+            polygon[k + 1, 0] - polygon[0, 0],
+            polygon[k + 1, 1] - polygon[0, 1],
+            polygon[k + 1, 2] - polygon[0, 2],
+        )
+        nx += uy * vz - uz * vy
+        ny += uz * vx - ux * vz
+        nz += ux * vy - uy * vx
+    if nx * a + ny * b + nz * c < 0.0:
+        for k in range(count // 2):
+            for d in range(3):
+                polygon[k, d], polygon[count - 1 - k, d] = polygon[count - 1 - k, d], polygon[k, d]
+    return count
+
+
+@kernel
+def _clip_to_choice(polygon, count, spare, slots, functionals, counts, choice, owner, other):
+    """Clip to where the choice of minima holds and `owner` has the largest margin (`other`: already on its plane)."""
+    for s in range(slots):
+        m = functionals[s, choice[s]]
+        for q in range(counts[s]):
+            if q != choice[s] and count:
+                g = functionals[s, q]
+                count = _clip(polygon, count, spare, g[0] - m[0], g[1] - m[1], g[2] - m[2], g[3] - m[3])
+        if s != owner and s != other and count:
+            f = functionals[owner, choice[owner]]
+            count = _clip(polygon, count, spare, f[0] - m[0], f[1] - m[1], f[2] - m[2], f[3] - m[3])
+    return count
+
+
+@kernel
+def _emit(polygon, count, front, back, kind, triangles, fronts, backs, kinds, used):
+    for k in range(1, count - 1):
+        if used >= len(triangles):
+            raise RuntimeError("a cut tetrahedron made more triangles than MAX_TRIANGLES")
+        for d in range(3):
+            triangles[used, d] = polygon[0, d]
+            triangles[used, 3 + d] = polygon[k, d]
+            triangles[used, 6 + d] = polygon[k + 1, d]
+        fronts[used] = front
+        backs[used] = back
+        kinds[used] = kind
+        used += 1
+    return used
+
+
+@kernel
+def partition(corners, slots, functionals, counts, triangles, fronts, backs, kinds):
+    """All boundary triangles of the slots' regions within the tetrahedron `corners` (4, 3).
+
+    Each goes into `triangles` (MAX_TRIANGLES, 9) right-handed about the outward normal of slot `fronts[i]`; `backs[i]`
+    is the slot behind an INTERFACE, -1 for a share of face `kinds[i]`. Returns how many there are.
+    """
+    used = 0
+    polygon = np.empty((32, 3))
+    spare = np.empty((32, 3))
+    choice = np.zeros(4, dtype=np.int64)
+    while True:
+        for f in range(slots):
+            m = functionals[f, choice[f]]
+            for g in range(f + 1, slots):
+                h = functionals[g, choice[g]]
+                # outward of f is where its margin falls below g's
+                a, b, c, o = h[0] - m[0], h[1] - m[1], h[2] - m[2], h[3] - m[3]
+                count = _section(corners, a, b, c, o, polygon)
+                if count:
+                    count = _clip_to_choice(polygon, count, spare, slots, functionals, counts, choice, f, g)
+                used = _emit(polygon, count, f, g, INTERFACE, triangles, fronts, backs, kinds, used)
+            for face in range(4):
+                for k in range(3):
+                    for d in range(3):
+                        polygon[k, d] = corners[FACE_VERTICES[face, k], d]
+                count = _clip_to_choice(polygon, 3, spare, slots, functionals, counts, choice, f, -1)
+                used = _emit(polygon, count, f, -1, face, triangles, fronts, backs, kinds, used)
+        s = 0
+        while s < slots:
+            choice[s] += 1
+            if choice[s] < counts[s]:
+                break
+            choice[s] = 0
+            s += 1
+        if s == slots:
+            return used

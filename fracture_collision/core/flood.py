@@ -1,0 +1,194 @@
+"""Exact distances by a local flood: penetration(p; D(f)) and the near outside (Glondu 2014, section 4.4, made exact).
+
+The segment from a point inside fragment f to the nearest point of f's surface runs inside f. So: start at the
+tetrahedron that holds the point, spread over faces to tetrahedra that hold some of f, nearest box first, while a box is
+nearer than the best distance so far; measure against the surface polygons of f in each. What is left is exact, with no
+stored distance and nothing to update at a fracture.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from fracture_collision.core.closest_point import ON_FACE, ON_RIM, box_distance_squared, closest_on_triangle, triangle_normal
+from fracture_collision.core.compiled import kernel
+from fracture_collision.core.cut_tetrahedron import FACE_VERTICES
+from fracture_collision.core.point_location import holds_fragment
+from fracture_collision.core.pools import NEVER_BROKEN
+
+# Which surface triangle a closest point lies on: a row of body.triangles, or -1 - (4 tetrahedron + face) of the old surface.
+NO_SOURCE = np.iinfo(np.int64).max
+# Below this share of R a direction between two points says nothing; the surface's own normal does.
+DIRECTION_FLOOR = 1e-9
+
+
+@kernel
+def nearest_in_tetrahedron(pools, f, t, x, y, z, best):
+    """Better of `best` = (squared distance, x, y, z, feature, source) and f's surface within tetrahedron `t`."""
+    d2, qx, qy, qz, feature, source = best
+    mesh, body = pools.mesh, pools.body
+    shift = pools.fragment.tet_shift[f]
+    begin = -1 if shift == NEVER_BROKEN else body.cut_begin[t + shift]
+    if begin < 0:
+        for face in range(4):
+            if mesh.neighbours[t, face] >= 0:
+                continue
+            a = mesh.nodes[mesh.tetrahedra[t, FACE_VERTICES[face, 0]]]
+            b = mesh.nodes[mesh.tetrahedra[t, FACE_VERTICES[face, 1]]]
+            c = mesh.nodes[mesh.tetrahedra[t, FACE_VERTICES[face, 2]]]
+            e2, ex, ey, ez, rim = closest_on_triangle(x, y, z, a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2])
+            if e2 < d2:
+                d2, qx, qy, qz, feature, source = e2, ex, ey, ez, rim, -1 - (4 * t + face)
+    else:
+        for i in range(begin, begin + body.cut_count[t + shift]):
+            if body.front[i] != f and body.back[i] != f:
+                continue
+            p = body.triangles[i]
+            e2, ex, ey, ez, rim = closest_on_triangle(x, y, z, p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8])
+            if e2 < d2:
+                d2, qx, qy, qz, feature, source = e2, ex, ey, ez, rim, i
+    return d2, qx, qy, qz, feature, source
+
+
+@kernel
+def _push(keys, items, count, key, item):
+    i = count
+    while i > 0:
+        parent = (i - 1) >> 1
+        if keys[parent] <= key:
+            break
+        keys[i], items[i] = keys[parent], items[parent]
+        i = parent
+    keys[i], items[i] = key, item
+
+
+@kernel
+def _pop(keys, items, count):
+    """Remove the root of a heap of `count`; the caller has read it."""
+    last = count - 1
+    key, item = keys[last], items[last]
+    i = 0
+    while True:
+        child = 2 * i + 1
+        if child >= last:
+            break
+        if child + 1 < last and keys[child + 1] < keys[child]:
+            child += 1
+        if keys[child] >= key:
+            break
+        keys[i], items[i] = keys[child], items[child]
+        i = child
+    keys[i], items[i] = key, item
+
+
+@kernel
+def next_stamp(scratch, thread):
+    """A stamp no tetrahedron of this thread carries."""
+    if scratch.stamp[thread] == np.iinfo(np.int32).max:
+        scratch.visited[thread, :] = 0
+        scratch.stamp[thread] = 0
+    scratch.stamp[thread] += 1
+    return scratch.stamp[thread]
+
+
+@kernel
+def nearest_from_inside(pools, f, start, x, y, z, scratch, thread):
+    """Nearest point of f's surface seen from a point of f in tetrahedron `start`.
+
+    Returns (squared distance [m2], x, y, z, feature, source, tetrahedra visited).
+    """
+    mesh = pools.mesh
+    keys = scratch.heap_key[thread]
+    items = scratch.heap_tet[thread]
+    visited = scratch.visited[thread]
+    stamp = next_stamp(scratch, thread)
+    best = (np.inf, 0.0, 0.0, 0.0, ON_RIM, NO_SOURCE)
+    keys[0], items[0] = 0.0, start
+    visited[start] = stamp
+    count, visits = 1, 0
+    while count and keys[0] < best[0]:
+        t = items[0]
+        _pop(keys, items, count)
+        count -= 1
+        visits += 1
+        best = nearest_in_tetrahedron(pools, f, t, x, y, z, best)
+        for face in range(4):
+            n = mesh.neighbours[t, face]
+            if n < 0 or visited[n] == stamp:
+                continue
+            visited[n] = stamp
+            if holds_fragment(pools, f, n):
+                key = box_distance_squared(x, y, z, mesh.boxes[n])
+                if key < best[0]:
+                    _push(keys, items, count, key, n)
+                    count += 1
+    return best[0], best[1], best[2], best[3], best[4], best[5], visits
+
+
+@kernel
+def nearest_from_outside(pools, f, x, y, z, limit, scratch, thread):
+    """Nearest point of f's surface closer than `limit` [m] to a point that is not of f; NO_SOURCE if none is."""
+    mesh = pools.mesh
+    k = pools.fragment.mesh[f]
+    visited = scratch.visited[thread]
+    stamp = next_stamp(scratch, thread)
+    best = (limit * limit, 0.0, 0.0, 0.0, ON_RIM, NO_SOURCE)
+    cell = mesh.grid[k, 3]
+    nx, ny, nz, first = mesh.grid_dims[k]
+    cells = pools.fragment.cells[f]
+    ox, oy, oz = mesh.grid[k, 0], mesh.grid[k, 1], mesh.grid[k, 2]
+    i0 = max(math.floor((x - limit - ox) / cell), cells[0])
+    i1 = min(math.floor((x + limit - ox) / cell), cells[0] + cells[3] - 1)
+    j0 = max(math.floor((y - limit - oy) / cell), cells[1])
+    j1 = min(math.floor((y + limit - oy) / cell), cells[1] + cells[4] - 1)
+    l0 = max(math.floor((z - limit - oz) / cell), cells[2])
+    l1 = min(math.floor((z + limit - oz) / cell), cells[2] + cells[5] - 1)
+    for i in range(i0, i1 + 1):
+        for j in range(j0, j1 + 1):
+            for l in range(l0, l1 + 1):  # noqa: E741
+                bit = ((i - cells[0]) * cells[4] + (j - cells[1])) * cells[5] + (l - cells[2])
+                if pools.occupancy[cells[6] + bit] == 0:
+                    continue
+                c = first + (i * ny + j) * nz + l
+                for e in range(mesh.cell_begin[c], mesh.cell_begin[c + 1]):
+                    t = mesh.cell_tets[e]
+                    if visited[t] == stamp:
+                        continue
+                    visited[t] = stamp
+                    if box_distance_squared(x, y, z, mesh.boxes[t]) < best[0] and holds_fragment(pools, f, t):
+                        best = nearest_in_tetrahedron(pools, f, t, x, y, z, best)
+    return best
+
+
+@kernel
+def source_normal(pools, f, source):
+    """Outward unit normal of f on the surface triangle `source`."""
+    if source < 0:
+        t, face = (-1 - source) // 4, (-1 - source) % 4
+        v = pools.mesh.tetrahedra[t]
+        a = pools.mesh.nodes[v[FACE_VERTICES[face, 0]]]
+        b = pools.mesh.nodes[v[FACE_VERTICES[face, 1]]]
+        c = pools.mesh.nodes[v[FACE_VERTICES[face, 2]]]
+        return triangle_normal(a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2])
+    p = pools.body.triangles[source]
+    nx, ny, nz = triangle_normal(p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8])
+    if pools.body.front[source] == f:
+        return nx, ny, nz
+    return -nx, -ny, -nz
+
+
+@kernel
+def outward_direction(pools, f, x, y, z, best, inside):
+    """Unit direction out of f at the closest point `best`: across a face its normal, at a rim the line between the points."""
+    d2, qx, qy, qz, feature, source = best
+    d = math.sqrt(d2)
+    if feature == ON_FACE or d <= DIRECTION_FLOOR * pools.fragment.radius[f]:
+        nx, ny, nz = source_normal(pools, f, source)
+        if nx * nx + ny * ny + nz * nz > 0.0:
+            return nx, ny, nz
+    if d == 0.0:
+        return 0.0, 0.0, 1.0
+    sign = 1.0 / d if inside else -1.0 / d
+    return sign * (qx - x), sign * (qy - y), sign * (qz - z)

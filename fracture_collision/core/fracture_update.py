@@ -1,0 +1,371 @@
+"""What a fracture changes in the field: crack polygons, masses, boxes, cells and sampling gaps of the new fragments.
+
+Only the tetrahedra of the fragment that broke are touched (Glondu 2014, section 4.2: "locally update where needed");
+the exact field keeps no distances, so nothing is propagated.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from fracture_collision.core.compiled import kernel
+from fracture_collision.core.cut_tetrahedron import (
+    EDGE_FIRST,
+    EDGE_SECOND,
+    FACE_VERTICES,
+    INTERFACE,
+    MAX_TRIANGLES,
+    margin,
+    partition,
+)
+from fracture_collision.core.moments import add_tetrahedron
+from fracture_collision.core.occupancy import mark_box
+from fracture_collision.core.point_location import load_margins
+
+# A triangle thinner than this (area against its longest side squared) is a clipping residue; its neighbours hold its rim.
+RESIDUE = 1e-13
+
+
+@kernel
+def tetrahedra_of_nodes(mesh, first_node_row, nodes, visited):
+    """Rows of all tetrahedra with one of `nodes` (rows), ascending by first encounter; `visited` uint8, left clear."""
+    found = np.empty(16, dtype=np.int32)
+    used = 0
+    for n in nodes:
+        r = n + first_node_row
+        for e in range(mesh.node_tets_begin[r], mesh.node_tets_begin[r + 1]):
+            t = mesh.node_tets[e]
+            if not visited[t]:
+                visited[t] = 1
+                if used == len(found):
+                    grown = np.empty(2 * used, dtype=np.int32)
+                    grown[:used] = found
+                    found = grown
+                found[used] = t
+                used += 1
+    for i in range(used):
+        visited[found[i]] = 0
+    return found[:used].copy()
+
+
+@kernel
+def _gap_of_triangle(corner, samples, count):
+    """Upper bound [m] of the distance from a point of the triangle (9,) to the nearest of the samples (count, 3)."""
+    longest = 0.0
+    furthest = 0.0
+    for i in range(3):
+        j = 3 * ((i + 1) % 3)
+        dx, dy, dz = corner[3 * i] - corner[j], corner[3 * i + 1] - corner[j + 1], corner[3 * i + 2] - corner[j + 2]
+        longest = max(longest, dx * dx + dy * dy + dz * dz)
+        nearest = np.inf
+        for s in range(count):
+            dx, dy, dz = (
+                corner[3 * i] - samples[s, 0],
+                corner[3 * i + 1] - samples[s, 1],
+                corner[3 * i + 2] - samples[s, 2],
+            )
+            nearest = min(nearest, dx * dx + dy * dy + dz * dz)
+        furthest = max(furthest, nearest)
+    # balls of radius (longest side) / sqrt(3) around the corners cover a triangle
+    return math.sqrt(longest / 3.0) + math.sqrt(furthest)
+
+
+@kernel
+def _samples_of_slot(corners, labels, label, cut_points, on_crack, surface_node, samples):
+    """Surface samples of one fragment in a tetrahedron: its ends of the cut edges, its nodes of the old surface."""
+    count = 0
+    for i in range(4):
+        if labels[i] == label and surface_node[i]:
+            samples[count] = corners[i]
+            count += 1
+    for e in range(6):
+        for end in range(2):
+            if on_crack[e, end] and labels[EDGE_FIRST[e] if end == 0 else EDGE_SECOND[e]] == label:
+                samples[count] = cut_points[e]
+                count += 1
+    return count
+
+
+@kernel
+def _is_on_crack(slots, functionals, counts, slot_labels, label, point, tolerance):
+    """Whether fragment `label` owns a cut edge's point up to rounding.
+
+    A third fragment may own it: its cell reaches over the edge without holding an end (the virtual-node rule gives
+    an edge one cut). Then the point is no point of the first two's surface and must not be a sample of theirs.
+    """
+    own = -np.inf
+    largest = -np.inf
+    for s in range(slots):
+        m = margin(functionals[s], counts[s], point[0], point[1], point[2])
+        largest = max(largest, m)
+        if slot_labels[s] == label:
+            own = m
+    return own >= largest - tolerance
+
+
+@kernel
+def edge_crossings(nodes, edges, planes):
+    """Points (k, 3) where planes (k, 4) cross edges (k, 2): kept between the end nodes whatever the rounding."""
+    points = np.empty((len(edges), 3))
+    for i in range(len(edges)):
+        a, b, p = nodes[edges[i, 0]], nodes[edges[i, 1]], planes[i]
+        va = p[0] * a[0] + p[1] * a[1] + p[2] * a[2] - p[3]
+        vb = p[0] * b[0] + p[1] * b[1] + p[2] * b[2] - p[3]
+        t = min(max(va / (va - vb), 0.0), 1.0) if va != vb else 0.5
+        for d in range(3):
+            points[i, d] = a[d] + t * (b[d] - a[d])
+    return points
+
+
+@kernel
+def _grow(box, x, y, z):
+    box[0], box[1], box[2] = min(box[0], x), min(box[1], y), min(box[2], z)
+    box[3], box[4], box[5] = max(box[3], x), max(box[4], y), max(box[5], z)
+
+
+@kernel
+def _behind_holds(mesh, body, node_shift, t, face, label):
+    """Whether the tetrahedron behind a face has a node of fragment `label`; False at the old surface."""
+    n = mesh.neighbours[t, face]
+    if n < 0:
+        return False
+    for i in range(4):
+        if body.node_fragment[mesh.tetrahedra[n, i] + node_shift] == label:
+            return True
+    return False
+
+
+@kernel
+def external_moments(mesh, body, node_shift, edge_shift, tets, low, high, sign, moments):
+    """Add `sign` times the moments that `tets` give to fragments outside low .. high - 1 where three or more meet.
+
+    With planes that disagree, a third fragment's share of such a tetrahedron can change when its neighbour breaks.
+    """
+    labels = np.empty(4, dtype=np.int64)
+    functionals = np.empty((4, 4, 4))
+    counts = np.empty(4, dtype=np.int64)
+    triangles = np.empty((MAX_TRIANGLES, 9))
+    fronts = np.empty(MAX_TRIANGLES, dtype=np.int64)
+    backs = np.empty(MAX_TRIANGLES, dtype=np.int64)
+    kinds = np.empty(MAX_TRIANGLES, dtype=np.int64)
+    corners = np.empty((4, 3))
+    for t in tets:
+        slots = load_margins(mesh, body, node_shift, edge_shift, t, labels, functionals, counts)
+        for i in range(4):
+            corners[i] = mesh.nodes[mesh.tetrahedra[t, i]]
+        used = partition(corners, slots, functionals, counts, triangles, fronts, backs, kinds)
+        for i in range(used):
+            p = triangles[i]
+            o = corners[0]
+            for side in range(2):
+                s = fronts[i] if side == 0 else backs[i]
+                if s < 0 or low <= labels[s] < high:
+                    continue
+                row = np.zeros(10)
+                add_tetrahedron(o[0], o[1], o[2], p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8], row)
+                weight = sign if side == 0 else -sign
+                for d in range(10):
+                    moments[labels[s], d] += weight * row[d]
+
+
+@kernel
+def tetrahedra_shared_by_three(mesh, body, node_shift, tets, low, high):
+    """Those of `tets` that hold three or more fragments, one of them outside low .. high - 1."""
+    found = np.empty(len(tets), dtype=np.int32)
+    used = 0
+    for t in tets:
+        distinct = 0
+        external = False
+        for i in range(4):
+            label = body.node_fragment[mesh.tetrahedra[t, i] + node_shift]
+            external = external or label < low or label >= high
+            new = True
+            for j in range(i):
+                if body.node_fragment[mesh.tetrahedra[t, j] + node_shift] == label:
+                    new = False
+            distinct += 1 if new else 0
+        if external and distinct >= 3:
+            found[used] = t
+            used += 1
+    return found[:used].copy()
+
+
+@kernel
+def rebuild_surfaces(
+    mesh, body, node_shift, tet_shift, edge_shift, tets, low, high, first_polygon, first_edge, tolerance,
+    moments, boxes, gaps, on_crack,
+):  # fmt: skip
+    """Polygons of all cut tetrahedra among `tets`, and moments, boxes, sampling gaps of fragments low .. high - 1.
+
+    Labels and planes in `body` are those after the fracture. Writes body.cut_begin / cut_count (rows from
+    `first_polygon` on), adds to `moments` (F, 10), grows `boxes` (high - low, 6) and `gaps` (high - low,). Sets
+    on_crack (mesh edges, 2) to 1 where the fragment at that end of a cut edge has the crossing on its surface, to
+    within `tolerance` [m]. Returns the new rows (triangles, front, back, kind).
+    """
+    capacity = 64
+    out_triangles = np.empty((capacity, 9))
+    out_front = np.empty(capacity, dtype=np.int32)
+    out_back = np.empty(capacity, dtype=np.int32)
+    out_kind = np.empty(capacity, dtype=np.uint8)
+    written = 0
+    labels = np.empty(4, dtype=np.int64)
+    functionals = np.empty((4, 4, 4))
+    counts = np.empty(4, dtype=np.int64)
+    triangles = np.empty((MAX_TRIANGLES, 9))
+    fronts = np.empty(MAX_TRIANGLES, dtype=np.int64)
+    backs = np.empty(MAX_TRIANGLES, dtype=np.int64)
+    kinds = np.empty(MAX_TRIANGLES, dtype=np.int64)
+    corners = np.empty((4, 3))
+    corner_labels = np.empty(4, dtype=np.int64)
+    surface_node = np.empty(4, dtype=np.uint8)
+    is_cut = np.empty(6, dtype=np.uint8)
+    cut_points = np.empty((6, 3))
+    samples = np.empty((16, 3))
+    corner_triangle = np.empty(9)
+    local_on_crack = np.zeros((6, 2), dtype=np.uint8)
+    crack_points = np.empty((64, 3))
+    crack_labels = np.empty(64, dtype=np.int64)
+    crack_count = 0
+    bare_triangles = np.empty((16, 9))
+    bare_labels = np.empty(16, dtype=np.int64)
+    bare_count = 0
+    for t in tets:
+        for i in range(4):
+            v = mesh.tetrahedra[t, i]
+            corners[i] = mesh.nodes[v]
+            corner_labels[i] = body.node_fragment[v + node_shift]
+            surface_node[i] = mesh.on_surface[v]
+        first = corner_labels[0]
+        if corner_labels[1] == first and corner_labels[2] == first and corner_labels[3] == first:
+            body.cut_begin[t + tet_shift] = -1
+            body.cut_count[t + tet_shift] = 0
+            for d in range(10):
+                moments[first, d] += mesh.moments[t, d]
+            for i in range(4):
+                _grow(boxes[first - low], corners[i, 0], corners[i, 1], corners[i, 2])
+            for face in range(4):
+                if mesh.neighbours[t, face] < 0:
+                    for i in range(3):
+                        corner_triangle[3 * i : 3 * i + 3] = corners[FACE_VERTICES[face, i]]
+                    gaps[first - low] = max(gaps[first - low], _gap_of_triangle(corner_triangle, corners, 4))
+            continue
+        for e in range(6):
+            p = body.edge_plane[mesh.tetrahedron_edges[t, e] + edge_shift]
+            is_cut[e] = 1 if p >= 0 else 0
+            if p >= 0:
+                a, b, plane = corners[EDGE_FIRST[e]], corners[EDGE_SECOND[e]], body.planes[p]
+                va = plane[0] * a[0] + plane[1] * a[1] + plane[2] * a[2] - plane[3]
+                vb = plane[0] * b[0] + plane[1] * b[1] + plane[2] * b[2] - plane[3]
+                s = min(max(va / (va - vb), 0.0), 1.0) if va != vb else 0.5
+                for d in range(3):
+                    cut_points[e, d] = a[d] + s * (b[d] - a[d])
+        slots = load_margins(mesh, body, node_shift, edge_shift, t, labels, functionals, counts)
+        local_on_crack[:] = 0
+        for e in range(6):
+            for end in range(2):
+                label = corner_labels[EDGE_FIRST[e] if end == 0 else EDGE_SECOND[e]]
+                if not is_cut[e] or label < low or label >= high:
+                    continue
+                if not _is_on_crack(slots, functionals, counts, labels, label, cut_points[e], tolerance):
+                    continue
+                local_on_crack[e, end] = 1
+                a, b = mesh.tetrahedra[t, EDGE_FIRST[e]], mesh.tetrahedra[t, EDGE_SECOND[e]]
+                side = end if a < b else 1 - end
+                edge = mesh.tetrahedron_edges[t, e] - first_edge
+                if not on_crack[edge, side]:
+                    on_crack[edge, side] = 1
+                    if crack_count == len(crack_points):
+                        crack_points = np.concatenate((crack_points, np.empty_like(crack_points)))
+                        crack_labels = np.concatenate((crack_labels, np.empty_like(crack_labels)))
+                    crack_points[crack_count] = cut_points[e]
+                    crack_labels[crack_count] = label
+                    crack_count += 1
+        used = partition(corners, slots, functionals, counts, triangles, fronts, backs, kinds)
+        body.cut_begin[t + tet_shift] = first_polygon + written
+        o = corners[0]
+        for i in range(used):
+            p = triangles[i]
+            for side in range(2):
+                s = fronts[i] if side == 0 else backs[i]
+                if s < 0 or labels[s] < low or labels[s] >= high:
+                    continue
+                if side == 0:
+                    add_tetrahedron(
+                        o[0], o[1], o[2], p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8], moments[labels[s]]
+                    )
+                else:
+                    add_tetrahedron(
+                        o[0], o[1], o[2], p[0], p[1], p[2], p[6], p[7], p[8], p[3], p[4], p[5], moments[labels[s]]
+                    )
+                for c in range(3):
+                    _grow(boxes[labels[s] - low], p[3 * c], p[3 * c + 1], p[3 * c + 2])
+            # a face is surface of the fragment only where nothing of it lies behind
+            if kinds[i] != INTERFACE and _behind_holds(mesh, body, node_shift, t, kinds[i], labels[fronts[i]]):
+                continue
+            ux, uy, uz = p[3] - p[0], p[4] - p[1], p[5] - p[2]
+            vx, vy, vz = p[6] - p[0], p[7] - p[1], p[8] - p[2]
+            nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+            span = max(ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz)
+            if math.sqrt(nx * nx + ny * ny + nz * nz) <= RESIDUE * span:
+                continue
+            for side in range(2):
+                s = fronts[i] if side == 0 else backs[i]
+                if s >= 0 and low <= labels[s] < high:
+                    count = _samples_of_slot(
+                        corners, corner_labels, labels[s], cut_points, local_on_crack, surface_node, samples
+                    )
+                    if count:
+                        gaps[labels[s] - low] = max(gaps[labels[s] - low], _gap_of_triangle(p, samples, count))
+                        continue
+                    if bare_count == len(bare_triangles):
+                        bare_triangles = np.concatenate((bare_triangles, np.empty_like(bare_triangles)))
+                        bare_labels = np.concatenate((bare_labels, np.empty_like(bare_labels)))
+                    bare_triangles[bare_count] = p
+                    bare_labels[bare_count] = labels[s]
+                    bare_count += 1
+            if written == capacity:
+                capacity *= 2
+                grown = np.empty((capacity, 9))
+                grown[:written] = out_triangles
+                out_triangles = grown
+                grown_front = np.empty(capacity, dtype=np.int32)
+                grown_front[:written] = out_front
+                out_front = grown_front
+                grown_back = np.empty(capacity, dtype=np.int32)
+                grown_back[:written] = out_back
+                out_back = grown_back
+                grown_kind = np.empty(capacity, dtype=np.uint8)
+                grown_kind[:written] = out_kind
+                out_kind = grown_kind
+            out_triangles[written] = p
+            out_front[written] = labels[fronts[i]]
+            out_back[written] = -1 if backs[i] < 0 else labels[backs[i]]
+            out_kind[written] = kinds[i]
+            written += 1
+        body.cut_count[t + tet_shift] = first_polygon + written - body.cut_begin[t + tet_shift]
+    # triangles in a tetrahedron without a sample of theirs: the nearest one may be anywhere on the crack
+    for i in range(bare_count):
+        own = crack_points[:crack_count][crack_labels[:crack_count] == bare_labels[i]]
+        k = bare_labels[i] - low
+        gaps[k] = max(gaps[k], _gap_of_triangle(bare_triangles[i], own, len(own)))
+    return out_triangles[:written], out_front[:written], out_back[:written], out_kind[:written]
+
+
+@kernel
+def mark_cells(mesh, k, body, node_shift, tets, low, high, cells, occupancy):
+    """Set the level-0 cells of fragments low .. high - 1 (rows of `cells` (high - low, 7)) from their tetrahedra."""
+    for t in tets:
+        for i in range(4):
+            label = body.node_fragment[mesh.tetrahedra[t, i] + node_shift]
+            if low <= label < high:
+                new = True
+                for j in range(i):
+                    if body.node_fragment[mesh.tetrahedra[t, j] + node_shift] == label:
+                        new = False
+                if new:
+                    mark_box(
+                        mesh.boxes[t], mesh.grid[k, 0], mesh.grid[k, 1], mesh.grid[k, 2], mesh.grid[k, 3],
+                        cells[label - low], occupancy,
+                    )  # fmt: skip

@@ -1,0 +1,7 @@
+"""What a fragment's surface is made of: which closed form or structure answers the elementary queries (paper, section 3)."""
+
+PLANE = 0
+SPHERE = 1
+BOX = 2
+TETRAHEDRA = 3
+TRIANGLES = 4

@@ -1,0 +1,72 @@
+"""Exact mass moments of polyhedral pieces: volume, first and second moments about the body frame's origin.
+
+A moment row (10,) is [V, Sx, Sy, Sz, Sxx, Sxy, Sxz, Syy, Syz, Szz] with S_ij = integral of x_i x_j dV [m3, m4, m5].
+Tonon, "Explicit exact formulas for the 3-D tetrahedron inertia tensor" (2004), in its covariance form.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from fracture_collision.core.compiled import kernel
+
+
+def tetrahedron_moments(corners: np.ndarray) -> np.ndarray:
+    """Moment rows (m, 10) of tetrahedra given by `corners` (m, 4, 3) [m]."""
+    rows = np.zeros((len(corners), 10))
+    _tetrahedra_moments(np.ascontiguousarray(corners), rows)
+    return rows
+
+
+@kernel
+def _tetrahedra_moments(corners, rows):
+    for t in range(len(corners)):
+        c = corners[t]
+        add_tetrahedron(
+            c[0, 0], c[0, 1], c[0, 2], c[1, 0], c[1, 1], c[1, 2],
+            c[2, 0], c[2, 1], c[2, 2], c[3, 0], c[3, 1], c[3, 2], rows[t],
+        )  # fmt: skip
+
+
+@kernel
+def add_tetrahedron(ox, oy, oz, ax, ay, az, bx, by, bz, cx, cy, cz, row):
+    """Add the signed moments of the tetrahedron (o, a, b, c) to `row` (10,)."""
+    ux, uy, uz = ax - ox, ay - oy, az - oz
+    vx, vy, vz = bx - ox, by - oy, bz - oz
+    wx, wy, wz = cx - ox, cy - oy, cz - oz
+    volume = (ux * (vy * wz - vz * wy) + uy * (vz * wx - vx * wz) + uz * (vx * wy - vy * wx)) / 6.0
+    sx, sy, sz = ox + ax + bx + cx, oy + ay + by + cy, oz + az + bz + cz
+    row[0] += volume
+    row[1] += volume * sx / 4.0
+    row[2] += volume * sy / 4.0
+    row[3] += volume * sz / 4.0
+    k = volume / 20.0
+    row[4] += k * (sx * sx + ox * ox + ax * ax + bx * bx + cx * cx)
+    row[5] += k * (sx * sy + ox * oy + ax * ay + bx * by + cx * cy)
+    row[6] += k * (sx * sz + ox * oz + ax * az + bx * bz + cx * cz)
+    row[7] += k * (sy * sy + oy * oy + ay * ay + by * by + cy * cy)
+    row[8] += k * (sy * sz + oy * oz + ay * az + by * bz + cy * cz)
+    row[9] += k * (sz * sz + oz * oz + az * az + bz * bz + cz * cz)
+
+
+def mass_properties(moments: np.ndarray, density: float) -> tuple[float, np.ndarray, np.ndarray]:
+    """Mass [kg], centre of mass (3,) [m] and inertia (6,) [kg m2] about it, body axes: xx xy xz yy yz zz."""
+    volume = moments[0]
+    x, y, z = center = moments[1:4] / volume
+    sxx, sxy, sxz, syy, syz, szz = moments[4:10] - volume * np.array([x * x, x * y, x * z, y * y, y * z, z * z])
+    inertia = density * np.array([syy + szz, -sxy, -sxz, sxx + szz, -syz, sxx + syy])
+    return density * volume, center, inertia
+
+
+def sphere_mass_properties(radius: float, density: float) -> tuple[float, np.ndarray, np.ndarray]:
+    mass = density * 4.0 / 3.0 * math.pi * radius**3
+    moment = 0.4 * mass * radius**2
+    return mass, np.zeros(3), np.array([moment, 0.0, 0.0, moment, 0.0, moment])
+
+
+def box_mass_properties(half: np.ndarray, density: float) -> tuple[float, np.ndarray, np.ndarray]:
+    mass = density * 8.0 * float(np.prod(half))
+    xx, yy, zz = half**2 * mass / 3.0
+    return mass, np.zeros(3), np.array([yy + zz, 0.0, 0.0, xx + zz, 0.0, xx + yy])

@@ -1,0 +1,148 @@
+"""All pairs of a step: relative poses, Algorithm 1 for each pair in parallel, contacts gathered in pair order.
+
+A pair writes only to its own slot, so the answer is the same bytes for any number of threads.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fracture_collision.core.compiled import kernel, threaded_kernel
+from fracture_collision.core.crew import Crew
+from fracture_collision.core.traversal import query_pair
+
+# Contacts a pair gets room for at first; the few pairs with more are asked again with the room they need.
+FIRST_ROOM = 24
+
+
+class PairContacts(NamedTuple):
+    counts: np.ndarray  # (p,) int64
+    bounds: np.ndarray  # (p,) float64 [m], missed depth bound
+    visits: np.ndarray  # (p,) int64, tree nodes tested
+    exhausted: np.ndarray  # (p,) uint8, 1: cut short by the budget
+    points_a: np.ndarray  # (N, 3) float64 [m], world
+    points_b: np.ndarray  # (N, 3) float64 [m], world
+    normals: np.ndarray  # (N, 3) float64, from a to b
+    gaps: np.ndarray  # (N,) float64 [m]
+    samples: np.ndarray  # (N, 2) int64: side whose sample it is (0: a), sample index (-1: a sphere's own)
+
+
+@kernel
+def rotation_matrices(quaternions):
+    """Unit quaternions (n, 4) x y z w to rotations (n, 3, 3)."""
+    out = np.empty((len(quaternions), 3, 3))
+    for i in range(len(quaternions)):
+        x, y, z, w = quaternions[i]
+        s = 2.0 / (x * x + y * y + z * z + w * w)
+        out[i, 0, 0] = 1.0 - s * (y * y + z * z)
+        out[i, 0, 1] = s * (x * y - z * w)
+        out[i, 0, 2] = s * (x * z + y * w)
+        out[i, 1, 0] = s * (x * y + z * w)
+        out[i, 1, 1] = 1.0 - s * (x * x + z * z)
+        out[i, 1, 2] = s * (y * z - x * w)
+        out[i, 2, 0] = s * (x * z - y * w)
+        out[i, 2, 1] = s * (y * z + x * w)
+        out[i, 2, 2] = 1.0 - s * (x * x + y * y)
+    return out
+
+
+@kernel
+def _relative_pose(rotation_from, position_from, rotation_to, position_to, rotation, translation):
+    for i in range(3):
+        translation[i] = 0.0
+        for k in range(3):
+            translation[i] += rotation_to[k, i] * (position_from[k] - position_to[k])
+        for j in range(3):
+            rotation[i, j] = (
+                rotation_to[0, i] * rotation_from[0, j]
+                + rotation_to[1, i] * rotation_from[1, j]
+                + rotation_to[2, i] * rotation_from[2, j]
+            )
+
+
+@threaded_kernel
+def _query_share(
+    pools, rows, rotations, positions, pairs, todo, wanted, epsilon, near, budget,
+    room, contacts, samples, counts, bounds, visits, exhausted, scratch, threads, thread,
+):  # fmt: skip
+    """Every `threads`-th pair of `todo`, from `thread` on."""
+    rotation = np.empty((2, 3, 3))
+    translation = np.empty((2, 3))
+    for k in range(thread, len(todo), threads):
+        p = todo[k]
+        i, j = pairs[p, 0], pairs[p, 1]
+        a, b = rows[i], rows[j]
+        _relative_pose(rotations[i], positions[i], rotations[j], positions[j], rotation[0], translation[0])
+        _relative_pose(rotations[j], positions[j], rotations[i], positions[i], rotation[1], translation[1])
+        radius = min(pools.fragment.radius[a], pools.fragment.radius[b])
+        counts[p], bounds[p], visits[p], exhausted[p] = query_pair(
+            pools, a, b, rotation, translation, wanted, epsilon * radius, near * radius, budget,
+            contacts[k], samples[k], room, scratch, thread,
+        )  # fmt: skip
+
+
+@kernel
+def _to_world(rotation, position, x, y, z, out):
+    for k in range(3):
+        out[k] = rotation[k, 0] * x + rotation[k, 1] * y + rotation[k, 2] * z + position[k]
+
+
+@kernel
+def _gather(pairs, rotations, positions, todo, room, contacts, samples, counts, offsets, points_a, points_b, normals, gaps, ids):
+    for k in range(len(todo)):
+        p = todo[k]
+        if counts[p] > room:
+            continue
+        i, j = pairs[p, 0], pairs[p, 1]
+        for c in range(counts[p]):
+            o = offsets[p] + c
+            row = contacts[k, c]
+            side = samples[k, c, 0]
+            other = j if side == 0 else i
+            r, t = rotations[other], positions[other]
+            own_point, other_point = (points_a[o], points_b[o]) if side == 0 else (points_b[o], points_a[o])
+            _to_world(r, t, row[0], row[1], row[2], own_point)
+            _to_world(r, t, row[3], row[4], row[5], other_point)
+            sign = -1.0 if side == 0 else 1.0
+            gap = 0.0
+            for d in range(3):
+                n = sign * (r[d, 0] * row[6] + r[d, 1] * row[7] + r[d, 2] * row[8])
+                normals[o, d] = n
+                gap += n * (points_b[o, d] - points_a[o, d])
+            gaps[o] = gap
+            ids[o, 0], ids[o, 1] = side, samples[k, c, 1]
+
+
+def query_pairs(
+    pools, rows, rotations, positions, pairs, wanted, epsilon, near, budget, scratch, crew: Crew
+) -> PairContacts:
+    """Contacts of `pairs` (p, 2) of indices into `rows` (n,), with poses rotations (n, 3, 3), positions (n, 3) [m].
+
+    wanted: m of section 5.2; epsilon, near: shares of the smaller R of the two bodies; budget: visits a pair, 0: none.
+    """
+    p = len(pairs)
+    counts, visits = np.zeros(p, np.int64), np.zeros(p, np.int64)
+    bounds, exhausted = np.zeros(p), np.zeros(p, np.uint8)
+    todo, room = np.arange(p), FIRST_ROOM
+    passes = []
+    while len(todo):
+        contacts, samples = np.empty((len(todo), room, 10)), np.empty((len(todo), room, 2), np.int64)
+        crew.share(
+            _query_share, pools, rows, rotations, positions, pairs, todo, wanted, epsilon, near, budget,
+            room, contacts, samples, counts, bounds, visits, exhausted, scratch,
+        )  # fmt: skip
+        passes.append((todo, room, contacts, samples))
+        todo = todo[counts[todo] > room]
+        room = int(counts[todo].max(initial=0))
+    offsets = np.concatenate([[0], np.cumsum(counts)])
+    total = int(offsets[-1])
+    points_a, points_b, normals = np.empty((total, 3)), np.empty((total, 3)), np.empty((total, 3))
+    gaps, ids = np.empty(total), np.empty((total, 2), np.int64)
+    for todo, room, contacts, samples in passes:
+        _gather(
+            pairs, rotations, positions, todo, room, contacts, samples, counts, offsets,
+            points_a, points_b, normals, gaps, ids,
+        )  # fmt: skip
+    return PairContacts(counts, bounds, visits, exhausted, points_a, points_b, normals, gaps, ids)

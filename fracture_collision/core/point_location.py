@@ -1,0 +1,103 @@
+"""Which tetrahedron holds a point, and which fragment owns it there: insideTest of Glondu 2014, section 4.3.
+
+A uniform grid takes the place of the paper's k-d tree: one cell, then the few tetrahedra whose boxes touch it.
+"""
+
+from __future__ import annotations
+
+import math
+
+from fracture_collision.core.compiled import kernel
+from fracture_collision.core.cut_tetrahedron import collect_margins, owner_slot
+from fracture_collision.core.pools import NEVER_BROKEN
+
+# A point of a shared face belongs to the first of its tetrahedra; rounding must not lose it between them.
+WEIGHT_TOLERANCE = -1e-12
+
+
+@kernel
+def tetrahedron_at(mesh, k, x, y, z):
+    """Row of the tetrahedron of mesh `k` that holds the point (body frame [m]); -1 outside the body."""
+    cell = mesh.grid[k, 3]
+    i = math.floor((x - mesh.grid[k, 0]) / cell)
+    j = math.floor((y - mesh.grid[k, 1]) / cell)
+    l = math.floor((z - mesh.grid[k, 2]) / cell)  # noqa: E741
+    nx, ny, nz, first = mesh.grid_dims[k]
+    if i < 0 or j < 0 or l < 0 or i >= nx or j >= ny or l >= nz:
+        return -1
+    c = first + (int(i) * ny + int(j)) * nz + int(l)
+    for e in range(mesh.cell_begin[c], mesh.cell_begin[c + 1]):
+        t = mesh.cell_tets[e]
+        b = mesh.barycentric[t]
+        w1 = b[0] * x + b[1] * y + b[2] * z + b[3]
+        if w1 < WEIGHT_TOLERANCE:
+            continue
+        w2 = b[4] * x + b[5] * y + b[6] * z + b[7]
+        if w2 < WEIGHT_TOLERANCE:
+            continue
+        w3 = b[8] * x + b[9] * y + b[10] * z + b[11]
+        if w3 >= WEIGHT_TOLERANCE and 1.0 - w1 - w2 - w3 >= WEIGHT_TOLERANCE:
+            return t
+    return -1
+
+
+@kernel
+def load_margins(mesh, body, node_shift, edge_shift, t, slot_labels, functionals, counts):
+    """Margins of cut tetrahedron `t` into the scratch arrays; returns the number of slots."""
+    a, b, c, d = mesh.tetrahedra[t]
+    na, nb, nc, nd = (
+        body.node_fragment[a + node_shift],
+        body.node_fragment[b + node_shift],
+        body.node_fragment[c + node_shift],
+        body.node_fragment[d + node_shift],
+    )
+    e = mesh.tetrahedron_edges[t]
+    plane = body.edge_plane
+    return collect_margins(
+        (na, nb, nc, nd),
+        (
+            plane[e[0] + edge_shift],
+            plane[e[1] + edge_shift],
+            plane[e[2] + edge_shift],
+            plane[e[3] + edge_shift],
+            plane[e[4] + edge_shift],
+            plane[e[5] + edge_shift],
+        ),
+        (a > b, a > c, a > d, b > c, b > d, c > d),
+        body.planes,
+        slot_labels,
+        functionals,
+        counts,
+    )
+
+
+@kernel
+def owner_in_tetrahedron(pools, f, t, x, y, z, scratch, thread):
+    """Fragment row that owns the point within tetrahedron `t` of fragment `f`'s body."""
+    fragment = pools.fragment
+    tet_shift = fragment.tet_shift[f]
+    if tet_shift == NEVER_BROKEN:
+        return f
+    node_shift = fragment.node_shift[f]
+    if pools.body.cut_begin[t + tet_shift] < 0:
+        return pools.body.node_fragment[pools.mesh.tetrahedra[t, 0] + node_shift]
+    labels = scratch.slot_labels[thread]
+    functionals = scratch.functionals[thread]
+    counts = scratch.counts[thread]
+    slots = load_margins(
+        pools.mesh, pools.body, node_shift, fragment.edge_shift[f], t, labels, functionals, counts
+    )
+    return labels[owner_slot(slots, functionals, counts, labels, x, y, z)]
+
+
+@kernel
+def holds_fragment(pools, f, t):
+    """Whether tetrahedron `t` has a node of fragment `f`."""
+    shift = pools.fragment.node_shift[f]
+    if shift == NEVER_BROKEN:
+        return True
+    v = pools.mesh.tetrahedra[t]
+    label = pools.body.node_fragment
+    return (
+        label[v[0] + shift] == f or label[v[1] + shift] == f or label[v[2] + shift] == f or label[v[3] + shift] == f
+    )

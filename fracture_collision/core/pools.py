@@ -1,0 +1,107 @@
+"""The arrays every kernel reads: all meshes, bodies, fragments, polygons and trees, concatenated.
+
+One flat array a quantity, whatever the number of bodies, so that a kernel gets everything in one tuple and equal
+geometries share one preprocess. Rows are only appended; a retired fragment's tree stays as garbage until the world is
+rebuilt. `GrowableArray` owns the memory, the NamedTuples are views for the kernels.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+
+class GrowableArray:
+    """An array that grows at its end: amortized O(1) a row, `view` contiguous."""
+
+    def __init__(self, columns: int, dtype: type) -> None:
+        self._buffer = np.zeros((16, columns) if columns else 16, dtype=dtype)
+        self.used = 0
+
+    def append(self, rows: np.ndarray) -> int:
+        """Copy `rows` to the end; returns the index of the first."""
+        begin = self.used
+        end = begin + len(rows)
+        if end > len(self._buffer):
+            grown = np.zeros((max(end, 2 * len(self._buffer)), *self._buffer.shape[1:]), dtype=self._buffer.dtype)
+            grown[:begin] = self._buffer[:begin]
+            self._buffer = grown
+        self._buffer[begin:end] = rows
+        self.used = end
+        return begin
+
+    @property
+    def view(self) -> np.ndarray:
+        return self._buffer[: self.used]
+
+
+class MeshPool(NamedTuple):
+    """Distinct tetrahedral meshes (tet_mesh.py), indices shifted to be absolute."""
+
+    nodes: np.ndarray  # (N, 3) float64 [m]
+    tetrahedra: np.ndarray  # (M, 4) int32
+    neighbours: np.ndarray  # (M, 4) int32, -1: the old surface
+    tetrahedron_edges: np.ndarray  # (M, 6) int32
+    edges: np.ndarray  # (E, 2) int32
+    boxes: np.ndarray  # (M, 6) float64 [m]
+    barycentric: np.ndarray  # (M, 12) float64
+    moments: np.ndarray  # (M, 10) float64
+    on_surface: np.ndarray  # (N,) uint8
+    node_tets_begin: np.ndarray  # (N + meshes,) int32; mesh k's rows start at first node + k
+    node_tets: np.ndarray  # (4M,) int32
+    grid: np.ndarray  # (meshes, 4) float64: origin [m], cell [m]
+    grid_dims: np.ndarray  # (meshes, 4) int32: cells along x, y, z; first entry in cell_begin
+    cell_begin: np.ndarray  # int32, cells + 1 a mesh
+    cell_tets: np.ndarray  # int32
+
+
+class BodyPool(NamedTuple):
+    """What fracture changes on a body; only bodies that broke have rows here."""
+
+    node_fragment: np.ndarray  # int32 fragment row of each mesh node
+    edge_plane: np.ndarray  # int32 row of `planes`, -1: not cut
+    cut_begin: np.ndarray  # int32 per tetrahedron: first row of its polygons, -1: one fragment alone
+    cut_count: np.ndarray  # int32
+    planes: np.ndarray  # (P, 4) float64, unit normal from the edge's first node to its second, offset [m]
+    triangles: np.ndarray  # (T, 9) float64 [m] corners, right-handed about the outward normal of `front`
+    front: np.ndarray  # int32 fragment row
+    back: np.ndarray  # int32 fragment row, -1: nothing
+    kind: np.ndarray  # uint8, see cut_tetrahedron: 0..3 a share of that face, INTERFACE
+
+
+class FragmentPool(NamedTuple):
+    """One row a fragment, also of bodies that never break."""
+
+    kind: np.ndarray  # int32, kinds.py
+    mesh: np.ndarray  # int32 row of grid, -1 without mesh
+    node_shift: np.ndarray  # int32: mesh node + shift = row of node_fragment; NEVER_BROKEN for a whole body
+    tet_shift: np.ndarray  # int32 likewise for cut_begin
+    edge_shift: np.ndarray  # int32 likewise for edge_plane
+    box: np.ndarray  # (F, 6) float64 [m], body frame
+    shape: np.ndarray  # (F, 4) float64: plane (n, offset), sphere (radius), box (half edges) [m]
+    radius: np.ndarray  # float64 [m] R of the body, half its box's longest side; infinite for a plane
+    tree_begin: np.ndarray  # int32
+    tree_end: np.ndarray  # int32
+    cells: np.ndarray  # (F, 7) int32: first cell x y z, cells x y z, first byte of `occupancy`
+
+
+class TreePool(NamedTuple):
+    """Sphere trees in preorder (sphere_tree.py)."""
+
+    center: np.ndarray  # (S, 3) float64 [m], body frame
+    radius: np.ndarray  # float64 [m]
+    size: np.ndarray  # int32, entries of the subtree with this one
+    sample: np.ndarray  # int32, index of the sample point within its body
+    on_surface: np.ndarray  # uint8, 1: the point is a sample of the fragment's surface
+
+
+class Pools(NamedTuple):
+    mesh: MeshPool
+    body: BodyPool
+    fragment: FragmentPool
+    tree: TreePool
+    occupancy: np.ndarray  # uint8, multi-level grids (occupancy.py)
+
+
+NEVER_BROKEN = np.iinfo(np.int32).min

@@ -1,0 +1,42 @@
+"""Planes, spheres and boxes in closed form: the elementary queries without mesh, tree or field."""
+
+from __future__ import annotations
+
+import math
+
+from fracture_collision.core.compiled import kernel
+from fracture_collision.core.kinds import BOX, PLANE
+
+
+@kernel
+def primitive_distance(kind, shape, x, y, z):
+    """Signed distance [m], positive outside, with the outward unit normal: (distance, nx, ny, nz).
+
+    `shape` (4,): plane (unit normal, offset), sphere (radius), box (half edges); the point in the body frame. The
+    closest point is x - distance n.
+    """
+    if kind == PLANE:
+        return shape[0] * x + shape[1] * y + shape[2] * z - shape[3], shape[0], shape[1], shape[2]
+    if kind == BOX:
+        return _box_distance(shape, x, y, z)
+    r = math.sqrt(x * x + y * y + z * z)
+    if r == 0.0:
+        return -shape[0], 0.0, 0.0, 1.0
+    return r - shape[0], x / r, y / r, z / r
+
+
+@kernel
+def _box_distance(half, x, y, z):
+    ex, ey, ez = abs(x) - half[0], abs(y) - half[1], abs(z) - half[2]
+    sx = 1.0 if x >= 0.0 else -1.0
+    sy = 1.0 if y >= 0.0 else -1.0
+    sz = 1.0 if z >= 0.0 else -1.0
+    if ex <= 0.0 and ey <= 0.0 and ez <= 0.0:
+        if ex >= ey and ex >= ez:
+            return ex, sx, 0.0, 0.0
+        if ey >= ez:
+            return ey, 0.0, sy, 0.0
+        return ez, 0.0, 0.0, sz
+    ox, oy, oz = max(ex, 0.0), max(ey, 0.0), max(ez, 0.0)
+    d = math.sqrt(ox * ox + oy * oy + oz * oz)
+    return d, sx * ox / d, sy * oy / d, sz * oz / d

@@ -1,0 +1,35 @@
+"""Working memory of one thread: what floods and traversals write to. Its content never reaches an answer."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+
+class Scratch(NamedTuple):
+    """Leading dimension: thread."""
+
+    visited: np.ndarray  # (threads, tetrahedra) int32: stamp of the last flood that reached it
+    stamp: np.ndarray  # (threads,) int32
+    heap_key: np.ndarray  # (threads, tetrahedra) float64: squared box distance [m2]
+    heap_tet: np.ndarray  # (threads, tetrahedra) int32
+    slot_labels: np.ndarray  # (threads, 4) int64
+    functionals: np.ndarray  # (threads, 4, 4, 4) float64
+    counts: np.ndarray  # (threads, 4) int64
+    queue_int: np.ndarray  # (threads, 2, entries, 4) int32: entry, side, next child, inside
+    queue_float: np.ndarray  # (threads, 2, entries, 4) float64: point in the other's frame [m], depth bound [m]
+
+
+def make_scratch(threads: int, tetrahedra: int, queue_entries: int) -> Scratch:
+    return Scratch(
+        visited=np.zeros((threads, max(tetrahedra, 1)), dtype=np.int32),
+        stamp=np.zeros(threads, dtype=np.int32),
+        heap_key=np.zeros((threads, max(tetrahedra, 1))),
+        heap_tet=np.zeros((threads, max(tetrahedra, 1)), dtype=np.int32),
+        slot_labels=np.zeros((threads, 4), dtype=np.int64),
+        functionals=np.zeros((threads, 4, 4, 4)),
+        counts=np.zeros((threads, 4), dtype=np.int64),
+        queue_int=np.zeros((threads, 2, queue_entries, 4), dtype=np.int32),
+        queue_float=np.zeros((threads, 2, queue_entries, 4)),
+    )

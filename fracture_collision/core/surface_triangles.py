@@ -1,0 +1,54 @@
+"""All triangles of a fragment's surface, in pool order: for viewers, tests and plots, not for queries."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fracture_collision.core.compiled import kernel
+from fracture_collision.core.cut_tetrahedron import FACE_VERTICES
+from fracture_collision.core.point_location import holds_fragment
+from fracture_collision.core.pools import NEVER_BROKEN, Pools
+
+
+@kernel
+def _collect(pools, f, first_tet, last_tet, out, crack):
+    """Write the triangles into out (n, 9) if it has room; returns how many there are."""
+    mesh, body = pools.mesh, pools.body
+    shift = pools.fragment.tet_shift[f]
+    used = 0
+    for t in range(first_tet, last_tet):
+        if not holds_fragment(pools, f, t):
+            continue
+        begin = -1 if shift == NEVER_BROKEN else body.cut_begin[t + shift]
+        if begin < 0:
+            for face in range(4):
+                if mesh.neighbours[t, face] < 0:
+                    if used < len(out):
+                        for i in range(3):
+                            out[used, 3 * i : 3 * i + 3] = mesh.nodes[mesh.tetrahedra[t, FACE_VERTICES[face, i]]]
+                        crack[used] = 0
+                    used += 1
+            continue
+        for i in range(begin, begin + body.cut_count[t + shift]):
+            if body.front[i] != f and body.back[i] != f:
+                continue
+            if used < len(out):
+                out[used] = body.triangles[i]
+                if body.front[i] != f:
+                    out[used, 3:6] = body.triangles[i, 6:9]
+                    out[used, 6:9] = body.triangles[i, 3:6]
+                old = body.kind[i] < 4 and mesh.neighbours[t, body.kind[i]] < 0
+                crack[used] = 0 if old else 1
+            used += 1
+    return used
+
+
+def surface_triangles(pools: Pools, row: int, tets: range) -> tuple[np.ndarray, np.ndarray]:
+    """Corners (n, 3, 3) [m], counter-clockwise from outside, and is_crack (n,) of a tetrahedral fragment.
+
+    `tets`: the rows of its body's mesh.
+    """
+    count = _collect(pools, row, tets.start, tets.stop, np.empty((0, 9)), np.empty(0, np.uint8))
+    out, crack = np.empty((count, 9)), np.empty(count, np.uint8)
+    _collect(pools, row, tets.start, tets.stop, out, crack)
+    return out.reshape(-1, 3, 3), crack.astype(np.bool_)

@@ -1,0 +1,140 @@
+"""A body's tetrahedral mesh with what every query needs: adjacency, boxes, barycentric rows, moments, a location grid.
+
+Built once per geometry (the paper's preprocess, sections 4.1 and 4.3); fracture never changes it.
+All indices are local to the mesh; `pools.py` shifts them when meshes are concatenated.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fracture_collision.core.compiled import kernel
+from fracture_collision.core.moments import tetrahedron_moments
+from fracture_collision.geometry.tetrahedra import (
+    boundary_triangles,
+    face_neighbours,
+    tetrahedron_edges,
+    tetrahedron_volumes,
+    unique_edges,
+)
+
+# A location grid with about one tetrahedron's box a cell answers fastest; a hollow body's box holds more air than
+# tetrahedra, so the number of cells is bounded too.
+CELLS_PER_TETRAHEDRON = 4
+
+
+class TetMesh(NamedTuple):
+    nodes: np.ndarray  # (n, 3) float64 [m], body frame
+    tetrahedra: np.ndarray  # (m, 4) int32, positive volume
+    neighbours: np.ndarray  # (m, 4) int32, across the face opposite vertex i; -1: the old surface
+    tetrahedron_edges: np.ndarray  # (m, 6) int32, order (0,1),(0,2),(0,3),(1,2),(1,3),(2,3)
+    edges: np.ndarray  # (e, 2) int32, ascending, first < second
+    boxes: np.ndarray  # (m, 6) float64 [m], lower and upper corner
+    barycentric: np.ndarray  # (m, 12) float64, rows (gx, gy, gz, c) of vertices 1, 2, 3: weight = g . x + c
+    moments: np.ndarray  # (m, 10) float64, see moments.py
+    on_surface: np.ndarray  # (n,) uint8, 1: vertex of the old surface
+    node_tets_begin: np.ndarray  # (n + 1,) int32
+    node_tets: np.ndarray  # (4m,) int32
+    surface: np.ndarray  # (t, 3) int32, counter-clockwise from outside
+    grid_origin: np.ndarray  # (3,) float64 [m]
+    grid_cell: float  # [m], edge of a cell of the location grid
+    grid_dims: np.ndarray  # (3,) int32
+    cell_begin: np.ndarray  # (cells + 1,) int32
+    cell_tets: np.ndarray  # int32, ascending within a cell
+    box: np.ndarray  # (6,) float64 [m]
+    sampling_gap: float  # [m] no point of the old surface is farther from a vertex of it
+
+
+def build_tet_mesh(nodes: np.ndarray, tetrahedra: np.ndarray) -> TetMesh:
+    """Preprocess a valid mesh (`nodes` (n, 3) [m], `tetrahedra` (m, 4), positive volume)."""
+    nodes = np.ascontiguousarray(nodes, dtype=np.float64).reshape(-1, 3)
+    tetrahedra = np.ascontiguousarray(tetrahedra, dtype=np.int32).reshape(-1, 4)
+    edges = unique_edges(tetrahedra)
+    surface = boundary_triangles(tetrahedra)
+    corners = nodes[tetrahedra]
+    boxes = np.ascontiguousarray(np.concatenate([corners.min(axis=1), corners.max(axis=1)], axis=1))
+    on_surface = np.zeros(len(nodes), dtype=np.uint8)
+    on_surface[surface.ravel()] = 1
+    order = np.argsort(tetrahedra.ravel(), kind="stable")
+    begin = np.zeros(len(nodes) + 1, dtype=np.int32)
+    begin[1:] = np.cumsum(np.bincount(tetrahedra.ravel(), minlength=len(nodes)))
+    lower, upper = nodes.min(axis=0), nodes.max(axis=0)
+    volume = float(tetrahedron_volumes(nodes, tetrahedra).sum())
+    cell = _cell_size(volume, upper - lower, len(tetrahedra))
+    # Half a cell of air around the mesh keeps a vertex of the boundary off the last cell's far face.
+    origin = lower - 0.5 * cell
+    dims = (np.floor((upper - origin) / cell) + 1).astype(np.int32)
+    cell_begin, cell_tets = _register_tetrahedra(boxes, origin, cell, dims)
+    sides = nodes[surface] - nodes[np.roll(surface, 1, axis=1)]
+    return TetMesh(
+        nodes=nodes,
+        tetrahedra=tetrahedra,
+        neighbours=np.ascontiguousarray(face_neighbours(tetrahedra), dtype=np.int32),
+        tetrahedron_edges=np.ascontiguousarray(tetrahedron_edges(tetrahedra, edges), dtype=np.int32),
+        edges=np.ascontiguousarray(edges, dtype=np.int32),
+        boxes=boxes,
+        barycentric=_barycentric_rows(corners),
+        moments=tetrahedron_moments(corners),
+        on_surface=on_surface,
+        node_tets_begin=begin,
+        node_tets=(order // 4).astype(np.int32),
+        surface=np.ascontiguousarray(surface, dtype=np.int32),
+        grid_origin=origin,
+        grid_cell=cell,
+        grid_dims=dims,
+        cell_begin=cell_begin,
+        cell_tets=cell_tets,
+        box=np.concatenate([lower, upper]),
+        # The corners of a triangle with longest side L cover it with balls of radius L / sqrt(3).
+        sampling_gap=float(np.sqrt((sides**2).sum(axis=2).max() / 3.0)),
+    )
+
+
+def _cell_size(volume: float, extent: np.ndarray, count: int) -> float:
+    """Edge of a regular tetrahedron of the mesh's mean volume, enlarged until the cells stay few."""
+    cell = (6.0 * np.sqrt(2.0) * volume / count) ** (1.0 / 3.0)
+    limit = CELLS_PER_TETRAHEDRON * count + 64
+    while np.prod(np.floor(extent / cell) + 2) > limit:
+        cell *= 1.1
+    return float(cell)
+
+
+def _barycentric_rows(corners: np.ndarray) -> np.ndarray:
+    sides = corners[:, 1:] - corners[:, :1]
+    # rows of the inverse of the matrix with the sides as columns
+    gradients = np.linalg.inv(np.swapaxes(sides, 1, 2))
+    rows = np.empty((len(corners), 3, 4))
+    rows[:, :, :3] = gradients
+    rows[:, :, 3] = -np.einsum("mij,mj->mi", gradients, corners[:, 0])
+    return np.ascontiguousarray(rows.reshape(-1, 12))
+
+
+@kernel
+def _register_tetrahedra(boxes, origin, cell, dims):
+    nx, ny, nz = dims
+    counts = np.zeros(nx * ny * nz + 1, dtype=np.int32)
+    lo = np.empty(3, dtype=np.int64)
+    hi = np.empty(3, dtype=np.int64)
+    cell_tets = np.empty(0, dtype=np.int32)
+    for fill in range(2):
+        if fill == 1:
+            for c in range(nx * ny * nz):
+                counts[c + 1] += counts[c]
+            cell_tets = np.empty(counts[-1], dtype=np.int32)
+            cursor = counts.copy()
+        for t in range(len(boxes)):
+            for k in range(3):
+                lo[k] = int(np.floor((boxes[t, k] - origin[k]) / cell))
+                hi[k] = int(np.floor((boxes[t, k + 3] - origin[k]) / cell))
+            for i in range(lo[0], hi[0] + 1):
+                for j in range(lo[1], hi[1] + 1):
+                    for k in range(lo[2], hi[2] + 1):
+                        c = (i * ny + j) * nz + k
+                        if fill == 0:
+                            counts[c + 1] += 1
+                        else:
+                            cell_tets[cursor[c]] = t
+                            cursor[c] += 1
+    return counts, cell_tets

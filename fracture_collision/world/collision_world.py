@@ -1,0 +1,178 @@
+"""The service without ROS: messages in, contacts out. A pure function of bodies, events and the states of the step."""
+
+from __future__ import annotations
+
+import os
+from time import perf_counter
+
+import numpy as np
+
+from fracture_collision.core.broad_phase import overlapping_pairs, world_boxes
+from fracture_collision.core.crew import Crew
+from fracture_collision.core.narrow_phase import PairContacts, query_pairs, rotation_matrices
+from fracture_collision.core.scratch import Scratch, make_scratch
+from fracture_collision.records import (
+    BUDGET_EXHAUSTED,
+    CollisionBody,
+    ContactConstraintArray,
+    FractureEvent,
+    FragmentMesh,
+    FragmentRegistry,
+    FragmentStates,
+)
+from fracture_collision.world.checks import refuse
+from fracture_collision.world.contact_ids import contact_ids
+from fracture_collision.world.errors import InvalidMessage, StatesAhead
+from fracture_collision.world.fragment_mesh import fragment_mesh
+from fracture_collision.world.ledger import Ledger
+from fracture_collision.world.registry import Registry
+from fracture_collision.world.settings import FIELDS, Settings
+from fracture_collision.world.states_gate import CheckedStates, check_states
+
+
+class CollisionWorld:
+    """Bodies and fracture events in, contacts out; every method raises InvalidMessage on what breaks a rule.
+
+    Messages are checked whole before anything changes. Events are applied when states ask for their registry; states
+    of an earlier one are answered from a registry rebuilt from the log.
+    """
+
+    def __init__(self, settings: Settings | None = None) -> None:
+        self.settings = settings if settings is not None else Settings()
+        if self.settings.field not in FIELDS:
+            raise ValueError(f"field: {self.settings.field!r} is none of {', '.join(FIELDS)}")
+        if self.settings.field == "averaged":
+            raise ValueError("field: 'averaged' (eq. 1-2) is not available in this version; use 'exact'")
+        self._ledger = Ledger(self.settings)
+        self._registry = Registry()
+        self._removals = 0
+        self._crew = Crew(self.settings.threads or os.cpu_count() or 1)
+        self._scratch: Scratch | None = None
+        self.last_timings: dict[str, float] = {"update": 0.0, "broad_phase": 0.0, "narrow_phase": 0.0}  # [s]
+        self.last_visits = 0  # tree nodes tested by the last answer
+
+    def add_body(self, body: CollisionBody) -> None:
+        self._ledger.add_body(body)
+
+    def add_fracture(self, event: FractureEvent) -> None:
+        self._ledger.add_fracture(event)
+
+    def contacts(self, states: FragmentStates) -> ContactConstraintArray:
+        """All contacts of the fragments that `states` names, and of the static ones, at its registry.
+
+        Raises StatesAhead for states of an event or a body that has not arrived yet.
+        """
+        started = perf_counter()
+        checked = check_states(states)
+        if checked.fracture_sequence > len(self._ledger.events):
+            raise StatesAhead(
+                "sequence_gap",
+                f"fracture_sequence: {checked.fracture_sequence} is ahead of the {len(self._ledger.events)} known events",
+            )
+        self._advance(checked.fracture_sequence)
+        ids, rows, is_static, friction, restitution = self._registry.lookup()
+        moving = self._find(checked, ids)
+        updated = perf_counter()
+        taking_part = is_static.copy()
+        taking_part[moving] = True
+        chosen = np.flatnonzero(taking_part)
+        positions, orientations = np.zeros((len(ids), 3)), np.tile(np.array([0.0, 0.0, 0.0, 1.0]), (len(ids), 1))
+        positions[moving], orientations[moving] = checked.positions, checked.orientations
+        rows, positions = rows[chosen], positions[chosen]
+        rotations = rotation_matrices(orientations[chosen])
+        pools = self._registry.geometry.pools
+        radius = pools.fragment.radius[rows]
+        # two boxes grown by half the tolerance each meet whenever their fragments come within it
+        margins = np.where(np.isfinite(radius), self.settings.detection_tolerance * radius, 0.0)
+        boxes = np.empty((len(rows), 6))
+        world_boxes(pools.fragment.box, rows, rotations, positions, margins, boxes)
+        pairs = overlapping_pairs(
+            boxes, pools.fragment.kind[rows], pools.fragment.shape[rows], rotations, positions, is_static[chosen]
+        )
+        paired = perf_counter()
+        budget = max(self.settings.visit_budget // len(pairs), 1) if self.settings.visit_budget and len(pairs) else 0
+        found = query_pairs(
+            pools, rows, rotations, positions, pairs, self.settings.contacts_per_pair,
+            self.settings.penetration_tolerance, self.settings.detection_tolerance, budget,
+            self._sized_scratch(rows), self._crew,
+        )  # fmt: skip
+        answer = self._answer(checked, ids[chosen], friction[chosen], restitution[chosen], radius, pairs, found)
+        self.last_visits = int(found.visits.sum())
+        self.last_timings = {
+            "update": updated - started, "broad_phase": paired - updated, "narrow_phase": perf_counter() - paired,
+        }  # fmt: skip
+        return answer
+
+    def fragments(self) -> FragmentRegistry:
+        """The registry that the last states belonged to; bodies that arrived since are in it."""
+        self._advance(self._registry.sequence)
+        return self._registry.record()
+
+    def fragment_mesh(self, fragment_id: int) -> FragmentMesh:
+        """Surface of a living fragment for viewers; raises InvalidMessage for one that is not."""
+        row = self._registry.row_of(fragment_id)
+        if row is None:
+            refuse("unknown_id", f"fragment_id: no living fragment {fragment_id}")
+        return fragment_mesh(fragment_id, self._registry.geometry, row)
+
+    def _advance(self, sequence: int) -> None:
+        """Bring the registry to `sequence` events, from the log's beginning if it has gone farther."""
+        if sequence < self._registry.sequence or self._removals != self._ledger.removals:
+            self._registry = Registry()
+            self._removals = self._ledger.removals
+        for body_id, body in self._ledger.bodies.items():
+            if not self._registry.has_body(body_id):
+                self._registry.add_body(body)
+        while self._registry.sequence < sequence:
+            self._registry.apply(self._ledger.events[self._registry.sequence])
+
+    def _find(self, states: CheckedStates, ids: np.ndarray) -> np.ndarray:
+        """Indices into `ids` of the fragments that the states name."""
+        at = np.minimum(np.searchsorted(ids, states.fragment_ids), max(len(ids) - 1, 0))
+        known = ids[at] == states.fragment_ids if len(ids) else np.zeros(len(states.fragment_ids), bool)
+        if not known.all():
+            stranger = int(states.fragment_ids[~known][0])
+            if not self._ledger.was_made(stranger):
+                raise StatesAhead("unknown_id", f"fragment_ids: no fragment {stranger} is known yet")
+            raise InvalidMessage(
+                "retired_id", f"fragment_ids: fragment {stranger} does not live after {states.fracture_sequence} events"
+            )
+        return at
+
+    def _sized_scratch(self, rows: np.ndarray) -> Scratch:
+        entries = [self._registry.geometry.tree_entries(row) for row in rows.tolist()]
+        # each tree node stands in a queue at most once for itself and once for each of its children
+        queue = 4 * max(entries, default=0) + 8
+        tets = len(self._registry.geometry.pools.mesh.tetrahedra)
+        s = self._scratch
+        if s is None or s.visited.shape[1] < tets or s.queue_int.shape[2] < queue:
+            self._scratch = make_scratch(self._crew.threads, tets, queue)
+        return self._scratch
+
+    def _answer(self, states, ids, friction, restitution, radius, pairs, found: PairContacts) -> ContactConstraintArray:
+        a, b = pairs[:, 0], pairs[:, 1]
+        epsilon = self.settings.penetration_tolerance * np.minimum(radius[a], radius[b])
+        listed = (found.counts > 0) | (found.bounds > epsilon)
+        counts = found.counts[listed]
+        owner_pair = np.repeat(np.arange(len(pairs)), found.counts)
+        first, second = ids[a[owner_pair]], ids[b[owner_pair]]
+        from_a = found.samples[:, 0] == 0
+        keys = np.empty(len(found.gaps), dtype=np.uint64)
+        contact_ids(np.where(from_a, first, second), np.where(from_a, second, first), found.samples[:, 1], keys)
+        a, b = a[listed], b[listed]
+        return ContactConstraintArray(
+            step=states.step,
+            fracture_sequence=states.fracture_sequence,
+            status=BUDGET_EXHAUSTED if found.exhausted.any() else 0,
+            fragment_a=ids[a].astype(np.uint32),
+            fragment_b=ids[b].astype(np.uint32),
+            pair_begin=np.concatenate([[0], np.cumsum(counts)]).astype(np.uint32),
+            missed_depth_bound=np.ascontiguousarray(found.bounds[listed]),
+            friction=np.sqrt(friction[a] * friction[b]),
+            restitution=np.maximum(restitution[a], restitution[b]),
+            points_a=found.points_a.ravel(),
+            points_b=found.points_b.ravel(),
+            normals=found.normals.ravel(),
+            gaps=found.gaps,
+            contact_ids=keys,
+        )

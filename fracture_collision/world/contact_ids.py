@@ -1,0 +1,28 @@
+"""Contact ids: the same sample of the same fragment against the same other fragment has the same id in every step."""
+
+from __future__ import annotations
+
+from fracture_collision.core.compiled import kernel
+import numpy as np
+
+
+@kernel
+def _mixed(value):
+    """Finalizer of SplitMix64 (Steele, Lea, Flood 2014): a bijection that spreads every bit."""
+    value ^= value >> np.uint64(30)
+    value *= np.uint64(0xBF58476D1CE4E5B9)
+    value ^= value >> np.uint64(27)
+    value *= np.uint64(0x94D049BB133111EB)
+    return value ^ (value >> np.uint64(31))
+
+
+@kernel
+def contact_ids(own, other, sample, out):
+    """Hash (fragment whose sample it is, the other fragment, sample index) to uint64.
+
+    64 bits hold no three 32-bit numbers, so ids are hashed: among the contacts of one step two different ones meet
+    with a probability below 1e-12.
+    """
+    for i in range(len(sample)):
+        pair = (np.uint64(own[i]) << np.uint64(32)) | np.uint64(other[i])
+        out[i] = _mixed(_mixed(pair + np.uint64(0x9E3779B97F4A7C15)) + np.uint64(sample[i] + 1))
