@@ -78,12 +78,14 @@ class BulletWorld:
             self._states = self._read()
         return self._states
 
-    def advance(self, linear: np.ndarray, angular: np.ndarray, drift_linear: np.ndarray, drift_angular: np.ndarray) -> None:
+    def advance(
+        self, linear: np.ndarray, angular: np.ndarray, drift_linear: np.ndarray, drift_angular: np.ndarray
+    ) -> None:
         before = self.states()
         if before.fragment_ids.size:
             spin = angular + drift_angular
-            # Bullet adds gravity and, explicitly (which feeds energy to fast spins), the gyroscopic torque. Both are in the
-            # given velocities already, so the one is subtracted and the other held by an opposite torque.
+            # Bullet adds gravity and, explicitly (which feeds energy to fast spins), the gyroscopic torque. Both are in
+            # the given velocities already, so the one is subtracted and the other held by an opposite torque.
             velocity = linear + drift_linear - self._gravity * self._time_step
             torque = np.cross(spin, np.einsum("nij,nj->ni", before.inertias, spin))
             for i, handle in enumerate(self._sorted_handles()):
@@ -97,7 +99,7 @@ class BulletWorld:
             self._shed_drift(before, drift_linear, drift_angular)
 
     def _shed_drift(self, before: BodyStates, drift_linear: np.ndarray, drift_angular: np.ndarray) -> None:
-        """Take the drift velocities out again, and turn the spins with the bodies so that spin energies stay as they were."""
+        """Take the drift velocities out again, and turn the spins with the bodies, which keeps their energies."""
         moved = self._read()
         turn = Rotation.from_quat(moved.frame_orientations) * Rotation.from_quat(before.frame_orientations).inv()
         linear = moved.linear - drift_linear
@@ -129,7 +131,8 @@ class BulletWorld:
         inertial_to_world = Rotation.from_quat([pose[1] for pose in poses])
         axes = inertial_to_world.as_matrix()
         principal = np.array([inertial.principal_inertia for inertial in inertials])
-        body_to_world = inertial_to_world * Rotation.from_quat([inertial.principal_axes for inertial in inertials]).inv()
+        inertial_to_body = Rotation.from_quat([inertial.principal_axes for inertial in inertials])
+        body_to_world = inertial_to_world * inertial_to_body.inv()
         return BodyStates(
             fragment_ids=np.array(ids, dtype=np.uint32),
             masses=np.array([inertial.mass for inertial in inertials]),

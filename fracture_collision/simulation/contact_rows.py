@@ -24,7 +24,7 @@ class Rows(NamedTuple):
     directions: np.ndarray  # (N, 3, 3) n, t1, t2
     rows: np.ndarray  # (N, 3, 15)
     normal_masses: np.ndarray  # (N,) 1 / (J_n W J_n^T); 0 where both cannot move
-    tangent_masses: np.ndarray  # (N, 3) inverse of the 2 x 2 block J_t W J_t^T: 11, 12, 22
+    tangent_masses: np.ndarray  # (N,) 1 / the larger eigenvalue of the 2 x 2 block J_t W J_t^T
     rolling_masses: np.ndarray  # (p, 3, 3) (I_a^-1 + I_b^-1)^-1
 
 
@@ -36,12 +36,12 @@ class Surfaces(NamedTuple):
 
 @njit(cache=True)
 def contact_rows(points, normals, begin, body_a, body_b, centers, inverse_masses, inverse_inertias):
-    """Rows of all contacts; the two tangents follow from the normal alone, so that they are steady from step to step."""
+    """Rows of all contacts; the tangents follow from the normal alone, so that they are steady from step to step."""
     count, pair_count = points.shape[0], body_a.size
     directions = np.zeros((count, 3, 3))
     rows = np.zeros((count, 3, 15))
     normal_masses = np.zeros(count)
-    tangent_masses = np.zeros((count, 3))
+    tangent_masses = np.zeros(count)
     rolling_masses = np.zeros((pair_count, 3, 3))
     for pair in range(pair_count):
         a, b = body_a[pair], body_b[pair]
@@ -66,10 +66,8 @@ def contact_rows(points, normals, begin, body_a, body_b, centers, inverse_masses
             k11 = inverse_mass + _angular_coupling(rows, c, 1, 1)
             k22 = inverse_mass + _angular_coupling(rows, c, 2, 2)
             k12 = _angular_coupling(rows, c, 1, 2)
-            determinant = k11 * k22 - k12 * k12
-            tangent_masses[c, 0] = k22 / determinant
-            tangent_masses[c, 1] = -k12 / determinant
-            tangent_masses[c, 2] = k11 / determinant
+            largest = 0.5 * (k11 + k22) + math.sqrt(0.25 * (k11 - k22) ** 2 + k12 * k12)
+            tangent_masses[c] = 1.0 / largest
     return Rows(
         begin, body_a, body_b, inverse_masses, inverse_inertias, directions, rows, normal_masses, tangent_masses,
         rolling_masses,
@@ -162,44 +160,75 @@ def apply_warm_start(rows, targets, u, impulses, rolling):
 
 @njit(cache=True)
 def sweep(rows, surfaces, targets, u, impulses, rolling, iterations):
-    """Projected Gauss-Seidel on (2), (3), (5), forward and backward in turn. Changes u, impulses, rolling."""
-    pair_count = rows.body_a.size
+    """Projected Gauss-Seidel on (2), (3), (5), accelerated. Changes u, impulses, rolling.
+
+    One iteration visits all contacts forward, then backward. What it changed is taken as a gradient, along which the
+    next one goes on like a nonlinear conjugate gradient (Fletcher-Reeves), restarted where it does not shrink [S]. The
+    projections have the last word.
+    """
+    u_path, path, rolling_path = np.zeros_like(u), np.zeros_like(impulses), np.zeros_like(rolling)
+    last_square = 0.0
     for iteration in range(iterations):
-        backward = iteration % 2 == 1
-        for visit in range(pair_count):
-            pair = pair_count - 1 - visit if backward else visit
-            a, b = rows.body_a[pair], rows.body_b[pair]
-            first, end = rows.begin[pair], rows.begin[pair + 1]
-            mass_a, mass_b = rows.inverse_masses[a], rows.inverse_masses[b]
-            friction = surfaces.friction[pair]
-            ua, ub = _load(u, a), _load(u, b)
-            total = 0.0
-            for inner in range(end - first):
-                c = end - 1 - inner if backward else first + inner
-                normal, tangent1, tangent2 = rows.rows[c, 0], rows.rows[c, 1], rows.rows[c, 2]
-                # Friction first, with the last sweep's lambda: not going through matters more and has the last word.
-                s1, s2 = _velocity(tangent1, ua, ub), _velocity(tangent2, ua, ub)
-                k11, k12, k22 = rows.tangent_masses[c, 0], rows.tangent_masses[c, 1], rows.tangent_masses[c, 2]
-                wanted1 = impulses[c, 1] - k11 * s1 - k12 * s2
-                wanted2 = impulses[c, 2] - k12 * s1 - k22 * s2
-                limit, square = friction * impulses[c, 0], wanted1 * wanted1 + wanted2 * wanted2
-                if square > limit * limit:
-                    scale = limit / math.sqrt(square)
-                    wanted1 *= scale
-                    wanted2 *= scale
-                ua, ub = _pushed(tangent1, ua, ub, mass_a, mass_b, wanted1 - impulses[c, 1])
-                ua, ub = _pushed(tangent2, ua, ub, mass_a, mass_b, wanted2 - impulses[c, 2])
-                impulses[c, 1] = wanted1
-                impulses[c, 2] = wanted2
-                wanted = impulses[c, 0] - rows.normal_masses[c] * (_velocity(normal, ua, ub) - targets[c])
-                wanted = min(max(wanted, 0.0), surfaces.impulse_limits[c])
-                ua, ub = _pushed(normal, ua, ub, mass_a, mass_b, wanted - impulses[c, 0])
-                impulses[c, 0] = wanted
-                total += wanted
-            _store(u, a, ua)
-            _store(u, b, ub)
-            if surfaces.rolling_arm[pair] > 0.0:
-                _roll(rows, pair, u, a, b, rolling, surfaces.rolling_arm[pair] * total)
+        u_before, before, rolling_before = u.copy(), impulses.copy(), rolling.copy()
+        _sweep_once(rows, surfaces, targets, u, impulses, rolling, False)
+        _sweep_once(rows, surfaces, targets, u, impulses, rolling, True)
+        if iteration == iterations - 1:
+            break
+        u_step, step, rolling_step = u - u_before, impulses - before, rolling - rolling_before
+        square = np.sum(step * step)
+        if square == 0.0:
+            break
+        share = square / last_square if last_square > 0.0 else 0.0
+        last_square = square
+        if share > 1.0:
+            share = 0.0
+        u_path, path, rolling_path = share * u_path, share * path, share * rolling_path
+        u += u_path
+        impulses += path
+        rolling += rolling_path
+        u_path += u_step
+        path += step
+        rolling_path += rolling_step
+
+
+@njit(cache=True)
+def _sweep_once(rows, surfaces, targets, u, impulses, rolling, backward):
+    pair_count = rows.body_a.size
+    for visit in range(pair_count):
+        pair = pair_count - 1 - visit if backward else visit
+        a, b = rows.body_a[pair], rows.body_b[pair]
+        first, end = rows.begin[pair], rows.begin[pair + 1]
+        mass_a, mass_b = rows.inverse_masses[a], rows.inverse_masses[b]
+        friction = surfaces.friction[pair]
+        ua, ub = _load(u, a), _load(u, b)
+        total = 0.0
+        for inner in range(end - first):
+            c = end - 1 - inner if backward else first + inner
+            normal, tangent1, tangent2 = rows.rows[c, 0], rows.rows[c, 1], rows.rows[c, 2]
+            # Friction first, with the last sweep's lambda: not going through matters more and has the last word.
+            s1, s2 = _velocity(tangent1, ua, ub), _velocity(tangent2, ua, ub)
+            # One mass for both tangents: with the block's inverse, sliding friction would oppose not the slip but
+            # its image under that inverse, and turn what slides straight.
+            wanted1 = impulses[c, 1] - rows.tangent_masses[c] * s1
+            wanted2 = impulses[c, 2] - rows.tangent_masses[c] * s2
+            limit, square = friction * impulses[c, 0], wanted1 * wanted1 + wanted2 * wanted2
+            if square > limit * limit:
+                scale = limit / math.sqrt(square)
+                wanted1 *= scale
+                wanted2 *= scale
+            ua, ub = _pushed(tangent1, ua, ub, mass_a, mass_b, wanted1 - impulses[c, 1])
+            ua, ub = _pushed(tangent2, ua, ub, mass_a, mass_b, wanted2 - impulses[c, 2])
+            impulses[c, 1] = wanted1
+            impulses[c, 2] = wanted2
+            wanted = impulses[c, 0] - rows.normal_masses[c] * (_velocity(normal, ua, ub) - targets[c])
+            wanted = min(max(wanted, 0.0), surfaces.impulse_limits[c])
+            ua, ub = _pushed(normal, ua, ub, mass_a, mass_b, wanted - impulses[c, 0])
+            impulses[c, 0] = wanted
+            total += wanted
+        _store(u, a, ua)
+        _store(u, b, ub)
+        if surfaces.rolling_arm[pair] > 0.0:
+            _roll(rows, pair, u, a, b, rolling, surfaces.rolling_arm[pair] * total)
 
 
 @njit(cache=True)

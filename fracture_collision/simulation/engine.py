@@ -65,8 +65,10 @@ class Engine(Protocol):
     def states(self) -> BodyStates:
         """Of all bodies, now."""
 
-    def advance(self, linear: np.ndarray, angular: np.ndarray, drift_linear: np.ndarray, drift_angular: np.ndarray) -> None:
-        """One time step: bodies, in the order of `states`, move with (n, 3) `linear` + `drift_linear` and keep `linear`.
+    def advance(
+        self, linear: np.ndarray, angular: np.ndarray, drift_linear: np.ndarray, drift_angular: np.ndarray
+    ) -> None:
+        """One time step: bodies, in the order of `states`, move with `linear` + `drift_linear` (n, 3), keep `linear`.
 
         Likewise `angular`. The velocities already contain gravity and gyroscopic terms of this step; the drift
         velocities move poses only, they are gone after the step.

@@ -1,8 +1,8 @@
 """Voronoi fracture of one fragment of a tetrahedral mesh around an impact.
 
-Seeds lie denser near the impact; each node goes to its nearest seed (ties: the lowest), and what of a seed's nodes hangs
-together along mesh edges is a new fragment. A seed without a node leaves no trace, so every fragment owns at least one
-node: the rule of the virtual node algorithm (Molino, Bao, Fedkiw 2004) that Glondu 2014, section 3 builds on.
+Seeds lie denser near the impact; each node goes to its nearest seed (ties: the lowest), and what of a seed's nodes
+hangs together along mesh edges is a new fragment. A seed without a node leaves no trace, so every fragment owns at
+least one node: the rule of the virtual node algorithm (Molino, Bao, Fedkiw 2004) that Glondu 2014 builds on.
 
 Each edge whose ends part gets its crack plane, the bisector of the two seeds. With `curvature` distances are measured
 in a smoothly warped space, phi(x) = x + A sin(K x + p), whose bisectors are curved; the edge's plane is the tangent
@@ -80,7 +80,10 @@ def voronoi_pattern(
     # From the lower seed to the higher, so that all edges between two seeds share one plane. Two pieces of one seed
     # have no edge in common, or they would be one.
     cut = np.where((labels[cut[:, 0]] > labels[cut[:, 1]])[:, None], cut[:, ::-1], cut)
-    planes = _flat_planes(points, seeds, labels, cut) if warp is None else _curved_planes(points, centers, labels, cut, warp)
+    if warp is None:
+        planes = _flat_planes(points, seeds, labels, cut)
+    else:
+        planes = _curved_planes(points, centers, labels, cut, warp)
     return Pattern(pieces, piece_count, nodes[cut], planes)
 
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import inspect
 import math
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,6 +16,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from fracture_collision.geometry import generators
+from fracture_collision.share import share_directory
 from fracture_collision.simulation.contact_solver import SolverSettings
 from fracture_collision.simulation.fracture_pattern import PatternSettings
 
@@ -116,16 +116,11 @@ def parse_scene(content: Any, name: str) -> Scene:
 
 
 def _find(name_or_path: str | Path) -> Path:
-    given = Path(name_or_path)
-    folders = [
-        Path(__file__).resolve().parents[2] / "config" / "scenes",
-        Path(sys.prefix) / "share" / "fracture_collision" / "config" / "scenes",
-    ]
-    candidates = [given, *(folder / f"{given}.yaml" for folder in folders)]
+    candidates = [Path(name_or_path), share_directory() / "config" / "scenes" / f"{name_or_path}.yaml"]
     for candidate in candidates:
         if candidate.is_file():
             return candidate
-    raise SceneError(f"no scene {str(name_or_path)!r}: looked for {', '.join(map(str, candidates))}")
+    raise SceneError(f"no scene {str(name_or_path)!r}: looked for {' and '.join(map(str, candidates))}")
 
 
 class _Fields:
