@@ -1,0 +1,92 @@
+"""One run as the service sees it: messages as the topics happen to deliver them, applied in the order they ask for.
+
+DDS keeps order within a topic, not across topics. An event may arrive before its body, states before either: they are
+held until they can be applied. Knows records, not ROS.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from fracture_collision.records import ADD, CollisionBody, ContactConstraintArray, FractureEvent, FragmentStates
+from fracture_collision.world import CollisionWorld, InvalidMessage, Settings, StatesAhead
+
+# Events held for a body that has not come; beyond this the publisher of the bodies is certainly gone.
+MAX_HELD_EVENTS = 10_000
+
+
+class Refusal(NamedTuple):
+    topic: str
+    kind: str
+    reason: str
+
+
+class CollisionRun:
+    """A CollisionWorld and what waits to go into it."""
+
+    def __init__(self, run_id: int, settings: Settings) -> None:
+        self.run_id = run_id
+        self.world = CollisionWorld(settings)
+        self.body_ids: set[int] = set()
+        self.event_count = 0
+        self.removals = 0
+        self._held_events: dict[int, FractureEvent] = {}  # by sequence
+
+    @property
+    def held_event_count(self) -> int:
+        return len(self._held_events)
+
+    def add_body(self, body: CollisionBody) -> list[Refusal]:
+        """Takes a body, and the events that waited for it."""
+        try:
+            self.world.add_body(body)
+        except InvalidMessage as error:
+            return [Refusal("bodies", error.kind, str(error))]
+        if body.operation == ADD:
+            self.body_ids.add(body.body_id)
+        else:
+            self.body_ids.discard(body.body_id)
+            self.removals += 1
+        return self._apply_held_events()
+
+    def add_fracture(self, event: FractureEvent) -> list[Refusal]:
+        """Takes an event, or holds it where its body has not arrived. An event held is reported as one refused, for
+        it may be that the body never comes; a later event of the same sequence takes its place."""
+        if event.body_id in self.body_ids and not self._waits_for_earlier(event):
+            refusals = self._apply(event)
+            return refusals + self._apply_held_events()
+        if len(self._held_events) >= MAX_HELD_EVENTS:
+            reason = f"{MAX_HELD_EVENTS} events wait for their bodies already"
+            return [Refusal("fracture_events", "limit_exceeded", reason)]
+        self._held_events[event.sequence] = event
+        if event.body_id in self.body_ids:
+            return []
+        reason = f"body_id: no body {event.body_id}; event {event.sequence} is held until it comes"
+        return [Refusal("fracture_events", "unknown_id", reason)]
+
+    def answer(self, states: FragmentStates) -> ContactConstraintArray | None:
+        """Contacts, or None as long as events or bodies that the states speak of are missing. Raises InvalidMessage."""
+        try:
+            return self.world.contacts(states)
+        except StatesAhead:
+            return None
+
+    def _waits_for_earlier(self, event: FractureEvent) -> bool:
+        return any(sequence < event.sequence for sequence in self._held_events)
+
+    def _apply(self, event: FractureEvent) -> list[Refusal]:
+        try:
+            self.world.add_fracture(event)
+        except InvalidMessage as error:
+            return [Refusal("fracture_events", error.kind, str(error))]
+        self.event_count = max(self.event_count, event.sequence)
+        return []
+
+    def _apply_held_events(self) -> list[Refusal]:
+        refusals: list[Refusal] = []
+        while self._held_events:
+            first = min(self._held_events)
+            if self._held_events[first].body_id not in self.body_ids:
+                break
+            refusals += self._apply(self._held_events.pop(first))
+        return refusals

@@ -1,0 +1,97 @@
+"""Records (fracture_collision.records) to ROS messages and back, whole arrays at a time.
+
+A message's numeric sequence is an array.array. It takes bytes at memory speed; given a list or an ndarray the generated
+message classes walk every element. The way back copies nothing: the record's arrays are views of the message's.
+"""
+
+from __future__ import annotations
+
+from array import array
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from shape_msgs.msg import Plane
+from shape_msgs.msg import SolidPrimitive as SolidPrimitiveMessage
+from std_msgs.msg import Header
+
+from fracture_collision import msg as messages
+from fracture_collision import records
+
+Record = TypeVar("Record", bound=NamedTuple)
+
+# ROS element type -> (array.array's type code, numpy's type)
+_SEQUENCES = {
+    "sequence<double>": ("d", np.float64),
+    "sequence<float>": ("f", np.float32),
+    "sequence<uint32>": ("I", np.uint32),
+    "sequence<uint64>": ("Q", np.uint64),
+}
+
+_RECORD_OF = {
+    messages.CollisionBody: records.CollisionBody,
+    messages.FractureEvent: records.FractureEvent,
+    messages.FragmentStates: records.FragmentStates,
+    messages.ContactConstraintArray: records.ContactConstraintArray,
+    messages.FragmentRegistry: records.FragmentRegistry,
+    messages.FragmentMesh: records.FragmentMesh,
+}
+_MESSAGE_OF = {record: message for message, record in _RECORD_OF.items()}
+
+
+def header(stamp_seconds: float, frame_id: str = "world") -> Header:
+    """A header of a simulation time [s], to the nearest nanosecond."""
+    nanoseconds = round(stamp_seconds * 1e9)
+    return Header(stamp=Time(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9), frame_id=frame_id)
+
+
+def to_message(record: NamedTuple, message_header: Header, run_id: int) -> Any:
+    """The ROS message of a record. ValueError where an array has more than one dimension."""
+    message_class = _MESSAGE_OF[type(record)]
+    message = message_class(header=message_header, run_id=run_id)
+    for name, field_type in message_class.get_fields_and_field_types().items():
+        if name not in ("header", "run_id"):
+            setattr(message, name, _to_field(getattr(record, name), field_type))
+    return message
+
+
+def to_record(message: Any) -> Any:
+    """The record of a ROS message. Its arrays are views: the message must be left alone afterwards."""
+    record_class = _RECORD_OF[type(message)]
+    types = message.get_fields_and_field_types()
+    return record_class(**{name: _from_field(getattr(message, name), types[name]) for name in record_class._fields})
+
+
+def array_bytes(message: Any) -> int:
+    """Size of a message's arrays [bytes]."""
+    types = message.get_fields_and_field_types()
+    values = (getattr(message, name) for name, kind in types.items() if kind in _SEQUENCES)
+    return sum(len(value) * value.itemsize for value in values)
+
+
+def _to_field(value: Any, field_type: str) -> Any:
+    if field_type in _SEQUENCES:
+        code, dtype = _SEQUENCES[field_type]
+        flat = np.ascontiguousarray(value, dtype=dtype)
+        if flat.ndim != 1:
+            raise ValueError(f"an array of shape {flat.shape} where the message has a flat one")
+        return array(code, flat.tobytes())
+    if field_type == "sequence<boolean>":
+        return np.asarray(value, dtype=bool).tolist()
+    if field_type == "shape_msgs/SolidPrimitive":
+        return SolidPrimitiveMessage(type=value.type, dimensions=[float(x) for x in value.dimensions])
+    if field_type == "shape_msgs/Plane":
+        return Plane(coef=np.asarray(value, dtype=np.float64))
+    return {"double": float, "string": str, "boolean": bool}.get(field_type, int)(value)
+
+
+def _from_field(value: Any, field_type: str) -> Any:
+    if field_type in _SEQUENCES:
+        return np.asarray(value, dtype=_SEQUENCES[field_type][1])
+    if field_type == "sequence<boolean>":
+        return np.array(value, dtype=bool)
+    if field_type == "shape_msgs/SolidPrimitive":
+        return records.SolidPrimitive(value.type, tuple(value.dimensions))
+    if field_type == "shape_msgs/Plane":
+        return np.array(value.coef, dtype=np.float64)
+    return value

@@ -1,0 +1,60 @@
+"""The topics, their types and quality of service: named once, used by every node."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+from fracture_collision.msg import (
+    CollisionBody,
+    ContactConstraintArray,
+    FractureEvent,
+    FragmentMesh,
+    FragmentRegistry,
+    FragmentStates,
+)
+
+# Every message ever sent, for late joiners too: a service that is started again learns the whole run from these.
+LATCHED = QoSProfile(
+    history=HistoryPolicy.KEEP_ALL,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+
+# Only the newest registry says what lives now.
+LATCHED_NEWEST = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+
+# Only the newest step is worth an answer.
+EACH_STEP = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.VOLATILE,
+)
+
+
+class Topic(NamedTuple):
+    name: str  # relative to the node's namespace
+    message_class: Any
+    qos: QoSProfile  # as offered by its publisher
+
+
+BODIES = Topic("bodies", CollisionBody, LATCHED)
+FRACTURE_EVENTS = Topic("fracture_events", FractureEvent, LATCHED)
+FRAGMENT_STATES = Topic("fragment_states", FragmentStates, EACH_STEP)
+CONTACT_CONSTRAINTS = Topic("contact_constraints", ContactConstraintArray, EACH_STEP)
+FRAGMENTS = Topic("fragments", FragmentRegistry, LATCHED_NEWEST)
+FRAGMENT_MESHES = Topic("fragment_meshes", FragmentMesh, LATCHED)
+
+TOPICS = (BODIES, FRACTURE_EVENTS, FRAGMENT_STATES, CONTACT_CONSTRAINTS, FRAGMENTS, FRAGMENT_MESHES)
+
+
+def recording(qos: QoSProfile) -> QoSProfile:
+    """What a recorder asks for: the same promises, and no message overwritten before it was taken."""
+    return QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=qos.reliability, durability=qos.durability)

@@ -1,0 +1,198 @@
+"""The simulator: runs one scene in lock-step with the collision service, by topics only."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+
+from fracture_collision.records import INVALID_STATES, ContactConstraintArray, FragmentRegistry, FragmentStates
+from fracture_collision.ros import qos
+from fracture_collision.ros.acknowledged_publisher import AcknowledgedPublisher
+from fracture_collision.ros.conversion import header, to_message, to_record
+from fracture_collision.ros.parameters import Range, declare_fixed
+from fracture_collision.ros.process import Fatal, run_node
+from fracture_collision.simulation.scene import SceneError, load_scene
+from fracture_collision.simulation.simulation import Simulation
+
+# Asking again: the first pause covers a service that compiles a kernel, the last one that is started by hand.
+FIRST_PAUSE = 1.0  # [s]
+PAUSE_GROWTH = 1.5
+LONGEST_PAUSE = 15.0  # [s]
+
+PROGRESS_INTERVAL = 0.1  # [s]
+
+# Columns of the array in `timing_file`; times in seconds, energies in joules, lengths in metres.
+REPORT_COLUMNS = (
+    "step",
+    "time",
+    "contacts",
+    "fragments",
+    "round_trip",
+    "solver",
+    "fracture",
+    "kinetic_energy",
+    "potential_energy",
+    "drift_energy",
+    "max_speed",
+    "deepest_gap",
+)
+
+
+class SimulatorNode(Node):
+    """Parameters say which scene; the topics are those of ros/qos.py."""
+
+    def __init__(self) -> None:
+        super().__init__("simulator_node")
+        scene_name = declare_fixed(self, "scene", "plates", "name in config/scenes, or the path of a scene file")
+        seed = declare_fixed(self, "seed", -1, "of the fracture patterns; -1: the scene's own", Range(-1, 2**62))
+        run_id = declare_fixed(self, "run_id", 0, "of all messages; 0: made from scene and seed", Range(0, 2**62))
+        self._subscribers = declare_fixed(
+            self, "wait_for_subscribers", 1, "of states and of contacts, before the first step", Range(0, 100)
+        )
+        self._timing_file = declare_fixed(self, "timing_file", "", "what each step took is written there at the end")
+        self._tells_progress = declare_fixed(self, "progress", False, "one line of JSON on stdout, ten times a second")
+
+        try:
+            scene = load_scene(scene_name)
+        except (SceneError, OSError) as error:
+            raise Fatal(str(error)) from error
+        self._simulation = Simulation(scene, scene.seed if seed < 0 else seed)
+        self._total_steps = scene.step_count
+        # The same scene and seed give the same run, so they may well share an id: recordings compare byte for byte.
+        self._run_id = run_id or derived_run_id(scene.name, scene.seed if seed < 0 else seed)
+
+        self._bodies = self.create_publisher(qos.BODIES.message_class, qos.BODIES.name, qos.BODIES.qos)
+        self._events = self.create_publisher(
+            qos.FRACTURE_EVENTS.message_class, qos.FRACTURE_EVENTS.name, qos.FRACTURE_EVENTS.qos
+        )
+        self._states = AcknowledgedPublisher(self, qos.FRAGMENT_STATES)
+        for topic, callback in ((qos.CONTACT_CONSTRAINTS, self._on_contacts), (qos.FRAGMENTS, self._on_registry)):
+            self.create_subscription(topic.message_class, topic.name, callback, topic.qos)
+        self._asked = (0, 0)
+        self._contacts: ContactConstraintArray | None = None
+        self._registry: FragmentRegistry | None = None
+        self._rows: list[tuple[float, ...]] = []
+        self._progress_due = 0.0
+
+    # --- the run ---------------------------------------------------------------------------------------------------
+
+    def run(self, executor: SingleThreadedExecutor) -> None:
+        """Simulates the scene to its end. Raises Fatal where the service refuses the states."""
+        self._await_subscribers(executor)
+        self._announce(self._simulation.start_bodies(), [])
+        while not self._simulation.finished:
+            request = self._simulation.begin_step()
+            self._announce(request.bodies, request.events)
+            started = time.perf_counter()
+            self._ask(request.states, executor)
+            round_trip = time.perf_counter() - started
+            report = self._simulation.finish_step(self._contacts, self._registry)
+            self._rows.append(
+                (
+                    report.step, report.time, report.contacts, report.fragments, round_trip, report.solver_seconds,
+                    report.fracture_seconds, report.kinetic_energy, report.potential_energy, report.drift_energy,
+                    report.max_speed, report.deepest_gap,
+                )
+            )  # fmt: skip
+            self._tell_progress()
+        self._states.flush()
+
+    def finish(self) -> None:
+        """Writes what was asked for; frees the physics engine."""
+        if self._timing_file:
+            np.save(Path(self._timing_file), np.array(self._rows).reshape(-1, len(REPORT_COLUMNS)))
+        self._simulation.close()
+
+    def _await_subscribers(self, executor: SingleThreadedExecutor) -> None:
+        """A recorder that starts with the simulator must not miss the first steps."""
+        started, said = time.monotonic(), 0.0
+        while min(self._states.subscriber_count, self.count_subscribers("contact_constraints")) < self._subscribers:
+            executor.spin_once(timeout_sec=0.02)
+            if time.monotonic() - started > said + 5.0:
+                said += 5.0
+                self.get_logger().info("waiting for the collision service (and recorders) to appear")
+
+    def _announce(self, bodies: list, events: list) -> None:
+        stamp = header(self._simulation.time)
+        for body in bodies:
+            self._bodies.publish(to_message(body, stamp, self._run_id))
+        for event in events:
+            self._events.publish(to_message(event, stamp, self._run_id))
+
+    def _ask(self, states: FragmentStates, executor: SingleThreadedExecutor) -> None:
+        """Publishes states until their contacts and registry are there."""
+        message = to_message(states, header(self._simulation.time), self._run_id)
+        self._asked = (states.step, states.fracture_sequence)
+        self._contacts = None
+        pause = FIRST_PAUSE
+        while True:
+            self._states.publish(message)
+            deadline = time.monotonic() + pause
+            while (left := deadline - time.monotonic()) > 0:
+                executor.spin_once(timeout_sec=left)
+                if self._contacts is not None and self._registry_covers(states):
+                    return
+            self.get_logger().warning(f"no answer to step {states.step} after {pause:.1f} s; asking again")
+            pause = min(pause * PAUSE_GROWTH, LONGEST_PAUSE)
+
+    def _registry_covers(self, states: FragmentStates) -> bool:
+        registry = self._registry
+        return (
+            registry is not None
+            and registry.fracture_sequence == states.fracture_sequence
+            and bool(np.isin(states.fragment_ids, registry.fragment_ids).all())
+        )
+
+    # --- answers ---------------------------------------------------------------------------------------------------
+
+    def _on_contacts(self, message: qos.CONTACT_CONSTRAINTS.message_class) -> None:
+        if message.run_id != self._run_id or (message.step, message.fracture_sequence) != self._asked:
+            return  # the late answer to a question asked twice
+        if message.status & INVALID_STATES:
+            raise Fatal(f"the service refused the states of step {message.step}; /diagnostics says why")
+        self._contacts = to_record(message)
+
+    def _on_registry(self, message: qos.FRAGMENTS.message_class) -> None:
+        if message.run_id == self._run_id:
+            self._registry = to_record(message)
+
+    def _tell_progress(self) -> None:
+        if not self._tells_progress:
+            return
+        now = time.monotonic()
+        if now >= self._progress_due or self._simulation.finished:
+            self._progress_due = now + PROGRESS_INTERVAL
+            step, seconds, contacts, fragments = self._rows[-1][:4]
+            told = {"step": step + 1, "steps": self._total_steps, "time": seconds, "contacts": contacts}
+            print(json.dumps(told | {"fragments": fragments}), flush=True)
+
+
+def derived_run_id(scene_name: str, seed: int) -> int:
+    """A run id of 62 bits for a scene and a seed."""
+    digest = hashlib.sha256(f"{scene_name}/{seed}".encode()).digest()
+    return int.from_bytes(digest[:8], "big") >> 2 or 1
+
+
+def _work(node: SimulatorNode) -> None:
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    try:
+        node.run(executor)
+    finally:
+        node.finish()
+        executor.shutdown()
+
+
+def main() -> int:
+    return run_node(SimulatorNode, _work)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
