@@ -23,7 +23,8 @@ def plot_times(report: Mapping[str, Sequence[float]], png_path: Path | str) -> N
     round_trip_ms.
 
     Milliseconds a step on a logarithmic axis above (each step pale, the running median bold; the updates at fractures
-    as dots: most steps have none), contacts and fragments below. Raises ValueError where a list is missing or the lengths differ.
+    as dots: most steps have none), contacts and fragments below. Raises ValueError where a list is missing or the
+    lengths differ.
     """
     names = ("time", *(name for name, _, _ in (*CURVES, *COUNTS)), "update_ms")
     missing = [name for name in names if name not in report]
