@@ -38,6 +38,10 @@ from fracture_collision.records import ContactConstraintArray
 from fracture_collision.simulation import contact_rows as kernels
 
 
+# A penetration of this many slops is more than a contact at rest ever has.
+DEEP = 5.0
+
+
 class SolverSettings(NamedTuple):
     """Numbers of the method; the scene file says why each has its value."""
 
@@ -47,7 +51,7 @@ class SolverSettings(NamedTuple):
     restitution_speed: float = 0.2  # v_e [m/s]
     penetration_slop: float = 1.0e-4  # [m]
     drift_fraction: float = 0.2  # f, the share of the penetration taken out in one step
-    drift_speed: float = 1.0  # v_max [m/s]
+    drift_speed: float = 0.3  # v_max [m/s]
 
 
 class RigidBodies(NamedTuple):
@@ -145,7 +149,8 @@ def solve_contacts(
         impulses = plastic_impulses + share * (impulses - plastic_impulses)
         rolling = plastic_rolling + share * (rolling - plastic_rolling)
 
-    drift = _drift(rows, gaps, kernels.normal_velocities(rows, u), len(bodies.masses), settings, time_step)
+    against = _against_parting(contacts, pairs, bodies.centers, DEEP * settings.penetration_slop)
+    drift = _drift(rows, gaps, kernels.normal_velocities(rows, u), against, settings, time_step)
     world_impulses = np.einsum("cd,cdk->ck", impulses, rows.directions)
     carried = WarmStart(
         contacts.fragment_a, contacts.fragment_b, begin, contacts.contact_ids, world_impulses, rolling
@@ -178,18 +183,38 @@ def _drift(
     rows: kernels.Rows,
     gaps: np.ndarray,
     closing: np.ndarray,
-    body_count: int,
+    against: np.ndarray,
     settings: SolverSettings,
     time_step: float,
 ) -> np.ndarray:
     depth = -gaps - settings.penetration_slop
-    u = np.zeros((body_count + 1, 6))
+    u = np.zeros((len(rows.inverse_masses), 6))
     if np.any(depth > 0.0):
         push = np.minimum(settings.drift_fraction * depth / time_step, settings.drift_speed)
         # What the velocities do to a gap counts; one that is not too deep may still close, up to the slop.
         targets = np.where(depth > 0.0, push, depth / time_step) - closing
+        targets[against] = -np.inf
         kernels.sweep_normals(rows, targets, u, np.zeros(len(gaps)), settings.drift_iterations)
     return u[:-1]
+
+
+def _against_parting(
+    contacts: ContactConstraintArray, pairs: BodyPairs, centers: np.ndarray, deep: float
+) -> np.ndarray:
+    """Contacts that drift correction leaves out, (N,) bool.
+
+    Two shards that have got into each other have deep contacts on either side of the overlap, whose normals contradict
+    each other: obeyed together they lock the two for ever. Such a pair is parted the way its centres of mass lie.
+    """
+    movable = (pairs.body_a < len(centers)) & (pairs.body_b < len(centers))
+    centers = _with_immovable(centers)
+    pair = np.repeat(np.arange(len(movable)), np.diff(contacts.pair_begin.astype(np.int64)))
+    between = (centers[pairs.body_b] - centers[pairs.body_a])[pair]
+    parts = np.einsum("ck,ck->c", contacts.normals.reshape(-1, 3), between) > 0.0
+    is_deep = contacts.gaps < -deep
+    deep_and_parting = np.bincount(pair[parts & is_deep], minlength=len(movable)) > 0
+    deep_and_not = np.bincount(pair[~parts & is_deep], minlength=len(movable)) > 0
+    return ~parts & (movable & deep_and_parting & deep_and_not)[pair]
 
 
 def _share_without_energy_gain(

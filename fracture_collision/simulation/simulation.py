@@ -209,20 +209,20 @@ class Simulation:
         return RigidBodies(states.masses, states.inertias, states.centers, velocities, free)
 
     def _body_pairs(self, contacts: ContactConstraintArray, states: BodyStates) -> BodyPairs:
-        arms = np.array([self._scene_body(int(i)).material.rolling_arm for i in states.fragment_ids] + [0.0])
         immovable = len(states.fragment_ids)
+        ids = np.append(states.fragment_ids, 0)
 
-        def rows_of(fragments: np.ndarray) -> np.ndarray:
+        def rows_and_arms(fragments: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             rows = np.searchsorted(states.fragment_ids, fragments)
-            padded = np.append(states.fragment_ids, 0)
-            rows = np.where(padded[rows] == fragments, rows, immovable)
+            rows = np.where(ids[rows] == fragments, rows, immovable)
             for fragment in fragments[rows == immovable]:
                 if int(fragment) not in self._body_id_of or not self._scene_body(int(fragment)).is_static:
                     raise ValueError(f"contacts of step {contacts.step}: fragment {fragment} is not in the states")
-            return rows.astype(np.int64)
+            arms = [self._scene_body(int(fragment)).material.rolling_arm for fragment in fragments]
+            return rows.astype(np.int64), np.array(arms)
 
-        a, b = rows_of(contacts.fragment_a), rows_of(contacts.fragment_b)
-        return BodyPairs(a, b, np.maximum(arms[a], arms[b]))
+        (a, arms_a), (b, arms_b) = rows_and_arms(contacts.fragment_a), rows_and_arms(contacts.fragment_b)
+        return BodyPairs(a, b, np.maximum(arms_a, arms_b))
 
     def _scene_body(self, fragment_id: int) -> SceneBody:
         return self._body_of[self._body_id_of[fragment_id]]
@@ -243,8 +243,12 @@ class Simulation:
             share = np.repeat(np.minimum(share[pairs.body_a], share[pairs.body_b]), np.diff(contacts.pair_begin))
             limits = np.where(share < 1.0, share * solution.normal_impulses, np.inf)
             capped = solve_contacts(bodies, contacts, pairs, self._warm_start, settings, time_step, limits)
-            # Where it broke is told by the impulses that broke it.
-            solution = capped._replace(normal_impulses=solution.normal_impulses)
+            # Nobody enters what breaks before it has broken: in this step poses move as if it held. And where it broke
+            # is told by the impulses that broke it.
+            solution = capped._replace(
+                drift=solution.drift + solution.velocities - capped.velocities,
+                normal_impulses=solution.normal_impulses,
+            )
         return solution, overloaded
 
     def _strengths(self, masses: np.ndarray) -> np.ndarray:
