@@ -93,9 +93,11 @@ def test_film_strip_shows_the_run(bag: Path, tmp_path: Path) -> None:
         assert np.count_nonzero((red > blue + 0.2) & (red > green + 0.1)) > 60
     for before, after in zip(frames[:-1], frames[1:], strict=True):
         assert np.abs(before - after).max() > 0.2
+
     # the pale crack faces come with the break
     def pale_blue(frame: np.ndarray) -> int:
         return np.count_nonzero((frame[..., 2] > 0.6) & (frame[..., 2] > frame[..., 0] + 0.08))
+
     assert pale_blue(frames[-1]) > pale_blue(frames[0])
     again = tmp_path / "again.png"
     render_film_strip(bag, again, frames=6, width=WIDTH, height=HEIGHT, samples=2)

@@ -129,9 +129,7 @@ def bowl(diameter: float, thickness: float, edge_length: float, depth: float, la
     _require_affordable(18 * rings**2 * layers)
     ring, azimuth, triangles = _disc(rings)
     polar = opening * ring / rings
-    directions = np.column_stack(
-        (np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), -np.cos(polar))
-    )
+    directions = np.column_stack((np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), -np.cos(polar)))
     radii = np.linspace(outer - thickness, outer, layers + 1)
     vertices = (radii[:, None, None] * directions).reshape(-1, 3) + (0.0, 0.0, outer - depth)
     return _oriented(vertices, _prisms(triangles, len(directions), layers))
