@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from fracture_collision.core.warm_up import compile_all
+from fracture_collision.world.warm_up import compile_kernels
 
 
 def main() -> None:
-    compile_all(progress=print)
+    compile_kernels(progress=print)
 
 
 if __name__ == "__main__":

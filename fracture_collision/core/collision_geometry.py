@@ -27,9 +27,6 @@ from fracture_collision.core.tet_mesh import TetMesh
 # as a share of the longest edge, keeps the tree of a long shelf small and a cube's edge well covered.
 BOX_EDGE_SPACING = 1.0 / 64.0
 
-# A crossing counts as a point of its fragment's surface up to this share of R, the rounding of a few products.
-ON_CRACK_TOLERANCE = 1e-12
-
 
 class MassProperties(NamedTuple):
     mass: float  # [kg]
@@ -199,21 +196,23 @@ class CollisionGeometry:
             )
         boxes = np.empty((count, 6))
         boxes[:, :3], boxes[:, 3:] = np.inf, -np.inf
-        on_crack = np.zeros((len(rows.prepared.mesh.edges), 2), np.uint8)
+        share = np.full((len(rows.prepared.mesh.edges), 2), np.inf)
+        fracture_update.crack_samples(
+            pools.mesh, pools.body, node_shift, edge_shift, tets, first, end, rows.edge, share
+        )
         polygons = fracture_update.rebuild_surfaces(
             pools.mesh, pools.body, node_shift, tet_shift, edge_shift, tets, first, end,
-            self._body["triangles"].used, rows.edge, ON_CRACK_TOLERANCE * self._fragment["radius"].view[row],
-            moments, boxes, self._gaps.view[first:], on_crack,
+            self._body["triangles"].used, rows.edge, share, moments, boxes, self._gaps.view[first:],
         )  # fmt: skip
         for name, array in zip(("triangles", "front", "back", "kind"), polygons, strict=True):
             self._body[name].append(array)
         self._fragment["box"].view[first:end] = boxes
         self._mark_cells(k, node_shift, tets, first, end, boxes)
-        self._split_tree(row, rows, nodes, parts, edges, planes, on_crack, first, count)
+        self._split_tree(row, rows, nodes, parts, edges, share, first, count)
         self._pools = None
         return first
 
-    def _split_tree(self, row, rows, nodes, parts, edges, planes, on_crack, first, count) -> None:
+    def _split_tree(self, row, rows, nodes, parts, edges, share, first, count) -> None:
         mesh = rows.prepared.mesh
         n = len(mesh.nodes)
         begin, end = (int(self._fragment[name].view[row]) for name in ("tree_begin", "tree_end"))
@@ -223,19 +222,27 @@ class CollisionGeometry:
         at_crack = old.sample >= n
         node = old.sample.copy()
         node[at_crack] = mesh.edges[(old.sample[at_crack] - n) // 2, (old.sample[at_crack] - n) % 2]
+        moved = self._move_samples(old, mesh, at_crack, share)
         ends = mesh.edges[edges]
-        points = fracture_update.edge_crossings(mesh.nodes, ends, planes)
         samples = (n + 2 * np.asarray(edges, dtype=np.int32)[:, None] + np.arange(2, dtype=np.int32)).ravel()
         parents = ends.ravel()
         trees = split_sphere_tree(
-            old, part_of_node[node], count, np.repeat(points, 2, axis=0), samples, parents, part_of_node[parents]
-        )
+            old, part_of_node[node], count, moved, _edge_points(mesh, samples, share), samples, parents,
+            part_of_node[parents],
+        )  # fmt: skip
         for i, tree in enumerate(trees):
-            crossing = tree.sample >= n
-            tree.on_surface[crossing] = on_crack.ravel()[tree.sample[crossing] - n]
             at = self._append_tree(tree)
             self._fragment["tree_begin"].view[first + i] = at
             self._fragment["tree_end"].view[first + i] = at + len(tree.size)
+
+    @staticmethod
+    def _move_samples(tree: SphereTree, mesh: TetMesh, at_crack: np.ndarray, share: np.ndarray) -> bool:
+        """Put samples of older cracks where the new ones left them; returns whether any moved."""
+        points = _edge_points(mesh, tree.sample[at_crack], share)
+        moved = bool((points != tree.center[at_crack]).any())
+        if moved:
+            tree.center[at_crack] = points
+        return moved
 
     def _mark_cells(self, k, node_shift, tets, first, end, boxes) -> None:
         grid, dims = self._mesh["grid"].view[k], self._mesh["grid_dims"].view[k, :3]
@@ -311,6 +318,13 @@ class CollisionGeometry:
         self._meshes.append(rows)
         self._pools = None
         return rows
+
+
+def _edge_points(mesh: TetMesh, samples: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """Positions (q, 3) [m] of crack samples: the share of their edge from their own end."""
+    edge, side = (samples - len(mesh.nodes)) // 2, (samples - len(mesh.nodes)) % 2
+    own, far = mesh.nodes[mesh.edges[edge, side]], mesh.nodes[mesh.edges[edge, 1 - side]]
+    return own + share[edge, side][:, None] * (far - own)
 
 
 def _box_edge_points(half: np.ndarray) -> np.ndarray:

@@ -184,11 +184,15 @@ def outward_direction(pools, f, x, y, z, best, inside):
     """Unit direction out of f at the closest point `best`: across a face its normal, at a rim the line between the points."""
     d2, qx, qy, qz, feature, source = best
     d = math.sqrt(d2)
+    away = 1.0 if inside else -1.0
     if feature == ON_FACE or d <= DIRECTION_FLOOR * pools.fragment.radius[f]:
         nx, ny, nz = source_normal(pools, f, source)
         if nx * nx + ny * ny + nz * nz > 0.0:
-            return nx, ny, nz
+            # across a step between planes that disagree, the nearest face may be seen from behind
+            facing = away * (nx * (qx - x) + ny * (qy - y) + nz * (qz - z))
+            if facing >= 0.0 or d <= DIRECTION_FLOOR * pools.fragment.radius[f]:
+                return nx, ny, nz
+            return -nx, -ny, -nz
     if d == 0.0:
         return 0.0, 0.0, 1.0
-    sign = 1.0 / d if inside else -1.0 / d
-    return sign * (qx - x), sign * (qy - y), sign * (qz - z)
+    return away * (qx - x) / d, away * (qy - y) / d, away * (qz - z) / d

@@ -73,7 +73,7 @@ def _gap_of_triangle(corner, samples, count):
 
 
 @kernel
-def _samples_of_slot(corners, labels, label, cut_points, on_crack, surface_node, samples):
+def _samples_of_slot(corners, labels, label, crack_points, is_cut, surface_node, samples):
     """Surface samples of one fragment in a tetrahedron: its ends of the cut edges, its nodes of the old surface."""
     count = 0
     for i in range(4):
@@ -82,41 +82,80 @@ def _samples_of_slot(corners, labels, label, cut_points, on_crack, surface_node,
             count += 1
     for e in range(6):
         for end in range(2):
-            if on_crack[e, end] and labels[EDGE_FIRST[e] if end == 0 else EDGE_SECOND[e]] == label:
-                samples[count] = cut_points[e]
+            if is_cut[e] and labels[EDGE_FIRST[e] if end == 0 else EDGE_SECOND[e]] == label:
+                samples[count] = crack_points[e, end]
                 count += 1
     return count
 
 
 @kernel
-def _is_on_crack(slots, functionals, counts, slot_labels, label, point, tolerance):
-    """Whether fragment `label` owns a cut edge's point up to rounding.
+def _own_share_of_edge(slots, functionals, counts, own, start, end, roots):
+    """Share of the segment start - end (3,), from its start in slot `own`'s region, up to where another slot's begins.
 
-    A third fragment may own it: its cell reaches over the edge without holding an end (the virtual-node rule gives
-    an edge one cut). Then the point is no point of the first two's surface and must not be a sample of theirs.
+    Margins are piecewise linear along the segment; between two neighbouring roots of their differences the owner stays.
     """
-    own = -np.inf
-    largest = -np.inf
-    for s in range(slots):
-        m = margin(functionals[s], counts[s], point[0], point[1], point[2])
-        largest = max(largest, m)
-        if slot_labels[s] == label:
-            own = m
-    return own >= largest - tolerance
+    used = 0
+    for q in range(counts[own]):
+        f = functionals[own, q]
+        f0 = f[0] * start[0] + f[1] * start[1] + f[2] * start[2] - f[3]
+        f1 = f[0] * end[0] + f[1] * end[1] + f[2] * end[2] - f[3]
+        for s in range(slots):
+            if s == own:
+                continue
+            for r in range(counts[s]):
+                g = functionals[s, r]
+                d0 = f0 - (g[0] * start[0] + g[1] * start[1] + g[2] * start[2] - g[3])
+                d1 = f1 - (g[0] * end[0] + g[1] * end[1] + g[2] * end[2] - g[3])
+                if (d0 > 0.0) != (d1 > 0.0):
+                    roots[used] = min(max(d0 / (d0 - d1), 0.0), 1.0)
+                    used += 1
+    roots[:used].sort()
+    for i in range(used):
+        after = 0.5 * (roots[i] + (roots[i + 1] if i + 1 < used else 1.0))
+        x = start[0] + after * (end[0] - start[0])
+        y = start[1] + after * (end[1] - start[1])
+        z = start[2] + after * (end[2] - start[2])
+        mine = margin(functionals[own], counts[own], x, y, z)
+        for s in range(slots):
+            if s != own and margin(functionals[s], counts[s], x, y, z) > mine:
+                return roots[i]
+    return 1.0
 
 
 @kernel
-def edge_crossings(nodes, edges, planes):
-    """Points (k, 3) where planes (k, 4) cross edges (k, 2): kept between the end nodes whatever the rounding."""
-    points = np.empty((len(edges), 3))
-    for i in range(len(edges)):
-        a, b, p = nodes[edges[i, 0]], nodes[edges[i, 1]], planes[i]
-        va = p[0] * a[0] + p[1] * a[1] + p[2] * a[2] - p[3]
-        vb = p[0] * b[0] + p[1] * b[1] + p[2] * b[2] - p[3]
-        t = min(max(va / (va - vb), 0.0), 1.0) if va != vb else 0.5
-        for d in range(3):
-            points[i, d] = a[d] + t * (b[d] - a[d])
-    return points
+def crack_samples(mesh, body, node_shift, edge_shift, tets, low, high, first_edge, share):
+    """Where the surfaces of fragments low .. high - 1 cross their cut edges: fills share (mesh edges, 2).
+
+    share[e, side]: from the edge's node `side`, in parts of the edge, how far its fragment reaches in every tetrahedron
+    of `tets` around the edge. With planes that agree both shares end in the crossing. Where a third fragment's cell
+    reaches over the edge without holding an end, or planes disagree, they end before: a sample is never inside another
+    fragment that is in place. Entries that no cut edge of these fragments needs keep their value.
+    """
+    labels = np.empty(4, dtype=np.int64)
+    functionals = np.empty((4, 4, 4))
+    counts = np.empty(4, dtype=np.int64)
+    roots = np.empty(64)
+    for t in tets:
+        cut = False
+        for e in range(6):
+            cut = cut or body.edge_plane[mesh.tetrahedron_edges[t, e] + edge_shift] >= 0
+        if not cut:
+            continue
+        slots = load_margins(mesh, body, node_shift, edge_shift, t, labels, functionals, counts)
+        for e in range(6):
+            edge = mesh.tetrahedron_edges[t, e]
+            if body.edge_plane[edge + edge_shift] < 0:
+                continue
+            for side in range(2):
+                label = body.node_fragment[mesh.edges[edge, side] + node_shift]
+                if label < low or label >= high:
+                    continue
+                own = 0
+                while labels[own] != label:
+                    own += 1
+                start, end = mesh.nodes[mesh.edges[edge, side]], mesh.nodes[mesh.edges[edge, 1 - side]]
+                reach = _own_share_of_edge(slots, functionals, counts, own, start, end, roots)
+                share[edge - first_edge, side] = min(share[edge - first_edge, side], reach)
 
 
 @kernel
@@ -194,15 +233,14 @@ def tetrahedra_shared_by_three(mesh, body, node_shift, tets, low, high):
 
 @kernel
 def rebuild_surfaces(
-    mesh, body, node_shift, tet_shift, edge_shift, tets, low, high, first_polygon, first_edge, tolerance,
-    moments, boxes, gaps, on_crack,
+    mesh, body, node_shift, tet_shift, edge_shift, tets, low, high, first_polygon, first_edge, share,
+    moments, boxes, gaps,
 ):  # fmt: skip
     """Polygons of all cut tetrahedra among `tets`, and moments, boxes, sampling gaps of fragments low .. high - 1.
 
-    Labels and planes in `body` are those after the fracture. Writes body.cut_begin / cut_count (rows from
-    `first_polygon` on), adds to `moments` (F, 10), grows `boxes` (high - low, 6) and `gaps` (high - low,). Sets
-    on_crack (mesh edges, 2) to 1 where the fragment at that end of a cut edge has the crossing on its surface, to
-    within `tolerance` [m]. Returns the new rows (triangles, front, back, kind).
+    Labels and planes in `body` are those after the fracture, `share` is what crack_samples filled. Writes body.cut_begin / cut_count (rows from
+    `first_polygon` on), adds to `moments` (F, 10), grows `boxes` (high - low, 6) and `gaps` (high - low,). Returns the
+    new rows (triangles, front, back, kind).
     """
     capacity = 64
     out_triangles = np.empty((capacity, 9))
@@ -221,16 +259,9 @@ def rebuild_surfaces(
     corner_labels = np.empty(4, dtype=np.int64)
     surface_node = np.empty(4, dtype=np.uint8)
     is_cut = np.empty(6, dtype=np.uint8)
-    cut_points = np.empty((6, 3))
+    crack_points = np.empty((6, 2, 3))
     samples = np.empty((16, 3))
     corner_triangle = np.empty(9)
-    local_on_crack = np.zeros((6, 2), dtype=np.uint8)
-    crack_points = np.empty((64, 3))
-    crack_labels = np.empty(64, dtype=np.int64)
-    crack_count = 0
-    bare_triangles = np.empty((16, 9))
-    bare_labels = np.empty(16, dtype=np.int64)
-    bare_count = 0
     for t in tets:
         for i in range(4):
             v = mesh.tetrahedra[t, i]
@@ -252,36 +283,16 @@ def rebuild_surfaces(
                     gaps[first - low] = max(gaps[first - low], _gap_of_triangle(corner_triangle, corners, 4))
             continue
         for e in range(6):
-            p = body.edge_plane[mesh.tetrahedron_edges[t, e] + edge_shift]
-            is_cut[e] = 1 if p >= 0 else 0
-            if p >= 0:
-                a, b, plane = corners[EDGE_FIRST[e]], corners[EDGE_SECOND[e]], body.planes[p]
-                va = plane[0] * a[0] + plane[1] * a[1] + plane[2] * a[2] - plane[3]
-                vb = plane[0] * b[0] + plane[1] * b[1] + plane[2] * b[2] - plane[3]
-                s = min(max(va / (va - vb), 0.0), 1.0) if va != vb else 0.5
-                for d in range(3):
-                    cut_points[e, d] = a[d] + s * (b[d] - a[d])
+            edge = mesh.tetrahedron_edges[t, e]
+            is_cut[e] = 1 if body.edge_plane[edge + edge_shift] >= 0 else 0
+            if is_cut[e]:
+                flipped = 1 if mesh.tetrahedra[t, EDGE_FIRST[e]] > mesh.tetrahedra[t, EDGE_SECOND[e]] else 0
+                for end in range(2):
+                    own, far = (EDGE_FIRST[e], EDGE_SECOND[e]) if end == 0 else (EDGE_SECOND[e], EDGE_FIRST[e])
+                    part = share[edge - first_edge, end if flipped == 0 else 1 - end]
+                    for d in range(3):
+                        crack_points[e, end, d] = corners[own, d] + part * (corners[far, d] - corners[own, d])
         slots = load_margins(mesh, body, node_shift, edge_shift, t, labels, functionals, counts)
-        local_on_crack[:] = 0
-        for e in range(6):
-            for end in range(2):
-                label = corner_labels[EDGE_FIRST[e] if end == 0 else EDGE_SECOND[e]]
-                if not is_cut[e] or label < low or label >= high:
-                    continue
-                if not _is_on_crack(slots, functionals, counts, labels, label, cut_points[e], tolerance):
-                    continue
-                local_on_crack[e, end] = 1
-                a, b = mesh.tetrahedra[t, EDGE_FIRST[e]], mesh.tetrahedra[t, EDGE_SECOND[e]]
-                side = end if a < b else 1 - end
-                edge = mesh.tetrahedron_edges[t, e] - first_edge
-                if not on_crack[edge, side]:
-                    on_crack[edge, side] = 1
-                    if crack_count == len(crack_points):
-                        crack_points = np.concatenate((crack_points, np.empty_like(crack_points)))
-                        crack_labels = np.concatenate((crack_labels, np.empty_like(crack_labels)))
-                    crack_points[crack_count] = cut_points[e]
-                    crack_labels[crack_count] = label
-                    crack_count += 1
         used = partition(corners, slots, functionals, counts, triangles, fronts, backs, kinds)
         body.cut_begin[t + tet_shift] = first_polygon + written
         o = corners[0]
@@ -314,17 +325,9 @@ def rebuild_surfaces(
                 s = fronts[i] if side == 0 else backs[i]
                 if s >= 0 and low <= labels[s] < high:
                     count = _samples_of_slot(
-                        corners, corner_labels, labels[s], cut_points, local_on_crack, surface_node, samples
+                        corners, corner_labels, labels[s], crack_points, is_cut, surface_node, samples
                     )
-                    if count:
-                        gaps[labels[s] - low] = max(gaps[labels[s] - low], _gap_of_triangle(p, samples, count))
-                        continue
-                    if bare_count == len(bare_triangles):
-                        bare_triangles = np.concatenate((bare_triangles, np.empty_like(bare_triangles)))
-                        bare_labels = np.concatenate((bare_labels, np.empty_like(bare_labels)))
-                    bare_triangles[bare_count] = p
-                    bare_labels[bare_count] = labels[s]
-                    bare_count += 1
+                    gaps[labels[s] - low] = max(gaps[labels[s] - low], _gap_of_triangle(p, samples, count))
             if written == capacity:
                 capacity *= 2
                 grown = np.empty((capacity, 9))
@@ -345,11 +348,6 @@ def rebuild_surfaces(
             out_kind[written] = kinds[i]
             written += 1
         body.cut_count[t + tet_shift] = first_polygon + written - body.cut_begin[t + tet_shift]
-    # triangles in a tetrahedron without a sample of theirs: the nearest one may be anywhere on the crack
-    for i in range(bare_count):
-        own = crack_points[:crack_count][crack_labels[:crack_count] == bare_labels[i]]
-        k = bare_labels[i] - low
-        gaps[k] = max(gaps[k], _gap_of_triangle(bare_triangles[i], own, len(own)))
     return out_triangles[:written], out_front[:written], out_back[:written], out_kind[:written]
 
 

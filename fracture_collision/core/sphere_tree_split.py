@@ -180,7 +180,7 @@ def _merge(old, first_new, next_new, new_points, new_samples, out):
 
 
 @kernel
-def _take(center, radius, size, sample, on_surface, leaf_fragment, kept, new_size, fragment):
+def _take(center, radius, size, sample, on_surface, leaf_fragment, moved, kept, new_size, fragment):
     """Copy the kept entries into a tree of their own, restructured; radii exact."""
     n = len(kept)
     c = np.empty((n, 3))
@@ -195,7 +195,7 @@ def _take(center, radius, size, sample, on_surface, leaf_fragment, kept, new_siz
             c[i, k] = center[o, k]
         r[i], s[i], surface[i] = radius[o], sample[o], on_surface[o]
         # a smaller subtree than before: descendants are missing
-        stale[i] = 1 if new_size[i] != size[o] else 0
+        stale[i] = 1 if moved or new_size[i] != size[o] else 0
         lost[i] = 1 if leaf_fragment[o] != fragment else 0
     _restructure(c, new_size, s, surface, lost, stale)
     update_radii(c, new_size, r, stale)
@@ -206,6 +206,7 @@ def split_sphere_tree(
     tree: SphereTree,
     fragment_of_sample: np.ndarray,
     fragments: int,
+    moved: bool,
     new_points: np.ndarray,
     new_samples: np.ndarray,
     new_parents: np.ndarray,
@@ -213,7 +214,8 @@ def split_sphere_tree(
 ) -> list[SphereTree]:
     """One tree a fragment, 0 .. fragments - 1, from the tree of the fragment that broke.
 
-    fragment_of_sample: (entries,) int32, fragment of each entry's point. The new surface points: `new_points` (q, 3)
+    fragment_of_sample: (entries,) int32, fragment of each entry's point; moved: some centres are
+    not where the radii were computed. The new surface points: `new_points` (q, 3)
     [m], their sample indices, the samples of the mesh nodes they hang under, and their fragments (q,).
     """
     mask = np.zeros(len(tree.size), dtype=np.uint64)
@@ -227,7 +229,7 @@ def split_sphere_tree(
         if fragment % BATCH == 0:
             _presence(tree.size, fragment_of_sample, fragment, mask)
         n = _extract(tree.size, mask, np.uint64(1) << np.uint64(fragment % BATCH), kept, new_size)
-        center, radius, sample, surface = _take(*tree, fragment_of_sample, kept[:n], new_size[:n].copy(), fragment)
+        center, radius, sample, surface = _take(*tree, fragment_of_sample, moved, kept[:n], new_size[:n].copy(), fragment)
         own = by_fragment[bounds[fragment] : bounds[fragment + 1]]
         old = SphereTree(center, radius, new_size[:n].copy(), sample, surface)
         trees.append(_extend(old, leaf_of, new_points[own], new_samples[own], new_parents[own]))

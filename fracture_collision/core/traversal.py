@@ -184,9 +184,7 @@ def query_pair(
             bound = min(bound, deepest)
         current, following = following, current
         size = sizes1
-    if bound > 0.0:
-        bound += slack
-    return count, bound, visits, exhausted
+    return count, bound + slack, visits, exhausted
 
 
 @kernel

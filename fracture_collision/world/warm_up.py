@@ -1,0 +1,63 @@
+"""Brings every kernel of the service into memory: from numba's cache in a second, by compiling in a minute or two.
+
+One small scene that uses all kinds of shapes, a fracture, and every query.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+import fracture_collision
+from fracture_collision.geometry.generators import brick
+from fracture_collision.geometry.tetrahedra import unique_edges
+from fracture_collision.records import BOX, SPHERE, CollisionBody, FractureEvent, FragmentStates, SolidPrimitive
+from fracture_collision.world.collision_world import CollisionWorld
+from fracture_collision.world.settings import Settings
+
+
+def cache_is_cold() -> bool:
+    """Whether the largest kernel has no file in the cache beside its source: the first start compiles."""
+    cache = Path(fracture_collision.__file__).parent / "core" / "__pycache__"
+    return not any(cache.glob("narrow_phase._query_share*.nbc"))
+
+
+def compile_kernels(progress: Callable[[str], None]) -> None:
+    """Run the small scene; `progress` is called with words before each stage."""
+    world = CollisionWorld(Settings(threads=2))
+    geometry = brick((1.0, 0.5, 0.5), 0.5)
+    progress("bodies: mesh preprocess, sphere trees (1 of 3)")
+    world.add_body(_tetrahedral_body(geometry.vertices, geometry.tetrahedra))
+    world.add_body(CollisionBody(2, 2, primitive=SolidPrimitive(SPHERE, (0.3,))))
+    world.add_body(CollisionBody(3, 3, primitive=SolidPrimitive(BOX, (1.0, 1.0, 1.0)), is_static=True))
+    world.add_body(CollisionBody(4, 4, plane=np.array([0.0, 0.0, 1.0, 0.0]), is_static=True))
+    progress("contacts: broad phase, Algorithm 1, exact field (2 of 3)")
+    world.contacts(_states(1, 0, np.array([1, 2])))
+    progress("fracture: crack polygons, tree splitting, masses (3 of 3)")
+    world.add_fracture(_halving(geometry.vertices, geometry.tetrahedra))
+    world.contacts(_states(2, 1, np.array([2, 5, 6])))
+    world.fragments()
+    world.fragment_mesh(5)
+
+
+def _tetrahedral_body(vertices: np.ndarray, tetrahedra: np.ndarray) -> CollisionBody:
+    return CollisionBody(1, 1, vertices=vertices.ravel(), tetrahedra=tetrahedra.ravel())
+
+
+def _states(step: int, sequence: int, ids: np.ndarray) -> FragmentStates:
+    count = len(ids)
+    positions = np.column_stack([np.linspace(0.0, 0.1, count), np.zeros(count), np.full(count, 0.2)])
+    return FragmentStates(step, sequence, ids, positions.ravel(), np.tile([0.0, 0.0, 0.0, 1.0], count))
+
+
+def _halving(vertices: np.ndarray, tetrahedra: np.ndarray) -> FractureEvent:
+    """A flat crack across the brick, off its nodes."""
+    offset = 0.1
+    parts = (vertices[:, 0] > offset).astype(np.int64)
+    edges = unique_edges(tetrahedra)
+    edges = edges[parts[edges[:, 0]] != parts[edges[:, 1]]]
+    towards = np.where(parts[edges[:, 1]] == 1, 1.0, -1.0)
+    planes = np.column_stack([towards, np.zeros((len(edges), 2)), towards * offset])
+    return FractureEvent(1, 1, 1, np.array([5, 6]), np.arange(len(vertices)), parts, edges.ravel(), planes.ravel())

@@ -1,0 +1,68 @@
+"""Fractured bodies for tests: the service's world and the slow oracle, fed the same events."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from oracles.fracture_patterns import curved_event, voronoi_event
+from oracles.fragmented_body import FragmentedBody
+
+from fracture_collision.geometry.generators import TetGeometry
+from fracture_collision.records import CollisionBody, FractureEvent, FragmentStates
+from fracture_collision.world import CollisionWorld, Settings
+
+DENSITY = 2500.0
+SETTINGS = Settings(threads=1)
+
+
+class FracturedWorld(NamedTuple):
+    world: CollisionWorld
+    oracle: FragmentedBody
+    generations: int
+    curved: bool
+    messages: tuple[list[CollisionBody], list[FractureEvent]]  # what built the world
+
+    def states(self, jitter: float = 0.0, seed: int = 0, step: int = 1) -> FragmentStates:
+        """All fragments in place, moved by up to about `jitter` [m] and turned by as much over the body's size."""
+        ids = np.array(self.oracle.fragment_ids)
+        random = np.random.default_rng(seed)
+        positions = random.uniform(-jitter, jitter, (len(ids), 3))
+        half = 0.5 * np.ptp(self.oracle.vertices, axis=0).max()
+        turns = random.uniform(-jitter / half, jitter / half, (len(ids), 3)) / 2
+        quaternions = np.column_stack([turns, np.ones(len(ids))])
+        quaternions /= np.linalg.norm(quaternions, axis=1)[:, None]
+        return FragmentStates(step, self.generations, ids, positions.ravel(), quaternions.ravel())
+
+    def row(self, fragment_id: int) -> int:
+        return self.world._registry.row_of(fragment_id)
+
+    @property
+    def geometry(self):
+        return self.world._registry.geometry
+
+
+def fractured_world(
+    body: TetGeometry, seeds: int, generations: int = 1, curved: bool = False, settings: Settings = SETTINGS, seed: int = 3
+) -> FracturedWorld:
+    """Break a body, then the largest fragment again, and so on."""
+    random = np.random.default_rng(seed)
+    world, oracle = CollisionWorld(settings), FragmentedBody(body.vertices, body.tetrahedra)
+    bodies = [CollisionBody(1, 1, vertices=body.vertices.ravel(), tetrahedra=body.tetrahedra.ravel(), density=DENSITY)]
+    events: list[FractureEvent] = []
+    world.add_body(bodies[0])
+    make = curved_event if curved else voronoi_event
+    next_id, victim = 2, 1
+    for generation in range(generations):
+        inside = body.vertices[oracle.labels == victim]
+        low, high = inside.min(axis=0), inside.max(axis=0)
+        event = make(oracle, victim, random.uniform(low, high, (seeds, 3)), next_id, generation + 1)
+        oracle.apply(event)
+        world.add_fracture(event)
+        events.append(event)
+        next_id += len(event.new_fragment_ids)
+        ids, counts = np.unique(oracle.labels, return_counts=True)
+        victim = int(ids[np.argmax(counts)])
+    made = FracturedWorld(world, oracle, generations, curved, (bodies, events))
+    world.contacts(made.states())
+    return made

@@ -1,0 +1,97 @@
+"""Sphere trees: the order, the tree of a whole body, and its parts after fractures."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from fractured_worlds import fractured_world
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fracture_collision.core.max_distance_order import max_distance_order
+from fracture_collision.core.sphere_tree import SphereTree, build_sphere_tree, validate_sphere_tree
+from fracture_collision.geometry.generators import ball, plate
+
+
+def _order_by_definition(points: np.ndarray) -> list[int]:
+    """Section 5.1 as written: the two furthest, then always the point furthest from its closest."""
+    distance = ((points[:, None] - points[None]) ** 2).sum(axis=2)
+    first, second = np.unravel_index(np.argmax(distance), distance.shape)
+    order = [int(first), int(second)]
+    while len(order) < len(points):
+        closest = distance[:, order].min(axis=1)
+        closest[order] = -1.0
+        order.append(int(np.argmax(closest)))
+    return order
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(2, 80), st.integers(0, 10_000), st.booleans())
+def test_order_is_the_papers(count: int, seed: int, on_lattice: bool) -> None:
+    random = np.random.default_rng(seed)
+    points = random.uniform(-1, 1, (count, 3))
+    if on_lattice:  # ties everywhere
+        points = np.unique(np.round(points * 2) / 2, axis=0)
+    ranks = max_distance_order(points)
+    if len(points) < 2:
+        return
+    assert ranks.order.tolist() == _order_by_definition(points)
+    for rank in range(1, len(points)):
+        level = int(np.ceil(np.log2(rank + 1)))
+        assert ranks.level[rank] == level
+        above = points[ranks.order[: 2 ** (level - 1)]]
+        nearest = ((above - points[ranks.order[rank]]) ** 2).sum(axis=1)
+        assert nearest[ranks.parent[rank]] == nearest.min()
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(1, 200), st.integers(0, 10_000))
+def test_a_built_tree_is_a_sphere_tree(count: int, seed: int) -> None:
+    points = np.random.default_rng(seed).uniform(-1, 1, (count, 3))
+    tree = build_sphere_tree(points, np.ones(count, np.uint8))
+    validate_sphere_tree(tree, np.arange(count))
+
+
+def test_the_validator_sees_a_broken_tree() -> None:
+    points = np.random.default_rng(0).uniform(-1, 1, (50, 3))
+    tree = build_sphere_tree(points, np.ones(50, np.uint8))
+    short = tree.radius.copy()
+    short[0] *= 0.9
+    with pytest.raises(AssertionError, match="does not hold a descendant"):
+        validate_sphere_tree(tree._replace(radius=short), np.arange(50))
+    with pytest.raises(AssertionError, match="not the fragment's samples"):
+        validate_sphere_tree(tree, np.arange(1, 51))
+
+
+@pytest.mark.parametrize("curved", [False, True], ids=["flat", "curved"])
+@pytest.mark.parametrize("body", [ball(1.0, 0.3), plate(2.0, 0.2, 0.3, 0.1)], ids=["ball", "plate"])
+def test_trees_stay_sphere_trees_through_five_generations(body, curved: bool) -> None:
+    case = fractured_world(body, seeds=5, generations=5, curved=curved)
+    mesh_nodes = len(body.vertices)
+    pools = case.geometry.pools
+    edges = case.oracle.edges.tolist()
+    for fragment in case.oracle.fragment_ids:
+        row = case.row(fragment)
+        part = slice(pools.fragment.tree_begin[row], pools.fragment.tree_end[row])
+        tree = SphereTree(*(array[part] for array in pools.tree))
+        ends = [
+            mesh_nodes + 2 * e + side
+            for e, edge in enumerate(edges)
+            for side in range(2)
+            if tuple(edge) in case.oracle.planes and case.oracle.labels[edge[side]] == fragment
+        ]
+        expected = np.concatenate([np.flatnonzero(case.oracle.labels == fragment), ends]).astype(np.int64)
+        validate_sphere_tree(tree, expected)
+
+
+def test_more_fragments_than_one_mask_holds() -> None:
+    case = fractured_world(ball(1.0, 0.16), seeds=120, generations=1)
+    assert len(case.oracle.fragment_ids) > 64
+    pools = case.geometry.pools
+    for fragment in case.oracle.fragment_ids:
+        row = case.row(fragment)
+        part = slice(pools.fragment.tree_begin[row], pools.fragment.tree_end[row])
+        tree = SphereTree(*(array[part] for array in pools.tree))
+        nodes = tree.sample[(tree.size == 1) & (tree.sample < len(case.oracle.vertices))]
+        assert np.array_equal(np.sort(nodes), np.flatnonzero(case.oracle.labels == fragment))
+        validate_sphere_tree(tree, tree.sample[tree.size == 1])
