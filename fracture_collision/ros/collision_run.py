@@ -52,15 +52,14 @@ class CollisionRun:
     def add_fracture(self, event: FractureEvent) -> list[Refusal]:
         """Takes an event, or holds it where its body has not arrived. An event held is reported as one refused, for
         it may be that the body never comes; a later event of the same sequence takes its place."""
-        if event.body_id in self.body_ids and not self._waits_for_earlier(event):
-            refusals = self._apply(event)
-            return refusals + self._apply_held_events()
-        if len(self._held_events) >= MAX_HELD_EVENTS:
+        if event.sequence <= self.event_count:
+            return self._apply(event)
+        if len(self._held_events) >= MAX_HELD_EVENTS and event.sequence not in self._held_events:
             reason = f"{MAX_HELD_EVENTS} events wait for their bodies already"
             return [Refusal("fracture_events", "limit_exceeded", reason)]
         self._held_events[event.sequence] = event
         if event.body_id in self.body_ids:
-            return []
+            return self._apply_held_events()
         reason = f"body_id: no body {event.body_id}; event {event.sequence} is held until it comes"
         return [Refusal("fracture_events", "unknown_id", reason)]
 
@@ -70,9 +69,6 @@ class CollisionRun:
             return self.world.contacts(states)
         except StatesAhead:
             return None
-
-    def _waits_for_earlier(self, event: FractureEvent) -> bool:
-        return any(sequence < event.sequence for sequence in self._held_events)
 
     def _apply(self, event: FractureEvent) -> list[Refusal]:
         try:

@@ -1,0 +1,109 @@
+"""Nodes as child processes on this machine alone: for the command line and for tests."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import os
+import random
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import IO, Any
+
+# Domains above this have ports that Linux hands out to anybody (REP 2000's "safe on all platforms").
+HIGHEST_DOMAIN_ID = 101
+_PORT_BASE, _PORTS_A_DOMAIN = 7400, 250  # of the DDS interoperability wire protocol, section 9.6.1
+_SET_PARENT_DEATH_SIGNAL = 1  # prctl's PR_SET_PDEATHSIG
+
+
+def free_domain_id() -> int:
+    """A ROS domain id that nobody on this machine uses. Raises RuntimeError if all are taken."""
+    candidates = list(range(1, HIGHEST_DOMAIN_ID + 1))
+    random.shuffle(candidates)  # others who look for one at the same moment should not find the same one
+    for domain_id in candidates:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as discovery:
+            try:
+                discovery.bind(("", _PORT_BASE + _PORTS_A_DOMAIN * domain_id))
+            except OSError:
+                continue
+            return domain_id
+    raise RuntimeError("all ROS domains of this machine are in use")
+
+
+def loopback_environment(domain_id: int) -> dict[str, str]:
+    """The environment in which nodes talk to this machine only, in a domain of their own."""
+    return os.environ | {"ROS_DOMAIN_ID": str(domain_id), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+
+
+class NodeProcess:
+    """One node in a process of its own, which ends with this one whatever happens."""
+
+    def __init__(
+        self,
+        module: str,
+        parameters: Mapping[str, Any],
+        domain_id: int,
+        log: Path,
+        stdout: int | None = None,
+    ) -> None:
+        """`module`: below fracture_collision.ros. The log gets stderr, and stdout too unless it goes elsewhere."""
+        given = [f"{name}:={json.dumps(value)}" for name, value in parameters.items()]
+        command = [sys.executable, "-m", f"fracture_collision.ros.{module}", "--ros-args"]
+        for assignment in given:
+            command += ["-p", assignment]
+        self.name = module
+        self.log = log
+        with log.open("ab") as stream:
+            self._process = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=stream if stdout is None else stdout,
+                stderr=stream,
+                text=True,
+                env=loopback_environment(domain_id),
+                start_new_session=True,  # Ctrl-C reaches the parent, which stops its nodes in order
+                preexec_fn=_die_with_parent,
+            )
+
+    @property
+    def stdout(self) -> IO[str]:
+        """With stdout=subprocess.PIPE."""
+        assert self._process.stdout is not None
+        return self._process.stdout
+
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
+    def exit_status(self) -> int | None:
+        """None while it runs; negative: the signal that ended it."""
+        return self._process.poll()
+
+    def send_signal(self, order: signal.Signals) -> None:
+        self._process.send_signal(order)
+
+    def wait(self, timeout: float) -> int:
+        """Exit status. Raises subprocess.TimeoutExpired."""
+        return self._process.wait(timeout)
+
+    def stop(self, patience: float = 10.0) -> int:
+        """Asks it to end, then makes it; returns its exit status."""
+        for order in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
+            if self._process.poll() is None:
+                self._process.send_signal(order)
+                try:
+                    self._process.wait(patience)
+                except subprocess.TimeoutExpired:
+                    continue
+        return self._process.wait()
+
+    def log_text(self) -> str:
+        return self.log.read_text(errors="replace")
+
+
+def _die_with_parent() -> None:
+    ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, signal.SIGTERM)

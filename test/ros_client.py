@@ -1,0 +1,86 @@
+"""A stranger's view of the service: talks to it over DDS as any simulator would. For tests."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+
+from fracture_collision.records import ContactConstraintArray, FragmentRegistry
+from fracture_collision.ros import qos
+from fracture_collision.ros.conversion import header, to_message, to_record
+
+PATIENCE = 60.0  # [s] for a machine that is busy with other things
+
+
+class ServiceClient:
+    """Publishes bodies, events and states; collects answers, registries and diagnostics."""
+
+    def __init__(self, domain_id: int) -> None:
+        self._context = Context()
+        rclpy.init(context=self._context, domain_id=domain_id)
+        self.node = rclpy.create_node("service_client", context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        self._publishers = {
+            topic.name: self.node.create_publisher(topic.message_class, topic.name, topic.qos)
+            for topic in (qos.BODIES, qos.FRACTURE_EVENTS, qos.FRAGMENT_STATES)
+        }
+        self.answers: list[Any] = []
+        self.registries: list[Any] = []
+        self.diagnostics: dict[str, str] = {}
+        self._refusals: dict[str, str] = {}
+        for topic, collected in ((qos.CONTACT_CONSTRAINTS, self.answers), (qos.FRAGMENTS, self.registries)):
+            self.node.create_subscription(
+                topic.message_class, topic.name, collected.append, qos.recording(topic.qos)
+            )
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+
+    def close(self) -> None:
+        self._executor.shutdown()
+        self.node.destroy_node()
+        self._context.try_shutdown()
+
+    def spin_until(self, condition: Callable[[], bool], what: str, patience: float = PATIENCE) -> None:
+        deadline = time.monotonic() + patience
+        while not condition():
+            assert time.monotonic() < deadline, f"in vain: {what}"
+            self._executor.spin_once(timeout_sec=0.1)
+
+    def await_service(self) -> None:
+        self.spin_until(lambda: self._publishers["fragment_states"].get_subscription_count() == 1, "a service")
+
+    def publish(self, topic: str, record: Any, run_id: int, time_stamp: float = 0.0) -> None:
+        self._publishers[topic].publish(to_message(record, header(time_stamp), run_id))
+
+    def ask(self, states: Any, run_id: int) -> ContactConstraintArray:
+        """Publishes states and waits for their answer."""
+        before = len(self.answers)
+        self.publish("fragment_states", states, run_id)
+        self.spin_until(lambda: len(self.answers) > before, f"an answer to step {states.step}")
+        assert len(self.answers) == before + 1 and self.answers[-1].run_id == run_id
+        return to_record(self.answers[-1])
+
+    def await_registry(self, run_id: int, fracture_sequence: int) -> FragmentRegistry:
+        wanted = (run_id, fracture_sequence)
+
+        def matching() -> list[Any]:
+            return [r for r in self.registries if (r.run_id, r.fracture_sequence) == wanted]
+
+        self.spin_until(lambda: bool(matching()), f"the registry after {fracture_sequence} events")
+        return to_record(matching()[-1])
+
+    def await_refusal(self, key: str, words: str) -> None:
+        """`key`: 'topic: kind' on /diagnostics; `words` must be in its last reason."""
+        self.spin_until(lambda: words in self._refusals.get(key, ""), f"a refusal under {key!r} with {words!r}")
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            self.diagnostics[status.name] = status.message
+            if status.name.endswith("refused messages"):
+                self._refusals = {value.key: value.value for value in status.values}
