@@ -12,6 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+# Squared change of the impulses over their squared size: what comes after is rounding.
+CONVERGED = 1.0e-20
+
 DIRECTION, ARM_A, ARM_B, SPIN_A, SPIN_B = 0, 3, 6, 9, 12
 
 
@@ -176,7 +179,7 @@ def sweep(rows, surfaces, targets, u, impulses, rolling, iterations):
             break
         u_step, step, rolling_step = u - u_before, impulses - before, rolling - rolling_before
         square = np.sum(step * step)
-        if square == 0.0:
+        if square <= CONVERGED * np.sum(impulses * impulses):
             break
         share = square / last_square if last_square > 0.0 else 0.0
         last_square = square

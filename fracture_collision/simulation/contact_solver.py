@@ -37,7 +37,6 @@ import numpy as np
 from fracture_collision.records import ContactConstraintArray
 from fracture_collision.simulation import contact_rows as kernels
 
-
 # A penetration of this many slops is more than a contact at rest ever has.
 DEEP = 5.0
 
@@ -52,6 +51,7 @@ class SolverSettings(NamedTuple):
     penetration_slop: float = 1.0e-4  # [m]
     drift_fraction: float = 0.2  # f, the share of the penetration taken out in one step
     drift_speed: float = 0.3  # v_max [m/s]
+    memory_reach: float = 2.5e-4  # [m] see contact_memory
 
 
 class RigidBodies(NamedTuple):

@@ -28,8 +28,10 @@ from fracture_collision.records import (
     FragmentRegistry,
     FragmentStates,
 )
+from fracture_collision.simulation import contact_memory
 from fracture_collision.simulation.breakable_body import BreakableBody
 from fracture_collision.simulation.bullet_world import BulletWorld
+from fracture_collision.simulation.contact_memory import with_remembered
 from fracture_collision.simulation.contact_solver import (
     NO_WARM_START,
     BodyPairs,
@@ -56,7 +58,7 @@ class StepRequest(NamedTuple):
 class StepReport(NamedTuple):
     step: int
     time: float  # [s] at the end of the step
-    contacts: int
+    contacts: int  # that the service listed
     fragments: int  # that can move and take part
     solver_seconds: float  # wall time of the contact solver
     fracture_seconds: float  # wall time of making the patterns
@@ -102,6 +104,8 @@ class Simulation:
         self._announced = False
         self._held_together: set[int] = set()  # fragments that were hit hard enough but found no pattern to break by
         self._warm_start = NO_WARM_START
+        self._memory = contact_memory.NOTHING
+        self._asked: FragmentStates | None = None
 
     @property
     def time(self) -> float:
@@ -129,11 +133,14 @@ class Simulation:
                 body.position, body.orientation, body.linear_velocity, body.angular_velocity
             )
         bodies = [] if self._announced else self.start_bodies()
-        return StepRequest(self._states(), bodies, list(self._events))
+        self._asked = self._states()
+        return StepRequest(self._asked, bodies, list(self._events))
 
     def finish_step(self, contacts: ContactConstraintArray, registry: FragmentRegistry) -> StepReport:
         """Takes the answer and goes one time step on. ValueError where it is the answer to another question."""
         asked = (self._step, self._sequence)
+        if self._asked is None or self._asked.step != self._step:
+            raise ValueError(f"step {self._step} has not begun")
         if (contacts.step, contacts.fracture_sequence) != asked or registry.fracture_sequence != self._sequence:
             raise ValueError(
                 f"asked for (step, fracture_sequence) {asked}, got contacts of"
@@ -143,6 +150,10 @@ class Simulation:
         self._admit_waiting(registry)
         states = self._engine.states()
         started = time.perf_counter()
+        listed, deepest_gap = len(contacts.gaps), float(contacts.gaps.min(initial=0.0))
+        contacts, self._memory = with_remembered(
+            contacts, self._asked, self._memory, self._scene.solver.memory_reach
+        )
         pairs = self._body_pairs(contacts, states)
         bodies = self._rigid_bodies(states)
         solution, overloaded = self._solve(bodies, contacts, pairs)
@@ -162,7 +173,7 @@ class Simulation:
         return StepReport(
             step=asked[0],
             time=self.time,
-            contacts=len(contacts.gaps),
+            contacts=listed,
             fragments=len(moved.fragment_ids),
             solver_seconds=solver_seconds,
             fracture_seconds=time.perf_counter() - started,
@@ -170,7 +181,7 @@ class Simulation:
             potential_energy=-float(moved.masses @ (moved.centers @ self._scene.gravity)),
             drift_energy=lifted,
             max_speed=float(np.linalg.norm(moved.linear, axis=1).max(initial=0.0)),
-            deepest_gap=float(contacts.gaps.min(initial=0.0)),
+            deepest_gap=deepest_gap,
             events=list(self._events),
         )
 

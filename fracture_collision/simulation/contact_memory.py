@@ -1,0 +1,125 @@
+"""Contacts of the last steps that the service has not listed again, carried along with their bodies.
+
+The service lists a pair's first few contacts and beyond them only those deeper than a tolerance (Glondu 2014, section
+5.2). Which these are changes from step to step, so a shard at rest would lose a support, sink by the tolerance, get it
+back, and never lie still. A contact therefore stays in the pair's manifold, as in Bullet's persistent manifolds, while
+both bodies touch elsewhere too, and until its witness points, each fixed to its body, part or slip too far.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from fracture_collision.records import ContactConstraintArray, FragmentStates
+from fracture_collision.simulation.rotations import rotation_matrices
+
+
+class ContactMemory(NamedTuple):
+    """All contacts of a step, remembered ones among them, each point in its body's frame."""
+
+    fragment_a: np.ndarray  # (p,) uint32, ascending by (a, b)
+    fragment_b: np.ndarray
+    pair_begin: np.ndarray  # (p + 1,) int64
+    contact_ids: np.ndarray  # (N,) uint64
+    points_a: np.ndarray  # (N, 3) [m], frame of a
+    points_b: np.ndarray  # (N, 3) [m], frame of b
+    normals: np.ndarray  # (N, 3), frame of a
+
+
+NOTHING = ContactMemory(
+    np.zeros(0, np.uint32), np.zeros(0, np.uint32), np.zeros(1, np.int64), np.zeros(0, np.uint64),
+    np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)),
+)  # fmt: skip
+
+
+def with_remembered(
+    contacts: ContactConstraintArray, states: FragmentStates, memory: ContactMemory, reach: float
+) -> tuple[ContactConstraintArray, ContactMemory]:
+    """The contacts, each pair's followed by what is remembered of it, and the memory of both for the next step.
+
+    `states` are those that `contacts` answer; a fragment they do not name is static, its frame the world's. `reach` is
+    the distance [m] by which a remembered contact may open or slip.
+    """
+    order = np.argsort(states.fragment_ids)
+    ids = states.fragment_ids[order]
+    positions = np.concatenate((states.positions.reshape(-1, 3)[order], np.zeros((1, 3))))
+    quaternions = np.concatenate((states.orientations.reshape(-1, 4)[order], [[0.0, 0.0, 0.0, 1.0]]))
+
+    def frames_of(fragments: np.ndarray) -> np.ndarray:
+        rows = np.searchsorted(ids, fragments)
+        return np.where(np.append(ids, 0)[rows] == fragments, rows, len(ids))
+
+    begin, contact_ids, points_a, points_b, normals, gaps, *local = _merge(
+        contacts.fragment_a, contacts.fragment_b, contacts.pair_begin.astype(np.int64), contacts.contact_ids,
+        contacts.points_a.reshape(-1, 3), contacts.points_b.reshape(-1, 3), contacts.normals.reshape(-1, 3),
+        contacts.gaps, frames_of(contacts.fragment_a), frames_of(contacts.fragment_b), positions,
+        rotation_matrices(quaternions), memory, reach,
+    )  # fmt: skip
+    merged = contacts._replace(
+        pair_begin=begin, contact_ids=contact_ids, points_a=points_a.ravel(), points_b=points_b.ravel(),
+        normals=normals.ravel(), gaps=gaps,
+    )  # fmt: skip
+    return merged, ContactMemory(contacts.fragment_a, contacts.fragment_b, begin, contact_ids, *local)
+
+
+@njit(cache=True)
+def _merge(
+    fragment_a, fragment_b, begin, contact_ids, points_a, points_b, normals, gaps, frame_a, frame_b, positions,
+    rotations, memory, reach,
+):  # fmt: skip
+    room = len(gaps) + len(memory.contact_ids)
+    out_begin = np.zeros(len(fragment_a) + 1, dtype=np.int64)
+    out_ids = np.empty(room, dtype=np.uint64)
+    out_a, out_b, out_normals, out_gaps = np.empty((room, 3)), np.empty((room, 3)), np.empty((room, 3)), np.empty(room)
+    local_a, local_b, local_normals = np.empty((room, 3)), np.empty((room, 3)), np.empty((room, 3))
+    count = 0
+    old = 0
+    for pair in range(len(fragment_a)):
+        a, b = fragment_a[pair], fragment_b[pair]
+        position_a, rotation_a = positions[frame_a[pair]], rotations[frame_a[pair]]
+        position_b, rotation_b = positions[frame_b[pair]], rotations[frame_b[pair]]
+        for c in range(begin[pair], begin[pair + 1]):
+            out_ids[count] = contact_ids[c]
+            out_a[count], out_b[count] = points_a[c], points_b[c]
+            out_normals[count], out_gaps[count] = normals[c], gaps[c]
+            local_a[count] = rotation_a.T @ (points_a[c] - position_a)
+            local_b[count] = rotation_b.T @ (points_b[c] - position_b)
+            local_normals[count] = rotation_a.T @ normals[c]
+            count += 1
+        while old < len(memory.fragment_a) and (
+            memory.fragment_a[old] < a or (memory.fragment_a[old] == a and memory.fragment_b[old] < b)
+        ):
+            old += 1
+        if old < len(memory.fragment_a) and memory.fragment_a[old] == a and memory.fragment_b[old] == b:
+            for m in range(memory.pair_begin[old], memory.pair_begin[old + 1]):
+                if _listed(contact_ids, begin[pair], begin[pair + 1], memory.contact_ids[m]):
+                    continue
+                point_a = rotation_a @ memory.points_a[m] + position_a
+                point_b = rotation_b @ memory.points_b[m] + position_b
+                normal = rotation_a @ memory.normals[m]
+                apart = point_b - point_a
+                gap = apart @ normal
+                slip = apart - gap * normal
+                if gap > reach or slip @ slip > reach * reach:
+                    continue
+                out_ids[count] = memory.contact_ids[m]
+                out_a[count], out_b[count], out_normals[count], out_gaps[count] = point_a, point_b, normal, gap
+                local_a[count], local_b[count] = memory.points_a[m], memory.points_b[m]
+                local_normals[count] = memory.normals[m]
+                count += 1
+        out_begin[pair + 1] = count
+    return (
+        out_begin, out_ids[:count], out_a[:count], out_b[:count], out_normals[:count], out_gaps[:count],
+        local_a[:count], local_b[:count], local_normals[:count],
+    )  # fmt: skip
+
+
+@njit(cache=True)
+def _listed(contact_ids, first, end, wanted):
+    for c in range(first, end):  # noqa: SIM110 (compiled)
+        if contact_ids[c] == wanted:
+            return True
+    return False

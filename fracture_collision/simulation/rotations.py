@@ -1,0 +1,39 @@
+"""Quaternions (x, y, z, w) of many bodies at once."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True)
+def rotation_matrices(quaternions):
+    """(n, 4) unit quaternions as (n, 3, 3) matrices."""
+    result = np.empty((len(quaternions), 3, 3))
+    for i in range(len(quaternions)):
+        x, y, z, w = quaternions[i]
+        result[i, 0, 0] = 1.0 - 2.0 * (y * y + z * z)
+        result[i, 0, 1] = 2.0 * (x * y - z * w)
+        result[i, 0, 2] = 2.0 * (x * z + y * w)
+        result[i, 1, 0] = 2.0 * (x * y + z * w)
+        result[i, 1, 1] = 1.0 - 2.0 * (x * x + z * z)
+        result[i, 1, 2] = 2.0 * (y * z - x * w)
+        result[i, 2, 0] = 2.0 * (x * z - y * w)
+        result[i, 2, 1] = 2.0 * (y * z + x * w)
+        result[i, 2, 2] = 1.0 - 2.0 * (x * x + y * y)
+    return result
+
+
+@njit(cache=True)
+def quaternion_products(p, q):
+    """p q, row by row, to unit length: first q's rotation, then p's."""
+    result = np.empty_like(p)
+    for i in range(len(p)):
+        px, py, pz, pw = p[i]
+        qx, qy, qz, qw = q[i]
+        result[i, 0] = pw * qx + px * qw + py * qz - pz * qy
+        result[i, 1] = pw * qy - px * qz + py * qw + pz * qx
+        result[i, 2] = pw * qz + px * qy - py * qx + pz * qw
+        result[i, 3] = pw * qw - px * qx - py * qy - pz * qz
+        result[i] /= np.sqrt(np.sum(result[i] * result[i]))
+    return result
