@@ -9,8 +9,9 @@ import math
 
 from fracture_collision.core.compiled import kernel
 
+# Which part of a triangle (a, b, c) holds its closest point: the face, an edge ab, bc or ca (1 .. 3), a corner (4 .. 6).
 ON_FACE = 0
-ON_RIM = 1
+ON_RIM = 1  # and above: an edge or a corner
 
 
 @kernel
@@ -24,42 +25,47 @@ def box_distance_squared(x, y, z, box):
 
 @kernel
 def closest_on_triangle(px, py, pz, ax, ay, az, bx, by, bz, cx, cy, cz):
-    """Closest point of a triangle: (squared distance, x, y, z, feature); feature ON_FACE if interior, else ON_RIM."""
+    """Closest point of a triangle: (squared distance, x, y, z, feature 0 .. 6)."""
     abx, aby, abz = bx - ax, by - ay, bz - az
     acx, acy, acz = cx - ax, cy - ay, cz - az
     apx, apy, apz = px - ax, py - ay, pz - az
     d1 = abx * apx + aby * apy + abz * apz
     d2 = acx * apx + acy * apy + acz * apz
-    feature = ON_RIM
     if d1 <= 0.0 and d2 <= 0.0:
         qx, qy, qz = ax, ay, az
+        feature = 4
     else:
         bpx, bpy, bpz = px - bx, py - by, pz - bz
         d3 = abx * bpx + aby * bpy + abz * bpz
         d4 = acx * bpx + acy * bpy + acz * bpz
         if d3 >= 0.0 and d4 <= d3:
             qx, qy, qz = bx, by, bz
+            feature = 5
         else:
             vc = d1 * d4 - d3 * d2
             if vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
                 v = d1 / (d1 - d3)
                 qx, qy, qz = ax + v * abx, ay + v * aby, az + v * abz
+                feature = 1
             else:
                 cpx, cpy, cpz = px - cx, py - cy, pz - cz
                 d5 = abx * cpx + aby * cpy + abz * cpz
                 d6 = acx * cpx + acy * cpy + acz * cpz
                 if d6 >= 0.0 and d5 <= d6:
                     qx, qy, qz = cx, cy, cz
+                    feature = 6
                 else:
                     vb = d5 * d2 - d1 * d6
                     if vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
                         w = d2 / (d2 - d6)
                         qx, qy, qz = ax + w * acx, ay + w * acy, az + w * acz
+                        feature = 3
                     else:
                         va = d3 * d6 - d5 * d4
                         if va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
                             w = (d4 - d3) / ((d4 - d3) + (d5 - d6))
                             qx, qy, qz = bx + w * (cx - bx), by + w * (cy - by), bz + w * (cz - bz)
+                            feature = 2
                         else:
                             denominator = 1.0 / (va + vb + vc)
                             v, w = vb * denominator, vc * denominator
