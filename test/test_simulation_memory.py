@@ -1,0 +1,94 @@
+"""Contacts that the service leaves out for a step are carried along with their bodies."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from fracture_collision.records import ContactConstraintArray, FragmentStates
+from fracture_collision.simulation.contact_memory import NOTHING, with_remembered
+
+REACH = 2.5e-4
+
+
+def states_of(frames):
+    """frames: fragment id -> (position, rotation)."""
+    ids = sorted(frames)
+    return FragmentStates(
+        0, 0, np.array(ids, np.uint32),
+        np.concatenate([frames[i][0] for i in ids]), np.concatenate([frames[i][1].as_quat() for i in ids]),
+    )  # fmt: skip
+
+
+def contacts_of(*pairs):
+    """pairs: (a, b, [(id, point_a, point_b, normal)])."""
+    flat = [contact for _, _, found in pairs for contact in found]
+    point_a, point_b, normal = (np.array([c[k] for c in flat]).reshape(-1, 3) for k in (1, 2, 3))
+    return ContactConstraintArray(
+        0, 0, 0, np.array([a for a, _, _ in pairs], np.uint32), np.array([b for _, b, _ in pairs], np.uint32),
+        np.cumsum([0] + [len(found) for _, _, found in pairs]).astype(np.uint32),
+        *[np.zeros(len(pairs))] * 3, point_a.ravel(), point_b.ravel(), normal.ravel(),
+        np.einsum("ck,ck->c", point_b - point_a, normal), np.array([c[0] for c in flat], np.uint64),
+    )  # fmt: skip
+
+
+UP = np.array([0.0, 0.0, 1.0])
+STILL = (np.zeros(3), Rotation.identity())
+
+
+def contact(number, x, gap):
+    point = np.array([x, 0.0, 0.0])
+    return number, point, point + gap * UP, UP
+
+
+def test_a_contact_left_out_moves_with_its_bodies():
+    first = contacts_of((3, 8, [contact(1, 0.0, 0.0), contact(2, 0.1, -1e-4)]))
+    merged, memory = with_remembered(first, states_of({3: STILL, 8: STILL}), NOTHING, REACH)
+    for got, expected in zip(merged, first, strict=True):
+        np.testing.assert_array_equal(got, expected)
+
+    # Both turn and move as one; b lifts off by 1.5e-4 along the turned normal.
+    turn = Rotation.from_rotvec([0.3, -0.5, 0.2])
+    shift = np.array([1.0, 2.0, 3.0])
+    lifted = shift + 1.5e-4 * turn.apply(UP)
+    second = contacts_of((3, 8, [(1, shift, lifted, turn.apply(UP))]))
+    merged, memory = with_remembered(second, states_of({3: (shift, turn), 8: (lifted, turn)}), memory, REACH)
+    assert merged.contact_ids.tolist() == [1, 2]
+    assert merged.pair_begin.tolist() == [0, 2]
+    np.testing.assert_allclose(merged.points_a[3:], turn.apply([0.1, 0.0, 0.0]) + shift, atol=1e-15)
+    np.testing.assert_allclose(merged.normals[3:], turn.apply(UP), atol=1e-15)
+    np.testing.assert_allclose(merged.gaps, [1.5e-4, 0.5e-4], atol=1e-15)
+
+    # Further than the reach it is forgotten, for good.
+    lifted = shift + 4.0e-4 * turn.apply(UP)
+    far, memory = with_remembered(second, states_of({3: (shift, turn), 8: (lifted, turn)}), memory, REACH)
+    assert far.contact_ids.tolist() == [1]
+    near, _ = with_remembered(second, states_of({3: (shift, turn), 8: (shift, turn)}), memory, REACH)
+    assert near.contact_ids.tolist() == [1]
+
+
+def test_what_slips_or_parts_is_forgotten_and_what_is_listed_is_not_doubled():
+    both = contacts_of((3, 8, [contact(1, 0.0, 0.0), contact(2, 0.1, 0.0)]), (3, 9, [contact(1, 0.2, 0.0)]))
+    states = states_of({3: STILL, 8: STILL, 9: STILL})
+    _, memory = with_remembered(both, states, NOTHING, REACH)
+    again, _ = with_remembered(both, states, memory, REACH)
+    assert again.contact_ids.tolist() == [1, 2, 1]
+    slipped = states_of({3: STILL, 8: (np.array([3e-4, 0.0, 0.0]), Rotation.identity()), 9: STILL})
+    one = contacts_of((3, 8, [contact(1, 0.0, 0.0)]))
+    assert with_remembered(one, slipped, memory, REACH)[0].contact_ids.tolist() == [1]
+    # A pair that the service lists no more has parted, whatever was remembered.
+    kept, _ = with_remembered(one, states, memory, REACH)
+    assert kept.fragment_b.tolist() == [8]
+    assert kept.contact_ids.tolist() == [1, 2]
+    none, _ = with_remembered(contacts_of(), states, memory, REACH)
+    assert len(none.gaps) == 0
+
+
+def test_static_bodies_that_no_state_names_stand_in_the_world_frame():
+    turn = Rotation.from_rotvec([0.0, 0.0, 0.4])
+    first = contacts_of((1, 8, [contact(5, 0.3, 0.0), contact(6, 0.4, 0.0)]))
+    _, memory = with_remembered(first, states_of({8: (np.zeros(3), turn)}), NOTHING, REACH)
+    second = contacts_of((1, 8, [contact(5, 0.3, 0.0)]))
+    merged, _ = with_remembered(second, states_of({8: (np.zeros(3), turn)}), memory, REACH)
+    assert merged.contact_ids.tolist() == [5, 6]
+    np.testing.assert_allclose(merged.points_a[3:], [0.4, 0.0, 0.0], atol=1e-15)
