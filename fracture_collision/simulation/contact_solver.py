@@ -25,7 +25,8 @@ Symbols, for contact c between bodies a and b
   (3) |beta| <= mu lambda, opposing J_t u               the round cone: beta is projected as a vector
   (4) where J_n u(t) < -v_e and lambda > 0:  J_n u >= -e J_n u(t)                 Newton's restitution, after (1)-(3)
   (5) |tau| <= rho sum(lambda) of the pair, opposing w_b - w_a                    rolling and spinning resistance
-  (6) drift:  J_n (u + u_d) >= min(f d / h, v_max) with d = -g - slop, where d > 0; elsewhere >= d / h
+  (6) drift:  J_n (u + u_d) >= max(min(f d / h, v_max), min(d / h, -J_n u(t))) with d = -g - slop, where d > 0;
+      elsewhere >= d / h
 """
 
 from __future__ import annotations
@@ -150,7 +151,7 @@ def solve_contacts(
         rolling = plastic_rolling + share * (rolling - plastic_rolling)
 
     against = _against_parting(contacts, pairs, bodies.centers, DEEP * settings.penetration_slop)
-    drift = _drift(rows, gaps, kernels.normal_velocities(rows, u), against, settings, time_step)
+    drift = _drift(rows, gaps, approach, kernels.normal_velocities(rows, u), against, settings, time_step)
     world_impulses = np.einsum("cd,cdk->ck", impulses, rows.directions)
     carried = WarmStart(
         contacts.fragment_a, contacts.fragment_b, begin, contacts.contact_ids, world_impulses, rolling
@@ -182,7 +183,8 @@ def _with_immovable(values: np.ndarray) -> np.ndarray:
 def _drift(
     rows: kernels.Rows,
     gaps: np.ndarray,
-    closing: np.ndarray,
+    before: np.ndarray,
+    after: np.ndarray,
     against: np.ndarray,
     settings: SolverSettings,
     time_step: float,
@@ -191,8 +193,10 @@ def _drift(
     u = np.zeros((len(rows.inverse_masses), 6))
     if np.any(depth > 0.0):
         push = np.minimum(settings.drift_fraction * depth / time_step, settings.drift_speed)
+        # What came in with the last step leaves with the next: when a plate breaks, the ball is at its surface.
+        push = np.maximum(push, np.minimum(depth / time_step, -before))
         # What the velocities do to a gap counts; one that is not too deep may still close, up to the slop.
-        targets = np.where(depth > 0.0, push, depth / time_step) - closing
+        targets = np.where(depth > 0.0, push, depth / time_step) - after
         targets[against] = -np.inf
         kernels.sweep_normals(rows, targets, u, np.zeros(len(gaps)), settings.drift_iterations)
     return u[:-1]
