@@ -24,7 +24,8 @@ def smash(scene):
             for event in request.events:
                 world.add_fracture(event)
             contacts = world.contacts(request.states)
-            answers.append(contacts.gaps.tobytes() + contacts.contact_ids.tobytes() + request.states.positions.tobytes())
+            parts = (contacts.gaps, contacts.normals, contacts.contact_ids, request.states.positions)
+            answers.append(b"".join(part.tobytes() for part in parts))
             reports.append(simulation.finish_step(contacts, world.fragments()))
         states = simulation.begin_step().states
     finally:

@@ -207,18 +207,21 @@ def _against_parting(
 ) -> np.ndarray:
     """Contacts that drift correction leaves out, (N,) bool.
 
-    Two shards that have got into each other have deep contacts on either side of the overlap, whose normals contradict
-    each other: obeyed together they lock the two for ever. Such a pair is parted the way its centres of mass lie.
+    Two shards that have got into each other have contacts on either side of the overlap, whose normals contradict
+    each other: obeyed together they lock the two for ever. Such a pair is parted the way its centres of mass lie, or,
+    where one cannot move and may be of any shape, the way most of the depth points.
     """
+    pair = np.repeat(np.arange(len(pairs.body_a)), np.diff(contacts.pair_begin.astype(np.int64)))
+    normals = contacts.normals.reshape(-1, 3)
+    way = np.zeros((len(pairs.body_a), 3))
+    np.add.at(way, pair, np.maximum(-contacts.gaps, 0.0)[:, None] * normals)
     movable = (pairs.body_a < len(centers)) & (pairs.body_b < len(centers))
-    centers = _with_immovable(centers)
-    pair = np.repeat(np.arange(len(movable)), np.diff(contacts.pair_begin.astype(np.int64)))
-    between = (centers[pairs.body_b] - centers[pairs.body_a])[pair]
-    parts = np.einsum("ck,ck->c", contacts.normals.reshape(-1, 3), between) > 0.0
+    way[movable] = centers[pairs.body_b[movable]] - centers[pairs.body_a[movable]]
+    parts = np.einsum("ck,ck->c", normals, way[pair]) > 0.0
     is_deep = contacts.gaps < -deep
-    deep_and_parting = np.bincount(pair[parts & is_deep], minlength=len(movable)) > 0
-    deep_and_not = np.bincount(pair[~parts & is_deep], minlength=len(movable)) > 0
-    return ~parts & (movable & deep_and_parting & deep_and_not)[pair]
+    deep_and_parting = np.bincount(pair[parts & is_deep], minlength=len(way)) > 0
+    deep_and_not = np.bincount(pair[~parts & (contacts.gaps < 0.0)], minlength=len(way)) > 0
+    return ~parts & (deep_and_parting & deep_and_not)[pair]
 
 
 def _share_without_energy_gain(
