@@ -7,8 +7,13 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.core import fracture_update
-from fracture_collision.core.kinds import BOX, PLANE, SPHERE, TETRAHEDRA
-from fracture_collision.core.moments import box_mass_properties, mass_properties, sphere_mass_properties
+from fracture_collision.core.kinds import BOX, PLANE, SPHERE, TETRAHEDRA, TRIANGLES
+from fracture_collision.core.moments import (
+    box_mass_properties,
+    mass_properties,
+    sphere_mass_properties,
+    surface_moments,
+)
 from fracture_collision.core.occupancy import cells_of_box, fill_pyramid, mark_boxes, pyramid_bytes
 from fracture_collision.core.pools import (
     NEVER_BROKEN,
@@ -18,10 +23,12 @@ from fracture_collision.core.pools import (
     MeshPool,
     Pools,
     TreePool,
+    TriangleMeshPool,
 )
 from fracture_collision.core.sphere_tree import SphereTree, build_sphere_tree
 from fracture_collision.core.sphere_tree_split import split_sphere_tree
 from fracture_collision.core.tet_mesh import TetMesh
+from fracture_collision.core.triangle_field import TriangleMesh, append_triangle_mesh, build_triangle_mesh
 
 # A box is sampled along its edges, where it pokes into faces of others; its faces answer in closed form. The spacing,
 # as a share of the longest edge, keeps the tree of a long shelf small and a cube's edge well covered.
@@ -41,6 +48,15 @@ class PreparedMesh(NamedTuple):
     tree: SphereTree
 
 
+class PreparedSurface(NamedTuple):
+    """A closed triangle mesh likewise, for a rigid body."""
+
+    mesh: TriangleMesh
+    tree: SphereTree
+    moments: np.ndarray  # (10,), see moments.py
+    sampling_gap: float  # [m]
+
+
 class _MeshRows(NamedTuple):
     """Where a mesh begins in the pools."""
 
@@ -56,6 +72,19 @@ class _MeshRows(NamedTuple):
 def prepare_mesh(mesh: TetMesh) -> PreparedMesh:
     """The tree over all nodes, surface and interior (section 6.1)."""
     return PreparedMesh(mesh, build_sphere_tree(mesh.nodes, mesh.on_surface))
+
+
+def prepare_surface(vertices: np.ndarray, triangles: np.ndarray) -> PreparedSurface:
+    """Preprocess a closed mesh (vertices (n, 3) [m], triangles (t, 3)); every vertex is a sample."""
+    corners = vertices[triangles]
+    longest = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).max()
+    return PreparedSurface(
+        build_triangle_mesh(vertices, triangles),
+        build_sphere_tree(vertices, np.ones(len(vertices), np.uint8)),
+        surface_moments(corners),
+        # the corners of a triangle with longest side L cover it with balls of radius L / sqrt(3)
+        float(longest / np.sqrt(3.0)),
+    )
 
 
 def _table(**columns: tuple[int, type]) -> dict[str, GrowableArray]:
@@ -81,10 +110,15 @@ class CollisionGeometry:
             shape=(4, f8), radius=(0, f8), tree_begin=(0, i4), tree_end=(0, i4), cells=(7, i4),
         )  # fmt: skip
         self._tree = _table(center=(3, f8), radius=(0, f8), size=(0, i4), sample=(0, i4), on_surface=(0, u1))
+        self._triangles = _table(
+            corners=(9, f8), features=(6, i4), pseudonormals=(3, f8), node_box=(6, f8), node_skip=(0, i4),
+            node_first=(0, i4), node_count=(0, i4), node_range=(2, i4), triangle_range=(2, i4),
+        )  # fmt: skip
         self._occupancy = GrowableArray(0, u1)
         self._moments = GrowableArray(10, f8)
         self._gaps = GrowableArray(0, f8)
         self._meshes: list[_MeshRows] = []
+        self._surfaces: list[tuple[PreparedSurface, int, int]] = []  # with its rows in the pools: mesh, first of tree
         self._pools: Pools | None = None
 
     @property
@@ -96,6 +130,7 @@ class CollisionGeometry:
                 FragmentPool(**{k: a.view for k, a in self._fragment.items()}),
                 TreePool(**{k: a.view for k, a in self._tree.items()}),
                 self._occupancy.view,
+                TriangleMeshPool(**{k: a.view for k, a in self._triangles.items()}),
             )
         return self._pools
 
@@ -107,6 +142,11 @@ class CollisionGeometry:
         """Rows of the mesh of a tetrahedral fragment's body."""
         rows = self._meshes[self._fragment["mesh"].view[row]]
         return range(rows.tet, rows.tet + len(rows.prepared.mesh.tetrahedra))
+
+    def rigid_triangles(self, row: int) -> np.ndarray:
+        """Corners (t, 3, 3) [m] of a rigid body of triangles."""
+        begin, end = self._triangles["triangle_range"].view[self._fragment["mesh"].view[row]]
+        return self._triangles["corners"].view[begin:end].reshape(-1, 3, 3)
 
     def tree_entries(self, row: int) -> int:
         return int(self._fragment["tree_end"].view[row] - self._fragment["tree_begin"].view[row])
@@ -150,6 +190,21 @@ class CollisionGeometry:
         )  # fmt: skip
         # summed one by one, as a fracture sums what is left, so that parts add up to the whole
         self._moments.view[row] = mesh.moments.sum(axis=0)
+        return row
+
+    def add_triangles(self, prepared: PreparedSurface) -> int:
+        """A rigid body; equal `prepared` objects share their pool rows."""
+        known = next((rows for rows in self._surfaces if rows[0] is prepared), None)
+        if known is None:
+            known = prepared, append_triangle_mesh(self._triangles, prepared.mesh), self._append_tree(prepared.tree)
+            self._surfaces.append(known)
+        _, mesh, tree = known
+        box = prepared.mesh.node_box[0]
+        row = self._add_row(
+            TRIANGLES, box, np.zeros(4), 0.5 * float((box[3:] - box[:3]).max()), tree, tree + len(prepared.tree.size),
+            prepared.sampling_gap, mesh,
+        )  # fmt: skip
+        self._moments.view[row] = prepared.moments
         return row
 
     def apply_fracture(

@@ -17,10 +17,11 @@ from fracture_collision.core.flood import (
     nearest_from_outside,
     outward_direction,
 )
-from fracture_collision.core.kinds import TETRAHEDRA
+from fracture_collision.core.kinds import TETRAHEDRA, TRIANGLES
 from fracture_collision.core.occupancy import sphere_may_touch
 from fracture_collision.core.point_location import owner_in_tetrahedron, tetrahedron_at
 from fracture_collision.core.primitives import primitive_distance
+from fracture_collision.core.triangle_field import triangle_distance, triangle_within
 
 OUTSIDE = 0  # not inside; no closest point asked or none near
 NEAR = 1  # not inside, closest point within the asked distance
@@ -44,13 +45,19 @@ def probe(pools, f, x, y, z, near, measure, scratch, thread):
     For an OUTSIDE point the distance is a lower bound, for an INSIDE one that was not measured minus infinity.
     """
     kind = pools.fragment.kind[f]
-    if kind != TETRAHEDRA:
+    if kind != TETRAHEDRA and kind != TRIANGLES:
         d, nx, ny, nz = primitive_distance(kind, pools.fragment.shape[f], x, y, z)
         status = INSIDE if d <= 0.0 else NEAR if d <= near else OUTSIDE
         return status, d, nx, ny, nz, x - d * nx, y - d * ny, z - d * nz
     reach = math.sqrt(box_distance_squared(x, y, z, pools.fragment.box[f]))
     if reach > near:
         return OUTSIDE, reach, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    if kind == TRIANGLES:
+        d, nx, ny, nz, qx, qy, qz = triangle_distance(
+            pools.triangles, pools.fragment.mesh[f], pools.fragment.radius[f], x, y, z
+        )
+        status = INSIDE if d <= 0.0 else NEAR if d <= near else OUTSIDE
+        return status, d, nx, ny, nz, qx, qy, qz
     t = inside_tetrahedron(pools, f, x, y, z, scratch, thread)
     if t >= 0:
         if not measure:
@@ -76,4 +83,10 @@ def sphere_test(pools, f, distance, x, y, z, r):
     """
     if distance > r:
         return False
-    return pools.fragment.kind[f] != TETRAHEDRA or sphere_may_touch(pools, f, x, y, z, r)
+    kind = pools.fragment.kind[f]
+    if kind == TRIANGLES:
+        k = pools.fragment.mesh[f]
+        if distance > 0.0:
+            return triangle_within(pools.triangles, k, x, y, z, r)
+        return triangle_distance(pools.triangles, k, pools.fragment.radius[f], x, y, z)[0] <= r
+    return kind != TETRAHEDRA or sphere_may_touch(pools, f, x, y, z, r)

@@ -51,6 +51,23 @@ def add_tetrahedron(ox, oy, oz, ax, ay, az, bx, by, bz, cx, cy, cz, row):
     row[9] += k * (sz * sz + oz * oz + az * az + bz * bz + cz * cz)
 
 
+def surface_moments(corners: np.ndarray) -> np.ndarray:
+    """Moment row (10,) of the solid within closed triangles (t, 3, 3) [m], counter-clockwise from outside.
+
+    The divergence theorem: the tetrahedra over all triangles with one common apex add up to the solid.
+    """
+    row = np.zeros(10)
+    apex = 0.5 * (corners.min(axis=(0, 1)) + corners.max(axis=(0, 1)))
+    _pyramid_moments(apex, np.ascontiguousarray(corners).reshape(-1, 9), row)
+    return row
+
+
+@kernel
+def _pyramid_moments(o, triangles, row):
+    for p in triangles:
+        add_tetrahedron(o[0], o[1], o[2], p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8], row)
+
+
 def mass_properties(moments: np.ndarray, density: float) -> tuple[float, np.ndarray, np.ndarray]:
     """Mass [kg], centre of mass (3,) [m] and inertia (6,) [kg m2] about it, body axes: xx xy xz yy yz zz."""
     volume = moments[0]

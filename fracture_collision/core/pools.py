@@ -74,7 +74,7 @@ class FragmentPool(NamedTuple):
     """One row a fragment, also of bodies that never break."""
 
     kind: np.ndarray  # int32, kinds.py
-    mesh: np.ndarray  # int32 row of grid, -1 without mesh
+    mesh: np.ndarray  # int32 row of grid or, for TRIANGLES, of node_range; -1 without mesh
     node_shift: np.ndarray  # int32: mesh node + shift = row of node_fragment; NEVER_BROKEN for a whole body
     tet_shift: np.ndarray  # int32 likewise for cut_begin
     edge_shift: np.ndarray  # int32 likewise for edge_plane
@@ -84,6 +84,20 @@ class FragmentPool(NamedTuple):
     tree_begin: np.ndarray  # int32
     tree_end: np.ndarray  # int32
     cells: np.ndarray  # (F, 7) int32: first cell x y z, cells x y z, first byte of `occupancy`
+
+
+class TriangleMeshPool(NamedTuple):
+    """Distinct triangle meshes (triangle_field.py), indices shifted to be absolute."""
+
+    corners: np.ndarray  # (T, 9) float64 [m]
+    features: np.ndarray  # (T, 6) int32
+    pseudonormals: np.ndarray  # (E + N, 3) float64
+    node_box: np.ndarray  # (B, 6) float64 [m]
+    node_skip: np.ndarray  # (B,) int32
+    node_first: np.ndarray  # (B,) int32
+    node_count: np.ndarray  # (B,) int32
+    node_range: np.ndarray  # (meshes, 2) int32: first row of the nodes, row behind the last
+    triangle_range: np.ndarray  # (meshes, 2) int32 likewise
 
 
 class TreePool(NamedTuple):
@@ -102,6 +116,7 @@ class Pools(NamedTuple):
     fragment: FragmentPool
     tree: TreePool
     occupancy: np.ndarray  # uint8, multi-level grids (occupancy.py)
+    triangles: TriangleMeshPool
 
 
 NEVER_BROKEN = np.iinfo(np.int32).min
