@@ -26,11 +26,9 @@ from fracture_collision.ros.conversion import array_bytes, to_message, to_record
 from fracture_collision.ros.diagnostics import AnswerTimes, RefusalCounts, diagnostic_array
 from fracture_collision.ros.parameters import declare_fixed, declare_settings
 from fracture_collision.ros.process import run_node
+from fracture_collision.ros.timing_files import SERVICE_COLUMNS
 from fracture_collision.world import InvalidMessage
 from fracture_collision.world.warm_up import cache_is_cold, compile_kernels
-
-# Columns of the array in `timing_file`; times in seconds.
-TIMING_COLUMNS = ("step", "fracture_sequence", "collision", "update", "conversion", "visits")
 
 
 class CollisionNode(Node):
@@ -54,18 +52,14 @@ class CollisionNode(Node):
         self._fragments = AcknowledgedPublisher(self, qos.FRAGMENTS)
         self._meshes = AcknowledgedPublisher(self, qos.FRAGMENT_MESHES)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        for topic, callback in (
-            (qos.BODIES, self._on_body),
-            (qos.FRACTURE_EVENTS, self._on_fracture),
-            (qos.FRAGMENT_STATES, self._on_states),
-        ):
-            self.create_subscription(topic.message_class, topic.name, callback, topic.qos)
         self.create_timer(1.0, self._publish_diagnostics)
 
     # --- start and end ---------------------------------------------------------------------------------------------
 
     def prepare(self) -> None:
-        """Loads the kernels from numba's cache, or compiles them, and says which."""
+        """Loads the kernels from numba's cache, or compiles them, and says which; then listens. Who waits for the
+        service to subscribe need not ask in vain.
+        """
         started = time.perf_counter()
         doing = "compiling kernels (cold cache, one to two minutes)" if cache_is_cold() else "loading kernels"
 
@@ -77,6 +71,12 @@ class CollisionNode(Node):
             self._publish_diagnostics()
 
         compile_kernels(progress=progress)
+        for topic, callback in (
+            (qos.BODIES, self._on_body),
+            (qos.FRACTURE_EVENTS, self._on_fracture),
+            (qos.FRAGMENT_STATES, self._on_states),
+        ):
+            self.create_subscription(topic.message_class, topic.name, callback, topic.qos)
         self._phase = "ready"
         self.get_logger().info(f"ready, {time.perf_counter() - started:.1f} s after its start")
         self._publish_diagnostics()
@@ -84,7 +84,7 @@ class CollisionNode(Node):
     def finish(self) -> None:
         """Writes what was asked for."""
         if self._timing_file:
-            rows = np.array(self._timing_rows, dtype=np.float64).reshape(-1, len(TIMING_COLUMNS))
+            rows = np.array(self._timing_rows, dtype=np.float64).reshape(-1, len(SERVICE_COLUMNS))
             np.save(Path(self._timing_file), rows)
 
     # --- messages --------------------------------------------------------------------------------------------------

@@ -18,6 +18,7 @@ from fracture_collision.ros.acknowledged_publisher import AcknowledgedPublisher
 from fracture_collision.ros.conversion import header, to_message, to_record
 from fracture_collision.ros.parameters import Range, declare_fixed
 from fracture_collision.ros.process import Fatal, run_node
+from fracture_collision.ros.timing_files import SIMULATOR_COLUMNS
 from fracture_collision.simulation.scene import SceneError, load_scene
 from fracture_collision.simulation.simulation import Simulation
 
@@ -27,22 +28,6 @@ PAUSE_GROWTH = 1.5
 LONGEST_PAUSE = 15.0  # [s]
 
 PROGRESS_INTERVAL = 0.1  # [s]
-
-# Columns of the array in `timing_file`; times in seconds, energies in joules, lengths in metres.
-REPORT_COLUMNS = (
-    "step",
-    "time",
-    "contacts",
-    "fragments",
-    "round_trip",
-    "solver",
-    "fracture",
-    "kinetic_energy",
-    "potential_energy",
-    "drift_energy",
-    "max_speed",
-    "deepest_gap",
-)
 
 
 class SimulatorNode(Node):
@@ -75,6 +60,7 @@ class SimulatorNode(Node):
         self._states = AcknowledgedPublisher(self, qos.FRAGMENT_STATES)
         for topic, callback in ((qos.CONTACT_CONSTRAINTS, self._on_contacts), (qos.FRAGMENTS, self._on_registry)):
             self.create_subscription(topic.message_class, topic.name, callback, topic.qos)
+        self._static_fragments: list[int] = []
         self._asked = (0, 0)
         self._contacts: ContactConstraintArray | None = None
         self._registry: FragmentRegistry | None = None
@@ -90,15 +76,13 @@ class SimulatorNode(Node):
         while not self._simulation.finished:
             request = self._simulation.begin_step()
             self._announce(request.bodies, request.events)
-            started = time.perf_counter()
-            self._ask(request.states, executor)
-            round_trip = time.perf_counter() - started
+            acknowledgement, round_trip = self._ask(request.states, executor)
             report = self._simulation.finish_step(self._contacts, self._registry)
             self._rows.append(
                 (
-                    report.step, report.time, report.contacts, report.fragments, round_trip, report.solver_seconds,
-                    report.fracture_seconds, report.kinetic_energy, report.potential_energy, report.drift_energy,
-                    report.max_speed, report.deepest_gap,
+                    report.step, report.time, report.contacts, report.fragments, acknowledgement, round_trip,
+                    report.solver_seconds, report.fracture_seconds, report.kinetic_energy, report.potential_energy,
+                    report.drift_energy, report.max_speed, report.deepest_gap,
                 )
             )  # fmt: skip
             self._tell_progress()
@@ -107,7 +91,7 @@ class SimulatorNode(Node):
     def finish(self) -> None:
         """Writes what was asked for; frees the physics engine."""
         if self._timing_file:
-            np.save(Path(self._timing_file), np.array(self._rows).reshape(-1, len(REPORT_COLUMNS)))
+            np.save(Path(self._timing_file), np.array(self._rows).reshape(-1, len(SIMULATOR_COLUMNS)))
         self._simulation.close()
 
     def _await_subscribers(self, executor: SingleThreadedExecutor) -> None:
@@ -122,15 +106,23 @@ class SimulatorNode(Node):
     def _announce(self, bodies: list, events: list) -> None:
         stamp = header(self._simulation.time)
         for body in bodies:
+            if body.is_static:
+                self._static_fragments.append(body.fragment_id)
             self._bodies.publish(to_message(body, stamp, self._run_id))
         for event in events:
             self._events.publish(to_message(event, stamp, self._run_id))
 
-    def _ask(self, states: FragmentStates, executor: SingleThreadedExecutor) -> None:
-        """Publishes states until their contacts and registry are there."""
-        message = to_message(states, header(self._simulation.time), self._run_id)
+    def _ask(self, states: FragmentStates, executor: SingleThreadedExecutor) -> tuple[float, float]:
+        """Publishes states until their contacts and registry are there. Returns how long everybody took to acknowledge
+        the last states [s], and the time from these being published to their answer [s].
+        """
+        named = with_static_fragments(states, self._static_fragments)
+        message = to_message(named, header(self._simulation.time), self._run_id)
         self._asked = (states.step, states.fracture_sequence)
         self._contacts = None
+        began = time.perf_counter()
+        self._states.settle()
+        published = time.perf_counter()
         pause = FIRST_PAUSE
         while True:
             self._states.publish(message)
@@ -138,7 +130,7 @@ class SimulatorNode(Node):
             while (left := deadline - time.monotonic()) > 0:
                 executor.spin_once(timeout_sec=left)
                 if self._contacts is not None and self._registry_covers(states):
-                    return
+                    return published - began, time.perf_counter() - published
             self.get_logger().warning(f"no answer to step {states.step} after {pause:.1f} s; asking again")
             pause = min(pause * PAUSE_GROWTH, LONGEST_PAUSE)
 
@@ -172,6 +164,22 @@ class SimulatorNode(Node):
             step, seconds, contacts, fragments = self._rows[-1][:4]
             told = {"step": step + 1, "steps": self._total_steps, "time": seconds, "contacts": contacts}
             print(json.dumps(told | {"fragments": fragments}), flush=True)
+
+
+def with_static_fragments(states: FragmentStates, static_fragments: list[int]) -> FragmentStates:
+    """Names those too that stand where their body frame is the world's, although the protocol lets them be left out:
+    a service that has not heard of a body holds the states that name it, but would answer others without it.
+    """
+    unnamed = np.setdiff1d(np.array(static_fragments, dtype=np.uint32), states.fragment_ids)
+    at_rest = {"positions": (0.0, 0.0, 0.0), "orientations": (0.0, 0.0, 0.0, 1.0)}
+    at_rest |= {"linear_velocities": (0.0, 0.0, 0.0), "angular_velocities": (0.0, 0.0, 0.0)}
+    ids = np.concatenate((states.fragment_ids, unnamed))
+    order = np.argsort(ids)
+    columns = {}
+    for name, value in at_rest.items():
+        given = getattr(states, name).reshape(-1, len(value))
+        columns[name] = np.vstack((given, np.tile(value, (len(unnamed), 1))))[order].ravel()
+    return states._replace(fragment_ids=ids[order], **columns)
 
 
 def derived_run_id(scene_name: str, seed: int) -> int:

@@ -1,0 +1,102 @@
+"""Records every message of a run into a bag, as it was sent. For those without `ros2 bag`, and for equal bytes."""
+
+from __future__ import annotations
+
+import json
+import struct
+import sys
+import time
+from collections.abc import Callable
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+from fracture_collision.bag.writer import BagTopic, BagWriter, OfferedQos
+from fracture_collision.ros import qos
+from fracture_collision.ros.message_definitions import message_definition, type_hash, type_name
+from fracture_collision.ros.parameters import declare_fixed
+from fracture_collision.ros.process import Fatal, run_node
+
+DIAGNOSTICS = qos.Topic("/diagnostics", DiagnosticArray, QoSProfile(depth=10))
+RECORDED = (*qos.TOPICS, DIAGNOSTICS)
+
+PROGRESS_INTERVAL = 0.1  # [s]
+
+# Every message here begins with a header, whose stamp follows the four bytes that tell CDR's byte order.
+_STAMP = struct.Struct("<iI")
+_STAMP_OFFSET = 4
+
+
+class RecorderNode(Node):
+    """Parameters: `folder` of the bag to make; `progress`: tells on stdout how many messages of each topic it has."""
+
+    def __init__(self) -> None:
+        super().__init__("recorder_node")
+        folder = declare_fixed(self, "folder", "", "of the bag to make; must not be there yet")
+        self._tells_progress = declare_fixed(self, "progress", False, "a line of JSON on stdout: messages by topic")
+        if not folder:
+            raise Fatal("parameter folder: where shall the bag go?")
+        names = {topic.name: self.resolve_topic_name(topic.name) for topic in RECORDED}
+        try:
+            self._bag = BagWriter(folder, [_bag_topic(names[topic.name], topic) for topic in RECORDED])
+        except OSError as error:
+            raise Fatal(f"parameter folder: {error}") from error
+        self._newest_time = 0  # [ns]
+        self._counts = dict.fromkeys((topic.name for topic in RECORDED), 0)
+        for topic in RECORDED:
+            keep = self._keep(topic, names[topic.name])
+            self.create_subscription(topic.message_class, topic.name, keep, qos.recording(topic.qos), raw=True)
+
+    def _keep(self, topic: qos.Topic, name: str) -> Callable[[bytes], None]:
+        def keep(data: bytes) -> None:
+            self._counts[topic.name] += 1
+            if topic is not DIAGNOSTICS:  # they carry the wall clock's time, all others that of the simulation
+                seconds, nanoseconds = _STAMP.unpack_from(data, _STAMP_OFFSET)
+                self._newest_time = seconds * 10**9 + nanoseconds
+            self._bag.write(name, data, self._newest_time)
+
+        return keep
+
+    def spin(self, executor: SingleThreadedExecutor) -> None:
+        told: dict[str, int] = {}
+        due = 0.0
+        while True:
+            executor.spin_once(timeout_sec=PROGRESS_INTERVAL)
+            now = time.monotonic()
+            if self._tells_progress and now >= due and self._counts != told:
+                due, told = now + PROGRESS_INTERVAL, dict(self._counts)
+                print(json.dumps(told), flush=True)
+
+    def finish(self) -> None:
+        self._bag.close()
+
+
+def _bag_topic(name: str, topic: qos.Topic) -> BagTopic:
+    offered = OfferedQos(
+        history="keep_all" if topic.qos.history == HistoryPolicy.KEEP_ALL else "keep_last",
+        depth=0 if topic.qos.history == HistoryPolicy.KEEP_ALL else topic.qos.depth,
+        reliability="reliable" if topic.qos.reliability == ReliabilityPolicy.RELIABLE else "best_effort",
+        durability="transient_local" if topic.qos.durability == DurabilityPolicy.TRANSIENT_LOCAL else "volatile",
+    )
+    definition, hash_ = message_definition(topic.message_class), type_hash(topic.message_class)
+    return BagTopic(name, type_name(topic.message_class), definition, hash_, offered)
+
+
+def _work(node: RecorderNode) -> None:
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    try:
+        node.spin(executor)
+    finally:
+        node.finish()
+        executor.shutdown()
+
+
+def main() -> int:
+    return run_node(RecorderNode, _work)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
