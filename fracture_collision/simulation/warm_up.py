@@ -1,0 +1,51 @@
+"""Compiles the simulator's kernels into numba's cache, by letting a ball hit the ground once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from fracture_collision.records import ContactConstraintArray, FragmentRegistry
+from fracture_collision.simulation.scene import parse_scene
+from fracture_collision.simulation.simulation import Simulation
+
+MATERIAL = {"density": 1000.0, "friction": 0.5, "restitution": 0.5, "rolling_arm": 1e-3}
+SCENE = {
+    "seed": 0,
+    "gravity": [0.0, 0.0, -9.81],
+    "time_step": 0.01,
+    "duration": 0.02,
+    "materials": {"rubber": MATERIAL},
+    "bodies": [
+        {"name": "ground", "material": "rubber", "static": True, "shape": {"plane": {"coefficients": [0, 0, 1, 0]}}},
+        {"name": "ball", "material": "rubber", "shape": {"sphere": {"radius": 0.1}}, "linear_velocity": [1.0, 0.0, -1.0]},
+    ],
+}
+
+
+def compile_kernels(progress: Callable[[str], None]) -> None:
+    """All kernels of this room, for the argument types they are called with; seconds at first, then milliseconds."""
+    progress("contact solver")
+    simulation = Simulation(parse_scene(SCENE, "warm_up"))
+    try:
+        while not simulation.finished:
+            step = simulation.begin_step().states.step
+            simulation.finish_step(_touching(step), _registry())
+    finally:
+        simulation.close()
+
+
+def _touching(step: int) -> ContactConstraintArray:
+    """The ground below the ball, a millimetre deep in it."""
+    return ContactConstraintArray(
+        step, 0, 0, np.array([1], np.uint32), np.array([2], np.uint32), np.array([0, 1], np.uint32), np.zeros(1),
+        np.full(1, 0.5), np.full(1, 0.5), np.zeros(3), np.array([0.0, 0.0, -1e-3]), np.array([0.0, 0.0, 1.0]),
+        np.full(1, -1e-3), np.zeros(1, np.uint64),
+    )  # fmt: skip
+
+
+def _registry() -> FragmentRegistry:
+    ids = np.array([1, 2], np.uint32)
+    inertias = np.tile([0.016, 0.0, 0.0, 0.016, 0.0, 0.016], 2)
+    return FragmentRegistry(0, ids, ids, ids, np.full(2, 4.0), np.zeros(6), inertias, np.zeros(2), "")
