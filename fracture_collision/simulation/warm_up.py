@@ -19,7 +19,7 @@ SCENE = {
     "materials": {"rubber": MATERIAL},
     "bodies": [
         {"name": "ground", "material": "rubber", "static": True, "shape": {"plane": {"coefficients": [0, 0, 1, 0]}}},
-        {"name": "ball", "material": "rubber", "shape": {"sphere": {"radius": 0.1}}, "linear_velocity": [1.0, 0.0, -1.0]},
+        {"name": "ball", "material": "rubber", "shape": {"sphere": {"radius": 0.1}}, "linear_velocity": [1, 0, -1]},
     ],
 }
 
