@@ -60,7 +60,7 @@ def test_depth_equals_brute_force_over_all_polygons(case: FracturedWorld) -> Non
             continue
         expected, _ = case.oracle.depth(fragment, own, SURFACE)
         for point, depth in zip(own, expected, strict=True):
-            status, distance, *rest = probe(case.geometry.pools, case.row(fragment), *point, 0.0, True, scratch, 0)
+            status, distance, *rest = probe(case.geometry.pools, case.row(fragment), *point, 0.0, np.inf, scratch, 0)
             assert status == INSIDE
             assert abs(-distance - depth) <= 1e-12
             normal, closest = np.array(rest[:3]), np.array(rest[3:])
@@ -78,7 +78,7 @@ def test_distance_outside_equals_brute_force(case: FracturedWorld) -> None:
         outside = points[owners != fragment]
         expected, _ = case.oracle.distance_outside(fragment, outside, SURFACE)
         for point, true in zip(outside, expected, strict=True):
-            status, distance, *_ = probe(case.geometry.pools, case.row(fragment), *point, near, True, scratch, 0)
+            status, distance, *_ = probe(case.geometry.pools, case.row(fragment), *point, near, np.inf, scratch, 0)
             assert (status == NEAR) == (true < near)
             if status == NEAR:
                 assert abs(distance - true) <= 1e-12

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import math
 
-from fracture_collision.core.compiled import kernel
+from fracture_collision.core.compiled import inlined_kernel
 
 # Which part of a triangle (a, b, c) holds its closest point: the face, an edge ab, bc or ca (1 .. 3), a corner (4 .. 6).
 ON_FACE = 0
 ON_RIM = 1  # and above: an edge or a corner
 
 
-@kernel
+@inlined_kernel
 def box_distance_squared(x, y, z, box):
     """Squared distance [m2] of a point from an axis-aligned box (6,) = lower corner, upper corner; 0 inside."""
     dx = max(box[0] - x, 0.0, x - box[3])
@@ -23,7 +23,7 @@ def box_distance_squared(x, y, z, box):
     return dx * dx + dy * dy + dz * dz
 
 
-@kernel
+@inlined_kernel
 def closest_on_triangle(px, py, pz, ax, ay, az, bx, by, bz, cx, cy, cz):
     """Closest point of a triangle: (squared distance, x, y, z, feature 0 .. 6)."""
     abx, aby, abz = bx - ax, by - ay, bz - az
@@ -77,7 +77,7 @@ def closest_on_triangle(px, py, pz, ax, ay, az, bx, by, bz, cx, cy, cz):
     return ex * ex + ey * ey + ez * ez, qx, qy, qz, feature
 
 
-@kernel
+@inlined_kernel
 def triangle_normal(ax, ay, az, bx, by, bz, cx, cy, cz):
     """Unit normal, right-handed; zeros for a triangle without area."""
     ux, uy, uz = bx - ax, by - ay, bz - az

@@ -14,7 +14,7 @@ from fracture_collision.core.moments import (
     sphere_mass_properties,
     surface_moments,
 )
-from fracture_collision.core.occupancy import cells_of_box, fill_pyramid, mark_boxes, pyramid_bytes
+from fracture_collision.core.occupancy import cells_of_box, fill_pyramid, mark_all, pyramid_bytes
 from fracture_collision.core.pools import (
     NEVER_BROKEN,
     BodyPool,
@@ -100,10 +100,11 @@ class CollisionGeometry:
             nodes=(3, f8), tetrahedra=(4, i4), neighbours=(4, i4), tetrahedron_edges=(6, i4), edges=(2, i4),
             boxes=(6, f8), barycentric=(12, f8), moments=(10, f8), on_surface=(0, u1), node_tets_begin=(0, i4),
             node_tets=(0, i4), grid=(4, f8), grid_dims=(4, i4), cell_begin=(0, i4), cell_tets=(0, i4),
+            tet_cells_begin=(0, i4), tet_cells=(0, i4),
         )  # fmt: skip
         self._body = _table(
-            node_fragment=(0, i4), edge_plane=(0, i4), cut_begin=(0, i4), cut_count=(0, i4), planes=(4, f8),
-            triangles=(9, f8), front=(0, i4), back=(0, i4), kind=(0, u1),
+            node_fragment=(0, i4), edge_plane=(0, i4), tet_fragment=(0, i4), cut_begin=(0, i4), cut_count=(0, i4),
+            planes=(4, f8), triangles=(9, f8), faces=(4, f8), front=(0, i4), back=(0, i4), kind=(0, u1),
         )  # fmt: skip
         self._fragment = _table(
             kind=(0, i4), mesh=(0, i4), node_shift=(0, i4), tet_shift=(0, i4), edge_shift=(0, i4), box=(6, f8),
@@ -259,7 +260,7 @@ class CollisionGeometry:
             pools.mesh, pools.body, node_shift, tet_shift, edge_shift, tets, first, end,
             self._body["triangles"].used, rows.edge, share, moments, boxes, self._gaps.view[first:],
         )  # fmt: skip
-        for name, array in zip(("triangles", "front", "back", "kind"), polygons, strict=True):
+        for name, array in zip(("triangles", "faces", "front", "back", "kind"), polygons, strict=True):
             self._body[name].append(array)
         self._fragment["box"].view[first:end] = boxes
         self._mark_cells(k, node_shift, tets, first, end, boxes)
@@ -320,7 +321,8 @@ class CollisionGeometry:
         mesh = rows.prepared.mesh
         node = self._body["node_fragment"].append(np.full(len(mesh.nodes), row, np.int32))
         edge = self._body["edge_plane"].append(np.full(len(mesh.edges), -1, np.int32))
-        tet = self._body["cut_begin"].append(np.full(len(mesh.tetrahedra), -1, np.int32))
+        tet = self._body["tet_fragment"].append(np.full(len(mesh.tetrahedra), row, np.int32))
+        self._body["cut_begin"].append(np.zeros(len(mesh.tetrahedra), np.int32))
         self._body["cut_count"].append(np.zeros(len(mesh.tetrahedra), np.int32))
         self._fragment["node_shift"].view[row] = node - rows.node
         self._fragment["tet_shift"].view[row] = tet - rows.tet
@@ -362,13 +364,15 @@ class CollisionGeometry:
         table["node_tets"].append(mesh.node_tets + tet)
         table["cell_begin"].append(mesh.cell_begin + table["cell_tets"].used)
         table["cell_tets"].append(mesh.cell_tets + tet)
+        table["tet_cells_begin"].append(mesh.tet_cells_begin + table["tet_cells"].used)
+        table["tet_cells"].append(mesh.tet_cells)
         table["grid"].append(np.append(mesh.grid_origin, mesh.grid_cell)[None])
         table["grid_dims"].append(np.append(mesh.grid_dims, first_cell)[None])
         cells = cells_of_box(mesh.box, mesh.grid_origin, mesh.grid_cell, mesh.grid_dims, 0)
         cells[6] = self._occupancy.append(np.zeros(pyramid_bytes(cells), np.uint8))
-        occupancy = self._occupancy.view
-        mark_boxes(mesh.boxes, *mesh.grid_origin, mesh.grid_cell, cells, occupancy)
-        fill_pyramid(cells, occupancy)
+        self._pools = None
+        mark_all(self.pools.mesh, index, tet, tet + len(mesh.tetrahedra), cells, self._occupancy.view)
+        fill_pyramid(cells, self._occupancy.view)
         rows = _MeshRows(index, node, tet, edge, self._append_tree(prepared.tree), cells, prepared)
         self._meshes.append(rows)
         self._pools = None

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fracture_collision.core.compiled import kernel
+from fracture_collision.core.compiled import inlined_kernel, kernel
 
 EDGE_FIRST = np.array([0, 0, 0, 1, 1, 2])
 EDGE_SECOND = np.array([1, 2, 3, 2, 3, 3])
@@ -28,7 +28,7 @@ INTERFACE = 4  # kind of a triangle between two fragments; 0..3: on that face
 MAX_TRIANGLES = 4096  # more than any choice of planes was seen to make (below 200); exceeding it raises
 
 
-@kernel
+@inlined_kernel
 def collect_margins(corner_labels, cut_planes, flips, planes, slot_labels, functionals, counts):
     """Fill slot labels (4,), functionals (4, 4, 4), counts (4,); returns the number of slots.
 
@@ -36,23 +36,24 @@ def collect_margins(corner_labels, cut_planes, flips, planes, slot_labels, funct
     the stored plane points from the edge's second local vertex to its first.
     """
     slots = 0
-    slot_of = np.empty(4, dtype=np.int64)
     for i in range(4):
-        slot_of[i] = -1
+        new = True
         for s in range(slots):
             if slot_labels[s] == corner_labels[i]:
-                slot_of[i] = s
-        if slot_of[i] < 0:
+                new = False
+        if new:
             slot_labels[slots] = corner_labels[i]
             counts[slots] = 0
-            slot_of[i] = slots
             slots += 1
     for e in range(6):
         p = cut_planes[e]
         if p < 0:
             continue
         for end in range(2):
-            s = slot_of[EDGE_FIRST[e]] if end == 0 else slot_of[EDGE_SECOND[e]]
+            label = corner_labels[EDGE_FIRST[e]] if end == 0 else corner_labels[EDGE_SECOND[e]]
+            s = 0
+            while slot_labels[s] != label:
+                s += 1
             sign = -1.0 if (end == 0) != (flips[e] == 1) else 1.0
             nx, ny, nz, o = sign * planes[p, 0], sign * planes[p, 1], sign * planes[p, 2], sign * planes[p, 3]
             known = False
@@ -67,7 +68,7 @@ def collect_margins(corner_labels, cut_planes, flips, planes, slot_labels, funct
     return slots
 
 
-@kernel
+@inlined_kernel
 def margin(functionals, count, x, y, z):
     """Smallest signed distance [m] to a slot's `count` functionals; infinity without any."""
     least = np.inf
@@ -77,7 +78,7 @@ def margin(functionals, count, x, y, z):
     return least
 
 
-@kernel
+@inlined_kernel
 def owner_slot(slots, functionals, counts, slot_labels, x, y, z):
     """Slot of the largest margin; the smaller label at a tie."""
     best = 0

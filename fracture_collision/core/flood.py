@@ -13,25 +13,25 @@ import math
 import numpy as np
 
 from fracture_collision.core.closest_point import ON_FACE, ON_RIM, box_distance_squared, closest_on_triangle, triangle_normal
-from fracture_collision.core.compiled import kernel
+from fracture_collision.core.compiled import inlined_kernel
 from fracture_collision.core.cut_tetrahedron import FACE_VERTICES
 from fracture_collision.core.point_location import holds_fragment
-from fracture_collision.core.pools import NEVER_BROKEN
+from fracture_collision.core.pools import CUT, NEVER_BROKEN
 
 # Which surface triangle a closest point lies on: a row of body.triangles, or -1 - (4 tetrahedron + face) of the old surface.
 NO_SOURCE = np.iinfo(np.int64).max
 # Below this share of R a direction between two points says nothing; the surface's own normal does.
 DIRECTION_FLOOR = 1e-9
+PLANE_SLACK = 1.0 + 1e-9
 
 
-@kernel
+@inlined_kernel
 def nearest_in_tetrahedron(pools, f, t, x, y, z, best):
     """Better of `best` = (squared distance, x, y, z, feature, source) and f's surface within tetrahedron `t`."""
     d2, qx, qy, qz, feature, source = best
     mesh, body = pools.mesh, pools.body
     shift = pools.fragment.tet_shift[f]
-    begin = -1 if shift == NEVER_BROKEN else body.cut_begin[t + shift]
-    if begin < 0:
+    if shift == NEVER_BROKEN or body.tet_fragment[t + shift] != CUT:
         for face in range(4):
             if mesh.neighbours[t, face] >= 0:
                 continue
@@ -41,18 +41,24 @@ def nearest_in_tetrahedron(pools, f, t, x, y, z, best):
             e2, ex, ey, ez, rim = closest_on_triangle(x, y, z, a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2])
             if e2 < d2:
                 d2, qx, qy, qz, feature, source = e2, ex, ey, ez, rim, -1 - (4 * t + face)
-    else:
-        for i in range(begin, begin + body.cut_count[t + shift]):
-            if body.front[i] != f and body.back[i] != f:
-                continue
-            p = body.triangles[i]
-            e2, ex, ey, ez, rim = closest_on_triangle(x, y, z, p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8])
-            if e2 < d2:
-                d2, qx, qy, qz, feature, source = e2, ex, ey, ez, rim, i
+        return d2, qx, qy, qz, feature, source
+    begin = body.cut_begin[t + shift]
+    for i in range(begin, begin + body.cut_count[t + shift]):
+        if body.front[i] != f and body.back[i] != f:
+            continue
+        # no point of a triangle is nearer than its plane; rounding is left room
+        p = body.faces[i]
+        height = p[0] * x + p[1] * y + p[2] * z - p[3]
+        if height * height > d2 * PLANE_SLACK:
+            continue
+        p = body.triangles[i]
+        e2, ex, ey, ez, rim = closest_on_triangle(x, y, z, p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8])
+        if e2 < d2:
+            d2, qx, qy, qz, feature, source = e2, ex, ey, ez, rim, i
     return d2, qx, qy, qz, feature, source
 
 
-@kernel
+@inlined_kernel
 def _push(keys, items, count, key, item):
     i = count
     while i > 0:
@@ -64,7 +70,7 @@ def _push(keys, items, count, key, item):
     keys[i], items[i] = key, item
 
 
-@kernel
+@inlined_kernel
 def _pop(keys, items, count):
     """Remove the root of a heap of `count`; the caller has read it."""
     last = count - 1
@@ -83,7 +89,7 @@ def _pop(keys, items, count):
     keys[i], items[i] = key, item
 
 
-@kernel
+@inlined_kernel
 def next_stamp(scratch, thread):
     """A stamp no tetrahedron of this thread carries."""
     if scratch.stamp[thread] == np.iinfo(np.int32).max:
@@ -93,26 +99,25 @@ def next_stamp(scratch, thread):
     return scratch.stamp[thread]
 
 
-@kernel
-def nearest_from_inside(pools, f, start, x, y, z, scratch, thread):
-    """Nearest point of f's surface seen from a point of f in tetrahedron `start`.
+@inlined_kernel
+def nearest_from_inside(pools, f, start, x, y, z, limit, scratch, thread):
+    """Nearest point of f's surface closer than `limit` [m] (infinity: whatever it is) to a point of f in `start`.
 
-    Returns (squared distance [m2], x, y, z, feature, source, tetrahedra visited).
+    Returns (squared distance [m2], x, y, z, feature, source); NO_SOURCE if none is as close.
     """
     mesh = pools.mesh
     keys = scratch.heap_key[thread]
     items = scratch.heap_tet[thread]
     visited = scratch.visited[thread]
     stamp = next_stamp(scratch, thread)
-    best = (np.inf, 0.0, 0.0, 0.0, ON_RIM, NO_SOURCE)
+    best = (limit * limit, 0.0, 0.0, 0.0, ON_RIM, NO_SOURCE)
     keys[0], items[0] = 0.0, start
     visited[start] = stamp
-    count, visits = 1, 0
+    count = 1
     while count and keys[0] < best[0]:
         t = items[0]
         _pop(keys, items, count)
         count -= 1
-        visits += 1
         best = nearest_in_tetrahedron(pools, f, t, x, y, z, best)
         for face in range(4):
             n = mesh.neighbours[t, face]
@@ -124,10 +129,10 @@ def nearest_from_inside(pools, f, start, x, y, z, scratch, thread):
                 if key < best[0]:
                     _push(keys, items, count, key, n)
                     count += 1
-    return best[0], best[1], best[2], best[3], best[4], best[5], visits
+    return best
 
 
-@kernel
+@inlined_kernel
 def nearest_from_outside(pools, f, x, y, z, limit, scratch, thread):
     """Nearest point of f's surface closer than `limit` [m] to a point that is not of f; NO_SOURCE if none is."""
     mesh = pools.mesh
@@ -162,7 +167,7 @@ def nearest_from_outside(pools, f, x, y, z, limit, scratch, thread):
     return best
 
 
-@kernel
+@inlined_kernel
 def source_normal(pools, f, source):
     """Outward unit normal of f on the surface triangle `source`."""
     if source < 0:
@@ -172,14 +177,13 @@ def source_normal(pools, f, source):
         b = pools.mesh.nodes[v[FACE_VERTICES[face, 1]]]
         c = pools.mesh.nodes[v[FACE_VERTICES[face, 2]]]
         return triangle_normal(a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2])
-    p = pools.body.triangles[source]
-    nx, ny, nz = triangle_normal(p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8])
+    p = pools.body.faces[source]
     if pools.body.front[source] == f:
-        return nx, ny, nz
-    return -nx, -ny, -nz
+        return p[0], p[1], p[2]
+    return -p[0], -p[1], -p[2]
 
 
-@kernel
+@inlined_kernel
 def outward_direction(pools, f, x, y, z, best, inside):
     """Unit direction out of f at the closest point `best`: across a face its normal, at a rim the line between the points."""
     d2, qx, qy, qz, feature, source = best

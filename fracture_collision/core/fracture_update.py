@@ -21,8 +21,9 @@ from fracture_collision.core.cut_tetrahedron import (
     partition,
 )
 from fracture_collision.core.moments import add_tetrahedron
-from fracture_collision.core.occupancy import mark_box
+from fracture_collision.core.occupancy import mark_tetrahedron
 from fracture_collision.core.point_location import load_margins
+from fracture_collision.core.pools import CUT
 
 # A triangle thinner than this (area against its longest side squared) is a clipping residue; its neighbours hold its rim.
 RESIDUE = 1e-13
@@ -238,12 +239,13 @@ def rebuild_surfaces(
 ):  # fmt: skip
     """Polygons of all cut tetrahedra among `tets`, and moments, boxes, sampling gaps of fragments low .. high - 1.
 
-    Labels and planes in `body` are those after the fracture, `share` is what crack_samples filled. Writes body.cut_begin / cut_count (rows from
+    Labels and planes in `body` are those after the fracture, `share` is what crack_samples filled. Writes body.tet_fragment, cut_begin and cut_count (rows from
     `first_polygon` on), adds to `moments` (F, 10), grows `boxes` (high - low, 6) and `gaps` (high - low,). Returns the
-    new rows (triangles, front, back, kind).
+    new rows (triangles, faces, front, back, kind).
     """
     capacity = 64
     out_triangles = np.empty((capacity, 9))
+    out_faces = np.empty((capacity, 4))
     out_front = np.empty(capacity, dtype=np.int32)
     out_back = np.empty(capacity, dtype=np.int32)
     out_kind = np.empty(capacity, dtype=np.uint8)
@@ -270,8 +272,7 @@ def rebuild_surfaces(
             surface_node[i] = mesh.on_surface[v]
         first = corner_labels[0]
         if corner_labels[1] == first and corner_labels[2] == first and corner_labels[3] == first:
-            body.cut_begin[t + tet_shift] = -1
-            body.cut_count[t + tet_shift] = 0
+            body.tet_fragment[t + tet_shift] = first
             for d in range(10):
                 moments[first, d] += mesh.moments[t, d]
             for i in range(4):
@@ -294,6 +295,7 @@ def rebuild_surfaces(
                         crack_points[e, end, d] = corners[own, d] + part * (corners[far, d] - corners[own, d])
         slots = load_margins(mesh, body, node_shift, edge_shift, t, labels, functionals, counts)
         used = partition(corners, slots, functionals, counts, triangles, fronts, backs, kinds)
+        body.tet_fragment[t + tet_shift] = CUT
         body.cut_begin[t + tet_shift] = first_polygon + written
         o = corners[0]
         for i in range(used):
@@ -319,7 +321,8 @@ def rebuild_surfaces(
             vx, vy, vz = p[6] - p[0], p[7] - p[1], p[8] - p[2]
             nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
             span = max(ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz)
-            if math.sqrt(nx * nx + ny * ny + nz * nz) <= RESIDUE * span:
+            length = math.sqrt(nx * nx + ny * ny + nz * nz)
+            if length <= RESIDUE * span:
                 continue
             for side in range(2):
                 s = fronts[i] if side == 0 else backs[i]
@@ -330,25 +333,21 @@ def rebuild_surfaces(
                     gaps[labels[s] - low] = max(gaps[labels[s] - low], _gap_of_triangle(p, samples, count))
             if written == capacity:
                 capacity *= 2
-                grown = np.empty((capacity, 9))
-                grown[:written] = out_triangles
-                out_triangles = grown
-                grown_front = np.empty(capacity, dtype=np.int32)
-                grown_front[:written] = out_front
-                out_front = grown_front
-                grown_back = np.empty(capacity, dtype=np.int32)
-                grown_back[:written] = out_back
-                out_back = grown_back
-                grown_kind = np.empty(capacity, dtype=np.uint8)
-                grown_kind[:written] = out_kind
-                out_kind = grown_kind
+                out_triangles = np.concatenate((out_triangles, np.empty_like(out_triangles)))
+                out_faces = np.concatenate((out_faces, np.empty_like(out_faces)))
+                out_front = np.concatenate((out_front, np.empty_like(out_front)))
+                out_back = np.concatenate((out_back, np.empty_like(out_back)))
+                out_kind = np.concatenate((out_kind, np.empty_like(out_kind)))
             out_triangles[written] = p
+            nx, ny, nz = nx / length, ny / length, nz / length
+            out_faces[written, 0], out_faces[written, 1], out_faces[written, 2] = nx, ny, nz
+            out_faces[written, 3] = nx * p[0] + ny * p[1] + nz * p[2]
             out_front[written] = labels[fronts[i]]
             out_back[written] = -1 if backs[i] < 0 else labels[backs[i]]
             out_kind[written] = kinds[i]
             written += 1
         body.cut_count[t + tet_shift] = first_polygon + written - body.cut_begin[t + tet_shift]
-    return out_triangles[:written], out_front[:written], out_back[:written], out_kind[:written]
+    return out_triangles[:written], out_faces[:written], out_front[:written], out_back[:written], out_kind[:written]
 
 
 @kernel
@@ -363,7 +362,4 @@ def mark_cells(mesh, k, body, node_shift, tets, low, high, cells, occupancy):
                     if body.node_fragment[mesh.tetrahedra[t, j] + node_shift] == label:
                         new = False
                 if new:
-                    mark_box(
-                        mesh.boxes[t], mesh.grid[k, 0], mesh.grid[k, 1], mesh.grid[k, 2], mesh.grid[k, 3],
-                        cells[label - low], occupancy,
-                    )  # fmt: skip
+                    mark_tetrahedron(mesh, k, t, cells[label - low], occupancy)

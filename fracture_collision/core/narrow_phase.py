@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.core.compiled import kernel, threaded_kernel
+from fracture_collision.core.compiled import inlined_kernel, kernel, threaded_kernel
 from fracture_collision.core.crew import Crew
 from fracture_collision.core.traversal import query_pair
 
@@ -48,7 +48,7 @@ def rotation_matrices(quaternions):
     return out
 
 
-@kernel
+@inlined_kernel
 def _relative_pose(rotation_from, position_from, rotation_to, position_to, rotation, translation):
     for i in range(3):
         translation[i] = 0.0
@@ -68,8 +68,7 @@ def _query_share(
     room, contacts, samples, counts, bounds, visits, exhausted, scratch, threads, thread,
 ):  # fmt: skip
     """Every `threads`-th pair of `todo`, from `thread` on."""
-    rotation = np.empty((2, 3, 3))
-    translation = np.empty((2, 3))
+    rotation, translation = scratch.rotation[thread], scratch.translation[thread]
     for k in range(thread, len(todo), threads):
         p = todo[k]
         i, j = pairs[p, 0], pairs[p, 1]

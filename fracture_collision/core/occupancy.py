@@ -11,29 +11,25 @@ import math
 
 import numpy as np
 
-from fracture_collision.core.compiled import kernel
+from fracture_collision.core.compiled import inlined_kernel, kernel
 
 
 @kernel
-def mark_box(box, origin_x, origin_y, origin_z, cell, cells, occupancy):
-    """Set the level-0 bytes of all cells a box (6,) touches, within the fragment's cells (7,)."""
-    i0 = max(int(math.floor((box[0] - origin_x) / cell)), cells[0])
-    j0 = max(int(math.floor((box[1] - origin_y) / cell)), cells[1])
-    l0 = max(int(math.floor((box[2] - origin_z) / cell)), cells[2])
-    i1 = min(int(math.floor((box[3] - origin_x) / cell)), cells[0] + cells[3] - 1)
-    j1 = min(int(math.floor((box[4] - origin_y) / cell)), cells[1] + cells[4] - 1)
-    l1 = min(int(math.floor((box[5] - origin_z) / cell)), cells[2] + cells[5] - 1)
-    for i in range(i0, i1 + 1):
-        for j in range(j0, j1 + 1):
-            row = cells[6] + ((i - cells[0]) * cells[4] + (j - cells[1])) * cells[5] - cells[2]
-            for l in range(l0, l1 + 1):  # noqa: E741
-                occupancy[row + l] = 1
+def mark_tetrahedron(mesh, k, t, cells, occupancy):
+    """Set the level-0 bytes of all cells that tetrahedron `t` of mesh `k` touches, within the fragment's cells (7,)."""
+    ny, nz = mesh.grid_dims[k, 1], mesh.grid_dims[k, 2]
+    for e in range(mesh.tet_cells_begin[t + k], mesh.tet_cells_begin[t + k + 1]):
+        c = mesh.tet_cells[e]
+        i, j, l = c // (ny * nz) - cells[0], c // nz % ny - cells[1], c % nz - cells[2]  # noqa: E741
+        if 0 <= i < cells[3] and 0 <= j < cells[4] and 0 <= l < cells[5]:
+            occupancy[cells[6] + (i * cells[4] + j) * cells[5] + l] = 1
 
 
 @kernel
-def mark_boxes(boxes, origin_x, origin_y, origin_z, cell, cells, occupancy):
-    for i in range(len(boxes)):
-        mark_box(boxes[i], origin_x, origin_y, origin_z, cell, cells, occupancy)
+def mark_all(mesh, k, first, last, cells, occupancy):
+    """Mark tetrahedra first .. last - 1 of mesh `k`."""
+    for t in range(first, last):
+        mark_tetrahedron(mesh, k, t, cells, occupancy)
 
 
 @kernel
@@ -71,7 +67,7 @@ def fill_pyramid(cells, occupancy):
         x0, y0, z0, nx, ny, nz, begin = ux, uy, uz, mx, my, mz, above
 
 
-@kernel
+@inlined_kernel
 def sphere_may_touch(pools, f, x, y, z, r):
     """False only if no tetrahedron that holds f comes within `r` [m] of the point (body frame)."""
     k = pools.fragment.mesh[f]

@@ -7,15 +7,15 @@ from __future__ import annotations
 
 import math
 
-from fracture_collision.core.compiled import kernel
+from fracture_collision.core.compiled import inlined_kernel
 from fracture_collision.core.cut_tetrahedron import collect_margins, owner_slot
-from fracture_collision.core.pools import NEVER_BROKEN
+from fracture_collision.core.pools import CUT, NEVER_BROKEN
 
 # A point of a shared face belongs to the first of its tetrahedra; rounding must not lose it between them.
 WEIGHT_TOLERANCE = -1e-12
 
 
-@kernel
+@inlined_kernel
 def tetrahedron_at(mesh, k, x, y, z):
     """Row of the tetrahedron of mesh `k` that holds the point (body frame [m]); -1 outside the body."""
     cell = mesh.grid[k, 3]
@@ -41,7 +41,7 @@ def tetrahedron_at(mesh, k, x, y, z):
     return -1
 
 
-@kernel
+@inlined_kernel
 def load_margins(mesh, body, node_shift, edge_shift, t, slot_labels, functionals, counts):
     """Margins of cut tetrahedron `t` into the scratch arrays; returns the number of slots."""
     a, b, c, d = mesh.tetrahedra[t]
@@ -71,7 +71,7 @@ def load_margins(mesh, body, node_shift, edge_shift, t, slot_labels, functionals
     )
 
 
-@kernel
+@inlined_kernel
 def owner_in_tetrahedron(pools, f, t, x, y, z, scratch, thread):
     """Fragment row that owns the point within tetrahedron `t` of fragment `f`'s body."""
     fragment = pools.fragment
@@ -79,8 +79,9 @@ def owner_in_tetrahedron(pools, f, t, x, y, z, scratch, thread):
     if tet_shift == NEVER_BROKEN:
         return f
     node_shift = fragment.node_shift[f]
-    if pools.body.cut_begin[t + tet_shift] < 0:
-        return pools.body.node_fragment[pools.mesh.tetrahedra[t, 0] + node_shift]
+    alone = pools.body.tet_fragment[t + tet_shift]
+    if alone != CUT:
+        return alone
     labels = scratch.slot_labels[thread]
     functionals = scratch.functionals[thread]
     counts = scratch.counts[thread]
@@ -90,12 +91,16 @@ def owner_in_tetrahedron(pools, f, t, x, y, z, scratch, thread):
     return labels[owner_slot(slots, functionals, counts, labels, x, y, z)]
 
 
-@kernel
+@inlined_kernel
 def holds_fragment(pools, f, t):
     """Whether tetrahedron `t` has a node of fragment `f`."""
-    shift = pools.fragment.node_shift[f]
-    if shift == NEVER_BROKEN:
+    tet_shift = pools.fragment.tet_shift[f]
+    if tet_shift == NEVER_BROKEN:
         return True
+    alone = pools.body.tet_fragment[t + tet_shift]
+    if alone != CUT:
+        return alone == f
+    shift = pools.fragment.node_shift[f]
     v = pools.mesh.tetrahedra[t]
     label = pools.body.node_fragment
     return (

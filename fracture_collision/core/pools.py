@@ -54,6 +54,8 @@ class MeshPool(NamedTuple):
     grid_dims: np.ndarray  # (meshes, 4) int32: cells along x, y, z; first entry in cell_begin
     cell_begin: np.ndarray  # int32, cells + 1 a mesh
     cell_tets: np.ndarray  # int32
+    tet_cells_begin: np.ndarray  # (M + meshes,) int32; mesh k's rows start at first tetrahedron + k
+    tet_cells: np.ndarray  # int32, cells of each tetrahedron, counted from its mesh's first
 
 
 class BodyPool(NamedTuple):
@@ -61,10 +63,12 @@ class BodyPool(NamedTuple):
 
     node_fragment: np.ndarray  # int32 fragment row of each mesh node
     edge_plane: np.ndarray  # int32 row of `planes`, -1: not cut
-    cut_begin: np.ndarray  # int32 per tetrahedron: first row of its polygons, -1: one fragment alone
+    tet_fragment: np.ndarray  # int32 fragment row of a tetrahedron that one fragment has alone; CUT if several share it
+    cut_begin: np.ndarray  # int32 per tetrahedron that is CUT: first row of its polygons
     cut_count: np.ndarray  # int32
     planes: np.ndarray  # (P, 4) float64, unit normal from the edge's first node to its second, offset [m]
     triangles: np.ndarray  # (T, 9) float64 [m] corners, right-handed about the outward normal of `front`
+    faces: np.ndarray  # (T, 4) float64 their planes: that normal, unit, and offset [m]
     front: np.ndarray  # int32 fragment row
     back: np.ndarray  # int32 fragment row, -1: nothing
     kind: np.ndarray  # uint8, see cut_tetrahedron: 0..3 a share of that face, INTERFACE
@@ -76,7 +80,7 @@ class FragmentPool(NamedTuple):
     kind: np.ndarray  # int32, kinds.py
     mesh: np.ndarray  # int32 row of grid or, for TRIANGLES, of node_range; -1 without mesh
     node_shift: np.ndarray  # int32: mesh node + shift = row of node_fragment; NEVER_BROKEN for a whole body
-    tet_shift: np.ndarray  # int32 likewise for cut_begin
+    tet_shift: np.ndarray  # int32 likewise for tet_fragment, cut_begin, cut_count
     edge_shift: np.ndarray  # int32 likewise for edge_plane
     box: np.ndarray  # (F, 6) float64 [m], body frame
     shape: np.ndarray  # (F, 4) float64: plane (n, offset), sphere (radius), box (half edges) [m]
@@ -119,4 +123,5 @@ class Pools(NamedTuple):
     triangles: TriangleMeshPool
 
 
+CUT = -1
 NEVER_BROKEN = np.iinfo(np.int32).min

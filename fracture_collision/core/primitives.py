@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 
-from fracture_collision.core.compiled import kernel
+from fracture_collision.core.compiled import inlined_kernel
 from fracture_collision.core.kinds import BOX, PLANE
 
 
-@kernel
+@inlined_kernel
 def primitive_distance(kind, shape, x, y, z):
     """Signed distance [m], positive outside, with the outward unit normal: (distance, nx, ny, nz).
 
@@ -25,7 +25,7 @@ def primitive_distance(kind, shape, x, y, z):
     return r - shape[0], x / r, y / r, z / r
 
 
-@kernel
+@inlined_kernel
 def _box_distance(half, x, y, z):
     ex, ey, ez = abs(x) - half[0], abs(y) - half[1], abs(z) - half[2]
     sx = 1.0 if x >= 0.0 else -1.0

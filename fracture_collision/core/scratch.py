@@ -6,6 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fracture_collision.core.triangle_field import STACK
+
 
 class Scratch(NamedTuple):
     """Leading dimension: thread."""
@@ -19,6 +21,9 @@ class Scratch(NamedTuple):
     counts: np.ndarray  # (threads, 4) int64
     queue_int: np.ndarray  # (threads, 2, entries, 4) int32: entry, side, next child, inside
     queue_float: np.ndarray  # (threads, 2, entries, 4) float64: point in the other's frame [m], depth bound [m]
+    rotation: np.ndarray  # (threads, 2, 3, 3) float64: a pair's relative poses
+    translation: np.ndarray  # (threads, 2, 3) float64 [m]
+    stack: np.ndarray  # (threads, STACK) int32: a descent through a triangle hierarchy
 
 
 def make_scratch(threads: int, tetrahedra: int, queue_entries: int) -> Scratch:
@@ -32,4 +37,7 @@ def make_scratch(threads: int, tetrahedra: int, queue_entries: int) -> Scratch:
         counts=np.zeros((threads, 4), dtype=np.int64),
         queue_int=np.zeros((threads, 2, queue_entries, 4), dtype=np.int32),
         queue_float=np.zeros((threads, 2, queue_entries, 4)),
+        rotation=np.zeros((threads, 2, 3, 3)),
+        translation=np.zeros((threads, 2, 3)),
+        stack=np.zeros((threads, STACK), dtype=np.int32),
     )

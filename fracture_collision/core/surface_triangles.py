@@ -7,7 +7,7 @@ import numpy as np
 from fracture_collision.core.compiled import kernel
 from fracture_collision.core.cut_tetrahedron import FACE_VERTICES
 from fracture_collision.core.point_location import holds_fragment
-from fracture_collision.core.pools import NEVER_BROKEN, Pools
+from fracture_collision.core.pools import CUT, NEVER_BROKEN, Pools
 
 
 @kernel
@@ -19,8 +19,7 @@ def _collect(pools, f, first_tet, last_tet, out, crack):
     for t in range(first_tet, last_tet):
         if not holds_fragment(pools, f, t):
             continue
-        begin = -1 if shift == NEVER_BROKEN else body.cut_begin[t + shift]
-        if begin < 0:
+        if shift == NEVER_BROKEN or body.tet_fragment[t + shift] != CUT:
             for face in range(4):
                 if mesh.neighbours[t, face] < 0:
                     if used < len(out):
@@ -29,6 +28,7 @@ def _collect(pools, f, first_tet, last_tet, out, crack):
                         crack[used] = 0
                     used += 1
             continue
+        begin = body.cut_begin[t + shift]
         for i in range(begin, begin + body.cut_count[t + shift]):
             if body.front[i] != f and body.back[i] != f:
                 continue

@@ -43,6 +43,8 @@ class TetMesh(NamedTuple):
     grid_dims: np.ndarray  # (3,) int32
     cell_begin: np.ndarray  # (cells + 1,) int32
     cell_tets: np.ndarray  # int32, ascending within a cell
+    tet_cells_begin: np.ndarray  # (m + 1,) int32
+    tet_cells: np.ndarray  # int32, the cells of each tetrahedron
     box: np.ndarray  # (6,) float64 [m]
     sampling_gap: float  # [m] no point of the old surface is farther from a vertex of it
 
@@ -66,7 +68,8 @@ def build_tet_mesh(nodes: np.ndarray, tetrahedra: np.ndarray) -> TetMesh:
     # Half a cell of air around the mesh keeps a vertex of the boundary off the last cell's far face.
     origin = lower - 0.5 * cell
     dims = (np.floor((upper - origin) / cell) + 1).astype(np.int32)
-    cell_begin, cell_tets = _register_tetrahedra(boxes, origin, cell, dims)
+    barycentric = _barycentric_rows(corners)
+    cells = _register_tetrahedra(boxes, barycentric, origin, cell, dims)
     sides = nodes[surface] - nodes[np.roll(surface, 1, axis=1)]
     return TetMesh(
         nodes=nodes,
@@ -75,7 +78,7 @@ def build_tet_mesh(nodes: np.ndarray, tetrahedra: np.ndarray) -> TetMesh:
         tetrahedron_edges=np.ascontiguousarray(tetrahedron_edges(tetrahedra, edges), dtype=np.int32),
         edges=np.ascontiguousarray(edges, dtype=np.int32),
         boxes=boxes,
-        barycentric=_barycentric_rows(corners),
+        barycentric=barycentric,
         moments=tetrahedron_moments(corners),
         on_surface=on_surface,
         node_tets_begin=begin,
@@ -84,8 +87,10 @@ def build_tet_mesh(nodes: np.ndarray, tetrahedra: np.ndarray) -> TetMesh:
         grid_origin=origin,
         grid_cell=cell,
         grid_dims=dims,
-        cell_begin=cell_begin,
-        cell_tets=cell_tets,
+        cell_begin=cells[0],
+        cell_tets=cells[1],
+        tet_cells_begin=cells[2],
+        tet_cells=cells[3],
         box=np.concatenate([lower, upper]),
         # The corners of a triangle with longest side L cover it with balls of radius L / sqrt(3).
         sampling_gap=float(np.sqrt((sides**2).sum(axis=2).max() / 3.0)),
@@ -112,18 +117,45 @@ def _barycentric_rows(corners: np.ndarray) -> np.ndarray:
 
 
 @kernel
-def _register_tetrahedra(boxes, origin, cell, dims):
+def _touches_cell(rows, x, y, z, half):
+    """Whether a tetrahedron, given by its barycentric rows (12,), may meet a cube of half edge `half` about (x, y, z).
+
+    Separating planes of the four faces; with the boxes' overlap, which the caller has tested, a close outer bound.
+    """
+    last, last_reach = 1.0, 0.0
+    gx = gy = gz = 0.0
+    for i in range(3):
+        a, b, c, d = rows[4 * i], rows[4 * i + 1], rows[4 * i + 2], rows[4 * i + 3]
+        weight = a * x + b * y + c * z + d
+        if weight + half * (abs(a) + abs(b) + abs(c)) < 0.0:
+            return False
+        last -= weight
+        gx, gy, gz = gx + a, gy + b, gz + c
+    last_reach = half * (abs(gx) + abs(gy) + abs(gz))
+    return last + last_reach >= 0.0
+
+
+@kernel
+def _register_tetrahedra(boxes, barycentric, origin, cell, dims):
+    """Cells to tetrahedra and tetrahedra to cells, as (begin, items) each, ascending."""
     nx, ny, nz = dims
-    counts = np.zeros(nx * ny * nz + 1, dtype=np.int32)
+    cell_begin = np.zeros(nx * ny * nz + 1, dtype=np.int32)
+    tet_begin = np.zeros(len(boxes) + 1, dtype=np.int32)
     lo = np.empty(3, dtype=np.int64)
     hi = np.empty(3, dtype=np.int64)
+    # a hair more than half a cell, so that rounding cannot lose a tetrahedron that touches the wall between two cells
+    half = 0.5 * cell * (1.0 + 1e-9)
     cell_tets = np.empty(0, dtype=np.int32)
+    tet_cells = np.empty(0, dtype=np.int32)
+    cursor = np.empty(0, dtype=np.int32)
     for fill in range(2):
         if fill == 1:
             for c in range(nx * ny * nz):
-                counts[c + 1] += counts[c]
-            cell_tets = np.empty(counts[-1], dtype=np.int32)
-            cursor = counts.copy()
+                cell_begin[c + 1] += cell_begin[c]
+            cell_tets = np.empty(cell_begin[-1], dtype=np.int32)
+            tet_cells = np.empty(cell_begin[-1], dtype=np.int32)
+            cursor = cell_begin.copy()
+        used = 0
         for t in range(len(boxes)):
             for k in range(3):
                 lo[k] = int(np.floor((boxes[t, k] - origin[k]) / cell))
@@ -131,10 +163,16 @@ def _register_tetrahedra(boxes, origin, cell, dims):
             for i in range(lo[0], hi[0] + 1):
                 for j in range(lo[1], hi[1] + 1):
                     for k in range(lo[2], hi[2] + 1):
+                        x, y, z = origin[0] + (i + 0.5) * cell, origin[1] + (j + 0.5) * cell, origin[2] + (k + 0.5) * cell
+                        if not _touches_cell(barycentric[t], x, y, z, half):
+                            continue
                         c = (i * ny + j) * nz + k
                         if fill == 0:
-                            counts[c + 1] += 1
+                            cell_begin[c + 1] += 1
                         else:
                             cell_tets[cursor[c]] = t
                             cursor[c] += 1
-    return counts, cell_tets
+                            tet_cells[used] = c
+                            used += 1
+            tet_begin[t + 1] = used
+    return cell_begin, cell_tets, tet_begin, tet_cells

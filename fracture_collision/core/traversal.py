@@ -15,8 +15,8 @@ import math
 
 import numpy as np
 
-from fracture_collision.core.compiled import kernel
-from fracture_collision.core.elementary_queries import INSIDE, NEAR, OUTSIDE, probe, sphere_test
+from fracture_collision.core.compiled import inlined_kernel, query_kernel
+from fracture_collision.core.elementary_queries import INSIDE, OUTSIDE, least_distance, probe, sphere_test
 from fracture_collision.core.kinds import SPHERE
 
 # Rounding of coordinates near the scale of the fragment must not make a bound lie.
@@ -28,7 +28,7 @@ ENTRY, SIDE, NEXT_CHILD, STATUS = 0, 1, 2, 3
 DEPTH = 3
 
 
-@kernel
+@inlined_kernel
 def to_other(rotation, translation, x, y, z):
     """rotation (3, 3) applied, then translation (3,)."""
     return (
@@ -38,18 +38,18 @@ def to_other(rotation, translation, x, y, z):
     )
 
 
-@kernel
+@inlined_kernel
 def _depth_limit(pools, f):
     """No point of fragment f is deeper than half its box's shortest side [m]."""
     b = pools.fragment.box[f]
     return 0.5 * min(b[3] - b[0], b[4] - b[1], b[5] - b[2])
 
 
-@kernel
+@inlined_kernel
 def sphere_contact(pools, ball, other, x, y, z, near, contacts, ids, count, side, scratch, thread):
     """The one contact of an analytic sphere, centre (x, y, z) in the other's frame: its deepest point."""
     radius = pools.fragment.shape[ball, 0]
-    status, d, nx, ny, nz, qx, qy, qz = probe(pools, other, x, y, z, radius + near, True, scratch, thread)
+    status, d, nx, ny, nz, qx, qy, qz = probe(pools, other, x, y, z, radius + near, math.inf, scratch, thread)
     if status == OUTSIDE or d - radius > near:
         return count
     row = contacts[count]
@@ -61,7 +61,7 @@ def sphere_contact(pools, ball, other, x, y, z, near, contacts, ids, count, side
     return count + 1
 
 
-@kernel
+@query_kernel
 def query_pair(
     pools, a, b, rotation, translation, wanted, epsilon, near, budget, contacts, ids, capacity, scratch, thread
 ):
@@ -115,40 +115,48 @@ def query_pair(
                     head -= 1
                     break
                 visits += 1
-                status = item[STATUS]
-                if status < 0:
+                if item[STATUS] < 0:
                     c = tree.center[entry]
                     x, y, z = to_other(rotation[side], translation[side], c[0], c[1], c[2])
-                    listable = tree.on_surface[entry] == 1
-                    status, d, nx, ny, nz, qx, qy, qz = probe(
-                        pools, other, x, y, z, near, listable, scratch, thread
-                    )
                     point[0], point[1], point[2] = x, y, z
+                    if tree.on_surface[entry] == 0:
+                        # an interior node is no contact; whether it is inside would cull nothing
+                        d = least_distance(pools, other, x, y, z)
+                        item[STATUS] = INSIDE if d == -math.inf else OUTSIDE
+                    else:
+                        full = count < m
+                        status, d, nx, ny, nz, qx, qy, qz = probe(
+                            pools, other, x, y, z, near, math.inf if full else epsilon, scratch, thread
+                        )
+                        if status == INSIDE and d == -math.inf:
+                            status, d, nx, ny, nz, qx, qy, qz = probe(
+                                pools, other, x, y, z, near, math.inf, scratch, thread
+                            )
+                        item[STATUS] = INSIDE if status == INSIDE else OUTSIDE
+                        if status != OUTSIDE:
+                            if full or -d > epsilon:
+                                if count < capacity:
+                                    row = contacts[count]
+                                    row[0], row[1], row[2] = x, y, z
+                                    row[3], row[4], row[5] = qx, qy, qz
+                                    row[6], row[7], row[8] = nx, ny, nz
+                                    row[9] = d
+                                    ids[count, 0], ids[count, 1] = side, tree.sample[entry]
+                                count += 1
+                                m = max(m, count)
+                            else:
+                                bound = max(bound, -d)
                     point[DEPTH] = min(-d, _depth_limit(pools, other))
-                    item[STATUS] = INSIDE if status == INSIDE else OUTSIDE
-                    if listable and status != OUTSIDE:
-                        if count < m or -d > epsilon:
-                            if count < capacity:
-                                row = contacts[count]
-                                row[0], row[1], row[2] = x, y, z
-                                row[3], row[4], row[5] = qx, qy, qz
-                                row[6], row[7], row[8] = nx, ny, nz
-                                row[9] = d
-                                ids[count, 0], ids[count, 1] = side, tree.sample[entry]
-                            count += 1
-                            m = max(m, count)
-                        else:
-                            bound = max(bound, -d)
                 if tree.size[entry] == 1:
                     continue
                 depth = point[DEPTH]
                 least = -near if count < m else epsilon
-                if item[STATUS] == INSIDE:
+                reach = radius - least
+                if item[STATUS] == INSIDE and tree.on_surface[entry] == 1:
                     enter = depth + radius > least
                 else:
-                    reach = radius - least
                     enter = reach > 0.0 and sphere_test(
-                        pools, other, -depth, point[0], point[1], point[2], reach
+                        pools, other, -depth, point[0], point[1], point[2], reach, scratch, thread
                     )
                 if not enter:
                     # inside: 1-Lipschitz; outside: the test says no point below is deeper than `least`
@@ -187,6 +195,6 @@ def query_pair(
     return count, bound + slack, visits, exhausted
 
 
-@kernel
+@inlined_kernel
 def _left_bound(tree, entry, depth):
     return depth + tree.radius[entry]

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.core.closest_point import ON_FACE, box_distance_squared, closest_on_triangle, triangle_normal
-from fracture_collision.core.compiled import kernel
+from fracture_collision.core.compiled import kernel, query_kernel
 from fracture_collision.core.pools import GrowableArray
 
 # Four triangles a leaf: one more box costs about as much as one more triangle.
@@ -131,13 +131,12 @@ def _build_hierarchy(boxes, centers):
     return order, node_box[:used].copy(), skip, first[:used].copy(), count[:used].copy()
 
 
-@kernel
-def nearest_triangle(meshes, k, x, y, z, limit):
+@query_kernel
+def nearest_triangle(meshes, k, x, y, z, limit, stack):
     """Nearest point of mesh `k` closer than `limit` [m]: (squared distance [m2], x, y, z, feature, triangle row or -1).
 
-    Depth first, the nearer child first; a box as far as the best so far is left.
+    Depth first, the nearer child first; a box as far as the best so far is left. `stack` (STACK,) int32: working space.
     """
-    stack = np.empty(STACK, dtype=np.int32)
     stack[0] = meshes.node_range[k, 0]
     top = 1
     best, qx, qy, qz, feature, source = limit * limit, 0.0, 0.0, 0.0, 0, -1
@@ -164,7 +163,7 @@ def nearest_triangle(meshes, k, x, y, z, limit):
     return best, qx, qy, qz, feature, source
 
 
-@kernel
+@query_kernel
 def triangle_within(meshes, k, x, y, z, r):
     """Whether any triangle of mesh `k` is within `r` [m] of the point: the sphere's own overlap with the surface."""
     node, end = meshes.node_range[k]
@@ -182,14 +181,14 @@ def triangle_within(meshes, k, x, y, z, r):
     return False
 
 
-@kernel
-def triangle_distance(meshes, k, radius, x, y, z):
+@query_kernel
+def triangle_distance(meshes, k, radius, x, y, z, stack):
     """(signed distance [m], positive outside; outward unit direction; closest point x, y, z) of mesh `k`.
 
     `radius` [m]: R of the body. The direction is the face's normal, or at an edge or corner the line between the two
     points; where these all but coincide, the pseudonormal.
     """
-    d2, qx, qy, qz, feature, t = nearest_triangle(meshes, k, x, y, z, math.inf)
+    d2, qx, qy, qz, feature, t = nearest_triangle(meshes, k, x, y, z, math.inf, stack)
     d = math.sqrt(d2)
     if feature == ON_FACE:
         c = meshes.corners[t]
