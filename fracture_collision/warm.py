@@ -1,12 +1,59 @@
-"""Compiles all kernels into numba's cache: `python -m fracture_collision.warm` (part of `make build`)."""
+"""Compiles all kernels into numba's cache: `python -m fracture_collision.warm` (part of `make build`).
+
+Nothing is compiled for its own sake: both nodes' own warm-ups, a small scene to its end, a picture.
+"""
 
 from __future__ import annotations
 
-from fracture_collision.world.warm_up import compile_kernels
+import time
+
+import numpy as np
+
+import fracture_collision.simulation.warm_up as simulator
+import fracture_collision.world.warm_up as service
+from fracture_collision.simulation.scene import load_scene
+from fracture_collision.simulation.simulation import Simulation
+from fracture_collision.viewer.ray_picture import Camera, TriangleScene, render
+from fracture_collision.viewer.shading import smooth_normals
+from fracture_collision.world import CollisionWorld
 
 
 def main() -> None:
-    compile_kernels(progress=print)
+    started = time.monotonic()
+    service.compile_kernels(progress=_say)
+    simulator.compile_kernels(progress=_say)
+    _say("a pane that breaks, and its pieces again")
+    run_in_lock_step("pane")
+    _say("pictures")
+    draw_one_triangle()
+    _say(f"all kernels are in the cache, after {time.monotonic() - started:.0f} s")
+
+
+def run_in_lock_step(scene_name: str) -> None:
+    """Simulator and service in this process, without ROS."""
+    simulation, world = Simulation(load_scene(scene_name)), CollisionWorld()
+    for body in simulation.start_bodies():
+        world.add_body(body)
+    while not simulation.finished:
+        request = simulation.begin_step()
+        for event in request.events:
+            world.add_fracture(event)
+        contacts = world.contacts(request.states)
+        simulation.finish_step(contacts, world.fragments())
+    simulation.close()
+
+
+def draw_one_triangle() -> None:
+    triangles = np.array([[[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [0.0, 1.0, 1.0]]])
+    normals = np.empty((3, 3))
+    smooth_normals(triangles, np.zeros(1, dtype=bool), np.arange(3), np.arange(4), 0.5, normals)
+    scene = TriangleScene(triangles, normals.reshape(1, 3, 3), np.full((1, 3), 0.5), np.zeros(1), 0.0)
+    camera = Camera(np.array([0.2, 0.2, 4.0]), np.zeros(3), 0.8)
+    render(scene, camera, 8, 8, np.array([0.0, 0.6, 0.8]))
+
+
+def _say(words: str) -> None:
+    print(words, flush=True)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,136 @@
+"""Bags: what goes in comes out, in other people's readers, and equal content gives equal bytes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from rclpy.serialization import serialize_message
+from rosbags.highlevel import AnyReader
+from rosbags.interfaces import QosDurability, QosHistory, QosReliability
+
+from fracture_collision import msg as messages
+from fracture_collision.bag.reader import message_counts, read_messages, topic_digest
+from fracture_collision.bag.writer import BagTopic, BagWriter, OfferedQos
+from fracture_collision.records import ContactConstraintArray, FragmentStates
+from fracture_collision.ros.conversion import header, to_message
+from fracture_collision.ros.message_definitions import message_definition, type_hash, type_name
+
+RANDOM = np.random.default_rng(5)
+STEP_NS = 2_500_000
+
+
+def topic(name: str, message_class, qos: OfferedQos) -> BagTopic:
+    return BagTopic(name, type_name(message_class), message_definition(message_class), type_hash(message_class), qos)
+
+
+EACH_STEP = OfferedQos("keep_last", 1, "reliable", "volatile")
+TOPICS = [
+    topic("/bodies", messages.CollisionBody, OfferedQos("keep_all", 0, "reliable", "transient_local")),
+    topic("/fragment_states", messages.FragmentStates, EACH_STEP),
+    topic("/contact_constraints", messages.ContactConstraintArray, EACH_STEP),
+]
+
+
+def states(step: int) -> FragmentStates:
+    ids = np.arange(3, dtype=np.uint32)
+    return FragmentStates(step, 0, ids, np.full(9, 0.1 * step), np.tile([0.0, 0.0, 0.0, 1.0], 3))
+
+
+def contacts(step: int) -> ContactConstraintArray:
+    one, ids = np.full(1, 0.5), np.zeros(1, dtype=np.uint32)
+    return ContactConstraintArray(
+        step, 0, 0, ids, ids + 1, np.array([0, 1]), one, one, one, np.full(3, step), np.ones(3), np.ones(3), -one,
+        np.array([2**64 - 1], dtype=np.uint64),
+    )  # fmt: skip
+
+
+def recording(steps: int = 40) -> list[tuple[str, bytes, int]]:
+    body = messages.CollisionBody(body_id=1, name="plate")
+    result = [("/bodies", serialize_message(body), 0)]
+    for step in range(steps):
+        for name, record in (("/fragment_states", states(step)), ("/contact_constraints", contacts(step))):
+            data = serialize_message(to_message(record, header(step * 0.0025), run_id=9))
+            result.append((name, data, step * STEP_NS))
+    return result
+
+
+def write(folder: Path, content: list[tuple[str, bytes, int]]) -> Path:
+    with BagWriter(folder, TOPICS) as bag:
+        for name, data, nanoseconds in content:
+            bag.write(name, data, nanoseconds)
+    return folder
+
+
+def shuffled_across_topics(content: list[tuple[str, bytes, int]]) -> list[tuple[str, bytes, int]]:
+    """As DDS may deliver it: in order on each topic, a few messages early or late across topics."""
+    keys = [i + RANDOM.uniform(0, 6) * (entry[0] == "/contact_constraints") for i, entry in enumerate(content)]
+    latest: dict[str, float] = {}
+    for i, (name, _, _) in enumerate(content):
+        keys[i] = latest[name] = max(keys[i], latest.get(name, 0.0))
+    order = sorted(range(len(content)), key=lambda i: (keys[i], i))
+    assert order != sorted(order)
+    return [content[i] for i in order]
+
+
+def test_equal_content_gives_equal_bytes(tmp_path: Path) -> None:
+    content = recording()
+    one = write(tmp_path / "one" / "bag", content)
+    other = write(tmp_path / "other" / "bag", shuffled_across_topics(content))
+    files = sorted(path.name for path in one.iterdir())
+    assert files == ["bag_0.mcap", "metadata.yaml"]
+    for name in files:
+        assert (one / name).read_bytes() == (other / name).read_bytes()
+
+
+def test_what_goes_in_comes_out(tmp_path: Path) -> None:
+    content = recording(400)  # more than is held back for sorting
+    bag = write(tmp_path / "bag", content)
+    assert [tuple(message) for message in read_messages(bag)] == [(name, time, data) for name, data, time in content]
+    assert message_counts(bag) == {"/bodies": 1, "/fragment_states": 400, "/contact_constraints": 400}
+    with pytest.raises(FileExistsError):
+        BagWriter(bag, TOPICS)
+
+
+def test_digest_tells_streams_apart_and_forgives_a_question_asked_twice(tmp_path: Path) -> None:
+    content = recording()
+    repeated = content[:2] + content[1:]
+    changed = [*content[:-1], (content[-1][0], content[-3][1], content[-1][2])]
+    bags = [write(tmp_path / str(i), each) for i, each in enumerate((content, repeated, changed))]
+    plain, twice, other = (topic_digest(bag, "/contact_constraints") for bag in bags)
+    assert plain == twice != other
+    plain, twice, other = (topic_digest(bag, "/fragment_states") for bag in bags)
+    assert plain == twice == other
+    assert message_counts(bags[1])["/fragment_states"] == 41
+
+
+def test_rosbags_reads_it(tmp_path: Path) -> None:
+    bag = write(tmp_path / "bag", recording())
+    with AnyReader([bag]) as reader:
+        assert (reader.message_count, reader.start_time) == (81, 0)
+        assert reader.duration == 39 * STEP_NS + 1  # rosbags counts to the end of the last nanosecond
+        by_name = {connection.topic: connection for connection in reader.connections}
+        assert {name: c.msgtype for name, c in by_name.items()} == {t.name: t.message_type for t in TOPICS}
+        assert all(connection.digest == t.type_hash for t in TOPICS for connection in [by_name[t.name]])
+        latched, each_step = (by_name[name].ext.offered_qos_profiles[0] for name in ("/bodies", "/fragment_states"))
+        assert (latched.history, latched.durability) == (QosHistory.KEEP_ALL, QosDurability.TRANSIENT_LOCAL)
+        assert (each_step.history, each_step.depth) == (QosHistory.KEEP_LAST, 1)
+        assert each_step.reliability == QosReliability.RELIABLE
+        for step, (connection, time, data) in enumerate(reader.messages([by_name["/contact_constraints"]])):
+            message = reader.deserialize(data, connection.msgtype)
+            assert (message.step, message.run_id, time) == (step, 9, step * STEP_NS)
+            assert message.contact_ids.tolist() == [2**64 - 1] and message.gaps.tolist() == [-0.5]
+            assert message.points_a.tolist() == [step] * 3
+        assert step == 39
+
+
+def test_mcap_tools_read_it_without_ros(tmp_path: Path) -> None:
+    bag = write(tmp_path / "bag", recording())
+    with (bag / "bag_0.mcap").open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        decoded = [message for _, _, _, message in reader.iter_decoded_messages(["/fragment_states"])]
+    assert [message.step for message in decoded] == list(range(40))
+    assert list(decoded[3].positions) == states(3).positions.tolist()
