@@ -9,7 +9,7 @@ import math
 
 from fracture_collision.core.compiled import inlined_kernel
 
-# Which part of a triangle (a, b, c) holds its closest point: the face, an edge ab, bc or ca (1 .. 3), a corner (4 .. 6).
+# Which part of a triangle abc holds the closest point: the face, an edge ab, bc or ca (1 .. 3), a corner (4 .. 6).
 ON_FACE = 0
 ON_RIM = 1  # and above: an edge or a corner
 

@@ -41,7 +41,7 @@ class TriangleMesh(NamedTuple):
 
 
 def build_triangle_mesh(vertices: np.ndarray, triangles: np.ndarray) -> TriangleMesh:
-    """Preprocess a closed mesh: vertices (n, 3) [m], triangles (t, 3) counter-clockwise from outside, each edge in two."""
+    """Preprocess a closed mesh: vertices (n, 3) [m], triangles (t, 3) counter-clockwise from outside."""
     corners = vertices[triangles]
     lower, upper = corners.min(axis=1), corners.max(axis=1)
     boxes = np.ascontiguousarray(np.concatenate([lower, upper], axis=1))
@@ -66,7 +66,7 @@ def append_triangle_mesh(table: dict[str, GrowableArray], mesh: TriangleMesh) ->
 
 
 def _pseudonormals(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pseudonormals of edges and vertices, and each triangle's rows among them (t, 6): sections 3 and 4 of the source."""
+    """Pseudonormals of edges and vertices, and each triangle's rows among them (t, 6): section 3 of the source."""
     corners = vertices[triangles]
     sides = np.roll(corners, -1, axis=1) - corners  # from corner i to the next
     sides /= np.linalg.norm(sides, axis=2, keepdims=True)

@@ -7,27 +7,35 @@ import numpy as np
 from fracture_collision.world.errors import InvalidMessage
 
 UINT32_MAX = 2**32 - 1
+UINT64_MAX = 2**64 - 1
+# [m] Beyond, doubles are farther than 0.1 micrometres apart; within, no fifth power of a length overflows.
+LARGEST_LENGTH = 1e9
+# [m] Below, products of four lengths begin to lose bits to underflow only far away, and no rigid body is that small.
+SMALLEST_LENGTH = 1e-6
 
 
 def refuse(kind: str, text: str) -> None:
     raise InvalidMessage(kind, text)
 
 
-def floats(name: str, values, columns: int = 0) -> np.ndarray:
-    """`values` as float64, all finite; (n, columns) if columns are given."""
-    try:
-        array = np.ascontiguousarray(values, dtype=np.float64).ravel()
-    except (TypeError, ValueError, OverflowError):
-        raise InvalidMessage("wrong_type", f"{name}: not numbers") from None
+def floats(name: str, values, columns: int = 0, limit: float = np.inf) -> np.ndarray:
+    """`values` as float64, all finite, none beyond +-limit; (n, columns) if columns are given."""
+    given = _array(name, values)
+    if given.dtype.kind not in "fiu":
+        refuse("wrong_type", f"{name}: not numbers but {given.dtype}")
+    array = np.ascontiguousarray(given, dtype=np.float64).ravel()
     if not np.isfinite(array).all():
         i = int(np.flatnonzero(~np.isfinite(array))[0])
         refuse("not_finite", f"{name}: entry {i} is {array[i]}")
+    if (np.abs(array) > limit).any():
+        i = int(np.argmax(np.abs(array)))
+        refuse("out_of_range", f"{name}: entry {i}, {array[i]}, is beyond {limit:g}")
     return _shaped(name, array, columns)
 
 
 def indices(name: str, values, columns: int = 0, below: int | None = None, of: str = "") -> np.ndarray:
     """`values` as int64, each in 0 .. below - 1 (default: uint32); (n, columns) if columns are given."""
-    given = np.asarray(values)
+    given = _array(name, values)
     if given.size and given.dtype.kind not in "iu":
         refuse("wrong_type", f"{name}: not integers but {given.dtype}")
     limit = UINT32_MAX + 1 if below is None else below
@@ -37,6 +45,13 @@ def indices(name: str, values, columns: int = 0, below: int | None = None, of: s
         i = int(np.flatnonzero(bad)[0])
         refuse("out_of_range", f"{name}: index {flat[i]} (entry {i}) is not below {limit}{' ' + of if of else ''}")
     return _shaped(name, np.ascontiguousarray(flat, dtype=np.int64), columns)
+
+
+def _array(name: str, values) -> np.ndarray:
+    try:
+        return np.asarray(values)
+    except (TypeError, ValueError, OverflowError):
+        raise InvalidMessage("wrong_type", f"{name}: not an array of numbers") from None
 
 
 def _shaped(name: str, array: np.ndarray, columns: int) -> np.ndarray:
@@ -55,7 +70,7 @@ def same_length(name: str, array: np.ndarray, other: str, count: int) -> None:
 def number(name: str, value, low: float, high: float = np.inf, open_low: bool = False) -> float:
     try:
         number = float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InvalidMessage("wrong_type", f"{name}: not a number") from None
     if not np.isfinite(number):
         refuse("not_finite", f"{name}: {number}")

@@ -22,7 +22,7 @@ from fracture_collision.records import (
 )
 from fracture_collision.world.checks import refuse
 from fracture_collision.world.contact_ids import contact_ids
-from fracture_collision.world.errors import InvalidMessage, StatesAhead
+from fracture_collision.world.errors import StatesAhead
 from fracture_collision.world.fragment_mesh import fragment_mesh
 from fracture_collision.world.ledger import Ledger
 from fracture_collision.world.registry import Registry
@@ -67,8 +67,11 @@ class CollisionWorld:
         if checked.fracture_sequence > len(self._ledger.events):
             raise StatesAhead(
                 "sequence_gap",
-                f"fracture_sequence: {checked.fracture_sequence} is ahead of the {len(self._ledger.events)} known events",
+                f"fracture_sequence: {checked.fracture_sequence}, but only {len(self._ledger.events)} events are known",
             )
+        if checked.fracture_sequence != self._registry.sequence:
+            # what is refused must not move the registry
+            self._ledger.require_living(checked.fragment_ids, checked.fracture_sequence)
         self._advance(checked.fracture_sequence)
         ids, rows, is_static, friction, restitution = self._registry.lookup()
         moving = self._find(checked, ids)
@@ -110,6 +113,7 @@ class CollisionWorld:
 
     def fragment_mesh(self, fragment_id: int) -> FragmentMesh:
         """Surface of a living fragment for viewers; raises InvalidMessage for one that is not."""
+        self._advance(self._registry.sequence)
         row = self._registry.row_of(fragment_id)
         if row is None:
             refuse("unknown_id", f"fragment_id: no living fragment {fragment_id}")
@@ -131,12 +135,7 @@ class CollisionWorld:
         at = np.minimum(np.searchsorted(ids, states.fragment_ids), max(len(ids) - 1, 0))
         known = ids[at] == states.fragment_ids if len(ids) else np.zeros(len(states.fragment_ids), bool)
         if not known.all():
-            stranger = int(states.fragment_ids[~known][0])
-            if not self._ledger.was_made(stranger):
-                raise StatesAhead("unknown_id", f"fragment_ids: no fragment {stranger} is known yet")
-            raise InvalidMessage(
-                "retired_id", f"fragment_ids: fragment {stranger} does not live after {states.fracture_sequence} events"
-            )
+            self._ledger.require_living(states.fragment_ids, states.fracture_sequence)
         return at
 
     def _sized_scratch(self, rows: np.ndarray) -> Scratch:

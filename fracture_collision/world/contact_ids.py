@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from fracture_collision.core.compiled import kernel
 import numpy as np
+
+from fracture_collision.core.compiled import kernel
 
 
 @kernel

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fracture_collision.core.collision_geometry import CollisionGeometry
-from fracture_collision.core.kinds import BOX, PLANE, SPHERE
+from fracture_collision.core.kinds import BOX, PLANE, SPHERE, TRIANGLES
 from fracture_collision.core.surface_triangles import surface_triangles
 from fracture_collision.geometry.generators import ball, brick
 from fracture_collision.geometry.tetrahedra import boundary_triangles
@@ -24,6 +24,8 @@ def fragment_mesh(fragment_id: int, geometry: CollisionGeometry, row: int) -> Fr
         corners = _boundary(ball(float(shape[0]), SPHERE_EDGE * float(shape[0])))
     elif kind == BOX:
         corners = _boundary(brick(2.0 * shape[:3], 2.0 * float(shape[:3].max())))
+    elif kind == TRIANGLES:
+        corners = geometry.rigid_triangles(row)
     else:
         corners, is_crack = surface_triangles(geometry.pools, row, geometry.tet_range(row))
         return _record(fragment_id, corners, is_crack)

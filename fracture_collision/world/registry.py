@@ -27,6 +27,8 @@ class Registry:
     def add_body(self, body: CheckedBody) -> None:
         if body.mesh is not None:
             row = self.geometry.add_tetrahedra(body.mesh)
+        elif body.surface is not None:
+            row = self.geometry.add_triangles(body.surface)
         elif body.box is not None:
             row = self.geometry.add_box(body.box)
         elif body.plane is not None:
@@ -73,7 +75,7 @@ class Registry:
         return self._row.get(fragment_id)
 
     def digest(self) -> str:
-        """SHA-256 over the bodies, by id, and the chain of events; the order in which bodies arrived does not matter."""
+        """SHA-256 over the bodies, by id, and the chain of events; the order in which bodies came does not matter."""
         whole = hashlib.sha256(self._chain)
         for body_id in sorted(self._bodies):
             whole.update(self._bodies[body_id].digest)

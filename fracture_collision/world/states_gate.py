@@ -7,10 +7,18 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.records import FragmentStates
-from fracture_collision.world.checks import each_once, floats, identifier, indices, refuse, same_length
+from fracture_collision.world.checks import (
+    LARGEST_LENGTH,
+    UINT64_MAX,
+    each_once,
+    floats,
+    identifier,
+    indices,
+    refuse,
+    same_length,
+)
 
 QUATERNION_TOLERANCE = 1e-6
-UINT64_MAX = 2**64 - 1
 
 
 class CheckedStates(NamedTuple):
@@ -27,7 +35,7 @@ def check_states(states: FragmentStates) -> CheckedStates:
     sequence = identifier("fracture_sequence", states.fracture_sequence, UINT64_MAX)
     ids = indices("fragment_ids", states.fragment_ids)
     each_once("fragment_ids", ids)
-    positions = floats("positions", states.positions, 3)
+    positions = floats("positions", states.positions, 3, LARGEST_LENGTH)
     orientations = floats("orientations", states.orientations, 4)
     same_length("positions", positions, "fragment_ids", len(ids))
     same_length("orientations", orientations, "fragment_ids", len(ids))

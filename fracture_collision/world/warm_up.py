@@ -33,17 +33,25 @@ def compile_kernels(progress: Callable[[str], None]) -> None:
     world.add_body(CollisionBody(2, 2, primitive=SolidPrimitive(SPHERE, (0.3,))))
     world.add_body(CollisionBody(3, 3, primitive=SolidPrimitive(BOX, (1.0, 1.0, 1.0)), is_static=True))
     world.add_body(CollisionBody(4, 4, plane=np.array([0.0, 0.0, 1.0, 0.0]), is_static=True))
+    world.add_body(_wedge(5, 7))
     progress("contacts: broad phase, Algorithm 1, exact field (2 of 3)")
-    world.contacts(_states(1, 0, np.array([1, 2])))
+    world.contacts(_states(1, 0, np.array([1, 2, 7])))
     progress("fracture: crack polygons, tree splitting, masses (3 of 3)")
     world.add_fracture(_halving(geometry.vertices, geometry.tetrahedra))
-    world.contacts(_states(2, 1, np.array([2, 5, 6])))
+    world.contacts(_states(2, 1, np.array([2, 5, 6, 7])))
     world.fragments()
     world.fragment_mesh(5)
 
 
 def _tetrahedral_body(vertices: np.ndarray, tetrahedra: np.ndarray) -> CollisionBody:
     return CollisionBody(1, 1, vertices=vertices.ravel(), tetrahedra=tetrahedra.ravel())
+
+
+def _wedge(body_id: int, fragment_id: int) -> CollisionBody:
+    """A rigid body of triangles alone."""
+    vertices = np.array([0.0, 0.0, 0.0, 0.4, 0.0, 0.0, 0.0, 0.4, 0.0, 0.0, 0.0, 0.4])
+    triangles = np.array([0, 2, 1, 0, 1, 3, 0, 3, 2, 1, 2, 3])
+    return CollisionBody(body_id, fragment_id, vertices=vertices, triangles=triangles)
 
 
 def _states(step: int, sequence: int, ids: np.ndarray) -> FragmentStates:

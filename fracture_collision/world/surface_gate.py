@@ -1,0 +1,105 @@
+"""The gate for closed triangle meshes: what the exact signed distance (core/triangle_field.py) takes for granted."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from fracture_collision.world.checks import refuse
+
+# Twice the area against the longest side squared: below, rounding decides where the normal points.
+FLAT_TRIANGLE = 1e-9
+
+
+def check_surface(vertices: np.ndarray, triangles: np.ndarray) -> None:
+    """Raise InvalidMessage unless triangles (t, 3) of vertices (n, 3) [m] bound one solid, seen counter-clockwise.
+
+    Closed: each edge in two triangles, in opposite directions; one fan of triangles around each vertex; one outer
+    surface, with or without cavities in it. Not checked: that no two triangles cut each other.
+    """
+    unused = np.flatnonzero(np.bincount(triangles.ravel(), minlength=len(vertices)) == 0)
+    if len(unused):
+        refuse("bad_mesh", f"vertices: vertex {unused[0]} belongs to no triangle")
+    corners = vertices[triangles]
+    sides = np.roll(corners, -1, axis=1) - corners
+    twice_area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+    flat = np.flatnonzero(twice_area <= FLAT_TRIANGLE * (sides**2).sum(axis=2).max(axis=1))
+    if len(flat):
+        refuse("bad_mesh", f"triangles: triangle {flat[0]} has no area ({0.5 * twice_area[flat[0]]:.3g} m2)")
+    opposite = _opposite_sides(triangles, len(vertices))
+    _one_fan_a_vertex(triangles, opposite, len(vertices))
+    _one_solid(triangles, corners, opposite)
+
+
+def _opposite_sides(triangles: np.ndarray, vertex_count: int) -> np.ndarray:
+    """For each side (3 x triangle + corner it starts at) the same edge seen from the other triangle."""
+    start, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
+    _, edge, uses = np.unique(
+        np.minimum(start, end) * vertex_count + np.maximum(start, end), return_inverse=True, return_counts=True
+    )
+    shared = np.flatnonzero(uses[edge] > 2)
+    if len(shared):
+        side = shared[0]
+        refuse("bad_mesh", f"triangles: edge {start[side]}-{end[side]} belongs to {uses[edge[side]]} triangles, not 2")
+    direction = start * vertex_count + end
+    order = np.argsort(direction, kind="stable")
+    ordered = direction[order]
+    twice = np.flatnonzero(ordered[1:] == ordered[:-1])
+    if len(twice):
+        side = order[twice[0]]
+        refuse(
+            "bad_mesh",
+            f"triangles: edge {start[side]}-{end[side]} runs the same way in two triangles; "
+            "one of them is seen clockwise from outside",
+        )
+    back = end * vertex_count + start
+    found = np.minimum(np.searchsorted(ordered, back), len(ordered) - 1)
+    unmatched = np.flatnonzero(ordered[found] != back)
+    if len(unmatched):
+        side = unmatched[0]
+        refuse("bad_mesh", f"triangles: edge {start[side]}-{end[side]} belongs to one triangle; the surface is open")
+    return order[found]
+
+
+def _one_fan_a_vertex(triangles: np.ndarray, opposite: np.ndarray, vertex_count: int) -> None:
+    """A corner is joined with the next one around its vertex: as many circles of corners as vertices."""
+    triangle, corner = opposite // 3, opposite % 3
+    next_corner = 3 * triangle + (corner + 1) % 3  # side a-b starts in a, the other triangle's side b-a ends there
+    fans, fan = _joined(np.arange(triangles.size), next_corner, triangles.size)
+    if fans == vertex_count:
+        return
+    pairs = np.unique(np.column_stack([triangles.ravel(), fan]), axis=0)
+    vertex = np.flatnonzero(np.bincount(pairs[:, 0]) > 1)[0]
+    refuse("bad_mesh", f"triangles: the surface touches itself in vertex {vertex}; give each sheet a vertex of its own")
+
+
+def _one_solid(triangles: np.ndarray, corners: np.ndarray, opposite: np.ndarray) -> None:
+    pieces, piece = _joined(np.arange(len(triangles)).repeat(3), opposite // 3, len(triangles))
+    apex = 0.5 * (corners.min(axis=(0, 1)) + corners.max(axis=(0, 1)))
+    a, b, c = (corners[:, i] - apex for i in range(3))
+    volumes = np.bincount(piece, np.einsum("ij,ij->i", np.cross(a, b), c) / 6.0)
+    outer = np.flatnonzero(volumes > 0.0)
+    if not len(outer):
+        refuse("bad_mesh", f"triangles: inside out (volume {volumes.sum():.3g} m3); order them counter-clockwise")
+    if len(outer) > 1:
+        refuse("bad_mesh", f"triangles: {len(outer)} solids apart; each needs a body of its own")
+    for cavity in np.flatnonzero(volumes <= 0.0):
+        point = corners[np.flatnonzero(piece == cavity)[0], 0]
+        if not 0.5 < _winding_number(point, corners[piece != cavity]) < 1.5:
+            first = np.flatnonzero(piece == cavity)[0]
+            refuse("bad_mesh", f"triangles: the piece with triangle {first} is inside out and no cavity of the solid")
+
+
+def _winding_number(point: np.ndarray, corners: np.ndarray) -> float:
+    """How often closed triangles (t, 3, 3) wind around a point: A. van Oosterom, J. Strackee, 1983."""
+    a, b, c = (corners[:, i] - point for i in range(3))
+    la, lb, lc = (np.linalg.norm(v, axis=1) for v in (a, b, c))
+    triple = np.einsum("ij,ij->i", a, np.cross(b, c))
+    dots = [np.einsum("ij,ij->i", u, v) * w for u, v, w in ((a, b, lc), (b, c, la), (c, a, lb))]
+    return float(2.0 * np.arctan2(triple, la * lb * lc + dots[0] + dots[1] + dots[2]).sum() / (4.0 * np.pi))
+
+
+def _joined(first: np.ndarray, second: np.ndarray, count: int) -> tuple[int, np.ndarray]:
+    graph = coo_array((np.ones(len(first), np.int8), (first, second)), shape=(count, count))
+    return connected_components(graph, directed=False)
