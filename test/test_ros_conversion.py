@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.serialization import deserialize_message, serialize_message
 
 from fracture_collision import records
 from fracture_collision.ros import qos
+from fracture_collision.ros.cdr_padding import zero_padding
 from fracture_collision.ros.conversion import array_bytes, header, to_message, to_record
 from fracture_collision.share import share_directory
 from fracture_collision.world import Settings
@@ -87,6 +89,45 @@ def test_stamp_is_exact_to_the_nanosecond() -> None:
 def test_arrays_of_the_wrong_shape_are_an_error() -> None:
     with pytest.raises(ValueError, match="flat"):
         to_message(EXAMPLES[3]._replace(positions=np.zeros((3, 3))), header(0.0), 1)
+
+
+def serialized_examples() -> list[Any]:
+    nested = DiagnosticArray(status=[DiagnosticStatus(name="abc", values=[KeyValue(key="k", value="words")] * 3)] * 2)
+    return [to_message(record, header(1.25), 7) for record in EXAMPLES] + [nested]
+
+
+@pytest.mark.parametrize("message", serialized_examples(), ids=lambda message: type(message).__name__)
+def test_padding_is_zeroed_and_nothing_else(message: Any) -> None:
+    zeroed = zero_padding(serialize_message(message), type(message))
+    assert zero_padding(zeroed, type(message)) == zeroed
+    assert meaning(zeroed, type(message)) == meaning(serialize_message(message), type(message))
+    padding = 0
+    for i in range(4, len(zeroed)):
+        garbled = bytearray(zeroed)
+        garbled[i] ^= 255
+        if zero_padding_or_none(bytes(garbled), type(message)) == zeroed:
+            padding += 1
+            assert zeroed[i] == 0
+            assert meaning(bytes(garbled), type(message)) == meaning(zeroed, type(message))
+    assert padding > 0
+
+
+def meaning(data: bytes, message_class: Any) -> str:
+    return str(deserialize_message(data, message_class))  # as text, where a NaN is the same as another
+
+
+def zero_padding_or_none(data: bytes, message_class: Any) -> bytes | None:
+    try:
+        return zero_padding(data, message_class)
+    except ValueError:
+        return None
+
+
+def test_what_is_no_message_has_no_padding() -> None:
+    data = zero_padding(serialize_message(to_message(EXAMPLES[3], header(1.25), 7)), qos.FRAGMENT_STATES.message_class)
+    for wrong in (b"", data[:-1], data[:30], b"\x00\x00" + data[2:]):
+        with pytest.raises(ValueError, match="no serialized FragmentStates"):
+            zero_padding(wrong, qos.FRAGMENT_STATES.message_class)
 
 
 def test_large_arrays_convert_at_memory_speed() -> None:

@@ -1,4 +1,4 @@
-"""Records every message of a run into a bag, as it was sent. For those without `ros2 bag`, and for equal bytes."""
+"""Records every message of a run into a bag. For those without `ros2 bag`, and for equal runs in equal bytes."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 
 from fracture_collision.bag.writer import BagTopic, BagWriter, OfferedQos
 from fracture_collision.ros import qos
+from fracture_collision.ros.cdr_padding import zero_padding
 from fracture_collision.ros.message_definitions import message_definition, type_hash, type_name
 from fracture_collision.ros.parameters import declare_fixed
 from fracture_collision.ros.process import Fatal, run_node
@@ -55,7 +56,7 @@ class RecorderNode(Node):
             if topic is not DIAGNOSTICS:  # they carry the wall clock's time, all others that of the simulation
                 seconds, nanoseconds = _STAMP.unpack_from(data, _STAMP_OFFSET)
                 self._newest_time = seconds * 10**9 + nanoseconds
-            self._bag.write(name, data, self._newest_time)
+            self._bag.write(name, zero_padding(data, topic.message_class), self._newest_time)
 
         return keep
 
