@@ -19,14 +19,15 @@ class Scratch(NamedTuple):
     slot_labels: np.ndarray  # (threads, 4) int64
     functionals: np.ndarray  # (threads, 4, 4, 4) float64
     counts: np.ndarray  # (threads, 4) int64
-    queue_int: np.ndarray  # (threads, 2, entries, 4) int32: entry, side, next child, inside
-    queue_float: np.ndarray  # (threads, 2, entries, 4) float64: point in the other's frame [m], depth bound [m]
+    node_int: np.ndarray  # (threads, nodes, 4) int32: entry, side, next child, status
+    node_float: np.ndarray  # (threads, nodes, 4) float64: point in the other's frame [m], depth bound [m]
+    queue: np.ndarray  # (threads, 2, 2 nodes) int32: rows of the two above
     rotation: np.ndarray  # (threads, 2, 3, 3) float64: a pair's relative poses
     translation: np.ndarray  # (threads, 2, 3) float64 [m]
     stack: np.ndarray  # (threads, STACK) int32: a descent through a triangle hierarchy
 
 
-def make_scratch(threads: int, tetrahedra: int, queue_entries: int) -> Scratch:
+def make_scratch(threads: int, tetrahedra: int, nodes: int) -> Scratch:
     return Scratch(
         visited=np.zeros((threads, max(tetrahedra, 1)), dtype=np.int32),
         stamp=np.zeros(threads, dtype=np.int32),
@@ -35,8 +36,9 @@ def make_scratch(threads: int, tetrahedra: int, queue_entries: int) -> Scratch:
         slot_labels=np.zeros((threads, 4), dtype=np.int64),
         functionals=np.zeros((threads, 4, 4, 4)),
         counts=np.zeros((threads, 4), dtype=np.int64),
-        queue_int=np.zeros((threads, 2, queue_entries, 4), dtype=np.int32),
-        queue_float=np.zeros((threads, 2, queue_entries, 4)),
+        node_int=np.zeros((threads, nodes, 4), dtype=np.int32),
+        node_float=np.zeros((threads, nodes, 4)),
+        queue=np.zeros((threads, 2, 2 * nodes), dtype=np.int32),
         rotation=np.zeros((threads, 2, 3, 3)),
         translation=np.zeros((threads, 2, 3)),
         stack=np.zeros((threads, STACK), dtype=np.int32),

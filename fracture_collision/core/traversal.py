@@ -17,15 +17,17 @@ import numpy as np
 
 from fracture_collision.core.compiled import inlined_kernel, query_kernel
 from fracture_collision.core.elementary_queries import INSIDE, OUTSIDE, least_distance, probe, sphere_test
-from fracture_collision.core.kinds import SPHERE
+from fracture_collision.core.kinds import PLANE, SPHERE
+from fracture_collision.core.oriented_boxes import boxes_apart
 
 # Rounding of coordinates near the scale of the fragment must not make a bound lie.
 BOUND_SLACK = 1e-12
 
-# queue_int columns
+# columns of scratch.node_int
 ENTRY, SIDE, NEXT_CHILD, STATUS = 0, 1, 2, 3
-# queue_float columns: the node's point in the other's frame, then its depth bound (minus a distance outside)
+# columns of scratch.node_float: the node's point in the other's frame, then an upper bound of its depth
 DEPTH = 3
+UNTESTED = -1
 
 
 @inlined_kernel
@@ -72,58 +74,62 @@ def query_pair(
     outward normal, all in the other's frame, gap [m]; ids (capacity, 2): side (0: a's sample in b), sample (-1: a
     sphere's own). Returns (contacts found, missed depth bound [m], visits, exhausted); more found than `capacity`
     means: call again with room.
+
+    The queues hold rows of node_int and node_float, one a node that was reached. A child whose sphere the other's box
+    or closed form keeps out of reach counts as visited but takes no row: its test on the next level could not but fail.
     """
-    tree = pools.tree
-    queue_i, queue_f = scratch.queue_int[thread], scratch.queue_float[thread]
+    fragment, tree = pools.fragment, pools.tree
+    slack = BOUND_SLACK * min(fragment.radius[a], fragment.radius[b])
+    if fragment.kind[a] != PLANE and fragment.kind[b] != PLANE:
+        if boxes_apart(fragment.box[a], fragment.box[b], rotation[0], translation[0], near + slack):
+            return 0, slack, 0, False
+    node, node_point = scratch.node_int[thread], scratch.node_float[thread]
+    queue = scratch.queue[thread]
     current, following = 0, 1
-    sizes0, sizes1 = 0, 0
-    count = 0
-    visits = 0
+    nodes, size = 0, 0
+    count, visits = 0, 0
     bound = 0.0
     for side in range(2):
         own, other = (a, b) if side == 0 else (b, a)
-        if pools.fragment.kind[own] == SPHERE:
-            if side == 0 or pools.fragment.kind[other] != SPHERE:
+        if fragment.kind[own] == SPHERE:
+            if side == 0 or fragment.kind[other] != SPHERE:
                 p = translation[side]
                 count = sphere_contact(
                     pools, own, other, p[0], p[1], p[2], near, contacts, ids, count, side, scratch, thread
                 )
-        elif pools.fragment.tree_end[own] > pools.fragment.tree_begin[own]:
-            queue_i[0, sizes0, ENTRY] = pools.fragment.tree_begin[own]
-            queue_i[0, sizes0, SIDE] = side
-            queue_i[0, sizes0, NEXT_CHILD] = -1
-            queue_i[0, sizes0, STATUS] = -1
-            queue_f[0, sizes0, DEPTH] = math.inf
-            sizes0 += 1
+        elif fragment.tree_end[own] > fragment.tree_begin[own]:
+            root = fragment.tree_begin[own]
+            c = tree.center[root]
+            x, y, z = to_other(rotation[side], translation[side], c[0], c[1], c[2])
+            _reach_node(node, node_point, nodes, root, side, UNTESTED, x, y, z, -least_distance(pools, other, x, y, z))
+            queue[current, size] = nodes
+            nodes += 1
+            size += 1
     m = max(wanted, count)
-    slack = BOUND_SLACK * min(pools.fragment.radius[a], pools.fragment.radius[b])
     exhausted = False
-    size = sizes0
     while size and not exhausted:
-        sizes1 = 0
+        next_size = 0
         head = 0
         while head < size:
-            item, point = queue_i[current, head], queue_f[current, head]
-            head += 1
-            entry, side = item[ENTRY], item[SIDE]
+            k = queue[current, head]
+            entry, side = node[k, ENTRY], node[k, SIDE]
             other = b if side == 0 else a
+            x, y, z = node_point[k, 0], node_point[k, 1], node_point[k, 2]
             radius = tree.radius[entry]
-            if item[NEXT_CHILD] < 0:
+            end = entry + tree.size[entry]
+            if node[k, NEXT_CHILD] < 0:
                 # first time on this level: test
                 if budget and visits >= budget:
                     exhausted = True
-                    head -= 1
                     break
                 visits += 1
-                if item[STATUS] < 0:
-                    c = tree.center[entry]
-                    x, y, z = to_other(rotation[side], translation[side], c[0], c[1], c[2])
-                    point[0], point[1], point[2] = x, y, z
+                status = node[k, STATUS]
+                if status == UNTESTED:
+                    status = OUTSIDE
                     if tree.on_surface[entry] == 0:
-                        # an interior node is no contact; whether it is inside would cull nothing
-                        d = least_distance(pools, other, x, y, z)
-                        item[STATUS] = INSIDE if d == -math.inf else OUTSIDE
-                    else:
+                        # an interior node is no contact, and whether it is inside would cull nothing
+                        node_point[k, DEPTH] = min(node_point[k, DEPTH], _depth_limit(pools, other))
+                    elif -node_point[k, DEPTH] <= near:
                         full = count < m
                         status, d, nx, ny, nz, qx, qy, qz = probe(
                             pools, other, x, y, z, near, math.inf if full else epsilon, scratch, thread
@@ -132,7 +138,6 @@ def query_pair(
                             status, d, nx, ny, nz, qx, qy, qz = probe(
                                 pools, other, x, y, z, near, math.inf, scratch, thread
                             )
-                        item[STATUS] = INSIDE if status == INSIDE else OUTSIDE
                         if status != OUTSIDE:
                             if full or -d > epsilon:
                                 if count < capacity:
@@ -146,55 +151,70 @@ def query_pair(
                                 m = max(m, count)
                             else:
                                 bound = max(bound, -d)
-                    point[DEPTH] = min(-d, _depth_limit(pools, other))
+                        node_point[k, DEPTH] = min(-d, _depth_limit(pools, other))
+                    node[k, STATUS] = status
+                head += 1
                 if tree.size[entry] == 1:
                     continue
-                depth = point[DEPTH]
+                depth = node_point[k, DEPTH]
                 least = -near if count < m else epsilon
-                reach = radius - least
-                if item[STATUS] == INSIDE and tree.on_surface[entry] == 1:
+                if status == INSIDE:
                     enter = depth + radius > least
                 else:
-                    enter = reach > 0.0 and sphere_test(
-                        pools, other, -depth, point[0], point[1], point[2], reach, scratch, thread
-                    )
+                    reach = radius - least
+                    enter = reach > 0.0 and sphere_test(pools, other, -depth, x, y, z, reach, scratch, thread)
                 if not enter:
                     # inside: 1-Lipschitz; outside: the test says no point below is deeper than `least`
                     bound = max(bound, min(depth + radius, max(least, 0.0)))
                     continue
-                item[NEXT_CHILD] = entry + 1
-            child = item[NEXT_CHILD]
-            queue_i[following, sizes1, ENTRY] = child
-            queue_i[following, sizes1, SIDE] = side
-            queue_i[following, sizes1, NEXT_CHILD] = -1
-            if tree.sample[child] == tree.sample[entry]:
-                queue_i[following, sizes1, STATUS] = item[STATUS]
-                for k in range(4):
-                    queue_f[following, sizes1, k] = point[k]
+                child = entry + 1
             else:
-                queue_i[following, sizes1, STATUS] = -1
-                # what can be said of the child before its test, should the budget end
-                queue_f[following, sizes1, DEPTH] = point[DEPTH] + radius - tree.radius[child]
-            sizes1 += 1
-            child += tree.size[child]
-            if child < entry + tree.size[entry]:
-                item[NEXT_CHILD] = child
-                for k in range(4):
-                    queue_i[current, size, k] = item[k]
-                    queue_f[current, size, k] = point[k]
+                head += 1
+                child = node[k, NEXT_CHILD]
+            if child + tree.size[child] < end:
+                node[k, NEXT_CHILD] = child + tree.size[child]
+                queue[current, size] = k
                 size += 1
+            else:
+                node[k, NEXT_CHILD] = end
+            if tree.sample[child] == tree.sample[entry]:
+                if tree.size[child] == 1:
+                    continue
+                _reach_node(
+                    node, node_point, nodes, child, side, node[k, STATUS], x, y, z, node_point[k, DEPTH]
+                )
+            else:
+                c = tree.center[child]
+                x, y, z = to_other(rotation[side], translation[side], c[0], c[1], c[2])
+                d = least_distance(pools, other, x, y, z)
+                if d > tree.radius[child] + near:
+                    visits += 1
+                    continue
+                _reach_node(node, node_point, nodes, child, side, UNTESTED, x, y, z, -d)
+            queue[following, next_size] = nodes
+            nodes += 1
+            next_size += 1
         if exhausted:
-            for i in range(head, size):
-                bound = max(bound, _left_bound(tree, queue_i[current, i, ENTRY], queue_f[current, i, DEPTH]))
-            for i in range(sizes1):
-                bound = max(bound, _left_bound(tree, queue_i[following, i, ENTRY], queue_f[following, i, DEPTH]))
-            deepest = max(_depth_limit(pools, a), _depth_limit(pools, b))
-            bound = min(bound, deepest)
+            bound = max(bound, _bound_of_rest(pools, a, b, node, node_point, queue, current, head, size))
+            bound = max(bound, _bound_of_rest(pools, a, b, node, node_point, queue, following, 0, next_size))
         current, following = following, current
-        size = sizes1
+        size = next_size
     return count, bound + slack, visits, exhausted
 
 
 @inlined_kernel
-def _left_bound(tree, entry, depth):
-    return depth + tree.radius[entry]
+def _reach_node(node, node_point, k, entry, side, status, x, y, z, depth):
+    node[k, ENTRY], node[k, SIDE], node[k, NEXT_CHILD], node[k, STATUS] = entry, side, -1, status
+    node_point[k, 0], node_point[k, 1], node_point[k, 2], node_point[k, DEPTH] = x, y, z, depth
+
+
+@inlined_kernel
+def _bound_of_rest(pools, a, b, node, node_point, queue, which, begin, end):
+    """Upper bound [m] of the depth of all samples below the nodes still queued when a budget ends."""
+    bound = 0.0
+    for i in range(begin, end):
+        k = queue[which, i]
+        other = b if node[k, SIDE] == 0 else a
+        depth = node_point[k, DEPTH] + pools.tree.radius[node[k, ENTRY]]
+        bound = max(bound, min(depth, _depth_limit(pools, other)))
+    return bound

@@ -140,12 +140,11 @@ class CollisionWorld:
 
     def _sized_scratch(self, rows: np.ndarray) -> Scratch:
         entries = [self._registry.geometry.tree_entries(row) for row in rows.tolist()]
-        # each tree node stands in a queue at most once for itself and once for each of its children
-        queue = 4 * max(entries, default=0) + 8
+        nodes = 2 * max(entries, default=0) + 2  # both trees of a pair
         tets = len(self._registry.geometry.pools.mesh.tetrahedra)
         s = self._scratch
-        if s is None or s.visited.shape[1] < tets or s.queue_int.shape[2] < queue:
-            self._scratch = make_scratch(self._crew.threads, tets, queue)
+        if s is None or s.visited.shape[1] < tets or s.node_int.shape[1] < nodes:
+            self._scratch = make_scratch(self._crew.threads, tets, nodes)
         return self._scratch
 
     def _answer(self, states, ids, friction, restitution, radius, pairs, found: PairContacts) -> ContactConstraintArray:
