@@ -25,7 +25,7 @@ def _indices(n: int = 0) -> np.ndarray:
 
 
 class SolidPrimitive(NamedTuple):
-    """shape_msgs/SolidPrimitive: type BOX with dimensions (x, y, z) [m] edge lengths, SPHERE with (radius,) [m]; 0: none."""
+    """shape_msgs/SolidPrimitive: BOX with dimensions (x, y, z) [m] edge lengths, SPHERE with (radius,) [m]; 0: none."""
 
     type: int = 0
     dimensions: tuple[float, ...] = ()
@@ -45,7 +45,7 @@ class CollisionBody(NamedTuple):
     primitive: SolidPrimitive = SolidPrimitive()
     plane: np.ndarray = _floats(4)  # a x + b y + c z + d = 0, solid where negative; all 0: none
     vertices: np.ndarray = _floats()  # 3n [m], body frame
-    triangles: np.ndarray = _indices()  # 3t, closed, counter-clockwise from outside; empty with tetrahedra: their boundary
+    triangles: np.ndarray = _indices()  # 3t, closed, seen counter-clockwise from outside
     tetrahedra: np.ndarray = _indices()  # 4m, positive volume; empty: rigid, cannot break
     is_static: bool = False
     density: float = 1000.0  # [kg/m3]

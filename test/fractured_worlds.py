@@ -43,7 +43,12 @@ class FracturedWorld(NamedTuple):
 
 
 def fractured_world(
-    body: TetGeometry, seeds: int, generations: int = 1, curved: bool = False, settings: Settings = SETTINGS, seed: int = 3
+    body: TetGeometry,
+    seeds: int,
+    generations: int = 1,
+    curved: bool = False,
+    settings: Settings = SETTINGS,
+    seed: int = 3,
 ) -> FracturedWorld:
     """Break a body, then the largest fragment again, and so on."""
     random = np.random.default_rng(seed)

@@ -1,4 +1,4 @@
-"""Contacts against the slow truth: depth, witness, direction, what was left out, and what does not change the answer."""
+"""Contacts against the slow truth: depth, witness, what was left out, and what does not change the answer."""
 
 from __future__ import annotations
 
@@ -68,7 +68,10 @@ def _ids(own: int, other: int, samples: np.ndarray) -> np.ndarray:
 
 def _pairs(answer: ContactConstraintArray) -> dict[tuple[int, int], tuple[slice, float]]:
     return {
-        (int(a), int(b)): (slice(int(answer.pair_begin[i]), int(answer.pair_begin[i + 1])), answer.missed_depth_bound[i])
+        (int(a), int(b)): (
+            slice(int(answer.pair_begin[i]), int(answer.pair_begin[i + 1])),
+            answer.missed_depth_bound[i],
+        )
         for i, (a, b) in enumerate(zip(answer.fragment_a, answer.fragment_b, strict=True))
     }
 

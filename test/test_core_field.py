@@ -117,7 +117,9 @@ def test_surfaces_are_the_oracles(case: FracturedWorld) -> None:
         row = case.row(fragment)
         triangles, _ = surface_triangles(case.geometry.pools, row, case.geometry.tet_range(row))
         expected = case.oracle.surface_triangles(fragment, SURFACE)
-        areas = [np.linalg.norm(np.cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0]), axis=1).sum() for t in (triangles, expected)]
+        areas = [
+            np.linalg.norm(np.cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0]), axis=1).sum() for t in (triangles, expected)
+        ]
         assert areas[0] == pytest.approx(areas[1], rel=1e-9)
         assert case.oracle.distance_to_surface(fragment, triangles.reshape(-1, 3), SURFACE)[0].max() <= 1e-12
 

@@ -10,7 +10,7 @@ from fracture_collision.core.kinds import PLANE
 
 @kernel
 def world_boxes(fragment_box, rows, rotations, positions, margins, boxes):
-    """World boxes (n, 6) [m] of fragments `rows` with poses rotations (n, 3, 3), positions (n, 3), grown by margins (n,)."""
+    """World boxes (n, 6) [m] of fragments `rows` with poses (n, 3, 3) and (n, 3), grown by margins (n,)."""
     for i in range(len(rows)):
         b = fragment_box[rows[i]]
         for k in range(3):

@@ -178,7 +178,13 @@ class CollisionGeometry:
         # the point of a face farthest from its edges
         gap = float(np.sort(half)[1])
         return self._add_row(
-            BOX, np.concatenate([-half, half]), np.append(half, 0.0), float(half.max()), begin, self._tree["size"].used, gap
+            BOX,
+            np.concatenate([-half, half]),
+            np.append(half, 0.0),
+            float(half.max()),
+            begin,
+            self._tree["size"].used,
+            gap,
         )
 
     def add_tetrahedra(self, prepared: PreparedMesh) -> int:
@@ -260,8 +266,8 @@ class CollisionGeometry:
             pools.mesh, pools.body, node_shift, tet_shift, edge_shift, tets, first, end,
             self._body["triangles"].used, rows.edge, share, moments, boxes, self._gaps.view[first:],
         )  # fmt: skip
-        for name, array in zip(("triangles", "faces", "front", "back", "kind"), polygons, strict=True):
-            self._body[name].append(array)
+        for name in polygons._fields:
+            self._body[name].append(getattr(polygons, name))
         self._fragment["box"].view[first:end] = boxes
         self._mark_cells(k, node_shift, tets, first, end, boxes)
         self._split_tree(row, rows, nodes, parts, edges, share, first, count)
@@ -308,9 +314,7 @@ class CollisionGeometry:
             cells[i, 6] = self._occupancy.append(np.zeros(pyramid_bytes(cells[i]), np.uint8))
         self._fragment["cells"].view[first:end] = cells
         occupancy = self._occupancy.view
-        fracture_update.mark_cells(
-            self.pools.mesh, k, self.pools.body, node_shift, tets, first, end, cells, occupancy
-        )
+        fracture_update.mark_cells(self.pools.mesh, k, self.pools.body, node_shift, tets, first, end, cells, occupancy)
         for row in cells:
             fill_pyramid(row, occupancy)
 

@@ -1,4 +1,4 @@
-"""A crew of threads that share one kernel's work, each its own slots: numba's prange takes no nested tuples of arrays."""
+"""A crew of threads that share one kernel's work, each its own slots (numba's prange takes no nested tuples)."""
 
 from __future__ import annotations
 

@@ -16,9 +16,11 @@ and by M_f >= M_h for the other slots h, and a face of the tetrahedron clipped l
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from fracture_collision.core.compiled import inlined_kernel, kernel
+from fracture_collision.core.compiled import inlined_kernel, kernel, query_kernel
 
 EDGE_FIRST = np.array([0, 0, 0, 1, 1, 2])
 EDGE_SECOND = np.array([1, 2, 3, 2, 3, 3])
@@ -26,6 +28,34 @@ EDGE_SECOND = np.array([1, 2, 3, 2, 3, 3])
 FACE_VERTICES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
 INTERFACE = 4  # kind of a triangle between two fragments; 0..3: on that face
 MAX_TRIANGLES = 4096  # more than any choice of planes was seen to make (below 200); exceeding it raises
+
+
+class CutScratch(NamedTuple):
+    """Working space of one partition."""
+
+    labels: np.ndarray  # (4,) int64 fragment of each slot
+    functionals: np.ndarray  # (4, 4, 4) float64
+    counts: np.ndarray  # (4,) int64 functionals of each slot
+    corners: np.ndarray  # (4, 3) float64 [m]
+    triangles: np.ndarray  # (MAX_TRIANGLES, 9) float64 [m]
+    fronts: np.ndarray  # (MAX_TRIANGLES,) int64 slot
+    backs: np.ndarray  # (MAX_TRIANGLES,) int64 slot, -1 at a face
+    kinds: np.ndarray  # (MAX_TRIANGLES,) int64
+    polygon: np.ndarray  # (32, 3) float64 [m]
+    spare: np.ndarray  # (32, 3) float64 [m]
+    choice: np.ndarray  # (4,) int64
+    value: np.ndarray  # (4,) float64
+    order: np.ndarray  # (4,) int64
+
+
+@kernel
+def make_cut_scratch():
+    return CutScratch(
+        np.zeros(4, np.int64), np.zeros((4, 4, 4)), np.zeros(4, np.int64), np.zeros((4, 3)),
+        np.empty((MAX_TRIANGLES, 9)), np.empty(MAX_TRIANGLES, np.int64), np.empty(MAX_TRIANGLES, np.int64),
+        np.empty(MAX_TRIANGLES, np.int64), np.empty((32, 3)), np.empty((32, 3)), np.zeros(4, np.int64),
+        np.zeros(4), np.zeros(4, np.int64),
+    )  # fmt: skip
 
 
 @inlined_kernel
@@ -90,14 +120,14 @@ def owner_slot(slots, functionals, counts, slot_labels, x, y, z):
     return best
 
 
-@kernel
+@query_kernel
 def _clip(polygon, count, spare, a, b, c, o):
     """Keep the part of a convex polygon with a x + b y + c z - o >= 0, in place; returns its vertex count."""
     kept = 0
-    px, py, pz = polygon[count - 1]
+    px, py, pz = polygon[count - 1, 0], polygon[count - 1, 1], polygon[count - 1, 2]
     pv = a * px + b * py + c * pz - o
     for i in range(count):
-        qx, qy, qz = polygon[i]
+        qx, qy, qz = polygon[i, 0], polygon[i, 1], polygon[i, 2]
         qv = a * qx + b * qy + c * qz - o
         if (pv < 0.0) != (qv < 0.0):
             t = pv / (pv - qv)
@@ -112,46 +142,32 @@ def _clip(polygon, count, spare, a, b, c, o):
     return kept if kept >= 3 else 0
 
 
-@kernel
-def _section(corners, a, b, c, o, polygon):
+@query_kernel
+def _section(corners, a, b, c, o, polygon, value, order):
     """The tetrahedron's section with the plane a x + b y + c z = o, right-handed about (a, b, c); its vertex count."""
-    value = np.empty(4)
-    for i in range(4):
-        value[i] = a * corners[i, 0] + b * corners[i, 1] + c * corners[i, 2] - o
     above = 0
     for i in range(4):
+        value[i] = a * corners[i, 0] + b * corners[i, 1] + c * corners[i, 2] - o
         if value[i] >= 0.0:
             above += 1
     if above == 0 or above == 4:
         return 0
-    # an edge each, in cyclic order: around the lone vertex, or the cycle of the four mixed edges
-    first = np.empty(4, dtype=np.int64)
-    second = np.empty(4, dtype=np.int64)
-    up = np.empty(4, dtype=np.int64)
-    down = np.empty(4, dtype=np.int64)
-    nu = nd = 0
-    for i in range(4):
-        if value[i] >= 0.0:
-            up[nu] = i
-            nu += 1
-        else:
-            down[nd] = i
-            nd += 1
-    if nu == 2:
-        first[0], second[0] = up[0], down[0]
-        first[1], second[1] = up[0], down[1]
-        first[2], second[2] = up[1], down[1]
-        first[3], second[3] = up[1], down[0]
-        count = 4
-    else:
-        lone = up[0] if nu == 1 else down[0]
-        count = 0
+    # corners above first, in their order; then those below
+    used = 0
+    for upper in range(2):
         for i in range(4):
-            if i != lone:
-                first[count], second[count] = lone, i
-                count += 1
+            if (value[i] >= 0.0) == (upper == 0):
+                order[used] = i
+                used += 1
+    count = 4 if above == 2 else 3
     for k in range(count):
-        p, q = first[k], second[k]
+        # an edge each, in cyclic order: the cycle of the four mixed edges, or around the lone corner
+        if above == 2:
+            p, q = order[k // 2], order[2 + ((k + 1) // 2) % 2]
+        elif above == 1:
+            p, q = order[0], order[1 + k]
+        else:
+            p, q = order[3], order[k]
         t = value[p] / (value[p] - value[q])
         for d in range(3):
             polygon[k, d] = corners[p, d] + t * (corners[q, d] - corners[p, d])
@@ -173,7 +189,7 @@ def _section(corners, a, b, c, o, polygon):
     return count
 
 
-@kernel
+@query_kernel
 def _clip_to_choice(polygon, count, spare, slots, functionals, counts, choice, owner, other):
     """Clip to where the choice of minima holds and `owner` has the largest margin (`other`: already on its plane)."""
     for s in range(slots):
@@ -188,7 +204,7 @@ def _clip_to_choice(polygon, count, spare, slots, functionals, counts, choice, o
     return count
 
 
-@kernel
+@query_kernel
 def _emit(polygon, count, front, back, kind, triangles, fronts, backs, kinds, used):
     for k in range(1, count - 1):
         if used >= len(triangles):
@@ -204,17 +220,18 @@ def _emit(polygon, count, front, back, kind, triangles, fronts, backs, kinds, us
     return used
 
 
-@kernel
-def partition(corners, slots, functionals, counts, triangles, fronts, backs, kinds):
-    """All boundary triangles of the slots' regions within the tetrahedron `corners` (4, 3).
+@query_kernel
+def partition(slots, work):
+    """All boundary triangles of the slots' regions within the tetrahedron `work.corners`, from its margins.
 
-    Each goes into `triangles` (MAX_TRIANGLES, 9) right-handed about the outward normal of slot `fronts[i]`; `backs[i]`
-    is the slot behind an INTERFACE, -1 for a share of face `kinds[i]`. Returns how many there are.
+    Each goes into work.triangles, right-handed about the outward normal of slot work.fronts[i]; work.backs[i] is the
+    slot behind an INTERFACE, -1 for a share of face work.kinds[i]. Returns how many there are.
     """
+    corners, functionals, counts, choice = work.corners, work.functionals, work.counts, work.choice
+    polygon, spare = work.polygon, work.spare
     used = 0
-    polygon = np.empty((32, 3))
-    spare = np.empty((32, 3))
-    choice = np.zeros(4, dtype=np.int64)
+    for s in range(4):
+        choice[s] = 0
     while True:
         for f in range(slots):
             m = functionals[f, choice[f]]
@@ -222,16 +239,16 @@ def partition(corners, slots, functionals, counts, triangles, fronts, backs, kin
                 h = functionals[g, choice[g]]
                 # outward of f is where its margin falls below g's
                 a, b, c, o = h[0] - m[0], h[1] - m[1], h[2] - m[2], h[3] - m[3]
-                count = _section(corners, a, b, c, o, polygon)
+                count = _section(corners, a, b, c, o, polygon, work.value, work.order)
                 if count:
                     count = _clip_to_choice(polygon, count, spare, slots, functionals, counts, choice, f, g)
-                used = _emit(polygon, count, f, g, INTERFACE, triangles, fronts, backs, kinds, used)
+                used = _emit(polygon, count, f, g, INTERFACE, work.triangles, work.fronts, work.backs, work.kinds, used)
             for face in range(4):
                 for k in range(3):
                     for d in range(3):
                         polygon[k, d] = corners[FACE_VERTICES[face, k], d]
                 count = _clip_to_choice(polygon, 3, spare, slots, functionals, counts, choice, f, -1)
-                used = _emit(polygon, count, f, -1, face, triangles, fronts, backs, kinds, used)
+                used = _emit(polygon, count, f, -1, face, work.triangles, work.fronts, work.backs, work.kinds, used)
         s = 0
         while s < slots:
             choice[s] += 1

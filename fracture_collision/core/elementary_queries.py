@@ -80,7 +80,7 @@ def probe(pools, f, x, y, z, near, deep, scratch, thread):
 
 @inlined_kernel
 def least_distance(pools, f, x, y, z):
-    """A lower bound [m] of the signed distance of any point, as cheap as it gets: minus infinity if it may be inside."""
+    """A lower bound [m] of a point's signed distance, as cheap as it gets: minus infinity if it may be inside."""
     kind = pools.fragment.kind[f]
     if kind != TETRAHEDRA and kind != TRIANGLES:
         return primitive_distance(kind, pools.fragment.shape[f], x, y, z)[0]

@@ -12,13 +12,20 @@ import math
 
 import numpy as np
 
-from fracture_collision.core.closest_point import ON_FACE, ON_RIM, box_distance_squared, closest_on_triangle, triangle_normal
+from fracture_collision.core.closest_point import (
+    ON_FACE,
+    ON_RIM,
+    box_distance_squared,
+    closest_on_triangle,
+    triangle_normal,
+)
 from fracture_collision.core.compiled import inlined_kernel
 from fracture_collision.core.cut_tetrahedron import FACE_VERTICES
 from fracture_collision.core.point_location import holds_fragment
 from fracture_collision.core.pools import CUT, NEVER_BROKEN
 
-# Which surface triangle a closest point lies on: a row of body.triangles, or -1 - (4 tetrahedron + face) of the old surface.
+# Which surface triangle a closest point lies on: a row of body.triangles, or -1 - (4 tetrahedron + face) of the old
+# surface.
 NO_SOURCE = np.iinfo(np.int64).max
 # Below this share of R a direction between two points says nothing; the surface's own normal does.
 DIRECTION_FLOOR = 1e-9
@@ -185,7 +192,7 @@ def source_normal(pools, f, source):
 
 @inlined_kernel
 def outward_direction(pools, f, x, y, z, best, inside):
-    """Unit direction out of f at the closest point `best`: across a face its normal, at a rim the line between the points."""
+    """Unit direction out of f at the closest point `best`: a face's normal, at a rim the line between the points."""
     d2, qx, qy, qz, feature, source = best
     d = math.sqrt(d2)
     away = 1.0 if inside else -1.0

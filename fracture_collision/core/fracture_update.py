@@ -7,16 +7,18 @@ the exact field keeps no distances, so nothing is propagated.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.core.compiled import kernel
+from fracture_collision.core.compiled import kernel, query_kernel
 from fracture_collision.core.cut_tetrahedron import (
     EDGE_FIRST,
     EDGE_SECOND,
     FACE_VERTICES,
     INTERFACE,
     MAX_TRIANGLES,
+    make_cut_scratch,
     margin,
     partition,
 )
@@ -25,7 +27,7 @@ from fracture_collision.core.occupancy import mark_tetrahedron
 from fracture_collision.core.point_location import load_margins
 from fracture_collision.core.pools import CUT
 
-# A triangle thinner than this (area against its longest side squared) is a clipping residue; its neighbours hold its rim.
+# A triangle thinner than this (area against its longest side squared) is a clipping residue; others hold its rim.
 RESIDUE = 1e-13
 
 
@@ -51,7 +53,7 @@ def tetrahedra_of_nodes(mesh, first_node_row, nodes, visited):
     return found[:used].copy()
 
 
-@kernel
+@query_kernel
 def _gap_of_triangle(corner, samples, count):
     """Upper bound [m] of the distance from a point of the triangle (9,) to the nearest of the samples (count, 3)."""
     longest = 0.0
@@ -73,23 +75,25 @@ def _gap_of_triangle(corner, samples, count):
     return math.sqrt(longest / 3.0) + math.sqrt(furthest)
 
 
-@kernel
+@query_kernel
 def _samples_of_slot(corners, labels, label, crack_points, is_cut, surface_node, samples):
     """Surface samples of one fragment in a tetrahedron: its ends of the cut edges, its nodes of the old surface."""
     count = 0
     for i in range(4):
         if labels[i] == label and surface_node[i]:
-            samples[count] = corners[i]
+            for d in range(3):
+                samples[count, d] = corners[i, d]
             count += 1
     for e in range(6):
         for end in range(2):
             if is_cut[e] and labels[EDGE_FIRST[e] if end == 0 else EDGE_SECOND[e]] == label:
-                samples[count] = crack_points[e, end]
+                for d in range(3):
+                    samples[count, d] = crack_points[e, end, d]
                 count += 1
     return count
 
 
-@kernel
+@query_kernel
 def _own_share_of_edge(slots, functionals, counts, own, start, end, roots):
     """Share of the segment start - end (3,), from its start in slot `own`'s region, up to where another slot's begins.
 
@@ -110,7 +114,12 @@ def _own_share_of_edge(slots, functionals, counts, own, start, end, roots):
                 if (d0 > 0.0) != (d1 > 0.0):
                     roots[used] = min(max(d0 / (d0 - d1), 0.0), 1.0)
                     used += 1
-    roots[:used].sort()
+    for i in range(1, used):
+        root, k = roots[i], i
+        while k > 0 and roots[k - 1] > root:
+            roots[k] = roots[k - 1]
+            k -= 1
+        roots[k] = root
     for i in range(used):
         after = 0.5 * (roots[i] + (roots[i + 1] if i + 1 < used else 1.0))
         x = start[0] + after * (end[0] - start[0])
@@ -132,10 +141,14 @@ def crack_samples(mesh, body, node_shift, edge_shift, tets, low, high, first_edg
     reaches over the edge without holding an end, or planes disagree, they end before: a sample is never inside another
     fragment that is in place. Entries that no cut edge of these fragments needs keep their value.
     """
-    labels = np.empty(4, dtype=np.int64)
-    functionals = np.empty((4, 4, 4))
-    counts = np.empty(4, dtype=np.int64)
-    roots = np.empty(64)
+    _crack_samples(
+        mesh, body, node_shift, edge_shift, tets, low, high, first_edge, share, make_cut_scratch(), np.empty(64)
+    )
+
+
+@query_kernel
+def _crack_samples(mesh, body, node_shift, edge_shift, tets, low, high, first_edge, share, work, roots):
+    labels, functionals, counts = work.labels, work.functionals, work.counts
     for t in tets:
         cut = False
         for e in range(6):
@@ -159,22 +172,22 @@ def crack_samples(mesh, body, node_shift, edge_shift, tets, low, high, first_edg
                 share[edge - first_edge, side] = min(share[edge - first_edge, side], reach)
 
 
-@kernel
+@query_kernel
 def _grow(box, x, y, z):
     box[0], box[1], box[2] = min(box[0], x), min(box[1], y), min(box[2], z)
     box[3], box[4], box[5] = max(box[3], x), max(box[4], y), max(box[5], z)
 
 
-@kernel
+@query_kernel
 def _behind_holds(mesh, body, node_shift, t, face, label):
     """Whether the tetrahedron behind a face has a node of fragment `label`; False at the old surface."""
     n = mesh.neighbours[t, face]
     if n < 0:
         return False
+    holds = False
     for i in range(4):
-        if body.node_fragment[mesh.tetrahedra[n, i] + node_shift] == label:
-            return True
-    return False
+        holds = holds or body.node_fragment[mesh.tetrahedra[n, i] + node_shift] == label
+    return holds
 
 
 @kernel
@@ -183,31 +196,32 @@ def external_moments(mesh, body, node_shift, edge_shift, tets, low, high, sign, 
 
     With planes that disagree, a third fragment's share of such a tetrahedron can change when its neighbour breaks.
     """
-    labels = np.empty(4, dtype=np.int64)
-    functionals = np.empty((4, 4, 4))
-    counts = np.empty(4, dtype=np.int64)
-    triangles = np.empty((MAX_TRIANGLES, 9))
-    fronts = np.empty(MAX_TRIANGLES, dtype=np.int64)
-    backs = np.empty(MAX_TRIANGLES, dtype=np.int64)
-    kinds = np.empty(MAX_TRIANGLES, dtype=np.int64)
-    corners = np.empty((4, 3))
+    work = make_cut_scratch()
+    row = np.empty(10)
     for t in tets:
-        slots = load_margins(mesh, body, node_shift, edge_shift, t, labels, functionals, counts)
-        for i in range(4):
-            corners[i] = mesh.nodes[mesh.tetrahedra[t, i]]
-        used = partition(corners, slots, functionals, counts, triangles, fronts, backs, kinds)
+        slots = load_margins(mesh, body, node_shift, edge_shift, t, work.labels, work.functionals, work.counts)
+        _load_corners(mesh, t, work.corners)
+        used = partition(slots, work)
+        o = work.corners[0]
         for i in range(used):
-            p = triangles[i]
-            o = corners[0]
+            p = work.triangles[i]
             for side in range(2):
-                s = fronts[i] if side == 0 else backs[i]
-                if s < 0 or low <= labels[s] < high:
+                s = work.fronts[i] if side == 0 else work.backs[i]
+                if s < 0 or low <= work.labels[s] < high:
                     continue
-                row = np.zeros(10)
+                row[:] = 0.0
                 add_tetrahedron(o[0], o[1], o[2], p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8], row)
                 weight = sign if side == 0 else -sign
                 for d in range(10):
-                    moments[labels[s], d] += weight * row[d]
+                    moments[work.labels[s], d] += weight * row[d]
+
+
+@query_kernel
+def _load_corners(mesh, t, corners):
+    for i in range(4):
+        v = mesh.tetrahedra[t, i]
+        for d in range(3):
+            corners[i, d] = mesh.nodes[v, d]
 
 
 @kernel
@@ -239,35 +253,83 @@ def rebuild_surfaces(
 ):  # fmt: skip
     """Polygons of all cut tetrahedra among `tets`, and moments, boxes, sampling gaps of fragments low .. high - 1.
 
-    Labels and planes in `body` are those after the fracture, `share` is what crack_samples filled. Writes body.tet_fragment, cut_begin and cut_count (rows from
-    `first_polygon` on), adds to `moments` (F, 10), grows `boxes` (high - low, 6) and `gaps` (high - low,). Returns the
-    new rows (triangles, faces, front, back, kind).
+    Labels and planes in `body` are those after the fracture, `share` is what crack_samples filled. Writes
+    body.tet_fragment, cut_begin and cut_count (rows from `first_polygon` on), adds to `moments` (F, 10), grows `boxes`
+    (high - low, 6) and `gaps` (high - low,). Returns the new rows.
     """
-    capacity = 64
-    out_triangles = np.empty((capacity, 9))
-    out_faces = np.empty((capacity, 4))
-    out_front = np.empty(capacity, dtype=np.int32)
-    out_back = np.empty(capacity, dtype=np.int32)
-    out_kind = np.empty(capacity, dtype=np.uint8)
-    written = 0
-    labels = np.empty(4, dtype=np.int64)
-    functionals = np.empty((4, 4, 4))
-    counts = np.empty(4, dtype=np.int64)
-    triangles = np.empty((MAX_TRIANGLES, 9))
-    fronts = np.empty(MAX_TRIANGLES, dtype=np.int64)
-    backs = np.empty(MAX_TRIANGLES, dtype=np.int64)
-    kinds = np.empty(MAX_TRIANGLES, dtype=np.int64)
-    corners = np.empty((4, 3))
-    corner_labels = np.empty(4, dtype=np.int64)
-    surface_node = np.empty(4, dtype=np.uint8)
-    is_cut = np.empty(6, dtype=np.uint8)
-    crack_points = np.empty((6, 2, 3))
-    samples = np.empty((16, 3))
-    corner_triangle = np.empty(9)
-    for t in tets:
+    out = _make_rows(4 * MAX_TRIANGLES)
+    work = make_cut_scratch()
+    local = TetrahedronScratch(
+        np.empty(4, np.int64), np.empty(4, np.uint8), np.empty(6, np.uint8), np.empty((6, 2, 3)), np.empty((16, 3)),
+        np.empty(9),
+    )  # fmt: skip
+    written, start = 0, 0
+    while start < len(tets):
+        if len(out.front) - written < MAX_TRIANGLES:
+            out = _grown_rows(out)
+        start, written = _rebuild_some(
+            mesh, body, node_shift, tet_shift, edge_shift, tets, low, high, first_polygon, first_edge, share,
+            moments, boxes, gaps, start, written, out, work, local,
+        )  # fmt: skip
+    return SurfaceRows(
+        out.triangles[:written], out.faces[:written], out.front[:written], out.back[:written], out.kind[:written]
+    )
+
+
+class SurfaceRows(NamedTuple):
+    """New rows of BodyPool's polygon arrays."""
+
+    triangles: np.ndarray
+    faces: np.ndarray
+    front: np.ndarray
+    back: np.ndarray
+    kind: np.ndarray
+
+
+class TetrahedronScratch(NamedTuple):
+    labels: np.ndarray  # (4,) int64 fragment of each corner
+    surface_node: np.ndarray  # (4,) uint8
+    is_cut: np.ndarray  # (6,) uint8
+    crack_points: np.ndarray  # (6, 2, 3) float64 [m], sample of each end of each cut edge
+    samples: np.ndarray  # (16, 3) float64 [m]
+    triangle: np.ndarray  # (9,) float64 [m]
+
+
+@kernel
+def _make_rows(capacity):
+    return SurfaceRows(
+        np.empty((capacity, 9)), np.empty((capacity, 4)), np.empty(capacity, np.int32), np.empty(capacity, np.int32),
+        np.empty(capacity, np.uint8),
+    )  # fmt: skip
+
+
+@kernel
+def _grown_rows(rows):
+    return SurfaceRows(
+        np.concatenate((rows.triangles, np.empty_like(rows.triangles))),
+        np.concatenate((rows.faces, np.empty_like(rows.faces))),
+        np.concatenate((rows.front, np.empty_like(rows.front))),
+        np.concatenate((rows.back, np.empty_like(rows.back))),
+        np.concatenate((rows.kind, np.empty_like(rows.kind))),
+    )
+
+
+@query_kernel
+def _rebuild_some(
+    mesh, body, node_shift, tet_shift, edge_shift, tets, low, high, first_polygon, first_edge, share,
+    moments, boxes, gaps, start, written, out, work, local,
+):  # fmt: skip
+    """rebuild_surfaces for tets[start:], as far as `out` has room; returns (next start, rows written)."""
+    labels, corners, triangles = work.labels, work.corners, work.triangles
+    corner_labels, surface_node, is_cut = local.labels, local.surface_node, local.is_cut
+    crack_points, samples, corner_triangle = local.crack_points, local.samples, local.triangle
+    for at in range(start, len(tets)):
+        if len(out.front) - written < MAX_TRIANGLES:
+            return at, written
+        t = tets[at]
+        _load_corners(mesh, t, corners)
         for i in range(4):
             v = mesh.tetrahedra[t, i]
-            corners[i] = mesh.nodes[v]
             corner_labels[i] = body.node_fragment[v + node_shift]
             surface_node[i] = mesh.on_surface[v]
         first = corner_labels[0]
@@ -280,7 +342,8 @@ def rebuild_surfaces(
             for face in range(4):
                 if mesh.neighbours[t, face] < 0:
                     for i in range(3):
-                        corner_triangle[3 * i : 3 * i + 3] = corners[FACE_VERTICES[face, i]]
+                        for d in range(3):
+                            corner_triangle[3 * i + d] = corners[FACE_VERTICES[face, i], d]
                     gaps[first - low] = max(gaps[first - low], _gap_of_triangle(corner_triangle, corners, 4))
             continue
         for e in range(6):
@@ -293,8 +356,9 @@ def rebuild_surfaces(
                     part = share[edge - first_edge, end if flipped == 0 else 1 - end]
                     for d in range(3):
                         crack_points[e, end, d] = corners[own, d] + part * (corners[far, d] - corners[own, d])
-        slots = load_margins(mesh, body, node_shift, edge_shift, t, labels, functionals, counts)
-        used = partition(corners, slots, functionals, counts, triangles, fronts, backs, kinds)
+        slots = load_margins(mesh, body, node_shift, edge_shift, t, labels, work.functionals, work.counts)
+        used = partition(slots, work)
+        fronts, backs, kinds = work.fronts, work.backs, work.kinds
         body.tet_fragment[t + tet_shift] = CUT
         body.cut_begin[t + tet_shift] = first_polygon + written
         o = corners[0]
@@ -331,26 +395,20 @@ def rebuild_surfaces(
                         corners, corner_labels, labels[s], crack_points, is_cut, surface_node, samples
                     )
                     gaps[labels[s] - low] = max(gaps[labels[s] - low], _gap_of_triangle(p, samples, count))
-            if written == capacity:
-                capacity *= 2
-                out_triangles = np.concatenate((out_triangles, np.empty_like(out_triangles)))
-                out_faces = np.concatenate((out_faces, np.empty_like(out_faces)))
-                out_front = np.concatenate((out_front, np.empty_like(out_front)))
-                out_back = np.concatenate((out_back, np.empty_like(out_back)))
-                out_kind = np.concatenate((out_kind, np.empty_like(out_kind)))
-            out_triangles[written] = p
+            for d in range(9):
+                out.triangles[written, d] = p[d]
             nx, ny, nz = nx / length, ny / length, nz / length
-            out_faces[written, 0], out_faces[written, 1], out_faces[written, 2] = nx, ny, nz
-            out_faces[written, 3] = nx * p[0] + ny * p[1] + nz * p[2]
-            out_front[written] = labels[fronts[i]]
-            out_back[written] = -1 if backs[i] < 0 else labels[backs[i]]
-            out_kind[written] = kinds[i]
+            out.faces[written, 0], out.faces[written, 1], out.faces[written, 2] = nx, ny, nz
+            out.faces[written, 3] = nx * p[0] + ny * p[1] + nz * p[2]
+            out.front[written] = labels[fronts[i]]
+            out.back[written] = -1 if backs[i] < 0 else labels[backs[i]]
+            out.kind[written] = kinds[i]
             written += 1
         body.cut_count[t + tet_shift] = first_polygon + written - body.cut_begin[t + tet_shift]
-    return out_triangles[:written], out_faces[:written], out_front[:written], out_back[:written], out_kind[:written]
+    return len(tets), written
 
 
-@kernel
+@query_kernel
 def mark_cells(mesh, k, body, node_shift, tets, low, high, cells, occupancy):
     """Set the level-0 cells of fragments low .. high - 1 (rows of `cells` (high - low, 7)) from their tetrahedra."""
     for t in tets:

@@ -1,4 +1,4 @@
-"""What a fragment's surface is made of: which closed form or structure answers the elementary queries (paper, section 3)."""
+"""What a fragment's surface is made of: which closed form or structure answers its elementary queries."""
 
 PLANE = 0
 SPHERE = 1

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from fracture_collision.core.compiled import kernel
+from fracture_collision.core.compiled import kernel, query_kernel
 
 
 def tetrahedron_moments(corners: np.ndarray) -> np.ndarray:
@@ -30,7 +30,7 @@ def _tetrahedra_moments(corners, rows):
         )  # fmt: skip
 
 
-@kernel
+@query_kernel
 def add_tetrahedron(ox, oy, oz, ax, ay, az, bx, by, bz, cx, cy, cz, row):
     """Add the signed moments of the tetrahedron (o, a, b, c) to `row` (10,)."""
     ux, uy, uz = ax - ox, ay - oy, az - oz

@@ -89,7 +89,9 @@ def _to_world(rotation, position, x, y, z, out):
 
 
 @kernel
-def _gather(pairs, rotations, positions, todo, room, contacts, samples, counts, offsets, points_a, points_b, normals, gaps, ids):
+def _gather(
+    pairs, rotations, positions, todo, room, contacts, samples, counts, offsets, points_a, points_b, normals, gaps, ids
+):
     for k in range(len(todo)):
         p = todo[k]
         if counts[p] > room:

@@ -10,15 +10,15 @@ import math
 
 import numpy as np
 
-from fracture_collision.core.compiled import inlined_kernel, kernel
+from fracture_collision.core.compiled import inlined_kernel, query_kernel
 
-# Cells along an axis that a sphere's diameter may span at the level that is asked. More cells cost loads, fewer cull less.
+# Cells that a sphere's diameter may span at the level that is asked: more of them cost loads, fewer cull less.
 SPAN = 2.0
 # What rounding may take from a distance, as a share of it and of a cell.
 ROUNDING = 1e-9
 
 
-@kernel
+@query_kernel
 def mark_tetrahedron(mesh, k, t, cells, occupancy):
     """Set the level-0 bytes of all cells that tetrahedron `t` of mesh `k` touches, within the fragment's cells (7,)."""
     ny, nz = mesh.grid_dims[k, 1], mesh.grid_dims[k, 2]
@@ -29,14 +29,14 @@ def mark_tetrahedron(mesh, k, t, cells, occupancy):
             occupancy[cells[6] + (i * cells[4] + j) * cells[5] + l] = 1
 
 
-@kernel
+@query_kernel
 def mark_all(mesh, k, first, last, cells, occupancy):
     """Mark tetrahedra first .. last - 1 of mesh `k`."""
     for t in range(first, last):
         mark_tetrahedron(mesh, k, t, cells, occupancy)
 
 
-@kernel
+@query_kernel
 def pyramid_bytes(cells):
     """Bytes of all levels together, for a fragment's cells (7,)."""
     total, level = 0, 0
@@ -50,7 +50,7 @@ def pyramid_bytes(cells):
         level += 1
 
 
-@kernel
+@query_kernel
 def fill_pyramid(cells, occupancy):
     """Levels above 0, bottom-up by OR."""
     x0, y0, z0 = cells[0], cells[1], cells[2]

@@ -85,9 +85,7 @@ def owner_in_tetrahedron(pools, f, t, x, y, z, scratch, thread):
     labels = scratch.slot_labels[thread]
     functionals = scratch.functionals[thread]
     counts = scratch.counts[thread]
-    slots = load_margins(
-        pools.mesh, pools.body, node_shift, fragment.edge_shift[f], t, labels, functionals, counts
-    )
+    slots = load_margins(pools.mesh, pools.body, node_shift, fragment.edge_shift[f], t, labels, functionals, counts)
     return labels[owner_slot(slots, functionals, counts, labels, x, y, z)]
 
 
@@ -103,6 +101,4 @@ def holds_fragment(pools, f, t):
     shift = pools.fragment.node_shift[f]
     v = pools.mesh.tetrahedra[t]
     label = pools.body.node_fragment
-    return (
-        label[v[0] + shift] == f or label[v[1] + shift] == f or label[v[2] + shift] == f or label[v[3] + shift] == f
-    )
+    return label[v[0] + shift] == f or label[v[1] + shift] == f or label[v[2] + shift] == f or label[v[3] + shift] == f

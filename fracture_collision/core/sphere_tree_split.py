@@ -229,7 +229,9 @@ def split_sphere_tree(
         if fragment % BATCH == 0:
             _presence(tree.size, fragment_of_sample, fragment, mask)
         n = _extract(tree.size, mask, np.uint64(1) << np.uint64(fragment % BATCH), kept, new_size)
-        center, radius, sample, surface = _take(*tree, fragment_of_sample, moved, kept[:n], new_size[:n].copy(), fragment)
+        center, radius, sample, surface = _take(
+            *tree, fragment_of_sample, moved, kept[:n], new_size[:n].copy(), fragment
+        )
         own = by_fragment[bounds[fragment] : bounds[fragment + 1]]
         old = SphereTree(center, radius, new_size[:n].copy(), sample, surface)
         trees.append(_extend(old, leaf_of, new_points[own], new_samples[own], new_parents[own]))
@@ -250,7 +252,11 @@ def _extend(
     _insert(tree.center, tree.size, tree.sample, tree.radius, parent, leaf_of, points, parents, first_new, next_new)
     room = n + len(points) + int(((first_new >= 0) & (tree.size == 1)).sum())
     out = SphereTree(
-        np.empty((room, 3)), np.empty(room), np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room, np.uint8)
+        np.empty((room, 3)),
+        np.empty(room),
+        np.empty(room, np.int32),
+        np.empty(room, np.int32),
+        np.empty(room, np.uint8),
     )
     used = _merge(tree, first_new, next_new, points, samples, out)
     if used != room:

@@ -163,7 +163,11 @@ def _register_tetrahedra(boxes, barycentric, origin, cell, dims):
             for i in range(lo[0], hi[0] + 1):
                 for j in range(lo[1], hi[1] + 1):
                     for k in range(lo[2], hi[2] + 1):
-                        x, y, z = origin[0] + (i + 0.5) * cell, origin[1] + (j + 0.5) * cell, origin[2] + (k + 0.5) * cell
+                        x, y, z = (
+                            origin[0] + (i + 0.5) * cell,
+                            origin[1] + (j + 0.5) * cell,
+                            origin[2] + (k + 0.5) * cell,
+                        )
                         if not _touches_cell(barycentric[t], x, y, z, half):
                             continue
                         c = (i * ny + j) * nz + k

@@ -13,8 +13,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from fracture_collision.core.compiled import inlined_kernel, query_kernel
 from fracture_collision.core.elementary_queries import INSIDE, OUTSIDE, least_distance, probe, sphere_test
 from fracture_collision.core.kinds import PLANE, SPHERE
@@ -80,9 +78,9 @@ def query_pair(
     """
     fragment, tree = pools.fragment, pools.tree
     slack = BOUND_SLACK * min(fragment.radius[a], fragment.radius[b])
-    if fragment.kind[a] != PLANE and fragment.kind[b] != PLANE:
-        if boxes_apart(fragment.box[a], fragment.box[b], rotation[0], translation[0], near + slack):
-            return 0, slack, 0, False
+    bounded = fragment.kind[a] != PLANE and fragment.kind[b] != PLANE
+    if bounded and boxes_apart(fragment.box[a], fragment.box[b], rotation[0], translation[0], near + slack):
+        return 0, slack, 0, False
     node, node_point = scratch.node_int[thread], scratch.node_float[thread]
     queue = scratch.queue[thread]
     current, following = 0, 1
@@ -180,9 +178,7 @@ def query_pair(
             if tree.sample[child] == tree.sample[entry]:
                 if tree.size[child] == 1:
                     continue
-                _reach_node(
-                    node, node_point, nodes, child, side, node[k, STATUS], x, y, z, node_point[k, DEPTH]
-                )
+                _reach_node(node, node_point, nodes, child, side, node[k, STATUS], x, y, z, node_point[k, DEPTH])
             else:
                 c = tree.center[child]
                 x, y, z = to_other(rotation[side], translation[side], c[0], c[1], c[2])
