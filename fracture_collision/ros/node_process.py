@@ -34,6 +34,12 @@ def free_domain_id() -> int:
     raise RuntimeError("all ROS domains of this machine are in use")
 
 
+def chosen_domain_id() -> int:
+    """ROS_DOMAIN_ID where the user has set one, so that nodes of his own can listen; else one that is free."""
+    given = os.environ.get("ROS_DOMAIN_ID", "")
+    return int(given) if given.isdigit() else free_domain_id()
+
+
 def loopback_environment(domain_id: int) -> dict[str, str]:
     """The environment in which nodes talk to this machine only, in a domain of their own."""
     return os.environ | {"ROS_DOMAIN_ID": str(domain_id), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}

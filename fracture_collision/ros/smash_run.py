@@ -17,7 +17,7 @@ from rclpy.serialization import deserialize_message
 
 from fracture_collision.bag.reader import message_counts, read_messages, topic_digest
 from fracture_collision.msg import FragmentMesh, FragmentRegistry
-from fracture_collision.ros.node_process import NodeProcess, free_domain_id
+from fracture_collision.ros.node_process import NodeProcess, chosen_domain_id
 from fracture_collision.ros.timing_files import SERVICE_COLUMNS, SIMULATOR_COLUMNS
 
 # [s] for the recorder to take what is on its way when the simulator has ended.
@@ -48,7 +48,7 @@ def run_scene(scene: str, seed: int | None, out: Path, on_progress: Callable[[Pr
         shutil.rmtree(folder, ignore_errors=True)
     logs.mkdir(parents=True)
     times = {name: logs / f"{name}.npy" for name in ("collision_node", "simulator_node")}
-    domain_id = free_domain_id()
+    domain_id = chosen_domain_id()
     simulator_parameters = {
         "scene": scene, "timing_file": str(times["simulator_node"]), "progress": True, "wait_for_subscribers": 2,
     }  # fmt: skip
