@@ -20,7 +20,7 @@ def generate_launch_description() -> LaunchDescription:
     return LaunchDescription(
         [
             DeclareLaunchArgument("scene", default_value="plates", description="name in config/scenes, or a path"),
-            DeclareLaunchArgument("seed", default_value="0", description="of the fracture patterns and throws"),
+            DeclareLaunchArgument("seed", default_value="-1", description="of fracture patterns; -1: the scene's"),
             DeclareLaunchArgument("namespace", default_value="", description="put before every topic"),
             DeclareLaunchArgument(
                 "parameters", default_value=default_parameters, description="of the service, a parameter file"

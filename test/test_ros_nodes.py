@@ -17,6 +17,7 @@ from fracture_collision.ros.conversion import header, to_message, to_record
 from fracture_collision.ros.node_process import NodeProcess, free_domain_id
 
 RUN = 41
+LARGEST_MESSAGE = 100_000  # [bytes]
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -33,7 +34,9 @@ def domain_id() -> int:
 
 @pytest.fixture
 def service(domain_id: int, tmp_path: Path) -> Iterator[NodeProcess]:
-    process = NodeProcess("collision_node", {"threads": 1}, domain_id, tmp_path / "service.log")
+    process = NodeProcess(
+        "collision_node", {"threads": 1, "max_message_bytes": LARGEST_MESSAGE}, domain_id, tmp_path / "service.log"
+    )
     yield process
     process.stop()
 
@@ -113,6 +116,8 @@ def test_bad_input_is_refused_in_words_and_changes_nothing(service: NodeProcess,
 
     client.publish("bodies", breakable_body()._replace(body_id=9, fragment_id=90, density=-1.0), RUN)
     client.await_refusal("bodies: out_of_range", "density")
+    client.publish("bodies", breakable_body()._replace(body_id=9, fragment_id=90, vertices=np.zeros(12_501)), RUN)
+    client.await_refusal("bodies: limit_exceeded", "max_message_bytes")
     client.publish("fracture_events", SECOND._replace(sequence=9), RUN)
     client.await_refusal("fracture_events: sequence_gap", "sequence: 9")
     client.publish("fracture_events", FIRST._replace(sequence=3, body_id=77), RUN)
