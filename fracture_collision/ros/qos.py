@@ -16,6 +16,8 @@ from fracture_collision.msg import (
 )
 
 # Every message ever sent, for late joiners too: a service that is started again learns the whole run from these.
+# "Every" ends at 5000 messages a topic, what a Fast DDS publisher keeps unless a profile says more (max_samples):
+# whoever joins later gets the last 5000.
 LATCHED = QoSProfile(
     history=HistoryPolicy.KEEP_ALL,
     reliability=ReliabilityPolicy.RELIABLE,
