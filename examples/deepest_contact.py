@@ -1,7 +1,6 @@
-"""Prints the deepest contact of each step: ROS_DOMAIN_ID=7 python examples/deepest_contact.py, beside a running scene."""
+"""Prints the deepest contact of each step of a scene that runs in the same ROS domain."""
 
 import rclpy
-
 from fracture_collision.msg import ContactConstraintArray
 
 

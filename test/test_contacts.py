@@ -30,10 +30,9 @@ def case(request) -> FracturedWorld:
 
 
 def _surface_samples(case: FracturedWorld, fragment: int) -> tuple[np.ndarray, np.ndarray]:
-    pools, row = case.geometry.pools, case.row(fragment)
-    begin, end = pools.fragment.tree_begin[row], pools.fragment.tree_end[row]
-    leaves = (pools.tree.size[begin:end] == 1) & (pools.tree.on_surface[begin:end] == 1)
-    return pools.tree.center[begin:end][leaves], pools.tree.sample[begin:end][leaves]
+    tree = case.geometry.sphere_tree(case.row(fragment))
+    leaves = (tree.size == 1) & (tree.on_surface == 1)
+    return tree.center[leaves], tree.sample[leaves]
 
 
 class Poses:

@@ -128,11 +128,10 @@ def test_no_surface_point_is_farther_from_a_sample_than_the_gap(case: FracturedW
     consistent_planes = "flat" in request.node.callspec.id
     registry = case.world.fragments()
     random = np.random.default_rng(5)
-    pools = case.geometry.pools
     for fragment, gap in zip(registry.fragment_ids.tolist(), registry.sampling_gaps, strict=True):
         row = case.row(fragment)
-        begin, end = pools.fragment.tree_begin[row], pools.fragment.tree_end[row]
-        samples = pools.tree.center[begin:end][pools.tree.on_surface[begin:end] == 1]
+        tree = case.geometry.sphere_tree(row)
+        samples = tree.center[tree.on_surface == 1]
         if consistent_planes:
             assert case.oracle.distance_to_surface(fragment, samples, SURFACE)[0].max() <= 1e-12
         triangles = case.oracle.surface_triangles(fragment, SURFACE)

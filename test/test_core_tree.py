@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fracture_collision.core.max_distance_order import max_distance_order
-from fracture_collision.core.sphere_tree import SphereTree, build_sphere_tree, validate_sphere_tree
+from fracture_collision.core.sphere_tree import build_sphere_tree, validate_sphere_tree
 from fracture_collision.geometry.generators import ball, plate
 
 
@@ -68,12 +68,10 @@ def test_the_validator_sees_a_broken_tree() -> None:
 def test_trees_stay_sphere_trees_through_five_generations(body, curved: bool) -> None:
     case = fractured_world(body, seeds=5, generations=5, curved=curved)
     mesh_nodes = len(body.vertices)
-    pools = case.geometry.pools
     edges = case.oracle.edges.tolist()
     for fragment in case.oracle.fragment_ids:
         row = case.row(fragment)
-        part = slice(pools.fragment.tree_begin[row], pools.fragment.tree_end[row])
-        tree = SphereTree(*(array[part] for array in pools.tree))
+        tree = case.geometry.sphere_tree(row)
         ends = [
             mesh_nodes + 2 * e + side
             for e, edge in enumerate(edges)
@@ -87,11 +85,9 @@ def test_trees_stay_sphere_trees_through_five_generations(body, curved: bool) ->
 def test_more_fragments_than_one_mask_holds() -> None:
     case = fractured_world(ball(1.0, 0.16), seeds=120, generations=1)
     assert len(case.oracle.fragment_ids) > 64
-    pools = case.geometry.pools
     for fragment in case.oracle.fragment_ids:
         row = case.row(fragment)
-        part = slice(pools.fragment.tree_begin[row], pools.fragment.tree_end[row])
-        tree = SphereTree(*(array[part] for array in pools.tree))
+        tree = case.geometry.sphere_tree(row)
         nodes = tree.sample[(tree.size == 1) & (tree.sample < len(case.oracle.vertices))]
         assert np.array_equal(np.sort(nodes), np.flatnonzero(case.oracle.labels == fragment))
         validate_sphere_tree(tree, tree.sample[tree.size == 1])

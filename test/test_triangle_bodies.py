@@ -240,7 +240,7 @@ def test_fragments_against_a_rigid_body(shape: RigidShape, jitter: float) -> Non
         f: (lambda x, f=f: case.oracle.depth(f, x, (ORIGINAL, CRACK, BARE_FACE))[0]) for f in case.oracle.fragment_ids
     }
     depth_in[500] = lambda x: np.maximum(-true_distance(shape, x), 0.0)
-    pools, checked = world._registry.geometry.pools, 0
+    geometry, checked = world._registry.geometry, 0
     for fragment in case.oracle.fragment_ids:
         pair = np.flatnonzero((answer.fragment_a == fragment) & (answer.fragment_b == 500))
         rows = slice(answer.pair_begin[pair[0]], answer.pair_begin[pair[0] + 1]) if len(pair) else slice(0, 0)
@@ -248,12 +248,11 @@ def test_fragments_against_a_rigid_body(shape: RigidShape, jitter: float) -> Non
         assert bound <= epsilon + 1e-9
         gaps = dict(zip(answer.contact_ids[rows].tolist(), answer.gaps[rows].tolist(), strict=True))
         for own, other in ((fragment, 500), (500, fragment)):
-            row = world._registry.row_of(own)
-            part = slice(pools.fragment.tree_begin[row], pools.fragment.tree_end[row])
-            leaf = (pools.tree.size[part] == 1) & (pools.tree.on_surface[part] == 1)
-            in_world = rotations[own].apply(pools.tree.center[part][leaf]) + positions[own]
+            tree = geometry.sphere_tree(world._registry.row_of(own))
+            leaf = (tree.size == 1) & (tree.on_surface == 1)
+            in_world = rotations[own].apply(tree.center[leaf]) + positions[own]
             depths = depth_in[other](rotations[other].inv().apply(in_world - positions[other]))
-            for key, depth in zip(_ids(own, other, pools.tree.sample[part][leaf]), depths, strict=True):
+            for key, depth in zip(_ids(own, other, tree.sample[leaf]), depths, strict=True):
                 if key not in gaps:
                     assert depth <= bound
                 elif depth > 1e-9:

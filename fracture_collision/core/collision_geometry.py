@@ -17,6 +17,10 @@ from fracture_collision.core.moments import (
 from fracture_collision.core.occupancy import cells_of_box, fill_pyramid, mark_all, pyramid_bytes
 from fracture_collision.core.pools import (
     NEVER_BROKEN,
+    OWN_SAMPLE,
+    SAMPLE,
+    SIZE,
+    SURFACE,
     BodyPool,
     FragmentPool,
     GrowableArray,
@@ -25,7 +29,7 @@ from fracture_collision.core.pools import (
     TreePool,
     TriangleMeshPool,
 )
-from fracture_collision.core.sphere_tree import SphereTree, build_sphere_tree
+from fracture_collision.core.sphere_tree import SphereTree, build_sphere_tree, surface_marks
 from fracture_collision.core.sphere_tree_split import split_sphere_tree
 from fracture_collision.core.tet_mesh import TetMesh
 from fracture_collision.core.triangle_field import TriangleMesh, append_triangle_mesh, build_triangle_mesh
@@ -110,7 +114,7 @@ class CollisionGeometry:
             kind=(0, i4), mesh=(0, i4), node_shift=(0, i4), tet_shift=(0, i4), edge_shift=(0, i4), box=(6, f8),
             shape=(4, f8), radius=(0, f8), tree_begin=(0, i4), tree_end=(0, i4), cells=(7, i4),
         )  # fmt: skip
-        self._tree = _table(center=(3, f8), radius=(0, f8), size=(0, i4), sample=(0, i4), on_surface=(0, u1))
+        self._tree = _table(spheres=(4, f8), entries=(3, i4))
         self._triangles = _table(
             corners=(9, f8), features=(6, i4), pseudonormals=(3, f8), node_box=(6, f8), node_skip=(0, i4),
             node_first=(0, i4), node_count=(0, i4), node_range=(2, i4), triangle_range=(2, i4),
@@ -149,6 +153,15 @@ class CollisionGeometry:
         begin, end = self._triangles["triangle_range"].view[self._fragment["mesh"].view[row]]
         return self._triangles["corners"].view[begin:end].reshape(-1, 3, 3)
 
+    def sphere_tree(self, row: int) -> SphereTree:
+        """A copy of the fragment's tree."""
+        part = slice(int(self._fragment["tree_begin"].view[row]), int(self._fragment["tree_end"].view[row]))
+        spheres, entries = self._tree["spheres"].view[part], self._tree["entries"].view[part]
+        return SphereTree(
+            spheres[:, :3].copy(), spheres[:, 3].copy(), entries[:, SIZE].copy(), entries[:, SAMPLE].copy(),
+            (entries[:, SURFACE] == OWN_SAMPLE).astype(np.uint8),
+        )  # fmt: skip
+
     def tree_entries(self, row: int) -> int:
         return int(self._fragment["tree_end"].view[row] - self._fragment["tree_begin"].view[row])
 
@@ -183,7 +196,7 @@ class CollisionGeometry:
             np.append(half, 0.0),
             float(half.max()),
             begin,
-            self._tree["size"].used,
+            self._tree["entries"].used,
             gap,
         )
 
@@ -277,8 +290,7 @@ class CollisionGeometry:
     def _split_tree(self, row, rows, nodes, parts, edges, share, first, count) -> None:
         mesh = rows.prepared.mesh
         n = len(mesh.nodes)
-        begin, end = (int(self._fragment[name].view[row]) for name in ("tree_begin", "tree_end"))
-        old = SphereTree(*(self._tree[name].view[begin:end].copy() for name in SphereTree._fields))
+        old = self.sphere_tree(row)
         part_of_node = np.full(n, -1, dtype=np.int32)
         part_of_node[nodes] = parts
         at_crack = old.sample >= n
@@ -333,9 +345,10 @@ class CollisionGeometry:
         self._fragment["edge_shift"].view[row] = edge - rows.edge
 
     def _append_tree(self, tree: SphereTree) -> int:
-        begin = self._tree["size"].used
-        for name in SphereTree._fields:
-            self._tree[name].append(getattr(tree, name))
+        begin = self._tree["entries"].used
+        self._tree["spheres"].append(np.column_stack([tree.center, tree.radius]))
+        marks = surface_marks(tree.size, tree.on_surface)
+        self._tree["entries"].append(np.column_stack([tree.size, tree.sample, marks]))
         return begin
 
     def _add_row(self, kind, box, shape, radius, tree_begin, tree_end, gap, mesh=-1, cells=None) -> int:

@@ -225,36 +225,50 @@ def partition(slots, work):
     """All boundary triangles of the slots' regions within the tetrahedron `work.corners`, from its margins.
 
     Each goes into work.triangles, right-handed about the outward normal of slot work.fronts[i]; work.backs[i] is the
-    slot behind an INTERFACE, -1 for a share of face work.kinds[i]. Returns how many there are.
+    slot behind an INTERFACE, -1 for a share of face work.kinds[i]. Kinds ascend. Returns how many there are.
     """
-    corners, functionals, counts, choice = work.corners, work.functionals, work.counts, work.choice
-    polygon, spare = work.polygon, work.spare
     used = 0
-    for s in range(4):
-        choice[s] = 0
-    while True:
-        for f in range(slots):
-            m = functionals[f, choice[f]]
-            for g in range(f + 1, slots):
-                h = functionals[g, choice[g]]
-                # outward of f is where its margin falls below g's
-                a, b, c, o = h[0] - m[0], h[1] - m[1], h[2] - m[2], h[3] - m[3]
-                count = _section(corners, a, b, c, o, polygon, work.value, work.order)
-                if count:
-                    count = _clip_to_choice(polygon, count, spare, slots, functionals, counts, choice, f, g)
-                used = _emit(polygon, count, f, g, INTERFACE, work.triangles, work.fronts, work.backs, work.kinds, used)
-            for face in range(4):
-                for k in range(3):
-                    for d in range(3):
-                        polygon[k, d] = corners[FACE_VERTICES[face, k], d]
-                count = _clip_to_choice(polygon, 3, spare, slots, functionals, counts, choice, f, -1)
-                used = _emit(polygon, count, f, -1, face, work.triangles, work.fronts, work.backs, work.kinds, used)
-        s = 0
-        while s < slots:
-            choice[s] += 1
-            if choice[s] < counts[s]:
+    for kind in range(INTERFACE + 1):
+        for s in range(4):
+            work.choice[s] = 0
+        while True:
+            used = _interfaces(slots, work, used) if kind == INTERFACE else _face_shares(kind, slots, work, used)
+            s = 0
+            while s < slots:
+                work.choice[s] += 1
+                if work.choice[s] < work.counts[s]:
+                    break
+                work.choice[s] = 0
+                s += 1
+            if s == slots:
                 break
-            choice[s] = 0
-            s += 1
-        if s == slots:
-            return used
+    return used
+
+
+@query_kernel
+def _face_shares(face, slots, work, used):
+    """Each slot's share of a face, where the current choice holds."""
+    for f in range(slots):
+        for k in range(3):
+            for d in range(3):
+                work.polygon[k, d] = work.corners[FACE_VERTICES[face, k], d]
+        count = _clip_to_choice(work.polygon, 3, work.spare, slots, work.functionals, work.counts, work.choice, f, -1)
+        used = _emit(work.polygon, count, f, -1, face, work.triangles, work.fronts, work.backs, work.kinds, used)
+    return used
+
+
+@query_kernel
+def _interfaces(slots, work, used):
+    """The polygons between any two slots, where the current choice holds."""
+    functionals, choice, polygon = work.functionals, work.choice, work.polygon
+    for f in range(slots):
+        m = functionals[f, choice[f]]
+        for g in range(f + 1, slots):
+            h = functionals[g, choice[g]]
+            # outward of f is where its margin falls below g's
+            a, b, c, o = h[0] - m[0], h[1] - m[1], h[2] - m[2], h[3] - m[3]
+            count = _section(work.corners, a, b, c, o, polygon, work.value, work.order)
+            if count:
+                count = _clip_to_choice(polygon, count, work.spare, slots, functionals, work.counts, choice, f, g)
+            used = _emit(polygon, count, f, g, INTERFACE, work.triangles, work.fronts, work.backs, work.kinds, used)
+    return used

@@ -62,8 +62,8 @@ def probe(pools, f, x, y, z, near, deep, scratch, thread):
     # 15 ns that spare most points the search for their tetrahedron
     if not sphere_may_touch(pools, f, x, y, z, near):
         return OUTSIDE, max(reach, near), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    t = inside_tetrahedron(pools, f, x, y, z, scratch, thread)
-    if t >= 0:
+    t = tetrahedron_at(pools.mesh, pools.fragment.mesh[f], x, y, z)
+    if t >= 0 and owner_in_tetrahedron(pools, f, t, x, y, z, scratch, thread) == f:
         best = nearest_from_inside(pools, f, t, x, y, z, deep, scratch, thread)
         if best[5] == NO_SOURCE:
             return INSIDE, -math.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -71,7 +71,7 @@ def probe(pools, f, x, y, z, near, deep, scratch, thread):
         return INSIDE, -math.sqrt(best[0]), nx, ny, nz, best[1], best[2], best[3]
     if near <= 0.0:
         return OUTSIDE, reach, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    best = nearest_from_outside(pools, f, x, y, z, near, scratch, thread)
+    best = nearest_from_outside(pools, f, t, x, y, z, near, scratch, thread)
     if best[5] == NO_SOURCE:
         return OUTSIDE, max(reach, near), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     nx, ny, nz = outward_direction(pools, f, x, y, z, best, False)

@@ -20,7 +20,7 @@ from fracture_collision.core.closest_point import (
     triangle_normal,
 )
 from fracture_collision.core.compiled import inlined_kernel
-from fracture_collision.core.cut_tetrahedron import FACE_VERTICES
+from fracture_collision.core.cut_tetrahedron import FACE_VERTICES, INTERFACE
 from fracture_collision.core.point_location import holds_fragment
 from fracture_collision.core.pools import CUT, NEVER_BROKEN
 
@@ -30,6 +30,47 @@ NO_SOURCE = np.iinfo(np.int64).max
 # Below this share of R a direction between two points says nothing; the surface's own normal does.
 DIRECTION_FLOOR = 1e-9
 PLANE_SLACK = 1.0 + 1e-9
+# What rounding may do to a barycentric weight.
+WEIGHT_ROUNDING = 1e-12
+
+
+@inlined_kernel
+def _weight_and_slope(mesh, t, corner, x, y, z):
+    """Barycentric weight of a corner of tetrahedron `t` at the point, and the square of its gradient [1/m2]."""
+    b = mesh.barycentric[t]
+    if corner > 0:
+        k = 4 * (corner - 1)
+        gx, gy, gz = b[k], b[k + 1], b[k + 2]
+        return gx * x + gy * y + gz * z + b[k + 3], gx * gx + gy * gy + gz * gz
+    gx, gy, gz = b[0] + b[4] + b[8], b[1] + b[5] + b[9], b[2] + b[6] + b[10]
+    return 1.0 - gx * x - gy * y - gz * z - b[3] - b[7] - b[11], gx * gx + gy * gy + gz * gz
+
+
+@inlined_kernel
+def _face_is_farther(mesh, t, face, x, y, z, d2):
+    """Whether the plane of a face, and so the face, is farther than sqrt(d2) [m]; rounding is left room."""
+    weight, slope = _weight_and_slope(mesh, t, face, x, y, z)
+    return abs(weight) > math.sqrt(d2 * slope * PLANE_SLACK) + WEIGHT_ROUNDING
+
+
+@inlined_kernel
+def least_distance_squared(mesh, t, x, y, z):
+    """Lower bound [m2] of the squared distance of a point from tetrahedron `t`: its box, then its four face planes."""
+    least = box_distance_squared(x, y, z, mesh.boxes[t])
+    for face in range(4):
+        weight, slope = _weight_and_slope(mesh, t, face, x, y, z)
+        if weight < -WEIGHT_ROUNDING:
+            least = max(least, (weight + WEIGHT_ROUNDING) ** 2 / (slope * PLANE_SLACK))
+    return least
+
+
+@inlined_kernel
+def clear_of_faces(mesh, t, x, y, z, distance):
+    """Whether a point in tetrahedron `t` is farther than `distance` [m] from all its faces."""
+    clear = True
+    for face in range(4):
+        clear = clear and _face_is_farther(mesh, t, face, x, y, z, distance * distance)
+    return clear
 
 
 @inlined_kernel
@@ -40,7 +81,7 @@ def nearest_in_tetrahedron(pools, f, t, x, y, z, best):
     shift = pools.fragment.tet_shift[f]
     if shift == NEVER_BROKEN or body.tet_fragment[t + shift] != CUT:
         for face in range(4):
-            if mesh.neighbours[t, face] >= 0:
+            if mesh.neighbours[t, face] >= 0 or _face_is_farther(mesh, t, face, x, y, z, d2):
                 continue
             a = mesh.nodes[mesh.tetrahedra[t, FACE_VERTICES[face, 0]]]
             b = mesh.nodes[mesh.tetrahedra[t, FACE_VERTICES[face, 1]]]
@@ -50,7 +91,15 @@ def nearest_in_tetrahedron(pools, f, t, x, y, z, best):
                 d2, qx, qy, qz, feature, source = e2, ex, ey, ez, rim, -1 - (4 * t + face)
         return d2, qx, qy, qz, feature, source
     begin = body.cut_begin[t + shift]
+    face, farther = -1, False
     for i in range(begin, begin + body.cut_count[t + shift]):
+        kind = body.kind[i]
+        if kind != INTERFACE:
+            # kinds ascend: one test for all pieces of a face
+            if kind != face:
+                face, farther = kind, _face_is_farther(mesh, t, kind, x, y, z, d2)
+            if farther:
+                continue
         if body.front[i] != f and body.back[i] != f:
             continue
         # no point of a triangle is nearer than its plane; rounding is left room
@@ -132,7 +181,7 @@ def nearest_from_inside(pools, f, start, x, y, z, limit, scratch, thread):
                 continue
             visited[n] = stamp
             if holds_fragment(pools, f, n):
-                key = box_distance_squared(x, y, z, mesh.boxes[n])
+                key = least_distance_squared(mesh, n, x, y, z)
                 if key < best[0]:
                     _push(keys, items, count, key, n)
                     count += 1
@@ -140,9 +189,15 @@ def nearest_from_inside(pools, f, start, x, y, z, limit, scratch, thread):
 
 
 @inlined_kernel
-def nearest_from_outside(pools, f, x, y, z, limit, scratch, thread):
-    """Nearest point of f's surface closer than `limit` [m] to a point that is not of f; NO_SOURCE if none is."""
+def nearest_from_outside(pools, f, at, x, y, z, limit, scratch, thread):
+    """Nearest point of f's surface closer than `limit` [m] to a point that is not of f; NO_SOURCE if none is.
+
+    `at`: the tetrahedron that holds the point, -1 outside the body.
+    """
     mesh = pools.mesh
+    if at >= 0 and clear_of_faces(mesh, at, x, y, z, limit):
+        alone = (limit * limit, 0.0, 0.0, 0.0, ON_RIM, NO_SOURCE)
+        return nearest_in_tetrahedron(pools, f, at, x, y, z, alone) if holds_fragment(pools, f, at) else alone
     k = pools.fragment.mesh[f]
     visited = scratch.visited[thread]
     stamp = next_stamp(scratch, thread)
@@ -169,7 +224,9 @@ def nearest_from_outside(pools, f, x, y, z, limit, scratch, thread):
                     if visited[t] == stamp:
                         continue
                     visited[t] = stamp
-                    if box_distance_squared(x, y, z, mesh.boxes[t]) < best[0] and holds_fragment(pools, f, t):
+                    if box_distance_squared(x, y, z, mesh.boxes[t]) >= best[0] or not holds_fragment(pools, f, t):
+                        continue
+                    if least_distance_squared(mesh, t, x, y, z) < best[0]:
                         best = nearest_in_tetrahedron(pools, f, t, x, y, z, best)
     return best
 

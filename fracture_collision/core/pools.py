@@ -105,13 +105,18 @@ class TriangleMeshPool(NamedTuple):
 
 
 class TreePool(NamedTuple):
-    """Sphere trees in preorder (sphere_tree.py)."""
+    """Sphere trees in preorder (sphere_tree.py), what a visit reads side by side."""
 
-    center: np.ndarray  # (S, 3) float64 [m], body frame
-    radius: np.ndarray  # float64 [m]
-    size: np.ndarray  # int32, entries of the subtree with this one
-    sample: np.ndarray  # int32, index of the sample point within its body
-    on_surface: np.ndarray  # uint8, 1: the point is a sample of the fragment's surface
+    spheres: np.ndarray  # (S, 4) float64 [m], centre in the body frame, radius
+    entries: np.ndarray  # (S, 3) int32: SIZE, SAMPLE, SURFACE
+
+
+# Columns of TreePool.entries.
+SIZE = 0  # entries of the subtree with this one
+SAMPLE = 1  # index of the sample point within its body
+SURFACE = 2  # OWN_SAMPLE if the point samples the fragment's surface, NONE_BELOW if nothing in the subtree does, else 0
+OWN_SAMPLE = 1
+NONE_BELOW = -1
 
 
 class Pools(NamedTuple):

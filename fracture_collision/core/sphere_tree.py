@@ -16,6 +16,7 @@ import numpy as np
 
 from fracture_collision.core.compiled import kernel
 from fracture_collision.core.max_distance_order import MaxDistanceOrder, max_distance_order
+from fracture_collision.core.pools import NONE_BELOW, OWN_SAMPLE
 
 
 class SphereTree(NamedTuple):
@@ -105,6 +106,20 @@ def update_radii(center, size, radius, stale):
                 dx, dy, dz = center[j, 0] - center[i, 0], center[j, 1] - center[i, 1], center[j, 2] - center[i, 2]
                 furthest = max(furthest, dx * dx + dy * dy + dz * dz)
         radius[i] = np.sqrt(furthest)
+
+
+@kernel
+def surface_marks(size, on_surface):
+    """TreePool's SURFACE column (s,) int32 of a tree."""
+    marks = np.empty(len(size), dtype=np.int32)
+    for i in range(len(size) - 1, -1, -1):
+        marks[i] = OWN_SAMPLE if on_surface[i] else NONE_BELOW
+        child = i + 1
+        while marks[i] == NONE_BELOW and child < i + size[i]:
+            if marks[child] != NONE_BELOW:
+                marks[i] = 0
+            child += size[child]
+    return marks
 
 
 def validate_sphere_tree(tree: SphereTree, expected_samples: np.ndarray) -> None:

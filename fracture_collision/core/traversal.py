@@ -17,6 +17,7 @@ from fracture_collision.core.compiled import inlined_kernel, query_kernel
 from fracture_collision.core.elementary_queries import INSIDE, OUTSIDE, least_distance, probe, sphere_test
 from fracture_collision.core.kinds import PLANE, SPHERE
 from fracture_collision.core.oriented_boxes import boxes_apart
+from fracture_collision.core.pools import NONE_BELOW, OWN_SAMPLE, SAMPLE, SIZE, SURFACE
 
 # Rounding of coordinates near the scale of the fragment must not make a bound lie.
 BOUND_SLACK = 1e-12
@@ -97,7 +98,7 @@ def query_pair(
                 )
         elif fragment.tree_end[own] > fragment.tree_begin[own]:
             root = fragment.tree_begin[own]
-            c = tree.center[root]
+            c = tree.spheres[root]
             x, y, z = to_other(rotation[side], translation[side], c[0], c[1], c[2])
             _reach_node(node, node_point, nodes, root, side, UNTESTED, x, y, z, -least_distance(pools, other, x, y, z))
             queue[current, size] = nodes
@@ -113,8 +114,8 @@ def query_pair(
             entry, side = node[k, ENTRY], node[k, SIDE]
             other = b if side == 0 else a
             x, y, z = node_point[k, 0], node_point[k, 1], node_point[k, 2]
-            radius = tree.radius[entry]
-            end = entry + tree.size[entry]
+            radius = tree.spheres[entry, 3]
+            end = entry + tree.entries[entry, SIZE]
             if node[k, NEXT_CHILD] < 0:
                 # first time on this level: test
                 if budget and visits >= budget:
@@ -124,7 +125,7 @@ def query_pair(
                 status = node[k, STATUS]
                 if status == UNTESTED:
                     status = OUTSIDE
-                    if tree.on_surface[entry] == 0:
+                    if tree.entries[entry, SURFACE] != OWN_SAMPLE:
                         # an interior node is no contact, and whether it is inside would cull nothing
                         node_point[k, DEPTH] = min(node_point[k, DEPTH], _depth_limit(pools, other))
                     elif -node_point[k, DEPTH] <= near:
@@ -144,7 +145,7 @@ def query_pair(
                                     row[3], row[4], row[5] = qx, qy, qz
                                     row[6], row[7], row[8] = nx, ny, nz
                                     row[9] = d
-                                    ids[count, 0], ids[count, 1] = side, tree.sample[entry]
+                                    ids[count, 0], ids[count, 1] = side, tree.entries[entry, SAMPLE]
                                 count += 1
                                 m = max(m, count)
                             else:
@@ -152,7 +153,7 @@ def query_pair(
                         node_point[k, DEPTH] = min(-d, _depth_limit(pools, other))
                     node[k, STATUS] = status
                 head += 1
-                if tree.size[entry] == 1:
+                if end == entry + 1:
                     continue
                 depth = node_point[k, DEPTH]
                 least = -near if count < m else epsilon
@@ -169,21 +170,24 @@ def query_pair(
             else:
                 head += 1
                 child = node[k, NEXT_CHILD]
-            if child + tree.size[child] < end:
-                node[k, NEXT_CHILD] = child + tree.size[child]
+            child_size = tree.entries[child, SIZE]
+            if child + child_size < end:
+                node[k, NEXT_CHILD] = child + child_size
                 queue[current, size] = k
                 size += 1
             else:
                 node[k, NEXT_CHILD] = end
-            if tree.sample[child] == tree.sample[entry]:
-                if tree.size[child] == 1:
+            if tree.entries[child, SURFACE] == NONE_BELOW:
+                continue
+            if tree.entries[child, SAMPLE] == tree.entries[entry, SAMPLE]:
+                if child_size == 1:
                     continue
                 _reach_node(node, node_point, nodes, child, side, node[k, STATUS], x, y, z, node_point[k, DEPTH])
             else:
-                c = tree.center[child]
+                c = tree.spheres[child]
                 x, y, z = to_other(rotation[side], translation[side], c[0], c[1], c[2])
                 d = least_distance(pools, other, x, y, z)
-                if d > tree.radius[child] + near:
+                if d > c[3] + near:
                     visits += 1
                     continue
                 _reach_node(node, node_point, nodes, child, side, UNTESTED, x, y, z, -d)
@@ -211,6 +215,6 @@ def _bound_of_rest(pools, a, b, node, node_point, queue, which, begin, end):
     for i in range(begin, end):
         k = queue[which, i]
         other = b if node[k, SIDE] == 0 else a
-        depth = node_point[k, DEPTH] + pools.tree.radius[node[k, ENTRY]]
+        depth = node_point[k, DEPTH] + pools.tree.spheres[node[k, ENTRY], 3]
         bound = max(bound, min(depth, _depth_limit(pools, other)))
     return bound
