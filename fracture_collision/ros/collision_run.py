@@ -28,6 +28,7 @@ class CollisionRun:
         self.run_id = run_id
         self.world = CollisionWorld(settings)
         self.body_ids: set[int] = set()
+        self._known_bodies: set[int] = set()  # removed ones too: an event of theirs may still be on its way
         self.event_count = 0
         self.removals = 0
         self._held_events: dict[int, FractureEvent] = {}  # by sequence
@@ -44,6 +45,7 @@ class CollisionRun:
             return [Refusal("bodies", error.kind, str(error))]
         if body.operation == ADD:
             self.body_ids.add(body.body_id)
+            self._known_bodies.add(body.body_id)
         else:
             self.body_ids.discard(body.body_id)
             self.removals += 1
@@ -58,7 +60,7 @@ class CollisionRun:
             reason = f"{MAX_HELD_EVENTS} events wait for their bodies already"
             return [Refusal("fracture_events", "limit_exceeded", reason)]
         self._held_events[event.sequence] = event
-        if event.body_id in self.body_ids:
+        if event.body_id in self._known_bodies:
             return self._apply_held_events()
         reason = f"body_id: no body {event.body_id}; event {event.sequence} is held until it comes"
         return [Refusal("fracture_events", "unknown_id", reason)]
@@ -82,7 +84,7 @@ class CollisionRun:
         refusals: list[Refusal] = []
         while self._held_events:
             first = min(self._held_events)
-            if self._held_events[first].body_id not in self.body_ids:
+            if self._held_events[first].body_id not in self._known_bodies:
                 break
             refusals += self._apply(self._held_events.pop(first))
         return refusals

@@ -26,7 +26,7 @@ from fracture_collision.world.errors import StatesAhead
 from fracture_collision.world.fragment_mesh import fragment_mesh
 from fracture_collision.world.ledger import Ledger
 from fracture_collision.world.registry import Registry
-from fracture_collision.world.settings import FIELDS, Settings
+from fracture_collision.world.settings import Settings, check_settings
 from fracture_collision.world.states_gate import CheckedStates, check_states
 
 
@@ -39,10 +39,7 @@ class CollisionWorld:
 
     def __init__(self, settings: Settings | None = None) -> None:
         self.settings = settings if settings is not None else Settings()
-        if self.settings.field not in FIELDS:
-            raise ValueError(f"field: {self.settings.field!r} is none of {', '.join(FIELDS)}")
-        if self.settings.field == "averaged":
-            raise ValueError("field: 'averaged' (eq. 1-2) is not available in this version; use 'exact'")
+        check_settings(self.settings)
         self._ledger = Ledger(self.settings)
         self._registry = Registry()
         self._removals = 0

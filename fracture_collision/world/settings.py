@@ -29,3 +29,19 @@ class Settings(NamedTuple):
 
 
 FIELDS = ("exact", "averaged")
+
+
+def check_settings(settings: Settings) -> None:
+    """Raise ValueError, naming the field, unless every setting is one the service can work with."""
+    if settings.field not in FIELDS:
+        raise ValueError(f"field: {settings.field!r} is none of {', '.join(FIELDS)}")
+    if settings.field == "averaged":
+        raise ValueError("field: 'averaged' (eq. 1-2) is not available in this version; use 'exact'")
+    if settings.contacts_per_pair < 1:
+        raise ValueError(f"contacts_per_pair: {settings.contacts_per_pair} is not at least 1")
+    for name in ("penetration_tolerance", "detection_tolerance"):
+        if not 0.0 <= getattr(settings, name) <= 1.0:
+            raise ValueError(f"{name}: {getattr(settings, name)} is not in [0, 1]")
+    for name in ("threads", "visit_budget", "max_bodies", "max_nodes", "max_fragments", "max_message_bytes"):
+        if getattr(settings, name) < 0:
+            raise ValueError(f"{name}: {getattr(settings, name)} is negative")

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 import fracture_collision
-from fracture_collision.geometry.generators import brick
+from fracture_collision.geometry.generators import TetGeometry, brick
 from fracture_collision.geometry.tetrahedra import unique_edges
 from fracture_collision.records import BOX, SPHERE, CollisionBody, FractureEvent, FragmentStates, SolidPrimitive
 from fracture_collision.world.collision_world import CollisionWorld
@@ -37,8 +37,11 @@ def compile_kernels(progress: Callable[[str], None]) -> None:
     progress("contacts: broad phase, Algorithm 1, exact field (2 of 3)")
     world.contacts(_states(1, 0, np.array([1, 2, 7])))
     progress("fracture: crack polygons, tree splitting, masses (3 of 3)")
-    world.add_fracture(_halving(geometry.vertices, geometry.tetrahedra))
-    world.contacts(_states(2, 1, np.array([2, 5, 6, 7])))
+    whole = np.ones(len(geometry.vertices), dtype=bool)
+    world.add_fracture(_flat_crack(geometry, 1, 1, whole, 0, 0.1, (5, 6)))
+    # the second crack runs into the first: tetrahedra that three fragments share
+    world.add_fracture(_flat_crack(geometry, 2, 6, geometry.vertices[:, 0] > 0.1, 1, 0.05, (8, 9)))
+    world.contacts(_states(2, 2, np.array([2, 5, 7, 8, 9])))
     world.fragments()
     world.fragment_mesh(5)
 
@@ -60,12 +63,23 @@ def _states(step: int, sequence: int, ids: np.ndarray) -> FragmentStates:
     return FragmentStates(step, sequence, ids, positions.ravel(), np.tile([0.0, 0.0, 0.0, 1.0], count))
 
 
-def _halving(vertices: np.ndarray, tetrahedra: np.ndarray) -> FractureEvent:
-    """A flat crack across the brick, off its nodes."""
-    offset = 0.1
-    parts = (vertices[:, 0] > offset).astype(np.int64)
-    edges = unique_edges(tetrahedra)
-    edges = edges[parts[edges[:, 0]] != parts[edges[:, 1]]]
-    towards = np.where(parts[edges[:, 1]] == 1, 1.0, -1.0)
-    planes = np.column_stack([towards, np.zeros((len(edges), 2)), towards * offset])
-    return FractureEvent(1, 1, 1, np.array([5, 6]), np.arange(len(vertices)), parts, edges.ravel(), planes.ravel())
+def _flat_crack(
+    body: TetGeometry,
+    sequence: int,
+    fragment_id: int,
+    own: np.ndarray,
+    axis: int,
+    offset: float,
+    new_ids: tuple[int, int],
+) -> FractureEvent:
+    """A crack across an axis, off the nodes; `own` (n,) marks the nodes of the fragment that breaks."""
+    side = body.vertices[:, axis] > offset
+    edges = unique_edges(body.tetrahedra)
+    edges = edges[own[edges].all(axis=1) & (side[edges[:, 0]] != side[edges[:, 1]])]
+    towards = np.where(side[edges[:, 1]], 1.0, -1.0)
+    planes = np.zeros((len(edges), 4))
+    planes[:, axis], planes[:, 3] = towards, towards * offset
+    nodes = np.flatnonzero(own)
+    return FractureEvent(
+        sequence, 1, fragment_id, np.array(new_ids), nodes, side[nodes].astype(np.int64), edges.ravel(), planes.ravel()
+    )

@@ -1,0 +1,30 @@
+"""Settings are checked in words; the warm-up reaches every kernel of a fracture."""
+
+from __future__ import annotations
+
+import pytest
+
+from fracture_collision.core import fracture_update
+from fracture_collision.world import CollisionWorld, Settings
+from fracture_collision.world.warm_up import compile_kernels
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("contacts_per_pair", 0), ("penetration_tolerance", -0.1), ("detection_tolerance", 2.0), ("threads", -1),
+        ("visit_budget", -5), ("max_bodies", -1), ("field", "guessed"), ("field", "averaged"),
+        ("penetration_tolerance", float("nan")),
+    ],
+)  # fmt: skip
+def test_a_setting_out_of_range_is_refused_by_name(name: str, value: object) -> None:
+    with pytest.raises(ValueError, match=name):
+        CollisionWorld(Settings()._replace(**{name: value}))
+
+
+def test_the_warm_up_compiles_what_only_a_second_fracture_needs() -> None:
+    said: list[str] = []
+    compile_kernels(said.append)
+    assert len(said) == 3
+    assert fracture_update.external_moments.signatures
+    assert fracture_update.rebuild_surfaces.signatures
