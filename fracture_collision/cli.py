@@ -146,6 +146,8 @@ def _table(report: dict[str, Any]) -> Table:
     ):
         values = summary[name]
         table.add_row(f"{words}, ms", *(f"{values[at]:.2f}" if values else "-" for at in ("median", "worst")))
+    table.add_row("fastest at the end, mm/s", "", f"{1e3 * report['max_speed'][-1]:.3f}")
+    table.add_row("deepest at the end, mm", "", f"{max(-1e3 * report['deepest_gap'][-1], 0.0):.3f}")
     return table
 
 
