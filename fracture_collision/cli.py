@@ -63,7 +63,9 @@ def smash(scene: str, out: Path, seed: int | None) -> None:
     from fracture_collision.viewer.film_strip import render_film_strip
     from fracture_collision.viewer.times_plot import plot_times
 
-    signal.signal(signal.SIGTERM, _as_interrupt)
+    # SIGINT too: a shell starts what it puts into the background with SIGINT ignored
+    for order in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(order, _as_interrupt)
     console = Console()
     try:
         with _progress_bar(console) as show:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.core.compiled import kernel, query_kernel
+from fracture_collision.core.compiled import inlined_kernel, kernel, query_kernel
 from fracture_collision.core.cut_tetrahedron import (
     EDGE_FIRST,
     EDGE_SECOND,
@@ -172,13 +172,13 @@ def _crack_samples(mesh, body, node_shift, edge_shift, tets, low, high, first_ed
                 share[edge - first_edge, side] = min(share[edge - first_edge, side], reach)
 
 
-@query_kernel
+@inlined_kernel
 def _grow(box, x, y, z):
     box[0], box[1], box[2] = min(box[0], x), min(box[1], y), min(box[2], z)
     box[3], box[4], box[5] = max(box[3], x), max(box[4], y), max(box[5], z)
 
 
-@query_kernel
+@inlined_kernel
 def _behind_holds(mesh, body, node_shift, t, face, label):
     """Whether the tetrahedron behind a face has a node of fragment `label`; False at the old surface."""
     n = mesh.neighbours[t, face]
@@ -216,7 +216,7 @@ def external_moments(mesh, body, node_shift, edge_shift, tets, low, high, sign, 
                     moments[work.labels[s], d] += weight * row[d]
 
 
-@query_kernel
+@inlined_kernel
 def _load_corners(mesh, t, corners):
     for i in range(4):
         v = mesh.tetrahedra[t, i]

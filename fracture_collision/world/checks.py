@@ -36,7 +36,10 @@ def floats(name: str, values, columns: int = 0, limit: float = np.inf) -> np.nda
 def indices(name: str, values, columns: int = 0, below: int | None = None, of: str = "") -> np.ndarray:
     """`values` as int64, each in 0 .. below - 1 (default: uint32); (n, columns) if columns are given."""
     given = _array(name, values)
-    if given.size and given.dtype.kind not in "iu":
+    if not given.size:
+        # an empty list says nothing of its type
+        given = np.empty(0, dtype=np.int64)
+    if given.dtype.kind not in "iu":
         refuse("wrong_type", f"{name}: not integers but {given.dtype}")
     limit = UINT32_MAX + 1 if below is None else below
     flat = given.ravel()
