@@ -96,10 +96,13 @@ def scenes() -> None:
 @click.argument("bag", type=click.Path(exists=True, file_okay=False, path_type=Path))
 def digest(bag: Path) -> None:
     """Print a SHA-256 of each topic of a BAG folder: equal if and only if all messages are, byte for byte."""
-    from fracture_collision.bag.reader import message_counts, topic_digest
+    from fracture_collision.bag.reader import BagError, message_counts, topic_digest
 
-    for topic, count in message_counts(bag).items():
-        click.echo(f"{topic_digest(bag, topic)}  {count:6}  {topic}")
+    try:
+        for topic, count in message_counts(bag).items():
+            click.echo(f"{topic_digest(bag, topic)}  {count:6}  {topic}")
+    except BagError as error:
+        raise click.ClickException(str(error)) from error
 
 
 def _as_interrupt(_signal: int, _frame: FrameType | None) -> None:

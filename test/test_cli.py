@@ -149,3 +149,9 @@ def test_a_scene_that_is_not_there_is_an_error_in_words(tmp_path: Path) -> None:
     assert done.returncode == 1
     assert "no_such_scene" in done.stderr and "Traceback" not in done.stderr
     assert nodes_of(tmp_path / "out") == []
+
+
+def test_a_folder_that_is_no_bag_is_an_error_in_words(tmp_path: Path) -> None:
+    done = run("digest", tmp_path)
+    assert done.returncode == 1
+    assert "metadata.yaml" in done.stderr and "Traceback" not in done.stderr

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import yaml
 from mcap.reader import make_reader
@@ -17,19 +17,39 @@ class BagMessage(NamedTuple):
     data: bytes  # CDR
 
 
+class BagError(ValueError):
+    """Not a bag, or one that holds no run, or not all of it."""
+
+
+def _information(bag: Path) -> dict[str, Any]:
+    metadata = bag / "metadata.yaml"
+    if not metadata.is_file():
+        raise BagError(f"{bag}: neither an .mcap file nor a folder with a metadata.yaml")
+    content = yaml.safe_load(metadata.read_text())
+    if not isinstance(content, dict) or "rosbag2_bagfile_information" not in content:
+        raise BagError(f"{metadata}: not the metadata of a rosbag2 folder")
+    return content["rosbag2_bagfile_information"]
+
+
+def mcap_files(bag: Path | str) -> list[Path]:
+    """The files of a rosbag2 folder, or the one .mcap file given. Raises BagError."""
+    bag = Path(bag)
+    if bag.is_file():
+        return [bag]
+    return [bag / name for name in _information(bag)["relative_file_paths"]]
+
+
 def read_messages(folder: Path | str, topics: list[str] | None = None) -> Iterator[BagMessage]:
-    """All messages of a bag, or those of `topics`, in the order of their times. FileNotFoundError without a bag."""
-    folder = Path(folder)
-    information = yaml.safe_load((folder / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
-    for name in information["relative_file_paths"]:
-        with (folder / name).open("rb") as stream:
+    """All messages of a bag, or those of `topics`, in the order of their times. Raises BagError."""
+    for file in mcap_files(folder):
+        with file.open("rb") as stream:
             for _, channel, message in make_reader(stream).iter_messages(topics):
                 yield BagMessage(channel.topic, message.log_time, message.data)
 
 
 def message_counts(folder: Path | str) -> dict[str, int]:
-    """By topic, as metadata.yaml says. FileNotFoundError without a bag."""
-    information = yaml.safe_load((Path(folder) / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    """By topic, as metadata.yaml says. Raises BagError."""
+    information = _information(Path(folder))
     return {
         entry["topic_metadata"]["name"]: entry["message_count"] for entry in information["topics_with_message_count"]
     }

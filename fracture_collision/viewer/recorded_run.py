@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import yaml
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
+from fracture_collision.bag.reader import BagError, mcap_files
 from fracture_collision.records import REMOVE, CollisionBody, FragmentMesh, SolidPrimitive
 
 PACKAGE = "fracture_collision/msg/"
@@ -32,10 +32,6 @@ class RecordedRun(NamedTuple):
     states: list[RecordedStates]  # ascending in step
 
 
-class BagError(ValueError):
-    """A bag that holds no run, or not all of it."""
-
-
 def read_run(bag: Path) -> RecordedRun:
     """Read the last run of a bag: a rosbag2 folder, or one .mcap file.
 
@@ -44,7 +40,7 @@ def read_run(bag: Path) -> RecordedRun:
     """
     messages: dict[int, dict[str, list[Any]]] = {}
     last_run = None
-    for kind, message in _messages(_mcap_files(Path(bag))):
+    for kind, message in _messages(mcap_files(bag)):
         messages.setdefault(message.run_id, {}).setdefault(kind, []).append(message)
         if kind == "FragmentStates":
             last_run = message.run_id
@@ -58,16 +54,6 @@ def read_run(bag: Path) -> RecordedRun:
     meshes = {m.fragment_id: _mesh(m) for m in run.get("FragmentMesh", [])}
     states = {m.step: _states(m) for m in run["FragmentStates"]}
     return RecordedRun(bodies, body_of, meshes, [states[step] for step in sorted(states)])
-
-
-def _mcap_files(bag: Path) -> list[Path]:
-    if bag.is_file():
-        return [bag]
-    metadata = bag / "metadata.yaml"
-    if not metadata.is_file():
-        raise BagError(f"{bag}: neither an .mcap file nor a folder with a metadata.yaml")
-    names = yaml.safe_load(metadata.read_text())["rosbag2_bagfile_information"]["relative_file_paths"]
-    return [bag / name for name in names]
 
 
 def _messages(files: list[Path]) -> Iterator[tuple[str, Any]]:

@@ -7,11 +7,12 @@ import colorsys
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from fracture_collision.bag.reader import BagError
 from fracture_collision.geometry.generators import brick, shell
 from fracture_collision.geometry.tetrahedra import boundary_triangles
 from fracture_collision.records import BOX, SPHERE, CollisionBody
 from fracture_collision.viewer.ray_picture import TriangleScene
-from fracture_collision.viewer.recorded_run import BagError, RecordedRun, RecordedStates
+from fracture_collision.viewer.recorded_run import RecordedRun, RecordedStates
 from fracture_collision.viewer.shading import smooth_normals
 
 # Linear RGB. One family of colours a breakable body; what does not break keeps to the quiet ones.
