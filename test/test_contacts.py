@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from fractured_worlds import FracturedWorld, fractured_world
-from oracles.fragmented_body import BARE_FACE, CRACK, ORIGINAL
+from oracles.fragmented_body import ALL_KINDS
 from scipy.spatial.transform import Rotation
 
 from fracture_collision.geometry.generators import ball, bowl, brick, shell
@@ -13,7 +13,7 @@ from fracture_collision.records import BUDGET_EXHAUSTED, ContactConstraintArray,
 from fracture_collision.world import CollisionWorld, Settings
 from fracture_collision.world.contact_ids import contact_ids
 
-SURFACE = (ORIGINAL, CRACK, BARE_FACE)
+SURFACE = ALL_KINDS
 SHAPES = {
     "ball": lambda: ball(1.0, 0.4),
     "brick": lambda: brick((2.0, 1.0, 0.8), 0.4),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from fractured_worlds import DENSITY, FracturedWorld, fractured_world
-from oracles.fragmented_body import BARE_FACE, CRACK, ORIGINAL
+from oracles.fragmented_body import ALL_KINDS
 
 from fracture_collision.core.elementary_queries import INSIDE, NEAR, inside_tetrahedron, probe
 from fracture_collision.core.occupancy import sphere_may_touch
@@ -23,7 +23,7 @@ SHAPES = {
 }
 # Where planes disagree from one tetrahedron to the next, regions have steps at the face between; the field measures
 # against cracks, the old surface and bare faces (docs/numerics.md).
-SURFACE = (ORIGINAL, CRACK, BARE_FACE)
+SURFACE = ALL_KINDS
 CASES = [(shape, cracks) for shape in SHAPES for cracks in ("flat", "curved")]
 
 

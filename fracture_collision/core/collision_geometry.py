@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.core import fracture_update
+from fracture_collision.core.crack_samples import crack_samples
 from fracture_collision.core.kinds import BOX, PLANE, SPHERE, TETRAHEDRA, TRIANGLES
 from fracture_collision.core.moments import (
     box_mass_properties,
@@ -107,8 +108,9 @@ class CollisionGeometry:
             tet_cells_begin=(0, i4), tet_cells=(0, i4),
         )  # fmt: skip
         self._body = _table(
-            node_fragment=(0, i4), edge_plane=(0, i4), tet_fragment=(0, i4), cut_begin=(0, i4), cut_count=(0, i4),
-            planes=(4, f8), triangles=(9, f8), faces=(4, f8), front=(0, i4), back=(0, i4), kind=(0, u1),
+            node_fragment=(0, i4), edge_plane=(0, i4), edge_share=(2, f8), tet_fragment=(0, i4),
+            cut_begin=(0, i4), cut_count=(0, i4), planes=(4, f8), triangles=(9, f8), faces=(4, f8),
+            front=(0, i4), back=(0, i4), kind=(0, u1),
         )  # fmt: skip
         self._fragment = _table(
             kind=(0, i4), mesh=(0, i4), node_shift=(0, i4), tet_shift=(0, i4), edge_shift=(0, i4), box=(6, f8),
@@ -253,7 +255,8 @@ class CollisionGeometry:
         labels = pools.body.node_fragment
         visited = np.zeros(len(pools.mesh.tetrahedra), np.uint8)
         # node_tets_begin has one row more than nodes in each mesh before this one
-        tets = fracture_update.tetrahedra_of_nodes(pools.mesh, rows.node + k, nodes, visited)
+        touched, own = fracture_update.tetrahedra_of_nodes(pools.mesh, rows.node + k, nodes, visited)
+        tets = touched[:own]
         label_rows = nodes + (rows.node + node_shift)
         moments = self._moments.view
         labels[label_rows] = first + parts
@@ -269,20 +272,17 @@ class CollisionGeometry:
             fracture_update.external_moments(
                 pools.mesh, pools.body, node_shift, edge_shift, shared, first, end, 1.0, moments
             )
-        boxes = np.empty((count, 6))
-        boxes[:, :3], boxes[:, 3:] = np.inf, -np.inf
-        share = np.full((len(rows.prepared.mesh.edges), 2), np.inf)
-        fracture_update.crack_samples(
-            pools.mesh, pools.body, node_shift, edge_shift, tets, first, end, rows.edge, share
-        )
+        crack_samples(pools.mesh, pools.body, node_shift, edge_shift, tets, first, end)
+        empty = np.repeat([np.inf, -np.inf], 3)
+        pools.fragment.box[first:end], reaches = empty, np.tile(empty, (count, 1))
         polygons = fracture_update.rebuild_surfaces(
-            pools.mesh, pools.body, node_shift, tet_shift, edge_shift, tets, first, end,
-            self._body["triangles"].used, rows.edge, share, moments, boxes, self._gaps.view[first:],
+            pools.mesh, pools.body, node_shift, tet_shift, edge_shift, touched, own, first, end,
+            self._body["triangles"].used, moments, pools.fragment.box, reaches, self._gaps.view,
         )  # fmt: skip
         for name in polygons._fields:
             self._body[name].append(getattr(polygons, name))
-        self._fragment["box"].view[first:end] = boxes
-        self._mark_cells(k, node_shift, tets, first, end, boxes)
+        self._mark_cells(k, node_shift, tets, first, end, reaches)
+        share = pools.body.edge_share[rows.edge + edge_shift :][: len(rows.prepared.mesh.edges)]
         self._split_tree(row, rows, nodes, parts, edges, share, first, count)
         self._pools = None
         return first
@@ -318,10 +318,10 @@ class CollisionGeometry:
             tree.center[at_crack] = points
         return moved
 
-    def _mark_cells(self, k, node_shift, tets, first, end, boxes) -> None:
+    def _mark_cells(self, k, node_shift, tets, first, end, reaches) -> None:
         grid, dims = self._mesh["grid"].view[k], self._mesh["grid_dims"].view[k, :3]
         cells = np.empty((end - first, 7), np.int32)
-        for i, box in enumerate(boxes):
+        for i, box in enumerate(reaches):
             cells[i] = cells_of_box(box, grid[:3], grid[3], dims, 0)
             cells[i, 6] = self._occupancy.append(np.zeros(pyramid_bytes(cells[i]), np.uint8))
         self._fragment["cells"].view[first:end] = cells
@@ -337,6 +337,7 @@ class CollisionGeometry:
         mesh = rows.prepared.mesh
         node = self._body["node_fragment"].append(np.full(len(mesh.nodes), row, np.int32))
         edge = self._body["edge_plane"].append(np.full(len(mesh.edges), -1, np.int32))
+        self._body["edge_share"].append(np.ones((len(mesh.edges), 2)))
         tet = self._body["tet_fragment"].append(np.full(len(mesh.tetrahedra), row, np.int32))
         self._body["cut_begin"].append(np.zeros(len(mesh.tetrahedra), np.int32))
         self._body["cut_count"].append(np.zeros(len(mesh.tetrahedra), np.int32))

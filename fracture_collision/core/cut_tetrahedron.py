@@ -11,7 +11,8 @@ M_k = min over the functionals of slot k.
 
 The polygons: for each choice of the functional that attains every slot's minimum, the set where the choice holds is
 convex and all margins are linear on it. So the interface of slots f and g is the plane M_f = M_g clipped by that set
-and by M_f >= M_h for the other slots h, and a face of the tetrahedron clipped likewise is f's share of that face.
+and by M_f >= M_h for the other slots h, and a face of the tetrahedron clipped likewise is f's share of that face. What
+the tetrahedron behind the face gives to another fragment, of that share, is a step.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ MAX_TRIANGLES = 4096  # more than any choice of planes was seen to make (below 2
 
 
 class CutScratch(NamedTuple):
-    """Working space of one partition."""
+    """Working space: one tetrahedron's margins, and the triangles made from them."""
 
     labels: np.ndarray  # (4,) int64 fragment of each slot
     functionals: np.ndarray  # (4, 4, 4) float64
@@ -39,7 +40,7 @@ class CutScratch(NamedTuple):
     corners: np.ndarray  # (4, 3) float64 [m]
     triangles: np.ndarray  # (MAX_TRIANGLES, 9) float64 [m]
     fronts: np.ndarray  # (MAX_TRIANGLES,) int64 slot
-    backs: np.ndarray  # (MAX_TRIANGLES,) int64 slot, -1 at a face
+    backs: np.ndarray  # (MAX_TRIANGLES,) int64 slot, -1 at a face's share
     kinds: np.ndarray  # (MAX_TRIANGLES,) int64
     polygon: np.ndarray  # (32, 3) float64 [m]
     spare: np.ndarray  # (32, 3) float64 [m]
@@ -221,54 +222,154 @@ def _emit(polygon, count, front, back, kind, triangles, fronts, backs, kinds, us
 
 
 @query_kernel
-def partition(slots, work):
-    """All boundary triangles of the slots' regions within the tetrahedron `work.corners`, from its margins.
+def face_shares(face, slots, work, used):
+    """Each slot's share of a face of the tetrahedron `work.corners`, from its margins; of a lone slot, all of it.
 
-    Each goes into work.triangles, right-handed about the outward normal of slot work.fronts[i]; work.backs[i] is the
-    slot behind an INTERFACE, -1 for a share of face work.kinds[i]. Kinds ascend. Returns how many there are.
+    Triangles go into `work` from row `used` on, right-handed about the tetrahedron's outward normal: fronts the slot,
+    backs -1, kinds the face. Returns the row behind the last.
     """
-    used = 0
-    for kind in range(INTERFACE + 1):
-        for s in range(4):
-            work.choice[s] = 0
+    _first_choice(work)
+    while True:
+        for f in range(slots):
+            count = _load_face(work.corners, face, work.polygon)
+            count = _clip_to_choice(
+                work.polygon, count, work.spare, slots, work.functionals, work.counts, work.choice, f, -1
+            )
+            used = _emit(work.polygon, count, f, -1, face, work.triangles, work.fronts, work.backs, work.kinds, used)
+        if not _next_choice(slots, work):
+            return used
+
+
+@query_kernel
+def interfaces(slots, work, used):
+    """The polygons between any two slots within the tetrahedron `work.corners`, from its margins.
+
+    Triangles go into `work` from row `used` on, right-handed about the outward normal of the slot in fronts; backs has
+    the slot behind, kinds INTERFACE. Returns the row behind the last.
+    """
+    functionals, choice, polygon = work.functionals, work.choice, work.polygon
+    _first_choice(work)
+    while True:
+        for f in range(slots):
+            m = functionals[f, choice[f]]
+            for g in range(f + 1, slots):
+                h = functionals[g, choice[g]]
+                # outward of f is where its margin falls below g's
+                a, b, c, o = h[0] - m[0], h[1] - m[1], h[2] - m[2], h[3] - m[3]
+                count = _section(work.corners, a, b, c, o, polygon, work.value, work.order)
+                if count:
+                    count = _clip_to_choice(polygon, count, work.spare, slots, functionals, work.counts, choice, f, g)
+                used = _emit(polygon, count, f, g, INTERFACE, work.triangles, work.fronts, work.backs, work.kinds, used)
+        if not _next_choice(slots, work):
+            return used
+
+
+@query_kernel
+def steps(work, first, last, behind_slots, behind, used):
+    """Where the two tetrahedra at a face disagree about its owner: a step of the regions' border, in the face.
+
+    Rows first .. last - 1 of `work` are the near tetrahedron's face_shares; `behind` has the margins of the far one.
+    Triangles go into `behind` from row `used` on: fronts the near slot, backs the far one, of another fragment; kinds
+    the near face. Returns the row behind the last.
+    """
+    for i in range(first, last):
+        label = work.labels[work.fronts[i]]
+        _first_choice(behind)
         while True:
-            used = _interfaces(slots, work, used) if kind == INTERFACE else _face_shares(kind, slots, work, used)
-            s = 0
-            while s < slots:
-                work.choice[s] += 1
-                if work.choice[s] < work.counts[s]:
-                    break
-                work.choice[s] = 0
-                s += 1
-            if s == slots:
+            for g in range(behind_slots):
+                if behind.labels[g] == label:
+                    continue
+                for k in range(3):
+                    for d in range(3):
+                        behind.polygon[k, d] = work.triangles[i, 3 * k + d]
+                count = _clip_to_choice(
+                    behind.polygon, 3, behind.spare, behind_slots, behind.functionals, behind.counts, behind.choice, g,
+                    -1,
+                )  # fmt: skip
+                used = _emit(
+                    behind.polygon, count, work.fronts[i], g, work.kinds[i], behind.triangles, behind.fronts,
+                    behind.backs, behind.kinds, used,
+                )  # fmt: skip
+            if not _next_choice(behind_slots, behind):
                 break
     return used
 
 
 @query_kernel
-def _face_shares(face, slots, work, used):
-    """Each slot's share of a face, where the current choice holds."""
-    for f in range(slots):
-        for k in range(3):
-            for d in range(3):
-                work.polygon[k, d] = work.corners[FACE_VERTICES[face, k], d]
-        count = _clip_to_choice(work.polygon, 3, work.spare, slots, work.functionals, work.counts, work.choice, f, -1)
-        used = _emit(work.polygon, count, f, -1, face, work.triangles, work.fronts, work.backs, work.kinds, used)
-    return used
+def agree_on_face(slots, work, behind_slots, behind, face):
+    """Whether two tetrahedra, one at least cut, certainly give each point of their common face to the same fragment.
+
+    `face`: the near tetrahedron's, of `work.corners`. A quick test: False may also mean that nobody knows.
+    """
+    if slots == 1:
+        return _owns_face(work.labels[0], behind_slots, behind, work.corners, face)
+    if behind_slots == 1:
+        return _owns_face(behind.labels[0], slots, work, work.corners, face)
+    if slots != behind_slots:
+        return False
+    for s in range(slots):
+        other = -1
+        for r in range(slots):
+            if behind.labels[r] == work.labels[s] and behind.counts[r] == work.counts[s]:
+                other = r
+        if other < 0:
+            return False
+        for q in range(work.counts[s]):
+            g = work.functionals[s, q]
+            known = False
+            for r in range(work.counts[s]):
+                h = behind.functionals[other, r]
+                known = known or (g[0] == h[0] and g[1] == h[1] and g[2] == h[2] and g[3] == h[3])
+            if not known:
+                return False
+    return True
 
 
 @query_kernel
-def _interfaces(slots, work, used):
-    """The polygons between any two slots, where the current choice holds."""
-    functionals, choice, polygon = work.functionals, work.choice, work.polygon
-    for f in range(slots):
-        m = functionals[f, choice[f]]
-        for g in range(f + 1, slots):
-            h = functionals[g, choice[g]]
-            # outward of f is where its margin falls below g's
-            a, b, c, o = h[0] - m[0], h[1] - m[1], h[2] - m[2], h[3] - m[3]
-            count = _section(work.corners, a, b, c, o, polygon, work.value, work.order)
-            if count:
-                count = _clip_to_choice(polygon, count, work.spare, slots, functionals, work.counts, choice, f, g)
-            used = _emit(polygon, count, f, g, INTERFACE, work.triangles, work.fronts, work.backs, work.kinds, used)
-    return used
+def _owns_face(label, slots, work, corners, face):
+    """Whether a fragment's margin is certainly the largest all over a face: functionals compared at its corners."""
+    own = 0
+    while work.labels[own] != label:
+        own += 1
+    for s in range(slots):
+        if s == own:
+            continue
+        for q in range(work.counts[own]):
+            g = work.functionals[own, q]
+            above = False
+            for r in range(work.counts[s]):
+                h = work.functionals[s, r]
+                everywhere = True
+                for k in range(3):
+                    c = corners[FACE_VERTICES[face, k]]
+                    d = (g[0] - h[0]) * c[0] + (g[1] - h[1]) * c[1] + (g[2] - h[2]) * c[2] - (g[3] - h[3])
+                    everywhere = everywhere and d > 0.0
+                above = above or everywhere
+            if not above:
+                return False
+    return True
+
+
+@query_kernel
+def _first_choice(work):
+    for s in range(4):
+        work.choice[s] = 0
+
+
+@query_kernel
+def _next_choice(slots, work):
+    """The next choice of the functional that attains each slot's minimum; False behind the last."""
+    for s in range(slots):
+        work.choice[s] += 1
+        if work.choice[s] < work.counts[s]:
+            return True
+        work.choice[s] = 0
+    return False
+
+
+@query_kernel
+def _load_face(corners, face, polygon):
+    for k in range(3):
+        for d in range(3):
+            polygon[k, d] = corners[FACE_VERTICES[face, k], d]
+    return 3

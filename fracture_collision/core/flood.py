@@ -89,7 +89,8 @@ def nearest_in_tetrahedron(pools, f, t, x, y, z, best):
             e2, ex, ey, ez, rim = closest_on_triangle(x, y, z, a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2])
             if e2 < d2:
                 d2, qx, qy, qz, feature, source = e2, ex, ey, ez, rim, -1 - (4 * t + face)
-        return d2, qx, qy, qz, feature, source
+        if shift == NEVER_BROKEN:
+            return d2, qx, qy, qz, feature, source
     begin = body.cut_begin[t + shift]
     face, farther = -1, False
     for i in range(begin, begin + body.cut_count[t + shift]):
@@ -256,11 +257,7 @@ def outward_direction(pools, f, x, y, z, best, inside):
     if feature == ON_FACE or d <= DIRECTION_FLOOR * pools.fragment.radius[f]:
         nx, ny, nz = source_normal(pools, f, source)
         if nx * nx + ny * ny + nz * nz > 0.0:
-            # across a step between planes that disagree, the nearest face may be seen from behind
-            facing = away * (nx * (qx - x) + ny * (qy - y) + nz * (qz - z))
-            if facing >= 0.0 or d <= DIRECTION_FLOOR * pools.fragment.radius[f]:
-                return nx, ny, nz
-            return -nx, -ny, -nz
+            return nx, ny, nz
     if d == 0.0:
         return 0.0, 0.0, 1.0
     return away * (qx - x) / d, away * (qy - y) / d, away * (qz - z) / d

@@ -1,7 +1,10 @@
-"""What a fracture changes in the field: crack polygons, masses, boxes, cells and sampling gaps of the new fragments.
+"""What a fracture changes in the field: crack polygons, masses, boxes, cells and sampling gaps of the fragments.
 
-Only the tetrahedra of the fragment that broke are touched (Glondu 2014, section 4.2: "locally update where needed");
-the exact field keeps no distances, so nothing is propagated.
+Only the tetrahedra of the fragment that broke and their neighbours are touched (Glondu 2014, section 4.2: "locally
+update where needed"); the exact field keeps no distances, so nothing is propagated.
+
+The border of a fragment's region is closed: its share of the old surface, the interfaces within tetrahedra, and the
+steps, where two tetrahedra disagree about the owner of their common face.
 """
 
 from __future__ import annotations
@@ -13,14 +16,13 @@ import numpy as np
 
 from fracture_collision.core.compiled import inlined_kernel, kernel, query_kernel
 from fracture_collision.core.cut_tetrahedron import (
-    EDGE_FIRST,
-    EDGE_SECOND,
-    FACE_VERTICES,
-    INTERFACE,
     MAX_TRIANGLES,
+    agree_on_face,
+    face_shares,
+    interfaces,
     make_cut_scratch,
-    margin,
-    partition,
+    owner_slot,
+    steps,
 )
 from fracture_collision.core.moments import add_tetrahedron
 from fracture_collision.core.occupancy import mark_tetrahedron
@@ -29,28 +31,44 @@ from fracture_collision.core.pools import CUT
 
 # A triangle thinner than this (area against its longest side squared) is a clipping residue; others hold its rim.
 RESIDUE = 1e-13
+# Samples of one fragment in a tetrahedron and the one behind a face: four nodes and six edges each.
+MAX_SAMPLES = 20
 
 
 @kernel
 def tetrahedra_of_nodes(mesh, first_node_row, nodes, visited):
-    """Rows of all tetrahedra with one of `nodes` (rows), ascending by first encounter; `visited` uint8, left clear."""
+    """Rows of all tetrahedra with one of `nodes` (rows), by first encounter, and behind them their other neighbours.
+
+    `visited`: uint8, left clear. Returns (rows, how many of them have one of the nodes).
+    """
     found = np.empty(16, dtype=np.int32)
     used = 0
     for n in nodes:
         r = n + first_node_row
         for e in range(mesh.node_tets_begin[r], mesh.node_tets_begin[r + 1]):
-            t = mesh.node_tets[e]
-            if not visited[t]:
-                visited[t] = 1
-                if used == len(found):
-                    grown = np.empty(2 * used, dtype=np.int32)
-                    grown[:used] = found
-                    found = grown
-                found[used] = t
-                used += 1
+            found, used = _note(mesh.node_tets[e], visited, found, used)
+    own = used
+    for i in range(own):
+        for face in range(4):
+            n = mesh.neighbours[found[i], face]
+            if n >= 0:
+                found, used = _note(n, visited, found, used)
     for i in range(used):
         visited[found[i]] = 0
-    return found[:used].copy()
+    return found[:used].copy(), own
+
+
+@kernel
+def _note(t, visited, found, used):
+    if visited[t]:
+        return found, used
+    visited[t] = 1
+    if used == len(found):
+        grown = np.empty(2 * used, dtype=np.int32)
+        grown[:used] = found
+        found = grown
+    found[used] = t
+    return found, used + 1
 
 
 @query_kernel
@@ -76,100 +94,26 @@ def _gap_of_triangle(corner, samples, count):
 
 
 @query_kernel
-def _samples_of_slot(corners, labels, label, crack_points, is_cut, surface_node, samples):
-    """Surface samples of one fragment in a tetrahedron: its ends of the cut edges, its nodes of the old surface."""
-    count = 0
+def _samples_in_tetrahedron(mesh, body, node_shift, edge_shift, t, label, samples, count):
+    """Append one fragment's surface samples in tetrahedron `t`: its nodes of the old surface, its ends of cut edges."""
     for i in range(4):
-        if labels[i] == label and surface_node[i]:
+        v = mesh.tetrahedra[t, i]
+        if mesh.on_surface[v] and body.node_fragment[v + node_shift] == label:
             for d in range(3):
-                samples[count, d] = corners[i, d]
+                samples[count, d] = mesh.nodes[v, d]
             count += 1
     for e in range(6):
-        for end in range(2):
-            if is_cut[e] and labels[EDGE_FIRST[e] if end == 0 else EDGE_SECOND[e]] == label:
+        edge = mesh.tetrahedron_edges[t, e]
+        if body.edge_plane[edge + edge_shift] < 0:
+            continue
+        for side in range(2):
+            own, far = mesh.edges[edge, side], mesh.edges[edge, 1 - side]
+            if body.node_fragment[own + node_shift] == label:
+                share = body.edge_share[edge + edge_shift, side]
                 for d in range(3):
-                    samples[count, d] = crack_points[e, end, d]
+                    samples[count, d] = mesh.nodes[own, d] + share * (mesh.nodes[far, d] - mesh.nodes[own, d])
                 count += 1
     return count
-
-
-@query_kernel
-def _own_share_of_edge(slots, functionals, counts, own, start, end, roots):
-    """Share of the segment start - end (3,), from its start in slot `own`'s region, up to where another slot's begins.
-
-    Margins are piecewise linear along the segment; between two neighbouring roots of their differences the owner stays.
-    """
-    used = 0
-    for q in range(counts[own]):
-        f = functionals[own, q]
-        f0 = f[0] * start[0] + f[1] * start[1] + f[2] * start[2] - f[3]
-        f1 = f[0] * end[0] + f[1] * end[1] + f[2] * end[2] - f[3]
-        for s in range(slots):
-            if s == own:
-                continue
-            for r in range(counts[s]):
-                g = functionals[s, r]
-                d0 = f0 - (g[0] * start[0] + g[1] * start[1] + g[2] * start[2] - g[3])
-                d1 = f1 - (g[0] * end[0] + g[1] * end[1] + g[2] * end[2] - g[3])
-                if (d0 > 0.0) != (d1 > 0.0):
-                    roots[used] = min(max(d0 / (d0 - d1), 0.0), 1.0)
-                    used += 1
-    for i in range(1, used):
-        root, k = roots[i], i
-        while k > 0 and roots[k - 1] > root:
-            roots[k] = roots[k - 1]
-            k -= 1
-        roots[k] = root
-    for i in range(used):
-        after = 0.5 * (roots[i] + (roots[i + 1] if i + 1 < used else 1.0))
-        x = start[0] + after * (end[0] - start[0])
-        y = start[1] + after * (end[1] - start[1])
-        z = start[2] + after * (end[2] - start[2])
-        mine = margin(functionals[own], counts[own], x, y, z)
-        for s in range(slots):
-            if s != own and margin(functionals[s], counts[s], x, y, z) > mine:
-                return roots[i]
-    return 1.0
-
-
-@kernel
-def crack_samples(mesh, body, node_shift, edge_shift, tets, low, high, first_edge, share):
-    """Where the surfaces of fragments low .. high - 1 cross their cut edges: fills share (mesh edges, 2).
-
-    share[e, side]: from the edge's node `side`, in parts of the edge, how far its fragment reaches in every tetrahedron
-    of `tets` around the edge. With planes that agree both shares end in the crossing. Where a third fragment's cell
-    reaches over the edge without holding an end, or planes disagree, they end before: a sample is never inside another
-    fragment that is in place. Entries that no cut edge of these fragments needs keep their value.
-    """
-    _crack_samples(
-        mesh, body, node_shift, edge_shift, tets, low, high, first_edge, share, make_cut_scratch(), np.empty(64)
-    )
-
-
-@query_kernel
-def _crack_samples(mesh, body, node_shift, edge_shift, tets, low, high, first_edge, share, work, roots):
-    labels, functionals, counts = work.labels, work.functionals, work.counts
-    for t in tets:
-        cut = False
-        for e in range(6):
-            cut = cut or body.edge_plane[mesh.tetrahedron_edges[t, e] + edge_shift] >= 0
-        if not cut:
-            continue
-        slots = load_margins(mesh, body, node_shift, edge_shift, t, labels, functionals, counts)
-        for e in range(6):
-            edge = mesh.tetrahedron_edges[t, e]
-            if body.edge_plane[edge + edge_shift] < 0:
-                continue
-            for side in range(2):
-                label = body.node_fragment[mesh.edges[edge, side] + node_shift]
-                if label < low or label >= high:
-                    continue
-                own = 0
-                while labels[own] != label:
-                    own += 1
-                start, end = mesh.nodes[mesh.edges[edge, side]], mesh.nodes[mesh.edges[edge, 1 - side]]
-                reach = _own_share_of_edge(slots, functionals, counts, own, start, end, roots)
-                share[edge - first_edge, side] = min(share[edge - first_edge, side], reach)
 
 
 @inlined_kernel
@@ -179,15 +123,44 @@ def _grow(box, x, y, z):
 
 
 @inlined_kernel
-def _behind_holds(mesh, body, node_shift, t, face, label):
-    """Whether the tetrahedron behind a face has a node of fragment `label`; False at the old surface."""
-    n = mesh.neighbours[t, face]
-    if n < 0:
-        return False
-    holds = False
+def _load_corners(mesh, t, corners):
     for i in range(4):
-        holds = holds or body.node_fragment[mesh.tetrahedra[n, i] + node_shift] == label
-    return holds
+        v = mesh.tetrahedra[t, i]
+        for d in range(3):
+            corners[i, d] = mesh.nodes[v, d]
+
+
+@inlined_kernel
+def _lone_fragment(mesh, body, node_shift, t):
+    """The fragment row that has all four nodes of tetrahedron `t`, -1 if several share it."""
+    v = mesh.tetrahedra[t]
+    label = body.node_fragment[v[0] + node_shift]
+    for i in range(1, 4):
+        if body.node_fragment[v[i] + node_shift] != label:
+            return -1
+    return label
+
+
+@query_kernel
+def _add_moments(work, first, last, low, high, outside, sign, moments):
+    """Add `sign` times the moments under triangles first .. last - 1 of `work`, seen from corner 0.
+
+    To fragments low .. high - 1, or, with `outside`, to all others. Over a tetrahedron's interfaces and the face
+    opposite corner 0 that sums to the regions' own; the other faces hold the corner.
+    """
+    o = work.corners[0]
+    for i in range(first, last):
+        p = work.triangles[i]
+        for side in range(2):
+            s = work.fronts[i] if side == 0 else work.backs[i]
+            if s < 0 or (low <= work.labels[s] < high) == outside:
+                continue
+            # seen from behind a triangle runs the other way round
+            b, c = (3, 6) if (side == 0) == (sign > 0.0) else (6, 3)
+            add_tetrahedron(
+                o[0], o[1], o[2], p[0], p[1], p[2], p[b], p[b + 1], p[b + 2], p[c], p[c + 1], p[c + 2],
+                moments[work.labels[s]],
+            )  # fmt: skip
 
 
 @kernel
@@ -197,31 +170,11 @@ def external_moments(mesh, body, node_shift, edge_shift, tets, low, high, sign, 
     With planes that disagree, a third fragment's share of such a tetrahedron can change when its neighbour breaks.
     """
     work = make_cut_scratch()
-    row = np.empty(10)
     for t in tets:
         slots = load_margins(mesh, body, node_shift, edge_shift, t, work.labels, work.functionals, work.counts)
         _load_corners(mesh, t, work.corners)
-        used = partition(slots, work)
-        o = work.corners[0]
-        for i in range(used):
-            p = work.triangles[i]
-            for side in range(2):
-                s = work.fronts[i] if side == 0 else work.backs[i]
-                if s < 0 or low <= work.labels[s] < high:
-                    continue
-                row[:] = 0.0
-                add_tetrahedron(o[0], o[1], o[2], p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8], row)
-                weight = sign if side == 0 else -sign
-                for d in range(10):
-                    moments[work.labels[s], d] += weight * row[d]
-
-
-@inlined_kernel
-def _load_corners(mesh, t, corners):
-    for i in range(4):
-        v = mesh.tetrahedra[t, i]
-        for d in range(3):
-            corners[i, d] = mesh.nodes[v, d]
+        used = interfaces(slots, work, face_shares(0, slots, work, 0))
+        _add_moments(work, 0, used, low, high, True, sign, moments)
 
 
 @kernel
@@ -246,36 +199,6 @@ def tetrahedra_shared_by_three(mesh, body, node_shift, tets, low, high):
     return found[:used].copy()
 
 
-@kernel
-def rebuild_surfaces(
-    mesh, body, node_shift, tet_shift, edge_shift, tets, low, high, first_polygon, first_edge, share,
-    moments, boxes, gaps,
-):  # fmt: skip
-    """Polygons of all cut tetrahedra among `tets`, and moments, boxes, sampling gaps of fragments low .. high - 1.
-
-    Labels and planes in `body` are those after the fracture, `share` is what crack_samples filled. Writes
-    body.tet_fragment, cut_begin and cut_count (rows from `first_polygon` on), adds to `moments` (F, 10), grows `boxes`
-    (high - low, 6) and `gaps` (high - low,). Returns the new rows.
-    """
-    out = _make_rows(4 * MAX_TRIANGLES)
-    work = make_cut_scratch()
-    local = TetrahedronScratch(
-        np.empty(4, np.int64), np.empty(4, np.uint8), np.empty(6, np.uint8), np.empty((6, 2, 3)), np.empty((16, 3)),
-        np.empty(9),
-    )  # fmt: skip
-    written, start = 0, 0
-    while start < len(tets):
-        if len(out.front) - written < MAX_TRIANGLES:
-            out = _grown_rows(out)
-        start, written = _rebuild_some(
-            mesh, body, node_shift, tet_shift, edge_shift, tets, low, high, first_polygon, first_edge, share,
-            moments, boxes, gaps, start, written, out, work, local,
-        )  # fmt: skip
-    return SurfaceRows(
-        out.triangles[:written], out.faces[:written], out.front[:written], out.back[:written], out.kind[:written]
-    )
-
-
 class SurfaceRows(NamedTuple):
     """New rows of BodyPool's polygon arrays."""
 
@@ -286,13 +209,32 @@ class SurfaceRows(NamedTuple):
     kind: np.ndarray
 
 
-class TetrahedronScratch(NamedTuple):
-    labels: np.ndarray  # (4,) int64 fragment of each corner
-    surface_node: np.ndarray  # (4,) uint8
-    is_cut: np.ndarray  # (6,) uint8
-    crack_points: np.ndarray  # (6, 2, 3) float64 [m], sample of each end of each cut edge
-    samples: np.ndarray  # (16, 3) float64 [m]
-    triangle: np.ndarray  # (9,) float64 [m]
+@kernel
+def rebuild_surfaces(
+    mesh, body, node_shift, tet_shift, edge_shift, tets, own, low, high, first_polygon, moments, boxes, reaches, gaps
+):
+    """Polygons of all `tets`, and moments, boxes, sampling gaps of the fragments there.
+
+    `tets`: what tetrahedra_of_nodes gave for the nodes of fragments low .. high - 1; the first `own` hold these, the
+    others are neighbours, whose common faces may have got steps. Labels, planes and edge_share in `body` are those
+    after the fracture. Writes body.tet_fragment, cut_begin and cut_count (rows from `first_polygon` on); adds to the
+    new fragments' `moments` (F, 10); grows `boxes` (F, 6), `gaps` (F,), and `reaches` (high - low, 6): the boxes of all
+    tetrahedra that hold a new fragment. Returns the new rows.
+    """
+    out = _make_rows(4 * MAX_TRIANGLES)
+    work, behind = make_cut_scratch(), make_cut_scratch()
+    samples = np.empty((MAX_SAMPLES, 3))
+    written, start = 0, 0
+    while start < len(tets):
+        if len(out.front) - written < MAX_TRIANGLES:
+            out = _grown_rows(out)
+        start, written = _rebuild_some(
+            mesh, body, node_shift, tet_shift, edge_shift, tets, own, low, high, first_polygon,
+            moments, boxes, reaches, gaps, start, written, out, work, behind, samples,
+        )  # fmt: skip
+    return SurfaceRows(
+        out.triangles[:written], out.faces[:written], out.front[:written], out.back[:written], out.kind[:written]
+    )
 
 
 @kernel
@@ -316,96 +258,118 @@ def _grown_rows(rows):
 
 @query_kernel
 def _rebuild_some(
-    mesh, body, node_shift, tet_shift, edge_shift, tets, low, high, first_polygon, first_edge, share,
-    moments, boxes, gaps, start, written, out, work, local,
+    mesh, body, node_shift, tet_shift, edge_shift, tets, own, low, high, first_polygon,
+    moments, boxes, reaches, gaps, start, written, out, work, behind, samples,
 ):  # fmt: skip
     """rebuild_surfaces for tets[start:], as far as `out` has room; returns (next start, rows written)."""
-    labels, corners, triangles = work.labels, work.corners, work.triangles
-    corner_labels, surface_node, is_cut = local.labels, local.surface_node, local.is_cut
-    crack_points, samples, corner_triangle = local.crack_points, local.samples, local.triangle
     for at in range(start, len(tets)):
         if len(out.front) - written < MAX_TRIANGLES:
             return at, written
         t = tets[at]
-        _load_corners(mesh, t, corners)
-        for i in range(4):
-            v = mesh.tetrahedra[t, i]
-            corner_labels[i] = body.node_fragment[v + node_shift]
-            surface_node[i] = mesh.on_surface[v]
-        first = corner_labels[0]
-        if corner_labels[1] == first and corner_labels[2] == first and corner_labels[3] == first:
-            body.tet_fragment[t + tet_shift] = first
-            for d in range(10):
-                moments[first, d] += mesh.moments[t, d]
-            for i in range(4):
-                _grow(boxes[first - low], corners[i, 0], corners[i, 1], corners[i, 2])
-            for face in range(4):
-                if mesh.neighbours[t, face] < 0:
-                    for i in range(3):
-                        for d in range(3):
-                            corner_triangle[3 * i + d] = corners[FACE_VERTICES[face, i], d]
-                    gaps[first - low] = max(gaps[first - low], _gap_of_triangle(corner_triangle, corners, 4))
-            continue
-        for e in range(6):
-            edge = mesh.tetrahedron_edges[t, e]
-            is_cut[e] = 1 if body.edge_plane[edge + edge_shift] >= 0 else 0
-            if is_cut[e]:
-                flipped = 1 if mesh.tetrahedra[t, EDGE_FIRST[e]] > mesh.tetrahedra[t, EDGE_SECOND[e]] else 0
-                for end in range(2):
-                    own, far = (EDGE_FIRST[e], EDGE_SECOND[e]) if end == 0 else (EDGE_SECOND[e], EDGE_FIRST[e])
-                    part = share[edge - first_edge, end if flipped == 0 else 1 - end]
-                    for d in range(3):
-                        crack_points[e, end, d] = corners[own, d] + part * (corners[far, d] - corners[own, d])
-        slots = load_margins(mesh, body, node_shift, edge_shift, t, labels, work.functionals, work.counts)
-        used = partition(slots, work)
-        fronts, backs, kinds = work.fronts, work.backs, work.kinds
-        body.tet_fragment[t + tet_shift] = CUT
-        body.cut_begin[t + tet_shift] = first_polygon + written
-        o = corners[0]
-        for i in range(used):
-            p = triangles[i]
-            for side in range(2):
-                s = fronts[i] if side == 0 else backs[i]
-                if s < 0 or labels[s] < low or labels[s] >= high:
+        _load_corners(mesh, t, work.corners)
+        slots, begin = 1, written
+        work.labels[0], work.counts[0] = _lone_fragment(mesh, body, node_shift, t), 0
+        if work.labels[0] < 0:
+            slots = load_margins(mesh, body, node_shift, edge_shift, t, work.labels, work.functionals, work.counts)
+        if at < own:
+            _take_stock(mesh, body, tet_shift, t, slots, low, high, work, moments, boxes, reaches)
+        for face in range(4):
+            n = mesh.neighbours[t, face]
+            if n >= 0:
+                if slots == 1 and _lone_fragment(mesh, body, node_shift, n) >= 0:
                     continue
-                if side == 0:
-                    add_tetrahedron(
-                        o[0], o[1], o[2], p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8], moments[labels[s]]
-                    )
-                else:
-                    add_tetrahedron(
-                        o[0], o[1], o[2], p[0], p[1], p[2], p[6], p[7], p[8], p[3], p[4], p[5], moments[labels[s]]
-                    )
-                for c in range(3):
-                    _grow(boxes[labels[s] - low], p[3 * c], p[3 * c + 1], p[3 * c + 2])
-            # a face is surface of the fragment only where nothing of it lies behind
-            if kinds[i] != INTERFACE and _behind_holds(mesh, body, node_shift, t, kinds[i], labels[fronts[i]]):
-                continue
-            ux, uy, uz = p[3] - p[0], p[4] - p[1], p[5] - p[2]
-            vx, vy, vz = p[6] - p[0], p[7] - p[1], p[8] - p[2]
-            nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-            span = max(ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz)
-            length = math.sqrt(nx * nx + ny * ny + nz * nz)
-            if length <= RESIDUE * span:
-                continue
-            for side in range(2):
-                s = fronts[i] if side == 0 else backs[i]
-                if s >= 0 and low <= labels[s] < high:
-                    count = _samples_of_slot(
-                        corners, corner_labels, labels[s], crack_points, is_cut, surface_node, samples
-                    )
-                    gaps[labels[s] - low] = max(gaps[labels[s] - low], _gap_of_triangle(p, samples, count))
-            for d in range(9):
-                out.triangles[written, d] = p[d]
-            nx, ny, nz = nx / length, ny / length, nz / length
-            out.faces[written, 0], out.faces[written, 1], out.faces[written, 2] = nx, ny, nz
-            out.faces[written, 3] = nx * p[0] + ny * p[1] + nz * p[2]
-            out.front[written] = labels[fronts[i]]
-            out.back[written] = -1 if backs[i] < 0 else labels[backs[i]]
-            out.kind[written] = kinds[i]
-            written += 1
-        body.cut_count[t + tet_shift] = first_polygon + written - body.cut_begin[t + tet_shift]
+                behind_slots = load_margins(
+                    mesh, body, node_shift, edge_shift, n, behind.labels, behind.functionals, behind.counts
+                )
+                if agree_on_face(slots, work, behind_slots, behind, face):
+                    continue
+                shares = face_shares(face, slots, work, 0)
+                used = steps(work, 0, shares, behind_slots, behind, 0)
+                written = _write(
+                    mesh, body, node_shift, edge_shift, t, n, work, behind, behind, 0, used, boxes, gaps, out, written,
+                    samples,
+                )  # fmt: skip
+            else:
+                # of a tetrahedron that one fragment has alone the mesh itself is the old surface
+                used = face_shares(face, slots, work, 0)
+                kept = _write(
+                    mesh, body, node_shift, edge_shift, t, -1, work, work, work, 0, used, boxes, gaps, out, written,
+                    samples,
+                )  # fmt: skip
+                if slots > 1:
+                    written = kept
+        if slots > 1:
+            used = interfaces(slots, work, 0)
+            if at < own:
+                _add_moments(work, 0, used, low, high, False, 1.0, moments)
+            written = _write(
+                mesh, body, node_shift, edge_shift, t, -1, work, work, work, 0, used, boxes, gaps, out, written, samples
+            )
+        body.cut_begin[t + tet_shift] = first_polygon + begin
+        body.cut_count[t + tet_shift] = written - begin
     return len(tets), written
+
+
+@query_kernel
+def _take_stock(mesh, body, tet_shift, t, slots, low, high, work, moments, boxes, reaches):
+    """Owner, moments (but for the interfaces), and boxes of a tetrahedron with nodes of new fragments."""
+    body.tet_fragment[t + tet_shift] = work.labels[0] if slots == 1 else CUT
+    if slots == 1:
+        for d in range(10):
+            moments[work.labels[0], d] += mesh.moments[t, d]
+    else:
+        used = face_shares(0, slots, work, 0)
+        _add_moments(work, 0, used, low, high, False, 1.0, moments)
+    for i in range(4):
+        x, y, z = work.corners[i, 0], work.corners[i, 1], work.corners[i, 2]
+        s = owner_slot(slots, work.functionals, work.counts, work.labels, x, y, z)
+        _grow(boxes[work.labels[s]], x, y, z)
+        for s in range(slots):
+            if low <= work.labels[s] < high:
+                _grow(reaches[work.labels[s] - low], x, y, z)
+
+
+@query_kernel
+def _write(
+    mesh, body, node_shift, edge_shift, t, n, front, back, made, first, last, boxes, gaps, out, written, samples
+):
+    """Append triangles first .. last - 1 of `made` as rows of tetrahedron `t`; grow boxes and gaps of their fragments.
+
+    `front`, `back`: whose labels the slots in made.fronts and made.backs mean; `n`: the tetrahedron behind a step, -1.
+    Returns the row behind the last.
+    """
+    for i in range(first, last):
+        p = made.triangles[i]
+        ux, uy, uz = p[3] - p[0], p[4] - p[1], p[5] - p[2]
+        vx, vy, vz = p[6] - p[0], p[7] - p[1], p[8] - p[2]
+        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        span = max(ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz)
+        length = math.sqrt(nx * nx + ny * ny + nz * nz)
+        for side in range(2):
+            s = made.fronts[i] if side == 0 else made.backs[i]
+            if s < 0:
+                continue
+            label = front.labels[s] if side == 0 else back.labels[s]
+            for c in range(3):
+                _grow(boxes[label], p[3 * c], p[3 * c + 1], p[3 * c + 2])
+            # a step's far side is the near side of the far tetrahedron's own step
+            if length > RESIDUE * span and (side == 0 or n < 0):
+                count = _samples_in_tetrahedron(mesh, body, node_shift, edge_shift, t, label, samples, 0)
+                if n >= 0:
+                    count = _samples_in_tetrahedron(mesh, body, node_shift, edge_shift, n, label, samples, count)
+                gaps[label] = max(gaps[label], _gap_of_triangle(p, samples, count))
+        if length <= RESIDUE * span:
+            continue
+        for d in range(9):
+            out.triangles[written, d] = p[d]
+        nx, ny, nz = nx / length, ny / length, nz / length
+        out.faces[written, 0], out.faces[written, 1], out.faces[written, 2] = nx, ny, nz
+        out.faces[written, 3] = nx * p[0] + ny * p[1] + nz * p[2]
+        out.front[written] = front.labels[made.fronts[i]]
+        out.back[written] = -1 if made.backs[i] < 0 else back.labels[made.backs[i]]
+        out.kind[written] = made.kinds[i]
+        written += 1
+    return written
 
 
 @query_kernel

@@ -63,15 +63,16 @@ class BodyPool(NamedTuple):
 
     node_fragment: np.ndarray  # int32 fragment row of each mesh node
     edge_plane: np.ndarray  # int32 row of `planes`, -1: not cut
+    edge_share: np.ndarray  # (E, 2) float64: how far a cut edge's sample is from its own end, in parts of the edge
     tet_fragment: np.ndarray  # int32 fragment row of a tetrahedron that one fragment has alone; CUT if several share it
-    cut_begin: np.ndarray  # int32 per tetrahedron that is CUT: first row of its polygons
+    cut_begin: np.ndarray  # int32 per tetrahedron: first row of its polygons; one that is not CUT has only steps
     cut_count: np.ndarray  # int32
     planes: np.ndarray  # (P, 4) float64, unit normal from the edge's first node to its second, offset [m]
     triangles: np.ndarray  # (T, 9) float64 [m] corners, right-handed about the outward normal of `front`
     faces: np.ndarray  # (T, 4) float64 their planes: that normal, unit, and offset [m]
     front: np.ndarray  # int32 fragment row
     back: np.ndarray  # int32 fragment row, -1: nothing
-    kind: np.ndarray  # uint8, see cut_tetrahedron: 0..3 a share of that face, INTERFACE
+    kind: np.ndarray  # uint8, see cut_tetrahedron: 0..3 a piece of that face, old surface or step; INTERFACE
 
 
 class FragmentPool(NamedTuple):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fracture_collision.core.compiled import kernel
-from fracture_collision.core.cut_tetrahedron import FACE_VERTICES
+from fracture_collision.core.cut_tetrahedron import FACE_VERTICES, INTERFACE
 from fracture_collision.core.point_location import holds_fragment
 from fracture_collision.core.pools import CUT, NEVER_BROKEN, Pools
 
@@ -27,18 +27,19 @@ def _collect(pools, f, first_tet, last_tet, out, crack):
                             out[used, 3 * i : 3 * i + 3] = mesh.nodes[mesh.tetrahedra[t, FACE_VERTICES[face, i]]]
                         crack[used] = 0
                     used += 1
+        if shift == NEVER_BROKEN:
             continue
         begin = body.cut_begin[t + shift]
         for i in range(begin, begin + body.cut_count[t + shift]):
-            if body.front[i] != f and body.back[i] != f:
+            # a step is listed in both tetrahedra at its face, each time with the near one's fragment in front
+            if body.front[i] != f and (body.back[i] != f or body.kind[i] != INTERFACE):
                 continue
             if used < len(out):
                 out[used] = body.triangles[i]
                 if body.front[i] != f:
                     out[used, 3:6] = body.triangles[i, 6:9]
                     out[used, 6:9] = body.triangles[i, 3:6]
-                old = body.kind[i] < 4 and mesh.neighbours[t, body.kind[i]] < 0
-                crack[used] = 0 if old else 1
+                crack[used] = 0 if body.back[i] < 0 else 1
             used += 1
     return used
 
