@@ -191,8 +191,27 @@ def _section(corners, a, b, c, o, polygon, value, order):
 
 
 @query_kernel
+def _clip_to_region(count, slots, work, owner):
+    """Clip work.polygon to where the choice of the others' minima holds and no functional of `owner` is below them."""
+    functionals, counts, polygon, spare = work.functionals, work.counts, work.polygon, work.spare
+    for s in range(slots):
+        if s == owner:
+            continue
+        m = functionals[s, work.choice[s]]
+        for q in range(counts[owner]):
+            g = functionals[owner, q]
+            if count:
+                count = _clip(polygon, count, spare, g[0] - m[0], g[1] - m[1], g[2] - m[2], g[3] - m[3])
+        for q in range(counts[s]):
+            if q != work.choice[s] and count:
+                g = functionals[s, q]
+                count = _clip(polygon, count, spare, g[0] - m[0], g[1] - m[1], g[2] - m[2], g[3] - m[3])
+    return count
+
+
+@query_kernel
 def _clip_to_choice(polygon, count, spare, slots, functionals, counts, choice, owner, other):
-    """Clip to where the choice of minima holds and `owner` has the largest margin (`other`: already on its plane)."""
+    """Clip an interface of `owner` and `other` to where the choice of minima holds and no third margin is larger."""
     for s in range(slots):
         m = functionals[s, choice[s]]
         for q in range(counts[s]):
@@ -228,16 +247,15 @@ def face_shares(face, slots, work, used):
     Triangles go into `work` from row `used` on, right-handed about the tetrahedron's outward normal: fronts the slot,
     backs -1, kinds the face. Returns the row behind the last.
     """
-    _first_choice(work)
-    while True:
-        for f in range(slots):
+    for f in range(slots):
+        _first_choice(work)
+        while True:
             count = _load_face(work.corners, face, work.polygon)
-            count = _clip_to_choice(
-                work.polygon, count, work.spare, slots, work.functionals, work.counts, work.choice, f, -1
-            )
+            count = _clip_to_region(count, slots, work, f)
             used = _emit(work.polygon, count, f, -1, face, work.triangles, work.fronts, work.backs, work.kinds, used)
-        if not _next_choice(slots, work):
-            return used
+            if not _next_choice(slots, work, f):
+                break
+    return used
 
 
 @query_kernel
@@ -260,7 +278,7 @@ def interfaces(slots, work, used):
                 if count:
                     count = _clip_to_choice(polygon, count, work.spare, slots, functionals, work.counts, choice, f, g)
                 used = _emit(polygon, count, f, g, INTERFACE, work.triangles, work.fronts, work.backs, work.kinds, used)
-        if not _next_choice(slots, work):
+        if not _next_choice(slots, work, -1):
             return used
 
 
@@ -274,24 +292,21 @@ def steps(work, first, last, behind_slots, behind, used):
     """
     for i in range(first, last):
         label = work.labels[work.fronts[i]]
-        _first_choice(behind)
-        while True:
-            for g in range(behind_slots):
-                if behind.labels[g] == label:
-                    continue
+        for g in range(behind_slots):
+            if behind.labels[g] == label:
+                continue
+            _first_choice(behind)
+            while True:
                 for k in range(3):
                     for d in range(3):
                         behind.polygon[k, d] = work.triangles[i, 3 * k + d]
-                count = _clip_to_choice(
-                    behind.polygon, 3, behind.spare, behind_slots, behind.functionals, behind.counts, behind.choice, g,
-                    -1,
-                )  # fmt: skip
+                count = _clip_to_region(3, behind_slots, behind, g)
                 used = _emit(
                     behind.polygon, count, work.fronts[i], g, work.kinds[i], behind.triangles, behind.fronts,
                     behind.backs, behind.kinds, used,
                 )  # fmt: skip
-            if not _next_choice(behind_slots, behind):
-                break
+                if not _next_choice(behind_slots, behind, g):
+                    break
     return used
 
 
@@ -357,9 +372,11 @@ def _first_choice(work):
 
 
 @query_kernel
-def _next_choice(slots, work):
-    """The next choice of the functional that attains each slot's minimum; False behind the last."""
+def _next_choice(slots, work, but):
+    """The next choice of the functional that attains each slot's minimum, `but` one's; False behind the last."""
     for s in range(slots):
+        if s == but:
+            continue
         work.choice[s] += 1
         if work.choice[s] < work.counts[s]:
             return True
