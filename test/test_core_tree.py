@@ -1,4 +1,4 @@
-"""Sphere trees: the order, the tree of a whole body, and its parts after fractures."""
+"""Sphere trees: of a whole body, and its parts after fractures."""
 
 from __future__ import annotations
 
@@ -8,40 +8,8 @@ from fractured_worlds import fractured_world
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fracture_collision.core.max_distance_order import max_distance_order
 from fracture_collision.core.sphere_tree import build_sphere_tree, validate_sphere_tree
 from fracture_collision.geometry.generators import ball, plate
-
-
-def _order_by_definition(points: np.ndarray) -> list[int]:
-    """Section 5.1 as written: the two furthest, then always the point furthest from its closest."""
-    distance = ((points[:, None] - points[None]) ** 2).sum(axis=2)
-    first, second = np.unravel_index(np.argmax(distance), distance.shape)
-    order = [int(first), int(second)]
-    while len(order) < len(points):
-        closest = distance[:, order].min(axis=1)
-        closest[order] = -1.0
-        order.append(int(np.argmax(closest)))
-    return order
-
-
-@settings(max_examples=40, deadline=None)
-@given(st.integers(2, 80), st.integers(0, 10_000), st.booleans())
-def test_order_is_the_papers(count: int, seed: int, on_lattice: bool) -> None:
-    random = np.random.default_rng(seed)
-    points = random.uniform(-1, 1, (count, 3))
-    if on_lattice:  # ties everywhere
-        points = np.unique(np.round(points * 2) / 2, axis=0)
-    ranks = max_distance_order(points)
-    if len(points) < 2:
-        return
-    assert ranks.order.tolist() == _order_by_definition(points)
-    for rank in range(1, len(points)):
-        level = int(np.ceil(np.log2(rank + 1)))
-        assert ranks.level[rank] == level
-        above = points[ranks.order[: 2 ** (level - 1)]]
-        nearest = ((above - points[ranks.order[rank]]) ** 2).sum(axis=1)
-        assert nearest[ranks.parent[rank]] == nearest.min()
 
 
 @settings(max_examples=40, deadline=None)
