@@ -1,4 +1,4 @@
-"""Trees of fragments: splitting, restructuring and extending against the nested twin, and the invariants of all three."""
+"""Trees of fragments: splitting, restructuring and extending against the nested twin; where the three trees agree."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from fracture_collision.geometry.generators import brick
 class Fracture:
     """A random label for each sample of a tree, and new surface points beside samples drawn at random."""
 
-    def __init__(self, tree: SphereTree, pieces: int, first_new: int, random: np.random.Generator, lattice: bool) -> None:
+    def __init__(self, tree: SphereTree, pieces: int, first_new: int, random: np.random.Generator, lattice: bool):
         samples = tree.sample[tree.size == 1]
         labels = np.unique(random.integers(0, pieces, len(samples)), return_inverse=True)[1].astype(np.int32)
         self.count = int(labels.max()) + 1
@@ -75,9 +75,9 @@ def test_three_fractures_of_random_points_are_the_twins(
 
 
 def test_all_three_trees_sample_the_surface_at_the_same_points() -> None:
+    body = brick((2.0, 1.0, 0.8), 0.3)
     cases = [
-        fractured_world(brick((2.0, 1.0, 0.8), 0.3), 6, generations=3, curved=True, settings=SETTINGS._replace(tree=kind))
-        for kind in TREES
+        fractured_world(body, 6, generations=3, curved=True, settings=SETTINGS._replace(tree=kind)) for kind in TREES
     ]
     for fragment in cases[0].oracle.fragment_ids:
         found = []
