@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from fractured_worlds import FracturedWorld, fractured_world
+from fractured_worlds import SETTINGS, FracturedWorld, fractured_world
 from oracles.fragmented_body import ALL_KINDS
+from rigid_shapes import noisy_ball
 from scipy.spatial.transform import Rotation
 
+from fracture_collision.core.fragment_trees import TREES
 from fracture_collision.geometry.generators import ball, bowl, brick, shell
-from fracture_collision.records import BUDGET_EXHAUSTED, ContactConstraintArray, FragmentStates
+from fracture_collision.records import BUDGET_EXHAUSTED, CollisionBody, ContactConstraintArray, FragmentStates
 from fracture_collision.world import CollisionWorld, Settings
 from fracture_collision.world.contact_ids import contact_ids
+from fracture_collision.world.settings import TRAVERSALS
 
 SURFACE = ALL_KINDS
 SHAPES = {
@@ -20,13 +23,22 @@ SHAPES = {
     "shell": lambda: shell(1.0, 0.8, 0.6),
     "bowl": lambda: bowl(2.0, 0.2, 0.4, 0.6),
 }
-CASES = [(s, c) for s in SHAPES for c in ("flat", "curved")]
+SEARCHES = [(tree, traversal) for tree in TREES for traversal in TRAVERSALS]
+DEFAULT_SEARCH = (SETTINGS.tree, SETTINGS.traversal)
+QUICK = [("ball", "flat"), ("shell", "curved")]  # with every tree and traversal; the others with the default only
+CASES = [
+    pytest.param((s, c, search), id="-".join((s, c) if search == DEFAULT_SEARCH else (s, c, *search)),
+                 marks=() if search == DEFAULT_SEARCH or (s, c) in QUICK else pytest.mark.slow)
+    for search in (DEFAULT_SEARCH, *(other for other in SEARCHES if other != DEFAULT_SEARCH))
+    for s in SHAPES for c in ("flat", "curved")
+]  # fmt: skip
 
 
-@pytest.fixture(scope="module", params=CASES, ids=["-".join(c) for c in CASES])
+@pytest.fixture(scope="module", params=CASES)
 def case(request) -> FracturedWorld:
-    shape, cracks = request.param
-    return fractured_world(SHAPES[shape](), seeds=5, generations=2, curved=cracks == "curved")
+    shape, cracks, (tree, traversal) = request.param
+    settings = SETTINGS._replace(tree=tree, traversal=traversal)
+    return fractured_world(SHAPES[shape](), seeds=5, generations=2, curved=cracks == "curved", settings=settings)
 
 
 def _surface_samples(case: FracturedWorld, fragment: int) -> tuple[np.ndarray, np.ndarray]:
@@ -156,7 +168,54 @@ def test_the_answer_is_the_same_bytes_for_any_number_of_threads(case: FracturedW
     states = case.states(0.05, seed=4)
     reference = _bytes(case.world.contacts(states))
     for threads in (2, 3, 8):
-        assert _bytes(fractured_like(case, Settings(threads=threads)).contacts(states)) == reference
+        assert _bytes(fractured_like(case, case.world.settings._replace(threads=threads)).contacts(states)) == reference
+
+
+def test_a_full_list_does_not_depend_on_tree_or_traversal() -> None:
+    """With room for every contact all searches list the same samples, in their own order."""
+    case = fractured_world(SHAPES["bowl"](), seeds=6, generations=3, curved=True)
+    states = case.states(0.03, seed=6)
+    listed = []
+    for tree, traversal in SEARCHES:
+        settings = SETTINGS._replace(
+            tree=tree, traversal=traversal, contacts_per_pair=100_000, detection_tolerance=0.05
+        )
+        answer = fractured_like(case, settings).contacts(states)
+        by_id = np.argsort(answer.contact_ids)
+        listed.append((answer.contact_ids[by_id].tolist(), answer.gaps[by_id].tolist(), answer.fragment_a.tolist()))
+    assert len(listed[0][0]) > 500
+    assert all(other == listed[0] for other in listed[1:])
+
+
+@pytest.mark.parametrize("traversal", TRAVERSALS)
+def test_nodes_are_visited_in_the_order_of_the_traversal(traversal: str) -> None:
+    """Every sample of a ball lies within the tolerance of a plane: contacts come in the order of the visits."""
+    world = CollisionWorld(SETTINGS._replace(traversal=traversal, contacts_per_pair=1000, detection_tolerance=1.0))
+    vertices, triangles = noisy_ball()
+    world.add_body(CollisionBody(1, 1, vertices=vertices.ravel(), triangles=triangles.ravel()))
+    world.add_body(CollisionBody(2, 2, plane=np.array([0.0, 0.0, 1.0, 0.0]), is_static=True))
+    answer = world.contacts(FragmentStates(1, 0, np.array([1]), np.array([0, 0, -0.5]), np.array([0.0, 0.0, 0.0, 1.0])))
+    tree = world._registry.geometry.sphere_tree(world._registry.row_of(1))
+    level, samples = [0], [tree.sample[0]]
+    while level:
+        children = [_children(tree.size, entry) for entry in level]
+        if traversal == "alternating":
+            rounds = range(max(map(len, children)))
+            following = [(n, c[k]) for k in rounds for n, c in zip(level, children, strict=True) if k < len(c)]
+        else:
+            following = [(n, child) for n, c in zip(level, children, strict=True) for child in c]
+        samples += [tree.sample[child] for n, child in following if tree.sample[child] != tree.sample[n]]
+        level = [child for _, child in following if tree.size[child] > 1]
+    assert len(samples) == len(vertices)
+    assert answer.contact_ids.tolist() == _ids(1, 2, np.array(samples)).tolist()
+
+
+def _children(size: np.ndarray, entry: int) -> list[int]:
+    children, child = [], entry + 1
+    while child < entry + size[entry]:
+        children.append(child)
+        child += int(size[child])
+    return children
 
 
 def test_the_answer_has_no_memory(case: FracturedWorld) -> None:

@@ -1,47 +1,19 @@
-"""Sphere trees: the order, the tree of a whole body, and its parts after fractures."""
+"""Sphere trees: of a whole body, and its parts after fractures."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from fractured_worlds import fractured_world
+from fractured_worlds import SETTINGS, fractured_world
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from oracles.fragmented_body import FragmentedBody
 
-from fracture_collision.core.max_distance_order import max_distance_order
+from fracture_collision.core.fragment_trees import REBUILT, TREES
 from fracture_collision.core.sphere_tree import build_sphere_tree, validate_sphere_tree
 from fracture_collision.geometry.generators import ball, plate
-
-
-def _order_by_definition(points: np.ndarray) -> list[int]:
-    """Section 5.1 as written: the two furthest, then always the point furthest from its closest."""
-    distance = ((points[:, None] - points[None]) ** 2).sum(axis=2)
-    first, second = np.unravel_index(np.argmax(distance), distance.shape)
-    order = [int(first), int(second)]
-    while len(order) < len(points):
-        closest = distance[:, order].min(axis=1)
-        closest[order] = -1.0
-        order.append(int(np.argmax(closest)))
-    return order
-
-
-@settings(max_examples=40, deadline=None)
-@given(st.integers(2, 80), st.integers(0, 10_000), st.booleans())
-def test_order_is_the_papers(count: int, seed: int, on_lattice: bool) -> None:
-    random = np.random.default_rng(seed)
-    points = random.uniform(-1, 1, (count, 3))
-    if on_lattice:  # ties everywhere
-        points = np.unique(np.round(points * 2) / 2, axis=0)
-    ranks = max_distance_order(points)
-    if len(points) < 2:
-        return
-    assert ranks.order.tolist() == _order_by_definition(points)
-    for rank in range(1, len(points)):
-        level = int(np.ceil(np.log2(rank + 1)))
-        assert ranks.level[rank] == level
-        above = points[ranks.order[: 2 ** (level - 1)]]
-        nearest = ((above - points[ranks.order[rank]]) ** 2).sum(axis=1)
-        assert nearest[ranks.parent[rank]] == nearest.min()
+from fracture_collision.geometry.tetrahedra import boundary_triangles
+from fracture_collision.records import FragmentStates
 
 
 @settings(max_examples=40, deadline=None)
@@ -63,24 +35,33 @@ def test_the_validator_sees_a_broken_tree() -> None:
         validate_sphere_tree(tree, np.arange(1, 51))
 
 
-@pytest.mark.parametrize("generations", range(1, 6))
+@pytest.mark.parametrize("kind", TREES)
 @pytest.mark.parametrize("curved", [False, True], ids=["flat", "curved"])
 @pytest.mark.parametrize("body", [ball(1.0, 0.3), plate(2.0, 0.2, 0.3, 0.1)], ids=["ball", "plate"])
-def test_trees_are_sphere_trees_after_each_fracture(body, curved: bool, generations: int) -> None:
-    case = fractured_world(body, seeds=5, generations=generations, curved=curved)
-    mesh_nodes = len(body.vertices)
-    edges = case.oracle.edges.tolist()
-    for fragment in case.oracle.fragment_ids:
-        row = case.row(fragment)
-        tree = case.geometry.sphere_tree(row)
-        ends = [
-            mesh_nodes + 2 * e + side
-            for e, edge in enumerate(edges)
-            for side in range(2)
-            if tuple(edge) in case.oracle.planes and case.oracle.labels[edge[side]] == fragment
-        ]
-        expected = np.concatenate([np.flatnonzero(case.oracle.labels == fragment), ends]).astype(np.int64)
-        validate_sphere_tree(tree, expected)
+def test_trees_are_sphere_trees_after_each_of_five_fractures(body, curved: bool, kind: str) -> None:
+    case = fractured_world(body, seeds=5, generations=5, curved=curved, settings=SETTINGS._replace(tree=kind))
+    oracle = FragmentedBody(body.vertices, body.tetrahedra)
+    at_surface = np.zeros(len(body.vertices), bool)
+    at_surface[boundary_triangles(body.tetrahedra)] = True
+    edges = oracle.edges.tolist()
+    for event in case.messages[1]:
+        oracle.apply(event)
+        nobody = FragmentStates(1, event.sequence, np.zeros(0, int), np.zeros(0), np.zeros(0))
+        case.world.contacts(nobody)  # brings the registry there
+        for fragment in oracle.fragment_ids:
+            ends = [
+                len(body.vertices) + 2 * e + side
+                for e, edge in enumerate(edges)
+                for side in range(2)
+                if tuple(edge) in oracle.planes and oracle.labels[edge[side]] == fragment
+            ]
+            nodes = np.flatnonzero((oracle.labels == fragment) & (at_surface if kind == REBUILT else True))
+            tree = case.geometry.sphere_tree(case.row(fragment))
+            validate_sphere_tree(tree, np.concatenate([nodes, ends]).astype(np.int64))
+            is_node = tree.sample < len(body.vertices)
+            assert np.array_equal(tree.center[is_node], body.vertices[tree.sample[is_node]])
+            assert np.array_equal(tree.on_surface[is_node] == 1, at_surface[tree.sample[is_node]])
+            assert tree.on_surface[~is_node].all()
 
 
 def test_more_fragments_than_one_mask_holds() -> None:

@@ -14,7 +14,7 @@ from fracture_collision.world.warm_up import compile_kernels
     [
         ("contacts_per_pair", 0), ("penetration_tolerance", -0.1), ("detection_tolerance", 2.0), ("threads", -1),
         ("visit_budget", -5), ("max_bodies", -1), ("field", "guessed"), ("field", "averaged"),
-        ("penetration_tolerance", float("nan")),
+        ("penetration_tolerance", float("nan")), ("tree", "grown"), ("traversal", "random"),
     ],
 )  # fmt: skip
 def test_a_setting_out_of_range_is_refused_by_name(name: str, value: object) -> None:

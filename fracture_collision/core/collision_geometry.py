@@ -8,6 +8,7 @@ import numpy as np
 
 from fracture_collision.core import fracture_update
 from fracture_collision.core.crack_samples import crack_samples
+from fracture_collision.core.fragment_trees import REBUILT, RESTRUCTURED, rebuilt_trees, split_trees
 from fracture_collision.core.kinds import BOX, PLANE, SPHERE, TETRAHEDRA, TRIANGLES
 from fracture_collision.core.moments import (
     box_mass_properties,
@@ -17,6 +18,7 @@ from fracture_collision.core.moments import (
 )
 from fracture_collision.core.occupancy import cells_of_box, fill_pyramid, mark_all, pyramid_bytes
 from fracture_collision.core.pools import (
+    ALTERNATING,
     NEVER_BROKEN,
     OWN_SAMPLE,
     SAMPLE,
@@ -31,7 +33,6 @@ from fracture_collision.core.pools import (
     TriangleMeshPool,
 )
 from fracture_collision.core.sphere_tree import SphereTree, build_sphere_tree, surface_marks
-from fracture_collision.core.sphere_tree_split import split_sphere_tree
 from fracture_collision.core.tet_mesh import TetMesh
 from fracture_collision.core.triangle_field import TriangleMesh, append_triangle_mesh, build_triangle_mesh
 
@@ -97,9 +98,13 @@ def _table(**columns: tuple[int, type]) -> dict[str, GrowableArray]:
 
 
 class CollisionGeometry:
-    """Owner of the pools. Fragments are addressed by row, in the order in which they were made."""
+    """Owner of the pools. Fragments are addressed by row, in the order in which they were made.
 
-    def __init__(self) -> None:
+    tree: one of fragment_trees.TREES; traversal: one of pools.ALTERNATING, QUEUE.
+    """
+
+    def __init__(self, tree: str = RESTRUCTURED, traversal: int = ALTERNATING) -> None:
+        self._tree_kind, self._traversal = tree, traversal
         f8, i4, u1 = np.float64, np.int32, np.uint8
         self._mesh = _table(
             nodes=(3, f8), tetrahedra=(4, i4), neighbours=(4, i4), tetrahedron_edges=(6, i4), edges=(2, i4),
@@ -138,6 +143,7 @@ class CollisionGeometry:
                 TreePool(**{k: a.view for k, a in self._tree.items()}),
                 self._occupancy.view,
                 TriangleMeshPool(**{k: a.view for k, a in self._triangles.items()}),
+                self._traversal,
             )
         return self._pools
 
@@ -282,41 +288,32 @@ class CollisionGeometry:
         for name in polygons._fields:
             self._body[name].append(getattr(polygons, name))
         self._mark_cells(k, node_shift, tets, first, end, reaches)
-        share = pools.body.edge_share[rows.edge + edge_shift :][: len(rows.prepared.mesh.edges)]
-        self._split_tree(row, rows, nodes, parts, edges, share, first, count)
+        share = self._crack_shares(rows, node_shift, edge_shift, first, end)
+        self._give_trees(row, rows.prepared.mesh, nodes, parts, edges, share, first, count)
         self._pools = None
         return first
 
-    def _split_tree(self, row, rows, nodes, parts, edges, share, first, count) -> None:
-        mesh = rows.prepared.mesh
-        n = len(mesh.nodes)
-        old = self.sphere_tree(row)
-        part_of_node = np.full(n, -1, dtype=np.int32)
+    def _give_trees(self, row, mesh, nodes, parts, edges, share, first, count) -> None:
+        """Trees of fragments first .. first + count - 1, into which `row` broke."""
+        part_of_node = np.full(len(mesh.nodes), -1, dtype=np.int32)
         part_of_node[nodes] = parts
-        at_crack = old.sample >= n
-        node = old.sample.copy()
-        node[at_crack] = mesh.edges[(old.sample[at_crack] - n) // 2, (old.sample[at_crack] - n) % 2]
-        moved = self._move_samples(old, mesh, at_crack, share)
-        ends = mesh.edges[edges]
-        samples = (n + 2 * np.asarray(edges, dtype=np.int32)[:, None] + np.arange(2, dtype=np.int32)).ravel()
-        parents = ends.ravel()
-        trees = split_sphere_tree(
-            old, part_of_node[node], count, moved, _edge_points(mesh, samples, share), samples, parents,
-            part_of_node[parents],
-        )  # fmt: skip
+        if self._tree_kind == REBUILT:
+            trees = rebuilt_trees(mesh, part_of_node, share, count)
+        else:
+            ordered = self._tree_kind == RESTRUCTURED
+            trees = split_trees(self.sphere_tree(row), mesh, part_of_node, edges, share, count, ordered)
         for i, tree in enumerate(trees):
             at = self._append_tree(tree)
             self._fragment["tree_begin"].view[first + i] = at
             self._fragment["tree_end"].view[first + i] = at + len(tree.size)
 
-    @staticmethod
-    def _move_samples(tree: SphereTree, mesh: TetMesh, at_crack: np.ndarray, share: np.ndarray) -> bool:
-        """Put samples of older cracks where the new ones left them; returns whether any moved."""
-        points = _edge_points(mesh, tree.sample[at_crack], share)
-        moved = bool((points != tree.center[at_crack]).any())
-        if moved:
-            tree.center[at_crack] = points
-        return moved
+    def _crack_shares(self, rows, node_shift, edge_shift, first, end) -> np.ndarray:
+        """edge_share (mesh edges, 2) at the cut edges of fragments first .. end - 1, infinity elsewhere."""
+        mesh, body = rows.prepared.mesh, self.pools.body
+        own = slice(rows.edge + edge_shift, rows.edge + edge_shift + len(mesh.edges))
+        labels = body.node_fragment[mesh.edges + (rows.node + node_shift)]
+        sampled = (body.edge_plane[own] >= 0)[:, None] & (labels >= first) & (labels < end)
+        return np.where(sampled, body.edge_share[own], np.inf)
 
     def _mark_cells(self, k, node_shift, tets, first, end, reaches) -> None:
         grid, dims = self._mesh["grid"].view[k], self._mesh["grid_dims"].view[k, :3]
@@ -395,13 +392,6 @@ class CollisionGeometry:
         self._meshes.append(rows)
         self._pools = None
         return rows
-
-
-def _edge_points(mesh: TetMesh, samples: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """Positions (q, 3) [m] of crack samples: the share of their edge from their own end."""
-    edge, side = (samples - len(mesh.nodes)) // 2, (samples - len(mesh.nodes)) % 2
-    own, far = mesh.nodes[mesh.edges[edge, side]], mesh.nodes[mesh.edges[edge, 1 - side]]
-    return own + share[edge, side][:, None] * (far - own)
 
 
 def _box_edge_points(half: np.ndarray) -> np.ndarray:

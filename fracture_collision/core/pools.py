@@ -127,7 +127,12 @@ class Pools(NamedTuple):
     tree: TreePool
     occupancy: np.ndarray  # uint8, multi-level grids (occupancy.py)
     triangles: TriangleMeshPool
+    traversal: int  # ALTERNATING or QUEUE
 
+
+# Pools.traversal: in which order the children of entered nodes are visited (traversal.py).
+ALTERNATING = 0  # children of different parents first (Glondu 2014, section 5.3)
+QUEUE = 1  # all children of a parent in a row, the regular breadth-first order of its earlier version [27]
 
 CUT = -1
 NEVER_BROKEN = np.iinfo(np.int32).min

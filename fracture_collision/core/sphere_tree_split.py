@@ -4,6 +4,9 @@ Split: a node whose descendants belong to several fragments is replicated once f
 left out. Restructure: a copy that lost its point takes the point of its subtree that is closest to the old one, and so
 do all nodes between. Extend: a new surface point goes under the mesh node at its own end of the cut edge, at the lowest
 node of that point's branch whose radius still exceeds their distance, else at the highest.
+
+Without regard to the order (the paper's earlier version, its reference [27]): a copy that lost its point takes the
+first one that it finds, a new surface point goes under the leaf at its own end of the cut edge.
 """
 
 from __future__ import annotations
@@ -105,7 +108,18 @@ def _restructure(center, size, sample, on_surface, lost, stale):
 
 
 @kernel
-def _insert(center, size, sample, radius, parent, leaf_of, new_points, new_parents, first_new, next_new):
+def _take_first_points(center, size, sample, on_surface, lost, stale):
+    """Give each entry that lost its point that of its first child."""
+    for i in range(len(size) - 1, -1, -1):
+        if lost[i]:
+            center[i] = center[i + 1]
+            sample[i] = sample[i + 1]
+            on_surface[i] = on_surface[i + 1]
+            stale[i] = 1
+
+
+@kernel
+def _insert(center, size, sample, radius, parent, leaf_of, new_points, new_parents, ordered, first_new, next_new):
     """Choose each new point's place and grow the spheres above it; fills linked lists first_new / next_new."""
     last_new = np.full(len(size), -1, dtype=np.int32)
     for q in range(len(new_points)):
@@ -114,7 +128,7 @@ def _insert(center, size, sample, radius, parent, leaf_of, new_points, new_paren
         dx, dy, dz = x - center[leaf, 0], y - center[leaf, 1], z - center[leaf, 2]
         d = np.sqrt(dx * dx + dy * dy + dz * dz)
         entry = leaf
-        while radius[entry] <= d and parent[entry] >= 0 and sample[parent[entry]] == sample[leaf]:
+        while ordered and radius[entry] <= d and parent[entry] >= 0 and sample[parent[entry]] == sample[leaf]:
             entry = parent[entry]
         if first_new[entry] < 0:
             first_new[entry] = q
@@ -180,8 +194,8 @@ def _merge(old, first_new, next_new, new_points, new_samples, out):
 
 
 @kernel
-def _take(center, radius, size, sample, on_surface, leaf_fragment, moved, kept, new_size, fragment):
-    """Copy the kept entries into a tree of their own, restructured; radii exact."""
+def _take(center, radius, size, sample, on_surface, leaf_fragment, moved, kept, new_size, fragment, ordered):
+    """Copy the kept entries into a tree of their own, each with a point below it; radii exact."""
     n = len(kept)
     c = np.empty((n, 3))
     r = np.empty(n)
@@ -197,7 +211,10 @@ def _take(center, radius, size, sample, on_surface, leaf_fragment, moved, kept, 
         # a smaller subtree than before: descendants are missing
         stale[i] = 1 if moved or new_size[i] != size[o] else 0
         lost[i] = 1 if leaf_fragment[o] != fragment else 0
-    _restructure(c, new_size, s, surface, lost, stale)
+    if ordered:
+        _restructure(c, new_size, s, surface, lost, stale)
+    else:
+        _take_first_points(c, new_size, s, surface, lost, stale)
     update_radii(c, new_size, r, stale)
     return c, r, s, surface
 
@@ -211,12 +228,14 @@ def split_sphere_tree(
     new_samples: np.ndarray,
     new_parents: np.ndarray,
     new_fragments: np.ndarray,
+    ordered: bool,
 ) -> list[SphereTree]:
     """One tree a fragment, 0 .. fragments - 1, from the tree of the fragment that broke.
 
     fragment_of_sample: (entries,) int32, fragment of each entry's point; moved: some centres are
     not where the radii were computed. The new surface points: `new_points` (q, 3)
-    [m], their sample indices, the samples of the mesh nodes they hang under, and their fragments (q,).
+    [m], their sample indices, the samples of the mesh nodes they hang under, and their fragments (q,). ordered: keep
+    to the maximum-distance order.
     """
     mask = np.zeros(len(tree.size), dtype=np.uint64)
     kept = np.empty(len(tree.size), dtype=np.int32)
@@ -230,16 +249,21 @@ def split_sphere_tree(
             _presence(tree.size, fragment_of_sample, fragment, mask)
         n = _extract(tree.size, mask, np.uint64(1) << np.uint64(fragment % BATCH), kept, new_size)
         center, radius, sample, surface = _take(
-            *tree, fragment_of_sample, moved, kept[:n], new_size[:n].copy(), fragment
+            *tree, fragment_of_sample, moved, kept[:n], new_size[:n].copy(), fragment, ordered
         )
         own = by_fragment[bounds[fragment] : bounds[fragment + 1]]
         old = SphereTree(center, radius, new_size[:n].copy(), sample, surface)
-        trees.append(_extend(old, leaf_of, new_points[own], new_samples[own], new_parents[own]))
+        trees.append(_extend(old, leaf_of, new_points[own], new_samples[own], new_parents[own], ordered))
     return trees
 
 
 def _extend(
-    tree: SphereTree, leaf_of: np.ndarray, points: np.ndarray, samples: np.ndarray, parents: np.ndarray
+    tree: SphereTree,
+    leaf_of: np.ndarray,
+    points: np.ndarray,
+    samples: np.ndarray,
+    parents: np.ndarray,
+    ordered: bool,
 ) -> SphereTree:
     n = len(tree.size)
     parent = np.empty(n, dtype=np.int32)
@@ -249,7 +273,9 @@ def _extend(
     first_new = np.full(n, -1, dtype=np.int32)
     next_new = np.full(len(points), -1, dtype=np.int32)
     points = np.ascontiguousarray(points)
-    _insert(tree.center, tree.size, tree.sample, tree.radius, parent, leaf_of, points, parents, first_new, next_new)
+    _insert(
+        tree.center, tree.size, tree.sample, tree.radius, parent, leaf_of, points, parents, ordered, first_new, next_new
+    )
     room = n + len(points) + int(((first_new >= 0) & (tree.size == 1)).sum())
     out = SphereTree(
         np.empty((room, 3)),

@@ -1,7 +1,8 @@
 """Algorithm 1 of Glondu 2014 with self-adapting contact selection (section 5.2), both trees of a pair at once.
 
 Two queues, swapped after each level; a node that has more children goes back into Q1 behind the others, so that
-children of different parents are visited alternately (section 5.3). The search ends when Q2 is empty (the printed
+children of different parents are visited alternately (section 5.3); with QUEUE it stays at the head of Q1 until all its
+children are in Q2, as in the paper's earlier version [27]. The search ends when Q2 is empty (the printed
 algorithm has the test reversed). Both roots start in Q1, so the pair's contacts come from both sides level by level.
 
 Up to m contacts within the detection tolerance are taken as they come; from then on only those deeper than epsilon,
@@ -17,7 +18,7 @@ from fracture_collision.core.compiled import inlined_kernel, query_kernel
 from fracture_collision.core.elementary_queries import INSIDE, OUTSIDE, least_distance, probe, sphere_test
 from fracture_collision.core.kinds import PLANE, SPHERE
 from fracture_collision.core.oriented_boxes import boxes_apart
-from fracture_collision.core.pools import NONE_BELOW, OWN_SAMPLE, SAMPLE, SIZE, SURFACE
+from fracture_collision.core.pools import NONE_BELOW, OWN_SAMPLE, QUEUE, SAMPLE, SIZE, SURFACE
 
 # Rounding of coordinates near the scale of the fragment must not make a bound lie.
 BOUND_SLACK = 1e-12
@@ -173,8 +174,11 @@ def query_pair(
             child_size = tree.entries[child, SIZE]
             if child + child_size < end:
                 node[k, NEXT_CHILD] = child + child_size
-                queue[current, size] = k
-                size += 1
+                if pools.traversal == QUEUE:
+                    head -= 1
+                else:
+                    queue[current, size] = k
+                    size += 1
             else:
                 node[k, NEXT_CHILD] = end
             if tree.entries[child, SURFACE] == NONE_BELOW:

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from fracture_collision.core.fragment_trees import TREES
+from fracture_collision.core.pools import ALTERNATING, QUEUE
+
 
 class Settings(NamedTuple):
     # m of Glondu 2014, 5.2: contacts a pair gets before only those deeper than epsilon count. Six constraints lock a
@@ -17,6 +20,11 @@ class Settings(NamedTuple):
     detection_tolerance: float = 0.002
     # `exact`: local flood, no error; `averaged`: the paper's front propagation (eq. 1-2).
     field: str = "exact"
+    # `restructured`: trees are split, restructured and extended at a fracture (6.2, 6.3); `plain`: as in the paper's
+    # earlier version [27], without regard to the maximum-distance order; `rebuilt`: from nothing (Fig. 15).
+    tree: str = "restructured"
+    # `alternating`: children of different parents first (5.3); `queue`: a parent's children in a row, as in [27].
+    traversal: str = "alternating"
     # Threads of the narrow phase; 0: all cores. The answer does not depend on it.
     threads: int = 0
     # Tree nodes a step may test, shared evenly by its pairs; 0: no limit. The bound says what a limit left out.
@@ -29,6 +37,7 @@ class Settings(NamedTuple):
 
 
 FIELDS = ("exact", "averaged")
+TRAVERSALS = {"alternating": ALTERNATING, "queue": QUEUE}
 
 
 def check_settings(settings: Settings) -> None:
@@ -37,6 +46,9 @@ def check_settings(settings: Settings) -> None:
         raise ValueError(f"field: {settings.field!r} is none of {', '.join(FIELDS)}")
     if settings.field == "averaged":
         raise ValueError("field: 'averaged' (eq. 1-2) is not available in this version; use 'exact'")
+    for name, choices in (("tree", TREES), ("traversal", TRAVERSALS)):
+        if getattr(settings, name) not in choices:
+            raise ValueError(f"{name}: {getattr(settings, name)!r} is none of {', '.join(choices)}")
     if settings.contacts_per_pair < 1:
         raise ValueError(f"contacts_per_pair: {settings.contacts_per_pair} is not at least 1")
     for name in ("penetration_tolerance", "detection_tolerance"):

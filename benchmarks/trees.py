@@ -1,0 +1,128 @@
+"""Prints what trees and traversals cost (compare Glondu 2014, Fig. 6, 15 and 17), and the maximum-distance order."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path[:0] = [str(ROOT), str(ROOT / "test")]  # the fracture patterns live with the tests
+
+from fractured_worlds import SETTINGS, FracturedWorld, fractured_world  # noqa: E402
+
+from fracture_collision.core.fragment_trees import TREES  # noqa: E402
+from fracture_collision.core.max_distance_order import max_distance_order  # noqa: E402
+from fracture_collision.geometry.generators import ball  # noqa: E402
+from fracture_collision.records import FragmentStates  # noqa: E402
+from fracture_collision.world import CollisionWorld, Settings  # noqa: E402
+from fracture_collision.world.settings import TRAVERSALS  # noqa: E402
+
+BODY = ball(1.0, 0.13)
+SEEDS = 20
+JITTERS = (0.003, 0.01, 0.03)  # [R]
+POSES = 10
+REPEATS = 7
+UPDATES = 9
+LEGEND = """
+visits, contacts: a step of all pieces, mean; spread: rms distance of a pair's contacts from their mean, as a share of
+that of all its samples in contact, mean over pairs with four contacts or more; update: the fracture, median [ms];
+query: a step's broad and narrow phase, median [ms], one thread
+"""
+
+
+def main() -> None:
+    for name, points in _clouds():
+        print(f"order of {len(points):>6} points {name:<14}{1e3 * _seconds(max_distance_order, points):9.1f} ms")
+    case = fractured_world(BODY, SEEDS)
+    print(f"\nball of {len(BODY.vertices)} nodes, {len(case.oracle.fragment_ids)} pieces, {POSES} poses each\n")
+    print(f"{'jitter':>8}{'tree':>14}{'traversal':>13}{'visits':>9}{'contacts':>10}{'spread':>8}{'update':>8}{'query':>8}")
+    updates = {tree: _update_time(case, SETTINGS._replace(tree=tree)) for tree in TREES}
+    for jitter in JITTERS:
+        states = [case.states(jitter, seed) for seed in range(POSES)]
+        full = [_spreads(_world(case, SETTINGS._replace(contacts_per_pair=10**6)).contacts(s)) for s in states]
+        for tree in TREES:
+            for traversal in TRAVERSALS:
+                world = _world(case, SETTINGS._replace(tree=tree, traversal=traversal))
+                visits, contacts, spread, query = _queries(world, states, full)
+                print(
+                    f"{jitter:8.3f}{tree:>14}{traversal:>13}{visits:9.0f}{contacts:10.0f}{spread:8.3f}"
+                    f"{1e3 * updates[tree]:8.2f}{1e3 * query:8.2f}"
+                )
+    print(LEGEND)
+
+
+def _clouds():
+    for count in (1_000, 10_000, 100_000):
+        random = np.random.default_rng(1)
+        directions = random.normal(size=(count, 3))
+        directions /= np.linalg.norm(directions, axis=1)[:, None]
+        side = round(count ** (1 / 3))
+        yield "in a ball", directions * random.uniform(0.0, 1.0, (count, 1)) ** (1 / 3)
+        yield "on a sphere", directions
+        yield "on a lattice", 0.1 * np.stack(np.meshgrid(*[np.arange(side)] * 3), axis=-1).reshape(-1, 3)
+        yield "with twins", directions[random.integers(0, count // 10, count)]
+
+
+def _seconds(function, *arguments) -> float:
+    function(*arguments)
+    times = []
+    for _ in range(3):
+        started = perf_counter()
+        function(*arguments)
+        times.append(perf_counter() - started)
+    return float(np.median(times))
+
+
+def _world(case: FracturedWorld, settings: Settings) -> CollisionWorld:
+    world = CollisionWorld(settings)
+    for body in case.messages[0]:
+        world.add_body(body)
+    for event in case.messages[1]:
+        world.add_fracture(event)
+    return world
+
+
+def _at(sequence: int) -> FragmentStates:
+    return FragmentStates(1, sequence, np.zeros(0, int), np.zeros(0), np.zeros(0))
+
+
+def _update_time(case: FracturedWorld, settings: Settings) -> float:
+    """[s] Median time of applying the fracture; the body is there already."""
+    world, times = _world(case, settings), []
+    for _ in range(UPDATES):
+        world.contacts(_at(0))
+        world.contacts(_at(1))
+        times.append(world.last_timings["update"])
+    return float(np.median(times))
+
+
+def _spreads(answer) -> dict[tuple[int, int], float]:
+    """[m] For each pair with four contacts or more."""
+    points = answer.points_a.reshape(-1, 3)
+    spreads = {}
+    for i, pair in enumerate(zip(answer.fragment_a.tolist(), answer.fragment_b.tolist(), strict=True)):
+        own = points[answer.pair_begin[i] : answer.pair_begin[i + 1]]
+        if len(own) >= 4:
+            spreads[pair] = float(np.sqrt(own.var(axis=0).sum()))
+    return spreads
+
+
+def _queries(
+    world: CollisionWorld, states: list[FragmentStates], full: list[dict]
+) -> tuple[float, float, float, float]:
+    visits, contacts, shares, times = [], [], [], []
+    for state, of_all in zip(states, full, strict=True):
+        for _ in range(REPEATS):
+            answer = world.contacts(state)
+            times.append(world.last_timings["broad_phase"] + world.last_timings["narrow_phase"])
+        visits.append(world.last_visits)
+        contacts.append(len(answer.gaps))
+        shares += [spread / of_all[pair] for pair, spread in _spreads(answer).items()]
+    return float(np.mean(visits)), float(np.mean(contacts)), float(np.mean(shares)), float(np.median(times))
+
+
+if __name__ == "__main__":
+    main()
