@@ -10,6 +10,7 @@ import numpy as np
 from fracture_collision.core.broad_phase import overlapping_pairs, world_boxes
 from fracture_collision.core.crew import Crew
 from fracture_collision.core.narrow_phase import PairContacts, query_pairs, rotation_matrices
+from fracture_collision.core.pools import AVERAGED, EXACT
 from fracture_collision.core.scratch import Scratch, make_scratch
 from fracture_collision.records import (
     BUDGET_EXHAUSTED,
@@ -41,7 +42,8 @@ class CollisionWorld:
         self.settings = settings if settings is not None else Settings()
         check_settings(self.settings)
         self._ledger = Ledger(self.settings)
-        self._registry = Registry()
+        self._field = AVERAGED if self.settings.field == "averaged" else EXACT
+        self._registry = Registry(self._field)
         self._removals = 0
         self._crew = Crew(self.settings.threads or os.cpu_count() or 1)
         self._scratch: Scratch | None = None
@@ -119,7 +121,7 @@ class CollisionWorld:
     def _advance(self, sequence: int) -> None:
         """Bring the registry to `sequence` events, from the log's beginning if it has gone farther."""
         if sequence < self._registry.sequence or self._removals != self._ledger.removals:
-            self._registry = Registry()
+            self._registry = Registry(self._field)
             self._removals = self._ledger.removals
         for body_id, body in self._ledger.bodies.items():
             if not self._registry.has_body(body_id):

@@ -7,14 +7,15 @@ import hashlib
 import numpy as np
 
 from fracture_collision.core.collision_geometry import CollisionGeometry, MassProperties
+from fracture_collision.core.pools import EXACT
 from fracture_collision.records import FragmentRegistry
 from fracture_collision.world.body_gate import CheckedBody
 from fracture_collision.world.fracture_gate import CheckedFracture
 
 
 class Registry:
-    def __init__(self) -> None:
-        self.geometry = CollisionGeometry()
+    def __init__(self, field: int = EXACT) -> None:
+        self.geometry = CollisionGeometry(field)
         self.sequence = 0
         self._bodies: dict[int, CheckedBody] = {}
         self._chain = hashlib.sha256().digest()

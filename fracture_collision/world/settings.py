@@ -15,7 +15,8 @@ class Settings(NamedTuple):
     # delta of 5.2, as a share of R: contacts this far apart are listed already, so that surfaces about to touch give
     # the solver something to hold and the traversal a reason to end.
     detection_tolerance: float = 0.002
-    # `exact`: local flood, no error; `averaged`: the paper's front propagation (eq. 1-2).
+    # `exact`: local flood, no error; `averaged`: the paper's front propagation (eq. 1-2): depths and normals inside a
+    # broken body are approximate, the missed depth bound is as certain and looser.
     field: str = "exact"
     # Threads of the narrow phase; 0: all cores. The answer does not depend on it.
     threads: int = 0
@@ -35,8 +36,6 @@ def check_settings(settings: Settings) -> None:
     """Raise ValueError, naming the field, unless every setting is one the service can work with."""
     if settings.field not in FIELDS:
         raise ValueError(f"field: {settings.field!r} is none of {', '.join(FIELDS)}")
-    if settings.field == "averaged":
-        raise ValueError("field: 'averaged' (eq. 1-2) is not available in this version; use 'exact'")
     if settings.contacts_per_pair < 1:
         raise ValueError(f"contacts_per_pair: {settings.contacts_per_pair} is not at least 1")
     for name in ("penetration_tolerance", "detection_tolerance"):
