@@ -13,7 +13,7 @@ from fracture_collision.world.warm_up import compile_kernels
     ("name", "value"),
     [
         ("contacts_per_pair", 0), ("penetration_tolerance", -0.1), ("detection_tolerance", 2.0), ("threads", -1),
-        ("visit_budget", -5), ("max_bodies", -1), ("field", "guessed"), ("field", "averaged"),
+        ("visit_budget", -5), ("max_bodies", -1), ("field", "guessed"),
         ("penetration_tolerance", float("nan")), ("tree", "grown"), ("traversal", "random"),
     ],
 )  # fmt: skip

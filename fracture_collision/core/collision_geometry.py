@@ -9,6 +9,14 @@ import numpy as np
 from fracture_collision.core import fracture_update
 from fracture_collision.core.crack_samples import crack_samples
 from fracture_collision.core.fragment_trees import REBUILT, RESTRUCTURED, rebuilt_trees, split_trees
+from fracture_collision.core.front_propagation import (
+    OLD_SURFACE,
+    SHORTER,
+    measure_at_cracks,
+    propagate_fronts,
+    renew_certain_points,
+)
+from fracture_collision.core.interior_field import InteriorField, make_interior_field
 from fracture_collision.core.kinds import BOX, PLANE, SPHERE, TETRAHEDRA, TRIANGLES
 from fracture_collision.core.moments import (
     box_mass_properties,
@@ -19,6 +27,8 @@ from fracture_collision.core.moments import (
 from fracture_collision.core.occupancy import cells_of_box, fill_pyramid, mark_all, pyramid_bytes
 from fracture_collision.core.pools import (
     ALTERNATING,
+    AVERAGED,
+    EXACT,
     NEVER_BROKEN,
     OWN_SAMPLE,
     SAMPLE,
@@ -52,6 +62,7 @@ class PreparedMesh(NamedTuple):
 
     mesh: TetMesh
     tree: SphereTree
+    interior: list[InteriorField]  # empty until a body of this geometry breaks under the averaged field
 
 
 class PreparedSurface(NamedTuple):
@@ -77,7 +88,7 @@ class _MeshRows(NamedTuple):
 
 def prepare_mesh(mesh: TetMesh) -> PreparedMesh:
     """The tree over all nodes, surface and interior (section 6.1)."""
-    return PreparedMesh(mesh, build_sphere_tree(mesh.nodes, mesh.on_surface))
+    return PreparedMesh(mesh, build_sphere_tree(mesh.nodes, mesh.on_surface), [])
 
 
 def prepare_surface(vertices: np.ndarray, triangles: np.ndarray) -> PreparedSurface:
@@ -100,22 +111,23 @@ def _table(**columns: tuple[int, type]) -> dict[str, GrowableArray]:
 class CollisionGeometry:
     """Owner of the pools. Fragments are addressed by row, in the order in which they were made.
 
-    tree: one of fragment_trees.TREES; traversal: one of pools.ALTERNATING, QUEUE.
+    tree: one of fragment_trees.TREES; traversal: one of pools.ALTERNATING, QUEUE; field: one of pools.EXACT, AVERAGED.
     """
 
-    def __init__(self, tree: str = RESTRUCTURED, traversal: int = ALTERNATING) -> None:
-        self._tree_kind, self._traversal = tree, traversal
+    def __init__(self, tree: str = RESTRUCTURED, traversal: int = ALTERNATING, field: int = EXACT) -> None:
+        self._tree_kind, self._traversal, self._field = tree, traversal, field
         f8, i4, u1 = np.float64, np.int32, np.uint8
         self._mesh = _table(
             nodes=(3, f8), tetrahedra=(4, i4), neighbours=(4, i4), tetrahedron_edges=(6, i4), edges=(2, i4),
             boxes=(6, f8), barycentric=(12, f8), moments=(10, f8), on_surface=(0, u1), node_tets_begin=(0, i4),
             node_tets=(0, i4), grid=(4, f8), grid_dims=(4, i4), cell_begin=(0, i4), cell_tets=(0, i4),
-            tet_cells_begin=(0, i4), tet_cells=(0, i4),
+            tet_cells_begin=(0, i4), tet_cells=(0, i4), depth_grid=(4, f8), depth_grid_dims=(4, i4),
+            grid_depth=(0, f8),
         )  # fmt: skip
         self._body = _table(
             node_fragment=(0, i4), edge_plane=(0, i4), edge_share=(2, f8), tet_fragment=(0, i4),
             cut_begin=(0, i4), cut_count=(0, i4), planes=(4, f8), triangles=(9, f8), faces=(4, f8),
-            front=(0, i4), back=(0, i4), kind=(0, u1),
+            front=(0, i4), back=(0, i4), kind=(0, u1), node_field=(7, f8), node_certain_tet=(0, i4),
         )  # fmt: skip
         self._fragment = _table(
             kind=(0, i4), mesh=(0, i4), node_shift=(0, i4), tet_shift=(0, i4), edge_shift=(0, i4), box=(6, f8),
@@ -144,6 +156,7 @@ class CollisionGeometry:
                 self._occupancy.view,
                 TriangleMeshPool(**{k: a.view for k, a in self._triangles.items()}),
                 self._traversal,
+                self._field,
             )
         return self._pools
 
@@ -291,7 +304,27 @@ class CollisionGeometry:
         share = self._crack_shares(rows, node_shift, edge_shift, first, end)
         self._give_trees(row, rows.prepared.mesh, nodes, parts, edges, share, first, count)
         self._pools = None
+        if self._field == AVERAGED:
+            self._propagate(rows, node_shift, edge_shift, touched, tets, first, end, first_plane)
         return first
+
+    def _propagate(self, rows, node_shift, edge_shift, touched, tets, first, end, first_plane) -> None:
+        """Averaged field of fragments first .. end - 1, made by planes of row first_plane on (front_propagation.py)."""
+        pools, interior = self.pools, rows.prepared.interior[0]
+        n = len(interior.node_field)
+        divided_anew = np.zeros(len(pools.mesh.tetrahedra), np.uint8)
+        divided_anew[touched] = 1
+        renew_certain_points(pools, divided_anew, rows.node, node_shift, interior.node_field)
+        in_front, front = np.zeros(n, np.uint8), np.empty(n, np.int32)
+        used = measure_at_cracks(
+            pools, tets, rows.node, node_shift, edge_shift, first, end, first_plane, in_front, front
+        )
+        own = slice(rows.node + node_shift, rows.node + node_shift + n)
+        propagate_fronts(
+            rows.prepared.mesh.nodes, pools.body.node_fragment[own], pools.body.node_field[own],
+            pools.body.node_certain_tet[own], interior.neighbours_begin, interior.neighbours, in_front, front, used,
+            SHORTER * pools.fragment.radius[first],
+        )  # fmt: skip
 
     def _give_trees(self, row, mesh, nodes, parts, edges, share, first, count) -> None:
         """Trees of fragments first .. first + count - 1, into which `row` broke."""
@@ -332,6 +365,10 @@ class CollisionGeometry:
         if self._fragment["node_shift"].view[row] != NEVER_BROKEN:
             return
         mesh = rows.prepared.mesh
+        if self._field == AVERAGED:
+            interior = self._interior_field(row, rows)
+            self._body["node_field"].append(interior.node_field)
+            self._body["node_certain_tet"].append(np.full(len(mesh.nodes), OLD_SURFACE, np.int32))
         node = self._body["node_fragment"].append(np.full(len(mesh.nodes), row, np.int32))
         edge = self._body["edge_plane"].append(np.full(len(mesh.edges), -1, np.int32))
         self._body["edge_share"].append(np.ones((len(mesh.edges), 2)))
@@ -341,6 +378,18 @@ class CollisionGeometry:
         self._fragment["node_shift"].view[row] = node - rows.node
         self._fragment["tet_shift"].view[row] = tet - rows.tet
         self._fragment["edge_shift"].view[row] = edge - rows.edge
+
+    def _interior_field(self, row: int, rows: _MeshRows) -> InteriorField:
+        """The averaged field of the whole body `row`; its grid goes into the pools with the first body of the mesh."""
+        if not rows.prepared.interior:
+            rows.prepared.interior.append(make_interior_field(self.pools, row, rows.node, rows.prepared.mesh))
+        interior = rows.prepared.interior[0]
+        if self._mesh["depth_grid_dims"].view[rows.index, 0] == 0:
+            self._mesh["depth_grid"].view[rows.index] = np.append(interior.origin, interior.cell)
+            first = self._mesh["grid_depth"].append(interior.depth)
+            self._mesh["depth_grid_dims"].view[rows.index] = np.append(interior.dims, first)
+            self._pools = None
+        return interior
 
     def _append_tree(self, tree: SphereTree) -> int:
         begin = self._tree["entries"].used
@@ -383,6 +432,8 @@ class CollisionGeometry:
         table["tet_cells"].append(mesh.tet_cells)
         table["grid"].append(np.append(mesh.grid_origin, mesh.grid_cell)[None])
         table["grid_dims"].append(np.append(mesh.grid_dims, first_cell)[None])
+        table["depth_grid"].append(np.zeros((1, 4)))
+        table["depth_grid_dims"].append(np.zeros((1, 4)))
         cells = cells_of_box(mesh.box, mesh.grid_origin, mesh.grid_cell, mesh.grid_dims, 0)
         cells[6] = self._occupancy.append(np.zeros(pyramid_bytes(cells), np.uint8))
         self._pools = None

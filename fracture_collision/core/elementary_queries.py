@@ -2,13 +2,14 @@
 
 Points are in the body frame of the fragment that is asked. A probe answers all three at once, as far as the asker
 needs: (status, distance, normal), the distance signed, positive outside, the normal outward, the closest point
-x - distance * normal (exactly so for planes, spheres and boxes, else given).
+x - distance * normal (exactly so for planes, spheres and boxes and in the averaged field, else given).
 """
 
 from __future__ import annotations
 
 import math
 
+from fracture_collision.core.averaged_field import averaged_penetration
 from fracture_collision.core.closest_point import box_distance_squared
 from fracture_collision.core.compiled import inlined_kernel
 from fracture_collision.core.flood import (
@@ -20,6 +21,7 @@ from fracture_collision.core.flood import (
 from fracture_collision.core.kinds import TETRAHEDRA, TRIANGLES
 from fracture_collision.core.occupancy import sphere_may_touch
 from fracture_collision.core.point_location import owner_in_tetrahedron, tetrahedron_at
+from fracture_collision.core.pools import AVERAGED, NEVER_BROKEN
 from fracture_collision.core.primitives import primitive_distance
 from fracture_collision.core.triangle_field import triangle_distance, triangle_within
 
@@ -42,40 +44,54 @@ def probe(pools, f, x, y, z, near, deep, scratch, thread):
     """All about one point: (status, distance [m], nx, ny, nz, closest x, y, z).
 
     `near` [m]: how far outside a closest point still counts; `deep` [m]: how deep a closest point is looked for
-    (infinity: always). The distance of an OUTSIDE point is a lower bound, that of an INSIDE point deeper than `deep`
-    is minus infinity.
+    (infinity: always; the averaged field looks always). The distance of an OUTSIDE point is a lower bound, that of an
+    INSIDE point deeper than `deep` is minus infinity.
+    """
+    status, d, nx, ny, nz, qx, qy, qz, _ = bounded_probe(pools, f, x, y, z, near, deep, scratch, thread)
+    return status, d, nx, ny, nz, qx, qy, qz
+
+
+@inlined_kernel
+def bounded_probe(pools, f, x, y, z, near, deep, scratch, thread):
+    """As `probe`, and last a depth [m] that the point certainly does not exceed: minus the distance where that is
+    exact or a lower bound. The averaged field promises nothing, so inside a broken body the two differ.
     """
     kind = pools.fragment.kind[f]
     if kind != TETRAHEDRA and kind != TRIANGLES:
         d, nx, ny, nz = primitive_distance(kind, pools.fragment.shape[f], x, y, z)
         status = INSIDE if d <= 0.0 else NEAR if d <= near else OUTSIDE
-        return status, d, nx, ny, nz, x - d * nx, y - d * ny, z - d * nz
+        return status, d, nx, ny, nz, x - d * nx, y - d * ny, z - d * nz, -d
     reach = math.sqrt(box_distance_squared(x, y, z, pools.fragment.box[f]))
     if reach > near:
-        return OUTSIDE, reach, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        return OUTSIDE, reach, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -reach
     if kind == TRIANGLES:
         d, nx, ny, nz, qx, qy, qz = triangle_distance(
             pools.triangles, pools.fragment.mesh[f], pools.fragment.radius[f], x, y, z, scratch.stack[thread]
         )
         status = INSIDE if d <= 0.0 else NEAR if d <= near else OUTSIDE
-        return status, d, nx, ny, nz, qx, qy, qz
+        return status, d, nx, ny, nz, qx, qy, qz, -d
     # 15 ns that spare most points the search for their tetrahedron
     if not sphere_may_touch(pools, f, x, y, z, near):
-        return OUTSIDE, max(reach, near), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        return OUTSIDE, max(reach, near), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -max(reach, near)
     t = tetrahedron_at(pools.mesh, pools.fragment.mesh[f], x, y, z)
     if t >= 0 and owner_in_tetrahedron(pools, f, t, x, y, z, scratch, thread) == f:
+        if pools.field == AVERAGED and pools.fragment.node_shift[f] != NEVER_BROKEN:
+            d, nx, ny, nz, most = averaged_penetration(pools, f, t, x, y, z)
+            return INSIDE, -d, nx, ny, nz, x + d * nx, y + d * ny, z + d * nz, most
         best = nearest_from_inside(pools, f, t, x, y, z, deep, scratch, thread)
         if best[5] == NO_SOURCE:
-            return INSIDE, -math.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            return INSIDE, -math.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, math.inf
         nx, ny, nz = outward_direction(pools, f, x, y, z, best, True)
-        return INSIDE, -math.sqrt(best[0]), nx, ny, nz, best[1], best[2], best[3]
+        d = math.sqrt(best[0])
+        return INSIDE, -d, nx, ny, nz, best[1], best[2], best[3], d
     if near <= 0.0:
-        return OUTSIDE, reach, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        return OUTSIDE, reach, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -reach
     best = nearest_from_outside(pools, f, t, x, y, z, near, scratch, thread)
     if best[5] == NO_SOURCE:
-        return OUTSIDE, max(reach, near), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        return OUTSIDE, max(reach, near), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -max(reach, near)
     nx, ny, nz = outward_direction(pools, f, x, y, z, best, False)
-    return NEAR, math.sqrt(best[0]), nx, ny, nz, best[1], best[2], best[3]
+    d = math.sqrt(best[0])
+    return NEAR, d, nx, ny, nz, best[1], best[2], best[3], -d
 
 
 @inlined_kernel

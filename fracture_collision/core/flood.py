@@ -101,7 +101,8 @@ def nearest_in_tetrahedron(pools, f, t, x, y, z, best):
                 face, farther = kind, _face_is_farther(mesh, t, kind, x, y, z, d2)
             if farther:
                 continue
-        if body.front[i] != f and body.back[i] != f:
+        # a step is surface of the fragment in front here, of the one behind in the tetrahedron behind
+        if body.front[i] != f and (kind != INTERFACE or body.back[i] != f):
             continue
         # no point of a triangle is nearer than its plane; rounding is left room
         p = body.faces[i]

@@ -56,6 +56,10 @@ class MeshPool(NamedTuple):
     cell_tets: np.ndarray  # int32
     tet_cells_begin: np.ndarray  # (M + meshes,) int32; mesh k's rows start at first tetrahedron + k
     tet_cells: np.ndarray  # int32, cells of each tetrahedron, counted from its mesh's first
+    # the dense grid of the averaged field (interior_field.py); empty until a body of the mesh breaks under that field
+    depth_grid: np.ndarray  # (meshes, 4) float64: first grid point [m], cell [m]
+    depth_grid_dims: np.ndarray  # (meshes, 4) int32: grid points along x, y, z; first entry in grid_depth
+    grid_depth: np.ndarray  # float64 [m] signed distance of the unbroken body, positive inside
 
 
 class BodyPool(NamedTuple):
@@ -73,6 +77,9 @@ class BodyPool(NamedTuple):
     front: np.ndarray  # int32 fragment row
     back: np.ndarray  # int32 fragment row, -1: nothing
     kind: np.ndarray  # uint8, see cut_tetrahedron: 0..3 a piece of that face, old surface or step; INTERFACE
+    # the averaged field, rows as node_fragment; none under the exact one
+    node_field: np.ndarray  # (., 7) float64: d [m] and unit n of Glondu 2014, eq. 1-2; a point [m] certainly not inside
+    node_certain_tet: np.ndarray  # int32 tetrahedron whose polygons that point lies on, -1: it is on the old surface
 
 
 class FragmentPool(NamedTuple):
@@ -128,11 +135,16 @@ class Pools(NamedTuple):
     occupancy: np.ndarray  # uint8, multi-level grids (occupancy.py)
     triangles: TriangleMeshPool
     traversal: int  # ALTERNATING or QUEUE
+    field: int  # EXACT or AVERAGED
 
 
 # Pools.traversal: in which order the children of entered nodes are visited (traversal.py).
 ALTERNATING = 0  # children of different parents first (Glondu 2014, section 5.3)
 QUEUE = 1  # all children of a parent in a row, the regular breadth-first order of its earlier version [27]
+
+# How deep a point of a broken body lies: by local flood, or from one averaged distance a node (Glondu 2014, 4.1 - 4.4).
+EXACT = 0
+AVERAGED = 1
 
 CUT = -1
 NEVER_BROKEN = np.iinfo(np.int32).min

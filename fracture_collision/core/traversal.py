@@ -15,7 +15,14 @@ from __future__ import annotations
 import math
 
 from fracture_collision.core.compiled import inlined_kernel, query_kernel
-from fracture_collision.core.elementary_queries import INSIDE, OUTSIDE, least_distance, probe, sphere_test
+from fracture_collision.core.elementary_queries import (
+    INSIDE,
+    OUTSIDE,
+    bounded_probe,
+    least_distance,
+    probe,
+    sphere_test,
+)
 from fracture_collision.core.kinds import PLANE, SPHERE
 from fracture_collision.core.oriented_boxes import boxes_apart
 from fracture_collision.core.pools import NONE_BELOW, OWN_SAMPLE, QUEUE, SAMPLE, SIZE, SURFACE
@@ -131,11 +138,11 @@ def query_pair(
                         node_point[k, DEPTH] = min(node_point[k, DEPTH], _depth_limit(pools, other))
                     elif -node_point[k, DEPTH] <= near:
                         full = count < m
-                        status, d, nx, ny, nz, qx, qy, qz = probe(
+                        status, d, nx, ny, nz, qx, qy, qz, most = bounded_probe(
                             pools, other, x, y, z, near, math.inf if full else epsilon, scratch, thread
                         )
                         if status == INSIDE and d == -math.inf:
-                            status, d, nx, ny, nz, qx, qy, qz = probe(
+                            status, d, nx, ny, nz, qx, qy, qz, most = bounded_probe(
                                 pools, other, x, y, z, near, math.inf, scratch, thread
                             )
                         if status != OUTSIDE:
@@ -150,8 +157,8 @@ def query_pair(
                                 count += 1
                                 m = max(m, count)
                             else:
-                                bound = max(bound, -d)
-                        node_point[k, DEPTH] = min(-d, _depth_limit(pools, other))
+                                bound = max(bound, most)
+                        node_point[k, DEPTH] = min(most, _depth_limit(pools, other))
                     node[k, STATUS] = status
                 head += 1
                 if end == entry + 1:
