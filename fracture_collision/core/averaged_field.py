@@ -60,7 +60,7 @@ def averaged_penetration(pools, f, t, x, y, z):
     both are exact for the surface within it, elsewhere eq. 1-2 over its nodes; capped by the grid of the whole body.
     """
     mesh, body = pools.mesh, pools.body
-    best = nearest_in_tetrahedron(pools, f, t, x, y, z, (math.inf, 0.0, 0.0, 0.0, ON_RIM, NO_SOURCE))
+    best = nearest_in_tetrahedron(pools, f, t, x, y, z, False, (math.inf, 0.0, 0.0, 0.0, ON_RIM, NO_SOURCE))
     most2 = best[0]
     shift = pools.fragment.node_shift[f]
     d, nx, ny, nz, total = 0.0, 0.0, 0.0, 0.0, 0.0

@@ -74,8 +74,11 @@ def clear_of_faces(mesh, t, x, y, z, distance):
 
 
 @inlined_kernel
-def nearest_in_tetrahedron(pools, f, t, x, y, z, best):
-    """Better of `best` = (squared distance, x, y, z, feature, source) and f's surface within tetrahedron `t`."""
+def nearest_in_tetrahedron(pools, f, t, x, y, z, with_steps, best):
+    """Better of `best` = (squared distance, x, y, z, feature, source) and f's surface within tetrahedron `t`.
+
+    with_steps: also against the steps in the tetrahedron's faces, which the paper does not know.
+    """
     d2, qx, qy, qz, feature, source = best
     mesh, body = pools.mesh, pools.body
     shift = pools.fragment.tet_shift[f]
@@ -101,6 +104,8 @@ def nearest_in_tetrahedron(pools, f, t, x, y, z, best):
                 face, farther = kind, _face_is_farther(mesh, t, kind, x, y, z, d2)
             if farther:
                 continue
+        if kind != INTERFACE and not with_steps and body.back[i] >= 0:
+            continue
         # a step is surface of the fragment in front here, of the one behind in the tetrahedron behind
         if body.front[i] != f and (kind != INTERFACE or body.back[i] != f):
             continue
@@ -176,7 +181,7 @@ def nearest_from_inside(pools, f, start, x, y, z, limit, scratch, thread):
         t = items[0]
         _pop(keys, items, count)
         count -= 1
-        best = nearest_in_tetrahedron(pools, f, t, x, y, z, best)
+        best = nearest_in_tetrahedron(pools, f, t, x, y, z, True, best)
         for face in range(4):
             n = mesh.neighbours[t, face]
             if n < 0 or visited[n] == stamp:
@@ -199,7 +204,7 @@ def nearest_from_outside(pools, f, at, x, y, z, limit, scratch, thread):
     mesh = pools.mesh
     if at >= 0 and clear_of_faces(mesh, at, x, y, z, limit):
         alone = (limit * limit, 0.0, 0.0, 0.0, ON_RIM, NO_SOURCE)
-        return nearest_in_tetrahedron(pools, f, at, x, y, z, alone) if holds_fragment(pools, f, at) else alone
+        return nearest_in_tetrahedron(pools, f, at, x, y, z, True, alone) if holds_fragment(pools, f, at) else alone
     k = pools.fragment.mesh[f]
     visited = scratch.visited[thread]
     stamp = next_stamp(scratch, thread)
@@ -229,7 +234,7 @@ def nearest_from_outside(pools, f, at, x, y, z, limit, scratch, thread):
                     if box_distance_squared(x, y, z, mesh.boxes[t]) >= best[0] or not holds_fragment(pools, f, t):
                         continue
                     if least_distance_squared(mesh, t, x, y, z) < best[0]:
-                        best = nearest_in_tetrahedron(pools, f, t, x, y, z, best)
+                        best = nearest_in_tetrahedron(pools, f, t, x, y, z, True, best)
     return best
 
 

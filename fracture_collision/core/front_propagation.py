@@ -43,7 +43,7 @@ def renew_certain_points(pools, divided_anew, first_node, node_shift, whole):
             # and never will: no descendant of f can own anything in it
             continue
         x, y, z = mesh.nodes[first_node + i]
-        best = nearest_in_tetrahedron(pools, f, t, x, y, z, (math.inf, 0.0, 0.0, 0.0, ON_RIM, NO_SOURCE))
+        best = nearest_in_tetrahedron(pools, f, t, x, y, z, False, (math.inf, 0.0, 0.0, 0.0, ON_RIM, NO_SOURCE))
         stored = body.node_field[row]
         if best[5] == NO_SOURCE:
             body.node_certain_tet[row] = OLD_SURFACE
@@ -77,7 +77,7 @@ def measure_at_cracks(pools, tets, first_node, node_shift, edge_shift, low, high
                 front[used] = v - first_node
                 used += 1
             x, y, z = mesh.nodes[v]
-            best = nearest_in_tetrahedron(pools, f, t, x, y, z, (math.inf, 0.0, 0.0, 0.0, ON_RIM, NO_SOURCE))
+            best = nearest_in_tetrahedron(pools, f, t, x, y, z, False, (math.inf, 0.0, 0.0, 0.0, ON_RIM, NO_SOURCE))
             if best[5] == NO_SOURCE:
                 continue
             row = body.node_field[v + node_shift]

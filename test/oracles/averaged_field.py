@@ -7,7 +7,9 @@ import numpy as np
 from fracture_collision.geometry.tetrahedra import EDGE_VERTICES, boundary_triangles
 from fracture_collision.records import FractureEvent
 from oracles.convex_cells import nearest_on_triangles
-from oracles.fragmented_body import ALL_KINDS, FragmentedBody
+from oracles.fragmented_body import CRACK, ORIGINAL, FragmentedBody
+
+LOCAL_SURFACE = (ORIGINAL, CRACK)  # the paper does not know steps
 
 SHORTER = 1e-12  # of R: a smaller reduction is rounding
 
@@ -43,7 +45,7 @@ class AveragedField:
         body.apply(event)
         new_edges = {tuple(sorted(e)) for e in np.asarray(event.cut_edges).reshape(-1, 2).tolist()}
         polygons = {
-            f: body.surface_polygons(f, ALL_KINDS) for f in np.asarray(event.new_fragment_ids, dtype=int).tolist()
+            f: body.surface_polygons(f, LOCAL_SURFACE) for f in np.asarray(event.new_fragment_ids, dtype=int).tolist()
         }
         front: set[int] = set()
         for t, nodes in enumerate(body.tetrahedra):
@@ -68,7 +70,7 @@ class AveragedField:
         """Depth [m] and direction in tetrahedron t that holds x, before the grid of the whole body caps it."""
         nodes = self.body.tetrahedra[t].tolist()
         if len({int(f) for f in self.body.labels[nodes]}) > 1:
-            surface = [p for p in self.body.surface_polygons(fragment, ALL_KINDS) if p.tetrahedron == t]
+            surface = [p for p in self.body.surface_polygons(fragment, LOCAL_SURFACE) if p.tetrahedron == t]
             if surface:
                 distance, nearest = nearest_on_triangles(x[None], _triangles(surface))
                 return float(distance[0]), (nearest[0] - x) / distance[0]
