@@ -169,7 +169,10 @@ def query_pair(
                     enter = depth + radius > least
                 else:
                     reach = radius - least
-                    enter = reach > 0.0 and sphere_test(pools, other, -depth, x, y, z, reach, scratch, thread)
+                    if tree.entries[entry, SURFACE] != OWN_SAMPLE:
+                        # an interior node was not tested and may be deep inside, however small its sphere
+                        reach = max(reach, 0.0)
+                    enter = reach >= 0.0 and sphere_test(pools, other, -depth, x, y, z, reach, scratch, thread)
                 if not enter:
                     # inside: 1-Lipschitz; outside: the test says no point below is deeper than `least`
                     bound = max(bound, min(depth + radius, max(least, 0.0)))
