@@ -20,6 +20,9 @@ from fracture_collision.world.contact_ids import contact_ids
 # What the field measures against; steps are left out (docs/numerics.md).
 MEASURED = (ORIGINAL, CRACK, BARE_FACE)
 
+# Samples nearer to a fragment's border than this [m] may be taken for inside or outside.
+BORDER = 1e-9
+
 # Half the longest side, R, is 1 [m] for all.
 SHAPES: dict[str, Callable[[], TetGeometry]] = {
     "ball": lambda: ball(1.0, 0.3),
@@ -32,19 +35,30 @@ SHAPES: dict[str, Callable[[], TetGeometry]] = {
 }
 
 
+COARSE_SHAPES: dict[str, Callable[[], TetGeometry]] = {
+    "ball": lambda: ball(1.0, 0.4),
+    "brick": lambda: brick((2.0, 1.0, 0.8), 0.4),
+    "shell": lambda: shell(1.0, 0.8, 0.6),
+    "bowl": lambda: bowl(2.0, 0.2, 0.4, 0.6),
+    "torus": lambda: torus(0.72, 0.28, 0.3),
+    "l_block": lambda: l_block((2.0, 1.6, 0.6), (1.2, 0.9), 0.4),
+}
+
+
 class Poses:
     """The states' poses, by fragment."""
 
     def __init__(self, states: FragmentStates) -> None:
         ids = np.asarray(states.fragment_ids).tolist()
-        self.rotation = dict(zip(ids, Rotation.from_quat(states.orientations.reshape(-1, 4)), strict=True))
-        self.position = dict(zip(ids, states.positions.reshape(-1, 3), strict=True))
+        turns = Rotation.from_quat(np.asarray(states.orientations).reshape(-1, 4)).as_matrix()
+        self.rotation = dict(zip(ids, turns, strict=True))
+        self.position = dict(zip(ids, np.asarray(states.positions).reshape(-1, 3), strict=True))
 
     def to_body(self, fragment: int, points: np.ndarray) -> np.ndarray:
-        return self.rotation[fragment].inv().apply(points - self.position[fragment])
+        return (points - self.position[fragment]) @ self.rotation[fragment]
 
     def to_world(self, fragment: int, points: np.ndarray) -> np.ndarray:
-        return self.rotation[fragment].apply(points) + self.position[fragment]
+        return points @ self.rotation[fragment].T + self.position[fragment]
 
 
 def surface_samples(case: FracturedWorld, fragment: int) -> tuple[np.ndarray, np.ndarray]:
@@ -114,3 +128,68 @@ class ContactTruth:
         measured[inside] = distances(points[inside], self.surface(other))
         true[inside] = distances(points[inside], self.surface(other, ALL_KINDS))
         return SampleDepths(measured, true, certain)
+
+    def world_boxes(self, poses: Poses) -> dict[int, np.ndarray]:
+        """Lower and upper corner (2, 3) [m] in the world, of each fragment's box."""
+        boxes = {}
+        for fragment in self.fragment_ids:
+            low, high = self.box(fragment)
+            middle = poses.to_world(fragment, 0.5 * (low + high)[None])[0]
+            reach = np.abs(poses.rotation[fragment]) @ (0.5 * (high - low))
+            boxes[fragment] = np.array((middle - reach, middle + reach))
+        return boxes
+
+
+class PairCheck(NamedTuple):
+    """One pair of fragments against the truth; lengths in metres. Zero violations is what has to come out."""
+
+    contacts: int
+    bound: float  # missed_depth_bound, or epsilon for a pair that the answer leaves out
+    is_listed: bool  # the answer names the pair
+    deepest_unlisted: float  # true depth of the deepest sample that is not listed, 0 if none is inside
+    deepest_unlisted_measured: float  # the same to the surface that the field measures against
+    misplaced: float  # largest distance of a listed sample from where it is
+    off_surface: float  # largest distance of a witness from the other's surface
+    apart: int  # penetrations reported of samples that are not inside
+    too_shallow: float  # largest (depth - reported depth)
+    excess: np.ndarray  # (inside,) reported depth less the distance to the nearest surface, of samples inside
+
+
+def check_pair(
+    truth: ContactTruth, poses: Poses, answer: ContactConstraintArray, pair: tuple[int, int],
+    listed: dict[tuple[int, int], tuple[slice, float]], epsilon: float,
+) -> PairCheck:  # fmt: skip
+    """Compare what `answer` says of a pair (smaller id first) with brute force, both ways."""
+    rows, bound = listed.get(pair, (slice(0, 0), epsilon))
+    ids, gaps = answer.contact_ids[rows], answer.gaps[rows]
+    points = answer.points_a.reshape(-1, 3)[rows], answer.points_b.reshape(-1, 3)[rows]
+    found, apart = 0, 0
+    unlisted = measured_unlisted = misplaced = off_surface = too_shallow = 0.0
+    excess = [np.zeros(0)]
+    for side in range(2):
+        own, other = pair[side], pair[1 - side]
+        samples, numbers = truth.samples[own]
+        depths = truth.depths(own, other, poses)
+        keys = sample_ids(own, other, numbers)
+        _, contact, sample = np.intersect1d(ids, keys, return_indices=True)
+        found += len(contact)
+        rest = depths.certain.copy()
+        rest[sample] = False
+        unlisted = max(unlisted, depths.true[rest].max(initial=0.0))
+        measured_unlisted = max(measured_unlisted, depths.measured[rest].max(initial=0.0))
+        if not len(contact):
+            continue
+        there = poses.to_world(own, samples[sample])
+        misplaced = max(misplaced, np.linalg.norm(points[side][contact] - there, axis=1).max())
+        witness = poses.to_body(other, points[1 - side][contact])
+        off_surface = max(off_surface, distances(witness, truth.surface(other)).max())
+        depth, certain, gap = depths.measured[sample], depths.certain[sample], gaps[contact]
+        inside = np.isfinite(depth)
+        apart += int(np.count_nonzero(~inside & certain & (gap < -BORDER)))
+        too_shallow = max(too_shallow, (depth + gap)[inside & certain].max(initial=0.0))
+        excess.append((-gap - depth)[inside & certain])
+    assert found == len(ids), f"pair {pair}: {len(ids) - found} contacts are no sample of either fragment"
+    return PairCheck(
+        len(ids), bound, pair in listed, unlisted, measured_unlisted, misplaced, off_surface, apart, too_shallow,
+        np.concatenate(excess),
+    )  # fmt: skip

@@ -82,3 +82,13 @@ def after_each_fracture(case: FracturedWorld) -> Iterator[FracturedWorld]:
         stage = case._replace(oracle=oracle, generations=int(event.sequence))
         case.world.contacts(stage.states())
         yield stage
+
+
+def with_settings(case: FracturedWorld, settings: Settings) -> CollisionWorld:
+    """A world of the same bodies and events with other settings."""
+    world = CollisionWorld(settings)
+    for body in case.messages[0]:
+        world.add_body(body)
+    for event in case.messages[1]:
+        world.add_fracture(event)
+    return world

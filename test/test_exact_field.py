@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from contact_truth import MEASURED, SHAPES
+from contact_truth import COARSE_SHAPES, MEASURED, SHAPES
 from fractured_worlds import FracturedWorld, after_each_fracture, fractured_world
-from oracles.brute_force import distances, owners, partition_of
+from oracles.brute_force import Partition, distances, owners, partition_of
 
 from fracture_collision.core.elementary_queries import INSIDE, NEAR, probe
 from fracture_collision.core.scratch import make_scratch
@@ -31,9 +31,13 @@ def compare(case: FracturedWorld, count: int, seed: int) -> Compared:
     """The field at `count` random points of the body, half of them close to cracks and old surface."""
     random = np.random.default_rng(seed)
     oracle = case.oracle
-    points = np.concatenate((_anywhere(case, count - count // 2, random), _near_surfaces(case, count // 2, random)))
-    owner, certain = owners(partition_of(oracle), points)
-    assert certain.all()  # random points are in general position
+    partition = partition_of(oracle)
+    near = _near_surfaces(case, partition, count // 2, random)
+    points = np.concatenate((_anywhere(case, count - count // 2, random), near))
+    owner, certain = owners(partition, points)
+    # on a face whose two tetrahedra have different owners for the point, either is right
+    points, owner = points[certain], owner[certain]
+    assert len(points) > 0.999 * count
     stranger = random.choice(oracle.fragment_ids, len(points))
     scratch, pools = make_scratch(1, len(oracle.tetrahedra), 8), case.geometry.pools
     inside = outside = wrong = 0
@@ -63,7 +67,9 @@ def _anywhere(case: FracturedWorld, count: int, random: np.random.Generator) -> 
     return np.einsum("nij,ni->nj", case.oracle.vertices[tets], random.dirichlet(np.ones(4), count))
 
 
-def _near_surfaces(case: FracturedWorld, count: int, random: np.random.Generator) -> np.ndarray:
+def _near_surfaces(
+    case: FracturedWorld, partition: Partition, count: int, random: np.random.Generator
+) -> np.ndarray:
     """Points of the body 1e-6 to 0.1 m from a polygon of some fragment."""
     triangles = np.concatenate([case.oracle.surface_triangles(f, MEASURED) for f in case.oracle.fragment_ids])
     area = np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1)
@@ -74,7 +80,7 @@ def _near_surfaces(case: FracturedWorld, count: int, random: np.random.Generator
         away = random.normal(size=(2 * count, 3))
         away *= 10.0 ** random.uniform(-6, -1, (2 * count, 1)) / np.linalg.norm(away, axis=1)[:, None]
         points = on_them + away
-        found = np.concatenate((found, points[owners(partition_of(case.oracle), points)[0] > 0]))
+        found = np.concatenate((found, points[owners(partition, points)[0] > 0]))
     return found[:count]
 
 
@@ -83,9 +89,9 @@ def assert_equal(done: Compared) -> None:
     assert done.inside > 0 and done.outside > 0
 
 
-@pytest.mark.parametrize(("shape", "cracks"), [c for c in CASES if c[0] != "bunny"])
+@pytest.mark.parametrize(("shape", "cracks"), [c for c in CASES if c[0] in COARSE_SHAPES])
 def test_exact_is_exact_at_a_sample_of_points(shape: str, cracks: str) -> None:
-    case = fractured_world(SHAPES[shape](), seeds=5, generations=2, curved=cracks == "curved", seed=8)
+    case = fractured_world(COARSE_SHAPES[shape](), seeds=3, generations=2, curved=cracks == "curved", seed=8)
     assert_equal(compare(case, 1700, seed=1))
 
 
