@@ -140,6 +140,16 @@ class ContactTruth:
         return boxes
 
 
+def piled(truth: ContactTruth, seed: int, spread: float) -> FragmentStates:
+    """Every fragment's middle at random about the origin (deviation `spread` [m]), in any attitude."""
+    random = np.random.default_rng(seed)
+    ids = truth.fragment_ids
+    turns = Rotation.from_quat(random.normal(size=(len(ids), 4)))
+    middles = np.array([np.mean(truth.box(f), axis=0) for f in ids])
+    positions = random.normal(scale=spread, size=(len(ids), 3)) - turns.apply(middles)
+    return FragmentStates(1, truth.case.generations, np.array(ids), positions.ravel(), turns.as_quat().ravel())
+
+
 class PairCheck(NamedTuple):
     """One pair of fragments against the truth; lengths in metres. Zero violations is what has to come out."""
 

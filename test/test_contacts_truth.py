@@ -7,7 +7,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from contact_truth import BORDER, COARSE_SHAPES, SHAPES, ContactTruth, PairCheck, Poses, check_pair, pairs_of
+from contact_truth import BORDER, COARSE_SHAPES, SHAPES, ContactTruth, PairCheck, Poses, check_pair, pairs_of, piled
 from fractured_worlds import FracturedWorld, fractured_world
 from scipy.spatial.transform import Rotation
 
@@ -27,16 +27,6 @@ def moved(case: FracturedWorld, seed: int, distance: float, degrees: float) -> F
     shifts = random.normal(size=(len(ids), 3))
     shifts *= random.uniform(0, distance, (len(ids), 1)) / np.linalg.norm(shifts, axis=1)[:, None]
     return FragmentStates(1, case.generations, ids, shifts.ravel(), Rotation.from_rotvec(turns).as_quat().ravel())
-
-
-def piled(truth: ContactTruth, seed: int, spread: float) -> FragmentStates:
-    """Every fragment's middle at random about the origin (deviation `spread` [m]), in any attitude."""
-    random = np.random.default_rng(seed)
-    ids = truth.fragment_ids
-    turns = Rotation.from_quat(random.normal(size=(len(ids), 4)))
-    middles = np.array([np.mean(truth.box(f), axis=0) for f in ids])
-    positions = random.normal(scale=spread, size=(len(ids), 3)) - turns.apply(middles)
-    return FragmentStates(1, truth.case.generations, np.array(ids), positions.ravel(), turns.as_quat().ravel())
 
 
 FRAMES: dict[str, Callable[[ContactTruth, int], FragmentStates]] = {
