@@ -18,21 +18,23 @@ from contact_truth import SHAPES  # noqa: E402
 from rich.console import Console  # noqa: E402
 from rich.progress import track  # noqa: E402
 
+# A bound up to this [R] says that nothing was left out.
+ROUNDING = 1e-9
 LEGEND = """
-pairs: whose boxes overlap; touching: with a sample of one inside the other; violations: pairs with a sample deeper than
-the bound that is not listed (depth: distance to the nearest point that is not the other's); loose: median of
-(bound - deepest unlisted sample) / R over the pairs that the answer names; steps: pairs with an unlisted sample whose
-depth as the field measures it, steps left out, exceeds the bound, and by how many R at most. Left: searches that
-ran to their end; right: cut short by a budget.
+pairs: whose boxes overlap; touching: with a sample of one inside the other; loose: median of (bound - deepest unlisted
+sample) / R over the pairs that the answer names; left out: the same over those where the search left something out
+(bound above rounding); steps: pairs with an unlisted sample whose depth as the field measures it, steps left out,
+exceeds the bound, and by how many R at most; violations: pairs with a sample deeper than the bound that is not listed
+(depth: distance to the nearest point that is not the other's). Left: searches that ran to their end; right: cut short
+by a budget.
 """
 
 
 def main(pairs: int = 100_000, seeds: tuple[int, ...] = (1,)) -> int:
     """Print the table; returns the number of violations."""
     console = Console(stderr=True)
-    columns = ("shape", "cracks", "pairs", "touching", "loose", "steps", "by", "pairs", "touching", "loose", "steps",
-               "by", "violations")  # fmt: skip
-    print("".join(f"{c:>10}" for c in columns), flush=True)
+    half = ("pairs", "touching", "loose", "left out", "steps", "by")
+    print(_line("shape", "cracks", *half, *half, "violations"), flush=True)
     violations, total = [], 0
     for seed in seeds:
         parts = track(campaign(pairs // len(seeds), seed), f"seed {seed}", total=2 * len(SHAPES), console=console)
@@ -48,13 +50,20 @@ def main(pairs: int = 100_000, seeds: tuple[int, ...] = (1,)) -> int:
 
 
 def _row(part: Part) -> str:
-    cells = [part.shape, "curved" if part.curved else "flat", *_cells(part.full), *_cells(part.budgeted)]
-    return "".join(f"{c:>10}" for c in (*cells, len(part.violations)))
+    cracks = "curved" if part.curved else "flat"
+    return _line(part.shape, cracks, *_cells(part.full), *_cells(part.budgeted), len(part.violations))
 
 
-def _cells(tally: Tally) -> tuple[str, ...]:
-    loose = f"{np.median(tally.looseness):.2e}" if len(tally.looseness) else "-"
-    return str(tally.pairs), str(tally.touching), loose, str(tally.short_of_measured), f"{tally.shortest:.1e}"
+def _line(*cells: object) -> str:
+    return "".join(f"{cell:>11}" for cell in cells)
+
+
+def _cells(tally: Tally) -> tuple[object, ...]:
+    loose, left_out = (
+        f"{np.median(these):.1e}" if len(these) else "-"
+        for these in (tally.looseness, tally.looseness[tally.bounds > ROUNDING])
+    )
+    return tally.pairs, tally.touching, loose, left_out, tally.short_of_measured, f"{tally.shortest:.1e}"
 
 
 if __name__ == "__main__":

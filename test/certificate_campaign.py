@@ -48,6 +48,7 @@ class Tally(NamedTuple):
     pairs: int
     touching: int  # pairs with a sample of one inside the other
     looseness: np.ndarray  # [R] bound less the deepest unlisted sample, pairs that the answer names
+    bounds: np.ndarray  # [R] of the same pairs
     short_of_measured: int  # pairs whose unlisted samples measure deeper than the bound: at steps, see docs/numerics.md
     shortest: float  # [R] by how much at most
 
@@ -106,6 +107,7 @@ def _tally(checks: list[PairCheck]) -> Tally:
         pairs=len(checks),
         touching=sum(c.deepest_unlisted > 0.0 or len(c.excess) > 0 for c in checks),
         looseness=np.array([c.bound - c.deepest_unlisted for c in checks if c.is_listed]),
+        bounds=np.array([c.bound for c in checks if c.is_listed]),
         short_of_measured=int((over > 0.0).sum()),
         shortest=float(over.max(initial=0.0)),
     )
