@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -71,3 +72,23 @@ def fractured_world(
     made = FracturedWorld(world, oracle, generations, curved, (bodies, events))
     world.contacts(made.states())
     return made
+
+
+def after_each_fracture(case: FracturedWorld) -> Iterator[FracturedWorld]:
+    """The same world as it was after its first, second ... fracture; each is valid until the next is asked for."""
+    oracle = FragmentedBody(case.oracle.vertices, case.oracle.tetrahedra)
+    for event in case.messages[1]:
+        oracle.apply(event)
+        stage = case._replace(oracle=oracle, generations=int(event.sequence))
+        case.world.contacts(stage.states())
+        yield stage
+
+
+def with_settings(case: FracturedWorld, settings: Settings) -> CollisionWorld:
+    """A world of the same bodies and events with other settings."""
+    world = CollisionWorld(settings)
+    for body in case.messages[0]:
+        world.add_body(body)
+    for event in case.messages[1]:
+        world.add_fracture(event)
+    return world

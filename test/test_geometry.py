@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fracture_collision.geometry.concave_shapes import l_block, torus
 from fracture_collision.geometry.generators import TetGeometry, ball, bowl, brick, plate, shell
+from fracture_collision.geometry.stored_meshes import bunny
 from fracture_collision.geometry.surface_meshing import tetrahedralize_surface
 from fracture_collision.geometry.tetrahedra import (
     EDGE_VERTICES,
@@ -28,8 +30,10 @@ SHAPES = {
     "flat plate": lambda h: plate(0.25, 0.03, 0.125 * h, 0.0, layers=1),
     "bowl": lambda h: bowl(0.2, 0.006, 0.1 * h, 0.06),
     "hemispherical bowl": lambda h: bowl(0.2, 0.02, 0.1 * h, 0.1),
+    "torus": lambda h: torus(0.1, 0.04, 0.1 * h),
+    "l_block": lambda h: l_block((0.2, 0.15, 0.06), (0.13, 0.07), 0.1 * h),
 }
-EULER_CHARACTERISTIC = {"shell": 4}
+EULER_CHARACTERISTIC = {"shell": 4, "torus": 0}
 every_shape = pytest.mark.parametrize("name", SHAPES)
 
 
@@ -95,13 +99,15 @@ CLOSED_FORM = {
     # a spherical sector of the cap's opening angle between the two spheres
     "bowl": 2.0 * np.pi / 3.0 * (BOWL_OUTER**3 - (BOWL_OUTER - 0.006) ** 3) * 0.06 / BOWL_OUTER,
     "hemispherical bowl": 2.0 * np.pi / 3.0 * (0.1**3 - 0.08**3),
+    "torus": 2.0 * np.pi**2 * 0.1 * 0.04**2,
+    "l_block": (0.2 * 0.15 - 0.13 * 0.07) * 0.06,
 }
 
 
 @every_shape
 def test_volume_converges_to_the_closed_form(name: str) -> None:
     errors = [abs(tetrahedron_volumes(*SHAPES[name](h)).sum() / CLOSED_FORM[name] - 1.0) for h in (0.2, 0.1, 0.05)]
-    if name == "brick":
+    if name in ("brick", "l_block"):
         assert max(errors) < 1e-12
         return
     # second order in the edge length: each halving leaves about a quarter
@@ -128,6 +134,32 @@ def test_boundary_vertices_lie_on_the_round_surfaces() -> None:
     assert cup.vertices[:, 2].min() == pytest.approx(-0.06)
 
 
+def test_torus_and_l_block_have_their_measures() -> None:
+    ring = torus(0.1, 0.04, 0.02)
+    to_the_circle = np.linalg.norm(ring.vertices[:, :2], axis=1) - 0.1
+    tube = np.hypot(to_the_circle, ring.vertices[:, 2])
+    at_boundary = np.unique(boundary_triangles(ring.tetrahedra))
+    assert np.allclose(tube[at_boundary], 0.04, rtol=1e-13, atol=0) and tube.max() < 0.04 + 1e-15
+    block = l_block((0.2, 0.15, 0.06), (0.13, 0.07), 0.03)
+    assert np.allclose(np.abs(block.vertices).max(axis=0), (0.1, 0.075, 0.03), rtol=1e-15)
+    assert not np.any((block.vertices[:, 0] > -0.03 + 1e-15) & (block.vertices[:, 1] > 0.005 + 1e-15))
+    corner = np.isclose(block.vertices[:, 0], -0.03) & np.isclose(block.vertices[:, 1], 0.005)
+    assert np.count_nonzero(corner) == 3  # the notch's inner edge, one node a layer
+
+
+def test_the_stored_bunny() -> None:
+    mesh = bunny(0.2)
+    assert_valid(mesh)
+    assert euler_characteristic(boundary_triangles(mesh.tetrahedra)) == 2
+    assert 1500 <= len(mesh.vertices) <= 2500
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    assert (high - low).max() == pytest.approx(0.2, rel=1e-12) and np.allclose(low, -high, atol=1e-15)
+    first, second = bunny(), bunny()
+    assert first.vertices.tobytes() == second.vertices.tobytes()
+    # of the surface it was made from: volume 0.83235 where the longest side is 1.97467
+    assert tetrahedron_volumes(*bunny(1.974674)).sum() == pytest.approx(0.832353, rel=2e-3)
+
+
 @pytest.mark.parametrize("mesh", [ball(0.05, 0.02), brick((0.1, 0.1, 0.1), 0.03), plate(0.2, 0.01, 0.02, 0.01)])
 def test_there_are_nodes_inside(mesh: TetGeometry) -> None:
     assert len(np.unique(boundary_triangles(mesh.tetrahedra))) < len(mesh.vertices)
@@ -147,6 +179,10 @@ def test_there_are_nodes_inside(mesh: TetGeometry) -> None:
         ("layers: 0", lambda: plate(0.2, 0.01, 0.02, 0.01, layers=0)),
         ("a hemisphere", lambda: bowl(0.2, 0.01, 0.02, 0.11)),
         ("no hollow", lambda: bowl(0.2, 0.1, 0.02, 0.1)),
+        ("no hole is left", lambda: torus(0.1, 0.1, 0.02)),
+        ("leaves nothing", lambda: l_block((0.2, 0.1, 0.1), (0.1, 0.1), 0.02)),
+        ("needs two lengths", lambda: l_block((0.2, 0.1, 0.1), (0.1, 0.1, 0.1), 0.02)),
+        ("longest_side: 0.0", lambda: bunny(0.0)),
     ],
 )
 def test_nonsense_is_refused_in_words(words: str, make) -> None:

@@ -115,7 +115,7 @@ def test_colcon_build(workplace: Path, sources: Path, environment_copy: Path) ->
 
 def assert_shared_files(share: Path) -> None:
     for folder in ("config", "launch", "msg"):
-        files = (path for path in (ROOT / folder).rglob("*") if path.suffix in (".yaml", ".py", ".msg"))
+        files = (path for path in (ROOT / folder).rglob("*") if path.suffix in (".yaml", ".npz", ".py", ".msg"))
         expected = {path.relative_to(ROOT) for path in files}
         assert expected
         missing = [path for path in expected if not (share / path).is_file()]

@@ -35,9 +35,9 @@ def ball(radius: float, edge_length: float) -> TetGeometry:
 
     Concentric geodesic layers: the cones from the centre over an icosahedron's faces, subdivided.
     """
-    _require_positive(radius=radius, edge_length=edge_length)
+    require_positive(radius=radius, edge_length=edge_length)
     frequency = max(1, round(radius / edge_length))
-    _require_affordable(20 * frequency**3)
+    require_affordable(20 * frequency**3)
     corners, triangles = _icosahedron()
     cones = np.column_stack((np.full(len(triangles), len(corners)), triangles))
     weights, tetrahedra = _edgewise_subdivision(cones, frequency)
@@ -45,7 +45,7 @@ def ball(radius: float, edge_length: float) -> TetGeometry:
     directions = weights[:, : len(corners)] @ corners
     length = np.linalg.norm(directions, axis=1)
     scale = radius * layer / (frequency * np.where(layer > 0, length, 1.0))
-    return _oriented(directions * scale[:, None], tetrahedra)
+    return oriented(directions * scale[:, None], tetrahedra)
 
 
 def shell(outer_radius: float, inner_radius: float, edge_length: float, layers: int | None = None) -> TetGeometry:
@@ -54,19 +54,19 @@ def shell(outer_radius: float, inner_radius: float, edge_length: float, layers: 
     `layers` is the number of layers of prisms through the wall; by default the wall divided by the edge length, at
     least two, so that there are nodes inside it.
     """
-    _require_positive(outer_radius=outer_radius, inner_radius=inner_radius, edge_length=edge_length)
+    require_positive(outer_radius=outer_radius, inner_radius=inner_radius, edge_length=edge_length)
     if inner_radius >= outer_radius:
         raise ValueError(f"inner_radius: {inner_radius} m is not below outer_radius, {outer_radius} m")
     layers = _layer_count(layers, outer_radius - inner_radius, edge_length)
     corners, triangles = _icosahedron()
     # The icosahedron's edge spans 1.107 rad of the sphere.
     frequency = max(1, round(1.107 * outer_radius / edge_length))
-    _require_affordable(60 * frequency**2 * layers)
+    require_affordable(60 * frequency**2 * layers)
     weights, triangles = _edgewise_subdivision(triangles, frequency)
     directions = weights @ corners
     directions /= np.linalg.norm(directions, axis=1)[:, None]
     radii = np.linspace(inner_radius, outer_radius, layers + 1)
-    return _oriented((radii[:, None, None] * directions).reshape(-1, 3), _prisms(triangles, len(directions), layers))
+    return oriented((radii[:, None, None] * directions).reshape(-1, 3), prisms(triangles, len(directions), layers))
 
 
 def brick(size_xyz: tuple[float, float, float], edge_length: float) -> TetGeometry:
@@ -74,15 +74,15 @@ def brick(size_xyz: tuple[float, float, float], edge_length: float) -> TetGeomet
     size = np.asarray(size_xyz, dtype=np.float64)
     if size.shape != (3,):
         raise ValueError(f"size_xyz: needs three lengths, got {size_xyz!r}")
-    _require_positive(x=size[0], y=size[1], z=size[2], edge_length=edge_length)
+    require_positive(x=size[0], y=size[1], z=size[2], edge_length=edge_length)
     cells = np.maximum(1, np.round(size / edge_length).astype(np.int64))
-    _require_affordable(6 * int(np.prod(cells.astype(object))))
+    require_affordable(6 * int(np.prod(cells.astype(object))))
     axes = [np.linspace(-0.5 * s, 0.5 * s, n + 1) for s, n in zip(size, cells, strict=True)]
     vertices = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     stride = np.array([(cells[1] + 1) * (cells[2] + 1), cells[2] + 1, 1])
     first = (np.stack(np.meshgrid(*map(np.arange, cells), indexing="ij"), axis=-1).reshape(-1, 3) @ stride)[:, None]
     paths = np.array([np.cumsum([0, *(stride[axis] for axis in order)]) for order in permutations(range(3))])
-    return _oriented(vertices, (first[:, None, :] + paths).reshape(-1, 4))
+    return oriented(vertices, (first[:, None, :] + paths).reshape(-1, 4))
 
 
 def plate(
@@ -93,14 +93,14 @@ def plate(
     The origin is the centre of the bounding box; +z is the side one eats from. The outer edge is a cylinder of
     `diameter`, with vertices exactly on it; thickness is measured along z. `layers` as in `shell`.
     """
-    _require_positive(diameter=diameter, thickness=thickness, edge_length=edge_length)
+    require_positive(diameter=diameter, thickness=thickness, edge_length=edge_length)
     if not (math.isfinite(rim_height) and 0.0 <= rim_height <= 0.5 * diameter):
         raise ValueError(f"rim_height: {rim_height} m is not between 0 and half the diameter, {0.5 * diameter} m")
     layers = _layer_count(layers, thickness, edge_length)
     radius = 0.5 * diameter
     rings = max(2, round(radius / edge_length))
-    _require_affordable(18 * rings**2 * layers)
-    ring, azimuth, triangles = _disc(rings)
+    require_affordable(18 * rings**2 * layers)
+    ring, azimuth, triangles = disc(rings)
     r = radius * ring / rings
     # The well is flat to 0.55 of the radius; from there a half cosine leads up to the edge.
     rise = np.clip((r / radius - 0.55) / 0.45, 0.0, 1.0)
@@ -108,7 +108,7 @@ def plate(
     z = height + np.linspace(0.0, thickness, layers + 1)[:, None]
     surface = np.column_stack((r * np.cos(azimuth), r * np.sin(azimuth)))
     vertices = np.column_stack((np.tile(surface, (layers + 1, 1)), z.ravel()))
-    return _oriented(vertices, _prisms(triangles, len(surface), layers))
+    return oriented(vertices, prisms(triangles, len(surface), layers))
 
 
 def bowl(diameter: float, thickness: float, edge_length: float, depth: float, layers: int | None = None) -> TetGeometry:
@@ -117,7 +117,7 @@ def bowl(diameter: float, thickness: float, edge_length: float, depth: float, la
     The outer sphere goes through the rim and the lowest point, the inner one is concentric, `thickness` smaller. The
     origin is the centre of the rim circle; the lowest point is (0, 0, -depth). `layers` as in `shell`.
     """
-    _require_positive(diameter=diameter, thickness=thickness, edge_length=edge_length, depth=depth)
+    require_positive(diameter=diameter, thickness=thickness, edge_length=edge_length, depth=depth)
     if depth > 0.5 * diameter:
         raise ValueError(f"depth: {depth} m is more than half the diameter, {0.5 * diameter} m (a hemisphere)")
     outer = (0.25 * diameter**2 + depth**2) / (2.0 * depth)
@@ -126,22 +126,22 @@ def bowl(diameter: float, thickness: float, edge_length: float, depth: float, la
     layers = _layer_count(layers, thickness, edge_length)
     opening = math.atan2(0.5 * diameter, outer - depth)
     rings = max(2, round(outer * opening / edge_length))
-    _require_affordable(18 * rings**2 * layers)
-    ring, azimuth, triangles = _disc(rings)
+    require_affordable(18 * rings**2 * layers)
+    ring, azimuth, triangles = disc(rings)
     polar = opening * ring / rings
     directions = np.column_stack((np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), -np.cos(polar)))
     radii = np.linspace(outer - thickness, outer, layers + 1)
     vertices = (radii[:, None, None] * directions).reshape(-1, 3) + (0.0, 0.0, outer - depth)
-    return _oriented(vertices, _prisms(triangles, len(directions), layers))
+    return oriented(vertices, prisms(triangles, len(directions), layers))
 
 
-def _require_positive(**lengths: float) -> None:
+def require_positive(**lengths: float) -> None:
     for name, value in lengths.items():
         if not (math.isfinite(value) and value > 0.0):
             raise ValueError(f"{name}: {value} is not a positive length in metres")
 
 
-def _require_affordable(tetrahedron_count: int) -> None:
+def require_affordable(tetrahedron_count: int) -> None:
     if tetrahedron_count > TETRAHEDRA_LIMIT:
         raise ValueError(
             f"edge_length: gives {tetrahedron_count} tetrahedra, more than {TETRAHEDRA_LIMIT}; choose a longer one"
@@ -156,7 +156,7 @@ def _layer_count(layers: int | None, wall: float, edge_length: float) -> int:
     return int(layers)
 
 
-def _oriented(vertices: np.ndarray, tetrahedra: np.ndarray) -> TetGeometry:
+def oriented(vertices: np.ndarray, tetrahedra: np.ndarray) -> TetGeometry:
     vertices = np.ascontiguousarray(vertices, dtype=np.float64)
     tetrahedra = np.array(tetrahedra, dtype=np.int32, order="C")
     mirrored = tetrahedron_volumes(vertices, tetrahedra) < 0.0
@@ -189,7 +189,7 @@ def _edgewise_subdivision(simplices: np.ndarray, frequency: int) -> tuple[np.nda
     return points, numbering[:, local_cells.ravel()].reshape(-1, dimension + 1)
 
 
-def _prisms(triangles: np.ndarray, surface_size: int, layers: int) -> np.ndarray:
+def prisms(triangles: np.ndarray, surface_size: int, layers: int) -> np.ndarray:
     """Tetrahedra of the prisms over `triangles` between layer l (vertices from l * surface_size) and l + 1."""
     a, b, c = np.sort(triangles, axis=1).T
     n = surface_size
@@ -197,7 +197,7 @@ def _prisms(triangles: np.ndarray, surface_size: int, layers: int) -> np.ndarray
     return (stairs.reshape(-1, 4)[None] + (n * np.arange(layers))[:, None, None]).reshape(-1, 4)
 
 
-def _disc(rings: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def disc(rings: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A disc of concentric rings, 6 k vertices in ring k: ring and azimuth [rad] of each vertex, and the triangles."""
     ring = np.repeat(np.arange(rings + 1), np.maximum(1, 6 * np.arange(rings + 1)))
     start = np.concatenate(([0], 1 + 3 * np.arange(rings + 1) * np.arange(1, rings + 2)))[: rings + 1]

@@ -1,0 +1,71 @@
+"""Does missed_depth_bound hold, and how loose is it? Random pairs of fragments against brute force.
+
+    python benchmarks/certificate.py [pairs] [seed ...]        default: 100000 pairs, seed 1
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path[:0] = [str(ROOT), str(ROOT / "test")]  # the truth lives with the tests
+
+from certificate_campaign import Part, Tally, campaign  # noqa: E402
+from contact_truth import SHAPES  # noqa: E402
+from rich.console import Console  # noqa: E402
+from rich.progress import track  # noqa: E402
+
+# A bound up to this [R] says that nothing was left out.
+ROUNDING = 1e-9
+LEGEND = """
+pairs: whose boxes overlap; touching: with a sample of one inside the other; loose: median of (bound - deepest unlisted
+sample) / R over the pairs that the answer names; left out: the same over those where the search left something out
+(bound above rounding); steps: pairs with an unlisted sample whose depth as the field measures it, steps left out,
+exceeds the bound, and by how many R at most; violations: pairs with a sample deeper than the bound that is not listed
+(depth: distance to the nearest point that is not the other's). Left: searches that ran to their end; right: cut short
+by a budget.
+"""
+
+
+def main(pairs: int = 100_000, seeds: tuple[int, ...] = (1,)) -> int:
+    """Print the table; returns the number of violations."""
+    console = Console(stderr=True)
+    half = ("pairs", "touching", "loose", "left out", "steps", "by")
+    print(_line("shape", "cracks", *half, *half, "violations"), flush=True)
+    violations, total = [], 0
+    for seed in seeds:
+        parts = track(campaign(pairs // len(seeds), seed), f"seed {seed}", total=2 * len(SHAPES), console=console)
+        for part in parts:
+            print(_row(part), flush=True)
+            violations += part.violations
+            total += part.full.pairs + part.budgeted.pairs
+    print(LEGEND)
+    print(f"{total} pairs, {len(violations)} violations")
+    for violation in violations:
+        print(violation)
+    return len(violations)
+
+
+def _row(part: Part) -> str:
+    cracks = "curved" if part.curved else "flat"
+    return _line(part.shape, cracks, *_cells(part.full), *_cells(part.budgeted), len(part.violations))
+
+
+def _line(*cells: object) -> str:
+    return "".join(f"{cell:>11}" for cell in cells)
+
+
+def _cells(tally: Tally) -> tuple[object, ...]:
+    loose, left_out = (
+        f"{np.median(these):.1e}" if len(these) else "-"
+        for these in (tally.looseness, tally.looseness[tally.bounds > ROUNDING])
+    )
+    return tally.pairs, tally.touching, loose, left_out, tally.short_of_measured, f"{tally.shortest:.1e}"
+
+
+if __name__ == "__main__":
+    arguments = [int(a) for a in sys.argv[1:]]
+    sys.exit(1 if main(arguments[0] if arguments else 100_000, tuple(arguments[1:]) or (1,)) else 0)

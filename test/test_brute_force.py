@@ -1,0 +1,58 @@
+"""The brute force for millions of points against the slow oracle it stands in for, on small bodies."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from contact_truth import COARSE_SHAPES
+from fractured_worlds import FracturedWorld, fractured_world
+from oracles.brute_force import distances, owners, partition_of
+from oracles.fragmented_body import ALL_KINDS
+
+from fracture_collision.geometry.tetrahedra import tetrahedron_volumes
+
+
+@pytest.fixture(scope="module", params=[("torus", False), ("torus", True), ("l_block", True)], ids=str)
+def case(request) -> FracturedWorld:
+    shape, curved = request.param
+    return fractured_world(COARSE_SHAPES[shape](), seeds=4, generations=2, curved=curved)
+
+
+def test_owners_are_the_oracles(case: FracturedWorld) -> None:
+    points = np.random.default_rng(1).uniform(-1.05, 1.05, (3000, 3)) * (1.0, 1.0, 0.35)
+    found, certain = owners(partition_of(case.oracle), points)
+    assert certain.all() and len(set(found.tolist())) > 3
+    assert np.array_equal(found, case.oracle.owner(points))
+
+
+def test_nodes_on_faces_that_disagree_are_said_to_be_uncertain(case: FracturedWorld) -> None:
+    oracle = case.oracle
+    found, certain = owners(partition_of(oracle), oracle.vertices)
+    if not case.curved:
+        assert certain.all() and np.array_equal(found, oracle.labels)
+    for node in np.flatnonzero(certain).tolist():
+        around = np.flatnonzero(np.any(oracle.tetrahedra == node, axis=1)).tolist()
+        margins = [oracle._margins(t, oracle.vertices[node]) for t in around]
+        assert {min(m, key=lambda f, m=m: (-m[f], f)) for m in margins} == {int(found[node])}
+
+
+def test_distances_are_the_oracles(case: FracturedWorld) -> None:
+    points = np.random.default_rng(2).uniform(-1.2, 1.2, (200, 3))
+    for fragment in case.oracle.fragment_ids[:3]:
+        triangles = case.oracle.surface_triangles(fragment, ALL_KINDS)
+        expected, nearest = case.oracle.distance_to_surface(fragment, points)
+        assert np.allclose(distances(points, triangles), expected, rtol=0, atol=1e-13)
+        assert distances(nearest, triangles).max() <= 1e-13
+    assert np.isinf(distances(points[:1], np.zeros((0, 3, 3)))[0])
+
+
+def test_volumes_by_counting_points(case: FracturedWorld) -> None:
+    """Shares of random points against the oracle's volumes: an error of the margin rule would show."""
+    random, oracle = np.random.default_rng(3), case.oracle
+    volumes, count = tetrahedron_volumes(oracle.vertices, oracle.tetrahedra), 200_000
+    chosen = oracle.tetrahedra[random.choice(len(volumes), count, p=volumes / volumes.sum())]
+    points = np.einsum("nij,ni->nj", oracle.vertices[chosen], random.dirichlet(np.ones(4), count))
+    found, _ = owners(partition_of(oracle), points)
+    for fragment in oracle.fragment_ids:
+        share = oracle.volume(fragment) / volumes.sum()
+        assert abs(np.mean(found == fragment) - share) <= 5.0 * np.sqrt(share / count)
