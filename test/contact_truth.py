@@ -17,8 +17,7 @@ from fracture_collision.geometry.stored_meshes import bunny
 from fracture_collision.records import ContactConstraintArray, FragmentStates
 from fracture_collision.world.contact_ids import contact_ids
 
-# What the field measures against; steps are left out (docs/numerics.md).
-MEASURED = ALL_KINDS  # what the field measures against: the border of the region, closed
+MEASURED = ALL_KINDS  # what the field measures against: the whole border of a fragment's region
 
 # Samples nearer to a fragment's border than this [m] may be taken for inside or outside.
 BORDER = 1e-9

@@ -21,8 +21,7 @@ SHAPES = {
     "plate": lambda: plate(2.0, 0.2, 0.4, 0.2),
     "bowl": lambda: bowl(2.0, 0.2, 0.4, 0.6),
 }
-# Where planes disagree from one tetrahedron to the next, regions have steps at the face between; the field measures
-# against cracks, the old surface and bare faces (docs/numerics.md).
+# Where planes disagree from one tetrahedron to the next, regions have steps at the face between; they are surface too.
 SURFACE = ALL_KINDS
 CASES = [(shape, cracks) for shape in SHAPES for cracks in ("flat", "curved")]
 

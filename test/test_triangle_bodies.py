@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from fractured_worlds import fractured_world
-from oracles.fragmented_body import BARE_FACE, CRACK, ORIGINAL
+from oracles.fragmented_body import ALL_KINDS
 from rigid_shapes import (
     RigidShape,
     boundary_of,
@@ -237,7 +237,7 @@ def test_fragments_against_a_rigid_body(shape: RigidShape, jitter: float) -> Non
         zip(states.fragment_ids.tolist(), Rotation.from_quat(states.orientations.reshape(-1, 4)), strict=True)
     )
     depth_in = {
-        f: (lambda x, f=f: case.oracle.depth(f, x, (ORIGINAL, CRACK, BARE_FACE))[0]) for f in case.oracle.fragment_ids
+        f: (lambda x, f=f: case.oracle.depth(f, x, ALL_KINDS)[0]) for f in case.oracle.fragment_ids
     }
     depth_in[500] = lambda x: np.maximum(-true_distance(shape, x), 0.0)
     geometry, checked = world._registry.geometry, 0
