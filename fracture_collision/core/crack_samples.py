@@ -14,8 +14,10 @@ def _own_share_of_edge(slots, functionals, counts, own, start, end, roots):
     """Share of the segment start - end (3,), from its start in slot `own`'s region, up to where another slot's begins.
 
     Margins are piecewise linear along the segment; between two neighbouring roots of their differences the owner stays.
+    The start counts as a root: a crack may pass through the node itself, and then no difference changes its sign.
     """
-    used = 0
+    roots[0] = 0.0
+    used = 1
     for q in range(counts[own]):
         f = functionals[own, q]
         f0 = f[0] * start[0] + f[1] * start[1] + f[2] * start[2] - f[3]

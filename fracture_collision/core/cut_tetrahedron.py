@@ -145,13 +145,17 @@ def _clip(polygon, count, spare, a, b, c, o):
 
 @query_kernel
 def _section(corners, a, b, c, o, polygon, value, order):
-    """The tetrahedron's section with the plane a x + b y + c z = o, right-handed about (a, b, c); its vertex count."""
-    above = 0
+    """The tetrahedron's section with the plane a x + b y + c z = o, right-handed about (a, b, c); its vertex count.
+
+    None if the plane only touches it: a face in the plane is not within the tetrahedron, it may be a step.
+    """
+    above, positive = 0, False
     for i in range(4):
         value[i] = a * corners[i, 0] + b * corners[i, 1] + c * corners[i, 2] - o
+        positive = positive or value[i] > 0.0
         if value[i] >= 0.0:
             above += 1
-    if above == 0 or above == 4:
+    if above == 4 or not positive:
         return 0
     # corners above first, in their order; then those below
     used = 0
@@ -191,21 +195,41 @@ def _section(corners, a, b, c, o, polygon, value, order):
 
 
 @query_kernel
-def _clip_to_region(count, slots, work, owner):
-    """Clip work.polygon to where the choice of the others' minima holds and no functional of `owner` is below them."""
-    functionals, counts, polygon, spare = work.functionals, work.counts, work.polygon, work.spare
+def _clip_on_face(work, count, corners, face, inward, g, m, at_tie):
+    """Clip work.polygon, part of a face of `corners`, to g >= m; `inward`: 1 for their tetrahedron, -1 for the other.
+
+    Where the two are equal all over the face, what they are inside decides, and `at_tie` if they are equal there too:
+    else both would have the face.
+    """
+    a, b, c, o = g[0] - m[0], g[1] - m[1], g[2] - m[2], g[3] - m[3]
+    for k in range(3):
+        x = corners[FACE_VERTICES[face, k]]
+        if a * x[0] + b * x[1] + c * x[2] - o != 0.0:
+            return _clip(work.polygon, count, work.spare, a, b, c, o)
+    x = corners[face]
+    inside = inward * (a * x[0] + b * x[1] + c * x[2] - o)
+    return count if inside > 0.0 or (inside == 0.0 and at_tie) else 0
+
+
+@query_kernel
+def _clip_to_region(count, slots, work, owner, corners, face, inward):
+    """Clip work.polygon to where the choice of the others' minima holds and no functional of `owner` is below them.
+
+    corners, face, inward: as in `_clip_on_face`.
+    """
+    functionals, counts = work.functionals, work.counts
     for s in range(slots):
         if s == owner:
             continue
         m = functionals[s, work.choice[s]]
         for q in range(counts[owner]):
-            g = functionals[owner, q]
             if count:
-                count = _clip(polygon, count, spare, g[0] - m[0], g[1] - m[1], g[2] - m[2], g[3] - m[3])
+                first = work.labels[owner] < work.labels[s]
+                count = _clip_on_face(work, count, corners, face, inward, functionals[owner, q], m, first)
         for q in range(counts[s]):
             if q != work.choice[s] and count:
-                g = functionals[s, q]
-                count = _clip(polygon, count, spare, g[0] - m[0], g[1] - m[1], g[2] - m[2], g[3] - m[3])
+                first = work.choice[s] < q
+                count = _clip_on_face(work, count, corners, face, inward, functionals[s, q], m, first)
     return count
 
 
@@ -251,7 +275,7 @@ def face_shares(face, slots, work, used):
         _first_choice(work)
         while True:
             count = _load_face(work.corners, face, work.polygon)
-            count = _clip_to_region(count, slots, work, f)
+            count = _clip_to_region(count, slots, work, f, work.corners, face, 1.0)
             used = _emit(work.polygon, count, f, -1, face, work.triangles, work.fronts, work.backs, work.kinds, used)
             if not _next_choice(slots, work, f):
                 break
@@ -300,7 +324,7 @@ def steps(work, first, last, behind_slots, behind, used):
                 for k in range(3):
                     for d in range(3):
                         behind.polygon[k, d] = work.triangles[i, 3 * k + d]
-                count = _clip_to_region(3, behind_slots, behind, g)
+                count = _clip_to_region(3, behind_slots, behind, g, work.corners, work.kinds[i], -1.0)
                 used = _emit(
                     behind.polygon, count, work.fronts[i], g, work.kinds[i], behind.triangles, behind.fronts,
                     behind.backs, behind.kinds, used,

@@ -29,7 +29,7 @@ def voronoi_event(
         sign = 1.0 if i < j else -1.0
         return sign * normal, sign * float(normal @ (0.5 * (low + high)))
 
-    return _event(body, fragment_id, _nearest(body.vertices, seeds), bisector, first_new_id, sequence, body_id)
+    return event_of_labels(body, fragment_id, _nearest(body.vertices, seeds), bisector, first_new_id, sequence, body_id)
 
 
 def curved_event(
@@ -74,14 +74,14 @@ def curved_event(
         return normal, float(normal @ crossing)
 
     nearest = _nearest(warp(body.vertices), warped_seeds)
-    return _event(body, fragment_id, nearest, tangent, first_new_id, sequence, body_id)
+    return event_of_labels(body, fragment_id, nearest, tangent, first_new_id, sequence, body_id)
 
 
 def _nearest(points: np.ndarray, seeds: np.ndarray) -> np.ndarray:
     return np.argmin(np.linalg.norm(points[:, None] - seeds[None], axis=2), axis=1)
 
 
-def _event(
+def event_of_labels(
     body: FragmentedBody,
     fragment_id: int,
     nearest_seed: np.ndarray,
