@@ -22,6 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.core.compiled import inlined_kernel, kernel, query_kernel
+from fracture_collision.core.margin_clipping import clip_to_choice, clip_to_region, tie_limit
 
 EDGE_FIRST = np.array([0, 0, 0, 1, 1, 2])
 EDGE_SECOND = np.array([1, 2, 3, 2, 3, 3])
@@ -122,36 +123,17 @@ def owner_slot(slots, functionals, counts, slot_labels, x, y, z):
 
 
 @query_kernel
-def _clip(polygon, count, spare, a, b, c, o):
-    """Keep the part of a convex polygon with a x + b y + c z - o >= 0, in place; returns its vertex count."""
-    kept = 0
-    px, py, pz = polygon[count - 1, 0], polygon[count - 1, 1], polygon[count - 1, 2]
-    pv = a * px + b * py + c * pz - o
-    for i in range(count):
-        qx, qy, qz = polygon[i, 0], polygon[i, 1], polygon[i, 2]
-        qv = a * qx + b * qy + c * qz - o
-        if (pv < 0.0) != (qv < 0.0):
-            t = pv / (pv - qv)
-            spare[kept, 0], spare[kept, 1], spare[kept, 2] = px + t * (qx - px), py + t * (qy - py), pz + t * (qz - pz)
-            kept += 1
-        if qv >= 0.0:
-            spare[kept, 0], spare[kept, 1], spare[kept, 2] = qx, qy, qz
-            kept += 1
-        px, py, pz, pv = qx, qy, qz, qv
-    for i in range(kept):
-        polygon[i, 0], polygon[i, 1], polygon[i, 2] = spare[i, 0], spare[i, 1], spare[i, 2]
-    return kept if kept >= 3 else 0
-
-
-@query_kernel
-def _section(corners, a, b, c, o, polygon, value, order):
+def _section(corners, a, b, c, o, limit, polygon, value, order):
     """The tetrahedron's section with the plane a x + b y + c z = o, right-handed about (a, b, c); its vertex count.
 
-    None if the plane only touches it: a face in the plane is not within the tetrahedron, it may be a step.
+    None if the plane only touches it, to `limit` [m]: a face in the plane is not within the tetrahedron, it may be a
+    step.
     """
     above, positive = 0, False
     for i in range(4):
         value[i] = a * corners[i, 0] + b * corners[i, 1] + c * corners[i, 2] - o
+        if abs(value[i]) <= limit:
+            value[i] = 0.0
         positive = positive or value[i] > 0.0
         if value[i] >= 0.0:
             above += 1
@@ -195,60 +177,6 @@ def _section(corners, a, b, c, o, polygon, value, order):
 
 
 @query_kernel
-def _clip_on_face(work, count, corners, face, inward, g, m, at_tie):
-    """Clip work.polygon, part of a face of `corners`, to g >= m; `inward`: 1 for their tetrahedron, -1 for the other.
-
-    Where the two are equal all over the face, what they are inside decides, and `at_tie` if they are equal there too:
-    else both would have the face.
-    """
-    a, b, c, o = g[0] - m[0], g[1] - m[1], g[2] - m[2], g[3] - m[3]
-    for k in range(3):
-        x = corners[FACE_VERTICES[face, k]]
-        if a * x[0] + b * x[1] + c * x[2] - o != 0.0:
-            return _clip(work.polygon, count, work.spare, a, b, c, o)
-    x = corners[face]
-    inside = inward * (a * x[0] + b * x[1] + c * x[2] - o)
-    return count if inside > 0.0 or (inside == 0.0 and at_tie) else 0
-
-
-@query_kernel
-def _clip_to_region(count, slots, work, owner, corners, face, inward):
-    """Clip work.polygon to where the choice of the others' minima holds and no functional of `owner` is below them.
-
-    corners, face, inward: as in `_clip_on_face`.
-    """
-    functionals, counts = work.functionals, work.counts
-    for s in range(slots):
-        if s == owner:
-            continue
-        m = functionals[s, work.choice[s]]
-        for q in range(counts[owner]):
-            if count:
-                first = work.labels[owner] < work.labels[s]
-                count = _clip_on_face(work, count, corners, face, inward, functionals[owner, q], m, first)
-        for q in range(counts[s]):
-            if q != work.choice[s] and count:
-                first = work.choice[s] < q
-                count = _clip_on_face(work, count, corners, face, inward, functionals[s, q], m, first)
-    return count
-
-
-@query_kernel
-def _clip_to_choice(polygon, count, spare, slots, functionals, counts, choice, owner, other):
-    """Clip an interface of `owner` and `other` to where the choice of minima holds and no third margin is larger."""
-    for s in range(slots):
-        m = functionals[s, choice[s]]
-        for q in range(counts[s]):
-            if q != choice[s] and count:
-                g = functionals[s, q]
-                count = _clip(polygon, count, spare, g[0] - m[0], g[1] - m[1], g[2] - m[2], g[3] - m[3])
-        if s != owner and s != other and count:
-            f = functionals[owner, choice[owner]]
-            count = _clip(polygon, count, spare, f[0] - m[0], f[1] - m[1], f[2] - m[2], f[3] - m[3])
-    return count
-
-
-@query_kernel
 def _emit(polygon, count, front, back, kind, triangles, fronts, backs, kinds, used):
     for k in range(1, count - 1):
         if used >= len(triangles):
@@ -275,7 +203,7 @@ def face_shares(face, slots, work, used):
         _first_choice(work)
         while True:
             count = _load_face(work.corners, face, work.polygon)
-            count = _clip_to_region(count, slots, work, f, work.corners, face, 1.0)
+            count = clip_to_region(count, slots, work, f, work.corners, face, 1.0)
             used = _emit(work.polygon, count, f, -1, face, work.triangles, work.fronts, work.backs, work.kinds, used)
             if not _next_choice(slots, work, f):
                 break
@@ -289,7 +217,7 @@ def interfaces(slots, work, used):
     Triangles go into `work` from row `used` on, right-handed about the outward normal of the slot in fronts; backs has
     the slot behind, kinds INTERFACE. Returns the row behind the last.
     """
-    functionals, choice, polygon = work.functionals, work.choice, work.polygon
+    functionals, choice, polygon, limit = work.functionals, work.choice, work.polygon, tie_limit(work.corners)
     _first_choice(work)
     while True:
         for f in range(slots):
@@ -298,9 +226,9 @@ def interfaces(slots, work, used):
                 h = functionals[g, choice[g]]
                 # outward of f is where its margin falls below g's
                 a, b, c, o = h[0] - m[0], h[1] - m[1], h[2] - m[2], h[3] - m[3]
-                count = _section(work.corners, a, b, c, o, polygon, work.value, work.order)
+                count = _section(work.corners, a, b, c, o, limit, polygon, work.value, work.order)
                 if count:
-                    count = _clip_to_choice(polygon, count, work.spare, slots, functionals, work.counts, choice, f, g)
+                    count = clip_to_choice(count, slots, work, limit, f, g)
                 used = _emit(polygon, count, f, g, INTERFACE, work.triangles, work.fronts, work.backs, work.kinds, used)
         if not _next_choice(slots, work, -1):
             return used
@@ -324,7 +252,7 @@ def steps(work, first, last, behind_slots, behind, used):
                 for k in range(3):
                     for d in range(3):
                         behind.polygon[k, d] = work.triangles[i, 3 * k + d]
-                count = _clip_to_region(3, behind_slots, behind, g, work.corners, work.kinds[i], -1.0)
+                count = clip_to_region(3, behind_slots, behind, g, work.corners, work.kinds[i], -1.0)
                 used = _emit(
                     behind.polygon, count, work.fronts[i], g, work.kinds[i], behind.triangles, behind.fronts,
                     behind.backs, behind.kinds, used,
@@ -361,12 +289,31 @@ def agree_on_face(slots, work, behind_slots, behind, face):
                 known = known or (g[0] == h[0] and g[1] == h[1] and g[2] == h[2] and g[3] == h[3])
             if not known:
                 return False
-    return True
+    return not _ties_on_face(slots, work, face)
+
+
+@query_kernel
+def _ties_on_face(slots, work, face):
+    """Whether margins of two slots may be equal all over a face: then each side of it can have an owner of its own."""
+    limit = tie_limit(work.corners)
+    for s in range(slots):
+        for r in range(s):
+            for q in range(work.counts[s] * work.counts[r]):
+                g, h = work.functionals[s, q % work.counts[s]], work.functionals[r, q // work.counts[s]]
+                equal = True
+                for k in range(3):
+                    c = work.corners[FACE_VERTICES[face, k]]
+                    d = (g[0] - h[0]) * c[0] + (g[1] - h[1]) * c[1] + (g[2] - h[2]) * c[2] - (g[3] - h[3])
+                    equal = equal and abs(d) <= limit
+                if equal:
+                    return True
+    return False
 
 
 @query_kernel
 def _owns_face(label, slots, work, corners, face):
     """Whether a fragment's margin is certainly the largest all over a face: functionals compared at its corners."""
+    limit = tie_limit(corners)
     own = 0
     while work.labels[own] != label:
         own += 1
@@ -382,7 +329,7 @@ def _owns_face(label, slots, work, corners, face):
                 for k in range(3):
                     c = corners[FACE_VERTICES[face, k]]
                     d = (g[0] - h[0]) * c[0] + (g[1] - h[1]) * c[1] + (g[2] - h[2]) * c[2] - (g[3] - h[3])
-                    everywhere = everywhere and d > 0.0
+                    everywhere = everywhere and d > limit
                 above = above or everywhere
             if not above:
                 return False

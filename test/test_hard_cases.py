@@ -1,0 +1,419 @@
+"""Hard shapes of cracks and fragments (scales, positions and turns: test_hard_scales.py). Lengths in units of R = 1 m.
+
+The truth is the slow oracle's: all polygons of FragmentedBody, all samples. A flat or an inverted tetrahedron is no
+case here; the gate refuses both in words (test_world_gate.py).
+"""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import pytest
+from contact_truth import SHAPES, ContactTruth, piled
+from fractured_worlds import SETTINGS, FracturedWorld, fractured_world, with_settings
+from hard_worlds import (
+    ROUNDING,
+    assert_contacts,
+    assert_geometry,
+    assert_partition,
+    broken_world,
+    by_labels,
+    common_plane,
+    lattice_planes,
+    own_planes,
+    samples_within,
+    sized,
+    tetrahedral_body,
+)
+from oracles.fracture_patterns import voronoi_event
+from rigid_shapes import boundary_of
+from scipy.spatial.transform import Rotation
+
+from fracture_collision.geometry.generators import TetGeometry, ball, brick, plate
+from fracture_collision.records import BOX, CollisionBody, FragmentStates, SolidPrimitive
+from fracture_collision.world import CollisionWorld
+
+EVERY_CONTACT = SETTINGS._replace(contacts_per_pair=100_000)
+UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
+BRICK = brick((2.0, 1.0, 1.0), 0.25)
+
+
+# --- parallel faces at exactly zero gap -------------------------------------------------------------------------------
+
+
+def block(kind: str, number: int, size: tuple[float, float, float]) -> CollisionBody:
+    body = tetrahedral_body(brick(size, 0.25), number)
+    if kind == "tetrahedra":
+        return body
+    if kind == "triangles":
+        vertices, triangles = boundary_of(brick(size, 0.25))
+        return body._replace(vertices=vertices.ravel(), triangles=triangles.ravel(), tetrahedra=np.zeros(0, np.uint32))
+    return CollisionBody(number, number, primitive=SolidPrimitive(BOX, size))
+
+
+@pytest.mark.parametrize(("lower", "upper"), product(("tetrahedra", "triangles", "box"), repeat=2), ids=lambda k: k)
+def test_parallel_faces_of_two_blocks_at_zero_gap(lower: str, upper: str) -> None:
+    """Every sample of the common face is neither inside nor outside: all listed, gaps 0 to 1e-12 R, normals upright."""
+    world = CollisionWorld(EVERY_CONTACT)
+    world.add_body(block(lower, 1, (2.0, 2.0, 1.0)))
+    world.add_body(block(upper, 2, (1.0, 0.75, 0.5)))
+    shift = np.array([0.07, -0.11, 0.75])  # no sample of either stands on a rim of the other's face
+    answer = world.contacts(FragmentStates(1, 0, np.array([1, 2]), np.append(np.zeros(3), shift), np.tile(UPRIGHT, 2)))
+    reach = SETTINGS.detection_tolerance * 0.5  # of the smaller R
+    expected = 0
+    for own, half in ((1, np.array([0.5, 0.375, 0.25])), (2, np.array([1.0, 1.0, 0.5]))):
+        tree = world._registry.geometry.sphere_tree(world._registry.row_of(own))
+        points = tree.center[(tree.size == 1) & (tree.on_surface == 1)] + (shift if own == 2 else -shift)
+        expected += int(np.count_nonzero(np.all(np.abs(points) <= half + reach, axis=1)))
+    assert len(answer.gaps) == expected >= 4
+    assert np.abs(answer.gaps).max() <= ROUNDING
+    assert np.abs(answer.normals.reshape(-1, 3) - [0.0, 0.0, 1.0]).max() <= ROUNDING
+    assert np.abs(answer.points_a - answer.points_b).max() <= ROUNDING
+    assert answer.missed_depth_bound.max() <= SETTINGS.penetration_tolerance
+
+
+@pytest.mark.parametrize("kind", ["tetrahedra", "triangles", "box"])
+def test_equal_blocks_flush_at_zero_gap(kind: str) -> None:
+    """As above with rims on rims, where a corner's nearest face may be a side: gaps 0 to 1e-12 R, faces upright."""
+    world = CollisionWorld(EVERY_CONTACT)
+    for number in (1, 2):
+        world.add_body(block(kind, number, (2.0, 2.0, 1.0)))
+    states = FragmentStates(1, 0, np.array([1, 2]), np.array([0.0, 0, 0, 0, 0, 1.0]), np.tile(UPRIGHT, 2))
+    answer = world.contacts(states)
+    tree = world._registry.geometry.sphere_tree(world._registry.row_of(1))
+    samples = tree.center[(tree.size == 1) & (tree.on_surface == 1)]
+    assert len(answer.gaps) == 2 * np.count_nonzero(samples[:, 2] == 0.5)
+    assert np.abs(answer.gaps).max() <= ROUNDING
+    normals = answer.normals.reshape(-1, 3)
+    assert np.abs(np.linalg.norm(normals, axis=1) - 1.0).max() <= ROUNDING
+    within = np.abs(answer.points_a.reshape(-1, 3)[:, :2]).max(axis=1) < 1.0 - ROUNDING
+    assert np.abs(normals[within] - [0.0, 0.0, 1.0]).max(initial=0.0) <= ROUNDING
+
+
+@pytest.mark.parametrize("name", ["between nodes", "through nodes", "tilted"])
+def test_flat_fragments_face_to_face_at_zero_gap(name: str) -> None:
+    """A fresh crack is closed to the last bit: all of its samples are contacts, gaps 0 to 1e-12 R, none is inside.
+
+    Normals are the crack's, but for samples on its rim, which lie on the old outside as well.
+    """
+    normal, offset = {
+        "between nodes": (np.array([1.0, 0.0, 0.0]), 0.1),
+        "through nodes": (np.array([1.0, 0.0, 0.0]), 0.25),
+        "tilted": (np.array([6.0, 2.0, 3.0]) / 7.0, 0.05),
+    }[name]
+    case = broken_world(BRICK, [by_labels(BRICK.vertices @ normal > offset, common_plane(normal, offset))])
+    answer = with_settings(case, EVERY_CONTACT).contacts(case.states())
+    first, second = case.oracle.fragment_ids
+    reach = SETTINGS.detection_tolerance
+    near = [samples_within(case, first, second, reach), samples_within(case, second, first, reach)]
+    assert len(answer.gaps) == len(near[0]) + len(near[1])
+    points = answer.points_a.reshape(-1, 3)
+    closed = np.abs(points @ normal - offset) <= ROUNDING
+    assert np.count_nonzero(closed) >= 50
+    assert np.abs(answer.gaps[closed]).max() <= ROUNDING
+    assert answer.gaps.min() >= -ROUNDING
+    on_rim = np.abs(np.abs(points) - np.array([1.0, 0.5, 0.5])).min(axis=1) <= ROUNDING
+    flat = closed & ~on_rim
+    assert np.count_nonzero(flat) >= 10
+    assert np.abs(answer.normals.reshape(-1, 3)[flat] - normal).max() <= ROUNDING
+
+
+# --- cracks through nodes and along faces -----------------------------------------------------------------------------
+
+
+def turned(body: TetGeometry) -> tuple[TetGeometry, np.ndarray]:
+    rotation = Rotation.from_rotvec([0.3, 0.7, -0.4]).as_matrix()
+    return sized(body._replace(vertices=body.vertices @ rotation.T)), rotation
+
+
+@pytest.mark.parametrize("aligned", [True, False], ids=["exact", "rounded"])
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_crack_through_nodes_and_along_faces(aligned: bool, side: str) -> None:
+    """The nodes in the plane belong to one side only, though all their tetrahedra lie on the other.
+
+    Exactly, margins are equal all over a face; turned, rounding makes them differ by 1e-17. Each half has half the
+    volume to 1e-12, no sample within the other, and depth to 1e-9 R.
+    """
+    body, rotation = (BRICK, np.eye(3)) if aligned else turned(BRICK)
+    labels = BRICK.vertices[:, 0] >= 0.0 if side == "right" else BRICK.vertices[:, 0] > 0.0
+    case = broken_world(body, [by_labels(labels, common_plane(rotation[:, 0], 0.0))])
+    masses = case.world.fragments().masses
+    assert np.abs(masses / masses.sum() - 0.5).max() <= ROUNDING
+    assert_geometry(case)
+    assert assert_contacts(case) > 0
+
+
+def test_crack_along_the_diagonal_faces_of_a_brick() -> None:
+    """The plane x = y holds a face of every tetrahedron that it meets: a partition, exact depth, snug fragments."""
+    x, y, _ = BRICK.vertices.T
+    case = broken_world(BRICK, [by_labels(x > y, common_plane(np.array([1.0, -1.0, 0.0]) / np.sqrt(2.0), 0.0))])
+    assert_geometry(case)
+    assert assert_contacts(case) > 0
+
+
+def test_cracks_that_cross_in_nodes_and_edges() -> None:
+    """Two cracks cross in an edge of the mesh, with seeds so even that three or four cells are equally near there."""
+    seeds = np.array([[x, y, 0.0] for x in (-0.5, 0.5) for y in (-0.25, 0.25)])
+    case = broken_world(BRICK, [lambda body, first, sequence: voronoi_event(body, 1, seeds, first, sequence)])
+    assert np.abs(case.world.fragments().masses / case.world.fragments().masses.sum() - 0.25).max() <= ROUNDING
+    assert_geometry(case)
+    assert assert_contacts(case) > 0
+
+
+# --- planes that do not agree -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("cells", [2, 3, 6])
+@pytest.mark.parametrize("kind", ["any", "lattice"])
+def test_planes_that_do_not_agree_still_make_a_partition(kind: str, cells: int) -> None:
+    """Random labels and a plane of its own for each cut edge: volumes add up to 1e-12, each point has one owner.
+
+    With planes of a lattice many margins are equal, on faces, planes, and in all of a tetrahedron. Depth to 1e-9 R.
+    """
+    body = brick((2.0, 1.0, 1.0), 0.5)
+    labels = np.random.default_rng(cells).integers(0, cells, len(body.vertices))
+    planes = own_planes(body.vertices, cells, 0.7) if kind == "any" else lattice_planes(body.vertices, cells)
+    case = broken_world(body, [by_labels(labels, planes)])
+    assert_geometry(case, snug=False)
+    # in place, samples lie on faces whose two sides disagree about them
+    assert assert_contacts(case, ("jittered", "deep")) > 0
+
+
+# --- slivers, plates, single nodes, many fragments, generations -------------------------------------------------------
+
+
+@pytest.mark.parametrize("thickness", [0.05, 1e-4, 1e-7], ids=str)
+def test_plate_one_tetrahedron_thick(thickness: float) -> None:
+    """No node and no room inside: all depths are below half the thickness, far below the tolerances. Same numbers.
+
+    1e-7 R is near the limit at which the gate calls a tetrahedron flat.
+    """
+    body = sized(plate(2.0, thickness, 0.3, 0.0, layers=1))
+    case = broken_world(body, [
+        lambda whole, first, sequence: voronoi_event(
+            whole, 1, np.random.default_rng(4).uniform(-0.7, 0.7, (6, 3)) * [1, 1, 0], first, sequence
+        )
+    ])  # fmt: skip
+    assert_geometry(case)
+    assert assert_contacts(case) > 0
+
+
+@pytest.mark.parametrize("flatness", [1e-3, 1e-7], ids=str)
+def test_slivers(flatness: float) -> None:
+    """Inner nodes pushed almost into the opposite face of a tetrahedron: weights lose digits, answers must not."""
+    body = brick((2.0, 1.0, 1.0), 0.5)
+    vertices = body.vertices.copy()
+    inner = np.flatnonzero(np.all(np.abs(vertices) < [0.9, 0.4, 0.4], axis=1))
+    around = [t for t in body.tetrahedra.tolist() if inner[0] in t]
+    a, b, c = (vertices[v] for v in around[0] if v != inner[0])
+    normal = np.cross(b - a, c - a)
+    normal /= np.linalg.norm(normal)
+    # the foot of the node on that face, and a hair back
+    height = normal @ (vertices[inner[0]] - a)
+    vertices[inner[0]] -= (height - np.sign(height) * flatness) * normal
+    case = broken_world(body._replace(vertices=vertices), [
+        lambda whole, first, sequence: voronoi_event(
+            whole, 1, np.random.default_rng(2).uniform(-0.5, 0.5, (5, 3)), first, sequence
+        )
+    ])  # fmt: skip
+    assert_geometry(case)
+    assert assert_contacts(case) > 0
+
+
+@pytest.mark.parametrize("place", ["corner", "face", "inside"])
+def test_fragment_of_a_single_node(place: str) -> None:
+    """No edge and no tetrahedron of its own, and inside not even a sample of the old surface. Same numbers."""
+    body = brick((2.0, 1.0, 1.0), 0.5)
+    target = {"corner": [1.0, 0.5, 0.5], "face": [0.0, 0.0, 0.5], "inside": [0.0, 0.0, 0.0]}[place]
+    node = int(np.argmin(np.linalg.norm(body.vertices - target, axis=1)))
+    labels = (np.arange(len(body.vertices)) == node).astype(int)
+
+    def across(a: int, b: int, i: int, _j: int) -> tuple[np.ndarray, float]:
+        along = body.vertices[b] - body.vertices[a]
+        normal = along / np.linalg.norm(along)
+        return normal, float(normal @ (body.vertices[a] + (0.4 if i else 0.6) * along))
+
+    case = broken_world(body, [by_labels(labels, across)])
+    assert sorted(np.unique(case.oracle.labels, return_counts=True)[1].tolist())[0] == 1
+    assert_geometry(case, snug=False)
+    assert assert_contacts(case, ("jittered", "deep")) > 0
+
+
+def broken_to_pieces(edge_length: float, pieces: int, seed: int) -> FracturedWorld:
+    body = ball(1.0, edge_length)
+    nodes = np.random.default_rng(seed).choice(len(body.vertices), pieces, replace=False)
+    case = broken_world(body, [
+        lambda whole, first, sequence: voronoi_event(whole, 1, whole.vertices[nodes], first, sequence)
+    ])  # fmt: skip
+    assert len(case.oracle.fragment_ids) >= pieces
+    return case
+
+
+def test_four_hundred_fragments_of_one_body() -> None:
+    """Two or three nodes a fragment, up to four fragments in every tetrahedron: a partition, and true contacts."""
+    case = broken_to_pieces(0.17, 400, 3)
+    assert_partition(case, points=100)
+    truth = ContactTruth(case)
+    assert assert_contacts(case, ["jittered", piled(truth, 1, 1.0)]) > 400
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+def test_four_hundred_fragments_of_a_fine_body() -> None:
+    case = broken_to_pieces(0.1, 400, 4)
+    assert_geometry(case, points=20_000)
+    assert assert_contacts(case) > 400
+
+
+@pytest.mark.parametrize("cracks", ["flat", "curved"])
+def test_contacts_of_the_fifth_generation(cracks: str) -> None:
+    """Cracks that end at cracks that end at cracks: contacts are true where five fractures met in a tetrahedron."""
+    case = fractured_world(SHAPES["ball"](), seeds=3, generations=5, curved=cracks == "curved")
+    assert case.generations == 5 and len(case.oracle.fragment_ids) >= 11
+    assert assert_contacts(case, ("touching", "jittered", "deep")) > 0
+
+
+# --- concave fragments ------------------------------------------------------------------------------------------------
+
+
+def sphere_cracks(vertices: np.ndarray, radius: float):
+    """Each cut edge carries the plane that touches the sphere about the origin where the edge crosses it."""
+
+    def plane(a: int, b: int, _i: int, _j: int) -> tuple[np.ndarray, float]:
+        start, along = vertices[a], vertices[b] - vertices[a]
+        p, q, r = along @ along, start @ along, start @ start - radius**2
+        outwards = r < 0.0
+        crossing = start + (-q + (1.0 if outwards else -1.0) * np.sqrt(q * q - p * r)) / p * along
+        normal = crossing / np.linalg.norm(crossing)
+        normal *= np.sign(normal @ along)
+        return normal, float(normal @ crossing)
+
+    return plane
+
+
+def test_shell_around_small_fragments() -> None:
+    """One fragment surrounds the others, its box and its middle theirs: contacts true, in place, jittered and deep."""
+    body = ball(1.0, 0.2)
+    labels = np.linalg.norm(body.vertices, axis=1) > 0.7
+    random = np.random.default_rng(6)
+    case = broken_world(body, [
+        by_labels(labels, sphere_cracks(body.vertices, 0.7)),
+        lambda whole, first, sequence: voronoi_event(
+            whole, whole.labels[0] if not labels[0] else whole.labels[~labels][0], random.uniform(-0.5, 0.5, (6, 3)),
+            first, sequence,
+        ),
+    ])  # fmt: skip
+    shell = case.oracle.labels[labels][0]
+    assert len(case.oracle.fragment_ids) >= 6
+    assert_geometry(case, snug=False)
+    assert assert_contacts(case) > 0
+    answer = case.world.contacts(case.states(jitter=0.01, seed=3))
+    assert np.count_nonzero((answer.fragment_a == shell) | (answer.fragment_b == shell)) == len(case.oracle.fragment_ids) - 1
+
+
+def pixels(*rows: str):
+    """Labels of points of the brick below by a picture in x and y, first row on top, each letter 1/4 wide and high."""
+    picture = np.array([list(row) for row in rows[::-1]]) == "A"
+
+    def label(points: np.ndarray) -> np.ndarray:
+        # borders half an edge beside the nodes
+        at = np.floor((points[..., :2] + [1.0, 0.5]) / 0.25 - 0.25 + 1e-9).astype(int)
+        i, j = np.clip(at, 0, np.array(picture.T.shape) - 1).T
+        return picture.T[i, j].astype(int)
+
+    return label
+
+
+HOOKS = pixels("AAAAAAAA", "BBBBBBAA", "BBAAAAAA", "BBBBBBBB")
+COMBS = pixels("AAAAAAAA", "ABBABBAB", "ABBABBAB", "BBBBBBBB")
+SPIRALS = pixels("AAAAAAAA", "ABBBBBBA", "ABAAAAAA", "ABBBBBBB")
+
+
+@pytest.mark.parametrize("label", [HOOKS, COMBS, SPIRALS], ids=["hooks", "combs", "spirals"])
+def test_interlocked_fragments(label) -> None:
+    """Each fragment reaches around the other, hulls and boxes overlap all over: contacts true, in place and moved."""
+    case = interlocked(label)
+    assert len(case.oracle.fragment_ids) == 2
+    assert_geometry(case, snug=False)
+    assert assert_contacts(case) > 0
+
+
+def interlocked(label) -> FracturedWorld:
+    body = brick((2.0, 1.0, 0.25), 0.125)
+
+    def plane(a: int, b: int, i: int, _j: int) -> tuple[np.ndarray, float]:
+        start, along = body.vertices[a], body.vertices[b] - body.vertices[a]
+        # across the axis along which the label changes; at corners one of them
+        axes = [k for k in np.flatnonzero(along) if label(start + along * (np.arange(3) == k)) != i]
+        axis = axes[0] if axes else np.flatnonzero(along)[0]
+        normal = np.sign(along) * (np.arange(3) == axis)
+        return normal, float(normal @ (start + 0.5 * along))
+
+    return broken_world(body, [by_labels(label(body.vertices), plane)])
+
+
+def test_hooks_cannot_be_pulled_apart() -> None:
+    """A hull-based method would hold them apart in place; here pulling by 0.05 R is what makes contacts of 0.05 R.
+
+    To 1e-12 R, with normals against the pull: lip on lip.
+    """
+    case = interlocked(HOOKS)
+    upper = int(case.oracle.labels[np.argmax(case.oracle.vertices[:, 1])])
+    ids = np.array(case.oracle.fragment_ids)
+    positions = np.outer(ids == upper, [0.0, 0.05, 0.0])
+    states = FragmentStates(1, 1, ids, positions.ravel(), np.tile(UPRIGHT, len(ids)))
+    assert assert_contacts(case, [states]) > 0
+    answer = with_settings(case, EVERY_CONTACT).contacts(states)
+    towards = 1.0 if answer.fragment_a[0] == upper else -1.0
+    normals = answer.normals.reshape(-1, 3)
+    lips = np.abs(normals - [0.0, towards, 0.0]).max(axis=1) <= ROUNDING
+    assert np.count_nonzero(lips) >= 20
+    assert answer.gaps[lips].min() == pytest.approx(-0.05, abs=ROUNDING)
+
+
+# --- penetration past the middle --------------------------------------------------------------------------------------
+
+
+def depth_in_box(points: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    return np.minimum(points - low, high - points).min(axis=1)
+
+
+def test_fragments_pushed_past_the_middle() -> None:
+    """The nearest way out is no longer where the fragment came from: depth is the box's, to 1e-12 R, none is missed."""
+    case = broken_world(BRICK, [by_labels(BRICK.vertices[:, 0] > 0.1, common_plane(np.array([1.0, 0.0, 0.0]), 0.1))])
+    left = int(case.oracle.labels[0])
+    ids = np.array(case.oracle.fragment_ids)
+    shift = np.array([-0.8, 0.03, -0.07])
+    states = FragmentStates(1, 1, ids, np.outer(ids != left, shift).ravel(), np.tile(UPRIGHT, 2))
+    assert assert_contacts(case, [states]) > 0
+    answer = with_settings(case, EVERY_CONTACT).contacts(states)
+    # both fragments are boxes
+    limits = {left: np.array([[-1.0, -0.5, -0.5], [0.1, 0.5, 0.5]])}
+    limits[int(ids[ids != left][0])] = np.array([[0.1, -0.5, -0.5], [1.0, 0.5, 0.5]]) + shift
+    # a sample of one is deep in the other, its witness on that one's surface
+    in_a, in_b = (
+        depth_in_box(answer.points_b.reshape(-1, 3), *limits[ids[0]]),
+        depth_in_box(answer.points_a.reshape(-1, 3), *limits[ids[1]]),
+    )
+    assert np.abs(np.maximum(in_a, in_b).max() + answer.gaps.min()) <= ROUNDING
+    assert -answer.gaps.min() > 0.29
+
+
+@pytest.mark.parametrize("kind", ["tetrahedra", "triangles", "box"])
+def test_a_block_in_the_middle_of_another(kind: str) -> None:
+    """All samples of the one are far inside the other: all are listed, each as deep as the box says, to 1e-12 R."""
+    world = CollisionWorld(EVERY_CONTACT)
+    world.add_body(block(kind, 1, (2.0, 2.0, 1.0)))
+    world.add_body(block("tetrahedra", 2, (1.0, 0.75, 0.5)))
+    shift = np.array([0.03, 0.02, -0.11])
+    turn = Rotation.from_rotvec([0.1, 0.2, 0.3])
+    answer = world.contacts(
+        FragmentStates(1, 0, np.array([1, 2]), np.append(np.zeros(3), shift), np.append(UPRIGHT, turn.as_quat()))
+    )
+    tree = world._registry.geometry.sphere_tree(world._registry.row_of(2))
+    samples = turn.apply(tree.center[(tree.size == 1) & (tree.on_surface == 1)]) + shift
+    half = np.array([1.0, 1.0, 0.5])
+    expected = np.sort(-depth_in_box(samples, -half, half))
+    assert expected.max() < -0.05
+    assert np.abs(np.sort(answer.gaps) - expected).max() <= ROUNDING
