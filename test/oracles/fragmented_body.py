@@ -148,8 +148,28 @@ class FragmentedBody:
                 if not faces:
                     break
             else:
+                faces = [FragmentedBody._decided(f, face, halfspaces, planes) for face in faces]
                 result.append(Cell(faces, halfspaces))
         return result
+
+    @staticmethod
+    def _decided(f: int, face: Face, halfspaces: list[tuple[np.ndarray, float]], planes: dict[int, dict]) -> Face:
+        """The face, labelled anew where several halfspaces end in it: what lies just behind it has the word."""
+        (kind, _), points = face
+        if kind == "face" or len(halfspaces) < 2:
+            return face
+        normals, offsets = np.array([n for n, _ in halfspaces]), np.array([o for _, o in halfspaces])
+        size = np.abs(points).max()
+        if np.count_nonzero(np.abs(points @ normals.T - offsets).max(axis=0) <= 1e-14 * size) < 2:
+            return face
+        outward = area_vector(points)
+        length = np.linalg.norm(outward)
+        if length == 0.0:
+            return face
+        behind = points.mean(axis=0) + 1e-6 * size * outward / length
+        margins = {g: min(behind @ p[:3] - p[3] for p in own) for g, own in planes.items()}
+        owner = min(margins, key=lambda g: (-margins[g], g))
+        return face._replace(label=("inner", 0) if owner == f else ("crack", owner))
 
     @staticmethod
     def _label(f: int, plane: tuple, concerned: list[int], planes: dict[int, dict[tuple, None]]) -> tuple:
