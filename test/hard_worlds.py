@@ -107,6 +107,13 @@ def anywhere(case: FracturedWorld, count: int, seed: int) -> np.ndarray:
     return np.einsum("nij,ni->nj", case.oracle.vertices[tets], random.dirichlet(np.ones(4), count))
 
 
+def fragments_with(case: FracturedWorld, points: np.ndarray) -> np.ndarray:
+    """Whether the service has each point (n, 3) inside each fragment, by ascending id: (n, fragments) bool."""
+    scratch, pools = make_scratch(1, len(case.oracle.tetrahedra), 8), case.geometry.pools
+    rows = [case.row(f) for f in case.oracle.fragment_ids]
+    return np.array([[inside_tetrahedron(pools, row, *x, scratch, 0) >= 0 for row in rows] for x in points.tolist()])
+
+
 def assert_partition(case: FracturedWorld, points: int = 500) -> None:
     """Volumes are the oracle's and add up to the body's; a point of the body is in one fragment and in no other."""
     whole = tetrahedron_volumes(case.oracle.vertices, case.oracle.tetrahedra).sum()
@@ -117,11 +124,7 @@ def assert_partition(case: FracturedWorld, points: int = 500) -> None:
     assert np.abs(mine - theirs).max() <= ROUNDING * whole
     spread = anywhere(case, points, seed=5)
     owner = case.oracle.owner(spread)
-    scratch, pools = make_scratch(1, len(case.oracle.tetrahedra), 8), case.geometry.pools
-    inside = np.array([
-        [inside_tetrahedron(pools, case.row(f), *x, scratch, 0) >= 0 for f in case.oracle.fragment_ids]
-        for x in spread.tolist()
-    ])  # fmt: skip
+    inside = fragments_with(case, spread)
     assert np.array_equal(inside.sum(axis=1), np.ones(points, dtype=int))
     assert np.array_equal(np.array(case.oracle.fragment_ids)[inside.argmax(axis=1)], owner)
 

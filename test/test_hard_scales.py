@@ -163,11 +163,19 @@ def test_a_millimetre_on_a_kilometre(kind: str, place: str) -> None:
         FragmentStates(1, 0, np.array([1, 2]), positions, np.append(UPRIGHT, turn.as_quat()))
     )
     heights = (turn.apply(surface_vertices(pebble)) + positions[3:])[:, 2]
+    if place == "on a node" and kind != "box":
+        # a sample of the big within the small: as deep as it is far from the nearest of the small one's faces
+        a, b, c = np.moveaxis(boundary_of(pebble).corners, 1, 0)
+        normals = np.cross(b - a, c - a)
+        normals /= np.linalg.norm(normals, axis=1)[:, None]
+        node = turn.inv().apply(np.array([x, y, 0.0]) - positions[3:])
+        heights = np.append(heights, ((node - a) * normals).sum(axis=1).max())
     expected = np.sort(heights[heights <= SETTINGS.detection_tolerance * SMALL])
     assert len(expected) >= 3
     assert len(answer.gaps) == len(expected)
     assert np.abs(np.sort(answer.gaps) - expected).max() <= 1e-6 * SMALL
-    assert np.abs(answer.normals.reshape(-1, 3) - [0.0, 0.0, 1.0]).max() <= ROUNDING
+    upwards = np.abs(answer.normals.reshape(-1, 3) - [0.0, 0.0, 1.0]).max(axis=1) <= ROUNDING
+    assert np.count_nonzero(~upwards) <= (1 if place == "on a node" else 0)
     assert np.abs(answer.points_a.reshape(-1, 3)[:, 2]).max() <= 1e-6 * SMALL
 
 
@@ -250,12 +258,12 @@ def test_a_million_turns_of_the_scene() -> None:
 def test_a_million_turns_of_one_fragment(steps: int) -> None:
     """One fragment comes back to where it was: its contacts are those of rest to the drift of the accumulated angle.
 
-    A step's angle is rounded to 1e-16, so `steps` * 1e6 products drift by less than 2e-16 rad each.
+    A step's angle is rounded to 1e-16 or so: `steps` * 1e6 products drift by less than 4e-16 rad each.
     """
     case = broken_ball()
     states = jittered(case)
     turn = Rotation.from_quat(accumulated(Rotation.from_rotvec(2.0 * np.pi / steps * AXIS).as_quat(), steps * TURNS))
-    drift = steps * TURNS * 2e-16
+    drift = steps * TURNS * 4e-16
     orientations = Rotation.from_quat(states.orientations.reshape(-1, 4))
     quaternions = orientations.as_quat()
     quaternions[0] = (orientations[0] * turn).as_quat()
