@@ -7,12 +7,16 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from fracture_collision.core.compiled import inlined_kernel
 from fracture_collision.core.cut_tetrahedron import collect_margins, owner_slot
 from fracture_collision.core.pools import CUT, NEVER_BROKEN
 
 # A point of a shared face belongs to the first of its tetrahedra; rounding must not lose it between them.
 WEIGHT_TOLERANCE = -1e-12
+# Far from the origin of the body frame a weight is a small difference of large terms, and rounds as these do.
+TERM_ROUNDING = 8.0 * np.finfo(np.float64).eps
 
 
 @inlined_kernel
@@ -29,14 +33,15 @@ def tetrahedron_at(mesh, k, x, y, z):
     for e in range(mesh.cell_begin[c], mesh.cell_begin[c + 1]):
         t = mesh.cell_tets[e]
         b = mesh.barycentric[t]
+        least = WEIGHT_TOLERANCE - TERM_ROUNDING * (abs(b[3]) + abs(b[7]) + abs(b[11]))
         w1 = b[0] * x + b[1] * y + b[2] * z + b[3]
-        if w1 < WEIGHT_TOLERANCE:
+        if w1 < least:
             continue
         w2 = b[4] * x + b[5] * y + b[6] * z + b[7]
-        if w2 < WEIGHT_TOLERANCE:
+        if w2 < least:
             continue
         w3 = b[8] * x + b[9] * y + b[10] * z + b[11]
-        if w3 >= WEIGHT_TOLERANCE and 1.0 - w1 - w2 - w3 >= WEIGHT_TOLERANCE:
+        if w3 >= least and 1.0 - w1 - w2 - w3 >= least:
             return t
     return -1
 
