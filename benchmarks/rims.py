@@ -1,6 +1,6 @@
 """Which way contacts between neighbours point: along the nearest way out, or along the crack the two share.
 
-    python benchmarks/rims.py [body ...]        default: all
+    python benchmarks/rims.py [body ...]        default: all, and the plot docs/rims.png
 """
 
 from __future__ import annotations
@@ -10,7 +10,11 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt  # noqa: E402
+import numpy as np  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "test")]  # the truth lives with the tests
@@ -34,6 +38,7 @@ BODIES: dict[str, Callable[[], TetGeometry]] = {
     "coarse ball": lambda: ball(1.0, 0.35),
 }
 PIECES, FRAMES = 20, 8
+PLOTTED = ("ball", "shell", "torus")
 DEEPER = Settings().penetration_tolerance
 LEGEND = f"""
 {PIECES} cells; {FRAMES} frames, each fragment moved by up to 1 % R and turned by up to 1 degree; contacts between
@@ -48,14 +53,34 @@ in place: share off of all contacts with every fragment where it was. time: of a
 def main(names: list[str]) -> None:
     cells = ("contacts", "off", "", "opposed", "", "turn", "", "true", "deeper", "in place", "", "time")
     print(_line("body", "cracks", *cells), flush=True)
+    angles: dict[tuple[str, bool], tuple[np.ndarray, np.ndarray]] = {}
     cases = [(name, curved) for name in names for curved in (False, True)]
     for name, curved in track(cases, "rims", console=Console(stderr=True)):
-        row = _row(broken_body(BODIES[name](), PIECES, curved))
+        row, angles[name, curved] = _row(broken_body(BODIES[name](), PIECES, curved))
         print(_line(name, "curved" if curved else "flat", *row), flush=True)
     print(LEGEND)
+    if set(PLOTTED) <= set(names):
+        _plot(angles)
 
 
-def _row(broken: BrokenBody) -> list[str]:
+def _plot(angles: dict[tuple[str, bool], tuple[np.ndarray, np.ndarray]]) -> None:
+    """Share of contacts that are farther off the crack's direction than an angle."""
+    figure, panels = plt.subplots(1, 2, figsize=(9.0, 3.6), sharey=True)
+    for panel, curved in zip(panels, (False, True), strict=True):
+        for name, colour in zip(PLOTTED, ("tab:blue", "tab:orange", "tab:green"), strict=True):
+            for way, off, style in zip(("nearest", "crack"), angles[name, curved], ("--", "-"), strict=True):
+                panel.plot(np.sort(off), 100.0 * (1.0 - np.arange(len(off)) / len(off)), style, color=colour,
+                           label=f"{name}, {way}")  # fmt: skip
+        panel.axvline(30.0, color="grey", linewidth=0.8)
+        panel.set(title=f"{'curved' if curved else 'flat'} cracks", xlabel="degrees off the crack's direction",
+                  xlim=(0.0, 180.0), ylim=(0.005, 100.0), yscale="log")  # fmt: skip
+    panels[0].set_ylabel("contacts farther off [%]")
+    panels[1].legend(fontsize=8)
+    figure.tight_layout()
+    figure.savefig(ROOT / "docs/rims.png", dpi=100)
+
+
+def _row(broken: BrokenBody) -> tuple[list[str], tuple[np.ndarray, np.ndarray]]:
     worlds = [world_of(broken, Settings(threads=1, normals=normals)) for normals in ("nearest", "crack")]
     frames = [jittered(broken, worlds[0], 0.01, 1.0, seed) for seed in range(FRAMES)]
     at_rest = [jittered(broken, worlds[0], 0.0, 0.0, 0)]
@@ -65,11 +90,13 @@ def _row(broken: BrokenBody) -> list[str]:
     extra = (depths[1] - depths[0])[depths[0] > 0.0] / (0.5 * broken.longest)
     turns = [f"{np.median(m.apart):.0f}/{np.quantile(m.apart, 0.99):.0f}" for m in (nearest, crack)]
     true = f"{np.median(crack.apart_in_truth):.0f}/{np.quantile(crack.apart_in_truth, 0.99):.0f}"
-    return [
-        str(crack.contacts), f"{nearest.off:.1%}", f"{crack.off:.2%}", f"{nearest.opposed:.2%}", f"{crack.opposed:.3%}",
+    row = [
+        str(len(crack.angles)), f"{nearest.off:.1%}", f"{crack.off:.2%}",
+        f"{nearest.opposed:.2%}", f"{crack.opposed:.3%}",
         *turns, true, f"{extra.mean():.4f}/{extra.max():.3f}", f"{rest[0]:.0%}", f"{rest[1]:.1%}",
         f"{_ratio(worlds, frames):.2f}",
     ]  # fmt: skip
+    return row, (nearest.angles, crack.angles)
 
 
 def _ratio(worlds, frames: list[FragmentStates]) -> float:

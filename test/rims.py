@@ -15,7 +15,6 @@ from fracture_collision.records import CollisionBody, FractureEvent, FragmentSta
 from fracture_collision.world import CollisionWorld, Settings
 
 AMPLITUDE = 0.15  # of a curved crack's warp, in parts of the body's longest side
-OFF = np.cos(np.radians(30.0))
 # Contacts of a pair nearer than this share of R to each other are neighbours.
 NEIGHBOUR = 0.1
 
@@ -47,11 +46,15 @@ class BrokenBody(NamedTuple):
 class RimMeasure(NamedTuple):
     """Contacts between neighbours; lengths in parts of R, angles in degrees."""
 
-    contacts: int
-    off: float  # share whose normal is more than 30 degrees off the crack's
+    angles: np.ndarray  # (contacts,) between the normal and the crack's direction
     opposed: float  # share of pairs of neighbouring contacts whose normals point against each other
     apart: np.ndarray  # angles between the normals of neighbouring contacts
     apart_in_truth: np.ndarray  # and between the crack's directions at them
+
+    @property
+    def off(self) -> float:
+        """Share of contacts whose normal is more than 30 degrees off."""
+        return float(np.mean(self.angles > 30.0))
 
 
 def broken_body(geometry: TetGeometry, pieces: int, curved: bool, seed: int = 3) -> BrokenBody:
@@ -97,7 +100,7 @@ def jittered(broken: BrokenBody, world: CollisionWorld, distance: float, degrees
 
 def measure(broken: BrokenBody, world: CollisionWorld, frames: list[FragmentStates], deeper: float) -> RimMeasure:
     """Over contacts between neighbours deeper than `deeper` (of R; minus infinity: all)."""
-    found, opposed, pairs = 0, 0, 0
+    opposed, pairs = 0, 0
     normals, truths = [], []
     apart, apart_in_truth = [], []
     for states in frames:
@@ -116,7 +119,6 @@ def measure(broken: BrokenBody, world: CollisionWorld, frames: list[FragmentStat
             ]
             truth = (ways[0] + ways[1]) / np.linalg.norm(ways[0] + ways[1], axis=1)[:, None]
             normal = answer.normals.reshape(-1, 3)[rows]
-            found += len(rows)
             normals.append(normal)
             truths.append(truth)
             close = cKDTree(points[rows]).query_pairs(NEIGHBOUR * 0.5 * broken.longest, output_type="ndarray")
@@ -124,10 +126,13 @@ def measure(broken: BrokenBody, world: CollisionWorld, frames: list[FragmentStat
             apart_in_truth.append(_angles(truth, close))
             opposed += int(np.count_nonzero(apart[-1] > 90.0))
             pairs += len(close)
-    cosine = (np.concatenate(normals) * np.concatenate(truths)).sum(axis=1)
-    off = float(np.mean(cosine < OFF))
-    return RimMeasure(found, off, opposed / max(pairs, 1), np.concatenate(apart), np.concatenate(apart_in_truth))
+    angles = _angle(np.concatenate(normals), np.concatenate(truths))
+    return RimMeasure(angles, opposed / max(pairs, 1), np.concatenate(apart), np.concatenate(apart_in_truth))
 
 
 def _angles(unit: np.ndarray, pairs: np.ndarray) -> np.ndarray:
-    return np.degrees(np.arccos(np.clip((unit[pairs[:, 0]] * unit[pairs[:, 1]]).sum(axis=1), -1.0, 1.0)))
+    return _angle(unit[pairs[:, 0]], unit[pairs[:, 1]])
+
+
+def _angle(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    return np.degrees(np.arccos(np.clip((first * second).sum(axis=1), -1.0, 1.0)))

@@ -78,7 +78,7 @@ def test_fewer_than_one_in_a_hundred_points_away_from_the_crack(shape: str, crac
     worlds = [world_of(broken, SETTINGS._replace(normals=normals)) for normals in ("nearest", "crack")]
     frames = [jittered(broken, worlds[0], 0.01, 1.0, seed) for seed in range(4)]
     nearest, crack = (measure(broken, world, frames, SETTINGS.penetration_tolerance) for world in worlds)
-    assert crack.contacts > 500
+    assert len(crack.angles) > 500
     assert nearest.off > 0.04  # the rims are there
     assert crack.off < 0.01
     assert crack.opposed < (0.001 if cracks == "curved" else 1e-12)
