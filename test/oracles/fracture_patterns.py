@@ -72,6 +72,31 @@ def curved_event(
     return _event(body, fragment_id, nearest, tangent, first_new_id, sequence, body_id)
 
 
+def disagreeing_event(
+    body: FragmentedBody,
+    fragment_id: int,
+    seeds: np.ndarray,
+    first_new_id: int,
+    sequence: int,
+    tilt: float,
+    random: np.random.Generator,
+) -> FractureEvent:
+    """As `voronoi_event`, but every cut edge has a plane of its own: across the edge, tilted at random and put anywhere
+    along it. `tilt`: the deviation of the normal from the edge's direction, as a ratio; no two planes agree.
+    """
+
+    def plane(a: int, b: int, _i: int, _j: int) -> tuple[np.ndarray, float]:
+        start, along = body.vertices[a], body.vertices[b] - body.vertices[a]
+        normal = along / np.linalg.norm(along) + tilt * random.normal(size=3)
+        normal /= np.linalg.norm(normal)
+        if normal @ along < 0.1 * np.linalg.norm(along):
+            normal = along / np.linalg.norm(along)
+        return normal, float(normal @ (start + random.uniform(0.02, 0.98) * along))
+
+    seeds = np.asarray(seeds, dtype=np.float64)
+    return _event(body, fragment_id, _nearest(body.vertices, seeds), plane, first_new_id, sequence, 1)
+
+
 def warp_of(length: float, amplitude: float) -> Callable[[np.ndarray], np.ndarray]:
     """The map of points (..., 3) [m] in whose image the cells of `curved_event` are Voronoi; `length` [m]: the body's
     longest side.
