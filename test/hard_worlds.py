@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 import numpy as np
-from contact_truth import ContactTruth, surface_samples
+from contact_truth import ContactTruth, assert_true, check_all_pairs, surface_samples
 from fractured_worlds import DENSITY, SETTINGS, FracturedWorld
 from oracles.brute_force import distances
 from oracles.fracture_patterns import CrackPlane, event_of_labels
 from oracles.fragmented_body import FragmentedBody
-from test_contacts_truth import FRAMES, assert_true, check_all_pairs
+from test_contacts_truth import FRAMES
 from test_exact_field import assert_equal, compare
 from test_fragment_bounds import assert_kept, check_fragments
 

@@ -10,7 +10,7 @@ from itertools import combinations, product
 
 import numpy as np
 import pytest
-from contact_truth import COARSE_SHAPES, ContactTruth, Poses, check_pair, pairs_of
+from contact_truth import COARSE_SHAPES, ContactTruth, Poses, assert_true, check_pair, pairs_of
 from fractured_worlds import DENSITY, SETTINGS, FracturedWorld, fractured_world, with_settings
 from hard_worlds import (
     ROUNDING,
@@ -31,7 +31,7 @@ from oracles.brute_force import owners
 from oracles.fracture_patterns import voronoi_event
 from rigid_shapes import boundary_of
 from scipy.spatial.transform import Rotation
-from test_contacts_truth import FRAMES, assert_true
+from test_contacts_truth import FRAMES
 
 from fracture_collision.geometry.generators import TetGeometry, ball, brick, plate
 from fracture_collision.geometry.tetrahedra import tetrahedron_volumes
