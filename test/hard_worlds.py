@@ -6,7 +6,8 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 from contact_truth import ContactTruth, assert_true, check_all_pairs, surface_samples
-from fractured_worlds import DENSITY, SETTINGS, FracturedWorld
+from fractured_worlds import DENSITY, FracturedWorld
+from fractured_worlds import SETTINGS as DEFAULTS
 from oracles.brute_force import distances
 from oracles.fracture_patterns import CrackPlane, event_of_labels
 from oracles.fragmented_body import FragmentedBody
@@ -25,6 +26,9 @@ EventMaker = Callable[[FragmentedBody, int, int], FractureEvent]  # the body, fi
 
 # Half the longest side, R, is 1 m where nothing else is said.
 ROUNDING = 1e-12
+# Depth to the nearest surface is what brute force measures; along a crack it may be more, and changes from one to the
+# other at once.
+SETTINGS = DEFAULTS._replace(normals="nearest")
 
 
 def sized(body: TetGeometry) -> TetGeometry:

@@ -8,8 +8,8 @@ from itertools import combinations
 import numpy as np
 import pytest
 from contact_truth import BORDER, ContactTruth, Poses, check_pair, pairs_of
-from fractured_worlds import SETTINGS, FracturedWorld
-from hard_worlds import ROUNDING, broken_world, by_labels, common_plane, tetrahedral_body
+from fractured_worlds import FracturedWorld
+from hard_worlds import ROUNDING, SETTINGS, broken_world, by_labels, common_plane, tetrahedral_body
 from numba import njit
 from oracles.fracture_patterns import curved_event
 from rigid_shapes import boundary_of
