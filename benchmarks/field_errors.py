@@ -34,6 +34,7 @@ from fracture_collision.geometry.stored_meshes import bunny  # noqa: E402
 
 SEEDS, GENERATIONS, POINTS = 4, 5, 4000
 DEEP = 0.10  # of R
+TOO_LARGE = 0.001  # of R
 WRONG_WAY = math.radians(30.0)
 STILL_RISES = 0.5  # of a step: growth of the exact depth that shows that the step ends before the middle
 DEPTH_EDGES = np.array([0.0, 0.5, 1, 2, 3, 5, 7, 10, 14, 18, 24, 32]) / 100.0
@@ -53,11 +54,12 @@ LEGEND = """
 Lengths in % of R. mean, 99 %, worst: error of the depth, at points spread evenly over the volume; n: at points less
 than 2 % R deep, most of them about places on the border spread evenly over its area; d: at points more than 10 % R
 deep; bare: mean error against the surface without steps, evenly spread points; n bare, 99 %: the same at points less
-than 2 % R from that surface; over: share of evenly spread points whose depth is more than 0.1 % R too large; angle, 99 %: degrees between the direction and that to the nearest point, evenly spread points; n angle, 99 %:
-the same near the surface; off 30: share of evenly spread points more than 30 degrees off; falls: share of steps of
-1 % R, from evenly spread points against the field's own direction, that end less deep; true falls: the same, of the
-steps straight away from the nearest point that end before the middle (the exact depth rises by more than half a step);
-slack: the depth that is certainly not exceeded, less the true one, mean over evenly spread points.
+than 2 % R from that surface; over: share of evenly spread points whose depth is more than 0.1 % R too large; angle, 99
+%: degrees between the direction and that to the nearest point, evenly spread points; n angle, 99 %: the same near the
+surface; off 30: share of evenly spread points more than 30 degrees off; falls: share of steps of 1 % R, from evenly
+spread points against the field's own direction, that end less deep; true falls: the same, of the steps straight away
+from the nearest point that end before the middle (the exact depth rises by more than half a step); slack: the depth
+that is certainly not exceeded, less the true one, mean over evenly spread points.
 """
 
 
@@ -122,7 +124,8 @@ def figures(measured: Measured) -> tuple[float, ...]:
     before_middle = even & (exact.true_rise > STILL_RISES * INWARD)
     return (
         *_mean_99_worst(error[even]), *_mean_99_worst(error[near]), *_mean_99_worst(error[deep]),
-        *_mean_99_worst(bare[even])[:1], *_mean_99_worst(bare[truth.depth_without_steps < NEAR])[:2], float((said.depth - truth.depth > 0.001)[even].mean()),
+        *_mean_99_worst(bare[even])[:1], *_mean_99_worst(bare[truth.depth_without_steps < NEAR])[:2],
+        float((said.depth - truth.depth > TOO_LARGE)[even].mean()),
         *_mean_99_worst(np.degrees(angle[even]))[:2], *_mean_99_worst(np.degrees(angle[near]))[:2],
         float((angle > WRONG_WAY)[even].mean()), float((said.rise < 0.0)[inside].mean()),
         float((said.true_rise < 0.0)[before_middle].mean()), 100.0 * float((said.most - truth.depth)[even].mean()),
