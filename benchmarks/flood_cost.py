@@ -8,11 +8,10 @@ nothing; the counts are those of a plain twin of it, whose distances must be the
 
 from __future__ import annotations
 
-import heapq
 import math
 import sys
 from pathlib import Path
-from time import perf_counter
+from time import thread_time
 from typing import NamedTuple
 
 import matplotlib
@@ -25,13 +24,19 @@ matplotlib.use("Agg")
 
 from fractured_worlds import SETTINGS, FracturedWorld, fractured_world  # noqa: E402
 from matplotlib import pyplot as plt  # noqa: E402
+from oracles.counted_flood import count_floods  # noqa: E402
 
 from fracture_collision.core.averaged_field import averaged_penetration  # noqa: E402
-from fracture_collision.core.closest_point import closest_on_triangle  # noqa: E402
-from fracture_collision.core.cut_tetrahedron import FACE_VERTICES, INTERFACE  # noqa: E402
-from fracture_collision.core.flood import least_distance_squared, nearest_from_inside  # noqa: E402
+from fracture_collision.core.closest_point import ON_RIM  # noqa: E402
+from fracture_collision.core.flood import (  # noqa: E402
+    NO_SOURCE,
+    least_distance_squared,
+    nearest_from_inside,
+    nearest_in_tetrahedron,
+    next_stamp,
+)
 from fracture_collision.core.point_location import holds_fragment, owner_in_tetrahedron, tetrahedron_at  # noqa: E402
-from fracture_collision.core.pools import CUT, Pools  # noqa: E402
+from fracture_collision.core.pools import Pools  # noqa: E402
 from fracture_collision.core.scratch import Scratch, make_scratch  # noqa: E402
 from fracture_collision.geometry.generators import ball  # noqa: E402
 from fracture_collision.geometry.stored_meshes import bunny  # noqa: E402
@@ -43,14 +48,18 @@ SEEDS, GENERATIONS = 4, 2
 DEPTHS = (0.0, 0.005, 0.02, 0.05, 0.15, 1.0)  # of R
 POINTS, PER_BIN, FEWEST = 150_000, 1000, 100
 REPEATS = 7
+# Upper bounds of the depth that the service's flood, nearest tetrahedron first, may start with.
 STARTS = ("nothing", "fronts", "exact nodes", "the answer")
+# Another order, tetrahedra in rings as they are reached, and what it starts with.
+RINGS = {"rings": "nothing", "rings, nodes": "exact nodes"}
 LEGEND = """
-tets: taken from the queue, their surface measured; seen: these and their neighbours, whose boxes are measured;
-triangles: measured, the others being known to be farther by their planes. The first of each is that of a flood which
-starts from nothing; after it triangles and nanoseconds (the tetrahedron of the point being known) of one that starts
-with an upper bound: from the points that the averaged field's fronts hand on, the best of the four nodes'; from the
-exact nearest points of the four nodes; from the answer itself, the best any start could do. Time includes making the
-bound from the nodes. averaged: ns of eq. 1-2 at the same points.
+tets: taken from the queue, their surface measured; seen: these and their neighbours, whose boxes are measured; tri:
+triangles measured, the others being farther by their planes alone; ns: processor time a point, its tetrahedron known.
+By what the flood starts with. nothing: as the service does; an upper bound of the depth from fronts: the points that
+the averaged field's fronts hand on, the best of the four nodes'; from exact nodes: the exact nearest points of the four
+nodes; the answer: the depth itself, better than any start could know. rings: tetrahedra in the order in which they are
+reached instead of nearest first, from nothing, and with the exact nodes' bound; the first two such columns: how many
+are taken. Time includes making the bound from the nodes. averaged: ns of eq. 1-2 at the same points.
 """
 
 # Not cached: a cache in this folder would outlive a change of the kernels that these inline.
@@ -69,14 +78,15 @@ class Places(NamedTuple):
 
 
 class Cost(NamedTuple):
-    """Means over the points of one bin; a start each, see STARTS."""
+    """Means over the points of one bin."""
 
-    depth: float  # of R, the mean
+    depth: float  # of R
     points: int
     tets: float
     seen: float
-    triangles: tuple[float, ...]
-    nanoseconds: tuple[float, ...]
+    in_rings: dict[str, float]  # tetrahedra taken in that order, by RINGS
+    triangles: dict[str, float]  # measured, by what the flood starts from
+    nanoseconds: dict[str, float]  # likewise
     averaged: float  # [ns]
 
 
@@ -94,6 +104,41 @@ def flood(pools, rows, tets, points, limits, scratch, depths):
     for i in range(len(points)):
         x, y, z = points[i]
         depths[i] = math.sqrt(nearest_from_inside(pools, rows[i], tets[i], x, y, z, limits[i], scratch, 0)[0])
+
+
+@compiled
+def rings(pools, rows, tets, points, limits, scratch, depths):
+    """The flood without a heap: tetrahedra in the order in which they are reached. Returns how many were taken in all.
+
+    What comes out is as exact: every tetrahedron that is nearer than the best so far is taken, in whatever order.
+    """
+    mesh, visited = pools.mesh, scratch.visited[0]
+    keys, items = scratch.heap_key[0], scratch.heap_tet[0]
+    taken = 0
+    for i in range(len(points)):
+        x, y, z = points[i]
+        best = (limits[i] * limits[i], 0.0, 0.0, 0.0, ON_RIM, NO_SOURCE)
+        stamp = next_stamp(scratch, 0)
+        keys[0], items[0], visited[tets[i]] = 0.0, tets[i], stamp
+        first, behind = 0, 1
+        while first < behind:
+            t, key = items[first], keys[first]
+            first += 1
+            if key >= best[0]:
+                continue
+            taken += 1
+            best = nearest_in_tetrahedron(pools, rows[i], t, x, y, z, True, best)
+            for face in range(4):
+                n = mesh.neighbours[t, face]
+                if n >= 0 and visited[n] != stamp:
+                    visited[n] = stamp
+                    if holds_fragment(pools, rows[i], n):
+                        key = least_distance_squared(mesh, n, x, y, z)
+                        if key < best[0]:
+                            keys[behind], items[behind] = key, n
+                            behind += 1
+        depths[i] = math.sqrt(best[0])
+    return taken
 
 
 @compiled
@@ -132,72 +177,6 @@ def measure_nodes(pools, shift, scratch, nearest):
     return floods
 
 
-@compiled
-def counted_flood(pools, f, start, x, y, z, limit):
-    """The flood again, plainly: (distance [m], tetrahedra taken, seen, triangles measured)."""
-    mesh, body = pools.mesh, pools.body
-    shift = pools.fragment.tet_shift[f]
-    seen = np.zeros(len(mesh.tetrahedra), np.bool_)
-    seen[start] = True
-    queue = [(0.0, start)]
-    best = limit * limit
-    taken, looked_at, measured = 0, 1, 0
-    while len(queue) and queue[0][0] < best:
-        t = heapq.heappop(queue)[1]
-        taken += 1
-        near = np.empty(4, np.bool_)
-        for face in range(4):
-            near[face] = _height_squared(mesh, t, face, x, y, z) <= best
-        if body.tet_fragment[t + shift] != CUT:
-            for face in range(4):
-                if mesh.neighbours[t, face] < 0 and _height_squared(mesh, t, face, x, y, z) <= best:
-                    c = mesh.nodes[mesh.tetrahedra[t][FACE_VERTICES[face]]].ravel()
-                    best = min(best, _to_triangle(x, y, z, c))
-                    measured += 1
-        for i in range(body.cut_begin[t + shift], body.cut_begin[t + shift] + body.cut_count[t + shift]):
-            if body.front[i] != f and (body.kind[i] != INTERFACE or body.back[i] != f):
-                continue
-            if body.kind[i] != INTERFACE and not near[body.kind[i]]:
-                continue
-            p = body.faces[i]
-            if (p[0] * x + p[1] * y + p[2] * z - p[3]) ** 2 <= best:
-                best = min(best, _to_triangle(x, y, z, body.triangles[i]))
-                measured += 1
-        for face in range(4):
-            n = mesh.neighbours[t, face]
-            if n >= 0 and not seen[n]:
-                seen[n] = True
-                looked_at += 1
-                if holds_fragment(pools, f, n):
-                    key = least_distance_squared(mesh, n, x, y, z)
-                    if key < best:
-                        heapq.heappush(queue, (key, np.int64(n)))
-    return math.sqrt(best), taken, looked_at, measured
-
-
-@compiled
-def _height_squared(mesh, t, face, x, y, z):
-    """Of a point over the plane of a tetrahedron's face [m2]."""
-    a, b, c = mesh.nodes[mesh.tetrahedra[t][FACE_VERTICES[face]]]
-    normal = np.cross(b - a, c - a)
-    height = (x - a[0]) * normal[0] + (y - a[1]) * normal[1] + (z - a[2]) * normal[2]
-    return height * height / (normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)
-
-
-@compiled
-def _to_triangle(x, y, z, c):
-    return closest_on_triangle(x, y, z, c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8])[0]
-
-
-@compiled
-def count(pools, rows, tets, points, limits, counts):
-    for i in range(len(points)):
-        x, y, z = points[i]
-        counts[i, 0], counts[i, 1], counts[i, 2], counts[i, 3] = counted_flood(
-            pools, rows[i], tets[i], x, y, z, limits[i]
-        )
-
-
 def main() -> None:
     costs: dict[tuple[str, str], list[Cost]] = {}
     for name, body in BODIES.items():
@@ -218,21 +197,20 @@ def measure(case: FracturedWorld) -> list[Cost]:
     shift = int(pools.fragment.node_shift[case.row(case.oracle.fragment_ids[0])])
     exact = np.zeros((len(pools.body.node_field), 3))
     measure_nodes(pools, shift, scratch, exact)
-    started = perf_counter()
+    started = thread_time()
     floods = measure_nodes(pools, shift, scratch, exact)
-    seconds = perf_counter() - started
-    certain = (np.ascontiguousarray(pools.body.node_field[:, 4:]), exact)
+    seconds = thread_time() - started
+    certain = {"fronts": np.ascontiguousarray(pools.body.node_field[:, 4:]), "exact nodes": exact}
     depths = np.empty(len(places.points))
     flood(pools, places.rows, places.tets, places.points, np.full(len(depths), np.inf), scratch, depths)
-    print(f"{'depth % R':>12}{'points':>8}{'tets':>7}{'seen':>7}" + "".join(f"{s:>13}" for s in STARTS), end="")
-    print("".join(f"{s:>13}" for s in STARTS) + f"{'averaged':>10}")
+    print("".join(f"{c:>17}" for c in COLUMNS))
     costs = []
     for low, high in zip(DEPTHS[:-1], DEPTHS[1:], strict=True):
         chosen = np.flatnonzero((depths >= low) & (depths < high))[:PER_BIN]
         if len(chosen) < FEWEST:
             continue
         costs.append(cost_of(pools, places.take(chosen), depths[chosen], certain, scratch))
-        print(f"{100 * low:6.1f}-{100 * high:5.1f}{_line(costs[-1])}", flush=True)
+        print(_line(low, high, costs[-1]), flush=True)
     print(f"exact nearest points of the {floods} interior nodes: {1e6 * seconds / floods:.1f} us a node")
     return costs
 
@@ -249,48 +227,62 @@ def inside(case: FracturedWorld, scratch: Scratch) -> Places:
 
 
 def cost_of(
-    pools: Pools, places: Places, depths: np.ndarray, certain: tuple[np.ndarray, ...], scratch: Scratch
+    pools: Pools, places: Places, depths: np.ndarray, certain: dict[str, np.ndarray], scratch: Scratch
 ) -> Cost:
-    asked = (places.rows, places.tets, places.points)
-    answer, limits = np.empty(len(depths)), np.empty(len(depths))
-    all_counts, times = [], []
-    for start in range(len(STARTS)):
-        making = 0.0
-        if STARTS[start] == "nothing":
-            limits[:] = np.inf
-        elif STARTS[start] == "the answer":
-            limits[:] = depths * (1.0 + 1e-9) + 1e-12
-        else:
-            making = _nanoseconds(bound_by_nodes, pools, *asked, certain[start - 1], limits)
-            assert (limits >= depths).all()
-        times.append(making + _nanoseconds(flood, pools, *asked, limits, scratch, answer))
+    asked, n = (places.rows, places.tets, places.points), len(depths)
+    limits = {"nothing": np.full(n, np.inf), "the answer": depths * (1.0 + 1e-9) + 1e-12}
+    tasks = {}
+    for start, points in certain.items():
+        limits[start] = np.empty(n)
+        tasks["bound", start] = (bound_by_nodes, (*asked, points, limits[start]))
+        bound_by_nodes(pools, *asked, points, limits[start])
+        assert (limits[start] >= depths).all()
+    counts, taken = {}, {}
+    for name in (*STARTS, *RINGS):
+        start, search = RINGS.get(name, name), rings if name in RINGS else flood
+        answer = np.empty(n)
+        tasks["search", name] = (search, (*asked, limits[start], scratch, answer))
+        total = search(pools, *asked, limits[start], scratch, answer)
         assert np.array_equal(answer, depths)
-        counts = np.empty((len(depths), 4))
-        count(pools, *asked, limits, counts)
-        assert np.abs(counts[:, 0] - depths).max() <= 1e-12, "the twin is no twin any more"
-        all_counts.append(counts.mean(axis=0))
-    _, tets, seen, _ = all_counts[0]
-    averaged = _nanoseconds(average, pools, *asked, answer)
-    triangles = tuple(float(c[3]) for c in all_counts)
-    return Cost(float(depths.mean()), len(depths), tets, seen, triangles, tuple(times), averaged)
+        if name in RINGS:
+            taken[name] = total / n
+            continue
+        counts[name] = count_floods(pools, *asked, limits[name])
+        assert np.abs(counts[name][:, 0] - depths).max() <= 1e-12, "the twin is no twin any more"
+    tasks["averaged", ""] = (average, (*asked, np.empty(n)))
+    times = _nanoseconds(pools, tasks, n)
+    nanoseconds = {}
+    for name in (*STARTS, *RINGS):
+        nanoseconds[name] = times["search", name] + times.get(("bound", RINGS.get(name, name)), 0.0)
+    _, tets, seen, _ = counts["nothing"].mean(axis=0)
+    triangles = {start: float(its[:, 3].mean()) for start, its in counts.items()}
+    return Cost(float(depths.mean()), n, tets, seen, taken, triangles, nanoseconds, times["averaged", ""])
 
 
-def _nanoseconds(function, pools: Pools, rows: np.ndarray, *arguments) -> float:
-    """[ns] a point, the best of some runs."""
-    best = math.inf
-    function(pools, rows, *arguments)
+def _nanoseconds(pools: Pools, tasks: dict[tuple[str, str], tuple], points: int) -> dict[tuple[str, str], float]:
+    """[ns] of processor time a point: the best of some rounds, each of all tasks in turn."""
+    best = dict.fromkeys(tasks, math.inf)
+    for function, arguments in tasks.values():
+        function(pools, *arguments)
     for _ in range(REPEATS):
-        started = perf_counter()
-        function(pools, rows, *arguments)
-        best = min(best, perf_counter() - started)
-    return 1e9 * best / len(rows)
+        for task, (function, arguments) in tasks.items():
+            started = thread_time()
+            function(pools, *arguments)
+            best[task] = min(best[task], 1e9 * (thread_time() - started) / points)
+    return best
 
 
-def _line(cost: Cost) -> str:
-    return (
-        f"{cost.points:8d}{cost.tets:7.1f}{cost.seen:7.1f}" + "".join(f"{t:13.1f}" for t in cost.triangles)
-        + "".join(f"{t:13.0f}" for t in cost.nanoseconds) + f"{cost.averaged:10.0f}"
-    )  # fmt: skip
+COLUMNS = (
+    "depth % R", "points", "tets", "seen", *RINGS, *(f"tri: {s}" for s in STARTS),
+    *(f"ns: {s}" for s in (*STARTS, *RINGS)), "averaged",
+)  # fmt: skip
+
+
+def _line(low: float, high: float, cost: Cost) -> str:
+    counts = (cost.tets, cost.seen, *cost.in_rings.values(), *cost.triangles.values())
+    times = (*cost.nanoseconds.values(), cost.averaged)
+    cells = (f"{100 * low:g}-{100 * high:g}", cost.points, *(f"{c:.1f}" for c in counts), *(f"{t:.0f}" for t in times))
+    return "".join(f"{cell:>17}" for cell in cells)
 
 
 def draw(costs: dict[tuple[str, str], list[Cost]]) -> None:
@@ -299,11 +291,11 @@ def draw(costs: dict[tuple[str, str], list[Cost]]) -> None:
         depth = [100.0 * cost.depth for cost in its]
         style, color = ("-" if cracks == "flat" else ":"), ("tab:blue" if name == "ball" else "tab:red")
         work.loglog(depth, [c.tets for c in its], style, marker="o", color=color, label=f"{name}, {cracks}: tetrahedra")
-        triangles = [c.triangles[0] for c in its]
+        triangles = [c.triangles["nothing"] for c in its]
         work.loglog(depth, triangles, style, marker="^", color=color, label=f"{name}, {cracks}: triangles")
-        for k, marker in ((0, "o"), (2, "x"), (3, "+")):
-            microseconds = [1e-3 * c.nanoseconds[k] for c in its]
-            time.loglog(depth, microseconds, style, marker=marker, color=color, label=f"{name}, {cracks}: {STARTS[k]}")
+        for start, marker in (("nothing", "o"), ("the answer", "+"), ("rings", "s"), ("rings, nodes", "x")):
+            microseconds = [1e-3 * c.nanoseconds[start] for c in its]
+            time.loglog(depth, microseconds, style, marker=marker, color=color, label=f"{name}, {cracks}: {start}")
     work.set(xlabel="depth [% R]", ylabel="taken, measured", title="What a flood does")
     time.set(xlabel="depth [% R]", ylabel="microseconds", title="What it takes, by what it starts from")
     for axes in (work, time):
