@@ -156,7 +156,9 @@ def _together(parts: list[Measured]) -> Measured:
 
 
 def _text(value: float | str | int) -> str:
-    return f"{value:.2g}" if isinstance(value, float) else str(value)
+    if not isinstance(value, float):
+        return str(value)
+    return f"{value:.0f}" if value >= 100.0 else f"{value:.2g}"
 
 
 def _line(cells: tuple) -> str:
