@@ -28,6 +28,7 @@ from fracture_collision.core.occupancy import cells_of_box, fill_pyramid, mark_a
 from fracture_collision.core.pools import (
     ALTERNATING,
     AVERAGED,
+    CRACK,
     EXACT,
     NEVER_BROKEN,
     OWN_SAMPLE,
@@ -111,11 +112,14 @@ def _table(**columns: tuple[int, type]) -> dict[str, GrowableArray]:
 class CollisionGeometry:
     """Owner of the pools. Fragments are addressed by row, in the order in which they were made.
 
-    tree: one of fragment_trees.TREES; traversal: one of pools.ALTERNATING, QUEUE; field: one of pools.EXACT, AVERAGED.
+    tree: one of fragment_trees.TREES; traversal: one of pools.ALTERNATING, QUEUE; field: one of pools.EXACT, AVERAGED;
+    normals: one of pools.NEAREST, CRACK.
     """
 
-    def __init__(self, tree: str = RESTRUCTURED, traversal: int = ALTERNATING, field: int = EXACT) -> None:
-        self._tree_kind, self._traversal, self._field = tree, traversal, field
+    def __init__(
+        self, tree: str = RESTRUCTURED, traversal: int = ALTERNATING, field: int = EXACT, normals: int = CRACK
+    ) -> None:
+        self._tree_kind, self._traversal, self._field, self._normals = tree, traversal, field, normals
         f8, i4, u1 = np.float64, np.int32, np.uint8
         self._mesh = _table(
             nodes=(3, f8), tetrahedra=(4, i4), neighbours=(4, i4), tetrahedron_edges=(6, i4), edges=(2, i4),
@@ -157,6 +161,7 @@ class CollisionGeometry:
                 TriangleMeshPool(**{k: a.view for k, a in self._triangles.items()}),
                 self._traversal,
                 self._field,
+                self._normals,
             )
         return self._pools
 

@@ -10,23 +10,25 @@ from fracture_collision.core.point_location import load_margins
 
 
 @query_kernel
-def _own_share_of_edge(slots, functionals, counts, own, start, end, roots):
-    """Share of the segment start - end (3,), from its start in slot `own`'s region, up to where another slot's begins.
+def share_of_segment(slots, functionals, counts, own, of_own, x0, y0, z0, x1, y1, z1, roots):
+    """Share of a segment within one tetrahedron, from its start to where slot `own`'s region ends: 0 .. 1.
 
+    of_own False: to where it begins. A tie counts as own.
     Margins are piecewise linear along the segment; between two neighbouring roots of their differences the owner stays.
+    `roots` (64,): room for them.
     """
     used = 0
     for q in range(counts[own]):
         f = functionals[own, q]
-        f0 = f[0] * start[0] + f[1] * start[1] + f[2] * start[2] - f[3]
-        f1 = f[0] * end[0] + f[1] * end[1] + f[2] * end[2] - f[3]
+        f0 = f[0] * x0 + f[1] * y0 + f[2] * z0 - f[3]
+        f1 = f[0] * x1 + f[1] * y1 + f[2] * z1 - f[3]
         for s in range(slots):
             if s == own:
                 continue
             for r in range(counts[s]):
                 g = functionals[s, r]
-                d0 = f0 - (g[0] * start[0] + g[1] * start[1] + g[2] * start[2] - g[3])
-                d1 = f1 - (g[0] * end[0] + g[1] * end[1] + g[2] * end[2] - g[3])
+                d0 = f0 - (g[0] * x0 + g[1] * y0 + g[2] * z0 - g[3])
+                d1 = f1 - (g[0] * x1 + g[1] * y1 + g[2] * z1 - g[3])
                 if (d0 > 0.0) != (d1 > 0.0):
                     roots[used] = min(max(d0 / (d0 - d1), 0.0), 1.0)
                     used += 1
@@ -36,15 +38,19 @@ def _own_share_of_edge(slots, functionals, counts, own, start, end, roots):
             roots[k] = roots[k - 1]
             k -= 1
         roots[k] = root
-    for i in range(used):
-        after = 0.5 * (roots[i] + (roots[i + 1] if i + 1 < used else 1.0))
-        x = start[0] + after * (end[0] - start[0])
-        y = start[1] + after * (end[1] - start[1])
-        z = start[2] + after * (end[2] - start[2])
-        mine = margin(functionals[own], counts[own], x, y, z)
-        for s in range(slots):
-            if s != own and margin(functionals[s], counts[s], x, y, z) > mine:
-                return roots[i]
+    before = 0.0
+    for i in range(used + 1):
+        after = roots[i] if i < used else 1.0
+        if after > before:
+            middle = 0.5 * (before + after)
+            x, y, z = x0 + middle * (x1 - x0), y0 + middle * (y1 - y0), z0 + middle * (z1 - z0)
+            mine = margin(functionals[own], counts[own], x, y, z)
+            owned = True
+            for s in range(slots):
+                owned = owned and (s == own or margin(functionals[s], counts[s], x, y, z) <= mine)
+            if owned != of_own:
+                return before
+        before = after
     return 1.0
 
 
@@ -90,5 +96,7 @@ def _crack_samples(mesh, body, node_shift, edge_shift, tets, low, high, work, ro
                 while labels[own] != label:
                     own += 1
                 start, end = mesh.nodes[mesh.edges[edge, side]], mesh.nodes[mesh.edges[edge, 1 - side]]
-                reach = _own_share_of_edge(slots, functionals, counts, own, start, end, roots)
+                reach = share_of_segment(
+                    slots, functionals, counts, own, True, start[0], start[1], start[2], end[0], end[1], end[2], roots,
+                )  # fmt: skip
                 share[edge + edge_shift, side] = min(share[edge + edge_shift, side], reach)

@@ -27,6 +27,8 @@ from fracture_collision.core.pools import CUT, NEVER_BROKEN
 # Which surface triangle a closest point lies on: a row of body.triangles, or -1 - (4 tetrahedron + face) of the old
 # surface.
 NO_SOURCE = np.iinfo(np.int64).max
+# In the place of a fragment behind the surface: whatever is there.
+WHATEVER = -1
 # Below this share of R a direction between two points says nothing; the surface's own normal does.
 DIRECTION_FLOOR = 1e-9
 PLANE_SLACK = 1.0 + 1e-9
@@ -35,15 +37,22 @@ WEIGHT_ROUNDING = 1e-12
 
 
 @inlined_kernel
-def _weight_and_slope(mesh, t, corner, x, y, z):
-    """Barycentric weight of a corner of tetrahedron `t` at the point, and the square of its gradient [1/m2]."""
+def corner_weight(mesh, t, corner, x, y, z):
+    """Barycentric weight of a corner of tetrahedron `t` at the point, and its gradient (x, y, z) [1/m]."""
     b = mesh.barycentric[t]
     if corner > 0:
         k = 4 * (corner - 1)
         gx, gy, gz = b[k], b[k + 1], b[k + 2]
-        return gx * x + gy * y + gz * z + b[k + 3], gx * gx + gy * gy + gz * gz
+        return gx * x + gy * y + gz * z + b[k + 3], gx, gy, gz
     gx, gy, gz = b[0] + b[4] + b[8], b[1] + b[5] + b[9], b[2] + b[6] + b[10]
-    return 1.0 - gx * x - gy * y - gz * z - b[3] - b[7] - b[11], gx * gx + gy * gy + gz * gz
+    return 1.0 - gx * x - gy * y - gz * z - b[3] - b[7] - b[11], -gx, -gy, -gz
+
+
+@inlined_kernel
+def _weight_and_slope(mesh, t, corner, x, y, z):
+    """The weight, and the square of its gradient [1/m2]."""
+    weight, gx, gy, gz = corner_weight(mesh, t, corner, x, y, z)
+    return weight, gx * gx + gy * gy + gz * gz
 
 
 @inlined_kernel
@@ -74,15 +83,24 @@ def clear_of_faces(mesh, t, x, y, z, distance):
 
 
 @inlined_kernel
-def nearest_in_tetrahedron(pools, f, t, x, y, z, with_steps, best):
-    """Better of `best` = (squared distance, x, y, z, feature, source) and f's surface within tetrahedron `t`.
-
-    with_steps: also against the steps in the tetrahedron's faces, which the paper does not know.
+def nothing_within(limit):
+    """What a search for surface closer than `limit` [m] begins with: (squared distance, x, y, z, feature, source,
+    tetrahedron).
     """
-    d2, qx, qy, qz, feature, source = best
+    return limit * limit, 0.0, 0.0, 0.0, ON_RIM, NO_SOURCE, -1
+
+
+@inlined_kernel
+def nearest_in_tetrahedron(pools, f, t, x, y, z, with_steps, behind, best):
+    """Better of `best`, see `nothing_within`, and f's surface within tetrahedron `t`.
+
+    with_steps: also against the steps in the tetrahedron's faces, which the paper does not know. behind: only against
+    what parts f from this fragment; WHATEVER: against all.
+    """
+    d2, qx, qy, qz, feature, source, where = best
     mesh, body = pools.mesh, pools.body
     shift = pools.fragment.tet_shift[f]
-    if shift == NEVER_BROKEN or body.tet_fragment[t + shift] != CUT:
+    if behind == WHATEVER and (shift == NEVER_BROKEN or body.tet_fragment[t + shift] != CUT):
         for face in range(4):
             if mesh.neighbours[t, face] >= 0 or _face_is_farther(mesh, t, face, x, y, z, d2):
                 continue
@@ -91,9 +109,9 @@ def nearest_in_tetrahedron(pools, f, t, x, y, z, with_steps, best):
             c = mesh.nodes[mesh.tetrahedra[t, FACE_VERTICES[face, 2]]]
             e2, ex, ey, ez, rim = closest_on_triangle(x, y, z, a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2])
             if e2 < d2:
-                d2, qx, qy, qz, feature, source = e2, ex, ey, ez, rim, -1 - (4 * t + face)
-        if shift == NEVER_BROKEN:
-            return d2, qx, qy, qz, feature, source
+                d2, qx, qy, qz, feature, source, where = e2, ex, ey, ez, rim, -1 - (4 * t + face), t
+    if shift == NEVER_BROKEN:
+        return d2, qx, qy, qz, feature, source, where
     begin = body.cut_begin[t + shift]
     face, farther = -1, False
     for i in range(begin, begin + body.cut_count[t + shift]):
@@ -107,7 +125,12 @@ def nearest_in_tetrahedron(pools, f, t, x, y, z, with_steps, best):
         if kind != INTERFACE and not with_steps and body.back[i] >= 0:
             continue
         # a step is surface of the fragment in front here, of the one behind in the tetrahedron behind
-        if body.front[i] != f and (kind != INTERFACE or body.back[i] != f):
+        front, back = body.front[i], body.back[i]
+        if front != f:
+            if kind != INTERFACE or back != f:
+                continue
+            back = front
+        if behind != WHATEVER and back != behind:
             continue
         # no point of a triangle is nearer than its plane; rounding is left room
         p = body.faces[i]
@@ -117,8 +140,8 @@ def nearest_in_tetrahedron(pools, f, t, x, y, z, with_steps, best):
         p = body.triangles[i]
         e2, ex, ey, ez, rim = closest_on_triangle(x, y, z, p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8])
         if e2 < d2:
-            d2, qx, qy, qz, feature, source = e2, ex, ey, ez, rim, i
-    return d2, qx, qy, qz, feature, source
+            d2, qx, qy, qz, feature, source, where = e2, ex, ey, ez, rim, i, t
+    return d2, qx, qy, qz, feature, source, where
 
 
 @inlined_kernel
@@ -163,17 +186,18 @@ def next_stamp(scratch, thread):
 
 
 @inlined_kernel
-def nearest_from_inside(pools, f, start, x, y, z, limit, scratch, thread):
+def nearest_from_inside(pools, f, start, x, y, z, limit, behind, scratch, thread):
     """Nearest point of f's surface closer than `limit` [m] (infinity: whatever it is) to a point of f in `start`.
 
-    Returns (squared distance [m2], x, y, z, feature, source); NO_SOURCE if none is as close.
+    behind: of the surface that parts f from this fragment only; WHATEVER: of all. Returns (squared distance [m2],
+    x, y, z, feature, source, tetrahedron); NO_SOURCE if none is as close.
     """
     mesh = pools.mesh
     keys = scratch.heap_key[thread]
     items = scratch.heap_tet[thread]
     visited = scratch.visited[thread]
     stamp = next_stamp(scratch, thread)
-    best = (limit * limit, 0.0, 0.0, 0.0, ON_RIM, NO_SOURCE)
+    best = nothing_within(limit)
     keys[0], items[0] = 0.0, start
     visited[start] = stamp
     count = 1
@@ -181,7 +205,7 @@ def nearest_from_inside(pools, f, start, x, y, z, limit, scratch, thread):
         t = items[0]
         _pop(keys, items, count)
         count -= 1
-        best = nearest_in_tetrahedron(pools, f, t, x, y, z, True, best)
+        best = nearest_in_tetrahedron(pools, f, t, x, y, z, True, behind, best)
         for face in range(4):
             n = mesh.neighbours[t, face]
             if n < 0 or visited[n] == stamp:
@@ -196,19 +220,21 @@ def nearest_from_inside(pools, f, start, x, y, z, limit, scratch, thread):
 
 
 @inlined_kernel
-def nearest_from_outside(pools, f, at, x, y, z, limit, scratch, thread):
+def nearest_from_outside(pools, f, at, x, y, z, limit, behind, scratch, thread):
     """Nearest point of f's surface closer than `limit` [m] to a point that is not of f; NO_SOURCE if none is.
 
-    `at`: the tetrahedron that holds the point, -1 outside the body.
+    `at`: the tetrahedron that holds the point, -1 outside the body. `behind` and answer as in nearest_from_inside.
     """
     mesh = pools.mesh
     if at >= 0 and clear_of_faces(mesh, at, x, y, z, limit):
-        alone = (limit * limit, 0.0, 0.0, 0.0, ON_RIM, NO_SOURCE)
-        return nearest_in_tetrahedron(pools, f, at, x, y, z, True, alone) if holds_fragment(pools, f, at) else alone
+        alone = nothing_within(limit)
+        if holds_fragment(pools, f, at):
+            return nearest_in_tetrahedron(pools, f, at, x, y, z, True, behind, alone)
+        return alone
     k = pools.fragment.mesh[f]
     visited = scratch.visited[thread]
     stamp = next_stamp(scratch, thread)
-    best = (limit * limit, 0.0, 0.0, 0.0, ON_RIM, NO_SOURCE)
+    best = nothing_within(limit)
     cell = mesh.grid[k, 3]
     nx, ny, nz, first = mesh.grid_dims[k]
     cells = pools.fragment.cells[f]
@@ -234,7 +260,7 @@ def nearest_from_outside(pools, f, at, x, y, z, limit, scratch, thread):
                     if box_distance_squared(x, y, z, mesh.boxes[t]) >= best[0] or not holds_fragment(pools, f, t):
                         continue
                     if least_distance_squared(mesh, t, x, y, z) < best[0]:
-                        best = nearest_in_tetrahedron(pools, f, t, x, y, z, True, best)
+                        best = nearest_in_tetrahedron(pools, f, t, x, y, z, True, behind, best)
     return best
 
 
@@ -257,7 +283,7 @@ def source_normal(pools, f, source):
 @inlined_kernel
 def outward_direction(pools, f, x, y, z, best, inside):
     """Unit direction out of f at the closest point `best`: a face's normal, at a rim the line between the points."""
-    d2, qx, qy, qz, feature, source = best
+    d2, qx, qy, qz, feature, source, _ = best
     d = math.sqrt(d2)
     away = 1.0 if inside else -1.0
     if feature == ON_FACE or d <= DIRECTION_FLOOR * pools.fragment.radius[f]:

@@ -11,7 +11,13 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.core.compiled import query_kernel
-from fracture_collision.core.flood import NO_SOURCE, nearest_from_inside, nearest_from_outside, outward_direction
+from fracture_collision.core.flood import (
+    NO_SOURCE,
+    WHATEVER,
+    nearest_from_inside,
+    nearest_from_outside,
+    outward_direction,
+)
 from fracture_collision.core.point_location import tetrahedron_at
 from fracture_collision.core.pools import Pools
 from fracture_collision.core.scratch import make_scratch
@@ -89,7 +95,7 @@ def _measure_nodes(pools, f, first_node, normals, node_field, scratch):
             row[4], row[5], row[6] = x, y, z
             continue
         t = mesh.node_tets[mesh.node_tets_begin[first_node + i + k]]
-        best = nearest_from_inside(pools, f, t, x, y, z, math.inf, scratch, 0)
+        best = nearest_from_inside(pools, f, t, x, y, z, math.inf, WHATEVER, scratch, 0)
         row[0] = math.sqrt(best[0])
         row[1], row[2], row[3] = outward_direction(pools, f, x, y, z, best, True)
         row[4], row[5], row[6] = best[1], best[2], best[3]
@@ -107,7 +113,7 @@ def _measure_grid(pools, f, origin, cell, dims, depth, scratch):
                 t = tetrahedron_at(pools.mesh, k, x, y, z)
                 at = (i * dims[1] + j) * dims[2] + l
                 if t >= 0:
-                    depth[at] = math.sqrt(nearest_from_inside(pools, f, t, x, y, z, math.inf, scratch, 0)[0])
+                    depth[at] = math.sqrt(nearest_from_inside(pools, f, t, x, y, z, math.inf, WHATEVER, scratch, 0)[0])
                 else:
-                    best = nearest_from_outside(pools, f, t, x, y, z, diagonal, scratch, 0)
+                    best = nearest_from_outside(pools, f, t, x, y, z, diagonal, WHATEVER, scratch, 0)
                     depth[at] = -diagonal if best[5] == NO_SOURCE else -math.sqrt(best[0])

@@ -136,6 +136,7 @@ class Pools(NamedTuple):
     triangles: TriangleMeshPool
     traversal: int  # ALTERNATING or QUEUE
     field: int  # EXACT or AVERAGED
+    normals: int  # NEAREST or CRACK
 
 
 # Pools.traversal: in which order the children of entered nodes are visited (traversal.py).
@@ -145,6 +146,11 @@ QUEUE = 1  # all children of a parent in a row, the regular breadth-first order 
 # How deep a point of a broken body lies: by local flood, or from one averaged distance a node (Glondu 2014, 4.1 - 4.4).
 EXACT = 0
 AVERAGED = 1
+
+# Pools.normals: along the way to the nearest surface, or, between two fragments of one body, along the normal of the
+# crack they share (crack_normal.py).
+NEAREST = 0
+CRACK = 1
 
 CUT = -1
 NEVER_BROKEN = np.iinfo(np.int32).min

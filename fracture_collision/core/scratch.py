@@ -19,6 +19,7 @@ class Scratch(NamedTuple):
     slot_labels: np.ndarray  # (threads, 4) int64
     functionals: np.ndarray  # (threads, 4, 4, 4) float64
     counts: np.ndarray  # (threads, 4) int64
+    roots: np.ndarray  # (threads, 64) float64: where a ray may change its owner within a tetrahedron
     node_int: np.ndarray  # (threads, nodes, 4) int32: entry, side, next child, status
     node_float: np.ndarray  # (threads, nodes, 4) float64: point in the other's frame [m], depth bound [m]
     queue: np.ndarray  # (threads, 2, 2 nodes) int32: rows of the two above
@@ -36,6 +37,7 @@ def make_scratch(threads: int, tetrahedra: int, nodes: int) -> Scratch:
         slot_labels=np.zeros((threads, 4), dtype=np.int64),
         functionals=np.zeros((threads, 4, 4, 4)),
         counts=np.zeros((threads, 4), dtype=np.int64),
+        roots=np.zeros((threads, 64)),
         node_int=np.zeros((threads, nodes, 4), dtype=np.int32),
         node_float=np.zeros((threads, nodes, 4)),
         queue=np.zeros((threads, 2, 2 * nodes), dtype=np.int32),

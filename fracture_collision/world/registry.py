@@ -10,12 +10,14 @@ from fracture_collision.core.collision_geometry import CollisionGeometry, MassPr
 from fracture_collision.records import FragmentRegistry
 from fracture_collision.world.body_gate import CheckedBody
 from fracture_collision.world.fracture_gate import CheckedFracture
-from fracture_collision.world.settings import FIELDS, TRAVERSALS, Settings
+from fracture_collision.world.settings import FIELDS, NORMALS, TRAVERSALS, Settings
 
 
 class Registry:
     def __init__(self, settings: Settings) -> None:
-        self.geometry = CollisionGeometry(settings.tree, TRAVERSALS[settings.traversal], FIELDS[settings.field])
+        self.geometry = CollisionGeometry(
+            settings.tree, TRAVERSALS[settings.traversal], FIELDS[settings.field], NORMALS[settings.normals]
+        )
         self.sequence = 0
         self._bodies: dict[int, CheckedBody] = {}
         self._chain = hashlib.sha256().digest()

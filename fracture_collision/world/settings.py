@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from fracture_collision.core.fragment_trees import TREES
-from fracture_collision.core.pools import ALTERNATING, AVERAGED, EXACT, QUEUE
+from fracture_collision.core.pools import ALTERNATING, AVERAGED, CRACK, EXACT, NEAREST, QUEUE
 
 
 class Settings(NamedTuple):
@@ -21,6 +21,9 @@ class Settings(NamedTuple):
     # `exact`: local flood, no error; `averaged`: the paper's front propagation (eq. 1-2): depths and normals inside a
     # broken body are approximate, the missed depth bound is as certain and looser.
     field: str = "exact"
+    # `crack`: two fragments of one body are parted along the crack they share, where it is near; `nearest`: along the
+    # shortest way to any surface, as in the paper, which near a crack's rim often points along the crack.
+    normals: str = "crack"
     # `restructured`: trees are split, restructured and extended at a fracture (6.2, 6.3); `plain`: as in the paper's
     # earlier version [27], without regard to the maximum-distance order; `rebuilt`: from nothing (Fig. 15).
     tree: str = "restructured"
@@ -38,14 +41,13 @@ class Settings(NamedTuple):
 
 
 FIELDS = {"exact": EXACT, "averaged": AVERAGED}
+NORMALS = {"crack": CRACK, "nearest": NEAREST}
 TRAVERSALS = {"alternating": ALTERNATING, "queue": QUEUE}
 
 
 def check_settings(settings: Settings) -> None:
     """Raise ValueError, naming the field, unless every setting is one the service can work with."""
-    if settings.field not in FIELDS:
-        raise ValueError(f"field: {settings.field!r} is none of {', '.join(FIELDS)}")
-    for name, choices in (("tree", TREES), ("traversal", TRAVERSALS)):
+    for name, choices in (("field", FIELDS), ("normals", NORMALS), ("tree", TREES), ("traversal", TRAVERSALS)):
         if getattr(settings, name) not in choices:
             raise ValueError(f"{name}: {getattr(settings, name)!r} is none of {', '.join(choices)}")
     if settings.contacts_per_pair < 1:

@@ -1,0 +1,153 @@
+"""Normals at cracks: a contact between fragments of one body is turned to the crack that parts them.
+
+Near the rim of a crack the nearest surface of the other fragment is often its old outside or a third fragment's crack,
+and the line to it says nothing about the way the two came apart (Glondu 2014 takes it as it is). So: if the crack the
+two share is near, the contact's normal is that crack's, and its depth the way along it out of the other fragment, never
+less than the distance to the nearest surface. Selection and missed depth bound speak of distances and are untouched.
+"""
+
+from __future__ import annotations
+
+import math
+
+from fracture_collision.core.compiled import inlined_kernel, query_kernel
+from fracture_collision.core.crack_samples import share_of_segment
+from fracture_collision.core.cut_tetrahedron import INTERFACE
+from fracture_collision.core.flood import (
+    NO_SOURCE,
+    corner_weight,
+    nearest_from_inside,
+    nearest_from_outside,
+    source_normal,
+)
+from fracture_collision.core.kinds import TETRAHEDRA
+from fracture_collision.core.point_location import load_margins, tetrahedron_at
+from fracture_collision.core.pools import CUT, NEVER_BROKEN
+
+# The shared crack is taken while it is no farther than so many times the nearest surface, or than this share of R.
+TIMES_NEAREST = 3.0
+SHARE_OF_RADIUS = 0.03
+# A ray that meets more tetrahedra on so short a way is lost.
+MOST_TETRAHEDRA = 256
+NOWHERE = -2  # no tetrahedron, nor -1, the outside
+
+
+@query_kernel
+def turn_to_cracks(pools, a, b, near, contacts, ids, count, scratch, thread):
+    """Turn the `count` contacts of a pair, as query_pair leaves them, to the crack that `a` and `b` share.
+
+    Sets witness, normal and gap in rows of `contacts` (., 10); `near` [m] is the detection tolerance.
+    """
+    fragment = pools.fragment
+    k, shift = fragment.mesh[a], fragment.node_shift[a]
+    if (
+        fragment.kind[a] != TETRAHEDRA or fragment.kind[b] != TETRAHEDRA or shift == NEVER_BROKEN
+        or fragment.mesh[b] != k or fragment.node_shift[b] != shift
+    ):  # fmt: skip
+        return
+    floor = SHARE_OF_RADIUS * fragment.radius[a]
+    for c in range(count):
+        row = contacts[c]
+        x, y, z, d = row[0], row[1], row[2], row[9]
+        f, g = (b, a) if ids[c, 0] == 0 else (a, b)
+        t = tetrahedron_at(pools.mesh, k, x, y, z)
+        inside = d <= 0.0
+        if inside:
+            limit = max(-TIMES_NEAREST * d, floor)
+            best = nearest_from_inside(pools, f, t, x, y, z, limit, g, scratch, thread)
+        else:
+            limit = max(TIMES_NEAREST * d, near)
+            best = nearest_from_outside(pools, f, t, x, y, z, limit, g, scratch, thread)
+        if best[5] == NO_SOURCE:
+            continue
+        nx, ny, nz = crack_direction(pools, f, g, best[5], best[6])
+        sign = 1.0 if inside else -1.0
+        s = way_through(pools, f, t, x, y, z, sign * nx, sign * ny, sign * nz, limit, inside, scratch, thread)
+        if s > limit:
+            continue
+        s *= sign
+        row[3], row[4], row[5] = x + s * nx, y + s * ny, z + s * nz
+        row[6], row[7], row[8] = nx, ny, nz
+        row[9] = -s
+
+
+@inlined_kernel
+def crack_direction(pools, f, g, source, t):
+    """Unit normal out of fragment `f` of its crack with `g` in tetrahedron `t`: the mean over the edges it cuts there.
+
+    The planes at the edges are what the fracture gave; a polygon lies in one of them, in between two, or, a step, in a
+    face of the mesh.
+    """
+    nx, ny, nz = _sum_of_planes(pools, f, g, t)
+    if nx == 0.0 and ny == 0.0 and nz == 0.0:
+        kind = pools.body.kind[source]
+        if kind != INTERFACE:
+            nx, ny, nz = _sum_of_planes(pools, f, g, pools.mesh.neighbours[t, kind])
+    length = math.sqrt(nx * nx + ny * ny + nz * nz)
+    if length == 0.0:
+        return source_normal(pools, f, source)
+    return nx / length, ny / length, nz / length
+
+
+@inlined_kernel
+def _sum_of_planes(pools, f, g, t):
+    mesh, body = pools.mesh, pools.body
+    node_shift, edge_shift = pools.fragment.node_shift[f], pools.fragment.edge_shift[f]
+    sx = sy = sz = 0.0
+    for e in range(6):
+        edge = mesh.tetrahedron_edges[t, e]
+        plane = body.edge_plane[edge + edge_shift]
+        if plane < 0:
+            continue
+        first = body.node_fragment[mesh.edges[edge, 0] + node_shift]
+        second = body.node_fragment[mesh.edges[edge, 1] + node_shift]
+        if (first == f and second == g) or (first == g and second == f):
+            sign = 1.0 if first == f else -1.0
+            p = body.planes[plane]
+            sx, sy, sz = sx + sign * p[0], sy + sign * p[1], sz + sign * p[2]
+    return sx, sy, sz
+
+
+@inlined_kernel
+def way_through(pools, f, t, x, y, z, nx, ny, nz, limit, leaves, scratch, thread):
+    """Length [m] of the ray from a point in tetrahedron `t` to where it leaves `f`, or else enters it.
+
+    Infinity: not within `limit` [m]. From tetrahedron to tetrahedron; in each, owners are asked, not polygons, so that
+    no ray slips between two.
+    """
+    mesh, body = pools.mesh, pools.body
+    node_shift, tet_shift = pools.fragment.node_shift[f], pools.fragment.tet_shift[f]
+    labels, functionals, counts = scratch.slot_labels[thread], scratch.functionals[thread], scratch.counts[thread]
+    s, came_from = 0.0, NOWHERE
+    for _ in range(MOST_TETRAHEDRA):
+        if t < 0 or s > limit:
+            break
+        out, face = math.inf, -1
+        for corner in range(4):
+            weight, gx, gy, gz = corner_weight(mesh, t, corner, x, y, z)
+            rate = gx * nx + gy * ny + gz * nz
+            if rate < 0.0 and mesh.neighbours[t, corner] != came_from:
+                end = max(-weight / rate, s)
+                if end < out:
+                    out, face = end, corner
+        if face < 0:
+            return math.inf
+        own = -1
+        alone = body.tet_fragment[t + tet_shift]
+        if alone == CUT:
+            slots = load_margins(mesh, body, node_shift, pools.fragment.edge_shift[f], t, labels, functionals, counts)
+            for k in range(slots):
+                if labels[k] == f:
+                    own = k
+        if own >= 0:
+            share = share_of_segment(
+                slots, functionals, counts, own, leaves, x + s * nx, y + s * ny, z + s * nz,
+                x + out * nx, y + out * ny, z + out * nz, scratch.roots[thread],
+            )  # fmt: skip
+            if share < 1.0:
+                s += share * (out - s)
+                return s if s <= limit else math.inf
+        elif (alone == f) != leaves:
+            return s
+        s, came_from, t = out, t, mesh.neighbours[t, face]
+    return s if t < 0 and leaves and s <= limit else math.inf
