@@ -27,13 +27,13 @@ from matplotlib import pyplot as plt  # noqa: E402
 from oracles.counted_flood import count_floods  # noqa: E402
 
 from fracture_collision.core.averaged_field import averaged_penetration  # noqa: E402
-from fracture_collision.core.closest_point import ON_RIM  # noqa: E402
 from fracture_collision.core.flood import (  # noqa: E402
-    NO_SOURCE,
+    WHATEVER,
     least_distance_squared,
     nearest_from_inside,
     nearest_in_tetrahedron,
     next_stamp,
+    nothing_within,
 )
 from fracture_collision.core.point_location import holds_fragment, owner_in_tetrahedron, tetrahedron_at  # noqa: E402
 from fracture_collision.core.pools import Pools  # noqa: E402
@@ -103,7 +103,7 @@ def place(pools, fragment, points, scratch, tets, rows):
 def flood(pools, rows, tets, points, limits, scratch, depths):
     for i in range(len(points)):
         x, y, z = points[i]
-        depths[i] = math.sqrt(nearest_from_inside(pools, rows[i], tets[i], x, y, z, limits[i], scratch, 0)[0])
+        depths[i] = math.sqrt(nearest_from_inside(pools, rows[i], tets[i], x, y, z, limits[i], WHATEVER, scratch, 0)[0])
 
 
 @compiled
@@ -117,7 +117,7 @@ def rings(pools, rows, tets, points, limits, scratch, depths):
     taken = 0
     for i in range(len(points)):
         x, y, z = points[i]
-        best = (limits[i] * limits[i], 0.0, 0.0, 0.0, ON_RIM, NO_SOURCE)
+        best = nothing_within(limits[i])
         stamp = next_stamp(scratch, 0)
         keys[0], items[0], visited[tets[i]] = 0.0, tets[i], stamp
         first, behind = 0, 1
@@ -127,7 +127,7 @@ def rings(pools, rows, tets, points, limits, scratch, depths):
             if key >= best[0]:
                 continue
             taken += 1
-            best = nearest_in_tetrahedron(pools, rows[i], t, x, y, z, True, best)
+            best = nearest_in_tetrahedron(pools, rows[i], t, x, y, z, True, WHATEVER, best)
             for face in range(4):
                 n = mesh.neighbours[t, face]
                 if n >= 0 and visited[n] != stamp:
@@ -171,7 +171,7 @@ def measure_nodes(pools, shift, scratch, nearest):
         nearest[row, 0], nearest[row, 1], nearest[row, 2] = x, y, z
         if not pools.mesh.on_surface[v]:
             t = pools.mesh.node_tets[pools.mesh.node_tets_begin[v]]
-            best = nearest_from_inside(pools, pools.body.node_fragment[row], t, x, y, z, math.inf, scratch, 0)
+            best = nearest_from_inside(pools, pools.body.node_fragment[row], t, x, y, z, math.inf, WHATEVER, scratch, 0)
             nearest[row, 0], nearest[row, 1], nearest[row, 2] = best[1], best[2], best[3]
             floods += 1
     return floods
@@ -286,20 +286,27 @@ def _line(low: float, high: float, cost: Cost) -> str:
 
 
 def draw(costs: dict[tuple[str, str], list[Cost]]) -> None:
-    figure, (work, time) = plt.subplots(1, 2, figsize=(10, 4))
+    figure, (work, time, share) = plt.subplots(1, 3, figsize=(13, 4))
     for (name, cracks), its in costs.items():
         depth = [100.0 * cost.depth for cost in its]
         style, color = ("-" if cracks == "flat" else ":"), ("tab:blue" if name == "ball" else "tab:red")
-        work.loglog(depth, [c.tets for c in its], style, marker="o", color=color, label=f"{name}, {cracks}: tetrahedra")
+        case = f"{name}, {cracks}"
+        work.loglog(depth, [c.tets for c in its], style, marker="o", color=color, label=f"{case}: tetrahedra")
         triangles = [c.triangles["nothing"] for c in its]
-        work.loglog(depth, triangles, style, marker="^", color=color, label=f"{name}, {cracks}: triangles")
-        for start, marker in (("nothing", "o"), ("the answer", "+"), ("rings", "s"), ("rings, nodes", "x")):
-            microseconds = [1e-3 * c.nanoseconds[start] for c in its]
-            time.loglog(depth, microseconds, style, marker=marker, color=color, label=f"{name}, {cracks}: {start}")
+        work.loglog(depth, triangles, style, marker="^", color=color, label=f"{case}: triangles")
+        microseconds = [1e-3 * c.nanoseconds["nothing"] for c in its]
+        time.loglog(depth, microseconds, style, marker="o", color=color, label=case)
+    others = {"fronts": "y", "exact nodes": "tab:green", "the answer": "k", "rings": "m", "rings, nodes": "tab:orange"}
+    for start, color in others.items():
+        for number, its in enumerate(costs.values()):
+            ratio = [c.nanoseconds[start] / c.nanoseconds["nothing"] for c in its]
+            label = start if number == 0 else None
+            share.semilogx([100.0 * c.depth for c in its], ratio, ".-", color=color, alpha=0.7, label=label)
     work.set(xlabel="depth [% R]", ylabel="taken, measured", title="What a flood does")
-    time.set(xlabel="depth [% R]", ylabel="microseconds", title="What it takes, by what it starts from")
-    for axes in (work, time):
-        axes.legend(fontsize=6)
+    time.set(xlabel="depth [% R]", ylabel="microseconds", title="What it takes, from nothing")
+    share.set(xlabel="depth [% R]", ylabel="share of that", title="What it takes otherwise", ylim=(0.0, 1.5))
+    for axes in (work, time, share):
+        axes.legend(fontsize=7)
         axes.grid(alpha=0.3)
     figure.tight_layout()
     figure.savefig(ROOT / "docs" / "flood_cost.png", dpi=80)
