@@ -47,7 +47,7 @@ BODIES = {"ball": ball(1.0, 0.1), "bunny": bunny(2.0)}
 SEEDS, GENERATIONS = 4, 2
 DEPTHS = (0.0, 0.005, 0.02, 0.05, 0.15, 1.0)  # of R
 POINTS, PER_BIN, FEWEST = 150_000, 1000, 100
-REPEATS = 7
+REPEATS, SECONDS = 7, 1.0  # rounds of timing: at least so many, and so long
 # Upper bounds of the depth that the service's flood, nearest tetrahedron first, may start with.
 STARTS = ("nothing", "fronts", "exact nodes", "the answer")
 # Another order, tetrahedra in rings as they are reached, and what it starts with.
@@ -260,11 +260,13 @@ def cost_of(
 
 
 def _nanoseconds(pools: Pools, tasks: dict[tuple[str, str], tuple], points: int) -> dict[tuple[str, str], float]:
-    """[ns] of processor time a point: the best of some rounds, each of all tasks in turn."""
+    """[ns] of processor time a point: the best of many rounds, each of all tasks in turn."""
     best = dict.fromkeys(tasks, math.inf)
     for function, arguments in tasks.values():
         function(pools, *arguments)
-    for _ in range(REPEATS):
+    rounds, first = 0, thread_time()
+    while rounds < REPEATS or thread_time() - first < SECONDS:
+        rounds += 1
         for task, (function, arguments) in tasks.items():
             started = thread_time()
             function(pools, *arguments)
