@@ -158,7 +158,7 @@ def _together(parts: list[Measured]) -> Measured:
 def _text(value: float | str | int) -> str:
     if not isinstance(value, float):
         return str(value)
-    return f"{value:.0f}" if value >= 100.0 else f"{value:.2g}"
+    return f"{float(f'{value:.2g}'):g}"
 
 
 def _line(cells: tuple) -> str:
