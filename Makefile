@@ -24,11 +24,14 @@ build: $(STAMPS)/kernels ## .venv with pinned requirements, messages, compiled k
 smash: build ## the plates scene end to end over ROS 2: table, film strip, plot and bag in out/smash
 	@$(BIN)/fracture-collision smash --scene plates --out out/smash
 
+# A file of tests stays with one worker, so that what its tests share is made once.
+PYTEST := $(BIN)/python -m pytest --numprocesses auto --dist loadfile
+
 test: build lint ## all tests but the slow ones, and lint
-	@$(BIN)/python -m pytest -m "not slow"
+	@$(PYTEST) -m "not slow"
 
 test-full: build lint ## all tests, the slow ones too
-	@$(BIN)/python -m pytest
+	@$(PYTEST)
 
 lint: $(STAMPS)/messages ## style, and the arrows between the rooms
 	@$(BIN)/ruff check .

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -15,12 +16,16 @@ from fracture_collision.geometry.concave_shapes import l_block, torus
 from fracture_collision.geometry.generators import TetGeometry, ball, bowl, brick, shell
 from fracture_collision.geometry.stored_meshes import bunny
 from fracture_collision.records import ContactConstraintArray, FragmentStates
+from fracture_collision.world import CollisionWorld
 from fracture_collision.world.contact_ids import contact_ids
 
 MEASURED = ALL_KINDS  # what the field measures against: the whole border of a fragment's region
 
 # Samples nearer to a fragment's border than this [m] may be taken for inside or outside.
 BORDER = 1e-9
+
+# A witness this near to the other's surface [m] is on it.
+WITNESS = 1e-6
 
 # Half the longest side, R, is 1 [m] for all.
 SHAPES: dict[str, Callable[[], TetGeometry]] = {
@@ -202,3 +207,35 @@ def check_pair(
         len(ids), bound, pair in listed, unlisted, measured_unlisted, misplaced, off_surface, apart, too_shallow,
         np.concatenate(excess),
     )  # fmt: skip
+
+
+def check_all_pairs(
+    truth: ContactTruth, states: FragmentStates, world: CollisionWorld | None = None
+) -> list[PairCheck]:
+    """What `world` (the truth's own, or one of the same messages) answers to `states`, for every pair of fragments."""
+    world = world or truth.case.world
+    answer, poses, settings = world.contacts(states), Poses(states), world.settings
+    listed = pairs_of(answer)
+    assert list(listed) == sorted(listed)
+    normals = answer.normals.reshape(-1, 3)
+    along = (answer.points_b - answer.points_a).reshape(-1, 3)
+    assert np.allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-12)
+    assert np.allclose(answer.gaps, (along * normals).sum(axis=1), atol=1e-12)
+    assert len(set(answer.contact_ids.tolist())) == len(answer.contact_ids)
+    assert (answer.gaps <= settings.detection_tolerance + BORDER).all()
+    return [
+        check_pair(truth, poses, answer, pair, listed, settings.penetration_tolerance)
+        for pair in combinations(sorted(truth.fragment_ids), 2)
+    ]
+
+
+def assert_true(checks: list[PairCheck], epsilon: float) -> None:
+    """Of a search without a budget; R = 1 m. `epsilon` [m]: the penetration tolerance."""
+    for check in checks:
+        # without a budget the bound is epsilon and rounding: nothing deeper than that is missing
+        assert check.bound <= epsilon + BORDER
+        assert check.deepest_unlisted <= check.bound, check
+        assert check.apart == 0, check
+        assert check.misplaced <= 1e-12, check
+        assert check.off_surface <= WITNESS, check
+        assert check.too_shallow <= BORDER, check

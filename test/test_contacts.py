@@ -4,25 +4,26 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from fractured_worlds import SETTINGS, FracturedWorld, fractured_world
-from oracles.fragmented_body import ALL_KINDS
+from contact_truth import (
+    BORDER,
+    COARSE_SHAPES,
+    ContactTruth,
+    Poses,
+    assert_true,
+    check_all_pairs,
+    check_pair,
+    pairs_of,
+    sample_ids,
+)
+from fractured_worlds import SETTINGS, FracturedWorld, fractured_world, with_settings
 from rigid_shapes import noisy_ball
-from scipy.spatial.transform import Rotation
 
 from fracture_collision.core.fragment_trees import TREES
-from fracture_collision.geometry.generators import ball, bowl, brick, shell
 from fracture_collision.records import BUDGET_EXHAUSTED, CollisionBody, ContactConstraintArray, FragmentStates
-from fracture_collision.world import CollisionWorld, Settings
-from fracture_collision.world.contact_ids import contact_ids
+from fracture_collision.world import CollisionWorld
 from fracture_collision.world.settings import TRAVERSALS
 
-SURFACE = ALL_KINDS
-SHAPES = {
-    "ball": lambda: ball(1.0, 0.4),
-    "brick": lambda: brick((2.0, 1.0, 0.8), 0.4),
-    "shell": lambda: shell(1.0, 0.8, 0.6),
-    "bowl": lambda: bowl(2.0, 0.2, 0.4, 0.6),
-}
+SHAPES = ("ball", "brick", "shell", "bowl")
 SEARCHES = [(tree, traversal) for tree in TREES for traversal in TRAVERSALS]
 DEFAULT_SEARCH = (SETTINGS.tree, SETTINGS.traversal)
 QUICK = [("ball", "flat"), ("shell", "curved")]  # with every tree and traversal; the others with the default only
@@ -38,126 +39,35 @@ CASES = [
 def case(request) -> FracturedWorld:
     shape, cracks, (tree, traversal) = request.param
     settings = SETTINGS._replace(tree=tree, traversal=traversal)
-    return fractured_world(SHAPES[shape](), seeds=5, generations=2, curved=cracks == "curved", settings=settings)
-
-
-def _surface_samples(case: FracturedWorld, fragment: int) -> tuple[np.ndarray, np.ndarray]:
-    tree = case.geometry.sphere_tree(case.row(fragment))
-    leaves = (tree.size == 1) & (tree.on_surface == 1)
-    return tree.center[leaves], tree.sample[leaves]
-
-
-class Poses:
-    def __init__(self, states: FragmentStates) -> None:
-        ids = np.asarray(states.fragment_ids).tolist()
-        self.rotation = dict(zip(ids, Rotation.from_quat(states.orientations.reshape(-1, 4)), strict=True))
-        self.position = dict(zip(ids, states.positions.reshape(-1, 3), strict=True))
-
-    def to_body(self, fragment: int, points: np.ndarray) -> np.ndarray:
-        return self.rotation[fragment].inv().apply(points - self.position[fragment])
-
-    def to_world(self, fragment: int, points: np.ndarray) -> np.ndarray:
-        return self.rotation[fragment].apply(points) + self.position[fragment]
-
-
-def _true_depths(case: FracturedWorld, poses: Poses, own: int, other: int) -> np.ndarray:
-    """Depth of every surface sample of `own` in `other`; minus infinity where it is not inside."""
-    samples, _ = _surface_samples(case, own)
-    points = poses.to_body(other, poses.to_world(own, samples))
-    inside = case.oracle.owner(points) == other
-    depth = np.full(len(points), -np.inf)
-    if inside.any():
-        depth[inside] = case.oracle.depth(other, points[inside], SURFACE)[0]
-    return depth
-
-
-def _ids(own: int, other: int, samples: np.ndarray) -> np.ndarray:
-    out = np.empty(len(samples), np.uint64)
-    contact_ids(np.full(len(samples), own), np.full(len(samples), other), samples.astype(np.int64), out)
-    return out
-
-
-def _pairs(answer: ContactConstraintArray) -> dict[tuple[int, int], tuple[slice, float]]:
-    return {
-        (int(a), int(b)): (
-            slice(int(answer.pair_begin[i]), int(answer.pair_begin[i + 1])),
-            answer.missed_depth_bound[i],
-        )
-        for i, (a, b) in enumerate(zip(answer.fragment_a, answer.fragment_b, strict=True))
-    }
+    return fractured_world(COARSE_SHAPES[shape](), seeds=5, generations=2, curved=cracks == "curved", settings=settings)
 
 
 @pytest.mark.parametrize("jitter", [0.0, 0.02, 0.15])
 def test_contacts_are_true_and_the_bound_holds(case: FracturedWorld, jitter: float) -> None:
-    # In place, samples lie on edges that several tetrahedra share; where older planes disagree these have different
-    # owners for such a point, and either is right. In general position one tetrahedron holds a point.
-    if jitter == 0.0 and case.curved:
-        jitter = 1e-4
+    """With plain normals, so that each depth is that to the nearest surface; test_crack_normal has the others."""
+    plain = with_settings(case, case.world.settings._replace(normals="nearest"))
     states = case.states(jitter, seed=1)
-    answer, poses = case.world.contacts(states), Poses(states)
-    settings = case.world.settings
-    epsilon, near = settings.penetration_tolerance, settings.detection_tolerance  # R = 1 for all shapes here
-    listed = _pairs(answer)
-    assert list(listed) == sorted(listed)
-    points = {"a": answer.points_a.reshape(-1, 3), "b": answer.points_b.reshape(-1, 3)}
-    normals = answer.normals.reshape(-1, 3)
-    assert np.allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-12)
-    assert np.allclose(answer.gaps, ((points["b"] - points["a"]) * normals).sum(axis=1), atol=1e-12)
-    assert len(set(answer.contact_ids.tolist())) == len(answer.contact_ids)
-    ids = case.oracle.fragment_ids
-    for i, a in enumerate(ids):
-        for b in ids[i + 1 :]:
-            rows, bound = listed.get((a, b), (slice(0, 0), epsilon))
-            worst_unlisted = 0.0
-            for own, other, mine, theirs in ((a, b, "a", "b"), (b, a, "b", "a")):
-                depths = _true_depths(case, poses, own, other)
-                samples, numbers = _surface_samples(case, own)
-                number_of = {key: k for k, key in enumerate(_ids(own, other, numbers).tolist())}
-                at = [number_of.get(key, -1) for key in answer.contact_ids[rows].tolist()]
-                chosen = np.array([k for k in at if k >= 0], dtype=int)
-                contact = np.array([k >= 0 for k in at], dtype=bool)
-                unlisted = np.setdiff1d(np.arange(len(samples)), chosen)
-                worst_unlisted = max(worst_unlisted, depths[unlisted].max(initial=0.0))
-                if not len(chosen):
-                    continue
-                assert np.allclose(points[mine][rows][contact], poses.to_world(own, samples[chosen]), atol=1e-12)
-                witness = poses.to_body(other, points[theirs][rows][contact])
-                assert case.oracle.distance_to_surface(other, witness, SURFACE)[0].max() <= 1e-9
-                inside = depths[chosen] > 1e-12
-                gaps = answer.gaps[rows][contact]
-                assert np.allclose(gaps[inside], -depths[chosen][inside], atol=1e-9)
-                assert (gaps[~inside] >= -1e-9).all()
-            assert worst_unlisted <= bound, f"pair {a}-{b}: a sample {worst_unlisted} deep is not listed; bound {bound}"
-            assert (answer.gaps[rows] <= near + 1e-9).all()
-            assert bound <= epsilon + 1e-9
+    checks = check_all_pairs(ContactTruth(case), states, plain)
+    assert_true(checks, case.world.settings.penetration_tolerance)
+    for check in checks:
+        assert np.abs(check.excess).max(initial=0.0) <= BORDER, check
 
 
 def test_a_budget_makes_the_bound_grow_instead_of_lie(case: FracturedWorld) -> None:
     states = case.states(0.05, seed=2)
-    poses = Poses(states)
+    truth, poses = ContactTruth(case), Poses(states)
     for budget in (200, 1000, 4000):
-        limited = fractured_like(case, case.world.settings._replace(visit_budget=budget))
+        limited = with_settings(case, case.world.settings._replace(visit_budget=budget))
         answer = limited.contacts(states)
-        listed = _pairs(answer)
+        listed = pairs_of(answer)
         if not answer.status & BUDGET_EXHAUSTED:
             continue
-        for (a, b), (rows, bound) in listed.items():
-            for own, other in ((a, b), (b, a)):
-                depths = _true_depths(case, poses, own, other)
-                is_listed = np.isin(_ids(own, other, _surface_samples(case, own)[1]), answer.contact_ids[rows])
-                assert depths[~is_listed].max(initial=0.0) <= bound
+        epsilon = case.world.settings.penetration_tolerance
+        for pair in listed:
+            check = check_pair(truth, poses, answer, pair, listed, epsilon)
+            assert check.deepest_unlisted <= check.bound, (pair, check)
         return
     pytest.fail("no budget was small enough to cut a search short")
-
-
-def fractured_like(case: FracturedWorld, settings: Settings):
-    """A world of the same bodies and events with other settings."""
-    world = CollisionWorld(settings)
-    for body in case.messages[0]:
-        world.add_body(body)
-    for event in case.messages[1]:
-        world.add_fracture(event)
-    return world
 
 
 def _bytes(answer: ContactConstraintArray) -> bytes:
@@ -168,19 +78,19 @@ def test_the_answer_is_the_same_bytes_for_any_number_of_threads(case: FracturedW
     states = case.states(0.05, seed=4)
     reference = _bytes(case.world.contacts(states))
     for threads in (2, 3, 8):
-        assert _bytes(fractured_like(case, case.world.settings._replace(threads=threads)).contacts(states)) == reference
+        assert _bytes(with_settings(case, case.world.settings._replace(threads=threads)).contacts(states)) == reference
 
 
 def test_a_full_list_does_not_depend_on_tree_or_traversal() -> None:
     """With room for every contact all searches list the same samples, in their own order."""
-    case = fractured_world(SHAPES["bowl"](), seeds=6, generations=3, curved=True)
+    case = fractured_world(COARSE_SHAPES["bowl"](), seeds=6, generations=3, curved=True)
     states = case.states(0.03, seed=6)
     listed = []
     for tree, traversal in SEARCHES:
         settings = SETTINGS._replace(
             tree=tree, traversal=traversal, contacts_per_pair=100_000, detection_tolerance=0.05
         )
-        answer = fractured_like(case, settings).contacts(states)
+        answer = with_settings(case, settings).contacts(states)
         by_id = np.argsort(answer.contact_ids)
         listed.append((answer.contact_ids[by_id].tolist(), answer.gaps[by_id].tolist(), answer.fragment_a.tolist()))
     assert len(listed[0][0]) > 500
@@ -207,7 +117,7 @@ def test_nodes_are_visited_in_the_order_of_the_traversal(traversal: str) -> None
         samples += [tree.sample[child] for n, child in following if tree.sample[child] != tree.sample[n]]
         level = [child for _, child in following if tree.size[child] > 1]
     assert len(samples) == len(vertices)
-    assert answer.contact_ids.tolist() == _ids(1, 2, np.array(samples)).tolist()
+    assert answer.contact_ids.tolist() == sample_ids(1, 2, np.array(samples)).tolist()
 
 
 def _children(size: np.ndarray, entry: int) -> list[int]:

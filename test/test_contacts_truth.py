@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import combinations
 
 import numpy as np
 import pytest
-from contact_truth import BORDER, COARSE_SHAPES, SHAPES, ContactTruth, PairCheck, Poses, check_pair, pairs_of, piled
+from contact_truth import (
+    BORDER,
+    COARSE_SHAPES,
+    SHAPES,
+    ContactTruth,
+    PairCheck,
+    assert_true,
+    check_all_pairs,
+    piled,
+)
 from fractured_worlds import FracturedWorld, fractured_world
 from scipy.spatial.transform import Rotation
 
 from fracture_collision.records import FragmentStates
 
-# R = 1 m for all shapes.
-WITNESS = 1e-6
 NOT_CONVEX = ("torus", "bowl", "l_block", "shell", "bunny")
 
 
@@ -35,34 +41,6 @@ FRAMES: dict[str, Callable[[ContactTruth, int], FragmentStates]] = {
     "deep": lambda truth, seed: moved(truth.case, seed, 0.2, 10.0),
     "piled": lambda truth, seed: piled(truth, seed, 0.25),
 }
-
-
-def check_all_pairs(truth: ContactTruth, states: FragmentStates) -> list[PairCheck]:
-    answer, poses = truth.case.world.contacts(states), Poses(states)
-    settings = truth.case.world.settings
-    listed = pairs_of(answer)
-    assert list(listed) == sorted(listed)
-    normals = answer.normals.reshape(-1, 3)
-    along = (answer.points_b - answer.points_a).reshape(-1, 3)
-    assert np.allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-12)
-    assert np.allclose(answer.gaps, (along * normals).sum(axis=1), atol=1e-12)
-    assert len(set(answer.contact_ids.tolist())) == len(answer.contact_ids)
-    assert (answer.gaps <= settings.detection_tolerance + BORDER).all()
-    return [
-        check_pair(truth, poses, answer, pair, listed, settings.penetration_tolerance)
-        for pair in combinations(sorted(truth.fragment_ids), 2)
-    ]
-
-
-def assert_true(checks: list[PairCheck], epsilon: float) -> None:
-    for check in checks:
-        # without a budget the bound is epsilon and rounding: nothing deeper than that is missing
-        assert check.bound <= epsilon + BORDER
-        assert check.deepest_unlisted <= check.bound, check
-        assert check.apart == 0, check
-        assert check.misplaced <= 1e-12, check
-        assert check.off_surface <= WITNESS, check
-        assert check.too_shallow <= BORDER, check
 
 
 def excess_of(checks: list[PairCheck]) -> str:

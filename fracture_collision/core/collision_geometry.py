@@ -25,6 +25,7 @@ from fracture_collision.core.moments import (
     surface_moments,
 )
 from fracture_collision.core.occupancy import cells_of_box, fill_pyramid, mark_all, pyramid_bytes
+from fracture_collision.core.pool_tables import PoolTables
 from fracture_collision.core.pools import (
     ALTERNATING,
     AVERAGED,
@@ -35,15 +36,10 @@ from fracture_collision.core.pools import (
     SAMPLE,
     SIZE,
     SURFACE,
-    BodyPool,
-    FragmentPool,
     GrowableArray,
-    MeshPool,
     Pools,
-    TreePool,
-    TriangleMeshPool,
 )
-from fracture_collision.core.sphere_tree import SphereTree, build_sphere_tree, surface_marks
+from fracture_collision.core.sphere_tree import SphereTree, build_sphere_tree
 from fracture_collision.core.tet_mesh import TetMesh
 from fracture_collision.core.triangle_field import TriangleMesh, append_triangle_mesh, build_triangle_mesh
 
@@ -105,10 +101,6 @@ def prepare_surface(vertices: np.ndarray, triangles: np.ndarray) -> PreparedSurf
     )
 
 
-def _table(**columns: tuple[int, type]) -> dict[str, GrowableArray]:
-    return {name: GrowableArray(width, dtype) for name, (width, dtype) in columns.items()}
-
-
 class CollisionGeometry:
     """Owner of the pools. Fragments are addressed by row, in the order in which they were made.
 
@@ -119,51 +111,16 @@ class CollisionGeometry:
     def __init__(
         self, tree: str = RESTRUCTURED, traversal: int = ALTERNATING, field: int = EXACT, normals: int = CRACK
     ) -> None:
-        self._tree_kind, self._traversal, self._field, self._normals = tree, traversal, field, normals
-        f8, i4, u1 = np.float64, np.int32, np.uint8
-        self._mesh = _table(
-            nodes=(3, f8), tetrahedra=(4, i4), neighbours=(4, i4), tetrahedron_edges=(6, i4), edges=(2, i4),
-            boxes=(6, f8), barycentric=(12, f8), moments=(10, f8), on_surface=(0, u1), node_tets_begin=(0, i4),
-            node_tets=(0, i4), grid=(4, f8), grid_dims=(4, i4), cell_begin=(0, i4), cell_tets=(0, i4),
-            tet_cells_begin=(0, i4), tet_cells=(0, i4), depth_grid=(4, f8), depth_grid_dims=(4, i4),
-            grid_depth=(0, f8),
-        )  # fmt: skip
-        self._body = _table(
-            node_fragment=(0, i4), edge_plane=(0, i4), edge_share=(2, f8), tet_fragment=(0, i4),
-            cut_begin=(0, i4), cut_count=(0, i4), planes=(4, f8), triangles=(9, f8), faces=(4, f8),
-            front=(0, i4), back=(0, i4), kind=(0, u1), node_field=(7, f8), node_certain_tet=(0, i4),
-        )  # fmt: skip
-        self._fragment = _table(
-            kind=(0, i4), mesh=(0, i4), node_shift=(0, i4), tet_shift=(0, i4), edge_shift=(0, i4), box=(6, f8),
-            shape=(4, f8), radius=(0, f8), tree_begin=(0, i4), tree_end=(0, i4), cells=(7, i4),
-        )  # fmt: skip
-        self._tree = _table(spheres=(4, f8), entries=(3, i4))
-        self._triangles = _table(
-            corners=(9, f8), features=(6, i4), pseudonormals=(3, f8), node_box=(6, f8), node_skip=(0, i4),
-            node_first=(0, i4), node_count=(0, i4), node_range=(2, i4), triangle_range=(2, i4),
-        )  # fmt: skip
-        self._occupancy = GrowableArray(0, u1)
-        self._moments = GrowableArray(10, f8)
-        self._gaps = GrowableArray(0, f8)
+        self._tree_kind, self._field = tree, field
+        self._tables = PoolTables(traversal, field, normals)
+        self._moments = GrowableArray(10, np.float64)
+        self._gaps = GrowableArray(0, np.float64)
         self._meshes: list[_MeshRows] = []
         self._surfaces: list[tuple[PreparedSurface, int, int]] = []  # with its rows in the pools: mesh, first of tree
-        self._pools: Pools | None = None
 
     @property
     def pools(self) -> Pools:
-        if self._pools is None:
-            self._pools = Pools(
-                MeshPool(**{k: a.view for k, a in self._mesh.items()}),
-                BodyPool(**{k: a.view for k, a in self._body.items()}),
-                FragmentPool(**{k: a.view for k, a in self._fragment.items()}),
-                TreePool(**{k: a.view for k, a in self._tree.items()}),
-                self._occupancy.view,
-                TriangleMeshPool(**{k: a.view for k, a in self._triangles.items()}),
-                self._traversal,
-                self._field,
-                self._normals,
-            )
-        return self._pools
+        return self._tables.pools
 
     def sampling_gap(self, row: int) -> float:
         """[m] no point of the fragment's surface is farther from one of its samples."""
@@ -171,28 +128,29 @@ class CollisionGeometry:
 
     def tet_range(self, row: int) -> range:
         """Rows of the mesh of a tetrahedral fragment's body."""
-        rows = self._meshes[self._fragment["mesh"].view[row]]
+        rows = self._meshes[self._tables.fragment["mesh"].view[row]]
         return range(rows.tet, rows.tet + len(rows.prepared.mesh.tetrahedra))
 
     def rigid_triangles(self, row: int) -> np.ndarray:
         """Corners (t, 3, 3) [m] of a rigid body of triangles."""
-        begin, end = self._triangles["triangle_range"].view[self._fragment["mesh"].view[row]]
-        return self._triangles["corners"].view[begin:end].reshape(-1, 3, 3)
+        begin, end = self._tables.triangles["triangle_range"].view[self._tables.fragment["mesh"].view[row]]
+        return self._tables.triangles["corners"].view[begin:end].reshape(-1, 3, 3)
 
     def sphere_tree(self, row: int) -> SphereTree:
         """A copy of the fragment's tree."""
-        part = slice(int(self._fragment["tree_begin"].view[row]), int(self._fragment["tree_end"].view[row]))
-        spheres, entries = self._tree["spheres"].view[part], self._tree["entries"].view[part]
+        tables = self._tables
+        part = slice(int(tables.fragment["tree_begin"].view[row]), int(tables.fragment["tree_end"].view[row]))
+        spheres, entries = tables.tree["spheres"].view[part], tables.tree["entries"].view[part]
         return SphereTree(
             spheres[:, :3].copy(), spheres[:, 3].copy(), entries[:, SIZE].copy(), entries[:, SAMPLE].copy(),
             (entries[:, SURFACE] == OWN_SAMPLE).astype(np.uint8),
         )  # fmt: skip
 
     def tree_entries(self, row: int) -> int:
-        return int(self._fragment["tree_end"].view[row] - self._fragment["tree_begin"].view[row])
+        return int(self._tables.fragment["tree_end"].view[row] - self._tables.fragment["tree_begin"].view[row])
 
     def mass_properties(self, row: int, density: float) -> MassProperties:
-        kind, shape = self._fragment["kind"].view[row], self._fragment["shape"].view[row]
+        kind, shape = self._tables.fragment["kind"].view[row], self._tables.fragment["shape"].view[row]
         if kind == PLANE:
             return MassProperties(0.0, np.zeros(3), np.zeros(6))
         if kind == SPHERE:
@@ -213,7 +171,7 @@ class CollisionGeometry:
     def add_box(self, half: np.ndarray) -> int:
         """`half` (3,) [m] half edge lengths."""
         points = _box_edge_points(half)
-        begin = self._append_tree(build_sphere_tree(points, np.ones(len(points), np.uint8)))
+        begin = self._tables.append_tree(build_sphere_tree(points, np.ones(len(points), np.uint8)))
         # the point of a face farthest from its edges
         gap = float(np.sort(half)[1])
         return self._add_row(
@@ -222,7 +180,7 @@ class CollisionGeometry:
             np.append(half, 0.0),
             float(half.max()),
             begin,
-            self._tree["entries"].used,
+            self._tables.tree["entries"].used,
             gap,
         )
 
@@ -242,7 +200,8 @@ class CollisionGeometry:
         """A rigid body; equal `prepared` objects share their pool rows."""
         known = next((rows for rows in self._surfaces if rows[0] is prepared), None)
         if known is None:
-            known = prepared, append_triangle_mesh(self._triangles, prepared.mesh), self._append_tree(prepared.tree)
+            tables = self._tables
+            known = prepared, append_triangle_mesh(tables.triangles, prepared.mesh), tables.append_tree(prepared.tree)
             self._surfaces.append(known)
         _, mesh, tree = known
         box = prepared.mesh.node_box[0]
@@ -261,20 +220,20 @@ class CollisionGeometry:
         nodes (n,): all its mesh nodes; parts (n,): the part of each, 0 .. count - 1; edges (k,): mesh edges it is cut
         at, ascending; planes (k, 4): unit normal from the edge's first node to its second, offset [m].
         """
-        k = int(self._fragment["mesh"].view[row])
+        k = int(self._tables.fragment["mesh"].view[row])
         rows = self._meshes[k]
         self._own_body_rows(row, rows)
-        node_shift = int(self._fragment["node_shift"].view[row])
-        tet_shift = int(self._fragment["tet_shift"].view[row])
-        edge_shift = int(self._fragment["edge_shift"].view[row])
-        first = self._fragment["kind"].used
-        parent = {name: array.view[row].copy() for name, array in self._fragment.items()}
-        for name, array in self._fragment.items():
+        node_shift = int(self._tables.fragment["node_shift"].view[row])
+        tet_shift = int(self._tables.fragment["tet_shift"].view[row])
+        edge_shift = int(self._tables.fragment["edge_shift"].view[row])
+        first = self._tables.fragment["kind"].used
+        parent = {name: array.view[row].copy() for name, array in self._tables.fragment.items()}
+        for name, array in self._tables.fragment.items():
             array.append(np.repeat(parent[name][None], count, axis=0))
         self._moments.append(np.zeros((count, 10)))
         self._gaps.append(np.zeros(count))
-        first_plane = self._body["planes"].append(planes)
-        self._pools = None
+        first_plane = self._tables.body["planes"].append(planes)
+        self._tables.have_grown()
         pools, end = self.pools, first + count
         labels = pools.body.node_fragment
         visited = np.zeros(len(pools.mesh.tetrahedra), np.uint8)
@@ -301,14 +260,14 @@ class CollisionGeometry:
         pools.fragment.box[first:end], reaches = empty, np.tile(empty, (count, 1))
         polygons = fracture_update.rebuild_surfaces(
             pools.mesh, pools.body, node_shift, tet_shift, edge_shift, touched, own, first, end,
-            self._body["triangles"].used, moments, pools.fragment.box, reaches, self._gaps.view,
+            self._tables.body["triangles"].used, moments, pools.fragment.box, reaches, self._gaps.view,
         )  # fmt: skip
         for name in polygons._fields:
-            self._body[name].append(getattr(polygons, name))
+            self._tables.body[name].append(getattr(polygons, name))
         self._mark_cells(k, node_shift, tets, first, end, reaches)
         share = self._crack_shares(rows, node_shift, edge_shift, first, end)
         self._give_trees(row, rows.prepared.mesh, nodes, parts, edges, share, first, count)
-        self._pools = None
+        self._tables.have_grown()
         if self._field == AVERAGED:
             self._propagate(rows, node_shift, edge_shift, touched, tets, first, end, first_plane)
         return first
@@ -341,9 +300,9 @@ class CollisionGeometry:
             ordered = self._tree_kind == RESTRUCTURED
             trees = split_trees(self.sphere_tree(row), mesh, part_of_node, edges, share, count, ordered)
         for i, tree in enumerate(trees):
-            at = self._append_tree(tree)
-            self._fragment["tree_begin"].view[first + i] = at
-            self._fragment["tree_end"].view[first + i] = at + len(tree.size)
+            at = self._tables.append_tree(tree)
+            self._tables.fragment["tree_begin"].view[first + i] = at
+            self._tables.fragment["tree_end"].view[first + i] = at + len(tree.size)
 
     def _crack_shares(self, rows, node_shift, edge_shift, first, end) -> np.ndarray:
         """edge_share (mesh edges, 2) at the cut edges of fragments first .. end - 1, infinity elsewhere."""
@@ -354,54 +313,47 @@ class CollisionGeometry:
         return np.where(sampled, body.edge_share[own], np.inf)
 
     def _mark_cells(self, k, node_shift, tets, first, end, reaches) -> None:
-        grid, dims = self._mesh["grid"].view[k], self._mesh["grid_dims"].view[k, :3]
+        grid, dims = self._tables.mesh["grid"].view[k], self._tables.mesh["grid_dims"].view[k, :3]
         cells = np.empty((end - first, 7), np.int32)
         for i, box in enumerate(reaches):
             cells[i] = cells_of_box(box, grid[:3], grid[3], dims, 0)
-            cells[i, 6] = self._occupancy.append(np.zeros(pyramid_bytes(cells[i]), np.uint8))
-        self._fragment["cells"].view[first:end] = cells
-        occupancy = self._occupancy.view
+            cells[i, 6] = self._tables.occupancy.append(np.zeros(pyramid_bytes(cells[i]), np.uint8))
+        self._tables.fragment["cells"].view[first:end] = cells
+        occupancy = self._tables.occupancy.view
         fracture_update.mark_cells(self.pools.mesh, k, self.pools.body, node_shift, tets, first, end, cells, occupancy)
         for row in cells:
             fill_pyramid(row, occupancy)
 
     def _own_body_rows(self, row: int, rows: _MeshRows) -> None:
         """A body that breaks for the first time gets labels, cuts and planes of its own."""
-        if self._fragment["node_shift"].view[row] != NEVER_BROKEN:
+        if self._tables.fragment["node_shift"].view[row] != NEVER_BROKEN:
             return
         mesh = rows.prepared.mesh
         if self._field == AVERAGED:
             interior = self._interior_field(row, rows)
-            self._body["node_field"].append(interior.node_field)
-            self._body["node_certain_tet"].append(np.full(len(mesh.nodes), OLD_SURFACE, np.int32))
-        node = self._body["node_fragment"].append(np.full(len(mesh.nodes), row, np.int32))
-        edge = self._body["edge_plane"].append(np.full(len(mesh.edges), -1, np.int32))
-        self._body["edge_share"].append(np.ones((len(mesh.edges), 2)))
-        tet = self._body["tet_fragment"].append(np.full(len(mesh.tetrahedra), row, np.int32))
-        self._body["cut_begin"].append(np.zeros(len(mesh.tetrahedra), np.int32))
-        self._body["cut_count"].append(np.zeros(len(mesh.tetrahedra), np.int32))
-        self._fragment["node_shift"].view[row] = node - rows.node
-        self._fragment["tet_shift"].view[row] = tet - rows.tet
-        self._fragment["edge_shift"].view[row] = edge - rows.edge
+            self._tables.body["node_field"].append(interior.node_field)
+            self._tables.body["node_certain_tet"].append(np.full(len(mesh.nodes), OLD_SURFACE, np.int32))
+        node = self._tables.body["node_fragment"].append(np.full(len(mesh.nodes), row, np.int32))
+        edge = self._tables.body["edge_plane"].append(np.full(len(mesh.edges), -1, np.int32))
+        self._tables.body["edge_share"].append(np.ones((len(mesh.edges), 2)))
+        tet = self._tables.body["tet_fragment"].append(np.full(len(mesh.tetrahedra), row, np.int32))
+        self._tables.body["cut_begin"].append(np.zeros(len(mesh.tetrahedra), np.int32))
+        self._tables.body["cut_count"].append(np.zeros(len(mesh.tetrahedra), np.int32))
+        self._tables.fragment["node_shift"].view[row] = node - rows.node
+        self._tables.fragment["tet_shift"].view[row] = tet - rows.tet
+        self._tables.fragment["edge_shift"].view[row] = edge - rows.edge
 
     def _interior_field(self, row: int, rows: _MeshRows) -> InteriorField:
         """The averaged field of the whole body `row`; its grid goes into the pools with the first body of the mesh."""
         if not rows.prepared.interior:
             rows.prepared.interior.append(make_interior_field(self.pools, row, rows.node, rows.prepared.mesh))
         interior = rows.prepared.interior[0]
-        if self._mesh["depth_grid_dims"].view[rows.index, 0] == 0:
-            self._mesh["depth_grid"].view[rows.index] = np.append(interior.origin, interior.cell)
-            first = self._mesh["grid_depth"].append(interior.depth)
-            self._mesh["depth_grid_dims"].view[rows.index] = np.append(interior.dims, first)
-            self._pools = None
+        if self._tables.mesh["depth_grid_dims"].view[rows.index, 0] == 0:
+            self._tables.mesh["depth_grid"].view[rows.index] = np.append(interior.origin, interior.cell)
+            first = self._tables.mesh["grid_depth"].append(interior.depth)
+            self._tables.mesh["depth_grid_dims"].view[rows.index] = np.append(interior.dims, first)
+            self._tables.have_grown()
         return interior
-
-    def _append_tree(self, tree: SphereTree) -> int:
-        begin = self._tree["entries"].used
-        self._tree["spheres"].append(np.column_stack([tree.center, tree.radius]))
-        marks = surface_marks(tree.size, tree.on_surface)
-        self._tree["entries"].append(np.column_stack([tree.size, tree.sample, marks]))
-        return begin
 
     def _add_row(self, kind, box, shape, radius, tree_begin, tree_end, gap, mesh=-1, cells=None) -> int:
         values = dict(
@@ -410,43 +362,25 @@ class CollisionGeometry:
             cells=np.zeros(7, np.int32) if cells is None else cells,
         )  # fmt: skip
         for name, value in values.items():
-            self._fragment[name].append(np.asarray(value)[None])
+            self._tables.fragment[name].append(np.asarray(value)[None])
         self._moments.append(np.zeros((1, 10)))
-        self._pools = None
+        self._tables.have_grown()
         return self._gaps.append(np.array([gap]))
 
     def _mesh_rows(self, prepared: PreparedMesh) -> _MeshRows:
         for known in self._meshes:
             if known.prepared is prepared:
                 return known
-        mesh, table = prepared.mesh, self._mesh
-        index, node, tet, edge = table["grid"].used, table["nodes"].used, table["tetrahedra"].used, table["edges"].used
-        first_cell = table["cell_begin"].used
-        table["nodes"].append(mesh.nodes)
-        table["tetrahedra"].append(mesh.tetrahedra + node)
-        table["neighbours"].append(np.where(mesh.neighbours < 0, -1, mesh.neighbours + tet))
-        table["tetrahedron_edges"].append(mesh.tetrahedron_edges + edge)
-        table["edges"].append(mesh.edges + node)
-        for name in ("boxes", "barycentric", "moments", "on_surface"):
-            table[name].append(getattr(mesh, name))
-        table["node_tets_begin"].append(mesh.node_tets_begin + table["node_tets"].used)
-        table["node_tets"].append(mesh.node_tets + tet)
-        table["cell_begin"].append(mesh.cell_begin + table["cell_tets"].used)
-        table["cell_tets"].append(mesh.cell_tets + tet)
-        table["tet_cells_begin"].append(mesh.tet_cells_begin + table["tet_cells"].used)
-        table["tet_cells"].append(mesh.tet_cells)
-        table["grid"].append(np.append(mesh.grid_origin, mesh.grid_cell)[None])
-        table["grid_dims"].append(np.append(mesh.grid_dims, first_cell)[None])
-        table["depth_grid"].append(np.zeros((1, 4)))
-        table["depth_grid_dims"].append(np.zeros((1, 4)))
+        mesh, tables = prepared.mesh, self._tables
+        index, node, tet, edge = tables.append_mesh(mesh)
         cells = cells_of_box(mesh.box, mesh.grid_origin, mesh.grid_cell, mesh.grid_dims, 0)
-        cells[6] = self._occupancy.append(np.zeros(pyramid_bytes(cells), np.uint8))
-        self._pools = None
-        mark_all(self.pools.mesh, index, tet, tet + len(mesh.tetrahedra), cells, self._occupancy.view)
-        fill_pyramid(cells, self._occupancy.view)
-        rows = _MeshRows(index, node, tet, edge, self._append_tree(prepared.tree), cells, prepared)
+        cells[6] = self._tables.occupancy.append(np.zeros(pyramid_bytes(cells), np.uint8))
+        self._tables.have_grown()
+        mark_all(self.pools.mesh, index, tet, tet + len(mesh.tetrahedra), cells, self._tables.occupancy.view)
+        fill_pyramid(cells, self._tables.occupancy.view)
+        rows = _MeshRows(index, node, tet, edge, self._tables.append_tree(prepared.tree), cells, prepared)
         self._meshes.append(rows)
-        self._pools = None
+        self._tables.have_grown()
         return rows
 
 

@@ -14,6 +14,7 @@ from fracture_collision.core.compiled import inlined_kernel, query_kernel
 from fracture_collision.core.crack_samples import share_of_segment
 from fracture_collision.core.cut_tetrahedron import INTERFACE
 from fracture_collision.core.flood import (
+    DIRECTION_FLOOR,
     NO_SOURCE,
     corner_weight,
     nearest_from_inside,
@@ -36,7 +37,8 @@ NOWHERE = -2  # no tetrahedron, nor -1, the outside
 def turn_to_cracks(pools, a, b, near, contacts, ids, count, scratch, thread):
     """Turn the `count` contacts of a pair, as query_pair leaves them, to the crack that `a` and `b` share.
 
-    Sets witness, normal and gap in rows of `contacts` (., 10); `near` [m] is the detection tolerance.
+    Sets witness, normal and gap in rows of `contacts` (., 10); `near` [m] is the detection tolerance. Samples outside
+    the unbroken body stay as they are: they are not between the two.
     """
     fragment = pools.fragment
     k, shift = fragment.mesh[a], fragment.node_shift[a]
@@ -51,24 +53,29 @@ def turn_to_cracks(pools, a, b, near, contacts, ids, count, scratch, thread):
         x, y, z, d = row[0], row[1], row[2], row[9]
         f, g = (b, a) if ids[c, 0] == 0 else (a, b)
         t = tetrahedron_at(pools.mesh, k, x, y, z)
+        if t < 0:
+            continue
         inside = d <= 0.0
         if inside:
-            limit = max(-TIMES_NEAREST * d, floor)
-            best = nearest_from_inside(pools, f, t, x, y, z, limit, g, scratch, thread)
+            within = max(-TIMES_NEAREST * d, floor)
+            best = nearest_from_inside(pools, f, t, x, y, z, within, g, scratch, thread)
         else:
-            limit = max(TIMES_NEAREST * d, near)
-            best = nearest_from_outside(pools, f, t, x, y, z, limit, g, scratch, thread)
+            within = max(TIMES_NEAREST * d, near)
+            best = nearest_from_outside(pools, f, t, x, y, z, within, g, scratch, thread)
+            within = near  # whichever way, what is listed is no farther than the detection tolerance
         if best[5] == NO_SOURCE:
             continue
         nx, ny, nz = crack_direction(pools, f, g, best[5], best[6])
         sign = 1.0 if inside else -1.0
-        s = way_through(pools, f, t, x, y, z, sign * nx, sign * ny, sign * nz, limit, inside, scratch, thread)
-        if s > limit:
+        s = way_through(pools, f, t, x, y, z, sign * nx, sign * ny, sign * nz, within, inside, scratch, thread)
+        if s <= within:
+            s *= sign
+            row[3], row[4], row[5] = x + s * nx, y + s * ny, z + s * nz
+            row[9] = -s
+        elif abs(d) > DIRECTION_FLOOR * fragment.radius[a]:
             continue
-        s *= sign
-        row[3], row[4], row[5] = x + s * nx, y + s * ny, z + s * nz
+        # where the two just touch, its own witness will do: on a step the crack's normal may lead along the surface
         row[6], row[7], row[8] = nx, ny, nz
-        row[9] = -s
 
 
 @inlined_kernel

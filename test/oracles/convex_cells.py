@@ -109,23 +109,31 @@ def moments(cell: list[Face]) -> tuple[float, np.ndarray, np.ndarray]:
 
 def nearest_on_triangles(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Distance (n,) and nearest point (n, 3) from each point to a set of triangles (t, 3, 3), all of them tried."""
-    a, b, c = (triangles[:, i] for i in range(3))
-    normal = np.cross(b - a, c - a)
-    squared = np.einsum("ij,ij->i", normal, normal)
     best = np.full(len(points), np.inf)
     nearest = np.zeros((len(points), 3))
     for i, x in enumerate(points):
-        foot = x - (np.einsum("ij,ij->i", x - a, normal) / squared)[:, None] * normal
-        inside = np.ones(len(a), dtype=bool)
-        for p, q in ((a, b), (b, c), (c, a)):
-            inside &= np.einsum("ij,ij->i", np.cross(q - p, foot - p), normal) >= 0.0
-        candidates = [np.where(inside[:, None], foot, a)]
-        for p, q in ((a, b), (b, c), (c, a)):
-            along = q - p
-            t = np.clip(np.einsum("ij,ij->i", x - p, along) / np.einsum("ij,ij->i", along, along), 0.0, 1.0)
-            candidates.append(p + t[:, None] * along)
-        stacked = np.concatenate(candidates)
-        distance = np.linalg.norm(stacked - x, axis=1)
+        distance, feet = distances_to_triangles(x, triangles)
         k = int(np.argmin(distance))
-        best[i], nearest[i] = distance[k], stacked[k]
+        best[i], nearest[i] = distance[k], feet[k]
     return best, nearest
+
+
+def distances_to_triangles(x: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of one point (3,): its distance (t,) from, and the nearest point (t, 3) of, each triangle (t, 3, 3)."""
+    a, b, c = (triangles[:, i] for i in range(3))
+    normal = np.cross(b - a, c - a)
+    squared = np.einsum("ij,ij->i", normal, normal)
+    foot = x - (np.einsum("ij,ij->i", x - a, normal) / squared)[:, None] * normal
+    inside = np.ones(len(a), dtype=bool)
+    for p, q in ((a, b), (b, c), (c, a)):
+        inside &= np.einsum("ij,ij->i", np.cross(q - p, foot - p), normal) >= 0.0
+    candidates = [np.where(inside[:, None], foot, a)]
+    for p, q in ((a, b), (b, c), (c, a)):
+        along = q - p
+        t = np.clip(np.einsum("ij,ij->i", x - p, along) / np.einsum("ij,ij->i", along, along), 0.0, 1.0)
+        candidates.append(p + t[:, None] * along)
+    stacked = np.array(candidates)
+    distance = np.linalg.norm(stacked - x, axis=2)
+    k = np.argmin(distance, axis=0)
+    every = np.arange(len(triangles))
+    return distance[k, every], stacked[k, every]

@@ -46,14 +46,9 @@ def curved_event(
     Each cut edge carries the tangent plane of the crack where the edge crosses it. `amplitude` is the warp's size in
     parts of the body's longest side.
     """
-    seeds = np.asarray(seeds, dtype=np.float64)
     length = np.ptp(body.vertices, axis=0).max()
-
-    def warp(x: np.ndarray) -> np.ndarray:
-        phase = 2.0 * np.pi * x / length
-        return x + amplitude * length * np.sin(np.roll(phase, 1, axis=-1) * 1.3 + np.roll(phase, 2, axis=-1))
-
-    warped_seeds = warp(seeds)
+    warp = warp_of(length, amplitude)
+    warped_seeds = warp(np.asarray(seeds, dtype=np.float64))
 
     def tangent(a: int, b: int, i: int, j: int) -> tuple[np.ndarray, float]:
         def level(x: np.ndarray) -> np.ndarray:  # negative in cell i, positive in cell j
@@ -75,6 +70,43 @@ def curved_event(
 
     nearest = _nearest(warp(body.vertices), warped_seeds)
     return _event(body, fragment_id, nearest, tangent, first_new_id, sequence, body_id)
+
+
+def disagreeing_event(
+    body: FragmentedBody,
+    fragment_id: int,
+    seeds: np.ndarray,
+    first_new_id: int,
+    sequence: int,
+    tilt: float,
+    random: np.random.Generator,
+) -> FractureEvent:
+    """As `voronoi_event`, but every cut edge has a plane of its own: across the edge, tilted at random and put anywhere
+    along it. `tilt`: the deviation of the normal from the edge's direction, as a ratio; no two planes agree.
+    """
+
+    def plane(a: int, b: int, _i: int, _j: int) -> tuple[np.ndarray, float]:
+        start, along = body.vertices[a], body.vertices[b] - body.vertices[a]
+        normal = along / np.linalg.norm(along) + tilt * random.normal(size=3)
+        normal /= np.linalg.norm(normal)
+        if normal @ along < 0.1 * np.linalg.norm(along):
+            normal = along / np.linalg.norm(along)
+        return normal, float(normal @ (start + random.uniform(0.02, 0.98) * along))
+
+    seeds = np.asarray(seeds, dtype=np.float64)
+    return _event(body, fragment_id, _nearest(body.vertices, seeds), plane, first_new_id, sequence, 1)
+
+
+def warp_of(length: float, amplitude: float) -> Callable[[np.ndarray], np.ndarray]:
+    """The map of points (..., 3) [m] in whose image the cells of `curved_event` are Voronoi; `length` [m]: the body's
+    longest side.
+    """
+
+    def warp(x: np.ndarray) -> np.ndarray:
+        phase = 2.0 * np.pi * x / length
+        return x + amplitude * length * np.sin(np.roll(phase, 1, axis=-1) * 1.3 + np.roll(phase, 2, axis=-1))
+
+    return warp
 
 
 def _nearest(points: np.ndarray, seeds: np.ndarray) -> np.ndarray:

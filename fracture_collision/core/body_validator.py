@@ -1,0 +1,97 @@
+"""What must hold for a fractured body's rows in the pools after every event: for tests, and for whoever doubts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from fracture_collision.core.collision_geometry import CollisionGeometry
+from fracture_collision.core.cut_tetrahedron import INTERFACE
+from fracture_collision.core.occupancy import sphere_may_touch
+from fracture_collision.core.pools import CUT, Pools
+from fracture_collision.core.surface_triangles import surface_triangles
+
+# Rounding, as a share of lengths, areas and volumes of the body.
+ROUNDING = 1e-9
+# The plane of a thinner triangle (twice its area over its longest side squared) is anybody's guess; its rim is not.
+THIN = 1e-6
+
+
+def validate_body(geometry: CollisionGeometry, rows: Sequence[int], planes_agree: bool = False) -> None:
+    """Raise AssertionError unless all that is stored of one fractured body agrees; `rows`: its living fragments.
+
+    planes_agree: the cracks are such that a fracture moves no border of a fragment that did not break; then the two
+    samples of a cut edge never pass each other. Where planes disagree, those of older cracks may (docs/numerics.md).
+    Labels, cuts and polygons are consistent; each fragment's surface is closed, oriented outward, encloses the
+    fragment's volume and lies in its box and cells; the volumes add up to the body's.
+    """
+    pools = geometry.pools
+    tets = np.array(geometry.tet_range(rows[0]))
+    _validate_labels(pools, rows, tets, planes_agree)
+    _validate_polygons(pools, rows, tets)
+    radius = float(pools.fragment.radius[rows[0]])
+    volumes = [_validate_surface(geometry, row, radius) for row in rows]
+    whole = pools.mesh.moments[tets, 0].sum()
+    assert abs(sum(volumes) - whole) <= ROUNDING * whole, f"volumes add up to {sum(volumes)}, the body has {whole}"
+
+
+def _validate_labels(pools: Pools, rows: Sequence[int], tets: np.ndarray, planes_agree: bool) -> None:
+    mesh, body, fragment = pools.mesh, pools.body, pools.fragment
+    shift = int(fragment.node_shift[rows[0]])
+    labels = body.node_fragment[mesh.tetrahedra[tets] + shift]
+    assert set(np.unique(labels).tolist()) == set(rows), "the labels of the nodes are not the living fragments"
+    alone = np.where((labels == labels[:, :1]).all(axis=1), labels[:, 0], CUT)
+    stored = body.tet_fragment[tets + fragment.tet_shift[rows[0]]]
+    assert np.array_equal(stored, alone), "a tetrahedron's owner is not that of its nodes"
+    edges = np.unique(mesh.tetrahedron_edges[tets])
+    ends = mesh.edges[edges]
+    is_cut = body.node_fragment[ends[:, 0] + shift] != body.node_fragment[ends[:, 1] + shift]
+    planes = body.edge_plane[edges + fragment.edge_shift[rows[0]]]
+    assert np.array_equal(planes >= 0, is_cut), "an edge is cut if and only if its ends differ"
+    shares = body.edge_share[edges + fragment.edge_shift[rows[0]]][is_cut]
+    assert (shares >= 0.0).all() and (shares <= 1.0).all(), "a sample has left its edge"
+    if planes_agree:
+        assert (shares.sum(axis=1) <= 1.0 + ROUNDING).all(), "two samples of an edge have passed each other"
+
+
+def _validate_polygons(pools: Pools, rows: Sequence[int], tets: np.ndarray) -> None:
+    body = pools.body
+    shift = pools.fragment.tet_shift[rows[0]]
+    living = np.array([*rows, -1])
+    for t in tets.tolist():
+        begin, count = int(body.cut_begin[t + shift]), int(body.cut_count[t + shift])
+        part = slice(begin, begin + count)
+        kinds, fronts, backs = body.kind[part].astype(int), body.front[part], body.back[part]
+        assert (np.diff(kinds) >= 0).all(), f"tetrahedron {t}: kinds do not ascend"
+        assert np.isin(fronts, living[:-1]).all() and np.isin(backs, living).all(), f"tetrahedron {t}: a retired owner"
+        assert (fronts != backs).all(), f"tetrahedron {t}: a polygon between a fragment and itself"
+        if body.tet_fragment[t + shift] != CUT:
+            assert ((kinds < INTERFACE) & (backs >= 0)).all(), f"tetrahedron {t}: not cut, and more than steps"
+        corners = body.triangles[part].reshape(-1, 3, 3)
+        sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+        twice = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        is_wide = np.linalg.norm(twice, axis=1) > THIN * sides**2
+        heights = np.einsum("tcd,td->tc", corners, body.faces[part, :3]) - body.faces[part, 3:]
+        off = np.abs(heights[is_wide]).max(initial=0.0)
+        assert off <= ROUNDING * pools.fragment.radius[rows[0]], f"tetrahedron {t}: a triangle beside its plane"
+        assert np.allclose(np.linalg.norm(body.faces[part, :3], axis=1), 1.0, atol=ROUNDING), "a normal is not unit"
+
+
+def _validate_surface(geometry: CollisionGeometry, row: int, radius: float) -> float:
+    """Returns the volume [m3] that the fragment's surface encloses."""
+    pools = geometry.pools
+    corners, _ = surface_triangles(pools, row, geometry.tet_range(row))
+    a, b, c = (corners[:, i] for i in range(3))
+    areas = 0.5 * np.cross(b - a, c - a)
+    total = np.linalg.norm(areas, axis=1).sum()
+    assert np.linalg.norm(areas.sum(axis=0)) <= ROUNDING * total, f"fragment {row}: the surface is not closed"
+    enclosed = float((areas * a).sum() / 3.0)
+    volume = geometry.mass_properties(row, 1.0).mass
+    assert abs(enclosed - volume) <= ROUNDING * radius**3, f"fragment {row}: encloses {enclosed}, has {volume}"
+    points, box = corners.reshape(-1, 3), pools.fragment.box[row]
+    inside = (points >= box[:3] - ROUNDING * radius) & (points <= box[3:] + ROUNDING * radius)
+    assert inside.all(), f"fragment {row}: surface outside its box"
+    for x, y, z in points.tolist():
+        assert sphere_may_touch(pools, row, x, y, z, ROUNDING * radius), f"fragment {row}: surface outside its cells"
+    return enclosed

@@ -1,0 +1,101 @@
+"""The memory behind the pools: one growable table a pool, and what appends whole structures to several columns."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fracture_collision.core.pools import (
+    BodyPool,
+    FragmentPool,
+    GrowableArray,
+    MeshPool,
+    Pools,
+    TreePool,
+    TriangleMeshPool,
+)
+from fracture_collision.core.sphere_tree import SphereTree, surface_marks
+from fracture_collision.core.tet_mesh import TetMesh
+
+
+def _table(**columns: tuple[int, type]) -> dict[str, GrowableArray]:
+    return {name: GrowableArray(width, dtype) for name, (width, dtype) in columns.items()}
+
+
+class PoolTables:
+    """Columns of each pool by name, growing at their ends; after an append, `have_grown` renews what `pools` shows."""
+
+    def __init__(self, traversal: int, field: int, normals: int) -> None:
+        f8, i4, u1 = np.float64, np.int32, np.uint8
+        self.mesh = _table(
+            nodes=(3, f8), tetrahedra=(4, i4), neighbours=(4, i4), tetrahedron_edges=(6, i4), edges=(2, i4),
+            boxes=(6, f8), barycentric=(12, f8), moments=(10, f8), on_surface=(0, u1), node_tets_begin=(0, i4),
+            node_tets=(0, i4), grid=(4, f8), grid_dims=(4, i4), cell_begin=(0, i4), cell_tets=(0, i4),
+            tet_cells_begin=(0, i4), tet_cells=(0, i4), depth_grid=(4, f8), depth_grid_dims=(4, i4),
+            grid_depth=(0, f8),
+        )  # fmt: skip
+        self.body = _table(
+            node_fragment=(0, i4), edge_plane=(0, i4), edge_share=(2, f8), tet_fragment=(0, i4),
+            cut_begin=(0, i4), cut_count=(0, i4), planes=(4, f8), triangles=(9, f8), faces=(4, f8),
+            front=(0, i4), back=(0, i4), kind=(0, u1), node_field=(7, f8), node_certain_tet=(0, i4),
+        )  # fmt: skip
+        self.fragment = _table(
+            kind=(0, i4), mesh=(0, i4), node_shift=(0, i4), tet_shift=(0, i4), edge_shift=(0, i4), box=(6, f8),
+            shape=(4, f8), radius=(0, f8), tree_begin=(0, i4), tree_end=(0, i4), cells=(7, i4),
+        )  # fmt: skip
+        self.tree = _table(spheres=(4, f8), entries=(3, i4))
+        self.triangles = _table(
+            corners=(9, f8), features=(6, i4), pseudonormals=(3, f8), node_box=(6, f8), node_skip=(0, i4),
+            node_first=(0, i4), node_count=(0, i4), node_range=(2, i4), triangle_range=(2, i4),
+        )  # fmt: skip
+        self.occupancy = GrowableArray(0, u1)
+        self._switches = traversal, field, normals
+        self._pools: Pools | None = None
+
+    @property
+    def pools(self) -> Pools:
+        if self._pools is None:
+            self._pools = Pools(
+                MeshPool(**{k: a.view for k, a in self.mesh.items()}),
+                BodyPool(**{k: a.view for k, a in self.body.items()}),
+                FragmentPool(**{k: a.view for k, a in self.fragment.items()}),
+                TreePool(**{k: a.view for k, a in self.tree.items()}),
+                self.occupancy.view,
+                TriangleMeshPool(**{k: a.view for k, a in self.triangles.items()}),
+                *self._switches,
+            )
+        return self._pools
+
+    def have_grown(self) -> None:
+        self._pools = None
+
+    def append_tree(self, tree: SphereTree) -> int:
+        """Returns the row of its root."""
+        begin = self.tree["entries"].used
+        self.tree["spheres"].append(np.column_stack([tree.center, tree.radius]))
+        marks = surface_marks(tree.size, tree.on_surface)
+        self.tree["entries"].append(np.column_stack([tree.size, tree.sample, marks]))
+        return begin
+
+    def append_mesh(self, mesh: TetMesh) -> tuple[int, int, int, int]:
+        """Returns its row in `grid`, and its first node, tetrahedron and edge."""
+        table = self.mesh
+        index, node, tet, edge = table["grid"].used, table["nodes"].used, table["tetrahedra"].used, table["edges"].used
+        first_cell = table["cell_begin"].used
+        table["nodes"].append(mesh.nodes)
+        table["tetrahedra"].append(mesh.tetrahedra + node)
+        table["neighbours"].append(np.where(mesh.neighbours < 0, -1, mesh.neighbours + tet))
+        table["tetrahedron_edges"].append(mesh.tetrahedron_edges + edge)
+        table["edges"].append(mesh.edges + node)
+        for name in ("boxes", "barycentric", "moments", "on_surface"):
+            table[name].append(getattr(mesh, name))
+        table["node_tets_begin"].append(mesh.node_tets_begin + table["node_tets"].used)
+        table["node_tets"].append(mesh.node_tets + tet)
+        table["cell_begin"].append(mesh.cell_begin + table["cell_tets"].used)
+        table["cell_tets"].append(mesh.cell_tets + tet)
+        table["tet_cells_begin"].append(mesh.tet_cells_begin + table["tet_cells"].used)
+        table["tet_cells"].append(mesh.tet_cells)
+        table["grid"].append(np.append(mesh.grid_origin, mesh.grid_cell)[None])
+        table["grid_dims"].append(np.append(mesh.grid_dims, first_cell)[None])
+        table["depth_grid"].append(np.zeros((1, 4)))
+        table["depth_grid_dims"].append(np.zeros((1, 4)))
+        return index, node, tet, edge

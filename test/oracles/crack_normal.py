@@ -1,0 +1,102 @@
+"""The slow twin of core/crack_normal: which way a contact between two fragments of one body points, and how deep it is.
+
+From the oracle's polygons and planes alone: all polygons that the two share are measured, and the way out is the ray's
+first crossing of any of the fragment's surface triangles.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fracture_collision.geometry.tetrahedra import EDGE_VERTICES
+from oracles.convex_cells import distances_to_triangles
+from oracles.fragmented_body import STEP, FragmentedBody
+
+TIMES_NEAREST = 3.0
+SHARE_OF_RADIUS = 0.03
+# Two polygons this much of R apart in distance are equally near: rounding may choose either.
+TIE = 1e-9
+
+
+class Turned(NamedTuple):
+    normal: np.ndarray  # (3,) unit, out of the asked fragment
+    depth: float  # [m] along it, negative outside; NaN: the ray finds no way out near enough
+
+
+class SharedCrack:
+    """What fragment `f` of a body shares with `g`, and all of f's border."""
+
+    def __init__(self, body: FragmentedBody, f: int, g: int) -> None:
+        self._body, self._f, self._g = body, f, g
+        triangles, source = [], []
+        for polygon in body.surface_polygons(f):
+            if polygon.other == g:
+                for k in range(1, len(polygon.points) - 1):
+                    triangles.append(polygon.points[[0, k, k + 1]])
+                    source.append(polygon)
+        keep = [i for i, (a, b, c) in enumerate(triangles) if np.any(np.cross(b - a, c - a) != 0.0)]
+        self._triangles = np.array([triangles[i] for i in keep]).reshape(-1, 3, 3)
+        self._polygons = [source[i] for i in keep]
+        self._border = body.surface_triangles(f)
+        self._radius = 0.5 * float(np.ptp(body.vertices, axis=0).max())
+
+    def turned(self, x: np.ndarray, depth: float, near: float) -> list[Turned]:
+        """All right answers for a sample of g at x (3,) [m], `depth` [m] from the border of f, negative outside.
+
+        `near` [m]: the detection tolerance. Several where polygons are equally near; none where no crack is near, or x
+        is outside the unbroken body.
+        """
+        if not len(self._triangles) or (depth < 0.0 and self._body.locate(x[None])[0] < 0):
+            return []
+        within = max(TIMES_NEAREST * abs(depth), SHARE_OF_RADIUS * self._radius if depth >= 0.0 else near)
+        distance, _ = distances_to_triangles(x, self._triangles)
+        if distance.min() > within:
+            return []
+        answers = []
+        for i in np.flatnonzero(distance <= distance.min() + TIE * self._radius):
+            normal = self._direction(self._polygons[i])
+            length = self._first_crossing(x, normal if depth >= 0.0 else -normal)
+            found = length <= (within if depth >= 0.0 else near)
+            answers.append(Turned(normal, float(np.copysign(length, depth)) if found else float("nan")))
+        return answers
+
+    def _direction(self, polygon) -> np.ndarray:
+        total = self._sum_of_planes(polygon.tetrahedron)
+        if not total.any() and polygon.kind == STEP:
+            for t in self._body.neighbours[polygon.tetrahedron]:
+                if t >= 0 and self._holds(int(t), polygon.points):
+                    total = self._sum_of_planes(int(t))
+        if not total.any():
+            total = np.cross(polygon.points[1] - polygon.points[0], polygon.points[2] - polygon.points[0])
+        return total / np.linalg.norm(total)
+
+    def _holds(self, t: int, points: np.ndarray) -> bool:
+        weights = np.column_stack((points, np.ones(len(points)))) @ self._body._to_barycentric[t]
+        return bool(weights.min() > -1e-9)
+
+    def _sum_of_planes(self, t: int) -> np.ndarray:
+        """Of the cut edges of tetrahedron t between the two, each plane's normal out of f."""
+        total = np.zeros(3)
+        for a, b in np.sort(self._body.tetrahedra[t][EDGE_VERTICES], axis=1).tolist():
+            ends = int(self._body.labels[a]), int(self._body.labels[b])
+            if set(ends) == {self._f, self._g}:
+                total += self._body.planes[a, b][:3] * (1.0 if ends[0] == self._f else -1.0)
+        return total
+
+    def _first_crossing(self, x: np.ndarray, way: np.ndarray) -> float:
+        """Length [m] of the ray to the nearest of the border's triangles (Moeller, Trumbore 1997); infinity: none."""
+        a = self._border[:, 0]
+        u, v = self._border[:, 1] - a, self._border[:, 2] - a
+        p = np.cross(way, v)
+        determinant = (u * p).sum(axis=1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            inverse = 1.0 / determinant
+            s = x - a
+            first = (s * p).sum(axis=1) * inverse
+            q = np.cross(s, u)
+            second = q @ way * inverse
+            length = (v * q).sum(axis=1) * inverse
+            hit = (first >= -1e-9) & (second >= -1e-9) & (first + second <= 1.0 + 1e-9) & (length >= 0.0)
+        return float(length[hit].min()) if hit.any() else float("inf")

@@ -1,0 +1,115 @@
+"""Normals at cracks: against the slow twin, and against the direction in which the pattern parted the fragments."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from contact_truth import ContactTruth, Poses, pairs_of, sample_ids, surface_samples
+from fractured_worlds import fractured_world, with_settings
+from oracles.brute_force import distances
+from oracles.crack_normal import SharedCrack
+from rims import broken_body, jittered, measure, world_of
+
+from fracture_collision.geometry.concave_shapes import torus
+from fracture_collision.geometry.generators import ball, brick, plate, shell
+from fracture_collision.world import Settings
+
+SETTINGS = Settings(threads=1)
+SAME = 1e-9
+BODIES = {
+    "ball": lambda: ball(1.0, 0.2),
+    "shell": lambda: shell(1.0, 0.85, 0.2),
+    "torus": lambda: torus(1.0, 0.4, 0.18),
+    "plate": lambda: plate(2.0, 0.2, 0.2, 0.1),
+}
+
+
+@pytest.mark.parametrize("cracks", ["flat", "curved"])
+@pytest.mark.parametrize("shape", ["ball", "brick"])
+def test_contacts_are_the_slow_twins(shape: str, cracks: str) -> None:
+    geometry = ball(1.0, 0.45) if shape == "ball" else brick((2.0, 1.0, 0.8), 0.4)
+    case = fractured_world(geometry, seeds=5, generations=2, curved=cracks == "curved")
+    near = SETTINGS.detection_tolerance
+    shared: dict[tuple[int, int], SharedCrack] = {}
+    turned = kept = 0
+    # far enough to meet others than neighbours, near enough to meet cracks
+    for seed, distance in enumerate((0.01, 0.05, 0.3)):
+        states = case.states(distance, seed)
+        poses = Poses(states)
+        plain = with_settings(case, SETTINGS._replace(normals="nearest")).contacts(states)
+        answer = case.world.contacts(states)
+        assert np.array_equal(answer.contact_ids, plain.contact_ids)
+        assert np.array_equal(answer.missed_depth_bound, plain.missed_depth_bound)
+        for (a, b), (rows, _) in pairs_of(answer).items():
+            samples = _is_sample_of(case, a, b, answer.contact_ids[rows])
+            for i, of_a in zip(range(rows.start, rows.stop), samples, strict=True):
+                f, g = (b, a) if of_a else (a, b)
+                at = (answer.points_a if of_a else answer.points_b).reshape(-1, 3)[i]
+                x = poses.to_body(f, at[None])[0]
+                sign = -1.0 if of_a else 1.0
+                normal, before = (
+                    sign * poses.rotation[f].T @ found.normals.reshape(-1, 3)[i] for found in (answer, plain)
+                )
+                if (f, g) not in shared:
+                    shared[f, g] = SharedCrack(case.oracle, f, g)
+                right = shared[f, g].turned(x, -float(plain.gaps[i]), near)
+                if not right or any(np.isnan(r.depth) for r in right):
+                    is_kept = np.array_equal(normal, before) and answer.gaps[i] == plain.gaps[i]
+                    kept += is_kept
+                    if not right:
+                        assert is_kept
+                        continue
+                    if is_kept:
+                        continue
+                off = [max(np.abs(r.normal - normal).max(), abs(r.depth + answer.gaps[i])) for r in right]
+                assert np.nanmin(off) < SAME, (a, b, i, right, normal, answer.gaps[i])
+                turned += 1
+    assert turned > 50 and kept > 20
+
+
+def _is_sample_of(case, a: int, b: int, ids: np.ndarray) -> np.ndarray:
+    return np.isin(ids, sample_ids(a, b, surface_samples(case, a)[1]))
+
+
+@pytest.mark.parametrize("cracks", ["flat", "curved"])
+@pytest.mark.parametrize("shape", BODIES)
+def test_fewer_than_one_in_a_hundred_points_away_from_the_crack(shape: str, cracks: str) -> None:
+    broken = broken_body(BODIES[shape](), 16, cracks == "curved")
+    worlds = [world_of(broken, SETTINGS._replace(normals=normals)) for normals in ("nearest", "crack")]
+    frames = [jittered(broken, worlds[0], 0.01, 1.0, seed) for seed in range(4)]
+    nearest, crack = (measure(broken, world, frames, SETTINGS.penetration_tolerance) for world in worlds)
+    assert len(crack.angles) > 500
+    assert nearest.off > 0.04  # the rims are there
+    assert crack.off < 0.01
+    assert crack.opposed < (0.001 if cracks == "curved" else 1e-12)
+    # as smooth as the crack: in a tetrahedron's mean plane half of the pairs turn no more than the crack itself does
+    assert np.median(crack.apart) <= np.median(crack.apart_in_truth) + 2.0
+    assert np.quantile(crack.apart, 0.95) <= np.quantile(crack.apart_in_truth, 0.95) + 10.0
+
+
+def test_fragments_in_place_touch_along_their_cracks() -> None:
+    """All gaps are 0: the nearest surface is a matter of rounding there, and the crack's direction is not."""
+    broken = broken_body(BODIES["shell"](), 16, curved=True)
+    off = []
+    for normals in ("nearest", "crack"):
+        world = world_of(broken, SETTINGS._replace(normals=normals))
+        off.append(measure(broken, world, [jittered(broken, world, 0.0, 0.0, 0)], -np.inf).off)
+    assert off[0] > 0.5
+    assert off[1] < 0.05
+
+
+def test_witnesses_are_on_the_surface_and_no_contact_is_less_deep() -> None:
+    case = fractured_world(shell(1.0, 0.8, 0.5), seeds=6, curved=True)
+    truth, states = ContactTruth(case), case.states(0.02, 5)
+    answer = case.world.contacts(states)
+    plain = with_settings(case, SETTINGS._replace(normals="nearest")).contacts(states)
+    inside = plain.gaps < 0.0
+    assert (answer.gaps[inside] <= plain.gaps[inside] + SAME).all()
+    assert (answer.gaps[inside] < plain.gaps[inside] - SAME).any()
+    poses = Poses(states)
+    for (a, b), (rows, _) in pairs_of(answer).items():
+        ids = answer.contact_ids[rows]
+        of_a = _is_sample_of(case, a, b, ids)
+        for other, points, mine in ((b, answer.points_b, of_a), (a, answer.points_a, ~of_a)):
+            witness = poses.to_body(other, points.reshape(-1, 3)[rows][mine])
+            assert distances(witness, truth.surface(other)).max(initial=0.0) < 1e-12
