@@ -1,7 +1,8 @@
-"""Errors of both fields against an independent library, and what an exact depth costs: about three minutes.
+"""Errors of both fields against libigl's distance from independently built surfaces: about ten minutes.
 
-`python benchmarks/field_errors.py` prints the tables and writes docs/field_errors.csv and docs/field_errors.png. Truth:
-libigl's distance from the closed surfaces that test/oracles builds. Lengths are in % of R.
+    python benchmarks/field_errors.py
+
+Prints the tables of docs/numerics.md, 'The two fields', and writes docs/field_errors.csv and docs/field_errors.png.
 """
 
 from __future__ import annotations
@@ -10,10 +11,8 @@ import csv
 import math
 import sys
 from pathlib import Path
-from time import perf_counter
 from typing import NamedTuple
 
-import igl
 import matplotlib
 import numpy as np
 
@@ -21,331 +20,204 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "test")]  # the oracles live with the tests
 matplotlib.use("Agg")
 
-from fractured_worlds import SETTINGS, FracturedWorld, fractured_world  # noqa: E402
+from field_truth import FIELDS, INWARD, NEAR, Said, Truth, ask, igl_closest, make_truth, uniform_points  # noqa: E402
+from fractured_worlds import SETTINGS, after_each_fracture, fractured_world  # noqa: E402
 from matplotlib import pyplot as plt  # noqa: E402
-from oracles.fragmented_body import ALL_KINDS, BARE_FACE, CRACK, ORIGINAL  # noqa: E402
 from scipy.interpolate import RegularGridInterpolator  # noqa: E402
 
 from fracture_collision.core import interior_field  # noqa: E402
-from fracture_collision.core.averaged_field import averaged_penetration  # noqa: E402
 from fracture_collision.core.collision_geometry import CollisionGeometry, prepare_mesh  # noqa: E402
-from fracture_collision.core.compiled import kernel  # noqa: E402
-from fracture_collision.core.elementary_queries import bounded_probe, inside_tetrahedron  # noqa: E402
-from fracture_collision.core.flood import nearest_from_inside  # noqa: E402
-from fracture_collision.core.pools import AVERAGED, EXACT  # noqa: E402
-from fracture_collision.core.scratch import make_scratch  # noqa: E402
 from fracture_collision.core.tet_mesh import build_tet_mesh  # noqa: E402
-from fracture_collision.geometry.generators import TetGeometry, ball, brick, plate, shell  # noqa: E402
+from fracture_collision.geometry.concave_shapes import torus  # noqa: E402
+from fracture_collision.geometry.generators import ball, brick, shell  # noqa: E402
+from fracture_collision.geometry.stored_meshes import bunny  # noqa: E402
 
-SEEDS, GENERATIONS, POINTS = 4, 5, 3000
-NEAR, DEEP = 0.02, 0.10  # of R
-INWARD = 0.01  # of R, the step that tries whether depth grows
+SEEDS, GENERATIONS, POINTS = 4, 5, 4000
+DEEP = 0.10  # of R
+TOO_LARGE = 0.001  # of R
 WRONG_WAY = math.radians(30.0)
-MEASURED = (ORIGINAL, CRACK, BARE_FACE)  # what the exact field measures against: no steps
-DEPTHS = (0.0, 0.005, 0.02, 0.05, 0.15, 0.25, 0.35, 0.5)  # of R
-REPEATS = 5
+STILL_RISES = 0.5  # of a step: growth of the exact depth that shows that the step ends before the middle
+DEPTH_EDGES = np.array([0.0, 0.5, 1, 2, 3, 5, 7, 10, 14, 18, 24, 32]) / 100.0
 
-
-class Asked(NamedTuple):
-    """Points inside fragments, what a field says of them, and the truth. Lengths in parts of R."""
-
-    depth: np.ndarray
-    most: np.ndarray
-    true: np.ndarray  # distance from the closed surface
-    measured: np.ndarray  # distance from it without steps
-    angle: np.ndarray  # [rad] of the direction off that to the nearest point
-    grows: np.ndarray  # bool: deeper a little farther inward; points whose step stays inside only
-    stays: np.ndarray  # bool
-
-
-def ring(major: float, thickness: float, edge: float) -> TetGeometry:
-    """A torus of square section [m]: a bar bent into a circle, its ends welded."""
-    length = 2.0 * math.pi * major
-    bar = brick((length, thickness, thickness), edge)
-    x, y, z = bar.vertices.T
-    first = {tuple(p): i for i, p in enumerate(np.round(bar.vertices, 9).tolist())}
-    weld = np.arange(len(x))
-    for i in np.flatnonzero(np.isclose(x, 0.5 * length)):
-        weld[i] = first[tuple(np.round([-0.5 * length, y[i], z[i]], 9).tolist())]
-    used, index = np.unique(weld, return_inverse=True)
-    angle, r = x / major, major - y
-    bent = np.column_stack([r * np.cos(angle), r * np.sin(angle), -z])
-    tetrahedra = index[bar.tetrahedra].astype(np.int32)
-    corners = bent[used][tetrahedra]
-    turned = np.linalg.det(corners[:, 1:] - corners[:, :1]) < 0.0
-    tetrahedra[turned] = tetrahedra[turned][:, [0, 1, 3, 2]]
-    return TetGeometry(bent[used], tetrahedra)
-
-
+# Half the longest side, R, is 1 m for all.
 BODIES = {
-    "ball": ball(1.0, 0.2),
-    "shell": shell(1.0, 0.6, 0.35),
-    "plate": plate(2.0, 0.2, 0.25, 0.2),
-    "ring": ring(0.75, 0.5, 0.25),
+    "ball": ball(1.0, 0.25),
+    "fine ball": ball(1.0, 0.15),
+    "brick": brick((2.0, 1.0, 0.8), 0.2),
+    "shell": shell(1.0, 0.6, 0.4),
+    "torus": torus(0.72, 0.28, 0.2),
+    "bunny": bunny(2.0),
 }
-
-
-@kernel
-def ask(pools, rows, points, scratch, out):
-    for i in range(len(points)):
-        x, y, z = points[i]
-        status, d, nx, ny, nz, _, _, _, most = bounded_probe(pools, rows[i], x, y, z, 0.0, np.inf, scratch, 0)
-        out[i, 0], out[i, 1], out[i, 2], out[i, 3], out[i, 4], out[i, 5] = status, -d, nx, ny, nz, most
-
-
-@kernel
-def find(pools, rows, points, scratch, tets):
-    for i in range(len(points)):
-        tets[i] = inside_tetrahedron(pools, rows[i], points[i, 0], points[i, 1], points[i, 2], scratch, 0)
-
-
-@kernel
-def flood(pools, rows, tets, points, from_nodes, count, scratch, reached):
-    """Exact depths; `from_nodes`: the best starts from the nodes' certain points. `count`: tetrahedra looked at."""
-    total = 0.0
-    for i in range(len(points)):
-        x, y, z = points[i]
-        limit = np.inf
-        if from_nodes:
-            for k in range(4):
-                row = pools.mesh.tetrahedra[tets[i], k] + pools.fragment.node_shift[rows[i]]
-                if pools.body.node_fragment[row] == rows[i]:
-                    s = pools.body.node_field[row]
-                    limit = min(limit, (s[4] - x) ** 2 + (s[5] - y) ** 2 + (s[6] - z) ** 2)
-            limit = math.sqrt(limit) * (1.0 + 1e-9) + 1e-12
-        total += nearest_from_inside(pools, rows[i], tets[i], x, y, z, limit, scratch, 0)[0]
-        if count:
-            reached[i] = (scratch.visited[0] == scratch.stamp[0]).sum()
-    return total
-
-
-@kernel
-def average(pools, rows, tets, points):
-    total = 0.0
-    for i in range(len(points)):
-        total += averaged_penetration(pools, rows[i], tets[i], points[i, 0], points[i, 1], points[i, 2])[0]
-    return total
-
-
-def main() -> None:
-    rows: list[dict] = []
-    curves: dict[tuple[str, str], list[Asked]] = {}
-    print(f"{SEEDS} seeds a fracture, {POINTS} points a row, lengths in % of R; near: true depth < 2, deep: > 10\n")
-    columns = (
-        "body", "cracks", "gen", "field", "mean", "99 %", "worst", "n mean", "n 99 %", "n worst", "d mean", "d 99 %",
-        "d worst", "own worst", "angle", "off 30", "n off 30", "shrinks", "slack",
-    )  # fmt: skip
-    print("".join(f"{c:>10}" for c in columns))
-    for name, body in BODIES.items():
-        for cracks in ("flat", "curved"):
-            for generation in range(1, GENERATIONS + 1):
-                case = fractured_world(
-                    body, SEEDS, generation, cracks == "curved", SETTINGS._replace(field="averaged")
-                )
-                for field, asked in measure(case, 0.5 * np.ptp(body.vertices, axis=0).max()).items():
-                    curves.setdefault((field, cracks), []).append(asked)
-                    rows.append(dict(zip(columns, (name, cracks, generation, field, *figures(asked)), strict=True)))
-                    print("".join(f"{_text(v):>10}" for v in rows[-1].values()), flush=True)
-    print(LEGEND)
-    costs = flood_costs()
-    grid_errors()
-    with (ROOT / "docs" / "field_errors.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, columns)
-        writer.writeheader()
-        writer.writerows({k: _text(v) for k, v in row.items()} for row in rows)
-    draw(rows, curves, costs)
-
+RADIUS = 1.0
 
 LEGEND = """
-n, d: near and deep points alone; own worst: against the surface without steps, which is what the exact field measures;
-angle: mean, degrees, of the direction off that to the nearest point; off 30: share of points more than 30 degrees off;
-shrinks: share of points that get less deep 1 % R farther inward along the direction (past the middle all fields do);
-slack: median of the certain depth less the true one
+Lengths in % of R. mean, 99 %, worst: error of the depth, at points spread evenly over the volume; n: at points less
+than 2 % R deep, most of them about places on the border spread evenly over its area; d: at points more than 10 % R
+deep; bare: mean error against the surface without steps, evenly spread points; n bare, n bare 99: the same at points
+less than 2 % R from that surface; over: share of evenly spread points whose depth is more than 0.1 % R too large;
+angle, 99 %: degrees between the direction and that to the nearest point, evenly spread points; n angle, n angle 99: the
+same near the surface; off 30: share of evenly spread points more than 30 degrees off; falls: share of steps of 1 % R,
+from evenly spread points against the field's own direction, that end less deep; true falls: the same, of the steps
+straight away from the nearest point that end before the middle (the exact depth rises by more than half a step); slack:
+the depth that is certainly not exceeded, less the true one, mean over evenly spread points.
 """
 
 
+class Measured(NamedTuple):
+    """Points with their truth and what one field and the exact one say of them."""
+
+    truth: Truth
+    said: Said
+    exact: Said
+
+
+def main() -> None:
+    print(f"{SEEDS} Voronoi seeds a fracture, the largest fragment again and again; {POINTS} points a row\n")
+    rows, pooled, open_by = [], {}, 0.0
+    print(_line(COLUMNS))
+    for body in BODIES:
+        for cracks in ("flat", "curved"):
+            parts: dict[str, list[Measured]] = {field: [] for field in FIELDS}
+            settings = SETTINGS._replace(field="averaged")
+            last = fractured_world(BODIES[body], SEEDS, GENERATIONS, cracks == "curved", settings)
+            for case in after_each_fracture(last):
+                truth = make_truth(case, POINTS, RADIUS, seed=case.generations)
+                open_by = max(open_by, truth.open_by)
+                said = {field: ask(case, truth, field, RADIUS) for field in FIELDS}
+                for field, its in said.items():
+                    parts[field].append(Measured(truth, its, said["exact"]))
+                    rows.append((body, cracks, case.generations, field, *figures(parts[field][-1])))
+                    print(_line(rows[-1]), flush=True)
+            for field in FIELDS:
+                pooled[field, body, cracks] = _together(parts[field])
+    print("\nAll generations of a body together")
+    print(_line(COLUMNS))
+    for (field, body, cracks), measured in pooled.items():
+        print(_line((body, cracks, f"1-{GENERATIONS}", field, *figures(measured))))
+    print(LEGEND)
+    print(f"winding numbers of the surfaces about points inside: within {open_by:.1e} of 1")
+    exact = _together([m for (field, _, _), m in pooled.items() if field == "exact"])
+    error = np.abs(exact.said.depth - exact.truth.depth)
+    print(f"exact, all together: {len(error)} points, worst error {error.max():.1e} R\n")
+    grid_errors()
+    with (ROOT / "docs" / "field_errors.csv").open("w", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(COLUMNS)
+        writer.writerows([_text(value) for value in row] for row in rows)
+    draw(rows, pooled)
+
+
+COLUMNS = (
+    "body", "cracks", "gen", "field", "mean", "99 %", "worst", "n mean", "n 99 %", "n worst", "d mean", "d 99 %",
+    "d worst", "bare", "n bare", "n bare 99", "over", "angle", "angle 99", "n angle", "n angle 99", "off 30", "falls",
+    "true falls", "slack",
+)  # fmt: skip
+
+
+def figures(measured: Measured) -> tuple[float, ...]:
+    """The row of COLUMNS from "mean" on."""
+    truth, said, exact = measured
+    error, bare = (100.0 * np.abs(said.depth - true) for true in (truth.depth, truth.depth_without_steps))
+    angle = _angles(truth, said)
+    even, near, deep = truth.is_uniform, truth.depth < NEAR, truth.depth > DEEP
+    inside = even & np.isfinite(said.rise)
+    before_middle = even & (exact.true_rise > STILL_RISES * INWARD)
+    return (
+        *_mean_99_worst(error[even]), *_mean_99_worst(error[near]), *_mean_99_worst(error[deep]),
+        *_mean_99_worst(bare[even])[:1], *_mean_99_worst(bare[truth.depth_without_steps < NEAR])[:2],
+        float((said.depth - truth.depth > TOO_LARGE)[even].mean()),
+        *_mean_99_worst(np.degrees(angle[even]))[:2], *_mean_99_worst(np.degrees(angle[near]))[:2],
+        float((angle > WRONG_WAY)[even].mean()), float((said.rise < 0.0)[inside].mean()),
+        float((said.true_rise < 0.0)[before_middle].mean()), 100.0 * float((said.most - truth.depth)[even].mean()),
+    )  # fmt: skip
+
+
+def _angles(truth: Truth, said: Said) -> np.ndarray:
+    """(n,) [rad]; nan where the point is too close to the surface for a true direction."""
+    # by the chord: the arc cosine of a number near 1 is worth half its digits
+    chord = np.linalg.norm(said.outward - truth.outward, axis=1)
+    angle = 2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0))
+    return np.where(np.any(truth.outward != 0.0, axis=1), angle, np.nan)
+
+
+def _mean_99_worst(values: np.ndarray) -> tuple[float, float, float]:
+    values = values[np.isfinite(values)]
+    if not len(values):
+        return math.nan, math.nan, math.nan
+    return float(values.mean()), float(np.quantile(values, 0.99)), float(values.max())
+
+
+def _together(parts: list[Measured]) -> Measured:
+    truths, saids, exacts = zip(*parts, strict=True)
+    return Measured(
+        Truth(*(np.concatenate(column) for column in zip(*(t[:-1] for t in truths), strict=True)), 0.0),
+        *(Said(*(np.concatenate(column) for column in zip(*side, strict=True))) for side in (saids, exacts)),
+    )
+
+
 def _text(value: float | str | int) -> str:
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
+    if not isinstance(value, float):
+        return str(value)
+    return f"{float(f'{value:.2g}'):g}"
 
 
-def figures(asked: Asked) -> list[float]:
-    error = 100.0 * np.abs(asked.depth - asked.true)
-    near, deep = asked.true < NEAR, asked.true > DEEP
-    result: list[float] = []
-    for part in (np.ones(len(error), bool), near, deep):
-        e = error[part] if part.any() else np.full(1, np.nan)
-        result += [float(e.mean()), float(np.quantile(e, 0.99)), float(e.max())]
-    result += [
-        100.0 * float(np.abs(asked.depth - asked.measured).max()), float(np.degrees(asked.angle.mean())),
-        float((asked.angle > WRONG_WAY).mean()), float((asked.angle[near] > WRONG_WAY).mean()),
-        float(1.0 - asked.grows[asked.stays].mean()), 100.0 * float(np.median(asked.most - asked.true)),
-    ]  # fmt: skip
-    return result
-
-
-def measure(case: FracturedWorld, radius: float) -> dict[str, Asked]:
-    """Both fields at the same points: uniform in the body, and as many within 2 % R of the fragments' surfaces."""
-    random = np.random.default_rng(1)
-    surfaces = {f: case.oracle.surface_triangles(f, ALL_KINDS) for f in case.oracle.fragment_ids}
-    points = points_in(case, random, surfaces, radius)
-    pools = case.geometry.pools
-    scratch = make_scratch(1, len(pools.mesh.tetrahedra), 8)
-    owners = np.full(len(points), -1)
-    for fragment in case.oracle.fragment_ids:
-        tets = np.empty(len(points), np.int64)
-        find(pools, np.full(len(points), case.row(fragment)), points, scratch, tets)
-        owners[tets >= 0] = fragment
-    points, owners = points[owners >= 0], owners[owners >= 0]
-    rows = np.array([case.row(f) for f in owners.tolist()])
-    true, measured, toward = np.empty(len(points)), np.empty(len(points)), np.empty((len(points), 3))
-    for fragment, triangles in surfaces.items():
-        own = owners == fragment
-        if own.any():
-            true[own], nearest = _distance(points[own], triangles)
-            toward[own] = nearest - points[own]
-            measured[own], _ = _distance(points[own], case.oracle.surface_triangles(fragment, MEASURED))
-    result = {}
-    for name, field in (("averaged", AVERAGED), ("exact", EXACT)):
-        chosen = pools._replace(field=field)
-        answer, inward = np.empty((len(points), 6)), np.empty((len(points), 6))
-        ask(chosen, rows, points, scratch, answer)
-        ask(chosen, rows, points - INWARD * radius * answer[:, 2:5], scratch, inward)
-        cosine = (answer[:, 2:5] * toward).sum(axis=1) / np.maximum(true, 1e-300)
-        result[name] = Asked(
-            answer[:, 1] / radius, answer[:, 5] / radius, true / radius, measured / radius,
-            np.where(true > 1e-9 * radius, np.arccos(np.clip(cosine, -1.0, 1.0)), 0.0),
-            inward[:, 1] > answer[:, 1], inward[:, 0] == answer[:, 0],
-        )  # fmt: skip
-    return result
-
-
-def points_in(case: FracturedWorld, random: np.random.Generator, surfaces: dict, radius: float) -> np.ndarray:
-    count = POINTS // 2
-    corners = case.oracle.vertices[case.oracle.tetrahedra]
-    volume = np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1]))
-    chosen = corners[random.choice(len(corners), count, p=volume / volume.sum())]
-    uniform = np.einsum("nij,ni->nj", chosen, random.dirichlet(np.ones(4), count))
-    triangles = np.concatenate(list(surfaces.values()))
-    sides = triangles[:, 1:] - triangles[:, :1]
-    area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
-    chosen = triangles[random.choice(len(triangles), 2 * count, p=area / area.sum())]
-    on = np.einsum("nij,ni->nj", chosen, random.dirichlet(np.ones(3), 2 * count))
-    away = random.normal(size=on.shape)
-    away *= NEAR * radius * random.uniform(0.0, 1.0, (len(on), 1)) / np.linalg.norm(away, axis=1)[:, None]
-    return np.ascontiguousarray(np.vstack([uniform, on + away]))
-
-
-def _distance(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    faces = np.arange(3 * len(triangles)).reshape(-1, 3)
-    squared, _, nearest = igl.point_mesh_squared_distance(points, triangles.reshape(-1, 3), faces)[:3]
-    return np.sqrt(squared), nearest
-
-
-def flood_costs() -> list[tuple[float, ...]]:
-    """What a flood costs by depth, with and without a start from the nodes; the point's tetrahedron is known."""
-    case = fractured_world(ball(1.0, 0.1), 3, 1, False, SETTINGS._replace(field="averaged"))
-    random = np.random.default_rng(4)
-    pools = case.geometry.pools
-    scratch = make_scratch(1, len(pools.mesh.tetrahedra), 8)
-    surfaces = {f: case.oracle.surface_triangles(f, ALL_KINDS) for f in case.oracle.fragment_ids}
-    points = np.vstack([points_in(case, random, surfaces, 1.0) for _ in range(4)])
-    tets, rows = np.full(len(points), -1), np.zeros(len(points), np.int64)
-    for fragment in case.oracle.fragment_ids:
-        own = np.empty(len(points), np.int64)
-        find(pools, np.full(len(points), case.row(fragment)), points, scratch, own)
-        tets[own >= 0], rows[own >= 0] = own[own >= 0], case.row(fragment)
-    points, rows, tets = points[tets >= 0], rows[tets >= 0], tets[tets >= 0]
-    answer = np.empty((len(points), 6))
-    ask(pools._replace(field=EXACT), rows, points, scratch, answer)
-    print(f"\nA flood on a ball of {len(case.oracle.vertices)} nodes, three fragments; ns with the tetrahedron known")
-    print(f"{'depth % R':>12}{'points':>8}{'tets':>8}{'from nodes':>12}{'ns':>8}{'from nodes':>12}{'averaged ns':>12}")
-    costs = []
-    for low, high in zip(DEPTHS[:-1], DEPTHS[1:], strict=True):
-        part = (answer[:, 1] >= low) & (answer[:, 1] < high)
-        if part.sum() < 50:
-            continue
-        r, t, p = rows[part], tets[part], points[part]
-        reached = [np.empty(len(p)), np.empty(len(p))]
-        sums = [flood(pools, r, t, p, start, True, scratch, reached[start]) for start in (False, True)]
-        assert math.isclose(*sums, rel_tol=1e-12)
-        times = [
-            _best_ns(len(p), flood, pools, r, t, p, start, False, scratch, reached[0]) for start in (False, True)
-        ]
-        times.append(_best_ns(len(p), average, pools, r, t, p))
-        costs.append((100 * low, 100 * high, reached[0].mean(), reached[1].mean(), *times))
-        print(
-            f"{100 * low:6.1f}-{100 * high:4.1f} {len(p):8d}{reached[0].mean():8.0f}{reached[1].mean():12.0f}"
-            f"{times[0]:8.0f}{times[1]:12.0f}{times[2]:12.0f}"
-        )
-    return costs
-
-
-def _best_ns(count: int, function, *arguments) -> float:
-    best = math.inf
-    for _ in range(REPEATS):
-        started = perf_counter()
-        function(*arguments)
-        best = min(best, perf_counter() - started)
-    return 1e9 * best / count
+def _line(cells: tuple) -> str:
+    return "".join(f"{_text(cell):>11}" for cell in cells)
 
 
 def grid_errors() -> None:
-    """The dense grid's own error in whole bodies, by its resolution."""
-    print("\nThe dense grid alone, whole bodies: error in % of R (mean, 99 %, worst), grid points a tetrahedron")
+    """The error of the dense grid that caps the averaged field, in whole bodies, by its resolution."""
+    print("the dense grid of whole bodies alone: error in % of R (mean, 99 %, worst), grid points a tetrahedron")
     kept = interior_field.CELLS_PER_EDGE
     for name, body in BODIES.items():
         mesh = build_tet_mesh(*body)
         geometry = CollisionGeometry()
         row = geometry.add_tetrahedra(prepare_mesh(mesh))
-        random = np.random.default_rng(3)
-        corners = mesh.nodes[mesh.tetrahedra[random.integers(0, len(mesh.tetrahedra), POINTS)]]
-        points = np.ascontiguousarray(np.einsum("nij,ni->nj", corners, random.dirichlet(np.ones(4), POINTS)))
-        answer = np.empty((POINTS, 6))
-        ask(geometry.pools, np.full(POINTS, row), points, make_scratch(1, len(mesh.tetrahedra), 8), answer)
-        radius = 0.5 * np.ptp(body.vertices, axis=0).max()
+        points = uniform_points(*body, POINTS, np.random.default_rng(3))
+        true = igl_closest(points, mesh.nodes[mesh.surface])[0]
         for cells in (1, 2, 3, 4):
             interior_field.CELLS_PER_EDGE = cells
             interior = interior_field.make_interior_field(geometry.pools, row, 0, mesh)
             axes = [interior.origin[d] + interior.cell * np.arange(interior.dims[d]) for d in range(3)]
             cap = RegularGridInterpolator(axes, interior.depth.reshape(interior.dims))(points)
-            error = 100.0 * np.abs(np.maximum(cap, 0.0) - answer[:, 1]) / radius
-            print(
-                f"{name:>8}, {cells} cells an edge: {error.mean():8.3f}{np.quantile(error, 0.99):8.3f}"
-                f"{error.max():8.3f}{len(interior.depth) / len(mesh.tetrahedra):8.1f}"
-            )
+            error = _mean_99_worst(100.0 * np.abs(np.maximum(cap, 0.0) - true) / RADIUS)
+            print(_line((name, f"{cells} an edge", *error, len(interior.depth) / len(mesh.tetrahedra))))
     interior_field.CELLS_PER_EDGE = kept
 
 
-def draw(rows: list[dict], curves: dict[tuple[str, str], list[Asked]], costs: list[tuple[float, ...]]) -> None:
-    figure, (by_depth, by_generation, cost) = plt.subplots(1, 3, figsize=(15, 4.5))
-    edges = np.array([0.0, 0.5, 1, 2, 3, 5, 7, 10, 14, 18, 24, 32]) / 100.0
-    for (field, cracks), parts in curves.items():
-        if field == "exact" and cracks == "flat":
-            continue  # zero
-        true, depth = (np.concatenate([getattr(p, name) for p in parts]) for name in ("true", "depth"))
-        bins = [(true >= low) & (true < high) for low, high in zip(edges[:-1], edges[1:], strict=True)]
-        middle = 50.0 * (edges[:-1] + edges[1:])
-        for label, statistic, style in (("mean", np.mean, "-"), ("99 %", lambda e: np.quantile(e, 0.99), ":")):
-            values = [100.0 * statistic(np.abs(depth - true)[b]) if b.any() else np.nan for b in bins]
-            by_depth.plot(middle, values, style, label=f"{field}, {cracks}: {label}")
-    by_depth.set(xlabel="true depth [% R]", ylabel="error of depth [% R]", title="Four bodies, one to five generations")
-    for cracks in ("flat", "curved"):
-        for name in BODIES:
-            own = [r for r in rows if (r["body"], r["cracks"], r["field"]) == (name, cracks, "averaged")]
+def draw(rows: list[tuple], pooled: dict[tuple[str, str, str], Measured]) -> None:
+    figure, (by_depth, angles, by_generation) = plt.subplots(1, 3, figsize=(14, 4.2))
+    middle = 50.0 * (DEPTH_EDGES[:-1] + DEPTH_EDGES[1:])
+    for cracks, color in (("flat", "tab:blue"), ("curved", "tab:red")):
+        both = _together([m for (field, _, c), m in pooled.items() if (field, c) == ("averaged", cracks)])
+        index = np.digitize(both.truth.depth, DEPTH_EDGES) - 1
+        error = 100.0 * np.abs(both.said.depth - both.truth.depth)
+        degrees = np.degrees(_angles(both.truth, both.said))
+        for axes, values in ((by_depth, error), (angles, degrees)):
+            statistics = [_mean_99_worst(values[index == i]) for i in range(len(middle))]
+            for k, (label, style) in enumerate((("mean", "-"), ("99 %", ":"))):
+                axes.plot(middle, [s[k] for s in statistics], style, color=color, label=f"{cracks}: {label}")
+        for name, marker in zip(BODIES, "os^vDx", strict=True):
+            own = [r for r in rows if (r[0], r[1], r[3]) == (name, cracks, "averaged")]
             by_generation.plot(
-                [r["gen"] for r in own], [r["mean"] for r in own], "-o" if cracks == "flat" else ":s",
-                label=f"{name}, {cracks}",
+                [r[2] for r in own], [r[4] for r in own], f"-{marker}", color=color, alpha=0.7,
+                label=name if cracks == "flat" else None,
             )  # fmt: skip
-    by_generation.set(xlabel="generation", ylabel="mean error [% R]", title="The averaged field")
-    middle = [0.5 * (c[0] + c[1]) for c in costs]
-    for column, label in ((4, "flood"), (5, "flood from the nodes' bound"), (6, "averaged")):
-        cost.semilogy(middle, [c[column] for c in costs], "-o", label=label)
-    cost.set(xlabel="depth [% R]", ylabel="ns a point", title="Cost of a depth, ball of edge 0.1 R")
-    for axes in (by_depth, by_generation, cost):
-        axes.legend(fontsize=7)
+    by_depth.set(
+        xlabel="true depth [% R]", ylabel="error of the depth [% R]", title="averaged: depth (exact: below 1e-13)"
+    )
+    angles.set(xlabel="true depth [% R]", ylabel="degrees", title="averaged: direction, off the nearest point's")
+    by_generation.set(
+        xlabel="generation", ylabel="mean error of the depth [% R]", title="averaged: flat (blue), curved (red)"
+    )
+    by_generation.set_ylim(bottom=0.0)
+    by_generation.set_xticks(range(1, GENERATIONS + 1))
+    for axes in (by_depth, angles, by_generation):
+        axes.legend(fontsize=7, ncols=2, loc="upper left")
+        axes.set_ylim(top=1.2 * axes.get_ylim()[1])
         axes.grid(alpha=0.3)
     figure.tight_layout()
-    figure.savefig(ROOT / "docs" / "field_errors.png", dpi=90)
+    figure.savefig(ROOT / "docs" / "field_errors.png", dpi=80)
 
 
 if __name__ == "__main__":

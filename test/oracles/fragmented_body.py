@@ -53,6 +53,7 @@ class FragmentedBody:
         corners = self.vertices[self.tetrahedra]
         self._to_barycentric = np.linalg.inv(np.concatenate((corners, np.ones((*corners.shape[:2], 1))), axis=2))
         self._cell_cache: dict[tuple, dict[int, list[Cell]]] = {}
+        self._polygon_cache: dict[int, list[SurfacePolygon]] = {}
         self._surface_cache: dict[tuple, np.ndarray] = {}
 
     @property
@@ -64,6 +65,7 @@ class FragmentedBody:
         nodes = np.asarray(event.nodes, dtype=np.int64)
         if set(nodes.tolist()) != set(np.flatnonzero(self.labels == event.fragment_id).tolist()):
             raise ValueError(f"nodes: not those of fragment {event.fragment_id}")
+        self._polygon_cache.clear()
         self._surface_cache.clear()
         self.labels[nodes] = np.asarray(event.new_fragment_ids, dtype=np.int64)[event.node_fragments]
         cut = np.asarray(event.cut_edges, dtype=np.int64).reshape(-1, 2)
@@ -182,6 +184,11 @@ class FragmentedBody:
 
     def surface_polygons(self, fragment_id: int, kinds: tuple[str, ...] = ALL_KINDS) -> list[SurfacePolygon]:
         """The exact boundary of the fragment's region, in convex polygons, in the order of the tetrahedra."""
+        if fragment_id not in self._polygon_cache:
+            self._polygon_cache[fragment_id] = self._all_polygons(fragment_id)
+        return [p for p in self._polygon_cache[fragment_id] if p.kind in kinds]
+
+    def _all_polygons(self, fragment_id: int) -> list[SurfacePolygon]:
         result = []
         for t in self._tetrahedra_with(fragment_id):
             corners = self.vertices[self.tetrahedra[t]]
@@ -194,7 +201,7 @@ class FragmentedBody:
                         parts = self._parts_of_face(fragment_id, t, index, points)
                     else:
                         continue
-                    result += [p for p in parts if p.kind in kinds and _area(p.points) > smallest]
+                    result += [p for p in parts if _area(p.points) > smallest]
         return result
 
     def _parts_of_face(self, fragment_id: int, t: int, face: int, points: np.ndarray) -> list[SurfacePolygon]:
