@@ -28,7 +28,7 @@ from oracles.counted_flood import count_floods  # noqa: E402
 
 from fracture_collision.core.averaged_field import averaged_penetration  # noqa: E402
 from fracture_collision.core.flood import (  # noqa: E402
-    WHATEVER,
+    EVERYTHING,
     least_distance_squared,
     nearest_from_inside,
     nearest_in_tetrahedron,
@@ -103,7 +103,8 @@ def place(pools, fragment, points, scratch, tets, rows):
 def flood(pools, rows, tets, points, limits, scratch, depths):
     for i in range(len(points)):
         x, y, z = points[i]
-        depths[i] = math.sqrt(nearest_from_inside(pools, rows[i], tets[i], x, y, z, limits[i], WHATEVER, scratch, 0)[0])
+        best = nearest_from_inside(pools, rows[i], tets[i], x, y, z, limits[i], EVERYTHING, scratch, 0)
+        depths[i] = math.sqrt(best[0])
 
 
 @compiled
@@ -127,7 +128,7 @@ def rings(pools, rows, tets, points, limits, scratch, depths):
             if key >= best[0]:
                 continue
             taken += 1
-            best = nearest_in_tetrahedron(pools, rows[i], t, x, y, z, True, WHATEVER, best)
+            best = nearest_in_tetrahedron(pools, rows[i], t, x, y, z, True, EVERYTHING, best)
             for face in range(4):
                 n = mesh.neighbours[t, face]
                 if n >= 0 and visited[n] != stamp:
@@ -171,7 +172,8 @@ def measure_nodes(pools, shift, scratch, nearest):
         nearest[row, 0], nearest[row, 1], nearest[row, 2] = x, y, z
         if not pools.mesh.on_surface[v]:
             t = pools.mesh.node_tets[pools.mesh.node_tets_begin[v]]
-            best = nearest_from_inside(pools, pools.body.node_fragment[row], t, x, y, z, math.inf, WHATEVER, scratch, 0)
+            f = pools.body.node_fragment[row]
+            best = nearest_from_inside(pools, f, t, x, y, z, math.inf, EVERYTHING, scratch, 0)
             nearest[row, 0], nearest[row, 1], nearest[row, 2] = best[1], best[2], best[3]
             floods += 1
     return floods

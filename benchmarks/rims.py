@@ -68,7 +68,7 @@ def _plot(angles: dict[tuple[str, bool], tuple[np.ndarray, np.ndarray]]) -> None
     figure, panels = plt.subplots(1, 2, figsize=(9.0, 3.6), sharey=True)
     for panel, curved in zip(panels, (False, True), strict=True):
         for name, colour in zip(PLOTTED, ("tab:blue", "tab:orange", "tab:green"), strict=True):
-            for way, off, style in zip(("nearest", "crack"), angles[name, curved], ("--", "-"), strict=True):
+            for way, off, style in zip(("nearest", "facing"), angles[name, curved], ("--", "-"), strict=True):
                 panel.plot(np.sort(off), 100.0 * (1.0 - np.arange(len(off)) / len(off)), style, color=colour,
                            label=f"{name}, {way}")  # fmt: skip
         panel.axvline(30.0, color="grey", linewidth=0.8)
@@ -81,7 +81,7 @@ def _plot(angles: dict[tuple[str, bool], tuple[np.ndarray, np.ndarray]]) -> None
 
 
 def _row(broken: BrokenBody) -> tuple[list[str], tuple[np.ndarray, np.ndarray]]:
-    worlds = [world_of(broken, Settings(threads=1, normals=normals)) for normals in ("nearest", "crack")]
+    worlds = [world_of(broken, Settings(threads=1, normals=normals)) for normals in ("nearest", "facing")]
     frames = [jittered(broken, worlds[0], 0.01, 1.0, seed) for seed in range(FRAMES)]
     at_rest = [jittered(broken, worlds[0], 0.0, 0.0, 0)]
     nearest, crack = (measure(broken, world, frames, DEEPER) for world in worlds)

@@ -75,7 +75,7 @@ def _is_sample_of(case, a: int, b: int, ids: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("shape", BODIES)
 def test_fewer_than_one_in_a_hundred_points_away_from_the_crack(shape: str, cracks: str) -> None:
     broken = broken_body(BODIES[shape](), 16, cracks == "curved")
-    worlds = [world_of(broken, SETTINGS._replace(normals=normals)) for normals in ("nearest", "crack")]
+    worlds = [world_of(broken, SETTINGS._replace(normals=normals)) for normals in ("nearest", "facing")]
     frames = [jittered(broken, worlds[0], 0.01, 1.0, seed) for seed in range(4)]
     nearest, crack = (measure(broken, world, frames, SETTINGS.penetration_tolerance) for world in worlds)
     assert len(crack.angles) > 500
@@ -91,7 +91,7 @@ def test_fragments_in_place_touch_along_their_cracks() -> None:
     """All gaps are 0: the nearest surface is a matter of rounding there, and the crack's direction is not."""
     broken = broken_body(BODIES["shell"](), 16, curved=True)
     off = []
-    for normals in ("nearest", "crack"):
+    for normals in ("nearest", "facing"):
         world = world_of(broken, SETTINGS._replace(normals=normals))
         off.append(measure(broken, world, [jittered(broken, world, 0.0, 0.0, 0)], -np.inf).off)
     assert off[0] > 0.5

@@ -14,7 +14,13 @@ from __future__ import annotations
 import math
 
 from fracture_collision.core.compiled import inlined_kernel
-from fracture_collision.core.flood import NO_SOURCE, WHATEVER, nearest_in_tetrahedron, nothing_within, outward_direction
+from fracture_collision.core.flood import (
+    EVERYTHING,
+    NO_SOURCE,
+    nearest_in_tetrahedron,
+    nothing_within,
+    outward_direction,
+)
 from fracture_collision.core.pools import CUT
 
 
@@ -59,7 +65,7 @@ def averaged_penetration(pools, f, t, x, y, z):
     both are exact for the surface within it, elsewhere eq. 1-2 over its nodes; capped by the grid of the whole body.
     """
     mesh, body = pools.mesh, pools.body
-    best = nearest_in_tetrahedron(pools, f, t, x, y, z, False, WHATEVER, nothing_within(math.inf))
+    best = nearest_in_tetrahedron(pools, f, t, x, y, z, False, EVERYTHING, nothing_within(math.inf))
     most2 = best[0]
     shift = pools.fragment.node_shift[f]
     d, nx, ny, nz, total = 0.0, 0.0, 0.0, 0.0, 0.0

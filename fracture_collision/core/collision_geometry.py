@@ -29,8 +29,8 @@ from fracture_collision.core.pool_tables import PoolTables
 from fracture_collision.core.pools import (
     ALTERNATING,
     AVERAGED,
-    CRACK,
     EXACT,
+    FACING,
     NEVER_BROKEN,
     OWN_SAMPLE,
     SAMPLE,
@@ -105,11 +105,11 @@ class CollisionGeometry:
     """Owner of the pools. Fragments are addressed by row, in the order in which they were made.
 
     tree: one of fragment_trees.TREES; traversal: one of pools.ALTERNATING, QUEUE; field: one of pools.EXACT, AVERAGED;
-    normals: one of pools.NEAREST, CRACK.
+    normals: one of pools.NEAREST, FACING.
     """
 
     def __init__(
-        self, tree: str = RESTRUCTURED, traversal: int = ALTERNATING, field: int = EXACT, normals: int = CRACK
+        self, tree: str = RESTRUCTURED, traversal: int = ALTERNATING, field: int = EXACT, normals: int = FACING
     ) -> None:
         self._tree_kind, self._field = tree, field
         self._tables = PoolTables(traversal, field, normals)

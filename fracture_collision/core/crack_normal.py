@@ -25,57 +25,58 @@ from fracture_collision.core.kinds import TETRAHEDRA
 from fracture_collision.core.point_location import load_margins, tetrahedron_at
 from fracture_collision.core.pools import CUT, NEVER_BROKEN
 
-# The shared crack is taken while it is no farther than so many times the nearest surface, or than this share of R.
+# The shared crack is taken while it is no more than this share of R farther than the nearest surface.
+FARTHER = 0.03
+# From outside, where nothing farther than the detection tolerance is listed, it is looked for so many times as far.
 TIMES_NEAREST = 3.0
-SHARE_OF_RADIUS = 0.03
 # A ray that meets more tetrahedra on so short a way is lost.
 MOST_TETRAHEDRA = 256
 NOWHERE = -2  # no tetrahedron, nor -1, the outside
 
 
-@query_kernel
-def turn_to_cracks(pools, a, b, near, contacts, ids, count, scratch, thread):
-    """Turn the `count` contacts of a pair, as query_pair leaves them, to the crack that `a` and `b` share.
+@inlined_kernel
+def share_a_body(pools, a, b):
+    """Whether two fragments are of one body, that broke."""
+    fragment = pools.fragment
+    return (
+        fragment.kind[a] == TETRAHEDRA and fragment.kind[b] == TETRAHEDRA and fragment.mesh[a] == fragment.mesh[b]
+        and fragment.node_shift[a] != NEVER_BROKEN and fragment.node_shift[a] == fragment.node_shift[b]
+    )  # fmt: skip
 
-    Sets witness, normal and gap in rows of `contacts` (., 10); `near` [m] is the detection tolerance. Samples outside
+
+@query_kernel
+def turn_to_crack(pools, f, g, near, row, scratch, thread):
+    """Turn the contact of a sample of `g` with `f`, of one body, to the crack that parts the two, if it is near.
+
+    Sets witness, normal and gap of `row` (10,), see query_pair; `near` [m] is the detection tolerance. Samples outside
     the unbroken body stay as they are: they are not between the two.
     """
-    fragment = pools.fragment
-    k, shift = fragment.mesh[a], fragment.node_shift[a]
-    if (
-        fragment.kind[a] != TETRAHEDRA or fragment.kind[b] != TETRAHEDRA or shift == NEVER_BROKEN
-        or fragment.mesh[b] != k or fragment.node_shift[b] != shift
-    ):  # fmt: skip
+    x, y, z, d = row[0], row[1], row[2], row[9]
+    radius = pools.fragment.radius[f]
+    t = tetrahedron_at(pools.mesh, pools.fragment.mesh[f], x, y, z)
+    if t < 0:
         return
-    floor = SHARE_OF_RADIUS * fragment.radius[a]
-    for c in range(count):
-        row = contacts[c]
-        x, y, z, d = row[0], row[1], row[2], row[9]
-        f, g = (b, a) if ids[c, 0] == 0 else (a, b)
-        t = tetrahedron_at(pools.mesh, k, x, y, z)
-        if t < 0:
-            continue
-        inside = d <= 0.0
-        if inside:
-            within = max(-TIMES_NEAREST * d, floor)
-            best = nearest_from_inside(pools, f, t, x, y, z, within, g, scratch, thread)
-        else:
-            within = max(TIMES_NEAREST * d, near)
-            best = nearest_from_outside(pools, f, t, x, y, z, within, g, scratch, thread)
-            within = near  # whichever way, what is listed is no farther than the detection tolerance
-        if best[5] == NO_SOURCE:
-            continue
-        nx, ny, nz = crack_direction(pools, f, g, best[5], best[6])
-        sign = 1.0 if inside else -1.0
-        s = way_through(pools, f, t, x, y, z, sign * nx, sign * ny, sign * nz, within, inside, scratch, thread)
-        if s <= within:
-            s *= sign
-            row[3], row[4], row[5] = x + s * nx, y + s * ny, z + s * nz
-            row[9] = -s
-        elif abs(d) > DIRECTION_FLOOR * fragment.radius[a]:
-            continue
-        # where the two just touch, its own witness will do: on a step the crack's normal may lead along the surface
-        row[6], row[7], row[8] = nx, ny, nz
+    inside = d <= 0.0
+    only = (g, 0.0, 0.0, 0.0)
+    if inside:
+        within = FARTHER * radius - d
+        best = nearest_from_inside(pools, f, t, x, y, z, within, only, scratch, thread)
+    else:
+        within = near  # whichever way, what is listed is no farther than the detection tolerance
+        best = nearest_from_outside(pools, f, t, x, y, z, max(TIMES_NEAREST * d, near), only, scratch, thread)
+    if best[5] == NO_SOURCE:
+        return
+    nx, ny, nz = crack_direction(pools, f, g, best[5], best[6])
+    sign = 1.0 if inside else -1.0
+    s = way_through(pools, f, t, x, y, z, sign * nx, sign * ny, sign * nz, within, inside, scratch, thread)
+    if s <= within:
+        s *= sign
+        row[3], row[4], row[5] = x + s * nx, y + s * ny, z + s * nz
+        row[9] = -s
+    elif abs(d) > DIRECTION_FLOOR * radius:
+        return
+    # where the two just touch, its own witness will do: on a step the crack's normal may lead along the surface
+    row[6], row[7], row[8] = nx, ny, nz
 
 
 @inlined_kernel
@@ -148,7 +149,7 @@ def way_through(pools, f, t, x, y, z, nx, ny, nz, limit, leaves, scratch, thread
                     own = k
         if own >= 0:
             share = share_of_segment(
-                slots, functionals, counts, own, leaves, x + s * nx, y + s * ny, z + s * nz,
+                slots, functionals, counts, labels, own, leaves, x + s * nx, y + s * ny, z + s * nz,
                 x + out * nx, y + out * ny, z + out * nz, scratch.roots[thread],
             )  # fmt: skip
             if share < 1.0:

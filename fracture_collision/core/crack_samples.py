@@ -10,10 +10,10 @@ from fracture_collision.core.point_location import load_margins
 
 
 @query_kernel
-def share_of_segment(slots, functionals, counts, own, of_own, x0, y0, z0, x1, y1, z1, roots):
+def share_of_segment(slots, functionals, counts, labels, own, of_own, x0, y0, z0, x1, y1, z1, roots):
     """Share of a segment within one tetrahedron, from its start to where slot `own`'s region ends: 0 .. 1.
 
-    of_own False: to where it begins. A tie counts as own.
+    of_own False: to where it begins. At a tie the smaller of `labels` (slots,) has it, as in owner_slot.
     Margins are piecewise linear along the segment; between two neighbouring roots of their differences the owner stays.
     `roots` (64,): room for them.
     """
@@ -47,7 +47,9 @@ def share_of_segment(slots, functionals, counts, own, of_own, x0, y0, z0, x1, y1
             mine = margin(functionals[own], counts[own], x, y, z)
             owned = True
             for s in range(slots):
-                owned = owned and (s == own or margin(functionals[s], counts[s], x, y, z) <= mine)
+                if s != own:
+                    other = margin(functionals[s], counts[s], x, y, z)
+                    owned = owned and (other < mine or (other == mine and labels[own] < labels[s]))
             if owned != of_own:
                 return before
         before = after
@@ -97,6 +99,7 @@ def _crack_samples(mesh, body, node_shift, edge_shift, tets, low, high, work, ro
                     own += 1
                 start, end = mesh.nodes[mesh.edges[edge, side]], mesh.nodes[mesh.edges[edge, 1 - side]]
                 reach = share_of_segment(
-                    slots, functionals, counts, own, True, start[0], start[1], start[2], end[0], end[1], end[2], roots,
+                    slots, functionals, counts, labels, own, True,
+                    start[0], start[1], start[2], end[0], end[1], end[2], roots,
                 )  # fmt: skip
                 share[edge + edge_shift, side] = min(share[edge + edge_shift, side], reach)

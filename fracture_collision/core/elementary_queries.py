@@ -13,8 +13,8 @@ from fracture_collision.core.averaged_field import averaged_penetration
 from fracture_collision.core.closest_point import box_distance_squared
 from fracture_collision.core.compiled import inlined_kernel
 from fracture_collision.core.flood import (
+    EVERYTHING,
     NO_SOURCE,
-    WHATEVER,
     nearest_from_inside,
     nearest_from_outside,
     outward_direction,
@@ -79,7 +79,7 @@ def bounded_probe(pools, f, x, y, z, near, deep, scratch, thread):
         if pools.field == AVERAGED and pools.fragment.node_shift[f] != NEVER_BROKEN:
             d, nx, ny, nz, most = averaged_penetration(pools, f, t, x, y, z)
             return INSIDE, -d, nx, ny, nz, x + d * nx, y + d * ny, z + d * nz, most
-        best = nearest_from_inside(pools, f, t, x, y, z, deep, WHATEVER, scratch, thread)
+        best = nearest_from_inside(pools, f, t, x, y, z, deep, EVERYTHING, scratch, thread)
         if best[5] == NO_SOURCE:
             return INSIDE, -math.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, math.inf
         nx, ny, nz = outward_direction(pools, f, x, y, z, best, True)
@@ -87,7 +87,7 @@ def bounded_probe(pools, f, x, y, z, near, deep, scratch, thread):
         return INSIDE, -d, nx, ny, nz, best[1], best[2], best[3], d
     if near <= 0.0:
         return OUTSIDE, reach, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -reach
-    best = nearest_from_outside(pools, f, t, x, y, z, near, WHATEVER, scratch, thread)
+    best = nearest_from_outside(pools, f, t, x, y, z, near, EVERYTHING, scratch, thread)
     if best[5] == NO_SOURCE:
         return OUTSIDE, max(reach, near), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -max(reach, near)
     nx, ny, nz = outward_direction(pools, f, x, y, z, best, False)

@@ -27,10 +27,13 @@ from fracture_collision.core.pools import CUT, NEVER_BROKEN
 # Which surface triangle a closest point lies on: a row of body.triangles, or -1 - (4 tetrahedron + face) of the old
 # surface.
 NO_SOURCE = np.iinfo(np.int64).max
-# In the place of a fragment behind the surface: whatever is there.
-WHATEVER = -1
-# Below this share of R a direction between two points says nothing; the surface's own normal does.
-DIRECTION_FLOOR = 1e-9
+# Which surface a search asks for, (behind, x, y, z): what parts the fragment from fragment `behind`; or EVERYTHING; or
+# with TOWARD what faces a sample whose own outward normal is (x, y, z).
+WHATEVER, TOWARD = -1, -2
+EVERYTHING = (WHATEVER, 0.0, 0.0, 0.0)
+# Below this share of R a direction between two points says nothing; the surface's own normal does. Rounding takes a
+# ten-thousandth of the direction there.
+DIRECTION_FLOOR = 1e-12
 PLANE_SLACK = 1.0 + 1e-9
 # What rounding may do to a barycentric weight.
 WEIGHT_ROUNDING = 1e-12
@@ -91,22 +94,26 @@ def nothing_within(limit):
 
 
 @inlined_kernel
-def nearest_in_tetrahedron(pools, f, t, x, y, z, with_steps, behind, best):
+def nearest_in_tetrahedron(pools, f, t, x, y, z, with_steps, only, best):
     """Better of `best`, see `nothing_within`, and f's surface within tetrahedron `t`.
 
-    with_steps: also against the steps in the tetrahedron's faces, which the paper does not know. behind: only against
-    what parts f from this fragment; WHATEVER: against all.
+    with_steps: also against the steps in the tetrahedron's faces, which the paper does not know. only: see EVERYTHING.
     """
+    behind, ox, oy, oz = only
     d2, qx, qy, qz, feature, source, where = best
     mesh, body = pools.mesh, pools.body
     shift = pools.fragment.tet_shift[f]
-    if behind == WHATEVER and (shift == NEVER_BROKEN or body.tet_fragment[t + shift] != CUT):
+    if behind < 0 and (shift == NEVER_BROKEN or body.tet_fragment[t + shift] != CUT):
         for face in range(4):
             if mesh.neighbours[t, face] >= 0 or _face_is_farther(mesh, t, face, x, y, z, d2):
                 continue
             a = mesh.nodes[mesh.tetrahedra[t, FACE_VERTICES[face, 0]]]
             b = mesh.nodes[mesh.tetrahedra[t, FACE_VERTICES[face, 1]]]
             c = mesh.nodes[mesh.tetrahedra[t, FACE_VERTICES[face, 2]]]
+            if behind == TOWARD:
+                nx, ny, nz = triangle_normal(a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2])
+                if nx * ox + ny * oy + nz * oz >= 0.0:
+                    continue
             e2, ex, ey, ez, rim = closest_on_triangle(x, y, z, a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2])
             if e2 < d2:
                 d2, qx, qy, qz, feature, source, where = e2, ex, ey, ez, rim, -1 - (4 * t + face), t
@@ -126,14 +133,18 @@ def nearest_in_tetrahedron(pools, f, t, x, y, z, with_steps, behind, best):
             continue
         # a step is surface of the fragment in front here, of the one behind in the tetrahedron behind
         front, back = body.front[i], body.back[i]
+        sign = 1.0
         if front != f:
             if kind != INTERFACE or back != f:
                 continue
             back = front
-        if behind != WHATEVER and back != behind:
+            sign = -1.0
+        p = body.faces[i]
+        if behind >= 0 and back != behind:
+            continue
+        if behind == TOWARD and sign * (p[0] * ox + p[1] * oy + p[2] * oz) >= 0.0:
             continue
         # no point of a triangle is nearer than its plane; rounding is left room
-        p = body.faces[i]
         height = p[0] * x + p[1] * y + p[2] * z - p[3]
         if height * height > d2 * PLANE_SLACK:
             continue
@@ -186,11 +197,11 @@ def next_stamp(scratch, thread):
 
 
 @inlined_kernel
-def nearest_from_inside(pools, f, start, x, y, z, limit, behind, scratch, thread):
+def nearest_from_inside(pools, f, start, x, y, z, limit, only, scratch, thread):
     """Nearest point of f's surface closer than `limit` [m] (infinity: whatever it is) to a point of f in `start`.
 
-    behind: of the surface that parts f from this fragment only; WHATEVER: of all. Returns (squared distance [m2],
-    x, y, z, feature, source, tetrahedron); NO_SOURCE if none is as close.
+    only: see EVERYTHING. Returns (squared distance [m2], x, y, z, feature, source, tetrahedron); NO_SOURCE if none is
+    as close.
     """
     mesh = pools.mesh
     keys = scratch.heap_key[thread]
@@ -205,7 +216,7 @@ def nearest_from_inside(pools, f, start, x, y, z, limit, behind, scratch, thread
         t = items[0]
         _pop(keys, items, count)
         count -= 1
-        best = nearest_in_tetrahedron(pools, f, t, x, y, z, True, behind, best)
+        best = nearest_in_tetrahedron(pools, f, t, x, y, z, True, only, best)
         for face in range(4):
             n = mesh.neighbours[t, face]
             if n < 0 or visited[n] == stamp:
@@ -220,16 +231,16 @@ def nearest_from_inside(pools, f, start, x, y, z, limit, behind, scratch, thread
 
 
 @inlined_kernel
-def nearest_from_outside(pools, f, at, x, y, z, limit, behind, scratch, thread):
+def nearest_from_outside(pools, f, at, x, y, z, limit, only, scratch, thread):
     """Nearest point of f's surface closer than `limit` [m] to a point that is not of f; NO_SOURCE if none is.
 
-    `at`: the tetrahedron that holds the point, -1 outside the body. `behind` and answer as in nearest_from_inside.
+    `at`: the tetrahedron that holds the point, -1 outside the body. `only` and answer as in nearest_from_inside.
     """
     mesh = pools.mesh
     if at >= 0 and clear_of_faces(mesh, at, x, y, z, limit):
         alone = nothing_within(limit)
         if holds_fragment(pools, f, at):
-            return nearest_in_tetrahedron(pools, f, at, x, y, z, True, behind, alone)
+            return nearest_in_tetrahedron(pools, f, at, x, y, z, True, only, alone)
         return alone
     k = pools.fragment.mesh[f]
     visited = scratch.visited[thread]
@@ -260,7 +271,7 @@ def nearest_from_outside(pools, f, at, x, y, z, limit, behind, scratch, thread):
                     if box_distance_squared(x, y, z, mesh.boxes[t]) >= best[0] or not holds_fragment(pools, f, t):
                         continue
                     if least_distance_squared(mesh, t, x, y, z) < best[0]:
-                        best = nearest_in_tetrahedron(pools, f, t, x, y, z, True, behind, best)
+                        best = nearest_in_tetrahedron(pools, f, t, x, y, z, True, only, best)
     return best
 
 

@@ -17,7 +17,13 @@ import numpy as np
 
 from fracture_collision.core.averaged_field import propagated_distance
 from fracture_collision.core.compiled import kernel, query_kernel
-from fracture_collision.core.flood import NO_SOURCE, WHATEVER, nearest_in_tetrahedron, nothing_within, outward_direction
+from fracture_collision.core.flood import (
+    EVERYTHING,
+    NO_SOURCE,
+    nearest_in_tetrahedron,
+    nothing_within,
+    outward_direction,
+)
 from fracture_collision.core.point_location import holds_fragment
 
 # A distance is shorter if it is by more than this share of R: two nodes must not hand rounding to and fro.
@@ -42,7 +48,7 @@ def renew_certain_points(pools, divided_anew, first_node, node_shift, whole):
             # and never will: no descendant of f can own anything in it
             continue
         x, y, z = mesh.nodes[first_node + i]
-        best = nearest_in_tetrahedron(pools, f, t, x, y, z, False, WHATEVER, nothing_within(math.inf))
+        best = nearest_in_tetrahedron(pools, f, t, x, y, z, False, EVERYTHING, nothing_within(math.inf))
         stored = body.node_field[row]
         if best[5] == NO_SOURCE:
             body.node_certain_tet[row] = OLD_SURFACE
@@ -76,7 +82,7 @@ def measure_at_cracks(pools, tets, first_node, node_shift, edge_shift, low, high
                 front[used] = v - first_node
                 used += 1
             x, y, z = mesh.nodes[v]
-            best = nearest_in_tetrahedron(pools, f, t, x, y, z, False, WHATEVER, nothing_within(math.inf))
+            best = nearest_in_tetrahedron(pools, f, t, x, y, z, False, EVERYTHING, nothing_within(math.inf))
             if best[5] == NO_SOURCE:
                 continue
             row = body.node_field[v + node_shift]

@@ -12,8 +12,8 @@ import numpy as np
 
 from fracture_collision.core.compiled import query_kernel
 from fracture_collision.core.flood import (
+    EVERYTHING,
     NO_SOURCE,
-    WHATEVER,
     nearest_from_inside,
     nearest_from_outside,
     outward_direction,
@@ -43,7 +43,7 @@ def make_interior_field(pools: Pools, row: int, first_node: int, mesh: TetMesh) 
     """Measure the whole body `row`, whose mesh has its nodes from row `first_node` of `pools` on."""
     scratch = make_scratch(1, len(pools.mesh.tetrahedra), 1)
     node_field = np.zeros((len(mesh.nodes), 7))
-    _measure_nodes(pools, row, first_node, vertex_normals(mesh.nodes, mesh.surface), node_field, scratch)
+    _measure_nodes(pools, row, first_node, mesh.node_normals, node_field, scratch)
     cell = mesh.grid_cell / CELLS_PER_EDGE
     # Half a cell of air, so that no point of the body lies on the grid's border.
     origin = mesh.box[:3] - 0.5 * cell
@@ -52,26 +52,6 @@ def make_interior_field(pools: Pools, row: int, first_node: int, mesh: TetMesh) 
     _measure_grid(pools, row, origin, cell, dims, depth, scratch)
     begin, neighbours = _edge_neighbours(mesh.edges, len(mesh.nodes))
     return InteriorField(node_field, origin, cell, dims, depth, begin, neighbours)
-
-
-def vertex_normals(nodes: np.ndarray, surface: np.ndarray) -> np.ndarray:
-    """Outward unit normals (n, 3) of the vertices of a closed surface (t, 3): angle-weighted (Baerentzen, Aanaes 2005).
-
-    Zero at nodes that are no vertex of it.
-    """
-    corners = nodes[surface]
-    face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    face /= np.linalg.norm(face, axis=1)[:, None]
-    normals = np.zeros((len(nodes), 3))
-    for i in range(3):
-        u, v = corners[:, (i + 1) % 3] - corners[:, i], corners[:, (i + 2) % 3] - corners[:, i]
-        angle = np.arctan2(np.linalg.norm(np.cross(u, v), axis=1), (u * v).sum(axis=1))
-        np.add.at(normals, surface[:, i], angle[:, None] * face)
-    length = np.linalg.norm(normals, axis=1)[:, None]
-    # where sheets fold back upon themselves their normals cancel: any of them will do
-    first = np.zeros((len(nodes), 3))
-    first[surface[::-1].ravel()] = np.repeat(face[::-1], 3, axis=0)
-    return np.where(length > 1e-9, normals / np.maximum(length, 1e-9), first)
 
 
 def _edge_neighbours(edges: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -95,7 +75,7 @@ def _measure_nodes(pools, f, first_node, normals, node_field, scratch):
             row[4], row[5], row[6] = x, y, z
             continue
         t = mesh.node_tets[mesh.node_tets_begin[first_node + i + k]]
-        best = nearest_from_inside(pools, f, t, x, y, z, math.inf, WHATEVER, scratch, 0)
+        best = nearest_from_inside(pools, f, t, x, y, z, math.inf, EVERYTHING, scratch, 0)
         row[0] = math.sqrt(best[0])
         row[1], row[2], row[3] = outward_direction(pools, f, x, y, z, best, True)
         row[4], row[5], row[6] = best[1], best[2], best[3]
@@ -113,7 +93,8 @@ def _measure_grid(pools, f, origin, cell, dims, depth, scratch):
                 t = tetrahedron_at(pools.mesh, k, x, y, z)
                 at = (i * dims[1] + j) * dims[2] + l
                 if t >= 0:
-                    depth[at] = math.sqrt(nearest_from_inside(pools, f, t, x, y, z, math.inf, WHATEVER, scratch, 0)[0])
+                    best = nearest_from_inside(pools, f, t, x, y, z, math.inf, EVERYTHING, scratch, 0)
+                    depth[at] = math.sqrt(best[0])
                 else:
-                    best = nearest_from_outside(pools, f, t, x, y, z, diagonal, WHATEVER, scratch, 0)
+                    best = nearest_from_outside(pools, f, t, x, y, z, diagonal, EVERYTHING, scratch, 0)
                     depth[at] = -diagonal if best[5] == NO_SOURCE else -math.sqrt(best[0])

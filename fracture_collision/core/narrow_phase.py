@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.core.compiled import inlined_kernel, kernel, threaded_kernel
-from fracture_collision.core.crack_normal import turn_to_cracks
 from fracture_collision.core.crew import Crew
-from fracture_collision.core.pools import CRACK
+from fracture_collision.core.facing_normal import turn_contacts
+from fracture_collision.core.pools import FACING
 from fracture_collision.core.traversal import query_pair
 
 # Contacts a pair gets room for at first; the few pairs with more are asked again with the room they need.
@@ -82,8 +82,10 @@ def _query_share(
             pools, a, b, rotation, translation, wanted, epsilon * radius, near * radius, budget,
             contacts[k], samples[k], room, scratch, thread,
         )  # fmt: skip
-        if pools.normals == CRACK and counts[p] <= room:
-            turn_to_cracks(pools, a, b, near * radius, contacts[k], samples[k], counts[p], scratch, thread)
+        if pools.normals == FACING and counts[p] <= room:
+            turn_contacts(
+                pools, a, b, rotation, translation, near * radius, contacts[k], samples[k], counts[p], scratch, thread
+            )
 
 
 @kernel

@@ -28,10 +28,10 @@ class PoolTables:
         f8, i4, u1 = np.float64, np.int32, np.uint8
         self.mesh = _table(
             nodes=(3, f8), tetrahedra=(4, i4), neighbours=(4, i4), tetrahedron_edges=(6, i4), edges=(2, i4),
-            boxes=(6, f8), barycentric=(12, f8), moments=(10, f8), on_surface=(0, u1), node_tets_begin=(0, i4),
-            node_tets=(0, i4), grid=(4, f8), grid_dims=(4, i4), cell_begin=(0, i4), cell_tets=(0, i4),
-            tet_cells_begin=(0, i4), tet_cells=(0, i4), depth_grid=(4, f8), depth_grid_dims=(4, i4),
-            grid_depth=(0, f8),
+            boxes=(6, f8), barycentric=(12, f8), moments=(10, f8), on_surface=(0, u1), node_normals=(3, f8),
+            node_tets_begin=(0, i4), node_tets=(0, i4), first=(3, i4), grid=(4, f8), grid_dims=(4, i4),
+            cell_begin=(0, i4), cell_tets=(0, i4), tet_cells_begin=(0, i4), tet_cells=(0, i4), depth_grid=(4, f8),
+            depth_grid_dims=(4, i4), grid_depth=(0, f8),
         )  # fmt: skip
         self.body = _table(
             node_fragment=(0, i4), edge_plane=(0, i4), edge_share=(2, f8), tet_fragment=(0, i4),
@@ -46,6 +46,7 @@ class PoolTables:
         self.triangles = _table(
             corners=(9, f8), features=(6, i4), pseudonormals=(3, f8), node_box=(6, f8), node_skip=(0, i4),
             node_first=(0, i4), node_count=(0, i4), node_range=(2, i4), triangle_range=(2, i4),
+            first_vertex=(0, i4),
         )  # fmt: skip
         self.occupancy = GrowableArray(0, u1)
         self._switches = traversal, field, normals
@@ -86,7 +87,7 @@ class PoolTables:
         table["neighbours"].append(np.where(mesh.neighbours < 0, -1, mesh.neighbours + tet))
         table["tetrahedron_edges"].append(mesh.tetrahedron_edges + edge)
         table["edges"].append(mesh.edges + node)
-        for name in ("boxes", "barycentric", "moments", "on_surface"):
+        for name in ("boxes", "barycentric", "moments", "on_surface", "node_normals"):
             table[name].append(getattr(mesh, name))
         table["node_tets_begin"].append(mesh.node_tets_begin + table["node_tets"].used)
         table["node_tets"].append(mesh.node_tets + tet)
@@ -94,6 +95,7 @@ class PoolTables:
         table["cell_tets"].append(mesh.cell_tets + tet)
         table["tet_cells_begin"].append(mesh.tet_cells_begin + table["tet_cells"].used)
         table["tet_cells"].append(mesh.tet_cells)
+        table["first"].append(np.array([[node, edge, len(mesh.nodes)]], np.int32))
         table["grid"].append(np.append(mesh.grid_origin, mesh.grid_cell)[None])
         table["grid_dims"].append(np.append(mesh.grid_dims, first_cell)[None])
         table["depth_grid"].append(np.zeros((1, 4)))

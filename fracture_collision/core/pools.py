@@ -48,8 +48,10 @@ class MeshPool(NamedTuple):
     barycentric: np.ndarray  # (M, 12) float64
     moments: np.ndarray  # (M, 10) float64
     on_surface: np.ndarray  # (N,) uint8
+    node_normals: np.ndarray  # (N, 3) float64 unit, outward, of the old surface; zero inside
     node_tets_begin: np.ndarray  # (N + meshes,) int32; mesh k's rows start at first node + k
     node_tets: np.ndarray  # (4M,) int32
+    first: np.ndarray  # (meshes, 3) int32: first node, first edge, number of nodes
     grid: np.ndarray  # (meshes, 4) float64: origin [m], cell [m]
     grid_dims: np.ndarray  # (meshes, 4) int32: cells along x, y, z; first entry in cell_begin
     cell_begin: np.ndarray  # int32, cells + 1 a mesh
@@ -110,6 +112,7 @@ class TriangleMeshPool(NamedTuple):
     node_count: np.ndarray  # (B,) int32
     node_range: np.ndarray  # (meshes, 2) int32: first row of the nodes, row behind the last
     triangle_range: np.ndarray  # (meshes, 2) int32 likewise
+    first_vertex: np.ndarray  # (meshes,) int32: row of pseudonormals of its first vertex
 
 
 class TreePool(NamedTuple):
@@ -136,7 +139,7 @@ class Pools(NamedTuple):
     triangles: TriangleMeshPool
     traversal: int  # ALTERNATING or QUEUE
     field: int  # EXACT or AVERAGED
-    normals: int  # NEAREST or CRACK
+    normals: int  # NEAREST or FACING
 
 
 # Pools.traversal: in which order the children of entered nodes are visited (traversal.py).
@@ -147,10 +150,10 @@ QUEUE = 1  # all children of a parent in a row, the regular breadth-first order 
 EXACT = 0
 AVERAGED = 1
 
-# Pools.normals: along the way to the nearest surface, or, between two fragments of one body, along the normal of the
-# crack they share (crack_normal.py).
+# Pools.normals: along the way to the nearest surface, or to one that faces the sample: between two fragments of one
+# body the crack they share (crack_normal.py), else see facing_normal.py.
 NEAREST = 0
-CRACK = 1
+FACING = 1
 
 CUT = -1
 NEVER_BROKEN = np.iinfo(np.int32).min

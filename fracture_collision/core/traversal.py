@@ -14,6 +14,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from fracture_collision.core.compiled import inlined_kernel, query_kernel
 from fracture_collision.core.elementary_queries import (
     INSIDE,
@@ -27,8 +29,9 @@ from fracture_collision.core.kinds import PLANE, SPHERE
 from fracture_collision.core.oriented_boxes import boxes_apart
 from fracture_collision.core.pools import NONE_BELOW, OWN_SAMPLE, QUEUE, SAMPLE, SIZE, SURFACE
 
-# Rounding of coordinates near the scale of the fragment must not make a bound lie.
+# Rounding must not make a bound lie: this share of the smaller R, and of all coordinates that a depth is made from.
 BOUND_SLACK = 1e-12
+COORDINATE_SLACK = 8.0 * np.finfo(np.float64).eps
 
 # columns of scratch.node_int
 ENTRY, SIDE, NEXT_CHILD, STATUS = 0, 1, 2, 3
@@ -52,6 +55,17 @@ def _depth_limit(pools, f):
     """No point of fragment f is deeper than half its box's shortest side [m]."""
     b = pools.fragment.box[f]
     return 0.5 * min(b[3] - b[0], b[4] - b[1], b[5] - b[2])
+
+
+@inlined_kernel
+def _farthest(pools, f):
+    """Largest coordinate [m] of fragment f's geometry in its body frame."""
+    if pools.fragment.kind[f] == PLANE:
+        return abs(pools.fragment.shape[f, 3])
+    farthest = 0.0
+    for d in range(6):
+        farthest = max(farthest, abs(pools.fragment.box[f, d]))
+    return farthest
 
 
 @inlined_kernel
@@ -87,6 +101,9 @@ def query_pair(
     """
     fragment, tree = pools.fragment, pools.tree
     slack = BOUND_SLACK * min(fragment.radius[a], fragment.radius[b])
+    slack += COORDINATE_SLACK * (_farthest(pools, a) + _farthest(pools, b))
+    for d in range(3):
+        slack += COORDINATE_SLACK * (abs(translation[0, d]) + abs(translation[1, d]))
     bounded = fragment.kind[a] != PLANE and fragment.kind[b] != PLANE
     if bounded and boxes_apart(fragment.box[a], fragment.box[b], rotation[0], translation[0], near + slack):
         return 0, slack, 0, False

@@ -25,7 +25,7 @@ LEAF_TRIANGLES = 4
 # The hierarchy halves its triangles at each node, so a descent of this depth covers 2^62 of them.
 STACK = 64
 # Below this share of R the direction between two points says nothing; the pseudonormal does.
-DIRECTION_FLOOR = 1e-9
+DIRECTION_FLOOR = 1e-12
 
 
 class TriangleMesh(NamedTuple):
@@ -57,6 +57,8 @@ def append_triangle_mesh(table: dict[str, GrowableArray], mesh: TriangleMesh) ->
     """Add a mesh to the columns of a TriangleMeshPool, rows made absolute; returns its row of `node_range`."""
     triangle, node = table["corners"].used, table["node_box"].used
     table["features"].append(mesh.features + table["pseudonormals"].used)
+    edges = 3 * len(mesh.corners) // 2  # of a closed surface
+    table["first_vertex"].append(np.array([table["pseudonormals"].used + edges], np.int32))
     for name in ("corners", "pseudonormals", "node_box", "node_count"):
         table[name].append(getattr(mesh, name))
     table["node_skip"].append(mesh.node_skip + node)
@@ -132,11 +134,14 @@ def _build_hierarchy(boxes, centers):
 
 
 @query_kernel
-def nearest_triangle(meshes, k, x, y, z, limit, stack):
+def nearest_triangle(meshes, k, x, y, z, limit, toward, stack):
     """Nearest point of mesh `k` closer than `limit` [m]: (squared distance [m2], x, y, z, feature, triangle row or -1).
 
-    Depth first, the nearer child first; a box as far as the best so far is left. `stack` (STACK,) int32: working space.
+    `toward` (x, y, z): only triangles whose outward normal points against it; zeros: all. Depth first, the nearer child
+    first; a box as far as the best so far is left. `stack` (STACK,) int32: working space.
     """
+    ox, oy, oz = toward
+    is_asked = ox != 0.0 or oy != 0.0 or oz != 0.0
     stack[0] = meshes.node_range[k, 0]
     top = 1
     best, qx, qy, qz, feature, source = limit * limit, 0.0, 0.0, 0.0, 0, -1
@@ -157,6 +162,10 @@ def nearest_triangle(meshes, k, x, y, z, limit, stack):
         begin = meshes.node_first[node]
         for t in range(begin, begin + meshes.node_count[node]):
             c = meshes.corners[t]
+            if is_asked:
+                nx, ny, nz = triangle_normal(c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8])
+                if nx * ox + ny * oy + nz * oz >= 0.0:
+                    continue
             d2, ex, ey, ez, part = closest_on_triangle(x, y, z, c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8])
             if d2 < best:
                 best, qx, qy, qz, feature, source = d2, ex, ey, ez, part, t
@@ -188,7 +197,7 @@ def triangle_distance(meshes, k, radius, x, y, z, stack):
     `radius` [m]: R of the body. The direction is the face's normal, or at an edge or corner the line between the two
     points; where these all but coincide, the pseudonormal.
     """
-    d2, qx, qy, qz, feature, t = nearest_triangle(meshes, k, x, y, z, math.inf, stack)
+    d2, qx, qy, qz, feature, t = nearest_triangle(meshes, k, x, y, z, math.inf, (0.0, 0.0, 0.0), stack)
     d = math.sqrt(d2)
     if feature == ON_FACE:
         c = meshes.corners[t]

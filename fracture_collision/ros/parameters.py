@@ -22,7 +22,7 @@ _DESCRIPTIONS: dict[str, tuple[str, Range | None]] = {
     "detection_tolerance": ("surfaces this far apart are listed already, as a share of the bodies' R", Range(0, 0.1)),
     "field": ("depth inside a fragment: 'exact' (local flood) or 'averaged' (Glondu 2014, eq. 1-2)", None),
     "tree": ("trees of new fragments: 'restructured' (Glondu 2014, 6.2), 'plain' (its [27]) or 'rebuilt'", None),
-    "normals": ("normals between fragments of one body: 'crack' (the one they share) or 'nearest' (surface)", None),
+    "normals": ("which surface a normal is of: one 'facing' the sample, or the 'nearest' (Glondu 2014, 4.4)", None),
     "traversal": ("order of visits: 'alternating' between parents (Glondu 2014, 5.3) or 'queue' (its [27])", None),
     "threads": ("threads of the narrow phase; 0: one for each core. The answer does not depend on it", Range(0, 256)),
     "visit_budget": ("sphere tree nodes that a step may visit; 0: no limit", Range(0, 2**40)),

@@ -147,6 +147,18 @@ def _cuts(fields: FractureFields, mesh: TetMesh, part_of_node: np.ndarray) -> tu
     if len(missed):
         a, b = ends[missed[0]]
         refuse("missed_edge", f"cut_planes: entry {missed[0]} does not cross its edge {a}-{b} from first to second")
+    _have_volume(fields, part_of_node, ends, np.stack([-at_first, at_second], axis=1) - slack[:, None])
     planes = np.where((ends[:, 0] > ends[:, 1])[:, None], -planes, planes)
     order = np.argsort(edges, kind="stable")
     return edges[order], np.ascontiguousarray(planes[order])
+
+
+def _have_volume(fields: FractureFields, part_of_node: np.ndarray, ends: np.ndarray, room: np.ndarray) -> None:
+    """A lone node with all planes through it has nothing of the body; room (k, 2) [m]: how far ends are from planes."""
+    room_at = np.full(len(part_of_node), -np.inf)
+    np.maximum.at(room_at, ends.ravel(), room.ravel())
+    nodes_of = np.bincount(part_of_node[part_of_node >= 0], minlength=len(fields.new_fragment_ids))
+    flat = np.flatnonzero((part_of_node >= 0) & (nodes_of[part_of_node] == 1) & (room_at <= 0.0))
+    if len(flat):
+        flat_id = fields.new_fragment_ids[part_of_node[flat[0]]]
+        refuse("no_volume", f"cut_planes: fragment {flat_id} has no volume: all pass through its one node {flat[0]}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from fracture_collision.core.fragment_trees import TREES
-from fracture_collision.core.pools import ALTERNATING, AVERAGED, CRACK, EXACT, NEAREST, QUEUE
+from fracture_collision.core.pools import ALTERNATING, AVERAGED, EXACT, FACING, NEAREST, QUEUE
 
 
 class Settings(NamedTuple):
@@ -21,9 +21,10 @@ class Settings(NamedTuple):
     # `exact`: local flood, no error; `averaged`: the paper's front propagation (eq. 1-2): depths and normals inside a
     # broken body are approximate, the missed depth bound is as certain and looser.
     field: str = "exact"
-    # `crack`: two fragments of one body are parted along the crack they share, where it is near; `nearest`: along the
-    # shortest way to any surface, as in the paper, which near a crack's rim often points along the crack.
-    normals: str = "crack"
+    # `facing`: two fragments of one body are parted along the crack they share, other bodies along a surface that
+    # faces the sample, where it is near; `nearest`: along the shortest way to any surface, as in the paper, which at
+    # rims often points along the surface that parts the two.
+    normals: str = "facing"
     # `restructured`: trees are split, restructured and extended at a fracture (6.2, 6.3); `plain`: as in the paper's
     # earlier version [27], without regard to the maximum-distance order; `rebuilt`: from nothing (Fig. 15).
     tree: str = "restructured"
@@ -41,7 +42,7 @@ class Settings(NamedTuple):
 
 
 FIELDS = {"exact": EXACT, "averaged": AVERAGED}
-NORMALS = {"crack": CRACK, "nearest": NEAREST}
+NORMALS = {"facing": FACING, "nearest": NEAREST}
 TRAVERSALS = {"alternating": ALTERNATING, "queue": QUEUE}
 
 

@@ -15,7 +15,7 @@ from oracles.convex_cells import distances_to_triangles
 from oracles.fragmented_body import STEP, FragmentedBody
 
 TIMES_NEAREST = 3.0
-SHARE_OF_RADIUS = 0.03
+FARTHER = 0.03
 # Two polygons this much of R apart in distance are equally near: rounding may choose either.
 TIE = 1e-9
 
@@ -50,7 +50,7 @@ class SharedCrack:
         """
         if not len(self._triangles) or (depth < 0.0 and self._body.locate(x[None])[0] < 0):
             return []
-        within = max(TIMES_NEAREST * abs(depth), SHARE_OF_RADIUS * self._radius if depth >= 0.0 else near)
+        within = depth + FARTHER * self._radius if depth >= 0.0 else max(-TIMES_NEAREST * depth, near)
         distance, _ = distances_to_triangles(x, self._triangles)
         if distance.min() > within:
             return []

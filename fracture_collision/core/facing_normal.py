@@ -1,0 +1,164 @@
+"""Normals that face the sample: what the nearest surface cannot know, the sample does.
+
+A sample stands on a surface of its own and cannot have come in through one that it turns its back to. Where two
+blocks are stacked flush, the nearest surface of a corner is the side of the other, at distance 0, however deep the
+corner is in its top; a solver that follows it pushes sideways. So: where the nearest surface points the way the
+sample's own does, the nearest one that faces it is taken, if that is near too, with its own normal and distance.
+Selection and missed depth bound speak of distances and are untouched. Between two fragments of one body the crack they
+share says more (crack_normal.py).
+"""
+
+from __future__ import annotations
+
+from fracture_collision.core.closest_point import triangle_normal
+from fracture_collision.core.compiled import inlined_kernel, query_kernel
+from fracture_collision.core.crack_normal import FARTHER, share_a_body, turn_to_crack
+from fracture_collision.core.flood import NO_SOURCE, TOWARD, nearest_from_inside, nearest_from_outside, source_normal
+from fracture_collision.core.kinds import BOX, TETRAHEDRA, TRIANGLES
+from fracture_collision.core.point_location import holds_fragment, tetrahedron_at
+from fracture_collision.core.triangle_field import nearest_triangle
+
+# A normal at less than 75 degrees from the sample's own points the same way.
+SAME_WAY = 0.25
+# A sample this share of the half edge from a face of its box stands on it.
+ON_BOX = 1e-9
+# Rounding of distances, as a share of R.
+ROUNDING = 1e-12
+
+
+@query_kernel
+def turn_contacts(pools, a, b, rotation, translation, near, contacts, ids, count, scratch, thread):
+    """Turn the `count` contacts of a pair, as query_pair leaves them, to surfaces that face their samples.
+
+    Sets witness, normal and gap in rows of `contacts` (., 10); rotation (2, 3, 3), translation (2, 3): as query_pair's;
+    `near` [m] is the detection tolerance.
+    """
+    one_body = share_a_body(pools, a, b)
+    for c in range(count):
+        side = ids[c, 0]
+        f, own = (b, a) if side == 0 else (a, b)
+        if one_body:
+            turn_to_crack(pools, f, own, near, contacts[c], scratch, thread)
+        elif ids[c, 1] >= 0 and pools.fragment.kind[f] in (BOX, TETRAHEDRA, TRIANGLES):
+            _turn_to_facing(pools, f, own, ids[c, 1], side, rotation, translation, near, contacts[c], scratch, thread)
+
+
+@query_kernel
+def _turn_to_facing(pools, f, own, sample, side, rotation, translation, near, row, scratch, thread):
+    x, y, z, d = row[0], row[1], row[2], row[9]
+    px, py, pz = _moved(rotation[1 - side], x, y, z)
+    t = translation[1 - side]
+    ux, uy, uz = own_normal(pools, own, sample, px + t[0], py + t[1], pz + t[2])
+    ox, oy, oz = _moved(rotation[side], ux, uy, uz)
+    along = ox * row[6] + oy * row[7] + oz * row[8]
+    radius = min(pools.fragment.radius[f], pools.fragment.radius[own])
+    slack = ROUNDING * radius
+    inside = d <= slack
+    limit = FARTHER * radius - d if inside else near
+    if along <= SAME_WAY:
+        if abs(d) > slack or along <= -SAME_WAY:
+            return
+        # where the two just touch the direction is a matter of rounding: of surfaces equally near take one that faces
+        limit = 2.0 * slack
+    found, qx, qy, qz, nx, ny, nz = _nearest_facing(pools, f, inside, x, y, z, limit, (ox, oy, oz), scratch, thread)
+    if not found:
+        return
+    gap = nx * (x - qx) + ny * (y - qy) + nz * (z - qz)
+    # along a rim the normal's part of the way may be less than the depth; never report less than it is
+    if gap > d + slack if inside else gap < -slack or gap > near:
+        return
+    row[3], row[4], row[5] = qx, qy, qz
+    row[6], row[7], row[8] = nx, ny, nz
+    row[9] = gap
+
+
+@inlined_kernel
+def _moved(rotation, x, y, z):
+    return (
+        rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z,
+        rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z,
+        rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z,
+    )
+
+
+@inlined_kernel
+def own_normal(pools, f, sample, x, y, z):
+    """Outward normal of f's own surface at one of its samples, not unit; zeros if unknown. (x, y, z) [m]: where it is,
+    body frame.
+    """
+    kind = pools.fragment.kind[f]
+    if kind == BOX:
+        half = pools.fragment.shape[f]
+        return _face_sign(x, half[0]), _face_sign(y, half[1]), _face_sign(z, half[2])
+    k = pools.fragment.mesh[f]
+    if kind == TRIANGLES:
+        n = pools.triangles.pseudonormals[pools.triangles.first_vertex[k] + sample]
+        return n[0], n[1], n[2]
+    nodes = pools.mesh.first[k, 2]
+    if sample < nodes:
+        n = pools.mesh.node_normals[pools.mesh.first[k, 0] + sample]
+        return n[0], n[1], n[2]
+    edge = pools.mesh.first[k, 1] + (sample - nodes) // 2
+    p = pools.body.planes[pools.body.edge_plane[edge + pools.fragment.edge_shift[f]]]
+    sign = 1.0 if (sample - nodes) % 2 == 0 else -1.0
+    return sign * p[0], sign * p[1], sign * p[2]
+
+
+@inlined_kernel
+def _face_sign(x, half):
+    if abs(x) < half * (1.0 - ON_BOX):
+        return 0.0
+    return 1.0 if x > 0.0 else -1.0
+
+
+@inlined_kernel
+def _nearest_facing(pools, f, inside, x, y, z, limit, toward, scratch, thread):
+    """Nearest point within `limit` [m] of f's surface whose outward normal points against `toward`: (found, point,
+    normal).
+    """
+    kind = pools.fragment.kind[f]
+    if kind == BOX:
+        return _facing_side(pools.fragment.shape[f], x, y, z, limit, toward)
+    k = pools.fragment.mesh[f]
+    if kind == TRIANGLES:
+        _, qx, qy, qz, _, i = nearest_triangle(pools.triangles, k, x, y, z, limit, toward, scratch.stack[thread])
+        if i < 0:
+            return False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        c = pools.triangles.corners[i]
+        nx, ny, nz = triangle_normal(c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8])
+        return True, qx, qy, qz, nx, ny, nz
+    t = tetrahedron_at(pools.mesh, k, x, y, z)
+    only = (TOWARD, toward[0], toward[1], toward[2])
+    if inside and t >= 0 and holds_fragment(pools, f, t):
+        best = nearest_from_inside(pools, f, t, x, y, z, limit, only, scratch, thread)
+    else:
+        best = nearest_from_outside(pools, f, t, x, y, z, limit, only, scratch, thread)
+    if best[5] == NO_SOURCE:
+        return False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    nx, ny, nz = source_normal(pools, f, best[5])
+    return True, best[1], best[2], best[3], nx, ny, nz
+
+
+@inlined_kernel
+def _facing_side(half, x, y, z, limit, toward):
+    """The same for a box of half edges `half` [m]: of its six sides."""
+    best = (False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    least = limit * limit
+    cx, cy, cz = min(max(x, -half[0]), half[0]), min(max(y, -half[1]), half[1]), min(max(z, -half[2]), half[2])
+    for axis in range(3):
+        if toward[axis] == 0.0:
+            continue
+        s = -1.0 if toward[axis] > 0.0 else 1.0
+        qx, qy, qz = cx, cy, cz
+        nx = ny = nz = 0.0
+        if axis == 0:
+            qx, nx = s * half[0], s
+        elif axis == 1:
+            qy, ny = s * half[1], s
+        else:
+            qz, nz = s * half[2], s
+        d2 = (x - qx) ** 2 + (y - qy) ** 2 + (z - qz) ** 2
+        if d2 < least:
+            least = d2
+            best = (True, qx, qy, qz, nx, ny, nz)
+    return best
