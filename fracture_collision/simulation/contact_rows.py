@@ -14,6 +14,12 @@ from numba import njit
 
 # Squared change of the impulses over their squared size: what comes after is rounding.
 CONVERGED = 1.0e-20
+# How often an iteration may change the face on which it goes on.
+FACES = 3
+# Impulses within this share of their bound are within it.
+WITHIN = 1.0 - 1.0e-9
+# Squared sine between directions below which they are one, but for rounding.
+PARALLEL = 1.0e-12
 
 DIRECTION, ARM_A, ARM_B, SPIN_A, SPIN_B = 0, 3, 6, 9, 12
 
@@ -22,6 +28,8 @@ class Rows(NamedTuple):
     begin: np.ndarray  # (p + 1,) int64, contacts of pair i: begin[i] .. begin[i + 1] - 1
     body_a: np.ndarray  # (p,) int64
     body_b: np.ndarray  # (p,) int64
+    masses: np.ndarray  # (n + 1,) [kg]; 0 of what never moves
+    inertias: np.ndarray  # (n + 1, 3, 3) [kg m2]
     inverse_masses: np.ndarray  # (n + 1,)
     inverse_inertias: np.ndarray  # (n + 1, 3, 3)
     directions: np.ndarray  # (N, 3, 3) n, t1, t2
@@ -38,7 +46,9 @@ class Surfaces(NamedTuple):
 
 
 @njit(cache=True)
-def contact_rows(points, normals, begin, body_a, body_b, centers, inverse_masses, inverse_inertias):
+def contact_rows(
+    points, normals, begin, body_a, body_b, centers, masses, inertias, inverse_masses, inverse_inertias
+):
     """Rows of all contacts; the tangents follow from the normal alone, so that they are steady from step to step."""
     count, pair_count = points.shape[0], body_a.size
     directions = np.zeros((count, 3, 3))
@@ -72,8 +82,8 @@ def contact_rows(points, normals, begin, body_a, body_b, centers, inverse_masses
             largest = 0.5 * (k11 + k22) + math.sqrt(0.25 * (k11 - k22) ** 2 + k12 * k12)
             tangent_masses[c] = 1.0 / largest
     return Rows(
-        begin, body_a, body_b, inverse_masses, inverse_inertias, directions, rows, normal_masses, tangent_masses,
-        rolling_masses,
+        begin, body_a, body_b, masses, inertias, inverse_masses, inverse_inertias, directions, rows, normal_masses,
+        tangent_masses, rolling_masses,
     )  # fmt: skip
 
 
@@ -165,12 +175,18 @@ def apply_warm_start(rows, targets, u, impulses, rolling):
 def sweep(rows, surfaces, targets, u, impulses, rolling, iterations):
     """Projected Gauss-Seidel on (2), (3), (5), accelerated. Changes u, impulses, rolling.
 
-    One iteration visits all contacts forward, then backward. What it changed is taken as a gradient, along which the
-    next one goes on like a nonlinear conjugate gradient (Fletcher-Reeves), restarted where it does not shrink [S]. The
-    projections have the last word.
+    One iteration visits all contacts forward, then backward. With x the impulses, t the targets and A = J W J^T this
+    descends
+
+        f(x) = x A x / 2 + x . (J u* - t) = (u M u - u* M u*) / 2 - x . t,      u = u* + W J^T x.
+
+    From there it goes on to the minimum of f over the plane of this iteration's step and the last one's whole way, on
+    the face of the contacts that press and stick: conjugate gradients, preconditioned by symmetric Gauss-Seidel [D].
+    Products of A are sums over bodies, x A y = u_x M u_y. What would pull leaves the face and the plane is searched
+    again; a way that for the cones' sake ends higher is not taken.
     """
     u_path, path, rolling_path = np.zeros_like(u), np.zeros_like(impulses), np.zeros_like(rolling)
-    last_square = 0.0
+    free, free_to_roll = np.empty(impulses.shape, dtype=np.bool_), np.empty(len(rolling), dtype=np.bool_)
     for iteration in range(iterations):
         u_before, before, rolling_before = u.copy(), impulses.copy(), rolling.copy()
         _sweep_once(rows, surfaces, targets, u, impulses, rolling, False)
@@ -178,20 +194,154 @@ def sweep(rows, surfaces, targets, u, impulses, rolling, iterations):
         if iteration == iterations - 1:
             break
         u_step, step, rolling_step = u - u_before, impulses - before, rolling - rolling_before
-        square = np.sum(step * step)
-        if square <= CONVERGED * np.sum(impulses * impulses):
+        if np.sum(step * step) <= CONVERGED * np.sum(impulses * impulses):
             break
-        share = square / last_square if last_square > 0.0 else 0.0
-        last_square = square
-        if share > 1.0:
-            share = 0.0
-        u_path, path, rolling_path = share * u_path, share * path, share * rolling_path
-        u += u_path
-        impulses += path
-        rolling += rolling_path
-        u_path += u_step
-        path += step
-        rolling_path += rolling_step
+        _find_face(rows, surfaces, impulses, rolling, free, free_to_roll)
+        u_move, move, rolling_move = np.zeros_like(u), np.zeros_like(impulses), np.zeros_like(rolling)
+        share = 0.0
+        for _ in range(FACES):
+            _keep_to_face(rows, free, free_to_roll, u_step, step, rolling_step)
+            _keep_to_face(rows, free, free_to_roll, u_path, path, rolling_path)
+            along_step, along_path = _lowest(rows, targets, u, u_step, step, u_path, path)
+            u_move = along_step * u_step + along_path * u_path
+            move = along_step * step + along_path * path
+            rolling_move = along_step * rolling_step + along_path * rolling_path
+            left, share = _leave_face(rows, surfaces, impulses, move, free)
+            if not left:
+                break
+        u_further, further = u + share * u_move, impulses + share * move
+        rolling_further = rolling + share * rolling_move
+        _project(rows, surfaces, u_further, further, rolling_further)
+        height = 0.5 * _product(rows, u, u) - _work(impulses, targets)
+        if 0.5 * _product(rows, u_further, u_further) - _work(further, targets) < height:
+            u[:] = u_further
+            impulses[:] = further
+            rolling[:] = rolling_further
+        u_path, path, rolling_path = u - u_before, impulses - before, rolling - rolling_before
+
+
+@njit(cache=True)
+def _find_face(rows, surfaces, impulses, rolling, free, free_to_roll):
+    """Which impulses are strictly within their bounds: normal ones that press, tangents that stick."""
+    for pair in range(rows.body_a.size):
+        total = 0.0
+        for c in range(rows.begin[pair], rows.begin[pair + 1]):
+            normal = impulses[c, 0]
+            total += normal
+            free[c, 0] = 0.0 < normal < surfaces.impulse_limits[c]
+            limit = WITHIN * surfaces.friction[pair] * normal
+            free[c, 1] = free[c, 2] = impulses[c, 1] ** 2 + impulses[c, 2] ** 2 < limit * limit
+        limit = WITHIN * surfaces.rolling_arm[pair] * total
+        free_to_roll[pair] = np.sum(rolling[pair] * rolling[pair]) < limit * limit
+
+
+@njit(cache=True)
+def _keep_to_face(rows, free, free_to_roll, u, impulses, rolling):
+    """Take what is not free out of a direction, and its share out of u."""
+    for pair in range(rows.body_a.size):
+        a, b = rows.body_a[pair], rows.body_b[pair]
+        ua, ub = _load(u, a), _load(u, b)
+        mass_a, mass_b = rows.inverse_masses[a], rows.inverse_masses[b]
+        for c in range(rows.begin[pair], rows.begin[pair + 1]):
+            for k in range(3):
+                if not free[c, k] and impulses[c, k] != 0.0:
+                    ua, ub = _pushed(rows.rows[c, k], ua, ub, mass_a, mass_b, -impulses[c, k])
+                    impulses[c, k] = 0.0
+        _store(u, a, ua)
+        _store(u, b, ub)
+        if not free_to_roll[pair]:
+            _turn(rows, pair, u, -rolling[pair])
+            rolling[pair] = 0.0
+
+
+@njit(cache=True)
+def _lowest(rows, targets, u, u_step, step, u_path, path):
+    """Shares of two directions that lead to the minimum of f."""
+    step_slope, step_curvature = _product(rows, u_step, u) - _work(step, targets), _product(rows, u_step, u_step)
+    path_slope, path_curvature = _product(rows, u_path, u) - _work(path, targets), _product(rows, u_path, u_path)
+    mixed = _product(rows, u_step, u_path)
+    determinant = step_curvature * path_curvature - mixed * mixed
+    if determinant > PARALLEL * step_curvature * path_curvature:
+        return (
+            (mixed * path_slope - path_curvature * step_slope) / determinant,
+            (mixed * step_slope - step_curvature * path_slope) / determinant,
+        )
+    return (-step_slope / step_curvature if step_curvature > 0.0 else 0.0), 0.0
+
+
+@njit(cache=True)
+def _leave_face(rows, surfaces, impulses, move, free):
+    """Take from the face what the move would carry beyond its bounds.
+
+    Returns whether there was any, and the share of the way that no normal impulse leaves.
+    """
+    left, share = False, 1.0
+    for pair in range(rows.body_a.size):
+        for c in range(rows.begin[pair], rows.begin[pair + 1]):
+            normal = impulses[c, 0] + move[c, 0]
+            if free[c, 0] and not 0.0 <= normal <= surfaces.impulse_limits[c]:
+                bound = 0.0 if normal < 0.0 else surfaces.impulse_limits[c]
+                share = min(share, (bound - impulses[c, 0]) / move[c, 0])
+                free[c] = False
+                left = True
+            elif free[c, 1]:
+                limit = surfaces.friction[pair] * normal
+                if (impulses[c, 1] + move[c, 1]) ** 2 + (impulses[c, 2] + move[c, 2]) ** 2 > limit * limit:
+                    free[c, 1] = free[c, 2] = False
+                    left = True
+    return left, share
+
+
+@njit(cache=True)
+def _product(rows, u, other):
+    """u M u'."""
+    result = 0.0
+    for i in range(rows.masses.size):
+        linear, angular = 0.0, 0.0
+        for k in range(3):
+            linear += u[i, k] * other[i, k]
+            for m in range(3):
+                angular += u[i, 3 + k] * rows.inertias[i, k, m] * other[i, 3 + m]
+        result += rows.masses[i] * linear + angular
+    return result
+
+
+@njit(cache=True)
+def _work(impulses, targets):
+    result = 0.0
+    for c in range(targets.size):
+        result += impulses[c, 0] * targets[c]
+    return result
+
+
+@njit(cache=True)
+def _project(rows, surfaces, u, impulses, rolling):
+    """Impulses back to where (2), (3) and (5) allow them, and u with them."""
+    for pair in range(rows.body_a.size):
+        a, b = rows.body_a[pair], rows.body_b[pair]
+        ua, ub = _load(u, a), _load(u, b)
+        mass_a, mass_b = rows.inverse_masses[a], rows.inverse_masses[b]
+        total = 0.0
+        for c in range(rows.begin[pair], rows.begin[pair + 1]):
+            normal = min(max(impulses[c, 0], 0.0), surfaces.impulse_limits[c])
+            if normal != impulses[c, 0]:
+                ua, ub = _pushed(rows.rows[c, 0], ua, ub, mass_a, mass_b, normal - impulses[c, 0])
+                impulses[c, 0] = normal
+            total += normal
+            limit, square = surfaces.friction[pair] * normal, impulses[c, 1] ** 2 + impulses[c, 2] ** 2
+            if square > limit * limit:
+                scale = limit / math.sqrt(square)
+                for k in range(1, 3):
+                    ua, ub = _pushed(rows.rows[c, k], ua, ub, mass_a, mass_b, (scale - 1.0) * impulses[c, k])
+                    impulses[c, k] *= scale
+        _store(u, a, ua)
+        _store(u, b, ub)
+        limit = surfaces.rolling_arm[pair] * total
+        square = np.sum(rolling[pair] * rolling[pair])
+        if square > limit * limit:
+            change = (limit / math.sqrt(square) - 1.0) * rolling[pair]
+            rolling[pair] += change
+            _turn(rows, pair, u, change)
 
 
 @njit(cache=True)

@@ -114,13 +114,13 @@ def solve_contacts(
     gaps, begin = contacts.gaps, contacts.pair_begin.astype(np.int64)
     count = len(gaps)
     velocities, free = _with_immovable(bodies.velocities), _with_immovable(bodies.free_velocities)
-    inverse_masses = np.append(1.0 / bodies.masses, 0.0)
-    inverse_inertias = np.zeros((len(bodies.masses) + 1, 3, 3))
-    inverse_inertias[:-1] = np.linalg.inv(bodies.inertias)
+    inertias, inverse_inertias = np.zeros((2, len(bodies.masses) + 1, 3, 3))
+    inertias[:-1], inverse_inertias[:-1] = bodies.inertias, np.linalg.inv(bodies.inertias)
     points = 0.5 * (contacts.points_a + contacts.points_b).reshape(-1, 3)
     rows = kernels.contact_rows(
         points, contacts.normals.reshape(-1, 3), begin, pairs.body_a, pairs.body_b,
-        _with_immovable(bodies.centers), inverse_masses, inverse_inertias,
+        _with_immovable(bodies.centers), np.append(bodies.masses, 0.0), inertias,
+        np.append(1.0 / bodies.masses, 0.0), inverse_inertias,
     )  # fmt: skip
     unlimited = np.full(count, np.inf)
     limits = unlimited if impulse_limits is None else impulse_limits
