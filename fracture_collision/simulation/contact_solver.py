@@ -37,6 +37,7 @@ import numpy as np
 
 from fracture_collision.records import ContactConstraintArray
 from fracture_collision.simulation import contact_rows as kernels
+from fracture_collision.simulation import contact_sweeps
 
 # A penetration of this many slops is more than a contact at rest ever has.
 DEEP = 5.0
@@ -134,8 +135,8 @@ def solve_contacts(
     np.minimum(impulses[:, 0], limits, out=impulses[:, 0])
     targets = -np.maximum(gaps, 0.0) / time_step
     u = free.copy()
-    kernels.apply_warm_start(rows, targets, u, impulses, rolling)
-    kernels.sweep(rows, surfaces, targets, u, impulses, rolling, settings.iterations)
+    contact_sweeps.apply_warm_start(rows, targets, u, impulses, rolling)
+    contact_sweeps.sweep(rows, surfaces, targets, u, impulses, rolling, settings.iterations)
 
     approach = kernels.normal_velocities(rows, velocities)
     restitution = np.repeat(contacts.restitution, np.diff(begin))
@@ -144,7 +145,7 @@ def solve_contacts(
     if np.any(bounces):
         targets = np.where(bounces, -restitution * approach, targets)
         plastic, plastic_impulses, plastic_rolling = u.copy(), impulses.copy(), rolling.copy()
-        kernels.sweep(rows, surfaces, targets, u, impulses, rolling, settings.restitution_iterations)
+        contact_sweeps.sweep(rows, surfaces, targets, u, impulses, rolling, settings.restitution_iterations)
         share = _share_without_energy_gain(bodies, free, plastic, u)
         u = plastic + share * (u - plastic)
         impulses = plastic_impulses + share * (impulses - plastic_impulses)
@@ -198,7 +199,7 @@ def _drift(
         # What the velocities do to a gap counts; one that is not too deep may still close, up to the slop.
         targets = np.where(depth > 0.0, push, depth / time_step) - after
         targets[against] = -np.inf
-        kernels.sweep_normals(rows, targets, u, np.zeros(len(gaps)), settings.drift_iterations)
+        contact_sweeps.sweep_normals(rows, targets, u, np.zeros(len(gaps)), settings.drift_iterations)
     return u[:-1]
 
 
