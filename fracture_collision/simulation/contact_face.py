@@ -18,10 +18,9 @@ from fracture_collision.simulation.contact_rows import load, pushed, store, turn
 
 # Squared change of the impulses over their squared size: what comes after is rounding.
 CONVERGED = 1.0e-20
-# Impulses within this share of their bound are within it.
-WITHIN = 1.0 - 1.0e-9
-# Squared sine between two ways below which they are one, but for rounding.
-PARALLEL = 1.0e-12
+# A way whose curvature is less than this share of what its impulses have one by one only shifts load between contacts
+# that hold the same; so is one whose squared sine to the other is less only a multiple of it. What is left is rounding.
+NO_WAY = 1.0e-8
 
 
 class Way(NamedTuple):
@@ -34,9 +33,12 @@ class Way(NamedTuple):
 
 
 class Face(NamedTuple):
-    presses: np.ndarray  # (N,) bool, the normal impulse is within its bounds
-    sticks: np.ndarray  # (N,) bool, the tangents are
-    rolls: np.ndarray  # (p,) bool, the rolling resistance is
+    """What its last visit found within its bounds. A tangent's bound moves with lambda: to compare the two afterwards
+    would let what slides stick, and friction take part in finding lambda."""
+
+    presses: np.ndarray  # (N,) bool, the normal impulse
+    sticks: np.ndarray  # (N,) bool, the tangents
+    holds: np.ndarray  # (p,) bool, the rolling resistance
 
 
 @uncounted
@@ -59,22 +61,6 @@ def difference(u, impulses, rolling, before, way):
 
 
 @uncounted
-def find_face(rows, surfaces, impulses, rolling, face):
-    """Which impulses are strictly within their bounds: normal ones that press, tangents that stick."""
-    for pair in range(rows.body_a.size):
-        total = 0.0
-        friction = WITHIN * surfaces.friction[pair]
-        for c in range(rows.begin[pair], rows.begin[pair + 1]):
-            normal = impulses[c, 0]
-            total += normal
-            face.presses[c] = 0.0 < normal < surfaces.impulse_limits[c]
-            face.sticks[c] = impulses[c, 1] ** 2 + impulses[c, 2] ** 2 < (friction * normal) ** 2
-        limit = WITHIN * surfaces.rolling_arm[pair] * total
-        x, y, z = rolling[pair, 0], rolling[pair, 1], rolling[pair, 2]
-        face.rolls[pair] = x * x + y * y + z * z < limit * limit
-
-
-@uncounted
 def keep_to_face(rows, face, way):
     """Take what is not free out of a way, and its share out of the bodies' velocities."""
     impulses, u = way.impulses, way.u
@@ -88,28 +74,39 @@ def keep_to_face(rows, face, way):
                 impulses[c, 1] -= x
                 impulses[c, 2] -= y
         x, y, z = way.rolling[pair, 0], way.rolling[pair, 1], way.rolling[pair, 2]
-        if not face.rolls[pair] and (x != 0.0 or y != 0.0 or z != 0.0):
+        if not face.holds[pair] and (x != 0.0 or y != 0.0 or z != 0.0):
             turn(rows, pair, u, -x, -y, -z)
             way.rolling[pair, 0] = way.rolling[pair, 1] = way.rolling[pair, 2] = 0.0
     _find_momenta(rows, way)
 
 
 @uncounted
-def lowest(targets, u, step, path):
+def lowest(rows, targets, u, step, path):
     """Shares of two ways that lead from here to the minimum of f."""
-    step_slope, path_slope = _dot(step.momenta, u), _dot(path.momenta, u)
+    step_slope, step_curvature, step_leads = _slope_and_curvature(rows, targets, u, step)
+    path_slope, path_curvature, path_leads = _slope_and_curvature(rows, targets, u, path)
+    if step_leads and path_leads:
+        mixed = _dot(step.momenta, path.u)
+        determinant = step_curvature * path_curvature - mixed * mixed
+        if determinant > NO_WAY * step_curvature * path_curvature:
+            return (
+                (mixed * path_slope - path_curvature * step_slope) / determinant,
+                (mixed * step_slope - step_curvature * path_slope) / determinant,
+            )
+    if step_leads:
+        return -step_slope / step_curvature, 0.0
+    return 0.0, -path_slope / path_curvature if path_leads else 0.0
+
+
+@uncounted
+def _slope_and_curvature(rows, targets, u, way):
+    slope, curvature, apart = _dot(way.momenta, u), _dot(way.momenta, way.u), 0.0
     for c in range(targets.size):
-        step_slope -= step.impulses[c, 0] * targets[c]
-        path_slope -= path.impulses[c, 0] * targets[c]
-    step_curvature, path_curvature = _dot(step.momenta, step.u), _dot(path.momenta, path.u)
-    mixed = _dot(step.momenta, path.u)
-    determinant = step_curvature * path_curvature - mixed * mixed
-    if determinant > PARALLEL * step_curvature * path_curvature:
-        return (
-            (mixed * path_slope - path_curvature * step_slope) / determinant,
-            (mixed * step_slope - step_curvature * path_slope) / determinant,
-        )
-    return (-step_slope / step_curvature if step_curvature > 0.0 else 0.0), 0.0
+        normal, x, y = way.impulses[c, 0], way.impulses[c, 1], way.impulses[c, 2]
+        slope -= normal * targets[c]
+        if rows.normal_masses[c] > 0.0:
+            apart += normal * normal / rows.normal_masses[c] + (x * x + y * y) / rows.tangent_masses[c]
+    return slope, curvature, curvature > NO_WAY * apart
 
 
 @uncounted

@@ -14,7 +14,6 @@ from fracture_collision.simulation.contact_face import (
     Face,
     Way,
     difference,
-    find_face,
     go,
     keep_to_face,
     leave_face,
@@ -83,21 +82,20 @@ def sweep(rows, surfaces, targets, u, impulses, rolling, iterations):
     """
     step, path, before = _no_way(u, impulses, rolling), _no_way(u, impulses, rolling), _no_way(u, impulses, rolling)
     count = len(impulses)
-    face = Face(np.empty(count, np.bool_), np.empty(count, np.bool_), np.empty(len(rolling), np.bool_))
+    face = Face(np.empty(count, np.bool_), np.empty(count, np.bool_), np.zeros(len(rolling), np.bool_))
     for iteration in range(iterations):
         before.u[:] = u
         before.impulses[:] = impulses
         before.rolling[:] = rolling
-        _sweep_once(rows, surfaces, targets, u, impulses, rolling, False)
-        _sweep_once(rows, surfaces, targets, u, impulses, rolling, True)
+        _sweep_once(rows, surfaces, targets, u, impulses, rolling, face, False)
+        _sweep_once(rows, surfaces, targets, u, impulses, rolling, face, True)
         if difference(u, impulses, rolling, before, step) or iteration == iterations - 1:
             break
-        find_face(rows, surfaces, impulses, rolling, face)
         along_step, along_path, part = 0.0, 0.0, 0.0
         for _ in range(FACES):
             keep_to_face(rows, face, step)
             keep_to_face(rows, face, path)
-            along_step, along_path = lowest(targets, u, step, path)
+            along_step, along_path = lowest(rows, targets, u, step, path)
             left, part = leave_face(rows, surfaces, impulses, step, path, along_step, along_path, face)
             if not left:
                 break
@@ -111,7 +109,7 @@ def _no_way(u, impulses, rolling):
 
 
 @uncounted
-def _sweep_once(rows, surfaces, targets, u, impulses, rolling, backward):
+def _sweep_once(rows, surfaces, targets, u, impulses, rolling, face, backward):
     pair_count = rows.body_a.size
     for visit in range(pair_count):
         pair = pair_count - 1 - visit if backward else visit
@@ -131,6 +129,7 @@ def _sweep_once(rows, surfaces, targets, u, impulses, rolling, backward):
             wanted1 = impulses[c, 1] - rows.tangent_masses[c] * s1
             wanted2 = impulses[c, 2] - rows.tangent_masses[c] * s2
             limit, square = friction * impulses[c, 0], wanted1 * wanted1 + wanted2 * wanted2
+            face.sticks[c] = square < limit * limit
             if square > limit * limit:
                 scale = limit / math.sqrt(square)
                 wanted1 *= scale
@@ -143,11 +142,12 @@ def _sweep_once(rows, surfaces, targets, u, impulses, rolling, backward):
             wanted = min(max(wanted, 0.0), surfaces.impulse_limits[c])
             ua, ub = pushed(normal, ua, ub, mass_a, mass_b, wanted - impulses[c, 0])
             impulses[c, 0] = wanted
+            face.presses[c] = 0.0 < wanted < surfaces.impulse_limits[c]
             total += wanted
         store(u, a, ua)
         store(u, b, ub)
         if surfaces.rolling_arm[pair] > 0.0:
-            _roll(rows, pair, u, a, b, rolling, surfaces.rolling_arm[pair] * total)
+            face.holds[pair] = _roll(rows, pair, u, a, b, rolling, surfaces.rolling_arm[pair] * total)
 
 
 @uncounted
@@ -183,3 +183,4 @@ def _roll(rows, pair, u, a, b, rolling, limit):
     wanted_x, wanted_y, wanted_z = scale * wanted_x, scale * wanted_y, scale * wanted_z
     turn(rows, pair, u, wanted_x - rolling[pair, 0], wanted_y - rolling[pair, 1], wanted_z - rolling[pair, 2])
     rolling[pair, 0], rolling[pair, 1], rolling[pair, 2] = wanted_x, wanted_y, wanted_z
+    return square < limit * limit
