@@ -16,11 +16,13 @@ import numpy as np
 
 from fracture_collision.simulation.contact_rows import load, pushed, store, turn, uncounted
 
-# Squared change of the impulses over their squared size: what comes after is rounding.
+# Energy of what an iteration changes, over that at the beginning: a step of 1e-10 of the speeds is as good as none.
 CONVERGED = 1.0e-20
 # A way whose curvature is less than this share of what its impulses have one by one only shifts load between contacts
 # that hold the same; so is one whose squared sine to the other is less only a multiple of it. What is left is rounding.
 NO_WAY = 1.0e-8
+# A way's u is a difference of velocities and has their rounding; gone too many times over, that is what leads.
+TOO_FAR = 1.0e4
 
 
 class Way(NamedTuple):
@@ -43,21 +45,34 @@ class Face(NamedTuple):
 
 @uncounted
 def difference(u, impulses, rolling, before, way):
-    """The way from `before` to here. Returns whether it is no more than rounding."""
-    square, size = 0.0, 0.0
+    """The way from `before` to here."""
     for c in range(impulses.shape[0]):
         for k in range(3):
-            change = impulses[c, k] - before.impulses[c, k]
-            way.impulses[c, k] = change
-            square += change * change
-            size += impulses[c, k] * impulses[c, k]
+            way.impulses[c, k] = impulses[c, k] - before.impulses[c, k]
     for pair in range(rolling.shape[0]):
         for k in range(3):
             way.rolling[pair, k] = rolling[pair, k] - before.rolling[pair, k]
     for i in range(u.shape[0]):
         for k in range(6):
             way.u[i, k] = u[i, k] - before.u[i, k]
-    return square <= CONVERGED * size
+
+
+@uncounted
+def add_up(rows, start, u, impulses, rolling):
+    """u from its value at `start` and the impulses since."""
+    for i in range(u.shape[0]):
+        for k in range(6):
+            u[i, k] = start.u[i, k]
+    for pair in range(rows.body_a.size):
+        for c in range(rows.begin[pair], rows.begin[pair + 1]):
+            _push(
+                rows, pair, c, u, impulses[c, 0] - start.impulses[c, 0], impulses[c, 1] - start.impulses[c, 1],
+                impulses[c, 2] - start.impulses[c, 2],
+            )  # fmt: skip
+        turn(
+            rows, pair, u, rolling[pair, 0] - start.rolling[pair, 0], rolling[pair, 1] - start.rolling[pair, 1],
+            rolling[pair, 2] - start.rolling[pair, 2],
+        )  # fmt: skip
 
 
 @uncounted
@@ -81,32 +96,36 @@ def keep_to_face(rows, face, way):
 
 
 @uncounted
-def lowest(rows, targets, u, step, path):
-    """Shares of two ways that lead from here to the minimum of f."""
-    step_slope, step_curvature, step_leads = _slope_and_curvature(rows, targets, u, step)
-    path_slope, path_curvature, path_leads = _slope_and_curvature(rows, targets, u, path)
+def lowest(rows, targets, u, step, path, scale):
+    """Shares of two ways that lead from here to the minimum of f. `scale`: u M u, as large as it gets."""
+    step_slope, step_curvature, step_leads = _slope_and_curvature(rows, targets, u, step, scale)
+    path_slope, path_curvature, path_leads = _slope_and_curvature(rows, targets, u, path, scale)
+    along_step, along_path = 0.0, 0.0
     if step_leads and path_leads:
         mixed = _dot(step.momenta, path.u)
         determinant = step_curvature * path_curvature - mixed * mixed
-        if determinant > NO_WAY * step_curvature * path_curvature:
-            return (
-                (mixed * path_slope - path_curvature * step_slope) / determinant,
-                (mixed * step_slope - step_curvature * path_slope) / determinant,
-            )
-    if step_leads:
-        return -step_slope / step_curvature, 0.0
-    return 0.0, -path_slope / path_curvature if path_leads else 0.0
+        path_leads = determinant > NO_WAY * step_curvature * path_curvature
+        if path_leads:
+            along_step = (mixed * path_slope - path_curvature * step_slope) / determinant
+            along_path = (mixed * step_slope - step_curvature * path_slope) / determinant
+    if step_leads and not path_leads:
+        along_step = -step_slope / step_curvature
+    if path_leads and not step_leads:
+        along_path = -path_slope / path_curvature
+    if max(abs(along_step), abs(along_path)) > TOO_FAR:
+        return 0.0, 0.0
+    return along_step, along_path
 
 
 @uncounted
-def _slope_and_curvature(rows, targets, u, way):
+def _slope_and_curvature(rows, targets, u, way, scale):
     slope, curvature, apart = _dot(way.momenta, u), _dot(way.momenta, way.u), 0.0
     for c in range(targets.size):
         normal, x, y = way.impulses[c, 0], way.impulses[c, 1], way.impulses[c, 2]
         slope -= normal * targets[c]
         if rows.normal_masses[c] > 0.0:
             apart += normal * normal / rows.normal_masses[c] + (x * x + y * y) / rows.tangent_masses[c]
-    return slope, curvature, curvature > NO_WAY * apart
+    return slope, curvature, curvature > max(NO_WAY * apart, CONVERGED * scale)
 
 
 @uncounted
@@ -199,6 +218,13 @@ def _push(rows, pair, c, u, normal, x, y):
     ua, ub = pushed(rows.rows[c, 2], ua, ub, mass_a, mass_b, y)
     store(u, a, ua)
     store(u, b, ub)
+
+
+@uncounted
+def doubled_energy(rows, way):
+    """u M u of a way; finds its momenta."""
+    _find_momenta(rows, way)
+    return _dot(way.momenta, way.u)
 
 
 @uncounted

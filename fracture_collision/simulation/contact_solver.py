@@ -6,8 +6,9 @@ Sources
   [C] Catto, "Iterative dynamics with temporal coherence", 2005: projected Gauss-Seidel on impulses, warm starting.
   [G] Guendelman, Bridson, Fedkiw, "Nonconvex rigid bodies with stacking", 2003: positions are corrected by velocities
       of their own, which never become kinetic energy ("split impulse" in Bullet).
-  [S] Silcowitz-Hansen, Niebe, Erleben, "A nonsmooth nonlinear conjugate gradient method for interactive contact force
-      problems", 2010: accelerates [C]; heavy bodies on light ones are where it counts.
+  [D] Dostal, Schoeberl, "Minimizing quadratic functions subject to bound constraints with the rate of convergence and
+      finite termination", 2005: conjugate gradients between the sweeps of [C] (`contact_face`); heavy bodies on light
+      ones are where it counts.
   Glondu 2014, section 5.2 asks for just this pair: a velocity-level solver plus drift correction.
 
 Symbols, for contact c between bodies a and b
@@ -39,6 +40,8 @@ from fracture_collision.records import ContactConstraintArray
 from fracture_collision.simulation import contact_rows as kernels
 from fracture_collision.simulation import contact_sweeps
 
+# Of the energy that gravity gives a body at rest in one step: what a stack at rest gains and loses by rounding.
+ROUNDING = 1.0e-7
 # A penetration of this many slops is more than a contact at rest ever has.
 DEEP = 5.0
 
@@ -47,6 +50,7 @@ class SolverSettings(NamedTuple):
     """Numbers of the method; the scene file says why each has its value."""
 
     iterations: int = 20  # of (2), (3), (5): each visits every contact twice
+    rounds: int = 5  # of these iterations, at most: there is another where the step would still gain energy
     restitution_iterations: int = 8  # further ones with (4)
     drift_iterations: int = 15  # sweeps of (6)
     restitution_speed: float = 0.2  # v_e [m/s]
@@ -136,7 +140,10 @@ def solve_contacts(
     targets = -np.maximum(gaps, 0.0) / time_step
     u = free.copy()
     contact_sweeps.apply_warm_start(rows, targets, u, impulses, rolling)
-    contact_sweeps.sweep(rows, surfaces, targets, u, impulses, rolling, settings.iterations)
+    for _ in range(settings.rounds):
+        contact_sweeps.sweep(rows, surfaces, targets, u, impulses, rolling, settings.iterations)
+        if _energy_gain(bodies, u) <= ROUNDING * _inner(bodies, _gravity(bodies), _gravity(bodies)):
+            break
 
     approach = kernels.normal_velocities(rows, velocities)
     restitution = np.repeat(contacts.restitution, np.diff(begin))
@@ -146,7 +153,7 @@ def solve_contacts(
         targets = np.where(bounces, -restitution * approach, targets)
         plastic, plastic_impulses, plastic_rolling = u.copy(), impulses.copy(), rolling.copy()
         contact_sweeps.sweep(rows, surfaces, targets, u, impulses, rolling, settings.restitution_iterations)
-        share = _share_without_energy_gain(bodies, free, plastic, u)
+        share = _share_without_energy_gain(bodies, plastic, u)
         u = plastic + share * (u - plastic)
         impulses = plastic_impulses + share * (impulses - plastic_impulses)
         rolling = plastic_rolling + share * (rolling - plastic_rolling)
@@ -225,22 +232,45 @@ def _against_parting(
     return ~parts & (deep_and_parting & deep_and_not)[pair]
 
 
-def _share_without_energy_gain(
-    bodies: RigidBodies, free: np.ndarray, plastic: np.ndarray, bounced: np.ndarray
-) -> float:
-    """The largest s in [0, 1] for which plastic + s (bounced - plastic) has no more kinetic energy than `free`.
+def _energy_gain(bodies: RigidBodies, u: np.ndarray) -> float:
+    """What the step adds to the bodies' mechanical energy [J], if they move with u (n + 1, 6).
+
+    Kinetic energy, less the work of the impulse of gravity, M (u* - u(t)). Solved exactly, (1)-(3) gain nothing:
+    -|u - u(t)|^2_M / 2 at most. So where there is gain, they are not solved far enough.
+    """
+    return 0.5 * (_inner(bodies, u, u) - _inner(bodies, _before(bodies), _before(bodies))) - _inner(
+        bodies, _gravity(bodies), u
+    )
+
+
+def _share_without_energy_gain(bodies: RigidBodies, plastic: np.ndarray, bounced: np.ndarray) -> float:
+    """The largest s in [0, 1] for which plastic + s (bounced - plastic) gains no energy, or no more than plastic does.
 
     Newton's restitution (4) together with friction can create energy in a body with several contacts (Stronge 1990).
     (2) and (3) are convex, so any mixture of the two solutions obeys them as well.
     """
-
-    def inner(x: np.ndarray, y: np.ndarray) -> float:
-        v = bodies.masses @ np.einsum("ni,ni->n", x[:-1, :3], y[:-1, :3])
-        return float(v + np.einsum("ni,nij,nj->", x[:-1, 3:], bodies.inertias, y[:-1, 3:]))
-
-    change = bounced - plastic
-    allowed = max(inner(free, free), inner(plastic, plastic))
-    if inner(bounced, bounced) <= allowed:
+    excess = _energy_gain(bodies, bounced) - max(_energy_gain(bodies, plastic), 0.0)
+    if excess <= 0.0:
         return 1.0
-    a, b, c = inner(change, change), inner(plastic, change), inner(plastic, plastic) - allowed
+    change = bounced - plastic
+    a = _inner(bodies, change, change)
+    b = _inner(bodies, plastic, change) - _inner(bodies, _gravity(bodies), change)
+    c = 2.0 * min(_energy_gain(bodies, plastic), 0.0)
     return float((-b + np.sqrt(max(b * b - a * c, 0.0))) / a)
+
+
+def _before(bodies: RigidBodies) -> np.ndarray:
+    return _with_immovable(bodies.velocities)
+
+
+def _gravity(bodies: RigidBodies) -> np.ndarray:
+    """M^-1 times the impulse of gravity; the gyroscopic torque does no work."""
+    change = _with_immovable(bodies.free_velocities - bodies.velocities)
+    change[:, 3:] = 0.0
+    return change
+
+
+def _inner(bodies: RigidBodies, x: np.ndarray, y: np.ndarray) -> float:
+    """x M y."""
+    v = bodies.masses @ np.einsum("ni,ni->n", x[:-1, :3], y[:-1, :3])
+    return float(v + np.einsum("ni,nij,nj->", x[:-1, 3:], bodies.inertias, y[:-1, 3:]))

@@ -11,9 +11,12 @@ import numpy as np
 from numba import njit
 
 from fracture_collision.simulation.contact_face import (
+    CONVERGED,
     Face,
     Way,
+    add_up,
     difference,
+    doubled_energy,
     go,
     keep_to_face,
     leave_face,
@@ -80,27 +83,50 @@ def sweep(rows, surfaces, targets, u, impulses, rolling, iterations):
     Products of A are sums over bodies, x A y = u_x M u_y. What would pull or slip leaves the face and the plane is
     searched again; a way that, the cones kept, ends higher is not taken.
     """
-    step, path, before = _no_way(u, impulses, rolling), _no_way(u, impulses, rolling), _no_way(u, impulses, rolling)
+    step, path = _no_way(u, impulses, rolling), _no_way(u, impulses, rolling)
+    before, start = _no_way(u, impulses, rolling), _no_way(u, impulses, rolling)
     count = len(impulses)
     face = Face(np.empty(count, np.bool_), np.empty(count, np.bool_), np.zeros(len(rolling), np.bool_))
+    _keep(start, u, impulses, rolling)
+    scale = doubled_energy(rows, start)
+    settled = False
     for iteration in range(iterations):
-        before.u[:] = u
-        before.impulses[:] = impulses
-        before.rolling[:] = rolling
+        is_last = settled or iteration == iterations - 1
+        if is_last:
+            # What u gathered by going on is more than rounding where it went far; the last word is with what is.
+            add_up(rows, start, u, impulses, rolling)
+        _keep(before, u, impulses, rolling)
         _sweep_once(rows, surfaces, targets, u, impulses, rolling, face, False)
         _sweep_once(rows, surfaces, targets, u, impulses, rolling, face, True)
-        if difference(u, impulses, rolling, before, step) or iteration == iterations - 1:
+        if is_last:
             break
+        difference(u, impulses, rolling, before, step)
+        settled = doubled_energy(rows, step) <= CONVERGED * scale
+        if settled:
+            continue
         along_step, along_path, part = 0.0, 0.0, 0.0
         for _ in range(FACES):
             keep_to_face(rows, face, step)
             keep_to_face(rows, face, path)
-            along_step, along_path = lowest(rows, targets, u, step, path)
+            along_step, along_path = lowest(rows, targets, u, step, path, scale)
             left, part = leave_face(rows, surfaces, impulses, step, path, along_step, along_path, face)
             if not left:
                 break
         go(rows, surfaces, targets, u, impulses, rolling, step, path, part * along_step, part * along_path)
         difference(u, impulses, rolling, before, path)
+
+
+@uncounted
+def _keep(way, u, impulses, rolling):
+    for i in range(u.shape[0]):
+        for k in range(6):
+            way.u[i, k] = u[i, k]
+    for c in range(impulses.shape[0]):
+        for k in range(3):
+            way.impulses[c, k] = impulses[c, k]
+    for pair in range(rolling.shape[0]):
+        for k in range(3):
+            way.rolling[pair, k] = rolling[pair, k]
 
 
 @njit(cache=True)
