@@ -52,7 +52,7 @@ class SolverSettings(NamedTuple):
     iterations: int = 20  # of (2), (3), (5): each visits every contact twice
     rounds: int = 5  # of these iterations, at most: there is another where the step would still gain energy
     restitution_iterations: int = 8  # further ones with (4)
-    drift_iterations: int = 15  # sweeps of (6)
+    drift_iterations: int = 8  # of (6), likewise
     restitution_speed: float = 0.2  # v_e [m/s]
     penetration_slop: float = 1.0e-4  # [m]
     drift_fraction: float = 0.2  # f, the share of the penetration taken out in one step
@@ -205,8 +205,10 @@ def _drift(
         push = np.maximum(push, np.minimum(depth / time_step, -before))
         # What the velocities do to a gap counts; one that is not too deep may still close, up to the slop.
         targets = np.where(depth > 0.0, push, depth / time_step) - after
-        targets[against] = -np.inf
-        contact_sweeps.sweep_normals(rows, targets, u, np.zeros(len(gaps)), settings.drift_iterations)
+        pair_count = len(rows.body_a)
+        smooth = kernels.Surfaces(np.zeros(pair_count), np.zeros(pair_count), np.where(against, 0.0, np.inf))
+        impulses, rolling = np.zeros((len(gaps), 3)), np.zeros((pair_count, 3))
+        contact_sweeps.sweep(rows, smooth, targets, u, impulses, rolling, settings.drift_iterations)
     return u[:-1]
 
 

@@ -86,7 +86,7 @@ def sweep(rows, surfaces, targets, u, impulses, rolling, iterations):
     step, path = _no_way(u, impulses, rolling), _no_way(u, impulses, rolling)
     before, start = _no_way(u, impulses, rolling), _no_way(u, impulses, rolling)
     count = len(impulses)
-    face = Face(np.empty(count, np.bool_), np.empty(count, np.bool_), np.zeros(len(rolling), np.bool_))
+    face = Face(np.zeros(count, np.bool_), np.zeros(count, np.bool_), np.zeros(len(rolling), np.bool_))
     _keep(start, u, impulses, rolling)
     scale = doubled_energy(rows, start)
     settled = False
@@ -148,22 +148,23 @@ def _sweep_once(rows, surfaces, targets, u, impulses, rolling, face, backward):
         for inner in range(end - first):
             c = end - 1 - inner if backward else first + inner
             normal, tangent1, tangent2 = rows.rows[c, 0], rows.rows[c, 1], rows.rows[c, 2]
-            # Friction first, with the last sweep's lambda: not going through matters more and has the last word.
-            s1, s2 = velocity(tangent1, ua, ub), velocity(tangent2, ua, ub)
-            # One mass for both tangents: with the block's inverse, sliding friction would oppose not the slip but
-            # its image under that inverse, and turn what slides straight.
-            wanted1 = impulses[c, 1] - rows.tangent_masses[c] * s1
-            wanted2 = impulses[c, 2] - rows.tangent_masses[c] * s2
-            limit, square = friction * impulses[c, 0], wanted1 * wanted1 + wanted2 * wanted2
-            face.sticks[c] = square < limit * limit
-            if square > limit * limit:
-                scale = limit / math.sqrt(square)
-                wanted1 *= scale
-                wanted2 *= scale
-            ua, ub = pushed(tangent1, ua, ub, mass_a, mass_b, wanted1 - impulses[c, 1])
-            ua, ub = pushed(tangent2, ua, ub, mass_a, mass_b, wanted2 - impulses[c, 2])
-            impulses[c, 1] = wanted1
-            impulses[c, 2] = wanted2
+            if friction > 0.0:
+                # Friction first, with the last sweep's lambda: not going through matters more and has the last word.
+                s1, s2 = velocity(tangent1, ua, ub), velocity(tangent2, ua, ub)
+                # One mass for both tangents: with the block's inverse, sliding friction would oppose not the slip but
+                # its image under that inverse, and turn what slides straight.
+                wanted1 = impulses[c, 1] - rows.tangent_masses[c] * s1
+                wanted2 = impulses[c, 2] - rows.tangent_masses[c] * s2
+                limit, square = friction * impulses[c, 0], wanted1 * wanted1 + wanted2 * wanted2
+                face.sticks[c] = square < limit * limit
+                if square > limit * limit:
+                    scale = limit / math.sqrt(square)
+                    wanted1 *= scale
+                    wanted2 *= scale
+                ua, ub = pushed(tangent1, ua, ub, mass_a, mass_b, wanted1 - impulses[c, 1])
+                ua, ub = pushed(tangent2, ua, ub, mass_a, mass_b, wanted2 - impulses[c, 2])
+                impulses[c, 1] = wanted1
+                impulses[c, 2] = wanted2
             wanted = impulses[c, 0] - rows.normal_masses[c] * (velocity(normal, ua, ub) - targets[c])
             wanted = min(max(wanted, 0.0), surfaces.impulse_limits[c])
             ua, ub = pushed(normal, ua, ub, mass_a, mass_b, wanted - impulses[c, 0])
@@ -174,27 +175,6 @@ def _sweep_once(rows, surfaces, targets, u, impulses, rolling, face, backward):
         store(u, b, ub)
         if surfaces.rolling_arm[pair] > 0.0:
             face.holds[pair] = _roll(rows, pair, u, a, b, rolling, surfaces.rolling_arm[pair] * total)
-
-
-@uncounted
-def sweep_normals(rows, targets, u, impulses, iterations):
-    """Projected Gauss-Seidel on normal rows alone, as (6) needs it. Changes u and impulses."""
-    pair_count = rows.body_a.size
-    for iteration in range(iterations):
-        backward = iteration % 2 == 1
-        for visit in range(pair_count):
-            pair = pair_count - 1 - visit if backward else visit
-            a, b = rows.body_a[pair], rows.body_b[pair]
-            mass_a, mass_b = rows.inverse_masses[a], rows.inverse_masses[b]
-            ua, ub = load(u, a), load(u, b)
-            for c in range(rows.begin[pair], rows.begin[pair + 1]):
-                normal = rows.rows[c, 0]
-                wanted = impulses[c] - rows.normal_masses[c] * (velocity(normal, ua, ub) - targets[c])
-                wanted = max(wanted, 0.0)
-                ua, ub = pushed(normal, ua, ub, mass_a, mass_b, wanted - impulses[c])
-                impulses[c] = wanted
-            store(u, a, ua)
-            store(u, b, ub)
 
 
 @uncounted
