@@ -1,6 +1,7 @@
 """The contact solver where it is hard: stacks, a wall, heavy on light, fresh cracks, a plate on its rim.
 
-Energy is watched in all of them. Service and simulator run in lock-step. Each quick test has a longer twin marked slow that must meet the same numbers.
+Energy is watched in all of them. Service and simulator run in lock-step. Each quick test has a longer twin marked slow
+that must meet the same numbers.
 """
 
 from __future__ import annotations
@@ -19,8 +20,10 @@ from fracture_collision.simulation.scene import load_scene, parse_scene
 # on while it finds a gain, up to `rounds` times its iterations; what is left after that is less than this share of the
 # energy above the ground. Drift correction is counted beside it: it lifts, which is potential energy.
 ENERGY_RISE = 1e-6
-# All that drift correction ever lifts, as a share of the energy above the ground.
+# All that drift correction ever lifts, as a share of the energy above the ground: of bodies that lie; and of those that
+# fall on their edges, which enter each other until a corner or a node, a sample, is inside.
 DRIFT_LIFT = 1e-3
+DRIFT_LIFT_TUMBLING = 5e-3
 
 
 class Track(NamedTuple):
@@ -42,7 +45,7 @@ class Track(NamedTuple):
         return float(np.linalg.norm(moved.reshape(-1, 3), axis=1).max())
 
 
-def run(scene, duration: float, struck: bool = False, settle: float = 0.2) -> Track:
+def run(scene, duration: float, struck: bool = False, settle: float = 0.2, lift: float = DRIFT_LIFT) -> Track:
     """A scene for `duration` [s]; with `struck` body 2 is broken after `settle`, by a blow without a push, and the rest
     counts from there.
 
@@ -69,7 +72,7 @@ def run(scene, duration: float, struck: bool = False, settle: float = 0.2) -> Tr
     )
     rise = np.diff(track.energy) - track.lift[1:]
     assert rise.max() <= ENERGY_RISE * track.energy[0]
-    assert track.lift.sum() <= DRIFT_LIFT * track.energy[0]
+    assert track.lift.sum() <= lift * track.energy[0]
     assert track.energy.max() <= (1.0 + ENERGY_RISE) * track.energy[0]
     return track
 
@@ -126,7 +129,7 @@ def test_a_stack_of_ten_bricks_stands(duration):
 
 @quick_and_slow
 def test_a_wall_of_32_bricks_stands(duration):
-    """As the stack, but for the landing: seven courses at once, a bottleneck for the solver, 0.35 % R of a brick deep."""
+    """As the stack, but where it lands: seven courses at once, up to 0.35 % R deep (R of a whole brick)."""
     track = run(load_scene("wall"), duration)
     assert len(track.states[0].fragment_ids) == 32
     assert track.displacement(since=400) < 1e-5
@@ -256,3 +259,17 @@ def test_a_plate_rolls_on_its_rim(time_step):
     # The plate sways a little as it rolls: what it lost is counted in all its energy, as a share of that of its motion.
     lost = (track.energy[0] - track.energy[-1]) / track.kinetic[0]
     assert lost == pytest.approx(expected, rel=0.2)
+
+
+@pytest.mark.parametrize("restitution", [0.5, 0.9])
+def test_bricks_that_bounce_gain_no_energy(restitution):
+    """Five tumble onto the ground and each other from up to half a metre; energy as asserted in `run`."""
+    bricks = [
+        brick(
+            f"brick {i}", "clay", [0.2, 0.1, 0.06], 0.05, position=[0.02 * i, 0.0, 0.15 + 0.12 * i],
+            rotation=[20.0 * i, 10.0, 0.0], angular_velocity=[0.0, 3.0, 1.0],
+        )
+        for i in range(5)
+    ]  # fmt: skip
+    track = run(make_scene(bricks, {"clay": {**CLAY, "restitution": restitution}}), 1.5, lift=DRIFT_LIFT_TUMBLING)
+    assert track.energy[-1] < 0.5 * track.energy[0]
