@@ -92,7 +92,8 @@ def run(scene, duration: float, struck: bool = False, settle: float = 0.2, lift:
     return track
 
 
-quick_and_slow = pytest.mark.parametrize("duration", [1.5, pytest.param(10.0, marks=pytest.mark.slow)])
+LONG = pytest.param(10.0, marks=[pytest.mark.slow, pytest.mark.timeout(1200)])
+quick_and_slow = pytest.mark.parametrize("duration", [1.5, LONG])
 
 
 def make_scene(bodies, materials, gravity=9.81, seed=1):
@@ -189,7 +190,7 @@ def breakable(shape, seed, curvature, friction, gravity, height):
 BALL = {"ball": {"radius": 0.1, "edge_length": 0.025}}
 BRICK = {"brick": {"size_xyz": [0.2, 0.2, 0.1], "edge_length": 0.025}}
 PANE = {"brick": {"size_xyz": [0.3, 0.3, 0.04], "edge_length": 0.02}}
-after_a_blow = pytest.mark.parametrize("duration", [1.0, pytest.param(10.0, marks=[pytest.mark.slow, pytest.mark.timeout(1200)])])
+after_a_blow = pytest.mark.parametrize("duration", [0.5, LONG])
 
 
 @after_a_blow
