@@ -305,3 +305,18 @@ def test_bricks_that_bounce_gain_no_energy(restitution):
     ]  # fmt: skip
     track = run(make_scene(bricks, {"clay": {**CLAY, "restitution": restitution}}), 1.5, lift=DRIFT_LIFT_TUMBLING)
     assert track.energy[-1] < 0.5 * track.energy[0]
+
+
+def test_only_what_moves_and_breaks_can_be_struck():
+    scene = breakable(BRICK, 1, 0.0, 0.5, 9.81, 0.05)
+    with Lockstep(scene) as lockstep:
+        lockstep.step()
+        with pytest.raises(ValueError, match="fragment 1 is not in motion"):
+            lockstep.simulation.strike(1, np.zeros(3), 1.0)
+        assert lockstep.simulation.strike(2, np.zeros(3), 1.0)
+        with pytest.raises(ValueError, match="fragment 2 is not in motion"):
+            lockstep.simulation.strike(2, np.zeros(3), 1.0)
+    with Lockstep(stack(1)) as lockstep:
+        lockstep.step()
+        with pytest.raises(ValueError, match="'brick 0', is of a kind that does not break"):
+            lockstep.simulation.strike(2, np.zeros(3), 1.0)
