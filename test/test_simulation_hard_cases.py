@@ -235,8 +235,8 @@ def test_a_fresh_fracture_on_the_ground_does_not_explode(duration, name, curvatu
 IN_PLACE = pytest.mark.xfail(
     strict=True,
     reason="in place, at zero gap, 30-46 % of the contacts of flat cracks and 73-85 % of curved ones have normals more"
-    " than 30 degrees off those they have once the fragments are a micrometre apart: small fragments tilt and sink"
-    " until they are held again, by 0.15 % R at most (pane, flat) and 0.25 % R (curved)",
+    " than 30 degrees off those they have once the fragments are a micrometre apart. Likely for that reason small"
+    " fragments tilt and sink until they are held again: 0.15 % R at most (pane, flat), 0.25 % R (curved)",
 )
 
 
