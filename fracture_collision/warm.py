@@ -11,11 +11,10 @@ import numpy as np
 
 import fracture_collision.simulation.warm_up as simulator
 import fracture_collision.world.warm_up as service
+from fracture_collision.lockstep import Lockstep
 from fracture_collision.simulation.scene import load_scene
-from fracture_collision.simulation.simulation import Simulation
 from fracture_collision.viewer.ray_picture import Camera, TriangleScene, render
 from fracture_collision.viewer.shading import smooth_normals
-from fracture_collision.world import CollisionWorld
 
 
 def main() -> None:
@@ -23,24 +22,12 @@ def main() -> None:
     service.compile_kernels(progress=_say)
     simulator.compile_kernels(progress=_say)
     _say("a pane that breaks, and its pieces again")
-    run_in_lock_step("pane")
+    with Lockstep(load_scene("pane")) as run:
+        for _ in run:
+            pass
     _say("pictures")
     draw_one_triangle()
     _say(f"all kernels are in the cache, after {time.monotonic() - started:.0f} s")
-
-
-def run_in_lock_step(scene_name: str) -> None:
-    """Simulator and service in this process, without ROS."""
-    simulation, world = Simulation(load_scene(scene_name)), CollisionWorld()
-    for body in simulation.start_bodies():
-        world.add_body(body)
-    while not simulation.finished:
-        request = simulation.begin_step()
-        for event in request.events:
-            world.add_fracture(event)
-        contacts = world.contacts(request.states)
-        simulation.finish_step(contacts, world.fragments())
-    simulation.close()
 
 
 def draw_one_triangle() -> None:

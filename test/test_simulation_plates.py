@@ -6,31 +6,19 @@ import numpy as np
 import pytest
 
 from fracture_collision.geometry import generators
+from fracture_collision.lockstep import Lockstep
 from fracture_collision.simulation.scene import load_scene
-from fracture_collision.simulation.simulation import Simulation
-from fracture_collision.world import CollisionWorld, Settings
 
 
 def smash(scene):
     """All reports, all answers' bytes, the last states and contacts."""
-    world = CollisionWorld(Settings())
-    simulation = Simulation(scene)
     reports, answers = [], []
-    try:
-        for body in simulation.start_bodies():
-            world.add_body(body)
-        while not simulation.finished:
-            request = simulation.begin_step()
-            for event in request.events:
-                world.add_fracture(event)
-            contacts = world.contacts(request.states)
-            parts = (contacts.gaps, contacts.normals, contacts.contact_ids, request.states.positions)
+    with Lockstep(scene) as run:
+        for states, contacts, _, report in run:
+            parts = (contacts.gaps, contacts.normals, contacts.contact_ids, states.positions)
             answers.append(b"".join(part.tobytes() for part in parts))
-            reports.append(simulation.finish_step(contacts, world.fragments()))
-        states = simulation.begin_step().states
-    finally:
-        simulation.close()
-    return reports, answers, states, contacts
+            reports.append(report)
+        return reports, answers, run.states(), contacts
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""Kernels of the contact solver: constraint rows, and projected Gauss-Seidel sweeps over them.
+"""Constraint rows of the contact solver: what one direction of one contact needs, and how an impulse along it acts.
 
 Symbols and equation numbers are those of `contact_solver`. A row holds what one direction d of one contact needs:
 d, r_a x d, r_b x d, I_a^-1 (r_a x d), I_b^-1 (r_b x d). Velocities are (n + 1, 6); row n never moves.
@@ -12,16 +12,18 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-# Squared change of the impulses over their squared size: what comes after is rounding.
-CONVERGED = 1.0e-20
-
 DIRECTION, ARM_A, ARM_B, SPIN_A, SPIN_B = 0, 3, 6, 9, 12
+
+# Kernels that allocate nothing count no references: counting costs more than the arithmetic of a row.
+uncounted = njit(cache=True, error_model="numpy", _nrt=False)
 
 
 class Rows(NamedTuple):
     begin: np.ndarray  # (p + 1,) int64, contacts of pair i: begin[i] .. begin[i + 1] - 1
     body_a: np.ndarray  # (p,) int64
     body_b: np.ndarray  # (p,) int64
+    masses: np.ndarray  # (n + 1,) [kg]; 0 of what never moves
+    inertias: np.ndarray  # (n + 1, 3, 3) [kg m2]
     inverse_masses: np.ndarray  # (n + 1,)
     inverse_inertias: np.ndarray  # (n + 1, 3, 3)
     directions: np.ndarray  # (N, 3, 3) n, t1, t2
@@ -38,7 +40,9 @@ class Surfaces(NamedTuple):
 
 
 @njit(cache=True)
-def contact_rows(points, normals, begin, body_a, body_b, centers, inverse_masses, inverse_inertias):
+def contact_rows(
+    points, normals, begin, body_a, body_b, centers, masses, inertias, inverse_masses, inverse_inertias
+):
     """Rows of all contacts; the tangents follow from the normal alone, so that they are steady from step to step."""
     count, pair_count = points.shape[0], body_a.size
     directions = np.zeros((count, 3, 3))
@@ -72,8 +76,8 @@ def contact_rows(points, normals, begin, body_a, body_b, centers, inverse_masses
             largest = 0.5 * (k11 + k22) + math.sqrt(0.25 * (k11 - k22) ** 2 + k12 * k12)
             tangent_masses[c] = 1.0 / largest
     return Rows(
-        begin, body_a, body_b, inverse_masses, inverse_inertias, directions, rows, normal_masses, tangent_masses,
-        rolling_masses,
+        begin, body_a, body_b, masses, inertias, inverse_masses, inverse_inertias, directions, rows, normal_masses,
+        tangent_masses, rolling_masses,
     )  # fmt: skip
 
 
@@ -83,7 +87,7 @@ def normal_velocities(rows, u):
     result = np.zeros(rows.normal_masses.size)
     for pair in range(rows.body_a.size):
         for c in range(rows.begin[pair], rows.begin[pair + 1]):
-            result[c] = _velocity(rows.rows[c, 0], _load(u, rows.body_a[pair]), _load(u, rows.body_b[pair]))
+            result[c] = velocity(rows.rows[c, 0], load(u, rows.body_a[pair]), load(u, rows.body_b[pair]))
     return result
 
 
@@ -120,193 +124,40 @@ def carried_impulses(
     return impulses, rolling
 
 
-@njit(cache=True)
-def apply_warm_start(rows, targets, u, impulses, rolling):
-    """Add the carried impulses to u, scaled down where the whole of them overshoots.
-
-    With lambda the vector of carried impulses, s lambda minimises the quadratic that Gauss-Seidel descends,
-    s^2/2 lambda A lambda + s lambda (J u* - target), for s = -lambda (J u* - target) / lambda A lambda. Cut to [0, 1],
-    a warm start can only take energy out.
-    """
-    change = np.zeros_like(u)
-    slope = 0.0
-    curvature = 0.0
-    for sign in range(2):
-        for pair in range(rows.body_a.size):
-            a, b = rows.body_a[pair], rows.body_b[pair]
-            for i in range(3):
-                if sign == 0:
-                    slope += rolling[pair, i] * (u[b, 3 + i] - u[a, 3 + i])
-                else:
-                    curvature += rolling[pair, i] * (change[b, 3 + i] - change[a, 3 + i])
-            if sign == 0:
-                _turn(rows, pair, change, rolling[pair])
-            for c in range(rows.begin[pair], rows.begin[pair + 1]):
-                for k in range(3):
-                    if sign == 0:
-                        target = targets[c] if k == 0 else 0.0
-                        slope += impulses[c, k] * (_velocity(rows.rows[c, k], _load(u, a), _load(u, b)) - target)
-                        masses = rows.inverse_masses
-                        ua, ub = _load(change, a), _load(change, b)
-                        ua, ub = _pushed(rows.rows[c, k], ua, ub, masses[a], masses[b], impulses[c, k])
-                        _store(change, a, ua)
-                        _store(change, b, ub)
-                    else:
-                        curvature += impulses[c, k] * _velocity(rows.rows[c, k], _load(change, a), _load(change, b))
-    share = 0.0
-    if curvature > 0.0:
-        share = min(max(-slope / curvature, 0.0), 1.0)
-    impulses *= share
-    rolling *= share
-    u += share * change
-
-
-@njit(cache=True)
-def sweep(rows, surfaces, targets, u, impulses, rolling, iterations):
-    """Projected Gauss-Seidel on (2), (3), (5), accelerated. Changes u, impulses, rolling.
-
-    One iteration visits all contacts forward, then backward. What it changed is taken as a gradient, along which the
-    next one goes on like a nonlinear conjugate gradient (Fletcher-Reeves), restarted where it does not shrink [S]. The
-    projections have the last word.
-    """
-    u_path, path, rolling_path = np.zeros_like(u), np.zeros_like(impulses), np.zeros_like(rolling)
-    last_square = 0.0
-    for iteration in range(iterations):
-        u_before, before, rolling_before = u.copy(), impulses.copy(), rolling.copy()
-        _sweep_once(rows, surfaces, targets, u, impulses, rolling, False)
-        _sweep_once(rows, surfaces, targets, u, impulses, rolling, True)
-        if iteration == iterations - 1:
-            break
-        u_step, step, rolling_step = u - u_before, impulses - before, rolling - rolling_before
-        square = np.sum(step * step)
-        if square <= CONVERGED * np.sum(impulses * impulses):
-            break
-        share = square / last_square if last_square > 0.0 else 0.0
-        last_square = square
-        if share > 1.0:
-            share = 0.0
-        u_path, path, rolling_path = share * u_path, share * path, share * rolling_path
-        u += u_path
-        impulses += path
-        rolling += rolling_path
-        u_path += u_step
-        path += step
-        rolling_path += rolling_step
-
-
-@njit(cache=True)
-def _sweep_once(rows, surfaces, targets, u, impulses, rolling, backward):
-    pair_count = rows.body_a.size
-    for visit in range(pair_count):
-        pair = pair_count - 1 - visit if backward else visit
-        a, b = rows.body_a[pair], rows.body_b[pair]
-        first, end = rows.begin[pair], rows.begin[pair + 1]
-        mass_a, mass_b = rows.inverse_masses[a], rows.inverse_masses[b]
-        friction = surfaces.friction[pair]
-        ua, ub = _load(u, a), _load(u, b)
-        total = 0.0
-        for inner in range(end - first):
-            c = end - 1 - inner if backward else first + inner
-            normal, tangent1, tangent2 = rows.rows[c, 0], rows.rows[c, 1], rows.rows[c, 2]
-            # Friction first, with the last sweep's lambda: not going through matters more and has the last word.
-            s1, s2 = _velocity(tangent1, ua, ub), _velocity(tangent2, ua, ub)
-            # One mass for both tangents: with the block's inverse, sliding friction would oppose not the slip but
-            # its image under that inverse, and turn what slides straight.
-            wanted1 = impulses[c, 1] - rows.tangent_masses[c] * s1
-            wanted2 = impulses[c, 2] - rows.tangent_masses[c] * s2
-            limit, square = friction * impulses[c, 0], wanted1 * wanted1 + wanted2 * wanted2
-            if square > limit * limit:
-                scale = limit / math.sqrt(square)
-                wanted1 *= scale
-                wanted2 *= scale
-            ua, ub = _pushed(tangent1, ua, ub, mass_a, mass_b, wanted1 - impulses[c, 1])
-            ua, ub = _pushed(tangent2, ua, ub, mass_a, mass_b, wanted2 - impulses[c, 2])
-            impulses[c, 1] = wanted1
-            impulses[c, 2] = wanted2
-            wanted = impulses[c, 0] - rows.normal_masses[c] * (_velocity(normal, ua, ub) - targets[c])
-            wanted = min(max(wanted, 0.0), surfaces.impulse_limits[c])
-            ua, ub = _pushed(normal, ua, ub, mass_a, mass_b, wanted - impulses[c, 0])
-            impulses[c, 0] = wanted
-            total += wanted
-        _store(u, a, ua)
-        _store(u, b, ub)
-        if surfaces.rolling_arm[pair] > 0.0:
-            _roll(rows, pair, u, a, b, rolling, surfaces.rolling_arm[pair] * total)
-
-
-@njit(cache=True)
-def sweep_normals(rows, targets, u, impulses, iterations):
-    """Projected Gauss-Seidel on normal rows alone, as (6) needs it. Changes u and impulses."""
-    pair_count = rows.body_a.size
-    for iteration in range(iterations):
-        backward = iteration % 2 == 1
-        for visit in range(pair_count):
-            pair = pair_count - 1 - visit if backward else visit
-            a, b = rows.body_a[pair], rows.body_b[pair]
-            mass_a, mass_b = rows.inverse_masses[a], rows.inverse_masses[b]
-            ua, ub = _load(u, a), _load(u, b)
-            for c in range(rows.begin[pair], rows.begin[pair + 1]):
-                normal = rows.rows[c, 0]
-                wanted = impulses[c] - rows.normal_masses[c] * (_velocity(normal, ua, ub) - targets[c])
-                wanted = max(wanted, 0.0)
-                ua, ub = _pushed(normal, ua, ub, mass_a, mass_b, wanted - impulses[c])
-                impulses[c] = wanted
-            _store(u, a, ua)
-            _store(u, b, ub)
-
-
-@njit(cache=True)
-def _roll(rows, pair, u, a, b, rolling, limit):
-    wanted = np.empty(3)
-    square = 0.0
-    for i in range(3):
-        wanted[i] = rolling[pair, i]
-        for j in range(3):
-            wanted[i] -= rows.rolling_masses[pair, i, j] * (u[b, 3 + j] - u[a, 3 + j])
-        square += wanted[i] * wanted[i]
-    scale = 1.0
-    if square > limit * limit:
-        scale = limit / math.sqrt(square)
-    for i in range(3):
-        wanted[i] = wanted[i] * scale - rolling[pair, i]
-        rolling[pair, i] += wanted[i]
-    _turn(rows, pair, u, wanted)
-
-
-@njit(cache=True)
-def _turn(rows, pair, u, impulse):
-    """Angular impulse [N m s] on b, the opposite on a."""
+@uncounted
+def turn(rows, pair, u, x, y, z):
+    """Angular impulse (x, y, z) [N m s] on b, the opposite on a."""
     a, b = rows.body_a[pair], rows.body_b[pair]
+    ia, ib = rows.inverse_inertias[a], rows.inverse_inertias[b]
     for i in range(3):
-        for j in range(3):
-            u[a, 3 + i] -= rows.inverse_inertias[a, i, j] * impulse[j]
-            u[b, 3 + i] += rows.inverse_inertias[b, i, j] * impulse[j]
+        u[a, 3 + i] -= ia[i, 0] * x + ia[i, 1] * y + ia[i, 2] * z
+        u[b, 3 + i] += ib[i, 0] * x + ib[i, 1] * y + ib[i, 2] * z
 
 
 # The velocities of a pair travel as tuples, which stay in registers; the sums are short chains, which run side by side.
 
 
-@njit(cache=True)
-def _load(u, i):
+@uncounted
+def load(u, i):
     return u[i, 0], u[i, 1], u[i, 2], u[i, 3], u[i, 4], u[i, 5]
 
 
-@njit(cache=True)
-def _store(u, i, values):
+@uncounted
+def store(u, i, values):
     for k in range(6):
         u[i, k] = values[k]
 
 
-@njit(cache=True)
-def _velocity(r, ua, ub):
+@uncounted
+def velocity(r, ua, ub):
     linear = r[0] * (ub[0] - ua[0]) + r[1] * (ub[1] - ua[1]) + r[2] * (ub[2] - ua[2])
     angular_a = r[3] * ua[3] + r[4] * ua[4] + r[5] * ua[5]
     angular_b = r[6] * ub[3] + r[7] * ub[4] + r[8] * ub[5]
     return linear + (angular_b - angular_a)
 
 
-@njit(cache=True)
-def _pushed(r, ua, ub, inverse_mass_a, inverse_mass_b, impulse):
+@uncounted
+def pushed(r, ua, ub, inverse_mass_a, inverse_mass_b, impulse):
     a, b = inverse_mass_a * impulse, inverse_mass_b * impulse
     after_a = (
         ua[0] - a * r[0], ua[1] - a * r[1], ua[2] - a * r[2],

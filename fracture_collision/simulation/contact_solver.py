@@ -6,8 +6,9 @@ Sources
   [C] Catto, "Iterative dynamics with temporal coherence", 2005: projected Gauss-Seidel on impulses, warm starting.
   [G] Guendelman, Bridson, Fedkiw, "Nonconvex rigid bodies with stacking", 2003: positions are corrected by velocities
       of their own, which never become kinetic energy ("split impulse" in Bullet).
-  [S] Silcowitz-Hansen, Niebe, Erleben, "A nonsmooth nonlinear conjugate gradient method for interactive contact force
-      problems", 2010: accelerates [C]; heavy bodies on light ones are where it counts.
+  [D] Dostal, Schoeberl, "Minimizing quadratic functions subject to bound constraints with the rate of convergence and
+      finite termination", 2005: conjugate gradients between the sweeps of [C] (`contact_face`); heavy bodies on light
+      ones are where it counts.
   Glondu 2014, section 5.2 asks for just this pair: a velocity-level solver plus drift correction.
 
 Symbols, for contact c between bodies a and b
@@ -37,7 +38,10 @@ import numpy as np
 
 from fracture_collision.records import ContactConstraintArray
 from fracture_collision.simulation import contact_rows as kernels
+from fracture_collision.simulation import contact_sweeps
 
+# Of the energy that gravity gives a body at rest in one step: what a stack at rest gains and loses by rounding.
+ROUNDING = 1.0e-7
 # A penetration of this many slops is more than a contact at rest ever has.
 DEEP = 5.0
 
@@ -46,8 +50,9 @@ class SolverSettings(NamedTuple):
     """Numbers of the method; the scene file says why each has its value."""
 
     iterations: int = 20  # of (2), (3), (5): each visits every contact twice
+    rounds: int = 5  # of these iterations, at most: there is another where the step would still gain energy
     restitution_iterations: int = 8  # further ones with (4)
-    drift_iterations: int = 15  # sweeps of (6)
+    drift_iterations: int = 8  # of (6), likewise
     restitution_speed: float = 0.2  # v_e [m/s]
     penetration_slop: float = 1.0e-4  # [m]
     drift_fraction: float = 0.2  # f, the share of the penetration taken out in one step
@@ -114,13 +119,13 @@ def solve_contacts(
     gaps, begin = contacts.gaps, contacts.pair_begin.astype(np.int64)
     count = len(gaps)
     velocities, free = _with_immovable(bodies.velocities), _with_immovable(bodies.free_velocities)
-    inverse_masses = np.append(1.0 / bodies.masses, 0.0)
-    inverse_inertias = np.zeros((len(bodies.masses) + 1, 3, 3))
-    inverse_inertias[:-1] = np.linalg.inv(bodies.inertias)
+    inertias, inverse_inertias = np.zeros((2, len(bodies.masses) + 1, 3, 3))
+    inertias[:-1], inverse_inertias[:-1] = bodies.inertias, np.linalg.inv(bodies.inertias)
     points = 0.5 * (contacts.points_a + contacts.points_b).reshape(-1, 3)
     rows = kernels.contact_rows(
         points, contacts.normals.reshape(-1, 3), begin, pairs.body_a, pairs.body_b,
-        _with_immovable(bodies.centers), inverse_masses, inverse_inertias,
+        _with_immovable(bodies.centers), np.append(bodies.masses, 0.0), inertias,
+        np.append(1.0 / bodies.masses, 0.0), inverse_inertias,
     )  # fmt: skip
     unlimited = np.full(count, np.inf)
     limits = unlimited if impulse_limits is None else impulse_limits
@@ -134,8 +139,11 @@ def solve_contacts(
     np.minimum(impulses[:, 0], limits, out=impulses[:, 0])
     targets = -np.maximum(gaps, 0.0) / time_step
     u = free.copy()
-    kernels.apply_warm_start(rows, targets, u, impulses, rolling)
-    kernels.sweep(rows, surfaces, targets, u, impulses, rolling, settings.iterations)
+    contact_sweeps.apply_warm_start(rows, targets, u, impulses, rolling)
+    for _ in range(settings.rounds):
+        contact_sweeps.sweep(rows, surfaces, targets, u, impulses, rolling, settings.iterations)
+        if _energy_gain(bodies, u) <= ROUNDING * _inner(bodies, _gravity(bodies), _gravity(bodies)):
+            break
 
     approach = kernels.normal_velocities(rows, velocities)
     restitution = np.repeat(contacts.restitution, np.diff(begin))
@@ -144,8 +152,8 @@ def solve_contacts(
     if np.any(bounces):
         targets = np.where(bounces, -restitution * approach, targets)
         plastic, plastic_impulses, plastic_rolling = u.copy(), impulses.copy(), rolling.copy()
-        kernels.sweep(rows, surfaces, targets, u, impulses, rolling, settings.restitution_iterations)
-        share = _share_without_energy_gain(bodies, free, plastic, u)
+        contact_sweeps.sweep(rows, surfaces, targets, u, impulses, rolling, settings.restitution_iterations)
+        share = _share_without_energy_gain(bodies, plastic, u)
         u = plastic + share * (u - plastic)
         impulses = plastic_impulses + share * (impulses - plastic_impulses)
         rolling = plastic_rolling + share * (rolling - plastic_rolling)
@@ -197,8 +205,10 @@ def _drift(
         push = np.maximum(push, np.minimum(depth / time_step, -before))
         # What the velocities do to a gap counts; one that is not too deep may still close, up to the slop.
         targets = np.where(depth > 0.0, push, depth / time_step) - after
-        targets[against] = -np.inf
-        kernels.sweep_normals(rows, targets, u, np.zeros(len(gaps)), settings.drift_iterations)
+        pair_count = len(rows.body_a)
+        smooth = kernels.Surfaces(np.zeros(pair_count), np.zeros(pair_count), np.where(against, 0.0, np.inf))
+        impulses, rolling = np.zeros((len(gaps), 3)), np.zeros((pair_count, 3))
+        contact_sweeps.sweep(rows, smooth, targets, u, impulses, rolling, settings.drift_iterations)
     return u[:-1]
 
 
@@ -224,22 +234,45 @@ def _against_parting(
     return ~parts & (deep_and_parting & deep_and_not)[pair]
 
 
-def _share_without_energy_gain(
-    bodies: RigidBodies, free: np.ndarray, plastic: np.ndarray, bounced: np.ndarray
-) -> float:
-    """The largest s in [0, 1] for which plastic + s (bounced - plastic) has no more kinetic energy than `free`.
+def _energy_gain(bodies: RigidBodies, u: np.ndarray) -> float:
+    """What the step adds to the bodies' mechanical energy [J], if they move with u (n + 1, 6).
+
+    Kinetic energy, less the work of the impulse of gravity, M (u* - u(t)). Solved exactly, (1)-(3) gain nothing:
+    -|u - u(t)|^2_M / 2 at most. So where there is gain, they are not solved far enough.
+    """
+    return 0.5 * (_inner(bodies, u, u) - _inner(bodies, _before(bodies), _before(bodies))) - _inner(
+        bodies, _gravity(bodies), u
+    )
+
+
+def _share_without_energy_gain(bodies: RigidBodies, plastic: np.ndarray, bounced: np.ndarray) -> float:
+    """The largest s in [0, 1] for which plastic + s (bounced - plastic) gains no energy, or no more than plastic does.
 
     Newton's restitution (4) together with friction can create energy in a body with several contacts (Stronge 1990).
     (2) and (3) are convex, so any mixture of the two solutions obeys them as well.
     """
-
-    def inner(x: np.ndarray, y: np.ndarray) -> float:
-        v = bodies.masses @ np.einsum("ni,ni->n", x[:-1, :3], y[:-1, :3])
-        return float(v + np.einsum("ni,nij,nj->", x[:-1, 3:], bodies.inertias, y[:-1, 3:]))
-
-    change = bounced - plastic
-    allowed = max(inner(free, free), inner(plastic, plastic))
-    if inner(bounced, bounced) <= allowed:
+    excess = _energy_gain(bodies, bounced) - max(_energy_gain(bodies, plastic), 0.0)
+    if excess <= 0.0:
         return 1.0
-    a, b, c = inner(change, change), inner(plastic, change), inner(plastic, plastic) - allowed
+    change = bounced - plastic
+    a = _inner(bodies, change, change)
+    b = _inner(bodies, plastic, change) - _inner(bodies, _gravity(bodies), change)
+    c = 2.0 * min(_energy_gain(bodies, plastic), 0.0)
     return float((-b + np.sqrt(max(b * b - a * c, 0.0))) / a)
+
+
+def _before(bodies: RigidBodies) -> np.ndarray:
+    return _with_immovable(bodies.velocities)
+
+
+def _gravity(bodies: RigidBodies) -> np.ndarray:
+    """M^-1 times the impulse of gravity; the gyroscopic torque does no work."""
+    change = _with_immovable(bodies.free_velocities - bodies.velocities)
+    change[:, 3:] = 0.0
+    return change
+
+
+def _inner(bodies: RigidBodies, x: np.ndarray, y: np.ndarray) -> float:
+    """x M y."""
+    v = bodies.masses @ np.einsum("ni,ni->n", x[:-1, :3], y[:-1, :3])
+    return float(v + np.einsum("ni,nij,nj->", x[:-1, 3:], bodies.inertias, y[:-1, 3:]))

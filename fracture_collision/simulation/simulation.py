@@ -169,7 +169,13 @@ class Simulation:
         lifted = -float(moved.masses @ (drift[:, :3] @ self._scene.gravity)) * self._scene.time_step
         started = time.perf_counter()
         for i in overloaded:
-            self._break(i, states, moved, contacts, pairs, solution)
+            impact, load = _hardest_hit(i, contacts, pairs, solution)
+            fragment_id = int(states.fragment_ids[i])
+            strength = self._scene_body(fragment_id).material.fracture.strength
+            # Where it was hit, not where it has gone since.
+            impact = Rotation.from_quat(states.frame_orientations[i]).inv().apply(impact - states.frame_positions[i])
+            if not self._break(fragment_id, moved.frame(i), impact, load / strength):
+                self._held_together.add(fragment_id)
         return StepReport(
             step=asked[0],
             time=self.time,
@@ -184,6 +190,21 @@ class Simulation:
             deepest_gap=deepest_gap,
             events=list(self._events),
         )
+
+    def strike(self, fragment_id: int, point: np.ndarray, overload: float) -> bool:
+        """Break a fragment between two steps, as a blow at `point` (3,) [m] of its body frame would, without a push.
+
+        `overload` is the blow's impulse over the material's strength. Returns False where the fragment holds together.
+        ValueError where there is no such fragment in motion, or it is of a material that does not break.
+        """
+        states = self._engine.states()
+        rows = np.flatnonzero(states.fragment_ids == fragment_id)
+        if not len(rows):
+            raise ValueError(f"fragment {fragment_id} is not in motion")
+        body = self._scene_body(fragment_id)
+        if body.material.fracture is None or self._body_id_of[fragment_id] not in self._breakable:
+            raise ValueError(f"fragment {fragment_id}, of {body.name!r}, is of a kind that does not break")
+        return self._break(fragment_id, states.frame(rows[0]), np.asarray(point, dtype=np.float64), overload)
 
     def _states(self) -> FragmentStates:
         moving = self._engine.states()
@@ -278,37 +299,25 @@ class Simulation:
                 result[i] = fracture.strength
         return result
 
-    def _break(
-        self,
-        row: int,
-        states: BodyStates,
-        moved: BodyStates,
-        contacts: ContactConstraintArray,
-        pairs: BodyPairs,
-        solution: Solution,
-    ) -> None:
-        fragment_id = int(states.fragment_ids[row])
-        body = self._breakable[self._body_id_of[fragment_id]]
-        fracture = self._scene_body(fragment_id).material.fracture
-        impact, load = _hardest_hit(row, contacts, pairs, solution)
-        to_body = Rotation.from_quat(states.frame_orientations[row]).inv()
-        impact = to_body.apply(impact - states.frame_positions[row])
-        event = body.fracture(
-            fragment_id, self._sequence + 1, self._next_fragment_id, impact, load / fracture.strength, fracture.pattern,
+    def _break(self, fragment_id: int, frame: FrameState, impact: np.ndarray, overload: float) -> bool:
+        """`impact` (3,) [m] in the body frame. False where the fragment holds together."""
+        body_id = self._body_id_of[fragment_id]
+        event = self._breakable[body_id].fracture(
+            fragment_id, self._sequence + 1, self._next_fragment_id, impact, overload,
+            self._scene_body(fragment_id).material.fracture.pattern,
             np.random.default_rng([self._seed, self._sequence + 1]),
         )  # fmt: skip
         if event is None:
-            self._held_together.add(fragment_id)
-            return
+            return False
         self._sequence += 1
         self._next_fragment_id += len(event.new_fragment_ids)
         self._events.append(event)
         self._engine.remove(fragment_id)
-        frame = moved.frame(row)
-        body_id = self._body_id_of.pop(fragment_id)
+        del self._body_id_of[fragment_id]
         for new_id in event.new_fragment_ids:
             self._body_id_of[int(new_id)] = body_id
             self._waiting[int(new_id)] = frame
+        return True
 
 
 def _hardest_hit(

@@ -1,0 +1,192 @@
+"""Projected Gauss-Seidel over contact rows, warm-started and accelerated.
+
+Symbols and equation numbers are those of `contact_solver`.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from fracture_collision.simulation.contact_face import (
+    CONVERGED,
+    Face,
+    Way,
+    add_up,
+    difference,
+    doubled_energy,
+    go,
+    keep_to_face,
+    leave_face,
+    lowest,
+)
+from fracture_collision.simulation.contact_rows import load, pushed, store, turn, uncounted, velocity
+
+# How often an iteration may change the face on which it goes on.
+FACES = 3
+
+
+@njit(cache=True)
+def apply_warm_start(rows, targets, u, impulses, rolling):
+    """Add the carried impulses to u, scaled down where the whole of them overshoots.
+
+    With lambda the vector of carried impulses, s lambda minimises the quadratic that Gauss-Seidel descends,
+    s^2/2 lambda A lambda + s lambda (J u* - target), for s = -lambda (J u* - target) / lambda A lambda. Cut to [0, 1],
+    a warm start can only take energy out.
+    """
+    change = np.zeros_like(u)
+    slope = 0.0
+    curvature = 0.0
+    for sign in range(2):
+        for pair in range(rows.body_a.size):
+            a, b = rows.body_a[pair], rows.body_b[pair]
+            for i in range(3):
+                if sign == 0:
+                    slope += rolling[pair, i] * (u[b, 3 + i] - u[a, 3 + i])
+                else:
+                    curvature += rolling[pair, i] * (change[b, 3 + i] - change[a, 3 + i])
+            if sign == 0:
+                turn(rows, pair, change, rolling[pair, 0], rolling[pair, 1], rolling[pair, 2])
+            for c in range(rows.begin[pair], rows.begin[pair + 1]):
+                for k in range(3):
+                    if sign == 0:
+                        target = targets[c] if k == 0 else 0.0
+                        slope += impulses[c, k] * (velocity(rows.rows[c, k], load(u, a), load(u, b)) - target)
+                        masses = rows.inverse_masses
+                        ua, ub = load(change, a), load(change, b)
+                        ua, ub = pushed(rows.rows[c, k], ua, ub, masses[a], masses[b], impulses[c, k])
+                        store(change, a, ua)
+                        store(change, b, ub)
+                    else:
+                        curvature += impulses[c, k] * velocity(rows.rows[c, k], load(change, a), load(change, b))
+    share = 0.0
+    if curvature > 0.0:
+        share = min(max(-slope / curvature, 0.0), 1.0)
+    impulses *= share
+    rolling *= share
+    u += share * change
+
+
+@njit(cache=True)
+def sweep(rows, surfaces, targets, u, impulses, rolling, iterations):
+    """Projected Gauss-Seidel on (2), (3), (5), accelerated. Changes u, impulses, rolling.
+
+    One iteration visits all contacts forward, then backward. With x the impulses, t the targets and A = J W J^T this
+    descends
+
+        f(x) = x A x / 2 + x . (J u* - t) = (u M u - u* M u*) / 2 - x . t,      u = u* + W J^T x.
+
+    From there it goes on to the minimum of f over the plane of this iteration's step and the last one's whole way, on
+    the face of the contacts that press and stick: conjugate gradients, preconditioned by symmetric Gauss-Seidel [D].
+    Products of A are sums over bodies, x A y = u_x M u_y. What would pull or slip leaves the face and the plane is
+    searched again; a way that, the cones kept, ends higher is not taken.
+    """
+    step, path = _no_way(u, impulses, rolling), _no_way(u, impulses, rolling)
+    before, start = _no_way(u, impulses, rolling), _no_way(u, impulses, rolling)
+    count = len(impulses)
+    face = Face(np.zeros(count, np.bool_), np.zeros(count, np.bool_), np.zeros(len(rolling), np.bool_))
+    _keep(start, u, impulses, rolling)
+    scale = doubled_energy(rows, start)
+    settled = False
+    for iteration in range(iterations):
+        is_last = settled or iteration == iterations - 1
+        if is_last:
+            # What u gathered by going on is more than rounding where it went far; the last word is with what is.
+            add_up(rows, start, u, impulses, rolling)
+        _keep(before, u, impulses, rolling)
+        _sweep_once(rows, surfaces, targets, u, impulses, rolling, face, False)
+        _sweep_once(rows, surfaces, targets, u, impulses, rolling, face, True)
+        if is_last:
+            break
+        difference(u, impulses, rolling, before, step)
+        settled = doubled_energy(rows, step) <= CONVERGED * scale
+        if settled:
+            continue
+        along_step, along_path, part = 0.0, 0.0, 0.0
+        for _ in range(FACES):
+            keep_to_face(rows, face, step)
+            keep_to_face(rows, face, path)
+            along_step, along_path = lowest(rows, targets, u, step, path, scale)
+            left, part = leave_face(rows, surfaces, impulses, step, path, along_step, along_path, face)
+            if not left:
+                break
+        go(rows, surfaces, targets, u, impulses, rolling, step, path, part * along_step, part * along_path)
+        difference(u, impulses, rolling, before, path)
+
+
+@uncounted
+def _keep(way, u, impulses, rolling):
+    for i in range(u.shape[0]):
+        for k in range(6):
+            way.u[i, k] = u[i, k]
+    for c in range(impulses.shape[0]):
+        for k in range(3):
+            way.impulses[c, k] = impulses[c, k]
+    for pair in range(rolling.shape[0]):
+        for k in range(3):
+            way.rolling[pair, k] = rolling[pair, k]
+
+
+@njit(cache=True)
+def _no_way(u, impulses, rolling):
+    return Way(np.zeros_like(impulses), np.zeros_like(rolling), np.zeros_like(u), np.zeros_like(u))
+
+
+@uncounted
+def _sweep_once(rows, surfaces, targets, u, impulses, rolling, face, backward):
+    pair_count = rows.body_a.size
+    for visit in range(pair_count):
+        pair = pair_count - 1 - visit if backward else visit
+        a, b = rows.body_a[pair], rows.body_b[pair]
+        first, end = rows.begin[pair], rows.begin[pair + 1]
+        mass_a, mass_b = rows.inverse_masses[a], rows.inverse_masses[b]
+        friction = surfaces.friction[pair]
+        ua, ub = load(u, a), load(u, b)
+        total = 0.0
+        for inner in range(end - first):
+            c = end - 1 - inner if backward else first + inner
+            normal, tangent1, tangent2 = rows.rows[c, 0], rows.rows[c, 1], rows.rows[c, 2]
+            if friction > 0.0:
+                # Friction first, with the last sweep's lambda: not going through matters more and has the last word.
+                s1, s2 = velocity(tangent1, ua, ub), velocity(tangent2, ua, ub)
+                # One mass for both tangents: with the block's inverse, sliding friction would oppose not the slip but
+                # its image under that inverse, and turn what slides straight.
+                wanted1 = impulses[c, 1] - rows.tangent_masses[c] * s1
+                wanted2 = impulses[c, 2] - rows.tangent_masses[c] * s2
+                limit, square = friction * impulses[c, 0], wanted1 * wanted1 + wanted2 * wanted2
+                face.sticks[c] = square < limit * limit
+                if square > limit * limit:
+                    scale = limit / math.sqrt(square)
+                    wanted1 *= scale
+                    wanted2 *= scale
+                ua, ub = pushed(tangent1, ua, ub, mass_a, mass_b, wanted1 - impulses[c, 1])
+                ua, ub = pushed(tangent2, ua, ub, mass_a, mass_b, wanted2 - impulses[c, 2])
+                impulses[c, 1] = wanted1
+                impulses[c, 2] = wanted2
+            wanted = impulses[c, 0] - rows.normal_masses[c] * (velocity(normal, ua, ub) - targets[c])
+            wanted = min(max(wanted, 0.0), surfaces.impulse_limits[c])
+            ua, ub = pushed(normal, ua, ub, mass_a, mass_b, wanted - impulses[c, 0])
+            impulses[c, 0] = wanted
+            face.presses[c] = 0.0 < wanted < surfaces.impulse_limits[c]
+            total += wanted
+        store(u, a, ua)
+        store(u, b, ub)
+        if surfaces.rolling_arm[pair] > 0.0:
+            face.holds[pair] = _roll(rows, pair, u, a, b, rolling, surfaces.rolling_arm[pair] * total)
+
+
+@uncounted
+def _roll(rows, pair, u, a, b, rolling, limit):
+    x, y, z = u[b, 3] - u[a, 3], u[b, 4] - u[a, 4], u[b, 5] - u[a, 5]
+    masses = rows.rolling_masses[pair]
+    wanted_x = rolling[pair, 0] - (masses[0, 0] * x + masses[0, 1] * y + masses[0, 2] * z)
+    wanted_y = rolling[pair, 1] - (masses[1, 0] * x + masses[1, 1] * y + masses[1, 2] * z)
+    wanted_z = rolling[pair, 2] - (masses[2, 0] * x + masses[2, 1] * y + masses[2, 2] * z)
+    square = wanted_x * wanted_x + wanted_y * wanted_y + wanted_z * wanted_z
+    scale = limit / math.sqrt(square) if square > limit * limit else 1.0
+    wanted_x, wanted_y, wanted_z = scale * wanted_x, scale * wanted_y, scale * wanted_z
+    turn(rows, pair, u, wanted_x - rolling[pair, 0], wanted_y - rolling[pair, 1], wanted_z - rolling[pair, 2])
+    rolling[pair, 0], rolling[pair, 1], rolling[pair, 2] = wanted_x, wanted_y, wanted_z
+    return square < limit * limit
