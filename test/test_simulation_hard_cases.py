@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from fracture_collision.lockstep import Lockstep
 from fracture_collision.records import FragmentRegistry, FragmentStates
 from fracture_collision.simulation.scene import load_scene, parse_scene
+from fracture_collision.world import Settings
 
 # Solved exactly, the velocity problem gains no energy in a step: dE <= -|du|^2_M / 2 (contact_solver). The solver goes
 # on while it finds a gain, up to `rounds` times its iterations; what is left after that is less than this share of the
@@ -53,7 +54,10 @@ class Track(NamedTuple):
         return {i: turns[rows[i]].apply(own) + positions[rows[i]] for i, own in self.nodes.items()}
 
 
-def run(scene, duration: float, struck: bool = False, settle: float = 0.2, lift: float = DRIFT_LIFT) -> Track:
+def run(
+    scene, duration: float, struck: bool = False, settle: float = 0.2, lift: float = DRIFT_LIFT,
+    settings: Settings | None = None,
+) -> Track:  # fmt: skip
     """A scene for `duration` [s]; with `struck` body 2 is broken after `settle`, by a blow without a push, and the rest
     counts from there.
 
@@ -61,7 +65,7 @@ def run(scene, duration: float, struck: bool = False, settle: float = 0.2, lift:
     """
     meshes = {i: body.shape.mesh for i, body in enumerate(scene.bodies, start=1)}
     nodes = {i: mesh.vertices for i, mesh in meshes.items() if mesh is not None}
-    with Lockstep(scene._replace(duration=duration + (settle if struck else 0.0))) as lockstep:
+    with Lockstep(scene._replace(duration=duration + (settle if struck else 0.0)), settings) as lockstep:
         if struck:
             for _ in range(round(settle / scene.time_step)):
                 lockstep.step()
@@ -204,18 +208,19 @@ def test_a_fresh_fracture_hovers_where_it_is(duration, shape, curvature):
 
 
 FRESH_DRIFT = 1e-3  # of R
-NO_EXPLOSION = 1e-2  # of R
 ON_THE_GROUND = {"pane": (PANE, 0.5), "brick": (BRICK, 1.0)}  # shape and friction
 
 
 @cache
-def worst_drift(name: str, curvature: float, duration: float) -> float:
+def worst_drift(name: str, curvature: float, duration: float, contacts_per_pair: int) -> float:
     """Of five seeds, as a share of R."""
     shape, friction = ON_THE_GROUND[name]
     size = shape["brick"]["size_xyz"]
+    settings = Settings(contacts_per_pair=contacts_per_pair)
     drifts = []
     for seed in range(1, 6):
-        track = run(breakable(shape, seed, curvature, friction, 9.81, 0.5 * size[2]), duration, struck=True)
+        scene = breakable(shape, seed, curvature, friction, 9.81, 0.5 * size[2])
+        track = run(scene, duration, struck=True, settings=settings)
         assert len(track.states[-1].fragment_ids) >= 7
         drifts.append(track.displacement() / (0.5 * max(size)))
     return max(drifts)
@@ -224,35 +229,22 @@ def worst_drift(name: str, curvature: float, duration: float) -> float:
 @after_a_blow
 @pytest.mark.parametrize("curvature", [0.0, 0.25])
 @pytest.mark.parametrize("name", ["pane", "brick"])
-def test_a_fresh_fracture_on_the_ground_does_not_explode(duration, name, curvature):
-    """Five seeds each: no node of any fragment moves by more than 1 % R, and energy does not rise.
+def test_a_fresh_fracture_on_the_ground_stays_where_it_is(duration, name, curvature):
+    """Five seeds each, 16 contacts a pair: no node of any fragment moves by more than 0.1 % R; energy does not rise.
 
     A brick half as high as long has cracks that lean by more than 27 degrees; on those, friction of 0.5 lets pieces
     slide (by 3 % R with seed 1), as it should. Its friction is 1."""
-    assert worst_drift(name, curvature, duration) < NO_EXPLOSION
+    assert worst_drift(name, curvature, duration, 16) < FRESH_DRIFT
 
 
-IN_PLACE = pytest.mark.xfail(
-    strict=True,
-    reason="in place, at zero gap, 30-46 % of the contacts of flat cracks and 73-85 % of curved ones have normals more"
-    " than 30 degrees off those they have once the fragments are a micrometre apart. Likely for that reason small"
-    " fragments tilt and sink until they are held again: 0.15 % R at most (pane, flat), 0.25 % R (curved)",
-)
-
-
-@after_a_blow
-@pytest.mark.parametrize(
-    ("name", "curvature"),
-    [
-        ("brick", 0.0),
-        pytest.param("pane", 0.0, marks=IN_PLACE),
-        pytest.param("brick", 0.25, marks=IN_PLACE),
-        pytest.param("pane", 0.25, marks=IN_PLACE),
-    ],
-)
-def test_a_fresh_fracture_on_the_ground_stays_where_it_is(duration, name, curvature):
-    """Five seeds each: no node of any fragment moves by more than 0.1 % R."""
-    assert worst_drift(name, curvature, duration) < FRESH_DRIFT
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize("curvature", [0.0, 0.25])
+@pytest.mark.parametrize("name", ["pane", "brick"])
+def test_a_fresh_fracture_with_fewer_contacts_moves_within_the_tolerance(name, curvature):
+    """With the usual 8 contacts a pair, which can stand close together in a crack, pieces may tilt until others are
+    epsilon deep: by about 0.2 % R, no more than 0.3 %."""
+    assert worst_drift(name, curvature, 10.0, Settings().contacts_per_pair) < 3e-3
 
 
 RIM_CORNERS = 120
