@@ -11,15 +11,16 @@ from fractured_worlds import SETTINGS as DEFAULTS
 from oracles.brute_force import distances
 from oracles.fracture_patterns import CrackPlane, event_of_labels
 from oracles.fragmented_body import FragmentedBody
+from rigid_shapes import boundary_of
 from test_contacts_truth import FRAMES
 from test_exact_field import assert_equal, compare
 from test_fragment_bounds import assert_kept, check_fragments
 
 from fracture_collision.core.elementary_queries import inside_tetrahedron
 from fracture_collision.core.scratch import make_scratch
-from fracture_collision.geometry.generators import TetGeometry
+from fracture_collision.geometry.generators import TetGeometry, brick
 from fracture_collision.geometry.tetrahedra import tetrahedron_volumes
-from fracture_collision.records import CollisionBody, FractureEvent, FragmentStates
+from fracture_collision.records import BOX, CollisionBody, FractureEvent, FragmentStates, SolidPrimitive
 from fracture_collision.world import CollisionWorld, Settings
 
 EventMaker = Callable[[FragmentedBody, int, int], FractureEvent]  # the body, first new fragment id, sequence
@@ -163,3 +164,14 @@ def samples_within(case: FracturedWorld, own: int, other: int, distance: float) 
     """Of the samples (n, 3) of fragment `own` in place, those no farther than `distance` [m] from `other`'s surface."""
     samples, _ = surface_samples(case, own)
     return samples[distances(samples, case.oracle.surface_triangles(other)) <= distance]
+
+
+def block(kind: str, number: int, size: tuple[float, float, float]) -> CollisionBody:
+    """A block of edges `size` [m] as "tetrahedra", "triangles" or "box", with nodes in the same places."""
+    body = tetrahedral_body(brick(size, 0.25), number)
+    if kind == "tetrahedra":
+        return body
+    if kind == "triangles":
+        vertices, triangles = boundary_of(brick(size, 0.25))
+        return body._replace(vertices=vertices.ravel(), triangles=triangles.ravel(), tetrahedra=np.zeros(0, np.uint32))
+    return CollisionBody(number, number, primitive=SolidPrimitive(BOX, size))

@@ -19,6 +19,7 @@ from hard_worlds import (
     anywhere,
     assert_contacts,
     assert_geometry,
+    block,
     broken_world,
     by_labels,
     common_plane,
@@ -27,17 +28,15 @@ from hard_worlds import (
     own_planes,
     samples_within,
     sized,
-    tetrahedral_body,
 )
 from oracles.brute_force import owners
 from oracles.fracture_patterns import voronoi_event
-from rigid_shapes import boundary_of
 from scipy.spatial.transform import Rotation
 from test_contacts_truth import FRAMES
 
 from fracture_collision.geometry.generators import TetGeometry, ball, brick, plate
 from fracture_collision.geometry.tetrahedra import tetrahedron_volumes
-from fracture_collision.records import BOX, CollisionBody, FragmentStates, SolidPrimitive
+from fracture_collision.records import FragmentStates
 from fracture_collision.world import CollisionWorld, InvalidMessage
 
 EVERY_CONTACT = SETTINGS._replace(contacts_per_pair=100_000)
@@ -46,16 +45,6 @@ BRICK = brick((2.0, 1.0, 1.0), 0.25)
 
 
 # --- parallel faces at exactly zero gap -------------------------------------------------------------------------------
-
-
-def block(kind: str, number: int, size: tuple[float, float, float]) -> CollisionBody:
-    body = tetrahedral_body(brick(size, 0.25), number)
-    if kind == "tetrahedra":
-        return body
-    if kind == "triangles":
-        vertices, triangles = boundary_of(brick(size, 0.25))
-        return body._replace(vertices=vertices.ravel(), triangles=triangles.ravel(), tetrahedra=np.zeros(0, np.uint32))
-    return CollisionBody(number, number, primitive=SolidPrimitive(BOX, size))
 
 
 @pytest.mark.parametrize(("lower", "upper"), [*product(("tetrahedra", "triangles", "box"), repeat=2)])
