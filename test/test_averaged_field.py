@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from contact_truth import Poses, pairs_of, sample_ids, surface_samples
 from fractured_worlds import SETTINGS, FracturedWorld, fractured_world
 from oracles.averaged_field import AveragedField
 from oracles.fracture_patterns import voronoi_event
 from oracles.fragmented_body import ALL_KINDS, FragmentedBody
 from scipy.interpolate import RegularGridInterpolator
-from test_contacts import Poses, _ids, _pairs, _surface_samples
 
 from fracture_collision.core.elementary_queries import INSIDE, bounded_probe, probe
 from fracture_collision.core.front_propagation import OLD_SURFACE
@@ -249,7 +249,7 @@ def test_no_unlisted_sample_is_deeper_than_the_bound(case: FracturedWorld, jitte
     states = case.states(jitter, seed=1)
     answer, poses = world.contacts(states), Poses(states)
     assert bool(answer.status & BUDGET_EXHAUSTED) <= bool(budget)
-    listed, epsilon = _pairs(answer), AVERAGED.penetration_tolerance
+    listed, epsilon = pairs_of(answer), AVERAGED.penetration_tolerance
     witnesses = {"a": answer.points_a.reshape(-1, 3), "b": answer.points_b.reshape(-1, 3)}
     normals = answer.normals.reshape(-1, 3)
     assert np.allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-12)
@@ -261,9 +261,9 @@ def test_no_unlisted_sample_is_deeper_than_the_bound(case: FracturedWorld, jitte
         for b in ids[i + 1 :]:
             rows, bound = listed.get((a, b), (slice(0, 0), epsilon * 1.05))
             for own, other in ((a, b), (b, a)):
-                samples, numbers = _surface_samples(case, own)
+                samples, numbers = surface_samples(case, own)
                 points = poses.to_body(other, poses.to_world(own, samples))
-                unlisted = points[~np.isin(_ids(own, other, numbers), answer.contact_ids[rows])]
+                unlisted = points[~np.isin(sample_ids(own, other, numbers), answer.contact_ids[rows])]
                 if len(unlisted):
                     assert case.oracle.depth(other, unlisted, ALL_KINDS)[0].max() <= bound
 
