@@ -201,7 +201,7 @@ def test_a_sphere_touches_where_brute_force_says(shape: RigidShape) -> None:
         )
         answer = world.contacts(states)
         distance = true_distance(shape, turn.inv().apply(center - [0.5, 0.1, -0.3])[None])[0]
-        own = answer.gaps[answer.contact_ids == _ids(2, 1, np.array([-1]))]
+        own = answer.gaps[answer.contact_ids == sample_ids(2, 1, np.array([-1]))]
         near = world.settings.detection_tolerance * 0.2
         assert len(own) == (1 if distance - 0.2 <= near else 0)
         if len(own):
