@@ -11,7 +11,7 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "test")]  # the fracture patterns live with the tests
 
-from fractured_worlds import SETTINGS, FracturedWorld, fractured_world  # noqa: E402
+from fractured_worlds import SETTINGS, FracturedWorld, fractured_world, with_settings  # noqa: E402
 
 from fracture_collision.core.fragment_trees import TREES  # noqa: E402
 from fracture_collision.core.max_distance_order import max_distance_order  # noqa: E402
@@ -42,10 +42,10 @@ def main() -> None:
     updates = {tree: _update_time(case, SETTINGS._replace(tree=tree)) for tree in TREES}
     for jitter in JITTERS:
         states = [case.states(jitter, seed) for seed in range(POSES)]
-        full = [_spreads(_world(case, SETTINGS._replace(contacts_per_pair=10**6)).contacts(s)) for s in states]
+        full = [_spreads(with_settings(case, SETTINGS._replace(contacts_per_pair=10**6)).contacts(s)) for s in states]
         for tree in TREES:
             for traversal in TRAVERSALS:
-                world = _world(case, SETTINGS._replace(tree=tree, traversal=traversal))
+                world = with_settings(case, SETTINGS._replace(tree=tree, traversal=traversal))
                 visits, contacts, spread, query = _queries(world, states, full)
                 print(
                     f"{jitter:8.3f}{tree:>14}{traversal:>13}{visits:9.0f}{contacts:10.0f}{spread:8.3f}"
@@ -76,22 +76,13 @@ def _seconds(function, *arguments) -> float:
     return float(np.median(times))
 
 
-def _world(case: FracturedWorld, settings: Settings) -> CollisionWorld:
-    world = CollisionWorld(settings)
-    for body in case.messages[0]:
-        world.add_body(body)
-    for event in case.messages[1]:
-        world.add_fracture(event)
-    return world
-
-
 def _at(sequence: int) -> FragmentStates:
     return FragmentStates(1, sequence, np.zeros(0, int), np.zeros(0), np.zeros(0))
 
 
 def _update_time(case: FracturedWorld, settings: Settings) -> float:
     """[s] Median time of applying the fracture; the body is there already."""
-    world, times = _world(case, settings), []
+    world, times = with_settings(case, settings), []
     for _ in range(UPDATES):
         world.contacts(_at(0))
         world.contacts(_at(1))
