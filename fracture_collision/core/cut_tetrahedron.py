@@ -48,6 +48,7 @@ class CutScratch(NamedTuple):
     choice: np.ndarray  # (4,) int64
     value: np.ndarray  # (4,) float64
     order: np.ndarray  # (4,) int64
+    heights: np.ndarray  # (4, 4, 3) float64 [m] of each functional at a face's corners
 
 
 @kernel
@@ -56,7 +57,7 @@ def make_cut_scratch():
         np.zeros(4, np.int64), np.zeros((4, 4, 4)), np.zeros(4, np.int64), np.zeros((4, 3)),
         np.empty((MAX_TRIANGLES, 9)), np.empty(MAX_TRIANGLES, np.int64), np.empty(MAX_TRIANGLES, np.int64),
         np.empty(MAX_TRIANGLES, np.int64), np.empty((32, 3)), np.empty((32, 3)), np.zeros(4, np.int64),
-        np.zeros(4), np.zeros(4, np.int64),
+        np.zeros(4), np.zeros(4, np.int64), np.zeros((4, 4, 3)),
     )  # fmt: skip
 
 
@@ -235,30 +236,88 @@ def interfaces(slots, work, used):
 
 
 @query_kernel
-def steps(work, first, last, behind_slots, behind, used):
+def confine_to_face(slots, work, corners, face, confined):
+    """What of the margins in `work` can matter on a face of the tetrahedron `corners`; returns the number of slots.
+
+    A functional that another of its slot stays below is no minimum there; a slot with a functional below all of
+    another's has nothing of the face. Those equal all over the face stay: what lies beside it decides. The fewer are
+    left, the fewer choices and cuts there are.
+    """
+    limit, heights = tie_limit(corners), confined.heights
+    for k in range(4):
+        for d in range(3):
+            confined.corners[k, d] = corners[k, d]
+    for s in range(slots):
+        for q in range(work.counts[s]):
+            g = work.functionals[s, q]
+            for k in range(3):
+                c = corners[FACE_VERTICES[face, k]]
+                heights[s, q, k] = g[0] * c[0] + g[1] * c[1] + g[2] * c[2] - g[3]
+    left = 0
+    for s in range(slots):
+        if _is_beaten(s, slots, work.counts, heights, limit):
+            continue
+        count = 0
+        for q in range(work.counts[s]):
+            needed = True
+            for r in range(work.counts[s]):
+                never_above, below = True, False
+                for k in range(3):
+                    never_above = never_above and heights[s, r, k] <= heights[s, q, k]
+                    below = below or heights[s, r, k] < heights[s, q, k] - limit
+                needed = needed and not (never_above and below)
+            if needed:
+                for d in range(4):
+                    confined.functionals[left, count, d] = work.functionals[s, q, d]
+                count += 1
+        confined.labels[left], confined.counts[left] = work.labels[s], count
+        left += 1
+    return left
+
+
+@query_kernel
+def _is_beaten(s, slots, counts, heights, limit):
+    """Whether one of a slot's functionals is below all of some other slot's at all three corners."""
+    for r in range(slots):
+        if r == s:
+            continue
+        for q in range(counts[s]):
+            below = True
+            for p in range(counts[r]):
+                for k in range(3):
+                    below = below and heights[s, q, k] < heights[r, p, k] - limit
+            if below:
+                return True
+    return False
+
+
+@query_kernel
+def steps(face, slots, near, behind_slots, far, used):
     """Where the two tetrahedra at a face disagree about its owner: a step of the regions' border, in the face.
 
-    Rows first .. last - 1 of `work` are the near tetrahedron's face_shares; `behind` has the margins of the far one.
-    Triangles go into `behind` from row `used` on: fronts the near slot, backs the far one, of another fragment; kinds
-    the near face. Returns the row behind the last.
+    `near` has the margins of one and its corners, `far` those of the one behind the face. Triangles go into `far` from
+    row `used` on, right-handed about the near one's outward normal: fronts its slot, backs the far one's, of another
+    fragment; kinds the face. Returns the row behind the last.
     """
-    for i in range(first, last):
-        label = work.labels[work.fronts[i]]
-        for g in range(behind_slots):
-            if behind.labels[g] == label:
-                continue
-            _first_choice(behind)
-            while True:
-                for k in range(3):
-                    for d in range(3):
-                        behind.polygon[k, d] = work.triangles[i, 3 * k + d]
-                count = clip_to_region(3, behind_slots, behind, g, work.corners, work.kinds[i], -1.0)
-                used = _emit(
-                    behind.polygon, count, work.fronts[i], g, work.kinds[i], behind.triangles, behind.fronts,
-                    behind.backs, behind.kinds, used,
-                )  # fmt: skip
-                if not _next_choice(behind_slots, behind, g):
-                    break
+    for f in range(slots):
+        _first_choice(near)
+        while True:
+            count = _load_face(near.corners, face, near.polygon)
+            count = clip_to_region(count, slots, near, f, near.corners, face, 1.0)
+            for g in range(behind_slots):
+                if count == 0 or far.labels[g] == near.labels[f]:
+                    continue
+                _first_choice(far)
+                while True:
+                    for k in range(count):
+                        for d in range(3):
+                            far.polygon[k, d] = near.polygon[k, d]
+                    left = clip_to_region(count, behind_slots, far, g, near.corners, face, -1.0)
+                    used = _emit(far.polygon, left, f, g, face, far.triangles, far.fronts, far.backs, far.kinds, used)
+                    if not _next_choice(behind_slots, far, g):
+                        break
+            if not _next_choice(slots, near, f):
+                break
     return used
 
 
@@ -315,8 +374,10 @@ def _owns_face(label, slots, work, corners, face):
     """Whether a fragment's margin is certainly the largest all over a face: functionals compared at its corners."""
     limit = tie_limit(corners)
     own = 0
-    while work.labels[own] != label:
+    while own < slots and work.labels[own] != label:
         own += 1
+    if own == slots:
+        return False
     for s in range(slots):
         if s == own:
             continue

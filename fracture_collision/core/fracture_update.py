@@ -18,6 +18,7 @@ from fracture_collision.core.compiled import inlined_kernel, kernel, query_kerne
 from fracture_collision.core.cut_tetrahedron import (
     MAX_TRIANGLES,
     agree_on_face,
+    confine_to_face,
     face_shares,
     interfaces,
     make_cut_scratch,
@@ -222,7 +223,7 @@ def rebuild_surfaces(
     tetrahedra that hold a new fragment. Returns the new rows.
     """
     out = _make_rows(4 * MAX_TRIANGLES)
-    work, behind = make_cut_scratch(), make_cut_scratch()
+    work, behind, near, far = make_cut_scratch(), make_cut_scratch(), make_cut_scratch(), make_cut_scratch()
     samples = np.empty((MAX_SAMPLES, 3))
     written, start = 0, 0
     while start < len(tets):
@@ -230,7 +231,7 @@ def rebuild_surfaces(
             out = _grown_rows(out)
         start, written = _rebuild_some(
             mesh, body, node_shift, tet_shift, edge_shift, tets, own, low, high, first_polygon,
-            moments, boxes, reaches, gaps, start, written, out, work, behind, samples,
+            moments, boxes, reaches, gaps, start, written, out, work, behind, near, far, samples,
         )  # fmt: skip
     return SurfaceRows(
         out.triangles[:written], out.faces[:written], out.front[:written], out.back[:written], out.kind[:written]
@@ -259,7 +260,7 @@ def _grown_rows(rows):
 @query_kernel
 def _rebuild_some(
     mesh, body, node_shift, tet_shift, edge_shift, tets, own, low, high, first_polygon,
-    moments, boxes, reaches, gaps, start, written, out, work, behind, samples,
+    moments, boxes, reaches, gaps, start, written, out, work, behind, near, far, samples,
 ):  # fmt: skip
     """rebuild_surfaces for tets[start:], as far as `out` has room; returns (next start, rows written)."""
     for at in range(start, len(tets)):
@@ -283,10 +284,13 @@ def _rebuild_some(
                 )
                 if agree_on_face(slots, work, behind_slots, behind, face):
                     continue
-                shares = face_shares(face, slots, work, 0)
-                used = steps(work, 0, shares, behind_slots, behind, 0)
+                near_slots = confine_to_face(slots, work, work.corners, face, near)
+                far_slots = confine_to_face(behind_slots, behind, work.corners, face, far)
+                if agree_on_face(near_slots, near, far_slots, far, face):
+                    continue
+                used = steps(face, near_slots, near, far_slots, far, 0)
                 written = _write(
-                    mesh, body, node_shift, edge_shift, t, n, work, behind, behind, 0, used, boxes, gaps, out, written,
+                    mesh, body, node_shift, edge_shift, t, n, near, far, far, 0, used, boxes, gaps, out, written,
                     samples,
                 )  # fmt: skip
             else:
