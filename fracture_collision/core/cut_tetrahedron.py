@@ -48,7 +48,8 @@ class CutScratch(NamedTuple):
     choice: np.ndarray  # (4,) int64
     value: np.ndarray  # (4,) float64
     order: np.ndarray  # (4,) int64
-    heights: np.ndarray  # (4, 4, 3) float64 [m] of each functional at a face's corners
+    heights: np.ndarray  # (4, 4, 32) float64 [m] of each functional at a polygon's vertices
+    origin: np.ndarray  # (4,) int64 of confined margins: which slots they were
 
 
 @kernel
@@ -57,7 +58,8 @@ def make_cut_scratch():
         np.zeros(4, np.int64), np.zeros((4, 4, 4)), np.zeros(4, np.int64), np.zeros((4, 3)),
         np.empty((MAX_TRIANGLES, 9)), np.empty(MAX_TRIANGLES, np.int64), np.empty(MAX_TRIANGLES, np.int64),
         np.empty(MAX_TRIANGLES, np.int64), np.empty((32, 3)), np.empty((32, 3)), np.zeros(4, np.int64),
-        np.zeros(4), np.zeros(4, np.int64), np.zeros((4, 4, 3)),
+        np.zeros(4), np.zeros(4, np.int64), np.zeros((4, 4, 32)),
+        np.zeros(4, np.int64),
     )  # fmt: skip
 
 
@@ -236,33 +238,29 @@ def interfaces(slots, work, used):
 
 
 @query_kernel
-def confine_to_face(slots, work, corners, face, confined):
-    """What of the margins in `work` can matter on a face of the tetrahedron `corners`; returns the number of slots.
+def _confine(slots, work, polygon, size, limit, confined):
+    """What of the margins in `work` can matter on a convex polygon of `size` vertices; returns the number of slots.
 
     A functional that another of its slot stays below is no minimum there; a slot with a functional below all of
-    another's has nothing of the face. Those equal all over the face stay: what lies beside it decides. The fewer are
-    left, the fewer choices and cuts there are.
+    another's has nothing of it. Those equal all over it, to `limit` [m], stay: what lies beside decides. The fewer are
+    left, the fewer choices and cuts there are. confined.origin: which slots of `work` they are.
     """
-    limit, heights = tie_limit(corners), confined.heights
-    for k in range(4):
-        for d in range(3):
-            confined.corners[k, d] = corners[k, d]
+    heights = confined.heights
     for s in range(slots):
         for q in range(work.counts[s]):
             g = work.functionals[s, q]
-            for k in range(3):
-                c = corners[FACE_VERTICES[face, k]]
-                heights[s, q, k] = g[0] * c[0] + g[1] * c[1] + g[2] * c[2] - g[3]
+            for k in range(size):
+                heights[s, q, k] = g[0] * polygon[k, 0] + g[1] * polygon[k, 1] + g[2] * polygon[k, 2] - g[3]
     left = 0
     for s in range(slots):
-        if _is_beaten(s, slots, work.counts, heights, limit):
+        if _is_beaten(s, slots, work.counts, heights, size, limit):
             continue
         count = 0
         for q in range(work.counts[s]):
             needed = True
             for r in range(work.counts[s]):
                 never_above, below = True, False
-                for k in range(3):
+                for k in range(size):
                     never_above = never_above and heights[s, r, k] <= heights[s, q, k]
                     below = below or heights[s, r, k] < heights[s, q, k] - limit
                 needed = needed and not (never_above and below)
@@ -270,21 +268,21 @@ def confine_to_face(slots, work, corners, face, confined):
                 for d in range(4):
                     confined.functionals[left, count, d] = work.functionals[s, q, d]
                 count += 1
-        confined.labels[left], confined.counts[left] = work.labels[s], count
+        confined.labels[left], confined.counts[left], confined.origin[left] = work.labels[s], count, s
         left += 1
     return left
 
 
 @query_kernel
-def _is_beaten(s, slots, counts, heights, limit):
-    """Whether one of a slot's functionals is below all of some other slot's at all three corners."""
+def _is_beaten(s, slots, counts, heights, size, limit):
+    """Whether one of a slot's functionals is below all of some other slot's at all vertices."""
     for r in range(slots):
         if r == s:
             continue
         for q in range(counts[s]):
             below = True
             for p in range(counts[r]):
-                for k in range(3):
+                for k in range(size):
                     below = below and heights[s, q, k] < heights[r, p, k] - limit
             if below:
                 return True
@@ -292,29 +290,37 @@ def _is_beaten(s, slots, counts, heights, limit):
 
 
 @query_kernel
-def steps(face, slots, near, behind_slots, far, used):
+def steps(face, slots, work, behind_slots, behind, near, far, used):
     """Where the two tetrahedra at a face disagree about its owner: a step of the regions' border, in the face.
 
-    `near` has the margins of one and its corners, `far` those of the one behind the face. Triangles go into `far` from
-    row `used` on, right-handed about the near one's outward normal: fronts its slot, backs the far one's, of another
-    fragment; kinds the face. Returns the row behind the last.
+    `work` has the margins of one and its corners, `behind` those of the one behind the face; `near` and `far` are
+    working space. Triangles go into `far` from row `used` on, right-handed about the outward normal of the first:
+    fronts a slot of `work`, backs one of `behind`, of another fragment; kinds the face. Returns the row behind the
+    last.
     """
+    limit = tie_limit(work.corners)
+    _load_face(work.corners, face, far.polygon)
+    slots = _confine(slots, work, far.polygon, 3, limit, near)
     for f in range(slots):
         _first_choice(near)
         while True:
-            count = _load_face(near.corners, face, near.polygon)
-            count = clip_to_region(count, slots, near, f, near.corners, face, 1.0)
-            for g in range(behind_slots):
-                if count == 0 or far.labels[g] == near.labels[f]:
+            count = _load_face(work.corners, face, near.polygon)
+            count = clip_to_region(count, slots, near, f, work.corners, face, 1.0)
+            far_slots = _confine(behind_slots, behind, near.polygon, count, limit, far) if count else 0
+            for g in range(far_slots):
+                if far.labels[g] == near.labels[f]:
                     continue
                 _first_choice(far)
                 while True:
                     for k in range(count):
                         for d in range(3):
                             far.polygon[k, d] = near.polygon[k, d]
-                    left = clip_to_region(count, behind_slots, far, g, near.corners, face, -1.0)
-                    used = _emit(far.polygon, left, f, g, face, far.triangles, far.fronts, far.backs, far.kinds, used)
-                    if not _next_choice(behind_slots, far, g):
+                    left = clip_to_region(count, far_slots, far, g, work.corners, face, -1.0)
+                    used = _emit(
+                        far.polygon, left, near.origin[f], far.origin[g], face, far.triangles, far.fronts, far.backs,
+                        far.kinds, used,
+                    )  # fmt: skip
+                    if not _next_choice(far_slots, far, g):
                         break
             if not _next_choice(slots, near, f):
                 break

@@ -18,7 +18,6 @@ from fracture_collision.core.compiled import inlined_kernel, kernel, query_kerne
 from fracture_collision.core.cut_tetrahedron import (
     MAX_TRIANGLES,
     agree_on_face,
-    confine_to_face,
     face_shares,
     interfaces,
     make_cut_scratch,
@@ -284,13 +283,9 @@ def _rebuild_some(
                 )
                 if agree_on_face(slots, work, behind_slots, behind, face):
                     continue
-                near_slots = confine_to_face(slots, work, work.corners, face, near)
-                far_slots = confine_to_face(behind_slots, behind, work.corners, face, far)
-                if agree_on_face(near_slots, near, far_slots, far, face):
-                    continue
-                used = steps(face, near_slots, near, far_slots, far, 0)
+                used = steps(face, slots, work, behind_slots, behind, near, far, 0)
                 written = _write(
-                    mesh, body, node_shift, edge_shift, t, n, near, far, far, 0, used, boxes, gaps, out, written,
+                    mesh, body, node_shift, edge_shift, t, n, work, behind, far, 0, used, boxes, gaps, out, written,
                     samples,
                 )  # fmt: skip
             else:
