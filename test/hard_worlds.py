@@ -30,6 +30,9 @@ ROUNDING = 1e-12
 # Depth to the nearest surface is what brute force measures; along a crack it may be more, and changes from one to the
 # other at once.
 SETTINGS = DEFAULTS._replace(normals="nearest")
+EVERY_CONTACT = SETTINGS._replace(contacts_per_pair=100_000)
+UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
+BRICK = brick((2.0, 1.0, 1.0), 0.25)
 
 
 def sized(body: TetGeometry) -> TetGeometry:

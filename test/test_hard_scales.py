@@ -9,7 +9,16 @@ import numpy as np
 import pytest
 from contact_truth import BORDER, ContactTruth, Poses, check_pair, pairs_of
 from fractured_worlds import FracturedWorld
-from hard_worlds import ROUNDING, SETTINGS, broken_world, by_labels, common_plane, tetrahedral_body
+from hard_worlds import (
+    EVERY_CONTACT,
+    ROUNDING,
+    SETTINGS,
+    UPRIGHT,
+    broken_world,
+    by_labels,
+    common_plane,
+    tetrahedral_body,
+)
 from numba import njit
 from oracles.fracture_patterns import curved_event
 from rigid_shapes import boundary_of
@@ -22,8 +31,6 @@ from fracture_collision.geometry.tetrahedra import face_neighbours
 from fracture_collision.records import BOX, CollisionBody, ContactConstraintArray, FragmentStates, SolidPrimitive
 from fracture_collision.world import CollisionWorld
 
-EVERY_CONTACT = SETTINGS._replace(contacts_per_pair=100_000)
-UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 FAR = np.array([10_000.0, -10_000.0, 10_000.0])  # [m]
 LAST_BIT_FAR = 2.0**-39  # [m] 10 km and multiples of it add up without rounding
 

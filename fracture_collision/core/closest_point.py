@@ -12,6 +12,9 @@ from fracture_collision.core.compiled import inlined_kernel
 # Which part of a triangle abc holds the closest point: the face, an edge ab, bc or ca (1 .. 3), a corner (4 .. 6).
 ON_FACE = 0
 ON_RIM = 1  # and above: an edge or a corner
+# Below this share of R a direction between two points says nothing; the surface's own normal does. Rounding takes a
+# ten-thousandth of the direction there.
+DIRECTION_FLOOR = 1e-12
 
 
 @inlined_kernel

@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import math
 
+from fracture_collision.core.closest_point import DIRECTION_FLOOR
 from fracture_collision.core.compiled import inlined_kernel, query_kernel
 from fracture_collision.core.crack_samples import share_of_segment
 from fracture_collision.core.cut_tetrahedron import INTERFACE
 from fracture_collision.core.flood import (
-    DIRECTION_FLOOR,
     NO_SOURCE,
     corner_weight,
     nearest_from_inside,

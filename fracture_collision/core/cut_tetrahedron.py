@@ -380,10 +380,8 @@ def _owns_face(label, slots, work, corners, face):
     """Whether a fragment's margin is certainly the largest all over a face: functionals compared at its corners."""
     limit = tie_limit(corners)
     own = 0
-    while own < slots and work.labels[own] != label:
+    while work.labels[own] != label:
         own += 1
-    if own == slots:
-        return False
     for s in range(slots):
         if s == own:
             continue

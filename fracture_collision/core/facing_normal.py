@@ -16,6 +16,7 @@ from fracture_collision.core.crack_normal import FARTHER, share_a_body, turn_to_
 from fracture_collision.core.flood import NO_SOURCE, TOWARD, nearest_from_inside, nearest_from_outside, source_normal
 from fracture_collision.core.kinds import BOX, TETRAHEDRA, TRIANGLES
 from fracture_collision.core.point_location import holds_fragment, tetrahedron_at
+from fracture_collision.core.traversal import rotated, to_other
 from fracture_collision.core.triangle_field import nearest_triangle
 
 # A normal at less than 75 degrees from the sample's own points the same way.
@@ -46,10 +47,9 @@ def turn_contacts(pools, a, b, rotation, translation, near, contacts, ids, count
 @query_kernel
 def _turn_to_facing(pools, f, own, sample, side, rotation, translation, near, row, scratch, thread):
     x, y, z, d = row[0], row[1], row[2], row[9]
-    px, py, pz = _moved(rotation[1 - side], x, y, z)
-    t = translation[1 - side]
-    ux, uy, uz = own_normal(pools, own, sample, px + t[0], py + t[1], pz + t[2])
-    ox, oy, oz = _moved(rotation[side], ux, uy, uz)
+    px, py, pz = to_other(rotation[1 - side], translation[1 - side], x, y, z)
+    ux, uy, uz = own_normal(pools, own, sample, px, py, pz)
+    ox, oy, oz = rotated(rotation[side], ux, uy, uz)
     along = ox * row[6] + oy * row[7] + oz * row[8]
     radius = min(pools.fragment.radius[f], pools.fragment.radius[own])
     slack = ROUNDING * radius
@@ -70,15 +70,6 @@ def _turn_to_facing(pools, f, own, sample, side, rotation, translation, near, ro
     row[3], row[4], row[5] = qx, qy, qz
     row[6], row[7], row[8] = nx, ny, nz
     row[9] = gap
-
-
-@inlined_kernel
-def _moved(rotation, x, y, z):
-    return (
-        rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z,
-        rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z,
-        rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z,
-    )
 
 
 @inlined_kernel

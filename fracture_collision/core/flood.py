@@ -13,6 +13,7 @@ import math
 import numpy as np
 
 from fracture_collision.core.closest_point import (
+    DIRECTION_FLOOR,
     ON_FACE,
     ON_RIM,
     box_distance_squared,
@@ -31,9 +32,6 @@ NO_SOURCE = np.iinfo(np.int64).max
 # with TOWARD what faces a sample whose own outward normal is (x, y, z).
 WHATEVER, TOWARD = -1, -2
 EVERYTHING = (WHATEVER, 0.0, 0.0, 0.0)
-# Below this share of R a direction between two points says nothing; the surface's own normal does. Rounding takes a
-# ten-thousandth of the direction there.
-DIRECTION_FLOOR = 1e-12
 PLANE_SLACK = 1.0 + 1e-9
 # What rounding may do to a barycentric weight.
 WEIGHT_ROUNDING = 1e-12

@@ -16,7 +16,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.core.closest_point import ON_FACE, box_distance_squared, closest_on_triangle, triangle_normal
+from fracture_collision.core.closest_point import (
+    DIRECTION_FLOOR,
+    ON_FACE,
+    box_distance_squared,
+    closest_on_triangle,
+    triangle_normal,
+)
 from fracture_collision.core.compiled import kernel, query_kernel
 from fracture_collision.core.pools import GrowableArray
 
@@ -24,8 +30,6 @@ from fracture_collision.core.pools import GrowableArray
 LEAF_TRIANGLES = 4
 # The hierarchy halves its triangles at each node, so a descent of this depth covers 2^62 of them.
 STACK = 64
-# Below this share of R the direction between two points says nothing; the pseudonormal does.
-DIRECTION_FLOOR = 1e-12
 
 
 class TriangleMesh(NamedTuple):
