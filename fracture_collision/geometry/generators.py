@@ -58,13 +58,10 @@ def shell(outer_radius: float, inner_radius: float, edge_length: float, layers: 
     if inner_radius >= outer_radius:
         raise ValueError(f"inner_radius: {inner_radius} m is not below outer_radius, {outer_radius} m")
     layers = _layer_count(layers, outer_radius - inner_radius, edge_length)
-    corners, triangles = _icosahedron()
     # The icosahedron's edge spans 1.107 rad of the sphere.
     frequency = max(1, round(1.107 * outer_radius / edge_length))
     require_affordable(60 * frequency**2 * layers)
-    weights, triangles = _edgewise_subdivision(triangles, frequency)
-    directions = weights @ corners
-    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    directions, triangles = geodesic_sphere(frequency)
     radii = np.linspace(inner_radius, outer_radius, layers + 1)
     return oriented((radii[:, None, None] * directions).reshape(-1, 3), prisms(triangles, len(directions), layers))
 
@@ -195,6 +192,14 @@ def prisms(triangles: np.ndarray, surface_size: int, layers: int) -> np.ndarray:
     n = surface_size
     stairs = np.stack([(a, b, c, c + n), (a, b, b + n, c + n), (a, a + n, b + n, c + n)]).transpose(2, 0, 1)
     return (stairs.reshape(-1, 4)[None] + (n * np.arange(layers))[:, None, None]).reshape(-1, 4)
+
+
+def geodesic_sphere(frequency: int) -> tuple[np.ndarray, np.ndarray]:
+    """An icosahedron's faces divided into frequency^2 each: unit vertices (10 frequency^2 + 2, 3), triangles."""
+    corners, triangles = _icosahedron()
+    weights, triangles = _edgewise_subdivision(triangles, frequency)
+    directions = weights @ corners
+    return directions / np.linalg.norm(directions, axis=1)[:, None], triangles
 
 
 def disc(rings: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
