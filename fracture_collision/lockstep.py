@@ -7,14 +7,28 @@ waiting for the other's answer to this very step.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from time import perf_counter
 from types import TracebackType
 from typing import NamedTuple
 
 from fracture_collision.records import ContactConstraintArray, FragmentRegistry, FragmentStates
 from fracture_collision.simulation.engine import Engine
 from fracture_collision.simulation.scene import Scene
-from fracture_collision.simulation.simulation import Simulation, StepReport
+from fracture_collision.simulation.simulation import Simulation, StepReport, StepRequest
 from fracture_collision.world import CollisionWorld, Settings
+
+# Contacts a pair, when all of them are wanted.
+EVERY_CONTACT = 1 << 30
+
+
+class StepTimes(NamedTuple):
+    """Wall times of one step [s], as in Glondu et al. 2014, Table 3."""
+
+    total: float
+    collision: float  # the service's answer: gate, broad and narrow phase
+    update: float  # events in, registry ready to answer, masses included; 0 in a step without events
+    physics: float  # the simulator's part, less `fracture`: contact solver, integration, bookkeeping
+    fracture: float  # making the patterns of what breaks at the step's end
 
 
 class Exchange(NamedTuple):
@@ -24,6 +38,7 @@ class Exchange(NamedTuple):
     contacts: ContactConstraintArray
     registry: FragmentRegistry
     report: StepReport
+    times: StepTimes
 
 
 class Lockstep:
@@ -38,6 +53,7 @@ class Lockstep:
         self.world = CollisionWorld(Settings() if settings is None else settings)
         self.simulation = Simulation(scene, seed, engine)
         self._told = 0  # events that the service knows
+        self._registry: FragmentRegistry | None = None  # after those
         for body in self.simulation.start_bodies():
             self.world.add_body(body)
 
@@ -56,18 +72,51 @@ class Lockstep:
 
     def step(self) -> Exchange:
         """One time step, also beyond the scene's duration."""
-        states = self.states()
-        contacts, registry = self.world.contacts(states), self.world.fragments()
-        return Exchange(states, contacts, registry, self.simulation.finish_step(contacts, registry))
+        started = perf_counter()
+        request = self.simulation.begin_step()
+        begun = perf_counter()
+        has_news = self._tell(request)
+        told = perf_counter()
+        contacts = self.world.contacts(request.states)
+        answered = perf_counter()
+        if has_news or self._registry is None:
+            self._registry = self.world.fragments()
+        known = perf_counter()
+        report = self.simulation.finish_step(contacts, self._registry)
+        ended = perf_counter()
+        update = self.world.last_timings["update"] + (told - begun) + (known - answered) if has_news else 0.0
+        times = StepTimes(
+            total=ended - started,
+            collision=known - begun - update,
+            update=update,
+            physics=(begun - started) + (ended - known) - report.fracture_seconds,
+            fracture=report.fracture_seconds,
+        )
+        return Exchange(request.states, contacts, self._registry, report, times)
 
     def states(self) -> FragmentStates:
         """Where everything is now; the service knows the events that led there."""
         request = self.simulation.begin_step()
-        for event in request.events:
-            if event.sequence > self._told:
-                self.world.add_fracture(event)
-                self._told = event.sequence
+        if self._tell(request):
+            self._registry = None
         return request.states
+
+    def every_contact(self, states: FragmentStates) -> ContactConstraintArray:
+        """The contacts at `states` if each pair had room for all: what self-adapting selection (5.2) chooses from."""
+        chosen = self.world.settings
+        self.world.settings = chosen._replace(contacts_per_pair=EVERY_CONTACT, visit_budget=0)
+        try:
+            return self.world.contacts(states)
+        finally:
+            self.world.settings = chosen
+
+    def _tell(self, request: StepRequest) -> bool:
+        """Tells the service the events that it does not know; whether there were any."""
+        news = [event for event in request.events if event.sequence > self._told]
+        for event in news:
+            self.world.add_fracture(event)
+            self._told = event.sequence
+        return bool(news)
 
     def close(self) -> None:
         self.simulation.close()

@@ -23,6 +23,16 @@ class BreakableBody:
     def node_count(self, fragment_id: int) -> int:
         return self._node_counts[fragment_id]
 
+    def nearest_node(self, fragment_id: int, point: np.ndarray) -> tuple[int, np.ndarray]:
+        """The fragment's node nearest to `point` (3,) [m], the first of several, and where it is; body frame."""
+        nodes = np.flatnonzero(self._node_fragments == fragment_id)
+        node = int(nodes[np.argmin(((self._vertices[nodes] - point) ** 2).sum(axis=1))])
+        return node, self._vertices[node]
+
+    def owner(self, node: int) -> int:
+        """Id of the fragment that a node belongs to."""
+        return int(self._node_fragments[node])
+
     def fracture(
         self,
         fragment_id: int,

@@ -5,7 +5,6 @@ config/scenes/plates.yaml shows every field with its unit. All errors are a Scen
 
 from __future__ import annotations
 
-import inspect
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,16 +14,15 @@ import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
-from fracture_collision.geometry import generators
+from fracture_collision.geometry.generators import TetGeometry
 from fracture_collision.share import share_directory
 from fracture_collision.simulation.contact_solver import SolverSettings
 from fracture_collision.simulation.fracture_pattern import PatternSettings
+from fracture_collision.simulation.hand import Hand, parse_hand
+from fracture_collision.simulation.scene_fields import Fields, SceneError, numbers
+from fracture_collision.simulation.shapes import Shape, parse_shape
 
-GENERATORS = ("ball", "shell", "brick", "plate", "bowl")
-
-
-class SceneError(ValueError):
-    """A scene file says something that cannot be; the text begins with the field's path."""
+EARTH = (0.0, 0.0, -9.81)  # [m/s2] gravity, unless a scene has its own
 
 
 class Fracture(NamedTuple):
@@ -41,16 +39,6 @@ class Material(NamedTuple):
     restitution: float  # 0..1
     rolling_arm: float  # [m] rolling and spinning resistance: torque per normal force
     fracture: Fracture | None  # None: does not break
-
-
-class Shape(NamedTuple):
-    """One of the kinds; the other fields are empty."""
-
-    kind: str  # "plane", "box", "sphere", or one of GENERATORS
-    plane: tuple[float, ...] = ()  # a, b, c, d: solid where a x + b y + c z + d < 0
-    size: tuple[float, ...] = ()  # of a box, edge lengths [m]
-    radius: float = 0.0  # of a sphere [m]
-    mesh: generators.TetGeometry | None = None
 
 
 class SceneBody(NamedTuple):
@@ -73,128 +61,115 @@ class Scene(NamedTuple):
     duration: float  # [s]
     solver: SolverSettings
     bodies: tuple[SceneBody, ...]
+    hand: Hand | None = None  # that drags bodies
 
     @property
     def step_count(self) -> int:
         return math.ceil(self.duration / self.time_step - 1e-9)
 
 
+class SceneFile(NamedTuple):
+    path: Path
+    title: str  # its first line
+    variants: tuple[str, ...]
+
+
+def scene_files() -> list[SceneFile]:
+    """The scenes that come with the package, by name."""
+    files = sorted((share_directory() / "config" / "scenes").glob("*.yaml"))
+    return [
+        SceneFile(file, file.read_text(encoding="utf-8").splitlines()[0].lstrip("# "), tuple(_variants(_content(file))))
+        for file in files
+    ]
+
+
 def load_scene(name_or_path: str | Path) -> Scene:
-    """The scene of this file, or of this name among the scenes that come with the package."""
-    path = _find(name_or_path)
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except yaml.YAMLError as error:
-        raise SceneError(f"{path}: not YAML: {error}") from error
-    return parse_scene(content, path.stem)
+    """The scene of this file, or of this name among those that come with the package.
+
+    NAME:VARIANT is the scene with what its field `variants` says of this variant.
+    """
+    path, variant = _find(str(name_or_path))
+    return parse_scene(_content(path), path.stem, variant, path.parent)
 
 
-def parse_scene(content: Any, name: str) -> Scene:
-    """The scene that `content`, as YAML gives it, describes; raises SceneError."""
-    root = _Fields(content, "")
+def parse_scene(content: Any, name: str, variant: str = "", folder: Path | None = None) -> Scene:
+    """The scene that `content`, as YAML gives it, describes; raises SceneError. Files it names lie in `folder`."""
+    if variant:
+        known = _variants(content)
+        if variant not in known:
+            raise SceneError(f"{name}: has no variant {variant!r}; there is {', '.join(known) or 'none'}")
+        content, name = _merged(content, known[variant], "variants." + variant), f"{name}:{variant}"
+    root = Fields(content, "")
+    root.mapping("variants", {})
     materials = {
-        str(key): _material(_Fields(value, f"materials.{key}")) for key, value in root.mapping("materials").items()
+        str(key): _material(Fields(value, f"materials.{key}")) for key, value in root.mapping("materials").items()
     }
+    made: dict[tuple, TetGeometry] = {}
     bodies = tuple(
-        _body(_Fields(value, f"bodies[{i}]"), materials) for i, value in enumerate(root.sequence("bodies"))
+        _body(Fields(value, f"bodies[{i}]"), materials, made) for i, value in enumerate(root.sequence("bodies"))
     )
     names = [body.name for body in bodies]
     for body_name in names:
         if names.count(body_name) > 1:
             raise SceneError(f"bodies: the name {body_name!r} occurs {names.count(body_name)} times")
+    hand = root.take("hand", None)
+    if hand is not None:
+        hand = parse_hand(Fields(hand, "hand"), folder, [body.name for body in bodies if not body.is_static])
     scene = Scene(
         name=name,
-        seed=root.integer("seed", minimum=0),
-        gravity=root.vector("gravity", 3),
+        seed=root.integer("seed", 1),
+        gravity=root.vector("gravity", 3, EARTH),
         time_step=root.number("time_step", above=0.0),
         duration=root.number("duration", above=0.0),
-        solver=_settings(_Fields(root.mapping("solver", {}), "solver"), SolverSettings()),
+        solver=numbers(Fields(root.mapping("solver", {}), "solver"), SolverSettings()),
         bodies=bodies,
+        hand=hand,
     )
     root.finish()
     return scene
 
 
-def _find(name_or_path: str | Path) -> Path:
-    candidates = [Path(name_or_path), share_directory() / "config" / "scenes" / f"{name_or_path}.yaml"]
-    for candidate in candidates:
-        if candidate.is_file():
-            return candidate
-    raise SceneError(f"no scene {str(name_or_path)!r}: looked for {' and '.join(map(str, candidates))}")
+def _find(name: str) -> tuple[Path, str]:
+    """The file of a scene, and the variant asked for."""
+    folder = share_directory() / "config" / "scenes"
+    stem, _, variant = name.partition(":")
+    candidates = [(Path(name), ""), (folder / f"{name}.yaml", "")]
+    if variant:
+        candidates += [(Path(stem), variant), (folder / f"{stem}.yaml", variant)]
+    for path, wanted in candidates:
+        if path.is_file():
+            return path, wanted
+    raise SceneError(f"no scene {name!r}: looked for {' and '.join(str(path) for path, _ in candidates)}")
 
 
-class _Fields:
-    """A mapping whose fields are taken out one by one; what is left at the end is a slip of the pen."""
-
-    def __init__(self, content: Any, path: str) -> None:
-        if not isinstance(content, Mapping):
-            raise SceneError(f"{path or 'scene'}: needs fields, got {content!r}")
-        self._left = dict(content)
-        self._path = path
-
-    def name(self, key: str) -> str:
-        return f"{self._path}.{key}" if self._path else key
-
-    def take(self, key: str, default: Any = ...) -> Any:
-        if key in self._left:
-            return self._left.pop(key)
-        if default is ...:
-            raise SceneError(f"{self.name(key)}: missing")
-        return default
-
-    def number(self, key: str, default: Any = ..., minimum: float = -math.inf, above: float = -math.inf) -> float:
-        value = self.take(key, default)
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-            raise SceneError(f"{self.name(key)}: needs a finite number, got {value!r}")
-        if value < minimum or value <= above:
-            limit = f"at least {minimum}" if value < minimum else f"more than {above}"
-            raise SceneError(f"{self.name(key)}: needs {limit}, got {value}")
-        return float(value)
-
-    def integer(self, key: str, default: Any = ..., minimum: int = 0) -> int:
-        value = self.take(key, default)
-        if isinstance(value, bool) or not isinstance(value, int) or value < minimum:
-            raise SceneError(f"{self.name(key)}: needs a whole number of at least {minimum}, got {value!r}")
-        return value
-
-    def vector(self, key: str, size: int, default: Any = ...) -> np.ndarray:
-        value = self.take(key, default)
-        if not isinstance(value, list | tuple) or len(value) != size:
-            raise SceneError(f"{self.name(key)}: needs {size} numbers, got {value!r}")
-        parts = _Fields(dict(enumerate(value)), self.name(key))
-        return np.array([parts.number(i) for i in range(size)])
-
-    def mapping(self, key: str, default: Any = ...) -> Mapping:
-        value = self.take(key, default)
-        if not isinstance(value, Mapping):
-            raise SceneError(f"{self.name(key)}: needs fields, got {value!r}")
-        return value
-
-    def sequence(self, key: str) -> list:
-        value = self.take(key)
-        if not isinstance(value, list) or not value:
-            raise SceneError(f"{self.name(key)}: needs a list, got {value!r}")
-        return value
-
-    def keys(self) -> list[str]:
-        return list(self._left)
-
-    def finish(self) -> None:
-        for key in self._left:
-            raise SceneError(f"{self.name(str(key))}: unknown field")
+def _content(path: Path) -> Any:
+    try:
+        return yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise SceneError(f"{path}: not YAML: {error}") from error
 
 
-def _settings(fields: _Fields, defaults: Any) -> Any:
-    """A NamedTuple of numbers, none of them negative, from fields of the same names."""
-    values = {
-        key: fields.integer(key, default) if isinstance(default, int) else fields.number(key, default, minimum=0.0)
-        for key, default in defaults._asdict().items()
-    }
-    fields.finish()
-    return type(defaults)(**values)
+def _variants(content: Any) -> Mapping[str, Any]:
+    return Fields(content, "").mapping("variants", {})
 
 
-def _material(fields: _Fields) -> Material:
+def _merged(content: Any, change: Any, path: str) -> Any:
+    """`content` with the fields of `change` in place of its own; of a list of bodies, those that it names."""
+    if isinstance(content, Mapping) and isinstance(change, Mapping):
+        changed = {key: _merged(content.get(key), value, f"{path}.{key}") for key, value in change.items()}
+        return {**content, **changed}
+    if isinstance(content, list) and isinstance(change, Mapping):
+        places = {item.get("name"): i for i, item in enumerate(content) if isinstance(item, Mapping)}
+        changed = list(content)
+        for name, value in change.items():
+            if name not in places:
+                raise SceneError(f"{path}: no body {name!r}")
+            changed[places[name]] = _merged(content[places[name]], value, f"{path}.{name}")
+        return changed
+    return change
+
+
+def _material(fields: Fields) -> Material:
     material = Material(
         density=fields.number("density", above=0.0),
         friction=fields.number("friction", minimum=0.0),
@@ -206,11 +181,11 @@ def _material(fields: _Fields) -> Material:
         raise SceneError(f"{fields.name('restitution')}: needs at most 1, got {material.restitution}")
     breaks = fields.take("fracture", None)
     if breaks is not None:
-        part = _Fields(breaks, fields.name("fracture"))
+        part = Fields(breaks, fields.name("fracture"))
         fracture = Fracture(
             strength=part.number("strength", above=0.0),
             minimum_mass=part.number("minimum_mass", minimum=0.0),
-            pattern=_settings(_Fields(part.mapping("pattern", {}), part.name("pattern")), PatternSettings()),
+            pattern=numbers(Fields(part.mapping("pattern", {}), part.name("pattern")), PatternSettings()),
         )
         part.finish()
         material = material._replace(fracture=fracture)
@@ -218,7 +193,7 @@ def _material(fields: _Fields) -> Material:
     return material
 
 
-def _body(fields: _Fields, materials: Mapping[str, Material]) -> SceneBody:
+def _body(fields: Fields, materials: Mapping[str, Material], made: dict[tuple, TetGeometry]) -> SceneBody:
     material_name = str(fields.take("material"))
     if material_name not in materials:
         raise SceneError(f"{fields.name('material')}: {material_name!r} is none of {', '.join(materials)}")
@@ -227,7 +202,7 @@ def _body(fields: _Fields, materials: Mapping[str, Material]) -> SceneBody:
         raise SceneError(f"{fields.name('static')}: needs true or false, got {is_static!r}")
     body = SceneBody(
         name=str(fields.take("name")),
-        shape=_shape(_Fields(fields.mapping("shape"), fields.name("shape"))),
+        shape=parse_shape(Fields(fields.mapping("shape"), fields.name("shape")), made),
         material=materials[material_name],
         is_static=is_static,
         position=fields.vector("position", 3, (0.0, 0.0, 0.0)),
@@ -242,41 +217,3 @@ def _body(fields: _Fields, materials: Mapping[str, Material]) -> SceneBody:
         raise SceneError(f"{fields.name('static')}: a static body has no start time and no velocity")
     fields.finish()
     return body
-
-
-def _shape(fields: _Fields) -> Shape:
-    kinds = fields.keys()
-    known = ("plane", "box", "sphere", *GENERATORS)
-    if len(kinds) != 1 or kinds[0] not in known:
-        raise SceneError(f"{fields.name('')[:-1]}: needs just one of {', '.join(known)}, got {kinds}")
-    kind = kinds[0]
-    part = _Fields(fields.mapping(kind), fields.name(kind))
-    if kind == "plane":
-        plane = part.vector("coefficients", 4)
-        if not math.isclose(float(np.linalg.norm(plane[:3])), 1.0, abs_tol=1e-9):
-            raise SceneError(f"{part.name('coefficients')}: the normal (a, b, c) is not of unit length")
-        shape = Shape(kind, plane=tuple(map(float, plane)))
-    elif kind == "box":
-        size = part.vector("size", 3)
-        if np.any(size <= 0.0):
-            raise SceneError(f"{part.name('size')}: needs positive lengths, got {size.tolist()}")
-        shape = Shape(kind, size=tuple(map(float, size)))
-    elif kind == "sphere":
-        shape = Shape(kind, radius=part.number("radius", above=0.0))
-    else:
-        shape = Shape(kind, mesh=_generated(kind, part))
-    part.finish()
-    return shape
-
-
-def _generated(kind: str, fields: _Fields) -> generators.TetGeometry:
-    generator = getattr(generators, kind)
-    arguments = {}
-    for key, parameter in inspect.signature(generator).parameters.items():
-        default = ... if parameter.default is inspect.Parameter.empty else parameter.default
-        value = fields.take(key, default)
-        arguments[key] = tuple(value) if isinstance(value, list) else value
-    try:
-        return generator(**arguments)
-    except (ValueError, TypeError) as error:
-        raise SceneError(f"{fields.name('')}{error}") from error

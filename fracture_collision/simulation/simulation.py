@@ -41,6 +41,7 @@ from fracture_collision.simulation.contact_solver import (
     normal_impulse_sums,
     solve_contacts,
 )
+from fracture_collision.simulation.drag import Drag
 from fracture_collision.simulation.engine import BodyStates, Engine, FrameState, MassProperties
 from fracture_collision.simulation.free_motion import free_velocities
 from fracture_collision.simulation.scene import Scene, SceneBody
@@ -68,6 +69,7 @@ class StepReport(NamedTuple):
     max_speed: float  # [m/s] of any centre of mass at the end of the step
     deepest_gap: float  # [m] the smallest gap among this step's contacts; 0 without contacts
     events: list[FractureEvent]  # of this step, to be told with the next request
+    hand_energy: float  # [J] that a hand put in; negative where it took some out
 
 
 class Simulation:
@@ -106,6 +108,8 @@ class Simulation:
         self._warm_start = NO_WARM_START
         self._memory = contact_memory.NOTHING
         self._asked: FragmentStates | None = None
+        names = {i: body.name for i, body in self._body_of.items()}
+        self.drag = Drag(scene.hand, names, self._body_id_of, self._breakable)
 
     @property
     def time(self) -> float:
@@ -118,6 +122,10 @@ class Simulation:
 
     def close(self) -> None:
         self._engine.close()
+
+    def grab(self, name: str, position: np.ndarray) -> bool:
+        """`drag.grab` of what is in motion now; `drag` moves the hand and lets go."""
+        return self.drag.grab(name, position, self._engine.states())
 
     def start_bodies(self) -> list[CollisionBody]:
         """All bodies of the scene, to be published before the first states."""
@@ -155,7 +163,8 @@ class Simulation:
             contacts, self._asked, self._memory, self._scene.solver.memory_reach
         )
         pairs = self._body_pairs(contacts, states)
-        bodies = self._rigid_bodies(states)
+        pushes, hand_energy = self.drag.pull(states, self.time, self._scene.time_step)
+        bodies = self._rigid_bodies(states, pushes)
         solution, overloaded = self._solve(bodies, contacts, pairs)
         solver_seconds = time.perf_counter() - started
         v, drift = solution.velocities, solution.drift
@@ -189,6 +198,7 @@ class Simulation:
             max_speed=float(np.linalg.norm(moved.linear, axis=1).max(initial=0.0)),
             deepest_gap=deepest_gap,
             events=list(self._events),
+            hand_energy=hand_energy,
         )
 
     def strike(self, fragment_id: int, point: np.ndarray, overload: float) -> bool:
@@ -235,8 +245,8 @@ class Simulation:
             self._engine.add(fragment_id, properties, self._waiting[fragment_id])
         self._waiting.clear()
 
-    def _rigid_bodies(self, states: BodyStates) -> RigidBodies:
-        velocities = np.hstack((states.linear, states.angular))
+    def _rigid_bodies(self, states: BodyStates, pushes: np.ndarray) -> RigidBodies:
+        velocities = np.hstack((states.linear, states.angular)) + pushes
         free = free_velocities(velocities, states.inertias, self._scene.gravity, self._scene.time_step)
         return RigidBodies(states.masses, states.inertias, states.centers, velocities, free)
 
@@ -317,6 +327,7 @@ class Simulation:
         for new_id in event.new_fragment_ids:
             self._body_id_of[int(new_id)] = body_id
             self._waiting[int(new_id)] = frame
+        self.drag.keep_hold(body_id, fragment_id)
         return True
 
 

@@ -47,6 +47,7 @@ class CollisionWorld:
         self._scratch: Scratch | None = None
         self.last_timings: dict[str, float] = {"update": 0.0, "broad_phase": 0.0, "narrow_phase": 0.0}  # [s]
         self.last_visits = 0  # tree nodes tested by the last answer
+        self.last_pairs = 0  # of fragments, that its broad phase found
 
     def add_body(self, body: CollisionBody) -> None:
         self._ledger.add_body(body)
@@ -97,7 +98,7 @@ class CollisionWorld:
             self._sized_scratch(rows), self._crew,
         )  # fmt: skip
         answer = self._answer(checked, ids[chosen], friction[chosen], restitution[chosen], radius, pairs, found)
-        self.last_visits = int(found.visits.sum())
+        self.last_visits, self.last_pairs = int(found.visits.sum()), len(pairs)
         self.last_timings = {
             "update": updated - started, "broad_phase": paired - updated, "narrow_phase": perf_counter() - paired,
         }  # fmt: skip

@@ -1,0 +1,101 @@
+"""What a hand does in a running simulation: it takes hold of fragments, pulls them, and keeps hold when they break."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from fracture_collision.simulation.breakable_body import BreakableBody
+from fracture_collision.simulation.contact_solver import kinetic_energy
+from fracture_collision.simulation.engine import BodyStates
+from fracture_collision.simulation.hand import Grip, Hand, HandSettings, kick
+
+
+class Drag:
+    """A hand with its grip. A scene's recorded hand moves it; without one, `grab`, `move` and `release` do.
+
+    `body_ids`: the body of each living fragment, `breakable`: bodies with a mesh; both as the simulation keeps them.
+    """
+
+    def __init__(
+        self,
+        hand: Hand | None,
+        names: Mapping[int, str],
+        body_ids: Mapping[int, int],
+        breakable: Mapping[int, BreakableBody],
+    ) -> None:
+        self._settings = HandSettings() if hand is None else hand.settings
+        self._track = None if hand is None else hand.track
+        self._id_of = {name: body_id for body_id, name in names.items()}
+        self._body_ids, self._breakable = body_ids, breakable
+        self._grip: Grip | None = None
+        self._holds = ""  # name of the body in the recorded hand
+        self._position, self._velocity = np.zeros((2, 3))
+
+    @property
+    def held(self) -> int | None:
+        """Id of the fragment in the hand."""
+        return None if self._grip is None else self._grip.fragment_id
+
+    def grab(self, name: str, position: np.ndarray, states: BodyStates) -> bool:
+        """Take hold of what is left of the body `name`, by its node nearest to `position` (3,) [m], world.
+
+        A box or a sphere is held by its centre. The hand is there from then on, until it is moved. False where none of
+        the body is among `states`; KeyError where no body has this name.
+        """
+        body_id, nearest, self._grip = self._id_of[name], np.inf, None
+        for i, fragment_id in enumerate(states.fragment_ids.tolist()):
+            if self._body_ids[fragment_id] != body_id:
+                continue
+            turn = Rotation.from_quat(states.frame_orientations[i]).inv()
+            at = turn.apply(position - states.frame_positions[i])
+            node, point = -1, turn.apply(states.centers[i] - states.frame_positions[i])
+            if body_id in self._breakable:
+                node, point = self._breakable[body_id].nearest_node(fragment_id, at)
+            distance = float(np.linalg.norm(point - at))
+            if distance < nearest:
+                self._grip, nearest = Grip(fragment_id, point, node), distance
+        self.move(position, np.zeros(3))
+        return self._grip is not None
+
+    def move(self, position: np.ndarray, velocity: np.ndarray) -> None:
+        """Where the hand is, (3,) [m], and how fast it moves, (3,) [m/s], for the next step; world."""
+        self._position, self._velocity = np.asarray(position, np.float64), np.asarray(velocity, np.float64)
+
+    def release(self) -> None:
+        """Let go of what is held, if anything is."""
+        self._grip = None
+
+    def keep_hold(self, body_id: int, fragment_id: int) -> None:
+        """The fragment has just broken: the hand keeps the piece that it holds."""
+        if self.held == fragment_id:
+            self._grip = self._grip._replace(fragment_id=self._breakable[body_id].owner(self._grip.node))
+
+    def pull(self, states: BodyStates, time: float, time_step: float) -> tuple[np.ndarray, float]:
+        """What the hand adds in the step at `time` [s]: to all velocities, (n, 6), and to the energy [J]."""
+        if self._track is not None:
+            self._follow(time, states)
+        pushes = np.zeros((len(states.fragment_ids), 6))
+        if self._grip is None:
+            return pushes, 0.0
+        i = int(np.searchsorted(states.fragment_ids, self._grip.fragment_id))
+        before = np.concatenate((states.linear[i], states.angular[i]))
+        turn = Rotation.from_quat(states.frame_orientations[i])
+        pushes[i] = kick(
+            self._settings, states.masses[i], states.inertias[i], states.centers[i], before,
+            turn.apply(self._grip.point) + states.frame_positions[i], self._position, self._velocity, time_step,
+        )  # fmt: skip
+        of_body = states.masses[i : i + 1], states.inertias[i : i + 1]
+        gain = kinetic_energy(*of_body, (before + pushes[i])[None]) - kinetic_energy(*of_body, before[None])
+        return pushes, gain
+
+    def _follow(self, time: float, states: BodyStates) -> None:
+        position, velocity, name = self._track.at(time)
+        if name != self._holds:
+            self.release()
+            # A body that does not take part yet is grabbed when it comes.
+            if not name or self.grab(name, position, states):
+                self._holds = name
+        self.move(position, velocity)

@@ -1,0 +1,84 @@
+"""Fields of a scene file, taken out one by one; every error is a SceneError that names the field."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+
+class SceneError(ValueError):
+    """A scene file says something that cannot be; the text begins with the field's path."""
+
+
+class Fields:
+    """A mapping whose fields are taken out one by one; what is left at the end is a slip of the pen."""
+
+    def __init__(self, content: Any, path: str) -> None:
+        if not isinstance(content, Mapping):
+            raise SceneError(f"{path or 'scene'}: needs fields, got {content!r}")
+        self._left = dict(content)
+        self._path = path
+
+    def name(self, key: str) -> str:
+        return f"{self._path}.{key}" if self._path else key
+
+    def take(self, key: str, default: Any = ...) -> Any:
+        if key in self._left:
+            return self._left.pop(key)
+        if default is ...:
+            raise SceneError(f"{self.name(key)}: missing")
+        return default
+
+    def number(self, key: str, default: Any = ..., minimum: float = -math.inf, above: float = -math.inf) -> float:
+        value = self.take(key, default)
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            raise SceneError(f"{self.name(key)}: needs a finite number, got {value!r}")
+        if value < minimum or value <= above:
+            limit = f"at least {minimum}" if value < minimum else f"more than {above}"
+            raise SceneError(f"{self.name(key)}: needs {limit}, got {value}")
+        return float(value)
+
+    def integer(self, key: str, default: Any = ..., minimum: int = 0) -> int:
+        value = self.take(key, default)
+        if isinstance(value, bool) or not isinstance(value, int) or value < minimum:
+            raise SceneError(f"{self.name(key)}: needs a whole number of at least {minimum}, got {value!r}")
+        return value
+
+    def vector(self, key: str, size: int, default: Any = ...) -> np.ndarray:
+        value = self.take(key, default)
+        if not isinstance(value, list | tuple) or len(value) != size:
+            raise SceneError(f"{self.name(key)}: needs {size} numbers, got {value!r}")
+        parts = Fields(dict(enumerate(value)), self.name(key))
+        return np.array([parts.number(i) for i in range(size)])
+
+    def mapping(self, key: str, default: Any = ...) -> Mapping:
+        value = self.take(key, default)
+        if not isinstance(value, Mapping):
+            raise SceneError(f"{self.name(key)}: needs fields, got {value!r}")
+        return value
+
+    def sequence(self, key: str) -> list:
+        value = self.take(key)
+        if not isinstance(value, list) or not value:
+            raise SceneError(f"{self.name(key)}: needs a list, got {value!r}")
+        return value
+
+    def keys(self) -> list[str]:
+        return list(self._left)
+
+    def finish(self) -> None:
+        for key in self._left:
+            raise SceneError(f"{self.name(str(key))}: unknown field")
+
+
+def numbers(fields: Fields, defaults: Any) -> Any:
+    """A NamedTuple of numbers, none of them negative, from fields of the same names."""
+    values = {
+        key: fields.integer(key, default) if isinstance(default, int) else fields.number(key, default, minimum=0.0)
+        for key, default in defaults._asdict().items()
+    }
+    fields.finish()
+    return type(defaults)(**values)
