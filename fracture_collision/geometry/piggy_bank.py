@@ -1,9 +1,9 @@
 """A hollow pig: the thin-walled body with ears, snout and legs of Glondu et al. 2014, Fig. 10, made without a mesher.
 
 Outside it is star-shaped: one radius for each direction from the middle, that of an ellipsoid with smooth bumps on it.
-Prisms over a geodesic sphere fill the wall between it and the hollow, a smaller ellipsoid. Of a prism's three tetrahedra
-over directions a, b, c each has the volume of det(a, b, c) / 6 times two radii and the difference of two along one ray:
-none is inside out, whatever the bumps.
+Prisms over a geodesic sphere fill the wall between it and the hollow, a smaller ellipsoid. Each of a prism's three
+tetrahedra over directions a, b, c has the volume of det(a, b, c) / 6 times two radii and the difference of two along
+one ray: none is inside out, whatever the bumps.
 """
 
 from __future__ import annotations

@@ -19,6 +19,7 @@ from fracture_collision.bag.reader import message_counts, read_messages, topic_d
 from fracture_collision.msg import FragmentMesh, FragmentRegistry
 from fracture_collision.ros.node_process import NodeProcess, chosen_domain_id
 from fracture_collision.ros.timing_files import SERVICE_COLUMNS, SIMULATOR_COLUMNS
+from fracture_collision.run_report import summaries
 
 # [s] for the recorder to take what is on its way when the simulator has ended.
 RECORDER_PATIENCE = 20.0
@@ -98,7 +99,7 @@ def run_scene(scene: str, seed: int | None, out: Path, on_progress: Callable[[Pr
 
 
 def make_report(service: np.ndarray, simulator: np.ndarray) -> dict[str, Any]:
-    """Lists of one number a step out of both nodes' timing files, and of each the median and the worst.
+    """Lists of one number a step out of both nodes' timing files, and of each median, average and worst.
 
     collision_ms: broad and narrow phase. update_ms: applying fracture events, in steps that brought some, else 0.
     solver_ms: contact solver. round_trip_ms: from states published to contacts received, less collision and update.
@@ -126,15 +127,9 @@ def make_report(service: np.ndarray, simulator: np.ndarray) -> dict[str, Any]:
     for name in ("time", "kinetic_energy", "potential_energy", "drift_energy", "max_speed", "deepest_gap"):
         columns[name] = report[name]
     integers = {name: report[name].astype(int).tolist() for name in ("step", "contacts", "fragments")}
-    each_step = ("collision_ms", "solver_ms", "round_trip_ms", "acknowledge_ms")
-    summary = {name: _median_and_worst(columns[name]) for name in each_step}
-    summary["update_ms"] = _median_and_worst(columns["update_ms"][broke])
-    summary["contacts"] = _median_and_worst(report["contacts"])
+    summarized = ("collision_ms", "solver_ms", "round_trip_ms", "acknowledge_ms", "update_ms")
+    summary = summaries({name: columns[name] for name in summarized} | {"contacts": report["contacts"]})
     return {"summary": summary, **integers, **{name: values.tolist() for name, values in columns.items()}}
-
-
-def _median_and_worst(values: np.ndarray) -> dict[str, float]:
-    return {"median": float(np.median(values)), "worst": float(np.max(values))} if len(values) else {}
 
 
 def _living_triangles(bag: Path) -> tuple[int, int]:

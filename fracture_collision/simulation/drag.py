@@ -73,7 +73,9 @@ class Drag:
         if self.held == fragment_id:
             self._grip = self._grip._replace(fragment_id=self._breakable[body_id].owner(self._grip.node))
 
-    def pull(self, states: BodyStates, time: float, time_step: float) -> tuple[np.ndarray, float]:
+    def pull(
+        self, states: BodyStates, time: float, time_step: float, gravity: np.ndarray
+    ) -> tuple[np.ndarray, float]:
         """What the hand adds in the step at `time` [s]: to all velocities, (n, 6), and to the energy [J]."""
         if self._track is not None:
             self._follow(time, states)
@@ -83,8 +85,10 @@ class Drag:
         i = int(np.searchsorted(states.fragment_ids, self._grip.fragment_id))
         before = np.concatenate((states.linear[i], states.angular[i]))
         turn = Rotation.from_quat(states.frame_orientations[i])
+        # The spring reckons with the weight of this step, or what hangs from it would hang too low.
+        falling = before + np.concatenate((time_step * gravity, np.zeros(3)))
         pushes[i] = kick(
-            self._settings, states.masses[i], states.inertias[i], states.centers[i], before,
+            self._settings, states.masses[i], states.inertias[i], states.centers[i], falling,
             turn.apply(self._grip.point) + states.frame_positions[i], self._position, self._velocity, time_step,
         )  # fmt: skip
         of_body = states.masses[i : i + 1], states.inertias[i : i + 1]

@@ -62,7 +62,7 @@ class StepReport(NamedTuple):
     contacts: int  # that the service listed
     fragments: int  # that can move and take part
     solver_seconds: float  # wall time of the contact solver
-    fracture_seconds: float  # wall time of making the patterns
+    fracture_seconds: float  # wall time of making the patterns; 0 where nothing was hit hard enough
     kinetic_energy: float  # [J] at the end of the step
     potential_energy: float  # [J] in the scene's gravity, relative to the world's origin
     drift_energy: float  # [J] potential energy that this step's drift correction put in by lifting bodies
@@ -163,7 +163,7 @@ class Simulation:
             contacts, self._asked, self._memory, self._scene.solver.memory_reach
         )
         pairs = self._body_pairs(contacts, states)
-        pushes, hand_energy = self.drag.pull(states, self.time, self._scene.time_step)
+        pushes, hand_energy = self.drag.pull(states, self.time, self._scene.time_step, self._scene.gravity)
         bodies = self._rigid_bodies(states, pushes)
         solution, overloaded = self._solve(bodies, contacts, pairs)
         solver_seconds = time.perf_counter() - started
@@ -191,7 +191,7 @@ class Simulation:
             contacts=listed,
             fragments=len(moved.fragment_ids),
             solver_seconds=solver_seconds,
-            fracture_seconds=time.perf_counter() - started,
+            fracture_seconds=time.perf_counter() - started if len(overloaded) else 0.0,
             kinetic_energy=energy,
             potential_energy=-float(moved.masses @ (moved.centers @ self._scene.gravity)),
             drift_energy=lifted,

@@ -21,15 +21,24 @@ GAP = 8  # [px] between frames
 def render_film_strip(
     bag_dir: Path | str, png_path: Path | str, frames: int = 6, width: int = 480, height: int = 360, samples: int = 6
 ) -> None:
-    """Render `frames` moments of the last run in a bag into one picture, three a row, each with its simulated time.
+    """`draw_film_strip` of the last run in a bag.
 
     bag_dir: a rosbag2 folder (MCAP), or one .mcap file, with the topics bodies, fracture_events, fragment_states and
-    fragment_meshes under any namespace. The first moment is the first state, the last the last; those between crowd
-    where things break. `width` and `height` [px] are one frame's. Raises BagError where something is missing.
+    fragment_meshes under any namespace. Raises BagError where something is missing.
+    """
+    draw_film_strip(read_run(Path(bag_dir)), png_path, frames, width, height, samples)
+
+
+def draw_film_strip(
+    run: RecordedRun, png_path: Path | str, frames: int = 6, width: int = 480, height: int = 360, samples: int = 6
+) -> None:
+    """Render `frames` moments of a run into one picture, three a row, each with its simulated time.
+
+    The first moment is the first state, the last the last; those between crowd where things break. `width` and `height`
+    [px] are one frame's.
     """
     if frames < 1:
         raise ValueError(f"frames: {frames} is not at least 1")
-    run = read_run(Path(bag_dir))
     scene = RunScene(run)
     moments = chosen_moments(run, frames)
     camera = _camera(scene, moments, width / height)
@@ -58,10 +67,10 @@ def chosen_moments(run: RecordedRun, count: int) -> list[RecordedStates]:
 
 def _camera(scene: RunScene, moments: list[RecordedStates], aspect: float) -> Camera:
     """From where the thrown bodies come, a little to the side and above, far enough to see nearly all that moves."""
-    centres = np.concatenate([scene.centres(states) for states in moments])
-    if not len(centres):
-        centres = np.concatenate([scene.centres(states, movable_only=False) for states in moments])
-    low, high = np.percentile(centres, [6.0, 97.0], axis=0)
+    centres = [scene.centres(states) for states in moments]
+    if not any(map(len, centres)):
+        centres = [scene.centres(states, movable_only=False) for states in moments]
+    low, high = _spread(centres, 0.06), _spread(centres, 0.97)
     target = 0.5 * (low + high)
     front = _front(scene, moments)
     turn, rise = math.radians(24.0), math.radians(17.0)
@@ -80,6 +89,20 @@ def _camera(scene: RunScene, moments: list[RecordedStates], aspect: float) -> Ca
     # What falls is watched falling: the action goes above the middle.
     target = target - 0.2 * slope * distance * up
     return Camera(target + distance * back, target, OPENING)
+
+
+def _spread(centres: list[np.ndarray], share: float) -> np.ndarray:
+    """(3,) the coordinates below which this share lies, each moment of the same weight: one body counts as its shards
+    do later.
+    """
+    points = np.concatenate(centres)
+    weights = np.concatenate([np.full(len(group), 1.0 / max(len(group), 1)) for group in centres])
+    result = np.empty(3)
+    for axis in range(3):
+        order = np.argsort(points[:, axis], kind="stable")
+        below = np.cumsum(weights[order]) - 0.5 * weights[order]
+        result[axis] = np.interp(share * weights.sum(), below, points[order, axis])
+    return result
 
 
 def _front(scene: RunScene, moments: list[RecordedStates]) -> np.ndarray:

@@ -8,8 +8,12 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-CURVES = (
+# Drawn where the report has them: a run in one process has no round trip, one over ROS no total.
+OPTIONAL_CURVES = (
     ("round_trip_ms", "ROS round trip", "#7f7f7f"),
+    ("total_ms", "whole step", "#17becf"),
+)
+CURVES = (
     ("collision_ms", "collision", "#1f77b4"),
     ("solver_ms", "contact solver", "#d62728"),
 )
@@ -19,14 +23,15 @@ SMALLEST_MS = 1e-3  # a logarithmic axis has no zero; nothing measured here is s
 
 
 def plot_times(report: Mapping[str, Sequence[float]], png_path: Path | str) -> None:
-    """Plot per-step lists of equal length: time [s], contacts, fragments, collision_ms, update_ms, solver_ms,
-    round_trip_ms.
+    """Plot per-step lists of equal length: time [s], contacts, fragments, collision_ms, update_ms, solver_ms, and those
+    of OPTIONAL_CURVES that the report has.
 
     Milliseconds a step on a logarithmic axis above (each step pale, the running median bold; the updates at fractures
     as dots: most steps have none), contacts and fragments below. Raises ValueError where a list is missing or the
     lengths differ.
     """
-    names = ("time", *(name for name, _, _ in (*CURVES, *COUNTS)), "update_ms")
+    curves = [curve for curve in OPTIONAL_CURVES if curve[0] in report] + list(CURVES)
+    names = ("time", *(name for name, _, _ in (*curves, *COUNTS)), "update_ms")
     missing = [name for name in names if name not in report]
     if missing:
         raise ValueError(f"report: lacks {', '.join(missing)}")
@@ -38,7 +43,7 @@ def plot_times(report: Mapping[str, Sequence[float]], png_path: Path | str) -> N
     figure = Figure(figsize=(10, 6.4), dpi=120, layout="constrained")
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
     time = series["time"]
-    for name, label, colour in CURVES:
+    for name, label, colour in curves:
         values = np.maximum(series[name], SMALLEST_MS)
         above.plot(time, values, color=colour, linewidth=0.7, alpha=0.3)
         above.plot(time, _running_median(values), color=colour, linewidth=1.6, label=f"{label}: {_summary(values)}")

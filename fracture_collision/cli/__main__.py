@@ -1,0 +1,4 @@
+from fracture_collision.cli import main
+
+if __name__ == "__main__":
+    main()

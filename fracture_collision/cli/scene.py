@@ -1,0 +1,159 @@
+"""`fracture-collision scene`: a scene in one process, and the paper's tables of it."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+from rich.console import Console
+
+from fracture_collision.cli.console import (
+    INTERRUPTED,
+    ProgressBar,
+    beside_paper,
+    figures_table,
+    interrupt_on_signals,
+)
+from fracture_collision.run_report import statistics_table, times_table
+
+EXAMPLES = """\b
+Examples:
+  fracture-collision scene drop_bunnies
+  fracture-collision scene bricks --seed 3 --curvature 0.25   other cracks, curved ones
+  fracture-collision scene plates --settings contacts_per_pair=6,tree=plain
+  fracture-collision scene piggy_bank --count-colliding       what contacts are chosen from
+  fracture-collision scene reference_sphere:coarse_inside     a variant that the file describes
+  fracture-collision scene my.yaml --steps 200 --no-pictures  a scene of your own, not to its end
+"""
+
+RESULTS = ("report.json", "steps.csv", "times.png", "film_strip.png")
+
+
+@click.command(epilog=EXAMPLES)
+@click.argument("name")
+@click.option(
+    "--out", type=click.Path(file_okay=False, path_type=Path), help="Folder for the results.  [default: out/NAME]"
+)
+@click.option("--seed", type=click.IntRange(min=0), help="Of the fracture patterns.  [default: the scene's own]")
+@click.option("--curvature", type=click.FloatRange(min=0.0), help="Of all cracks: 0 flat, 0.25 as in porcelain.")
+@click.option(
+    "--settings", multiple=True, metavar="NAME=VALUE[,...]",
+    help="Of the collision service, as in config/collision.yaml; may be given several times.",
+)  # fmt: skip
+@click.option(
+    "--threads", type=click.IntRange(min=0), default=1, show_default=True,
+    help="Of the collision service; 0: one a core. The paper's times are of one core.",
+)  # fmt: skip
+@click.option("--steps", type=click.IntRange(min=1), help="Stop after so many.  [default: the scene's duration]")
+@click.option("--count-colliding", is_flag=True, help="Count all colliding points, by a second, untimed query a step.")
+@click.option("--pictures/--no-pictures", default=True, help="Draw times.png and film_strip.png.  [default: pictures]")
+def scene(
+    name: str,
+    out: Path | None,
+    seed: int | None,
+    curvature: float | None,
+    settings: tuple[str, ...],
+    threads: int,
+    steps: int | None,
+    count_colliding: bool,
+    pictures: bool,
+) -> None:
+    """Run the scene NAME without ROS and report what each step took.
+
+    NAME is one that `scenes` lists, NAME:VARIANT, or a scene file. Simulator and service run in this process, in turn.
+    Prints sizes, statistics and times as Tables 1 to 3 of Glondu et al. 2014 do, beside the paper's own figures where
+    its text has them, and leaves in the folder OUT:
+
+    \b
+      report.json      all figures
+      steps.csv        those of each step, a row each
+      times.png        what each step took
+      film_strip.png   the run in pictures
+    """
+    # Imported late: --help should not wait for numba and matplotlib.
+    from fracture_collision.scene_run import SceneRun
+    from fracture_collision.simulation.scene import SceneError, load_scene
+    from fracture_collision.simulation.scene_changes import with_curvature
+    from fracture_collision.world.settings import check_settings
+
+    interrupt_on_signals()
+    console = Console()
+    try:
+        chosen = parse_settings(settings)._replace(threads=threads)
+        check_settings(chosen)
+        what = load_scene(name)
+        if curvature is not None:
+            what = with_curvature(what, curvature)
+        if steps is not None:
+            what = what._replace(duration=min(steps, what.step_count) * what.time_step)
+        out = Path("out", what.name.replace(":", "_")) if out is None else out
+        out.mkdir(parents=True, exist_ok=True)
+        for file in RESULTS:  # of an earlier run
+            (out / file).unlink(missing_ok=True)
+    except (SceneError, ValueError, OSError) as error:
+        raise click.ClickException(str(error)) from error
+    run = None
+    try:
+        with ProgressBar(console) as bar:
+            bar.show(0, 0, 0.0, 0, 0, "bringing kernels into memory; after a change of the sources this takes minutes")
+            run = SceneRun(what, chosen, seed, count_colliding)
+            with run:
+                for row in run:
+                    bar.show(row.step + 1, what.step_count, row.time, row.fragments, row.contacts)
+        left = _leave(run, out, pictures, console)
+    except KeyboardInterrupt:
+        done = 0 if run is None else len(run.rows)
+        words = f"stopped after {done} of {what.step_count} steps"
+        if done and done < what.step_count:
+            _leave(run, out, False, console)
+            words += f"; {out / 'report.json'} and {out / 'steps.csv'} are of those"
+        console.print(words, highlight=False, soft_wrap=True)
+        sys.exit(INTERRUPTED)
+    for file in left:
+        console.print(f"  {file}", highlight=False)
+
+
+def parse_settings(assignments: tuple[str, ...]) -> Any:
+    """The service's settings with NAME=VALUE, several by commas; ValueError names what is wrong."""
+    from fracture_collision.world import Settings
+
+    settings = Settings()
+    for assignment in ",".join(assignments).split(",") if assignments else ():
+        name, equals, value = (part.strip() for part in assignment.partition("="))
+        if not equals or name not in Settings._fields:
+            raise ValueError(f"--settings {assignment}: needs NAME=VALUE, of {', '.join(Settings._fields)}")
+        kind = type(getattr(settings, name))
+        try:
+            settings = settings._replace(**{name: kind(value)})
+        except ValueError as error:
+            raise ValueError(f"--settings {name}: {value!r} is no {kind.__name__}") from error
+    return settings
+
+
+def _leave(run: Any, out: Path, pictures: bool, console: Console) -> list[Path]:
+    """Prints the tables, writes the files; returns their paths."""
+    report = run.report()
+    left = [out / file for file in (RESULTS if pictures else RESULTS[:2])]
+    left[0].write_text(json.dumps(report, indent=1))
+    run.write_steps(left[1])
+    sizes = [[str(value) for value in size.values()] for size in report["sizes"]]
+    columns = ("bodies", "triangles", "tetrahedra", "points", "of these inside")
+    console.print(figures_table(f"{report['scene']}: sizes", columns, sizes))
+    console.print(beside_paper("statistics", statistics_table(report)))
+    title = f"{len(report['step'])} steps in {report['seconds']:.1f} s; milliseconds a step"
+    console.print(beside_paper(title, times_table(report)))
+    deepest, fastest = -1e3 * np.minimum(report["deepest_gap"], 0.0), 1e3 * report["max_speed"][-1]
+    words = f"penetration: worst {deepest.max():.2f} mm, {deepest[-1]:.3f} mm at the end; fastest at the end "
+    console.print(f"{words}{fastest:.2f} mm/s", highlight=False, soft_wrap=True)
+    if pictures:
+        from fracture_collision.viewer.film_strip import draw_film_strip
+        from fracture_collision.viewer.times_plot import plot_times
+
+        with console.status("drawing pictures"):
+            plot_times(report, left[2])
+            draw_film_strip(run.film, left[3])
+    return left

@@ -1,0 +1,82 @@
+"""`fracture-collision smash`: a scene over ROS 2."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.console import Console
+from rich.table import Table
+
+from fracture_collision.cli.console import INTERRUPTED, ProgressBar, figures_table, interrupt_on_signals
+
+
+@click.command()
+@click.option("--scene", default="plates", show_default=True, help="A name that `scenes` lists, or a scene file.")
+@click.option(
+    "--out", type=click.Path(file_okay=False, path_type=Path), default=Path("out/smash"), show_default=True,
+    help="Folder for the results; those of an earlier run are replaced.",
+)  # fmt: skip
+@click.option("--seed", type=click.IntRange(min=0), help="Of the fracture patterns.  [default: the scene's own]")
+def smash(scene: str, out: Path, seed: int | None) -> None:
+    """Run a scene over ROS 2 and record it.
+
+    Starts collision_node, simulator_node and a recorder as processes that talk over DDS on this machine alone, and
+    leaves in the folder OUT:
+
+    \b
+      bag/             all topics, rosbag2 layout with MCAP: for Foxglove, rosbags, `ros2 bag`
+      film_strip.png   the run in pictures
+      times.png        what each step took
+      report.json      the same as numbers
+      logs/            what the nodes said
+    """
+    # Imported late: --help should not wait for ROS, numba and matplotlib.
+    from fracture_collision.ros.smash_run import RunFailed, run_scene
+    from fracture_collision.viewer.film_strip import render_film_strip
+    from fracture_collision.viewer.times_plot import plot_times
+
+    interrupt_on_signals()
+    console = Console()
+    try:
+        with ProgressBar(console) as bar:
+            report = run_scene(scene, seed, out, lambda at: bar.show(*at))
+        (out / "report.json").write_text(json.dumps(report, indent=1))
+        console.print(_table(report))
+        with console.status("drawing pictures"):
+            plot_times(report, out / "times.png")
+            render_film_strip(out / "bag", out / "film_strip.png")
+    except RunFailed as error:
+        raise click.ClickException(str(error)) from error
+    except KeyboardInterrupt:
+        console.print("stopped; all nodes have ended")
+        sys.exit(INTERRUPTED)
+    for name in ("film_strip.png", "times.png", "report.json", "bag"):
+        console.print(f"  {out / name}", highlight=False)
+
+
+def _table(report: dict[str, Any]) -> Table:
+    summary = report["summary"]
+    rows = [
+        ("fragments at the end", f"{report['living_fragments']}", ""),
+        ("triangles of their surfaces", f"{report['triangles']}", ""),
+        ("contacts a step", *(f"{summary['contacts'][name]:.0f}" for name in ("median", "worst"))),
+    ]
+    for name, words in (
+        ("collision_ms", "collision"),
+        ("solver_ms", "contact solver"),
+        ("update_ms", "update at a fracture"),
+        ("round_trip_ms", "ROS round trip beyond those"),
+        ("acknowledge_ms", "wait for the recorder"),
+    ):
+        values = summary[name]
+        rows.append((f"{words}, ms", *(f"{values[at]:.2f}" if values else "-" for at in ("median", "worst"))))
+    title = f"{report['scene']}: {len(report['step'])} steps in {report['seconds']:.1f} s"
+    rows += [
+        ("fastest at the end, mm/s", "", f"{1e3 * report['max_speed'][-1]:.3f}"),
+        ("deepest at the end, mm", "", f"{max(-1e3 * report['deepest_gap'][-1], 0.0):.3f}"),
+    ]
+    return figures_table(title, ("median", "worst"), rows)

@@ -1,0 +1,95 @@
+"""What a run's figures come to: average, median and worst, and the tables that Glondu et al. 2014 report a run by.
+
+`PAPER` holds what the paper's text and captions say; the cells of its Tables 1 to 3 are pictures. Its times are of one
+core of a Core i7-2600 at 3.4 GHz: a mark to stay below, no comparison of code.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+# Of each scene: figures by name, as average and worst where there are two. Times in milliseconds a step.
+PAPER: dict[str, dict[str, tuple[float | None, float | None]]] = {
+    "plates": {"total_ms": (7.4, 13.2), "triangles_after": (45_000, None)},  # Fig. 1
+    "bunnies": {"total_ms": (2.0, 10.0)},  # Fig. 9
+    "drop_bunnies": {
+        "total_ms": (24.5, 81.5), "fragments": (166, None), "triangles_after": (435_000, None),  # Fig. 13
+        "contacts": (866, 2393),  # 7.4
+    },
+    "bricks": {"total_ms": (11.7, 29.5), "fragments": (156, None), "triangles_after": (40_000, None)},  # Fig. 14
+    "reference_sphere": {"update_ms": (1.54, None), "collision_ms": (1.16, 3.27)},  # 7.2
+    "reference_sphere:fine_surface": {"update_ms": (1.8, None), "collision_ms": (1.37, 4.17)},
+    "reference_sphere:coarse_inside": {"update_ms": (0.46, None), "collision_ms": (0.68, 2.26)},
+}  # fmt: skip
+
+# Measured only in the steps that have them: most have no fracture.
+AT_FRACTURES = ("update_ms", "fracture_ms")
+
+STATISTICS = (
+    ("triangles_before", "triangles before"),
+    ("triangles_after", "triangles after"),
+    ("fragments", "fragments at the end"),
+    ("contacts", "contacts a step"),
+    ("colliding_points", "colliding points a step"),
+    ("pairs", "close pairs a step"),
+)
+TIMES = (
+    ("time_step_ms", "time step"),
+    ("total_ms", "whole step"),
+    ("collision_ms", "collision detection"),
+    ("physics_ms", "physics"),
+    ("update_ms", "update, at fractures"),
+    ("fracture_ms", "fracture computation"),
+)
+
+
+class TableRow(NamedTuple):
+    words: str
+    average: float | None  # or the one figure there is; None: not measured
+    worst: float | None
+    paper_average: float | None  # None: the text does not say
+    paper_worst: float | None
+
+
+def summary_of(values: Sequence[float] | np.ndarray) -> dict[str, float]:
+    """Median, average and worst; empty where there are no values."""
+    if not len(values):
+        return {}
+    return {"median": float(np.median(values)), "average": float(np.mean(values)), "worst": float(np.max(values))}
+
+
+def summaries(columns: Mapping[str, Sequence[float]]) -> dict[str, dict[str, float]]:
+    """`summary_of` each column; of AT_FRACTURES, of the steps in which they are not 0."""
+    result = {}
+    for name, column in columns.items():
+        values = np.asarray(column, dtype=np.float64)
+        result[name] = summary_of(values[values > 0.0] if name in AT_FRACTURES else values)
+    return result
+
+
+def statistics_table(report: Mapping[str, Any]) -> list[TableRow]:
+    """Table 2 of the paper, from the report that `scene_run` makes."""
+    return _table(report, STATISTICS)
+
+
+def times_table(report: Mapping[str, Any]) -> list[TableRow]:
+    """Table 3 of the paper, in milliseconds, from the report that `scene_run` makes."""
+    return _table(report, TIMES)
+
+
+def _table(report: Mapping[str, Any], rows: Sequence[tuple[str, str]]) -> list[TableRow]:
+    paper = PAPER.get(report["scene"], {})
+    result = []
+    for name, words in rows:
+        if name in report["summary"]:
+            own = report["summary"][name]
+            ours = own.get("average"), own.get("worst")
+        elif name in report["totals"]:
+            ours = report["totals"][name], None
+        else:
+            continue
+        result.append(TableRow(words, *ours, *paper.get(name, (None, None))))
+    return result

@@ -1,0 +1,48 @@
+"""What a run's figures come to, and the paper's tables of it."""
+
+from __future__ import annotations
+
+import pytest
+
+from fracture_collision.run_report import PAPER, statistics_table, summaries, summary_of, times_table
+from fracture_collision.simulation.scene import load_scene
+
+REPORT = {
+    "scene": "bricks",
+    "totals": {"time_step_ms": 2.5, "triangles_before": 100, "triangles_after": 900, "fragments": 12},
+    "summary": {
+        "contacts": {"median": 5.0, "average": 6.0, "worst": 9.0},
+        "total_ms": {"median": 1.0, "average": 2.0, "worst": 3.0},
+        "update_ms": {},
+    },
+}
+
+
+def test_summary_of():
+    assert summary_of([1.0, 2.0, 6.0]) == {"median": 2.0, "average": 3.0, "worst": 6.0}
+    assert summary_of([]) == {}
+
+
+def test_updates_count_only_where_there_were_any():
+    found = summaries({"update_ms": [0.0, 4.0, 0.0, 2.0], "collision_ms": [0.0, 4.0, 0.0, 2.0]})
+    assert (found["update_ms"]["average"], found["collision_ms"]["average"]) == (3.0, 1.5)
+    assert summaries({"fracture_ms": [0.0, 0.0]}) == {"fracture_ms": {}}
+
+
+def test_tables_put_the_paper_beside_where_it_says_something():
+    statistics = {row.words: row[1:] for row in statistics_table(REPORT)}
+    assert statistics["fragments at the end"] == (12, None, 156, None)
+    assert statistics["triangles after"] == (900, None, 40_000, None)
+    assert statistics["contacts a step"] == (6.0, 9.0, None, None)
+    times = {row.words: row[1:] for row in times_table(REPORT)}
+    assert times["whole step"] == (2.0, 3.0, 11.7, 29.5)
+    assert times["time step"] == (2.5, None, None, None)
+    assert times["update, at fractures"] == (None, None, None, None)
+    assert "colliding points a step" not in statistics and "physics" not in times
+    own = times_table(REPORT | {"scene": "mine"})
+    assert all(row.paper_average is None and row.paper_worst is None for row in own)
+
+
+@pytest.mark.parametrize("name", sorted(PAPER))
+def test_every_scene_with_a_figure_in_the_paper_is_there(name):
+    assert load_scene(name).name == name

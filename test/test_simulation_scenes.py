@@ -1,0 +1,186 @@
+"""The scenes that come with the package: each loads, breaks where it should, gains no energy, and comes to rest."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from fracture_collision.lockstep import Lockstep
+from fracture_collision.simulation.scene import Scene, SceneError, load_scene, parse_scene, scene_files
+from fracture_collision.simulation.scene_changes import random_drop, with_curvature
+from fracture_collision.simulation.simulation import StepReport
+from fracture_collision.world import Settings
+
+NAMES = [file.path.stem for file in scene_files()]
+
+
+class Expected(NamedTuple):
+    steps: int  # until the first bodies have broken
+    fragments: tuple[int, int]  # that move in the end, at least and at most
+    deepest: float  # [m] that anything ever enters: what falls in a step, about
+    bodies: int  # that can break
+
+
+SCENES = {
+    "piggy_bank": Expected(60, (15, 120), 0.02, 1),
+    "drop_bunnies": Expected(50, (110, 250), 0.04, 27),
+    "bricks": Expected(70, (110, 220), 0.02, 32),
+    "bunnies": Expected(660, (20, 90), 0.02, 5),
+    "reference_sphere": Expected(30, (8, 40), 0.015, 1),
+}
+
+
+def run(scene: Scene, steps: int) -> list[StepReport]:
+    """Reports of the first steps; asserts at each that energy comes from drift correction or a hand, or not at all."""
+    with Lockstep(scene._replace(duration=steps * scene.time_step), Settings(threads=1)) as lockstep:
+        reports = [exchange.report for exchange in lockstep]
+    energy = np.array([report.kinetic_energy + report.potential_energy for report in reports])
+    assert np.isfinite(energy).all()
+    given = np.array([report.drift_energy + report.hand_energy for report in reports])
+    # a body that comes late brings its energy along
+    same = np.diff([report.fragments for report in reports]) == 0
+    rise = (np.diff(energy) - given[1:])[same]
+    assert rise.max(initial=0.0) <= 2e-5 * np.abs(energy).max()
+    return reports
+
+
+def test_all_that_the_paper_shows_is_there():
+    assert {*SCENES, "plates", "rolling_plate", "plate_in_bowl"} <= set(NAMES)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_it_loads_and_bodies_of_equal_shape_share_one_mesh(name):
+    scene = load_scene(name)
+    assert scene.name == name and scene.step_count > 10
+    meshes = [body.shape.mesh for body in scene.bodies if body.shape.mesh is not None]
+    assert len({mesh.vertices.tobytes() for mesh in meshes}) == len({id(mesh) for mesh in meshes})
+    if name in SCENES:
+        breakable = [b for b in scene.bodies if b.material.fracture is not None and b.shape.mesh is not None]
+        assert len(breakable) == SCENES[name].bodies
+
+
+@pytest.mark.parametrize("name", sorted(SCENES))
+def test_it_breaks_without_gaining_energy(name):
+    expected, scene = SCENES[name], load_scene(name)
+    reports = run(scene, expected.steps)
+    events = [event for report in reports for event in report.events]
+    assert events and reports[-1].fragments > reports[0].fragments
+    assert min(report.deepest_gap for report in reports) > -expected.deepest
+    assert reports[0].fragments <= expected.bodies
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize("curvature", [0.0, 0.25])
+@pytest.mark.parametrize("name", sorted(SCENES))
+def test_to_the_end(name, curvature):
+    expected, scene = SCENES[name], with_curvature(load_scene(name), curvature)
+    reports = run(scene, scene.step_count)
+    at_least, at_most = expected.fragments
+    assert at_least <= reports[-1].fragments <= at_most
+    assert min(report.deepest_gap for report in reports) > -expected.deepest
+    assert sum(report.drift_energy for report in reports) < 0.1 * max(report.kinetic_energy for report in reports)
+    # at rest, and out of each other again
+    assert np.median([report.max_speed for report in reports[-40:]]) < 0.02
+    assert reports[-1].deepest_gap > -1e-3
+
+
+@pytest.mark.parametrize(("variant", "triangles", "inside"), [
+    ("", 2420, 4000), (":fine_surface", 9680, 4000), (":coarse_inside", 2420, 435),
+])  # fmt: skip
+def test_the_reference_sphere_in_the_samplings_of_the_paper(variant, triangles, inside):
+    scene = load_scene("reference_sphere" + variant)
+    assert scene.name == "reference_sphere" + variant
+    (mesh,) = [body.shape.mesh for body in scene.bodies if body.shape.mesh is not None]
+    on_surface = np.isclose(np.linalg.norm(mesh.vertices, axis=1), 0.1, rtol=1e-9)
+    assert 2 * (np.count_nonzero(on_surface) - 2) == triangles
+    assert np.count_nonzero(~on_surface) == pytest.approx(inside, rel=0.02)
+
+
+def test_a_plate_comes_to_rest_in_the_bowl():
+    scene = load_scene("plate_in_bowl")
+    reports = run(scene, 300)
+    assert not any(report.events for report in reports)
+    assert reports[-1].contacts > 0 and reports[-1].max_speed < 0.1
+    assert -1e-3 < reports[-1].deepest_gap
+    assert 0.0 < reports[-1].potential_energy < 0.3 * reports[0].potential_energy
+
+
+def test_random_drops_go_by_their_seed_and_stay_in_the_bowl():
+    scene = load_scene("plate_in_bowl")
+    one, again, other = (random_drop(scene, seed) for seed in (1, 1, 2))
+    assert one.bodies[1].orientation.tolist() == again.bodies[1].orientation.tolist()
+    assert one.bodies[1].angular_velocity.tolist() == again.bodies[1].angular_velocity.tolist()
+    assert one.bodies[1].orientation.tolist() != other.bodies[1].orientation.tolist()
+    assert one.bodies[0] is scene.bodies[0]
+    assert all(random_drop(scene, seed).bodies[1].linear_velocity[2] <= 0.0 for seed in range(20))
+    turns = Rotation.from_quat([random_drop(scene, seed).bodies[1].orientation for seed in range(200)])
+    assert np.abs(turns.apply([0.0, 0.0, 1.0]).mean(axis=0)).max() < 0.15
+    for seed in range(3):
+        with Lockstep(random_drop(scene, seed), Settings(threads=1)) as lockstep:
+            for _ in range(240):
+                exchange = lockstep.step()
+        x, y, z = exchange.states.positions.reshape(-1, 3)[1]
+        assert np.hypot(x, y) < 0.18 and 0.0 < z < 0.3
+
+
+def test_curvature_switches_all_cracks():
+    scene = load_scene("plates")
+    for curvature in (0.0, 0.4):
+        changed = with_curvature(scene, curvature)
+        found = {b.material.fracture.pattern.curvature for b in changed.bodies if b.material.fracture is not None}
+        assert found == {curvature}
+    with pytest.raises(ValueError, match="curvature: -1"):
+        with_curvature(scene, -1.0)
+
+
+def test_flat_cracks_have_one_plane_between_two_pieces_curved_ones_many():
+    flat, curved = (with_curvature(load_scene("reference_sphere"), c) for c in (0.0, 0.3))
+    planes = []
+    for scene in (flat, curved):
+        (event,) = [event for report in run(scene, 30) for event in report.events]
+        planes.append(len(np.unique(np.round(event.cut_planes.reshape(-1, 4), 9), axis=0)) / len(event.cut_planes) * 4)
+    assert planes[0] < 0.2 < 0.8 < planes[1]
+
+
+CONTENT = {
+    "time_step": 0.01, "duration": 1.0, "materials": {"stone": {"density": 2000.0, "friction": 0.5}},
+    "bodies": [{"name": "stone", "material": "stone", "shape": {"sphere": {"radius": 0.1}}, "position": [0, 0, 1]}],
+    "variants": {
+        "late": {"bodies": {"stone": {"start_time": 0.5}}, "duration": 2.0},
+        "unknown": {"bodies": {"pebble": {}}},
+        "odd": {"bodies": {"stone": {"shape": {"cone": {}}}}},
+    },
+}  # fmt: skip
+
+
+def test_a_variant_changes_what_it_names_and_nothing_else():
+    plain, late = parse_scene(CONTENT, "own"), parse_scene(CONTENT, "own", "late")
+    assert (late.name, late.duration, late.bodies[0].start_time) == ("own:late", 2.0, 0.5)
+    assert (plain.duration, plain.bodies[0].start_time) == (1.0, 0.0)
+    assert late.bodies[0].position.tolist() == [0.0, 0.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("variant", "words"),
+    [
+        ("early", "own: has no variant 'early'; there is late, unknown, odd"),
+        ("unknown", "variants.unknown.bodies: no body 'pebble'"),
+        ("odd", r"bodies\[0\].shape: needs just one of"),
+    ],
+)
+def test_errors_of_variants(variant, words):
+    with pytest.raises(SceneError, match=words):
+        parse_scene(CONTENT, "own", variant)
+    with pytest.raises(SceneError, match="no scene 'nowhere:late'"):
+        load_scene("nowhere:late")
+
+
+@pytest.mark.parametrize("file", scene_files(), ids=lambda file: file.path.stem)
+def test_every_variant_loads(file):
+    assert file.title.endswith((".", ":", ").")) or file.title
+    for variant in file.variants:
+        assert load_scene(f"{file.path.stem}:{variant}").name.endswith(variant)
