@@ -14,7 +14,7 @@ def smash(scene):
     """All reports, all answers' bytes, the last states and contacts."""
     reports, answers = [], []
     with Lockstep(scene) as run:
-        for states, contacts, _, report in run:
+        for states, contacts, _, report, _ in run:
             parts = (contacts.gaps, contacts.normals, contacts.contact_ids, states.positions)
             answers.append(b"".join(part.tobytes() for part in parts))
             reports.append(report)

@@ -70,7 +70,8 @@ def _camera(scene: RunScene, moments: list[RecordedStates], aspect: float) -> Ca
     centres = [scene.centres(states) for states in moments]
     if not any(map(len, centres)):
         centres = [scene.centres(states, movable_only=False) for states in moments]
-    low, high = _spread(centres, 0.06), _spread(centres, 0.97)
+    radius = scene.radius(moments[0])
+    low, high = _spread(centres, 0.06) - radius, _spread(centres, 0.97) + radius
     target = 0.5 * (low + high)
     front = _front(scene, moments)
     turn, rise = math.radians(24.0), math.radians(17.0)
@@ -82,7 +83,7 @@ def _camera(scene: RunScene, moments: list[RecordedStates], aspect: float) -> Ca
     up = np.cross(back, right)
     corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
     offset = corners - target
-    margin = 1.15
+    margin = 1.05
     slope = math.tan(0.5 * OPENING)
     reach = np.maximum(np.abs(offset @ up) / slope, np.abs(offset @ right) / (slope * aspect))
     distance = max(float(np.max(margin * reach + offset @ back)), 0.5)

@@ -81,6 +81,11 @@ class RunScene:
             ]
         ).reshape(-1, 3)
 
+    def radius(self, states: RecordedStates) -> float:
+        """Half the longest side of the box of the median body that can move [m]; 0 where none can."""
+        meshes = [self.mesh(f) for f, *_ in self._poses(states) if not self._body(f).is_static]
+        return float(np.median([0.5 * np.ptp(mesh.triangles, axis=(0, 1)).max() for mesh in meshes] or [0.0]))
+
     def is_breakable(self, fragment_id: int) -> bool:
         return self.run.body_of[fragment_id] in self._family
 
