@@ -1,4 +1,4 @@
-"""`fracture-collision scene`: a report, a CSV, pictures, the paper's tables; clean words when stopped or asked nonsense."""
+"""`fracture-collision scene`: a report, a CSV, pictures, tables; clean words when it is stopped or asked nonsense."""
 
 from __future__ import annotations
 
@@ -168,7 +168,8 @@ def test_stopped_in_the_middle_it_says_so_and_keeps_what_was_done(tmp_path: Path
     with said.open("w") as stream:
         process = subprocess.Popen(
             [sys.executable, "-m", "fracture_collision.cli", "scene", str(scene), "--out", str(out)],
-            stdout=stream, stderr=stream, start_new_session=True, env=os.environ | {"COLUMNS": "120", "FORCE_COLOR": "1"},
+            stdout=stream, stderr=stream, start_new_session=True,
+            env=os.environ | {"COLUMNS": "120", "FORCE_COLOR": "1"},  # the bar is drawn for terminals only
         )  # fmt: skip
         try:
             deadline = time.monotonic() + 240.0

@@ -105,7 +105,7 @@ def test_a_plate_comes_to_rest_in_the_bowl():
     reports = run(scene, 300)
     assert not any(report.events for report in reports)
     assert reports[-1].contacts > 0 and reports[-1].max_speed < 0.1
-    assert -1e-3 < reports[-1].deepest_gap
+    assert reports[-1].deepest_gap > -1e-3
     assert 0.0 < reports[-1].potential_energy < 0.3 * reports[0].potential_energy
 
 
@@ -181,6 +181,6 @@ def test_errors_of_variants(variant, words):
 
 @pytest.mark.parametrize("file", scene_files(), ids=lambda file: file.path.stem)
 def test_every_variant_loads(file):
-    assert file.title.endswith((".", ":", ").")) or file.title
+    assert file.title.endswith("."), "the first line is what `scenes` lists"
     for variant in file.variants:
         assert load_scene(f"{file.path.stem}:{variant}").name.endswith(variant)

@@ -1,6 +1,7 @@
 """Scenes: what stands where, of what, and what is thrown at it. YAML in, NamedTuples out.
 
-config/scenes/plates.yaml shows every field with its unit. All errors are a SceneError that names the field.
+In config/scenes plates.yaml shows the fields with their units, bunnies.yaml a hand, reference_sphere.yaml variants.
+All errors are a SceneError that names the field.
 """
 
 from __future__ import annotations
