@@ -20,16 +20,15 @@ NAMES = [file.path.stem for file in scene_files()]
 class Expected(NamedTuple):
     steps: int  # until the first bodies have broken
     fragments: tuple[int, int]  # that move in the end, at least and at most
-    deepest: float  # [m] that anything ever enters: what falls in a step, about
     bodies: int  # that can break
 
 
 SCENES = {
-    "piggy_bank": Expected(60, (15, 120), 0.02, 1),
-    "drop_bunnies": Expected(50, (110, 250), 0.04, 27),
-    "bricks": Expected(70, (110, 220), 0.02, 32),
-    "bunnies": Expected(660, (20, 90), 0.02, 5),
-    "reference_sphere": Expected(30, (8, 40), 0.015, 1),
+    "piggy_bank": Expected(60, (15, 120), 1),
+    "drop_bunnies": Expected(50, (110, 250), 27),
+    "bricks": Expected(70, (110, 220), 32),
+    "bunnies": Expected(660, (20, 90), 5),
+    "reference_sphere": Expected(30, (8, 40), 1),
 }
 
 
@@ -45,6 +44,14 @@ def run(scene: Scene, steps: int) -> list[StepReport]:
     rise = (np.diff(energy) - given[1:])[same]
     assert rise.max(initial=0.0) <= 2e-5 * np.abs(energy).max()
     return reports
+
+
+def assert_no_deeper_than_two_steps(reports: list[StepReport], scene: Scene) -> None:
+    """What hits enters by a step's way; where it breaks its impulse is capped, and the pieces enter by another step's.
+    A quarter more for bodies that spin: the speed is that of centres of mass.
+    """
+    fastest = max(report.max_speed for report in reports)
+    assert min(report.deepest_gap for report in reports) > -2.5 * fastest * scene.time_step
 
 
 def test_all_that_the_paper_shows_is_there():
@@ -68,7 +75,7 @@ def test_it_breaks_without_gaining_energy(name):
     reports = run(scene, expected.steps)
     events = [event for report in reports for event in report.events]
     assert events and reports[-1].fragments > reports[0].fragments
-    assert min(report.deepest_gap for report in reports) > -expected.deepest
+    assert_no_deeper_than_two_steps(reports, scene)
     assert reports[0].fragments <= expected.bodies
 
 
@@ -81,7 +88,7 @@ def test_to_the_end(name, curvature):
     reports = run(scene, scene.step_count)
     at_least, at_most = expected.fragments
     assert at_least <= reports[-1].fragments <= at_most
-    assert min(report.deepest_gap for report in reports) > -expected.deepest
+    assert_no_deeper_than_two_steps(reports, scene)
     assert sum(report.drift_energy for report in reports) < 0.1 * max(report.kinetic_energy for report in reports)
     # at rest, and out of each other again
     assert np.median([report.max_speed for report in reports[-40:]]) < 0.02
