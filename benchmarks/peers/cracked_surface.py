@@ -22,7 +22,7 @@ def cracked_surfaces(
     """For each label its mesh: vertices (n, 3) [m] and triangles (t, 3), counter-clockwise from outside.
 
     `labels` (v,): the fragment of each vertex; `crossings`: for each edge (a, b), a < b, of two fragments the point
-    where it is cut. Raises ValueError if a mesh does not close.
+    where it is cut. Raises KeyError for an edge without one, ValueError if a mesh does not close.
     """
     builder = _Builder(vertices, labels, crossings)
     neighbours = face_neighbours(tetrahedra)
@@ -92,7 +92,8 @@ class _Builder:
         """The point where three or four fragments meet: the mean of the cuts of the edges between them."""
         name = tuple(sorted(nodes))
         if name not in self._places:
-            self._places[name] = np.mean([self._places[edge] for edge in combinations(name, 2) if edge in self._places], 0)
+            cuts = [self._places[edge] for edge in combinations(name, 2) if edge in self._places]
+            self._places[name] = np.mean(cuts, axis=0)
         return name
 
     def _add(self, label: int, polygon: Polygon, outward: np.ndarray) -> None:

@@ -27,6 +27,7 @@ class Row(NamedTuple):
     world: str
     method: str
     surface: str  # exact or mesh: what it was given and is judged against
+    mesher: str  # who made the meshes: World.mesher
     fragments: int
     triangles: int  # of that surface, all fragments
     close_pairs: float  # whose boxes overlap, a jitter frame
@@ -127,7 +128,7 @@ def _row(world: World, method: Method, times: _Times, solids: Solids, truths: li
         scores[kind] = score(solids, [truths[i] for i in chosen], [times.answers[i] for i in chosen])
     jittered = [len(truth.near) for truth in truths if truth.frame.kind == "jitter"]
     return Row(
-        world.name, method.name, method.surface, len(world.fragments),
+        world.name, method.name, method.surface, world.mesher, len(world.fragments),
         sum(len(s.triangles) for s in solids.surfaces), float(np.mean(jittered)), len(times.update), times.failure,
         _milliseconds(times.update), _milliseconds(times.first),
         {kind: _milliseconds(times.query[kind]) for kind in KINDS},

@@ -16,6 +16,8 @@ MEMORY = 512 << 20  # [bytes] of MuJoCo's arena: contacts of decompositions need
 HULLS, VOXELS = 8, 20_000  # of V-HACD a fragment; its own 64 and 400,000 take seven times as long
 CONCAVITY = 0.2  # CoACD's threshold; its own 0.05 takes three times as long
 
+Parts = Callable[[Surface], list[Surface]]
+
 
 class _State(NamedTuple):
     model: mujoco.MjModel
@@ -23,9 +25,7 @@ class _State(NamedTuple):
 
 
 class MuJoCo(Method):
-    def __init__(
-        self, name: str, is_quick: bool, parts: Callable[[Surface], list[Surface]] | None = None, distances: bool = False
-    ) -> None:
+    def __init__(self, name: str, is_quick: bool, parts: Parts | None = None, distances: bool = False) -> None:
         self.name, self.is_quick = name, is_quick
         self._parts, self._distances = parts or (lambda surface: [surface]), distances
 

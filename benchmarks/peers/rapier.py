@@ -34,7 +34,10 @@ class Rapier(Method):
     def _collider(self, surface: Surface):
         vertices, triangles = surface.vertices.astype(np.float32), surface.triangles.astype(np.uint32)
         if self._shape == "hull":
-            return rapier3d.Collider.convex_hull(vertices)
+            try:
+                return rapier3d.Collider.convex_hull(vertices)
+            except rapier3d.MeshConversionError:  # parry gives up on one in a hundred; the points in another order help
+                return rapier3d.Collider.convex_hull(np.ascontiguousarray(vertices[::-1]))
         if self._shape == "mesh":
             return rapier3d.Collider.trimesh(vertices, triangles, flags=rapier3d.TriMeshFlags.FIX_INTERNAL_EDGES)
         return rapier3d.Collider.convex_decomposition(vertices, triangles)

@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.peers.measure import KINDS, Row
+from benchmarks.peers.method import EXACT, MESH
 from benchmarks.peers.methods import FAMILIES
 from benchmarks.peers.one_core import cores
 from benchmarks.peers.score import Score
@@ -22,25 +23,27 @@ EVERYBODY_NEEDS = ("numpy", "scipy", "manifold3d")
 OURS, RAPIER, MUJOCO = "ours", "rapier hull", "mujoco hull"
 VERTICES, FIELD = ("exact vertices (warp)", "exact vertices (libigl)"), "exact field at nodes (libigl)"
 
-LEGEND = """Times in ms, medians: update (event in, ready to answer, masses included), first query after it, and queries of
-a touching, a jittered and a piled frame, whole calls from Python; native: of the jittered one within the library. From
-here on jittered frames, lengths in % R: con, contacts a frame; missed, of pairs that penetrate by more than 0.2 % R;
-false, of pairs that have nothing in common, reported deeper than that; err, depth of a pair's deepest contact less the
-true one, mean and largest; nearest, angle of that contact's normal to the way from the truth's deepest vertex to the
-nearest surface, median and share above 30 degrees; parting, the same to the way in which the common volume shrinks
-fastest (one direction a pair: a curved crack has many); off, largest distance of a witness from its surface; touch,
-largest depth reported where all fragments are in place. Ours works on, and is judged against, its regions' own surface;
-the others get closed meshes, which are judged against themselves. In parentheses, pairs missed of those that a sample of
-the service shows: what lies between its samples it cannot see.
+LEGEND = """
+Times in ms, medians: update (event in, ready to answer, masses included), first query after it, then queries
+of touching, jittered and piled frames, whole calls from Python; native: of the jittered one within the library. From
+here on jittered frames, lengths in % R. con: contacts a frame. missed: of pairs that penetrate by more than 0.2 % R,
+those without a contact inside; in parentheses of those alone that a sample of the service shows (what lies between its
+samples it cannot see). false: of the pairs that have nothing in common, those reported deeper than 0.2 % R. err, max:
+depth of a pair's deepest contact less the true one. nearest: angle of that contact's normal to the way from the truth's
+deepest vertex to the nearest surface, median and share above 30 degrees; near rims that is a surface beside the crack.
+parting: the same to the way in which the common volume shrinks fastest, one direction a pair (a curved crack has many).
+off: largest distance of a witness from its surface. t max: largest depth reported with all fragments in place.
+Ours works on, and is judged against, the surfaces of its regions; the others get closed meshes ready made, and are
+judged against these: cut by planes where cracks are flat, through the cut edges where they are curved.
 """
 
 
 def machine() -> str:
     """The processor's name, as the system says it."""
     info = Path("/proc/cpuinfo")
-    names = [line.split(":")[1].strip() for line in info.read_text().splitlines() if line.startswith("model name")] \
-        if info.exists() else []  # fmt: skip
-    return names[0] if names else platform.processor() or platform.machine()
+    lines = info.read_text().splitlines() if info.exists() else []
+    named = (line.split(":")[1].strip() for line in lines if line.startswith("model name"))
+    return next(named, platform.processor() or platform.machine())
 
 
 def versions() -> str:
@@ -60,7 +63,8 @@ def write_csv(rows: Sequence[Row], path: Path) -> None:
     of_kinds = ["query", "native", *Score._fields]
     with path.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow([*columns, *(f"{kind}_{name}" for kind in KINDS for name in of_kinds), "cpu", "cores", "versions"])
+        of_all = [f"{kind}_{name}" for kind in KINDS for name in of_kinds]
+        writer.writerow([*columns, *of_all, "cpu", "cores", "versions"])
         for row in rows:
             cells = [_plain(getattr(row, c)) for c in columns]
             for kind in KINDS:
@@ -90,12 +94,13 @@ def print_tables(rows: Sequence[Row], missing: dict[str, str], console: Console)
 def _table(rows: Sequence[Row]) -> Table:
     first = rows[0]
     meshes = {row.surface: row.triangles for row in rows}
-    sizes = ", ".join(f"{count} triangles ({surface})" for surface, count in sorted(meshes.items()))
+    names = {EXACT: "of the service's surfaces", MESH: f"of meshes by {first.mesher}"}
+    sizes = ", ".join(f"{count} triangles {names[surface]}" for surface, count in sorted(meshes.items()))
     table = Table(title=f"{first.world}: {first.fragments} fragments, {sizes}", title_justify="left")
     table.add_column("method", no_wrap=True)
     for title in (
         "update", "first", "touch", "jitter", "pile", "native", "con", "missed", "false", "err", "max", "nearest",
-        "parting", "off", "touch"
+        "parting", "off", "t max",
     ):  # fmt: skip
         table.add_column(title, justify="right", no_wrap=True)
     for row in rows:

@@ -1,7 +1,7 @@
-"""What contacts have to say, from closed surfaces alone: libigl's winding numbers and distances, and no other code of ours.
+"""What contacts have to say, from closed surfaces alone: libigl's winding numbers and distances, no other code of ours.
 
-Depth: of all vertices (and samples) of either surface that lie inside the other, the largest distance to the other's. Two
-directions from the first fragment to the second are kept, because what is right differs with what one asks for:
+Depth: of all vertices (and samples) of either surface that lie inside the other, the largest distance to the other.
+Two directions from the first fragment to the second are kept, because what is right differs with what one asks for:
 
 - `nearest`: from that deepest vertex to the nearest point of the other's surface. Near rims that is often not the crack
   but the surface beside it, so that even the exact answer need not separate the pair.

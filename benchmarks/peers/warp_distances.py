@@ -14,7 +14,7 @@ from benchmarks.peers.worlds import Frame, World
 
 FAR = 0.5  # [m] deeper than any vertex is
 
-warp.config.quiet = True
+warp.config.quiet = True  # its greeting, on standard output
 warp.init()
 
 
@@ -59,7 +59,8 @@ class Warp(Method):
             )
             for s in surfaces
         ]
-        return _State(all_vertices([s.vertices for s in surfaces]), meshes, _array(np.array([m.id for m in meshes]), warp.uint64))
+        ids = _array(np.array([m.id for m in meshes]), warp.uint64)
+        return _State(all_vertices([s.vertices for s in surfaces]), meshes, ids)
 
     def query(self, world: World, state: _State, frame: Frame) -> Contacts:
         near = candidates(state.vertices, frame)
