@@ -41,7 +41,7 @@ def placed(second: tuple[float, float, float]) -> Frame:
 
 
 def judged(solids: Solids, frame: Frame, answer: Contacts) -> Score:
-    return score(solids, [FrameTruth(frame, solids.truth(frame), {(0, 1)})], [answer])
+    return score(solids, [FrameTruth(frame, solids.truth(frame), {(0, 1)}, {})], [answer])
 
 
 def one_contact(depth: float, normal: tuple[float, float, float] = (1.0, 0.0, 0.0)) -> Contacts:

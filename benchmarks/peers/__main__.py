@@ -47,7 +47,7 @@ def main(full: bool, worlds: str | None, pattern: str, repeats: int, path: Path)
     if not methods:
         raise click.BadParameter(f"no method's name matches {pattern!r}", param_hint="--methods")
     path.parent.mkdir(parents=True, exist_ok=True)
-    with console.status("") as status:
+    with Console(stderr=True).status("") as status:
         rows = measure(names, methods, repeats, status.update)
     write_csv(rows, path)
     print_tables(rows, missing, console)

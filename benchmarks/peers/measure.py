@@ -94,7 +94,11 @@ def _measure_world(world: World, methods: Sequence[Method], repeats: int, progre
     solids, truths = {}, {}
     for kind in sorted({method.surface for method in methods}):
         solids[kind], truths[kind] = true_frames(world, kind)
-    return [_row(world, m, times[m.name], solids[m.surface], truths[m.surface]) for m in methods]
+    rows = []
+    for method in methods:
+        progress(f"{world.name}: {method.name} judged")
+        rows.append(_row(world, method, times[method.name], solids[method.surface], truths[method.surface]))
+    return rows
 
 
 def _one_round(world: World, method: Method, times: _Times) -> float:
@@ -145,4 +149,4 @@ def true_frames(world: World, surface: str) -> tuple[Solids, list[FrameTruth]]:
     surfaces = [f.exact if surface == EXACT else f.mesh for f in world.fragments]
     samples = [f.samples for f in world.fragments] if surface == EXACT else None
     solids, boxes = Solids(surfaces, samples), local_boxes(surfaces)
-    return solids, [FrameTruth(frame, solids.truth(frame), set(near_pairs(boxes, frame))) for frame in world.frames]
+    return solids, [FrameTruth(f, solids.truth(f), set(near_pairs(boxes, f)), {}) for f in world.frames]

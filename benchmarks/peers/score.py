@@ -42,6 +42,7 @@ class FrameTruth(NamedTuple):
     frame: Frame
     pairs: dict[tuple[int, int], PairTruth]
     near: set[tuple[int, int]]  # pairs whose boxes overlap
+    crossing: dict[tuple[int, int], bool]  # of pairs asked about before: whether edges cross, which takes long to say
 
 
 def score(solids: Solids, truths: list[FrameTruth], answers: list[Contacts]) -> Score:
@@ -57,7 +58,7 @@ def score(solids: Solids, truths: list[FrameTruth], answers: list[Contacts]) -> 
             if true is None:
                 # boxes of one pair in a thousand hide edges that cross with no vertex inside
                 claimed = depth > TOLERANCE
-                if claimed and solids.edges_cross(*pair, truth.frame):
+                if claimed and _edges_cross(solids, truth, pair):
                     continue
                 apart, false = apart + 1, false + claimed
                 continue
@@ -84,6 +85,12 @@ def score(solids: Solids, truths: list[FrameTruth], answers: list[Contacts]) -> 
         penetrating, missed, samples_penetrating, samples_missed, *_mean_max(sample_errors), apart, false,
         *_mean_max(errors), *_median_wrong(nearest), *_median_wrong(parting), *_mean_max(off),
     )  # fmt: skip
+
+
+def _edges_cross(solids: Solids, truth: FrameTruth, pair: tuple[int, int]) -> bool:
+    if pair not in truth.crossing:
+        truth.crossing[pair] = solids.edges_cross(*pair, truth.frame)
+    return truth.crossing[pair]
 
 
 def deepest_contacts(answer: Contacts) -> dict[tuple[int, int], int]:

@@ -119,22 +119,20 @@ def _unit(vector: np.ndarray) -> np.ndarray:
 
 def _crosses(of_edges: np.ndarray, triangles: np.ndarray) -> bool:
     """Whether an edge of the triangles (e, 3, 3) goes through the inside of one of `triangles` (t, 3, 3)."""
-    if not len(of_edges) or not len(triangles):
-        return False
-    start = of_edges.reshape(-1, 3)
-    along = of_edges[:, [1, 2, 0]].reshape(-1, 3) - start
+    starts, ends = of_edges.reshape(-1, 3), of_edges[:, [1, 2, 0]].reshape(-1, 3)
     a, u, v = triangles[:, 0], triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
     normal = np.cross(u, v)
-    step = max(EDGES_AT_ONCE // len(triangles), 1)
-    for i in range(0, len(start), step):
-        p, d = start[i : i + step, None], along[i : i + step, None]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            # Moeller and Trumbore 1997, with the triple products written by the normal
-            slope = -np.sum(d * normal, axis=-1)
-            share = np.sum((p - a) * normal, axis=-1) / slope
-            moment = np.cross(p - a, d)
-            x = np.sum(v * moment, axis=-1) / slope
-            y = -np.sum(u * moment, axis=-1) / slope
-            if np.any((share > 0.0) & (share < 1.0) & (x > 0.0) & (y > 0.0) & (x + y < 1.0)):
-                return True
+    offset = np.sum(a * normal, axis=1)
+    step = EDGES_AT_ONCE // max(len(triangles), 1) + 1
+    for i in range(0, len(starts), step):
+        start, end = starts[i : i + step], ends[i : i + step]
+        before, behind = start @ normal.T - offset, end @ normal.T - offset
+        e, t = np.nonzero(before * behind < 0.0)
+        share = before[e, t] / (before[e, t] - behind[e, t])
+        x = start[e] + share[:, None] * (end - start)[e] - a[t]
+        square = np.sum(normal[t] ** 2, axis=1)
+        along_u = np.sum(np.cross(x, v[t]) * normal[t], axis=1) / square
+        along_v = np.sum(np.cross(u[t], x) * normal[t], axis=1) / square
+        if np.any((along_u > 0.0) & (along_v > 0.0) & (along_u + along_v < 1.0)):
+            return True
     return False
