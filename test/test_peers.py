@@ -84,6 +84,7 @@ def test_wrong_depth_direction_and_witness_are_measured(blocks: Solids) -> None:
 def test_a_pair_without_contact_is_missed(blocks: Solids) -> None:
     got = judged(blocks, placed((1.0 - OVERLAP, 0.05, 0.05)), no_contacts())
     assert (got.penetrating, got.missed) == (1, 1)
+    assert got.missed_deepest == pytest.approx(OVERLAP, abs=1e-9)
     assert np.isnan(got.error_mean)
 
 

@@ -32,7 +32,7 @@ samples it cannot see). false: of the pairs that have nothing in common, those r
 depth of a pair's deepest contact less the true one. nearest: angle of that contact's normal to the way from the truth's
 deepest vertex to the nearest surface, median and share above 30 degrees; near rims that is a surface beside the crack.
 parting: the same to the way in which the common volume shrinks fastest, one direction a pair (a curved crack has many).
-off: largest distance of a witness from its surface. t max: largest depth reported with all fragments in place.
+off: largest distance of a witness from its surface. p: piled frames. t max: largest depth reported in place.
 Ours works on, and is judged against, the surfaces of its regions; the others get closed meshes ready made, and are
 judged against these: cut by planes where cracks are flat, through the cut edges where they are curved.
 """
@@ -100,7 +100,7 @@ def _table(rows: Sequence[Row]) -> Table:
     table.add_column("method", no_wrap=True)
     for title in (
         "update", "first", "touch", "jitter", "pile", "native", "con", "missed", "false", "err", "max", "nearest",
-        "parting", "off", "t max",
+        "parting", "off", "p missed", "p false", "t max",
     ):  # fmt: skip
         table.add_column(title, justify="right", no_wrap=True)
     for row in rows:
@@ -125,6 +125,9 @@ def _cells(row: Row) -> Iterator[str]:
     yield _angle(it.nearest_median, it.nearest_wrong)
     yield _angle(it.parting_median, it.parting_wrong)
     yield f"{100.0 * it.witness_max:.1g}" if np.isfinite(it.witness_max) else ""
+    piled = row.score["pile"]
+    yield f"{piled.missed}/{piled.penetrating}"
+    yield f"{piled.false}/{piled.apart}"
     yield _percent(row.score["touch"].deepest)
 
 

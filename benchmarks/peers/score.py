@@ -22,6 +22,7 @@ class Score(NamedTuple):
     deepest: float  # [R] reported
     penetrating: int  # pairs deeper than TOLERANCE, all frames together
     missed: int  # of these, without a contact of positive depth
+    missed_deepest: float  # [R] true depth of the worst of them
     samples_penetrating: int  # pairs with a sample of the service deeper than TOLERANCE; 0 for meshes, which have none
     samples_missed: int  # of these, without a contact of positive depth
     samples_error_mean: float  # [R] as error_mean below, against the deepest sample
@@ -48,6 +49,7 @@ class FrameTruth(NamedTuple):
 def score(solids: Solids, truths: list[FrameTruth], answers: list[Contacts]) -> Score:
     """`truths` and `answers` frame by frame."""
     penetrating = missed = samples_penetrating = samples_missed = apart = false = 0
+    missed_deepest = 0.0
     errors, sample_errors, nearest, parting, witness = [], [], [], [], [np.zeros(0)]
     for truth, answer in zip(truths, answers, strict=True):
         deepest = deepest_contacts(answer)
@@ -56,7 +58,7 @@ def score(solids: Solids, truths: list[FrameTruth], answers: list[Contacts]) -> 
             contact = deepest.get(pair)
             depth = float(answer.depths[contact]) if contact is not None else 0.0
             if true is None:
-                # boxes of one pair in a thousand hide edges that cross with no vertex inside
+                # edges may cross where no vertex is inside
                 claimed = depth > TOLERANCE
                 if claimed and _edges_cross(solids, truth, pair):
                     continue
@@ -72,6 +74,7 @@ def score(solids: Solids, truths: list[FrameTruth], answers: list[Contacts]) -> 
                 penetrating += 1
                 if depth <= 0.0:
                     missed += 1
+                    missed_deepest = max(missed_deepest, true.depth)
                     continue
                 errors.append(abs(depth - true.depth))
                 normal = answer.normals[contact] * (1.0 if answer.first[contact] == pair[0] else -1.0)
@@ -82,7 +85,7 @@ def score(solids: Solids, truths: list[FrameTruth], answers: list[Contacts]) -> 
     return Score(
         float(np.mean([len(a.depths) for a in answers])),
         max((float(a.depths.max()) for a in answers if len(a.depths)), default=0.0),
-        penetrating, missed, samples_penetrating, samples_missed, *_mean_max(sample_errors), apart, false,
+        penetrating, missed, missed_deepest, samples_penetrating, samples_missed, *_mean_max(sample_errors), apart, false,
         *_mean_max(errors), *_median_wrong(nearest), *_median_wrong(parting), *_mean_max(off),
     )  # fmt: skip
 

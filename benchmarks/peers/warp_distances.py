@@ -14,7 +14,7 @@ from benchmarks.peers.worlds import Frame, World
 
 FAR = 0.5  # [m] deeper than any vertex is
 
-warp.config.quiet = True  # its greeting, on standard output
+warp.config.log_level = warp.LOG_ERROR  # no greeting among the tables, no warning that there is no GPU
 warp.init()
 
 
