@@ -85,7 +85,8 @@ def score(solids: Solids, truths: list[FrameTruth], answers: list[Contacts]) -> 
     return Score(
         float(np.mean([len(a.depths) for a in answers])),
         max((float(a.depths.max()) for a in answers if len(a.depths)), default=0.0),
-        penetrating, missed, missed_deepest, samples_penetrating, samples_missed, *_mean_max(sample_errors), apart, false,
+        penetrating, missed, missed_deepest, samples_penetrating, samples_missed, *_mean_max(sample_errors),
+        apart, false,
         *_mean_max(errors), *_median_wrong(nearest), *_median_wrong(parting), *_mean_max(off),
     )  # fmt: skip
 
