@@ -37,7 +37,7 @@ lint: $(STAMPS)/messages ## style, and the arrows between the rooms
 	@$(BIN)/ruff check .
 	@$(BIN)/lint-imports --no-cache
 
-peers: build $(STAMPS)/peers ## ours beside the libraries people would use instead, in one run: table, ratios, out/peers.csv
+peers: build $(STAMPS)/peers ## ours beside the libraries people would use instead: table, ratios and out/peers.csv, some minutes
 	@$(BIN)/python -m benchmarks.peers
 
 peers-pins: $(STAMPS)/environment ## resolve requirements/peers.in anew into requirements/peers.txt, within pins.txt

@@ -15,7 +15,7 @@ WIDTH = 210  # columns of a table that no terminal's width was asked for
 
 
 @click.command(context_settings={"show_default": True})
-@click.option("--full", is_flag=True, help="All worlds and the slow methods too: more than an hour.")
+@click.option("--full", is_flag=True, help="All worlds, and the slow methods too: about an hour.")
 @click.option("--worlds", help="Comma-separated, such as ball20,shell20w; number: Voronoi seeds, w: curved cracks.")
 @click.option("--methods", "pattern", default=".", help="Only methods whose name this regular expression finds.")
 @click.option("--repeats", type=click.IntRange(1), default=5, help="Rounds; medians over them are reported.")
