@@ -4,7 +4,7 @@ BIN    := .venv/bin
 STAMPS := build/stamps
 
 .DEFAULT_GOAL := help
-.PHONY: help build smash test test-full lint pins clean
+.PHONY: help build smash test test-full lint peers peers-pins pins clean
 
 help: ## this text
 	@echo "fracture_collision: collision detection for fracturing rigid bodies."
@@ -37,6 +37,14 @@ lint: $(STAMPS)/messages ## style, and the arrows between the rooms
 	@$(BIN)/ruff check .
 	@$(BIN)/lint-imports --no-cache
 
+peers: build $(STAMPS)/peers ## ours beside the libraries people would use instead: table, ratios and out/peers.csv, some minutes
+	@$(BIN)/python -m benchmarks.peers
+
+peers-pins: $(STAMPS)/environment ## resolve requirements/peers.in anew into requirements/peers.txt, within pins.txt
+	@$(BIN)/uv pip compile requirements/peers.in --constraint requirements/pins.txt \
+	  --output-file requirements/peers.txt --universal --upgrade --python-version 3.10 --no-annotate --quiet \
+	  --custom-compile-command "make peers-pins"
+
 pins: $(STAMPS)/environment ## resolve requirements/*.in anew into requirements/pins.txt, for all Pythons at once
 	@$(BIN)/uv pip compile requirements/develop.in --output-file requirements/pins.txt --universal --upgrade \
 	  --python-version 3.10 --no-annotate --quiet --custom-compile-command "make pins"
@@ -58,6 +66,11 @@ $(STAMPS)/environment: requirements/pins.txt
 	@test -x $(BIN)/python || $(PYTHON) -m venv .venv || { echo "Try: apt install python3-venv"; rm -rf .venv; exit 1; }
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --requirement requirements/pins.txt
 	@mkdir -p $(STAMPS) && touch $@
+
+$(STAMPS)/peers: requirements/peers.txt $(STAMPS)/environment
+	@echo "== .venv: the libraries to compare with (about a minute)"
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --requirement requirements/peers.txt
+	@touch $@
 
 # An editable install: nodes and tests run from the working tree; the generated messages lie in the .venv.
 $(STAMPS)/messages: $(STAMPS)/environment $(wildcard msg/*.msg) CMakeLists.txt package.xml setup.py pyproject.toml

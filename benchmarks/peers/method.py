@@ -1,0 +1,73 @@
+"""What a method is: something that can be updated at a fracture and asked for contacts."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from benchmarks.peers.worlds import Frame, World
+
+EXACT = "exact"
+MESH = "mesh"
+
+
+class Contacts(NamedTuple):
+    """What one query found. Fragments are numbered as in `World.fragments`."""
+
+    first: np.ndarray  # (n,) fragment
+    second: np.ndarray  # (n,) fragment
+    points_first: np.ndarray  # (n, 3) [m], world: witness on the first
+    points_second: np.ndarray  # (n, 3) [m], world: witness on the second
+    normals: np.ndarray  # (n, 3) unit, from the first to the second
+    depths: np.ndarray  # (n,) [m], positive where they overlap
+    native: float = np.nan  # [s] of the library's own calls; nan: not taken apart
+
+
+class Method:
+    """One library in one setting. `update` and `query` are what is timed, `prepare` and `release` are not.
+
+    Raises ImportError when made, if its library is not installed.
+    """
+
+    name: str
+    # the surface it works on, and is judged against: EXACT, of the service's regions, or MESH, the closed mesh
+    surface = MESH
+    is_quick = True  # False: left out unless asked for
+    answers = True  # False: has an update only
+
+    def prepare(self, world: World) -> Any:
+        """What was there before the fracture."""
+
+    def update(self, world: World, before: Any) -> Any:
+        """From the fracture to all fragments ready to be asked; returns what `query` needs."""
+        raise NotImplementedError
+
+    def query(self, world: World, state: Any, frame: Frame) -> Contacts:
+        raise NotImplementedError
+
+    def release(self, state: Any) -> None:
+        """Free what `update` made."""
+
+
+def no_contacts(native: float = np.nan) -> Contacts:
+    none = np.zeros((0, 3))
+    return Contacts(np.zeros(0, int), np.zeros(0, int), none, none, none, np.zeros(0), native)
+
+
+def contacts_of(first, second, points_first, points_second, normals, depths, native: float = np.nan) -> Contacts:
+    """From lists or arrays."""
+    if not len(depths):
+        return no_contacts(native)
+    vectors = (np.asarray(v, dtype=np.float64).reshape(-1, 3) for v in (points_first, points_second, normals))
+    return Contacts(np.asarray(first, int), np.asarray(second, int), *vectors, np.asarray(depths, float), native)
+
+
+def about_middle(first, second, middles, normals, depths, native: float = np.nan) -> Contacts:
+    """From points (n, 3) half-way between the witnesses."""
+    if not len(depths):
+        return no_contacts(native)
+    half = 0.5 * np.asarray(depths, float)[:, None] * np.asarray(normals, float)
+    middles = np.asarray(middles, float)
+    # the first's witness is ahead, inside the second
+    return contacts_of(first, second, middles + half, middles - half, normals, depths, native)

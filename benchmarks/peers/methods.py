@@ -1,0 +1,32 @@
+"""All methods that this Python can run."""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+from benchmarks.peers.method import Method
+
+# The module that holds a family, and the libraries that it measures, by the names they are installed under.
+FAMILIES = {
+    "ours": ("numba",),
+    "rapier": ("rapier3d",),
+    "mujoco_shapes": ("mujoco", "vhacdx", "coacd"),
+    "bullet": ("pybullet",),
+    "fcl_shapes": ("python-fcl",),
+    "coal_shapes": ("coal",),
+    "newton_meshes": ("newton",),
+    "vertex_distances": ("libigl",),
+    "warp_distances": ("warp-lang",),
+}
+
+
+def all_methods(slow: bool = True) -> tuple[list[Method], dict[str, str]]:
+    """Methods, the slow ones only if wanted, and for each family that cannot be imported the reason."""
+    found: list[Method] = []
+    missing: dict[str, str] = {}
+    for family in FAMILIES:
+        try:
+            found += import_module(f"benchmarks.peers.{family}").methods()
+        except ImportError as error:
+            missing[family] = str(error)
+    return [m for m in found if slow or m.is_quick], missing

@@ -1,0 +1,65 @@
+"""The service through its Python face, one thread."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.peers.method import EXACT, Contacts, Method, contacts_of
+from benchmarks.peers.worlds import Frame, World, empty_states
+from fracture_collision.records import FragmentStates
+from fracture_collision.world import CollisionWorld, Settings
+
+
+class _State(NamedTuple):
+    service: CollisionWorld
+    ids: np.ndarray
+
+
+class Ours(Method):
+    surface = EXACT
+
+    def __init__(self, name: str, is_quick: bool = True, **settings) -> None:
+        self.name, self.is_quick = name, is_quick
+        self._settings = Settings(threads=1)._replace(**settings)
+
+    def prepare(self, world: World) -> CollisionWorld:
+        """The whole body, asked about once."""
+        service = CollisionWorld(self._settings)
+        service.add_body(world.body)
+        service.contacts(empty_states(0))
+        return service
+
+    def update(self, world: World, before: CollisionWorld) -> _State:
+        before.add_fracture(world.event)
+        before.contacts(empty_states(1))
+        before.fragments()  # masses, centres, inertias
+        return _State(before, np.array([f.fragment_id for f in world.fragments]))
+
+    def query(self, world: World, state: _State, frame: Frame) -> Contacts:
+        states = FragmentStates(1, 1, state.ids, frame.body_positions.ravel(), frame.quaternions.ravel())
+        answer = state.service.contacts(states)
+        counts = np.diff(answer.pair_begin.astype(np.int64))
+        timings = state.service.last_timings
+        return contacts_of(
+            np.searchsorted(state.ids, np.repeat(answer.fragment_a, counts)),
+            np.searchsorted(state.ids, np.repeat(answer.fragment_b, counts)),
+            answer.points_a, answer.points_b, answer.normals, -answer.gaps,
+            timings["broad_phase"] + timings["narrow_phase"],
+        )  # fmt: skip
+
+
+def methods() -> list[Method]:
+    """The defaults, and each setting that trades time for error on its own."""
+    return [
+        Ours("ours"),
+        Ours("ours, nearest normals", normals="nearest"),
+        # its first fracture makes the grid of the whole body: half a minute in the ball
+        Ours("ours, averaged field", is_quick=False, field="averaged"),
+        Ours("ours, 2 contacts", contacts_per_pair=2),
+        Ours("ours, 32 contacts", contacts_per_pair=32),
+        Ours("ours, epsilon 0", penetration_tolerance=0.0),
+        Ours("ours, epsilon 1 % R", penetration_tolerance=0.01),
+        Ours("ours, 3000 visits", visit_budget=3000),
+    ]

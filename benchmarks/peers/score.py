@@ -1,0 +1,129 @@
+"""Answers against the truth; lengths in R, which is 1 m."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.peers.method import Contacts
+from benchmarks.peers.truth import PairTruth, Solids
+from benchmarks.peers.worlds import Frame
+
+TOLERANCE = 0.002  # the paper's delta: penetrations up to this need not be reported, nor do they count as false
+WITNESSES = 1000  # a frame; more are thinned out evenly
+WRONG_WAY = 30.0  # [degrees]
+
+
+class Score(NamedTuple):
+    """Of all frames of one kind. nan: there was nothing to judge."""
+
+    contacts: float  # a frame
+    deepest: float  # [R] reported
+    penetrating: int  # pairs deeper than TOLERANCE, all frames together
+    missed: int  # of these, without a contact of positive depth
+    missed_deepest: float  # [R] true depth of the worst of them
+    samples_penetrating: int  # pairs with a sample of the service deeper than TOLERANCE; 0 for meshes, which have none
+    samples_missed: int  # of these, without a contact of positive depth
+    samples_error_mean: float  # [R] as error_mean below, against the deepest sample
+    samples_error_max: float
+    apart: int  # pairs near each other, by their boxes, that have nothing in common
+    false: int  # pairs that have nothing in common and are reported deeper than TOLERANCE
+    error_mean: float  # [R] deepest contact's depth less the true one, without sign, of penetrating pairs found
+    error_max: float
+    nearest_median: float  # [degrees] deepest contact's normal off the truth's `nearest`
+    nearest_wrong: float  # share off by more than WRONG_WAY
+    parting_median: float  # the same off the truth's `parting`
+    parting_wrong: float
+    witness_mean: float  # [R] distance of witnesses to the surface that they are said to be on
+    witness_max: float
+
+
+class FrameTruth(NamedTuple):
+    frame: Frame
+    pairs: dict[tuple[int, int], PairTruth]
+    near: set[tuple[int, int]]  # pairs whose boxes overlap
+    crossing: dict[tuple[int, int], bool]  # of pairs asked about before: whether edges cross, which takes long to say
+
+
+def score(solids: Solids, truths: list[FrameTruth], answers: list[Contacts]) -> Score:
+    """`truths` and `answers` frame by frame."""
+    penetrating = missed = samples_penetrating = samples_missed = apart = false = 0
+    missed_deepest = 0.0
+    errors, sample_errors, nearest, parting, witness = [], [], [], [], [np.zeros(0)]
+    for truth, answer in zip(truths, answers, strict=True):
+        deepest = deepest_contacts(answer)
+        for pair in sorted(truth.near | set(truth.pairs) | set(deepest)):
+            true = truth.pairs.get(pair)
+            contact = deepest.get(pair)
+            depth = float(answer.depths[contact]) if contact is not None else 0.0
+            if true is None:
+                # edges may cross where no vertex is inside
+                claimed = depth > TOLERANCE
+                if claimed and _edges_cross(solids, truth, pair):
+                    continue
+                apart, false = apart + 1, false + claimed
+                continue
+            if true.sample_depth > TOLERANCE:
+                samples_penetrating += 1
+                if depth > 0.0:
+                    sample_errors.append(abs(depth - true.sample_depth))
+                else:
+                    samples_missed += 1
+            if true.depth > TOLERANCE:
+                penetrating += 1
+                if depth <= 0.0:
+                    missed += 1
+                    missed_deepest = max(missed_deepest, true.depth)
+                    continue
+                errors.append(abs(depth - true.depth))
+                normal = answer.normals[contact] * (1.0 if answer.first[contact] == pair[0] else -1.0)
+                nearest.append(_degrees(normal, true.nearest))
+                parting.append(_degrees(normal, true.parting))
+        witness.append(_off_surface(solids, truth.frame, answer))
+    off = np.concatenate(witness)
+    return Score(
+        float(np.mean([len(a.depths) for a in answers])),
+        max((float(a.depths.max()) for a in answers if len(a.depths)), default=0.0),
+        penetrating, missed, missed_deepest, samples_penetrating, samples_missed, *_mean_max(sample_errors),
+        apart, false,
+        *_mean_max(errors), *_median_wrong(nearest), *_median_wrong(parting), *_mean_max(off),
+    )  # fmt: skip
+
+
+def _edges_cross(solids: Solids, truth: FrameTruth, pair: tuple[int, int]) -> bool:
+    if pair not in truth.crossing:
+        truth.crossing[pair] = solids.edges_cross(*pair, truth.frame)
+    return truth.crossing[pair]
+
+
+def deepest_contacts(answer: Contacts) -> dict[tuple[int, int], int]:
+    """(smaller, larger fragment) to the row of the pair's deepest contact."""
+    low, high = np.minimum(answer.first, answer.second), np.maximum(answer.first, answer.second)
+    order = np.argsort(answer.depths, kind="stable")  # a later one takes its pair's place
+    return {(int(low[i]), int(high[i])): int(i) for i in order}
+
+
+def _degrees(a: np.ndarray, b: np.ndarray) -> float:
+    lengths = np.linalg.norm(a) * np.linalg.norm(b)
+    return float(np.degrees(np.arccos(np.clip(a @ b / lengths, -1.0, 1.0)))) if lengths > 0.0 else np.nan
+
+
+def _off_surface(solids: Solids, frame: Frame, answer: Contacts) -> np.ndarray:
+    rows = np.unique(np.linspace(0, max(len(answer.depths) - 1, 0), min(len(answer.depths), WITNESSES)).astype(int))
+    distances = [np.zeros(0)]
+    for owner, points in ((answer.first, answer.points_first), (answer.second, answer.points_second)):
+        for f in np.unique(owner[rows]).tolist():
+            own = rows[owner[rows] == f]
+            local = (points[own] - frame.positions[f]) @ frame.rotations[f]
+            distances.append(solids.nearest(f, np.ascontiguousarray(local))[0])
+    return np.concatenate(distances)
+
+
+def _mean_max(values) -> tuple[float, float]:
+    return (float(np.mean(values)), float(np.max(values))) if len(values) else (np.nan, np.nan)
+
+
+def _median_wrong(angles: list[float]) -> tuple[float, float]:
+    known = np.array([a for a in angles if np.isfinite(a)])
+    return (float(np.median(known)), float(np.mean(known > WRONG_WAY))) if len(known) else (np.nan, np.nan)
