@@ -32,9 +32,11 @@ class Fracture:
         self.samples = np.arange(first_new, first_new + len(chosen), dtype=np.int32)
 
     def split(self, tree: SphereTree, moved: bool, ordered: bool) -> list[SphereTree]:
-        return split_sphere_tree(
+        forest = split_sphere_tree(
             tree, self.of_entry, self.count, moved, self.points, self.samples, self.parents, self.fragments, ordered
         )
+        parts = zip(forest.begin, forest.begin[1:], strict=False)
+        return [SphereTree(*(column[a:b] for column in forest.trees)) for a, b in parts]
 
     def new_of(self, fragment: int) -> list[tuple[int, tuple, int]]:
         own = np.flatnonzero(self.fragments == fragment)

@@ -27,4 +27,4 @@ def test_the_warm_up_compiles_what_only_a_second_fracture_needs() -> None:
     compile_kernels(said.append)
     assert len(said) == 3
     assert fracture_update.external_moments.signatures
-    assert fracture_update.rebuild_surfaces.signatures
+    assert fracture_update.rebuild_others.signatures

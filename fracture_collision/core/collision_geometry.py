@@ -6,16 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.core import fracture_update
+from fracture_collision.core import fracture_update, touched_tetrahedra
 from fracture_collision.core.crack_samples import crack_samples
 from fracture_collision.core.fragment_trees import REBUILT, RESTRUCTURED, rebuilt_trees, split_trees
-from fracture_collision.core.front_propagation import (
-    OLD_SURFACE,
-    SHORTER,
-    measure_at_cracks,
-    propagate_fronts,
-    renew_certain_points,
-)
+from fracture_collision.core.front_propagation import OLD_SURFACE, update_averaged_field
 from fracture_collision.core.interior_field import InteriorField, make_interior_field
 from fracture_collision.core.kinds import BOX, PLANE, SPHERE, TETRAHEDRA, TRIANGLES
 from fracture_collision.core.moments import (
@@ -25,6 +19,7 @@ from fracture_collision.core.moments import (
     surface_moments,
 )
 from fracture_collision.core.occupancy import cells_of_box, fill_pyramid, mark_all, pyramid_bytes
+from fracture_collision.core.plain_cut import PLAIN
 from fracture_collision.core.pool_tables import PoolTables
 from fracture_collision.core.pools import (
     ALTERNATING,
@@ -39,13 +34,10 @@ from fracture_collision.core.pools import (
     GrowableArray,
     Pools,
 )
+from fracture_collision.core.primitives import box_edge_points
 from fracture_collision.core.sphere_tree import SphereTree, build_sphere_tree
 from fracture_collision.core.tet_mesh import TetMesh
 from fracture_collision.core.triangle_field import TriangleMesh, append_triangle_mesh, build_triangle_mesh
-
-# A box is sampled along its edges, where it pokes into faces of others; its faces answer in closed form. The spacing,
-# as a share of the longest edge, keeps the tree of a long shelf small and a cube's edge well covered.
-BOX_EDGE_SPACING = 1.0 / 64.0
 
 
 class MassProperties(NamedTuple):
@@ -115,6 +107,7 @@ class CollisionGeometry:
         self._tables = PoolTables(traversal, field, normals)
         self._moments = GrowableArray(10, np.float64)
         self._gaps = GrowableArray(0, np.float64)
+        self._update_scratch = touched_tetrahedra.make_update_scratch()
         self._meshes: list[_MeshRows] = []
         self._surfaces: list[tuple[PreparedSurface, int, int]] = []  # with its rows in the pools: mesh, first of tree
 
@@ -170,7 +163,7 @@ class CollisionGeometry:
 
     def add_box(self, half: np.ndarray) -> int:
         """`half` (3,) [m] half edge lengths."""
-        points = _box_edge_points(half)
+        points = box_edge_points(half)
         begin = self._tables.append_tree(build_sphere_tree(points, np.ones(len(points), np.uint8)))
         # the point of a face farthest from its edges
         gap = float(np.sort(half)[1])
@@ -235,84 +228,87 @@ class CollisionGeometry:
         first_plane = self._tables.body["planes"].append(planes)
         self._tables.have_grown()
         pools, end = self.pools, first + count
-        labels = pools.body.node_fragment
-        visited = np.zeros(len(pools.mesh.tetrahedra), np.uint8)
+        labels, scratch = pools.body.node_fragment, self._update_scratch
+        tet_count = len(rows.prepared.mesh.tetrahedra)
         # node_tets_begin has one row more than nodes in each mesh before this one
-        touched, own = fracture_update.tetrahedra_of_nodes(pools.mesh, rows.node + k, nodes, visited)
-        tets = touched[:own]
+        touched = touched_tetrahedra.tetrahedra_of_nodes(
+            pools.mesh, pools.body, node_shift, rows.node + k, rows.tet, rows.tet + tet_count, nodes, row
+        )
+        tets = touched.rows[: touched.own]
         label_rows = nodes + (rows.node + node_shift)
         moments = self._moments.view
         labels[label_rows] = first + parts
-        shared = fracture_update.tetrahedra_shared_by_three(pools.mesh, pools.body, node_shift, tets, first, end)
+        # nobody else is there at a body's first fracture
+        alone, shared = len(nodes) == len(rows.prepared.mesh.nodes), tets[:0]
+        if not alone:
+            shared = touched_tetrahedra.tetrahedra_shared_by_three(pools.mesh, pools.body, node_shift, tets, first, end)
         labels[label_rows] = row
         if len(shared):
             fracture_update.external_moments(
-                pools.mesh, pools.body, node_shift, edge_shift, shared, first, end, -1.0, moments
+                pools.mesh, pools.body, node_shift, edge_shift, shared, first, end, -1.0, moments, scratch.work
             )
         labels[label_rows] = first + parts
         pools.body.edge_plane[edges + (rows.edge + edge_shift)] = first_plane + np.arange(len(edges), dtype=np.int32)
         if len(shared):
             fracture_update.external_moments(
-                pools.mesh, pools.body, node_shift, edge_shift, shared, first, end, 1.0, moments
+                pools.mesh, pools.body, node_shift, edge_shift, shared, first, end, 1.0, moments, scratch.work
             )
-        crack_samples(pools.mesh, pools.body, node_shift, edge_shift, tets, first, end)
-        empty = np.repeat([np.inf, -np.inf], 3)
-        pools.fragment.box[first:end], reaches = empty, np.tile(empty, (count, 1))
-        polygons = fracture_update.rebuild_surfaces(
-            pools.mesh, pools.body, node_shift, tet_shift, edge_shift, touched, own, first, end,
-            self._tables.body["triangles"].used, moments, pools.fragment.box, reaches, self._gaps.view,
+        mixed = touched_tetrahedra.classify(pools.mesh, pools.body, node_shift, edge_shift, touched, scratch)
+        crack_samples(
+            pools.mesh, pools.body, node_shift, edge_shift, touched, first, end, alone and not mixed,
+            pools.fragment.overlap, scratch,
         )  # fmt: skip
-        for name in polygons._fields:
-            self._tables.body[name].append(getattr(polygons, name))
-        self._mark_cells(k, node_shift, tets, first, end, reaches)
-        share = self._crack_shares(rows, node_shift, edge_shift, first, end)
-        self._give_trees(row, rows.prepared.mesh, nodes, parts, edges, share, first, count)
+        boxes = pools.fragment.box
+        boxes[first:end] = np.repeat([np.inf, -np.inf], 3)
+        touched_tetrahedra.boxes_of_nodes(pools.mesh, pools.body, node_shift, nodes + rows.node, boxes)
+        reaches = boxes[first:end].copy()
+        self._rebuild_surfaces(node_shift, tet_shift, edge_shift, touched, first, end, reaches)
+        self._mark_cells(k, node_shift, touched, first, end, reaches)
+        self._give_trees(row, rows, nodes, parts, edges, first, count)
         self._tables.have_grown()
         if self._field == AVERAGED:
-            self._propagate(rows, node_shift, edge_shift, touched, tets, first, end, first_plane)
+            update_averaged_field(
+                self.pools, rows.prepared, rows.node, node_shift, edge_shift, touched, first, end, first_plane
+            )
         return first
 
-    def _propagate(self, rows, node_shift, edge_shift, touched, tets, first, end, first_plane) -> None:
-        """Averaged field of fragments first .. end - 1, made by planes of row first_plane on (front_propagation.py)."""
-        pools, interior = self.pools, rows.prepared.interior[0]
-        n = len(interior.node_field)
-        divided_anew = np.zeros(len(pools.mesh.tetrahedra), np.uint8)
-        divided_anew[touched] = 1
-        renew_certain_points(pools, divided_anew, rows.node, node_shift, interior.node_field)
-        in_front, front = np.zeros(n, np.uint8), np.empty(n, np.int32)
-        used = measure_at_cracks(
-            pools, tets, rows.node, node_shift, edge_shift, first, end, first_plane, in_front, front
-        )
-        own = slice(rows.node + node_shift, rows.node + node_shift + n)
-        propagate_fronts(
-            rows.prepared.mesh.nodes, pools.body.node_fragment[own], pools.body.node_field[own],
-            pools.body.node_certain_tet[own], interior.neighbours_begin, interior.neighbours, in_front, front, used,
-            SHORTER * pools.fragment.radius[first],
-        )  # fmt: skip
+    def _rebuild_surfaces(self, node_shift, tet_shift, edge_shift, touched, first, end, reaches) -> None:
+        """Polygons in the tetrahedra that a fracture touched; moments, boxes and gaps of their fragments."""
+        pools, moments, gaps = self.pools, self._moments.view, self._gaps.view
+        fracture_update.rebuild_lone(pools.mesh, pools.body, node_shift, tet_shift, touched, moments, gaps)
+        columns = {name: self._tables.body[name] for name in fracture_update.SurfaceRows._fields}
+        for rebuild, expected in (
+            (fracture_update.rebuild_plain, 2 * np.count_nonzero(touched.kinds == PLAIN)),
+            (fracture_update.rebuild_others, 8 * np.count_nonzero(touched.unclear)),
+        ):
+            start, room = 0, fracture_update.MAX_TRIANGLES + expected
+            while start < touched.near:
+                out = fracture_update.SurfaceRows(**{name: column.reserve(room) for name, column in columns.items()})
+                start, written = rebuild(
+                    pools.mesh, pools.body, node_shift, tet_shift, edge_shift, touched, first, end, start,
+                    columns["front"].used, out, moments, pools.fragment.box, reaches, gaps, self._update_scratch,
+                )  # fmt: skip
+                for column in columns.values():
+                    column.advance(written)
 
-    def _give_trees(self, row, mesh, nodes, parts, edges, share, first, count) -> None:
+    def _give_trees(self, row, rows, nodes, parts, edges, first, count) -> None:
         """Trees of fragments first .. first + count - 1, into which `row` broke."""
+        mesh, edge_shift = rows.prepared.mesh, self._tables.fragment["edge_shift"].view[row]
+        own = slice(rows.edge + edge_shift, rows.edge + edge_shift + len(mesh.edges))
+        share = self.pools.body.edge_share[own]
         part_of_node = np.full(len(mesh.nodes), -1, dtype=np.int32)
         part_of_node[nodes] = parts
         if self._tree_kind == REBUILT:
-            trees = rebuilt_trees(mesh, part_of_node, share, count)
+            sampled = (self.pools.body.edge_plane[own] >= 0)[:, None] & (part_of_node[mesh.edges] >= 0)
+            forest = rebuilt_trees(mesh, part_of_node, share, sampled, count)
         else:
             ordered = self._tree_kind == RESTRUCTURED
-            trees = split_trees(self.sphere_tree(row), mesh, part_of_node, edges, share, count, ordered)
-        for i, tree in enumerate(trees):
-            at = self._tables.append_tree(tree)
-            self._tables.fragment["tree_begin"].view[first + i] = at
-            self._tables.fragment["tree_end"].view[first + i] = at + len(tree.size)
+            forest = split_trees(self.sphere_tree(row), mesh, part_of_node, edges, share, count, ordered)
+        at = self._tables.append_tree(forest.trees) + forest.begin
+        self._tables.fragment["tree_begin"].view[first : first + count] = at[:-1]
+        self._tables.fragment["tree_end"].view[first : first + count] = at[1:]
 
-    def _crack_shares(self, rows, node_shift, edge_shift, first, end) -> np.ndarray:
-        """edge_share (mesh edges, 2) at the cut edges of fragments first .. end - 1, infinity elsewhere."""
-        mesh, body = rows.prepared.mesh, self.pools.body
-        own = slice(rows.edge + edge_shift, rows.edge + edge_shift + len(mesh.edges))
-        labels = body.node_fragment[mesh.edges + (rows.node + node_shift)]
-        sampled = (body.edge_plane[own] >= 0)[:, None] & (labels >= first) & (labels < end)
-        return np.where(sampled, body.edge_share[own], np.inf)
-
-    def _mark_cells(self, k, node_shift, tets, first, end, reaches) -> None:
+    def _mark_cells(self, k, node_shift, touched, first, end, reaches) -> None:
         grid, dims = self._tables.mesh["grid"].view[k], self._tables.mesh["grid_dims"].view[k, :3]
         cells = np.empty((end - first, 7), np.int32)
         for i, box in enumerate(reaches):
@@ -320,7 +316,10 @@ class CollisionGeometry:
             cells[i, 6] = self._tables.occupancy.append(np.zeros(pyramid_bytes(cells[i]), np.uint8))
         self._tables.fragment["cells"].view[first:end] = cells
         occupancy = self._tables.occupancy.view
-        fracture_update.mark_cells(self.pools.mesh, k, self.pools.body, node_shift, tets, first, end, cells, occupancy)
+        touched_tetrahedra.mark_cells(
+            self.pools.mesh, k, self.pools.body, node_shift, touched, first, end, cells, occupancy,
+            np.empty(self._tables.mesh["grid_dims"].view[k, :3].prod(), np.uint64),
+        )  # fmt: skip
         for row in cells:
             fill_pyramid(row, occupancy)
 
@@ -358,7 +357,7 @@ class CollisionGeometry:
     def _add_row(self, kind, box, shape, radius, tree_begin, tree_end, gap, mesh=-1, cells=None) -> int:
         values = dict(
             kind=kind, mesh=mesh, node_shift=NEVER_BROKEN, tet_shift=NEVER_BROKEN, edge_shift=NEVER_BROKEN, box=box,
-            shape=shape, radius=radius, tree_begin=tree_begin, tree_end=tree_end,
+            shape=shape, radius=radius, overlap=0.0, tree_begin=tree_begin, tree_end=tree_end,
             cells=np.zeros(7, np.int32) if cells is None else cells,
         )  # fmt: skip
         for name, value in values.items():
@@ -382,16 +381,3 @@ class CollisionGeometry:
         self._meshes.append(rows)
         self._tables.have_grown()
         return rows
-
-
-def _box_edge_points(half: np.ndarray) -> np.ndarray:
-    """Corners and evenly spaced points of the twelve edges, (n, 3) [m], no point twice."""
-    step = 2.0 * float(half.max()) * BOX_EDGE_SPACING
-    points = [np.array([x, y, z]) * half for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
-    for axis in range(3):
-        pieces = max(int(np.ceil(2.0 * half[axis] / step - 1e-9)), 1)
-        for t in np.linspace(-1.0, 1.0, pieces + 1)[1:-1]:
-            for u in (-1, 1):
-                for v in (-1, 1):
-                    points.append(np.insert(np.array([u, v], float), axis, t) * half)
-    return np.ascontiguousarray(points)

@@ -126,7 +126,7 @@ def owner_slot(slots, functionals, counts, slot_labels, x, y, z):
 
 
 @query_kernel
-def _section(corners, a, b, c, o, limit, polygon, value, order):
+def section(corners, a, b, c, o, limit, polygon, value, order):
     """The tetrahedron's section with the plane a x + b y + c z = o, right-handed about (a, b, c); its vertex count.
 
     None if the plane only touches it, to `limit` [m]: a face in the plane is not within the tetrahedron, it may be a
@@ -180,7 +180,7 @@ def _section(corners, a, b, c, o, limit, polygon, value, order):
 
 
 @query_kernel
-def _emit(polygon, count, front, back, kind, triangles, fronts, backs, kinds, used):
+def emit(polygon, count, front, back, kind, triangles, fronts, backs, kinds, used):
     for k in range(1, count - 1):
         if used >= len(triangles):
             raise RuntimeError("a cut tetrahedron made more triangles than MAX_TRIANGLES")
@@ -205,9 +205,9 @@ def face_shares(face, slots, work, used):
     for f in range(slots):
         _first_choice(work)
         while True:
-            count = _load_face(work.corners, face, work.polygon)
+            count = load_face(work.corners, face, work.polygon)
             count = clip_to_region(count, slots, work, f, work.corners, face, 1.0)
-            used = _emit(work.polygon, count, f, -1, face, work.triangles, work.fronts, work.backs, work.kinds, used)
+            used = emit(work.polygon, count, f, -1, face, work.triangles, work.fronts, work.backs, work.kinds, used)
             if not _next_choice(slots, work, f):
                 break
     return used
@@ -229,10 +229,10 @@ def interfaces(slots, work, used):
                 h = functionals[g, choice[g]]
                 # outward of f is where its margin falls below g's
                 a, b, c, o = h[0] - m[0], h[1] - m[1], h[2] - m[2], h[3] - m[3]
-                count = _section(work.corners, a, b, c, o, limit, polygon, work.value, work.order)
+                count = section(work.corners, a, b, c, o, limit, polygon, work.value, work.order)
                 if count:
                     count = clip_to_choice(count, slots, work, limit, f, g)
-                used = _emit(polygon, count, f, g, INTERFACE, work.triangles, work.fronts, work.backs, work.kinds, used)
+                used = emit(polygon, count, f, g, INTERFACE, work.triangles, work.fronts, work.backs, work.kinds, used)
         if not _next_choice(slots, work, -1):
             return used
 
@@ -299,12 +299,12 @@ def steps(face, slots, work, behind_slots, behind, near, far, used):
     last.
     """
     limit = tie_limit(work.corners)
-    _load_face(work.corners, face, far.polygon)
+    load_face(work.corners, face, far.polygon)
     slots = _confine(slots, work, far.polygon, 3, limit, near)
     for f in range(slots):
         _first_choice(near)
         while True:
-            count = _load_face(work.corners, face, near.polygon)
+            count = load_face(work.corners, face, near.polygon)
             count = clip_to_region(count, slots, near, f, work.corners, face, 1.0)
             far_slots = _confine(behind_slots, behind, near.polygon, count, limit, far) if count else 0
             for g in range(far_slots):
@@ -316,7 +316,7 @@ def steps(face, slots, work, behind_slots, behind, near, far, used):
                         for d in range(3):
                             far.polygon[k, d] = near.polygon[k, d]
                     left = clip_to_region(count, far_slots, far, g, work.corners, face, -1.0)
-                    used = _emit(
+                    used = emit(
                         far.polygon, left, near.origin[f], far.origin[g], face, far.triangles, far.fronts, far.backs,
                         far.kinds, used,
                     )  # fmt: skip
@@ -328,77 +328,53 @@ def steps(face, slots, work, behind_slots, behind, near, far, used):
 
 
 @query_kernel
-def agree_on_face(slots, work, behind_slots, behind, face):
+def agree_on_face(slots, work, behind_slots, behind, near, far, face):
     """Whether two tetrahedra, one at least cut, certainly give each point of their common face to the same fragment.
 
-    `face`: the near tetrahedron's, of `work.corners`. A quick test: False may also mean that nobody knows.
+    `face`: the near tetrahedron's, of `work.corners`; `near` and `far` are working space. A quick test: False may also
+    mean that nobody knows.
     """
-    if slots == 1:
-        return _owns_face(work.labels[0], behind_slots, behind, work.corners, face)
-    if behind_slots == 1:
-        return _owns_face(behind.labels[0], slots, work, work.corners, face)
-    if slots != behind_slots:
+    limit = tie_limit(work.corners)
+    load_face(work.corners, face, near.polygon)
+    slots = _confine(slots, work, near.polygon, 3, limit, near)
+    if slots != _confine(behind_slots, behind, near.polygon, 3, limit, far):
         return False
+    if slots == 1:
+        return near.labels[0] == far.labels[0]
     for s in range(slots):
         other = -1
         for r in range(slots):
-            if behind.labels[r] == work.labels[s] and behind.counts[r] == work.counts[s]:
+            if far.labels[r] == near.labels[s] and far.counts[r] == near.counts[s]:
                 other = r
         if other < 0:
             return False
-        for q in range(work.counts[s]):
-            g = work.functionals[s, q]
+        for q in range(near.counts[s]):
+            g = near.functionals[s, q]
             known = False
-            for r in range(work.counts[s]):
-                h = behind.functionals[other, r]
+            for r in range(near.counts[s]):
+                h = far.functionals[other, r]
                 known = known or (g[0] == h[0] and g[1] == h[1] and g[2] == h[2] and g[3] == h[3])
             if not known:
                 return False
-    return not _ties_on_face(slots, work, face)
+    return not _ties_on_face(slots, near, work.corners, face)
 
 
 @query_kernel
-def _ties_on_face(slots, work, face):
+def _ties_on_face(slots, work, corners, face):
     """Whether margins of two slots may be equal all over a face: then each side of it can have an owner of its own."""
-    limit = tie_limit(work.corners)
+    limit = tie_limit(corners)
     for s in range(slots):
         for r in range(s):
             for q in range(work.counts[s] * work.counts[r]):
                 g, h = work.functionals[s, q % work.counts[s]], work.functionals[r, q // work.counts[s]]
                 equal = True
                 for k in range(3):
-                    c = work.corners[FACE_VERTICES[face, k]]
+                    c = corners[FACE_VERTICES[face, k]]
                     d = (g[0] - h[0]) * c[0] + (g[1] - h[1]) * c[1] + (g[2] - h[2]) * c[2] - (g[3] - h[3])
                     equal = equal and abs(d) <= limit
                 if equal:
                     return True
     return False
-
-
-@query_kernel
-def _owns_face(label, slots, work, corners, face):
-    """Whether a fragment's margin is certainly the largest all over a face: functionals compared at its corners."""
-    limit = tie_limit(corners)
-    own = 0
-    while work.labels[own] != label:
-        own += 1
-    for s in range(slots):
-        if s == own:
-            continue
-        for q in range(work.counts[own]):
-            g = work.functionals[own, q]
-            above = False
-            for r in range(work.counts[s]):
-                h = work.functionals[s, r]
-                everywhere = True
-                for k in range(3):
-                    c = corners[FACE_VERTICES[face, k]]
-                    d = (g[0] - h[0]) * c[0] + (g[1] - h[1]) * c[1] + (g[2] - h[2]) * c[2] - (g[3] - h[3])
-                    everywhere = everywhere and d > limit
-                above = above or everywhere
-            if not above:
-                return False
-    return True
 
 
 @query_kernel
@@ -421,7 +397,7 @@ def _next_choice(slots, work, but):
 
 
 @query_kernel
-def _load_face(corners, face, polygon):
+def load_face(corners, face, polygon):
     for k in range(3):
         for d in range(3):
             polygon[k, d] = corners[FACE_VERTICES[face, k], d]

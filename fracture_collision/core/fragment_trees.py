@@ -12,8 +12,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from fracture_collision.core.compiled import inlined_kernel, kernel
 from fracture_collision.core.sphere_tree import SphereTree, build_sphere_tree
-from fracture_collision.core.sphere_tree_split import split_sphere_tree
+from fracture_collision.core.sphere_tree_split import Forest, split_sphere_tree
 from fracture_collision.core.tet_mesh import TetMesh
 
 RESTRUCTURED = "restructured"
@@ -25,48 +26,70 @@ TREES = (RESTRUCTURED, PLAIN, REBUILT)
 def split_trees(
     old: SphereTree, mesh: TetMesh, part_of_node: np.ndarray, edges: np.ndarray, share: np.ndarray, count: int,
     ordered: bool,
-) -> list[SphereTree]:  # fmt: skip
+) -> Forest:  # fmt: skip
     """RESTRUCTURED (`ordered`) or PLAIN trees of parts 0 .. count - 1, from the tree `old` of what broke.
 
     part_of_node (n,) int32, -1: another fragment's; edges (k,): mesh edges that this fracture cuts, ascending; share
-    (mesh edges, 2): where crack samples stand, see fracture_update.crack_samples. Centres of `old` may be moved.
+    (mesh edges, 2): where crack samples stand, see crack_samples. Centres of `old` may be moved.
+    """
+    of_entry, moved = _parts_of_entries(old.center, old.sample, mesh.nodes, mesh.edges, share, part_of_node)
+    samples = (len(mesh.nodes) + 2 * edges[:, None] + np.arange(2, dtype=np.int32)).ravel().astype(np.int32)
+    parents = mesh.edges[edges].ravel()
+    points = _edge_points(mesh.nodes, mesh.edges, share, samples)
+    return split_sphere_tree(old, of_entry, count, moved, points, samples, parents, part_of_node[parents], ordered)
+
+
+def rebuilt_trees(
+    mesh: TetMesh, part_of_node: np.ndarray, share: np.ndarray, sampled: np.ndarray, count: int
+) -> Forest:
+    """REBUILT trees of parts 0 .. count - 1; arguments as in split_trees, and sampled (mesh edges, 2): which ends of
+    edges are crack samples of these parts.
     """
     n = len(mesh.nodes)
-    at_crack = old.sample >= n
-    node = old.sample.copy()
-    node[at_crack] = mesh.edges[(old.sample[at_crack] - n) // 2, (old.sample[at_crack] - n) % 2]
-    # samples of older cracks stand where the new ones left them
-    points = _edge_points(mesh, old.sample[at_crack], share)
-    moved = bool((points != old.center[at_crack]).any())
-    if moved:
-        old.center[at_crack] = points
-    samples = (n + 2 * np.asarray(edges, dtype=np.int32)[:, None] + np.arange(2, dtype=np.int32)).ravel()
-    parents = mesh.edges[edges].ravel()
-    return split_sphere_tree(
-        old, part_of_node[node], count, moved, _edge_points(mesh, samples, share), samples, parents,
-        part_of_node[parents], ordered,
-    )  # fmt: skip
-
-
-def rebuilt_trees(mesh: TetMesh, part_of_node: np.ndarray, share: np.ndarray, count: int) -> list[SphereTree]:
-    """REBUILT trees of parts 0 .. count - 1; arguments as in split_trees."""
-    n = len(mesh.nodes)
     nodes = np.flatnonzero((part_of_node >= 0) & (mesh.on_surface != 0))
-    edge, side = np.nonzero(np.isfinite(share))
-    cracks = n + 2 * edge + side
-    samples = np.concatenate([nodes, cracks]).astype(np.int32)
-    points = np.vstack([mesh.nodes[nodes], _edge_points(mesh, cracks, share)])
+    edge, side = np.nonzero(sampled)
+    cracks = (n + 2 * edge + side).astype(np.int32)
+    samples = np.concatenate([nodes.astype(np.int32), cracks])
+    points = np.vstack([mesh.nodes[nodes], _edge_points(mesh.nodes, mesh.edges, share, cracks)])
     part = part_of_node[np.concatenate([nodes, mesh.edges[edge, side]])]
     by_part = np.argsort(part, kind="stable")
     trees = []
     for own in np.split(by_part, np.searchsorted(part[by_part], np.arange(1, count))):
         tree = build_sphere_tree(points[own], np.ones(len(own), np.uint8))
         trees.append(tree._replace(sample=samples[own][tree.sample]))
-    return trees
+    joined = SphereTree(*(np.concatenate(columns) for columns in zip(*trees, strict=True)))
+    return Forest(joined, np.cumsum([0, *(len(tree.size) for tree in trees)]))
 
 
-def _edge_points(mesh: TetMesh, samples: np.ndarray, share: np.ndarray) -> np.ndarray:
+@kernel
+def _parts_of_entries(center, sample, nodes, edges, share, part_of_node):
+    """The part of each tree entry's point, and whether samples of older cracks moved; these are put where they are."""
+    n = len(nodes)
+    parts, moved, p = np.empty(len(sample), np.int32), False, np.empty(3)
+    for i in range(len(sample)):
+        if sample[i] < n:
+            parts[i] = part_of_node[sample[i]]
+            continue
+        edge, side = (sample[i] - n) // 2, (sample[i] - n) % 2
+        parts[i] = part_of_node[edges[edge, side]]
+        _on_edge(nodes, edges, share, edge, side, p)
+        for d in range(3):
+            moved = moved or p[d] != center[i, d]
+            center[i, d] = p[d]
+    return parts, moved
+
+
+@kernel
+def _edge_points(nodes, edges, share, samples):
     """Positions (q, 3) [m] of crack samples: the share of their edge from their own end."""
-    edge, side = (samples - len(mesh.nodes)) // 2, (samples - len(mesh.nodes)) % 2
-    own, far = mesh.nodes[mesh.edges[edge, side]], mesh.nodes[mesh.edges[edge, 1 - side]]
-    return own + share[edge, side][:, None] * (far - own)
+    points = np.empty((len(samples), 3))
+    for i in range(len(samples)):
+        _on_edge(nodes, edges, share, (samples[i] - len(nodes)) // 2, (samples[i] - len(nodes)) % 2, points[i])
+    return points
+
+
+@inlined_kernel
+def _on_edge(nodes, edges, share, edge, side, out):
+    own, far = nodes[edges[edge, side]], nodes[edges[edge, 1 - side]]
+    for d in range(3):
+        out[d] = own[d] + share[edge, side] * (far[d] - own[d])

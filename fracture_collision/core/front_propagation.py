@@ -181,3 +181,27 @@ def _average_of_front(nodes, labels, node_field, certain_tet, neighbours_begin, 
         value[1], value[2], value[3] = own[1], own[2], own[3]
     value[4], value[5], value[6] = cx, cy, cz
     return tet
+
+
+def update_averaged_field(
+    pools, prepared, first_node, node_shift, edge_shift, touched, first, end, first_plane
+) -> None:
+    """Field of fragments first .. end - 1, made by planes of row `first_plane` on (Glondu 2014, 4.2).
+
+    prepared: the body's PreparedMesh, with its interior field; first_node: its first row of nodes; `touched`: as
+    touched_tetrahedra gives it.
+    """
+    mesh, interior = prepared.mesh, prepared.interior[0]
+    n = len(interior.node_field)
+    divided_anew = np.zeros(len(pools.mesh.tetrahedra), np.uint8)
+    divided_anew[touched.rows[: touched.near]] = 1
+    renew_certain_points(pools, divided_anew, first_node, node_shift, interior.node_field)
+    in_front, front = np.zeros(n, np.uint8), np.empty(n, np.int32)
+    used = measure_at_cracks(
+        pools, touched.rows[: touched.own], first_node, node_shift, edge_shift, first, end, first_plane, in_front, front
+    )
+    own = slice(first_node + node_shift, first_node + node_shift + n)
+    propagate_fronts(
+        mesh.nodes, pools.body.node_fragment[own], pools.body.node_field[own], pools.body.node_certain_tet[own],
+        interior.neighbours_begin, interior.neighbours, in_front, front, used, SHORTER * pools.fragment.radius[first],
+    )  # fmt: skip

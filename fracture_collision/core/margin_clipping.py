@@ -18,7 +18,7 @@ TIE = 32.0 * np.finfo(np.float64).eps
 
 
 @query_kernel
-def _clip(polygon, count, spare, a, b, c, o):
+def clip(polygon, count, spare, a, b, c, o):
     """Keep the part of a convex polygon with a x + b y + c z - o >= 0, in place; returns its vertex count."""
     kept = 0
     px, py, pz = polygon[count - 1, 0], polygon[count - 1, 1], polygon[count - 1, 2]
@@ -60,7 +60,7 @@ def _clip_on_face(work, count, corners, face, inward, limit, g, m, at_tie):
     for k in range(4):
         x = corners[k]
         if k != face and abs(a * x[0] + b * x[1] + c * x[2] - o) > limit:
-            return _clip(work.polygon, count, work.spare, a, b, c, o)
+            return clip(work.polygon, count, work.spare, a, b, c, o)
     x = corners[face]
     inside = inward * (a * x[0] + b * x[1] + c * x[2] - o)
     return count if inside > limit or (inside >= -limit and at_tie) else 0
@@ -95,7 +95,7 @@ def _clip_or_tie(work, count, limit, g, m):
     for i in range(count):
         x = work.polygon[i]
         if abs(a * x[0] + b * x[1] + c * x[2] - o) > limit:
-            return _clip(work.polygon, count, work.spare, a, b, c, o), False
+            return clip(work.polygon, count, work.spare, a, b, c, o), False
     return count, True
 
 

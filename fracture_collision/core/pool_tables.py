@@ -5,6 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from fracture_collision.core.pools import (
+    SAMPLE,
+    SIZE,
+    SURFACE,
     BodyPool,
     FragmentPool,
     GrowableArray,
@@ -40,7 +43,7 @@ class PoolTables:
         )  # fmt: skip
         self.fragment = _table(
             kind=(0, i4), mesh=(0, i4), node_shift=(0, i4), tet_shift=(0, i4), edge_shift=(0, i4), box=(6, f8),
-            shape=(4, f8), radius=(0, f8), tree_begin=(0, i4), tree_end=(0, i4), cells=(7, i4),
+            shape=(4, f8), radius=(0, f8), overlap=(0, f8), tree_begin=(0, i4), tree_end=(0, i4), cells=(7, i4),
         )  # fmt: skip
         self.tree = _table(spheres=(4, f8), entries=(3, i4))
         self.triangles = _table(
@@ -70,11 +73,14 @@ class PoolTables:
         self._pools = None
 
     def append_tree(self, tree: SphereTree) -> int:
-        """Returns the row of its root."""
-        begin = self.tree["entries"].used
-        self.tree["spheres"].append(np.column_stack([tree.center, tree.radius]))
-        marks = surface_marks(tree.size, tree.on_surface)
-        self.tree["entries"].append(np.column_stack([tree.size, tree.sample, marks]))
+        """Append a tree, or several one behind the other; returns the row of the first root."""
+        count = len(tree.size)
+        spheres, entries = self.tree["spheres"].reserve(count), self.tree["entries"].reserve(count)
+        spheres[:, :3], spheres[:, 3] = tree.center, tree.radius
+        entries[:, SIZE], entries[:, SAMPLE] = tree.size, tree.sample
+        entries[:, SURFACE] = surface_marks(tree.size, tree.on_surface)
+        begin = self.tree["spheres"].advance(count)
+        self.tree["entries"].advance(count)
         return begin
 
     def append_mesh(self, mesh: TetMesh) -> tuple[int, int, int, int]:

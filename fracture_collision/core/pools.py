@@ -21,15 +21,22 @@ class GrowableArray:
 
     def append(self, rows: np.ndarray) -> int:
         """Copy `rows` to the end; returns the index of the first."""
-        begin = self.used
-        end = begin + len(rows)
+        self.reserve(len(rows))[:] = rows
+        return self.advance(len(rows))
+
+    def reserve(self, count: int) -> np.ndarray:
+        """The next `count` rows, for the caller to write; `advance` makes them part of the array."""
+        end = self.used + count
         if end > len(self._buffer):
-            grown = np.zeros((max(end, 2 * len(self._buffer)), *self._buffer.shape[1:]), dtype=self._buffer.dtype)
-            grown[:begin] = self._buffer[:begin]
+            grown = np.empty((max(end, 2 * len(self._buffer)), *self._buffer.shape[1:]), dtype=self._buffer.dtype)
+            grown[: self.used] = self._buffer[: self.used]
             self._buffer = grown
-        self._buffer[begin:end] = rows
-        self.used = end
-        return begin
+        return self._buffer[self.used : end]
+
+    def advance(self, count: int) -> int:
+        """Returns the index of the first."""
+        self.used += count
+        return self.used - count
 
     @property
     def view(self) -> np.ndarray:
@@ -95,6 +102,7 @@ class FragmentPool(NamedTuple):
     box: np.ndarray  # (F, 6) float64 [m], body frame
     shape: np.ndarray  # (F, 4) float64: plane (n, offset), sphere (radius), box (half edges) [m]
     radius: np.ndarray  # float64 [m] R of the body, half its box's longest side; infinite for a plane
+    overlap: np.ndarray  # float64 [m] no sample of it lies deeper in another fragment while both are in place
     tree_begin: np.ndarray  # int32
     tree_end: np.ndarray  # int32
     cells: np.ndarray  # (F, 7) int32: first cell x y z, cells x y z, first byte of `occupancy`

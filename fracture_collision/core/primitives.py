@@ -4,8 +4,14 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from fracture_collision.core.compiled import inlined_kernel
 from fracture_collision.core.kinds import BOX, PLANE
+
+# A box is sampled along its edges, where it pokes into faces of others; its faces answer in closed form. The spacing,
+# as a share of the longest edge, keeps the tree of a long shelf small and a cube's edge well covered.
+BOX_EDGE_SPACING = 1.0 / 64.0
 
 
 @inlined_kernel
@@ -40,3 +46,16 @@ def _box_distance(half, x, y, z):
     ox, oy, oz = max(ex, 0.0), max(ey, 0.0), max(ez, 0.0)
     d = math.sqrt(ox * ox + oy * oy + oz * oz)
     return d, sx * ox / d, sy * oy / d, sz * oz / d
+
+
+def box_edge_points(half: np.ndarray) -> np.ndarray:
+    """Corners and evenly spaced points of the twelve edges, (n, 3) [m], no point twice."""
+    step = 2.0 * float(half.max()) * BOX_EDGE_SPACING
+    points = [np.array([x, y, z]) * half for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
+    for axis in range(3):
+        pieces = max(int(np.ceil(2.0 * half[axis] / step - 1e-9)), 1)
+        for t in np.linspace(-1.0, 1.0, pieces + 1)[1:-1]:
+            for u in (-1, 1):
+                for v in (-1, 1):
+                    points.append(np.insert(np.array([u, v], float), axis, t) * half)
+    return np.ascontiguousarray(points)

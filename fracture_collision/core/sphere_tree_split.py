@@ -11,6 +11,8 @@ first one that it finds, a new surface point goes under the leaf at its own end 
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from fracture_collision.core.compiled import kernel
@@ -137,7 +139,9 @@ def _insert(center, size, sample, radius, parent, leaf_of, new_points, new_paren
         last_new[entry] = q
         while entry >= 0:
             dx, dy, dz = x - center[entry, 0], y - center[entry, 1], z - center[entry, 2]
-            radius[entry] = max(radius[entry], np.sqrt(dx * dx + dy * dy + dz * dz))
+            d2 = dx * dx + dy * dy + dz * dz
+            if d2 > radius[entry] * radius[entry]:
+                radius[entry] = max(radius[entry], np.sqrt(d2))
             entry = parent[entry]
 
 
@@ -219,72 +223,102 @@ def _take(center, radius, size, sample, on_surface, leaf_fragment, moved, kept, 
     return c, r, s, surface
 
 
+class Forest(NamedTuple):
+    """Trees one behind the other: fragment f's are entries begin[f] .. begin[f + 1] - 1."""
+
+    trees: SphereTree
+    begin: np.ndarray  # (fragments + 1,) int64
+
+
+@kernel
 def split_sphere_tree(
-    tree: SphereTree,
-    fragment_of_sample: np.ndarray,
-    fragments: int,
-    moved: bool,
-    new_points: np.ndarray,
-    new_samples: np.ndarray,
-    new_parents: np.ndarray,
-    new_fragments: np.ndarray,
-    ordered: bool,
-) -> list[SphereTree]:
-    """One tree a fragment, 0 .. fragments - 1, from the tree of the fragment that broke.
+    tree, fragment_of_sample, fragments, moved, new_points, new_samples, new_parents, new_fragments, ordered
+):
+    """A Forest of one tree a fragment, 0 .. fragments - 1, from the tree of the fragment that broke.
 
     fragment_of_sample: (entries,) int32, fragment of each entry's point; moved: some centres are
     not where the radii were computed. The new surface points: `new_points` (q, 3)
-    [m], their sample indices, the samples of the mesh nodes they hang under, and their fragments (q,). ordered: keep
-    to the maximum-distance order.
+    [m], their sample indices, the samples of the mesh nodes they hang under, and their fragments (q,), int32. ordered:
+    keep to the maximum-distance order.
     """
-    mask = np.zeros(len(tree.size), dtype=np.uint64)
-    kept = np.empty(len(tree.size), dtype=np.int32)
-    new_size = np.empty(len(tree.size), dtype=np.int32)
-    leaf_of = np.full(int(max(tree.sample.max(), new_parents.max(initial=0))) + 1, -1, dtype=np.int32)
-    by_fragment = np.argsort(new_fragments, kind="stable")
-    bounds = np.searchsorted(new_fragments[by_fragment], np.arange(fragments + 1))
-    trees = []
+    n, leaves, most = len(tree.size), 0, 0
+    for i in range(n):
+        leaves += 1 if tree.size[i] == 1 else 0
+        most = max(most, tree.sample[i])
+    for q in range(len(new_points)):
+        most = max(most, new_parents[q])
+    # a tree has fewer inner nodes than leaves; a new point adds a leaf, and may make one of another leaf's point
+    room = 2 * (leaves + len(new_points))
+    forest = Forest(
+        SphereTree(
+            np.empty((room, 3)), np.empty(room), np.empty(room, np.int32), np.empty(room, np.int32),
+            np.empty(room, np.uint8),
+        ),
+        np.zeros(fragments + 1, np.int64),
+    )  # fmt: skip
+    mask = np.zeros(n, np.uint64)
+    kept, new_size = np.empty(n, np.int32), np.empty(n, np.int32)
+    leaf_of = np.full(most + 1, -1, np.int32)
+    by_fragment, bounds = _grouped(new_fragments, fragments)
+    used = 0
     for fragment in range(fragments):
         if fragment % BATCH == 0:
             _presence(tree.size, fragment_of_sample, fragment, mask)
-        n = _extract(tree.size, mask, np.uint64(1) << np.uint64(fragment % BATCH), kept, new_size)
+        count = _extract(tree.size, mask, np.uint64(1) << np.uint64(fragment % BATCH), kept, new_size)
+        size = new_size[:count].copy()
         center, radius, sample, surface = _take(
-            *tree, fragment_of_sample, moved, kept[:n], new_size[:n].copy(), fragment, ordered
-        )
+            tree.center, tree.radius, tree.size, tree.sample, tree.on_surface, fragment_of_sample, moved, kept[:count],
+            size, fragment, ordered,
+        )  # fmt: skip
+        old = SphereTree(center, radius, size, sample, surface)
         own = by_fragment[bounds[fragment] : bounds[fragment + 1]]
-        old = SphereTree(center, radius, new_size[:n].copy(), sample, surface)
-        trees.append(_extend(old, leaf_of, new_points[own], new_samples[own], new_parents[own], ordered))
-    return trees
+        used += _extend(
+            old, leaf_of, new_points[own], new_samples[own], new_parents[own], ordered, _from(forest.trees, used)
+        )
+        forest.begin[fragment + 1] = used
+    return Forest(_upto(forest.trees, used), forest.begin)
 
 
-def _extend(
-    tree: SphereTree,
-    leaf_of: np.ndarray,
-    points: np.ndarray,
-    samples: np.ndarray,
-    parents: np.ndarray,
-    ordered: bool,
-) -> SphereTree:
+@kernel
+def _grouped(groups, count):
+    """Indices by group 0 .. count - 1, ascending within each, and where each group begins (count + 1,)."""
+    bounds = np.zeros(count + 1, np.int64)
+    for g in groups:
+        bounds[g + 1] += 1
+    bounds = np.cumsum(bounds)
+    at = bounds[:-1].copy()
+    order = np.empty(len(groups), np.int64)
+    for q in range(len(groups)):
+        order[at[groups[q]]] = q
+        at[groups[q]] += 1
+    return order, bounds
+
+
+@kernel
+def _from(tree, first):
+    return SphereTree(
+        tree.center[first:], tree.radius[first:], tree.size[first:], tree.sample[first:], tree.on_surface[first:]
+    )
+
+
+@kernel
+def _upto(tree, last):
+    return SphereTree(
+        tree.center[:last], tree.radius[:last], tree.size[:last], tree.sample[:last], tree.on_surface[:last]
+    )
+
+
+@kernel
+def _extend(tree, leaf_of, points, samples, parents, ordered, out):
+    """Write the tree with its new points to the first entries of `out`; returns how many. leaf_of: working space."""
     n = len(tree.size)
-    parent = np.empty(n, dtype=np.int32)
+    parent = np.empty(n, np.int32)
     _parents(tree.size, parent)
-    leaves = np.flatnonzero(tree.size == 1)
-    leaf_of[tree.sample[leaves]] = leaves
-    first_new = np.full(n, -1, dtype=np.int32)
-    next_new = np.full(len(points), -1, dtype=np.int32)
-    points = np.ascontiguousarray(points)
+    for i in range(n):
+        if tree.size[i] == 1:
+            leaf_of[tree.sample[i]] = i
+    first_new, next_new = np.full(n, -1, np.int32), np.full(len(points), -1, np.int32)
     _insert(
         tree.center, tree.size, tree.sample, tree.radius, parent, leaf_of, points, parents, ordered, first_new, next_new
     )
-    room = n + len(points) + int(((first_new >= 0) & (tree.size == 1)).sum())
-    out = SphereTree(
-        np.empty((room, 3)),
-        np.empty(room),
-        np.empty(room, np.int32),
-        np.empty(room, np.int32),
-        np.empty(room, np.uint8),
-    )
-    used = _merge(tree, first_new, next_new, points, samples, out)
-    if used != room:
-        raise RuntimeError(f"sphere tree merge wrote {used} of {room} entries")
-    return out
+    return _merge(tree, first_new, next_new, points, samples, out)

@@ -31,6 +31,7 @@ class TetMesh(NamedTuple):
     neighbours: np.ndarray  # (m, 4) int32, across the face opposite vertex i; -1: the old surface
     tetrahedron_edges: np.ndarray  # (m, 6) int32, order (0,1),(0,2),(0,3),(1,2),(1,3),(2,3)
     edges: np.ndarray  # (e, 2) int32, ascending, first < second
+    edges_begin: np.ndarray  # (n + 1,) int32: the edges whose first node is i
     boxes: np.ndarray  # (m, 6) float64 [m], lower and upper corner
     barycentric: np.ndarray  # (m, 12) float64, rows (gx, gy, gz, c) of vertices 1, 2, 3: weight = g . x + c
     moments: np.ndarray  # (m, 10) float64, see moments.py
@@ -78,6 +79,7 @@ def build_tet_mesh(nodes: np.ndarray, tetrahedra: np.ndarray) -> TetMesh:
         neighbours=np.ascontiguousarray(face_neighbours(tetrahedra), dtype=np.int32),
         tetrahedron_edges=np.ascontiguousarray(tetrahedron_edges(tetrahedra, edges), dtype=np.int32),
         edges=np.ascontiguousarray(edges, dtype=np.int32),
+        edges_begin=np.searchsorted(edges[:, 0], np.arange(len(nodes) + 1)).astype(np.int32),
         boxes=boxes,
         barycentric=barycentric,
         moments=tetrahedron_moments(corners),

@@ -8,9 +8,18 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.core.tet_mesh import TetMesh
-from fracture_collision.geometry.tetrahedra import connected_pieces
 from fracture_collision.records import FractureEvent
 from fracture_collision.world.checks import UINT64_MAX, each_once, floats, identifier, indices, refuse, same_length
+from fracture_collision.world.fracture_match import (
+    DOUBLED,
+    EXTRA,
+    FINE,
+    MISSED,
+    MISSING,
+    NO_EDGE,
+    first_split,
+    match_cuts,
+)
 
 UNIT_TOLERANCE = 1e-9
 # How far beyond an edge's end, as a share of its length, its plane may pass: rounding of a crack through a node.
@@ -72,15 +81,13 @@ def check_fracture(fields: FractureFields, mesh: TetMesh, node_fragment: np.ndar
 
     Ids and the sequence are checked by the caller, who knows the whole run.
     """
-    count = len(fields.new_fragment_ids)
-    nodes, parts = _labels(fields, mesh, node_fragment)
-    part_of_node = np.full(len(mesh.nodes), -1, dtype=np.int64)
-    part_of_node[nodes] = parts
-    _connected(mesh, part_of_node, count, fields.new_fragment_ids)
+    part_of_node = _labels(fields, mesh, node_fragment)
+    _connected(mesh, part_of_node, fields.new_fragment_ids)
     edges, planes = _cuts(fields, mesh, part_of_node)
+    nodes = np.flatnonzero(part_of_node >= 0).astype(np.int32)
     return CheckedFracture(
-        fields.body_id, fields.fragment_id, fields.new_fragment_ids,
-        nodes.astype(np.int32), parts.astype(np.int32), edges.astype(np.int32), planes, fields.digest,
+        fields.body_id, fields.fragment_id, fields.new_fragment_ids, nodes, part_of_node[nodes], edges, planes,
+        fields.digest,
     )  # fmt: skip
 
 
@@ -92,9 +99,10 @@ def fracture_of_removed_body(fields: FractureFields) -> CheckedFracture:
     )
 
 
-def _labels(fields: FractureFields, mesh: TetMesh, node_fragment: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _labels(fields: FractureFields, mesh: TetMesh, node_fragment: np.ndarray) -> np.ndarray:
+    """The part of each mesh node (n,) int32, -1: of another fragment."""
     nodes = indices("nodes", fields.nodes, 0, len(mesh.nodes), "mesh nodes")
-    parts, fragment_id = fields.parts, fields.fragment_id
+    fragment_id = fields.fragment_id
     strangers = np.flatnonzero(node_fragment[nodes] != fragment_id)
     if len(strangers):
         node = nodes[strangers[0]]
@@ -102,63 +110,44 @@ def _labels(fields: FractureFields, mesh: TetMesh, node_fragment: np.ndarray) ->
     expected = int((node_fragment == fragment_id).sum())
     if len(nodes) != expected:
         refuse("wrong_nodes", f"nodes: {len(nodes)} of the {expected} nodes of fragment {fragment_id}")
-    order = np.argsort(nodes, kind="stable")
-    return nodes[order], parts[order]
+    part_of_node = np.full(len(mesh.nodes), -1, dtype=np.int32)
+    part_of_node[nodes] = fields.parts
+    return part_of_node
 
 
-def _connected(mesh: TetMesh, part_of_node: np.ndarray, count: int, new_ids: np.ndarray) -> None:
-    empty = np.flatnonzero(np.bincount(part_of_node[part_of_node >= 0], minlength=count) == 0)
-    if len(empty):
-        refuse("empty_fragment", f"node_fragments: fragment {new_ids[empty[0]]} has no node")
-    inside = part_of_node >= 0
-    pieces = connected_pieces(mesh.edges, part_of_node)[inside]
-    pairs = np.unique(np.stack([part_of_node[inside], pieces], axis=1), axis=0)
-    split = np.flatnonzero(np.bincount(pairs[:, 0], minlength=count) > 1)
-    if len(split):
-        refuse("disconnected", f"node_fragments: fragment {new_ids[split[0]]} falls into pieces that no edge joins")
+def _connected(mesh: TetMesh, part_of_node: np.ndarray, new_ids: np.ndarray) -> None:
+    nodes_of = np.bincount(part_of_node[part_of_node >= 0], minlength=len(new_ids))
+    if not nodes_of.all():
+        refuse("empty_fragment", f"node_fragments: fragment {new_ids[np.argmin(nodes_of)]} has no node")
+    split = first_split(mesh.edges, part_of_node, len(new_ids))
+    if split >= 0:
+        refuse("disconnected", f"node_fragments: fragment {new_ids[split]} falls into pieces that no edge joins")
 
 
 def _cuts(fields: FractureFields, mesh: TetMesh, part_of_node: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The mesh edges that are cut, ascending (k,) int32, and their planes (k, 4)."""
     ends = indices("cut_edges", fields.cut_edges, 2, len(mesh.nodes), "mesh nodes")
-    planes = fields.cut_planes
-    base = len(mesh.nodes)
-    known = mesh.edges[:, 0].astype(np.int64) * base + mesh.edges[:, 1]
-    keys = ends.min(axis=1) * base + ends.max(axis=1)
-    edges = np.minimum(np.searchsorted(known, keys), len(known) - 1)
-    stray = np.flatnonzero(known[edges] != keys)
-    if len(stray):
-        a, b = ends[stray[0]]
-        refuse("no_edge", f"cut_edges: {a}-{b} (entry {stray[0]}) is no edge of the mesh")
-    each_once("cut_edges", edges)
-    parts = part_of_node[mesh.edges]
-    must = np.flatnonzero((parts[:, 0] >= 0) & (parts[:, 1] >= 0) & (parts[:, 0] != parts[:, 1]))
-    extra = np.setdiff1d(edges, must)
-    if len(extra):
-        a, b = mesh.edges[extra[0]]
-        refuse("wrong_cut", f"cut_edges: {a}-{b} does not join two of the new fragments")
-    if len(edges) != len(must):
-        a, b = mesh.edges[np.setdiff1d(must, edges)[0]]
-        refuse("wrong_cut", f"cut_edges: {a}-{b} joins two of the new fragments but is not cut")
-    first, second = mesh.nodes[ends[:, 0]], mesh.nodes[ends[:, 1]]
-    at_first = np.einsum("ij,ij->i", planes[:, :3], first) - planes[:, 3]
-    at_second = np.einsum("ij,ij->i", planes[:, :3], second) - planes[:, 3]
-    slack = CROSSING_TOLERANCE * np.linalg.norm(second - first, axis=1)
-    missed = np.flatnonzero((at_first > slack) | (at_second < -slack) | (at_second - at_first <= 0.0))
-    if len(missed):
-        a, b = ends[missed[0]]
-        refuse("missed_edge", f"cut_planes: entry {missed[0]} does not cross its edge {a}-{b} from first to second")
-    _have_volume(fields, part_of_node, ends, np.stack([-at_first, at_second], axis=1) - slack[:, None])
-    planes = np.where((ends[:, 0] > ends[:, 1])[:, None], -planes, planes)
-    order = np.argsort(edges, kind="stable")
-    return edges[order], np.ascontiguousarray(planes[order])
+    problem, row, edges, planes, room = match_cuts(
+        mesh.nodes, mesh.edges, mesh.edges_begin, part_of_node, ends, fields.cut_planes, CROSSING_TOLERANCE
+    )
+    if problem != FINE:
+        a, b = mesh.edges[row] if problem in (DOUBLED, EXTRA, MISSING) else ends[row]
+        kind, text = {
+            NO_EDGE: ("no_edge", f"cut_edges: {a}-{b} (entry {row}) is no edge of the mesh"),
+            DOUBLED: ("doubled", f"cut_edges: {a}-{b} stands there more than once"),
+            EXTRA: ("wrong_cut", f"cut_edges: {a}-{b} does not join two of the new fragments"),
+            MISSING: ("wrong_cut", f"cut_edges: {a}-{b} joins two of the new fragments but is not cut"),
+            MISSED: ("missed_edge", f"cut_planes: entry {row} does not cross its edge {a}-{b} from first to second"),
+        }[problem]
+        refuse(kind, text)
+    _have_volume(fields, part_of_node, room)
+    return edges, planes
 
 
-def _have_volume(fields: FractureFields, part_of_node: np.ndarray, ends: np.ndarray, room: np.ndarray) -> None:
-    """A lone node with all planes through it has nothing of the body; room (k, 2) [m]: how far ends are from planes."""
-    room_at = np.full(len(part_of_node), -np.inf)
-    np.maximum.at(room_at, ends.ravel(), room.ravel())
+def _have_volume(fields: FractureFields, part_of_node: np.ndarray, room: np.ndarray) -> None:
+    """A lone node with all planes through it has nothing of the body; room (n,): see match_cuts."""
     nodes_of = np.bincount(part_of_node[part_of_node >= 0], minlength=len(fields.new_fragment_ids))
-    flat = np.flatnonzero((part_of_node >= 0) & (nodes_of[part_of_node] == 1) & (room_at <= 0.0))
+    flat = np.flatnonzero((part_of_node >= 0) & (nodes_of[part_of_node] == 1) & (room <= 0.0))
     if len(flat):
         flat_id = fields.new_fragment_ids[part_of_node[flat[0]]]
         refuse("no_volume", f"cut_planes: fragment {flat_id} has no volume: all pass through its one node {flat[0]}")
