@@ -123,8 +123,8 @@ def _probe(
     rows = {f: case.row(f) for f in case.oracle.fragment_ids}
     answers = np.full((len(points), 5), np.nan)
     for i, (point, fragment) in enumerate(zip(points.tolist(), fragments.tolist(), strict=True)):
-        status, distance, nx, ny, nz, _, _, _, most = bounded_probe(
-            pools, rows[fragment], *point, 0.0, np.inf, scratch, 0
+        status, distance, nx, ny, nz, _, _, _, most, *_ = bounded_probe(
+            pools, rows[fragment], *point, 0.0, np.inf, -1, scratch, 0
         )
         if status == INSIDE:
             answers[i] = -distance, most, nx, ny, nz

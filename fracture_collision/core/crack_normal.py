@@ -21,9 +21,8 @@ from fracture_collision.core.flood import (
     nearest_from_outside,
     source_normal,
 )
-from fracture_collision.core.kinds import TETRAHEDRA
 from fracture_collision.core.point_location import load_margins, tetrahedron_at
-from fracture_collision.core.pools import CUT, NEVER_BROKEN
+from fracture_collision.core.pools import CUT
 
 # The shared crack is taken while it is no more than this share of R farther than the nearest surface.
 FARTHER = 0.03
@@ -34,22 +33,13 @@ MOST_TETRAHEDRA = 256
 NOWHERE = -2  # no tetrahedron, nor -1, the outside
 
 
-@inlined_kernel
-def share_a_body(pools, a, b):
-    """Whether two fragments are of one body, that broke."""
-    fragment = pools.fragment
-    return (
-        fragment.kind[a] == TETRAHEDRA and fragment.kind[b] == TETRAHEDRA and fragment.mesh[a] == fragment.mesh[b]
-        and fragment.node_shift[a] != NEVER_BROKEN and fragment.node_shift[a] == fragment.node_shift[b]
-    )  # fmt: skip
-
-
 @query_kernel
-def turn_to_crack(pools, f, g, near, row, scratch, thread):
+def turn_to_crack(pools, f, g, near, row, source, where, scratch, thread):
     """Turn the contact of a sample of `g` with `f`, of one body, to the crack that parts the two, if it is near.
 
-    Sets witness, normal and gap of `row` (10,), see query_pair; `near` [m] is the detection tolerance. Samples outside
-    the unbroken body stay as they are: they are not between the two.
+    Sets witness, normal and gap of `row` (10,), see query_pair; `near` [m] is the detection tolerance; `source`,
+    `where`: surface triangle and tetrahedron of the witness. Samples outside the unbroken body stay as they are: they
+    are not between the two.
     """
     x, y, z, d = row[0], row[1], row[2], row[9]
     radius = pools.fragment.radius[f]
@@ -58,15 +48,17 @@ def turn_to_crack(pools, f, g, near, row, scratch, thread):
         return
     inside = d <= 0.0
     only = (g, 0.0, 0.0, 0.0)
-    if inside:
-        within = FARTHER * radius - d
-        best = nearest_from_inside(pools, f, t, x, y, z, within, only, scratch, thread)
-    else:
-        within = near  # whichever way, what is listed is no farther than the detection tolerance
-        best = nearest_from_outside(pools, f, t, x, y, z, max(TIMES_NEAREST * d, near), only, scratch, thread)
-    if best[5] == NO_SOURCE:
-        return
-    nx, ny, nz = crack_direction(pools, f, g, best[5], best[6])
+    # whichever way, what is listed outside is no farther than the detection tolerance
+    within = FARTHER * radius - d if inside else near
+    if not _parts(pools, f, g, source):
+        if inside:
+            best = nearest_from_inside(pools, f, t, x, y, z, within, only, scratch, thread)
+        else:
+            best = nearest_from_outside(pools, f, t, x, y, z, max(TIMES_NEAREST * d, near), only, scratch, thread)
+        source, where = best[5], best[6]
+        if source == NO_SOURCE:
+            return
+    nx, ny, nz = crack_direction(pools, f, g, source, where)
     sign = 1.0 if inside else -1.0
     s = way_through(pools, f, t, x, y, z, sign * nx, sign * ny, sign * nz, within, inside, scratch, thread)
     if s <= within:
@@ -77,6 +69,15 @@ def turn_to_crack(pools, f, g, near, row, scratch, thread):
         return
     # where the two just touch, its own witness will do: on a step the crack's normal may lead along the surface
     row[6], row[7], row[8] = nx, ny, nz
+
+
+@inlined_kernel
+def _parts(pools, f, g, source):
+    """Whether the surface triangle `source` is of the crack between two fragments."""
+    if source < 0 or source == NO_SOURCE:
+        return False
+    front, back = pools.body.front[source], pools.body.back[source]
+    return (front == f and back == g) or (front == g and back == f)
 
 
 @inlined_kernel

@@ -21,7 +21,7 @@ from fracture_collision.core.flood import (
 )
 from fracture_collision.core.kinds import TETRAHEDRA, TRIANGLES
 from fracture_collision.core.occupancy import sphere_may_touch
-from fracture_collision.core.point_location import owner_in_tetrahedron, tetrahedron_at
+from fracture_collision.core.point_location import owner_in_tetrahedron, tetrahedron_at, tetrahedron_from
 from fracture_collision.core.pools import AVERAGED, NEVER_BROKEN
 from fracture_collision.core.primitives import primitive_distance
 from fracture_collision.core.triangle_field import triangle_distance, triangle_within
@@ -48,51 +48,54 @@ def probe(pools, f, x, y, z, near, deep, scratch, thread):
     (infinity: always; the averaged field looks always). The distance of an OUTSIDE point is a lower bound, that of an
     INSIDE point deeper than `deep` is minus infinity.
     """
-    status, d, nx, ny, nz, qx, qy, qz, _ = bounded_probe(pools, f, x, y, z, near, deep, scratch, thread)
+    status, d, nx, ny, nz, qx, qy, qz, _, _, _ = bounded_probe(pools, f, x, y, z, near, deep, -1, scratch, thread)
     return status, d, nx, ny, nz, qx, qy, qz
 
 
 @inlined_kernel
-def bounded_probe(pools, f, x, y, z, near, deep, scratch, thread):
-    """As `probe`, and last a depth [m] that the point certainly does not exceed: minus the distance where that is
-    exact or a lower bound. The averaged field promises nothing, so inside a broken body the two differ.
+def bounded_probe(pools, f, x, y, z, near, deep, start, scratch, thread):
+    """As `probe`, and behind that a depth [m] that the point certainly does not exceed: minus the distance where that
+    is exact or a lower bound. The averaged field promises nothing, so inside a broken body the two differ. Last the
+    surface triangle and the tetrahedron that the closest point lies on (flood.NO_SOURCE: not from a flood).
+    `start`: a tetrahedron not far from the point, -1 if none is known.
     """
     kind = pools.fragment.kind[f]
     if kind != TETRAHEDRA and kind != TRIANGLES:
         d, nx, ny, nz = primitive_distance(kind, pools.fragment.shape[f], x, y, z)
         status = INSIDE if d <= 0.0 else NEAR if d <= near else OUTSIDE
-        return status, d, nx, ny, nz, x - d * nx, y - d * ny, z - d * nz, -d
+        return status, d, nx, ny, nz, x - d * nx, y - d * ny, z - d * nz, -d, NO_SOURCE, -1
     reach = math.sqrt(box_distance_squared(x, y, z, pools.fragment.box[f]))
     if reach > near:
-        return OUTSIDE, reach, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -reach
+        return OUTSIDE, reach, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -reach, NO_SOURCE, -1
     if kind == TRIANGLES:
         d, nx, ny, nz, qx, qy, qz = triangle_distance(
             pools.triangles, pools.fragment.mesh[f], pools.fragment.radius[f], x, y, z, scratch.stack[thread]
         )
         status = INSIDE if d <= 0.0 else NEAR if d <= near else OUTSIDE
-        return status, d, nx, ny, nz, qx, qy, qz, -d
+        return status, d, nx, ny, nz, qx, qy, qz, -d, NO_SOURCE, -1
     # 15 ns that spare most points the search for their tetrahedron
     if not sphere_may_touch(pools, f, x, y, z, near):
-        return OUTSIDE, max(reach, near), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -max(reach, near)
-    t = tetrahedron_at(pools.mesh, pools.fragment.mesh[f], x, y, z)
+        return OUTSIDE, max(reach, near), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -max(reach, near), NO_SOURCE, -1
+    k = pools.fragment.mesh[f]
+    t = tetrahedron_at(pools.mesh, k, x, y, z) if start < 0 else tetrahedron_from(pools.mesh, k, start, x, y, z)
     if t >= 0 and owner_in_tetrahedron(pools, f, t, x, y, z, scratch, thread) == f:
         if pools.field == AVERAGED and pools.fragment.node_shift[f] != NEVER_BROKEN:
             d, nx, ny, nz, most = averaged_penetration(pools, f, t, x, y, z)
-            return INSIDE, -d, nx, ny, nz, x + d * nx, y + d * ny, z + d * nz, most
+            return INSIDE, -d, nx, ny, nz, x + d * nx, y + d * ny, z + d * nz, most, NO_SOURCE, -1
         best = nearest_from_inside(pools, f, t, x, y, z, deep, EVERYTHING, scratch, thread)
         if best[5] == NO_SOURCE:
-            return INSIDE, -math.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, math.inf
+            return INSIDE, -math.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, math.inf, NO_SOURCE, -1
         nx, ny, nz = outward_direction(pools, f, x, y, z, best, True)
         d = math.sqrt(best[0])
-        return INSIDE, -d, nx, ny, nz, best[1], best[2], best[3], d
+        return INSIDE, -d, nx, ny, nz, best[1], best[2], best[3], d, best[5], best[6]
     if near <= 0.0:
-        return OUTSIDE, reach, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -reach
+        return OUTSIDE, reach, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -reach, NO_SOURCE, -1
     best = nearest_from_outside(pools, f, t, x, y, z, near, EVERYTHING, scratch, thread)
     if best[5] == NO_SOURCE:
-        return OUTSIDE, max(reach, near), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -max(reach, near)
+        return OUTSIDE, max(reach, near), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -max(reach, near), NO_SOURCE, -1
     nx, ny, nz = outward_direction(pools, f, x, y, z, best, False)
     d = math.sqrt(best[0])
-    return NEAR, d, nx, ny, nz, best[1], best[2], best[3], -d
+    return NEAR, d, nx, ny, nz, best[1], best[2], best[3], -d, best[5], best[6]
 
 
 @inlined_kernel

@@ -12,11 +12,19 @@ from __future__ import annotations
 
 from fracture_collision.core.closest_point import triangle_normal
 from fracture_collision.core.compiled import inlined_kernel, query_kernel
-from fracture_collision.core.crack_normal import FARTHER, share_a_body, turn_to_crack
+from fracture_collision.core.crack_normal import FARTHER, turn_to_crack
 from fracture_collision.core.flood import NO_SOURCE, TOWARD, nearest_from_inside, nearest_from_outside, source_normal
 from fracture_collision.core.kinds import BOX, TETRAHEDRA, TRIANGLES
 from fracture_collision.core.point_location import holds_fragment, tetrahedron_at
-from fracture_collision.core.traversal import rotated, to_other
+from fracture_collision.core.traversal import (
+    ID_SAMPLE,
+    ID_SIDE,
+    ID_SOURCE,
+    ID_TETRAHEDRON,
+    rotated,
+    share_a_body,
+    to_other,
+)
 from fracture_collision.core.triangle_field import nearest_triangle
 
 # A normal at less than 75 degrees from the sample's own points the same way.
@@ -36,12 +44,13 @@ def turn_contacts(pools, a, b, rotation, translation, near, contacts, ids, count
     """
     one_body = share_a_body(pools, a, b)
     for c in range(count):
-        side = ids[c, 0]
+        side, sample = ids[c, ID_SIDE], ids[c, ID_SAMPLE]
         f, own = (b, a) if side == 0 else (a, b)
         if one_body:
-            turn_to_crack(pools, f, own, near, contacts[c], scratch, thread)
-        elif ids[c, 1] >= 0 and pools.fragment.kind[f] in (BOX, TETRAHEDRA, TRIANGLES):
-            _turn_to_facing(pools, f, own, ids[c, 1], side, rotation, translation, near, contacts[c], scratch, thread)
+            source, where = ids[c, ID_SOURCE], ids[c, ID_TETRAHEDRON]
+            turn_to_crack(pools, f, own, near, contacts[c], source, where, scratch, thread)
+        elif sample >= 0 and pools.fragment.kind[f] in (BOX, TETRAHEDRA, TRIANGLES):
+            _turn_to_facing(pools, f, own, sample, side, rotation, translation, near, contacts[c], scratch, thread)
 
 
 @query_kernel

@@ -21,8 +21,8 @@ from fracture_collision.core.closest_point import (
     triangle_normal,
 )
 from fracture_collision.core.compiled import inlined_kernel
-from fracture_collision.core.cut_tetrahedron import FACE_VERTICES, INTERFACE
-from fracture_collision.core.point_location import holds_fragment
+from fracture_collision.core.cut_tetrahedron import FACE_VERTICES, INTERFACE, margin
+from fracture_collision.core.point_location import holds_fragment, load_margins
 from fracture_collision.core.pools import CUT, NEVER_BROKEN
 
 # Which surface triangle a closest point lies on: a row of body.triangles, or -1 - (4 tetrahedron + face) of the old
@@ -33,6 +33,8 @@ NO_SOURCE = np.iinfo(np.int64).max
 WHATEVER, TOWARD = -1, -2
 EVERYTHING = (WHATEVER, 0.0, 0.0, 0.0)
 PLANE_SLACK = 1.0 + 1e-9
+# What rounding may do to a margin, as a share of R.
+MARGIN_ROUNDING = 1e-12
 # What rounding may do to a barycentric weight.
 WEIGHT_ROUNDING = 1e-12
 
@@ -72,15 +74,6 @@ def least_distance_squared(mesh, t, x, y, z):
         if weight < -WEIGHT_ROUNDING:
             least = max(least, (weight + WEIGHT_ROUNDING) ** 2 / (slope * PLANE_SLACK))
     return least
-
-
-@inlined_kernel
-def clear_of_faces(mesh, t, x, y, z, distance):
-    """Whether a point in tetrahedron `t` is farther than `distance` [m] from all its faces."""
-    clear = True
-    for face in range(4):
-        clear = clear and _face_is_farther(mesh, t, face, x, y, z, distance * distance)
-    return clear
 
 
 @inlined_kernel
@@ -235,15 +228,14 @@ def nearest_from_outside(pools, f, at, x, y, z, limit, only, scratch, thread):
     `at`: the tetrahedron that holds the point, -1 outside the body. `only` and answer as in nearest_from_inside.
     """
     mesh = pools.mesh
-    if at >= 0 and clear_of_faces(mesh, at, x, y, z, limit):
-        alone = nothing_within(limit)
-        if holds_fragment(pools, f, at):
-            return nearest_in_tetrahedron(pools, f, at, x, y, z, True, only, alone)
-        return alone
-    k = pools.fragment.mesh[f]
     visited = scratch.visited[thread]
-    stamp = next_stamp(scratch, thread)
     best = nothing_within(limit)
+    if at >= 0:
+        best, complete = _nearest_around(pools, f, at, x, y, z, only, scratch, thread, best)
+        if complete:
+            return best
+    k = pools.fragment.mesh[f]
+    stamp = next_stamp(scratch, thread)
     cell = mesh.grid[k, 3]
     nx, ny, nz, first = mesh.grid_dims[k]
     cells = pools.fragment.cells[f]
@@ -268,9 +260,63 @@ def nearest_from_outside(pools, f, at, x, y, z, limit, only, scratch, thread):
                     visited[t] = stamp
                     if box_distance_squared(x, y, z, mesh.boxes[t]) >= best[0] or not holds_fragment(pools, f, t):
                         continue
-                    if least_distance_squared(mesh, t, x, y, z) < best[0]:
+                    if least_distance_squared(mesh, t, x, y, z) >= best[0]:
+                        continue
+                    if not _region_is_farther(pools, f, t, x, y, z, best[0], scratch, thread):
                         best = nearest_in_tetrahedron(pools, f, t, x, y, z, True, only, best)
     return best
+
+
+@inlined_kernel
+def _region_is_farther(pools, f, t, x, y, z, d2, scratch, thread):
+    """Whether f's region of a cut tetrahedron is certainly farther than sqrt(d2) [m], by margins alone.
+
+    Margins change by no more than the way: where another's is larger than f's by m, f begins no nearer than m / 2.
+    """
+    tet_shift = pools.fragment.tet_shift[f]
+    if tet_shift == NEVER_BROKEN or pools.body.tet_fragment[t + tet_shift] != CUT:
+        return False
+    labels, functionals, counts = scratch.slot_labels[thread], scratch.functionals[thread], scratch.counts[thread]
+    slots = load_margins(
+        pools.mesh, pools.body, pools.fragment.node_shift[f], pools.fragment.edge_shift[f], t, labels, functionals,
+        counts,
+    )  # fmt: skip
+    own, other = -np.inf, -np.inf
+    for s in range(slots):
+        m = margin(functionals[s], counts[s], x, y, z)
+        if labels[s] == f:
+            own = m
+        else:
+            other = max(other, m)
+    return 0.5 * (other - own) > math.sqrt(d2) + MARGIN_ROUNDING * pools.fragment.radius[f]
+
+
+@inlined_kernel
+def _nearest_around(pools, f, at, x, y, z, only, scratch, thread, best):
+    """nearest_from_outside for a point in tetrahedron `at`, over faces within reach: (better of `best`, whether that is
+    all). It is not where the old surface is within reach: f may be near across the air.
+    """
+    mesh = pools.mesh
+    stack, visited, stamp = scratch.heap_tet[thread], scratch.visited[thread], next_stamp(scratch, thread)
+    stack[0] = at
+    visited[at] = stamp
+    count = 1
+    while count:
+        count -= 1
+        t = stack[count]
+        if holds_fragment(pools, f, t) and not _region_is_farther(pools, f, t, x, y, z, best[0], scratch, thread):
+            best = nearest_in_tetrahedron(pools, f, t, x, y, z, True, only, best)
+        for face in range(4):
+            n = mesh.neighbours[t, face]
+            if (n >= 0 and visited[n] == stamp) or _face_is_farther(mesh, t, face, x, y, z, best[0]):
+                continue
+            if n < 0:
+                return best, False
+            visited[n] = stamp
+            if box_distance_squared(x, y, z, mesh.boxes[n]) < best[0]:
+                stack[count] = n
+                count += 1
+    return best, True
 
 
 @inlined_kernel

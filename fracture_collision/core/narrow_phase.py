@@ -13,10 +13,12 @@ from fracture_collision.core.compiled import inlined_kernel, kernel, threaded_ke
 from fracture_collision.core.crew import Crew
 from fracture_collision.core.facing_normal import turn_contacts
 from fracture_collision.core.pools import FACING
-from fracture_collision.core.traversal import query_pair
+from fracture_collision.core.traversal import ID_SAMPLE, ID_SIDE, query_pair
 
-# Contacts a pair gets room for at first; the few pairs with more are asked again with the room they need.
-FIRST_ROOM = 24
+# Contacts a pair gets room for at first, on average and at least for a thread's share of pairs; those that find none
+# left are asked again.
+FIRST_ROOM = 64
+LEAST_ROOM = 2048
 
 
 class PairContacts(NamedTuple):
@@ -67,10 +69,14 @@ def _relative_pose(rotation_from, position_from, rotation_to, position_to, rotat
 @threaded_kernel
 def _query_share(
     pools, rows, rotations, positions, pairs, todo, wanted, epsilon, near, budget,
-    room, contacts, samples, counts, bounds, visits, exhausted, scratch, threads, thread,
+    contacts, ids, begin, counts, bounds, visits, exhausted, scratch, threads, thread,
 ):  # fmt: skip
-    """Every `threads`-th pair of `todo`, from `thread` on."""
+    """Every `threads`-th pair of `todo`, from `thread` on.
+
+    Their contacts go one behind the other into contacts[thread], from row begin[pair] on; -1: there was no room left.
+    """
     rotation, translation = scratch.rotation[thread], scratch.translation[thread]
+    used, room = 0, contacts.shape[1]
     for k in range(thread, len(todo), threads):
         p = todo[k]
         i, j = pairs[p, 0], pairs[p, 1]
@@ -80,12 +86,18 @@ def _query_share(
         radius = min(pools.fragment.radius[a], pools.fragment.radius[b])
         counts[p], bounds[p], visits[p], exhausted[p] = query_pair(
             pools, a, b, rotation, translation, wanted, epsilon * radius, near * radius, budget,
-            contacts[k], samples[k], room, scratch, thread,
+            contacts[thread, used:], ids[thread, used:], room - used, scratch, thread,
         )  # fmt: skip
-        if pools.normals == FACING and counts[p] <= room:
+        begin[p] = used
+        if counts[p] > room - used:
+            begin[p] = -1
+            continue
+        if pools.normals == FACING:
             turn_contacts(
-                pools, a, b, rotation, translation, near * radius, contacts[k], samples[k], counts[p], scratch, thread
-            )
+                pools, a, b, rotation, translation, near * radius, contacts[thread, used:], ids[thread, used:],
+                counts[p], scratch, thread,
+            )  # fmt: skip
+        used += counts[p]
 
 
 @kernel
@@ -96,17 +108,17 @@ def _to_world(rotation, position, x, y, z, out):
 
 @kernel
 def _gather(
-    pairs, rotations, positions, todo, room, contacts, samples, counts, offsets, points_a, points_b, normals, gaps, ids
+    pairs, rotations, positions, todo, contacts, ids, begin, counts, offsets, points_a, points_b, normals, gaps, samples
 ):
     for k in range(len(todo)):
-        p = todo[k]
-        if counts[p] > room:
+        p, thread = todo[k], k % len(contacts)
+        if begin[p] < 0:
             continue
         i, j = pairs[p, 0], pairs[p, 1]
         for c in range(counts[p]):
             o = offsets[p] + c
-            row = contacts[k, c]
-            side = samples[k, c, 0]
+            row = contacts[thread, begin[p] + c]
+            side = ids[thread, begin[p] + c, ID_SIDE]
             other = j if side == 0 else i
             r, t = rotations[other], positions[other]
             own_point, other_point = (points_a[o], points_b[o]) if side == 0 else (points_b[o], points_a[o])
@@ -119,7 +131,7 @@ def _gather(
                 normals[o, d] = n
                 gap += n * (points_b[o, d] - points_a[o, d])
             gaps[o] = gap
-            ids[o, 0], ids[o, 1] = side, samples[k, c, 1]
+            samples[o, 0], samples[o, 1] = side, ids[thread, begin[p] + c, ID_SAMPLE]
 
 
 def query_pairs(
@@ -132,24 +144,25 @@ def query_pairs(
     p = len(pairs)
     counts, visits = np.zeros(p, np.int64), np.zeros(p, np.int64)
     bounds, exhausted = np.zeros(p), np.zeros(p, np.uint8)
-    todo, room = np.arange(p), FIRST_ROOM
+    todo, room = np.arange(p), max(LEAST_ROOM, FIRST_ROOM * p // crew.threads)
     passes = []
     while len(todo):
-        contacts, samples = np.empty((len(todo), room, 10)), np.empty((len(todo), room, 2), np.int64)
+        contacts, ids = np.empty((crew.threads, room, 10)), np.empty((crew.threads, room, 4), np.int64)
+        begin = np.empty(p, np.int64)
         crew.share(
             _query_share, pools, rows, rotations, positions, pairs, todo, wanted, epsilon, near, budget,
-            room, contacts, samples, counts, bounds, visits, exhausted, scratch,
+            contacts, ids, begin, counts, bounds, visits, exhausted, scratch,
         )  # fmt: skip
-        passes.append((todo, room, contacts, samples))
-        todo = todo[counts[todo] > room]
-        room = int(counts[todo].max(initial=0))
+        passes.append((todo, contacts, ids, begin))
+        todo = todo[begin[todo] < 0]
+        room = max((int(counts[todo[t :: crew.threads]].sum()) for t in range(crew.threads)), default=0)
     offsets = np.concatenate([[0], np.cumsum(counts)])
     total = int(offsets[-1])
     points_a, points_b, normals = np.empty((total, 3)), np.empty((total, 3)), np.empty((total, 3))
-    gaps, ids = np.empty(total), np.empty((total, 2), np.int64)
-    for todo, room, contacts, samples in passes:
+    gaps, samples = np.empty(total), np.empty((total, 2), np.int64)
+    for todo, contacts, ids, begin in passes:
         _gather(
-            pairs, rotations, positions, todo, room, contacts, samples, counts, offsets,
-            points_a, points_b, normals, gaps, ids,
+            pairs, rotations, positions, todo, contacts, ids, begin, counts, offsets,
+            points_a, points_b, normals, gaps, samples,
         )  # fmt: skip
-    return PairContacts(counts, bounds, visits, exhausted, points_a, points_b, normals, gaps, ids)
+    return PairContacts(counts, bounds, visits, exhausted, points_a, points_b, normals, gaps, samples)

@@ -13,7 +13,7 @@ import numpy as np
 from fracture_collision.core.compiled import inlined_kernel, query_kernel
 
 # Cells that a sphere's diameter may span at the level that is asked: more of them cost loads, fewer cull less.
-SPAN = 2.0
+SPAN = 4.0
 # What rounding may take from a distance, as a share of it and of a cell.
 ROUNDING = 1e-9
 

@@ -18,6 +18,9 @@ WEIGHT_TOLERANCE = -1e-12
 # Far from the origin of the body frame a weight is a small difference of large terms, and rounds as these do.
 TERM_ROUNDING = 8.0 * np.finfo(np.float64).eps
 
+# A walk that takes more is lost, or was not a short one.
+MOST_STEPS = 16
+
 
 @inlined_kernel
 def tetrahedron_at(mesh, k, x, y, z):
@@ -44,6 +47,31 @@ def tetrahedron_at(mesh, k, x, y, z):
         if w3 >= least and 1.0 - w1 - w2 - w3 >= least:
             return t
     return -1
+
+
+@inlined_kernel
+def tetrahedron_from(mesh, k, start, x, y, z):
+    """As tetrahedron_at, by a walk from tetrahedron `start`: over the face that the point is farthest behind."""
+    t = start
+    for _ in range(MOST_STEPS):
+        b = mesh.barycentric[t]
+        least = WEIGHT_TOLERANCE - TERM_ROUNDING * (abs(b[3]) + abs(b[7]) + abs(b[11]))
+        w1 = b[0] * x + b[1] * y + b[2] * z + b[3]
+        w2 = b[4] * x + b[5] * y + b[6] * z + b[7]
+        w3 = b[8] * x + b[9] * y + b[10] * z + b[11]
+        lowest, face = 1.0 - w1 - w2 - w3, 0
+        if w1 < lowest:
+            lowest, face = w1, 1
+        if w2 < lowest:
+            lowest, face = w2, 2
+        if w3 < lowest:
+            lowest, face = w3, 3
+        if lowest >= least:
+            return t
+        t = mesh.neighbours[t, face]
+        if t < 0:
+            break
+    return tetrahedron_at(mesh, k, x, y, z)
 
 
 @inlined_kernel

@@ -25,9 +25,10 @@ from fracture_collision.core.elementary_queries import (
     probe,
     sphere_test,
 )
-from fracture_collision.core.kinds import PLANE, SPHERE
+from fracture_collision.core.flood import NO_SOURCE
+from fracture_collision.core.kinds import PLANE, SPHERE, TETRAHEDRA
 from fracture_collision.core.oriented_boxes import boxes_apart
-from fracture_collision.core.pools import NONE_BELOW, OWN_SAMPLE, QUEUE, SAMPLE, SIZE, SURFACE
+from fracture_collision.core.pools import NEVER_BROKEN, NONE_BELOW, OWN_SAMPLE, QUEUE, SAMPLE, SIZE, SURFACE
 
 # Rounding must not make a bound lie: this share of the smaller R, and of all coordinates that a depth is made from.
 BOUND_SLACK = 1e-12
@@ -38,6 +39,9 @@ ENTRY, SIDE, NEXT_CHILD, STATUS = 0, 1, 2, 3
 # columns of scratch.node_float: the node's point in the other's frame, then an upper bound of its depth
 DEPTH = 3
 UNTESTED = -1
+UNKNOWN = 3  # beside INSIDE, NEAR, OUTSIDE: not asked, for no depth that it can have would count
+# columns of ids
+ID_SIDE, ID_SAMPLE, ID_SOURCE, ID_TETRAHEDRON = 0, 1, 2, 3
 
 
 @inlined_kernel
@@ -86,8 +90,50 @@ def sphere_contact(pools, ball, other, x, y, z, near, contacts, ids, count, side
     row[3], row[4], row[5] = qx, qy, qz
     row[6], row[7], row[8] = nx, ny, nz
     row[9] = d - radius
-    ids[count, 0], ids[count, 1] = side, -1
+    ids[count, ID_SIDE], ids[count, ID_SAMPLE] = side, -1
+    ids[count, ID_SOURCE], ids[count, ID_TETRAHEDRON] = NO_SOURCE, -1
     return count + 1
+
+
+@inlined_kernel
+def share_a_body(pools, a, b):
+    """Whether two fragments are of one body, that broke."""
+    fragment = pools.fragment
+    return (
+        fragment.kind[a] == TETRAHEDRA and fragment.kind[b] == TETRAHEDRA and fragment.mesh[a] == fragment.mesh[b]
+        and fragment.node_shift[a] != NEVER_BROKEN and fragment.node_shift[a] == fragment.node_shift[b]
+    )  # fmt: skip
+
+
+@inlined_kernel
+def home_tetrahedron(pools, f, sample):
+    """A tetrahedron at the node of fragment f's mesh that a sample of it is, or is next to."""
+    mesh, k = pools.mesh, pools.fragment.mesh[f]
+    first_node, nodes = mesh.first[k, 0], mesh.first[k, 2]
+    node = first_node + sample
+    if sample >= nodes:
+        node = mesh.edges[mesh.first[k, 1] + (sample - nodes) // 2, (sample - nodes) % 2]
+    # node_tets_begin has one row more than nodes in each mesh before this one
+    return mesh.node_tets[mesh.node_tets_begin[node + k]]
+
+
+@inlined_kernel
+def _spin(rotation):
+    """Largest displacement of a point at distance 1 from the origin by rotation (3, 3)."""
+    total = 0.0
+    for i in range(3):
+        for j in range(3):
+            d = rotation[i, j] - (1.0 if i == j else 0.0)
+            total += d * d
+    # R - I has two equal singular values and a zero
+    return math.sqrt(0.5 * total)
+
+
+@inlined_kernel
+def _moved(sphere, x, y, z):
+    """How far the centre of a sphere is from where it is in the unbroken body [m]; (x, y, z): in the other's frame."""
+    dx, dy, dz = x - sphere[0], y - sphere[1], z - sphere[2]
+    return math.sqrt(dx * dx + dy * dy + dz * dz)
 
 
 @query_kernel
@@ -98,18 +144,24 @@ def query_pair(
 
     rotation (2, 3, 3), translation (2, 3): [0] from a's body frame to b's, [1] back. `wanted` m, `epsilon` and `near`
     [m], `budget` visits (0: none). Fills contacts (capacity, 10): sample point, witness on the other, the other's
-    outward normal, all in the other's frame, gap [m]; ids (capacity, 2): side (0: a's sample in b), sample (-1: a
-    sphere's own). Returns (contacts found, missed depth bound [m], visits, exhausted); more found than `capacity`
-    means: call again with room.
+    outward normal, all in the other's frame, gap [m]; ids (capacity, 4): side (0: a's sample in b), sample (-1: a
+    sphere's own), source and tetrahedron of the witness (bounded_probe). Returns (contacts found, missed depth bound
+    [m], visits, exhausted); more found than `capacity` means: call again with room.
 
     The queues hold rows of node_int and node_float, one a node that was reached. A child whose sphere the other's box
     or closed form keeps out of reach counts as visited but takes no row: its test on the next level could not but fail.
+
+    Fragments of one body share a frame, and in place no sample of one is inside the other (but for `overlap`): so none
+    is deeper than it has moved since. That bounds all below a node at once, and two that have hardly moved against
+    each other need no search once they have their m contacts.
     """
     fragment, tree = pools.fragment, pools.tree
     slack = BOUND_SLACK * min(fragment.radius[a], fragment.radius[b])
     slack += COORDINATE_SLACK * (_farthest(pools, a) + _farthest(pools, b))
     for d in range(3):
         slack += COORDINATE_SLACK * (abs(translation[0, d]) + abs(translation[1, d]))
+    one_body = share_a_body(pools, a, b)
+    spin = _spin(rotation[0]) if one_body else 0.0
     bounded = fragment.kind[a] != PLANE and fragment.kind[b] != PLANE
     if bounded and boxes_apart(fragment.box[a], fragment.box[b], rotation[0], translation[0], near + slack):
         return 0, slack, 0, False
@@ -147,6 +199,9 @@ def query_pair(
             x, y, z = node_point[k, 0], node_point[k, 1], node_point[k, 2]
             radius = tree.spheres[entry, 3]
             end = entry + tree.entries[entry, SIZE]
+            moved = math.inf
+            if one_body and count >= m:
+                moved = _moved(tree.spheres[entry], x, y, z) + fragment.overlap[a if side == 0 else b]
             if node[k, NEXT_CHILD] < 0:
                 # first time on this level: test
                 if budget and visits >= budget:
@@ -159,14 +214,19 @@ def query_pair(
                     if tree.entries[entry, SURFACE] != OWN_SAMPLE:
                         # an interior node is no contact, and whether it is inside would cull nothing
                         node_point[k, DEPTH] = min(node_point[k, DEPTH], _depth_limit(pools, other))
+                    elif moved <= epsilon:
+                        status = UNKNOWN
+                        node_point[k, DEPTH] = min(node_point[k, DEPTH], moved)
+                        bound = max(bound, node_point[k, DEPTH])
                     elif -node_point[k, DEPTH] <= near:
                         full = count < m
-                        status, d, nx, ny, nz, qx, qy, qz, most = bounded_probe(
-                            pools, other, x, y, z, near, math.inf if full else epsilon, scratch, thread
+                        start = home_tetrahedron(pools, other, tree.entries[entry, SAMPLE]) if one_body else -1
+                        status, d, nx, ny, nz, qx, qy, qz, most, source, where = bounded_probe(
+                            pools, other, x, y, z, near, math.inf if full else epsilon, start, scratch, thread
                         )
                         if status == INSIDE and d == -math.inf:
-                            status, d, nx, ny, nz, qx, qy, qz, most = bounded_probe(
-                                pools, other, x, y, z, near, math.inf, scratch, thread
+                            status, d, nx, ny, nz, qx, qy, qz, most, source, where = bounded_probe(
+                                pools, other, x, y, z, near, math.inf, start, scratch, thread
                             )
                         if status != OUTSIDE:
                             if full or -d > epsilon:
@@ -176,7 +236,8 @@ def query_pair(
                                     row[3], row[4], row[5] = qx, qy, qz
                                     row[6], row[7], row[8] = nx, ny, nz
                                     row[9] = d
-                                    ids[count, 0], ids[count, 1] = side, tree.entries[entry, SAMPLE]
+                                    ids[count, ID_SIDE], ids[count, ID_SAMPLE] = side, tree.entries[entry, SAMPLE]
+                                    ids[count, ID_SOURCE], ids[count, ID_TETRAHEDRON] = source, where
                                 count += 1
                                 m = max(m, count)
                             else:
@@ -188,17 +249,19 @@ def query_pair(
                     continue
                 depth = node_point[k, DEPTH]
                 least = -near if count < m else epsilon
+                moved += spin * radius
                 if status == INSIDE:
                     enter = depth + radius > least
                 else:
                     reach = radius - least
-                    if tree.entries[entry, SURFACE] != OWN_SAMPLE:
-                        # an interior node was not tested and may be deep inside, however small its sphere
+                    if tree.entries[entry, SURFACE] != OWN_SAMPLE or status == UNKNOWN:
+                        # what was not tested may be deep inside, however small its sphere
                         reach = max(reach, 0.0)
-                    enter = reach >= 0.0 and sphere_test(pools, other, -depth, x, y, z, reach, scratch, thread)
-                if not enter:
+                    enter = reach >= 0.0 and moved > least
+                    enter = enter and sphere_test(pools, other, -depth, x, y, z, reach, scratch, thread)
+                if not enter or moved <= least:
                     # inside: 1-Lipschitz; outside: the test says no point below is deeper than `least`
-                    bound = max(bound, min(depth + radius, max(least, 0.0)))
+                    bound = max(bound, min(depth + radius, moved, max(least, 0.0)))
                     continue
                 child = entry + 1
             else:
@@ -232,8 +295,9 @@ def query_pair(
             nodes += 1
             next_size += 1
         if exhausted:
-            bound = max(bound, _bound_of_rest(pools, a, b, node, node_point, queue, current, head, size))
-            bound = max(bound, _bound_of_rest(pools, a, b, node, node_point, queue, following, 0, next_size))
+            rest = one_body, spin, a, b
+            bound = max(bound, _bound_of_rest(pools, rest, node, node_point, queue, current, head, size))
+            bound = max(bound, _bound_of_rest(pools, rest, node, node_point, queue, following, 0, next_size))
         current, following = following, current
         size = next_size
     return count, bound + slack, visits, exhausted
@@ -246,12 +310,16 @@ def _reach_node(node, node_point, k, entry, side, status, x, y, z, depth):
 
 
 @inlined_kernel
-def _bound_of_rest(pools, a, b, node, node_point, queue, which, begin, end):
+def _bound_of_rest(pools, pair, node, node_point, queue, which, begin, end):
     """Upper bound [m] of the depth of all samples below the nodes still queued when a budget ends."""
+    one_body, spin, a, b = pair
     bound = 0.0
     for i in range(begin, end):
         k = queue[which, i]
-        other = b if node[k, SIDE] == 0 else a
-        depth = node_point[k, DEPTH] + pools.tree.spheres[node[k, ENTRY], 3]
+        own, other = (a, b) if node[k, SIDE] == 0 else (b, a)
+        sphere, p = pools.tree.spheres[node[k, ENTRY]], node_point[k]
+        depth = p[DEPTH] + sphere[3]
+        if one_body:
+            depth = min(depth, _moved(sphere, p[0], p[1], p[2]) + spin * sphere[3] + pools.fragment.overlap[own])
         bound = max(bound, min(depth, _depth_limit(pools, other)))
     return bound
