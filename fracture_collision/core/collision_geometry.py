@@ -329,7 +329,7 @@ class CollisionGeometry:
             return
         mesh = rows.prepared.mesh
         if self._field == AVERAGED:
-            interior = self._interior_field(row, rows)
+            interior = self._interior_field(rows)
             self._tables.body["node_field"].append(interior.node_field)
             self._tables.body["node_certain_tet"].append(np.full(len(mesh.nodes), OLD_SURFACE, np.int32))
         node = self._tables.body["node_fragment"].append(np.full(len(mesh.nodes), row, np.int32))
@@ -342,10 +342,10 @@ class CollisionGeometry:
         self._tables.fragment["tet_shift"].view[row] = tet - rows.tet
         self._tables.fragment["edge_shift"].view[row] = edge - rows.edge
 
-    def _interior_field(self, row: int, rows: _MeshRows) -> InteriorField:
-        """The averaged field of the whole body `row`; its grid goes into the pools with the first body of the mesh."""
+    def _interior_field(self, rows: _MeshRows) -> InteriorField:
+        """The averaged field of the whole body; its grid goes into the pools with the first body of the mesh."""
         if not rows.prepared.interior:
-            rows.prepared.interior.append(make_interior_field(self.pools, row, rows.node, rows.prepared.mesh))
+            rows.prepared.interior.append(make_interior_field(rows.prepared.mesh))
         interior = rows.prepared.interior[0]
         if self._tables.mesh["depth_grid_dims"].view[rows.index, 0] == 0:
             self._tables.mesh["depth_grid"].view[rows.index] = np.append(interior.origin, interior.cell)

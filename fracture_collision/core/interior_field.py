@@ -1,6 +1,6 @@
 """The averaged field of a whole body, exact: at its nodes and on a dense regular grid (Glondu 2014, 4.1, 4.2, 4.4).
 
-Made by the exact flood when a body of this geometry first breaks under the averaged field; equal geometries share it.
+Made when a body of this geometry first breaks under the averaged field; equal geometries share it.
 """
 
 from __future__ import annotations
@@ -11,17 +11,10 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.core.compiled import query_kernel
-from fracture_collision.core.flood import (
-    EVERYTHING,
-    NO_SOURCE,
-    nearest_from_inside,
-    nearest_from_outside,
-    outward_direction,
-)
-from fracture_collision.core.point_location import tetrahedron_at
-from fracture_collision.core.pools import Pools
-from fracture_collision.core.scratch import make_scratch
+from fracture_collision.core.pool_tables import PoolTables
+from fracture_collision.core.pools import ALTERNATING, EXACT, NEAREST
 from fracture_collision.core.tet_mesh import TetMesh
+from fracture_collision.core.triangle_field import STACK, append_triangle_mesh, build_triangle_mesh, triangle_distance
 
 # Grid cells along a cell of the location grid, which is about an edge long. Interpolation errs where the nearest
 # surface changes within a cell; three cells an edge keep that below the error that eq. 1 makes between nodes, with
@@ -39,17 +32,20 @@ class InteriorField(NamedTuple):
     neighbours: np.ndarray  # (2 edges,) int32: the nodes at the other ends of a node's edges, ascending
 
 
-def make_interior_field(pools: Pools, row: int, first_node: int, mesh: TetMesh) -> InteriorField:
-    """Measure the whole body `row`, whose mesh has its nodes from row `first_node` of `pools` on."""
-    scratch = make_scratch(1, len(pools.mesh.tetrahedra), 1)
+def make_interior_field(mesh: TetMesh) -> InteriorField:
+    """Measure the whole body. A hierarchy over its surface finds what is deep inside sooner than a flood does."""
+    tables = PoolTables(ALTERNATING, EXACT, NEAREST)
+    append_triangle_mesh(tables.triangles, build_triangle_mesh(mesh.nodes, mesh.surface))
+    surface, stack = tables.pools.triangles, np.empty(STACK, np.int32)
+    radius = 0.5 * float((mesh.box[3:] - mesh.box[:3]).max())
     node_field = np.zeros((len(mesh.nodes), 7))
-    _measure_nodes(pools, row, first_node, mesh.node_normals, node_field, scratch)
+    _measure_nodes(surface, radius, mesh.nodes, mesh.on_surface, mesh.node_normals, node_field, stack)
     cell = mesh.grid_cell / CELLS_PER_EDGE
     # Half a cell of air, so that no point of the body lies on the grid's border.
     origin = mesh.box[:3] - 0.5 * cell
     dims = (np.floor((mesh.box[3:] - origin) / cell) + 2).astype(np.int32)
     depth = np.empty(int(np.prod(dims)))
-    _measure_grid(pools, row, origin, cell, dims, depth, scratch)
+    _measure_grid(surface, radius, origin, cell, dims, depth, stack)
     begin, neighbours = _edge_neighbours(mesh.edges, len(mesh.nodes))
     return InteriorField(node_field, origin, cell, dims, depth, begin, neighbours)
 
@@ -63,38 +59,25 @@ def _edge_neighbours(edges: np.ndarray, count: int) -> tuple[np.ndarray, np.ndar
 
 
 @query_kernel
-def _measure_nodes(pools, f, first_node, normals, node_field, scratch):
+def _measure_nodes(surface, radius, nodes, on_surface, normals, node_field, stack):
     """Distance, direction and nearest surface point of each node; on the surface 0, the normal, the node itself."""
-    mesh = pools.mesh
-    k = pools.fragment.mesh[f]
     for i in range(len(node_field)):
-        x, y, z = mesh.nodes[first_node + i]
+        x, y, z = nodes[i]
+        d, nx, ny, nz, qx, qy, qz = 0.0, normals[i, 0], normals[i, 1], normals[i, 2], x, y, z
+        if not on_surface[i]:
+            d, nx, ny, nz, qx, qy, qz = triangle_distance(surface, 0, radius, x, y, z, stack)
         row = node_field[i]
-        if mesh.on_surface[first_node + i]:
-            row[0], row[1], row[2], row[3] = 0.0, normals[i, 0], normals[i, 1], normals[i, 2]
-            row[4], row[5], row[6] = x, y, z
-            continue
-        t = mesh.node_tets[mesh.node_tets_begin[first_node + i + k]]
-        best = nearest_from_inside(pools, f, t, x, y, z, math.inf, EVERYTHING, scratch, 0)
-        row[0] = math.sqrt(best[0])
-        row[1], row[2], row[3] = outward_direction(pools, f, x, y, z, best, True)
-        row[4], row[5], row[6] = best[1], best[2], best[3]
+        row[0], row[1], row[2], row[3] = -d, nx, ny, nz
+        row[4], row[5], row[6] = qx, qy, qz
 
 
 @query_kernel
-def _measure_grid(pools, f, origin, cell, dims, depth, scratch):
-    """Signed distance at the grid points; those too far outside to share a cell with the body get minus a diagonal."""
+def _measure_grid(surface, radius, origin, cell, dims, depth, stack):
+    """Depth at the grid points; those too far outside to share a cell with the body get minus a diagonal."""
     diagonal = math.sqrt(3.0) * cell * (1.0 + 1e-9)
-    k = pools.fragment.mesh[f]
     for i in range(dims[0]):
         for j in range(dims[1]):
             for l in range(dims[2]):  # noqa: E741
                 x, y, z = origin[0] + i * cell, origin[1] + j * cell, origin[2] + l * cell
-                t = tetrahedron_at(pools.mesh, k, x, y, z)
-                at = (i * dims[1] + j) * dims[2] + l
-                if t >= 0:
-                    best = nearest_from_inside(pools, f, t, x, y, z, math.inf, EVERYTHING, scratch, 0)
-                    depth[at] = math.sqrt(best[0])
-                else:
-                    best = nearest_from_outside(pools, f, t, x, y, z, diagonal, EVERYTHING, scratch, 0)
-                    depth[at] = -diagonal if best[5] == NO_SOURCE else -math.sqrt(best[0])
+                d = triangle_distance(surface, 0, radius, x, y, z, stack)[0]
+                depth[(i * dims[1] + j) * dims[2] + l] = max(-d, -diagonal)
