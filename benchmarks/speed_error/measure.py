@@ -7,11 +7,12 @@ import re
 import numpy as np
 
 from benchmarks.peers.measure import Progress, Row, measure
-from benchmarks.peers.method import Method
+from benchmarks.peers.method import EXACT, Contacts, Method, no_contacts
 from benchmarks.peers.methods import all_methods
 from benchmarks.peers.ours import Ours, setting_methods
 from benchmarks.peers.ours_settings import RESOLUTION, named
-from benchmarks.peers.worlds import DRAWS, SHELL_INNER, World, break_body, clustered_seeds, make_world
+from benchmarks.peers.worlds import DRAWS, SHELL_INNER, Frame, World, break_body, clustered_seeds, make_world
+from benchmarks.speed_error.points import SILENT
 from fracture_collision.geometry.generators import TetGeometry
 from fracture_collision.geometry.sampled_bodies import sampled_ball, sampled_shell
 
@@ -21,13 +22,27 @@ QUICK_WORLDS, FULL_WORLDS = ("shell20w", "shell20"), ("ball20w", "ball20", "shel
 COARSE, FINE = 6, 16
 # Slow methods that make the field complete; the other slow ones only with all.
 QUICK_TOO = ("mujoco v-hacd", "grids 24^3", "newton mesh")
-TWICE = ("pybullet hull, by pairs",)  # the same answers as another, in more time
+# The same answers as another, in more time; and no contact at all between two, which Silent shows.
+LEFT_OUT = ("pybullet hull, by pairs", "pybullet concave")
+
+
+class Silent(Method):
+    """Reports nothing: what that costs gives the errors of the others their measure."""
+
+    name = SILENT
+    surface = EXACT
+
+    def update(self, world: World, before: None) -> None:
+        pass
+
+    def query(self, world: World, state: None, frame: Frame) -> Contacts:
+        return no_contacts()
 
 
 def measure_all(quick: bool, repeats: int, progress: Progress) -> tuple[list[Row], dict[str, str]]:
     """Rows as of `benchmarks.peers`, and what is missing as of its `all_methods`."""
     peers, missing = all_methods()
-    methods = [*setting_methods(), *(peer for peer in peers if _is_wanted(peer, quick))]
+    methods = [*setting_methods(), Silent(), *(peer for peer in peers if _is_wanted(peer, quick))]
     rows: list[Row] = []
     for name in QUICK_WORLDS if quick else FULL_WORLDS:
         progress(f"{name}: fracture and surfaces")
@@ -41,7 +56,7 @@ def measure_all(quick: bool, repeats: int, progress: Progress) -> tuple[list[Row
 
 
 def _is_wanted(peer: Method, quick: bool) -> bool:
-    if isinstance(peer, Ours) or not peer.answers or peer.name in TWICE:
+    if isinstance(peer, Ours) or not peer.answers or peer.name in LEFT_OUT:
         return False
     return not quick or peer.is_quick or peer.name in QUICK_TOO
 

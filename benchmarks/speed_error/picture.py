@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -12,7 +13,17 @@ from matplotlib.ticker import FuncFormatter
 
 from benchmarks.peers.ours_settings import DEFAULTS, RESOLUTION
 from benchmarks.speed_error.labels import Label, place_labels
-from benchmarks.speed_error.points import FAMILIES, Line, Point, family, is_ours, peer_label, points_of, setting_lines
+from benchmarks.speed_error.points import (
+    FAMILIES,
+    SILENT,
+    Line,
+    Point,
+    family,
+    is_ours,
+    peer_label,
+    points_of,
+    setting_lines,
+)
 
 DPI = 150
 FLOOR = 0.001  # [% R] errors below are drawn here
@@ -29,38 +40,42 @@ SETTINGS = {
     "contacts_per_pair": ("contacts a pair", "#0072B2", "o"),
     "penetration_tolerance": ("penetration tolerance, % R", "#D55E00", "s"),
     "visit_budget": ("visits a step", "#009E73", "^"),
-    RESOLUTION: ("resolution", "#000000", "D"),
+    RESOLUTION: ("resolution (surface frequency)", "#000000", "D"),
     "normals": ("normals", "#CC79A7", "v"),
     "field": ("field", "#E69F00", "P"),
     "tree": ("trees", "#56B4E9", "X"),
 }
 ERROR = "error of a pair's depth [% R]"
+QUERY, UPDATE = "query of all fragments [ms]", "update at the fracture and first query [ms]"
 MEASURE = (
-    "Depth: of the deepest vertex of either in the other, against whole surfaces. Marker: mean over the pairs whose "
-    "boxes overlap; bar: up to the worst pair.\nA missed pair counts with its true depth, a false one with the "
-    f"reported depth. Errors below {FLOOR} % R are drawn there."
+    "Depth: that of the deepest vertex of either in the other, which exact distances give by construction; against "
+    "whole surfaces, so that what lies between our samples counts.\nMarker: mean over all pairs whose boxes overlap; "
+    "bar: up to the worst. A missed pair counts with its true depth, a false one with the reported depth.\n"
+    f"Errors below {FLOOR} % R are drawn there. Calls from Python, one core of: "
 )
 
 
 def draw(rows: Sequence[Line], png: Path) -> None:
     """Time of a query against error: jittered frames, ours of them from near, piled frames."""
     worlds = _worlds(rows)
-    figure, grid = _panels(worlds, 9.0, (3.6, 3.6, 3.0))
+    figure, grid = _panels(worlds, 9.0, (3.4, 1.3, 2.8, 2.8))
     labels = []
     for column, (world, title) in enumerate(worlds):
-        jitter, near, pile = (grid[i][column] for i in range(3))
+        jitter, near_worst, near_mean, pile = (row[column] for row in grid)
         points = points_of(rows, world, "jitter", ["jitter_query"])
         labels += _all_methods(jitter, points)
-        labels += _our_settings(near, points)
+        labels += _our_settings(near_worst, near_mean, points)
         labels += _all_methods(pile, points_of(rows, world, "pile", ["pile_query"]))
         jitter.set_title(f"{title}\njittered: moved by up to 1 % R and 1°", fontsize=9)
-        near.set_title("jittered: our settings from near", fontsize=9)
+        near_worst.set_title("our settings from near: worst pair", fontsize=9)
+        near_mean.set_title("our settings from near: mean", fontsize=9)
         pile.set_title("piled in a box", fontsize=9)
-        pile.set_xlabel("query of all fragments [ms]")
-    for axes in (grid[0], grid[2]):
-        _same_limits(axes)
+        for axes in (jitter, near_mean, pile):
+            axes.set_xlabel(QUERY, fontsize=8)
+    for row in (grid[0], grid[3]):
+        _same_limits(row)
     grid[0][0].legend(handles=_family_handles(), fontsize=7, loc="lower left", framealpha=0.9)
-    grid[1][0].legend(handles=_setting_handles(), fontsize=7, framealpha=0.9)
+    grid[2][0].legend(handles=_setting_handles(), fontsize=7, loc="upper right", framealpha=0.9)
     _finish(figure, rows, labels, png)
 
 
@@ -72,7 +87,7 @@ def draw_update(rows: Sequence[Line], png: Path) -> None:
     for axes, (world, title) in zip(grid[0], worlds, strict=True):
         labels += _all_methods(axes, points_of(rows, world, "jitter", ["update", "first_query"]))
         axes.set_title(title, fontsize=9)
-        axes.set_xlabel("update at the fracture and first query [ms]")
+        axes.set_xlabel(UPDATE, fontsize=8)
     _same_limits(grid[0])
     grid[0][0].legend(handles=_family_handles(), fontsize=7, loc="lower left", framealpha=0.9)
     _finish(figure, rows, labels, png)
@@ -94,11 +109,11 @@ def _panels(worlds: Sequence, width: float, heights: tuple[float, ...]) -> tuple
     for axes in grid.ravel():
         axes.set(xscale="log", yscale="log")
         axes.grid(alpha=0.25, lw=0.5)
-        axes.tick_params(labelsize=8)
+        axes.tick_params(which="both", labelsize=8)
         axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axes.yaxis.set_major_formatter(FuncFormatter(_error_tick))
-    for row in grid:
-        row[0].set_ylabel(ERROR, fontsize=8)
+    for row, height in zip(grid, heights, strict=True):
+        row[0].set_ylabel(ERROR if height > 2.0 else "[% R]", fontsize=8)
     return figure, grid.tolist()
 
 
@@ -106,11 +121,20 @@ def _error_tick(value: float, _place: int) -> str:
     return f"≤ {FLOOR:g}" if value == FLOOR else f"{value:g}"
 
 
+def _minor_tick(value: float, _place: int) -> str:
+    digit = round(value / 10.0 ** math.floor(math.log10(value)))
+    return f"{value:g}" if digit in (2, 3, 5) else ""
+
+
 def _all_methods(axes: Axes, points: Sequence[Point]) -> list[Label]:
     """Each with its bar; ours as one cloud about the defaults, joined setting by setting."""
     labels = []
     for point in points:
-        if is_ours(point):
+        if point.method == SILENT:
+            axes.axhline(point.mean, color="#777777", lw=0.8, ls=":", zorder=1)
+            axes.text(0.99, point.mean, "no contact reported", fontsize=6.5, color="#555555", ha="right", va="bottom",
+                      transform=axes.get_yaxis_transform())  # fmt: skip
+        if is_ours(point) or point.method == SILENT:
             continue
         color, marker = STYLES[family(point)]
         _bar(axes, point, color)
@@ -127,21 +151,27 @@ def _all_methods(axes: Axes, points: Sequence[Point]) -> list[Label]:
     return labels
 
 
-def _our_settings(axes: Axes, points: Sequence[Point]) -> list[Label]:
+def _our_settings(worst: Axes, mean: Axes, points: Sequence[Point]) -> list[Label]:
+    """Each setting as a line, by the worst pair in one panel, by the mean in the other, which has the words."""
     labels = []
     for setting, line in setting_lines(points).items():
         _, color, marker = SETTINGS[setting]
-        own = [point for _, point in line]
-        axes.plot(
-            [p.time for p in own], [_floored(p.mean) for p in own], f"-{marker}", color=color, ms=5, lw=1.0,
-            mec="white", mew=0.5,
-        )  # fmt: skip
-        labels += [Label(axes, p.time, _floored(p.mean), words, color) for words, p in line]
+        style = {"color": color, "marker": marker, "ms": 5, "lw": 1.0, "mec": "white", "mew": 0.5}
+        times = [point.time for _, point in line]
+        worst.plot(times, [_floored(point.worst) for _, point in line], **style)
+        mean.plot(times, [_floored(point.mean) for _, point in line], **style)
+        ends = line[0], line[-1]
+        labels += [Label(mean, p.time, _floored(p.mean), words, color, (words, p) in ends) for words, p in line]
     for point in points:
         if point.method == DEFAULTS:
-            axes.plot(point.time, _floored(point.mean), "*", color=OURS, ms=14, mec="white", mew=0.8, zorder=6)
-            labels.insert(0, Label(axes, point.time, _floored(point.mean), "defaults", OURS))
-    axes.margins(0.12)
+            star = {"color": OURS, "ms": 14, "mec": "white", "mew": 0.8, "zorder": 6}
+            worst.plot(point.time, _floored(point.worst), "*", **star)
+            mean.plot(point.time, _floored(point.mean), "*", **star)
+            labels.insert(0, Label(mean, point.time, _floored(point.mean), "defaults", OURS))
+    for axes in (worst, mean):
+        axes.margins(0.12, 0.2)
+        for axis in (axes.xaxis, axes.yaxis):  # less than a decade may be in view
+            axis.set_minor_formatter(FuncFormatter(_minor_tick))
     return labels
 
 
@@ -174,8 +204,7 @@ def _setting_handles() -> list[Line2D]:
 
 
 def _finish(figure: Figure, rows: Sequence[Line], labels: Sequence[Label], png: Path) -> None:
-    first = rows[0]
-    figure.supxlabel(f"{MEASURE} {first['cpu']}, {first['cores']} core.", fontsize=7, x=0.01, ha="left")
+    figure.supxlabel(f"{MEASURE}{rows[0]['cpu']}.", fontsize=7, x=0.01, ha="left")
     figure.draw_without_rendering()
     figure.set_layout_engine("none")  # words beside points must not move the panels
     place_labels(figure, labels, 7.0)

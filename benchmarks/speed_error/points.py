@@ -7,10 +7,11 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from benchmarks.peers.ours_settings import DEFAULTS, EVERY_CONTACT
+from benchmarks.peers.ours_settings import DEFAULTS, EVERY_CONTACT, RESOLUTION
 from fracture_collision.world import Settings
 
-# Methods other than ours, by what their names contain; the first that fits.
+SILENT = "nothing reported"  # a method that answers with no contact
+# Methods other than ours and that one, by what their names contain; the first that fits.
 FAMILIES = {
     "exact distances": r"exact",
     "distance grids": r"grids|sdf",
@@ -18,8 +19,9 @@ FAMILIES = {
     "convex hulls": r"hull",
     "triangle meshes": r"mesh|concave",
 }
+_DEFAULTS = Settings._field_defaults | {RESOLUTION: 10}  # about that of either body of `make_world`
 # What a method's name need not repeat of its family.
-_REDUNDANT = re.compile(r" (hull|mesh|concave|decomposition)|exact vertices \(|\)|,? contacts")
+_REDUNDANT = re.compile(r" (hull|mesh|concave|decomposition)|exact vertices \(|\)")
 
 
 class Point(NamedTuple):
@@ -67,9 +69,8 @@ def setting_lines(points: Sequence[Point]) -> dict[str, list[tuple[str, Point]]]
             lines.setdefault(setting, []).append((value, point))
     for setting, line in lines.items():
         if default is not None:
-            line.append((str(Settings._field_defaults.get(setting, "")), default))
-        # no budget, or the body as it is, comes last
-        line.sort(key=lambda item: _number(item[0]) or math.inf)
+            line.append((str(_DEFAULTS.get(setting, "")), default))
+        line.sort(key=lambda item: _number(item[0]) or math.inf)  # no budget comes last
         lines[setting] = [("" if p is default else _words(setting, value), p) for value, p in line]
     return lines
 
