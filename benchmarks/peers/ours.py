@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.peers.method import EXACT, Contacts, Method, contacts_of
+from benchmarks.peers.ours_settings import DEFAULTS, SETTINGS, named
 from benchmarks.peers.worlds import Frame, World, empty_states
 from fracture_collision.records import FragmentStates
 from fracture_collision.world import CollisionWorld, Settings
@@ -63,3 +64,9 @@ def methods() -> list[Method]:
         Ours("ours, epsilon 1 % R", penetration_tolerance=0.01),
         Ours("ours, 3000 visits", visit_budget=3000),
     ]
+
+
+def setting_methods() -> list[Method]:
+    """The defaults, and one method for each value of SETTINGS."""
+    changed = [(setting, value) for setting, values in SETTINGS.items() for value in values]
+    return [Ours(DEFAULTS), *(Ours(named(*item), **dict([item])) for item in changed)]

@@ -37,6 +37,10 @@ class Score(NamedTuple):
     parting_wrong: float
     witness_mean: float  # [R] distance of witnesses to the surface that they are said to be on
     witness_max: float
+    # [R] reported depth less the true one, without sign, of all pairs near each other, overlapping or reported; a pair
+    # missed counts with its true depth, a false one with the reported depth. Left out: false ones whose edges cross.
+    pair_error_mean: float
+    pair_error_max: float
 
 
 class FrameTruth(NamedTuple):
@@ -50,7 +54,7 @@ def score(solids: Solids, truths: list[FrameTruth], answers: list[Contacts]) -> 
     """`truths` and `answers` frame by frame."""
     penetrating = missed = samples_penetrating = samples_missed = apart = false = 0
     missed_deepest = 0.0
-    errors, sample_errors, nearest, parting, witness = [], [], [], [], [np.zeros(0)]
+    errors, sample_errors, pair_errors, nearest, parting, witness = [], [], [], [], [], [np.zeros(0)]
     for truth, answer in zip(truths, answers, strict=True):
         deepest = deepest_contacts(answer)
         for pair in sorted(truth.near | set(truth.pairs) | set(deepest)):
@@ -60,10 +64,13 @@ def score(solids: Solids, truths: list[FrameTruth], answers: list[Contacts]) -> 
             if true is None:
                 # edges may cross where no vertex is inside
                 claimed = depth > TOLERANCE
-                if claimed and _edges_cross(solids, truth, pair):
-                    continue
-                apart, false = apart + 1, false + claimed
+                crosses = depth > 0.0 and _edges_cross(solids, truth, pair)
+                if not crosses:
+                    pair_errors.append(max(depth, 0.0))
+                if not (claimed and crosses):
+                    apart, false = apart + 1, false + claimed
                 continue
+            pair_errors.append(abs(max(depth, 0.0) - true.depth))
             if true.sample_depth > TOLERANCE:
                 samples_penetrating += 1
                 if depth > 0.0:
@@ -88,6 +95,7 @@ def score(solids: Solids, truths: list[FrameTruth], answers: list[Contacts]) -> 
         penetrating, missed, missed_deepest, samples_penetrating, samples_missed, *_mean_max(sample_errors),
         apart, false,
         *_mean_max(errors), *_median_wrong(nearest), *_median_wrong(parting), *_mean_max(off),
+        *_mean_max(pair_errors),
     )  # fmt: skip
 
 

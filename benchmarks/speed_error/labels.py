@@ -1,0 +1,78 @@
+"""Words beside points, put where they cover least: the picture is drawn anew with every measurement."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
+from matplotlib.text import Annotation, Text
+from matplotlib.transforms import Bbox
+
+# Where words may go, from the point, in points of type: beside it, then in rings farther and farther off.
+BESIDE = ((5.0, 0.0), (-5.0, 0.0), (5.0, 6.0), (5.0, -6.0), (-5.0, 6.0), (-5.0, -6.0), (0.0, 8.0), (0.0, -8.0))
+RINGS, DIRECTIONS = (16.0, 24.0, 34.0, 46.0), 16
+TURNS = np.linspace(0.0, 2.0 * np.pi, DIRECTIONS, endpoint=False) + np.pi / DIRECTIONS
+PLACES = (*BESIDE, *((r * np.cos(a), 0.8 * r * np.sin(a)) for r in RINGS for a in TURNS))
+STEP = 0.05  # what going one on in PLACES costs
+OVER_WORDS, OVER_POINT, OUTSIDE = 30.0, 3.0, 100.0  # what covering them costs
+
+
+class Label(NamedTuple):
+    axes: Axes
+    x: float  # data
+    y: float
+    words: str
+    color: str
+    needed: bool = True  # False: only if beside its point it covers nothing
+
+
+def place_labels(figure: Figure, labels: Sequence[Label], size: float) -> None:
+    """Write `labels`, type of `size` points, once limits and layout are final; points are those of all labels."""
+    renderer = FigureCanvasAgg(figure).get_renderer()
+    taken: list[Bbox] = []
+    for axes in figure.axes:
+        if axes.get_legend() is not None:
+            taken.append(axes.get_legend().get_window_extent(renderer))
+        taken += [text.get_window_extent(renderer) for text in axes.texts]
+    points = np.array([label.axes.transData.transform((label.x, label.y)) for label in labels]).reshape(-1, 2)
+    for label in sorted(labels, key=lambda label: not label.needed):
+        if not label.words:
+            continue
+        best, least = None, np.inf
+        for rank, place in enumerate(PLACES):
+            text = _write(label, place, size)
+            text.update_positions(renderer)
+            box = Text.get_window_extent(text, renderer).padded(1.0)  # an annotation's own has its line in it
+            cost = STEP * rank + OVER_WORDS * sum(box.overlaps(other) for other in taken)
+            inside = np.all((points > box.min) & (points < box.max), axis=1)
+            cost += OVER_POINT * int(inside.sum()) + OUTSIDE * (not _holds(label.axes.get_window_extent(), box))
+            if cost < least:
+                if best is not None:
+                    best[0].remove()
+                best, least = (text, box), cost
+            else:
+                text.remove()
+        if label.needed or least < STEP * len(BESIDE):
+            taken.append(best[1])
+        else:
+            best[0].remove()
+
+
+def _write(label: Label, place: tuple[float, float], size: float) -> Annotation:
+    across, up = place
+    far = place not in BESIDE
+    return label.axes.annotate(
+        label.words, (label.x, label.y), place, textcoords="offset points", fontsize=size, color=label.color,
+        ha="left" if across > 0.0 else "right" if across < 0.0 else "center", va="center",
+        arrowprops={"arrowstyle": "-", "lw": 0.4, "color": label.color, "shrinkA": 0, "shrinkB": 2} if far else None,
+        path_effects=[withStroke(linewidth=1.5, foreground="white")], zorder=7,
+    )  # fmt: skip
+
+
+def _holds(outer: Bbox, inner: Bbox) -> bool:
+    return outer.x0 <= inner.x0 and outer.y0 <= inner.y0 and outer.x1 >= inner.x1 and outer.y1 >= inner.y1

@@ -1,0 +1,211 @@
+"""The pictures, from lines of the CSV alone: a row of panels for each kind of frame, one of our settings from near."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import FuncFormatter
+
+from benchmarks.peers.ours_settings import DEFAULTS, RESOLUTION
+from benchmarks.speed_error.labels import Label, place_labels
+from benchmarks.speed_error.points import (
+    FAMILIES,
+    SILENT,
+    Line,
+    Point,
+    family,
+    is_ours,
+    peer_label,
+    points_of,
+    setting_lines,
+)
+
+DPI = 150
+FLOOR = 0.001  # [% R] errors below are drawn here
+# Okabe and Ito's colours, which the colour-blind tell apart; the markers say the same again.
+OURS = "#0072B2"
+STYLES = dict(
+    zip(
+        FAMILIES,
+        (("#000000", "o"), ("#009E73", "p"), ("#CC79A7", "D"), ("#D55E00", "s"), ("#E69F00", "^")),
+        strict=True,
+    )
+)
+SETTINGS = {
+    "contacts_per_pair": ("contacts a pair", "#0072B2", "o"),
+    "penetration_tolerance": ("penetration tolerance, % R", "#D55E00", "s"),
+    "visit_budget": ("visits a step", "#009E73", "^"),
+    RESOLUTION: ("resolution (surface frequency)", "#000000", "D"),
+    "normals": ("normals", "#CC79A7", "v"),
+    "field": ("field", "#E69F00", "P"),
+    "tree": ("trees", "#56B4E9", "X"),
+}
+ERROR = "error of a pair's depth [% R]"
+QUERY, UPDATE = "query of all fragments [ms]", "update at the fracture and first query [ms]"
+MEASURE = (
+    "Depth: that of the deepest vertex of either in the other, which exact distances give by construction; against "
+    "whole surfaces, so that what lies between our samples counts.\nMarker: mean over all pairs whose boxes overlap; "
+    "bar: up to the worst. A missed pair counts with its true depth, a false one with the reported depth.\n"
+    f"Errors below {FLOOR} % R are drawn there. Calls from Python, one core of: "
+)
+
+
+def draw(rows: Sequence[Line], png: Path) -> None:
+    """Time of a query against error: jittered frames, ours of them from near, piled frames."""
+    worlds = _worlds(rows)
+    figure, grid = _panels(worlds, 9.0, (3.4, 1.3, 2.8, 2.8))
+    labels = []
+    for column, (world, title) in enumerate(worlds):
+        jitter, near_worst, near_mean, pile = (row[column] for row in grid)
+        points = points_of(rows, world, "jitter", ["jitter_query"])
+        labels += _all_methods(jitter, points)
+        labels += _our_settings(near_worst, near_mean, points)
+        labels += _all_methods(pile, points_of(rows, world, "pile", ["pile_query"]))
+        jitter.set_title(f"{title}\njittered: moved by up to 1 % R and 1°", fontsize=9)
+        near_worst.set_title("our settings from near: worst pair", fontsize=9)
+        near_mean.set_title("our settings from near: mean", fontsize=9)
+        pile.set_title("piled in a box", fontsize=9)
+        for axes in (jitter, near_mean, pile):
+            axes.set_xlabel(QUERY, fontsize=8)
+    for row in (grid[0], grid[3]):
+        _same_limits(row)
+    grid[0][0].legend(handles=_family_handles(), fontsize=7, loc="lower left", framealpha=0.9)
+    grid[2][0].legend(handles=_setting_handles(), fontsize=7, loc="upper right", framealpha=0.9)
+    _finish(figure, rows, labels, png)
+
+
+def draw_update(rows: Sequence[Line], png: Path) -> None:
+    """Time of an update and the first query after it against the error of jittered frames."""
+    worlds = _worlds(rows)
+    figure, grid = _panels(worlds, 9.0, (3.8,))
+    labels = []
+    for axes, (world, title) in zip(grid[0], worlds, strict=True):
+        labels += _all_methods(axes, points_of(rows, world, "jitter", ["update", "first_query"]))
+        axes.set_title(title, fontsize=9)
+        axes.set_xlabel(UPDATE, fontsize=8)
+    _same_limits(grid[0])
+    grid[0][0].legend(handles=_family_handles(), fontsize=7, loc="lower left", framealpha=0.9)
+    _finish(figure, rows, labels, png)
+
+
+def _worlds(rows: Sequence[Line]) -> list[tuple[str, str]]:
+    """Name and title of the first world with curved cracks and of the first with flat ones."""
+    found = {}
+    for row in rows:
+        cracks = "curved" if row["world"].endswith("w") else "flat"
+        shape = "hollow sphere" if row["world"].startswith("shell") else "sphere"
+        found.setdefault(cracks, (row["world"], f"{cracks} cracks ({shape}, {row['fragments']} fragments)"))
+    return [found[cracks] for cracks in ("curved", "flat") if cracks in found]
+
+
+def _panels(worlds: Sequence, width: float, heights: tuple[float, ...]) -> tuple[Figure, list[list[Axes]]]:
+    figure = Figure((width, sum(heights) + 0.6), dpi=DPI, layout="constrained")
+    grid = figure.subplots(len(heights), len(worlds), squeeze=False, height_ratios=heights)
+    for axes in grid.ravel():
+        axes.set(xscale="log", yscale="log")
+        axes.grid(alpha=0.25, lw=0.5)
+        axes.tick_params(which="both", labelsize=8)
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axes.yaxis.set_major_formatter(FuncFormatter(_error_tick))
+    for row, height in zip(grid, heights, strict=True):
+        row[0].set_ylabel(ERROR if height > 2.0 else "[% R]", fontsize=8)
+    return figure, grid.tolist()
+
+
+def _error_tick(value: float, _place: int) -> str:
+    return f"≤ {FLOOR:g}" if value == FLOOR else f"{value:g}"
+
+
+def _minor_tick(value: float, _place: int) -> str:
+    digit = round(value / 10.0 ** math.floor(math.log10(value)))
+    return f"{value:g}" if digit in (2, 3, 5) else ""
+
+
+def _all_methods(axes: Axes, points: Sequence[Point]) -> list[Label]:
+    """Each with its bar; ours as one cloud about the defaults, joined setting by setting."""
+    labels = []
+    for point in points:
+        if point.method == SILENT:
+            axes.axhline(point.mean, color="#777777", lw=0.8, ls=":", zorder=1)
+            axes.text(0.99, point.mean, "no contact reported", fontsize=6.5, color="#555555", ha="right", va="bottom",
+                      transform=axes.get_yaxis_transform())  # fmt: skip
+        if is_ours(point) or point.method == SILENT:
+            continue
+        color, marker = STYLES[family(point)]
+        _bar(axes, point, color)
+        axes.plot(point.time, _floored(point.mean), marker, color=color, ms=6, mec="white", mew=0.6, zorder=4)
+        labels.append(Label(axes, point.time, _floored(point.mean), peer_label(point), color))
+    for line in setting_lines(points).values():
+        own = [point for _, point in line]
+        axes.plot([p.time for p in own], [_floored(p.mean) for p in own], "-o", color=OURS, ms=2.5, lw=0.8, alpha=0.6)
+    for point in points:
+        if point.method == DEFAULTS:
+            _bar(axes, point, OURS)
+            axes.plot(point.time, _floored(point.mean), "*", color=OURS, ms=14, mec="white", mew=0.8, zorder=6)
+            labels.insert(0, Label(axes, point.time, _floored(point.mean), "ours", OURS))
+    return labels
+
+
+def _our_settings(worst: Axes, mean: Axes, points: Sequence[Point]) -> list[Label]:
+    """Each setting as a line, by the worst pair in one panel, by the mean in the other, which has the words."""
+    labels = []
+    for setting, line in setting_lines(points).items():
+        _, color, marker = SETTINGS[setting]
+        style = {"color": color, "marker": marker, "ms": 5, "lw": 1.0, "mec": "white", "mew": 0.5}
+        times = [point.time for _, point in line]
+        worst.plot(times, [_floored(point.worst) for _, point in line], **style)
+        mean.plot(times, [_floored(point.mean) for _, point in line], **style)
+        ends = line[0], line[-1]
+        labels += [Label(mean, p.time, _floored(p.mean), words, color, (words, p) in ends) for words, p in line]
+    for point in points:
+        if point.method == DEFAULTS:
+            star = {"color": OURS, "ms": 14, "mec": "white", "mew": 0.8, "zorder": 6}
+            worst.plot(point.time, _floored(point.worst), "*", **star)
+            mean.plot(point.time, _floored(point.mean), "*", **star)
+            labels.insert(0, Label(mean, point.time, _floored(point.mean), "defaults", OURS))
+    for axes in (worst, mean):
+        axes.margins(0.12, 0.2)
+        for axis in (axes.xaxis, axes.yaxis):  # less than a decade may be in view
+            axis.set_minor_formatter(FuncFormatter(_minor_tick))
+    return labels
+
+
+def _bar(axes: Axes, point: Point, color: str) -> None:
+    """From the mean up to the worst pair."""
+    worst = _floored(point.worst)
+    axes.plot([point.time] * 2, [_floored(point.mean), worst], "-", color=color, lw=1.0, alpha=0.55, zorder=2)
+    axes.plot(point.time, worst, "_", color=color, ms=6, alpha=0.8, zorder=2)
+
+
+def _floored(error: float) -> float:
+    return max(error, FLOOR)
+
+
+def _same_limits(row: Sequence[Axes]) -> None:
+    """The floor at the bottom, and what all of a row need."""
+    for get, put in ((Axes.get_xlim, Axes.set_xlim), (Axes.get_ylim, Axes.set_ylim)):
+        limits = [get(axes) for axes in row]
+        for axes in row:
+            put(axes, min(low for low, _ in limits), max(high for _, high in limits))
+
+
+def _family_handles() -> list[Line2D]:
+    ours = Line2D([], [], color=OURS, marker="*", ms=10, lw=0.8, label="ours, every setting")
+    return [ours, *(Line2D([], [], color=c, marker=m, ls="", label=name) for name, (c, m) in STYLES.items())]
+
+
+def _setting_handles() -> list[Line2D]:
+    return [Line2D([], [], color=c, marker=m, ms=5, lw=1.0, label=words) for words, c, m in SETTINGS.values()]
+
+
+def _finish(figure: Figure, rows: Sequence[Line], labels: Sequence[Label], png: Path) -> None:
+    figure.supxlabel(f"{MEASURE}{rows[0]['cpu']}.", fontsize=7, x=0.01, ha="left")
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")  # words beside points must not move the panels
+    place_labels(figure, labels, 7.0)
+    figure.savefig(png)
