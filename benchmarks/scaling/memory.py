@@ -1,4 +1,4 @@
-"""What a world takes in memory, each case in a process of its own: `python -m benchmarks.scaling.memory` is that process.
+"""What a world takes in memory; each case in a process of its own, which is `python -m benchmarks.scaling.memory`.
 
 Twice: the resident set, which is what the system sees, and what tracemalloc has counted, which is what the world's
 arrays and objects hold, whatever the allocator keeps. Interpreter, libraries and kernels are there before.
@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks.scaling.growth import Progress, silent
 from fracture_collision.geometry.sampled_bodies import sampled_ball
 from fracture_collision.geometry.stored_meshes import bunny
 from fracture_collision.records import CollisionBody, FractureEvent, FragmentStates
@@ -60,7 +61,7 @@ class MemoryRow(NamedTuple):
 
 
 def measure_memory(
-    bodies: tuple[str, ...] = BODIES, threads: tuple[int, ...] = (1, 2), progress: Callable[[str], None] = print
+    bodies: tuple[str, ...] = BODIES, threads: tuple[int, ...] = (1, 2), progress: Progress = silent
 ) -> list[MemoryRow]:
     """ball: sampled_ball(1, 11, 4000), 5,212 nodes; bunny: the stored one, 2,010."""
     rows = []
@@ -171,8 +172,9 @@ def _main(body: str, threads: int, how: str) -> None:
     start, whole, broken, first_more, more, first_more_broken, more_broken = levels
     its = _copies(body)
     megabytes = {
-        "whole": whole - start, "broken": broken - start, "peak": max(peak - start, 0), "first_more": first_more - broken,
-        "more": more - broken, "first_more_broken": first_more_broken - more, "more_broken": more_broken - more,
+        "whole": whole - start, "broken": broken - start, "peak": max(peak - start, 0),
+        "first_more": first_more - broken, "more": more - broken,
+        "first_more_broken": first_more_broken - more, "more_broken": more_broken - more,
     }  # fmt: skip
     sizes = {
         "nodes": len(its.bodies[0].vertices) // 3, "tetrahedra": len(its.bodies[0].tetrahedra) // 4,

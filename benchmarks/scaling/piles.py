@@ -66,14 +66,17 @@ def world_of(pile: Pile, settings: Settings) -> CollisionWorld:
     return world
 
 
-def make_pile(source: World, count: int, seed: int = 1) -> Pile:
-    """`count` fragments of as many copies of `source` as it takes; the last copy's others take no part."""
+def make_pile(source: World, count: int, seed: int = 1, pressed: float = PRESSED) -> Pile:
+    """`count` fragments of as many copies of `source` as it takes; the last copy's others take no part.
+
+    pressed: see PRESSED; less makes more contacts.
+    """
     copies = math.ceil(count / len(source.fragments))
     bodies, events = zip(*(copy_of(source, k) for k in range(copies)), strict=True)
     ids = np.concatenate([event.new_fragment_ids for event in events])[:count]
     centres = np.tile([f.centre for f in source.fragments], (copies, 1))[:count]
     positions, rotations = _dropped(source, count, np.random.default_rng(seed))
-    origins = PRESSED * positions - rotations.apply(centres)
+    origins = pressed * positions - rotations.apply(centres)
     states = FragmentStates(1, copies, ids, origins.ravel(), rotations.as_quat().ravel())
     return Pile(list(bodies), list(events), states)
 
