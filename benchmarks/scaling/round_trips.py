@@ -23,6 +23,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from benchmarks.peers.worlds import World
 from benchmarks.scaling.growth import Progress, silent
 from benchmarks.scaling.piles import Pile, make_pile
+from fracture_collision.records import FragmentStates
 from fracture_collision.ros import qos
 from fracture_collision.ros.acknowledged_publisher import AcknowledgedPublisher
 from fracture_collision.ros.conversion import header, to_message, to_record
@@ -47,8 +48,9 @@ class RoundTripRow(NamedTuple):
     computation: float  # broad and narrow phase, by the service's own clock
     beyond: float  # states published to contacts received, less that and the registry's update
     beyond_worst: float
-    acknowledgement: float  # before it: until everybody had acknowledged the last states
+    beyond_empty: float  # likewise of states that name no fragment, asked in turn with the others: what is of no size
     in_service: float  # of `beyond`: contacts to message and publishing
+    acknowledgement: float  # before all: until everybody had acknowledged the last states
     serialization: float  # states and contacts, each to bytes and back, here
     conversion: float  # states and contacts, each from record to message and back, here
     answer_bytes: int
@@ -144,18 +146,20 @@ def _measure(pile: Pile, steps: int, recorder: bool) -> RoundTripRow:
         simulator.await_subscribers(2 if recorder else 1)
         simulator.tell(pile)
         # one more, since the order to stop may come before the service has noted the last one's times
-        its = [simulator.ask(_moved(pile, step)) for step in _paced(WARM_UP + steps + 1)]
-        contacts = simulator.message
+        its, contacts = [], None
+        for step in _paced(2 * (WARM_UP + steps) + 1):
+            its.append(simulator.ask(_moved(pile, step) if step % 2 else _nobody(pile, step)))
+            contacts = simulator.message if step % 2 else contacts
         if service.stop():
             raise RuntimeError(service.log_text())
-        acknowledgement, round_trip = np.array(its[WARM_UP:-1]).T
-        rows = dict(zip(SERVICE_COLUMNS, np.load(times_file)[WARM_UP : WARM_UP + steps].T, strict=True))
-    computation = rows["collision"]
-    beyond = round_trip - computation - rows["update"]
+        acknowledgement, round_trip = np.array(its[2 * WARM_UP : -1]).T
+        rows = dict(zip(SERVICE_COLUMNS, np.load(times_file)[2 * WARM_UP : 2 * (WARM_UP + steps)].T, strict=True))
+    beyond, empty = np.reshape(round_trip - rows["collision"] - rows["update"], (steps, 2)).T
+    computation, conversion = rows["collision"][::2], rows["conversion"][::2]
     states = to_message(pile.states, header(0.0), RUN_ID)
     return RoundTripRow(
         recorder, len(pile.states.fragment_ids), len(contacts.gaps), steps, _ms(computation), _ms(beyond),
-        1e3 * float(beyond.max()), _ms(acknowledgement), _ms(rows["conversion"]),
+        1e3 * float(beyond.max()), _ms(empty), _ms(conversion), _ms(acknowledgement),
         sum(_serialization(m) for m in (states, contacts)), sum(_conversion(m) for m in (states, contacts)),
         len(serialize_message(contacts)),
     )  # fmt: skip
@@ -168,8 +172,12 @@ def _paced(steps: int) -> Iterator[int]:
         yield step
 
 
-def _moved(pile: Pile, step: int):
+def _moved(pile: Pile, step: int) -> FragmentStates:
     return pile.states._replace(step=step, positions=pile.states.positions + 1e-6 * np.sin(0.1 * step))
+
+
+def _nobody(pile: Pile, step: int) -> FragmentStates:
+    return FragmentStates(step, pile.states.fracture_sequence, np.zeros(0, np.uint32), np.zeros(0), np.zeros(0))
 
 
 @contextmanager
