@@ -1,0 +1,117 @@
+"""`python -m benchmarks.scaling`: measures, prints tables and what is asked of them, and writes CSV files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import click
+
+from benchmarks.scaling.report import Asked, print_asked, print_table, write_csv
+
+SIZES, QUICK_SIZES = (100, 300, 1000, 2000), (100, 300)
+THREADS_PILE, QUICK_THREADS_PILE = 1000, 300
+WIDTH = 220  # columns of a table that no terminal's width was asked for
+
+Tables = tuple[dict[str, Sequence[NamedTuple]], list[Asked]]
+Progress = Callable[[str], None]
+
+
+def growth(quick: bool, progress: Progress) -> Tables:
+    from benchmarks.scaling.growth import fit_exponents, measure_growth
+    from benchmarks.scaling.piles import broken_body
+
+    rows = measure_growth(broken_body(), QUICK_SIZES if quick else SIZES, 3 if quick else 7, progress)
+    exponents = fit_exponents(rows)
+    asked = Asked("time over close pairs, exponent", exponents.over_close_pairs, 1.15)
+    return {"growth": rows, "exponents": [exponents]}, [asked]
+
+
+def threads(quick: bool, progress: Progress) -> Tables:
+    from benchmarks.scaling.growth import measure_threads
+    from benchmarks.scaling.piles import broken_body
+
+    size = QUICK_THREADS_PILE if quick else THREADS_PILE
+    rows = measure_threads(broken_body(), size, 5 if quick else 15, progress)
+    return {"threads": rows}, [Asked("two threads over one, speed-up", rows[0].speed_up, 1.7, at_least=True)]
+
+
+def memory(quick: bool, progress: Progress) -> Tables:
+    from benchmarks.scaling.memory import measure_memory
+
+    rows = measure_memory(("ball",) if quick else ("ball", "bunny"), (1,) if quick else (1, 2), progress)
+    first = rows[0]
+    return {"memory": rows}, [
+        Asked(f"{first.body}, {first.nodes} nodes, broken, resident [MB]", first.broken_resident, 20.0),
+        Asked("one more of the same, resident [MB]", first.one_more_resident, 2.0),
+        Asked(
+            "one more of the same, broken too, resident [MB]",
+            first.one_more_resident + first.one_more_broken_resident, 2.0,
+        ),
+    ]  # fmt: skip
+
+
+def updates(quick: bool, progress: Progress) -> Tables:
+    from benchmarks.scaling.piles import broken_body
+    from benchmarks.scaling.updates import measure_update_of_one
+
+    rows = measure_update_of_one(broken_body(), 9 if quick else 27, 3 if quick else 5, progress)
+    # a median of ratios of one piece of work on a shared machine wavers by some hundredths
+    name = f"breaking one of {rows[1].bodies} over breaking one alone"
+    return {"updates": rows}, [Asked(name, rows[1].whole_over_alone, 1.1)]
+
+
+def visits(quick: bool, progress: Progress) -> Tables:
+    from benchmarks.scaling.visits import WORLDS, measure_visits
+
+    rows, floors = measure_visits(WORLDS[:1] if quick else WORLDS, 3 if quick else 7, progress)
+    return {"visits": rows, "floors": floors}, []
+
+
+def round_trips(quick: bool, progress: Progress) -> Tables:
+    from benchmarks.scaling.piles import broken_body
+    from benchmarks.scaling.round_trips import measure_round_trips
+
+    rows = measure_round_trips(broken_body(), steps=60 if quick else 300, progress=progress)
+    return {"round_trips": rows}, [Asked("states to contacts beyond computation, median [ms]", rows[0].beyond, 1.0)]
+
+
+MEASURES = {
+    "growth": growth, "threads": threads, "memory": memory, "updates": updates, "visits": visits,
+    "round_trips": round_trips,
+}  # fmt: skip
+
+
+def measure_all(names: Sequence[str], quick: bool, progress: Progress) -> Iterator[Tables]:
+    for name in names:
+        yield MEASURES[name](quick, progress)
+
+
+@click.command(context_settings={"show_default": True})
+@click.argument("names", nargs=-1, type=click.Choice(list(MEASURES)))
+@click.option("--quick", is_flag=True, help="Small piles and few rounds: some minutes instead of a quarter of an hour.")
+@click.option("--csv", "path", type=click.Path(path_type=Path, dir_okay=False), help="A file a table, named after it.")
+def main(names: tuple[str, ...], quick: bool, path: Path | None) -> None:
+    """How a query grows with a pile and what else is asked of the service as a whole: NAMES, or all.
+
+    growth: time over close pairs of piles. threads: two against one. memory: of a body, and of one more. updates:
+    breaking one of many against one alone. visits: where a query's time goes, and what a visit cannot do without.
+    round_trips: what ROS adds to an answer; needs ROS 2.
+    """
+    from rich.console import Console
+
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=WIDTH)
+    with Console(stderr=True).status("") as status:
+        for tables, asked in measure_all(names or tuple(MEASURES), quick, status.update):
+            for name, rows in tables.items():
+                print_table(name.replace("_", " "), rows, console)
+                if path:
+                    write_csv(name, rows, path)
+            print_asked(asked, console)
+
+
+if __name__ == "__main__":
+    main(prog_name="python -m benchmarks.scaling")

@@ -1,0 +1,218 @@
+"""What ROS adds to an answer: states published to contacts received, less the service's computation.
+
+The service is a process of its own; states and answers go as simulator_node sends and takes them.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from statistics import median
+from typing import Any, NamedTuple
+
+import numpy as np
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.serialization import deserialize_message, serialize_message
+
+from benchmarks.peers.worlds import World
+from benchmarks.scaling.growth import Progress, silent
+from benchmarks.scaling.piles import Pile, make_pile
+from fracture_collision.records import FragmentStates
+from fracture_collision.ros import qos
+from fracture_collision.ros.acknowledged_publisher import AcknowledgedPublisher
+from fracture_collision.ros.conversion import header, to_message, to_record
+from fracture_collision.ros.node_process import NodeProcess, free_domain_id
+from fracture_collision.ros.timing_files import SERVICE_COLUMNS
+
+FRAGMENTS = 166  # as drop_bunnies has at its end
+PRESSED = 0.982  # makes about 900 contacts of so many fragments
+RUN_ID = 1
+WARM_UP = 20  # steps
+PATIENCE = 120.0  # [s]
+SOLVER = 0.010  # [s] between an answer and the next states, as long as a step's solver takes
+
+
+class RoundTripRow(NamedTuple):
+    """Medians and worst [ms] over the steps."""
+
+    recorder: bool  # whether somebody else listens to states and contacts
+    fragments: int
+    contacts: int
+    steps: int
+    computation: float  # broad and narrow phase, by the service's own clock
+    beyond: float  # states published to contacts received, less that and the registry's update
+    beyond_worst: float
+    beyond_empty: float  # likewise of states that name no fragment, asked in turn with the others: what is of no size
+    in_service: float  # of `beyond`: contacts to message and publishing
+    acknowledgement: float  # before all: until everybody had acknowledged the last states
+    serialization: float  # states and contacts, each to bytes and back, here
+    conversion: float  # states and contacts, each from record to message and back, here
+    answer_bytes: int
+
+
+def measure_round_trips(
+    source: World, fragments: int = FRAGMENTS, steps: int = 300, progress: Progress = silent
+) -> list[RoundTripRow]:
+    """Without and with a recorder; the pile moves by a hair from step to step, so that no two questions are equal."""
+    progress(f"a pile of {fragments}")
+    pile = make_pile(source, fragments, pressed=PRESSED)
+    rows = []
+    for recorder in (False, True):
+        progress(f"round trips {'with' if recorder else 'without'} a recorder")
+        rows.append(_measure(pile, steps, recorder))
+    return rows
+
+
+class _Simulator:
+    """Publishes and waits as simulator_node does."""
+
+    def __init__(self, domain_id: int) -> None:
+        self._context = Context()
+        rclpy.init(context=self._context, domain_id=domain_id)
+        self._node = rclpy.create_node("round_trips", context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        self._bodies, self._events = (
+            self._node.create_publisher(topic.message_class, topic.name, topic.qos)
+            for topic in (qos.BODIES, qos.FRACTURE_EVENTS)
+        )
+        self._states = AcknowledgedPublisher(self._node, qos.FRAGMENT_STATES)
+        self._node.create_subscription(
+            qos.CONTACT_CONSTRAINTS.message_class, qos.CONTACT_CONSTRAINTS.name, self._take, qos.CONTACT_CONSTRAINTS.qos
+        )
+        self.contacts: Any = None
+        self.message: Any = None
+
+    def close(self) -> None:
+        self._executor.shutdown()
+        self._node.destroy_node()
+        self._context.try_shutdown()
+
+    def _take(self, message: Any) -> None:
+        self.message = message
+        self.contacts = to_record(message)
+
+    def await_subscribers(self, count: int) -> None:
+        deadline = time.monotonic() + PATIENCE
+        while min(self._states.subscriber_count, self._node.count_subscribers("contact_constraints")) < count:
+            if time.monotonic() > deadline:
+                raise RuntimeError(f"{self._states.subscriber_count} of {count} subscribers came")
+            self._executor.spin_once(timeout_sec=0.02)
+
+    def tell(self, pile: Pile) -> None:
+        for publisher, records in ((self._bodies, pile.bodies), (self._events, pile.events)):
+            for record in records:
+                publisher.publish(to_message(record, header(0.0), RUN_ID))
+
+    def ask(self, states: Any) -> tuple[float, float]:
+        """[s] until the last states are acknowledged, and from publishing these to their answer."""
+        message = to_message(states, header(0.005 * states.step), RUN_ID)
+        self.contacts = None
+        began = time.perf_counter()
+        self._states.settle()
+        published = time.perf_counter()
+        self._states.publish(message)
+        deadline = time.monotonic() + PATIENCE
+        while self.contacts is None or self.contacts.step != states.step:
+            if time.monotonic() > deadline:
+                raise RuntimeError(f"no answer to step {states.step}")
+            self._executor.spin_once(timeout_sec=1.0)
+        return published - began, time.perf_counter() - published
+
+
+def _measure(pile: Pile, steps: int, recorder: bool) -> RoundTripRow:
+    with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
+        folder, domain_id = Path(name), free_domain_id()
+        stack.enter_context(_this_machine_only())
+        simulator = _Simulator(domain_id)
+        stack.callback(simulator.close)
+        times_file = folder / "service.npy"
+        service = NodeProcess(
+            "collision_node", {"threads": 1, "timing_file": str(times_file)}, domain_id, folder / "service.log"
+        )
+        stack.callback(service.stop)
+        if recorder:
+            listener = NodeProcess(
+                "recorder_node", {"folder": str(folder / "bag")}, domain_id, folder / "recorder.log"
+            )
+            stack.callback(listener.stop)
+        # the simulator itself listens to the contacts
+        simulator.await_subscribers(2 if recorder else 1)
+        simulator.tell(pile)
+        # one more, since the order to stop may come before the service has noted the last one's times
+        its, contacts = [], None
+        for step in _paced(2 * (WARM_UP + steps) + 1):
+            its.append(simulator.ask(_moved(pile, step) if step % 2 else _nobody(pile, step)))
+            contacts = simulator.message if step % 2 else contacts
+        if service.stop():
+            raise RuntimeError(service.log_text())
+        acknowledgement, round_trip = np.array(its[2 * WARM_UP : -1]).T
+        rows = dict(zip(SERVICE_COLUMNS, np.load(times_file)[2 * WARM_UP : 2 * (WARM_UP + steps)].T, strict=True))
+    beyond, empty = np.reshape(round_trip - rows["collision"] - rows["update"], (steps, 2)).T
+    computation, conversion = rows["collision"][::2], rows["conversion"][::2]
+    states = to_message(pile.states, header(0.0), RUN_ID)
+    return RoundTripRow(
+        recorder, len(pile.states.fragment_ids), len(contacts.gaps), steps, _ms(computation), _ms(beyond),
+        1e3 * float(beyond.max()), _ms(empty), _ms(conversion), _ms(acknowledgement),
+        sum(_serialization(m) for m in (states, contacts)), sum(_conversion(m) for m in (states, contacts)),
+        len(serialize_message(contacts)),
+    )  # fmt: skip
+
+
+def _paced(steps: int) -> Iterator[int]:
+    """1, 2 ... each SOLVER after the one before was dealt with."""
+    for step in range(1, steps + 1):
+        time.sleep(SOLVER)
+        yield step
+
+
+def _moved(pile: Pile, step: int) -> FragmentStates:
+    return pile.states._replace(step=step, positions=pile.states.positions + 1e-6 * np.sin(0.1 * step))
+
+
+def _nobody(pile: Pile, step: int) -> FragmentStates:
+    return FragmentStates(step, pile.states.fracture_sequence, np.zeros(0, np.uint32), np.zeros(0), np.zeros(0))
+
+
+@contextmanager
+def _this_machine_only() -> Iterator[None]:
+    name = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+    before = os.environ.get(name)
+    os.environ[name] = "LOCALHOST"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[name]
+        else:
+            os.environ[name] = before
+
+
+def _ms(seconds: np.ndarray) -> float:
+    return 1e3 * float(np.median(seconds))
+
+
+def _serialization(message: Any) -> float:
+    """[ms] to bytes and back."""
+    return _timed(lambda: deserialize_message(serialize_message(message), type(message)))
+
+
+def _conversion(message: Any) -> float:
+    """[ms] to a record and back."""
+    return _timed(lambda: to_message(to_record(message), message.header, RUN_ID))
+
+
+def _timed(call) -> float:
+    call()
+    times = []
+    for _ in range(50):
+        began = time.perf_counter()
+        call()
+        times.append(time.perf_counter() - began)
+    return 1e3 * median(times)
