@@ -45,6 +45,7 @@ REACH = 0.6  # [R] seeds thin out by a factor e this far from the impact
 AMPLITUDE = 0.08
 JITTERS, JITTER_SHIFT, JITTER_TURN = 5, 0.01, np.deg2rad(1.0)
 PILE_STEPS = (120, 240, 360)  # of 1/240 s
+PILE_MARGIN = 0.002  # [R] by which Bullet keeps hulls apart; its own, 0.04, would leave hardly a pair in contact
 PILE_SHIFT = 0.01  # Bullet leaves shapes apart by its margin, or pressed; shifts up to this along each axis undo that
 
 
@@ -238,7 +239,9 @@ def _piled(fragments: list[Fragment]) -> list[tuple[np.ndarray, Rotation]]:
         shape = pybullet.createCollisionShape(pybullet.GEOM_MESH, vertices=points, physicsClientId=client)
         start = (1.25 * fragment.centre).tolist()
         mass = DENSITY * volume(fragment.mesh)
-        bodies.append(pybullet.createMultiBody(mass, shape, basePosition=start, physicsClientId=client))
+        body = pybullet.createMultiBody(mass, shape, basePosition=start, physicsClientId=client)
+        pybullet.changeDynamics(body, -1, collisionMargin=PILE_MARGIN, physicsClientId=client)
+        bodies.append(body)
     piles = []
     for step in range(1, max(PILE_STEPS) + 1):
         pybullet.stepSimulation(physicsClientId=client)

@@ -88,19 +88,18 @@ class PoolTables:
         table = self.mesh
         index, node, tet, edge = table["grid"].used, table["nodes"].used, table["tetrahedra"].used, table["edges"].used
         first_cell = table["cell_begin"].used
-        table["nodes"].append(mesh.nodes)
-        table["tetrahedra"].append(mesh.tetrahedra + node)
-        table["neighbours"].append(np.where(mesh.neighbours < 0, -1, mesh.neighbours + tet))
-        table["tetrahedron_edges"].append(mesh.tetrahedron_edges + edge)
-        table["edges"].append(mesh.edges + node)
-        for name in ("boxes", "barycentric", "moments", "on_surface", "node_normals"):
-            table[name].append(getattr(mesh, name))
-        table["node_tets_begin"].append(mesh.node_tets_begin + table["node_tets"].used)
-        table["node_tets"].append(mesh.node_tets + tet)
-        table["cell_begin"].append(mesh.cell_begin + table["cell_tets"].used)
-        table["cell_tets"].append(mesh.cell_tets + tet)
-        table["tet_cells_begin"].append(mesh.tet_cells_begin + table["tet_cells"].used)
-        table["tet_cells"].append(mesh.tet_cells)
+        # Indices become absolute. The first mesh needs no shift, so its arrays are those that the preprocess holds:
+        # half the memory of a world with one mesh.
+        for name, shift in (
+            ("nodes", 0), ("tetrahedra", node), ("neighbours", tet), ("tetrahedron_edges", edge), ("edges", node),
+            ("boxes", 0), ("barycentric", 0), ("moments", 0), ("on_surface", 0), ("node_normals", 0),
+            ("node_tets_begin", table["node_tets"].used), ("node_tets", tet), ("cell_begin", table["cell_tets"].used),
+            ("cell_tets", tet), ("tet_cells_begin", table["tet_cells"].used), ("tet_cells", 0),
+        ):  # fmt: skip
+            rows = getattr(mesh, name)
+            if shift:
+                rows = np.where(rows < 0, -1, rows + shift)
+            table[name].share(rows)
         table["first"].append(np.array([[node, edge, len(mesh.nodes)]], np.int32))
         table["grid"].append(np.append(mesh.grid_origin, mesh.grid_cell)[None])
         table["grid_dims"].append(np.append(mesh.grid_dims, first_cell)[None])

@@ -24,6 +24,13 @@ class GrowableArray:
         self.reserve(len(rows))[:] = rows
         return self.advance(len(rows))
 
+    def share(self, rows: np.ndarray) -> int:
+        """As append, for rows that nobody will write to: the first are not copied."""
+        if self.used or rows.dtype != self._buffer.dtype or not rows.flags.c_contiguous:
+            return self.append(rows)
+        self._buffer = rows
+        return self.advance(len(rows))
+
     def reserve(self, count: int) -> np.ndarray:
         """The next `count` rows, for the caller to write; `advance` makes them part of the array."""
         end = self.used + count
