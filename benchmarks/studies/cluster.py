@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import ctypes
 import logging
 import os
+import signal
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from multiprocessing import resource_tracker
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
@@ -34,10 +35,12 @@ def cluster(address: str | None, workers: int) -> Iterator[Cluster]:
     """
     with TemporaryDirectory() as folder, dask.config.set(QUIET):
         if address is None:
-            processes = LocalCluster(
-                n_workers=workers, threads_per_worker=1, processes=True, host="127.0.0.1", scheduler_port=0,
-                dashboard_address=None, memory_limit=None, local_directory=folder, silence_logs=logging.CRITICAL,
-            )  # fmt: skip
+            with _deaf_to_interrupts():
+                processes = LocalCluster(
+                    n_workers=workers, threads_per_worker=1, processes=True, host="127.0.0.1", scheduler_port=0,
+                    dashboard_address="127.0.0.1:0", memory_limit=None, local_directory=folder,
+                    silence_logs=logging.CRITICAL,
+                )  # fmt: skip
             with processes, Client(processes) as client:
                 yield _prepared(client)
             return
@@ -66,7 +69,7 @@ def run_trials(crew: Cluster, trials: Sequence[Trial], done: Callable[[Trial], N
     for trial in dict.fromkeys(trials):
         if not trial.is_timed:
             together[client.submit(trial.run, *trial.arguments, pure=False)] = trial
-    for future in as_completed(list(together)):
+    for future in as_completed(list(together), loop=client.loop):
         found[together[future]] = _result(together[future], future)
         done(together[future])
     for trial in dict.fromkeys(trials):
@@ -77,25 +80,35 @@ def run_trials(crew: Cluster, trials: Sequence[Trial], done: Callable[[Trial], N
     return found
 
 
+@contextmanager
+def _deaf_to_interrupts() -> Iterator[None]:
+    """Threads and processes started herein never get SIGINT: a terminal sends it to all of them, but it is we who end
+    the workers, in order. One that comes meanwhile is ours afterwards.
+    """
+    resource_tracker.ensure_running()  # its first start lets signals through again
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def _prepared(client: Client) -> Cluster:
     return Cluster(client, min(client.run(_bring_kernels_into_memory)))
 
 
 def _bring_kernels_into_memory() -> None:
-    """In a worker, before its first trial. PyBullet greets on standard output, into the middle of a progress bar."""
-    library, kept = ctypes.CDLL(None), os.dup(1)
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    library.fflush(None)
-    os.dup2(nowhere, 1)
+    """In a worker, before its first trial. PyBullet greets on standard error, into the middle of a progress bar."""
+    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 2)
     try:
         import fracture_collision.simulation.warm_up as simulator
         import fracture_collision.world.warm_up as service
 
         service.compile_kernels(progress=lambda words: None)
         simulator.compile_kernels(progress=lambda words: None)
-        library.fflush(None)
     finally:
-        os.dup2(kept, 1)
+        os.dup2(kept, 2)
         os.close(kept)
         os.close(nowhere)
 

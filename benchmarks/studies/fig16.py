@@ -146,9 +146,9 @@ def section(tables: Mapping[str, Table]) -> str:
     first = tables[""].rows[0]
     return f"""\
 {first["drops"]} random drops of a plate (R = 100 mm) into a bowl for each number of contacts; the paper made 10,000.
-Depths by full detection in each frame, means over the frames from the first touch on, then over the drops, ±
-their standard error. *Adaptive*: beyond the contacts allowed, those deeper than ε = {TOLERANCE["adaptive"]} R are listed too;
-*fixed*: never more than allowed.
+Depths by full detection in each frame, means over the frames from the first touch on, then over the drops, ± their
+standard error. *Adaptive*: beyond the contacts allowed, those deeper than ε = {TOLERANCE["adaptive"]} R are listed
+too; *fixed*: never more than allowed.
 
 {markdown_table(("contacts allowed", "listed a frame", "inside a frame", "deepest, mm", "worst, mm", "mean depth, mm",
                  "visited nodes a frame"), rows)}"""

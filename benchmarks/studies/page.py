@@ -7,12 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from textwrap import fill
 
 from benchmarks.studies import fig5, fig12, fig15, fig16, fig17, resolution, tables
 from benchmarks.studies.study import Study
 from benchmarks.studies.table import Table, read_table
 
 PAGE = "benchmarks.md"
+WIDTH = 120
 STUDIES: dict[str, Study] = {
     module.STUDY.name: module.STUDY for module in (tables, fig5, fig12, resolution, fig15, fig16, fig17)
 }
@@ -57,11 +59,20 @@ def _section_of(study: Study) -> Callable[[Path], str]:
 SECTIONS: tuple[Callable[[Path], str], ...] = tuple(_section_of(study) for study in STUDIES.values())
 
 
+def wrapped(markdown: str) -> str:
+    """Paragraphs filled to the width of this page; what is a table, a picture or a heading stays."""
+    blocks = [
+        block if block.startswith(("|", "#", "!", "<", "- ")) else fill(block, WIDTH, break_on_hyphens=False)
+        for block in markdown.strip("\n").split("\n\n")
+    ]
+    return "\n\n".join(blocks) + "\n"
+
+
 def write_page(folder: Path) -> Path:
     """The page of all that lies in the folder."""
     parts = [part for part in (section(folder) for section in SECTIONS) if part]
     page = folder / PAGE
-    page.write_text("\n".join((HEAD, *parts, _machines(folder))), encoding="utf-8")
+    page.write_text("\n".join(wrapped(part) for part in (HEAD, *parts, _machines(folder))), encoding="utf-8")
     return page
 
 

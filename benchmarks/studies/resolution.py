@@ -107,18 +107,18 @@ def section(tables: Mapping[str, Table]) -> str:
             f"{row['triangles']:,} triangles, {row['interior_points']:,} points inside; {row['cracks']}",
             number(row["fractures"]), average_and_worst(row, "contacts"), average_and_worst(row, "visits"),
             average_and_worst(row, "update_ms"), number(update[0]),
-            average_and_worst(row, "query_ms"), f"{number(query[0])}, {number(query[1])}",
+            average_and_worst(row, "query_ms"), f"{number(query[0])} / {number(query[1])}",
         ))  # fmt: skip
     runs = tables[""].rows[0]["runs"]
     return f"""\
 The reference sphere falls and breaks, in {runs} runs with other cracks each. Queries are those of the steps after the
-first fracture. Average and worst:
+first fracture. Average / worst:
 
 {markdown_table(("sphere; cracks", "fractures", "contacts", "visited nodes", "update, ms", "paper", "query, ms",
                  "paper"), rows)}"""
 
 
 STUDY = Study(
-    "resolution", "Resolution of surface and inside (section 7.2)", Size(2, ("flat",), 1.0),
+    "resolution", "Resolution of surface and inside (section 7.2)", Size(2, ("flat",), 0.6),
     Size(10, ("flat", "curved"), None), trials, tables, {"": draw}, section,
 )  # fmt: skip

@@ -78,11 +78,11 @@ def number(value: Value, digits: int = 3) -> str:
 
 
 def average_and_worst(row: Row, name: str) -> str:
-    """Of columns NAME_average and NAME_worst: "average, worst"."""
+    """Of columns NAME_average and NAME_worst: "average / worst"."""
     average, worst = row[f"{name}_average"], row[f"{name}_worst"]
     if average is None and worst is None:
         return "–"
-    return number(average) if worst is None else f"{number(average)}, {number(worst)}"
+    return number(average) if worst is None else f"{number(average)} / {number(worst)}"
 
 
 def _text(value: Value) -> Value:
