@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import dask
 from distributed import Client, LocalCluster, as_completed
+from distributed.utils import silence_logging_cmgr
 
 from benchmarks.studies.machine import machine, versions
 from benchmarks.studies.study import StudyError, Trial
@@ -33,7 +34,8 @@ def cluster(address: str | None, workers: int) -> Iterator[Cluster]:
 
     Raises StudyError where there is no such scheduler, or a worker computes with other sources or versions.
     """
-    with TemporaryDirectory() as folder, dask.config.set(QUIET):
+    # around the cluster's own silence, which ends before its last words
+    with TemporaryDirectory() as folder, dask.config.set(QUIET), silence_logging_cmgr(logging.CRITICAL):
         if address is None:
             with _deaf_to_interrupts():
                 processes = LocalCluster(
