@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import os
 import sys
 from pathlib import Path
 
@@ -239,3 +240,9 @@ def test_no_scheduler_there(address: str, monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setattr(cluster_module, "CONNECT_SECONDS", 0.5)
     with pytest.raises(StudyError, match="no scheduler at"), cluster(address, 0):
         pass
+
+
+def test_a_timing_worker_that_dies_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cluster_module, "LOOK_SECONDS", 0.2)
+    with cluster(None, 1) as crew, pytest.raises(StudyError, match="an end: .*(has died|KilledWorker)"):
+        run_trials(crew, [Trial(os._exit, (1,), "an end", True)], lambda trial: None)

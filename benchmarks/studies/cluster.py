@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import dask
-from distributed import Client, LocalCluster, as_completed
+from distributed import Client, LocalCluster, TimeoutError, as_completed
 from distributed.utils import silence_logging_cmgr
 
 from benchmarks.studies.machine import machine, versions
@@ -21,6 +21,7 @@ from benchmarks.studies.study import StudyError, Trial
 # A worker's profiler would wake up a hundred times a second beside what is timed.
 QUIET = {"distributed.worker.profile.enabled": False, "distributed.admin.system-monitor.interval": "10s"}
 CONNECT_SECONDS = 10
+LOOK_SECONDS = 5  # how often to look whether the timing worker lives
 
 
 class Cluster(NamedTuple):
@@ -77,6 +78,9 @@ def run_trials(crew: Cluster, trials: Sequence[Trial], done: Callable[[Trial], N
     for trial in dict.fromkeys(trials):
         if trial.is_timed:
             future = client.submit(trial.run, *trial.arguments, pure=False, workers=[worker], allow_other_workers=False)
+            while not _is_done(future):
+                if worker not in client.ncores():
+                    raise StudyError(f"{trial.words}: worker {worker} has died")
             found[trial] = _result(trial, future)
             done(trial)
     return found
@@ -113,6 +117,15 @@ def _bring_kernels_into_memory() -> None:
         os.dup2(kept, 2)
         os.close(kept)
         os.close(nowhere)
+
+
+def _is_done(future: Any) -> bool:
+    """After LOOK_SECONDS at most."""
+    try:
+        future.exception(timeout=LOOK_SECONDS)
+    except TimeoutError:
+        return False
+    return True
 
 
 def _result(trial: Trial, future: Any) -> Any:
