@@ -26,7 +26,7 @@ from benchmarks.studies.cluster import cluster, run_trials  # noqa: E402
 from benchmarks.studies.machine import machine, versions  # noqa: E402
 from benchmarks.studies.page import PAGE, STUDIES, study_files, wrapped, write_page  # noqa: E402
 from benchmarks.studies.replay import record, replay  # noqa: E402
-from benchmarks.studies.scene_trials import ONE_THREAD, scene_trial  # noqa: E402
+from benchmarks.studies.scene_trials import ONE_THREAD, in_words, scene_trial, with_shortest_times  # noqa: E402
 from benchmarks.studies.study import StudyError, Trial  # noqa: E402
 from benchmarks.studies.table import (  # noqa: E402
     Table,
@@ -42,7 +42,7 @@ from fracture_collision.simulation.scene import load_scene  # noqa: E402
 
 # Each study, as small as it can be and still have contacts and a fracture in it.
 TINY = {
-    "tables": tables.Size(curved=("bricks",), counted=("flat",), scenes=("bricks",), duration=0.16),
+    "tables": tables.Size(curved=("bricks",), counted=("flat",), scenes=("bricks",), duration=0.16, repeats=2),
     "fig5": fig5.Size(0.05, fig5.TOLERANCES[:1]),
     "fig12": fig12.Size(("flat",), ("bricks",), 0.16),
     "resolution": resolution.Size(1, ("flat",), 0.06, resolution.VARIANTS[2:]),
@@ -133,6 +133,11 @@ def test_the_page_is_made_of_what_lies_there(made: tuple[Path, Path], tmp_path: 
     assert "7531 random drops" in write_page(tmp_path).read_text() and "7531" not in alone
 
 
+def test_a_table_of_other_sources_does_not_keep_the_page_from_being_made(tmp_path: Path) -> None:
+    write_table(tmp_path / "bench_fig16.csv", {}, [{"selection": "fixed"}])
+    assert "Run `fracture-collision bench fig16` again." in write_page(tmp_path).read_text()
+
+
 def test_replay_answers_as_the_run_was_answered() -> None:
     recording = record(load_scene("pane"))
     with Lockstep(load_scene("pane"), ONE_THREAD) as run:
@@ -190,6 +195,19 @@ def test_markdown() -> None:
 def test_a_trial_that_counts_is_not_timed() -> None:
     with pytest.raises(ValueError, match="cannot be timed"):
         scene_trial("pane", count_colliding=True)
+
+
+def test_repeats_leave_the_shortest_times() -> None:
+    report = {"scene": "mine", "digest": "a", "total_ms": [4.0, 1.0], "update_ms": [0.0, 3.0], "contacts": [5, 6],
+              "summary": {"total_ms": {}, "update_ms": {}, "contacts": {"average": 5.5}}}  # fmt: skip
+    again = report | {"total_ms": [2.0, 8.0], "update_ms": [0.0, 2.5]}
+    found = with_shortest_times([report, again])
+    assert found["total_ms"] == [2.0, 1.0] and found["summary"]["total_ms"]["average"] == 1.5
+    assert found["summary"]["update_ms"] == {"median": 2.5, "average": 2.5, "worst": 2.5}
+    assert found["contacts"] == [5, 6] and found["summary"]["contacts"] == {"average": 5.5}
+    with pytest.raises(StudyError, match="mine: equal runs took different courses"):
+        with_shortest_times([report, report | {"digest": "b"}])
+    assert "one run" in in_words(1) and "shortest of 3" in in_words(3)
 
 
 def test_sizes_of_both_efforts_name_trials() -> None:

@@ -50,8 +50,12 @@ def _section_of(study: Study) -> Callable[[Path], str]:
             f"![{study.title}]({study_files(folder, study, name, 'png').name})" for name in study.pictures
         )
         files = ", ".join(f"[{name}]({name})" for name in (study_files(folder, study, n, "csv").name for n in found))
+        try:
+            text = study.section(found)
+        except KeyError as column:
+            text = f"Made by other sources: column {column} is missing. Run `fracture-collision bench {study.name}` again.\n"
         made = f"{files}; {about.get('effort', '')}, load {about.get('load', '?')}, {about.get('cpu', '?')}"
-        return f"## {study.title}\n\n{study.section(found)}\n{pictures}\n\n<sub>{made}</sub>\n"
+        return f"## {study.title}\n\n{text}\n{pictures}\n\n<sub>{made}</sub>\n"
 
     return section
 

@@ -30,9 +30,9 @@ def finish(axes: Axes, title: str = "", x: str = "", y: str = "", legend: str | 
         axes.legend(fontsize=8, loc=legend, framealpha=0.85)
 
 
-def mark_paper(axes: Axes, value: float, words: str) -> None:
+def mark_paper(axes: Axes, value: float, words: str, style: str = "--") -> None:
     """A level that the paper names."""
-    axes.axhline(value, color="black", linestyle="--", linewidth=1.0, label=f"paper: {words}")
+    axes.axhline(value, color="black", linestyle=style, linewidth=1.0, label=f"paper: {words}")
 
 
 def running_median(values: np.ndarray, count: int) -> np.ndarray:

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks.studies.pictures import BLUE, ORANGE, finish, new_figure
-from benchmarks.studies.scene_trials import scene_trial
+from benchmarks.studies.scene_trials import in_words, scene_trial
 from benchmarks.studies.study import Study, Trial
 from benchmarks.studies.table import Row, Table, average_and_worst, markdown_table, number
 from fracture_collision.run_report import PAPER, summary_of
@@ -22,6 +22,7 @@ class Size(NamedTuple):
     cracks: tuple[str, ...]
     duration: float | None  # [s]
     variants: tuple[str, ...] = VARIANTS
+    repeats: int = 1  # of each run
 
 
 def trials(size: Size) -> list[Trial]:
@@ -35,7 +36,7 @@ def trials(size: Size) -> list[Trial]:
 
 
 def _trial(size: Size, variant: str, cracks: str, seed: int) -> Trial:
-    return scene_trial(variant, cracks, seed=seed, duration=size.duration)
+    return scene_trial(variant, cracks, seed=seed, duration=size.duration, repeats=size.repeats)
 
 
 def tables(size: Size, results: Mapping[Trial, Any]) -> dict[str, list[Row]]:
@@ -51,7 +52,7 @@ def tables(size: Size, results: Mapping[Trial, Any]) -> dict[str, list[Row]]:
             broken = np.concatenate([np.cumsum(report["fractures"]) for report in reports]) > 0
             updates = columns["update_ms"][columns["update_ms"] > 0.0]
             rows.append({
-                "variant": variant, "cracks": cracks, "runs": size.seeds,
+                "variant": variant, "cracks": cracks, "runs": size.seeds, "repeats": size.repeats,
                 "triangles": sizes["triangles"], "points": sizes["points"], "interior_points": sizes["interior_points"],
                 "fractures": len(updates),
                 **_pair("contacts", columns["contacts"][broken]), **_pair("visits", columns["visits"][broken]),
@@ -109,10 +110,10 @@ def section(tables: Mapping[str, Table]) -> str:
             average_and_worst(row, "update_ms"), number(update[0]),
             average_and_worst(row, "query_ms"), f"{number(query[0])} / {number(query[1])}",
         ))  # fmt: skip
-    runs = tables[""].rows[0]["runs"]
+    runs, repeats = tables[""].rows[0]["runs"], tables[""].rows[0]["repeats"]
     return f"""\
 The reference sphere falls and breaks, in {runs} runs with other cracks each. Queries are those of the steps after the
-first fracture. Average / worst:
+first fracture. {in_words(repeats)} Average / worst:
 
 {markdown_table(("sphere; cracks", "fractures", "contacts", "visited nodes", "update, ms", "paper", "query, ms",
                  "paper"), rows)}"""
@@ -120,5 +121,5 @@ first fracture. Average / worst:
 
 STUDY = Study(
     "resolution", "Resolution of surface and inside (section 7.2)", Size(2, ("flat",), 0.6),
-    Size(10, ("flat", "curved"), None), trials, tables, {"": draw}, section,
+    Size(10, ("flat", "curved"), None, repeats=3), trials, tables, {"": draw}, section,
 )  # fmt: skip
