@@ -82,7 +82,7 @@ def tables(size: Size, results: Mapping[Trial, Any]) -> dict[str, list[Row]]:
 def draw(tables: Mapping[str, Table]) -> Figure:
     steps = tables["steps"]
     kinds = steps.values("cracks")
-    figure, axes = new_figure(len(kinds), 3, width=13.0)
+    figure, axes = new_figure(len(kinds), 4, width=15.5)
     for row, cracks in zip(axes, kinds, strict=True):
         for method in steps.where(cracks=cracks).values("method"):
             own = steps.where(cracks=cracks, method=method)
@@ -101,8 +101,14 @@ def draw(tables: Mapping[str, Table]) -> Figure:
             *zip(*[(h, t) for h, t in zip(*row[2].get_legend_handles_labels(), strict=True) if t.startswith("paper")],
                  strict=True), fontsize=8, loc="upper left",
         )  # fmt: skip
-        for panel in row:
-            panel.set_ylim(bottom=0.0)
+        replayed = tables["replay"].where(cracks=cracks)
+        at = np.arange(len(replayed.rows))
+        row[3].barh(at, replayed.column("query_ms_average"), color=[COLOURS[one["method"]] for one in replayed.rows])
+        row[3].set_yticks(at, [one["method"].replace(", ", ",\n") for one in replayed.rows], fontsize=8)
+        row[3].invert_yaxis()
+        finish(row[3], f"query on one course, {cracks} cracks", "milliseconds a step, average", "", None)
+        for panel in row[:3]:
+            panel.set_ylim(0.0, 1.3 * panel.get_ylim()[1])
     return figure
 
 

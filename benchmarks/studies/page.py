@@ -53,7 +53,8 @@ def _section_of(study: Study) -> Callable[[Path], str]:
         try:
             text = study.section(found)
         except KeyError as column:
-            text = f"Made by other sources: column {column} is missing. Run `fracture-collision bench {study.name}` again.\n"
+            again = f"Run `fracture-collision bench {study.name}` again."
+            text = f"Made by other sources: column {column} is missing. {again}\n"
         made = f"{files}; {about.get('effort', '')}, load {about.get('load', '?')}, {about.get('cpu', '?')}"
         return f"## {study.title}\n\n{text}\n{pictures}\n\n<sub>{made}</sub>\n"
 
