@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks.studies.pictures import BLUE, GREEN, ORANGE, RED, finish, new_figure
-from benchmarks.studies.replay import Answers, replay_trial
+from benchmarks.studies.replay import MILLI, Answers, replay_trial, summary_of_answers
 from benchmarks.studies.scene_trials import ONE_THREAD
 from benchmarks.studies.study import Study, Trial
 from benchmarks.studies.table import Row, Table, average_and_worst, markdown_table, number
@@ -34,7 +34,6 @@ COMBINATIONS = {
 COLOURS = dict(zip(COMBINATIONS, (BLUE, ORANGE, GREEN, RED, "black"), strict=True))
 WIDTHS = dict(zip(COMBINATIONS, (5.0, 5.0, 2.4, 2.4, 0.9), strict=True))
 WINDOW = 5  # steps: rows of the table of steps are means over so many
-MILLI = 1e3
 
 
 class Size(NamedTuple):
@@ -60,20 +59,6 @@ def tables(size: Size, results: Mapping[Trial, Any]) -> dict[str, list[Row]]:
             summary.append(names | {"combination": name} | summary_of_answers(answers))
             steps += windows(answers, load_scene(SCENE).time_step, {"cracks": cracks, "combination": name})
     return {"": summary, "steps": steps}
-
-
-def summary_of_answers(answers: Answers) -> dict[str, Any]:
-    """Average and worst; queries where fragments are close to each other, updates at fractures."""
-    close, updated = answers.pairs > 0, answers.update > 0.0
-    row: dict[str, Any] = {"steps": int(close.sum()), "fractures": int(updated.sum())}
-    for name, values in (
-        ("contacts", answers.contacts[close]), ("visits", answers.visits[close]),
-        ("query_ms", MILLI * answers.query[close]), ("update_ms", MILLI * answers.update[updated]),
-    ):  # fmt: skip
-        row[f"{name}_average"] = float(values.mean()) if len(values) else None
-        row[f"{name}_worst"] = float(values.max()) if len(values) else None
-    row["visit_ns"] = float(1e9 * answers.query[close].sum() / max(answers.visits[close].sum(), 1.0))
-    return row
 
 
 def windows(answers: Answers, time_step: float, names: dict[str, Any]) -> list[Row]:

@@ -8,9 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.studies.fig15 import summary_of_answers
 from benchmarks.studies.pictures import BLUE, GREEN, ORANGE, PURPLE, RED, finish, new_figure, running_median
-from benchmarks.studies.replay import replay_trial
+from benchmarks.studies.replay import replay_trial, summary_of_answers
 from benchmarks.studies.scene_trials import ONE_THREAD, in_words, scene_trial
 from benchmarks.studies.study import Study, Trial
 from benchmarks.studies.table import Row, Table, average_and_worst, markdown_table

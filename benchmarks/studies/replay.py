@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import gc
 from time import perf_counter
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,6 +17,8 @@ from fracture_collision.lockstep import Lockstep
 from fracture_collision.records import CollisionBody, FractureEvent, FragmentStates
 from fracture_collision.simulation.scene import Scene
 from fracture_collision.world import CollisionWorld, Settings
+
+MILLI = 1e3
 
 
 class Recording(NamedTuple):
@@ -76,6 +78,20 @@ def replay(recording: Recording, settings: Settings) -> Answers:
     finally:
         gc.unfreeze()
     return Answers(*np.array(rows, dtype=np.float64).T)
+
+
+def summary_of_answers(answers: Answers) -> dict[str, Any]:
+    """Average and worst; queries where fragments are close to each other, updates at fractures."""
+    close, updated = answers.pairs > 0, answers.update > 0.0
+    row: dict[str, Any] = {"steps": int(close.sum()), "fractures": int(updated.sum())}
+    for name, values in (
+        ("contacts", answers.contacts[close]), ("visits", answers.visits[close]),
+        ("query_ms", MILLI * answers.query[close]), ("update_ms", MILLI * answers.update[updated]),
+    ):  # fmt: skip
+        row[f"{name}_average"] = float(values.mean()) if len(values) else None
+        row[f"{name}_worst"] = float(values.max()) if len(values) else None
+    row["visit_ns"] = float(1e9 * answers.query[close].sum() / max(answers.visits[close].sum(), 1.0))
+    return row
 
 
 def replay_trial(name: str, cracks: str, duration: float | None, settings: tuple[Settings, ...], repeats: int) -> Trial:
