@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from fracture_collision.cli.bench import bench
 from fracture_collision.cli.scene import scene
 from fracture_collision.cli.smash import smash
 
@@ -15,6 +16,7 @@ Examples:
   fracture-collision smash --seed 3 --out out/3   the same with other cracks
   fracture-collision scene bricks                 a scene without ROS: times, tables, a film strip
   fracture-collision scene --help                 ... and what can be varied
+  fracture-collision bench                        the paper's figures and tables again, in some minutes
   fracture-collision scenes                       which scenes there are
   fracture-collision digest out/smash/bag         equal for equal runs
 
@@ -34,6 +36,7 @@ def main() -> None:
 
 main.add_command(smash)
 main.add_command(scene)
+main.add_command(bench)
 
 
 @main.command()

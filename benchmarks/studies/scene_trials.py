@@ -1,0 +1,81 @@
+"""Runs of whole scenes as trials, timed or not; several studies share them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from benchmarks.studies.study import StudyError, Trial
+from fracture_collision.run_report import summaries
+from fracture_collision.scene_run import SceneRun
+from fracture_collision.simulation.scene import Scene, load_scene
+from fracture_collision.simulation.scene_changes import with_curvature
+from fracture_collision.world import Settings
+
+# The paper's times are of one core.
+ONE_THREAD = Settings(threads=1)
+# Of PatternSettings, as in porcelain.
+CURVATURE = {"flat": 0.0, "curved": 0.25}
+
+
+def scene_trial(
+    name: str,
+    cracks: str = "flat",
+    settings: Settings = ONE_THREAD,
+    seed: int | None = None,
+    duration: float | None = None,
+    is_timed: bool = True,
+    count_colliding: bool = False,
+    repeats: int = 1,
+) -> Trial:
+    """A run of a scene, at most `duration` [s] of it; finds the report of `scene_run.SceneRun`.
+
+    Each step's times are its shortest of `repeats` equal runs: what other programs took away is not counted.
+
+    Counting all colliding points fills caches that the next step's query would have to fill: no matter for the
+    figures, but such a run's times are none.
+    """
+    if is_timed and count_colliding:
+        raise ValueError("a run that counts colliding points cannot be timed")
+    words = f"{name}, {cracks} cracks" + (", counting" if count_colliding else "")
+    return Trial(run_scene, (name, cracks, settings, seed, duration, count_colliding, repeats), words, is_timed)
+
+
+def scene_with(name: str, cracks: str, duration: float | None = None) -> Scene:
+    """The scene with all cracks `flat` or `curved`, not longer than `duration` [s]."""
+    scene = with_curvature(load_scene(name), CURVATURE[cracks])
+    return scene if duration is None else scene._replace(duration=min(duration, scene.duration))
+
+
+def in_words(repeats: int) -> str:
+    """What the times of such trials are."""
+    return f"Each step's time is the shortest of {repeats} equal runs." if repeats > 1 else "Times are of one run."
+
+
+def run_scene(
+    name: str,
+    cracks: str,
+    settings: Settings,
+    seed: int | None,
+    duration: float | None,
+    count_colliding: bool,
+    repeats: int,
+) -> dict[str, Any]:
+    reports = []
+    for _ in range(repeats):
+        with SceneRun(scene_with(name, cracks, duration), settings, seed, count_colliding) as run:
+            for _ in run:
+                pass
+            reports.append(run.report())
+    return with_shortest_times(reports)
+
+
+def with_shortest_times(reports: list[dict[str, Any]]) -> dict[str, Any]:
+    """The first of the reports of equal runs, the times of each step and their summary the shortest of all."""
+    first = reports[0]
+    if any(report["digest"] != first["digest"] for report in reports):
+        raise StudyError(f"{first['scene']}: equal runs took different courses")
+    times = [name for name in first["summary"] if name.endswith("_ms")]
+    shortest = {name: np.min([report[name] for report in reports], axis=0).tolist() for name in times}
+    return first | shortest | {"summary": first["summary"] | summaries(shortest)}

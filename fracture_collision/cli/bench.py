@@ -1,0 +1,117 @@
+"""`fracture-collision bench`: the studies of benchmarks/, their CSV files, pictures and page."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+import click
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from fracture_collision.cli.console import INTERRUPTED, interrupt_on_signals
+
+EXAMPLES = """\b
+Examples:
+  fracture-collision bench                            all of it, some minutes, into docs/
+  fracture-collision bench --full                     as much of it as figures worth quoting need: hours
+  fracture-collision bench fig15 fig17 --out out/b    two of the paper's figures, elsewhere
+  fracture-collision bench fig16 --full --drops 1000 --scheduler tcp://10.0.0.7:8786
+
+\b
+Workers for a scheduler of your own are started in a checkout of the same sources, one thread each:
+  dask scheduler
+  PYTHONPATH=. dask worker tcp://10.0.0.7:8786 --nworkers 16 --nthreads 1
+"""
+
+
+@click.command(epilog=EXAMPLES)
+@click.argument("names", nargs=-1)
+@click.option("--quick/--full", default=True, help="How much is run.  [default: quick]")
+@click.option(
+    "--out", type=click.Path(file_okay=False, path_type=Path), help="Folder for the results.  [default: docs/]"
+)
+@click.option("--scheduler", metavar="ADDRESS", help="Of a dask scheduler.  [default: processes of this machine]")
+@click.option(
+    "--workers", type=click.IntRange(min=1), help="Processes of this machine, a thread each.  [default: one a core]"
+)
+@click.option("--drops", type=click.IntRange(min=1), help="Random drops of fig16 for each number of contacts.")
+def bench(
+    names: tuple[str, ...], quick: bool, out: Path | None, scheduler: str | None, workers: int | None, drops: int | None
+) -> None:
+    """Repeat the figures and tables of Glondu et al. 2014: those named, or all.
+
+    NAMES are tables, fig5, fig12, resolution (section 7.2), fig15, fig16, fig17. Each leaves in the folder
+    bench_NAME.csv, with the machine's name and versions at its head, and bench_NAME.png; benchmarks.md is made of all
+    CSV files that lie there. Works in a checkout of the sources only: benchmarks/ is not installed.
+
+    Trials run in processes of their own. What is timed runs alone, one after the other on one worker, while all other
+    workers are idle; all else runs side by side. Only times depend on the machine and on the number of workers.
+    """
+    interrupt_on_signals()
+    console = Console()
+    root = _checkout()
+    try:
+        from benchmarks.studies.bench import Progress as Told
+        from benchmarks.studies.bench import run_studies
+        from benchmarks.studies.page import PAGE, STUDIES
+        from benchmarks.studies.study import StudyError
+    except ModuleNotFoundError as error:
+        if (error.name or "").split(".")[0] not in ("dask", "distributed"):
+            raise
+        words = f"needs {error.name}: pip install -r {root / 'requirements' / 'pins.txt'} (make build does)"
+        raise click.ClickException(words) from error
+    unknown = [name for name in names if name not in STUDIES]
+    if unknown:
+        raise click.ClickException(f"{', '.join(unknown)}: none of {', '.join(STUDIES)}")
+    if scheduler is not None and workers is not None:
+        raise click.ClickException("--workers: the scheduler at --scheduler has workers of its own")
+    names = tuple(dict.fromkeys(names)) or tuple(STUDIES)
+    if drops is not None and "fig16" not in names:
+        raise click.ClickException("--drops: is of fig16, which is not run")
+    sizes = [STUDIES[name].quick if quick else STUDIES[name].full for name in names]
+    if drops is not None:
+        sizes[names.index("fig16")] = sizes[names.index("fig16")]._replace(drops=drops)
+    out = root / "docs" if out is None else out
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise click.ClickException(str(error)) from error
+    done: list[str] = []
+    bar = Progress(
+        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
+        TextColumn("{task.fields[now]}"), console=console,
+    )  # fmt: skip
+    try:
+        with bar:
+            task = bar.add_task("starting", total=None, now="kernels, workers")
+            told = Told(
+                begin=lambda name, trials: bar.reset(task, total=trials, description=name, now=""),
+                done=lambda trial: bar.update(task, advance=1, now=trial.words),
+            )
+            effort = "quick" if quick else "full"
+            workers = workers or len(os.sched_getaffinity(0))
+            for files in run_studies(names, sizes, effort, out, scheduler, workers, told):
+                done.append(names[len(done)])
+                for file in files:
+                    bar.console.print(f"  {file}", highlight=False, soft_wrap=True)
+    except StudyError as error:
+        raise click.ClickException(str(error)) from error
+    except KeyboardInterrupt:
+        console.print(f"stopped; finished: {', '.join(done) or 'none'}", highlight=False, soft_wrap=True)
+        sys.exit(INTERRUPTED)
+    console.print(f"  {out / PAGE}", highlight=False, soft_wrap=True)
+
+
+def _checkout() -> Path:
+    """The root of the sources, on the path for imports; ClickException where there are none."""
+    root = Path(__file__).resolve().parents[2]
+    if not (root / "benchmarks" / "studies" / "bench.py").is_file():
+        raise click.ClickException(
+            f"benchmarks/ is not beside the package, in {root}: it is not installed. Run this in a checkout of the"
+            " sources, where `make build` has been run."
+        )
+    if str(root) not in sys.path:
+        sys.path.insert(0, str(root))
+    return root

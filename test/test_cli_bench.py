@@ -1,0 +1,105 @@
+"""`fracture-collision bench`: help, nonsense refused in words, and an end by Ctrl-C that leaves no process behind."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+
+pytest.importorskip("distributed")
+
+from fracture_collision.cli import main  # noqa: E402
+
+
+def call(*words: str | Path) -> Result:
+    return CliRunner().invoke(main, ["bench", *map(str, words)])
+
+
+def test_help_teaches() -> None:
+    text = " ".join(call("--help").output.split())
+    words = ("tables, fig5, fig12, resolution", "fig17", "benchmarks.md", "--scheduler", "dask worker", "Examples")
+    assert all(word in text for word in words)
+    assert "bench" in CliRunner().invoke(main, ["--help"]).output
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["fig99"], "fig99: none of tables, fig5, fig12, resolution, fig15, fig16, fig17"),
+        (["fig16", "fig98", "fig99"], "fig98, fig99: none of"),
+        (["--workers", "0"], "--workers"),
+        (["--scheduler", "tcp://127.0.0.1:1", "--workers", "2"], "--workers: the scheduler at --scheduler has workers"),
+        (["fig5", "--drops", "3"], "--drops: is of fig16, which is not run"),
+        (["fig16", "--drops", "0"], "--drops"),
+    ],
+)
+def test_nonsense_is_refused_in_words(tmp_path: Path, words: list[str], said: str) -> None:
+    done = call(*words, "--out", tmp_path / "out")
+    assert done.exit_code in (1, 2)
+    assert said in " ".join(done.output.split())
+    assert not (tmp_path / "out").exists()
+
+
+def test_without_the_sources_beside_it_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # the package's attribute of this name is the command
+    module = sys.modules["fracture_collision.cli.bench"]
+    monkeypatch.setattr(module, "__file__", str(tmp_path / "fracture_collision" / "cli" / "bench.py"))
+    done = call("fig5", "--out", tmp_path / "out")
+    assert done.exit_code == 1 and "it is not installed" in " ".join(done.output.split())
+
+
+def test_an_out_that_is_a_file_is_refused_in_words(tmp_path: Path) -> None:
+    (tmp_path / "out").write_text("")
+    done = call("fig5", "--out", tmp_path / "out")
+    assert done.exit_code == 2 and "is a file" in " ".join(done.output.split())
+
+
+def processes_of(session: int) -> list[str]:
+    found = []
+    for process in Path("/proc").glob("[0-9]*"):
+        try:
+            # after the command's name, in brackets: state, parent, group, session
+            state, _, _, its = (process / "stat").read_text().rpartition(")")[2].split()[:4]
+            if int(its) == session and state != "Z":
+                found.append((process / "cmdline").read_text().replace("\0", " "))
+        except OSError:
+            continue
+    return found
+
+
+@pytest.mark.parametrize("order", [signal.SIGINT, signal.SIGTERM])
+def test_stopped_in_the_middle_it_leaves_no_process(tmp_path: Path, order: signal.Signals) -> None:
+    said = tmp_path / "said.txt"
+    with said.open("w") as stream:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "fracture_collision.cli", "bench", "fig16", "--full", "--workers", "2",
+             "--out", str(tmp_path / "out")],
+            stdout=stream, stderr=stream, start_new_session=True,
+            env=os.environ | {"COLUMNS": "120", "FORCE_COLOR": "1"},  # the bar is drawn for terminals only
+        )  # fmt: skip
+        try:
+            deadline = time.monotonic() + 240.0
+            while "contacts, " not in said.read_text():  # a first trial is done
+                assert process.poll() is None and time.monotonic() < deadline, said.read_text()
+                time.sleep(0.05)
+            assert len(processes_of(process.pid)) >= 3
+            if order == signal.SIGINT:
+                os.killpg(process.pid, order)  # as a terminal does
+            else:
+                os.kill(process.pid, order)
+            assert process.wait(60.0) == 130
+            while left := processes_of(process.pid):
+                assert time.monotonic() < deadline, left
+                time.sleep(0.05)
+        finally:
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGKILL)
+    text = said.read_text()
+    assert "stopped; finished: none" in text and "Traceback" not in text
+    assert not list((tmp_path / "out").iterdir())
