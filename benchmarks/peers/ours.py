@@ -62,6 +62,7 @@ def methods() -> list[Method]:
         Ours("ours, 32 contacts", contacts_per_pair=32),
         Ours("ours, epsilon 0", penetration_tolerance=0.0),
         Ours("ours, epsilon 1 % R", penetration_tolerance=0.01),
+        Ours("ours, epsilon 5 % R", penetration_tolerance=0.05),
         Ours("ours, 3000 visits", visit_budget=3000),
     ]
 

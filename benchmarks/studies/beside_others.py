@@ -1,0 +1,79 @@
+"""Sections of docs/benchmarks.md about other libraries, from what benchmarks.peers and benchmarks.speed_error wrote."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+PEERS, PICTURE_ROWS = "peers.csv", "speed_error.csv"
+PICTURES = ("speed_error.png", "speed_error_update.png")
+# Of the table: heading, column of the CSV, factor, decimals; and counts of counts.
+TIMES = (
+    ("update", "update", 1, 2),
+    ("first query", "first_query", 1, 2),
+    ("touching", "touch_query", 1, 2),
+    ("jittered", "jitter_query", 1, 2),
+    ("piled", "pile_query", 1, 2),
+    ("contacts", "jitter_contacts", 1, 0),
+)
+COUNTS = (("missed", "jitter_missed", "jitter_penetrating"), ("false", "jitter_false", "jitter_apart"))
+ERRORS = (("error, mean", "jitter_error_mean", 100, 2), ("worst", "jitter_error_max", 100, 2))
+
+
+def peers_section(folder: Path) -> str:
+    """A table a world; "" where nothing was measured. `make peers` (or python -m benchmarks.peers --csv) measures."""
+    rows = _rows(folder / PEERS)
+    if not rows:
+        return ""
+    parts = [
+        "## What people would use instead",
+        "Times in milliseconds, medians, one core: of an update (event in, ready to answer, masses included; the others"
+        " get each fragment's closed mesh ready made), of the first query after it, and of queries of all fragments in"
+        " place, jittered by up to 1 % R and 1 degree, and piled. Of the jittered frames: contacts, pairs missed of"
+        " those that penetrate by more than 0.2 % R, pairs falsely reported of those that have nothing in common, and"
+        " the error of a pair's depth in % R.",
+    ]
+    for world in dict.fromkeys(row["world"] for row in rows):
+        own = [row for row in rows if row["world"] == world and not row["failure"]]
+        head = ["method", *(heading for heading, *_ in (*TIMES, *COUNTS, *ERRORS))]
+        lines = [f"| {' | '.join(head)} |", f"| --- |{' ---: |' * (len(head) - 1)}"]
+        for row in own:
+            times, errors = ([_figure(row[name], *form) for _, name, *form in columns] for columns in (TIMES, ERRORS))
+            counts = [_count(row, found, of) for _, found, of in COUNTS]
+            lines.append(f"| {' | '.join([row['method'], *times, *counts, *errors])} |")
+        parts += [f"**{world}**, {own[0]['fragments']} fragments", "\n".join(lines)]
+    parts.append(_made(folder / PEERS, rows))
+    return "\n\n".join(parts) + "\n"
+
+
+def speed_error_section(folder: Path) -> str:
+    """The picture, and the smaller one of updates; "" where they were not drawn."""
+    rows = _rows(folder / PICTURE_ROWS)
+    pictures = [f"![Speed against error]({name})" for name in PICTURES if (folder / name).is_file()]
+    if not rows or not pictures:
+        return ""
+    text = (
+        "Each method and setting: time of a query against the error of a pair's depth, mean and worst over all pairs"
+        " whose boxes overlap; a missed pair counts with its true depth, a false one with the reported one. Drawn by"
+        " `python -m benchmarks.speed_error`."
+    )
+    return "\n\n".join(("## Speed against error", text, *pictures, _made(folder / PICTURE_ROWS, rows))) + "\n"
+
+
+def _rows(csv_path: Path) -> list[dict[str, str]]:
+    if not csv_path.is_file():
+        return []
+    with csv_path.open(newline="", encoding="utf-8") as stream:
+        return list(csv.DictReader(stream))
+
+
+def _figure(text: str, factor: int, digits: int) -> str:
+    return f"{factor * float(text):,.{digits}f}" if text else "–"
+
+
+def _count(row: dict[str, str], found: str, of: str) -> str:
+    return f"{float(row[found]):.0f} / {float(row[of]):.0f}" if row[found] else "–"
+
+
+def _made(csv_path: Path, rows: list[dict[str, str]]) -> str:
+    return f"<sub>[{csv_path.name}]({csv_path.name}); {rows[0]['cpu']}, {rows[0]['cores']} core</sub>"
