@@ -18,6 +18,8 @@ from distributed.utils import silence_logging_cmgr
 from benchmarks.studies.machine import machine, versions
 from benchmarks.studies.study import StudyError, Trial
 
+# Above all levels: a worker that ends while it is written to is critical to the scheduler, with a traceback.
+SILENCE = logging.CRITICAL + 1
 # A worker's profiler would wake up a hundred times a second beside what is timed.
 QUIET = {"distributed.worker.profile.enabled": False, "distributed.admin.system-monitor.interval": "10s"}
 CONNECT_SECONDS = 10
@@ -36,13 +38,13 @@ def cluster(address: str | None, workers: int) -> Iterator[Cluster]:
     Raises StudyError where there is no such scheduler, or a worker computes with other sources or versions.
     """
     # around the cluster's own silence, which ends before its last words
-    with TemporaryDirectory() as folder, dask.config.set(QUIET), silence_logging_cmgr(logging.CRITICAL):
+    with TemporaryDirectory() as folder, dask.config.set(QUIET), silence_logging_cmgr(SILENCE):
         if address is None:
             with _deaf_to_interrupts():
                 processes = LocalCluster(
                     n_workers=workers, threads_per_worker=1, processes=True, host="127.0.0.1", scheduler_port=0,
                     dashboard_address="127.0.0.1:0", memory_limit=None, local_directory=folder,
-                    silence_logs=logging.CRITICAL,
+                    silence_logs=SILENCE,
                 )  # fmt: skip
             with processes, Client(processes) as client:
                 yield _prepared(client)
