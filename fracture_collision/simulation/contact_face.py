@@ -14,10 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.simulation.contact_rows import load, pushed, store, turn, uncounted
+from fracture_collision.simulation.contact_rows import NORMAL_MASS, TANGENT_MASS, push, turn, uncounted
 
-# Energy of what an iteration changes, over that at the beginning: a step of 1e-10 of the speeds is as good as none.
-CONVERGED = 1.0e-20
+# A way whose energy is less than this share of the bodies' own, 1e-10 of the speeds, is as good as none.
+NO_ENERGY = 1.0e-20
 # A way whose curvature is less than this share of what its impulses have one by one only shifts load between contacts
 # that hold the same; so is one whose squared sine to the other is less only a multiple of it. What is left is rounding.
 NO_WAY = 1.0e-8
@@ -65,7 +65,7 @@ def add_up(rows, start, u, impulses, rolling):
             u[i, k] = start.u[i, k]
     for pair in range(rows.body_a.size):
         for c in range(rows.begin[pair], rows.begin[pair + 1]):
-            _push(
+            push(
                 rows, pair, c, u, impulses[c, 0] - start.impulses[c, 0], impulses[c, 1] - start.impulses[c, 1],
                 impulses[c, 2] - start.impulses[c, 2],
             )  # fmt: skip
@@ -84,7 +84,7 @@ def keep_to_face(rows, face, way):
             normal = 0.0 if face.presses[c] else impulses[c, 0]
             x, y = (0.0, 0.0) if face.sticks[c] else (impulses[c, 1], impulses[c, 2])
             if normal != 0.0 or x != 0.0 or y != 0.0:
-                _push(rows, pair, c, u, -normal, -x, -y)
+                push(rows, pair, c, u, -normal, -x, -y)
                 impulses[c, 0] -= normal
                 impulses[c, 1] -= x
                 impulses[c, 2] -= y
@@ -102,7 +102,7 @@ def lowest(rows, targets, u, step, path, scale):
     path_slope, path_curvature, path_leads = _slope_and_curvature(rows, targets, u, path, scale)
     along_step, along_path = 0.0, 0.0
     if step_leads and path_leads:
-        mixed = _dot(step.momenta, path.u)
+        mixed = dot(step.momenta, path.u)
         determinant = step_curvature * path_curvature - mixed * mixed
         path_leads = determinant > NO_WAY * step_curvature * path_curvature
         if path_leads:
@@ -119,13 +119,12 @@ def lowest(rows, targets, u, step, path, scale):
 
 @uncounted
 def _slope_and_curvature(rows, targets, u, way, scale):
-    slope, curvature, apart = _dot(way.momenta, u), _dot(way.momenta, way.u), 0.0
+    slope, curvature, apart = dot(way.momenta, u), dot(way.momenta, way.u), 0.0
     for c in range(targets.size):
         normal, x, y = way.impulses[c, 0], way.impulses[c, 1], way.impulses[c, 2]
         slope -= normal * targets[c]
-        if rows.normal_masses[c] > 0.0:
-            apart += normal * normal / rows.normal_masses[c] + (x * x + y * y) / rows.tangent_masses[c]
-    return slope, curvature, curvature > max(NO_WAY * apart, CONVERGED * scale)
+        apart += normal * normal / rows.contacts[c, NORMAL_MASS] + (x * x + y * y) / rows.contacts[c, TANGENT_MASS]
+    return slope, curvature, curvature > max(NO_WAY * apart, NO_ENERGY * scale)
 
 
 @uncounted
@@ -173,7 +172,7 @@ def go(rows, surfaces, targets, u, impulses, rolling, step, path, along_step, al
             excess = limit / math.sqrt(square) - 1.0 if square > limit * limit else 0.0
             over = normal - impulses[c, 0] - move0
             if excess != 0.0 or over != 0.0:
-                _push(rows, pair, c, step.u, over, excess * x, excess * y)
+                push(rows, pair, c, step.u, over, excess * x, excess * y)
             step.impulses[c, 0] = normal - impulses[c, 0]
             step.impulses[c, 1] = move1 + excess * x
             step.impulses[c, 2] = move2 + excess * y
@@ -194,7 +193,7 @@ def go(rows, surfaces, targets, u, impulses, rolling, step, path, along_step, al
             step.rolling[pair, 1] += y
             step.rolling[pair, 2] += z
     _find_momenta(rows, step)
-    if _dot(step.momenta, u) + 0.5 * _dot(step.momenta, step.u) >= work:
+    if dot(step.momenta, u) + 0.5 * dot(step.momenta, step.u) >= work:
         return False
     for i in range(u.shape[0]):
         for k in range(6):
@@ -209,22 +208,10 @@ def go(rows, surfaces, targets, u, impulses, rolling, step, path, along_step, al
 
 
 @uncounted
-def _push(rows, pair, c, u, normal, x, y):
-    a, b = rows.body_a[pair], rows.body_b[pair]
-    mass_a, mass_b = rows.inverse_masses[a], rows.inverse_masses[b]
-    ua, ub = load(u, a), load(u, b)
-    ua, ub = pushed(rows.rows[c, 0], ua, ub, mass_a, mass_b, normal)
-    ua, ub = pushed(rows.rows[c, 1], ua, ub, mass_a, mass_b, x)
-    ua, ub = pushed(rows.rows[c, 2], ua, ub, mass_a, mass_b, y)
-    store(u, a, ua)
-    store(u, b, ub)
-
-
-@uncounted
 def doubled_energy(rows, way):
     """u M u of a way; finds its momenta."""
     _find_momenta(rows, way)
-    return _dot(way.momenta, way.u)
+    return dot(way.momenta, way.u)
 
 
 @uncounted
@@ -239,7 +226,7 @@ def _find_momenta(rows, way):
 
 
 @uncounted
-def _dot(x, y):
+def dot(x, y):
     result = 0.0
     for i in range(x.shape[0]):
         result += (x[i, 0] * y[i, 0] + x[i, 1] * y[i, 1] + x[i, 2] * y[i, 2]) + (

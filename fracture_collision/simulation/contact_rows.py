@@ -1,7 +1,8 @@
-"""Constraint rows of the contact solver: what one direction of one contact needs, and how an impulse along it acts.
+"""Constraint rows of the contact solver: what a contact needs, and how impulses at it act.
 
-Symbols and equation numbers are those of `contact_solver`. A row holds what one direction d of one contact needs:
-d, r_a x d, r_b x d, I_a^-1 (r_a x d), I_b^-1 (r_b x d). Velocities are (n + 1, 6); row n never moves.
+Symbols and equation numbers are those of `contact_solver`. All that an iteration reads of a contact stands side by side
+in one record: its three directions d, the arms r_a and r_b, I_a^-1 (r_a x d) and I_b^-1 (r_b x d) of each direction, and
+the masses below. Velocities are those of an island's bodies (`contact_islands`); the last row of an island never moves.
 """
 
 from __future__ import annotations
@@ -12,7 +13,11 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-DIRECTION, ARM_A, ARM_B, SPIN_A, SPIN_B = 0, 3, 6, 9, 12
+# Where in a contact's record: n, t1, t2; the arms; what each direction does to the spins.
+NORMAL, TANGENT1, TANGENT2, ARM_A, ARM_B, SPIN_A, SPIN_B = 0, 3, 6, 9, 12, 15, 24
+# 1 / (J_n W J_n^T), 0 where both cannot move; 1 / the larger eigenvalue of the block J_t W J_t^T; J_n W J_t^T of both.
+NORMAL_MASS, TANGENT_MASS, COUPLING1, COUPLING2 = 33, 34, 35, 36
+RECORD = 37
 
 # Kernels that allocate nothing count no references: counting costs more than the arithmetic of a row.
 uncounted = njit(cache=True, error_model="numpy", _nrt=False)
@@ -22,14 +27,11 @@ class Rows(NamedTuple):
     begin: np.ndarray  # (p + 1,) int64, contacts of pair i: begin[i] .. begin[i + 1] - 1
     body_a: np.ndarray  # (p,) int64
     body_b: np.ndarray  # (p,) int64
-    masses: np.ndarray  # (n + 1,) [kg]; 0 of what never moves
-    inertias: np.ndarray  # (n + 1, 3, 3) [kg m2]
-    inverse_masses: np.ndarray  # (n + 1,)
-    inverse_inertias: np.ndarray  # (n + 1, 3, 3)
-    directions: np.ndarray  # (N, 3, 3) n, t1, t2
-    rows: np.ndarray  # (N, 3, 15)
-    normal_masses: np.ndarray  # (N,) 1 / (J_n W J_n^T); 0 where both cannot move
-    tangent_masses: np.ndarray  # (N,) 1 / the larger eigenvalue of the 2 x 2 block J_t W J_t^T
+    masses: np.ndarray  # (m,) [kg]; 0 of what never moves
+    inertias: np.ndarray  # (m, 3, 3) [kg m2]
+    inverse_masses: np.ndarray  # (m,)
+    inverse_inertias: np.ndarray  # (m, 3, 3)
+    contacts: np.ndarray  # (N, RECORD)
     rolling_masses: np.ndarray  # (p, 3, 3) (I_a^-1 + I_b^-1)^-1
 
 
@@ -39,89 +41,32 @@ class Surfaces(NamedTuple):
     impulse_limits: np.ndarray  # (N,) [N s], inf: none
 
 
-@njit(cache=True)
-def contact_rows(
-    points, normals, begin, body_a, body_b, centers, masses, inertias, inverse_masses, inverse_inertias
-):
-    """Rows of all contacts; the tangents follow from the normal alone, so that they are steady from step to step."""
-    count, pair_count = points.shape[0], body_a.size
-    directions = np.zeros((count, 3, 3))
-    rows = np.zeros((count, 3, 15))
-    normal_masses = np.zeros(count)
-    tangent_masses = np.zeros(count)
-    rolling_masses = np.zeros((pair_count, 3, 3))
-    for pair in range(pair_count):
-        a, b = body_a[pair], body_b[pair]
-        ia, ib = inverse_inertias[a], inverse_inertias[b]
-        inverse_mass = inverse_masses[a] + inverse_masses[b]
-        if inverse_mass == 0.0:
-            continue
-        rolling_masses[pair] = np.linalg.inv(ia + ib)
-        for c in range(begin[pair], begin[pair + 1]):
-            _basis(normals[c], directions[c])
-            for k in range(3):
-                d = directions[c, k]
-                row = rows[c, k]
-                row[DIRECTION : DIRECTION + 3] = d
-                _cross(points[c] - centers[a], d, row[ARM_A : ARM_A + 3])
-                _cross(points[c] - centers[b], d, row[ARM_B : ARM_B + 3])
-                for i in range(3):
-                    for j in range(3):
-                        row[SPIN_A + i] += ia[i, j] * row[ARM_A + j]
-                        row[SPIN_B + i] += ib[i, j] * row[ARM_B + j]
-            normal_masses[c] = 1.0 / (inverse_mass + _angular_coupling(rows, c, 0, 0))
-            k11 = inverse_mass + _angular_coupling(rows, c, 1, 1)
-            k22 = inverse_mass + _angular_coupling(rows, c, 2, 2)
-            k12 = _angular_coupling(rows, c, 1, 2)
-            largest = 0.5 * (k11 + k22) + math.sqrt(0.25 * (k11 - k22) ** 2 + k12 * k12)
-            tangent_masses[c] = 1.0 / largest
-    return Rows(
-        begin, body_a, body_b, masses, inertias, inverse_masses, inverse_inertias, directions, rows, normal_masses,
-        tangent_masses, rolling_masses,
-    )  # fmt: skip
+@uncounted
+def fill_record(record, point, normal, center_a, center_b, inverse_mass, inverse_inertia_a, inverse_inertia_b):
+    """The record of one contact; the tangents follow from the normal alone, so that they are steady between steps."""
+    _basis(normal, record)
+    for i in range(3):
+        record[ARM_A + i], record[ARM_B + i] = point[i] - center_a[i], point[i] - center_b[i]
+    for k in range(3):
+        for arm, spin, inverse in ((ARM_A, SPIN_A, inverse_inertia_a), (ARM_B, SPIN_B, inverse_inertia_b)):
+            x, y, z = _crossed(record, arm, 3 * k)
+            for i in range(3):
+                record[spin + 3 * k + i] = inverse[i, 0] * x + inverse[i, 1] * y + inverse[i, 2] * z
+    record[NORMAL_MASS] = 1.0 / (inverse_mass + _angular_coupling(record, 0, 0))
+    k11 = inverse_mass + _angular_coupling(record, 1, 1)
+    k22 = inverse_mass + _angular_coupling(record, 2, 2)
+    k12 = _angular_coupling(record, 1, 2)
+    record[TANGENT_MASS] = 1.0 / (0.5 * (k11 + k22) + math.sqrt(0.25 * (k11 - k22) ** 2 + k12 * k12))
+    record[COUPLING1], record[COUPLING2] = _angular_coupling(record, 0, 1), _angular_coupling(record, 0, 2)
 
 
-@njit(cache=True)
-def normal_velocities(rows, u):
-    """J_n u of each contact: (N,) [m/s]."""
-    result = np.zeros(rows.normal_masses.size)
+@uncounted
+def normal_velocities(rows, u, result):
+    """J_n u of each contact into `result` (N,) [m/s]."""
     for pair in range(rows.body_a.size):
+        ua, ub = load(u, rows.body_a[pair]), load(u, rows.body_b[pair])
         for c in range(rows.begin[pair], rows.begin[pair + 1]):
-            result[c] = velocity(rows.rows[c, 0], load(u, rows.body_a[pair]), load(u, rows.body_b[pair]))
-    return result
-
-
-@njit(cache=True)
-def carried_impulses(
-    fragment_a, fragment_b, begin, contact_ids,
-    old_a, old_b, old_begin, old_ids, old_impulses, old_rolling, directions,
-):  # fmt: skip
-    """Impulses (N, 3) along n, t1, t2 and rolling (p, 3) of those contacts that the last step had as well; else zero.
-
-    Pairs are merged in their common order; within a pair there are few contacts, which are simply compared. The normal
-    may have turned since, so the old impulse is split anew.
-    """
-    impulses = np.zeros((contact_ids.size, 3))
-    rolling = np.zeros((fragment_a.size, 3))
-    old = 0
-    for pair in range(fragment_a.size):
-        a, b = fragment_a[pair], fragment_b[pair]
-        while old < old_a.size and (old_a[old] < a or (old_a[old] == a and old_b[old] < b)):
-            old += 1
-        if old == old_a.size:
-            break
-        if old_a[old] != a or old_b[old] != b:
-            continue
-        rolling[pair] = old_rolling[old]
-        for c in range(begin[pair], begin[pair + 1]):
-            for o in range(old_begin[old], old_begin[old + 1]):
-                if old_ids[o] == contact_ids[c]:
-                    for k in range(3):
-                        for i in range(3):
-                            impulses[c, k] += directions[c, k, i] * old_impulses[o, i]
-                    impulses[c, 0] = max(impulses[c, 0], 0.0)
-                    break
-    return impulses, rolling
+            result[c] = normal_velocity(rows.contacts[c], ua, ub)
 
 
 @uncounted
@@ -132,6 +77,17 @@ def turn(rows, pair, u, x, y, z):
     for i in range(3):
         u[a, 3 + i] -= ia[i, 0] * x + ia[i, 1] * y + ia[i, 2] * z
         u[b, 3 + i] += ib[i, 0] * x + ib[i, 1] * y + ib[i, 2] * z
+
+
+@uncounted
+def push(rows, pair, c, u, normal, x, y):
+    """Impulses along n, t1, t2 [N s] on b, the opposite on a."""
+    a, b = rows.body_a[pair], rows.body_b[pair]
+    ua, ub = pushed(
+        rows.contacts[c], load(u, a), load(u, b), rows.inverse_masses[a], rows.inverse_masses[b], normal, x, y
+    )
+    store(u, a, ua)
+    store(u, b, ub)
 
 
 # The velocities of a pair travel as tuples, which stay in registers; the sums are short chains, which run side by side.
@@ -149,52 +105,92 @@ def store(u, i, values):
 
 
 @uncounted
-def velocity(r, ua, ub):
-    linear = r[0] * (ub[0] - ua[0]) + r[1] * (ub[1] - ua[1]) + r[2] * (ub[2] - ua[2])
-    angular_a = r[3] * ua[3] + r[4] * ua[4] + r[5] * ua[5]
-    angular_b = r[6] * ub[3] + r[7] * ub[4] + r[8] * ub[5]
-    return linear + (angular_b - angular_a)
+def velocities(r, ua, ub):
+    """J_n u, J_t1 u, J_t2 u of a contact."""
+    x, y, z = _parting(r, ua, ub)
+    return r[0] * x + r[1] * y + r[2] * z, r[3] * x + r[4] * y + r[5] * z, r[6] * x + r[7] * y + r[8] * z
 
 
 @uncounted
-def pushed(r, ua, ub, inverse_mass_a, inverse_mass_b, impulse):
-    a, b = inverse_mass_a * impulse, inverse_mass_b * impulse
+def normal_velocity(r, ua, ub):
+    x, y, z = _parting(r, ua, ub)
+    return r[0] * x + r[1] * y + r[2] * z
+
+
+@uncounted
+def _parting(r, ua, ub):
+    x = (ub[0] - ua[0]) + ((ub[4] * r[14] - ub[5] * r[13]) - (ua[4] * r[11] - ua[5] * r[10]))
+    y = (ub[1] - ua[1]) + ((ub[5] * r[12] - ub[3] * r[14]) - (ua[5] * r[9] - ua[3] * r[11]))
+    z = (ub[2] - ua[2]) + ((ub[3] * r[13] - ub[4] * r[12]) - (ua[3] * r[10] - ua[4] * r[9]))
+    return x, y, z
+
+
+@uncounted
+def pushed(r, ua, ub, inverse_mass_a, inverse_mass_b, normal, x, y):
+    """Velocities after impulses along n, t1, t2."""
+    p0 = r[0] * normal + (r[3] * x + r[6] * y)
+    p1 = r[1] * normal + (r[4] * x + r[7] * y)
+    p2 = r[2] * normal + (r[5] * x + r[8] * y)
     after_a = (
-        ua[0] - a * r[0], ua[1] - a * r[1], ua[2] - a * r[2],
-        ua[3] - impulse * r[9], ua[4] - impulse * r[10], ua[5] - impulse * r[11],
+        ua[0] - inverse_mass_a * p0, ua[1] - inverse_mass_a * p1, ua[2] - inverse_mass_a * p2,
+        ua[3] - (r[15] * normal + (r[18] * x + r[21] * y)),
+        ua[4] - (r[16] * normal + (r[19] * x + r[22] * y)),
+        ua[5] - (r[17] * normal + (r[20] * x + r[23] * y)),
     )  # fmt: skip
     after_b = (
-        ub[0] + b * r[0], ub[1] + b * r[1], ub[2] + b * r[2],
-        ub[3] + impulse * r[12], ub[4] + impulse * r[13], ub[5] + impulse * r[14],
+        ub[0] + inverse_mass_b * p0, ub[1] + inverse_mass_b * p1, ub[2] + inverse_mass_b * p2,
+        ub[3] + (r[24] * normal + (r[27] * x + r[30] * y)),
+        ub[4] + (r[25] * normal + (r[28] * x + r[31] * y)),
+        ub[5] + (r[26] * normal + (r[29] * x + r[32] * y)),
     )  # fmt: skip
     return after_a, after_b
 
 
-@njit(cache=True)
-def _angular_coupling(rows, c, k, m):
+@uncounted
+def pushed_apart(r, ua, ub, inverse_mass_a, inverse_mass_b, normal):
+    """Velocities after an impulse along n alone."""
+    a, b = inverse_mass_a * normal, inverse_mass_b * normal
+    after_a = (
+        ua[0] - a * r[0], ua[1] - a * r[1], ua[2] - a * r[2],
+        ua[3] - normal * r[15], ua[4] - normal * r[16], ua[5] - normal * r[17],
+    )  # fmt: skip
+    after_b = (
+        ub[0] + b * r[0], ub[1] + b * r[1], ub[2] + b * r[2],
+        ub[3] + normal * r[24], ub[4] + normal * r[25], ub[5] + normal * r[26],
+    )  # fmt: skip
+    return after_a, after_b
+
+
+@uncounted
+def _angular_coupling(record, k, m):
     result = 0.0
-    for i in range(3):
-        result += rows[c, k, ARM_A + i] * rows[c, m, SPIN_A + i] + rows[c, k, ARM_B + i] * rows[c, m, SPIN_B + i]
+    for arm, spin in ((ARM_A, SPIN_A), (ARM_B, SPIN_B)):
+        x, y, z = _crossed(record, arm, 3 * k)
+        result += x * record[spin + 3 * m] + y * record[spin + 3 * m + 1] + z * record[spin + 3 * m + 2]
     return result
 
 
-@njit(cache=True)
-def _cross(x, y, out):
-    out[0] = x[1] * y[2] - x[2] * y[1]
-    out[1] = x[2] * y[0] - x[0] * y[2]
-    out[2] = x[0] * y[1] - x[1] * y[0]
+@uncounted
+def _crossed(r, i, j):
+    return (
+        r[i + 1] * r[j + 2] - r[i + 2] * r[j + 1],
+        r[i + 2] * r[j] - r[i] * r[j + 2],
+        r[i] * r[j + 1] - r[i + 1] * r[j],
+    )  # fmt: skip
 
 
-@njit(cache=True)
-def _basis(n, out):
+@uncounted
+def _basis(n, record):
     """n and two tangents; the first lies across n and the axis that n is farthest from."""
     axis = 0
     for i in range(1, 3):
         if abs(n[i]) < abs(n[axis]):
             axis = i
-    other = np.zeros(3)
-    other[axis] = 1.0
-    out[0] = n
-    _cross(n, other, out[1])
-    out[1] /= math.sqrt(out[1, 0] ** 2 + out[1, 1] ** 2 + out[1, 2] ** 2)
-    _cross(n, out[1], out[2])
+    for i in range(3):
+        record[NORMAL + i] = n[i]
+        record[TANGENT2 + i] = 1.0 if i == axis else 0.0
+    x, y, z = _crossed(record, NORMAL, TANGENT2)
+    length = math.sqrt(x * x + y * y + z * z)
+    record[TANGENT1], record[TANGENT1 + 1], record[TANGENT1 + 2] = x / length, y / length, z / length
+    x, y, z = _crossed(record, NORMAL, TANGENT1)
+    record[TANGENT2], record[TANGENT2 + 1], record[TANGENT2 + 2] = x, y, z

@@ -1,4 +1,4 @@
-"""Projected Gauss-Seidel over contact rows, warm-started and accelerated.
+"""Projected Gauss-Seidel over the contact rows of an island, warm-started and accelerated.
 
 Symbols and equation numbers are those of `contact_solver`.
 """
@@ -11,18 +11,31 @@ import numpy as np
 from numba import njit
 
 from fracture_collision.simulation.contact_face import (
-    CONVERGED,
     Face,
     Way,
     add_up,
     difference,
+    dot,
     doubled_energy,
     go,
     keep_to_face,
     leave_face,
     lowest,
 )
-from fracture_collision.simulation.contact_rows import load, pushed, store, turn, uncounted, velocity
+from fracture_collision.simulation.contact_rows import (
+    COUPLING1,
+    COUPLING2,
+    NORMAL_MASS,
+    TANGENT_MASS,
+    load,
+    normal_velocity,
+    pushed,
+    pushed_apart,
+    store,
+    turn,
+    uncounted,
+    velocities,
+)
 
 # How often an iteration may change the face on which it goes on.
 FACES = 3
@@ -36,41 +49,32 @@ def apply_warm_start(rows, targets, u, impulses, rolling):
     s^2/2 lambda A lambda + s lambda (J u* - target), for s = -lambda (J u* - target) / lambda A lambda. Cut to [0, 1],
     a warm start can only take energy out.
     """
-    change = np.zeros_like(u)
+    carried = Way(impulses, rolling, np.zeros_like(u), np.zeros_like(u))
     slope = 0.0
-    curvature = 0.0
-    for sign in range(2):
-        for pair in range(rows.body_a.size):
-            a, b = rows.body_a[pair], rows.body_b[pair]
-            for i in range(3):
-                if sign == 0:
-                    slope += rolling[pair, i] * (u[b, 3 + i] - u[a, 3 + i])
-                else:
-                    curvature += rolling[pair, i] * (change[b, 3 + i] - change[a, 3 + i])
-            if sign == 0:
-                turn(rows, pair, change, rolling[pair, 0], rolling[pair, 1], rolling[pair, 2])
-            for c in range(rows.begin[pair], rows.begin[pair + 1]):
-                for k in range(3):
-                    if sign == 0:
-                        target = targets[c] if k == 0 else 0.0
-                        slope += impulses[c, k] * (velocity(rows.rows[c, k], load(u, a), load(u, b)) - target)
-                        masses = rows.inverse_masses
-                        ua, ub = load(change, a), load(change, b)
-                        ua, ub = pushed(rows.rows[c, k], ua, ub, masses[a], masses[b], impulses[c, k])
-                        store(change, a, ua)
-                        store(change, b, ub)
-                    else:
-                        curvature += impulses[c, k] * velocity(rows.rows[c, k], load(change, a), load(change, b))
+    for pair in range(rows.body_a.size):
+        a, b = rows.body_a[pair], rows.body_b[pair]
+        mass_a, mass_b = rows.inverse_masses[a], rows.inverse_masses[b]
+        turn(rows, pair, carried.u, rolling[pair, 0], rolling[pair, 1], rolling[pair, 2])
+        change_a, change_b = load(carried.u, a), load(carried.u, b)
+        for c in range(rows.begin[pair], rows.begin[pair + 1]):
+            slope -= impulses[c, 0] * targets[c]
+            change_a, change_b = pushed(
+                rows.contacts[c], change_a, change_b, mass_a, mass_b, impulses[c, 0], impulses[c, 1], impulses[c, 2]
+            )
+        store(carried.u, a, change_a)
+        store(carried.u, b, change_b)
+    curvature = doubled_energy(rows, carried)
+    slope += dot(carried.momenta, u)
     share = 0.0
     if curvature > 0.0:
         share = min(max(-slope / curvature, 0.0), 1.0)
     impulses *= share
     rolling *= share
-    u += share * change
+    u += share * carried.u
 
 
 @njit(cache=True)
-def sweep(rows, surfaces, targets, u, impulses, rolling, iterations):
+def sweep(rows, surfaces, targets, u, free, impulses, rolling, iterations, accuracy):
     """Projected Gauss-Seidel on (2), (3), (5), accelerated. Changes u, impulses, rolling.
 
     One iteration visits all contacts forward, then backward. With x the impulses, t the targets and A = J W J^T this
@@ -82,6 +86,9 @@ def sweep(rows, surfaces, targets, u, impulses, rolling, iterations):
     the face of the contacts that press and stick: conjugate gradients, preconditioned by symmetric Gauss-Seidel [D].
     Products of A are sums over bodies, x A y = u_x M u_y. What would pull or slip leaves the face and the plane is
     searched again; a way that, the cones kept, ends higher is not taken.
+
+    It ends when no body's velocity changes by more than `accuracy` times the most that contacts have changed any of
+    them by, u - u* (`free`).
     """
     step, path = _no_way(u, impulses, rolling), _no_way(u, impulses, rolling)
     before, start = _no_way(u, impulses, rolling), _no_way(u, impulses, rolling)
@@ -89,10 +96,10 @@ def sweep(rows, surfaces, targets, u, impulses, rolling, iterations):
     face = Face(np.zeros(count, np.bool_), np.zeros(count, np.bool_), np.zeros(len(rolling), np.bool_))
     _keep(start, u, impulses, rolling)
     scale = doubled_energy(rows, start)
-    settled = False
+    has_gone = False
     for iteration in range(iterations):
-        is_last = settled or iteration == iterations - 1
-        if is_last:
+        is_last = iteration == iterations - 1
+        if is_last and has_gone:
             # What u gathered by going on is more than rounding where it went far; the last word is with what is.
             add_up(rows, start, u, impulses, rolling)
         _keep(before, u, impulses, rolling)
@@ -100,10 +107,11 @@ def sweep(rows, surfaces, targets, u, impulses, rolling, iterations):
         _sweep_once(rows, surfaces, targets, u, impulses, rolling, face, True)
         if is_last:
             break
+        if _squared_change(rows, u, before.u) <= accuracy * accuracy * _squared_change(rows, u, free):
+            if has_gone:
+                add_up(rows, start, u, impulses, rolling)
+            break
         difference(u, impulses, rolling, before, step)
-        settled = doubled_energy(rows, step) <= CONVERGED * scale
-        if settled:
-            continue
         along_step, along_path, part = 0.0, 0.0, 0.0
         for _ in range(FACES):
             keep_to_face(rows, face, step)
@@ -112,8 +120,27 @@ def sweep(rows, surfaces, targets, u, impulses, rolling, iterations):
             left, part = leave_face(rows, surfaces, impulses, step, path, along_step, along_path, face)
             if not left:
                 break
-        go(rows, surfaces, targets, u, impulses, rolling, step, path, part * along_step, part * along_path)
+        if go(rows, surfaces, targets, u, impulses, rolling, step, path, part * along_step, part * along_path):
+            has_gone = True
         difference(u, impulses, rolling, before, path)
+
+
+@uncounted
+def _squared_change(rows, u, before):
+    """The largest of any body, [m2/s2]: its energy, twice, over its mass."""
+    largest = 0.0
+    for i in range(u.shape[0]):
+        if rows.masses[i] > 0.0:
+            inertia = rows.inertias[i]
+            x, y, z = u[i, 3] - before[i, 3], u[i, 4] - before[i, 4], u[i, 5] - before[i, 5]
+            spin = (
+                x * (inertia[0, 0] * x + inertia[0, 1] * y + inertia[0, 2] * z)
+                + y * (inertia[1, 0] * x + inertia[1, 1] * y + inertia[1, 2] * z)
+                + z * (inertia[2, 0] * x + inertia[2, 1] * y + inertia[2, 2] * z)
+            )
+            x, y, z = u[i, 0] - before[i, 0], u[i, 1] - before[i, 1], u[i, 2] - before[i, 2]
+            largest = max(largest, x * x + y * y + z * z + spin / rows.masses[i])
+    return largest
 
 
 @uncounted
@@ -147,27 +174,30 @@ def _sweep_once(rows, surfaces, targets, u, impulses, rolling, face, backward):
         total = 0.0
         for inner in range(end - first):
             c = end - 1 - inner if backward else first + inner
-            normal, tangent1, tangent2 = rows.rows[c, 0], rows.rows[c, 1], rows.rows[c, 2]
+            r, carried = rows.contacts[c], impulses[c, 0]
             if friction > 0.0:
                 # Friction first, with the last sweep's lambda: not going through matters more and has the last word.
-                s1, s2 = velocity(tangent1, ua, ub), velocity(tangent2, ua, ub)
+                s, s1, s2 = velocities(r, ua, ub)
                 # One mass for both tangents: with the block's inverse, sliding friction would oppose not the slip but
                 # its image under that inverse, and turn what slides straight.
-                wanted1 = impulses[c, 1] - rows.tangent_masses[c] * s1
-                wanted2 = impulses[c, 2] - rows.tangent_masses[c] * s2
-                limit, square = friction * impulses[c, 0], wanted1 * wanted1 + wanted2 * wanted2
+                wanted1 = impulses[c, 1] - r[TANGENT_MASS] * s1
+                wanted2 = impulses[c, 2] - r[TANGENT_MASS] * s2
+                limit, square = friction * carried, wanted1 * wanted1 + wanted2 * wanted2
                 face.sticks[c] = square < limit * limit
                 if square > limit * limit:
                     scale = limit / math.sqrt(square)
                     wanted1 *= scale
                     wanted2 *= scale
-                ua, ub = pushed(tangent1, ua, ub, mass_a, mass_b, wanted1 - impulses[c, 1])
-                ua, ub = pushed(tangent2, ua, ub, mass_a, mass_b, wanted2 - impulses[c, 2])
+                change1, change2 = wanted1 - impulses[c, 1], wanted2 - impulses[c, 2]
+                s += r[COUPLING1] * change1 + r[COUPLING2] * change2
+                wanted = min(max(carried - r[NORMAL_MASS] * (s - targets[c]), 0.0), surfaces.impulse_limits[c])
+                ua, ub = pushed(r, ua, ub, mass_a, mass_b, wanted - carried, change1, change2)
                 impulses[c, 1] = wanted1
                 impulses[c, 2] = wanted2
-            wanted = impulses[c, 0] - rows.normal_masses[c] * (velocity(normal, ua, ub) - targets[c])
-            wanted = min(max(wanted, 0.0), surfaces.impulse_limits[c])
-            ua, ub = pushed(normal, ua, ub, mass_a, mass_b, wanted - impulses[c, 0])
+            else:
+                s = normal_velocity(r, ua, ub)
+                wanted = min(max(carried - r[NORMAL_MASS] * (s - targets[c]), 0.0), surfaces.impulse_limits[c])
+                ua, ub = pushed_apart(r, ua, ub, mass_a, mass_b, wanted - carried)
             impulses[c, 0] = wanted
             face.presses[c] = 0.0 < wanted < surfaces.impulse_limits[c]
             total += wanted
