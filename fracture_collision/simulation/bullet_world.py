@@ -14,10 +14,17 @@ import pybullet
 from scipy.spatial.transform import Rotation
 
 from fracture_collision.simulation.engine import BodyStates, FrameState, MassProperties
-from fracture_collision.simulation.rotations import quaternion_products, rotation_matrices
+from fracture_collision.simulation.rotations import (
+    from_principal,
+    quaternion_products,
+    rotation_matrices,
+    turned,
+    turned_along,
+)
 
 # Bullet clamps every velocity coordinate to 100 (m/s or rad/s) unless told otherwise; small shards spin faster.
 VELOCITY_LIMIT = 1.0e6
+INVERSE = np.array([-1.0, -1.0, -1.0, 1.0])  # of a unit quaternion, coordinate by coordinate
 
 
 class _Inertial(NamedTuple):
@@ -25,6 +32,22 @@ class _Inertial(NamedTuple):
     center_of_mass: np.ndarray  # (3,) body frame
     body_to_inertial: np.ndarray  # (4,) quaternion; the inertial frame's axes are the principal ones
     moments: np.ndarray  # (3,) [kg m2], principal
+
+
+class _Bodies(NamedTuple):
+    """What does not change while no body comes or goes; ascending by fragment id."""
+
+    handles: list[int]  # Bullet's
+    fragment_ids: np.ndarray  # (n,) uint32
+    masses: np.ndarray  # (n,)
+    centers_of_mass: np.ndarray  # (n, 3)
+    body_to_inertial: np.ndarray  # (n, 4)
+    moments: np.ndarray  # (n, 3)
+
+
+class _Motion(NamedTuple):
+    linear: np.ndarray  # (3,) [m/s], of the centre of mass
+    angular: np.ndarray  # (3,) [rad/s]
 
 
 class BulletWorld:
@@ -36,116 +59,121 @@ class BulletWorld:
         self._client = pybullet.connect(pybullet.DIRECT)
         pybullet.setTimeStep(self._time_step, physicsClientId=self._client)
         pybullet.setGravity(*self._gravity, physicsClientId=self._client)
-        self._handles: dict[int, int] = {}  # kept in ascending order of fragment ids
+        self._handles: dict[int, int] = {}
         self._inertials: dict[int, _Inertial] = {}
+        # Velocities are kept here: Bullet's have drift in them, and to ask for them costs as much as a step.
+        self._motions: dict[int, _Motion] = {}  # of all bodies, as long as there are no states
+        self._bodies: _Bodies | None = None
         self._states: BodyStates | None = None
-        self._velocities_differ = False  # Bullet's from those of the states: drift is in them
 
     def add(self, fragment_id: int, properties: MassProperties, frame: FrameState) -> None:
         if fragment_id in self._handles:
             raise ValueError(f"fragment {fragment_id} is already in the world")
         inertial = _inertial_frame(fragment_id, properties)
-        to_world = Rotation.from_quat(frame.orientation)
-        arm = to_world.apply(inertial.center_of_mass)
+        to_world = frame.orientation.reshape(1, 4)
+        arm = turned(rotation_matrices(to_world), inertial.center_of_mass[None])[0]
         handle = pybullet.createMultiBody(
             baseMass=inertial.mass,
-            basePosition=frame.position + arm,
-            baseOrientation=(to_world * Rotation.from_quat(inertial.body_to_inertial).inv()).as_quat(),
+            basePosition=(frame.position + arm).tolist(),
+            baseOrientation=quaternion_products(to_world, INVERSE * inertial.body_to_inertial[None])[0].tolist(),
             physicsClientId=self._client,
         )
         # Energy is the contact solver's business: no damping, no sleeping, no clamp of Bullet's own.
         pybullet.changeDynamics(
             handle,
             -1,
-            localInertiaDiagonal=inertial.moments,
+            localInertiaDiagonal=inertial.moments.tolist(),
             linearDamping=0.0,
             angularDamping=0.0,
             maxJointVelocity=VELOCITY_LIMIT,
             activationState=pybullet.ACTIVATION_STATE_DISABLE_SLEEPING,
             physicsClientId=self._client,
         )
+        self._before_change()
+        self._handles[fragment_id] = handle
+        self._inertials[fragment_id] = inertial
         velocity = frame.linear_velocity + np.cross(frame.angular_velocity, arm)
-        pybullet.resetBaseVelocity(handle, velocity, frame.angular_velocity, physicsClientId=self._client)
-        self._settle_velocities()
-        self._handles = dict(sorted([*self._handles.items(), (fragment_id, handle)]))
-        self._inertials = dict(sorted([*self._inertials.items(), (fragment_id, inertial)]))
-        self._states = None
+        self._motions[fragment_id] = _Motion(velocity, frame.angular_velocity)
 
     def remove(self, fragment_id: int) -> None:
-        self._settle_velocities()
-        pybullet.removeBody(self._handles.pop(fragment_id), physicsClientId=self._client)
-        del self._inertials[fragment_id]
-        self._states = None
+        pybullet.removeBody(self._handles[fragment_id], physicsClientId=self._client)
+        self._before_change()
+        for of_all in (self._handles, self._inertials, self._motions):
+            del of_all[fragment_id]
 
     def states(self) -> BodyStates:
         if self._states is None:
-            self._states = self._read()
+            self._bodies = self._gather()
+            motions = [self._motions[fragment_id] for fragment_id in self._bodies.fragment_ids.tolist()]
+            linear, angular = (np.array([motion[k] for motion in motions]).reshape(-1, 3) for k in range(2))
+            self._states = self._read(linear, angular)
         return self._states
 
     def advance(
         self, linear: np.ndarray, angular: np.ndarray, drift_linear: np.ndarray, drift_angular: np.ndarray
     ) -> None:
         before = self.states()
-        if before.fragment_ids.size:
-            spin = angular + drift_angular
-            # Bullet adds gravity and, explicitly (which feeds energy to fast spins), the gyroscopic torque. Both are in
-            # the given velocities already, so the one is subtracted and the other held by an opposite torque.
-            velocity = linear + drift_linear - self._gravity * self._time_step
-            torque = np.cross(spin, np.einsum("nij,nj->ni", before.inertias, spin))
-            for i, handle in enumerate(self._handles.values()):
-                pybullet.resetBaseVelocity(handle, velocity[i], spin[i], physicsClientId=self._client)
-                pybullet.applyExternalTorque(
-                    handle, -1, torque[i], pybullet.WORLD_FRAME, physicsClientId=self._client
-                )
-        pybullet.stepSimulation(physicsClientId=self._client)
-        moved = self._read()
-        if before.fragment_ids.size:
-            # Take the drift out again, and turn the spins with the bodies, which keeps their energies.
-            was = rotation_matrices(before.frame_orientations)
-            now = rotation_matrices(moved.frame_orientations)
-            spin = moved.angular - drift_angular
-            angular = np.einsum("nij,nkj,nk->ni", now, was, spin)
-            moved = moved._replace(linear=moved.linear - drift_linear, angular=angular)
-            self._velocities_differ = True
-        self._states = moved
-
-    def _settle_velocities(self) -> None:
-        """Give Bullet the velocities of the states, before the bodies are read anew."""
-        if self._velocities_differ:
-            for i, handle in enumerate(self._handles.values()):
-                linear, angular = self._states.linear[i], self._states.angular[i]
-                pybullet.resetBaseVelocity(handle, linear, angular, physicsClientId=self._client)
-            self._velocities_differ = False
+        linear, angular = np.array(linear), np.array(angular)
+        spin = angular + drift_angular
+        # Bullet adds gravity and, explicitly (which feeds energy to fast spins), the gyroscopic torque. Both are in
+        # the given velocities already, so the one is subtracted and the other held by an opposite torque.
+        velocity = linear + drift_linear - self._gravity * self._time_step
+        torque = np.cross(spin, turned(before.inertias, spin))
+        client = self._client
+        # Lists of floats: Bullet takes a numpy array apart number by number.
+        for handle, v, w, t in zip(
+            self._bodies.handles, velocity.tolist(), spin.tolist(), torque.tolist(), strict=True
+        ):
+            pybullet.resetBaseVelocity(handle, v, w, physicsClientId=client)
+            pybullet.applyExternalTorque(handle, -1, t, pybullet.WORLD_FRAME, physicsClientId=client)
+        pybullet.stepSimulation(physicsClientId=client)
+        moved = self._read(linear, angular)
+        # Spins turn with the bodies, which keeps their energies.
+        self._states = moved._replace(
+            angular=turned_along(before.frame_orientations, moved.frame_orientations, angular)
+        )
 
     def close(self) -> None:
         if self._client >= 0:
             pybullet.disconnect(physicsClientId=self._client)
             self._client = -1
 
-    def _read(self) -> BodyStates:
-        if not self._handles:
-            empty = np.zeros((0, 3))
-            return BodyStates(
-                np.zeros(0, np.uint32), np.zeros(0), np.zeros((0, 3, 3)), *[empty] * 4, np.zeros((0, 4))
-            )
-        handles, inertials = self._handles.values(), self._inertials.values()
-        poses = [pybullet.getBasePositionAndOrientation(h, physicsClientId=self._client) for h in handles]
-        velocities = [pybullet.getBaseVelocity(h, physicsClientId=self._client) for h in handles]
-        centers = np.array([pose[0] for pose in poses])
-        inertial_to_world = np.array([pose[1] for pose in poses])
-        body_to_inertial = np.array([inertial.body_to_inertial for inertial in inertials])
-        body_to_world = quaternion_products(inertial_to_world, body_to_inertial)
-        axes = rotation_matrices(inertial_to_world)
-        moments = np.array([inertial.moments for inertial in inertials])
-        arms = np.array([inertial.center_of_mass for inertial in inertials])
+    def _before_change(self) -> None:
+        """Bodies come or go: states and table are of the past, the velocities stay."""
+        if self._states is not None:
+            states = self._states
+            for fragment_id, linear, angular in zip(
+                states.fragment_ids.tolist(), states.linear, states.angular, strict=True
+            ):
+                self._motions[fragment_id] = _Motion(linear, angular)
+            self._states = None
+
+    def _gather(self) -> _Bodies:
+        fragment_ids = sorted(self._handles)
+        inertials = [self._inertials[fragment_id] for fragment_id in fragment_ids]
+        return _Bodies(
+            [self._handles[fragment_id] for fragment_id in fragment_ids],
+            np.array(fragment_ids, dtype=np.uint32),
+            np.array([inertial.mass for inertial in inertials]),
+            np.array([inertial.center_of_mass for inertial in inertials]).reshape(-1, 3),
+            np.array([inertial.body_to_inertial for inertial in inertials]).reshape(-1, 4),
+            np.array([inertial.moments for inertial in inertials]).reshape(-1, 3),
+        )
+
+    def _read(self, linear: np.ndarray, angular: np.ndarray) -> BodyStates:
+        bodies, client = self._bodies, self._client
+        poses = [pybullet.getBasePositionAndOrientation(handle, physicsClientId=client) for handle in bodies.handles]
+        centers = np.array([pose[0] for pose in poses]).reshape(-1, 3)
+        inertial_to_world = np.array([pose[1] for pose in poses]).reshape(-1, 4)
+        body_to_world = quaternion_products(inertial_to_world, bodies.body_to_inertial)
         return BodyStates(
-            fragment_ids=np.array(list(self._handles), dtype=np.uint32),
-            masses=np.array([inertial.mass for inertial in inertials]),
-            inertias=np.einsum("nij,nj,nkj->nik", axes, moments, axes),
+            fragment_ids=bodies.fragment_ids,
+            masses=bodies.masses,
+            inertias=from_principal(rotation_matrices(inertial_to_world), bodies.moments),
             centers=centers,
-            linear=np.array([velocity[0] for velocity in velocities]),
-            angular=np.array([velocity[1] for velocity in velocities]),
-            frame_positions=centers - np.einsum("nij,nj->ni", rotation_matrices(body_to_world), arms),
+            linear=linear,
+            angular=angular,
+            frame_positions=centers - turned(rotation_matrices(body_to_world), bodies.centers_of_mass),
             frame_orientations=body_to_world,
         )
 

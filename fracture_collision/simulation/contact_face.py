@@ -14,15 +14,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.simulation.contact_rows import NORMAL_MASS, TANGENT_MASS, push, turn, uncounted
+from fracture_collision.simulation.compiled import uncounted
+from fracture_collision.simulation.contact_rows import NORMAL_MASS, TANGENT_MASS, push, turn
 
 # A way whose energy is less than this share of the bodies' own, 1e-10 of the speeds, is as good as none.
 NO_ENERGY = 1.0e-20
 # A way whose curvature is less than this share of what its impulses have one by one only shifts load between contacts
 # that hold the same; so is one whose squared sine to the other is less only a multiple of it. What is left is rounding.
 NO_WAY = 1.0e-8
-# A way's u is a difference of velocities and has their rounding; gone too many times over, that is what leads.
-TOO_FAR = 1.0e4
 
 
 class Way(NamedTuple):
@@ -44,17 +43,14 @@ class Face(NamedTuple):
 
 
 @uncounted
-def difference(u, impulses, rolling, before, way):
-    """The way from `before` to here."""
+def difference(impulses, rolling, before, way):
+    """The way from `before` to here; what it does to the bodies is found on the face."""
     for c in range(impulses.shape[0]):
         for k in range(3):
             way.impulses[c, k] = impulses[c, k] - before.impulses[c, k]
     for pair in range(rolling.shape[0]):
         for k in range(3):
             way.rolling[pair, k] = rolling[pair, k] - before.rolling[pair, k]
-    for i in range(u.shape[0]):
-        for k in range(6):
-            way.u[i, k] = u[i, k] - before.u[i, k]
 
 
 @uncounted
@@ -77,21 +73,29 @@ def add_up(rows, start, u, impulses, rolling):
 
 @uncounted
 def keep_to_face(rows, face, way):
-    """Take what is not free out of a way, and its share out of the bodies' velocities."""
+    """Take what is not free out of a way, and find what the rest does to the bodies.
+
+    It is summed up from the impulses: a difference of velocities has their rounding, which grows from one iteration to
+    the next where a short way is gone many times over.
+    """
     impulses, u = way.impulses, way.u
+    for i in range(u.shape[0]):
+        for k in range(6):
+            u[i, k] = 0.0
     for pair in range(rows.body_a.size):
         for c in range(rows.begin[pair], rows.begin[pair + 1]):
-            normal = 0.0 if face.presses[c] else impulses[c, 0]
-            x, y = (0.0, 0.0) if face.sticks[c] else (impulses[c, 1], impulses[c, 2])
+            if not face.presses[c]:
+                impulses[c, 0] = 0.0
+            if not face.sticks[c]:
+                impulses[c, 1] = impulses[c, 2] = 0.0
+            normal, x, y = impulses[c, 0], impulses[c, 1], impulses[c, 2]
             if normal != 0.0 or x != 0.0 or y != 0.0:
-                push(rows, pair, c, u, -normal, -x, -y)
-                impulses[c, 0] -= normal
-                impulses[c, 1] -= x
-                impulses[c, 2] -= y
-        x, y, z = way.rolling[pair, 0], way.rolling[pair, 1], way.rolling[pair, 2]
-        if not face.holds[pair] and (x != 0.0 or y != 0.0 or z != 0.0):
-            turn(rows, pair, u, -x, -y, -z)
+                push(rows, pair, c, u, normal, x, y)
+        if not face.holds[pair]:
             way.rolling[pair, 0] = way.rolling[pair, 1] = way.rolling[pair, 2] = 0.0
+        x, y, z = way.rolling[pair, 0], way.rolling[pair, 1], way.rolling[pair, 2]
+        if x != 0.0 or y != 0.0 or z != 0.0:
+            turn(rows, pair, u, x, y, z)
     _find_momenta(rows, way)
 
 
@@ -112,8 +116,6 @@ def lowest(rows, targets, u, step, path, scale):
         along_step = -step_slope / step_curvature
     if path_leads and not step_leads:
         along_path = -path_slope / path_curvature
-    if max(abs(along_step), abs(along_path)) > TOO_FAR:
-        return 0.0, 0.0
     return along_step, along_path
 
 
@@ -122,6 +124,8 @@ def _slope_and_curvature(rows, targets, u, way, scale):
     slope, curvature, apart = dot(way.momenta, u), dot(way.momenta, way.u), 0.0
     for c in range(targets.size):
         normal, x, y = way.impulses[c, 0], way.impulses[c, 1], way.impulses[c, 2]
+        if normal == 0.0 and x == 0.0 and y == 0.0:
+            continue
         slope -= normal * targets[c]
         apart += normal * normal / rows.contacts[c, NORMAL_MASS] + (x * x + y * y) / rows.contacts[c, TANGENT_MASS]
     return slope, curvature, curvature > max(NO_WAY * apart, NO_ENERGY * scale)
@@ -166,6 +170,10 @@ def go(rows, surfaces, targets, u, impulses, rolling, step, path, along_step, al
             move0 = along_step * step.impulses[c, 0] + along_path * path.impulses[c, 0]
             move1 = along_step * step.impulses[c, 1] + along_path * path.impulses[c, 1]
             move2 = along_step * step.impulses[c, 2] + along_path * path.impulses[c, 2]
+            if move0 == 0.0 and move1 == 0.0 and move2 == 0.0 and impulses[c, 1] == 0.0 and impulses[c, 2] == 0.0:
+                step.impulses[c, 0] = step.impulses[c, 1] = step.impulses[c, 2] = 0.0
+                total += impulses[c, 0]
+                continue
             normal = min(max(impulses[c, 0] + move0, 0.0), surfaces.impulse_limits[c])
             x, y = impulses[c, 1] + move1, impulses[c, 2] + move2
             square, limit = x * x + y * y, friction * normal

@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from fracture_collision.simulation.contact_rows import RECORD, TANGENT1, TANGENT2, Rows, Surfaces, fill_record, uncounted
+from fracture_collision.simulation.compiled import uncounted
+from fracture_collision.simulation.contact_rows import RECORD, TANGENT1, TANGENT2, Rows, Surfaces, fill_record
 from fracture_collision.simulation.contact_step import drift_velocities, new_velocities
 from fracture_collision.simulation.small_matrices import invert_symmetric
 

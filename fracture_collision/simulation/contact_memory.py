@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 
 from fracture_collision.records import ContactConstraintArray, FragmentStates
+from fracture_collision.simulation.compiled import uncounted
 from fracture_collision.simulation.rotations import rotation_matrices
 
 
@@ -75,6 +76,7 @@ def _merge(
     out_ids = np.empty(room, dtype=np.uint64)
     out_a, out_b, out_normals, out_gaps = np.empty((room, 3)), np.empty((room, 3)), np.empty((room, 3)), np.empty(room)
     local_a, local_b, local_normals = np.empty((room, 3)), np.empty((room, 3)), np.empty((room, 3))
+    nowhere = np.zeros(3)
     count = 0
     old = 0
     for pair in range(len(fragment_a)):
@@ -85,9 +87,9 @@ def _merge(
             out_ids[count] = contact_ids[c]
             out_a[count], out_b[count] = points_a[c], points_b[c]
             out_normals[count], out_gaps[count] = normals[c], gaps[c]
-            local_a[count] = rotation_a.T @ (points_a[c] - position_a)
-            local_b[count] = rotation_b.T @ (points_b[c] - position_b)
-            local_normals[count] = rotation_a.T @ normals[c]
+            _into_frame(rotation_a, position_a, points_a[c], local_a[count])
+            _into_frame(rotation_b, position_b, points_b[c], local_b[count])
+            _into_frame(rotation_a, nowhere, normals[c], local_normals[count])
             count += 1
         while old < len(memory.fragment_a) and (
             memory.fragment_a[old] < a or (memory.fragment_a[old] == a and memory.fragment_b[old] < b)
@@ -97,16 +99,19 @@ def _merge(
             for m in range(memory.pair_begin[old], memory.pair_begin[old + 1]):
                 if _listed(contact_ids, begin[pair], begin[pair + 1], memory.contact_ids[m]):
                     continue
-                point_a = rotation_a @ memory.points_a[m] + position_a
-                point_b = rotation_b @ memory.points_b[m] + position_b
-                normal = rotation_a @ memory.normals[m]
-                apart = point_b - point_a
-                gap = apart @ normal
-                slip = apart - gap * normal
-                if gap > reach or slip @ slip > reach * reach:
+                # Where it would stand in the list; the next takes its place if it is forgotten.
+                _out_of_frame(rotation_a, position_a, memory.points_a[m], out_a[count])
+                _out_of_frame(rotation_b, position_b, memory.points_b[m], out_b[count])
+                _out_of_frame(rotation_a, nowhere, memory.normals[m], out_normals[count])
+                gap, square = 0.0, 0.0
+                for i in range(3):
+                    apart = out_b[count, i] - out_a[count, i]
+                    gap += apart * out_normals[count, i]
+                    square += apart * apart
+                if gap > reach or square - gap * gap > reach * reach:
                     continue
                 out_ids[count] = memory.contact_ids[m]
-                out_a[count], out_b[count], out_normals[count], out_gaps[count] = point_a, point_b, normal, gap
+                out_gaps[count] = gap
                 local_a[count], local_b[count] = memory.points_a[m], memory.points_b[m]
                 local_normals[count] = memory.normals[m]
                 count += 1
@@ -123,3 +128,17 @@ def _listed(contact_ids, first, end, wanted):
         if contact_ids[c] == wanted:
             return True
     return False
+
+
+@uncounted
+def _into_frame(rotation, position, point, out):
+    x, y, z = point[0] - position[0], point[1] - position[1], point[2] - position[2]
+    for i in range(3):
+        out[i] = rotation[0, i] * x + rotation[1, i] * y + rotation[2, i] * z
+
+
+@uncounted
+def _out_of_frame(rotation, position, point, out):
+    for i in range(3):
+        turned = rotation[i, 0] * point[0] + rotation[i, 1] * point[1] + rotation[i, 2] * point[2]
+        out[i] = turned + position[i]

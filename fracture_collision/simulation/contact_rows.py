@@ -1,8 +1,9 @@
 """Constraint rows of the contact solver: what a contact needs, and how impulses at it act.
 
-Symbols and equation numbers are those of `contact_solver`. All that an iteration reads of a contact stands side by side
-in one record: its three directions d, the arms r_a and r_b, I_a^-1 (r_a x d) and I_b^-1 (r_b x d) of each direction, and
-the masses below. Velocities are those of an island's bodies (`contact_islands`); the last row of an island never moves.
+Symbols and equation numbers are those of `contact_solver`. All that an iteration reads of a contact stands side by
+side in one record: its three directions d, the arms r_a and r_b, I_a^-1 (r_a x d) and I_b^-1 (r_b x d) of each
+direction, and the masses below. Velocities are those of an island's bodies (`contact_islands`); the last row of an
+island never moves.
 """
 
 from __future__ import annotations
@@ -11,16 +12,14 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from fracture_collision.simulation.compiled import uncounted
 
 # Where in a contact's record: n, t1, t2; the arms; what each direction does to the spins.
 NORMAL, TANGENT1, TANGENT2, ARM_A, ARM_B, SPIN_A, SPIN_B = 0, 3, 6, 9, 12, 15, 24
 # 1 / (J_n W J_n^T), 0 where both cannot move; 1 / the larger eigenvalue of the block J_t W J_t^T; J_n W J_t^T of both.
 NORMAL_MASS, TANGENT_MASS, COUPLING1, COUPLING2 = 33, 34, 35, 36
 RECORD = 37
-
-# Kernels that allocate nothing count no references: counting costs more than the arithmetic of a row.
-uncounted = njit(cache=True, error_model="numpy", _nrt=False)
 
 
 class Rows(NamedTuple):

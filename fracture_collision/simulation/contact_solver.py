@@ -46,8 +46,8 @@ from fracture_collision.simulation.contact_islands import Bodies, Contacts, Resu
 class SolverSettings(NamedTuple):
     """Numbers of the method; the scene file says why each has its value."""
 
-    iterations: int = 20  # of (2), (3), (5), at most: each visits every contact twice
-    accuracy: float = 1.0e-4  # they end when none changes a velocity by more than this share of what contacts change
+    iterations: int = 40  # of (2), (3), (5), at most: each visits every contact twice
+    accuracy: float = 1.0e-12  # they end when none changes a velocity by more than this share of what contacts change
     rounds: int = 5  # of these iterations, at most: there is another where the step would still gain energy
     restitution_iterations: int = 8  # further ones with (4), at most
     drift_iterations: int = 8  # of (6), likewise

@@ -8,7 +8,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from fracture_collision.simulation.contact_rows import Surfaces, normal_velocities, uncounted
+from fracture_collision.simulation.compiled import uncounted
+from fracture_collision.simulation.contact_rows import Surfaces, normal_velocities
 from fracture_collision.simulation.contact_sweeps import apply_warm_start, sweep
 
 # Of the energy that gravity gives a body at rest in one step: what a stack at rest gains and loses by rounding.

@@ -10,6 +10,7 @@ import math
 import numpy as np
 from numba import njit
 
+from fracture_collision.simulation.compiled import uncounted
 from fracture_collision.simulation.contact_face import (
     Face,
     Way,
@@ -33,7 +34,6 @@ from fracture_collision.simulation.contact_rows import (
     pushed_apart,
     store,
     turn,
-    uncounted,
     velocities,
 )
 
@@ -111,7 +111,7 @@ def sweep(rows, surfaces, targets, u, free, impulses, rolling, iterations, accur
             if has_gone:
                 add_up(rows, start, u, impulses, rolling)
             break
-        difference(u, impulses, rolling, before, step)
+        difference(impulses, rolling, before, step)
         along_step, along_path, part = 0.0, 0.0, 0.0
         for _ in range(FACES):
             keep_to_face(rows, face, step)
@@ -122,7 +122,7 @@ def sweep(rows, surfaces, targets, u, free, impulses, rolling, iterations, accur
                 break
         if go(rows, surfaces, targets, u, impulses, rolling, step, path, part * along_step, part * along_path):
             has_gone = True
-        difference(u, impulses, rolling, before, path)
+        difference(impulses, rolling, before, path)
 
 
 @uncounted
@@ -175,7 +175,7 @@ def _sweep_once(rows, surfaces, targets, u, impulses, rolling, face, backward):
         for inner in range(end - first):
             c = end - 1 - inner if backward else first + inner
             r, carried = rows.contacts[c], impulses[c, 0]
-            if friction > 0.0:
+            if friction > 0.0 and (carried > 0.0 or impulses[c, 1] != 0.0 or impulses[c, 2] != 0.0):
                 # Friction first, with the last sweep's lambda: not going through matters more and has the last word.
                 s, s1, s2 = velocities(r, ua, ub)
                 # One mass for both tangents: with the block's inverse, sliding friction would oppose not the slip but
@@ -197,13 +197,16 @@ def _sweep_once(rows, surfaces, targets, u, impulses, rolling, face, backward):
             else:
                 s = normal_velocity(r, ua, ub)
                 wanted = min(max(carried - r[NORMAL_MASS] * (s - targets[c]), 0.0), surfaces.impulse_limits[c])
-                ua, ub = pushed_apart(r, ua, ub, mass_a, mass_b, wanted - carried)
+                if wanted != carried:
+                    ua, ub = pushed_apart(r, ua, ub, mass_a, mass_b, wanted - carried)
+                face.sticks[c] = False
             impulses[c, 0] = wanted
             face.presses[c] = 0.0 < wanted < surfaces.impulse_limits[c]
             total += wanted
         store(u, a, ua)
         store(u, b, ub)
-        if surfaces.rolling_arm[pair] > 0.0:
+        face.holds[pair] = False
+        if surfaces.rolling_arm[pair] > 0.0 and (total > 0.0 or _is_any(rolling[pair])):
             face.holds[pair] = _roll(rows, pair, u, a, b, rolling, surfaces.rolling_arm[pair] * total)
 
 
@@ -220,3 +223,8 @@ def _roll(rows, pair, u, a, b, rolling, limit):
     turn(rows, pair, u, wanted_x - rolling[pair, 0], wanted_y - rolling[pair, 1], wanted_z - rolling[pair, 2])
     rolling[pair, 0], rolling[pair, 1], rolling[pair, 2] = wanted_x, wanted_y, wanted_z
     return square < limit * limit
+
+
+@uncounted
+def _is_any(x):
+    return x[0] != 0.0 or x[1] != 0.0 or x[2] != 0.0

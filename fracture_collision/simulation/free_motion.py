@@ -10,8 +10,11 @@ the explicit rule, Bullet's own, feeds energy to fast spins. I is the world-axes
 
 from __future__ import annotations
 
-import numpy as np
+import math
+
 from numba import njit
+
+from fracture_collision.simulation.compiled import uncounted
 
 NEWTON_STEPS = 12
 # Relative to |I w|; quadratic convergence gets from a thousandth to here in two steps.
@@ -23,27 +26,72 @@ def free_velocities(velocities, inertias, gravity, time_step):
     """(n, 6) v [m/s] and w [rad/s] one `time_step` [s] on, under `gravity` (3,) [m/s2]; inertias (n, 3, 3) [kg m2]."""
     result = velocities.copy()
     for i in range(len(velocities)):
-        result[i, :3] += time_step * gravity
-        result[i, 3:] = _spin_after(velocities[i, 3:], inertias[i], time_step)
+        for k in range(3):
+            result[i, k] += time_step * gravity[k]
+        spin = _spin_after(
+            (velocities[i, 3], velocities[i, 4], velocities[i, 5]), _columns(inertias[i]), time_step
+        )
+        result[i, 3], result[i, 4], result[i, 5] = spin
     return result
 
 
-@njit(cache=True)
+@uncounted
 def _spin_after(before, inertia, time_step):
-    spin = before.copy()
-    momentum = inertia @ before
-    scale = np.sqrt(momentum @ momentum)
+    spin = before
+    momentum = _times(inertia, before)
+    scale = math.sqrt(_dot(momentum, momentum))
     for _ in range(NEWTON_STEPS):
-        middle = 0.5 * (before + spin)
-        middle_momentum = inertia @ middle
-        residual = inertia @ (spin - before) + time_step * np.cross(middle, middle_momentum)
-        if np.sqrt(residual @ residual) <= CONVERGED * scale:
+        middle = _sum(0.5, before, 0.5, spin)
+        middle_momentum = _times(inertia, middle)
+        residual = _sum(
+            1.0, _times(inertia, _sum(1.0, spin, -1.0, before)), time_step, _cross(middle, middle_momentum)
+        )
+        if math.sqrt(_dot(residual, residual)) <= CONVERGED * scale:
             break
-        jacobian = inertia + 0.5 * time_step * (_cross_matrix(middle) @ inertia - _cross_matrix(middle_momentum))
-        spin = spin - np.linalg.solve(jacobian, residual)
+        # Columns of f': what it makes of each axis.
+        x = _column(inertia[0], (1.0, 0.0, 0.0), middle, middle_momentum, time_step)
+        y = _column(inertia[1], (0.0, 1.0, 0.0), middle, middle_momentum, time_step)
+        z = _column(inertia[2], (0.0, 0.0, 1.0), middle, middle_momentum, time_step)
+        # Cramer's rule.
+        volume = _dot(x, _cross(y, z))
+        spin = (
+            spin[0] - _dot(residual, _cross(y, z)) / volume,
+            spin[1] - _dot(residual, _cross(z, x)) / volume,
+            spin[2] - _dot(residual, _cross(x, y)) / volume,
+        )
     return spin
 
 
-@njit(cache=True)
-def _cross_matrix(x):
-    return np.array([[0.0, -x[2], x[1]], [x[2], 0.0, -x[0]], [-x[1], x[0], 0.0]])
+@uncounted
+def _column(inertia, axis, middle, middle_momentum, time_step):
+    change = _sum(1.0, _cross(middle, inertia), -1.0, _cross(middle_momentum, axis))
+    return _sum(1.0, inertia, 0.5 * time_step, change)
+
+
+@uncounted
+def _columns(matrix):
+    return (
+        (matrix[0, 0], matrix[1, 0], matrix[2, 0]),
+        (matrix[0, 1], matrix[1, 1], matrix[2, 1]),
+        (matrix[0, 2], matrix[1, 2], matrix[2, 2]),
+    )
+
+
+@uncounted
+def _times(columns, x):
+    return _sum(1.0, _sum(x[0], columns[0], x[1], columns[1]), x[2], columns[2])
+
+
+@uncounted
+def _sum(a, x, b, y):
+    return a * x[0] + b * y[0], a * x[1] + b * y[1], a * x[2] + b * y[2]
+
+
+@uncounted
+def _dot(x, y):
+    return x[0] * y[0] + x[1] * y[1] + x[2] * y[2]
+
+
+@uncounted
+def _cross(x, y):
+    return x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0]

@@ -1,4 +1,4 @@
-"""Quaternions (x, y, z, w) of many bodies at once."""
+"""Rotations of many bodies at once; quaternions are (x, y, z, w)."""
 
 from __future__ import annotations
 
@@ -36,4 +36,40 @@ def quaternion_products(p, q):
         result[i, 2] = pw * qz + px * qy - py * qx + pz * qw
         result[i, 3] = pw * qw - px * qx - py * qy - pz * qz
         result[i] /= np.sqrt(np.sum(result[i] * result[i]))
+    return result
+
+
+@njit(cache=True)
+def turned_along(before, after, vectors):
+    """Vectors (n, 3) carried along by frames that turn from quaternions `before` (n, 4) to `after`."""
+    was, now = rotation_matrices(before), rotation_matrices(after)
+    result = np.zeros_like(vectors)
+    for i in range(len(vectors)):
+        for j in range(3):
+            inside = was[i, 0, j] * vectors[i, 0] + was[i, 1, j] * vectors[i, 1] + was[i, 2, j] * vectors[i, 2]
+            for k in range(3):
+                result[i, k] += now[i, k, j] * inside
+    return result
+
+
+@njit(cache=True)
+def from_principal(axes, moments):
+    """(n, 3, 3) symmetric matrices with `moments` (n, 3) along the columns of `axes` (n, 3, 3)."""
+    result = np.zeros_like(axes)
+    for i in range(len(axes)):
+        for j in range(3):
+            for k in range(3):
+                for m in range(3):
+                    result[i, j, k] += axes[i, j, m] * moments[i, m] * axes[i, k, m]
+    return result
+
+
+@njit(cache=True)
+def turned(rotations, vectors):
+    """Vectors (n, 3) turned by matrices (n, 3, 3)."""
+    result = np.zeros_like(vectors)
+    for i in range(len(vectors)):
+        for j in range(3):
+            for k in range(3):
+                result[i, j] += rotations[i, j, k] * vectors[i, k]
     return result

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from numba import njit
+from fracture_collision.simulation.compiled import uncounted
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@uncounted
 def invert_symmetric(matrix, out):
     """The inverse of a symmetric (3, 3) matrix, by its cofactors, into `out` (3, 3)."""
     a, b, c = matrix[0, 0], matrix[0, 1], matrix[0, 2]
