@@ -11,11 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 import pybullet
-from scipy.spatial.transform import Rotation
 
 from fracture_collision.simulation.engine import BodyStates, FrameState, MassProperties
 from fracture_collision.simulation.rotations import (
     from_principal,
+    quaternion_of,
     quaternion_products,
     rotation_matrices,
     turned,
@@ -189,6 +189,6 @@ def _inertial_frame(fragment_id: int, properties: MassProperties) -> _Inertial:
     return _Inertial(
         float(properties.mass),
         np.asarray(properties.center_of_mass, dtype=np.float64),
-        Rotation.from_matrix(axes.T).as_quat(),
+        quaternion_of(axes.T),
         moments,
     )

@@ -126,12 +126,17 @@ def _sorted_by(labels, label_count):
 
 
 @njit(cache=True)
-def solve_islands(islands, bodies, contacts, settings, time_step, result):
-    """One step of all bodies that touch something; writes `result`, where all others have u* and no drift."""
+def solve_islands(islands, bodies, contacts, settings, time_step, only_limited, result):
+    """One step of all bodies that touch something; writes `result`, where all others have u* and no drift.
+
+    With `only_limited`, of those islands in which an impulse is limited; `result` holds all others' already.
+    """
     local = np.empty(bodies.masses.size, np.int64)
     for i in range(islands.pair_begin.size - 1):
         members = islands.bodies[islands.body_begin[i] : islands.body_begin[i + 1]]
         pairs = islands.pairs[islands.pair_begin[i] : islands.pair_begin[i + 1]]
+        if only_limited and not _is_limited(pairs, contacts):
+            continue
         for k in range(members.size):
             local[members[k]] = k
         rows, surfaces, restitution, gaps, against = _rows_of_island(
@@ -147,6 +152,15 @@ def solve_islands(islands, bodies, contacts, settings, time_step, result):
             result.velocities[members[k]] = u[k]
             result.drift[members[k]] = drift[k]
         _keep_impulses(pairs, rows, contacts, impulses, rolling, result)
+
+
+@uncounted
+def _is_limited(pairs, contacts):
+    for pair in pairs:
+        for c in range(contacts.begin[pair], contacts.begin[pair + 1]):
+            if contacts.impulse_limits[c] < np.inf:
+                return True
+    return False
 
 
 @njit(cache=True)

@@ -108,11 +108,13 @@ def solve_contacts(
     settings: SolverSettings,
     time_step: float,
     impulse_limits: np.ndarray | None = None,
+    unlimited: Solution | None = None,
 ) -> Solution:
     """Velocities after one step of `time_step` [s] that respect the contacts.
 
     Contacts are visited in the order they come in, so equal input gives equal bytes. `impulse_limits` (N,) [N s] caps
-    lambda of each contact: what a material can transmit before it breaks; such contacts do not bounce.
+    lambda of each contact: what a material can transmit before it breaks; such contacts do not bounce. `unlimited` is
+    then what the same step comes to without limits: what they do not concern keeps it.
     """
     count, body_count = len(contacts.gaps), len(bodies.masses)
     begin = contacts.pair_begin.astype(np.int64)
@@ -126,9 +128,13 @@ def solve_contacts(
         0.5 * (contacts.points_a + contacts.points_b).reshape(-1, 3), contacts.normals.reshape(-1, 3), contacts.gaps,
         np.full(count, np.inf) if impulse_limits is None else impulse_limits,
     )  # fmt: skip
-    result = Result(bodies.free_velocities.copy(), np.zeros((body_count, 6)), np.zeros(count), impulses, rolling)
+    if unlimited is None:
+        result = Result(bodies.free_velocities.copy(), np.zeros((body_count, 6)), np.zeros(count), impulses, rolling)
+    else:
+        known = (unlimited.velocities, unlimited.drift, unlimited.normal_impulses)
+        result = Result(*[values.copy() for values in known], impulses, rolling)
     islands = islands_of(begin, pairs.body_a, pairs.body_b, body_count)
-    solve_islands(islands, Bodies(*bodies), listed, settings, time_step, result)
+    solve_islands(islands, Bodies(*bodies), listed, settings, time_step, unlimited is not None, result)
     carried = WarmStart(contacts.fragment_a, contacts.fragment_b, begin, contacts.contact_ids, impulses, rolling)
     return Solution(result.velocities, result.drift, result.normal_impulses, carried)
 

@@ -73,3 +73,19 @@ def turned(rotations, vectors):
             for k in range(3):
                 result[i, j] += rotations[i, j, k] * vectors[i, k]
     return result
+
+
+def quaternion_of(matrix: np.ndarray) -> np.ndarray:
+    """(4,) unit quaternion of a rotation matrix (3, 3), by its largest coordinate (Shepperd 1978)."""
+    trace = matrix.trace()
+    squares = np.array([*(1.0 + 2.0 * matrix.diagonal() - trace), 1.0 + trace])  # four times those of x, y, z, w
+    k = int(squares.argmax())
+    antisymmetric = matrix - matrix.T
+    products = np.empty(4)  # four times those with the largest
+    if k == 3:
+        products[:3] = antisymmetric[2, 1], antisymmetric[0, 2], antisymmetric[1, 0]
+    else:
+        products[:3] = (matrix + matrix.T)[k]
+        products[3] = antisymmetric[(k + 2) % 3, (k + 1) % 3]
+    products[k] = squares[k]
+    return products / np.sqrt(products @ products)

@@ -284,7 +284,9 @@ class Simulation:
             share[overloaded] = strengths[overloaded] / loads[overloaded]
             share = np.repeat(np.minimum(share[pairs.body_a], share[pairs.body_b]), np.diff(contacts.pair_begin))
             limits = np.where(share < 1.0, share * solution.normal_impulses, np.inf)
-            capped = solve_contacts(bodies, contacts, pairs, solution.warm_start, settings, time_step, limits)
+            capped = solve_contacts(
+                bodies, contacts, pairs, solution.warm_start, settings, time_step, limits, solution
+            )
             # Nobody enters what breaks before it has broken: in this step poses move as if it held. And where it broke
             # is told by the impulses that broke it.
             solution = capped._replace(
