@@ -197,6 +197,20 @@ def test_equal_runs_give_equal_bytes():
         assert np.asarray(x).tobytes() == np.asarray(y).tobytes()
 
 
+def test_what_does_not_touch_has_no_influence():
+    """Islands are solved apart: boxes that tumble on each other do so byte for byte the same beside a rolling ball."""
+    boxes = [
+        box(f"box {i}", [0.2, 0.15, 0.1], [0.02 * i, 0.0, 0.1 + 0.15 * i], rotation=[9.0 * i, 5.0, 0]) for i in range(4)
+    ]
+    alone = run(make_scene(*boxes, duration=0.6))[1]
+    other = ball("ball", 0.05, [3.0, 0.0, 0.05], linear_velocity=[1.0, 0.0, 0.0])
+    beside = run(make_scene(*boxes, other, duration=0.6))[1]
+    assert len(beside.fragment_ids) == len(boxes) + 1
+    assert beside.linear_velocities[-3] > 0.5
+    assert beside.positions[:-3].tobytes() == alone.positions.tobytes()
+    assert beside.orientations[:-4].tobytes() == alone.orientations.tobytes()
+
+
 def test_another_steps_answer_is_refused():
     simulation = Simulation(make_scene(ball("ball", 0.05, [0.0, 0.0, 1.0])))
     oracle = Oracle(simulation.start_bodies())
