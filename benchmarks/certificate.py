@@ -23,17 +23,15 @@ ROUNDING = 1e-9
 LEGEND = """
 pairs: whose boxes overlap; touching: with a sample of one inside the other; loose: median of (bound - deepest unlisted
 sample) / R over the pairs that the answer names; left out: the same over those where the search left something out
-(bound above rounding); steps: pairs with an unlisted sample whose depth as the field measures it, steps left out,
-exceeds the bound, and by how many R at most; violations: pairs with a sample deeper than the bound that is not listed
-(depth: distance to the nearest point that is not the other's). Left: searches that ran to their end; right: cut short
-by a budget.
+(bound above rounding); violations: pairs with a sample deeper than the bound that is not listed (depth: distance to the
+nearest point that is not the other's). Left: searches that ran to their end; right: cut short by a budget.
 """
 
 
 def main(pairs: int = 100_000, seeds: tuple[int, ...] = (1,)) -> int:
     """Print the table; returns the number of violations."""
     console = Console(stderr=True)
-    half = ("pairs", "touching", "loose", "left out", "steps", "by")
+    half = ("pairs", "touching", "loose", "left out")
     print(_line("shape", "cracks", *half, *half, "violations"), flush=True)
     violations, total = [], 0
     for seed in seeds:
@@ -63,7 +61,7 @@ def _cells(tally: Tally) -> tuple[object, ...]:
         f"{np.median(these):.1e}" if len(these) else "-"
         for these in (tally.looseness, tally.looseness[tally.bounds > ROUNDING])
     )
-    return tally.pairs, tally.touching, loose, left_out, tally.short_of_measured, f"{tally.shortest:.1e}"
+    return tally.pairs, tally.touching, loose, left_out
 
 
 if __name__ == "__main__":

@@ -26,7 +26,6 @@ from matplotlib import pyplot as plt  # noqa: E402
 from scipy.interpolate import RegularGridInterpolator  # noqa: E402
 
 from fracture_collision.core import interior_field  # noqa: E402
-from fracture_collision.core.collision_geometry import CollisionGeometry, prepare_mesh  # noqa: E402
 from fracture_collision.core.tet_mesh import build_tet_mesh  # noqa: E402
 from fracture_collision.geometry.concave_shapes import torus  # noqa: E402
 from fracture_collision.geometry.generators import ball, brick, shell  # noqa: E402
@@ -53,13 +52,12 @@ RADIUS = 1.0
 LEGEND = """
 Lengths in % of R. mean, 99 %, worst: error of the depth, at points spread evenly over the volume; n: at points less
 than 2 % R deep, most of them about places on the border spread evenly over its area; d: at points more than 10 % R
-deep; bare: mean error against the surface without steps, evenly spread points; n bare, n bare 99: the same at points
-less than 2 % R from that surface; over: share of evenly spread points whose depth is more than 0.1 % R too large;
-angle, 99 %: degrees between the direction and that to the nearest point, evenly spread points; n angle, n angle 99: the
-same near the surface; off 30: share of evenly spread points more than 30 degrees off; falls: share of steps of 1 % R,
-from evenly spread points against the field's own direction, that end less deep; true falls: the same, of the steps
-straight away from the nearest point that end before the middle (the exact depth rises by more than half a step); slack:
-the depth that is certainly not exceeded, less the true one, mean over evenly spread points.
+deep; over: share of evenly spread points whose depth is more than 0.1 % R too large; angle, 99 %: degrees between the
+direction and that to the nearest point, evenly spread points; n angle, n angle 99: the same near the surface; off 30:
+share of evenly spread points more than 30 degrees off; falls: share of steps of 1 % R, from evenly spread points
+against the field's own direction, that end less deep; true falls: the same, of the steps straight away from the nearest
+point that end before the middle (the exact depth rises by more than half a step); slack: the depth that is certainly
+not exceeded, less the true one, mean over evenly spread points.
 """
 
 
@@ -109,22 +107,20 @@ def main() -> None:
 
 COLUMNS = (
     "body", "cracks", "gen", "field", "mean", "99 %", "worst", "n mean", "n 99 %", "n worst", "d mean", "d 99 %",
-    "d worst", "bare", "n bare", "n bare 99", "over", "angle", "angle 99", "n angle", "n angle 99", "off 30", "falls",
-    "true falls", "slack",
+    "d worst", "over", "angle", "angle 99", "n angle", "n angle 99", "off 30", "falls", "true falls", "slack",
 )  # fmt: skip
 
 
 def figures(measured: Measured) -> tuple[float, ...]:
     """The row of COLUMNS from "mean" on."""
     truth, said, exact = measured
-    error, bare = (100.0 * np.abs(said.depth - true) for true in (truth.depth, truth.depth_without_steps))
+    error = 100.0 * np.abs(said.depth - truth.depth)
     angle = _angles(truth, said)
     even, near, deep = truth.is_uniform, truth.depth < NEAR, truth.depth > DEEP
     inside = even & np.isfinite(said.rise)
     before_middle = even & (exact.true_rise > STILL_RISES * INWARD)
     return (
         *_mean_99_worst(error[even]), *_mean_99_worst(error[near]), *_mean_99_worst(error[deep]),
-        *_mean_99_worst(bare[even])[:1], *_mean_99_worst(bare[truth.depth_without_steps < NEAR])[:2],
         float((said.depth - truth.depth > TOO_LARGE)[even].mean()),
         *_mean_99_worst(np.degrees(angle[even]))[:2], *_mean_99_worst(np.degrees(angle[near]))[:2],
         float((angle > WRONG_WAY)[even].mean()), float((said.rise < 0.0)[inside].mean()),
@@ -171,13 +167,11 @@ def grid_errors() -> None:
     kept = interior_field.CELLS_PER_EDGE
     for name, body in BODIES.items():
         mesh = build_tet_mesh(*body)
-        geometry = CollisionGeometry()
-        row = geometry.add_tetrahedra(prepare_mesh(mesh))
         points = uniform_points(*body, POINTS, np.random.default_rng(3))
         true = igl_closest(points, mesh.nodes[mesh.surface])[0]
         for cells in (1, 2, 3, 4):
             interior_field.CELLS_PER_EDGE = cells
-            interior = interior_field.make_interior_field(geometry.pools, row, 0, mesh)
+            interior = interior_field.make_interior_field(mesh)
             axes = [interior.origin[d] + interior.cell * np.arange(interior.dims[d]) for d in range(3)]
             cap = RegularGridInterpolator(axes, interior.depth.reshape(interior.dims))(points)
             error = _mean_99_worst(100.0 * np.abs(np.maximum(cap, 0.0) - true) / RADIUS)

@@ -91,12 +91,12 @@ class Cost(NamedTuple):
 
 
 @compiled
-def place(pools, fragment, points, scratch, tets, rows):
+def place(pools, fragment, points, tets, rows):
     for i in range(len(points)):
         x, y, z = points[i]
         tets[i] = tetrahedron_at(pools.mesh, pools.fragment.mesh[fragment], x, y, z)
         if tets[i] >= 0:
-            rows[i] = owner_in_tetrahedron(pools, fragment, tets[i], x, y, z, scratch, 0)
+            rows[i] = owner_in_tetrahedron(pools, fragment, tets[i], x, y, z)
 
 
 @compiled
@@ -128,7 +128,7 @@ def rings(pools, rows, tets, points, limits, scratch, depths):
             if key >= best[0]:
                 continue
             taken += 1
-            best = nearest_in_tetrahedron(pools, rows[i], t, x, y, z, True, EVERYTHING, best)
+            best = nearest_in_tetrahedron(pools, rows[i], t, x, y, z, EVERYTHING, best)
             for face in range(4):
                 n = mesh.neighbours[t, face]
                 if n >= 0 and visited[n] != stamp:
@@ -195,7 +195,7 @@ def main() -> None:
 def measure(case: FracturedWorld) -> list[Cost]:
     pools = case.geometry.pools
     scratch = make_scratch(1, len(pools.mesh.tetrahedra), 8)
-    places = inside(case, scratch)
+    places = inside(case)
     shift = int(pools.fragment.node_shift[case.row(case.oracle.fragment_ids[0])])
     exact = np.zeros((len(pools.body.node_field), 3))
     measure_nodes(pools, shift, scratch, exact)
@@ -217,14 +217,14 @@ def measure(case: FracturedWorld) -> list[Cost]:
     return costs
 
 
-def inside(case: FracturedWorld, scratch: Scratch) -> Places:
+def inside(case: FracturedWorld) -> Places:
     random = np.random.default_rng(4)
     nodes, tetrahedra = case.oracle.vertices, case.oracle.tetrahedra
     volumes = tetrahedron_volumes(nodes, tetrahedra)
     corners = nodes[tetrahedra[random.choice(len(volumes), POINTS, p=volumes / volumes.sum())]]
     points = np.einsum("nij,ni->nj", corners, random.dirichlet(np.ones(4), POINTS))
     tets, rows = np.empty(POINTS, np.int64), np.zeros(POINTS, np.int64)
-    place(case.geometry.pools, case.row(case.oracle.fragment_ids[0]), points, scratch, tets, rows)
+    place(case.geometry.pools, case.row(case.oracle.fragment_ids[0]), points, tets, rows)
     return Places(points, rows, tets).take(tets >= 0)
 
 

@@ -49,8 +49,6 @@ class Tally(NamedTuple):
     touching: int  # pairs with a sample of one inside the other
     looseness: np.ndarray  # [R] bound less the deepest unlisted sample, pairs that the answer names
     bounds: np.ndarray  # [R] of the same pairs
-    short_of_measured: int  # pairs whose unlisted samples measure deeper than the bound: at steps, see docs/numerics.md
-    shortest: float  # [R] by how much at most
 
 
 class Part(NamedTuple):
@@ -102,12 +100,9 @@ def _part(shape: str, curved: bool, body: TetGeometry, wanted: int, seed: int, g
 
 
 def _tally(checks: list[PairCheck]) -> Tally:
-    over = np.array([c.deepest_unlisted_measured - c.bound for c in checks])
     return Tally(
         pairs=len(checks),
         touching=sum(c.deepest_unlisted > 0.0 or len(c.excess) > 0 for c in checks),
         looseness=np.array([c.bound - c.deepest_unlisted for c in checks if c.is_listed]),
         bounds=np.array([c.bound for c in checks if c.is_listed]),
-        short_of_measured=int((over > 0.0).sum()),
-        shortest=float(over.max(initial=0.0)),
     )

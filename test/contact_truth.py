@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 from fractured_worlds import FracturedWorld
 from oracles.brute_force import distances, owners, partition_of
-from oracles.fragmented_body import ALL_KINDS
 from scipy.spatial.transform import Rotation
 
 from fracture_collision.geometry.concave_shapes import l_block, torus
@@ -18,8 +17,6 @@ from fracture_collision.geometry.stored_meshes import bunny
 from fracture_collision.records import ContactConstraintArray, FragmentStates
 from fracture_collision.world import CollisionWorld
 from fracture_collision.world.contact_ids import contact_ids
-
-MEASURED = ALL_KINDS  # what the field measures against: the whole border of a fragment's region
 
 # Samples nearer to a fragment's border than this [m] may be taken for inside or outside.
 BORDER = 1e-9
@@ -93,9 +90,8 @@ def pairs_of(answer: ContactConstraintArray) -> dict[tuple[int, int], tuple[slic
 class SampleDepths(NamedTuple):
     """Of all surface samples of one fragment against another; minus infinity where a sample is not inside it."""
 
-    measured: np.ndarray  # (n,) [m] to the surface that the field measures against
-    true: np.ndarray  # (n,) [m] to the nearest point that is not the other's: steps count too
-    certain: np.ndarray  # (n,) bool: not on a face whose two tetrahedra disagree about the owner
+    depth: np.ndarray  # (n,) [m] to the nearest point that is not the other's
+    certain: np.ndarray  # (n,) bool: not where rounding parts two tetrahedra that hold it
 
 
 class ContactTruth:
@@ -108,12 +104,12 @@ class ContactTruth:
         self.samples = {f: surface_samples(case, f) for f in self.fragment_ids}
         self._boxes: dict[int, tuple[np.ndarray, np.ndarray]] = {}
 
-    def surface(self, fragment: int, kinds: tuple[str, ...] = MEASURED) -> np.ndarray:
-        return self.case.oracle.surface_triangles(fragment, kinds)
+    def surface(self, fragment: int) -> np.ndarray:
+        return self.case.oracle.surface_triangles(fragment)
 
     def box(self, fragment: int) -> tuple[np.ndarray, np.ndarray]:
         if fragment not in self._boxes:
-            corners = self.surface(fragment, ALL_KINDS).reshape(-1, 3)
+            corners = self.surface(fragment).reshape(-1, 3)
             self._boxes[fragment] = corners.min(axis=0), corners.max(axis=0)
         return self._boxes[fragment]
 
@@ -123,15 +119,13 @@ class ContactTruth:
 
     def depths_of(self, other: int, points: np.ndarray) -> SampleDepths:
         """The same of any points (n, 3) [m] in the frame of `other`."""
-        measured, true = np.full(len(points), -np.inf), np.full(len(points), -np.inf)
-        certain = np.ones(len(points), dtype=bool)
+        depth, certain = np.full(len(points), -np.inf), np.ones(len(points), dtype=bool)
         low, high = self.box(other)
         near = np.flatnonzero(np.all((points >= low) & (points <= high), axis=1))
         owner, certain[near] = owners(self.partition, points[near])
         inside = near[owner == other]
-        measured[inside] = distances(points[inside], self.surface(other))
-        true[inside] = distances(points[inside], self.surface(other, ALL_KINDS))
-        return SampleDepths(measured, true, certain)
+        depth[inside] = distances(points[inside], self.surface(other))
+        return SampleDepths(depth, certain)
 
     def world_boxes(self, poses: Poses) -> dict[int, np.ndarray]:
         """Lower and upper corner (2, 3) [m] in the world, of each fragment's box."""
@@ -160,8 +154,7 @@ class PairCheck(NamedTuple):
     contacts: int
     bound: float  # missed_depth_bound, or epsilon for a pair that the answer leaves out
     is_listed: bool  # the answer names the pair
-    deepest_unlisted: float  # true depth of the deepest sample that is not listed, 0 if none is inside
-    deepest_unlisted_measured: float  # the same to the surface that the field measures against
+    deepest_unlisted: float  # depth of the deepest sample that is not listed, 0 if none is inside
     misplaced: float  # largest distance of a listed sample from where it is
     off_surface: float  # largest distance of a witness from the other's surface
     apart: int  # penetrations reported of samples that are not inside
@@ -178,7 +171,7 @@ def check_pair(
     ids, gaps = answer.contact_ids[rows], answer.gaps[rows]
     points = answer.points_a.reshape(-1, 3)[rows], answer.points_b.reshape(-1, 3)[rows]
     found, apart = 0, 0
-    unlisted = measured_unlisted = misplaced = off_surface = too_shallow = 0.0
+    unlisted = misplaced = off_surface = too_shallow = 0.0
     excess = [np.zeros(0)]
     for side in range(2):
         own, other = pair[side], pair[1 - side]
@@ -189,22 +182,21 @@ def check_pair(
         found += len(contact)
         rest = depths.certain.copy()
         rest[sample] = False
-        unlisted = max(unlisted, depths.true[rest].max(initial=0.0))
-        measured_unlisted = max(measured_unlisted, depths.measured[rest].max(initial=0.0))
+        unlisted = max(unlisted, depths.depth[rest].max(initial=0.0))
         if not len(contact):
             continue
         there = poses.to_world(own, samples[sample])
         misplaced = max(misplaced, np.linalg.norm(points[side][contact] - there, axis=1).max())
         witness = poses.to_body(other, points[1 - side][contact])
         off_surface = max(off_surface, distances(witness, truth.surface(other)).max())
-        depth, certain, gap = depths.measured[sample], depths.certain[sample], gaps[contact]
+        depth, certain, gap = depths.depth[sample], depths.certain[sample], gaps[contact]
         inside = np.isfinite(depth)
         apart += int(np.count_nonzero(~inside & certain & (gap < -BORDER)))
         too_shallow = max(too_shallow, (depth + gap)[inside & certain].max(initial=0.0))
         excess.append((-gap - depth)[inside & certain])
     assert found == len(ids), f"pair {pair}: {len(ids) - found} contacts are no sample of either fragment"
     return PairCheck(
-        len(ids), bound, pair in listed, unlisted, measured_unlisted, misplaced, off_surface, apart, too_shallow,
+        len(ids), bound, pair in listed, unlisted, misplaced, off_surface, apart, too_shallow,
         np.concatenate(excess),
     )  # fmt: skip
 

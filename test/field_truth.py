@@ -1,8 +1,8 @@
 """What either field says of points inside fragments, beside libigl's distance from independently built surfaces.
 
-The surfaces come from the slow oracle: half-space clipping, tetrahedron by tetrahedron. libigl's winding number says
-whether they close around a point, its closest points are the truth. Nothing here is shared with fracture_collision.core
-but the probes that are asked. `igl` alone is used: its package `igl.copyleft` is under another licence.
+The surfaces come from the slow oracle, tetrahedron by tetrahedron. libigl's winding number says whether they close
+around a point, its closest points are the truth. Nothing here is shared with fracture_collision.core but the probes
+that are asked. `igl` alone is used: its package `igl.copyleft` is under another licence.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ import igl
 import numpy as np
 from fractured_worlds import FracturedWorld
 from oracles.brute_force import owners, partition_of
-from oracles.fragmented_body import ALL_KINDS, CRACK, ORIGINAL
 
 from fracture_collision.core.elementary_queries import INSIDE, bounded_probe
 from fracture_collision.core.pools import AVERAGED, EXACT
@@ -21,7 +20,6 @@ from fracture_collision.core.scratch import make_scratch
 from fracture_collision.geometry.tetrahedra import tetrahedron_volumes
 
 FIELDS = {"averaged": AVERAGED, "exact": EXACT}
-WITHOUT_STEPS = (ORIGINAL, CRACK)  # the surface that the paper knows
 NEAR = 0.02  # of R: below this depth a point is near the surface
 INWARD = 0.01  # of R: the length of a step inwards
 NO_DIRECTION = 1e-9  # of R: nearer to the surface, the line to the nearest point is rounding
@@ -34,8 +32,7 @@ class Truth(NamedTuple):
     fragments: np.ndarray  # (n,) fragment id that owns each
     is_uniform: np.ndarray  # (n,) bool: one of those spread evenly over the body's volume
     depth: np.ndarray  # (n,) from the whole border of the fragment
-    depth_without_steps: np.ndarray  # (n,) from its old surface and cracks alone
-    outward: np.ndarray  # (n, 3) unit, to the nearest point of the whole border; 0 nearer than NO_DIRECTION
+    outward: np.ndarray  # (n, 3) unit, to the nearest point of it; 0 nearer than NO_DIRECTION
     open_by: float  # the largest distance of a winding number from 1
 
 
@@ -74,32 +71,31 @@ def uniform_points(
 def make_truth(case: FracturedWorld, count: int, radius: float, seed: int) -> Truth:
     """Half of `count` points spread evenly over the body, half within NEAR of its surfaces; each with its owner.
 
-    radius: R [m]. Points on a face whose two tetrahedra name different owners are left out.
+    radius: R [m]. Points where rounding parts two tetrahedra that hold them are left out.
     """
     random = np.random.default_rng(seed)
     oracle = case.oracle
     partition = partition_of(oracle)
-    surfaces = {f: oracle.surface_triangles(f, ALL_KINDS) for f in oracle.fragment_ids}
+    surfaces = {f: oracle.surface_triangles(f) for f in oracle.fragment_ids}
     everywhere = uniform_points(oracle.vertices, oracle.tetrahedra, count // 2, random)
     points = np.concatenate((everywhere, _near_points(surfaces, count - count // 2, radius, random)))
     owner, certain = owners(partition, points)
     kept = certain & (owner > 0)
     is_uniform = (np.arange(len(points)) < len(everywhere))[kept]
     points, owner = np.ascontiguousarray(points[kept]), owner[kept]
-    depth, bare, outward = np.empty(len(points)), np.empty(len(points)), np.zeros((len(points), 3))
+    depth, outward = np.empty(len(points)), np.zeros((len(points), 3))
     open_by = 0.0
     for fragment, triangles in surfaces.items():
         own = np.flatnonzero(owner == fragment)
         if not len(own):
             continue
         depth[own], nearest = igl_closest(points[own], triangles)
-        bare[own] = igl_closest(points[own], oracle.surface_triangles(fragment, WITHOUT_STEPS))[0]
         far = own[depth[own] > NO_DIRECTION * radius]
         outward[far] = (nearest[depth[own] > NO_DIRECTION * radius] - points[far]) / depth[far, None]
         # on the surface itself the number jumps
         inside = own[depth[own] > 1e-6 * radius]
         open_by = max(open_by, np.abs(igl_winding(points[inside[:50]], triangles) - 1.0).max(initial=0.0))
-    return Truth(points, owner, is_uniform, depth / radius, bare / radius, outward, open_by)
+    return Truth(points, owner, is_uniform, depth / radius, outward, open_by)
 
 
 def ask(case: FracturedWorld, truth: Truth, field: str, radius: float) -> Said:

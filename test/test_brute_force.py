@@ -7,9 +7,9 @@ import pytest
 from contact_truth import COARSE_SHAPES
 from fractured_worlds import FracturedWorld, fractured_world
 from oracles.brute_force import distances, owners, partition_of
-from oracles.fragmented_body import ALL_KINDS
+from oracles.fragmented_body import ALL_KINDS, CRACK
 
-from fracture_collision.geometry.tetrahedra import tetrahedron_volumes
+from fracture_collision.geometry.tetrahedra import FACE_VERTICES, tetrahedron_volumes
 
 
 @pytest.fixture(scope="module", params=[("torus", False), ("torus", True), ("l_block", True)], ids=str)
@@ -25,15 +25,34 @@ def test_owners_are_the_oracles(case: FracturedWorld) -> None:
     assert np.array_equal(found, case.oracle.owner(points))
 
 
-def test_nodes_on_faces_that_disagree_are_said_to_be_uncertain(case: FracturedWorld) -> None:
+def test_owners_are_the_oracles_close_to_cracks(case: FracturedWorld) -> None:
+    """The one looks from the hub of a tetrahedron, the other for the part that holds a point: a few rounding errors
+    from a crack they still agree.
+    """
+    random, oracle = np.random.default_rng(4), case.oracle
+    triangles = np.concatenate([oracle.surface_triangles(f, (CRACK,)) for f in oracle.fragment_ids])
+    on_cracks = np.einsum("nij,ni->nj", triangles, random.dirichlet(np.ones(3), len(triangles)))
+    away = random.normal(size=on_cracks.shape)
+    away /= np.linalg.norm(away, axis=1)[:, None]
+    points = on_cracks + away * 10.0 ** random.uniform(-12.0, -2.0, (len(away), 1))
+    far = distances(points, triangles) > 1e-13
+    found, _ = owners(partition_of(oracle), points)
+    assert np.count_nonzero(far) > 0.9 * len(points) > 500
+    assert np.array_equal(found[far], oracle.owner(points[far]))
+
+
+def test_nodes_and_points_of_inner_faces_have_one_owner(case: FracturedWorld) -> None:
     oracle = case.oracle
-    found, certain = owners(partition_of(oracle), oracle.vertices)
-    if not case.curved:
-        assert certain.all() and np.array_equal(found, oracle.labels)
-    for node in np.flatnonzero(certain).tolist():
-        around = np.flatnonzero(np.any(oracle.tetrahedra == node, axis=1)).tolist()
-        margins = [oracle._margins(t, oracle.vertices[node]) for t in around]
-        assert {min(m, key=lambda f, m=m: (-m[f], f)) for m in margins} == {int(found[node])}
+    partition = partition_of(oracle)
+    found, certain = owners(partition, oracle.vertices)
+    assert certain.all() and np.array_equal(found, oracle.labels)
+    cut = oracle.parts.tetrahedra
+    inner = oracle.tetrahedra[cut][:, FACE_VERTICES][oracle.neighbours[cut] >= 0]
+    weights = np.random.default_rng(5).dirichlet(np.ones(3), len(inner))
+    points = np.einsum("nij,ni->nj", oracle.vertices[inner], weights)
+    found, certain = owners(partition, points)
+    # rounding decides about points on a crack
+    assert np.count_nonzero(~certain) <= 0.002 * len(points) and (found > 0).all()
 
 
 def test_distances_are_the_oracles(case: FracturedWorld) -> None:
@@ -47,7 +66,7 @@ def test_distances_are_the_oracles(case: FracturedWorld) -> None:
 
 
 def test_volumes_by_counting_points(case: FracturedWorld) -> None:
-    """Shares of random points against the oracle's volumes: an error of the margin rule would show."""
+    """Shares of random points against the oracle's volumes: an error of the rule would show."""
     random, oracle = np.random.default_rng(3), case.oracle
     volumes, count = tetrahedron_volumes(oracle.vertices, oracle.tetrahedra), 200_000
     chosen = oracle.tetrahedra[random.choice(len(volumes), count, p=volumes / volumes.sum())]

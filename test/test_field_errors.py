@@ -12,9 +12,9 @@ from fracture_collision.geometry.generators import ball
 RADIUS, POINTS = 1.0, 3000
 TOLERANCE = 1e-9  # of R
 # The averaged field promises no number. Twice what it gave on this mesh and these fractures, so that a change shows:
-# mean error [R] at points spread evenly; the same at points less than 2 % R from the surface without steps, against
-# that; share of steps inwards, ending before the middle, on which the depth falls.
-LIMITS = {"flat": (0.029, 0.0028, 0.12), "curved": (0.048, 0.0101, 0.24)}
+# mean error [R] at points spread evenly; the same at points less than 2 % R from the surface; share of steps inwards,
+# ending before the middle, on which the depth falls.
+LIMITS = {"flat": (0.026, 0.0025, 0.11), "curved": (0.025, 0.0031, 0.13)}
 
 
 class Sample:
@@ -57,10 +57,9 @@ def test_exact_never_changes_faster_than_the_point_moves(sample: Sample) -> None
 def test_averaged_stays_within_what_was_measured(sample: Sample) -> None:
     truth, said = sample.truth, sample.averaged
     most, most_near, most_falls = LIMITS[sample.cracks]
-    error = np.abs(said.depth - truth.depth)[truth.is_uniform].mean()
-    assert 0.001 < error <= most  # it is another field than the exact one
-    near = truth.depth_without_steps < NEAR
-    assert np.abs(said.depth - truth.depth_without_steps)[near].mean() <= most_near
+    error = np.abs(said.depth - truth.depth)
+    assert 0.001 < error[truth.is_uniform].mean() <= most  # it is another field than the exact one
+    assert error[truth.depth < NEAR].mean() <= most_near
     before_middle = truth.is_uniform & (sample.exact.true_rise > 0.5 * INWARD)
     assert (said.true_rise < 0.0)[before_middle].mean() <= most_falls
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from contact_truth import COARSE_SHAPES, MEASURED, SHAPES, surface_samples
+from contact_truth import COARSE_SHAPES, SHAPES, surface_samples
 from fractured_worlds import FracturedWorld, after_each_fracture, fractured_world
 from oracles.brute_force import distances, owners, partition_of
 from oracles.fragmented_body import ALL_KINDS
@@ -18,6 +18,8 @@ from fracture_collision.geometry.generators import ball
 
 # R = 1 m for all shapes.
 ROUNDING = 1e-12
+# Points where planes meet solve normal equations; truth and service solve them each in its way.
+SOLVED = 1e-11
 # A ball as coarse as this disagrees with itself most.
 COARSEST = COARSE_SHAPES | {"ball": lambda: ball(1.0, 0.5)}
 POINTS_A_TRIANGLE = 4
@@ -40,7 +42,7 @@ def check_fragments(stage: FracturedWorld, seed: int) -> list[FragmentCheck]:
     checks = []
     for fragment, gap in zip(registry.fragment_ids.tolist(), registry.sampling_gaps.tolist(), strict=True):
         row, (samples, _) = stage.row(fragment), surface_samples(stage, fragment)
-        measured = stage.oracle.surface_triangles(fragment, MEASURED)
+        measured = stage.oracle.surface_triangles(fragment)
         spread = np.repeat(measured, POINTS_A_TRIANGLE, axis=0)
         points = np.einsum("ti,tij->tj", random.dirichlet(np.ones(3), len(spread)), spread)
         farthest = cKDTree(samples).query(np.concatenate((points, measured.reshape(-1, 3))))[0].max()
@@ -59,7 +61,7 @@ def check_fragments(stage: FracturedWorld, seed: int) -> list[FragmentCheck]:
 
 def assert_kept(checks: list[FragmentCheck]) -> None:
     assert not [c for c in checks if c.farthest > c.gap * (1.0 + ROUNDING)]
-    assert not [c for c in checks if c.outside_box > ROUNDING or c.cells_missed]
+    assert not [c for c in checks if c.outside_box > SOLVED or c.cells_missed]
 
 
 @pytest.mark.parametrize(("shape", "cracks", "seed"), [
@@ -83,7 +85,7 @@ def test_fragments_keep_their_promises_through_five_generations(shape: str, crac
     stages = [check_fragments(stage, stage.generations) for stage in after_each_fracture(case)]
     checks = [check for stage in stages for check in stage]
     loose = np.array([c.gap / c.farthest for c in checks])
-    beyond = [c.outside_box for c in checks if c.outside_box > ROUNDING]
+    beyond = [c.outside_box for c in checks if c.outside_box > SOLVED]
     astray = [c.samples_astray for c in checks if c.samples_astray > ROUNDING]
     print(
         f"{shape} {cracks}: {len(checks)} fragments; gap / farthest: least {loose.min():.3f}, median "

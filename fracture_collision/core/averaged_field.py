@@ -21,7 +21,6 @@ from fracture_collision.core.flood import (
     nothing_within,
     outward_direction,
 )
-from fracture_collision.core.pools import CUT
 
 
 @inlined_kernel
@@ -65,14 +64,13 @@ def averaged_penetration(pools, f, t, x, y, z):
     both are exact for the surface within it, elsewhere eq. 1-2 over its nodes; capped by the grid of the whole body.
     """
     mesh, body = pools.mesh, pools.body
-    best = nearest_in_tetrahedron(pools, f, t, x, y, z, False, EVERYTHING, nothing_within(math.inf))
+    best = nearest_in_tetrahedron(pools, f, t, x, y, z, EVERYTHING, nothing_within(math.inf))
     most2 = best[0]
     shift = pools.fragment.node_shift[f]
     d, nx, ny, nz, total = 0.0, 0.0, 0.0, 0.0, 0.0
     at_node = False
     for i in range(4):
         v = mesh.tetrahedra[t, i]
-        # With planes that disagree f can own a cut tetrahedron in which it has no polygon: then its own nodes count.
         if body.node_fragment[v + shift] != f:
             continue
         row = body.node_field[v + shift]
@@ -91,7 +89,7 @@ def averaged_penetration(pools, f, t, x, y, z):
         nx, ny, nz = nx + weight * row[1], ny + weight * row[2], nz + weight * row[3]
         total += weight
     most = math.sqrt(most2)
-    if best[5] != NO_SOURCE and body.tet_fragment[t + pools.fragment.tet_shift[f]] == CUT:
+    if best[5] != NO_SOURCE and body.tet_fragment[t + pools.fragment.tet_shift[f]] < 0:
         d = math.sqrt(best[0])
         nx, ny, nz = outward_direction(pools, f, x, y, z, best, True)
     else:

@@ -7,9 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from fracture_collision.core.collision_geometry import CollisionGeometry
-from fracture_collision.core.cut_tetrahedron import INTERFACE
 from fracture_collision.core.occupancy import sphere_may_touch
-from fracture_collision.core.pools import CUT, Pools
+from fracture_collision.core.pools import OLD_FACE, Pools
 from fracture_collision.core.surface_triangles import surface_triangles
 
 # Rounding, as a share of lengths, areas and volumes of the body.
@@ -18,17 +17,15 @@ ROUNDING = 1e-9
 THIN = 1e-6
 
 
-def validate_body(geometry: CollisionGeometry, rows: Sequence[int], planes_agree: bool = False) -> None:
+def validate_body(geometry: CollisionGeometry, rows: Sequence[int]) -> None:
     """Raise AssertionError unless all that is stored of one fractured body agrees; `rows`: its living fragments.
 
-    planes_agree: the cracks are such that a fracture moves no border of a fragment that did not break; then the two
-    samples of a cut edge never pass each other. Where planes disagree, those of older cracks may (docs/numerics.md).
     Labels, cuts and polygons are consistent; each fragment's surface is closed, oriented outward, encloses the
     fragment's volume and lies in its box and cells; the volumes add up to the body's.
     """
     pools = geometry.pools
     tets = np.array(geometry.tet_range(rows[0]))
-    _validate_labels(pools, rows, tets, planes_agree)
+    _validate_labels(pools, rows, tets)
     _validate_polygons(pools, rows, tets)
     radius = float(pools.fragment.radius[rows[0]])
     volumes = [_validate_surface(geometry, row, radius) for row in rows]
@@ -36,23 +33,24 @@ def validate_body(geometry: CollisionGeometry, rows: Sequence[int], planes_agree
     assert abs(sum(volumes) - whole) <= ROUNDING * whole, f"volumes add up to {sum(volumes)}, the body has {whole}"
 
 
-def _validate_labels(pools: Pools, rows: Sequence[int], tets: np.ndarray, planes_agree: bool) -> None:
+def _validate_labels(pools: Pools, rows: Sequence[int], tets: np.ndarray) -> None:
     mesh, body, fragment = pools.mesh, pools.body, pools.fragment
     shift = int(fragment.node_shift[rows[0]])
     labels = body.node_fragment[mesh.tetrahedra[tets] + shift]
     assert set(np.unique(labels).tolist()) == set(rows), "the labels of the nodes are not the living fragments"
-    alone = np.where((labels == labels[:, :1]).all(axis=1), labels[:, 0], CUT)
     stored = body.tet_fragment[tets + fragment.tet_shift[rows[0]]]
-    assert np.array_equal(stored, alone), "a tetrahedron's owner is not that of its nodes"
+    alone = (labels == labels[:, :1]).all(axis=1)
+    assert np.array_equal(stored[alone], labels[alone, 0]), "a tetrahedron's owner is not that of its nodes"
+    is_shared = stored < 0
+    has_it = (labels == stored[:, None]).any(axis=1)
+    assert (is_shared | has_it).all() and not is_shared[alone].any(), "a tetrahedron's owner has no node of it"
     edges = np.unique(mesh.tetrahedron_edges[tets])
     ends = mesh.edges[edges]
     is_cut = body.node_fragment[ends[:, 0] + shift] != body.node_fragment[ends[:, 1] + shift]
     planes = body.edge_plane[edges + fragment.edge_shift[rows[0]]]
     assert np.array_equal(planes >= 0, is_cut), "an edge is cut if and only if its ends differ"
     shares = body.edge_share[edges + fragment.edge_shift[rows[0]]][is_cut]
-    assert (shares >= 0.0).all() and (shares <= 1.0).all(), "a sample has left its edge"
-    if planes_agree:
-        assert (shares.sum(axis=1) <= 1.0 + ROUNDING).all(), "two samples of an edge have passed each other"
+    assert (shares >= 0.0).all() and (shares <= 1.0).all(), "a crossing has left its edge"
 
 
 def _validate_polygons(pools: Pools, rows: Sequence[int], tets: np.ndarray) -> None:
@@ -66,16 +64,17 @@ def _validate_polygons(pools: Pools, rows: Sequence[int], tets: np.ndarray) -> N
         assert (np.diff(kinds) >= 0).all(), f"tetrahedron {t}: kinds do not ascend"
         assert np.isin(fronts, living[:-1]).all() and np.isin(backs, living).all(), f"tetrahedron {t}: a retired owner"
         assert (fronts != backs).all(), f"tetrahedron {t}: a polygon between a fragment and itself"
-        if body.tet_fragment[t + shift] != CUT:
-            assert ((kinds < INTERFACE) & (backs >= 0)).all(), f"tetrahedron {t}: not cut, and more than steps"
+        assert count == 0 or body.tet_fragment[t + shift] < 0, f"tetrahedron {t}: polygons of one fragment alone"
+        assert ((kinds < OLD_FACE) == (backs >= 0)).all(), f"tetrahedron {t}: a kind that its owners do not have"
         corners = body.triangles[part].reshape(-1, 3, 3)
         sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
         twice = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        is_wide = np.linalg.norm(twice, axis=1) > THIN * sides**2
+        is_wide = (np.linalg.norm(twice, axis=1) > THIN * sides**2) & ~np.isnan(body.faces[part, 3])
         heights = np.einsum("tcd,td->tc", corners, body.faces[part, :3]) - body.faces[part, 3:]
         off = np.abs(heights[is_wide]).max(initial=0.0)
         assert off <= ROUNDING * pools.fragment.radius[rows[0]], f"tetrahedron {t}: a triangle beside its plane"
-        assert np.allclose(np.linalg.norm(body.faces[part, :3], axis=1), 1.0, atol=ROUNDING), "a normal is not unit"
+        lengths = np.linalg.norm(body.faces[part, :3][is_wide], axis=1)
+        assert np.allclose(lengths, 1.0, atol=ROUNDING), "a normal is not unit"
 
 
 def _validate_surface(geometry: CollisionGeometry, row: int, radius: float) -> float:

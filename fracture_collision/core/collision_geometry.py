@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.core import fracture_update, touched_tetrahedra
-from fracture_collision.core.crack_samples import crack_samples
+from fracture_collision.core.cut_tetrahedron import CUT, DIVIDED, make_cut_scratch
 from fracture_collision.core.fragment_trees import REBUILT, RESTRUCTURED, rebuilt_trees, split_trees
-from fracture_collision.core.front_propagation import OLD_SURFACE, update_averaged_field
+from fracture_collision.core.front_propagation import update_averaged_field
 from fracture_collision.core.interior_field import InteriorField, make_interior_field
 from fracture_collision.core.kinds import BOX, PLANE, SPHERE, TETRAHEDRA, TRIANGLES
 from fracture_collision.core.moments import (
@@ -19,7 +19,6 @@ from fracture_collision.core.moments import (
     surface_moments,
 )
 from fracture_collision.core.occupancy import cells_of_box, fill_pyramid, mark_all, pyramid_bytes
-from fracture_collision.core.plain_cut import PLAIN
 from fracture_collision.core.pool_tables import PoolTables
 from fracture_collision.core.pools import (
     ALTERNATING,
@@ -36,6 +35,7 @@ from fracture_collision.core.pools import (
 )
 from fracture_collision.core.primitives import box_edge_points
 from fracture_collision.core.sphere_tree import SphereTree, build_sphere_tree
+from fracture_collision.core.surface_rows import SurfaceRows
 from fracture_collision.core.tet_mesh import TetMesh
 from fracture_collision.core.triangle_field import TriangleMesh, append_triangle_mesh, build_triangle_mesh
 
@@ -107,7 +107,7 @@ class CollisionGeometry:
         self._tables = PoolTables(traversal, field, normals)
         self._moments = GrowableArray(10, np.float64)
         self._gaps = GrowableArray(0, np.float64)
-        self._update_scratch = touched_tetrahedra.make_update_scratch()
+        self._scratch = make_cut_scratch()
         self._meshes: list[_MeshRows] = []
         self._surfaces: list[tuple[PreparedSurface, int, int]] = []  # with its rows in the pools: mesh, first of tree
 
@@ -228,36 +228,15 @@ class CollisionGeometry:
         first_plane = self._tables.body["planes"].append(planes)
         self._tables.have_grown()
         pools, end = self.pools, first + count
-        labels, scratch = pools.body.node_fragment, self._update_scratch
+        labels = pools.body.node_fragment
         tet_count = len(rows.prepared.mesh.tetrahedra)
         # node_tets_begin has one row more than nodes in each mesh before this one
         touched = touched_tetrahedra.tetrahedra_of_nodes(
             pools.mesh, pools.body, node_shift, rows.node + k, rows.tet, rows.tet + tet_count, nodes, row
         )
-        tets = touched.rows[: touched.own]
-        label_rows = nodes + (rows.node + node_shift)
-        moments = self._moments.view
-        labels[label_rows] = first + parts
-        # nobody else is there at a body's first fracture
-        alone, shared = len(nodes) == len(rows.prepared.mesh.nodes), tets[:0]
-        if not alone:
-            shared = touched_tetrahedra.tetrahedra_shared_by_three(pools.mesh, pools.body, node_shift, tets, first, end)
-        labels[label_rows] = row
-        if len(shared):
-            fracture_update.external_moments(
-                pools.mesh, pools.body, node_shift, edge_shift, shared, first, end, -1.0, moments, scratch.work
-            )
-        labels[label_rows] = first + parts
-        pools.body.edge_plane[edges + (rows.edge + edge_shift)] = first_plane + np.arange(len(edges), dtype=np.int32)
-        if len(shared):
-            fracture_update.external_moments(
-                pools.mesh, pools.body, node_shift, edge_shift, shared, first, end, 1.0, moments, scratch.work
-            )
-        mixed = touched_tetrahedra.classify(pools.mesh, pools.body, node_shift, edge_shift, touched, scratch)
-        crack_samples(
-            pools.mesh, pools.body, node_shift, edge_shift, touched, first, end, alone and not mixed,
-            pools.fragment.overlap, scratch,
-        )  # fmt: skip
+        labels[nodes + (rows.node + node_shift)] = first + parts
+        touched_tetrahedra.place_crossings(pools.mesh, pools.body, edge_shift, edges + rows.edge, first_plane)
+        touched_tetrahedra.classify(pools.mesh, pools.body, node_shift, touched)
         boxes = pools.fragment.box
         boxes[first:end] = np.repeat([np.inf, -np.inf], 3)
         touched_tetrahedra.boxes_of_nodes(pools.mesh, pools.body, node_shift, nodes + rows.node, boxes)
@@ -276,17 +255,17 @@ class CollisionGeometry:
         """Polygons in the tetrahedra that a fracture touched; moments, boxes and gaps of their fragments."""
         pools, moments, gaps = self.pools, self._moments.view, self._gaps.view
         fracture_update.rebuild_lone(pools.mesh, pools.body, node_shift, tet_shift, touched, moments, gaps)
-        columns = {name: self._tables.body[name] for name in fracture_update.SurfaceRows._fields}
-        for rebuild, expected in (
-            (fracture_update.rebuild_plain, 2 * np.count_nonzero(touched.kinds == PLAIN)),
-            (fracture_update.rebuild_others, 8 * np.count_nonzero(touched.unclear)),
+        columns = {name: self._tables.body[name] for name in SurfaceRows._fields}
+        for rebuild, kind, expected in (
+            (fracture_update.rebuild_parted, CUT, 2),
+            (fracture_update.rebuild_fanned, DIVIDED, 6),
         ):
-            start, room = 0, fracture_update.MAX_TRIANGLES + expected
-            while start < touched.near:
-                out = fracture_update.SurfaceRows(**{name: column.reserve(room) for name, column in columns.items()})
+            start, room = 0, fracture_update.MOST_ROWS + expected * np.count_nonzero(touched.kinds == kind)
+            while start < len(touched.rows):
+                out = SurfaceRows(**{name: column.reserve(room) for name, column in columns.items()})
                 start, written = rebuild(
                     pools.mesh, pools.body, node_shift, tet_shift, edge_shift, touched, first, end, start,
-                    columns["front"].used, out, moments, pools.fragment.box, reaches, gaps, self._update_scratch,
+                    columns["front"].used, out, moments, pools.fragment.box, reaches, gaps, self._scratch,
                 )  # fmt: skip
                 for column in columns.values():
                     column.advance(written)
@@ -331,10 +310,10 @@ class CollisionGeometry:
         if self._field == AVERAGED:
             interior = self._interior_field(rows)
             self._tables.body["node_field"].append(interior.node_field)
-            self._tables.body["node_certain_tet"].append(np.full(len(mesh.nodes), OLD_SURFACE, np.int32))
         node = self._tables.body["node_fragment"].append(np.full(len(mesh.nodes), row, np.int32))
         edge = self._tables.body["edge_plane"].append(np.full(len(mesh.edges), -1, np.int32))
-        self._tables.body["edge_share"].append(np.ones((len(mesh.edges), 2)))
+        self._tables.body["edge_event"].append(np.zeros(len(mesh.edges), np.int32))
+        self._tables.body["edge_share"].append(np.zeros(len(mesh.edges)))
         tet = self._tables.body["tet_fragment"].append(np.full(len(mesh.tetrahedra), row, np.int32))
         self._tables.body["cut_begin"].append(np.zeros(len(mesh.tetrahedra), np.int32))
         self._tables.body["cut_count"].append(np.zeros(len(mesh.tetrahedra), np.int32))
@@ -357,7 +336,7 @@ class CollisionGeometry:
     def _add_row(self, kind, box, shape, radius, tree_begin, tree_end, gap, mesh=-1, cells=None) -> int:
         values = dict(
             kind=kind, mesh=mesh, node_shift=NEVER_BROKEN, tet_shift=NEVER_BROKEN, edge_shift=NEVER_BROKEN, box=box,
-            shape=shape, radius=radius, overlap=0.0, tree_begin=tree_begin, tree_end=tree_end,
+            shape=shape, radius=radius, tree_begin=tree_begin, tree_end=tree_end,
             cells=np.zeros(7, np.int32) if cells is None else cells,
         )  # fmt: skip
         for name, value in values.items():

@@ -12,8 +12,6 @@ import math
 
 from fracture_collision.core.closest_point import DIRECTION_FLOOR
 from fracture_collision.core.compiled import inlined_kernel, query_kernel
-from fracture_collision.core.crack_samples import share_of_segment
-from fracture_collision.core.cut_tetrahedron import INTERFACE
 from fracture_collision.core.flood import (
     NO_SOURCE,
     corner_weight,
@@ -21,15 +19,19 @@ from fracture_collision.core.flood import (
     nearest_from_outside,
     source_normal,
 )
-from fracture_collision.core.point_location import load_margins, tetrahedron_at
-from fracture_collision.core.pools import CUT
+from fracture_collision.core.point_location import owner_in_cut, tetrahedron_at
+from fracture_collision.core.pools import OLD_FACE
 
 # The shared crack is taken while it is no more than this share of R farther than the nearest surface.
 FARTHER = 0.03
 # From outside, where nothing farther than the detection tolerance is listed, it is looked for so many times as far.
 TIMES_NEAREST = 3.0
+# It must also be no more than so many times the crack's own distance, and so little of R: else the crack bends here.
+OBLIQUE, LITTLE = 4.0, 1e-4
 # A ray that meets more tetrahedra on so short a way is lost.
 MOST_TETRAHEDRA = 256
+# Roots as near to each other, in parts of a ray's way through a tetrahedron, are one: between them rounding decides.
+SAME_ROOT = 1e-10
 NOWHERE = -2  # no tetrahedron, nor -1, the outside
 
 
@@ -50,24 +52,25 @@ def turn_to_crack(pools, f, g, near, row, source, where, scratch, thread):
     only = (g, 0.0, 0.0, 0.0)
     # whichever way, what is listed outside is no farther than the detection tolerance
     within = FARTHER * radius - d if inside else near
+    away = abs(d)
     if not _parts(pools, f, g, source):
         if inside:
             best = nearest_from_inside(pools, f, t, x, y, z, within, only, scratch, thread)
         else:
             best = nearest_from_outside(pools, f, t, x, y, z, max(TIMES_NEAREST * d, near), only, scratch, thread)
-        source, where = best[5], best[6]
+        source, where, away = best[5], best[6], math.sqrt(best[0])
         if source == NO_SOURCE:
             return
-    nx, ny, nz = crack_direction(pools, f, g, source, where)
     sign = 1.0 if inside else -1.0
+    nx, ny, nz = crack_direction(pools, f, g, source, where)
     s = way_through(pools, f, t, x, y, z, sign * nx, sign * ny, sign * nz, within, inside, scratch, thread)
-    if s <= within:
+    # where the two just touch, its own witness will do
+    if abs(d) > DIRECTION_FLOOR * radius:
+        if s > min(within, OBLIQUE * away + LITTLE * radius):
+            return
         s *= sign
         row[3], row[4], row[5] = x + s * nx, y + s * ny, z + s * nz
         row[9] = -s
-    elif abs(d) > DIRECTION_FLOOR * radius:
-        return
-    # where the two just touch, its own witness will do: on a step the crack's normal may lead along the surface
     row[6], row[7], row[8] = nx, ny, nz
 
 
@@ -84,14 +87,9 @@ def _parts(pools, f, g, source):
 def crack_direction(pools, f, g, source, t):
     """Unit normal out of fragment `f` of its crack with `g` in tetrahedron `t`: the mean over the edges it cuts there.
 
-    The planes at the edges are what the fracture gave; a polygon lies in one of them, in between two, or, a step, in a
-    face of the mesh.
+    The planes at the edges are what the fracture gave; triangles run from crossing to crossing.
     """
     nx, ny, nz = _sum_of_planes(pools, f, g, t)
-    if nx == 0.0 and ny == 0.0 and nz == 0.0:
-        kind = pools.body.kind[source]
-        if kind != INTERFACE:
-            nx, ny, nz = _sum_of_planes(pools, f, g, pools.mesh.neighbours[t, kind])
     length = math.sqrt(nx * nx + ny * ny + nz * nz)
     if length == 0.0:
         return source_normal(pools, f, source)
@@ -125,8 +123,7 @@ def way_through(pools, f, t, x, y, z, nx, ny, nz, limit, leaves, scratch, thread
     no ray slips between two.
     """
     mesh, body = pools.mesh, pools.body
-    node_shift, tet_shift = pools.fragment.node_shift[f], pools.fragment.tet_shift[f]
-    labels, functionals, counts = scratch.slot_labels[thread], scratch.functionals[thread], scratch.counts[thread]
+    tet_shift = pools.fragment.tet_shift[f]
     s, came_from = 0.0, NOWHERE
     for _ in range(MOST_TETRAHEDRA):
         if t < 0 or s > limit:
@@ -141,17 +138,11 @@ def way_through(pools, f, t, x, y, z, nx, ny, nz, limit, leaves, scratch, thread
                     out, face = end, corner
         if face < 0:
             return math.inf
-        own = -1
         alone = body.tet_fragment[t + tet_shift]
-        if alone == CUT:
-            slots = load_margins(mesh, body, node_shift, pools.fragment.edge_shift[f], t, labels, functionals, counts)
-            for k in range(slots):
-                if labels[k] == f:
-                    own = k
-        if own >= 0:
-            share = share_of_segment(
-                slots, functionals, counts, labels, own, leaves, x + s * nx, y + s * ny, z + s * nz,
-                x + out * nx, y + out * ny, z + out * nz, scratch.roots[thread],
+        if alone < 0:
+            share = _share_of_segment(
+                pools, f, t, leaves, x + s * nx, y + s * ny, z + s * nz, x + out * nx, y + out * ny, z + out * nz,
+                scratch.roots[thread],
             )  # fmt: skip
             if share < 1.0:
                 s += share * (out - s)
@@ -160,3 +151,36 @@ def way_through(pools, f, t, x, y, z, nx, ny, nz, limit, leaves, scratch, thread
             return s
         s, came_from, t = out, t, mesh.neighbours[t, face]
     return s if t < 0 and leaves and s <= limit else math.inf
+
+
+@inlined_kernel
+def _share_of_segment(pools, f, t, leaves, x0, y0, z0, x1, y1, z1, roots):
+    """Share of a segment in cut tetrahedron `t`, from its start to where f's region ends, or else begins: 0 .. 1.
+
+    Between two neighbouring roots of the planes that part fragments there the owner stays. `roots` (64,): room.
+    """
+    body = pools.body
+    begin, used = body.cut_begin[t + pools.fragment.tet_shift[f]], 0
+    for i in range(begin, begin + body.cut_count[t + pools.fragment.tet_shift[f]]):
+        if body.kind[i] >= OLD_FACE:
+            break
+        p = body.faces[i]
+        at_start = p[0] * x0 + p[1] * y0 + p[2] * z0 - p[3]
+        at_end = p[0] * x1 + p[1] * y1 + p[2] * z1 - p[3]
+        if (at_start > 0.0) != (at_end > 0.0):
+            root, k = min(max(at_start / (at_start - at_end), 0.0), 1.0), used
+            while k > 0 and roots[k - 1] > root:
+                roots[k] = roots[k - 1]
+                k -= 1
+            roots[k] = root
+            used += 1
+    before = 0.0
+    for i in range(used + 1):
+        after = roots[i] if i < used else 1.0
+        if after > before + SAME_ROOT:
+            middle = 0.5 * (before + after)
+            x, y, z = x0 + middle * (x1 - x0), y0 + middle * (y1 - y0), z0 + middle * (z1 - z0)
+            if (owner_in_cut(pools, f, t, x, y, z) == f) != leaves:
+                return before
+        before = after
+    return 1.0

@@ -1,18 +1,13 @@
-"""A tetrahedron shared by several fragments: who owns a point, and the exact polygons between the owners.
+"""A tetrahedron that cracks cross: where its edges and faces are crossed, and the point its regions meet in.
 
-The margin rule (docs/numerics.md). Each fragment f with a node in the tetrahedron has a margin at x: the smallest
-signed distance to the planes of the tetrahedron's cut edges between f and another fragment, positive on f's side. The
-point belongs to the largest margin. For consistent planes (bisectors of a Voronoi pattern) that is the exact cell; for
-any planes it is a partition. Glondu 2014, sections 4.1 and 4.3 store the planes and ask the question; the rule for
-several planes in one tetrahedron is ours.
+Glondu 2014, section 4.1, stores at most six planes, one a cut edge; what they make of the tetrahedron where several
+differ is ours (docs/numerics.md). The crack runs through the crossings, the points where planes cross their edges. Each
+face and then the tetrahedron is divided like a fan: a face of three fragments from a *face point*, the tetrahedron from
+a *hub*. Crossings and face points depend on the edge and the face alone, so neighbours agree about their common face:
+regions fit without gap, overlap or step. Where planes agree (the bisectors of a Voronoi pattern) crossings, face points
+and hubs lie in them.
 
-Symbols: slot k = one distinct fragment of the (up to) four nodes; g = (nx, ny, nz, o) a linear functional n.x - o;
-M_k = min over the functionals of slot k.
-
-The polygons: for each choice of the functional that attains every slot's minimum, the set where the choice holds is
-convex and all margins are linear on it. So the interface of slots f and g is the plane M_f = M_g clipped by that set
-and by M_f >= M_h for the other slots h, and a face of the tetrahedron clipped likewise is f's share of that face. What
-the tetrahedron behind the face gives to another fragment, of that share, is a step.
+What a neighbour owned it keeps: a face or tetrahedron that is crossed again is divided anew within the older crack.
 """
 
 from __future__ import annotations
@@ -22,383 +17,412 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.core.compiled import inlined_kernel, kernel, query_kernel
-from fracture_collision.core.margin_clipping import clip_to_choice, clip_to_region, tie_limit
 
 EDGE_FIRST = np.array([0, 0, 0, 1, 1, 2])
 EDGE_SECOND = np.array([1, 2, 3, 2, 3, 3])
+# Local edge between two local nodes.
+EDGE_BETWEEN = np.array([[-1, 0, 1, 2], [0, -1, 3, 4], [1, 3, -1, 5], [2, 4, 5, -1]])
 # Face k lies opposite vertex k, counter-clockwise from outside for a tetrahedron of positive volume.
 FACE_VERTICES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
-INTERFACE = 4  # kind of a triangle between two fragments; 0..3: on that face
-MAX_TRIANGLES = 4096  # more than any choice of planes was seen to make (below 200); exceeding it raises
+
+# What a tetrahedron is to a fracture: of one fragment, of several, and of these known to be divided about its hub.
+LONE, CUT, DIVIDED = 1, 2, 3
+
+# Below this share of its largest value a determinant says that planes have no common point.
+SINGULAR = 1e-6
+NEVER = np.iinfo(np.int64).max
+# A hub with no more than this barycentric weight off a face is on it.
+ON_FACE = 1e-9
 
 
 class CutScratch(NamedTuple):
-    """Working space: one tetrahedron's margins, and the triangles made from them."""
+    """Working space: one cut tetrahedron."""
 
-    labels: np.ndarray  # (4,) int64 fragment of each slot
-    functionals: np.ndarray  # (4, 4, 4) float64
-    counts: np.ndarray  # (4,) int64 functionals of each slot
+    labels: np.ndarray  # (4,) int64 fragment of each node
     corners: np.ndarray  # (4, 3) float64 [m]
-    triangles: np.ndarray  # (MAX_TRIANGLES, 9) float64 [m]
-    fronts: np.ndarray  # (MAX_TRIANGLES,) int64 slot
-    backs: np.ndarray  # (MAX_TRIANGLES,) int64 slot, -1 at a face's share
-    kinds: np.ndarray  # (MAX_TRIANGLES,) int64
-    polygon: np.ndarray  # (32, 3) float64 [m]
-    spare: np.ndarray  # (32, 3) float64 [m]
-    choice: np.ndarray  # (4,) int64
-    value: np.ndarray  # (4,) float64
-    order: np.ndarray  # (4,) int64
-    heights: np.ndarray  # (4, 4, 32) float64 [m] of each functional at a polygon's vertices
-    origin: np.ndarray  # (4,) int64 of confined margins: which slots they were
+    cut: np.ndarray  # (6,) uint8: whether a crack crosses the edge
+    event: np.ndarray  # (6,) int64: which fracture cut it, see BodyPool.edge_event
+    planes: np.ndarray  # (6, 4) float64, from the edge's first local node to its second
+    crossings: np.ndarray  # (6, 3) float64 [m]
+    shares: np.ndarray  # (6,) float64: where the crossing is, from the first local node
+    face_points: np.ndarray  # (4, 3) float64 [m] of faces of three fragments
+    hub: np.ndarray  # (3,) float64 [m]
+    plane: np.ndarray  # (4,) float64 of a tetrahedron that one plane parts: unit, out of `sides[0]`
+    sides: np.ndarray  # (2,) int64 its two fragments, the smaller first
+    group: np.ndarray  # (4,) int64 working space
+    moments: np.ndarray  # (2, 10) float64 working space
 
 
 @kernel
 def make_cut_scratch():
     return CutScratch(
-        np.zeros(4, np.int64), np.zeros((4, 4, 4)), np.zeros(4, np.int64), np.zeros((4, 3)),
-        np.empty((MAX_TRIANGLES, 9)), np.empty(MAX_TRIANGLES, np.int64), np.empty(MAX_TRIANGLES, np.int64),
-        np.empty(MAX_TRIANGLES, np.int64), np.empty((32, 3)), np.empty((32, 3)), np.zeros(4, np.int64),
-        np.zeros(4), np.zeros(4, np.int64), np.zeros((4, 4, 32)),
-        np.zeros(4, np.int64),
+        np.zeros(4, np.int64), np.zeros((4, 3)), np.zeros(6, np.uint8), np.zeros(6, np.int64), np.zeros((6, 4)),
+        np.zeros((6, 3)), np.zeros(6), np.zeros((4, 3)), np.zeros(3), np.zeros(4), np.zeros(2, np.int64),
+        np.zeros(4, np.int64), np.zeros((2, 10)),
     )  # fmt: skip
 
 
 @inlined_kernel
-def collect_margins(corner_labels, cut_planes, flips, planes, slot_labels, functionals, counts):
-    """Fill slot labels (4,), functionals (4, 4, 4), counts (4,); returns the number of slots.
+def crossing_share(nodes, a, b, plane):
+    """Share of the edge from node `a` to `b` where the plane, positive at b, crosses it: 0 .. 1."""
+    p, q = nodes[a], nodes[b]
+    at_a = plane[0] * p[0] + plane[1] * p[1] + plane[2] * p[2] - plane[3]
+    at_b = plane[0] * q[0] + plane[1] * q[1] + plane[2] * q[2] - plane[3]
+    return min(max(at_a / (at_a - at_b), 0.0), 1.0)
 
-    corner_labels (4,): fragment of each node; cut_planes (6,): index into `planes` (p, 4) or -1; flips (6,): 1 where
-    the stored plane points from the edge's second local vertex to its first.
+
+@inlined_kernel
+def point_on_edge(nodes, a, b, share, out):
+    """The crossing of the mesh edge (a, b), a < b: always from its smaller node, so that all who ask get one point."""
+    p, q = nodes[a], nodes[b]
+    for d in range(3):
+        out[d] = p[d] + share * (q[d] - p[d])
+
+
+@inlined_kernel
+def load_cut(mesh, body, node_shift, edge_shift, t, work):
+    """Nodes, labels, planes and crossings of tetrahedron `t`, of several fragments; whether one plane parts it.
+
+    If so, also `plane` and `sides`; face points and hub are place_hub's.
     """
-    slots = 0
+    v = mesh.tetrahedra[t]
     for i in range(4):
-        new = True
-        for s in range(slots):
-            if slot_labels[s] == corner_labels[i]:
-                new = False
-        if new:
-            slot_labels[slots] = corner_labels[i]
-            counts[slots] = 0
-            slots += 1
+        work.labels[i] = body.node_fragment[v[i] + node_shift]
+        for d in range(3):
+            work.corners[i, d] = mesh.nodes[v[i], d]
+    labels = work.labels
+    low = min(labels[0], labels[1], labels[2], labels[3])
+    high = max(labels[0], labels[1], labels[2], labels[3])
+    two, same, first_cut = True, True, -1
+    for i in range(4):
+        two = two and (labels[i] == low or labels[i] == high)
     for e in range(6):
-        p = cut_planes[e]
-        if p < 0:
+        i, j = EDGE_FIRST[e], EDGE_SECOND[e]
+        work.cut[e] = labels[i] != labels[j]
+        if not work.cut[e]:
             continue
-        for end in range(2):
-            label = corner_labels[EDGE_FIRST[e]] if end == 0 else corner_labels[EDGE_SECOND[e]]
-            s = 0
-            while slot_labels[s] != label:
-                s += 1
-            sign = -1.0 if (end == 0) != (flips[e] == 1) else 1.0
-            nx, ny, nz, o = sign * planes[p, 0], sign * planes[p, 1], sign * planes[p, 2], sign * planes[p, 3]
-            known = False
-            for q in range(counts[s]):
-                g = functionals[s, q]
-                if g[0] == nx and g[1] == ny and g[2] == nz and g[3] == o:
-                    known = True
-            if not known:
-                g = functionals[s, counts[s]]
-                g[0], g[1], g[2], g[3] = nx, ny, nz, o
-                counts[s] += 1
-    return slots
-
-
-@inlined_kernel
-def margin(functionals, count, x, y, z):
-    """Smallest signed distance [m] to a slot's `count` functionals; infinity without any."""
-    least = np.inf
-    for q in range(count):
-        g = functionals[q]
-        least = min(least, g[0] * x + g[1] * y + g[2] * z - g[3])
-    return least
-
-
-@inlined_kernel
-def owner_slot(slots, functionals, counts, slot_labels, x, y, z):
-    """Slot of the largest margin; the smaller label at a tie."""
-    best = 0
-    best_margin = margin(functionals[0], counts[0], x, y, z)
-    for s in range(1, slots):
-        m = margin(functionals[s], counts[s], x, y, z)
-        if m > best_margin or (m == best_margin and slot_labels[s] < slot_labels[best]):
-            best, best_margin = s, m
-    return best
-
-
-@query_kernel
-def section(corners, a, b, c, o, limit, polygon, value, order):
-    """The tetrahedron's section with the plane a x + b y + c z = o, right-handed about (a, b, c); its vertex count.
-
-    None if the plane only touches it, to `limit` [m]: a face in the plane is not within the tetrahedron, it may be a
-    step.
-    """
-    above, positive = 0, False
-    for i in range(4):
-        value[i] = a * corners[i, 0] + b * corners[i, 1] + c * corners[i, 2] - o
-        if abs(value[i]) <= limit:
-            value[i] = 0.0
-        positive = positive or value[i] > 0.0
-        if value[i] >= 0.0:
-            above += 1
-    if above == 4 or not positive:
-        return 0
-    # corners above first, in their order; then those below
-    used = 0
-    for upper in range(2):
-        for i in range(4):
-            if (value[i] >= 0.0) == (upper == 0):
-                order[used] = i
-                used += 1
-    count = 4 if above == 2 else 3
-    for k in range(count):
-        # an edge each, in cyclic order: the cycle of the four mixed edges, or around the lone corner
-        if above == 2:
-            p, q = order[k // 2], order[2 + ((k + 1) // 2) % 2]
-        elif above == 1:
-            p, q = order[0], order[1 + k]
+        edge = mesh.tetrahedron_edges[t, e] + edge_shift
+        p, share = body.planes[body.edge_plane[edge]], body.edge_share[edge]
+        forward = v[i] < v[j]
+        sign = 1.0 if forward else -1.0
+        q = work.planes[e]
+        q[0], q[1], q[2], q[3] = sign * p[0], sign * p[1], sign * p[2], sign * p[3]
+        work.event[e] = body.edge_event[edge]
+        work.shares[e] = share if forward else 1.0 - share
+        if forward:
+            point_on_edge(mesh.nodes, v[i], v[j], share, work.crossings[e])
         else:
-            p, q = order[3], order[k]
-        t = value[p] / (value[p] - value[q])
-        for d in range(3):
-            polygon[k, d] = corners[p, d] + t * (corners[q, d] - corners[p, d])
-    nx = ny = nz = 0.0
-    for k in range(1, count - 1):
-        ux, uy, uz = polygon[k, 0] - polygon[0, 0], polygon[k, 1] - polygon[0, 1], polygon[k, 2] - polygon[0, 2]
-        vx, vy, vz = (
-            polygon[k + 1, 0] - polygon[0, 0],
-            polygon[k + 1, 1] - polygon[0, 1],
-            polygon[k + 1, 2] - polygon[0, 2],
-        )
-        nx += uy * vz - uz * vy
-        ny += uz * vx - ux * vz
-        nz += ux * vy - uy * vx
-    if nx * a + ny * b + nz * c < 0.0:
-        for k in range(count // 2):
-            for d in range(3):
-                polygon[k, d], polygon[count - 1 - k, d] = polygon[count - 1 - k, d], polygon[k, d]
-    return count
-
-
-@query_kernel
-def emit(polygon, count, front, back, kind, triangles, fronts, backs, kinds, used):
-    for k in range(1, count - 1):
-        if used >= len(triangles):
-            raise RuntimeError("a cut tetrahedron made more triangles than MAX_TRIANGLES")
-        for d in range(3):
-            triangles[used, d] = polygon[0, d]
-            triangles[used, 3 + d] = polygon[k, d]
-            triangles[used, 6 + d] = polygon[k + 1, d]
-        fronts[used] = front
-        backs[used] = back
-        kinds[used] = kind
-        used += 1
-    return used
-
-
-@query_kernel
-def face_shares(face, slots, work, used):
-    """Each slot's share of a face of the tetrahedron `work.corners`, from its margins; of a lone slot, all of it.
-
-    Triangles go into `work` from row `used` on, right-handed about the tetrahedron's outward normal: fronts the slot,
-    backs -1, kinds the face. Returns the row behind the last.
-    """
-    for f in range(slots):
-        _first_choice(work)
-        while True:
-            count = load_face(work.corners, face, work.polygon)
-            count = clip_to_region(count, slots, work, f, work.corners, face, 1.0)
-            used = emit(work.polygon, count, f, -1, face, work.triangles, work.fronts, work.backs, work.kinds, used)
-            if not _next_choice(slots, work, f):
-                break
-    return used
-
-
-@query_kernel
-def interfaces(slots, work, used):
-    """The polygons between any two slots within the tetrahedron `work.corners`, from its margins.
-
-    Triangles go into `work` from row `used` on, right-handed about the outward normal of the slot in fronts; backs has
-    the slot behind, kinds INTERFACE. Returns the row behind the last.
-    """
-    functionals, choice, polygon, limit = work.functionals, work.choice, work.polygon, tie_limit(work.corners)
-    _first_choice(work)
-    while True:
-        for f in range(slots):
-            m = functionals[f, choice[f]]
-            for g in range(f + 1, slots):
-                h = functionals[g, choice[g]]
-                # outward of f is where its margin falls below g's
-                a, b, c, o = h[0] - m[0], h[1] - m[1], h[2] - m[2], h[3] - m[3]
-                count = section(work.corners, a, b, c, o, limit, polygon, work.value, work.order)
-                if count:
-                    count = clip_to_choice(count, slots, work, limit, f, g)
-                used = emit(polygon, count, f, g, INTERFACE, work.triangles, work.fronts, work.backs, work.kinds, used)
-        if not _next_choice(slots, work, -1):
-            return used
-
-
-@query_kernel
-def _confine(slots, work, polygon, size, limit, confined):
-    """What of the margins in `work` can matter on a convex polygon of `size` vertices; returns the number of slots.
-
-    A functional that another of its slot stays below is no minimum there; a slot with a functional below all of
-    another's has nothing of it. Those equal all over it, to `limit` [m], stay: what lies beside decides. The fewer are
-    left, the fewer choices and cuts there are. confined.origin: which slots of `work` they are.
-    """
-    heights = confined.heights
-    for s in range(slots):
-        for q in range(work.counts[s]):
-            g = work.functionals[s, q]
-            for k in range(size):
-                heights[s, q, k] = g[0] * polygon[k, 0] + g[1] * polygon[k, 1] + g[2] * polygon[k, 2] - g[3]
-    left = 0
-    for s in range(slots):
-        if _is_beaten(s, slots, work.counts, heights, size, limit):
-            continue
-        count = 0
-        for q in range(work.counts[s]):
-            needed = True
-            for r in range(work.counts[s]):
-                never_above, below = True, False
-                for k in range(size):
-                    never_above = never_above and heights[s, r, k] <= heights[s, q, k]
-                    below = below or heights[s, r, k] < heights[s, q, k] - limit
-                needed = needed and not (never_above and below)
-            if needed:
-                for d in range(4):
-                    confined.functionals[left, count, d] = work.functionals[s, q, d]
-                count += 1
-        confined.labels[left], confined.counts[left], confined.origin[left] = work.labels[s], count, s
-        left += 1
-    return left
-
-
-@query_kernel
-def _is_beaten(s, slots, counts, heights, size, limit):
-    """Whether one of a slot's functionals is below all of some other slot's at all vertices."""
-    for r in range(slots):
-        if r == s:
-            continue
-        for q in range(counts[s]):
-            below = True
-            for p in range(counts[r]):
-                for k in range(size):
-                    below = below and heights[s, q, k] < heights[r, p, k] - limit
-            if below:
-                return True
-    return False
-
-
-@query_kernel
-def steps(face, slots, work, behind_slots, behind, near, far, used):
-    """Where the two tetrahedra at a face disagree about its owner: a step of the regions' border, in the face.
-
-    `work` has the margins of one and its corners, `behind` those of the one behind the face; `near` and `far` are
-    working space. Triangles go into `far` from row `used` on, right-handed about the outward normal of the first:
-    fronts a slot of `work`, backs one of `behind`, of another fragment; kinds the face. Returns the row behind the
-    last.
-    """
-    limit = tie_limit(work.corners)
-    load_face(work.corners, face, far.polygon)
-    slots = _confine(slots, work, far.polygon, 3, limit, near)
-    for f in range(slots):
-        _first_choice(near)
-        while True:
-            count = load_face(work.corners, face, near.polygon)
-            count = clip_to_region(count, slots, near, f, work.corners, face, 1.0)
-            far_slots = _confine(behind_slots, behind, near.polygon, count, limit, far) if count else 0
-            for g in range(far_slots):
-                if far.labels[g] == near.labels[f]:
-                    continue
-                _first_choice(far)
-                while True:
-                    for k in range(count):
-                        for d in range(3):
-                            far.polygon[k, d] = near.polygon[k, d]
-                    left = clip_to_region(count, far_slots, far, g, work.corners, face, -1.0)
-                    used = emit(
-                        far.polygon, left, near.origin[f], far.origin[g], face, far.triangles, far.fronts, far.backs,
-                        far.kinds, used,
-                    )  # fmt: skip
-                    if not _next_choice(far_slots, far, g):
-                        break
-            if not _next_choice(slots, near, f):
-                break
-    return used
-
-
-@query_kernel
-def agree_on_face(slots, work, behind_slots, behind, near, far, face):
-    """Whether two tetrahedra, one at least cut, certainly give each point of their common face to the same fragment.
-
-    `face`: the near tetrahedron's, of `work.corners`; `near` and `far` are working space. A quick test: False may also
-    mean that nobody knows.
-    """
-    limit = tie_limit(work.corners)
-    load_face(work.corners, face, near.polygon)
-    slots = _confine(slots, work, near.polygon, 3, limit, near)
-    if slots != _confine(behind_slots, behind, near.polygon, 3, limit, far):
+            point_on_edge(mesh.nodes, v[j], v[i], share, work.crossings[e])
+        if first_cut < 0:
+            first_cut = e
+        else:
+            turn = (labels[i] == low) == (labels[EDGE_FIRST[first_cut]] == low)
+            same = same and _same_plane(q, work.planes[first_cut], turn)
+    if not two:
         return False
-    if slots == 1:
-        return near.labels[0] == far.labels[0]
-    for s in range(slots):
-        other = -1
-        for r in range(slots):
-            if far.labels[r] == near.labels[s] and far.counts[r] == near.counts[s]:
-                other = r
-        if other < 0:
-            return False
-        for q in range(near.counts[s]):
-            g = near.functionals[s, q]
-            known = False
-            for r in range(near.counts[s]):
-                h = far.functionals[other, r]
-                known = known or (g[0] == h[0] and g[1] == h[1] and g[2] == h[2] and g[3] == h[3])
-            if not known:
-                return False
-    return not _ties_on_face(slots, near, work.corners, face)
+    work.sides[0], work.sides[1] = low, high
+    if same:
+        sign = 1.0 if labels[EDGE_FIRST[first_cut]] == low else -1.0
+        for d in range(4):
+            work.plane[d] = sign * work.planes[first_cut, d]
+        return True
+    return _plane_of_lone_node(work, low)
+
+
+@inlined_kernel
+def _same_plane(p, q, same_way):
+    """Whether two planes are one to the bit, both pointing the same way or not."""
+    sign = 1.0 if same_way else -1.0
+    return p[0] == sign * q[0] and p[1] == sign * q[1] and p[2] == sign * q[2] and p[3] == sign * q[3]
+
+
+@inlined_kernel
+def _plane_of_lone_node(work, low):
+    """The plane through the three crossings about a node that is alone on its side; False if two stand against two."""
+    count, lone = 0, -1
+    for i in range(4):
+        if work.labels[i] == low:
+            count += 1
+    if count == 2:
+        return False
+    for i in range(4):
+        if (work.labels[i] == low) == (count == 1):
+            lone = i
+    f = FACE_VERTICES[lone]
+    a, b = work.crossings[EDGE_BETWEEN[lone, f[0]]], work.crossings[EDGE_BETWEEN[lone, f[1]]]
+    c = work.crossings[EDGE_BETWEEN[lone, f[2]]]
+    nx, ny, nz, length, longest = _triangle_normal(a, b, c)
+    if length <= SINGULAR * longest:
+        # the crossings all but meet: a node with next to nothing of it, cut off along the face
+        p = work.corners
+        nx, ny, nz, length, longest = _triangle_normal(p[f[0]], p[f[1]], p[f[2]])
+    sign = (1.0 if count == 1 else -1.0) / length
+    work.plane[0], work.plane[1], work.plane[2] = sign * nx, sign * ny, sign * nz
+    work.plane[3] = sign * (nx * a[0] + ny * a[1] + nz * a[2])
+    return True
+
+
+@inlined_kernel
+def _triangle_normal(a, b, c):
+    """Normal of the triangle (not unit), its length, and the longer of two sides squared."""
+    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    longest = max(ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz)
+    return nx, ny, nz, np.sqrt(nx * nx + ny * ny + nz * nz), longest
 
 
 @query_kernel
-def _ties_on_face(slots, work, corners, face):
-    """Whether margins of two slots may be equal all over a face: then each side of it can have an owner of its own."""
-    limit = tie_limit(corners)
-    for s in range(slots):
-        for r in range(s):
-            for q in range(work.counts[s] * work.counts[r]):
-                g, h = work.functionals[s, q % work.counts[s]], work.functionals[r, q // work.counts[s]]
-                equal = True
-                for k in range(3):
-                    c = corners[FACE_VERTICES[face, k]]
-                    d = (g[0] - h[0]) * c[0] + (g[1] - h[1]) * c[1] + (g[2] - h[2]) * c[2] - (g[3] - h[3])
-                    equal = equal and abs(d) <= limit
-                if equal:
-                    return True
-    return False
-
-
-@query_kernel
-def _first_choice(work):
-    for s in range(4):
-        work.choice[s] = 0
-
-
-@query_kernel
-def _next_choice(slots, work, but):
-    """The next choice of the functional that attains each slot's minimum, `but` one's; False behind the last."""
-    for s in range(slots):
-        if s == but:
-            continue
-        work.choice[s] += 1
-        if work.choice[s] < work.counts[s]:
-            return True
-        work.choice[s] = 0
-    return False
-
-
-@query_kernel
-def load_face(corners, face, polygon):
-    for k in range(3):
+def place_hub(mesh, t, work):
+    """Face points and hub of the tetrahedron that load_cut found divided about its hub."""
+    for face in range(4):
+        f = FACE_VERTICES[face]
+        a, b, c = work.labels[f[0]], work.labels[f[1]], work.labels[f[2]]
+        if a != b and b != c and c != a:
+            _place_face_point(mesh.tetrahedra[t], face, work)
+    group, hub = work.group, work.hub
+    oldest = _next_event(work, -1)
+    groups = _part_into_groups(work, oldest)
+    flat = groups > 2
+    if not flat:
+        newer = _next_event(work, oldest)
+        flat = newer < NEVER and _oldest_is_flat(work, oldest)
+        if flat:
+            oldest = newer
+            groups = _part_into_groups(work, oldest)
+    for d in range(3):
+        hub[d] = 0.0
+    if not flat:
+        # not in a plane, or no other crack has come to it: the mean of the crossings of the first crack
+        used = 0
+        for e in range(6):
+            if work.cut[e] and work.event[e] == oldest:
+                used += 1
+                for d in range(3):
+                    hub[d] += work.crossings[e, d]
         for d in range(3):
-            polygon[k, d] = corners[FACE_VERTICES[face, k], d]
-    return 3
+            hub[d] /= used
+    else:
+        used = 0
+        lone = _lone_of_first(work, oldest)
+        for face in range(4):
+            f = FACE_VERTICES[face]
+            if face == lone:
+                continue
+            if group[f[0]] != group[f[1]] and group[f[1]] != group[f[2]] and group[f[2]] != group[f[0]]:
+                used += 1
+                for d in range(3):
+                    hub[d] += work.face_points[face, d]
+        for d in range(3):
+            hub[d] /= used
+        if groups == 4 and lone < 0:
+            _common_point_of_tetrahedron(work, hub)
+        _settle_on_face(work)
+
+
+@inlined_kernel
+def _settle_on_face(work):
+    """A hub on a face of three groups moves to its face point, or the two would divide the face otherwise."""
+    corners, hub, group = work.corners, work.hub, work.group
+    for face in range(4):
+        f = FACE_VERTICES[face]
+        a, b, c = group[f[0]], group[f[1]], group[f[2]]
+        if a == b or b == c or c == a:
+            continue
+        p, q, r, top = corners[f[0]], corners[f[1]], corners[f[2]], corners[face]
+        ux, uy, uz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
+        vx, vy, vz = r[0] - p[0], r[1] - p[1], r[2] - p[2]
+        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        above = nx * (hub[0] - p[0]) + ny * (hub[1] - p[1]) + nz * (hub[2] - p[2])
+        height = nx * (top[0] - p[0]) + ny * (top[1] - p[1]) + nz * (top[2] - p[2])
+        if above / height <= ON_FACE:
+            for d in range(3):
+                hub[d] = work.face_points[face, d]
+            return
+
+
+@inlined_kernel
+def _next_event(work, after):
+    """The oldest fracture behind `after` that cut one of the edges, or NEVER."""
+    oldest = NEVER
+    for e in range(6):
+        if work.cut[e] and after < work.event[e] < oldest:
+            oldest = work.event[e]
+    return oldest
+
+
+@inlined_kernel
+def _part_into_groups(work, until):
+    """Fill `group`: nodes that no fracture up to `until` parted are in one; returns how many there are."""
+    group = work.group
+    for i in range(4):
+        group[i] = i
+        for j in range(i):
+            e = EDGE_BETWEEN[j, i]
+            if not work.cut[e] or work.event[e] > until:
+                group[i] = min(group[i], group[j])
+    groups = 0
+    for i in range(4):
+        groups += group[i] == i
+    return groups
+
+
+@inlined_kernel
+def _oldest_is_flat(work, oldest):
+    """Whether one plane carries the first crack, which made two groups: of three crossings, or of equal planes."""
+    used, first = 0, -1
+    same = True
+    for e in range(6):
+        if not work.cut[e] or work.event[e] != oldest:
+            continue
+        used += 1
+        if first < 0:
+            first = e
+        else:
+            turn = (work.group[EDGE_FIRST[e]] == 0) == (work.group[EDGE_FIRST[first]] == 0)
+            same = same and _same_plane(work.planes[e], work.planes[first], turn)
+    return used == 3 or same
+
+
+@inlined_kernel
+def _lone_of_first(work, newest):
+    """The node against three where these were parted all at once by the fracture `newest`, an older one having cut it
+    off: its opposite face takes no part in the hub. -1 otherwise.
+    """
+    for i in range(4):
+        lone = True
+        for j in range(4):
+            if j != i:
+                e = EDGE_BETWEEN[i, j]
+                lone = lone and work.cut[e] == 1 and work.event[e] < newest
+                for k in range(j):
+                    if k != i:
+                        f = EDGE_BETWEEN[k, j]
+                        lone = lone and work.cut[f] == 1 and work.event[f] == newest
+        if lone:
+            return i
+    return -1
+
+
+@inlined_kernel
+def _place_face_point(nodes, face, work):
+    """Where three fragments meet in a face, computed from the face alone: its nodes in the order of the mesh."""
+    f = FACE_VERTICES[face]
+    a, b, c = f[0], f[1], f[2]
+    if nodes[a] > nodes[b]:
+        a, b = b, a
+    if nodes[b] > nodes[c]:
+        b, c = c, b
+    if nodes[a] > nodes[b]:
+        a, b = b, a
+    ab, bc, ac = EDGE_BETWEEN[a, b], EDGE_BETWEEN[b, c], EDGE_BETWEEN[a, c]
+    newest = max(work.event[ab], work.event[bc], work.event[ac])
+    out = work.face_points[face]
+    if work.event[ab] < newest:
+        # of three edges one or all are of the newest event
+        if work.event[bc] == newest:
+            _on_older_crack(work, a, b, c, out)
+        else:
+            _on_older_crack(work, b, a, c, out)
+    elif work.event[bc] < newest:
+        _on_older_crack(work, c, a, b, out)
+    else:
+        _common_point_of_face(work, a, b, c, out)
+
+
+@inlined_kernel
+def _on_older_crack(work, i, j, l, out):  # noqa: E741
+    """Where the plane between nodes j and l meets the older crack around node i, in their face."""
+    e = EDGE_BETWEEN[j, l]
+    sign = 1.0 if j < l else -1.0
+    n = work.planes[e]
+    p, r = work.crossings[EDGE_BETWEEN[i, j]], work.crossings[EDGE_BETWEEN[i, l]]
+    at_p = sign * (n[0] * p[0] + n[1] * p[1] + n[2] * p[2] - n[3])
+    at_r = sign * (n[0] * r[0] + n[1] * r[1] + n[2] * r[2] - n[3])
+    s = 0.5
+    if at_r - at_p > 0.0:
+        s = min(max(at_p / (at_p - at_r), 0.0), 1.0)
+    for d in range(3):
+        out[d] = p[d] + s * (r[d] - p[d])
+
+
+@inlined_kernel
+def _share(work, i, j):
+    """Where the crossing of an edge is, from node i to j."""
+    share = work.shares[EDGE_BETWEEN[i, j]]
+    return share if i < j else 1.0 - share
+
+
+@inlined_kernel
+def _common_point_of_face(work, a, b, c, out):
+    """The point of a face nearest to the planes of its three edges (least squares), within the triangle of their
+    crossings: cells are convex, so where planes agree and meet in the face, they do so there.
+
+    If it is beyond an edge, the fragment of the node opposite would reach over that edge: then it is this edge's
+    crossing, so that the two there do not share more than they must. Else it is as near as the triangle goes from its
+    centroid.
+    """
+    x = work.crossings
+    p, q, r = x[EDGE_BETWEEN[a, b]], x[EDGE_BETWEEN[b, c]], x[EDGE_BETWEEN[a, c]]
+    suu = suv = svv = su = sv = 0.0
+    for k in range(3):
+        e = EDGE_BETWEEN[a, b] if k == 0 else EDGE_BETWEEN[b, c] if k == 1 else EDGE_BETWEEN[a, c]
+        n = work.planes[e]
+        h = n[0] * p[0] + n[1] * p[1] + n[2] * p[2] - n[3]
+        u = n[0] * (q[0] - p[0]) + n[1] * (q[1] - p[1]) + n[2] * (q[2] - p[2])
+        v = n[0] * (r[0] - p[0]) + n[1] * (r[1] - p[1]) + n[2] * (r[2] - p[2])
+        suu, suv, svv = suu + u * u, suv + u * v, svv + v * v
+        su, sv = su + u * h, sv + v * h
+    determinant = suu * svv - suv * suv
+    third = 1.0 / 3.0
+    u = v = third
+    if determinant > SINGULAR * (suu + svv) ** 2:
+        u, v = (suv * sv - svv * su) / determinant, (suv * su - suu * sv) / determinant
+    ab, bc, ac = _share(work, a, b), _share(work, b, c), _share(work, a, c)
+    at_a = (1.0 - u - v) * (1.0 - ab) + v * (1.0 - ac)
+    at_b = (1.0 - u - v) * ab + u * (1.0 - bc)
+    at_c = u * bc + v * ac
+    least = min(at_a, at_b, at_c)
+    if least < 0.0:
+        u = 1.0 if at_a == least else 0.0
+        v = 1.0 if at_a != least and at_b == least else 0.0
+    s = 1.0
+    for k in range(3):
+        end = 1.0 - u - v if k == 0 else u if k == 1 else v
+        if end < 0.0:
+            s = min(s, third / (third - end))
+    u, v = third + s * (u - third), third + s * (v - third)
+    for d in range(3):
+        out[d] = p[d] + u * (q[d] - p[d]) + v * (r[d] - p[d])
+
+
+@inlined_kernel
+def _common_point_of_tetrahedron(work, out):
+    """Likewise of all six planes, within the tetrahedron of the face points."""
+    corners = work.face_points
+    a00 = a01 = a02 = a11 = a12 = a22 = r0 = r1 = r2 = 0.0
+    o = corners[0]
+    for e in range(6):
+        n = work.planes[e]
+        h = n[0] * o[0] + n[1] * o[1] + n[2] * o[2] - n[3]
+        u = n[0] * (corners[1, 0] - o[0]) + n[1] * (corners[1, 1] - o[1]) + n[2] * (corners[1, 2] - o[2])
+        v = n[0] * (corners[2, 0] - o[0]) + n[1] * (corners[2, 1] - o[1]) + n[2] * (corners[2, 2] - o[2])
+        w = n[0] * (corners[3, 0] - o[0]) + n[1] * (corners[3, 1] - o[1]) + n[2] * (corners[3, 2] - o[2])
+        a00, a01, a02, a11, a12, a22 = a00 + u * u, a01 + u * v, a02 + u * w, a11 + v * v, a12 + v * w, a22 + w * w
+        r0, r1, r2 = r0 - u * h, r1 - v * h, r2 - w * h
+    c00, c01, c02 = a11 * a22 - a12 * a12, a02 * a12 - a01 * a22, a01 * a12 - a02 * a11
+    determinant = a00 * c00 + a01 * c01 + a02 * c02
+    w1 = w2 = w3 = 0.25
+    if determinant > SINGULAR * (a00 + a11 + a22) ** 3:
+        c11, c12, c22 = a00 * a22 - a02 * a02, a01 * a02 - a00 * a12, a00 * a11 - a01 * a01
+        w1 = (c00 * r0 + c01 * r1 + c02 * r2) / determinant
+        w2 = (c01 * r0 + c11 * r1 + c12 * r2) / determinant
+        w3 = (c02 * r0 + c12 * r1 + c22 * r2) / determinant
+    s = 1.0
+    for k in range(4):
+        end = 1.0 - w1 - w2 - w3 if k == 0 else w1 if k == 1 else w2 if k == 2 else w3
+        if end < 0.0:
+            s = min(s, 0.25 / (0.25 - end))
+    w1, w2, w3 = 0.25 + s * (w1 - 0.25), 0.25 + s * (w2 - 0.25), 0.25 + s * (w3 - 0.25)
+    for d in range(3):
+        out[d] = o[d] + w1 * (corners[1, d] - o[d]) + w2 * (corners[2, d] - o[d]) + w3 * (corners[3, d] - o[d])

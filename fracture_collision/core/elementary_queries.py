@@ -35,7 +35,7 @@ INSIDE = 2  # inside; closest point only if it was asked for
 def inside_tetrahedron(pools, f, x, y, z, scratch, thread):
     """insideTest: the tetrahedron row in which the point belongs to fragment `f`, -1 if it does not."""
     t = tetrahedron_at(pools.mesh, pools.fragment.mesh[f], x, y, z)
-    if t >= 0 and owner_in_tetrahedron(pools, f, t, x, y, z, scratch, thread) != f:
+    if t >= 0 and owner_in_tetrahedron(pools, f, t, x, y, z) != f:
         return -1
     return t
 
@@ -78,7 +78,7 @@ def bounded_probe(pools, f, x, y, z, near, deep, start, scratch, thread):
         return OUTSIDE, max(reach, near), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -max(reach, near), NO_SOURCE, -1
     k = pools.fragment.mesh[f]
     t = tetrahedron_at(pools.mesh, k, x, y, z) if start < 0 else tetrahedron_from(pools.mesh, k, start, x, y, z)
-    if t >= 0 and owner_in_tetrahedron(pools, f, t, x, y, z, scratch, thread) == f:
+    if t >= 0 and owner_in_tetrahedron(pools, f, t, x, y, z) == f:
         if pools.field == AVERAGED and pools.fragment.node_shift[f] != NEVER_BROKEN:
             d, nx, ny, nz, most = averaged_penetration(pools, f, t, x, y, z)
             return INSIDE, -d, nx, ny, nz, x + d * nx, y + d * ny, z + d * nz, most, NO_SOURCE, -1

@@ -21,9 +21,9 @@ from fracture_collision.core.closest_point import (
     triangle_normal,
 )
 from fracture_collision.core.compiled import inlined_kernel
-from fracture_collision.core.cut_tetrahedron import FACE_VERTICES, INTERFACE, margin
-from fracture_collision.core.point_location import holds_fragment, load_margins
-from fracture_collision.core.pools import CUT, NEVER_BROKEN
+from fracture_collision.core.cut_tetrahedron import FACE_VERTICES
+from fracture_collision.core.point_location import holds_fragment
+from fracture_collision.core.pools import NEVER_BROKEN, OLD_FACE, PARTED
 
 # Which surface triangle a closest point lies on: a row of body.triangles, or -1 - (4 tetrahedron + face) of the old
 # surface.
@@ -33,8 +33,8 @@ NO_SOURCE = np.iinfo(np.int64).max
 WHATEVER, TOWARD = -1, -2
 EVERYTHING = (WHATEVER, 0.0, 0.0, 0.0)
 PLANE_SLACK = 1.0 + 1e-9
-# What rounding may do to a margin, as a share of R.
-MARGIN_ROUNDING = 1e-12
+# What rounding may do to a height above a plane, as a share of R.
+HEIGHT_ROUNDING = 1e-12
 # What rounding may do to a barycentric weight.
 WEIGHT_ROUNDING = 1e-12
 
@@ -85,16 +85,16 @@ def nothing_within(limit):
 
 
 @inlined_kernel
-def nearest_in_tetrahedron(pools, f, t, x, y, z, with_steps, only, best):
+def nearest_in_tetrahedron(pools, f, t, x, y, z, only, best):
     """Better of `best`, see `nothing_within`, and f's surface within tetrahedron `t`.
 
-    with_steps: also against the steps in the tetrahedron's faces, which the paper does not know. only: see EVERYTHING.
+    only: see EVERYTHING.
     """
     behind, ox, oy, oz = only
     d2, qx, qy, qz, feature, source, where = best
     mesh, body = pools.mesh, pools.body
     shift = pools.fragment.tet_shift[f]
-    if behind < 0 and (shift == NEVER_BROKEN or body.tet_fragment[t + shift] != CUT):
+    if behind < 0 and (shift == NEVER_BROKEN or body.tet_fragment[t + shift] >= 0):
         for face in range(4):
             if mesh.neighbours[t, face] >= 0 or _face_is_farther(mesh, t, face, x, y, z, d2):
                 continue
@@ -114,30 +114,27 @@ def nearest_in_tetrahedron(pools, f, t, x, y, z, with_steps, only, best):
     face, farther = -1, False
     for i in range(begin, begin + body.cut_count[t + shift]):
         kind = body.kind[i]
-        if kind != INTERFACE:
-            # kinds ascend: one test for all pieces of a face
-            if kind != face:
-                face, farther = kind, _face_is_farther(mesh, t, kind, x, y, z, d2)
-            if farther:
-                continue
-        if kind != INTERFACE and not with_steps and body.back[i] >= 0:
-            continue
-        # a step is surface of the fragment in front here, of the one behind in the tetrahedron behind
         front, back = body.front[i], body.back[i]
         sign = 1.0
         if front != f:
-            if kind != INTERFACE or back != f:
+            if back != f:
                 continue
             back = front
             sign = -1.0
+        if kind >= OLD_FACE:
+            # kinds ascend: one test for all pieces of a face
+            if kind != face:
+                face, farther = kind, _face_is_farther(mesh, t, kind - OLD_FACE, x, y, z, d2)
+            if farther:
+                continue
         p = body.faces[i]
         if behind >= 0 and back != behind:
             continue
         if behind == TOWARD and sign * (p[0] * ox + p[1] * oy + p[2] * oz) >= 0.0:
             continue
-        # no point of a triangle is nearer than its plane; rounding is left room
+        # no point of a triangle is nearer than its plane; rounding is left room. One without a plane is no number
         height = p[0] * x + p[1] * y + p[2] * z - p[3]
-        if height * height > d2 * PLANE_SLACK:
+        if not height * height <= d2 * PLANE_SLACK:
             continue
         p = body.triangles[i]
         e2, ex, ey, ez, rim = closest_on_triangle(x, y, z, p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8])
@@ -207,7 +204,7 @@ def nearest_from_inside(pools, f, start, x, y, z, limit, only, scratch, thread):
         t = items[0]
         _pop(keys, items, count)
         count -= 1
-        best = nearest_in_tetrahedron(pools, f, t, x, y, z, True, only, best)
+        best = nearest_in_tetrahedron(pools, f, t, x, y, z, only, best)
         for face in range(4):
             n = mesh.neighbours[t, face]
             if n < 0 or visited[n] == stamp:
@@ -262,33 +259,23 @@ def nearest_from_outside(pools, f, at, x, y, z, limit, only, scratch, thread):
                         continue
                     if least_distance_squared(mesh, t, x, y, z) >= best[0]:
                         continue
-                    if not _region_is_farther(pools, f, t, x, y, z, best[0], scratch, thread):
-                        best = nearest_in_tetrahedron(pools, f, t, x, y, z, True, only, best)
+                    if not _region_is_farther(pools, f, t, x, y, z, best[0]):
+                        best = nearest_in_tetrahedron(pools, f, t, x, y, z, only, best)
     return best
 
 
 @inlined_kernel
-def _region_is_farther(pools, f, t, x, y, z, d2, scratch, thread):
-    """Whether f's region of a cut tetrahedron is certainly farther than sqrt(d2) [m], by margins alone.
-
-    Margins change by no more than the way: where another's is larger than f's by m, f begins no nearer than m / 2.
-    """
-    tet_shift = pools.fragment.tet_shift[f]
-    if tet_shift == NEVER_BROKEN or pools.body.tet_fragment[t + tet_shift] != CUT:
+def _region_is_farther(pools, f, t, x, y, z, d2):
+    """Whether f's region of tetrahedron `t` is certainly farther than sqrt(d2) [m]: one plane parts it, and is."""
+    body, tet_shift = pools.body, pools.fragment.tet_shift[f]
+    if tet_shift == NEVER_BROKEN or body.tet_fragment[t + tet_shift] != PARTED:
         return False
-    labels, functionals, counts = scratch.slot_labels[thread], scratch.functionals[thread], scratch.counts[thread]
-    slots = load_margins(
-        pools.mesh, pools.body, pools.fragment.node_shift[f], pools.fragment.edge_shift[f], t, labels, functionals,
-        counts,
-    )  # fmt: skip
-    own, other = -np.inf, -np.inf
-    for s in range(slots):
-        m = margin(functionals[s], counts[s], x, y, z)
-        if labels[s] == f:
-            own = m
-        else:
-            other = max(other, m)
-    return 0.5 * (other - own) > math.sqrt(d2) + MARGIN_ROUNDING * pools.fragment.radius[f]
+    row = body.cut_begin[t + tet_shift]
+    p = body.faces[row]
+    height = p[0] * x + p[1] * y + p[2] * z - p[3]
+    if body.front[row] != f:
+        height = -height
+    return height > math.sqrt(d2) + HEIGHT_ROUNDING * pools.fragment.radius[f]
 
 
 @inlined_kernel
@@ -304,8 +291,8 @@ def _nearest_around(pools, f, at, x, y, z, only, scratch, thread, best):
     while count:
         count -= 1
         t = stack[count]
-        if holds_fragment(pools, f, t) and not _region_is_farther(pools, f, t, x, y, z, best[0], scratch, thread):
-            best = nearest_in_tetrahedron(pools, f, t, x, y, z, True, only, best)
+        if holds_fragment(pools, f, t) and not _region_is_farther(pools, f, t, x, y, z, best[0]):
+            best = nearest_in_tetrahedron(pools, f, t, x, y, z, only, best)
         for face in range(4):
             n = mesh.neighbours[t, face]
             if (n >= 0 and visited[n] == stamp) or _face_is_farther(mesh, t, face, x, y, z, best[0]):
@@ -341,8 +328,12 @@ def outward_direction(pools, f, x, y, z, best, inside):
     d2, qx, qy, qz, feature, source, _ = best
     d = math.sqrt(d2)
     away = 1.0 if inside else -1.0
-    if feature == ON_FACE or d <= DIRECTION_FLOOR * pools.fragment.radius[f]:
+    touching = d <= DIRECTION_FLOOR * pools.fragment.radius[f]
+    if feature == ON_FACE or touching:
         nx, ny, nz = source_normal(pools, f, source)
+        # of a sheet between two without a thickness either side may have been found
+        if not touching and away * (nx * (qx - x) + ny * (qy - y) + nz * (qz - z)) < 0.0:
+            nx, ny, nz = -nx, -ny, -nz
         if nx * nx + ny * ny + nz * nz > 0.0:
             return nx, ny, nz
     if d == 0.0:

@@ -12,7 +12,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from fracture_collision.core.compiled import inlined_kernel, kernel
+from fracture_collision.core.compiled import kernel
+from fracture_collision.core.cut_tetrahedron import point_on_edge
 from fracture_collision.core.sphere_tree import SphereTree, build_sphere_tree
 from fracture_collision.core.sphere_tree_split import Forest, split_sphere_tree
 from fracture_collision.core.tet_mesh import TetMesh
@@ -30,13 +31,13 @@ def split_trees(
     """RESTRUCTURED (`ordered`) or PLAIN trees of parts 0 .. count - 1, from the tree `old` of what broke.
 
     part_of_node (n,) int32, -1: another fragment's; edges (k,): mesh edges that this fracture cuts, ascending; share
-    (mesh edges, 2): where crack samples stand, see crack_samples. Centres of `old` may be moved.
+    (mesh edges,): where cut edges are crossed, in parts of them from their first node.
     """
-    of_entry, moved = _parts_of_entries(old.center, old.sample, mesh.nodes, mesh.edges, share, part_of_node)
+    of_entry = _parts_of_entries(old.sample, len(mesh.nodes), mesh.edges, part_of_node)
     samples = (len(mesh.nodes) + 2 * edges[:, None] + np.arange(2, dtype=np.int32)).ravel().astype(np.int32)
     parents = mesh.edges[edges].ravel()
     points = _edge_points(mesh.nodes, mesh.edges, share, samples)
-    return split_sphere_tree(old, of_entry, count, moved, points, samples, parents, part_of_node[parents], ordered)
+    return split_sphere_tree(old, of_entry, count, points, samples, parents, part_of_node[parents], ordered)
 
 
 def rebuilt_trees(
@@ -62,34 +63,22 @@ def rebuilt_trees(
 
 
 @kernel
-def _parts_of_entries(center, sample, nodes, edges, share, part_of_node):
-    """The part of each tree entry's point, and whether samples of older cracks moved; these are put where they are."""
-    n = len(nodes)
-    parts, moved, p = np.empty(len(sample), np.int32), False, np.empty(3)
+def _parts_of_entries(sample, nodes, edges, part_of_node):
+    """The part of each tree entry's point; `nodes`: how many the mesh has."""
+    parts = np.empty(len(sample), np.int32)
     for i in range(len(sample)):
-        if sample[i] < n:
-            parts[i] = part_of_node[sample[i]]
-            continue
-        edge, side = (sample[i] - n) // 2, (sample[i] - n) % 2
-        parts[i] = part_of_node[edges[edge, side]]
-        _on_edge(nodes, edges, share, edge, side, p)
-        for d in range(3):
-            moved = moved or p[d] != center[i, d]
-            center[i, d] = p[d]
-    return parts, moved
+        node = sample[i]
+        if node >= nodes:
+            node = edges[(node - nodes) // 2, (node - nodes) % 2]
+        parts[i] = part_of_node[node]
+    return parts
 
 
 @kernel
 def _edge_points(nodes, edges, share, samples):
-    """Positions (q, 3) [m] of crack samples: the share of their edge from their own end."""
+    """Positions (q, 3) [m] of crack samples: where their edges are crossed."""
     points = np.empty((len(samples), 3))
     for i in range(len(samples)):
-        _on_edge(nodes, edges, share, (samples[i] - len(nodes)) // 2, (samples[i] - len(nodes)) % 2, points[i])
+        e = (samples[i] - len(nodes)) // 2
+        point_on_edge(nodes, edges[e, 0], edges[e, 1], share[e], points[i])
     return points
-
-
-@inlined_kernel
-def _on_edge(nodes, edges, share, edge, side, out):
-    own, far = nodes[edges[edge, side]], nodes[edges[edge, 1 - side]]
-    for d in range(3):
-        out[d] = own[d] + share[edge, side] * (far[d] - own[d])

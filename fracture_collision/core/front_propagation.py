@@ -5,8 +5,7 @@ the first front. Step i + 1 goes to all neighbours, over edges within one fragme
 node is reached if the average of what its neighbours in the front propagate (eq. 1) is shorter than what it stores.
 
 Ours, for the certificate: each node also carries a point that is certainly not strictly inside its fragment, and hands
-it on along the fronts. On the old surface that holds for ever. In a cut tetrahedron it holds while the tetrahedron is
-divided as it is: planes that disagree may move the border when it is divided anew, and then the point is sought anew.
+it on along the fronts. That holds for ever: what is border stays border when the fragment breaks again.
 """
 
 from __future__ import annotations
@@ -24,37 +23,9 @@ from fracture_collision.core.flood import (
     nothing_within,
     outward_direction,
 )
-from fracture_collision.core.point_location import holds_fragment
 
 # A distance is shorter if it is by more than this share of R: two nodes must not hand rounding to and fro.
 SHORTER = 1e-12
-OLD_SURFACE = -1  # in node_certain_tet
-
-
-@query_kernel
-def renew_certain_points(pools, divided_anew, first_node, node_shift, whole):
-    """Seek the certain points anew that lie in tetrahedra marked in `divided_anew` (rows of the mesh pool).
-
-    whole: InteriorField.node_field, whose points are certain for ever.
-    """
-    mesh, body = pools.mesh, pools.body
-    for i in range(len(whole)):
-        row = first_node + i + node_shift
-        t = body.node_certain_tet[row]
-        if t == OLD_SURFACE or not divided_anew[t]:
-            continue
-        f = body.node_fragment[row]
-        if not holds_fragment(pools, f, t):
-            # and never will: no descendant of f can own anything in it
-            continue
-        x, y, z = mesh.nodes[first_node + i]
-        best = nearest_in_tetrahedron(pools, f, t, x, y, z, False, EVERYTHING, nothing_within(math.inf))
-        stored = body.node_field[row]
-        if best[5] == NO_SOURCE:
-            body.node_certain_tet[row] = OLD_SURFACE
-            stored[4], stored[5], stored[6] = whole[i, 4], whole[i, 5], whole[i, 6]
-        else:
-            stored[4], stored[5], stored[6] = best[1], best[2], best[3]
 
 
 @query_kernel
@@ -82,14 +53,13 @@ def measure_at_cracks(pools, tets, first_node, node_shift, edge_shift, low, high
                 front[used] = v - first_node
                 used += 1
             x, y, z = mesh.nodes[v]
-            best = nearest_in_tetrahedron(pools, f, t, x, y, z, False, EVERYTHING, nothing_within(math.inf))
+            best = nearest_in_tetrahedron(pools, f, t, x, y, z, EVERYTHING, nothing_within(math.inf))
             if best[5] == NO_SOURCE:
                 continue
             row = body.node_field[v + node_shift]
             sx, sy, sz = row[4] - x, row[5] - y, row[6] - z
             if best[0] < sx * sx + sy * sy + sz * sz:
                 row[4], row[5], row[6] = best[1], best[2], best[3]
-                body.node_certain_tet[v + node_shift] = t
             if math.sqrt(best[0]) < row[0]:
                 row[0] = math.sqrt(best[0])
                 row[1], row[2], row[3] = outward_direction(pools, f, x, y, z, best, True)
@@ -98,11 +68,11 @@ def measure_at_cracks(pools, tets, first_node, node_shift, edge_shift, low, high
 
 @kernel
 def propagate_fronts(
-    nodes, labels, node_field, certain_tet, neighbours_begin, neighbours, in_front, front, used, shorter
+    nodes, labels, node_field, neighbours_begin, neighbours, in_front, front, used, shorter
 ):  # fmt: skip
     """Step after step from the first `used` nodes of `front`, until no distance is reduced; returns the steps made.
 
-    nodes (n, 3) [m], labels (n,), node_field (n, 7) and certain_tet (n,): the rows of one body; neighbours: of
+    nodes (n, 3) [m], labels (n,), node_field (n, 7): the rows of one body; neighbours: of
     InteriorField; in_front (n,) marks the front, `front` (n,) lists it; shorter [m]: the least reduction that counts.
     Values of one step are computed from those of the step before, in whatever order nodes are listed.
     """
@@ -110,7 +80,6 @@ def propagate_fronts(
     seen = np.zeros(n, np.uint8)
     reached = np.empty(n, np.int32)
     value = np.empty((n, 7))
-    tet = np.empty(n, np.int32)
     steps = 0
     while used:
         steps += 1
@@ -124,9 +93,7 @@ def propagate_fronts(
                     reached[count] = p
                     count += 1
         for k in range(count):
-            tet[k] = _average_of_front(
-                nodes, labels, node_field, certain_tet, neighbours_begin, neighbours, in_front, reached[k], value[k]
-            )
+            _average_of_front(nodes, labels, node_field, neighbours_begin, neighbours, in_front, reached[k], value[k])
         for k in range(used):
             in_front[front[k]] = 0
         used = 0
@@ -135,7 +102,6 @@ def propagate_fronts(
             seen[p] = 0
             for d in range(4, 7):
                 node_field[p, d] = value[k, d]
-            certain_tet[p] = tet[k]
             # A node lies inside its fragment: a negative average, from beyond a bend of the surface, is no distance.
             if 0.0 <= value[k, 0] < node_field[p, 0] - shorter:
                 for d in range(4):
@@ -147,14 +113,14 @@ def propagate_fronts(
 
 
 @query_kernel
-def _average_of_front(nodes, labels, node_field, certain_tet, neighbours_begin, neighbours, in_front, p, value):
+def _average_of_front(nodes, labels, node_field, neighbours_begin, neighbours, in_front, p, value):
     """Eq. 1 and 2 at node `p` over its neighbours in the front, and the nearest certain point of them and its own.
 
-    Fills value (7,) as a row of node_field; returns the certain point's tetrahedron.
+    Fills value (7,) as a row of node_field.
     """
     x, y, z = nodes[p]
     own = node_field[p]
-    cx, cy, cz, tet = own[4], own[5], own[6], certain_tet[p]
+    cx, cy, cz = own[4], own[5], own[6]
     sx, sy, sz = cx - x, cy - y, cz - z
     nearest = sx * sx + sy * sy + sz * sz
     d, nx, ny, nz, total = 0.0, 0.0, 0.0, 0.0, 0.0
@@ -171,7 +137,7 @@ def _average_of_front(nodes, labels, node_field, certain_tet, neighbours_begin, 
         sx, sy, sz = row[4] - x, row[5] - y, row[6] - z
         if sx * sx + sy * sy + sz * sz < nearest:
             nearest = sx * sx + sy * sy + sz * sz
-            cx, cy, cz, tet = row[4], row[5], row[6], certain_tet[j]
+            cx, cy, cz = row[4], row[5], row[6]
     value[0] = d / total
     length = math.sqrt(nx * nx + ny * ny + nz * nz)
     if length > 0.0:
@@ -180,7 +146,6 @@ def _average_of_front(nodes, labels, node_field, certain_tet, neighbours_begin, 
         # directions that cancel each other say nothing
         value[1], value[2], value[3] = own[1], own[2], own[3]
     value[4], value[5], value[6] = cx, cy, cz
-    return tet
 
 
 def update_averaged_field(
@@ -193,15 +158,12 @@ def update_averaged_field(
     """
     mesh, interior = prepared.mesh, prepared.interior[0]
     n = len(interior.node_field)
-    divided_anew = np.zeros(len(pools.mesh.tetrahedra), np.uint8)
-    divided_anew[touched.rows[: touched.near]] = 1
-    renew_certain_points(pools, divided_anew, first_node, node_shift, interior.node_field)
     in_front, front = np.zeros(n, np.uint8), np.empty(n, np.int32)
     used = measure_at_cracks(
-        pools, touched.rows[: touched.own], first_node, node_shift, edge_shift, first, end, first_plane, in_front, front
+        pools, touched.rows, first_node, node_shift, edge_shift, first, end, first_plane, in_front, front
     )
     own = slice(first_node + node_shift, first_node + node_shift + n)
     propagate_fronts(
-        mesh.nodes, pools.body.node_fragment[own], pools.body.node_field[own], pools.body.node_certain_tet[own],
+        mesh.nodes, pools.body.node_fragment[own], pools.body.node_field[own],
         interior.neighbours_begin, interior.neighbours, in_front, front, used, SHORTER * pools.fragment.radius[first],
     )  # fmt: skip

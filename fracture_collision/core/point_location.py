@@ -10,8 +10,8 @@ import math
 import numpy as np
 
 from fracture_collision.core.compiled import inlined_kernel
-from fracture_collision.core.cut_tetrahedron import collect_margins, owner_slot
-from fracture_collision.core.pools import CUT, NEVER_BROKEN
+from fracture_collision.core.cut_tetrahedron import ON_FACE
+from fracture_collision.core.pools import NEVER_BROKEN, PARTED
 
 # A point of a shared face belongs to the first of its tetrahedra; rounding must not lose it between them.
 WEIGHT_TOLERANCE = -1e-12
@@ -75,51 +75,80 @@ def tetrahedron_from(mesh, k, start, x, y, z):
 
 
 @inlined_kernel
-def load_margins(mesh, body, node_shift, edge_shift, t, slot_labels, functionals, counts):
-    """Margins of cut tetrahedron `t` into the scratch arrays; returns the number of slots."""
-    a, b, c, d = mesh.tetrahedra[t]
-    na, nb, nc, nd = (
-        body.node_fragment[a + node_shift],
-        body.node_fragment[b + node_shift],
-        body.node_fragment[c + node_shift],
-        body.node_fragment[d + node_shift],
-    )
-    e = mesh.tetrahedron_edges[t]
-    plane = body.edge_plane
-    return collect_margins(
-        (na, nb, nc, nd),
-        (
-            plane[e[0] + edge_shift],
-            plane[e[1] + edge_shift],
-            plane[e[2] + edge_shift],
-            plane[e[3] + edge_shift],
-            plane[e[4] + edge_shift],
-            plane[e[5] + edge_shift],
-        ),
-        (a > b, a > c, a > d, b > c, b > d, c > d),
-        body.planes,
-        slot_labels,
-        functionals,
-        counts,
-    )
+def owner_in_tetrahedron(pools, f, t, x, y, z):
+    """Fragment row that owns the point within tetrahedron `t` of fragment `f`'s body."""
+    tet_shift = pools.fragment.tet_shift[f]
+    if tet_shift == NEVER_BROKEN:
+        return f
+    alone = pools.body.tet_fragment[t + tet_shift]
+    if alone >= 0:
+        return alone
+    return owner_in_cut(pools, f, t, x, y, z)
 
 
 @inlined_kernel
-def owner_in_tetrahedron(pools, f, t, x, y, z, scratch, thread):
-    """Fragment row that owns the point within tetrahedron `t` of fragment `f`'s body."""
-    fragment = pools.fragment
-    tet_shift = fragment.tet_shift[f]
-    if tet_shift == NEVER_BROKEN:
-        return f
-    node_shift = fragment.node_shift[f]
-    alone = pools.body.tet_fragment[t + tet_shift]
-    if alone != CUT:
-        return alone
-    labels = scratch.slot_labels[thread]
-    functionals = scratch.functionals[thread]
-    counts = scratch.counts[thread]
-    slots = load_margins(pools.mesh, pools.body, node_shift, fragment.edge_shift[f], t, labels, functionals, counts)
-    return labels[owner_slot(slots, functionals, counts, labels, x, y, z)]
+def owner_in_cut(pools, f, t, x, y, z):
+    """The same for a tetrahedron that several fragments share (cut_tetrahedron.py)."""
+    body = pools.body
+    first = body.cut_begin[t + pools.fragment.tet_shift[f]]
+    if body.tet_fragment[t + pools.fragment.tet_shift[f]] == PARTED:
+        return _side(body, first, x, y, z)
+    return _owner_about_hub(pools, f, t, first, x, y, z)
+
+
+@inlined_kernel
+def _height(body, row, x, y, z):
+    """Of the point above the plane of a triangle, out of its front [m]; not a number for one without a plane."""
+    p = body.faces[row]
+    return p[0] * x + p[1] * y + p[2] * z - p[3]
+
+
+@inlined_kernel
+def _side(body, row, x, y, z):
+    return body.front[row] if _height(body, row, x, y, z) <= 0.0 else body.back[row]
+
+
+@inlined_kernel
+def _owner_about_hub(pools, f, t, first, x, y, z):
+    """The hub and a face span a sector; in it, planes through the hub part the fragments as they part the face."""
+    mesh, body = pools.mesh, pools.body
+    hub = body.triangles[first]
+    face, least = 0, math.inf
+    rest, hub_rest = 1.0, 1.0
+    b = mesh.barycentric[t]
+    for k in range(4):
+        if k < 3:
+            weight = b[4 * k] * x + b[4 * k + 1] * y + b[4 * k + 2] * z + b[4 * k + 3]
+            of_hub = b[4 * k] * hub[0] + b[4 * k + 1] * hub[1] + b[4 * k + 2] * hub[2] + b[4 * k + 3]
+            rest, hub_rest = rest - weight, hub_rest - of_hub
+        else:
+            weight, of_hub = rest, hub_rest
+        # a hub on a face has no sector to it
+        if of_hub > ON_FACE and weight / of_hub < least:
+            face, least = k + 1 if k < 3 else 0, weight / of_hub
+    last = first + body.cut_count[t + pools.fragment.tet_shift[f]]
+    row = first
+    while row < last and body.kind[row] < face:
+        row += 1
+    if row == last or body.kind[row] != face:
+        return body.node_fragment[mesh.tetrahedra[t, (face + 1) % 4] + pools.fragment.node_shift[f]]
+    if row + 1 == last or body.kind[row + 1] != face:
+        return _side(body, row, x, y, z)
+    # three fragments about the face point, none over more than half a turn: each has what is behind the half-plane at
+    # its end and beyond the one at its beginning; on the border of two, where rounding decides, whichever lacks less
+    first, second, third = _height(body, row, x, y, z), _height(body, row + 1, x, y, z), _height(body, row + 2, x, y, z)
+    lacks, of_second, of_third = _larger(first, -third), _larger(second, -first), _larger(third, -second)
+    if of_third < lacks and of_third < of_second:
+        return body.front[row + 2]
+    return body.front[row] if lacks <= of_second else body.front[row + 1]
+
+
+@inlined_kernel
+def _larger(a, b):
+    """The larger of two heights, the one of them that is a number, or infinity."""
+    if math.isnan(a):
+        return math.inf if math.isnan(b) else b
+    return a if math.isnan(b) else max(a, b)
 
 
 @inlined_kernel
@@ -129,7 +158,7 @@ def holds_fragment(pools, f, t):
     if tet_shift == NEVER_BROKEN:
         return True
     alone = pools.body.tet_fragment[t + tet_shift]
-    if alone != CUT:
+    if alone >= 0:
         return alone == f
     shift = pools.fragment.node_shift[f]
     v = pools.mesh.tetrahedra[t]

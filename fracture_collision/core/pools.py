@@ -83,19 +83,19 @@ class BodyPool(NamedTuple):
 
     node_fragment: np.ndarray  # int32 fragment row of each mesh node
     edge_plane: np.ndarray  # int32 row of `planes`, -1: not cut
-    edge_share: np.ndarray  # (E, 2) float64: how far a cut edge's sample is from its own end, in parts of the edge
-    tet_fragment: np.ndarray  # int32 fragment row of a tetrahedron that one fragment has alone; CUT if several share it
-    cut_begin: np.ndarray  # int32 per tetrahedron: first row of its polygons; one that is not CUT has only steps
+    edge_event: np.ndarray  # int32 first row of `planes` of the fracture that cut it: grows from event to event
+    edge_share: np.ndarray  # float64: where a cut edge is crossed, in parts of it from its first node
+    tet_fragment: np.ndarray  # int32 fragment row of a tetrahedron that one fragment has alone, else PARTED or FANNED
+    cut_begin: np.ndarray  # int32 per tetrahedron: first row of its polygons; none if a fragment has it alone
     cut_count: np.ndarray  # int32
     planes: np.ndarray  # (P, 4) float64, unit normal from the edge's first node to its second, offset [m]
     triangles: np.ndarray  # (T, 9) float64 [m] corners, right-handed about the outward normal of `front`
     faces: np.ndarray  # (T, 4) float64 their planes: that normal, unit, and offset [m]
     front: np.ndarray  # int32 fragment row
     back: np.ndarray  # int32 fragment row, -1: nothing
-    kind: np.ndarray  # uint8, see cut_tetrahedron: 0..3 a piece of that face, old surface or step; INTERFACE
+    kind: np.ndarray  # uint8: below OLD_FACE of what parts two fragments, the face it is behind; OLD_FACE + that face
     # the averaged field, rows as node_fragment; none under the exact one
     node_field: np.ndarray  # (., 7) float64: d [m] and unit n of Glondu 2014, eq. 1-2; a point [m] certainly not inside
-    node_certain_tet: np.ndarray  # int32 tetrahedron whose polygons that point lies on, -1: it is on the old surface
 
 
 class FragmentPool(NamedTuple):
@@ -109,7 +109,6 @@ class FragmentPool(NamedTuple):
     box: np.ndarray  # (F, 6) float64 [m], body frame
     shape: np.ndarray  # (F, 4) float64: plane (n, offset), sphere (radius), box (half edges) [m]
     radius: np.ndarray  # float64 [m] R of the body, half its box's longest side; infinite for a plane
-    overlap: np.ndarray  # float64 [m] no sample of it lies deeper in another fragment while both are in place
     tree_begin: np.ndarray  # int32
     tree_end: np.ndarray  # int32
     cells: np.ndarray  # (F, 7) int32: first cell x y z, cells x y z, first byte of `occupancy`
@@ -170,5 +169,10 @@ AVERAGED = 1
 NEAREST = 0
 FACING = 1
 
-CUT = -1
+# BodyPool.tet_fragment of tetrahedra that several fragments share (cut_tetrahedron.py): by one plane, that of all their
+# rows between fragments; or about a hub, the first corner of these rows, which stand in the order of their faces.
+PARTED = -1
+FANNED = -2
+# BodyPool.kind of a piece of face k of a tetrahedron is OLD_FACE + k; kinds below are of what parts two fragments.
+OLD_FACE = 4
 NEVER_BROKEN = np.iinfo(np.int32).min

@@ -16,9 +16,6 @@ class Scratch(NamedTuple):
     stamp: np.ndarray  # (threads,) int32
     heap_key: np.ndarray  # (threads, tetrahedra) float64: squared box distance [m2]
     heap_tet: np.ndarray  # (threads, tetrahedra) int32
-    slot_labels: np.ndarray  # (threads, 4) int64
-    functionals: np.ndarray  # (threads, 4, 4, 4) float64
-    counts: np.ndarray  # (threads, 4) int64
     roots: np.ndarray  # (threads, 64) float64: where a ray may change its owner within a tetrahedron
     node_int: np.ndarray  # (threads, nodes, 4) int32: entry, side, next child, status
     node_float: np.ndarray  # (threads, nodes, 4) float64: point in the other's frame [m], depth bound [m]
@@ -34,9 +31,6 @@ def make_scratch(threads: int, tetrahedra: int, nodes: int) -> Scratch:
         stamp=np.zeros(threads, dtype=np.int32),
         heap_key=np.zeros((threads, max(tetrahedra, 1))),
         heap_tet=np.zeros((threads, max(tetrahedra, 1)), dtype=np.int32),
-        slot_labels=np.zeros((threads, 4), dtype=np.int64),
-        functionals=np.zeros((threads, 4, 4, 4)),
-        counts=np.zeros((threads, 4), dtype=np.int64),
         roots=np.zeros((threads, 64)),
         node_int=np.zeros((threads, nodes, 4), dtype=np.int32),
         node_float=np.zeros((threads, nodes, 4)),

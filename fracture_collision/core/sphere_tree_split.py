@@ -198,7 +198,7 @@ def _merge(old, first_new, next_new, new_points, new_samples, out):
 
 
 @kernel
-def _take(center, radius, size, sample, on_surface, leaf_fragment, moved, kept, new_size, fragment, ordered):
+def _take(center, radius, size, sample, on_surface, leaf_fragment, kept, new_size, fragment, ordered):
     """Copy the kept entries into a tree of their own, each with a point below it; radii exact."""
     n = len(kept)
     c = np.empty((n, 3))
@@ -213,7 +213,7 @@ def _take(center, radius, size, sample, on_surface, leaf_fragment, moved, kept, 
             c[i, k] = center[o, k]
         r[i], s[i], surface[i] = radius[o], sample[o], on_surface[o]
         # a smaller subtree than before: descendants are missing
-        stale[i] = 1 if moved or new_size[i] != size[o] else 0
+        stale[i] = 1 if new_size[i] != size[o] else 0
         lost[i] = 1 if leaf_fragment[o] != fragment else 0
     if ordered:
         _restructure(c, new_size, s, surface, lost, stale)
@@ -232,7 +232,7 @@ class Forest(NamedTuple):
 
 @kernel
 def split_sphere_tree(
-    tree, fragment_of_sample, fragments, moved, new_points, new_samples, new_parents, new_fragments, ordered
+    tree, fragment_of_sample, fragments, new_points, new_samples, new_parents, new_fragments, ordered
 ):
     """A Forest of one tree a fragment, 0 .. fragments - 1, from the tree of the fragment that broke.
 
@@ -267,7 +267,7 @@ def split_sphere_tree(
         count = _extract(tree.size, mask, np.uint64(1) << np.uint64(fragment % BATCH), kept, new_size)
         size = new_size[:count].copy()
         center, radius, sample, surface = _take(
-            tree.center, tree.radius, tree.size, tree.sample, tree.on_surface, fragment_of_sample, moved, kept[:count],
+            tree.center, tree.radius, tree.size, tree.sample, tree.on_surface, fragment_of_sample, kept[:count],
             size, fragment, ordered,
         )  # fmt: skip
         old = SphereTree(center, radius, size, sample, surface)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from fracture_collision.core.compiled import kernel
-from fracture_collision.core.cut_tetrahedron import FACE_VERTICES, INTERFACE
+from fracture_collision.core.cut_tetrahedron import FACE_VERTICES
 from fracture_collision.core.point_location import holds_fragment
-from fracture_collision.core.pools import CUT, NEVER_BROKEN, Pools
+from fracture_collision.core.pools import NEVER_BROKEN, Pools
 
 
 @kernel
@@ -19,7 +21,7 @@ def _collect(pools, f, first_tet, last_tet, out, crack):
     for t in range(first_tet, last_tet):
         if not holds_fragment(pools, f, t):
             continue
-        if shift == NEVER_BROKEN or body.tet_fragment[t + shift] != CUT:
+        if shift == NEVER_BROKEN or body.tet_fragment[t + shift] >= 0:
             for face in range(4):
                 if mesh.neighbours[t, face] < 0:
                     if used < len(out):
@@ -31,8 +33,8 @@ def _collect(pools, f, first_tet, last_tet, out, crack):
             continue
         begin = body.cut_begin[t + shift]
         for i in range(begin, begin + body.cut_count[t + shift]):
-            # a step is listed in both tetrahedra at its face, each time with the near one's fragment in front
-            if body.front[i] != f and (body.back[i] != f or body.kind[i] != INTERFACE):
+            # a triangle without a plane is rounding
+            if (body.front[i] != f and body.back[i] != f) or math.isnan(body.faces[i, 3]):
                 continue
             if used < len(out):
                 out[used] = body.triangles[i]

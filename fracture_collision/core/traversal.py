@@ -151,7 +151,7 @@ def query_pair(
     The queues hold rows of node_int and node_float, one a node that was reached. A child whose sphere the other's box
     or closed form keeps out of reach counts as visited but takes no row: its test on the next level could not but fail.
 
-    Fragments of one body share a frame, and in place no sample of one is inside the other (but for `overlap`): so none
+    Fragments of one body share a frame, and in place no sample of one is inside the other: so none
     is deeper than it has moved since. That bounds all below a node at once, and two that have hardly moved against
     each other need no search once they have their m contacts.
     """
@@ -201,7 +201,7 @@ def query_pair(
             end = entry + tree.entries[entry, SIZE]
             moved = math.inf
             if one_body and count >= m:
-                moved = _moved(tree.spheres[entry], x, y, z) + fragment.overlap[a if side == 0 else b]
+                moved = _moved(tree.spheres[entry], x, y, z)
             if node[k, NEXT_CHILD] < 0:
                 # first time on this level: test
                 if budget and visits >= budget:
@@ -316,10 +316,10 @@ def _bound_of_rest(pools, pair, node, node_point, queue, which, begin, end):
     bound = 0.0
     for i in range(begin, end):
         k = queue[which, i]
-        own, other = (a, b) if node[k, SIDE] == 0 else (b, a)
+        other = b if node[k, SIDE] == 0 else a
         sphere, p = pools.tree.spheres[node[k, ENTRY]], node_point[k]
         depth = p[DEPTH] + sphere[3]
         if one_body:
-            depth = min(depth, _moved(sphere, p[0], p[1], p[2]) + spin * sphere[3] + pools.fragment.overlap[own])
+            depth = min(depth, _moved(sphere, p[0], p[1], p[2]) + spin * sphere[3])
         bound = max(bound, min(depth, _depth_limit(pools, other)))
     return bound

@@ -232,11 +232,12 @@ def _refusal_of(states: FragmentStates) -> ContactConstraintArray:
 
 
 def _work(node: CollisionNode) -> None:
-    node.prepare()
     # One thread: contacts depend on the order in which bodies, events and states are applied, and on nothing else.
+    # Made before the node says that it is ready: once told to end, none can be made.
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     try:
+        node.prepare()
         executor.spin()
     finally:
         node.finish()

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import rclpy
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.executors import ExternalShutdownException
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 
 
@@ -28,6 +29,10 @@ def run_node(make_node: Callable[[], Node], work: Callable[[Node], None]) -> int
         return 0
     except (KeyboardInterrupt, ExternalShutdownException):
         return 0
+    except rclpy_implementation.RCLError:
+        if rclpy.ok():
+            raise
+        return 0  # told to end between two calls of rclpy, and the second could not be made any more
     except (Fatal, InvalidParameterTypeException, InvalidParameterValueException) as error:
         print(f"{node.get_name() if node else 'node'}: {error}", file=sys.stderr)
         return 1

@@ -56,9 +56,6 @@ class Registry:
         )  # fmt: skip
         for i, new_id in enumerate(event.new_fragment_ids.tolist()):
             self._add_fragment(new_id, event.body_id, event.fragment_id, first + i)
-        # with planes that disagree, a neighbour's share of a tetrahedron may have changed: see external_moments
-        for fragment_id in [f for f in self._row if self._body_of[f] == event.body_id]:
-            self._mass.pop(fragment_id, None)
 
     def lookup(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Living fragments by ascending id: ids, rows, whether static, friction, restitution."""

@@ -7,9 +7,7 @@ import numpy as np
 from fracture_collision.geometry.tetrahedra import EDGE_VERTICES, boundary_triangles
 from fracture_collision.records import FractureEvent
 from oracles.convex_cells import nearest_on_triangles
-from oracles.fragmented_body import CRACK, ORIGINAL, FragmentedBody
-
-LOCAL_SURFACE = (ORIGINAL, CRACK)  # the paper does not know steps
+from oracles.fragmented_body import FragmentedBody
 
 SHORTER = 1e-12  # of R: a smaller reduction is rounding
 
@@ -45,7 +43,7 @@ class AveragedField:
         body.apply(event)
         new_edges = {tuple(sorted(e)) for e in np.asarray(event.cut_edges).reshape(-1, 2).tolist()}
         polygons = {
-            f: body.surface_polygons(f, LOCAL_SURFACE) for f in np.asarray(event.new_fragment_ids, dtype=int).tolist()
+            f: body.surface_polygons(f) for f in np.asarray(event.new_fragment_ids, dtype=int).tolist()
         }
         front: set[int] = set()
         for t, nodes in enumerate(body.tetrahedra):
@@ -70,7 +68,7 @@ class AveragedField:
         """Depth [m] and direction in tetrahedron t that holds x, before the grid of the whole body caps it."""
         nodes = self.body.tetrahedra[t].tolist()
         if len({int(f) for f in self.body.labels[nodes]}) > 1:
-            surface = [p for p in self.body.surface_polygons(fragment, LOCAL_SURFACE) if p.tetrahedron == t]
+            surface = [p for p in self.body.surface_polygons(fragment) if p.tetrahedron == t]
             if surface:
                 distance, nearest = nearest_on_triangles(x[None], _triangles(surface))
                 return float(distance[0]), (nearest[0] - x) / distance[0]
@@ -99,10 +97,6 @@ class AveragedField:
 
 
 def _triangles(polygons: list) -> np.ndarray:
-    fans = [
-        np.stack((np.broadcast_to(p.points[0], (len(p.points) - 2, 3)), p.points[1:-1], p.points[2:]), axis=1)
-        for p in polygons
-    ]
-    triangles = np.concatenate(fans) if fans else np.zeros((0, 3, 3))
+    triangles = np.array([p.points for p in polygons]).reshape(-1, 3, 3)
     areas = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     return triangles[np.any(areas != 0.0, axis=1)]

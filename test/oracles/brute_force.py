@@ -1,8 +1,9 @@
 """The slow oracle's questions for millions of points: who owns a point, how far is a surface. Compiled loops over
-arrays, written from the margin rule of docs/numerics.md alone; nothing is shared with fracture_collision.core.
+arrays; nothing is shared with fracture_collision.core.
 
 Nothing is clever here: a point's tetrahedron is the best of all whose boxes hold it, a distance the smallest of those
-to all triangles. Triangles whose boxes are farther than the best so far are not measured, which changes no result.
+to all triangles. Triangles whose boxes are farther than the best so far are not measured, which changes no result. In a
+tetrahedron the owner is that of the best of its 24 parts.
 """
 
 from __future__ import annotations
@@ -12,14 +13,12 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from fracture_collision.geometry.tetrahedra import EDGE_VERTICES
-from oracles.fragmented_body import FragmentedBody
+from oracles.fragmented_body import NO_VOLUME, FragmentedBody
 
 # A point this close to a face, in barycentric weight, may be answered from the tetrahedron on either side.
 SHARED = 1e-9
 # Thinner triangles (area against squared length) have no usable normal; their rims stand for them.
 THIN = 1e-11
-FIRST, SECOND = (np.ascontiguousarray(EDGE_VERTICES[:, i]) for i in (0, 1))
 
 
 class Partition(NamedTuple):
@@ -28,8 +27,10 @@ class Partition(NamedTuple):
     to_weights: np.ndarray  # (m, 4, 4): weights of a point x are to_weights[t] @ (x, 1)
     boxes: np.ndarray  # (m, 6) [m] lower and upper corner
     labels: np.ndarray  # (m, 4) fragment id of each corner
-    planes: np.ndarray  # (m, 6, 4) unit normal from an edge's first local vertex to its second, offset [m]
-    is_cut: np.ndarray  # (m, 6) bool
+    row: np.ndarray  # (m,) in the next three, -1 where one fragment has all of the tetrahedron
+    part_labels: np.ndarray  # (c, 24) fragment id of each part
+    part_shares: np.ndarray  # (c, 24) its volume, as a share of the tetrahedron's
+    to_part: np.ndarray  # (c, 24, 4, 4): weights in a part of a point with weights w in the tetrahedron are w @ to_part
     origin: np.ndarray  # (3,) [m] of a grid of cubes over the body
     cell: float  # [m]
     dims: np.ndarray  # (3,)
@@ -38,22 +39,16 @@ class Partition(NamedTuple):
 
 
 def partition_of(body: FragmentedBody) -> Partition:
-    """The present state of the slow oracle, as arrays: its vertices, tetrahedra, node labels and planes."""
+    """The present state of the slow oracle, as arrays: its vertices, tetrahedra, node labels and crack points."""
     corners = body.vertices[body.tetrahedra]
     to_weights = np.linalg.inv(np.concatenate((corners, np.ones((len(corners), 4, 1))), axis=2)).transpose(0, 2, 1)
     boxes = np.concatenate((corners.min(axis=1), corners.max(axis=1)), axis=1)
-    planes = np.zeros((len(corners), 6, 4))
-    is_cut = np.zeros((len(corners), 6), dtype=bool)
-    ends = np.stack((body.tetrahedra[:, FIRST], body.tetrahedra[:, SECOND]), axis=2)
-    for t, e in np.argwhere(body.labels[ends[..., 0]] != body.labels[ends[..., 1]]).tolist():
-        a, b = ends[t, e].tolist()
-        planes[t, e] = body.planes[a, b] if a < b else -body.planes[b, a]
-        is_cut[t, e] = True
     origin, upper = boxes[:, :3].min(axis=0), boxes[:, 3:].max(axis=0)
     cell = float((np.prod(upper - origin) / len(boxes)) ** (1.0 / 3.0))
     dims = np.floor((upper - origin) / cell).astype(np.int64) + 1
     begin, tets = _tetrahedra_of_cells(boxes, origin, cell, dims)
-    return Partition(np.ascontiguousarray(to_weights), boxes, body.labels[body.tetrahedra], planes, is_cut,
+    return Partition(np.ascontiguousarray(to_weights), boxes, body.labels[body.tetrahedra], body.parts.row,
+                     body.parts.labels, body.parts.share, np.ascontiguousarray(body.parts.to_part),
                      origin, cell, dims, begin, tets)  # fmt: skip
 
 
@@ -88,27 +83,26 @@ def _tetrahedra_of_cells(boxes, origin, cell, dims):
 
 
 @njit(cache=True)
-def _owner_in(labels, planes, is_cut, x, y, z):
-    """The corner label of the largest margin, the smallest at a tie."""
-    owner, largest = -1, -np.inf
-    for i in range(4):
-        f = labels[i]
-        margin = np.inf
-        for e in range(6):
-            a, b = labels[FIRST[e]], labels[SECOND[e]]
-            if is_cut[e] and (a == f or b == f):
-                height = planes[e, 0] * x + planes[e, 1] * y + planes[e, 2] * z - planes[e, 3]
-                margin = min(margin, height if b == f else -height)
-        if margin > largest or (margin == largest and f < owner):
-            owner, largest = f, margin
+def _owner_in(labels, shares, to_part, w):
+    """The label of the part that holds the point of weights w best; the smaller one at a tie."""
+    owner, best = -1, -np.inf
+    for p in range(len(labels)):
+        if shares[p] <= NO_VOLUME:
+            continue
+        least = np.inf
+        for v in range(4):
+            column = to_part[p, :, v]
+            least = min(least, w[0] * column[0] + w[1] * column[1] + w[2] * column[2] + w[3] * column[3])
+        if least > best or (least == best and labels[p] < owner):
+            owner, best = labels[p], least
     return owner
 
 
 def owners(body: Partition, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The fragment id (n,) that each point [m] belongs to, 0 outside; and whether all tetrahedra that hold it agree.
 
-    A point on a face that two tetrahedra share gets the owner of the one that holds it best; where planes disagree
-    between the two, either is right, and the second array is False.
+    A point on a face that two tetrahedra share gets the owner of the one that holds it best; as near to a crack as
+    SHARED, rounding may part the two, and the second array is False.
     """
     return _owners(body, np.ascontiguousarray(points, dtype=np.float64))
 
@@ -117,6 +111,7 @@ def owners(body: Partition, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 def _owners(body, points):
     found = np.zeros(len(points), dtype=np.int64)
     certain = np.ones(len(points), dtype=np.bool_)
+    w = np.empty(4)
     for n in range(len(points)):
         x, y, z = points[n]
         i = int(np.floor((x - body.origin[0]) / body.cell))
@@ -129,13 +124,15 @@ def _owners(body, points):
         first = -1
         for e in range(body.cell_begin[c], body.cell_begin[c + 1]):
             t = body.cell_tets[e]
-            w = body.to_weights[t]
-            least = np.inf
+            of_x = body.to_weights[t]
             for q in range(4):
-                least = min(least, w[q, 0] * x + w[q, 1] * y + w[q, 2] * z + w[q, 3])
+                w[q] = of_x[q, 0] * x + of_x[q, 1] * y + of_x[q, 2] * z + of_x[q, 3]
+            least = w.min()
             if least < -SHARED:
                 continue
-            owner = _owner_in(body.labels[t], body.planes[t], body.is_cut[t], x, y, z)
+            owner, row = body.labels[t, 0], body.row[t]
+            if row >= 0:
+                owner = _owner_in(body.part_labels[row], body.part_shares[row], body.to_part[row], w)
             if first >= 0 and owner != first:
                 certain[n] = False
             first = owner

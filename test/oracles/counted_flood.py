@@ -12,10 +12,10 @@ import numpy as np
 from numba import njit
 
 from fracture_collision.core.closest_point import closest_on_triangle
-from fracture_collision.core.cut_tetrahedron import FACE_VERTICES, INTERFACE
+from fracture_collision.core.cut_tetrahedron import FACE_VERTICES
 from fracture_collision.core.flood import least_distance_squared
 from fracture_collision.core.point_location import holds_fragment
-from fracture_collision.core.pools import CUT, Pools
+from fracture_collision.core.pools import OLD_FACE, Pools
 
 
 def count_floods(
@@ -51,7 +51,7 @@ def _counted_flood(pools, f, start, x, y, z, limit):
     while len(queue) and queue[0][0] < best:
         t = heapq.heappop(queue)[1]
         taken += 1
-        if body.tet_fragment[t + shift] != CUT:
+        if body.tet_fragment[t + shift] >= 0:
             for face in range(4):
                 if mesh.neighbours[t, face] < 0 and _height_squared(mesh, t, face, x, y, z) <= best:
                     c = mesh.nodes[mesh.tetrahedra[t][FACE_VERTICES[face]]].ravel()
@@ -59,12 +59,12 @@ def _counted_flood(pools, f, start, x, y, z, limit):
                     measured += 1
         face, farther = -1, False
         for i in range(body.cut_begin[t + shift], body.cut_begin[t + shift] + body.cut_count[t + shift]):
-            if body.front[i] != f and (body.kind[i] != INTERFACE or body.back[i] != f):
+            if body.front[i] != f and body.back[i] != f:
                 continue
-            if body.kind[i] != INTERFACE:
+            if body.kind[i] >= OLD_FACE:
                 if body.kind[i] != face:
                     face = body.kind[i]
-                    farther = _height_squared(mesh, t, face, x, y, z) > best
+                    farther = _height_squared(mesh, t, face - OLD_FACE, x, y, z) > best
                 if farther:
                     continue
             p = body.faces[i]

@@ -12,10 +12,11 @@ import numpy as np
 
 from fracture_collision.geometry.tetrahedra import EDGE_VERTICES
 from oracles.convex_cells import distances_to_triangles
-from oracles.fragmented_body import STEP, FragmentedBody
+from oracles.fragmented_body import FragmentedBody, SurfacePolygon
 
 TIMES_NEAREST = 3.0
 FARTHER = 0.03
+OBLIQUE, LITTLE = 4.0, 1e-4
 # Two polygons this much of R apart in distance are equally near: rounding may choose either.
 TIE = 1e-9
 
@@ -30,15 +31,8 @@ class SharedCrack:
 
     def __init__(self, body: FragmentedBody, f: int, g: int) -> None:
         self._body, self._f, self._g = body, f, g
-        triangles, source = [], []
-        for polygon in body.surface_polygons(f):
-            if polygon.other == g:
-                for k in range(1, len(polygon.points) - 1):
-                    triangles.append(polygon.points[[0, k, k + 1]])
-                    source.append(polygon)
-        keep = [i for i, (a, b, c) in enumerate(triangles) if np.any(np.cross(b - a, c - a) != 0.0)]
-        self._triangles = np.array([triangles[i] for i in keep]).reshape(-1, 3, 3)
-        self._polygons = [source[i] for i in keep]
+        self._polygons = [polygon for polygon in body.surface_polygons(f) if polygon.other == g]
+        self._triangles = np.array([polygon.points for polygon in self._polygons]).reshape(-1, 3, 3)
         self._border = body.surface_triangles(f)
         self._radius = 0.5 * float(np.ptp(body.vertices, axis=0).max())
 
@@ -54,27 +48,17 @@ class SharedCrack:
         distance, _ = distances_to_triangles(x, self._triangles)
         if distance.min() > within:
             return []
-        answers = []
+        answers, longest = [], within if depth >= 0.0 else near
         for i in np.flatnonzero(distance <= distance.min() + TIE * self._radius):
             normal = self._direction(self._polygons[i])
             length = self._first_crossing(x, normal if depth >= 0.0 else -normal)
-            found = length <= (within if depth >= 0.0 else near)
+            found = length <= min(longest, OBLIQUE * distance[i] + LITTLE * self._radius)
             answers.append(Turned(normal, float(np.copysign(length, depth)) if found else float("nan")))
         return answers
 
     def _direction(self, polygon) -> np.ndarray:
         total = self._sum_of_planes(polygon.tetrahedron)
-        if not total.any() and polygon.kind == STEP:
-            for t in self._body.neighbours[polygon.tetrahedron]:
-                if t >= 0 and self._holds(int(t), polygon.points):
-                    total = self._sum_of_planes(int(t))
-        if not total.any():
-            total = np.cross(polygon.points[1] - polygon.points[0], polygon.points[2] - polygon.points[0])
-        return total / np.linalg.norm(total)
-
-    def _holds(self, t: int, points: np.ndarray) -> bool:
-        weights = np.column_stack((points, np.ones(len(points)))) @ self._body._to_barycentric[t]
-        return bool(weights.min() > -1e-9)
+        return total / np.linalg.norm(total) if total.any() else _normal_of(polygon)
 
     def _sum_of_planes(self, t: int) -> np.ndarray:
         """Of the cut edges of tetrahedron t between the two, each plane's normal out of f."""
@@ -100,3 +84,8 @@ class SharedCrack:
             length = (v * q).sum(axis=1) * inverse
             hit = (first >= -1e-9) & (second >= -1e-9) & (first + second <= 1.0 + 1e-9) & (length >= 0.0)
         return float(length[hit].min()) if hit.any() else float("inf")
+
+
+def _normal_of(polygon: SurfacePolygon) -> np.ndarray:
+    normal = np.cross(polygon.points[1] - polygon.points[0], polygon.points[2] - polygon.points[0])
+    return normal / np.linalg.norm(normal)

@@ -88,7 +88,7 @@ def _copy(node: Node, fragment_of: dict[int, int], fragment: int) -> Node | None
 def _restructure(node: Node, ordered: bool) -> None:
     lost = all(leaf.sample != node.sample for leaf in node.leaves())
     if lost and ordered:
-        closest = min(node.leaves(), key=lambda leaf: _distance(leaf.center, node.center))
+        closest = min(node.leaves(), key=lambda leaf: _squared(leaf.center, node.center))
         branch = node
         while branch is not closest:
             branch.take_point_of(closest)
@@ -112,3 +112,8 @@ def _insert(root: Node, new: Node, under: int, ordered: bool) -> None:
     ):
         at -= 1
     branch[at].added.append(new)
+
+
+def _squared(p: tuple, q: tuple) -> float:
+    """For the nearest of several: a root could make two equal that are not."""
+    return (p[0] - q[0]) ** 2 + (p[1] - q[1]) ** 2 + (p[2] - q[2]) ** 2
