@@ -75,7 +75,7 @@ def draw(rows: Sequence[Line], png: Path) -> None:
     for row in (grid[0], grid[3]):
         _same_limits(row)
     grid[0][0].legend(handles=_family_handles(), fontsize=7, loc="lower left", framealpha=0.9)
-    grid[2][0].legend(handles=_setting_handles(), fontsize=7, loc="upper right", framealpha=0.9)
+    grid[2][0].legend(handles=_setting_handles(), fontsize=7, loc="lower left", framealpha=0.9)
     _finish(figure, rows, labels, png)
 
 
