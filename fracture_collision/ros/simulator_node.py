@@ -21,6 +21,7 @@ from fracture_collision.ros.process import Fatal, run_node
 from fracture_collision.ros.timing_files import SIMULATOR_COLUMNS
 from fracture_collision.simulation.scene import SceneError, load_scene
 from fracture_collision.simulation.simulation import Simulation
+from fracture_collision.simulation.warm_up import compile_kernels
 
 # Asking again: the first pause covers a service that compiles a kernel, the last one that is started by hand.
 FIRST_PAUSE = 1.0  # [s]
@@ -192,6 +193,8 @@ def _work(node: SimulatorNode) -> None:
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     try:
+        # else the first step that is timed loads them
+        compile_kernels(lambda what: node.get_logger().info(f"loading kernels; {what}"))
         node.run(executor)
     finally:
         node.finish()
