@@ -13,7 +13,7 @@ from rclpy.executors import SingleThreadedExecutor
 
 from fracture_collision.records import ContactConstraintArray, FragmentRegistry
 from fracture_collision.ros import qos
-from fracture_collision.ros.conversion import header, to_message, to_record
+from fracture_collision.ros.conversion import heading, to_message, to_record
 
 PATIENCE = 60.0  # [s] for a machine that is busy with other things
 
@@ -56,7 +56,11 @@ class ServiceClient:
         self.spin_until(lambda: self._publishers["fragment_states"].get_subscription_count() == 1, "a service")
 
     def publish(self, topic: str, record: Any, run_id: int, time_stamp: float = 0.0) -> None:
-        self._publishers[topic].publish(to_message(record, header(time_stamp), run_id))
+        self._publishers[topic].publish(to_message(record, heading(time_stamp), run_id))
+
+    def publish_bytes(self, topic: str, data: bytes) -> None:
+        """As they are, whatever they are."""
+        self._publishers[topic].publish(data)
 
     def ask(self, states: Any, run_id: int) -> ContactConstraintArray:
         """Publishes states and waits for their answer."""

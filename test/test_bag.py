@@ -16,7 +16,7 @@ from fracture_collision import msg as messages
 from fracture_collision.bag.reader import message_counts, read_messages, topic_digest
 from fracture_collision.bag.writer import BagTopic, BagWriter, OfferedQos
 from fracture_collision.records import ContactConstraintArray, FragmentStates
-from fracture_collision.ros.conversion import header, to_message
+from fracture_collision.ros.conversion import heading, to_message
 from fracture_collision.ros.message_definitions import message_definition, type_hash, type_name
 
 RANDOM = np.random.default_rng(5)
@@ -53,7 +53,7 @@ def recording(steps: int = 40) -> list[tuple[str, bytes, int]]:
     result = [("/bodies", serialize_message(body), 0)]
     for step in range(steps):
         for name, record in (("/fragment_states", states(step)), ("/contact_constraints", contacts(step))):
-            data = serialize_message(to_message(record, header(step * 0.0025), run_id=9))
+            data = serialize_message(to_message(record, heading(step * 0.0025), run_id=9))
             result.append((name, data, step * STEP_NS))
     return result
 

@@ -187,3 +187,55 @@ def test_stopped_in_the_middle_it_says_so_and_keeps_what_was_done(tmp_path: Path
     assert 0 < done < 240_000 and not report["finished"]
     assert f"stopped after {done} of 240000 steps" in text
     assert len((out / "steps.csv").read_text().splitlines()) == done + 1
+
+
+# SIGINT where numba hands LLVM a kernel: an exception there is swallowed, and the kernel's address is null.
+SIGNAL_WHILE_LOADING = """
+import os, signal, sys
+from numba.core.codegen import CPUCodeLibrary
+hand_over = CPUCodeLibrary._object_getbuffer_hook
+kernels = []
+def interrupted(module):
+    kernels.append(module)
+    if len(kernels) == 3:
+        os.kill(os.getpid(), signal.SIGINT)
+    return hand_over(module)
+CPUCodeLibrary._object_getbuffer_hook = interrupted
+"""
+
+
+def run_code(*lines: str) -> subprocess.CompletedProcess[str]:
+    code = SIGNAL_WHILE_LOADING + "\n".join(lines)
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=280.0)
+
+
+def test_a_signal_while_kernels_are_loaded_ends_it_at_once(tmp_path: Path) -> None:
+    words = ["scene", "pane", "--out", str(tmp_path / "out"), "--no-pictures"]
+    done = run_code("from fracture_collision.cli import main", f"main({words!r})")
+    assert done.returncode == 130 and "Traceback" not in done.stderr, done.stderr
+    assert "stopped after 0 of 60 steps" in done.stdout
+
+
+def test_a_signal_that_is_held_interrupts_no_kernel() -> None:
+    done = run_code(
+        "import click",
+        "from rich.console import Console",
+        "from fracture_collision.cli.console import Interruption",
+        "from fracture_collision.simulation.warm_up import compile_kernels",
+        "@click.command()",
+        "def command():",
+        "    interruption = Interruption(Console(), 'at once')",
+        "    try:",
+        "        with interruption.held():",
+        "            compile_kernels(lambda words: None)",
+        "            print(len(kernels), 'kernels')",
+        "            interruption.check()",
+        "            print('not checked')",
+        "    except KeyboardInterrupt:",
+        "        print('checked')",
+        "        os.kill(os.getpid(), signal.SIGTERM)",
+        "command()",
+    )
+    said = done.stdout.splitlines()
+    assert done.returncode == 130, done.stderr
+    assert int(said[-4].split()[0]) > 3 and said[-3:] == ["checked", "", "at once"]

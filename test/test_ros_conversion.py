@@ -14,7 +14,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from fracture_collision import records
 from fracture_collision.ros import qos
 from fracture_collision.ros.cdr_padding import zero_padding
-from fracture_collision.ros.conversion import array_bytes, header, to_message, to_record
+from fracture_collision.ros.conversion import array_bytes, heading, to_message, to_record
 from fracture_collision.share import share_directory
 from fracture_collision.world import Settings
 
@@ -64,7 +64,7 @@ def assert_same(a: Any, b: Any) -> None:
 
 @pytest.mark.parametrize("record", EXAMPLES, ids=lambda record: type(record).__name__)
 def test_round_trip_over_the_wire(record: Any) -> None:
-    message = to_message(record, header(1.25), run_id=2**64 - 1)
+    message = to_message(record, heading(1.25), run_id=2**64 - 1)
     received = deserialize_message(serialize_message(message), type(message))
     assert_same(record, to_record(received))
     assert received.run_id == 2**64 - 1
@@ -82,18 +82,18 @@ def test_record_fields_are_those_of_the_messages() -> None:
 
 def test_stamp_is_exact_to_the_nanosecond() -> None:
     for step in (1, 3, 479, 1_000_001):
-        stamp = header(step * 0.0025).stamp
+        stamp = heading(step * 0.0025)
         assert stamp.sec * 10**9 + stamp.nanosec == step * 2_500_000
 
 
 def test_arrays_of_the_wrong_shape_are_an_error() -> None:
     with pytest.raises(ValueError, match="flat"):
-        to_message(EXAMPLES[3]._replace(positions=np.zeros((3, 3))), header(0.0), 1)
+        to_message(EXAMPLES[3]._replace(positions=np.zeros((3, 3))), heading(0.0), 1)
 
 
 def serialized_examples() -> list[Any]:
     nested = DiagnosticArray(status=[DiagnosticStatus(name="abc", values=[KeyValue(key="k", value="words")] * 3)] * 2)
-    return [to_message(record, header(1.25), 7) for record in EXAMPLES] + [nested]
+    return [to_message(record, heading(1.25), 7) for record in EXAMPLES] + [nested]
 
 
 @pytest.mark.parametrize("message", serialized_examples(), ids=lambda message: type(message).__name__)
@@ -124,7 +124,7 @@ def zero_padding_or_none(data: bytes, message_class: Any) -> bytes | None:
 
 
 def test_what_is_no_message_has_no_padding() -> None:
-    data = zero_padding(serialize_message(to_message(EXAMPLES[3], header(1.25), 7)), qos.FRAGMENT_STATES.message_class)
+    data = zero_padding(serialize_message(to_message(EXAMPLES[3], heading(1.25), 7)), qos.FRAGMENT_STATES.message_class)
     for wrong in (b"", data[:-1], data[:30], b"\x00\x00" + data[2:]):
         with pytest.raises(ValueError, match="no serialized FragmentStates"):
             zero_padding(wrong, qos.FRAGMENT_STATES.message_class)
@@ -136,7 +136,7 @@ def test_large_arrays_convert_at_memory_speed() -> None:
     best = float("inf")
     for _ in range(5):
         started = time.perf_counter()
-        message = to_message(contacts, header(0.0), 1)
+        message = to_message(contacts, heading(0.0), 1)
         to_record(message)
         best = min(best, time.perf_counter() - started)
     # 14 MB: 10 ms at memory speed; a walk over 1.8 million elements takes ten times as long.

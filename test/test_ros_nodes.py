@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,8 +15,9 @@ from ros_client import ServiceClient
 from test_ros_collision_run import FIRST, SECOND, STATES, breakable_body, expected_contacts, field_bytes, ground
 
 from fracture_collision.records import BOX, INVALID_STATES, CollisionBody, SolidPrimitive
-from fracture_collision.ros.conversion import header, to_message, to_record
-from fracture_collision.ros.node_process import NodeProcess, free_domain_id
+from fracture_collision.ros.cdr_records import serialize_record
+from fracture_collision.ros.conversion import heading, to_message, to_record
+from fracture_collision.ros.node_process import NodeProcess, free_domain_id, loopback_environment
 
 RUN = 41
 LARGEST_MESSAGE = 100_000  # [bytes]
@@ -59,7 +62,7 @@ def test_answers_are_those_of_the_library(service: NodeProcess, client: ServiceC
     client.await_service()
     tell_all(client, RUN)
     first = client.ask(STATES, RUN)
-    assert field_bytes(first) == field_bytes(to_record(to_message(expected_contacts(), header(0.0), RUN)))
+    assert field_bytes(first) == field_bytes(to_record(to_message(expected_contacts(), heading(0.0), RUN)))
     registry = client.await_registry(RUN, 2)
     assert registry.fragment_ids.tolist() == [2, 10, 12, 13] and len(registry.digest) == 64
 
@@ -114,6 +117,15 @@ def test_bad_input_is_refused_in_words_and_changes_nothing(service: NodeProcess,
         assert refused.status == INVALID_STATES and len(refused.gaps) == 0
         client.await_refusal(f"fragment_states: {kind}", words)
 
+    data = serialize_record(STATES, heading(0.0), RUN)
+    for wrong, kind, words in (
+        (data[:-24], "malformed", f"{len(data) - 24} bytes are too few"),
+        (b"\x07\x07" + data[2:], "malformed", "no serialized FragmentStates"),
+        (data + bytes(LARGEST_MESSAGE), "limit_exceeded", "max_message_bytes"),
+    ):
+        client.publish_bytes("fragment_states", wrong)
+        client.await_refusal(f"fragment_states: {kind}", words)
+
     client.publish("bodies", breakable_body()._replace(body_id=9, fragment_id=90, density=-1.0), RUN)
     client.await_refusal("bodies: out_of_range", "density")
     client.publish("bodies", breakable_body()._replace(body_id=9, fragment_id=90, vertices=np.zeros(12_501)), RUN)
@@ -157,6 +169,30 @@ def test_ends_cleanly_when_told(service: NodeProcess, client: ServiceClient, ord
     service.send_signal(order)
     assert service.wait(10.0) == 0
     assert "Traceback" not in service.log_text()
+
+
+@pytest.mark.parametrize("order", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_kernels_are_loaded_ends_it_at_once(domain_id: int, order: signal.Signals) -> None:
+    """Sent where numba hands LLVM a kernel: an exception there is swallowed, and the kernel's address is null."""
+    code = f"""
+import os, sys
+from numba.core.codegen import CPUCodeLibrary
+hand_over = CPUCodeLibrary._object_getbuffer_hook
+kernels = []
+def interrupted(module):
+    kernels.append(module)
+    if len(kernels) == 3:
+        os.kill(os.getpid(), {int(order)})
+    return hand_over(module)
+CPUCodeLibrary._object_getbuffer_hook = interrupted
+from fracture_collision.ros.collision_node import main
+sys.exit(main())
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120.0, env=loopback_environment(domain_id)
+    )
+    assert done.returncode == 0 and "Traceback" not in done.stderr, done.stderr
+    assert "ready" not in done.stderr
 
 
 def test_answers_within_three_seconds_of_its_start(client: ServiceClient, domain_id: int, tmp_path: Path) -> None:

@@ -17,8 +17,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import rclpy
 from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.serialization import deserialize_message, serialize_message
 
 from benchmarks.peers.worlds import World
 from benchmarks.scaling.growth import Progress, silent
@@ -26,8 +24,10 @@ from benchmarks.scaling.piles import Pile, make_pile
 from fracture_collision.records import FragmentStates
 from fracture_collision.ros import qos
 from fracture_collision.ros.acknowledged_publisher import AcknowledgedPublisher
-from fracture_collision.ros.conversion import header, to_message, to_record
+from fracture_collision.ros.cdr_records import Received, deserialize_record, serialize_record
+from fracture_collision.ros.conversion import heading, to_message
 from fracture_collision.ros.node_process import NodeProcess, free_domain_id
+from fracture_collision.ros.prompt_executor import PromptExecutor
 from fracture_collision.ros.timing_files import SERVICE_COLUMNS
 
 FRAGMENTS = 166  # as drop_bunnies has at its end
@@ -51,8 +51,7 @@ class RoundTripRow(NamedTuple):
     beyond_empty: float  # likewise of states that name no fragment, asked in turn with the others: what is of no size
     in_service: float  # of `beyond`: contacts to message and publishing
     acknowledgement: float  # before all: until everybody had acknowledged the last states
-    serialization: float  # states and contacts, each to bytes and back, here
-    conversion: float  # states and contacts, each from record to message and back, here
+    serialization: float  # states and contacts, each from record to bytes and back, here
     answer_bytes: int
 
 
@@ -76,27 +75,26 @@ class _Simulator:
         self._context = Context()
         rclpy.init(context=self._context, domain_id=domain_id)
         self._node = rclpy.create_node("round_trips", context=self._context)
-        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor = PromptExecutor(context=self._context)
         self._executor.add_node(self._node)
         self._bodies, self._events = (
             self._node.create_publisher(topic.message_class, topic.name, topic.qos)
             for topic in (qos.BODIES, qos.FRACTURE_EVENTS)
         )
         self._states = AcknowledgedPublisher(self._node, qos.FRAGMENT_STATES)
-        self._node.create_subscription(
-            qos.CONTACT_CONSTRAINTS.message_class, qos.CONTACT_CONSTRAINTS.name, self._take, qos.CONTACT_CONSTRAINTS.qos
-        )
-        self.contacts: Any = None
-        self.message: Any = None
+        topic = qos.CONTACT_CONSTRAINTS
+        self._node.create_subscription(topic.message_class, topic.name, self._take, topic.qos, raw=True)
+        self.answer: Received | None = None
+        self.answer_bytes = 0
 
     def close(self) -> None:
         self._executor.shutdown()
         self._node.destroy_node()
         self._context.try_shutdown()
 
-    def _take(self, message: Any) -> None:
-        self.message = message
-        self.contacts = to_record(message)
+    def _take(self, data: bytes) -> None:
+        self.answer = deserialize_record(data, qos.CONTACT_CONSTRAINTS.message_class)
+        self.answer_bytes = len(data)
 
     def await_subscribers(self, count: int) -> None:
         deadline = time.monotonic() + PATIENCE
@@ -108,18 +106,18 @@ class _Simulator:
     def tell(self, pile: Pile) -> None:
         for publisher, records in ((self._bodies, pile.bodies), (self._events, pile.events)):
             for record in records:
-                publisher.publish(to_message(record, header(0.0), RUN_ID))
+                publisher.publish(to_message(record, heading(0.0), RUN_ID))
 
     def ask(self, states: Any) -> tuple[float, float]:
         """[s] until the last states are acknowledged, and from publishing these to their answer."""
-        message = to_message(states, header(0.005 * states.step), RUN_ID)
-        self.contacts = None
+        data = serialize_record(states, heading(0.005 * states.step), RUN_ID)
+        self.answer = None
         began = time.perf_counter()
         self._states.settle()
         published = time.perf_counter()
-        self._states.publish(message)
+        self._states.publish(data)
         deadline = time.monotonic() + PATIENCE
-        while self.contacts is None or self.contacts.step != states.step:
+        while self.answer is None or self.answer.record.step != states.step:
             if time.monotonic() > deadline:
                 raise RuntimeError(f"no answer to step {states.step}")
             self._executor.spin_once(timeout_sec=1.0)
@@ -146,22 +144,22 @@ def _measure(pile: Pile, steps: int, recorder: bool) -> RoundTripRow:
         simulator.await_subscribers(2 if recorder else 1)
         simulator.tell(pile)
         # one more, since the order to stop may come before the service has noted the last one's times
-        its, contacts = [], None
+        its, contacts, answer_bytes = [], None, 0
         for step in _paced(2 * (WARM_UP + steps) + 1):
             its.append(simulator.ask(_moved(pile, step) if step % 2 else _nobody(pile, step)))
-            contacts = simulator.message if step % 2 else contacts
+            if step % 2:
+                contacts, answer_bytes = simulator.answer.record, simulator.answer_bytes
         if service.stop():
             raise RuntimeError(service.log_text())
         acknowledgement, round_trip = np.array(its[2 * WARM_UP : -1]).T
         rows = dict(zip(SERVICE_COLUMNS, np.load(times_file)[2 * WARM_UP : 2 * (WARM_UP + steps)].T, strict=True))
     beyond, empty = np.reshape(round_trip - rows["collision"] - rows["update"], (steps, 2)).T
     computation, conversion = rows["collision"][::2], rows["conversion"][::2]
-    states = to_message(pile.states, header(0.0), RUN_ID)
     return RoundTripRow(
         recorder, len(pile.states.fragment_ids), len(contacts.gaps), steps, _ms(computation), _ms(beyond),
         1e3 * float(beyond.max()), _ms(empty), _ms(conversion), _ms(acknowledgement),
-        sum(_serialization(m) for m in (states, contacts)), sum(_conversion(m) for m in (states, contacts)),
-        len(serialize_message(contacts)),
+        _serialization(pile.states, qos.FRAGMENT_STATES) + _serialization(contacts, qos.CONTACT_CONSTRAINTS),
+        answer_bytes,
     )  # fmt: skip
 
 
@@ -198,21 +196,16 @@ def _ms(seconds: np.ndarray) -> float:
     return 1e3 * float(np.median(seconds))
 
 
-def _serialization(message: Any) -> float:
+def _serialization(record: Any, topic: qos.Topic) -> float:
     """[ms] to bytes and back."""
-    return _timed(lambda: deserialize_message(serialize_message(message), type(message)))
 
+    def both() -> None:
+        deserialize_record(serialize_record(record, heading(0.0), RUN_ID), topic.message_class)
 
-def _conversion(message: Any) -> float:
-    """[ms] to a record and back."""
-    return _timed(lambda: to_message(to_record(message), message.header, RUN_ID))
-
-
-def _timed(call) -> float:
-    call()
+    both()
     times = []
     for _ in range(50):
         began = time.perf_counter()
-        call()
+        both()
         times.append(time.perf_counter() - began)
     return 1e3 * median(times)

@@ -1,9 +1,17 @@
-"""What the commands share: a progress bar, tables, and an end by Ctrl-C."""
+"""What the commands share: a progress bar, tables, and an end by Ctrl-C.
+
+A KeyboardInterrupt out of a signal handler comes between any two bytecodes, also those that run on behalf of compiled
+code: where numba hands LLVM a cached kernel it is swallowed, and the kernel's address is null; where numba boxes a
+result it is taken for an error of the interpreter's; and while modules are imported some of them swallow it. So
+commands that call kernels end by `Interruption`, which they make before they import any.
+"""
 
 from __future__ import annotations
 
+import os
 import signal
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from types import FrameType
 
 import click
@@ -14,23 +22,69 @@ from rich.table import Table
 from fracture_collision.run_report import TableRow
 
 INTERRUPTED = 130  # exit status, as a shell gives it after SIGINT
+SHOW_CURSOR = "\x1b[?25h"  # a progress bar hides it
+
+
+class Interruption:
+    """Until the command ends, SIGINT and SIGTERM end it where it can be ended: at the next `check` within `held`, at
+    once anywhere else, and at once too when they come a second time.
+
+    `parting`: what is said when it ends at once.
+    """
+
+    def __init__(self, console: Console, parting: str) -> None:
+        self.parting = parting
+        self._console = console
+        self._holding = False
+        self._asked = False
+        _until_the_command_ends(self._on_signal)
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """For work that leaves something worth keeping when it is stopped half way; it has to call `check` often, and
+        the end of `held` does so once more.
+        """
+        self._holding = True
+        try:
+            yield
+        finally:
+            self._holding = False
+        self.check()
+
+    def check(self) -> None:
+        """Raises KeyboardInterrupt if a signal has come."""
+        if self._asked:
+            raise KeyboardInterrupt
+
+    def _on_signal(self, _signal: int, _frame: FrameType | None) -> None:
+        if self._holding and not self._asked:
+            self._asked = True
+            return
+        # Neither by an exception nor through a stream, in the middle of whose work this may be.
+        words = f"{SHOW_CURSOR if self._console.is_terminal else ''}\n{self.parting}\n"
+        os.write(self._console.file.fileno(), words.encode())
+        os._exit(INTERRUPTED)
 
 
 def interrupt_on_signals() -> None:
     """Until the command ends SIGTERM raises KeyboardInterrupt, as SIGINT does: a shell starts what it puts into the
     background with SIGINT ignored.
     """
-    before = {order: signal.signal(order, _as_interrupt) for order in (signal.SIGINT, signal.SIGTERM)}
-
-    def restore() -> None:
-        for order, handler in before.items():
-            signal.signal(order, handler)
-
-    click.get_current_context().call_on_close(restore)
+    _until_the_command_ends(_as_interrupt)
 
 
 def _as_interrupt(_signal: int, _frame: FrameType | None) -> None:
     raise KeyboardInterrupt
+
+
+def _until_the_command_ends(handler: Callable[[int, FrameType | None], None]) -> None:
+    before = {order: signal.signal(order, handler) for order in (signal.SIGINT, signal.SIGTERM)}
+
+    def restore() -> None:
+        for order, former in before.items():
+            signal.signal(order, former)
+
+    click.get_current_context().call_on_close(restore)
 
 
 class ProgressBar:

@@ -13,10 +13,10 @@ from rich.console import Console
 
 from fracture_collision.cli.console import (
     INTERRUPTED,
+    Interruption,
     ProgressBar,
     beside_paper,
     figures_table,
-    interrupt_on_signals,
 )
 from fracture_collision.run_report import statistics_table, times_table
 
@@ -74,14 +74,14 @@ def scene(
       times.png        what each step took
       film_strip.png   the run in pictures
     """
+    console = Console()
+    interruption = Interruption(console, "stopped")
     # Imported late: --help should not wait for numba and matplotlib.
     from fracture_collision.scene_run import SceneRun
     from fracture_collision.simulation.scene import SceneError, load_scene
     from fracture_collision.simulation.scene_changes import with_curvature
     from fracture_collision.world.settings import check_settings
 
-    interrupt_on_signals()
-    console = Console()
     try:
         chosen = parse_settings(settings)._replace(threads=threads)
         check_settings(chosen)
@@ -96,23 +96,23 @@ def scene(
             (out / file).unlink(missing_ok=True)
     except (SceneError, ValueError, OSError) as error:
         raise click.ClickException(str(error)) from error
-    run = None
+    interruption.parting = f"stopped after 0 of {what.step_count} steps"
     try:
         with ProgressBar(console) as bar:
             bar.show(0, 0, 0.0, 0, 0, "bringing kernels into memory; after a change of the sources this takes minutes")
             run = SceneRun(what, chosen, seed, count_colliding)
-            with run:
+            with run, interruption.held():
                 for row in run:
                     bar.show(row.step + 1, what.step_count, row.time, row.fragments, row.contacts)
-        left = _leave(run, out, pictures, console)
+                    interruption.check()
     except KeyboardInterrupt:
-        done = 0 if run is None else len(run.rows)
-        words = f"stopped after {done} of {what.step_count} steps"
-        if done and done < what.step_count:
-            _leave(run, out, False, console)
-            words += f"; {out / 'report.json'} and {out / 'steps.csv'} are of those"
+        words = f"stopped after {len(run.rows)} of {what.step_count} steps"
+        _leave(run, out, False, console)
+        words += f"; {out / 'report.json'} and {out / 'steps.csv'} are of those"
         console.print(words, highlight=False, soft_wrap=True)
         sys.exit(INTERRUPTED)
+    interruption.parting = "stopped; not all that the run was to leave is there"
+    left = _leave(run, out, pictures, console)
     for file in left:
         console.print(f"  {file}", highlight=False)
 

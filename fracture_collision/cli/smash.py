@@ -11,7 +11,7 @@ import click
 from rich.console import Console
 from rich.table import Table
 
-from fracture_collision.cli.console import INTERRUPTED, ProgressBar, figures_table, interrupt_on_signals
+from fracture_collision.cli.console import INTERRUPTED, Interruption, ProgressBar, figures_table
 
 
 @click.command()
@@ -34,16 +34,21 @@ def smash(scene: str, out: Path, seed: int | None) -> None:
       report.json      the same as numbers
       logs/            what the nodes said
     """
+    console = Console()
+    interruption = Interruption(console, "stopped")
     # Imported late: --help should not wait for ROS, numba and matplotlib.
-    from fracture_collision.ros.smash_run import RunFailed, run_scene
+    from fracture_collision.ros.smash_run import Progress, RunFailed, run_scene
     from fracture_collision.viewer.film_strip import render_film_strip
     from fracture_collision.viewer.times_plot import plot_times
 
-    interrupt_on_signals()
-    console = Console()
     try:
-        with ProgressBar(console) as bar:
-            report = run_scene(scene, seed, out, lambda at: bar.show(*at))
+        with ProgressBar(console) as bar, interruption.held():
+
+            def progress(at: Progress) -> None:
+                interruption.check()
+                bar.show(*at)
+
+            report = run_scene(scene, seed, out, progress)
         (out / "report.json").write_text(json.dumps(report, indent=1))
         console.print(_table(report))
         with console.status("drawing pictures"):

@@ -9,23 +9,23 @@ from __future__ import annotations
 import sys
 import time
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
-from std_msgs.msg import Header
 
 from fracture_collision.records import INVALID_STATES, ContactConstraintArray, FragmentStates
 from fracture_collision.ros import qos
 from fracture_collision.ros.acknowledged_publisher import AcknowledgedPublisher
+from fracture_collision.ros.cdr_records import Received, deserialize_record, serialize_record
 from fracture_collision.ros.collision_run import CollisionRun, Refusal
-from fracture_collision.ros.conversion import array_bytes, to_message, to_record
+from fracture_collision.ros.conversion import Heading, array_bytes, to_message, to_record
 from fracture_collision.ros.diagnostics import AnswerTimes, RefusalCounts, diagnostic_array
 from fracture_collision.ros.parameters import declare_fixed, declare_settings
-from fracture_collision.ros.process import run_node
+from fracture_collision.ros.process import nothing_to_lose, run_node
+from fracture_collision.ros.prompt_executor import PromptExecutor
 from fracture_collision.ros.timing_files import SERVICE_COLUMNS
 from fracture_collision.world import InvalidMessage
 from fracture_collision.world.warm_up import cache_is_cold, compile_kernels
@@ -41,7 +41,7 @@ class CollisionNode(Node):
         self._phase = "starting"
         self._run: CollisionRun | None = None
         self._next_run: CollisionRun | None = None  # of events that came before the first body of their run
-        self._held: tuple[Header, int, FragmentStates] | None = None  # the newest states that cannot be answered yet
+        self._held: Received | None = None  # the newest states that cannot be answered yet
         self._registry_version: tuple[int, int, int, int] | None = None
         self._meshes_published: set[int] = set()
         self._refusals = RefusalCounts()
@@ -70,13 +70,14 @@ class CollisionNode(Node):
             self.get_logger().info(self._phase)
             self._publish_diagnostics()
 
-        compile_kernels(progress=progress)
-        for topic, callback in (
-            (qos.BODIES, self._on_body),
-            (qos.FRACTURE_EVENTS, self._on_fracture),
-            (qos.FRAGMENT_STATES, self._on_states),
+        with nothing_to_lose():
+            compile_kernels(progress=progress)
+        for topic, callback, raw in (
+            (qos.BODIES, self._on_body, False),
+            (qos.FRACTURE_EVENTS, self._on_fracture, False),
+            (qos.FRAGMENT_STATES, self._on_states, True),
         ):
-            self.create_subscription(topic.message_class, topic.name, callback, topic.qos)
+            self.create_subscription(topic.message_class, topic.name, callback, topic.qos, raw=raw)
         self._phase = "ready"
         self.get_logger().info(f"ready, {time.perf_counter() - started:.1f} s after its start")
         self._publish_diagnostics()
@@ -90,7 +91,7 @@ class CollisionNode(Node):
     # --- messages --------------------------------------------------------------------------------------------------
 
     def _on_body(self, message: qos.BODIES.message_class) -> None:
-        if not self._size_allowed(qos.BODIES, message):
+        if not self._size_allowed(qos.BODIES, array_bytes(message)):
             return
         if self._run is None or message.run_id != self._run.run_id:
             self._start_run(message.run_id)
@@ -98,7 +99,7 @@ class CollisionNode(Node):
         self._answer_held()
 
     def _on_fracture(self, message: qos.FRACTURE_EVENTS.message_class) -> None:
-        if not self._size_allowed(qos.FRACTURE_EVENTS, message):
+        if not self._size_allowed(qos.FRACTURE_EVENTS, array_bytes(message)):
             return
         run = self._run
         if run is None or message.run_id != run.run_id:
@@ -108,10 +109,14 @@ class CollisionNode(Node):
         self._note(run.add_fracture(to_record(message)))
         self._answer_held()
 
-    def _on_states(self, message: qos.FRAGMENT_STATES.message_class) -> None:
-        if not self._size_allowed(qos.FRAGMENT_STATES, message):
+    def _on_states(self, data: bytes) -> None:
+        if not self._size_allowed(qos.FRAGMENT_STATES, len(data)):
             return
-        self._held = (message.header, message.run_id, to_record(message))
+        try:
+            self._held = deserialize_record(data, qos.FRAGMENT_STATES.message_class)
+        except ValueError as error:
+            self._note([Refusal(qos.FRAGMENT_STATES.name, "malformed", str(error))])
+            return
         self._answer_held()
 
     def _start_run(self, run_id: int) -> None:
@@ -123,10 +128,10 @@ class CollisionNode(Node):
         self._meshes_published.clear()
         self.get_logger().info(f"run {run_id} begins")
 
-    def _size_allowed(self, topic: qos.Topic, message: Any) -> bool:
-        size, limit = array_bytes(message), self._settings.max_message_bytes
+    def _size_allowed(self, topic: qos.Topic, size: int) -> bool:
+        limit = self._settings.max_message_bytes
         if size > limit:
-            reason = f"{size} bytes of arrays, more than the parameter max_message_bytes, {limit}"
+            reason = f"{size} bytes, more than the parameter max_message_bytes, {limit}"
             self._note([Refusal(topic.name, "limit_exceeded", reason)])
         return size <= limit
 
@@ -141,34 +146,34 @@ class CollisionNode(Node):
 
     def _answer_held(self) -> None:
         """Answers the newest states if all they speak of is there."""
-        if self._held is None or self._run is None or self._held[1] != self._run.run_id:
+        if self._held is None or self._run is None or self._held.run_id != self._run.run_id:
             return
-        header, run_id, states = self._held
+        heading, run_id, states = self._held
         started = time.perf_counter()
         try:
             contacts = self._run.answer(states)
         except InvalidMessage as error:
             self._held = None
             self._note([Refusal(qos.FRAGMENT_STATES.name, error.kind, str(error))])
-            self._contacts.publish(to_message(_refusal_of(states), header, run_id))
+            self._contacts.publish(serialize_record(_refusal_of(states), heading, run_id))
             return
         if contacts is None:
             return
         self._held = None
         answered = time.perf_counter()
-        self._publish_registry(header, states.fracture_sequence)
-        self._contacts.publish(to_message(contacts, header, run_id))
+        self._publish_registry(heading, states.fracture_sequence)
+        self._contacts.publish(serialize_record(contacts, heading, run_id))
         self._record_times(states, answered - started, time.perf_counter() - answered)
-        self._publish_meshes(header)
+        self._publish_meshes(heading)
 
-    def _publish_registry(self, header: Header, fracture_sequence: int) -> None:
+    def _publish_registry(self, heading: Heading, fracture_sequence: int) -> None:
         run = self._run
         version = (run.run_id, fracture_sequence, len(run.body_ids), run.removals)
         if version != self._registry_version:
             self._registry_version = version
-            self._fragments.publish(to_message(run.world.fragments(), header, run.run_id))
+            self._fragments.publish(to_message(run.world.fragments(), heading, run.run_id))
 
-    def _publish_meshes(self, header: Header) -> None:
+    def _publish_meshes(self, heading: Heading) -> None:
         """Of fragments that have none on the topic yet, while somebody looks."""
         if self._meshes.subscriber_count == 0:
             return
@@ -176,7 +181,7 @@ class CollisionNode(Node):
             if fragment_id not in self._meshes_published:
                 self._meshes_published.add(fragment_id)
                 mesh = self._run.world.fragment_mesh(fragment_id)
-                self._meshes.publish(to_message(mesh, header, self._run.run_id))
+                self._meshes.publish(to_message(mesh, heading, self._run.run_id))
 
     # --- what it says of itself ------------------------------------------------------------------------------------
 
@@ -234,7 +239,7 @@ def _refusal_of(states: FragmentStates) -> ContactConstraintArray:
 def _work(node: CollisionNode) -> None:
     # One thread: contacts depend on the order in which bodies, events and states are applied, and on nothing else.
     # Made before the node says that it is ready: once told to end, none can be made.
-    executor = SingleThreadedExecutor()
+    executor = PromptExecutor()
     executor.add_node(node)
     try:
         node.prepare()

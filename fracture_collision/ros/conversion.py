@@ -21,7 +21,7 @@ from fracture_collision import records
 Record = TypeVar("Record", bound=NamedTuple)
 
 # ROS element type -> (array.array's type code, numpy's type)
-_SEQUENCES = {
+SEQUENCES = {
     "sequence<double>": ("d", np.float64),
     "sequence<float>": ("f", np.float32),
     "sequence<uint32>": ("I", np.uint32),
@@ -39,16 +39,33 @@ _RECORD_OF = {
 _MESSAGE_OF = {record: message for message, record in _RECORD_OF.items()}
 
 
-def header(stamp_seconds: float, frame_id: str = "world") -> Header:
-    """A header of a simulation time [s], to the nearest nanosecond."""
+def message_class_of(record: NamedTuple) -> Any:
+    return _MESSAGE_OF[type(record)]
+
+
+def record_class_of(message_class: Any) -> Any:
+    return _RECORD_OF[message_class]
+
+
+class Heading(NamedTuple):
+    """std_msgs/Header as a record: simulation time and frame."""
+
+    sec: int
+    nanosec: int
+    frame_id: str
+
+
+def heading(stamp_seconds: float, frame_id: str = "world") -> Heading:
+    """A heading of a simulation time [s], to the nearest nanosecond."""
     nanoseconds = round(stamp_seconds * 1e9)
-    return Header(stamp=Time(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9), frame_id=frame_id)
+    return Heading(nanoseconds // 10**9, nanoseconds % 10**9, frame_id)
 
 
-def to_message(record: NamedTuple, message_header: Header, run_id: int) -> Any:
+def to_message(record: NamedTuple, head: Heading, run_id: int) -> Any:
     """The ROS message of a record. ValueError where an array has more than one dimension."""
-    message_class = _MESSAGE_OF[type(record)]
-    message = message_class(header=message_header, run_id=run_id)
+    message_class = message_class_of(record)
+    header = Header(stamp=Time(sec=head.sec, nanosec=head.nanosec), frame_id=head.frame_id)
+    message = message_class(header=header, run_id=run_id)
     for name, field_type in message_class.get_fields_and_field_types().items():
         if name not in ("header", "run_id"):
             setattr(message, name, _to_field(getattr(record, name), field_type))
@@ -57,7 +74,7 @@ def to_message(record: NamedTuple, message_header: Header, run_id: int) -> Any:
 
 def to_record(message: Any) -> Any:
     """The record of a ROS message. Its arrays are views: the message must be left alone afterwards."""
-    record_class = _RECORD_OF[type(message)]
+    record_class = record_class_of(type(message))
     types = message.get_fields_and_field_types()
     return record_class(**{name: _from_field(getattr(message, name), types[name]) for name in record_class._fields})
 
@@ -65,17 +82,22 @@ def to_record(message: Any) -> Any:
 def array_bytes(message: Any) -> int:
     """Size of a message's arrays [bytes]."""
     types = message.get_fields_and_field_types()
-    values = (getattr(message, name) for name, kind in types.items() if kind in _SEQUENCES)
+    values = (getattr(message, name) for name, kind in types.items() if kind in SEQUENCES)
     return sum(len(value) * value.itemsize for value in values)
 
 
+def flat_array(value: Any, dtype: Any) -> np.ndarray:
+    """As a contiguous array of `dtype`; ValueError where it has more than one dimension."""
+    flat = np.ascontiguousarray(value, dtype=dtype)
+    if flat.ndim != 1:
+        raise ValueError(f"an array of shape {flat.shape} where the message has a flat one")
+    return flat
+
+
 def _to_field(value: Any, field_type: str) -> Any:
-    if field_type in _SEQUENCES:
-        code, dtype = _SEQUENCES[field_type]
-        flat = np.ascontiguousarray(value, dtype=dtype)
-        if flat.ndim != 1:
-            raise ValueError(f"an array of shape {flat.shape} where the message has a flat one")
-        return array(code, flat.tobytes())
+    if field_type in SEQUENCES:
+        code, dtype = SEQUENCES[field_type]
+        return array(code, flat_array(value, dtype).tobytes())
     if field_type == "sequence<boolean>":
         return np.asarray(value, dtype=bool).tolist()
     if field_type == "shape_msgs/SolidPrimitive":
@@ -86,8 +108,8 @@ def _to_field(value: Any, field_type: str) -> Any:
 
 
 def _from_field(value: Any, field_type: str) -> Any:
-    if field_type in _SEQUENCES:
-        return np.asarray(value, dtype=_SEQUENCES[field_type][1])
+    if field_type in SEQUENCES:
+        return np.asarray(value, dtype=SEQUENCES[field_type][1])
     if field_type == "sequence<boolean>":
         return np.array(value, dtype=bool)
     if field_type == "shape_msgs/SolidPrimitive":

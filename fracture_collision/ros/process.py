@@ -1,9 +1,18 @@
-"""How every node's process starts and ends."""
+"""How every node's process starts and ends.
+
+rclpy shuts its context down on SIGINT and SIGTERM, and then calls the handler that was there before: Python's own,
+which raises KeyboardInterrupt between any two bytecodes. Where numba is at work that may crash (see cli/console.py).
+So a handler that raises nothing stands there instead, and nodes end where they next ask rclpy for something.
+"""
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
 
 import rclpy
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
@@ -16,18 +25,39 @@ class Fatal(RuntimeError):
     """The node cannot go on; its text is all that the user needs to see."""
 
 
+_nothing_to_lose = False
+
+
+@contextmanager
+def nothing_to_lose() -> Iterator[None]:
+    """For loading kernels, which takes minutes where none are in the cache: a signal ends the process at once."""
+    global _nothing_to_lose
+    _nothing_to_lose = True
+    try:
+        yield
+    finally:
+        _nothing_to_lose = False
+
+
+def _on_signal(_signal: int, _frame: FrameType | None) -> None:
+    if _nothing_to_lose:
+        os._exit(0)
+
+
 def run_node(make_node: Callable[[], Node], work: Callable[[Node], None]) -> int:
     """Runs `work` on the node that `make_node` makes; returns the process's exit status.
 
     SIGINT and SIGTERM end it cleanly, with status 0: that is how nodes are told to go.
     """
+    for order in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(order, _on_signal)
     rclpy.init()
     node = None
     try:
         node = make_node()
         work(node)
         return 0
-    except (KeyboardInterrupt, ExternalShutdownException):
+    except ExternalShutdownException:
         return 0
     except rclpy_implementation.RCLError:
         if rclpy.ok():

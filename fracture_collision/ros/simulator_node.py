@@ -9,15 +9,16 @@ import time
 from pathlib import Path
 
 import numpy as np
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from fracture_collision.records import INVALID_STATES, ContactConstraintArray, FragmentRegistry, FragmentStates
 from fracture_collision.ros import qos
 from fracture_collision.ros.acknowledged_publisher import AcknowledgedPublisher
-from fracture_collision.ros.conversion import header, to_message, to_record
+from fracture_collision.ros.cdr_records import deserialize_record, serialize_record
+from fracture_collision.ros.conversion import heading, to_message, to_record
 from fracture_collision.ros.parameters import Range, declare_fixed
-from fracture_collision.ros.process import Fatal, run_node
+from fracture_collision.ros.process import Fatal, nothing_to_lose, run_node
+from fracture_collision.ros.prompt_executor import PromptExecutor
 from fracture_collision.ros.timing_files import SIMULATOR_COLUMNS
 from fracture_collision.simulation.scene import SceneError, load_scene
 from fracture_collision.simulation.simulation import Simulation
@@ -59,8 +60,11 @@ class SimulatorNode(Node):
             qos.FRACTURE_EVENTS.message_class, qos.FRACTURE_EVENTS.name, qos.FRACTURE_EVENTS.qos
         )
         self._states = AcknowledgedPublisher(self, qos.FRAGMENT_STATES)
-        for topic, callback in ((qos.CONTACT_CONSTRAINTS, self._on_contacts), (qos.FRAGMENTS, self._on_registry)):
-            self.create_subscription(topic.message_class, topic.name, callback, topic.qos)
+        for topic, callback, raw in (
+            (qos.CONTACT_CONSTRAINTS, self._on_contacts, True),
+            (qos.FRAGMENTS, self._on_registry, False),
+        ):
+            self.create_subscription(topic.message_class, topic.name, callback, topic.qos, raw=raw)
         self._static_fragments: list[int] = []
         self._asked = (0, 0)
         self._contacts: ContactConstraintArray | None = None
@@ -70,7 +74,7 @@ class SimulatorNode(Node):
 
     # --- the run ---------------------------------------------------------------------------------------------------
 
-    def run(self, executor: SingleThreadedExecutor) -> None:
+    def run(self, executor: PromptExecutor) -> None:
         """Simulates the scene to its end. Raises Fatal where the service refuses the states."""
         self._await_subscribers(executor)
         self._announce(self._simulation.start_bodies(), [])
@@ -95,7 +99,7 @@ class SimulatorNode(Node):
             np.save(Path(self._timing_file), np.array(self._rows).reshape(-1, len(SIMULATOR_COLUMNS)))
         self._simulation.close()
 
-    def _await_subscribers(self, executor: SingleThreadedExecutor) -> None:
+    def _await_subscribers(self, executor: PromptExecutor) -> None:
         """A recorder that starts with the simulator must not miss the first steps."""
         started, said = time.monotonic(), 0.0
         while min(self._states.subscriber_count, self.count_subscribers("contact_constraints")) < self._subscribers:
@@ -105,7 +109,7 @@ class SimulatorNode(Node):
                 self.get_logger().info("waiting for the collision service (and recorders) to appear")
 
     def _announce(self, bodies: list, events: list) -> None:
-        stamp = header(self._simulation.time)
+        stamp = heading(self._simulation.time)
         for body in bodies:
             if body.is_static:
                 self._static_fragments.append(body.fragment_id)
@@ -113,12 +117,12 @@ class SimulatorNode(Node):
         for event in events:
             self._events.publish(to_message(event, stamp, self._run_id))
 
-    def _ask(self, states: FragmentStates, executor: SingleThreadedExecutor) -> tuple[float, float]:
+    def _ask(self, states: FragmentStates, executor: PromptExecutor) -> tuple[float, float]:
         """Publishes states until their contacts and registry are there. Returns how long everybody took to acknowledge
         the last states [s], and the time from these being published to their answer [s].
         """
         named = with_static_fragments(states, self._static_fragments)
-        message = to_message(named, header(self._simulation.time), self._run_id)
+        data = serialize_record(named, heading(self._simulation.time), self._run_id)
         self._asked = (states.step, states.fracture_sequence)
         self._contacts = None
         began = time.perf_counter()
@@ -126,7 +130,7 @@ class SimulatorNode(Node):
         published = time.perf_counter()
         pause = FIRST_PAUSE
         while True:
-            self._states.publish(message)
+            self._states.publish(data)
             deadline = time.monotonic() + pause
             while (left := deadline - time.monotonic()) > 0:
                 executor.spin_once(timeout_sec=left)
@@ -145,12 +149,17 @@ class SimulatorNode(Node):
 
     # --- answers ---------------------------------------------------------------------------------------------------
 
-    def _on_contacts(self, message: qos.CONTACT_CONSTRAINTS.message_class) -> None:
-        if message.run_id != self._run_id or (message.step, message.fracture_sequence) != self._asked:
+    def _on_contacts(self, data: bytes) -> None:
+        try:
+            _, run_id, contacts = deserialize_record(data, qos.CONTACT_CONSTRAINTS.message_class)
+        except ValueError as error:
+            self.get_logger().warning(f"{qos.CONTACT_CONSTRAINTS.name}: {error}", throttle_duration_sec=1.0)
+            return
+        if run_id != self._run_id or (contacts.step, contacts.fracture_sequence) != self._asked:
             return  # the late answer to a question asked twice
-        if message.status & INVALID_STATES:
-            raise Fatal(f"the service refused the states of step {message.step}; /diagnostics says why")
-        self._contacts = to_record(message)
+        if contacts.status & INVALID_STATES:
+            raise Fatal(f"the service refused the states of step {contacts.step}; /diagnostics says why")
+        self._contacts = contacts
 
     def _on_registry(self, message: qos.FRAGMENTS.message_class) -> None:
         if message.run_id == self._run_id:
@@ -190,11 +199,12 @@ def derived_run_id(scene_name: str, seed: int) -> int:
 
 
 def _work(node: SimulatorNode) -> None:
-    executor = SingleThreadedExecutor()
+    executor = PromptExecutor()
     executor.add_node(node)
     try:
         # else the first step that is timed loads them
-        compile_kernels(lambda what: node.get_logger().info(f"loading kernels; {what}"))
+        with nothing_to_lose():
+            compile_kernels(lambda what: node.get_logger().info(f"loading kernels; {what}"))
         node.run(executor)
     finally:
         node.finish()

@@ -1,0 +1,128 @@
+"""Records straight to CDR bytes and back: rclpy's bytes, bit for bit, and nothing read from what is no message."""
+
+from __future__ import annotations
+
+from struct import Struct
+from struct import error as StructError
+from typing import Any
+
+import numpy as np
+import pytest
+from rclpy.serialization import deserialize_message, serialize_message
+from test_ros_conversion import EXAMPLES, assert_same, floats, ids
+
+from fracture_collision import records
+from fracture_collision.ros.cdr_padding import zero_padding
+from fracture_collision.ros.cdr_records import deserialize_record, serialize_record
+from fracture_collision.ros.conversion import Heading, heading, message_class_of, to_message, to_record
+
+RUN = 2**64 - 1
+EACH_STEP = (records.FragmentStates, records.ContactConstraintArray)
+HEADINGS = [heading(1.25), heading(0.0, ""), Heading(-1, 999_999_999, "Küche/Boden"), heading(3.0, "w" * 255)]
+
+
+def states(count: int) -> records.FragmentStates:
+    return records.FragmentStates(7, 2, ids(count), floats(3 * count), floats(4 * count))
+
+
+def contacts(pairs: int, count: int) -> records.ContactConstraintArray:
+    return records.ContactConstraintArray(
+        2**64 - 1, 2, records.INVALID_STATES, ids(pairs), ids(pairs), ids(pairs + 1), floats(pairs), floats(pairs),
+        floats(pairs), floats(3 * count), floats(3 * count), floats(3 * count), floats(count), ids(count, np.uint64),
+    )  # fmt: skip
+
+
+RECORDS = [
+    *(record for record in EXAMPLES if isinstance(record, EACH_STEP)),
+    *(states(count) for count in range(4)),
+    *(contacts(pairs, count) for pairs in range(3) for count in range(3)),
+    contacts(300, 900),
+]
+
+
+@pytest.mark.parametrize("head", HEADINGS, ids=lambda head: head.frame_id[:12] or "empty")
+def test_bytes_are_those_of_rclpy_both_ways(head: Heading) -> None:
+    for record in RECORDS:
+        message = to_message(record, head, RUN)
+        theirs, mine = serialize_message(message), serialize_record(record, head, RUN)
+        assert mine == zero_padding(theirs, type(message))
+        for data in (theirs, mine):
+            read_by_rclpy = deserialize_message(data, type(message))
+            assert_same(record, to_record(read_by_rclpy))
+            assert read_by_rclpy.header == message.header and read_by_rclpy.run_id == RUN
+            received = deserialize_record(data, type(message))
+            assert_same(record, received.record)
+            assert (received.heading, received.run_id) == (head, RUN)
+
+
+def test_arrays_are_aligned_and_may_be_written_to() -> None:
+    for record in RECORDS:
+        received = deserialize_record(serialize_record(record, HEADINGS[0], RUN), message_class_of(record)).record
+        for array in received:
+            if isinstance(array, np.ndarray):
+                assert array.flags.aligned and array.flags.writeable and array.flags.c_contiguous
+
+
+def test_what_stands_behind_the_last_field_is_ignored_as_rclpy_does() -> None:
+    data = serialize_record(RECORDS[0], HEADINGS[0], RUN) + b"\x01\x02\x03"
+    assert_same(RECORDS[0], deserialize_record(data, message_class_of(RECORDS[0])).record)
+    assert_same(RECORDS[0], to_record(deserialize_message(data, message_class_of(RECORDS[0]))))
+
+
+@pytest.mark.parametrize("record", [states(2), contacts(1, 2)], ids=lambda record: type(record).__name__)
+def test_every_message_cut_short_is_refused_in_words(record: Any) -> None:
+    message_class = message_class_of(record)
+    data = serialize_record(record, HEADINGS[0], RUN)
+    for length in range(len(data)):
+        with pytest.raises(ValueError, match=f"no serialized {message_class.__name__}"):
+            deserialize_record(data[:length], message_class)
+
+
+def test_a_count_beyond_the_message_is_refused_before_memory_is_taken() -> None:
+    record = states(2)
+    data = serialize_record(record, HEADINGS[0], RUN)
+    at = data.index(Struct("<I").pack(2) + record.fragment_ids.tobytes())
+    for count in (3 * 2**20, 2**31, 2**32 - 1):
+        with pytest.raises(ValueError, match="too few"):
+            deserialize_record(data[:at] + Struct("<I").pack(count) + data[at + 4 :], message_class_of(record))
+
+
+def test_noise_is_read_or_refused_and_nothing_else() -> None:
+    random = np.random.default_rng(5)
+    data = serialize_record(contacts(2, 3), HEADINGS[0], RUN)
+    refused = 0
+    for _ in range(3000):
+        garbled = bytearray(data)
+        for at in random.integers(0, len(data), 4):
+            garbled[at] = random.integers(0, 256)
+        try:
+            received = deserialize_record(bytes(garbled), message_class_of(contacts(0, 0)))
+        except ValueError:
+            refused += 1
+        else:
+            assert sum(getattr(value, "nbytes", 0) for value in received.record) <= len(data)
+    assert 100 < refused < 3000
+
+
+def test_other_byte_orders_are_left_to_rclpy() -> None:
+    """A big-endian FragmentStates, written by hand."""
+    head = Struct(">iII4sQQQII").pack(3, 5, 4, b"map\0", 41, 7, 2, 1, 0xDEADBEEF)
+    positions = Struct(">I4xddd").pack(3, 1.0, 2.0, 3.0)
+    orientations = Struct(">I4xdddd").pack(4, 0.0, 0.0, 0.0, 1.0)
+    data = b"\x00\x00\x00\x00" + head + positions + orientations + Struct(">II").pack(0, 0)
+    received = deserialize_record(data, message_class_of(states(0)))
+    assert received.heading == Heading(3, 5, "map") and received.run_id == 41
+    assert received.record.fragment_ids.tolist() == [0xDEADBEEF]
+    assert received.record.positions.tolist() == [1.0, 2.0, 3.0]
+    assert received.record.orientations.tolist() == [0.0, 0.0, 0.0, 1.0]
+    for wrong in (data[:-6], b"\x07\x07" + data[2:]):
+        with pytest.raises(ValueError, match="no serialized FragmentStates"):
+            deserialize_record(wrong, message_class_of(states(0)))
+
+
+def test_numbers_that_do_not_fit_and_arrays_of_the_wrong_shape_are_errors() -> None:
+    with pytest.raises(ValueError, match="flat"):
+        serialize_record(states(3)._replace(positions=np.zeros((3, 3))), HEADINGS[0], 1)
+    for record, run_id in ((states(1)._replace(step=2**64), 1), (states(1), -1)):
+        with pytest.raises(StructError):
+            serialize_record(record, HEADINGS[0], run_id)
