@@ -22,6 +22,7 @@ from fracture_collision.core.closest_point import (
 )
 from fracture_collision.core.compiled import inlined_kernel
 from fracture_collision.core.cut_tetrahedron import FACE_VERTICES
+from fracture_collision.core.occupancy import ROUNDING, parts_within
 from fracture_collision.core.point_location import holds_fragment
 from fracture_collision.core.pools import NEVER_BROKEN, OLD_FACE, PARTED
 
@@ -233,26 +234,28 @@ def nearest_from_outside(pools, f, at, x, y, z, limit, only, scratch, thread):
             return best
     k = pools.fragment.mesh[f]
     stamp = next_stamp(scratch, thread)
-    cell = mesh.grid[k, 3]
     nx, ny, nz, first = mesh.grid_dims[k]
     cells = pools.fragment.cells[f]
-    ox, oy, oz = mesh.grid[k, 0], mesh.grid[k, 1], mesh.grid[k, 2]
-    i0 = max(math.floor((x - limit - ox) / cell), cells[0])
-    i1 = min(math.floor((x + limit - ox) / cell), cells[0] + cells[3] - 1)
-    j0 = max(math.floor((y - limit - oy) / cell), cells[1])
-    j1 = min(math.floor((y + limit - oy) / cell), cells[1] + cells[4] - 1)
-    l0 = max(math.floor((z - limit - oz) / cell), cells[2])
-    l1 = min(math.floor((z + limit - oz) / cell), cells[2] + cells[5] - 1)
+    per_cell = 1.0 / mesh.grid[k, 3]
+    px, py, pz = (x - mesh.grid[k, 0]) * per_cell, (y - mesh.grid[k, 1]) * per_cell, (z - mesh.grid[k, 2]) * per_cell
+    r = limit * per_cell * (1.0 + ROUNDING) + ROUNDING
+    i0, i1 = max(math.floor(px - r), cells[0]), min(math.floor(px + r), cells[0] + cells[3] - 1)
+    j0, j1 = max(math.floor(py - r), cells[1]), min(math.floor(py + r), cells[1] + cells[4] - 1)
+    l0, l1 = max(math.floor(pz - r), cells[2]), min(math.floor(pz + r), cells[2] + cells[5] - 1)
     for i in range(i0, i1 + 1):
         for j in range(j0, j1 + 1):
             for l in range(l0, l1 + 1):  # noqa: E741
                 bit = ((i - cells[0]) * cells[4] + (j - cells[1])) * cells[5] + (l - cells[2])
-                if pools.occupancy[cells[6] + bit] == 0:
+                word = pools.occupancy[cells[6] + bit]
+                if not word:
+                    continue
+                within = word & parts_within(px - i, py - j, pz - l, r)
+                if not within:
                     continue
                 c = first + (i * ny + j) * nz + l
                 for e in range(mesh.cell_begin[c], mesh.cell_begin[c + 1]):
                     t = mesh.cell_tets[e]
-                    if visited[t] == stamp:
+                    if not mesh.cell_parts[e] & within or visited[t] == stamp:
                         continue
                     visited[t] = stamp
                     if box_distance_squared(x, y, z, mesh.boxes[t]) >= best[0] or not holds_fragment(pools, f, t):
