@@ -23,7 +23,7 @@ from fracture_collision.core.closest_point import (
 from fracture_collision.core.compiled import inlined_kernel
 from fracture_collision.core.cut_tetrahedron import FACE_VERTICES
 from fracture_collision.core.occupancy import ROUNDING, parts_within
-from fracture_collision.core.point_location import holds_fragment
+from fracture_collision.core.point_location import height, holds_fragment
 from fracture_collision.core.pools import NEVER_BROKEN, OLD_FACE, PARTED
 
 # Which surface triangle a closest point lies on: a row of body.triangles, or -1 - (4 tetrahedron + face) of the old
@@ -41,29 +41,23 @@ WEIGHT_ROUNDING = 1e-12
 
 
 @inlined_kernel
-def corner_weight(mesh, t, corner, x, y, z):
-    """Barycentric weight of a corner of tetrahedron `t` at the point, and its gradient (x, y, z) [1/m]."""
+def _weight_and_slope(mesh, t, corner, x, y, z):
+    """Barycentric weight of a corner of tetrahedron `t` at the point, and the square of its gradient [1/m2]."""
     b = mesh.barycentric[t]
     if corner > 0:
         k = 4 * (corner - 1)
         gx, gy, gz = b[k], b[k + 1], b[k + 2]
-        return gx * x + gy * y + gz * z + b[k + 3], gx, gy, gz
+        return gx * x + gy * y + gz * z + b[k + 3], gx * gx + gy * gy + gz * gz
     gx, gy, gz = b[0] + b[4] + b[8], b[1] + b[5] + b[9], b[2] + b[6] + b[10]
-    return 1.0 - gx * x - gy * y - gz * z - b[3] - b[7] - b[11], -gx, -gy, -gz
-
-
-@inlined_kernel
-def _weight_and_slope(mesh, t, corner, x, y, z):
-    """The weight, and the square of its gradient [1/m2]."""
-    weight, gx, gy, gz = corner_weight(mesh, t, corner, x, y, z)
-    return weight, gx * gx + gy * gy + gz * gz
+    return 1.0 - gx * x - gy * y - gz * z - b[3] - b[7] - b[11], gx * gx + gy * gy + gz * gz
 
 
 @inlined_kernel
 def _face_is_farther(mesh, t, face, x, y, z, d2):
     """Whether the plane of a face, and so the face, is farther than sqrt(d2) [m]; rounding is left room."""
     weight, slope = _weight_and_slope(mesh, t, face, x, y, z)
-    return abs(weight) > math.sqrt(d2 * slope * PLANE_SLACK) + WEIGHT_ROUNDING
+    weight = abs(weight) - WEIGHT_ROUNDING
+    return weight > 0.0 and weight * weight > d2 * slope * PLANE_SLACK
 
 
 @inlined_kernel
@@ -134,8 +128,8 @@ def nearest_in_tetrahedron(pools, f, t, x, y, z, only, best):
         if behind == TOWARD and sign * (p[0] * ox + p[1] * oy + p[2] * oz) >= 0.0:
             continue
         # no point of a triangle is nearer than its plane; rounding is left room. One without a plane is no number
-        height = p[0] * x + p[1] * y + p[2] * z - p[3]
-        if not height * height <= d2 * PLANE_SLACK:
+        above = height(body, i, x, y, z)
+        if not above * above <= d2 * PLANE_SLACK:
             continue
         p = body.triangles[i]
         e2, ex, ey, ez, rim = closest_on_triangle(x, y, z, p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8])
@@ -274,11 +268,11 @@ def _region_is_farther(pools, f, t, x, y, z, d2):
     if tet_shift == NEVER_BROKEN or body.tet_fragment[t + tet_shift] != PARTED:
         return False
     row = body.cut_begin[t + tet_shift]
-    p = body.faces[row]
-    height = p[0] * x + p[1] * y + p[2] * z - p[3]
+    above = height(body, row, x, y, z)
     if body.front[row] != f:
-        height = -height
-    return height > math.sqrt(d2) + HEIGHT_ROUNDING * pools.fragment.radius[f]
+        above = -above
+    above -= HEIGHT_ROUNDING * pools.fragment.radius[f]
+    return above > 0.0 and above * above > d2
 
 
 @inlined_kernel

@@ -147,7 +147,7 @@ def query_pairs(
     todo, room = np.arange(p), max(LEAST_ROOM, FIRST_ROOM * p // crew.threads)
     passes = []
     while len(todo):
-        contacts, ids = np.empty((crew.threads, room, 10)), np.empty((crew.threads, room, 4), np.int64)
+        contacts, ids = np.empty((crew.threads, room, 10)), np.empty((crew.threads, room, 5), np.int64)
         begin = np.empty(p, np.int64)
         crew.share(
             _query_share, pools, rows, rotations, positions, pairs, todo, wanted, epsilon, near, budget,

@@ -100,7 +100,7 @@ def owner_in_cut(pools, f, t, x, y, z):
 
 
 @inlined_kernel
-def _height(body, row, x, y, z):
+def height(body, row, x, y, z):
     """Of the point above the plane of a triangle, out of its front [m]; not a number for one without a plane."""
     p = body.faces[row]
     return p[0] * x + p[1] * y + p[2] * z - p[3]
@@ -108,7 +108,7 @@ def _height(body, row, x, y, z):
 
 @inlined_kernel
 def _side(body, row, x, y, z):
-    return body.front[row] if _height(body, row, x, y, z) <= 0.0 else body.back[row]
+    return body.front[row] if height(body, row, x, y, z) <= 0.0 else body.back[row]
 
 
 @inlined_kernel
@@ -139,7 +139,7 @@ def _owner_about_hub(pools, f, t, first, x, y, z):
         return _side(body, row, x, y, z)
     # three fragments about the face point, none over more than half a turn: each has what is behind the half-plane at
     # its end and beyond the one at its beginning; on the border of two, where rounding decides, whichever lacks less
-    first, second, third = _height(body, row, x, y, z), _height(body, row + 1, x, y, z), _height(body, row + 2, x, y, z)
+    first, second, third = height(body, row, x, y, z), height(body, row + 1, x, y, z), height(body, row + 2, x, y, z)
     lacks, of_second, of_third = _larger(first, -third), _larger(second, -first), _larger(third, -second)
     if of_third < lacks and of_third < of_second:
         return body.front[row + 2]

@@ -26,7 +26,7 @@ from fracture_collision.core.elementary_queries import (
     sphere_test,
 )
 from fracture_collision.core.flood import NO_SOURCE
-from fracture_collision.core.kinds import PLANE, SPHERE, TETRAHEDRA
+from fracture_collision.core.kinds import PLANE, SPHERE, TETRAHEDRA, TRIANGLES
 from fracture_collision.core.oriented_boxes import boxes_apart
 from fracture_collision.core.pools import NEVER_BROKEN, NONE_BELOW, OWN_SAMPLE, QUEUE, SAMPLE, SIZE, SURFACE
 
@@ -41,7 +41,7 @@ DEPTH = 3
 UNTESTED = -1
 UNKNOWN = 3  # beside INSIDE, NEAR, OUTSIDE: not asked, for no depth that it can have would count
 # columns of ids
-ID_SIDE, ID_SAMPLE, ID_SOURCE, ID_TETRAHEDRON = 0, 1, 2, 3
+ID_SIDE, ID_SAMPLE, ID_SOURCE, ID_TETRAHEDRON, ID_AT = 0, 1, 2, 3, 4
 
 
 @inlined_kernel
@@ -91,7 +91,7 @@ def sphere_contact(pools, ball, other, x, y, z, near, contacts, ids, count, side
     row[6], row[7], row[8] = nx, ny, nz
     row[9] = d - radius
     ids[count, ID_SIDE], ids[count, ID_SAMPLE] = side, -1
-    ids[count, ID_SOURCE], ids[count, ID_TETRAHEDRON] = NO_SOURCE, -1
+    ids[count, ID_SOURCE], ids[count, ID_TETRAHEDRON], ids[count, ID_AT] = NO_SOURCE, -1, -1
     return count + 1
 
 
@@ -144,12 +144,12 @@ def query_pair(
 
     rotation (2, 3, 3), translation (2, 3): [0] from a's body frame to b's, [1] back. `wanted` m, `epsilon` and `near`
     [m], `budget` visits (0: none). Fills contacts (capacity, 10): sample point, witness on the other, the other's
-    outward normal, all in the other's frame, gap [m]; ids (capacity, 4): side (0: a's sample in b), sample (-1: a
-    sphere's own), source and tetrahedron of the witness (bounded_probe). Returns (contacts found, missed depth bound
-    [m], visits, exhausted); more found than `capacity` means: call again with room.
+    outward normal, all in the other's frame, gap [m]; ids (capacity, 5): side (0: a's sample in b), sample (-1: a
+    sphere's own), source and tetrahedron of the witness, tetrahedron of the sample (bounded_probe). Returns (contacts
+    found, missed depth bound [m], visits, exhausted); more found than `capacity` means: call again with room.
 
-    The queues hold rows of node_int and node_float, one a node that was reached. A child whose sphere the other's box
-    or closed form keeps out of reach counts as visited but takes no row: its test on the next level could not but fail.
+    The queues hold rows of node_int and node_float, one a node that was reached. A child whose sphere keeps out of
+    reach of the other counts as visited but takes no row.
 
     Fragments of one body share a frame, and in place no sample of one is inside the other: so none
     is deeper than it has moved since. That bounds all below a node at once, and two that have hardly moved against
@@ -199,9 +199,7 @@ def query_pair(
             x, y, z = node_point[k, 0], node_point[k, 1], node_point[k, 2]
             radius = tree.spheres[entry, 3]
             end = entry + tree.entries[entry, SIZE]
-            moved = math.inf
-            if one_body and count >= m:
-                moved = _moved(tree.spheres[entry], x, y, z)
+            moved = _moved(tree.spheres[entry], x, y, z) if one_body else math.inf
             if node[k, NEXT_CHILD] < 0:
                 # first time on this level: test
                 if budget and visits >= budget:
@@ -214,19 +212,22 @@ def query_pair(
                     if tree.entries[entry, SURFACE] != OWN_SAMPLE:
                         # an interior node is no contact, and whether it is inside would cull nothing
                         node_point[k, DEPTH] = min(node_point[k, DEPTH], _depth_limit(pools, other))
-                    elif moved <= epsilon:
+                    elif moved <= epsilon and count >= m:
                         status = UNKNOWN
                         node_point[k, DEPTH] = min(node_point[k, DEPTH], moved)
                         bound = max(bound, node_point[k, DEPTH])
                     elif -node_point[k, DEPTH] <= near:
                         full = count < m
                         start = home_tetrahedron(pools, other, tree.entries[entry, SAMPLE]) if one_body else -1
-                        status, d, nx, ny, nz, qx, qy, qz, most, source, where = bounded_probe(
-                            pools, other, x, y, z, near, math.inf if full else epsilon, start, scratch, thread
+                        # one body: what it has moved is all there is to search, and found at once
+                        deep = moved + slack if one_body else math.inf if full else epsilon
+                        leaf = end == entry + 1
+                        status, d, nx, ny, nz, qx, qy, qz, most, source, where, at = bounded_probe(
+                            pools, other, x, y, z, near, deep, start, leaf, scratch, thread
                         )
                         if status == INSIDE and d == -math.inf:
-                            status, d, nx, ny, nz, qx, qy, qz, most, source, where = bounded_probe(
-                                pools, other, x, y, z, near, math.inf, start, scratch, thread
+                            status, d, nx, ny, nz, qx, qy, qz, most, source, where, at = bounded_probe(
+                                pools, other, x, y, z, near, math.inf, start, True, scratch, thread
                             )
                         if status != OUTSIDE:
                             if full or -d > epsilon:
@@ -238,6 +239,7 @@ def query_pair(
                                     row[9] = d
                                     ids[count, ID_SIDE], ids[count, ID_SAMPLE] = side, tree.entries[entry, SAMPLE]
                                     ids[count, ID_SOURCE], ids[count, ID_TETRAHEDRON] = source, where
+                                    ids[count, ID_AT] = at
                                 count += 1
                                 m = max(m, count)
                             else:
@@ -249,7 +251,7 @@ def query_pair(
                     continue
                 depth = node_point[k, DEPTH]
                 least = -near if count < m else epsilon
-                moved += spin * radius
+                moved = moved + spin * radius if count >= m else math.inf
                 if status == INSIDE:
                     enter = depth + radius > least
                 else:
@@ -257,8 +259,10 @@ def query_pair(
                     if tree.entries[entry, SURFACE] != OWN_SAMPLE or status == UNKNOWN:
                         # what was not tested may be deep inside, however small its sphere
                         reach = max(reach, 0.0)
-                    enter = reach >= 0.0 and moved > least
-                    enter = enter and sphere_test(pools, other, -depth, x, y, z, reach, scratch, thread)
+                    enter = reach >= -depth and reach >= 0.0 and moved > least
+                    if enter and count >= m:
+                        # the grid was asked when the node was reached, for all within `near` of its sphere
+                        enter = sphere_test(pools, other, -depth, x, y, z, reach, scratch, thread)
                 if not enter or moved <= least:
                     # inside: 1-Lipschitz; outside: the test says no point below is deeper than `least`
                     bound = max(bound, min(depth + radius, moved, max(least, 0.0)))
@@ -279,18 +283,21 @@ def query_pair(
                 node[k, NEXT_CHILD] = end
             if tree.entries[child, SURFACE] == NONE_BELOW:
                 continue
+            c = tree.spheres[child]
+            status, depth = UNTESTED, math.inf
             if tree.entries[child, SAMPLE] == tree.entries[entry, SAMPLE]:
                 if child_size == 1:
                     continue
-                _reach_node(node, node_point, nodes, child, side, node[k, STATUS], x, y, z, node_point[k, DEPTH])
+                status, depth = node[k, STATUS], node_point[k, DEPTH]
             else:
-                c = tree.spheres[child]
                 x, y, z = to_other(rotation[side], translation[side], c[0], c[1], c[2])
-                d = least_distance(pools, other, x, y, z)
-                if d > c[3] + near:
-                    visits += 1
-                    continue
-                _reach_node(node, node_point, nodes, child, side, UNTESTED, x, y, z, -d)
+                depth = -least_distance(pools, other, x, y, z)
+            # of a rigid mesh a lone sample's test is all that its probe does
+            asked = status != INSIDE and (child_size > 1 or fragment.kind[other] != TRIANGLES)
+            if asked and not sphere_test(pools, other, -depth, x, y, z, c[3] + near, scratch, thread):
+                visits += 1
+                continue
+            _reach_node(node, node_point, nodes, child, side, status, x, y, z, depth)
             queue[following, next_size] = nodes
             nodes += 1
             next_size += 1
