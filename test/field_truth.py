@@ -120,7 +120,7 @@ def _probe(
     answers = np.full((len(points), 5), np.nan)
     for i, (point, fragment) in enumerate(zip(points.tolist(), fragments.tolist(), strict=True)):
         status, distance, nx, ny, nz, _, _, _, most, *_ = bounded_probe(
-            pools, rows[fragment], *point, 0.0, np.inf, -1, scratch, 0
+            pools, rows[fragment], *point, 0.0, np.inf, -1, False, scratch, 0
         )
         if status == INSIDE:
             answers[i] = -distance, most, nx, ny, nz

@@ -179,7 +179,8 @@ def _assert_certain(case: FracturedWorld) -> int:
         if not len(own):
             continue
         true, _ = case.oracle.depth(fragment, own, ALL_KINDS)
-        most = [bounded_probe(case.geometry.pools, case.row(fragment), *x, 0.0, np.inf, -1, scratch, 0)[8] for x in own]
+        pools, row = case.geometry.pools, case.row(fragment)
+        most = [bounded_probe(pools, row, *x, 0.0, np.inf, -1, False, scratch, 0)[8] for x in own]
         assert (np.array(most) >= true - ROUNDING).all()
         asked += len(own)
     field = case.geometry.pools.body.node_field

@@ -23,7 +23,8 @@ class Ours(Method):
 
     def __init__(self, name: str, is_quick: bool = True, **settings) -> None:
         self.name, self.is_quick = name, is_quick
-        self._settings = Settings(threads=1)._replace(**settings)
+        # frames are asked about several times: each time as if all had moved
+        self._settings = Settings(threads=1, neighbour_lists=False)._replace(**settings)
 
     def prepare(self, world: World) -> CollisionWorld:
         """The whole body, asked about once."""

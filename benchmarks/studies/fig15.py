@@ -15,20 +15,20 @@ from matplotlib.figure import Figure
 
 from benchmarks.studies.pictures import BLUE, GREEN, ORANGE, RED, finish, new_figure
 from benchmarks.studies.replay import MILLI, Answers, replay_trial, summary_of_answers
-from benchmarks.studies.scene_trials import ONE_THREAD
+from benchmarks.studies.scene_trials import SEARCHED
 from benchmarks.studies.study import Study, Trial
 from benchmarks.studies.table import Row, Table, average_and_worst, markdown_table, number
 from fracture_collision.simulation.scene import load_scene
 
 SCENE = "piggy_bank"
 # Normals by the paper's way for all but the last.
-PAPERS = ONE_THREAD._replace(normals="nearest")
+PAPERS = SEARCHED._replace(normals="nearest")
 COMBINATIONS = {
     "D updated, S updated": PAPERS._replace(field="averaged", tree="restructured"),
     "D updated, S rebuilt": PAPERS._replace(field="averaged", tree="rebuilt"),
     "D exact, S updated": PAPERS._replace(field="exact", tree="restructured"),
     "D exact, S rebuilt": PAPERS._replace(field="exact", tree="rebuilt"),
-    "the service's own settings": ONE_THREAD,
+    "the service's own settings": SEARCHED,
 }
 # Lines that lie on each other stay to be told apart by their widths.
 COLOURS = dict(zip(COMBINATIONS, (BLUE, ORANGE, GREEN, RED, "black"), strict=True))

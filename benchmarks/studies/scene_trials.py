@@ -15,6 +15,8 @@ from fracture_collision.world import Settings
 
 # The paper's times are of one core.
 ONE_THREAD = Settings(threads=1)
+# For what compares searches: each step is searched anew, as in the paper.
+SEARCHED = ONE_THREAD._replace(neighbour_lists=False)
 # Of PatternSettings, as in porcelain.
 CURVATURE = {"flat": 0.0, "curved": 0.25}
 

@@ -18,7 +18,7 @@ from fracture_collision.core.moments import (
     sphere_mass_properties,
     surface_moments,
 )
-from fracture_collision.core.occupancy import cells_of_box, fill_pyramid, mark_all, pyramid_bytes
+from fracture_collision.core.occupancy import cells_of_box, fill_pyramid, mark_all, mark_cells, pyramid_words
 from fracture_collision.core.pool_tables import PoolTables
 from fracture_collision.core.pools import (
     ALTERNATING,
@@ -242,7 +242,7 @@ class CollisionGeometry:
         touched_tetrahedra.boxes_of_nodes(pools.mesh, pools.body, node_shift, nodes + rows.node, boxes)
         reaches = boxes[first:end].copy()
         self._rebuild_surfaces(node_shift, tet_shift, edge_shift, touched, first, end, reaches)
-        self._mark_cells(k, node_shift, touched, first, end, reaches)
+        self._mark_cells(row, first, end, reaches)
         self._give_trees(row, rows, nodes, parts, edges, first, count)
         self._tables.have_grown()
         if self._field == AVERAGED:
@@ -287,18 +287,16 @@ class CollisionGeometry:
         self._tables.fragment["tree_begin"].view[first : first + count] = at[:-1]
         self._tables.fragment["tree_end"].view[first : first + count] = at[1:]
 
-    def _mark_cells(self, k, node_shift, touched, first, end, reaches) -> None:
+    def _mark_cells(self, parent, first, end, reaches) -> None:
+        k = int(self._tables.fragment["mesh"].view[parent])
         grid, dims = self._tables.mesh["grid"].view[k], self._tables.mesh["grid_dims"].view[k, :3]
         cells = np.empty((end - first, 7), np.int32)
         for i, box in enumerate(reaches):
             cells[i] = cells_of_box(box, grid[:3], grid[3], dims, 0)
-            cells[i, 6] = self._tables.occupancy.append(np.zeros(pyramid_bytes(cells[i]), np.uint8))
-        self._tables.fragment["cells"].view[first:end] = cells
+            cells[i, 6] = self._tables.occupancy.append(np.zeros(pyramid_words(cells[i]), np.uint64))
         occupancy = self._tables.occupancy.view
-        touched_tetrahedra.mark_cells(
-            self.pools.mesh, k, self.pools.body, node_shift, touched, first, end, cells, occupancy,
-            np.empty(self._tables.mesh["grid_dims"].view[k, :3].prod(), np.uint64),
-        )  # fmt: skip
+        mark_cells(self.pools, parent, first, end, cells, occupancy)
+        self._tables.fragment["cells"].view[first:end] = cells
         for row in cells:
             fill_pyramid(row, occupancy)
 
@@ -352,9 +350,9 @@ class CollisionGeometry:
         mesh, tables = prepared.mesh, self._tables
         index, node, tet, edge = tables.append_mesh(mesh)
         cells = cells_of_box(mesh.box, mesh.grid_origin, mesh.grid_cell, mesh.grid_dims, 0)
-        cells[6] = self._tables.occupancy.append(np.zeros(pyramid_bytes(cells), np.uint8))
+        cells[6] = self._tables.occupancy.append(np.zeros(pyramid_words(cells), np.uint64))
         self._tables.have_grown()
-        mark_all(self.pools.mesh, index, tet, tet + len(mesh.tetrahedra), cells, self._tables.occupancy.view)
+        mark_all(self.pools.mesh, index, cells, self._tables.occupancy.view)
         fill_pyramid(cells, self._tables.occupancy.view)
         rows = _MeshRows(index, node, tet, edge, self._tables.append_tree(prepared.tree), cells, prepared)
         self._meshes.append(rows)

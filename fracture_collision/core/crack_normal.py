@@ -14,13 +14,12 @@ from fracture_collision.core.closest_point import DIRECTION_FLOOR
 from fracture_collision.core.compiled import inlined_kernel, query_kernel
 from fracture_collision.core.flood import (
     NO_SOURCE,
-    corner_weight,
     nearest_from_inside,
     nearest_from_outside,
     source_normal,
 )
-from fracture_collision.core.point_location import owner_in_cut, tetrahedron_at
-from fracture_collision.core.pools import OLD_FACE
+from fracture_collision.core.point_location import height, owner_in_cut
+from fracture_collision.core.pools import OLD_FACE, PARTED
 
 # The shared crack is taken while it is no more than this share of R farther than the nearest surface.
 FARTHER = 0.03
@@ -36,16 +35,15 @@ NOWHERE = -2  # no tetrahedron, nor -1, the outside
 
 
 @query_kernel
-def turn_to_crack(pools, f, g, near, row, source, where, scratch, thread):
+def turn_to_crack(pools, f, g, near, row, source, where, t, scratch, thread):
     """Turn the contact of a sample of `g` with `f`, of one body, to the crack that parts the two, if it is near.
 
     Sets witness, normal and gap of `row` (10,), see query_pair; `near` [m] is the detection tolerance; `source`,
-    `where`: surface triangle and tetrahedron of the witness. Samples outside the unbroken body stay as they are: they
-    are not between the two.
+    `where`: surface triangle and tetrahedron of the witness; `t`: tetrahedron of the sample. Samples outside the
+    unbroken body (t = -1) stay as they are: they are not between the two.
     """
     x, y, z, d = row[0], row[1], row[2], row[9]
     radius = pools.fragment.radius[f]
-    t = tetrahedron_at(pools.mesh, pools.fragment.mesh[f], x, y, z)
     if t < 0:
         return
     inside = d <= 0.0
@@ -63,9 +61,9 @@ def turn_to_crack(pools, f, g, near, row, source, where, scratch, thread):
             return
     sign = 1.0 if inside else -1.0
     nx, ny, nz = crack_direction(pools, f, g, source, where)
-    s = way_through(pools, f, t, x, y, z, sign * nx, sign * ny, sign * nz, within, inside, scratch, thread)
     # where the two just touch, its own witness will do
     if abs(d) > DIRECTION_FLOOR * radius:
+        s = way_through(pools, f, t, x, y, z, sign * nx, sign * ny, sign * nz, within, inside, scratch, thread)
         if s > min(within, OBLIQUE * away + LITTLE * radius):
             return
         s *= sign
@@ -129,11 +127,18 @@ def way_through(pools, f, t, x, y, z, nx, ny, nz, limit, leaves, scratch, thread
         if t < 0 or s > limit:
             break
         out, face = math.inf, -1
-        for corner in range(4):
-            weight, gx, gy, gz = corner_weight(mesh, t, corner, x, y, z)
-            rate = gx * nx + gy * ny + gz * nz
-            if rate < 0.0 and mesh.neighbours[t, corner] != came_from:
-                end = max(-weight / rate, s)
+        b = mesh.barycentric[t]
+        weight, rate = 1.0, 0.0
+        for k in range(4):
+            corner = (k + 1) % 4
+            if corner:
+                w = b[4 * k] * x + b[4 * k + 1] * y + b[4 * k + 2] * z + b[4 * k + 3]
+                r = b[4 * k] * nx + b[4 * k + 1] * ny + b[4 * k + 2] * nz
+                weight, rate = weight - w, rate - r
+            else:
+                w, r = weight, rate
+            if r < 0.0 and mesh.neighbours[t, corner] != came_from:
+                end = max(-w / r, s)
                 if end < out:
                     out, face = end, corner
         if face < 0:
@@ -154,19 +159,34 @@ def way_through(pools, f, t, x, y, z, nx, ny, nz, limit, leaves, scratch, thread
 
 
 @inlined_kernel
+def _share_by_plane(body, row, f, leaves, x0, y0, z0, x1, y1, z1):
+    """_share_of_segment where a single plane, that of `row`, parts two fragments."""
+    at_start, at_end = height(body, row, x0, y0, z0), height(body, row, x1, y1, z1)
+    before, after = (body.back[row] if at_start > 0.0 else body.front[row]), body.front[row]
+    if at_end > 0.0:
+        after = body.back[row]
+    root = 1.0
+    if (at_start > 0.0) != (at_end > 0.0):
+        root = min(max(at_start / (at_start - at_end), 0.0), 1.0)
+    if root > SAME_ROOT and (before == f) != leaves:
+        return 0.0
+    return root if root + SAME_ROOT < 1.0 and (after == f) != leaves else 1.0
+
+
+@inlined_kernel
 def _share_of_segment(pools, f, t, leaves, x0, y0, z0, x1, y1, z1, roots):
     """Share of a segment in cut tetrahedron `t`, from its start to where f's region ends, or else begins: 0 .. 1.
 
-    Between two neighbouring roots of the planes that part fragments there the owner stays. `roots` (64,): room.
+    Between two neighbouring roots of the planes that part fragments there the owner stays. `roots` (ROOTS,): room.
     """
     body = pools.body
     begin, used = body.cut_begin[t + pools.fragment.tet_shift[f]], 0
+    if body.tet_fragment[t + pools.fragment.tet_shift[f]] == PARTED:
+        return _share_by_plane(body, begin, f, leaves, x0, y0, z0, x1, y1, z1)
     for i in range(begin, begin + body.cut_count[t + pools.fragment.tet_shift[f]]):
         if body.kind[i] >= OLD_FACE:
             break
-        p = body.faces[i]
-        at_start = p[0] * x0 + p[1] * y0 + p[2] * z0 - p[3]
-        at_end = p[0] * x1 + p[1] * y1 + p[2] * z1 - p[3]
+        at_start, at_end = height(body, i, x0, y0, z0), height(body, i, x1, y1, z1)
         if (at_start > 0.0) != (at_end > 0.0):
             root, k = min(max(at_start / (at_start - at_end), 0.0), 1.0), used
             while k > 0 and roots[k - 1] > root:

@@ -48,54 +48,56 @@ def probe(pools, f, x, y, z, near, deep, scratch, thread):
     (infinity: always; the averaged field looks always). The distance of an OUTSIDE point is a lower bound, that of an
     INSIDE point deeper than `deep` is minus infinity.
     """
-    status, d, nx, ny, nz, qx, qy, qz, _, _, _ = bounded_probe(pools, f, x, y, z, near, deep, -1, scratch, thread)
-    return status, d, nx, ny, nz, qx, qy, qz
+    answer = bounded_probe(pools, f, x, y, z, near, deep, -1, False, scratch, thread)
+    return answer[0], answer[1], answer[2], answer[3], answer[4], answer[5], answer[6], answer[7]
 
 
 @inlined_kernel
-def bounded_probe(pools, f, x, y, z, near, deep, start, scratch, thread):
+def bounded_probe(pools, f, x, y, z, near, deep, start, reached, scratch, thread):
     """As `probe`, and behind that a depth [m] that the point certainly does not exceed: minus the distance where that
     is exact or a lower bound. The averaged field promises nothing, so inside a broken body the two differ. Last the
-    surface triangle and the tetrahedron that the closest point lies on (flood.NO_SOURCE: not from a flood).
-    `start`: a tetrahedron not far from the point, -1 if none is known.
+    surface triangle and the tetrahedron that the closest point lies on (flood.NO_SOURCE: not from a flood), and the
+    tetrahedron that holds the point (-1: none, or not asked for).
+    `start`: a tetrahedron not far from the point, -1 if none is known; `reached`: sphere_test says that f may be within
+    `near`.
     """
     kind = pools.fragment.kind[f]
     if kind != TETRAHEDRA and kind != TRIANGLES:
         d, nx, ny, nz = primitive_distance(kind, pools.fragment.shape[f], x, y, z)
         status = INSIDE if d <= 0.0 else NEAR if d <= near else OUTSIDE
-        return status, d, nx, ny, nz, x - d * nx, y - d * ny, z - d * nz, -d, NO_SOURCE, -1
+        return status, d, nx, ny, nz, x - d * nx, y - d * ny, z - d * nz, -d, NO_SOURCE, -1, -1
     reach = math.sqrt(box_distance_squared(x, y, z, pools.fragment.box[f]))
     if reach > near:
-        return OUTSIDE, reach, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -reach, NO_SOURCE, -1
+        return OUTSIDE, reach, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -reach, NO_SOURCE, -1, -1
     if kind == TRIANGLES:
         d, nx, ny, nz, qx, qy, qz = triangle_distance(
             pools.triangles, pools.fragment.mesh[f], pools.fragment.radius[f], x, y, z, scratch.stack[thread]
         )
         status = INSIDE if d <= 0.0 else NEAR if d <= near else OUTSIDE
-        return status, d, nx, ny, nz, qx, qy, qz, -d, NO_SOURCE, -1
-    # 15 ns that spare most points the search for their tetrahedron
-    if not sphere_may_touch(pools, f, x, y, z, near):
-        return OUTSIDE, max(reach, near), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -max(reach, near), NO_SOURCE, -1
+        return status, d, nx, ny, nz, qx, qy, qz, -d, NO_SOURCE, -1, -1
+    # what spares most points the search for their tetrahedron
+    if not reached and not sphere_may_touch(pools, f, x, y, z, near):
+        return OUTSIDE, max(reach, near), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -max(reach, near), NO_SOURCE, -1, -1
     k = pools.fragment.mesh[f]
     t = tetrahedron_at(pools.mesh, k, x, y, z) if start < 0 else tetrahedron_from(pools.mesh, k, start, x, y, z)
     if t >= 0 and owner_in_tetrahedron(pools, f, t, x, y, z) == f:
         if pools.field == AVERAGED and pools.fragment.node_shift[f] != NEVER_BROKEN:
             d, nx, ny, nz, most = averaged_penetration(pools, f, t, x, y, z)
-            return INSIDE, -d, nx, ny, nz, x + d * nx, y + d * ny, z + d * nz, most, NO_SOURCE, -1
+            return INSIDE, -d, nx, ny, nz, x + d * nx, y + d * ny, z + d * nz, most, NO_SOURCE, -1, t
         best = nearest_from_inside(pools, f, t, x, y, z, deep, EVERYTHING, scratch, thread)
         if best[5] == NO_SOURCE:
-            return INSIDE, -math.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, math.inf, NO_SOURCE, -1
+            return INSIDE, -math.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, math.inf, NO_SOURCE, -1, t
         nx, ny, nz = outward_direction(pools, f, x, y, z, best, True)
         d = math.sqrt(best[0])
-        return INSIDE, -d, nx, ny, nz, best[1], best[2], best[3], d, best[5], best[6]
+        return INSIDE, -d, nx, ny, nz, best[1], best[2], best[3], d, best[5], best[6], t
     if near <= 0.0:
-        return OUTSIDE, reach, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -reach, NO_SOURCE, -1
+        return OUTSIDE, reach, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -reach, NO_SOURCE, -1, t
     best = nearest_from_outside(pools, f, t, x, y, z, near, EVERYTHING, scratch, thread)
     if best[5] == NO_SOURCE:
-        return OUTSIDE, max(reach, near), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -max(reach, near), NO_SOURCE, -1
+        return OUTSIDE, max(reach, near), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -max(reach, near), NO_SOURCE, -1, t
     nx, ny, nz = outward_direction(pools, f, x, y, z, best, False)
     d = math.sqrt(best[0])
-    return NEAR, d, nx, ny, nz, best[1], best[2], best[3], -d, best[5], best[6]
+    return NEAR, d, nx, ny, nz, best[1], best[2], best[3], -d, best[5], best[6], t
 
 
 @inlined_kernel

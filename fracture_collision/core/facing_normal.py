@@ -17,6 +17,7 @@ from fracture_collision.core.flood import NO_SOURCE, TOWARD, nearest_from_inside
 from fracture_collision.core.kinds import BOX, TETRAHEDRA, TRIANGLES
 from fracture_collision.core.point_location import holds_fragment, tetrahedron_at
 from fracture_collision.core.traversal import (
+    ID_AT,
     ID_SAMPLE,
     ID_SIDE,
     ID_SOURCE,
@@ -47,8 +48,8 @@ def turn_contacts(pools, a, b, rotation, translation, near, contacts, ids, count
         side, sample = ids[c, ID_SIDE], ids[c, ID_SAMPLE]
         f, own = (b, a) if side == 0 else (a, b)
         if one_body:
-            source, where = ids[c, ID_SOURCE], ids[c, ID_TETRAHEDRON]
-            turn_to_crack(pools, f, own, near, contacts[c], source, where, scratch, thread)
+            source, where, at = ids[c, ID_SOURCE], ids[c, ID_TETRAHEDRON], ids[c, ID_AT]
+            turn_to_crack(pools, f, own, near, contacts[c], source, where, at, scratch, thread)
         elif sample >= 0 and pools.fragment.kind[f] in (BOX, TETRAHEDRA, TRIANGLES):
             _turn_to_facing(pools, f, own, sample, side, rotation, translation, near, contacts[c], scratch, thread)
 

@@ -22,7 +22,8 @@ from fracture_collision.core.closest_point import (
 )
 from fracture_collision.core.compiled import inlined_kernel
 from fracture_collision.core.cut_tetrahedron import FACE_VERTICES
-from fracture_collision.core.point_location import holds_fragment
+from fracture_collision.core.occupancy import ROUNDING, parts_within
+from fracture_collision.core.point_location import height, holds_fragment
 from fracture_collision.core.pools import NEVER_BROKEN, OLD_FACE, PARTED
 
 # Which surface triangle a closest point lies on: a row of body.triangles, or -1 - (4 tetrahedron + face) of the old
@@ -40,29 +41,23 @@ WEIGHT_ROUNDING = 1e-12
 
 
 @inlined_kernel
-def corner_weight(mesh, t, corner, x, y, z):
-    """Barycentric weight of a corner of tetrahedron `t` at the point, and its gradient (x, y, z) [1/m]."""
+def _weight_and_slope(mesh, t, corner, x, y, z):
+    """Barycentric weight of a corner of tetrahedron `t` at the point, and the square of its gradient [1/m2]."""
     b = mesh.barycentric[t]
     if corner > 0:
         k = 4 * (corner - 1)
         gx, gy, gz = b[k], b[k + 1], b[k + 2]
-        return gx * x + gy * y + gz * z + b[k + 3], gx, gy, gz
+        return gx * x + gy * y + gz * z + b[k + 3], gx * gx + gy * gy + gz * gz
     gx, gy, gz = b[0] + b[4] + b[8], b[1] + b[5] + b[9], b[2] + b[6] + b[10]
-    return 1.0 - gx * x - gy * y - gz * z - b[3] - b[7] - b[11], -gx, -gy, -gz
-
-
-@inlined_kernel
-def _weight_and_slope(mesh, t, corner, x, y, z):
-    """The weight, and the square of its gradient [1/m2]."""
-    weight, gx, gy, gz = corner_weight(mesh, t, corner, x, y, z)
-    return weight, gx * gx + gy * gy + gz * gz
+    return 1.0 - gx * x - gy * y - gz * z - b[3] - b[7] - b[11], gx * gx + gy * gy + gz * gz
 
 
 @inlined_kernel
 def _face_is_farther(mesh, t, face, x, y, z, d2):
     """Whether the plane of a face, and so the face, is farther than sqrt(d2) [m]; rounding is left room."""
     weight, slope = _weight_and_slope(mesh, t, face, x, y, z)
-    return abs(weight) > math.sqrt(d2 * slope * PLANE_SLACK) + WEIGHT_ROUNDING
+    weight = abs(weight) - WEIGHT_ROUNDING
+    return weight > 0.0 and weight * weight > d2 * slope * PLANE_SLACK
 
 
 @inlined_kernel
@@ -133,8 +128,8 @@ def nearest_in_tetrahedron(pools, f, t, x, y, z, only, best):
         if behind == TOWARD and sign * (p[0] * ox + p[1] * oy + p[2] * oz) >= 0.0:
             continue
         # no point of a triangle is nearer than its plane; rounding is left room. One without a plane is no number
-        height = p[0] * x + p[1] * y + p[2] * z - p[3]
-        if not height * height <= d2 * PLANE_SLACK:
+        above = height(body, i, x, y, z)
+        if not above * above <= d2 * PLANE_SLACK:
             continue
         p = body.triangles[i]
         e2, ex, ey, ez, rim = closest_on_triangle(x, y, z, p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8])
@@ -233,26 +228,28 @@ def nearest_from_outside(pools, f, at, x, y, z, limit, only, scratch, thread):
             return best
     k = pools.fragment.mesh[f]
     stamp = next_stamp(scratch, thread)
-    cell = mesh.grid[k, 3]
     nx, ny, nz, first = mesh.grid_dims[k]
     cells = pools.fragment.cells[f]
-    ox, oy, oz = mesh.grid[k, 0], mesh.grid[k, 1], mesh.grid[k, 2]
-    i0 = max(math.floor((x - limit - ox) / cell), cells[0])
-    i1 = min(math.floor((x + limit - ox) / cell), cells[0] + cells[3] - 1)
-    j0 = max(math.floor((y - limit - oy) / cell), cells[1])
-    j1 = min(math.floor((y + limit - oy) / cell), cells[1] + cells[4] - 1)
-    l0 = max(math.floor((z - limit - oz) / cell), cells[2])
-    l1 = min(math.floor((z + limit - oz) / cell), cells[2] + cells[5] - 1)
+    per_cell = 1.0 / mesh.grid[k, 3]
+    px, py, pz = (x - mesh.grid[k, 0]) * per_cell, (y - mesh.grid[k, 1]) * per_cell, (z - mesh.grid[k, 2]) * per_cell
+    r = limit * per_cell * (1.0 + ROUNDING) + ROUNDING
+    i0, i1 = max(math.floor(px - r), cells[0]), min(math.floor(px + r), cells[0] + cells[3] - 1)
+    j0, j1 = max(math.floor(py - r), cells[1]), min(math.floor(py + r), cells[1] + cells[4] - 1)
+    l0, l1 = max(math.floor(pz - r), cells[2]), min(math.floor(pz + r), cells[2] + cells[5] - 1)
     for i in range(i0, i1 + 1):
         for j in range(j0, j1 + 1):
             for l in range(l0, l1 + 1):  # noqa: E741
                 bit = ((i - cells[0]) * cells[4] + (j - cells[1])) * cells[5] + (l - cells[2])
-                if pools.occupancy[cells[6] + bit] == 0:
+                word = pools.occupancy[cells[6] + bit]
+                if not word:
+                    continue
+                within = word & parts_within(px - i, py - j, pz - l, r)
+                if not within:
                     continue
                 c = first + (i * ny + j) * nz + l
                 for e in range(mesh.cell_begin[c], mesh.cell_begin[c + 1]):
                     t = mesh.cell_tets[e]
-                    if visited[t] == stamp:
+                    if not mesh.cell_parts[e] & within or visited[t] == stamp:
                         continue
                     visited[t] = stamp
                     if box_distance_squared(x, y, z, mesh.boxes[t]) >= best[0] or not holds_fragment(pools, f, t):
@@ -271,11 +268,11 @@ def _region_is_farther(pools, f, t, x, y, z, d2):
     if tet_shift == NEVER_BROKEN or body.tet_fragment[t + tet_shift] != PARTED:
         return False
     row = body.cut_begin[t + tet_shift]
-    p = body.faces[row]
-    height = p[0] * x + p[1] * y + p[2] * z - p[3]
+    above = height(body, row, x, y, z)
     if body.front[row] != f:
-        height = -height
-    return height > math.sqrt(d2) + HEIGHT_ROUNDING * pools.fragment.radius[f]
+        above = -above
+    above -= HEIGHT_ROUNDING * pools.fragment.radius[f]
+    return above > 0.0 and above * above > d2
 
 
 @inlined_kernel

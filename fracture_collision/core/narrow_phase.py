@@ -12,8 +12,24 @@ import numpy as np
 from fracture_collision.core.compiled import inlined_kernel, kernel, threaded_kernel
 from fracture_collision.core.crew import Crew
 from fracture_collision.core.facing_normal import turn_contacts
+from fracture_collision.core.neighbour_lists import (
+    FULL,
+    MOST_LISTED,
+    NO_LISTS,
+    NOT_LISTED,
+    REACH,
+    SLOW,
+    NeighbourLists,
+    can_be_listed,
+    displacement,
+    keep_list,
+    keep_pose,
+    make_lists,
+    match,
+    pair_keys,
+)
 from fracture_collision.core.pools import FACING
-from fracture_collision.core.traversal import ID_SAMPLE, ID_SIDE, query_pair
+from fracture_collision.core.traversal import ID_SAMPLE, ID_SIDE, query_listed, query_pair, rounding_slack
 
 # Contacts a pair gets room for at first, on average and at least for a thread's share of pairs; those that find none
 # left are asked again.
@@ -69,11 +85,12 @@ def _relative_pose(rotation_from, position_from, rotation_to, position_to, rotat
 @threaded_kernel
 def _query_share(
     pools, rows, rotations, positions, pairs, todo, wanted, epsilon, near, budget,
-    contacts, ids, begin, counts, bounds, visits, exhausted, scratch, threads, thread,
+    contacts, ids, begin, counts, bounds, visits, exhausted, before, matched, lists, slots, scratch, threads, thread,
 ):  # fmt: skip
     """Every `threads`-th pair of `todo`, from `thread` on.
 
     Their contacts go one behind the other into contacts[thread], from row begin[pair] on; -1: there was no room left.
+    before, lists: NeighbourLists of the last step and of this one; matched, slots: a pair's place in them (-1: none).
     """
     rotation, translation = scratch.rotation[thread], scratch.translation[thread]
     used, room = 0, contacts.shape[1]
@@ -84,19 +101,52 @@ def _query_share(
         _relative_pose(rotations[i], positions[i], rotations[j], positions[j], rotation[0], translation[0])
         _relative_pose(rotations[j], positions[j], rotations[i], positions[i], rotation[1], translation[1])
         radius = min(pools.fragment.radius[a], pools.fragment.radius[b])
-        counts[p], bounds[p], visits[p], exhausted[p] = query_pair(
-            pools, a, b, rotation, translation, wanted, epsilon * radius, near * radius, budget,
-            contacts[thread, used:], ids[thread, used:], room - used, scratch, thread,
-        )  # fmt: skip
+        out, out_ids = contacts[thread, used:], ids[thread, used:]
+        slot, last = slots[p], matched[p]
+        found, reach = -1, 0.0
+        if slot >= 0:
+            keep_pose(rotation, translation, lists.poses[slot])
+        if last >= 0 and before.counts[last] >= 0:
+            listed_at, n = before.listed_at[last], before.counts[last]
+            rounding = 2.0 * rounding_slack(pools, a, b, translation)
+            if displacement(pools, a, b, rotation, translation, listed_at) + rounding < REACH * radius:
+                found, bounds[p], visits[p], exhausted[p] = query_listed(
+                    pools, a, b, rotation, translation, wanted, near * radius, before.samples[last, :n],
+                    out, out_ids, room - used, scratch, thread,
+                )  # fmt: skip
+                keep_list(before, last, lists, slot)
+        if (
+            found < 0 and last >= 0 and before.counts[last] != FULL and can_be_listed(pools, a, b)
+            and displacement(pools, a, b, rotation, translation, before.poses[last]) < SLOW * REACH * radius
+        ):  # fmt: skip
+            reach = REACH * radius
+        if reach > 0.0:
+            found, bounds[p], visits[p], exhausted[p], n = query_pair(
+                pools, a, b, rotation, translation, wanted, epsilon * radius, near * radius, reach, 0,
+                out, out_ids, room - used, lists.samples[slot], scratch, thread,
+            )  # fmt: skip
+            lists.counts[slot] = FULL
+            if found >= wanted:
+                found = -1
+            elif n <= MOST_LISTED:
+                lists.counts[slot] = n
+                keep_pose(rotation, translation, lists.listed_at[slot])
+        if found < 0:
+            found, bounds[p], visits[p], exhausted[p], _ = query_pair(
+                pools, a, b, rotation, translation, wanted, epsilon * radius, near * radius, 0.0, budget,
+                out, out_ids, room - used, scratch.queue[thread, 0, :0], scratch, thread,
+            )  # fmt: skip
+            if slot >= 0:
+                lists.counts[slot] = FULL if found >= wanted else NOT_LISTED
+        counts[p] = found
         begin[p] = used
         if counts[p] > room - used:
             begin[p] = -1
             continue
         if pools.normals == FACING:
             turn_contacts(
-                pools, a, b, rotation, translation, near * radius, contacts[thread, used:], ids[thread, used:],
-                counts[p], scratch, thread,
-            )  # fmt: skip
+                pools, a, b, rotation, translation, near * radius, out, out_ids, counts[p], scratch, thread
+            )
         used += counts[p]
 
 
@@ -135,23 +185,34 @@ def _gather(
 
 
 def query_pairs(
-    pools, rows, rotations, positions, pairs, wanted, epsilon, near, budget, scratch, crew: Crew
-) -> PairContacts:
+    pools, rows, rotations, positions, pairs, wanted, epsilon, near, budget, scratch, crew: Crew,
+    before: NeighbourLists | None = None,
+) -> tuple[PairContacts, NeighbourLists]:  # fmt: skip
     """Contacts of `pairs` (p, 2) of indices into `rows` (n,), with poses rotations (n, 3, 3), positions (n, 3) [m].
 
     wanted: m of section 5.2; epsilon, near: shares of the smaller R of the two bodies; budget: visits a pair, 0: none.
+    before: the lists that the last answer from these pools came with, to be quicker where little has moved; with a
+    budget, or with None, none are used and none are made. What is answered does not depend on them, but for `visits`.
     """
     p = len(pairs)
+    matched, slots = np.full(p, -1), np.full(p, -1)
+    lists = NO_LISTS
+    if before is not None and not budget:
+        keys = pair_keys(rows, pairs)
+        order = np.argsort(keys, kind="stable")
+        lists, matched = make_lists(keys[order]), match(before, keys)
+        slots[order] = np.arange(p)
+    before = NO_LISTS if before is None else before
     counts, visits = np.zeros(p, np.int64), np.zeros(p, np.int64)
     bounds, exhausted = np.zeros(p), np.zeros(p, np.uint8)
     todo, room = np.arange(p), max(LEAST_ROOM, FIRST_ROOM * p // crew.threads)
     passes = []
     while len(todo):
-        contacts, ids = np.empty((crew.threads, room, 10)), np.empty((crew.threads, room, 4), np.int64)
+        contacts, ids = np.empty((crew.threads, room, 10)), np.empty((crew.threads, room, 5), np.int64)
         begin = np.empty(p, np.int64)
         crew.share(
             _query_share, pools, rows, rotations, positions, pairs, todo, wanted, epsilon, near, budget,
-            contacts, ids, begin, counts, bounds, visits, exhausted, scratch,
+            contacts, ids, begin, counts, bounds, visits, exhausted, before, matched, lists, slots, scratch,
         )  # fmt: skip
         passes.append((todo, contacts, ids, begin))
         todo = todo[begin[todo] < 0]
@@ -165,4 +226,4 @@ def query_pairs(
             pairs, rotations, positions, todo, contacts, ids, begin, counts, offsets,
             points_a, points_b, normals, gaps, samples,
         )  # fmt: skip
-    return PairContacts(counts, bounds, visits, exhausted, points_a, points_b, normals, gaps, samples)
+    return PairContacts(counts, bounds, visits, exhausted, points_a, points_b, normals, gaps, samples), lists

@@ -1,6 +1,7 @@
 """The multi-level grid of Glondu 2014, section 4.5: does a sphere outside reach any tetrahedron that holds fragment f?
 
-Level 0 is the location grid, restricted to the fragment's own cells; a cell of level k + 1 is set if ANY of its eight
+Level 0 is the location grid, restricted to the fragment's own cells, a word each: every cell has 4 x 4 x 4 parts, and a
+part's bit is set if a tetrahedron that holds f may meet it. Above, a cell of level k + 1 is set if ANY of its eight
 children is (the text's AND would cull what touches).
 """
 
@@ -11,6 +12,7 @@ import math
 import numpy as np
 
 from fracture_collision.core.compiled import inlined_kernel, query_kernel
+from fracture_collision.core.tet_mesh import PARTS
 
 # Cells that a sphere's diameter may span at the level that is asked: more of them cost loads, fewer cull less.
 SPAN = 4.0
@@ -18,27 +20,83 @@ SPAN = 4.0
 ROUNDING = 1e-9
 
 
-@query_kernel
-def mark_tetrahedron(mesh, k, t, cells, occupancy):
-    """Set the level-0 bytes of all cells that tetrahedron `t` of mesh `k` touches, within the fragment's cells (7,)."""
-    ny, nz = mesh.grid_dims[k, 1], mesh.grid_dims[k, 2]
-    for e in range(mesh.tet_cells_begin[t + k], mesh.tet_cells_begin[t + k + 1]):
-        c = mesh.tet_cells[e]
-        i, j, l = c // (ny * nz) - cells[0], c // nz % ny - cells[1], c % nz - cells[2]  # noqa: E741
-        if 0 <= i < cells[3] and 0 <= j < cells[4] and 0 <= l < cells[5]:
-            occupancy[cells[6] + (i * cells[4] + j) * cells[5] + l] = 1
+def _slabs(axis: int) -> np.ndarray:
+    """The parts first .. last along an axis, in entry PARTS first + last (PARTS**2,) uint64."""
+    part = np.indices((PARTS, PARTS, PARTS))[axis].ravel()
+    bit = np.uint64(1) << np.arange(PARTS**3, dtype=np.uint64)
+    chosen = [bit[(first <= part) & (part <= last)] for first in range(PARTS) for last in range(PARTS)]
+    return np.array([np.bitwise_or.reduce(bits, initial=np.uint64(0)) for bits in chosen], dtype=np.uint64)
+
+
+_SLABS_X, _SLABS_Y, _SLABS_Z = _slabs(0), _slabs(1), _slabs(2)
+
+
+@inlined_kernel
+def _slab(low, high):
+    """Entry of the tables above for what [low, high] covers of a cell, in cells from the cell's lower wall."""
+    first, last = int(math.floor(PARTS * low)), int(math.floor(PARTS * high))
+    return PARTS * min(max(first, 0), PARTS - 1) + min(max(last, 0), PARTS - 1)
+
+
+@inlined_kernel
+def parts_within(x, y, z, r):
+    """Bits of a cell's parts that the box of half edge `r` about a point overlaps; cells, from its lowest corner."""
+    return _SLABS_X[_slab(x - r, x + r)] & _SLABS_Y[_slab(y - r, y + r)] & _SLABS_Z[_slab(z - r, z + r)]
+
+
+@inlined_kernel
+def part_at(x, y, z):
+    """Bit of the part that holds a point of a cell."""
+    i, j, k = min(int(PARTS * x), PARTS - 1), min(int(PARTS * y), PARTS - 1), min(int(PARTS * z), PARTS - 1)
+    return np.uint64(1) << np.uint64((i * PARTS + j) * PARTS + k)
+
+
+@inlined_kernel
+def _mark(cells, i, j, k, parts, occupancy):
+    i, j, k = i - cells[0], j - cells[1], k - cells[2]
+    if 0 <= i < cells[3] and 0 <= j < cells[4] and 0 <= k < cells[5]:
+        occupancy[cells[6] + (i * cells[4] + j) * cells[5] + k] |= parts
 
 
 @query_kernel
-def mark_all(mesh, k, first, last, cells, occupancy):
-    """Mark tetrahedra first .. last - 1 of mesh `k`."""
-    for t in range(first, last):
-        mark_tetrahedron(mesh, k, t, cells, occupancy)
+def mark_all(mesh, k, cells, occupancy):
+    """Level 0 of the whole body of mesh `k`; `cells` (7,): see FragmentPool.cells, all of its grid."""
+    nx, ny, nz, first = mesh.grid_dims[k]
+    for i in range(nx):
+        for j in range(ny):
+            for l in range(nz):  # noqa: E741
+                c = first + (i * ny + j) * nz + l
+                for e in range(mesh.cell_begin[c], mesh.cell_begin[c + 1]):
+                    _mark(cells, i, j, l, mesh.cell_parts[e], occupancy)
 
 
 @query_kernel
-def pyramid_bytes(cells):
-    """Bytes of all levels together, for a fragment's cells (7,)."""
+def mark_cells(pools, parent, low, high, cells, occupancy):
+    """Level 0 of fragments low .. high - 1, into which `parent` broke; `cells` (high - low, 7)."""
+    mesh, body = pools.mesh, pools.body
+    node_shift, tet_shift = pools.fragment.node_shift[parent], pools.fragment.tet_shift[parent]
+    ny, nz, first = mesh.grid_dims[pools.fragment.mesh[parent], 1:]
+    x0, y0, z0, nx, my, mz, _ = pools.fragment.cells[parent]
+    for i in range(x0, x0 + nx):
+        for j in range(y0, y0 + my):
+            for l in range(z0, z0 + mz):  # noqa: E741
+                c = first + (i * ny + j) * nz + l
+                for e in range(mesh.cell_begin[c], mesh.cell_begin[c + 1]):
+                    t, parts = mesh.cell_tets[e], mesh.cell_parts[e]
+                    alone = body.tet_fragment[t + tet_shift]
+                    if low <= alone < high:
+                        _mark(cells[alone - low], i, j, l, parts, occupancy)
+                    if alone >= 0:
+                        continue
+                    for corner in range(4):
+                        holder = body.node_fragment[mesh.tetrahedra[t, corner] + node_shift]
+                        if low <= holder < high:
+                            _mark(cells[holder - low], i, j, l, parts, occupancy)
+
+
+@query_kernel
+def pyramid_words(cells):
+    """Words of all levels together, for a fragment's cells (7,)."""
     total, level = 0, 0
     while True:
         nx = ((cells[0] + cells[3] - 1) >> level) - (cells[0] >> level) + 1
@@ -76,7 +134,7 @@ def sphere_may_touch(pools, f, x, y, z, r):
     """False only if no tetrahedron that holds f comes within `r` [m] of the point (body frame).
 
     Sharper than the paper's eight cells at one level: the cells that the sphere's box overlaps, at most SPAN + 1 along
-    each axis.
+    each axis, and at level 0 the parts of them that it overlaps.
     """
     grid = pools.mesh.grid
     k = pools.fragment.mesh[f]
@@ -88,10 +146,14 @@ def sphere_may_touch(pools, f, x, y, z, r):
     x0, y0, z0 = cells[0], cells[1], cells[2]
     nx, ny, nz = cells[3], cells[4], cells[5]
     begin = cells[6]
-    # the cell that holds the centre answers most spheres that touch
-    a, b, c = int(math.floor(px)) - x0, int(math.floor(py)) - y0, int(math.floor(pz)) - z0
-    if 0 <= a < nx and 0 <= b < ny and 0 <= c < nz and pools.occupancy[begin + (a * ny + b) * nz + c]:
-        return True
+    # the part that holds the centre answers most spheres that touch
+    i, j, l = math.floor(px), math.floor(py), math.floor(pz)  # noqa: E741
+    a, b, c = int(i) - x0, int(j) - y0, int(l) - z0
+    if 0 <= a < nx and 0 <= b < ny and 0 <= c < nz:
+        word = pools.occupancy[begin + (a * ny + b) * nz + c]
+        if word and word & part_at(px - i, py - j, pz - l):
+            return True
+    lowest = 2.0 * r <= SPAN
     while 2.0 * r > SPAN:
         if nx == 1 and ny == 1 and nz == 1:
             return True
@@ -114,15 +176,16 @@ def sphere_may_touch(pools, f, x, y, z, r):
             if left < 0.0:
                 continue
             for c in range(c0, c1 + 1):
-                if pools.occupancy[begin + (a * ny + b) * nz + c]:
+                word = pools.occupancy[begin + (a * ny + b) * nz + c]
+                if word:
                     dz = max(c - pz, 0.0, pz - (c + 1))
-                    if dz * dz <= left:
+                    if dz * dz <= left and (not lowest or word & parts_within(px - a, py - b, pz - c, r)):
                         return True
     return False
 
 
-def cells_of_box(box: np.ndarray, origin: np.ndarray, cell: float, dims: np.ndarray, first_byte: int) -> np.ndarray:
+def cells_of_box(box: np.ndarray, origin: np.ndarray, cell: float, dims: np.ndarray, first_word: int) -> np.ndarray:
     """The cells row (7,) of a fragment with bounding box (6,) [m] in a location grid."""
     lower = np.clip(np.floor((box[:3] - origin) / cell), 0, dims - 1).astype(np.int32)
     upper = np.clip(np.floor((box[3:] - origin) / cell), 0, dims - 1).astype(np.int32)
-    return np.concatenate([lower, upper - lower + 1, [first_byte]]).astype(np.int32)
+    return np.concatenate([lower, upper - lower + 1, [first_word]]).astype(np.int32)

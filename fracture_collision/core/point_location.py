@@ -1,6 +1,6 @@
 """Which tetrahedron holds a point, and which fragment owns it there: insideTest of Glondu 2014, section 4.3.
 
-A uniform grid takes the place of the paper's k-d tree: one cell, then the few tetrahedra whose boxes touch it.
+A uniform grid takes the place of the paper's k-d tree: one cell, then the few tetrahedra that meet the part of it.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import numpy as np
 
 from fracture_collision.core.compiled import inlined_kernel
 from fracture_collision.core.cut_tetrahedron import ON_FACE
+from fracture_collision.core.occupancy import part_at
 from fracture_collision.core.pools import NEVER_BROKEN, PARTED
 
 # A point of a shared face belongs to the first of its tetrahedra; rounding must not lose it between them.
@@ -25,15 +26,17 @@ MOST_STEPS = 16
 @inlined_kernel
 def tetrahedron_at(mesh, k, x, y, z):
     """Row of the tetrahedron of mesh `k` that holds the point (body frame [m]); -1 outside the body."""
-    cell = mesh.grid[k, 3]
-    i = math.floor((x - mesh.grid[k, 0]) / cell)
-    j = math.floor((y - mesh.grid[k, 1]) / cell)
-    l = math.floor((z - mesh.grid[k, 2]) / cell)  # noqa: E741
+    per_cell = 1.0 / mesh.grid[k, 3]
+    px, py, pz = (x - mesh.grid[k, 0]) * per_cell, (y - mesh.grid[k, 1]) * per_cell, (z - mesh.grid[k, 2]) * per_cell
+    i, j, l = math.floor(px), math.floor(py), math.floor(pz)  # noqa: E741
     nx, ny, nz, first = mesh.grid_dims[k]
     if i < 0 or j < 0 or l < 0 or i >= nx or j >= ny or l >= nz:
         return -1
     c = first + (int(i) * ny + int(j)) * nz + int(l)
+    part = part_at(px - i, py - j, pz - l)
     for e in range(mesh.cell_begin[c], mesh.cell_begin[c + 1]):
+        if not mesh.cell_parts[e] & part:
+            continue
         t = mesh.cell_tets[e]
         b = mesh.barycentric[t]
         least = WEIGHT_TOLERANCE - TERM_ROUNDING * (abs(b[3]) + abs(b[7]) + abs(b[11]))
@@ -97,7 +100,7 @@ def owner_in_cut(pools, f, t, x, y, z):
 
 
 @inlined_kernel
-def _height(body, row, x, y, z):
+def height(body, row, x, y, z):
     """Of the point above the plane of a triangle, out of its front [m]; not a number for one without a plane."""
     p = body.faces[row]
     return p[0] * x + p[1] * y + p[2] * z - p[3]
@@ -105,7 +108,7 @@ def _height(body, row, x, y, z):
 
 @inlined_kernel
 def _side(body, row, x, y, z):
-    return body.front[row] if _height(body, row, x, y, z) <= 0.0 else body.back[row]
+    return body.front[row] if height(body, row, x, y, z) <= 0.0 else body.back[row]
 
 
 @inlined_kernel
@@ -136,7 +139,7 @@ def _owner_about_hub(pools, f, t, first, x, y, z):
         return _side(body, row, x, y, z)
     # three fragments about the face point, none over more than half a turn: each has what is behind the half-plane at
     # its end and beyond the one at its beginning; on the border of two, where rounding decides, whichever lacks less
-    first, second, third = _height(body, row, x, y, z), _height(body, row + 1, x, y, z), _height(body, row + 2, x, y, z)
+    first, second, third = height(body, row, x, y, z), height(body, row + 1, x, y, z), height(body, row + 2, x, y, z)
     lacks, of_second, of_third = _larger(first, -third), _larger(second, -first), _larger(third, -second)
     if of_third < lacks and of_third < of_second:
         return body.front[row + 2]

@@ -28,13 +28,13 @@ class PoolTables:
     """Columns of each pool by name, growing at their ends; after an append, `have_grown` renews what `pools` shows."""
 
     def __init__(self, traversal: int, field: int, normals: int) -> None:
-        f8, i4, u1 = np.float64, np.int32, np.uint8
+        f8, i4, u1, u8 = np.float64, np.int32, np.uint8, np.uint64
         self.mesh = _table(
             nodes=(3, f8), tetrahedra=(4, i4), neighbours=(4, i4), tetrahedron_edges=(6, i4), edges=(2, i4),
             boxes=(6, f8), barycentric=(12, f8), moments=(10, f8), on_surface=(0, u1), node_normals=(3, f8),
             node_tets_begin=(0, i4), node_tets=(0, i4), first=(3, i4), grid=(4, f8), grid_dims=(4, i4),
-            cell_begin=(0, i4), cell_tets=(0, i4), tet_cells_begin=(0, i4), tet_cells=(0, i4), depth_grid=(4, f8),
-            depth_grid_dims=(4, i4), grid_depth=(0, f8),
+            cell_begin=(0, i4), cell_tets=(0, i4), cell_parts=(0, u8), depth_grid=(4, f8), depth_grid_dims=(4, i4),
+            grid_depth=(0, f8),
         )  # fmt: skip
         self.body = _table(
             node_fragment=(0, i4), edge_plane=(0, i4), edge_event=(0, i4), edge_share=(0, f8), tet_fragment=(0, i4),
@@ -51,7 +51,7 @@ class PoolTables:
             node_first=(0, i4), node_count=(0, i4), node_range=(2, i4), triangle_range=(2, i4),
             first_vertex=(0, i4),
         )  # fmt: skip
-        self.occupancy = GrowableArray(0, u1)
+        self.occupancy = GrowableArray(0, u8)
         self._switches = traversal, field, normals
         self._pools: Pools | None = None
 
@@ -94,7 +94,7 @@ class PoolTables:
             ("nodes", 0), ("tetrahedra", node), ("neighbours", tet), ("tetrahedron_edges", edge), ("edges", node),
             ("boxes", 0), ("barycentric", 0), ("moments", 0), ("on_surface", 0), ("node_normals", 0),
             ("node_tets_begin", table["node_tets"].used), ("node_tets", tet), ("cell_begin", table["cell_tets"].used),
-            ("cell_tets", tet), ("tet_cells_begin", table["tet_cells"].used), ("tet_cells", 0),
+            ("cell_tets", tet), ("cell_parts", 0),
         ):  # fmt: skip
             rows = getattr(mesh, name)
             if shift:

@@ -70,8 +70,7 @@ class MeshPool(NamedTuple):
     grid_dims: np.ndarray  # (meshes, 4) int32: cells along x, y, z; first entry in cell_begin
     cell_begin: np.ndarray  # int32, cells + 1 a mesh
     cell_tets: np.ndarray  # int32
-    tet_cells_begin: np.ndarray  # (M + meshes,) int32; mesh k's rows start at first tetrahedron + k
-    tet_cells: np.ndarray  # int32, cells of each tetrahedron, counted from its mesh's first
+    cell_parts: np.ndarray  # uint64, a bit each of the cell's parts that this tetrahedron may meet (occupancy.py)
     # the dense grid of the averaged field (interior_field.py); empty until a body of the mesh breaks under that field
     depth_grid: np.ndarray  # (meshes, 4) float64: first grid point [m], cell [m]
     depth_grid_dims: np.ndarray  # (meshes, 4) int32: grid points along x, y, z; first entry in grid_depth
@@ -111,7 +110,7 @@ class FragmentPool(NamedTuple):
     radius: np.ndarray  # float64 [m] R of the body, half its box's longest side; infinite for a plane
     tree_begin: np.ndarray  # int32
     tree_end: np.ndarray  # int32
-    cells: np.ndarray  # (F, 7) int32: first cell x y z, cells x y z, first byte of `occupancy`
+    cells: np.ndarray  # (F, 7) int32: first cell x y z, cells x y z, first word of `occupancy`
 
 
 class TriangleMeshPool(NamedTuple):
@@ -149,7 +148,7 @@ class Pools(NamedTuple):
     body: BodyPool
     fragment: FragmentPool
     tree: TreePool
-    occupancy: np.ndarray  # uint8, multi-level grids (occupancy.py)
+    occupancy: np.ndarray  # uint64, multi-level grids (occupancy.py)
     triangles: TriangleMeshPool
     traversal: int  # ALTERNATING or QUEUE
     field: int  # EXACT or AVERAGED

@@ -8,6 +8,9 @@ import numpy as np
 
 from fracture_collision.core.triangle_field import STACK
 
+# A tetrahedron has at most three planes that part fragments behind each face.
+ROOTS = 12
+
 
 class Scratch(NamedTuple):
     """Leading dimension: thread."""
@@ -16,7 +19,7 @@ class Scratch(NamedTuple):
     stamp: np.ndarray  # (threads,) int32
     heap_key: np.ndarray  # (threads, tetrahedra) float64: squared box distance [m2]
     heap_tet: np.ndarray  # (threads, tetrahedra) int32
-    roots: np.ndarray  # (threads, 64) float64: where a ray may change its owner within a tetrahedron
+    roots: np.ndarray  # (threads, ROOTS) float64: where a ray may change its owner within a tetrahedron
     node_int: np.ndarray  # (threads, nodes, 4) int32: entry, side, next child, status
     node_float: np.ndarray  # (threads, nodes, 4) float64: point in the other's frame [m], depth bound [m]
     queue: np.ndarray  # (threads, 2, 2 nodes) int32: rows of the two above
@@ -31,7 +34,7 @@ def make_scratch(threads: int, tetrahedra: int, nodes: int) -> Scratch:
         stamp=np.zeros(threads, dtype=np.int32),
         heap_key=np.zeros((threads, max(tetrahedra, 1))),
         heap_tet=np.zeros((threads, max(tetrahedra, 1)), dtype=np.int32),
-        roots=np.zeros((threads, 64)),
+        roots=np.zeros((threads, ROOTS)),
         node_int=np.zeros((threads, nodes, 4), dtype=np.int32),
         node_float=np.zeros((threads, nodes, 4)),
         queue=np.zeros((threads, 2, 2 * nodes), dtype=np.int32),

@@ -23,6 +23,10 @@ from fracture_collision.geometry.tetrahedra import (
 # A location grid with about one tetrahedron's box a cell answers fastest; a hollow body's box holds more air than
 # tetrahedra, so the number of cells is bounded too.
 CELLS_PER_TETRAHEDRON = 4
+# Parts of a cell along each axis: a word has 64 bits.
+PARTS = 4
+# What rounding may do to where a wall between parts lies, as a share of a part: coordinates may be 1e5 times as large.
+WALL = 1e-6
 
 
 class TetMesh(NamedTuple):
@@ -45,8 +49,7 @@ class TetMesh(NamedTuple):
     grid_dims: np.ndarray  # (3,) int32
     cell_begin: np.ndarray  # (cells + 1,) int32
     cell_tets: np.ndarray  # int32, ascending within a cell
-    tet_cells_begin: np.ndarray  # (m + 1,) int32
-    tet_cells: np.ndarray  # int32, the cells of each tetrahedron
+    cell_parts: np.ndarray  # uint64: which of the cell's parts (occupancy.py) that tetrahedron may meet, a bit each
     box: np.ndarray  # (6,) float64 [m]
     sampling_gap: float  # [m] no point of the old surface is farther from a vertex of it
 
@@ -93,8 +96,7 @@ def build_tet_mesh(nodes: np.ndarray, tetrahedra: np.ndarray) -> TetMesh:
         grid_dims=dims,
         cell_begin=cells[0],
         cell_tets=cells[1],
-        tet_cells_begin=cells[2],
-        tet_cells=cells[3],
+        cell_parts=cells[2],
         box=np.concatenate([lower, upper]),
         # The corners of a triangle with longest side L cover it with balls of radius L / sqrt(3).
         sampling_gap=float(np.sqrt((sides**2).sum(axis=2).max() / 3.0)),
@@ -160,47 +162,62 @@ def _touches_cell(rows, x, y, z, half):
 
 
 @kernel
+def _overlap(low, high, center, half):
+    """Whether [low, high] and center +- half meet."""
+    return low <= center + half and high >= center - half
+
+
+@kernel
+def _parts_met(box, rows, x, y, z, part):
+    """The parts of a cell, one with its lowest corner at (x, y, z), that a tetrahedron may meet, a bit each."""
+    # a hair more than half a part: rounding must not lose a tetrahedron that touches the wall between two
+    half = 0.5 * part * (1.0 + WALL)
+    parts = np.uint64(0)
+    for i in range(PARTS):
+        px = x + (i + 0.5) * part
+        if not _overlap(box[0], box[3], px, half):
+            continue
+        for j in range(PARTS):
+            py = y + (j + 0.5) * part
+            if not _overlap(box[1], box[4], py, half):
+                continue
+            for k in range(PARTS):
+                pz = z + (k + 0.5) * part
+                if _overlap(box[2], box[5], pz, half) and _touches_cell(rows, px, py, pz, half):
+                    parts |= np.uint64(1) << np.uint64((i * PARTS + j) * PARTS + k)
+    return parts
+
+
+@kernel
 def _register_tetrahedra(boxes, barycentric, origin, cell, dims):
-    """Cells to tetrahedra and tetrahedra to cells, as (begin, items) each, ascending."""
+    """Cells to tetrahedra, ascending: begin, items, and the parts of the cell that each may meet."""
     nx, ny, nz = dims
     cell_begin = np.zeros(nx * ny * nz + 1, dtype=np.int32)
-    tet_begin = np.zeros(len(boxes) + 1, dtype=np.int32)
-    lo = np.empty(3, dtype=np.int64)
-    hi = np.empty(3, dtype=np.int64)
-    # a hair more than half a cell, so that rounding cannot lose a tetrahedron that touches the wall between two cells
-    half = 0.5 * cell * (1.0 + 1e-9)
-    cell_tets = np.empty(0, dtype=np.int32)
-    tet_cells = np.empty(0, dtype=np.int32)
+    lo, hi = np.empty(3, dtype=np.int64), np.empty(3, dtype=np.int64)
+    cell_tets, cell_parts = np.empty(0, dtype=np.int32), np.empty(0, dtype=np.uint64)
     cursor = np.empty(0, dtype=np.int32)
     for fill in range(2):
         if fill == 1:
             for c in range(nx * ny * nz):
                 cell_begin[c + 1] += cell_begin[c]
             cell_tets = np.empty(cell_begin[-1], dtype=np.int32)
-            tet_cells = np.empty(cell_begin[-1], dtype=np.int32)
+            cell_parts = np.empty(cell_begin[-1], dtype=np.uint64)
             cursor = cell_begin.copy()
-        used = 0
         for t in range(len(boxes)):
             for k in range(3):
-                lo[k] = int(np.floor((boxes[t, k] - origin[k]) / cell))
-                hi[k] = int(np.floor((boxes[t, k + 3] - origin[k]) / cell))
+                lo[k] = max(int(np.floor((boxes[t, k] - origin[k]) / cell - WALL)), 0)
+                hi[k] = min(int(np.floor((boxes[t, k + 3] - origin[k]) / cell + WALL)), dims[k] - 1)
             for i in range(lo[0], hi[0] + 1):
                 for j in range(lo[1], hi[1] + 1):
                     for k in range(lo[2], hi[2] + 1):
-                        x, y, z = (
-                            origin[0] + (i + 0.5) * cell,
-                            origin[1] + (j + 0.5) * cell,
-                            origin[2] + (k + 0.5) * cell,
-                        )
-                        if not _touches_cell(barycentric[t], x, y, z, half):
+                        x, y, z = origin[0] + i * cell, origin[1] + j * cell, origin[2] + k * cell
+                        parts = _parts_met(boxes[t], barycentric[t], x, y, z, cell / PARTS)
+                        if not parts:
                             continue
                         c = (i * ny + j) * nz + k
                         if fill == 0:
                             cell_begin[c + 1] += 1
                         else:
-                            cell_tets[cursor[c]] = t
+                            cell_tets[cursor[c]], cell_parts[cursor[c]] = t, parts
                             cursor[c] += 1
-                            tet_cells[used] = c
-                            used += 1
-            tet_begin[t + 1] = used
-    return cell_begin, cell_tets, tet_begin, tet_cells
+    return cell_begin, cell_tets, cell_parts

@@ -82,33 +82,3 @@ def boxes_of_nodes(mesh, body, node_shift, nodes, boxes):
     for n in nodes:
         p = mesh.nodes[n]
         grow(boxes[body.node_fragment[n + node_shift]], p[0], p[1], p[2])
-
-
-@query_kernel
-def mark_cells(mesh, k, body, node_shift, touched, low, high, cells, occupancy, held):
-    """Set the level-0 cells of fragments low .. high - 1 (rows of `cells` (high - low, 7)) from their tetrahedra.
-
-    held (cells of the mesh,) uint64, clear: working space, 64 fragments at a time.
-    """
-    one = np.uint64(1)
-    ny, nz = mesh.grid_dims[k, 1], mesh.grid_dims[k, 2]
-    for batch in range(low, high, 64):
-        held[:] = 0
-        for t in touched.rows:
-            mask = np.uint64(0)
-            v = mesh.tetrahedra[t]
-            for i in range(1 if touched.kinds[t - touched.first] == LONE else 4):
-                label = body.node_fragment[v[i] + node_shift]
-                if batch <= label < min(batch + 64, high):
-                    mask |= one << np.uint64(label - batch)
-            if mask:
-                for e in range(mesh.tet_cells_begin[t + k], mesh.tet_cells_begin[t + k + 1]):
-                    held[mesh.tet_cells[e]] |= mask
-        for f in range(batch, min(batch + 64, high)):
-            x0, y0, z0, nx, my, mz, at = cells[f - low]
-            for i in range(x0, x0 + nx):
-                for j in range(y0, y0 + my):
-                    row = (i * ny + j) * nz
-                    for l in range(z0, z0 + mz):  # noqa: E741
-                        occupancy[at] = (held[row + l] >> np.uint64(f - batch)) & one
-                        at += 1

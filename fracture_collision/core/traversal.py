@@ -26,7 +26,8 @@ from fracture_collision.core.elementary_queries import (
     sphere_test,
 )
 from fracture_collision.core.flood import NO_SOURCE
-from fracture_collision.core.kinds import PLANE, SPHERE, TETRAHEDRA
+from fracture_collision.core.kinds import PLANE, SPHERE, TETRAHEDRA, TRIANGLES
+from fracture_collision.core.neighbour_lists import spin
 from fracture_collision.core.oriented_boxes import boxes_apart
 from fracture_collision.core.pools import NEVER_BROKEN, NONE_BELOW, OWN_SAMPLE, QUEUE, SAMPLE, SIZE, SURFACE
 
@@ -39,9 +40,10 @@ ENTRY, SIDE, NEXT_CHILD, STATUS = 0, 1, 2, 3
 # columns of scratch.node_float: the node's point in the other's frame, then an upper bound of its depth
 DEPTH = 3
 UNTESTED = -1
+UNTURNED = np.eye(3).ravel()
 UNKNOWN = 3  # beside INSIDE, NEAR, OUTSIDE: not asked, for no depth that it can have would count
 # columns of ids
-ID_SIDE, ID_SAMPLE, ID_SOURCE, ID_TETRAHEDRON = 0, 1, 2, 3
+ID_SIDE, ID_SAMPLE, ID_SOURCE, ID_TETRAHEDRON, ID_AT = 0, 1, 2, 3, 4
 
 
 @inlined_kernel
@@ -91,7 +93,7 @@ def sphere_contact(pools, ball, other, x, y, z, near, contacts, ids, count, side
     row[6], row[7], row[8] = nx, ny, nz
     row[9] = d - radius
     ids[count, ID_SIDE], ids[count, ID_SAMPLE] = side, -1
-    ids[count, ID_SOURCE], ids[count, ID_TETRAHEDRON] = NO_SOURCE, -1
+    ids[count, ID_SOURCE], ids[count, ID_TETRAHEDRON], ids[count, ID_AT] = NO_SOURCE, -1, -1
     return count + 1
 
 
@@ -118,53 +120,94 @@ def home_tetrahedron(pools, f, sample):
 
 
 @inlined_kernel
-def _spin(rotation):
-    """Largest displacement of a point at distance 1 from the origin by rotation (3, 3)."""
-    total = 0.0
-    for i in range(3):
-        for j in range(3):
-            d = rotation[i, j] - (1.0 if i == j else 0.0)
-            total += d * d
-    # R - I has two equal singular values and a zero
-    return math.sqrt(0.5 * total)
-
-
-@inlined_kernel
 def _moved(sphere, x, y, z):
     """How far the centre of a sphere is from where it is in the unbroken body [m]; (x, y, z): in the other's frame."""
     dx, dy, dz = x - sphere[0], y - sphere[1], z - sphere[2]
     return math.sqrt(dx * dx + dy * dy + dz * dz)
 
 
+@inlined_kernel
+def rounding_slack(pools, a, b, translation):
+    """What rounding may take from the bound [m] of a pair with these relative translations (2, 3)."""
+    fragment = pools.fragment
+    slack = BOUND_SLACK * min(fragment.radius[a], fragment.radius[b])
+    slack += COORDINATE_SLACK * (_farthest(pools, a) + _farthest(pools, b))
+    for d in range(3):
+        slack += COORDINATE_SLACK * (abs(translation[0, d]) + abs(translation[1, d]))
+    return slack
+
+
+@inlined_kernel
+def _put_contact(contacts, ids, count, side, sample, x, y, z, answer):
+    """Row `count` from a sample's point and what bounded_probe says of it."""
+    row = contacts[count]
+    row[0], row[1], row[2] = x, y, z
+    row[3], row[4], row[5] = answer[5], answer[6], answer[7]
+    row[6], row[7], row[8] = answer[2], answer[3], answer[4]
+    row[9] = answer[1]
+    ids[count, ID_SIDE], ids[count, ID_SAMPLE] = side, sample
+    ids[count, ID_SOURCE], ids[count, ID_TETRAHEDRON], ids[count, ID_AT] = answer[9], answer[10], answer[11]
+
+
+@query_kernel
+def query_listed(pools, a, b, rotation, translation, wanted, near, listed, contacts, ids, capacity, scratch, thread):
+    """query_pair of a pair of which `listed` (n,) are all samples that can be near (neighbour_lists.py).
+
+    Returns the same, exhausted False; -1 contacts: as many as wanted or than there is room for, so a search must say.
+    """
+    tree, count = pools.tree, 0
+    slack, one_body = rounding_slack(pools, a, b, translation), share_a_body(pools, a, b)
+    for k in range(len(listed)):
+        entry, side = listed[k] >> 1, listed[k] & 1
+        other = b if side == 0 else a
+        c, sample = tree.spheres[entry], tree.entries[entry, SAMPLE]
+        x, y, z = to_other(rotation[side], translation[side], c[0], c[1], c[2])
+        start = home_tetrahedron(pools, other, sample) if one_body else -1
+        deep = _moved(c, x, y, z) + slack if one_body else math.inf
+        answer = bounded_probe(pools, other, x, y, z, near, deep, start, False, scratch, thread)
+        if answer[0] == INSIDE and answer[1] == -math.inf:
+            answer = bounded_probe(pools, other, x, y, z, near, math.inf, start, True, scratch, thread)
+        if answer[0] == OUTSIDE:
+            continue
+        if count + 1 >= wanted or count == capacity:
+            return -1, slack, k + 1, False
+        _put_contact(contacts, ids, count, side, sample, x, y, z, answer)
+        count += 1
+    return count, slack, len(listed), False
+
+
 @query_kernel
 def query_pair(
-    pools, a, b, rotation, translation, wanted, epsilon, near, budget, contacts, ids, capacity, scratch, thread
-):
+    pools, a, b, rotation, translation, wanted, epsilon, near, reach, budget,
+    contacts, ids, capacity, listed, scratch, thread,
+):  # fmt: skip
     """All contacts of fragments `a` and `b`.
 
     rotation (2, 3, 3), translation (2, 3): [0] from a's body frame to b's, [1] back. `wanted` m, `epsilon` and `near`
-    [m], `budget` visits (0: none). Fills contacts (capacity, 10): sample point, witness on the other, the other's
-    outward normal, all in the other's frame, gap [m]; ids (capacity, 4): side (0: a's sample in b), sample (-1: a
-    sphere's own), source and tetrahedron of the witness (bounded_probe). Returns (contacts found, missed depth bound
-    [m], visits, exhausted); more found than `capacity` means: call again with room.
+    [m], `budget` visits (0: none). `reach` [m], 0: none: the samples that are no farther than near + reach are put into
+    `listed` (room,), and the search is given up once there are as many contacts as wanted.
 
-    The queues hold rows of node_int and node_float, one a node that was reached. A child whose sphere the other's box
-    or closed form keeps out of reach counts as visited but takes no row: its test on the next level could not but fail.
+    Fills contacts (capacity, 10): sample point, witness on the other, the other's outward normal, all in the other's
+    frame, gap [m]; ids (capacity, 5): side (0: a's sample in b), sample (-1: a sphere's own), source and tetrahedron of
+    the witness, tetrahedron of the sample (bounded_probe). Returns (contacts found, missed depth bound [m], visits,
+    exhausted, samples near); more found than `capacity` or near than there is room for means: call again with room, or
+    do without. Fewer contacts than wanted come by side and sample.
+
+    The queues hold rows of node_int and node_float, one a node that was reached. A child whose sphere keeps out of
+    reach of the other counts as visited but takes no row.
 
     Fragments of one body share a frame, and in place no sample of one is inside the other: so none
     is deeper than it has moved since. That bounds all below a node at once, and two that have hardly moved against
     each other need no search once they have their m contacts.
     """
     fragment, tree = pools.fragment, pools.tree
-    slack = BOUND_SLACK * min(fragment.radius[a], fragment.radius[b])
-    slack += COORDINATE_SLACK * (_farthest(pools, a) + _farthest(pools, b))
-    for d in range(3):
-        slack += COORDINATE_SLACK * (abs(translation[0, d]) + abs(translation[1, d]))
+    slack = rounding_slack(pools, a, b, translation)
     one_body = share_a_body(pools, a, b)
-    spin = _spin(rotation[0]) if one_body else 0.0
+    turned = spin(rotation[0], UNTURNED) if one_body else 0.0
     bounded = fragment.kind[a] != PLANE and fragment.kind[b] != PLANE
-    if bounded and boxes_apart(fragment.box[a], fragment.box[b], rotation[0], translation[0], near + slack):
-        return 0, slack, 0, False
+    within, samples = near + reach, 0
+    if bounded and boxes_apart(fragment.box[a], fragment.box[b], rotation[0], translation[0], within + slack):
+        return 0, slack, 0, False, 0
     node, node_point = scratch.node_int[thread], scratch.node_float[thread]
     queue = scratch.queue[thread]
     current, following = 0, 1
@@ -189,7 +232,7 @@ def query_pair(
             size += 1
     m = max(wanted, count)
     exhausted = False
-    while size and not exhausted:
+    while size and not exhausted and (reach == 0.0 or count < m):
         next_size = 0
         head = 0
         while head < size:
@@ -199,9 +242,7 @@ def query_pair(
             x, y, z = node_point[k, 0], node_point[k, 1], node_point[k, 2]
             radius = tree.spheres[entry, 3]
             end = entry + tree.entries[entry, SIZE]
-            moved = math.inf
-            if one_body and count >= m:
-                moved = _moved(tree.spheres[entry], x, y, z)
+            moved = _moved(tree.spheres[entry], x, y, z) if one_body else math.inf
             if node[k, NEXT_CHILD] < 0:
                 # first time on this level: test
                 if budget and visits >= budget:
@@ -214,30 +255,31 @@ def query_pair(
                     if tree.entries[entry, SURFACE] != OWN_SAMPLE:
                         # an interior node is no contact, and whether it is inside would cull nothing
                         node_point[k, DEPTH] = min(node_point[k, DEPTH], _depth_limit(pools, other))
-                    elif moved <= epsilon:
+                    elif moved <= epsilon and count >= m:
                         status = UNKNOWN
                         node_point[k, DEPTH] = min(node_point[k, DEPTH], moved)
                         bound = max(bound, node_point[k, DEPTH])
-                    elif -node_point[k, DEPTH] <= near:
-                        full = count < m
-                        start = home_tetrahedron(pools, other, tree.entries[entry, SAMPLE]) if one_body else -1
-                        status, d, nx, ny, nz, qx, qy, qz, most, source, where = bounded_probe(
-                            pools, other, x, y, z, near, math.inf if full else epsilon, start, scratch, thread
-                        )
-                        if status == INSIDE and d == -math.inf:
-                            status, d, nx, ny, nz, qx, qy, qz, most, source, where = bounded_probe(
-                                pools, other, x, y, z, near, math.inf, start, scratch, thread
-                            )
+                    elif -node_point[k, DEPTH] <= within:
+                        full, leaf = count < m, end == entry + 1
+                        sample = tree.entries[entry, SAMPLE]
+                        if reach > 0.0 and (
+                            leaf or sphere_test(pools, other, -node_point[k, DEPTH], x, y, z, within, scratch, thread)
+                        ):
+                            if samples < len(listed):
+                                listed[samples] = 2 * entry + side
+                            samples += 1
+                        start = home_tetrahedron(pools, other, sample) if one_body else -1
+                        # one body: what it has moved is all there is to search, and found at once
+                        deep = moved + slack if one_body else math.inf if full else epsilon
+                        asked = leaf and reach == 0.0
+                        answer = bounded_probe(pools, other, x, y, z, near, deep, start, asked, scratch, thread)
+                        if answer[0] == INSIDE and answer[1] == -math.inf:
+                            answer = bounded_probe(pools, other, x, y, z, near, math.inf, start, True, scratch, thread)
+                        status, most = answer[0], answer[8]
                         if status != OUTSIDE:
-                            if full or -d > epsilon:
+                            if full or -answer[1] > epsilon:
                                 if count < capacity:
-                                    row = contacts[count]
-                                    row[0], row[1], row[2] = x, y, z
-                                    row[3], row[4], row[5] = qx, qy, qz
-                                    row[6], row[7], row[8] = nx, ny, nz
-                                    row[9] = d
-                                    ids[count, ID_SIDE], ids[count, ID_SAMPLE] = side, tree.entries[entry, SAMPLE]
-                                    ids[count, ID_SOURCE], ids[count, ID_TETRAHEDRON] = source, where
+                                    _put_contact(contacts, ids, count, side, sample, x, y, z, answer)
                                 count += 1
                                 m = max(m, count)
                             else:
@@ -248,17 +290,19 @@ def query_pair(
                 if end == entry + 1:
                     continue
                 depth = node_point[k, DEPTH]
-                least = -near if count < m else epsilon
-                moved += spin * radius
+                least = -within if count < m else epsilon
+                moved = moved + turned * radius if count >= m else math.inf
                 if status == INSIDE:
                     enter = depth + radius > least
                 else:
-                    reach = radius - least
+                    around = radius - least
                     if tree.entries[entry, SURFACE] != OWN_SAMPLE or status == UNKNOWN:
                         # what was not tested may be deep inside, however small its sphere
-                        reach = max(reach, 0.0)
-                    enter = reach >= 0.0 and moved > least
-                    enter = enter and sphere_test(pools, other, -depth, x, y, z, reach, scratch, thread)
+                        around = max(around, 0.0)
+                    enter = around >= -depth and around >= 0.0 and moved > least
+                    if enter and count >= m:
+                        # the grid was asked when the node was reached, for all within reach of its sphere
+                        enter = sphere_test(pools, other, -depth, x, y, z, around, scratch, thread)
                 if not enter or moved <= least:
                     # inside: 1-Lipschitz; outside: the test says no point below is deeper than `least`
                     bound = max(bound, min(depth + radius, moved, max(least, 0.0)))
@@ -279,28 +323,59 @@ def query_pair(
                 node[k, NEXT_CHILD] = end
             if tree.entries[child, SURFACE] == NONE_BELOW:
                 continue
+            c = tree.spheres[child]
+            status, depth = UNTESTED, math.inf
             if tree.entries[child, SAMPLE] == tree.entries[entry, SAMPLE]:
                 if child_size == 1:
                     continue
-                _reach_node(node, node_point, nodes, child, side, node[k, STATUS], x, y, z, node_point[k, DEPTH])
+                status, depth = node[k, STATUS], node_point[k, DEPTH]
             else:
-                c = tree.spheres[child]
                 x, y, z = to_other(rotation[side], translation[side], c[0], c[1], c[2])
-                d = least_distance(pools, other, x, y, z)
-                if d > c[3] + near:
-                    visits += 1
-                    continue
-                _reach_node(node, node_point, nodes, child, side, UNTESTED, x, y, z, -d)
+                depth = -least_distance(pools, other, x, y, z)
+            # of a rigid mesh a lone sample's test is all that its probe does
+            asked = status != INSIDE and (child_size > 1 or fragment.kind[other] != TRIANGLES)
+            if asked and not sphere_test(pools, other, -depth, x, y, z, c[3] + within, scratch, thread):
+                visits += 1
+                continue
+            _reach_node(node, node_point, nodes, child, side, status, x, y, z, depth)
             queue[following, next_size] = nodes
             nodes += 1
             next_size += 1
         if exhausted:
-            rest = one_body, spin, a, b
+            rest = one_body, turned, a, b
             bound = max(bound, _bound_of_rest(pools, rest, node, node_point, queue, current, head, size))
             bound = max(bound, _bound_of_rest(pools, rest, node, node_point, queue, following, 0, next_size))
         current, following = following, current
         size = next_size
-    return count, bound + slack, visits, exhausted
+    if count < m:
+        _sort_contacts(contacts, ids, min(count, capacity))
+        _sort_samples(tree, listed, min(samples, len(listed)))
+    return count, bound + slack, visits, exhausted, samples
+
+
+@inlined_kernel
+def _sort_contacts(contacts, ids, count):
+    """By side and sample; few."""
+    for i in range(1, count):
+        k = i
+        while k > 0 and (ids[k - 1, ID_SIDE], ids[k - 1, ID_SAMPLE]) > (ids[k, ID_SIDE], ids[k, ID_SAMPLE]):
+            for c in range(contacts.shape[1]):
+                contacts[k - 1, c], contacts[k, c] = contacts[k, c], contacts[k - 1, c]
+            for c in range(ids.shape[1]):
+                ids[k - 1, c], ids[k, c] = ids[k, c], ids[k - 1, c]
+            k -= 1
+
+
+@inlined_kernel
+def _sort_samples(tree, listed, count):
+    """Listed samples likewise."""
+    for i in range(1, count):
+        k, item = i, listed[i]
+        key = item & 1, tree.entries[item >> 1, SAMPLE]
+        while k > 0 and (listed[k - 1] & 1, tree.entries[listed[k - 1] >> 1, SAMPLE]) > key:
+            listed[k] = listed[k - 1]
+            k -= 1
+        listed[k] = item
 
 
 @inlined_kernel
@@ -312,7 +387,7 @@ def _reach_node(node, node_point, k, entry, side, status, x, y, z, depth):
 @inlined_kernel
 def _bound_of_rest(pools, pair, node, node_point, queue, which, begin, end):
     """Upper bound [m] of the depth of all samples below the nodes still queued when a budget ends."""
-    one_body, spin, a, b = pair
+    one_body, turned, a, b = pair
     bound = 0.0
     for i in range(begin, end):
         k = queue[which, i]
@@ -320,6 +395,6 @@ def _bound_of_rest(pools, pair, node, node_point, queue, which, begin, end):
         sphere, p = pools.tree.spheres[node[k, ENTRY]], node_point[k]
         depth = p[DEPTH] + sphere[3]
         if one_body:
-            depth = min(depth, _moved(sphere, p[0], p[1], p[2]) + spin * sphere[3])
+            depth = min(depth, _moved(sphere, p[0], p[1], p[2]) + turned * sphere[3])
         bound = max(bound, min(depth, _depth_limit(pools, other)))
     return bound

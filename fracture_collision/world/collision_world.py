@@ -10,6 +10,7 @@ import numpy as np
 from fracture_collision.core.broad_phase import overlapping_pairs, world_boxes
 from fracture_collision.core.crew import Crew
 from fracture_collision.core.narrow_phase import PairContacts, query_pairs, rotation_matrices
+from fracture_collision.core.neighbour_lists import NO_LISTS
 from fracture_collision.core.scratch import Scratch, make_scratch
 from fracture_collision.records import (
     BUDGET_EXHAUSTED,
@@ -45,6 +46,8 @@ class CollisionWorld:
         self._removals = 0
         self._crew = Crew(self.settings.threads or os.cpu_count() or 1)
         self._scratch: Scratch | None = None
+        # of the last answer, and of which geometry; they make the next one quicker, never different
+        self._lists, self._lists_of = NO_LISTS, self._registry.geometry
         self.last_timings: dict[str, float] = {"update": 0.0, "broad_phase": 0.0, "narrow_phase": 0.0}  # [s]
         self.last_visits = 0  # tree nodes tested by the last answer
         self.last_pairs = 0  # of fragments, that its broad phase found
@@ -91,11 +94,13 @@ class CollisionWorld:
             boxes, pools.fragment.kind[rows], pools.fragment.shape[rows], rotations, positions, is_static[chosen]
         )
         paired = perf_counter()
+        if self._lists_of is not self._registry.geometry:
+            self._lists, self._lists_of = NO_LISTS, self._registry.geometry
         budget = max(self.settings.visit_budget // len(pairs), 1) if self.settings.visit_budget and len(pairs) else 0
-        found = query_pairs(
+        found, self._lists = query_pairs(
             pools, rows, rotations, positions, pairs, self.settings.contacts_per_pair,
             self.settings.penetration_tolerance, self.settings.detection_tolerance, budget,
-            self._sized_scratch(rows), self._crew,
+            self._sized_scratch(rows), self._crew, self._lists if self.settings.neighbour_lists else None,
         )  # fmt: skip
         answer = self._answer(checked, ids[chosen], friction[chosen], restitution[chosen], radius, pairs, found)
         self.last_visits, self.last_pairs = int(found.visits.sum()), len(pairs)

@@ -30,6 +30,9 @@ class Settings(NamedTuple):
     tree: str = "restructured"
     # `alternating`: children of different parents first (5.3); `queue`: a parent's children in a row, as in [27].
     traversal: str = "alternating"
+    # Whether to remember, from one step to the next, which samples of slow pairs are near (core/neighbour_lists.py).
+    # The answer does not depend on it; without, every step costs what the first one does.
+    neighbour_lists: bool = True
     # Threads of the narrow phase; 0: all cores. The answer does not depend on it.
     threads: int = 0
     # Tree nodes a step may test, shared evenly by its pairs; 0: no limit. The bound says what a limit left out.

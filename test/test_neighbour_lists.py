@@ -1,0 +1,129 @@
+"""Neighbour lists make steps quicker and never different: the same bytes with and without them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from fractured_worlds import FracturedWorld, fractured_world, with_settings
+from hard_worlds import tetrahedral_body
+
+from fracture_collision.core.neighbour_lists import NO_LISTS, displacement
+from fracture_collision.geometry.generators import ball, brick, shell
+from fracture_collision.records import BOX, CollisionBody, ContactConstraintArray, FragmentStates, SolidPrimitive
+from fracture_collision.world import CollisionWorld, Settings
+
+LISTED, SEARCHED = Settings(threads=2), Settings(threads=1, neighbour_lists=False)
+SHAPES = {"ball": (ball(1.0, 0.35), False), "shell": (shell(1.0, 0.8, 0.5), True)}
+WALK = 0.0004  # [R] of a step: a list lasts some ten
+JUMP = 0.03  # [R] of one that no list outlives
+
+
+def random_turns(random: np.random.Generator, count: int, size: float) -> np.ndarray:
+    """Quaternions (count, 4) of turns by about `size`."""
+    quaternions = np.column_stack([0.5 * random.uniform(-size, size, (count, 3)), np.ones(count)])
+    return quaternions / np.linalg.norm(quaternions, axis=1)[:, None]
+
+
+def turned(quaternions: np.ndarray, by: np.ndarray) -> np.ndarray:
+    """Products by * quaternion (n, 4), x y z w."""
+    u, v = by[:, :3], quaternions[:, :3]
+    w, s = by[:, 3:], quaternions[:, 3:]
+    product = np.hstack([w * v + s * u + np.cross(u, v), w * s - (u * v).sum(axis=1)[:, None]])
+    return product / np.linalg.norm(product, axis=1)[:, None]
+
+
+def world_around(case: FracturedWorld, settings: Settings) -> CollisionWorld:
+    """The fragments, a rigid box and a whole body beside them, on a ground."""
+    world = with_settings(case, settings)
+    other = brick((1.0, 1.0, 0.5), 0.25)
+    world.add_body(tetrahedral_body(other, 2000))
+    world.add_body(CollisionBody(2001, 2001, primitive=SolidPrimitive(BOX, (0.8, 0.8, 0.4))))
+    world.add_body(CollisionBody(2002, 2002, plane=np.array([0.0, 0.0, 1.0, 1.001]), is_static=True))
+    return world
+
+
+def assert_same(own: ContactConstraintArray, other: ContactConstraintArray) -> None:
+    for name, a, b in zip(own._fields, own, other, strict=True):
+        assert np.asarray(a).tobytes() == np.asarray(b).tobytes(), name
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("contacts_per_pair", [2, 8, 40])
+def test_same_answers(shape, contacts_per_pair) -> None:
+    body, curved = SHAPES[shape]
+    case = fractured_world(body, 9, generations=2, curved=curved)
+    worlds = [
+        world_around(case, settings._replace(contacts_per_pair=contacts_per_pair)) for settings in (LISTED, SEARCHED)
+    ]
+    random = np.random.default_rng(5)
+    ids = np.array([*case.oracle.fragment_ids, 2000, 2001])
+    n = len(ids)
+    positions = random.uniform(-0.01, 0.01, (n, 3))
+    positions[-2:] = (0.0, 0.0, 1.24), (1.38, 0.0, 0.0)
+    quaternions = random_turns(random, n, 0.01)
+    visits, listed = np.zeros(2), 0
+    for step in range(1, 41):
+        size = JUMP if step % 17 == 0 else 0.0 if step % 5 == 0 else WALK
+        positions += random.uniform(-size, size, (n, 3))
+        quaternions = turned(quaternions, random_turns(random, n, size))
+        states = FragmentStates(step, case.generations, ids, positions.ravel(), quaternions.ravel())
+        answers = [world.contacts(states) for world in worlds]
+        assert_same(*answers)
+        visits += [world.last_visits for world in worlds]
+        listed = max(listed, int((worlds[0]._lists.counts >= 0).sum()))
+        assert worlds[1]._lists is NO_LISTS
+    assert listed > 10
+    assert visits[0] < visits[1]
+
+
+def test_a_fracture_and_a_step_back_change_nothing() -> None:
+    body, _ = SHAPES["ball"]
+    case = fractured_world(body, 6, generations=3)
+    listed, searched = (with_settings(case, settings) for settings in (LISTED, SEARCHED))
+    oldest = {0: [1]}
+    for event in case.messages[1]:
+        living = oldest[event.sequence - 1]
+        oldest[event.sequence] = [f for f in living if f != event.fragment_id] + event.new_fragment_ids.tolist()
+    # forward, and back to an earlier registry, as a bag that is played twice
+    for step, sequence in enumerate([0, 1, 1, 1, 2, 2, 2, 3, 3, 3, 1, 1, 1, 2, 2, 3], 1):
+        ids = np.array(oldest[sequence])
+        shift = 1e-5 * step * np.outer(np.arange(len(ids)), [1.0, -1.0, 0.5])
+        upright = np.tile([0.0, 0.0, 0.0, 1.0], len(ids))
+        states = FragmentStates(step, sequence, ids, shift.ravel(), upright)
+        assert_same(listed.contacts(states), searched.contacts(states))
+
+
+def test_a_visit_budget_is_spent_on_searches() -> None:
+    body, _ = SHAPES["ball"]
+    case = fractured_world(body, 9)
+    world = with_settings(case, LISTED._replace(visit_budget=2000))
+    answers = [world.contacts(case.states(0.005)) for _ in range(4)]
+    assert_same(answers[0], answers[-1])
+    assert world._lists is NO_LISTS
+
+
+def test_no_point_moves_farther_than_its_bound() -> None:
+    case = fractured_world(SHAPES["shell"][0], 5, curved=True)
+    a, b = (case.row(f) for f in case.oracle.fragment_ids[:2])
+    pools, random = case.geometry.pools, np.random.default_rng(2)
+    for size in (1e-4, 1e-2, 1.0, 3.0):
+        before, now = (_relative_poses(random, size) for _ in range(2))
+        kept = np.array([np.append(turn.ravel(), shift) for turn, shift in zip(*before, strict=True)])
+        bound, farthest = displacement(pools, a, b, *now, kept), 0.0
+        for side, f in enumerate((a, b)):
+            box = pools.fragment.box[f]
+            points = box[:3] + random.random((200, 3)) * (box[3:] - box[:3])
+            moved = points @ (now[0][side] - before[0][side]).T + now[1][side] - before[1][side]
+            farthest = max(farthest, np.linalg.norm(moved, axis=1).max())
+        assert farthest <= bound * (1.0 + 1e-12)
+        assert bound < 3.0 * farthest  # it is no idle one
+
+
+def _relative_poses(random: np.random.Generator, size: float) -> tuple[np.ndarray, np.ndarray]:
+    """Rotations (2, 3, 3) and translations (2, 3) from one frame to another and back."""
+    x, y, z, w = random_turns(random, 1, size)[0]
+    u = np.array([x, y, z])
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    rotation = (w * w - u @ u) * np.eye(3) + 2.0 * np.outer(u, u) + 2.0 * w * cross
+    translation = random.uniform(-size, size, 3)
+    return np.array([rotation, rotation.T]), np.array([translation, -rotation.T @ translation])
