@@ -31,10 +31,10 @@ class PoolTables:
         f8, i4, u1, u8 = np.float64, np.int32, np.uint8, np.uint64
         self.mesh = _table(
             nodes=(3, f8), tetrahedra=(4, i4), neighbours=(4, i4), tetrahedron_edges=(6, i4), edges=(2, i4),
-            boxes=(6, f8), barycentric=(12, f8), moments=(10, f8), on_surface=(0, u1), node_normals=(3, f8),
-            node_tets_begin=(0, i4), node_tets=(0, i4), first=(3, i4), grid=(4, f8), grid_dims=(4, i4),
-            cell_begin=(0, i4), cell_tets=(0, i4), cell_parts=(0, u8), depth_grid=(4, f8), depth_grid_dims=(4, i4),
-            grid_depth=(0, f8),
+            edge_tets=(0, i4), boxes=(6, f8), barycentric=(12, f8), moments=(10, f8), on_surface=(0, u1),
+            node_normals=(3, f8), node_tets_begin=(0, i4), node_tets=(0, i4), first=(3, i4), grid=(4, f8),
+            grid_dims=(4, i4), cell_begin=(0, i4), cell_tets=(0, i4), cell_parts=(0, u8), depth_grid=(4, f8),
+            depth_grid_dims=(4, i4), grid_depth=(0, f8),
         )  # fmt: skip
         self.body = _table(
             node_fragment=(0, i4), edge_plane=(0, i4), edge_event=(0, i4), edge_share=(0, f8), tet_fragment=(0, i4),
@@ -92,9 +92,9 @@ class PoolTables:
         # half the memory of a world with one mesh.
         for name, shift in (
             ("nodes", 0), ("tetrahedra", node), ("neighbours", tet), ("tetrahedron_edges", edge), ("edges", node),
-            ("boxes", 0), ("barycentric", 0), ("moments", 0), ("on_surface", 0), ("node_normals", 0),
-            ("node_tets_begin", table["node_tets"].used), ("node_tets", tet), ("cell_begin", table["cell_tets"].used),
-            ("cell_tets", tet), ("cell_parts", 0),
+            ("edge_tets", tet), ("boxes", 0), ("barycentric", 0), ("moments", 0), ("on_surface", 0),
+            ("node_normals", 0), ("node_tets_begin", table["node_tets"].used), ("node_tets", tet),
+            ("cell_begin", table["cell_tets"].used), ("cell_tets", tet), ("cell_parts", 0),
         ):  # fmt: skip
             rows = getattr(mesh, name)
             if shift:

@@ -58,6 +58,7 @@ class MeshPool(NamedTuple):
     neighbours: np.ndarray  # (M, 4) int32, -1: the old surface
     tetrahedron_edges: np.ndarray  # (M, 6) int32
     edges: np.ndarray  # (E, 2) int32
+    edge_tets: np.ndarray  # (E,) int32, a tetrahedron at each edge
     boxes: np.ndarray  # (M, 6) float64 [m]
     barycentric: np.ndarray  # (M, 12) float64
     moments: np.ndarray  # (M, 10) float64

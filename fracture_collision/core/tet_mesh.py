@@ -36,6 +36,7 @@ class TetMesh(NamedTuple):
     tetrahedron_edges: np.ndarray  # (m, 6) int32, order (0,1),(0,2),(0,3),(1,2),(1,3),(2,3)
     edges: np.ndarray  # (e, 2) int32, ascending, first < second
     edges_begin: np.ndarray  # (n + 1,) int32: the edges whose first node is i
+    edge_tets: np.ndarray  # (e,) int32, a tetrahedron at each edge
     boxes: np.ndarray  # (m, 6) float64 [m], lower and upper corner
     barycentric: np.ndarray  # (m, 12) float64, rows (gx, gy, gz, c) of vertices 1, 2, 3: weight = g . x + c
     moments: np.ndarray  # (m, 10) float64, see moments.py
@@ -74,15 +75,19 @@ def build_tet_mesh(nodes: np.ndarray, tetrahedra: np.ndarray) -> TetMesh:
     origin = lower - 0.5 * cell
     dims = (np.floor((upper - origin) / cell) + 1).astype(np.int32)
     barycentric = _barycentric_rows(corners)
+    edges_of = np.ascontiguousarray(tetrahedron_edges(tetrahedra, edges), dtype=np.int32)
+    edge_tets = np.empty(len(edges), dtype=np.int32)
+    edge_tets[edges_of] = np.arange(len(tetrahedra), dtype=np.int32)[:, None]
     cells = _register_tetrahedra(boxes, barycentric, origin, cell, dims)
     sides = nodes[surface] - nodes[np.roll(surface, 1, axis=1)]
     return TetMesh(
         nodes=nodes,
         tetrahedra=tetrahedra,
         neighbours=np.ascontiguousarray(face_neighbours(tetrahedra), dtype=np.int32),
-        tetrahedron_edges=np.ascontiguousarray(tetrahedron_edges(tetrahedra, edges), dtype=np.int32),
+        tetrahedron_edges=edges_of,
         edges=np.ascontiguousarray(edges, dtype=np.int32),
         edges_begin=np.searchsorted(edges[:, 0], np.arange(len(nodes) + 1)).astype(np.int32),
+        edge_tets=edge_tets,
         boxes=boxes,
         barycentric=barycentric,
         moments=tetrahedron_moments(corners),

@@ -109,14 +109,13 @@ def share_a_body(pools, a, b):
 
 @inlined_kernel
 def home_tetrahedron(pools, f, sample):
-    """A tetrahedron at the node of fragment f's mesh that a sample of it is, or is next to."""
+    """A tetrahedron at the node or edge of fragment f's mesh that a sample of it is on."""
     mesh, k = pools.mesh, pools.fragment.mesh[f]
     first_node, nodes = mesh.first[k, 0], mesh.first[k, 2]
-    node = first_node + sample
     if sample >= nodes:
-        node = mesh.edges[mesh.first[k, 1] + (sample - nodes) // 2, (sample - nodes) % 2]
+        return mesh.edge_tets[mesh.first[k, 1] + (sample - nodes) // 2]
     # node_tets_begin has one row more than nodes in each mesh before this one
-    return mesh.node_tets[mesh.node_tets_begin[node + k]]
+    return mesh.node_tets[mesh.node_tets_begin[first_node + sample + k]]
 
 
 @inlined_kernel
