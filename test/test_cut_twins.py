@@ -30,14 +30,15 @@ SHAPES = {
 def pair(request, monkeypatch) -> tuple[FracturedWorld, FracturedWorld]:
     """A world, the same one with every cut made about a hub."""
     name, curved = request.param
-    classify = touched_tetrahedra.classify
+    find_touched = touched_tetrahedra.find_touched
 
-    def all_divided(mesh, body, node_shift, touched):
-        classify(mesh, body, node_shift, touched)
+    def all_divided(*arguments):
+        touched = find_touched(*arguments)
         touched.kinds[touched.kinds == CUT] = DIVIDED
+        return touched
 
     quick = fractured_world(SHAPES[name], 7, generations=3, curved=curved)
-    monkeypatch.setattr(touched_tetrahedra, "classify", all_divided)
+    monkeypatch.setattr(touched_tetrahedra, "find_touched", all_divided)
     world = with_settings(quick, SETTINGS)
     world.contacts(quick.states())
     return quick, quick._replace(world=world)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.core import fracture_update, touched_tetrahedra
-from fracture_collision.core.cut_tetrahedron import CUT, DIVIDED, make_cut_scratch
+from fracture_collision.core.cut_tetrahedron import make_cut_scratch
 from fracture_collision.core.fragment_trees import REBUILT, RESTRUCTURED, rebuilt_trees, split_trees
 from fracture_collision.core.front_propagation import update_averaged_field
 from fracture_collision.core.interior_field import InteriorField, make_interior_field
@@ -231,12 +231,12 @@ class CollisionGeometry:
         labels = pools.body.node_fragment
         tet_count = len(rows.prepared.mesh.tetrahedra)
         # node_tets_begin has one row more than nodes in each mesh before this one
-        touched = touched_tetrahedra.tetrahedra_of_nodes(
-            pools.mesh, pools.body, node_shift, rows.node + k, rows.tet, rows.tet + tet_count, nodes, row
-        )
         labels[nodes + (rows.node + node_shift)] = first + parts
         touched_tetrahedra.place_crossings(pools.mesh, pools.body, edge_shift, edges + rows.edge, first_plane)
-        touched_tetrahedra.classify(pools.mesh, pools.body, node_shift, touched)
+        touched = touched_tetrahedra.find_touched(
+            pools.mesh, pools.body, node_shift, tet_shift, rows.node + k, rows.tet, rows.tet + tet_count, nodes, first,
+            self._moments.view, self._gaps.view,
+        )  # fmt: skip
         boxes = pools.fragment.box
         boxes[first:end] = np.repeat([np.inf, -np.inf], 3)
         touched_tetrahedra.boxes_of_nodes(pools.mesh, pools.body, node_shift, nodes + rows.node, boxes)
@@ -254,21 +254,16 @@ class CollisionGeometry:
     def _rebuild_surfaces(self, node_shift, tet_shift, edge_shift, touched, first, end, reaches) -> None:
         """Polygons in the tetrahedra that a fracture touched; moments, boxes and gaps of their fragments."""
         pools, moments, gaps = self.pools, self._moments.view, self._gaps.view
-        fracture_update.rebuild_lone(pools.mesh, pools.body, node_shift, tet_shift, touched, moments, gaps)
         columns = {name: self._tables.body[name] for name in SurfaceRows._fields}
-        for rebuild, kind, expected in (
-            (fracture_update.rebuild_parted, CUT, 2),
-            (fracture_update.rebuild_fanned, DIVIDED, 6),
-        ):
-            start, room = 0, fracture_update.MOST_ROWS + expected * np.count_nonzero(touched.kinds == kind)
-            while start < len(touched.rows):
-                out = SurfaceRows(**{name: column.reserve(room) for name, column in columns.items()})
-                start, written = rebuild(
-                    pools.mesh, pools.body, node_shift, tet_shift, edge_shift, touched, first, end, start,
-                    columns["front"].used, out, moments, pools.fragment.box, reaches, gaps, self._scratch,
-                )  # fmt: skip
-                for column in columns.values():
-                    column.advance(written)
+        room = SurfaceRows(**{name: column.reserve(touched.room) for name, column in columns.items()})
+        for rebuild in (fracture_update.rebuild_parted, fracture_update.rebuild_fanned):
+            written = rebuild(
+                pools.mesh, pools.body, node_shift, tet_shift, edge_shift, touched, first, end, columns["front"].used,
+                room, moments, pools.fragment.box, reaches, gaps, self._scratch,
+            )  # fmt: skip
+            for column in columns.values():
+                column.advance(written)
+            room = SurfaceRows(*(column[written:] for column in room))
 
     def _give_trees(self, row, rows, nodes, parts, edges, first, count) -> None:
         """Trees of fragments first .. first + count - 1, into which `row` broke."""
