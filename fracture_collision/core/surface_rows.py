@@ -39,7 +39,7 @@ def measure_triangle(a, b, c):
 def gap_of_triangle(ab, ac, bc, samples):
     """Upper bound [m] of the distance from a point of a triangle to the nearest of its last `samples` corners, 1 .. 3.
 
-    ab, ac, bc: the squares [m2] of its sides. Balls of radius (longest side) / sqrt(3) around the corners cover a triangle;
+    ab, ac, bc: its sides squared [m2]. Balls of radius (longest side) / sqrt(3) around the corners cover a triangle;
     the first corners, where they are no samples, add their distance to one that is.
     """
     gap = math.sqrt(max(ab, ac, bc) / 3.0)
