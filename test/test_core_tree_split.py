@@ -14,7 +14,7 @@ from fracture_collision.core.fragment_trees import TREES
 from fracture_collision.core.pool_tables import PoolTables
 from fracture_collision.core.pools import ALTERNATING, EXACT, FACING, OWN_SAMPLE, SAMPLE, SIZE, SURFACE
 from fracture_collision.core.sphere_tree import SphereTree, build_sphere_tree, validate_sphere_tree
-from fracture_collision.core.sphere_tree_split import rows_of_split, split_sphere_tree
+from fracture_collision.core.sphere_tree_split import BATCH, rows_of_split, split_sphere_tree
 from fracture_collision.geometry.generators import brick
 
 
@@ -95,6 +95,18 @@ def test_three_fractures_of_random_points_are_the_twins(
             for name in SphereTree._fields:
                 assert np.array_equal(getattr(own, name), getattr(expected, name)), name
         tree = max(trees, key=lambda t: len(t.size))
+
+
+def test_more_fragments_than_bits_of_a_mask() -> None:
+    random = np.random.default_rng(2)
+    tree = build_sphere_tree(random.uniform(-1, 1, (400, 3)), random.integers(0, 2, 400))
+    fracture = Fracture(tree, 200, 400, random, False)
+    assert fracture.count > 2 * BATCH
+    old = nested(tree)
+    for fragment, own in enumerate(fracture.split(tree, True)):
+        expected = flat(fragment_tree(old, fracture.fragment_of, fragment, fracture.new_of(fragment), True))
+        for name in SphereTree._fields:
+            assert np.array_equal(getattr(own, name), getattr(expected, name)), name
 
 
 def test_all_three_trees_sample_the_surface_at_the_same_points() -> None:

@@ -149,15 +149,27 @@ class CollisionGeometry:
     def tree_entries(self, row: int) -> int:
         return int(self._tables.fragment["tree_end"].view[row] - self._tables.fragment["tree_begin"].view[row])
 
-    def mass_properties(self, row: int, density: float) -> MassProperties:
+    def volume(self, row: int) -> float:
+        """[m3] of a body of tetrahedra or triangles, or of a fragment."""
+        return float(self._moments.view[row, 0])
+
+    def mass_properties(self, rows: np.ndarray, density: np.ndarray) -> list[MassProperties]:
+        """Of fragments `rows` (n,) with `density` (n,) [kg/m3] each."""
+        kind = self._tables.fragment["kind"].view[rows]
+        is_shape = (kind == PLANE) | (kind == SPHERE) | (kind == BOX)
+        meshed = iter(zip(*mass_properties(self._moments.view[rows[~is_shape]], density[~is_shape]), strict=True))
+        return [
+            self._mass_of_shape(row, float(own)) if shape else MassProperties(*next(meshed))
+            for row, own, shape in zip(rows.tolist(), density, is_shape.tolist(), strict=True)
+        ]
+
+    def _mass_of_shape(self, row: int, density: float) -> MassProperties:
         kind, shape = self._tables.fragment["kind"].view[row], self._tables.fragment["shape"].view[row]
-        if kind == PLANE:
-            return MassProperties(0.0, np.zeros(3), np.zeros(6))
         if kind == SPHERE:
             return MassProperties(*sphere_mass_properties(float(shape[0]), density))
         if kind == BOX:
             return MassProperties(*box_mass_properties(shape[:3], density))
-        return MassProperties(*mass_properties(self._moments.view[row], density))
+        return MassProperties(0.0, np.zeros(3), np.zeros(6))
 
     def add_plane(self, normal: np.ndarray, offset: float) -> int:
         """Half-space normal . x <= offset; `normal` unit."""
@@ -227,9 +239,10 @@ class CollisionGeometry:
         tet_shift = int(self._tables.fragment["tet_shift"].view[row])
         edge_shift = int(self._tables.fragment["edge_shift"].view[row])
         first = self._tables.fragment["kind"].used
-        parent = {name: array.view[row].copy() for name, array in self._tables.fragment.items()}
-        for name, array in self._tables.fragment.items():
-            array.append(np.repeat(parent[name][None], count, axis=0))
+        for array in self._tables.fragment.values():
+            own = array.view[row].copy()
+            array.reserve(count)[:] = own
+            array.advance(count)
         self._moments.append(np.zeros((count, 10)))
         self._gaps.append(np.zeros(count))
         first_plane = self._tables.body["planes"].append(planes)

@@ -86,13 +86,17 @@ def _pyramid_moments(o, triangles, row):
         add_tetrahedron(o[0], o[1], o[2], p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8], row)
 
 
-def mass_properties(moments: np.ndarray, density: float) -> tuple[float, np.ndarray, np.ndarray]:
-    """Mass [kg], centre of mass (3,) [m] and inertia (6,) [kg m2] about it, body axes: xx xy xz yy yz zz."""
-    volume = moments[0]
-    x, y, z = center = moments[1:4] / volume
-    sxx, sxy, sxz, syy, syz, szz = moments[4:10] - volume * np.array([x * x, x * y, x * z, y * y, y * z, z * z])
-    inertia = density * np.array([syy + szz, -sxy, -sxz, sxx + szz, -syz, sxx + syy])
-    return density * volume, center, inertia
+def mass_properties(moments: np.ndarray, density: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of solids with `moments` (n, 10) and `density` (n,) [kg/m3]: masses (n,) [kg], centres of mass (n, 3) [m] and
+    inertias (n, 6) [kg m2] about them, body axes: xx xy xz yy yz zz.
+    """
+    volume = moments[:, :1]
+    center = moments[:, 1:4] / volume
+    x, y, z = center.T
+    products = np.column_stack([x * x, x * y, x * z, y * y, y * z, z * z])
+    sxx, sxy, sxz, syy, syz, szz = (moments[:, 4:10] - volume * products).T
+    inertia = density[:, None] * np.column_stack([syy + szz, -sxy, -sxz, sxx + szz, -syz, sxx + syy])
+    return density * volume[:, 0], center, inertia
 
 
 def sphere_mass_properties(radius: float, density: float) -> tuple[float, np.ndarray, np.ndarray]:
