@@ -21,6 +21,7 @@ from fracture_collision.core.cut_patterns import (
     FACE_NODES,
     FAN,
     FAN_COUNT,
+    GROUP,
     PART_COUNT,
     PART_OF_SIDE,
     PARTS,
@@ -107,7 +108,8 @@ def rebuild_fanned(
         oldest, newest = load_crossings(mesh, body, edge_shift, t, pattern, work)
         place_hub(mesh, body, edge_shift, t, pattern, oldest, newest, work)
         for i in range(4):
-            _grow_reach(mesh, t, work.labels[i], low, high, reaches)
+            if GROUP[pattern, i] == i:
+                _grow_reach(mesh, t, work.labels[i], low, high, reaches)
         _add_parts(work, pattern, low, high, moments)
         written = _write_fan(work, pattern, out, written, boxes, gaps)
         written = _write_old_faces(mesh, t, work, pattern, out, written, gaps)

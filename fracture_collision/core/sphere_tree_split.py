@@ -24,7 +24,7 @@ from fracture_collision.core.pools import NONE_BELOW, OWN_SAMPLE, SAMPLE, SIZE, 
 
 BATCH = 64  # fragments handled at a time: one bit each of an unsigned 64-bit mask
 UNKNOWN, MIXED = -2, -1
-UNWATCHED, WATCHED = -1, 0
+NONE = -1
 # The position of a lone bit, by the top six bits of its product with a de Bruijn sequence (Leiserson, Prokop, Randall,
 # "Using de Bruijn Sequences to Index a 1 in a Computer Word", 1998).
 DE_BRUIJN = np.uint64(0x03F79D71B4CB0A89)
@@ -63,7 +63,8 @@ class _Share(NamedTuple):
     lost: np.ndarray  # (s,) uint8: its point went to another fragment
     stale: np.ndarray  # (s,) uint8: its radius is that of other points
     parent: np.ndarray  # (s,) int32
-    watched: np.ndarray  # (s,) int32: WATCHED or not, then which entry
+    farthest: np.ndarray  # (s,) float64 [m]: of a leaf, the distance to the farthest new point beside it
+    watched: np.ndarray  # (s,) int32: the nearest watched entry (_place) from each one upwards, itself included
     new_before: np.ndarray  # (s,) int32: new points that hang under entries before it
     added: np.ndarray  # (s,) int32: how many new points hang under it
     start: np.ndarray  # (s,) int32: where the first of them goes
@@ -75,9 +76,8 @@ class _Share(NamedTuple):
 class _New(NamedTuple):
     """Working space: the new points."""
 
-    leaf: np.ndarray  # (q,) int32: the entry of the mesh node each hangs under
-    distance: np.ndarray  # (q,) float64 [m] from it
     entry: np.ndarray  # (q,) int32: the entry each hangs under
+    distance: np.ndarray  # (q,) float64 [m] from the leaf of its mesh node
     rank: np.ndarray  # (q,) int32: which of the entry's each is
     x: np.ndarray  # (q,) float64 [m]: one fragment's, in the order of their entries
     y: np.ndarray  # (q,)
@@ -103,16 +103,15 @@ def split_sphere_tree(
         room = max(room, deal.last[f] - deal.first[f] + 1)
     share = _Share(
         np.empty((room, 4)), np.empty(room, np.int32), np.empty(room, np.uint8), np.empty(room, np.uint8),
-        np.empty(room, np.uint8), np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room, np.int32),
+        np.empty(room, np.uint8), np.empty(room, np.int32), np.empty(room), np.empty(room, np.int32),
         np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room, np.int32),
-        np.empty(room, np.int32),
+        np.empty(room, np.int32), np.empty(room, np.int32),
     )  # fmt: skip
     order, bounds = _grouped(new_fragments, fragments)
     q = len(points)
     new = _New(
-        np.empty(q, np.int32), np.empty(q), np.empty(q, np.int32), np.empty(q, np.int32), np.empty(q), np.empty(q),
-        np.empty(q),
-    )  # fmt: skip
+        np.empty(q, np.int32), np.empty(q), np.empty(q, np.int32), np.empty(q), np.empty(q), np.empty(q)
+    )
     leaf_of = np.empty(max(entries[:, SAMPLE].max(), parents.max() if len(parents) else 0) + 1, np.int32)
     begin = np.zeros(fragments + 1, np.int64)
     for f in range(fragments):
@@ -336,61 +335,36 @@ def _grouped(groups, count):
 def _place(size, share, own, points, parents, ordered, leaf_of, new):
     """Choose the entry that each of the `own` new points hangs under: fills `added` of the share, and `new`.
 
-    The sphere of an entry counts as it is when the point comes, grown by those that came before. Whether it had grown
-    is asked only where a point is farther out than the sphere first was, and only of such entries (WATCHED) it is known
-    before _grow measures all.
+    The sphere of an entry counts as it is when the point comes, grown by those that came before. That is asked only of
+    entries that some point of their own sample may climb past; these are watched and grow with each point, the others
+    later, all at once (_grow).
     """
-    spheres, sample, parent, watched = share.spheres, share.sample, share.parent, share.watched
+    spheres, sample, parent = share.spheres, share.sample, share.parent
+    watched, farthest = share.watched, share.farthest
     _parents(size, parent)
     for i in range(len(size)):
         # the last entry with a sample is its leaf
         leaf_of[sample[i]] = i
-        share.added[i], watched[i] = 0, UNWATCHED
-    any_watched = False
+        share.added[i], farthest[i] = 0, -1.0
     for q in own:
         leaf = leaf_of[parents[q]]
-        new.leaf[q], new.distance[q] = leaf, np.sqrt(_squared(points[q], spheres[leaf]))
-        new.entry[q] = leaf
-        if ordered:
-            entry = _up_own_branch(spheres, sample, parent, leaf, new.distance[q])
-            new.entry[q] = entry
-            # what it climbed past, above the leaf
-            while entry != leaf and parent[leaf] != entry:
-                leaf = parent[leaf]
-                watched[leaf], any_watched = WATCHED, True
-    if any_watched:
-        _place_one_by_one(size, share, own, points, new)
-    for q in own:
-        entry = new.entry[q]
-        new.rank[q] = share.added[entry]
-        share.added[entry] += 1
-
-
-@inlined_kernel
-def _up_own_branch(spheres, sample, parent, leaf, distance):
-    """The lowest entry of the leaf's sample whose radius exceeds the distance from it, else the highest."""
-    entry = leaf
-    while spheres[entry, 3] <= distance and parent[entry] >= 0 and sample[parent[entry]] == sample[leaf]:
-        entry = parent[entry]
-    return entry
-
-
-@query_kernel
-def _place_one_by_one(size, share, own, points, new):
-    """Place the points again, growing the watched entries with each of them."""
-    spheres, parent, watched = share.spheres, share.parent, share.watched
-    # from here on: the nearest watched entry from each one upwards, itself included
+        d = np.sqrt(_squared(points[q], spheres[leaf]))
+        new.entry[q], new.distance[q], farthest[leaf] = leaf, d, max(farthest[leaf], d)
     for i in range(len(size)):
-        if watched[i] == WATCHED:
-            watched[i] = i
-        else:
-            watched[i] = watched[parent[i]] if parent[i] >= 0 else UNWATCHED
+        above = watched[parent[i]] if i else NONE
+        watched[i] = i if size[i] > 1 and spheres[i, 3] <= farthest[leaf_of[sample[i]]] else above
     for q in own:
-        new.entry[q] = _up_own_branch(spheres, share.sample, parent, new.leaf[q], new.distance[q])
-        up = watched[new.entry[q]]
-        while up >= 0:
-            _reach(spheres[up], _squared(points[q], spheres[up]))
-            up = watched[parent[up]] if parent[up] >= 0 else UNWATCHED
+        entry, d = new.entry[q], new.distance[q]
+        if ordered:
+            own_sample = sample[entry]
+            while spheres[entry, 3] <= d and parent[entry] >= 0 and sample[parent[entry]] == own_sample:
+                entry = parent[entry]
+            up = watched[entry]
+            while up >= 0:
+                _reach(spheres[up], _squared(points[q], spheres[up]))
+                up = watched[parent[up]] if up else NONE
+        new.entry[q], new.rank[q] = entry, share.added[entry]
+        share.added[entry] += 1
 
 
 @inlined_kernel

@@ -62,7 +62,7 @@ def grow(box, x, y, z):
 
 @inlined_kernel
 def grow_by_box(box, low, high):
-    """Likewise by all between the corners `low` and `high`, tuples or arrays of three."""
+    """Likewise by all between the corners `low` and `high`, tuples of three."""
     box[0], box[1], box[2] = min(box[0], low[0]), min(box[1], low[1]), min(box[2], low[2])
     box[3], box[4], box[5] = max(box[3], high[0]), max(box[4], high[1]), max(box[5], high[2])
 

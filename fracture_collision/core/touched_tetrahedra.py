@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.core.compiled import inlined_kernel, kernel, query_kernel
+from fracture_collision.core.compiled import inlined_kernel, query_kernel
 from fracture_collision.core.cut_patterns import FAN_COUNT, GROUPS, PATTERN_OF_CUTS, PIECE_COUNT
 from fracture_collision.core.cut_tetrahedron import CUT, DIVIDED, FACE_VERTICES, LONE, crossing_share
 from fracture_collision.core.moments import add_row
@@ -36,10 +36,9 @@ def place_crossings(mesh, body, edge_shift, edges, first_plane):
         body.edge_share[e] = crossing_share(mesh.nodes, a, b, body.planes[first_plane + i])
 
 
-@kernel
 def find_touched(
     mesh, body, node_shift, tet_shift, first_node_row, first_tet, last_tet, nodes, first_fragment, moments, gaps
-):
+) -> Touched:
     """Touched of the fragment that broke, whose `nodes` (rows) carry the labels of its parts, first_fragment on.
 
     first_tet .. last_tet - 1: the mesh's tetrahedra. What one fragment has alone is done with: its owner is written,
@@ -47,8 +46,20 @@ def find_touched(
     """
     count = last_tet - first_tet
     kinds, rows, cut = np.zeros(count, np.uint8), np.empty(count, np.int32), np.empty(count, np.int32)
+    used, cuts, room = _find_touched(
+        mesh, body, node_shift, tet_shift, first_node_row, first_tet, last_tet, nodes, first_fragment, moments, gaps,
+        kinds, rows, cut,
+    )  # fmt: skip
+    return Touched(rows[:used], first_tet, kinds, cut[:cuts], room)
+
+
+@query_kernel
+def _find_touched(
+    mesh, body, node_shift, tet_shift, first_node_row, first_tet, last_tet, nodes, first_fragment, moments, gaps, kinds,
+    rows, cut,
+):  # fmt: skip
     used = cuts = room = 0
-    if 24 * len(nodes) > count:
+    if 24 * len(nodes) > last_tet - first_tet:
         # most tetrahedra have one: reading all labels in order beats gathering
         for t in range(first_tet, last_tet):
             kind, more = _sort_in(mesh, body, node_shift, tet_shift, t, first_fragment, moments, gaps)
@@ -63,7 +74,7 @@ def find_touched(
                     kind, more = _sort_in(mesh, body, node_shift, tet_shift, t, first_fragment, moments, gaps)
                     kinds[t - first_tet], rows[used], cut[cuts] = kind, t, t
                     used, cuts, room = used + 1, cuts + (kind > LONE), room + more
-    return Touched(rows[:used].copy(), first_tet, kinds, cut[:cuts].copy(), room)
+    return used, cuts, room
 
 
 @inlined_kernel
@@ -106,7 +117,7 @@ def _gap_of_old_faces(mesh, t):
     return gap
 
 
-@kernel
+@query_kernel
 def boxes_of_nodes(mesh, body, node_shift, nodes, boxes):
     """Grow the boxes (F, 6) of the fragments that hold `nodes` (rows)."""
     for n in nodes:
