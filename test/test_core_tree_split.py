@@ -14,7 +14,8 @@ from fracture_collision.core.fragment_trees import TREES
 from fracture_collision.core.pool_tables import PoolTables
 from fracture_collision.core.pools import ALTERNATING, EXACT, FACING, OWN_SAMPLE, SAMPLE, SIZE, SURFACE
 from fracture_collision.core.sphere_tree import SphereTree, build_sphere_tree, validate_sphere_tree
-from fracture_collision.core.sphere_tree_split import BATCH, rows_of_split, split_sphere_tree
+from fracture_collision.core.sphere_tree_deal import BATCH
+from fracture_collision.core.sphere_tree_split import rows_of_split, split_sphere_tree
 from fracture_collision.geometry.generators import brick
 
 

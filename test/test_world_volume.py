@@ -5,9 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from gate_world import BRICK, EDGES, SETTINGS, X, crack, made_world, refused, tetrahedral
+from hard_worlds import by_labels, lattice_planes
+from oracles.fragmented_body import FragmentedBody
 
+from fracture_collision.geometry.generators import brick
 from fracture_collision.geometry.tetrahedra import connected_pieces
-from fracture_collision.records import FractureEvent, FragmentStates
+from fracture_collision.records import CollisionBody, FractureEvent, FragmentStates
 from fracture_collision.world import CollisionWorld, InvalidMessage
 
 
@@ -84,3 +87,23 @@ def test_random_parts_with_planes_through_nodes_have_volume_or_are_refused() -> 
             assert min(found.values()) > 0.0 and sum(found.values()) == pytest.approx(250.0)
             accepted += 1
     assert refusals > 5 and accepted > 5
+
+
+def test_refused_is_what_the_oracle_says_has_no_volume() -> None:
+    body, refusals = brick((2.0, 1.0, 1.0), 0.5), 0
+    for seed in range(16):
+        cells = (2, 3, 6)[seed % 3]
+        labels = np.random.default_rng(seed).integers(0, cells, len(body.vertices))
+        oracle = FragmentedBody(body.vertices, body.tetrahedra)
+        event = by_labels(labels, lattice_planes(body.vertices, cells))(oracle, 2, 1)
+        oracle.apply(event)
+        volumes = [oracle.volume(f) for f in oracle.fragment_ids]
+        world = CollisionWorld(SETTINGS)
+        world.add_body(CollisionBody(1, 1, vertices=body.vertices.ravel(), tetrahedra=body.tetrahedra.ravel()))
+        if min(volumes) > 1e-12:
+            world.add_fracture(event)
+        else:
+            with pytest.raises(InvalidMessage, match="has no volume"):
+                world.add_fracture(event)
+            refusals += 1
+    assert 0 < refusals < 16

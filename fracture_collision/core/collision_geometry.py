@@ -8,13 +8,7 @@ import numpy as np
 
 from fracture_collision.core import fracture_update, touched_tetrahedra
 from fracture_collision.core.cut_tetrahedron import make_cut_scratch
-from fracture_collision.core.fragment_trees import (
-    REBUILT,
-    RESTRUCTURED,
-    crack_samples,
-    parts_of_entries,
-    rebuilt_trees,
-)
+from fracture_collision.core.fragment_trees import REBUILT, RESTRUCTURED, rebuilt_trees, split_trees
 from fracture_collision.core.front_propagation import update_averaged_field
 from fracture_collision.core.interior_field import InteriorField, make_interior_field
 from fracture_collision.core.kinds import BOX, PLANE, SPHERE, TETRAHEDRA, TRIANGLES
@@ -41,7 +35,6 @@ from fracture_collision.core.pools import (
 )
 from fracture_collision.core.primitives import box_edge_points
 from fracture_collision.core.sphere_tree import SphereTree, build_sphere_tree
-from fracture_collision.core.sphere_tree_split import rows_of_split, split_sphere_tree
 from fracture_collision.core.surface_rows import SurfaceRows
 from fracture_collision.core.tet_mesh import TetMesh
 from fracture_collision.core.triangle_field import TriangleMesh, append_triangle_mesh, build_triangle_mesh
@@ -297,25 +290,13 @@ class CollisionGeometry:
             forest = rebuilt_trees(mesh, part_of_node, share, sampled, count)
             begin = forest.begin + self._tables.append_tree(forest.trees)
         else:
-            begin = self._split_tree(row, mesh, part_of_node, edges, share, count)
+            own = self._tables.fragment
+            old = slice(int(own["tree_begin"].view[row]), int(own["tree_end"].view[row]))
+            begin = split_trees(
+                self._tables.tree, old, mesh, part_of_node, edges, share, count, self._tree_kind == RESTRUCTURED
+            )
         self._tables.fragment["tree_begin"].view[first : first + count] = begin[:-1]
         self._tables.fragment["tree_end"].view[first : first + count] = begin[1:]
-
-    def _split_tree(self, row, mesh, part_of_node, edges, share, count) -> np.ndarray:
-        """RESTRUCTURED or PLAIN trees of the parts, written where they stay; where each begins, (count + 1,)."""
-        table, tree = self._tables.tree, self._tables.fragment
-        begin, end = int(tree["tree_begin"].view[row]), int(tree["tree_end"].view[row])
-        new = crack_samples(mesh.nodes, mesh.edges, part_of_node, edges, share)
-        room = rows_of_split(table["entries"].view[begin:end], len(new.points))
-        out_spheres, out_entries = table["spheres"].reserve(room), table["entries"].reserve(room)
-        entries = table["entries"].view[begin:end]
-        begins = split_sphere_tree(
-            table["spheres"].view[begin:end], entries,
-            parts_of_entries(entries, len(mesh.nodes), mesh.edges, part_of_node), count, new.points, new.samples,
-            new.parents, new.parts, self._tree_kind == RESTRUCTURED, out_spheres, out_entries,
-        )  # fmt: skip
-        table["spheres"].advance(int(begins[-1]))
-        return begins + table["entries"].advance(int(begins[-1]))
 
     def _mark_cells(self, k, node_shift, touched, first, end, reaches) -> None:
         grid, dims = self._tables.mesh["grid"].view[k], self._tables.mesh["grid_dims"].view[k, :3]

@@ -16,8 +16,9 @@ import numpy as np
 
 from fracture_collision.core.compiled import kernel
 from fracture_collision.core.cut_tetrahedron import point_on_edge
-from fracture_collision.core.pools import SAMPLE
+from fracture_collision.core.pools import SAMPLE, GrowableArray
 from fracture_collision.core.sphere_tree import SphereTree, build_sphere_tree
+from fracture_collision.core.sphere_tree_split import rows_of_split, split_sphere_tree
 from fracture_collision.core.tet_mesh import TetMesh
 
 RESTRUCTURED = "restructured"
@@ -33,7 +34,7 @@ class Forest(NamedTuple):
     begin: np.ndarray  # (fragments + 1,) int64
 
 
-class CrackSamples(NamedTuple):
+class _CrackSamples(NamedTuple):
     """The points that a fracture adds to the surfaces of its fragments: two a cut edge, one a side."""
 
     points: np.ndarray  # (q, 3) float64 [m]
@@ -42,22 +43,27 @@ class CrackSamples(NamedTuple):
     parts: np.ndarray  # (q,) int32
 
 
-@kernel
-def crack_samples(nodes, edges, part_of_node, cut, share):
-    """CrackSamples at the edges `cut` (k,), ascending, of a mesh: nodes (n, 3) [m], edges (e, 2).
+def split_trees(
+    table: dict[str, GrowableArray], old: slice, mesh: TetMesh, part_of_node: np.ndarray, edges: np.ndarray,
+    share: np.ndarray, count: int, ordered: bool,
+) -> np.ndarray:  # fmt: skip
+    """Append to the tree pool the RESTRUCTURED (`ordered`) or PLAIN trees of parts 0 .. count - 1, from the tree in its
+    rows `old` of what broke; returns where each begins, (count + 1,).
 
-    part_of_node (n,) int32; share (e,): where cut edges are crossed, in parts of them from their first node.
+    part_of_node (n,) int32, -1: another fragment's; edges (k,): mesh edges that this fracture cuts, ascending; share
+    (mesh edges,): where cut edges are crossed, in parts of them from their first node.
     """
-    count = 2 * len(cut)
-    new = CrackSamples(
-        np.empty((count, 3)), np.empty(count, np.int32), np.empty(count, np.int32), np.empty(count, np.int32)
-    )
-    for q in range(count):
-        e = cut[q // 2]
-        node = edges[e, q % 2]
-        point_on_edge(nodes, edges[e, 0], edges[e, 1], share[e], new.points[q])
-        new.samples[q], new.parents[q], new.parts[q] = len(nodes) + 2 * e + q % 2, node, part_of_node[node]
-    return new
+    new = _crack_samples(mesh.nodes, mesh.edges, part_of_node, edges, share)
+    room = rows_of_split(table["entries"].view[old], len(new.points))
+    # these may move what is in the pool
+    out_spheres, out_entries = table["spheres"].reserve(room), table["entries"].reserve(room)
+    entries = table["entries"].view[old]
+    begin = split_sphere_tree(
+        table["spheres"].view[old], entries, _parts_of_entries(entries, len(mesh.nodes), mesh.edges, part_of_node),
+        count, new.points, new.samples, new.parents, new.parts, ordered, out_spheres, out_entries,
+    )  # fmt: skip
+    table["spheres"].advance(int(begin[-1]))
+    return begin + table["entries"].advance(int(begin[-1]))
 
 
 def rebuilt_trees(
@@ -85,7 +91,25 @@ def rebuilt_trees(
 
 
 @kernel
-def parts_of_entries(entries, nodes, edges, part_of_node):
+def _crack_samples(nodes, edges, part_of_node, cut, share):
+    """_CrackSamples at the edges `cut` (k,), ascending, of a mesh: nodes (n, 3) [m], edges (e, 2).
+
+    part_of_node (n,) int32; share (e,): where cut edges are crossed, in parts of them from their first node.
+    """
+    count = 2 * len(cut)
+    new = _CrackSamples(
+        np.empty((count, 3)), np.empty(count, np.int32), np.empty(count, np.int32), np.empty(count, np.int32)
+    )
+    for q in range(count):
+        e = cut[q // 2]
+        node = edges[e, q % 2]
+        point_on_edge(nodes, edges[e, 0], edges[e, 1], share[e], new.points[q])
+        new.samples[q], new.parents[q], new.parts[q] = len(nodes) + 2 * e + q % 2, node, part_of_node[node]
+    return new
+
+
+@kernel
+def _parts_of_entries(entries, nodes, edges, part_of_node):
     """The part (s,) int32 of each tree entry's point, rows of TreePool.entries; `nodes`: how many the mesh has."""
     parts = np.empty(len(entries), np.int32)
     for i in range(len(entries)):
