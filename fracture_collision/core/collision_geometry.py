@@ -233,11 +233,9 @@ class CollisionGeometry:
         edge_shift = int(self._tables.fragment["edge_shift"].view[row])
         first = self._tables.fragment["kind"].used
         for array in self._tables.fragment.values():
-            own = array.view[row].copy()
-            array.reserve(count)[:] = own
-            array.advance(count)
-        self._moments.append(np.zeros((count, 10)))
-        self._gaps.append(np.zeros(count))
+            array.fill(count, array.view[row].copy())
+        self._moments.fill(count, 0.0)
+        self._gaps.fill(count, 0.0)
         first_plane = self._tables.body["planes"].append(planes)
         self._tables.have_grown()
         pools, end = self.pools, first + count
@@ -321,13 +319,13 @@ class CollisionGeometry:
         if self._field == AVERAGED:
             interior = self._interior_field(rows)
             self._tables.body["node_field"].append(interior.node_field)
-        node = self._tables.body["node_fragment"].append(np.full(len(mesh.nodes), row, np.int32))
-        edge = self._tables.body["edge_plane"].append(np.full(len(mesh.edges), -1, np.int32))
-        self._tables.body["edge_event"].append(np.zeros(len(mesh.edges), np.int32))
-        self._tables.body["edge_share"].append(np.zeros(len(mesh.edges)))
-        tet = self._tables.body["tet_fragment"].append(np.full(len(mesh.tetrahedra), row, np.int32))
-        self._tables.body["cut_begin"].append(np.zeros(len(mesh.tetrahedra), np.int32))
-        self._tables.body["cut_count"].append(np.zeros(len(mesh.tetrahedra), np.int32))
+        node = self._tables.body["node_fragment"].fill(len(mesh.nodes), row)
+        edge = self._tables.body["edge_plane"].fill(len(mesh.edges), -1)
+        self._tables.body["edge_event"].fill(len(mesh.edges), 0)
+        self._tables.body["edge_share"].fill(len(mesh.edges), 0.0)
+        tet = self._tables.body["tet_fragment"].fill(len(mesh.tetrahedra), row)
+        self._tables.body["cut_begin"].fill(len(mesh.tetrahedra), 0)
+        self._tables.body["cut_count"].fill(len(mesh.tetrahedra), 0)
         self._tables.fragment["node_shift"].view[row] = node - rows.node
         self._tables.fragment["tet_shift"].view[row] = tet - rows.tet
         self._tables.fragment["edge_shift"].view[row] = edge - rows.edge
