@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 from fractured_worlds import SETTINGS, fractured_world
 from hypothesis import given, settings
@@ -9,9 +11,29 @@ from hypothesis import strategies as st
 from oracles.sphere_tree_split import flat, fragment_tree, nested
 
 from fracture_collision.core.fragment_trees import TREES
+from fracture_collision.core.pool_tables import PoolTables
+from fracture_collision.core.pools import ALTERNATING, EXACT, FACING, OWN_SAMPLE, SAMPLE, SIZE, SURFACE
 from fracture_collision.core.sphere_tree import SphereTree, build_sphere_tree, validate_sphere_tree
-from fracture_collision.core.sphere_tree_split import split_sphere_tree
+from fracture_collision.core.sphere_tree_deal import BATCH
+from fracture_collision.core.sphere_tree_split import rows_of_split, split_sphere_tree
 from fracture_collision.geometry.generators import brick
+
+
+def pooled(tree: SphereTree) -> tuple[np.ndarray, np.ndarray]:
+    """The tree as rows of TreePool."""
+    tables = PoolTables(ALTERNATING, EXACT, FACING)
+    tables.append_tree(tree)
+    return tables.pools.tree.spheres, tables.pools.tree.entries
+
+
+def unpooled(spheres: np.ndarray, entries: np.ndarray) -> SphereTree:
+    """Likewise back; checks the marks, which say what the tree says."""
+    tree = SphereTree(
+        spheres[:, :3].copy(), spheres[:, 3].copy(), entries[:, SIZE].copy(), entries[:, SAMPLE].copy(),
+        (entries[:, SURFACE] == OWN_SAMPLE).astype(np.uint8),
+    )  # fmt: skip
+    assert np.array_equal(entries, pooled(tree)[1])
+    return tree
 
 
 class Fracture:
@@ -32,11 +54,14 @@ class Fracture:
         self.samples = np.arange(first_new, first_new + len(chosen), dtype=np.int32)
 
     def split(self, tree: SphereTree, ordered: bool) -> list[SphereTree]:
-        forest = split_sphere_tree(
-            tree, self.of_entry, self.count, self.points, self.samples, self.parents, self.fragments, ordered
-        )
-        parts = zip(forest.begin, forest.begin[1:], strict=False)
-        return [SphereTree(*(column[a:b] for column in forest.trees)) for a, b in parts]
+        spheres, entries = pooled(tree)
+        room = rows_of_split(entries, len(self.points))
+        out_spheres, out_entries = np.full((room, 4), np.nan), np.full((room, 3), 99, np.int32)
+        begin = split_sphere_tree(
+            spheres, entries, self.of_entry, self.count, self.points, self.samples, self.parents, self.fragments,
+            ordered, out_spheres, out_entries,
+        )  # fmt: skip
+        return [unpooled(out_spheres[a:b], out_entries[a:b]) for a, b in itertools.pairwise(begin)]
 
     def new_of(self, fragment: int) -> list[tuple[int, tuple, int]]:
         own = np.flatnonzero(self.fragments == fragment)
@@ -71,6 +96,18 @@ def test_three_fractures_of_random_points_are_the_twins(
             for name in SphereTree._fields:
                 assert np.array_equal(getattr(own, name), getattr(expected, name)), name
         tree = max(trees, key=lambda t: len(t.size))
+
+
+def test_more_fragments_than_bits_of_a_mask() -> None:
+    random = np.random.default_rng(2)
+    tree = build_sphere_tree(random.uniform(-1, 1, (400, 3)), random.integers(0, 2, 400))
+    fracture = Fracture(tree, 200, 400, random, False)
+    assert fracture.count > 2 * BATCH
+    old = nested(tree)
+    for fragment, own in enumerate(fracture.split(tree, True)):
+        expected = flat(fragment_tree(old, fracture.fragment_of, fragment, fracture.new_of(fragment), True))
+        for name in SphereTree._fields:
+            assert np.array_equal(getattr(own, name), getattr(expected, name)), name
 
 
 def test_all_three_trees_sample_the_surface_at_the_same_points() -> None:

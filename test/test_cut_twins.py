@@ -30,14 +30,15 @@ SHAPES = {
 def pair(request, monkeypatch) -> tuple[FracturedWorld, FracturedWorld]:
     """A world, the same one with every cut made about a hub."""
     name, curved = request.param
-    classify = touched_tetrahedra.classify
+    find_touched = touched_tetrahedra.find_touched
 
-    def all_divided(mesh, body, node_shift, touched):
-        classify(mesh, body, node_shift, touched)
+    def all_divided(*arguments):
+        touched = find_touched(*arguments)
         touched.kinds[touched.kinds == CUT] = DIVIDED
+        return touched
 
     quick = fractured_world(SHAPES[name], 7, generations=3, curved=curved)
-    monkeypatch.setattr(touched_tetrahedra, "classify", all_divided)
+    monkeypatch.setattr(touched_tetrahedra, "find_touched", all_divided)
     world = with_settings(quick, SETTINGS)
     world.contacts(quick.states())
     return quick, quick._replace(world=world)
@@ -87,7 +88,9 @@ def test_split_parts_are_those_that_scipy_finds(nodes: int, edges: int, count: i
     labels = random.integers(-1, count, nodes).astype(np.int32)
     pieces = connected_pieces(ends, labels)
     split = [p for p in range(count) if len(np.unique(pieces[labels == p])) > 1]
-    assert first_split(ends, labels, count) == (split[0] if split else -1)
+    of_ends = labels[ends]
+    between = int(((of_ends >= 0).all(axis=1) & (of_ends[:, 0] != of_ends[:, 1])).sum())
+    assert first_split(ends, labels, count) == (split[0] if split else -1, between)
 
 
 EVERY = SETTINGS._replace(penetration_tolerance=0.0, contacts_per_pair=10**6, normals="nearest")

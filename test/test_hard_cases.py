@@ -177,15 +177,16 @@ def test_cracks_that_cross_in_nodes_and_edges() -> None:
 # --- planes that do not agree -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("cells", [2, 3, 6])
+# with label seeds that leave every fragment volume: others are refused (test_world_volume.py)
+@pytest.mark.parametrize(("cells", "seed"), [(2, 2), (3, 6), (6, 14)])
 @pytest.mark.parametrize("kind", ["any", "lattice"])
-def test_planes_that_do_not_agree_still_make_a_partition(kind: str, cells: int) -> None:
+def test_planes_that_do_not_agree_still_make_a_partition(kind: str, cells: int, seed: int) -> None:
     """Random labels and a plane of its own for each cut edge: volumes add up to 1e-12, each point has one owner.
 
     With planes of a lattice many margins are equal, on faces, planes, and in all of a tetrahedron. Depth to 1e-9 R.
     """
     body = brick((2.0, 1.0, 1.0), 0.5)
-    labels = np.random.default_rng(cells).integers(0, cells, len(body.vertices))
+    labels = np.random.default_rng(seed).integers(0, cells, len(body.vertices))
     planes = own_planes(body.vertices, cells, 0.7) if kind == "any" else lattice_planes(body.vertices, cells)
     case = broken_world(body, [by_labels(labels, planes)])
     assert_geometry(case, snug=False)
@@ -196,7 +197,7 @@ def test_planes_that_do_not_agree_still_make_a_partition(kind: str, cells: int) 
 def test_witnesses_along_cracks_whose_planes_do_not_agree() -> None:
     """With the service's own setting, normals along the crack, witnesses lie on the surface to 1e-6 R."""
     body = brick((2.0, 1.0, 1.0), 0.5)
-    labels = np.random.default_rng(3).integers(0, 3, len(body.vertices))
+    labels = np.random.default_rng(6).integers(0, 3, len(body.vertices))
     case = broken_world(body, [by_labels(labels, lattice_planes(body.vertices, 3))], DEFAULTS)
     assert assert_contacts(case, ("jittered", "deep")) > 0
 

@@ -86,7 +86,7 @@ def _validate_surface(geometry: CollisionGeometry, row: int, radius: float) -> f
     total = np.linalg.norm(areas, axis=1).sum()
     assert np.linalg.norm(areas.sum(axis=0)) <= ROUNDING * total, f"fragment {row}: the surface is not closed"
     enclosed = float((areas * a).sum() / 3.0)
-    volume = geometry.mass_properties(row, 1.0).mass
+    volume = geometry.volume(row)
     assert abs(enclosed - volume) <= ROUNDING * radius**3, f"fragment {row}: encloses {enclosed}, has {volume}"
     points, box = corners.reshape(-1, 3), pools.fragment.box[row]
     inside = (points >= box[:3] - ROUNDING * radius) & (points <= box[3:] + ROUNDING * radius)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.core import fracture_update, touched_tetrahedra
-from fracture_collision.core.cut_tetrahedron import CUT, DIVIDED, make_cut_scratch
+from fracture_collision.core.cut_tetrahedron import make_cut_scratch
 from fracture_collision.core.fragment_trees import REBUILT, RESTRUCTURED, rebuilt_trees, split_trees
 from fracture_collision.core.front_propagation import update_averaged_field
 from fracture_collision.core.interior_field import InteriorField, make_interior_field
@@ -142,15 +142,27 @@ class CollisionGeometry:
     def tree_entries(self, row: int) -> int:
         return int(self._tables.fragment["tree_end"].view[row] - self._tables.fragment["tree_begin"].view[row])
 
-    def mass_properties(self, row: int, density: float) -> MassProperties:
+    def volume(self, row: int) -> float:
+        """[m3] of a body of tetrahedra or triangles, or of a fragment."""
+        return float(self._moments.view[row, 0])
+
+    def mass_properties(self, rows: np.ndarray, density: np.ndarray) -> list[MassProperties]:
+        """Of fragments `rows` (n,) with `density` (n,) [kg/m3] each."""
+        kind = self._tables.fragment["kind"].view[rows]
+        is_shape = (kind == PLANE) | (kind == SPHERE) | (kind == BOX)
+        meshed = iter(zip(*mass_properties(self._moments.view[rows[~is_shape]], density[~is_shape]), strict=True))
+        return [
+            self._mass_of_shape(row, float(own)) if shape else MassProperties(*next(meshed))
+            for row, own, shape in zip(rows.tolist(), density, is_shape.tolist(), strict=True)
+        ]
+
+    def _mass_of_shape(self, row: int, density: float) -> MassProperties:
         kind, shape = self._tables.fragment["kind"].view[row], self._tables.fragment["shape"].view[row]
-        if kind == PLANE:
-            return MassProperties(0.0, np.zeros(3), np.zeros(6))
         if kind == SPHERE:
             return MassProperties(*sphere_mass_properties(float(shape[0]), density))
         if kind == BOX:
             return MassProperties(*box_mass_properties(shape[:3], density))
-        return MassProperties(*mass_properties(self._moments.view[row], density))
+        return MassProperties(0.0, np.zeros(3), np.zeros(6))
 
     def add_plane(self, normal: np.ndarray, offset: float) -> int:
         """Half-space normal . x <= offset; `normal` unit."""
@@ -220,23 +232,22 @@ class CollisionGeometry:
         tet_shift = int(self._tables.fragment["tet_shift"].view[row])
         edge_shift = int(self._tables.fragment["edge_shift"].view[row])
         first = self._tables.fragment["kind"].used
-        parent = {name: array.view[row].copy() for name, array in self._tables.fragment.items()}
-        for name, array in self._tables.fragment.items():
-            array.append(np.repeat(parent[name][None], count, axis=0))
-        self._moments.append(np.zeros((count, 10)))
-        self._gaps.append(np.zeros(count))
+        for array in self._tables.fragment.values():
+            array.fill(count, array.view[row].copy())
+        self._moments.fill(count, 0.0)
+        self._gaps.fill(count, 0.0)
         first_plane = self._tables.body["planes"].append(planes)
         self._tables.have_grown()
         pools, end = self.pools, first + count
         labels = pools.body.node_fragment
         tet_count = len(rows.prepared.mesh.tetrahedra)
         # node_tets_begin has one row more than nodes in each mesh before this one
-        touched = touched_tetrahedra.tetrahedra_of_nodes(
-            pools.mesh, pools.body, node_shift, rows.node + k, rows.tet, rows.tet + tet_count, nodes, row
-        )
         labels[nodes + (rows.node + node_shift)] = first + parts
         touched_tetrahedra.place_crossings(pools.mesh, pools.body, edge_shift, edges + rows.edge, first_plane)
-        touched_tetrahedra.classify(pools.mesh, pools.body, node_shift, touched)
+        touched = touched_tetrahedra.find_touched(
+            pools.mesh, pools.body, node_shift, tet_shift, rows.node + k, rows.tet, rows.tet + tet_count, nodes, first,
+            self._moments.view, self._gaps.view,
+        )  # fmt: skip
         boxes = pools.fragment.box
         boxes[first:end] = np.repeat([np.inf, -np.inf], 3)
         touched_tetrahedra.boxes_of_nodes(pools.mesh, pools.body, node_shift, nodes + rows.node, boxes)
@@ -254,21 +265,16 @@ class CollisionGeometry:
     def _rebuild_surfaces(self, node_shift, tet_shift, edge_shift, touched, first, end, reaches) -> None:
         """Polygons in the tetrahedra that a fracture touched; moments, boxes and gaps of their fragments."""
         pools, moments, gaps = self.pools, self._moments.view, self._gaps.view
-        fracture_update.rebuild_lone(pools.mesh, pools.body, node_shift, tet_shift, touched, moments, gaps)
         columns = {name: self._tables.body[name] for name in SurfaceRows._fields}
-        for rebuild, kind, expected in (
-            (fracture_update.rebuild_parted, CUT, 2),
-            (fracture_update.rebuild_fanned, DIVIDED, 6),
-        ):
-            start, room = 0, fracture_update.MOST_ROWS + expected * np.count_nonzero(touched.kinds == kind)
-            while start < len(touched.rows):
-                out = SurfaceRows(**{name: column.reserve(room) for name, column in columns.items()})
-                start, written = rebuild(
-                    pools.mesh, pools.body, node_shift, tet_shift, edge_shift, touched, first, end, start,
-                    columns["front"].used, out, moments, pools.fragment.box, reaches, gaps, self._scratch,
-                )  # fmt: skip
-                for column in columns.values():
-                    column.advance(written)
+        room = SurfaceRows(**{name: column.reserve(touched.room) for name, column in columns.items()})
+        for rebuild in (fracture_update.rebuild_parted, fracture_update.rebuild_fanned):
+            written = rebuild(
+                pools.mesh, pools.body, node_shift, tet_shift, edge_shift, touched, first, end, columns["front"].used,
+                room, moments, pools.fragment.box, reaches, gaps, self._scratch,
+            )  # fmt: skip
+            for column in columns.values():
+                column.advance(written)
+            room = SurfaceRows(*(column[written:] for column in room))
 
     def _give_trees(self, row, rows, nodes, parts, edges, first, count) -> None:
         """Trees of fragments first .. first + count - 1, into which `row` broke."""
@@ -280,12 +286,15 @@ class CollisionGeometry:
         if self._tree_kind == REBUILT:
             sampled = (self.pools.body.edge_plane[own] >= 0)[:, None] & (part_of_node[mesh.edges] >= 0)
             forest = rebuilt_trees(mesh, part_of_node, share, sampled, count)
+            begin = forest.begin + self._tables.append_tree(forest.trees)
         else:
-            ordered = self._tree_kind == RESTRUCTURED
-            forest = split_trees(self.sphere_tree(row), mesh, part_of_node, edges, share, count, ordered)
-        at = self._tables.append_tree(forest.trees) + forest.begin
-        self._tables.fragment["tree_begin"].view[first : first + count] = at[:-1]
-        self._tables.fragment["tree_end"].view[first : first + count] = at[1:]
+            own = self._tables.fragment
+            old = slice(int(own["tree_begin"].view[row]), int(own["tree_end"].view[row]))
+            begin = split_trees(
+                self._tables.tree, old, mesh, part_of_node, edges, share, count, self._tree_kind == RESTRUCTURED
+            )
+        self._tables.fragment["tree_begin"].view[first : first + count] = begin[:-1]
+        self._tables.fragment["tree_end"].view[first : first + count] = begin[1:]
 
     def _mark_cells(self, parent, first, end, reaches) -> None:
         k = int(self._tables.fragment["mesh"].view[parent])
@@ -308,13 +317,13 @@ class CollisionGeometry:
         if self._field == AVERAGED:
             interior = self._interior_field(rows)
             self._tables.body["node_field"].append(interior.node_field)
-        node = self._tables.body["node_fragment"].append(np.full(len(mesh.nodes), row, np.int32))
-        edge = self._tables.body["edge_plane"].append(np.full(len(mesh.edges), -1, np.int32))
-        self._tables.body["edge_event"].append(np.zeros(len(mesh.edges), np.int32))
-        self._tables.body["edge_share"].append(np.zeros(len(mesh.edges)))
-        tet = self._tables.body["tet_fragment"].append(np.full(len(mesh.tetrahedra), row, np.int32))
-        self._tables.body["cut_begin"].append(np.zeros(len(mesh.tetrahedra), np.int32))
-        self._tables.body["cut_count"].append(np.zeros(len(mesh.tetrahedra), np.int32))
+        node = self._tables.body["node_fragment"].fill(len(mesh.nodes), row)
+        edge = self._tables.body["edge_plane"].fill(len(mesh.edges), -1)
+        self._tables.body["edge_event"].fill(len(mesh.edges), 0)
+        self._tables.body["edge_share"].fill(len(mesh.edges), 0.0)
+        tet = self._tables.body["tet_fragment"].fill(len(mesh.tetrahedra), row)
+        self._tables.body["cut_begin"].fill(len(mesh.tetrahedra), 0)
+        self._tables.body["cut_count"].fill(len(mesh.tetrahedra), 0)
         self._tables.fragment["node_shift"].view[row] = node - rows.node
         self._tables.fragment["tet_shift"].view[row] = tet - rows.tet
         self._tables.fragment["edge_shift"].view[row] = edge - rows.edge

@@ -10,12 +10,15 @@ Samples of a body are numbered: its n mesh nodes, then two for each mesh edge, n
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from fracture_collision.core.compiled import kernel
 from fracture_collision.core.cut_tetrahedron import point_on_edge
+from fracture_collision.core.pools import SAMPLE, GrowableArray
 from fracture_collision.core.sphere_tree import SphereTree, build_sphere_tree
-from fracture_collision.core.sphere_tree_split import Forest, split_sphere_tree
+from fracture_collision.core.sphere_tree_split import rows_of_split, split_sphere_tree
 from fracture_collision.core.tet_mesh import TetMesh
 
 RESTRUCTURED = "restructured"
@@ -24,27 +27,52 @@ REBUILT = "rebuilt"
 TREES = (RESTRUCTURED, PLAIN, REBUILT)
 
 
+class Forest(NamedTuple):
+    """Trees one behind the other: fragment f's are entries begin[f] .. begin[f + 1] - 1."""
+
+    trees: SphereTree
+    begin: np.ndarray  # (fragments + 1,) int64
+
+
+class _CrackSamples(NamedTuple):
+    """The points that a fracture adds to the surfaces of its fragments: two a cut edge, one a side."""
+
+    points: np.ndarray  # (q, 3) float64 [m]
+    samples: np.ndarray  # (q,) int32
+    parents: np.ndarray  # (q,) int32 mesh nodes: each side's own end of the edge
+    parts: np.ndarray  # (q,) int32
+
+
 def split_trees(
-    old: SphereTree, mesh: TetMesh, part_of_node: np.ndarray, edges: np.ndarray, share: np.ndarray, count: int,
-    ordered: bool,
-) -> Forest:  # fmt: skip
-    """RESTRUCTURED (`ordered`) or PLAIN trees of parts 0 .. count - 1, from the tree `old` of what broke.
+    table: dict[str, GrowableArray], old: slice, mesh: TetMesh, part_of_node: np.ndarray, edges: np.ndarray,
+    share: np.ndarray, count: int, ordered: bool,
+) -> np.ndarray:  # fmt: skip
+    """Append to the tree pool the RESTRUCTURED (`ordered`) or PLAIN trees of parts 0 .. count - 1, from the tree in its
+    rows `old` of what broke; returns where each begins, (count + 1,).
 
     part_of_node (n,) int32, -1: another fragment's; edges (k,): mesh edges that this fracture cuts, ascending; share
     (mesh edges,): where cut edges are crossed, in parts of them from their first node.
     """
-    of_entry = _parts_of_entries(old.sample, len(mesh.nodes), mesh.edges, part_of_node)
-    samples = (len(mesh.nodes) + 2 * edges[:, None] + np.arange(2, dtype=np.int32)).ravel().astype(np.int32)
-    parents = mesh.edges[edges].ravel()
-    points = _edge_points(mesh.nodes, mesh.edges, share, samples)
-    return split_sphere_tree(old, of_entry, count, points, samples, parents, part_of_node[parents], ordered)
+    new = _crack_samples(mesh.nodes, mesh.edges, part_of_node, edges, share)
+    room = rows_of_split(table["entries"].view[old], len(new.points))
+    # these may move what is in the pool
+    out_spheres, out_entries = table["spheres"].reserve(room), table["entries"].reserve(room)
+    entries = table["entries"].view[old]
+    begin = split_sphere_tree(
+        table["spheres"].view[old], entries, _parts_of_entries(entries, len(mesh.nodes), mesh.edges, part_of_node),
+        count, new.points, new.samples, new.parents, new.parts, ordered, out_spheres, out_entries,
+    )  # fmt: skip
+    table["spheres"].advance(int(begin[-1]))
+    return begin + table["entries"].advance(int(begin[-1]))
 
 
 def rebuilt_trees(
     mesh: TetMesh, part_of_node: np.ndarray, share: np.ndarray, sampled: np.ndarray, count: int
 ) -> Forest:
-    """REBUILT trees of parts 0 .. count - 1; arguments as in split_trees, and sampled (mesh edges, 2): which ends of
-    edges are crack samples of these parts.
+    """REBUILT trees of parts 0 .. count - 1.
+
+    part_of_node (n,) int32, -1: another fragment's; share (mesh edges,): where cut edges are crossed, in parts of them
+    from their first node; sampled (mesh edges, 2): which ends of edges are crack samples of these parts.
     """
     n = len(mesh.nodes)
     nodes = np.flatnonzero((part_of_node >= 0) & (mesh.on_surface != 0))
@@ -63,11 +91,29 @@ def rebuilt_trees(
 
 
 @kernel
-def _parts_of_entries(sample, nodes, edges, part_of_node):
-    """The part of each tree entry's point; `nodes`: how many the mesh has."""
-    parts = np.empty(len(sample), np.int32)
-    for i in range(len(sample)):
-        node = sample[i]
+def _crack_samples(nodes, edges, part_of_node, cut, share):
+    """_CrackSamples at the edges `cut` (k,), ascending, of a mesh: nodes (n, 3) [m], edges (e, 2).
+
+    part_of_node (n,) int32; share (e,): where cut edges are crossed, in parts of them from their first node.
+    """
+    count = 2 * len(cut)
+    new = _CrackSamples(
+        np.empty((count, 3)), np.empty(count, np.int32), np.empty(count, np.int32), np.empty(count, np.int32)
+    )
+    for q in range(count):
+        e = cut[q // 2]
+        node = edges[e, q % 2]
+        point_on_edge(nodes, edges[e, 0], edges[e, 1], share[e], new.points[q])
+        new.samples[q], new.parents[q], new.parts[q] = len(nodes) + 2 * e + q % 2, node, part_of_node[node]
+    return new
+
+
+@kernel
+def _parts_of_entries(entries, nodes, edges, part_of_node):
+    """The part (s,) int32 of each tree entry's point, rows of TreePool.entries; `nodes`: how many the mesh has."""
+    parts = np.empty(len(entries), np.int32)
+    for i in range(len(entries)):
+        node = entries[i, SAMPLE]
         if node >= nodes:
             node = edges[(node - nodes) // 2, (node - nodes) % 2]
         parts[i] = part_of_node[node]

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from fracture_collision.core.compiled import kernel, query_kernel
+from fracture_collision.core.compiled import inlined_kernel, kernel, query_kernel
 
 
 def tetrahedron_moments(corners: np.ndarray) -> np.ndarray:
@@ -30,25 +30,43 @@ def _tetrahedra_moments(corners, rows):
         )  # fmt: skip
 
 
-@query_kernel
-def add_tetrahedron(ox, oy, oz, ax, ay, az, bx, by, bz, cx, cy, cz, row):
-    """Add the signed moments of the tetrahedron (o, a, b, c) to `row` (10,)."""
+@inlined_kernel
+def tetrahedron_terms(ox, oy, oz, ax, ay, az, bx, by, bz, cx, cy, cz):
+    """The signed moment row of the tetrahedron (o, a, b, c), ten numbers."""
     ux, uy, uz = ax - ox, ay - oy, az - oz
     vx, vy, vz = bx - ox, by - oy, bz - oz
     wx, wy, wz = cx - ox, cy - oy, cz - oz
     volume = (ux * (vy * wz - vz * wy) + uy * (vz * wx - vx * wz) + uz * (vx * wy - vy * wx)) / 6.0
     sx, sy, sz = ox + ax + bx + cx, oy + ay + by + cy, oz + az + bz + cz
-    row[0] += volume
-    row[1] += volume * sx / 4.0
-    row[2] += volume * sy / 4.0
-    row[3] += volume * sz / 4.0
     k = volume / 20.0
-    row[4] += k * (sx * sx + ox * ox + ax * ax + bx * bx + cx * cx)
-    row[5] += k * (sx * sy + ox * oy + ax * ay + bx * by + cx * cy)
-    row[6] += k * (sx * sz + ox * oz + ax * az + bx * bz + cx * cz)
-    row[7] += k * (sy * sy + oy * oy + ay * ay + by * by + cy * cy)
-    row[8] += k * (sy * sz + oy * oz + ay * az + by * bz + cy * cz)
-    row[9] += k * (sz * sz + oz * oz + az * az + bz * bz + cz * cz)
+    return (
+        volume,
+        volume * sx / 4.0,
+        volume * sy / 4.0,
+        volume * sz / 4.0,
+        k * (sx * sx + ox * ox + ax * ax + bx * bx + cx * cx),
+        k * (sx * sy + ox * oy + ax * ay + bx * by + cx * cy),
+        k * (sx * sz + ox * oz + ax * az + bx * bz + cx * cz),
+        k * (sy * sy + oy * oy + ay * ay + by * by + cy * cy),
+        k * (sy * sz + oy * oz + ay * az + by * bz + cy * cz),
+        k * (sz * sz + oz * oz + az * az + bz * bz + cz * cz),
+    )
+
+
+@inlined_kernel
+def add_row(row, s0, s1, s2, s3, s4, s5, s6, s7, s8, s9):
+    """Add ten numbers to `row` (10,): all are read before any is written, so that they can be added side by side."""
+    s0, s1, s2, s3, s4 = row[0] + s0, row[1] + s1, row[2] + s2, row[3] + s3, row[4] + s4
+    s5, s6, s7, s8, s9 = row[5] + s5, row[6] + s6, row[7] + s7, row[8] + s8, row[9] + s9
+    row[0], row[1], row[2], row[3], row[4] = s0, s1, s2, s3, s4
+    row[5], row[6], row[7], row[8], row[9] = s5, s6, s7, s8, s9
+
+
+@query_kernel
+def add_tetrahedron(ox, oy, oz, ax, ay, az, bx, by, bz, cx, cy, cz, row):
+    """Add the signed moments of the tetrahedron (o, a, b, c) to `row` (10,)."""
+    m = tetrahedron_terms(ox, oy, oz, ax, ay, az, bx, by, bz, cx, cy, cz)
+    add_row(row, m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8], m[9])
 
 
 def surface_moments(corners: np.ndarray) -> np.ndarray:
@@ -68,13 +86,17 @@ def _pyramid_moments(o, triangles, row):
         add_tetrahedron(o[0], o[1], o[2], p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8], row)
 
 
-def mass_properties(moments: np.ndarray, density: float) -> tuple[float, np.ndarray, np.ndarray]:
-    """Mass [kg], centre of mass (3,) [m] and inertia (6,) [kg m2] about it, body axes: xx xy xz yy yz zz."""
-    volume = moments[0]
-    x, y, z = center = moments[1:4] / volume
-    sxx, sxy, sxz, syy, syz, szz = moments[4:10] - volume * np.array([x * x, x * y, x * z, y * y, y * z, z * z])
-    inertia = density * np.array([syy + szz, -sxy, -sxz, sxx + szz, -syz, sxx + syy])
-    return density * volume, center, inertia
+def mass_properties(moments: np.ndarray, density: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of solids with `moments` (n, 10) and `density` (n,) [kg/m3]: masses (n,) [kg], centres of mass (n, 3) [m] and
+    inertias (n, 6) [kg m2] about them, body axes: xx xy xz yy yz zz.
+    """
+    volume = moments[:, :1]
+    center = moments[:, 1:4] / volume
+    x, y, z = center.T
+    products = np.column_stack([x * x, x * y, x * z, y * y, y * z, z * z])
+    sxx, sxy, sxz, syy, syz, szz = (moments[:, 4:10] - volume * products).T
+    inertia = density[:, None] * np.column_stack([syy + szz, -sxy, -sxz, sxx + szz, -syz, sxx + syy])
+    return density * volume[:, 0], center, inertia
 
 
 def sphere_mass_properties(radius: float, density: float) -> tuple[float, np.ndarray, np.ndarray]:

@@ -24,6 +24,11 @@ class GrowableArray:
         self.reserve(len(rows))[:] = rows
         return self.advance(len(rows))
 
+    def fill(self, count: int, row) -> int:
+        """Likewise `count` rows that all are `row`."""
+        self.reserve(count)[:] = row
+        return self.advance(count)
+
     def share(self, rows: np.ndarray) -> int:
         """As append, for rows that nobody will write to: the first are not copied."""
         if self.used or rows.dtype != self._buffer.dtype or not rows.flags.c_contiguous:

@@ -5,6 +5,10 @@ left out. Restructure: a copy that lost its point takes the point of its subtree
 do all nodes between. Extend: a new surface point goes under the mesh node at its own end of the cut edge, at the lowest
 node of that point's branch whose radius still exceeds their distance, else at the highest.
 
+Every tree is in preorder, and so is what is left of it for a fragment: one walk over the old tree deals out its entries
+to all fragments, and where new points go is a matter of sums. What a branch would decide entry by entry is put into
+arithmetic wherever it can be, since no processor guesses the shape of a tree.
+
 Without regard to the order (the paper's earlier version, its reference [27]): a copy that lost its point takes the
 first one that it finds, a new surface point goes under the leaf at its own end of the cut edge.
 """
@@ -15,268 +19,172 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.core.compiled import kernel
-from fracture_collision.core.sphere_tree import SphereTree, update_radii
+from fracture_collision.core.compiled import inlined_kernel, kernel, query_kernel
+from fracture_collision.core.pools import NONE_BELOW, OWN_SAMPLE, SAMPLE, SIZE, SURFACE
+from fracture_collision.core.sphere_tree_deal import deal_tree, find_parents
 
-BATCH = 64  # fragments handled at a time: one bit each of an unsigned 64-bit mask
+NONE = -1
+
+
+class _Share(NamedTuple):
+    """Working space: one fragment's tree before its new points come in; a row an entry, and one more."""
+
+    spheres: np.ndarray  # (s, 4) float64 [m], centre and radius
+    sample: np.ndarray  # (s,) int32
+    on_surface: np.ndarray  # (s,) uint8
+    lost: np.ndarray  # (s,) uint8: its point went to another fragment
+    stale: np.ndarray  # (s,) uint8: its radius is that of other points
+    parent: np.ndarray  # (s,) int32
+    farthest: np.ndarray  # (s,) float64 [m]: of a leaf, the distance to the farthest new point beside it
+    watched: np.ndarray  # (s,) int32: the nearest watched entry (_place) from each one upwards, itself included
+    new_before: np.ndarray  # (s,) int32: new points that hang under entries before it
+    added: np.ndarray  # (s,) int32: how many new points hang under it
+    start: np.ndarray  # (s,) int32: where the first of them goes
+    closing: np.ndarray  # (s,) int32: rows added where a subtree ends that ends before the entry
+    shift: np.ndarray  # (s,) int32: rows added before the entry
+    surface_before: np.ndarray  # (s,) int32: entries before it whose point is on the surface
+
+
+class _New(NamedTuple):
+    """Working space: the new points."""
+
+    entry: np.ndarray  # (q,) int32: the entry each hangs under
+    distance: np.ndarray  # (q,) float64 [m] from the leaf of its mesh node
+    rank: np.ndarray  # (q,) int32: which of the entry's each is
+    x: np.ndarray  # (q,) float64 [m]: one fragment's, in the order of their entries
+    y: np.ndarray  # (q,)
+    z: np.ndarray  # (q,)
 
 
 @kernel
-def _presence(size, leaf_fragment, low, mask):
-    """Bottom-up: which of the fragments low .. low + 63 each entry's subtree holds, a bit each."""
-    one = np.uint64(1)
-    for i in range(len(size) - 1, -1, -1):
-        bits = np.uint64(0)
-        if size[i] == 1:
-            k = leaf_fragment[i] - low
-            if 0 <= k < 64:
-                bits = one << np.uint64(k)
+def split_sphere_tree(
+    spheres, entries, fragment_of_entry, fragments, points, samples, parents, new_fragments, ordered, out_spheres,
+    out_entries,
+):  # fmt: skip
+    """Write one tree a fragment, one behind the other, from the tree of the fragment that broke; returns where each
+    begins (fragments + 1,) int64.
+
+    Trees are given as in TreePool: `spheres` (s, 4), `entries` (s, 3); fragment_of_entry (s,) int32: which fragment
+    each entry's point goes to. The new surface points: `points` (q, 3) [m], their `samples`, the samples of the mesh
+    nodes they hang under, `parents`, and their fragments (q,), int32. ordered: keep to the maximum-distance order.
+    `out_spheres`, `out_entries`: rows_of_split of them.
+    """
+    deal = deal_tree(entries, fragment_of_entry, fragments)
+    room = 0
+    for f in range(fragments):
+        room = max(room, deal.last[f] - deal.first[f] + 1)
+    share = _Share(
+        np.empty((room, 4)), np.empty(room, np.int32), np.empty(room, np.uint8), np.empty(room, np.uint8),
+        np.empty(room, np.uint8), np.empty(room, np.int32), np.empty(room), np.empty(room, np.int32),
+        np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room, np.int32),
+        np.empty(room, np.int32), np.empty(room, np.int32),
+    )  # fmt: skip
+    order, bounds = _grouped(new_fragments, fragments)
+    q = len(points)
+    new = _New(
+        np.empty(q, np.int32), np.empty(q), np.empty(q, np.int32), np.empty(q), np.empty(q), np.empty(q)
+    )
+    leaf_of = np.empty(max(entries[:, SAMPLE].max(), parents.max() if len(parents) else 0) + 1, np.int32)
+    begin = np.zeros(fragments + 1, np.int64)
+    for f in range(fragments):
+        kept, size = deal.kept[deal.first[f] : deal.last[f]], deal.size[deal.first[f] : deal.last[f]]
+        _take(spheres, entries, fragment_of_entry, kept, size, f, share)
+        if ordered:
+            _restructure(size, share)
         else:
-            child = i + 1
-            while child < i + size[i]:
-                bits |= mask[child]
-                child += size[child]
-        mask[i] = bits
+            _take_first_points(size, share)
+        _update_radii(size, share)
+        own = order[bounds[f] : bounds[f + 1]]
+        _place(size, share, own, points, parents, ordered, leaf_of, new)
+        _grow(size, share, own, points, new)
+        added = _make_room(size, share)
+        at = begin[f]
+        _write(size, share, own, points, samples, new, out_spheres[at:], out_entries[at:])
+        begin[f + 1] = at + len(size) + added
+    return begin
 
 
-@kernel
-def _extract(size, mask, bit, kept, new_size):
-    """Preorder of one fragment's tree: `kept` gets the old entries, `new_size` their sizes; returns how many."""
-    stack = np.empty(2 * len(size) + 2, dtype=np.int32)  # >= 0: an old entry to visit; < 0: ~ the new entry to close
-    stack[0] = 0
-    top, used = 0, 0
-    if (mask[0] & bit) == 0:
-        return 0
-    while top >= 0:
-        item = stack[top]
-        top -= 1
-        if item < 0:
-            new_size[~item] = used - ~item
-            continue
-        # walk down through copies with a single child
-        while True:
-            children, only, child = 0, -1, item + 1
-            while child < item + size[item]:
-                if mask[child] & bit:
-                    children += 1
-                    only = child
-                child += size[child]
-            if children != 1:
-                break
-            item = only
-        kept[used] = item
-        if children == 0:
-            new_size[used] = 1
-            used += 1
-            continue
-        top += 1
-        stack[top] = ~used
-        used += 1
-        slot = top + children
-        top = slot
-        child = item + 1
-        while child < item + size[item]:
-            if mask[child] & bit:
-                stack[slot] = child
-                slot -= 1
-            child += size[child]
-    return used
+def rows_of_split(entries: np.ndarray, new_points: int) -> int:
+    """Rows that split_sphere_tree needs for its trees, at most."""
+    # A tree has fewer inner nodes than leaves; a new point adds a leaf, and may make one of another leaf's point. The
+    # last entry is followed by a row that is written in vain.
+    return 2 * (int((entries[:, SIZE] == 1).sum()) + new_points) + 1
 
 
-@kernel
-def _restructure(center, size, sample, on_surface, lost, stale):
+@query_kernel
+def _take(spheres, entries, fragment_of_entry, kept, size, fragment, share):
+    for i in range(len(kept)):
+        o = kept[i]
+        s, c = share.spheres[i], spheres[o]
+        s[0], s[1], s[2], s[3] = c[0], c[1], c[2], c[3]
+        share.sample[i], share.on_surface[i] = entries[o, SAMPLE], entries[o, SURFACE] == OWN_SAMPLE
+        # a smaller subtree than before: descendants are missing
+        share.stale[i] = size[i] != entries[o, SIZE]
+        share.lost[i] = fragment_of_entry[o] != fragment
+
+
+@query_kernel
+def _restructure(size, share):
     """Give each entry that lost its point the closest one below it, and the same to all entries in between."""
+    spheres = share.spheres
     for i in range(len(size)):
-        if not lost[i]:
+        if not share.lost[i]:
             continue
         best, best_d2 = -1, np.inf
         for j in range(i + 1, i + size[i]):
-            if size[j] == 1:
-                dx, dy, dz = center[j, 0] - center[i, 0], center[j, 1] - center[i, 1], center[j, 2] - center[i, 2]
-                d2 = dx * dx + dy * dy + dz * dz
-                if d2 < best_d2:
-                    best, best_d2 = j, d2
+            d2 = _squared(spheres[j], spheres[i])
+            d2 = d2 if size[j] == 1 else np.inf
+            best, best_d2 = (j, d2) if d2 < best_d2 else (best, best_d2)
         entry = i
         while entry != best:
-            center[entry] = center[best]
-            sample[entry] = sample[best]
-            on_surface[entry] = on_surface[best]
-            lost[entry] = 0
-            stale[entry] = 1
+            _take_point(share, entry, best)
+            share.lost[entry] = 0
             child = entry + 1
             while child + size[child] <= best:
                 child += size[child]
             entry = child
 
 
-@kernel
-def _take_first_points(center, size, sample, on_surface, lost, stale):
+@query_kernel
+def _take_first_points(size, share):
     """Give each entry that lost its point that of its first child."""
     for i in range(len(size) - 1, -1, -1):
-        if lost[i]:
-            center[i] = center[i + 1]
-            sample[i] = sample[i + 1]
-            on_surface[i] = on_surface[i + 1]
-            stale[i] = 1
+        if share.lost[i]:
+            _take_point(share, i, i + 1)
 
 
-@kernel
-def _insert(center, size, sample, radius, parent, leaf_of, new_points, new_parents, ordered, first_new, next_new):
-    """Choose each new point's place and grow the spheres above it; fills linked lists first_new / next_new."""
-    last_new = np.full(len(size), -1, dtype=np.int32)
-    for q in range(len(new_points)):
-        leaf = leaf_of[new_parents[q]]
-        x, y, z = new_points[q]
-        dx, dy, dz = x - center[leaf, 0], y - center[leaf, 1], z - center[leaf, 2]
-        d = np.sqrt(dx * dx + dy * dy + dz * dz)
-        entry = leaf
-        while ordered and radius[entry] <= d and parent[entry] >= 0 and sample[parent[entry]] == sample[leaf]:
-            entry = parent[entry]
-        if first_new[entry] < 0:
-            first_new[entry] = q
-        else:
-            next_new[last_new[entry]] = q
-        last_new[entry] = q
-        while entry >= 0:
-            dx, dy, dz = x - center[entry, 0], y - center[entry, 1], z - center[entry, 2]
-            d2 = dx * dx + dy * dy + dz * dz
-            if d2 > radius[entry] * radius[entry]:
-                radius[entry] = max(radius[entry], np.sqrt(d2))
-            entry = parent[entry]
+@inlined_kernel
+def _take_point(share, entry, other):
+    s, c = share.spheres[entry], share.spheres[other]
+    s[0], s[1], s[2] = c[0], c[1], c[2]
+    share.sample[entry], share.on_surface[entry] = share.sample[other], share.on_surface[other]
+    share.stale[entry] = 1
 
 
-@kernel
-def _parents(size, parent):
-    parent[0] = -1
+@inlined_kernel
+def _squared(p, q):
+    dx, dy, dz = p[0] - q[0], p[1] - q[1], p[2] - q[2]
+    return dx * dx + dy * dy + dz * dz
+
+
+@query_kernel
+def _update_radii(size, share):
+    """Exact radii of all stale entries: the distance to the furthest point below, inner nodes' being leaves' too."""
+    spheres = share.spheres
     for i in range(len(size)):
-        child = i + 1
-        while child < i + size[i]:
-            parent[child] = i
-            child += size[child]
-
-
-@kernel
-def _merge(old, first_new, next_new, new_points, new_samples, out):
-    """Preorder of the old entries with the new leaves behind the children of their entries; returns the length.
-
-    A leaf that gets children becomes an inner node above a leaf of its own point.
-    """
-    center, radius, size, sample, on_surface = old
-    out_center, out_radius, out_size, out_sample, out_surface = out
-    n = len(size)
-    open_entry = np.empty(n + 1, dtype=np.int32)  # old entries whose subtree is being written
-    written_at = np.empty(n + 1, dtype=np.int32)
-    depth, used = 0, 0
-    for i in range(n + 1):
-        # close what ended before i, innermost first: its new leaves, then its size
-        while depth and (i == n or i >= open_entry[depth - 1] + size[open_entry[depth - 1]]):
-            depth -= 1
-            e, w = open_entry[depth], written_at[depth]
-            q = first_new[e]
-            while q >= 0:
-                for k in range(3):
-                    out_center[used, k] = new_points[q, k]
-                out_radius[used], out_size[used] = 0.0, 1
-                out_sample[used], out_surface[used] = new_samples[q], 1
-                used += 1
-                q = next_new[q]
-            out_size[w] = used - w
-        if i == n:
-            break
-        for _ in range(2 if size[i] == 1 and first_new[i] >= 0 else 1):
-            for k in range(3):
-                out_center[used, k] = center[i, k]
-            out_radius[used] = 0.0
-            out_size[used] = 1
-            out_sample[used], out_surface[used] = sample[i], on_surface[i]
-            used += 1
-        at = used - (2 if size[i] == 1 and first_new[i] >= 0 else 1)
-        out_radius[at] = radius[i]
-        open_entry[depth], written_at[depth] = i, at
-        depth += 1
-    return used
-
-
-@kernel
-def _take(center, radius, size, sample, on_surface, leaf_fragment, kept, new_size, fragment, ordered):
-    """Copy the kept entries into a tree of their own, each with a point below it; radii exact."""
-    n = len(kept)
-    c = np.empty((n, 3))
-    r = np.empty(n)
-    s = np.empty(n, dtype=np.int32)
-    surface = np.empty(n, dtype=np.uint8)
-    lost = np.zeros(n, dtype=np.uint8)
-    stale = np.zeros(n, dtype=np.uint8)
-    for i in range(n):
-        o = kept[i]
-        for k in range(3):
-            c[i, k] = center[o, k]
-        r[i], s[i], surface[i] = radius[o], sample[o], on_surface[o]
-        # a smaller subtree than before: descendants are missing
-        stale[i] = 1 if new_size[i] != size[o] else 0
-        lost[i] = 1 if leaf_fragment[o] != fragment else 0
-    if ordered:
-        _restructure(c, new_size, s, surface, lost, stale)
-    else:
-        _take_first_points(c, new_size, s, surface, lost, stale)
-    update_radii(c, new_size, r, stale)
-    return c, r, s, surface
-
-
-class Forest(NamedTuple):
-    """Trees one behind the other: fragment f's are entries begin[f] .. begin[f + 1] - 1."""
-
-    trees: SphereTree
-    begin: np.ndarray  # (fragments + 1,) int64
-
-
-@kernel
-def split_sphere_tree(
-    tree, fragment_of_sample, fragments, new_points, new_samples, new_parents, new_fragments, ordered
-):
-    """A Forest of one tree a fragment, 0 .. fragments - 1, from the tree of the fragment that broke.
-
-    fragment_of_sample: (entries,) int32, fragment of each entry's point; moved: some centres are
-    not where the radii were computed. The new surface points: `new_points` (q, 3)
-    [m], their sample indices, the samples of the mesh nodes they hang under, and their fragments (q,), int32. ordered:
-    keep to the maximum-distance order.
-    """
-    n, leaves, most = len(tree.size), 0, 0
-    for i in range(n):
-        leaves += 1 if tree.size[i] == 1 else 0
-        most = max(most, tree.sample[i])
-    for q in range(len(new_points)):
-        most = max(most, new_parents[q])
-    # a tree has fewer inner nodes than leaves; a new point adds a leaf, and may make one of another leaf's point
-    room = 2 * (leaves + len(new_points))
-    forest = Forest(
-        SphereTree(
-            np.empty((room, 3)), np.empty(room), np.empty(room, np.int32), np.empty(room, np.int32),
-            np.empty(room, np.uint8),
-        ),
-        np.zeros(fragments + 1, np.int64),
-    )  # fmt: skip
-    mask = np.zeros(n, np.uint64)
-    kept, new_size = np.empty(n, np.int32), np.empty(n, np.int32)
-    leaf_of = np.full(most + 1, -1, np.int32)
-    by_fragment, bounds = _grouped(new_fragments, fragments)
-    used = 0
-    for fragment in range(fragments):
-        if fragment % BATCH == 0:
-            _presence(tree.size, fragment_of_sample, fragment, mask)
-        count = _extract(tree.size, mask, np.uint64(1) << np.uint64(fragment % BATCH), kept, new_size)
-        size = new_size[:count].copy()
-        center, radius, sample, surface = _take(
-            tree.center, tree.radius, tree.size, tree.sample, tree.on_surface, fragment_of_sample, kept[:count],
-            size, fragment, ordered,
-        )  # fmt: skip
-        old = SphereTree(center, radius, size, sample, surface)
-        own = by_fragment[bounds[fragment] : bounds[fragment + 1]]
-        used += _extend(
-            old, leaf_of, new_points[own], new_samples[own], new_parents[own], ordered, _from(forest.trees, used)
-        )
-        forest.begin[fragment + 1] = used
-    return Forest(_upto(forest.trees, used), forest.begin)
+        if not share.stale[i]:
+            continue
+        a = b = c = d = 0.0
+        j, end = i + 1, i + size[i]
+        # four at a time: a maximum waits for the one before
+        while j + 4 <= end:
+            a, b = max(a, _squared(spheres[j], spheres[i])), max(b, _squared(spheres[j + 1], spheres[i]))
+            c, d = max(c, _squared(spheres[j + 2], spheres[i])), max(d, _squared(spheres[j + 3], spheres[i]))
+            j += 4
+        while j < end:
+            a = max(a, _squared(spheres[j], spheres[i]))
+            j += 1
+        spheres[i, 3] = np.sqrt(max(a, b, c, d))
 
 
 @kernel
@@ -294,31 +202,123 @@ def _grouped(groups, count):
     return order, bounds
 
 
-@kernel
-def _from(tree, first):
-    return SphereTree(
-        tree.center[first:], tree.radius[first:], tree.size[first:], tree.sample[first:], tree.on_surface[first:]
-    )
+@query_kernel
+def _place(size, share, own, points, parents, ordered, leaf_of, new):
+    """Choose the entry that each of the `own` new points hangs under: fills `added` of the share, and `new`.
+
+    The sphere of an entry counts as it is when the point comes, grown by those that came before. That is asked only of
+    entries that some point of their own sample may climb past; these are watched and grow with each point, the others
+    later, all at once (_grow).
+    """
+    spheres, sample, parent = share.spheres, share.sample, share.parent
+    watched, farthest = share.watched, share.farthest
+    find_parents(size, parent)
+    for i in range(len(size)):
+        # the last entry with a sample is its leaf
+        leaf_of[sample[i]] = i
+        share.added[i], farthest[i] = 0, -1.0
+    for q in own:
+        leaf = leaf_of[parents[q]]
+        d = np.sqrt(_squared(points[q], spheres[leaf]))
+        new.entry[q], new.distance[q], farthest[leaf] = leaf, d, max(farthest[leaf], d)
+    for i in range(len(size)):
+        above = watched[parent[i]] if i else NONE
+        watched[i] = i if size[i] > 1 and spheres[i, 3] <= farthest[leaf_of[sample[i]]] else above
+    for q in own:
+        entry, d = new.entry[q], new.distance[q]
+        if ordered:
+            own_sample = sample[entry]
+            while spheres[entry, 3] <= d and parent[entry] >= 0 and sample[parent[entry]] == own_sample:
+                entry = parent[entry]
+            up = watched[entry]
+            while up >= 0:
+                _reach(spheres[up], _squared(points[q], spheres[up]))
+                up = watched[parent[up]] if up else NONE
+        new.entry[q], new.rank[q] = entry, share.added[entry]
+        share.added[entry] += 1
 
 
-@kernel
-def _upto(tree, last):
-    return SphereTree(
-        tree.center[:last], tree.radius[:last], tree.size[:last], tree.sample[:last], tree.on_surface[:last]
-    )
+@inlined_kernel
+def _reach(sphere, d2):
+    if d2 > sphere[3] * sphere[3]:
+        sphere[3] = max(sphere[3], np.sqrt(d2))
 
 
-@kernel
-def _extend(tree, leaf_of, points, samples, parents, ordered, out):
-    """Write the tree with its new points to the first entries of `out`; returns how many. leaf_of: working space."""
-    n = len(tree.size)
-    parent = np.empty(n, np.int32)
-    _parents(tree.size, parent)
+@query_kernel
+def _grow(size, share, own, points, new):
+    """Grow all spheres by the new points below them, which stand side by side in the order of their entries."""
+    spheres, before = share.spheres, share.new_before
+    x, y, z = new.x, new.y, new.z
+    count = 0
+    for i in range(len(size)):
+        before[i] = count
+        count += share.added[i]
+    before[len(size)] = count
+    for q in own:
+        at = before[new.entry[q]] + new.rank[q]
+        x[at], y[at], z[at] = points[q, 0], points[q, 1], points[q, 2]
+    for i in range(len(size)):
+        j, end, p = before[i], before[i + size[i]], spheres[i]
+        px, py, pz = p[0], p[1], p[2]
+        a = b = c = d = 0.0
+        # four at a time: a maximum waits for the one before
+        while j + 4 <= end:
+            a = max(a, (x[j] - px) ** 2 + (y[j] - py) ** 2 + (z[j] - pz) ** 2)
+            b = max(b, (x[j + 1] - px) ** 2 + (y[j + 1] - py) ** 2 + (z[j + 1] - pz) ** 2)
+            c = max(c, (x[j + 2] - px) ** 2 + (y[j + 2] - py) ** 2 + (z[j + 2] - pz) ** 2)
+            d = max(d, (x[j + 3] - px) ** 2 + (y[j + 3] - py) ** 2 + (z[j + 3] - pz) ** 2)
+            j += 4
+        while j < end:
+            a = max(a, (x[j] - px) ** 2 + (y[j] - py) ** 2 + (z[j] - pz) ** 2)
+            j += 1
+        _reach(p, max(a, b, c, d))
+
+
+@query_kernel
+def _make_room(size, share):
+    """Where entries go when the new leaves stand behind the children of theirs; returns how many rows come in.
+
+    A leaf that gets children becomes an inner node above a leaf of its own point. Of several subtrees that end at one
+    entry the inner ones come first.
+    """
+    n, shift = len(size), share.shift
+    for i in range(n + 1):
+        shift[i] = 0
+    for i in range(n - 1, -1, -1):
+        end, added = i + size[i], share.added[i]
+        share.closing[i] = shift[end]
+        shift[end] += added + (added > 0 and size[i] == 1)
+    rows = surface = 0
     for i in range(n):
-        if tree.size[i] == 1:
-            leaf_of[tree.sample[i]] = i
-    first_new, next_new = np.full(n, -1, np.int32), np.full(len(points), -1, np.int32)
-    _insert(
-        tree.center, tree.size, tree.sample, tree.radius, parent, leaf_of, points, parents, ordered, first_new, next_new
-    )
-    return _merge(tree, first_new, next_new, points, samples, out)
+        rows += shift[i]
+        shift[i] = rows
+        share.surface_before[i] = surface
+        surface += share.on_surface[i]
+    share.surface_before[n] = surface
+    return rows + shift[n]
+
+
+@query_kernel
+def _write(size, share, own, points, samples, new, out_spheres, out_entries):
+    """The share's entries and its `own` new points, to the first rows of `out`."""
+    before = share.surface_before
+    for i in range(len(size)):
+        end, added, at = i + size[i], share.added[i], i + share.shift[i]
+        share.start[i] = end + share.shift[end - 1] + share.closing[i] + (added > 0 and size[i] == 1)
+        rows = share.start[i] + added - at
+        p, own_mark = share.spheres[i], OWN_SAMPLE if share.on_surface[i] else NONE_BELOW
+        # new points are on the surface
+        mark = 0 if own_mark == NONE_BELOW and (before[end] > before[i] or rows > size[i]) else own_mark
+        _write_entry(out_spheres, out_entries, at, p[0], p[1], p[2], p[3], rows, share.sample[i], mark)
+        # the leaf of a leaf that becomes an inner node; of others whatever comes next is written over it
+        _write_entry(out_spheres, out_entries, at + 1, p[0], p[1], p[2], 0.0, 1, share.sample[i], own_mark)
+    for q in own:
+        p, at = points[q], share.start[new.entry[q]] + new.rank[q]
+        _write_entry(out_spheres, out_entries, at, p[0], p[1], p[2], 0.0, 1, samples[q], OWN_SAMPLE)
+
+
+@inlined_kernel
+def _write_entry(out_spheres, out_entries, at, x, y, z, radius, size, sample, mark):
+    s, e = out_spheres[at], out_entries[at]
+    s[0], s[1], s[2], s[3] = x, y, z, radius
+    e[SIZE], e[SAMPLE], e[SURFACE] = size, sample, mark

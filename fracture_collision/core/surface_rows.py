@@ -24,33 +24,34 @@ class SurfaceRows(NamedTuple):
 
 
 @inlined_kernel
-def longest_side_squared(a, b, c):
-    """[m2] of the triangle (a, b, c)."""
+def measure_triangle(a, b, c):
+    """(nx, ny, nz, ab, ac, bc): the normal [m2] of a triangle, twice its area long, and its sides squared [m2]."""
     ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
     wx, wy, wz = c[0] - b[0], c[1] - b[1], c[2] - b[2]
-    return max(ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz, wx * wx + wy * wy + wz * wz)
+    return (
+        uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx,
+        ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz, wx * wx + wy * wy + wz * wz,
+    )  # fmt: skip
 
 
 @inlined_kernel
-def gap_of_triangle(a, b, c, samples):
-    """Upper bound [m] of the distance from a point of the triangle to the nearest of its last `samples` corners, 1..3.
+def gap_of_triangle(ab, ac, bc, samples):
+    """Upper bound [m] of the distance from a point of a triangle to the nearest of its last `samples` corners, 1 .. 3.
 
-    Balls of radius (longest side) / sqrt(3) around the corners cover a triangle; the first corners, where they are no
-    samples, add their distance to one that is.
+    ab, ac, bc: its sides squared [m2]. Balls of radius (longest side) / sqrt(3) around the corners cover a triangle;
+    the first corners, where they are no samples, add their distance to one that is.
     """
-    gap = math.sqrt(longest_side_squared(a, b, c) / 3.0)
-    if samples == 2:
-        gap += math.sqrt(min(_squared(a, b), _squared(a, c)))
-    elif samples == 1:
-        gap += math.sqrt(max(_squared(a, c), _squared(b, c)))
-    return gap
+    gap = math.sqrt(max(ab, ac, bc) / 3.0)
+    if samples == 3:
+        return gap
+    return gap + math.sqrt(min(ab, ac) if samples == 2 else max(ac, bc))
 
 
 @inlined_kernel
-def _squared(a, b):
-    dx, dy, dz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    return dx * dx + dy * dy + dz * dz
+def is_residue(nx, ny, nz, ab, ac):
+    """Whether a triangle of this normal and these sides is rounding alone."""
+    return nx * nx + ny * ny + nz * nz <= (RESIDUE * max(ab, ac)) ** 2
 
 
 @inlined_kernel
@@ -60,46 +61,32 @@ def grow(box, x, y, z):
 
 
 @inlined_kernel
-def _normal_and_span(a, b, c):
-    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
-    span = max(ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz)
-    return uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx, span
-
-
-@inlined_kernel
-def _write(a, b, c, front, back, kind, out, at):
-    triangle = out.triangles[at]
-    for d in range(3):
-        triangle[d], triangle[3 + d], triangle[6 + d] = a[d], b[d], c[d]
-    out.front[at], out.back[at], out.kind[at] = front, back, kind
+def grow_by_box(box, low, high):
+    """Likewise by all between the corners `low` and `high`, tuples of three."""
+    box[0], box[1], box[2] = min(box[0], low[0]), min(box[1], low[1]), min(box[2], low[2])
+    box[3], box[4], box[5] = max(box[3], high[0]), max(box[4], high[1]), max(box[5], high[2])
 
 
 @inlined_kernel
 def write_row(a, b, c, nx, ny, nz, offset, front, back, kind, out, at):
-    """Write a triangle of the plane n . x = offset to row `at`; returns the next row, `at` again for a residue."""
-    mx, my, mz, span = _normal_and_span(a, b, c)
-    if mx * mx + my * my + mz * mz <= (RESIDUE * span) ** 2:
-        return at
-    _write(a, b, c, front, back, kind, out, at)
-    plane = out.faces[at]
+    """Write a triangle of the plane n . x = offset to row `at`."""
+    triangle, plane = out.triangles[at], out.faces[at]
+    triangle[0], triangle[1], triangle[2] = a[0], a[1], a[2]
+    triangle[3], triangle[4], triangle[5] = b[0], b[1], b[2]
+    triangle[6], triangle[7], triangle[8] = c[0], c[1], c[2]
     plane[0], plane[1], plane[2], plane[3] = nx, ny, nz, offset
-    return at + 1
+    out.front[at], out.back[at], out.kind[at] = front, back, kind
 
 
 @inlined_kernel
-def write_fan_row(a, b, c, front, back, kind, out, at):
-    """Write a triangle, right-handed about the normal out of `front`, to row `at`; returns the next row.
+def write_fan_row(a, b, c, nx, ny, nz, ab, ac, front, back, kind, out, at):
+    """Write a triangle with the normal (nx, ny, nz) out of `front`, its length as measured, to row `at`.
 
     Also a residue, whose plane is no number: every comparison with it is false.
     """
-    nx, ny, nz, span = _normal_and_span(a, b, c)
     length = math.sqrt(nx * nx + ny * ny + nz * nz)
-    _write(a, b, c, front, back, kind, out, at)
-    plane = out.faces[at]
-    if length <= RESIDUE * span:
-        plane[0] = plane[1] = plane[2] = plane[3] = math.nan
-    else:
-        plane[0], plane[1], plane[2] = nx / length, ny / length, nz / length
-        plane[3] = plane[0] * a[0] + plane[1] * a[1] + plane[2] * a[2]
-    return at + 1
+    nx, ny, nz = nx / length, ny / length, nz / length
+    offset = nx * a[0] + ny * a[1] + nz * a[2]
+    if length <= RESIDUE * max(ab, ac):
+        nx = ny = nz = offset = math.nan
+    write_row(a, b, c, nx, ny, nz, offset, front, back, kind, out, at)

@@ -27,7 +27,7 @@ def floats(name: str, values, columns: int = 0, limit: float = np.inf) -> np.nda
     if not np.isfinite(array).all():
         i = int(np.flatnonzero(~np.isfinite(array))[0])
         refuse("not_finite", f"{name}: entry {i} is {array[i]}")
-    if (np.abs(array) > limit).any():
+    if limit < np.inf and (np.abs(array) > limit).any():
         i = int(np.argmax(np.abs(array)))
         refuse("out_of_range", f"{name}: entry {i}, {array[i]}, is beyond {limit:g}")
     return _shaped(name, array, columns)
@@ -43,9 +43,8 @@ def indices(name: str, values, columns: int = 0, below: int | None = None, of: s
         refuse("wrong_type", f"{name}: not integers but {given.dtype}")
     limit = UINT32_MAX + 1 if below is None else below
     flat = given.ravel()
-    bad = (flat < 0) | (flat >= limit)
-    if bad.any():
-        i = int(np.flatnonzero(bad)[0])
+    if flat.size and (flat.min() < 0 or flat.max() >= limit):
+        i = int(np.flatnonzero((flat < 0) | (flat >= limit))[0])
         refuse("out_of_range", f"{name}: index {flat[i]} (entry {i}) is not below {limit}{' ' + of if of else ''}")
     return _shaped(name, np.ascontiguousarray(flat, dtype=np.int64), columns)
 
@@ -91,6 +90,8 @@ def identifier(name: str, value, maximum: int = UINT32_MAX) -> int:
 
 
 def each_once(name: str, values: np.ndarray) -> None:
+    if (values[1:] > values[:-1]).all():
+        return
     ordered = np.sort(values)
     twice = np.flatnonzero(ordered[1:] == ordered[:-1])
     if len(twice):

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fracture_collision.core.collision_geometry import CollisionGeometry
 from fracture_collision.core.tet_mesh import TetMesh
 from fracture_collision.records import FractureEvent
 from fracture_collision.world.checks import UINT64_MAX, each_once, floats, identifier, indices, refuse, same_length
@@ -17,6 +18,7 @@ from fracture_collision.world.fracture_match import (
     MISSED,
     MISSING,
     NO_EDGE,
+    first_crooked,
     first_split,
     match_cuts,
 )
@@ -66,29 +68,50 @@ def read_fracture(event: FractureEvent) -> FractureFields:
     edges = indices("cut_edges", event.cut_edges, 2)
     planes = floats("cut_planes", event.cut_planes, 4)
     same_length("cut_planes", planes, "cut edges", len(edges))
-    length = np.linalg.norm(np.clip(planes[:, :3], -2.0, 2.0), axis=1)
-    crooked = np.flatnonzero(np.abs(length - 1.0) > UNIT_TOLERANCE)
-    if len(crooked):
-        refuse("not_unit", f"cut_planes: the normal of entry {crooked[0]} is not of length 1")
+    crooked = first_crooked(planes, UNIT_TOLERANCE)
+    if crooked >= 0:
+        refuse("not_unit", f"cut_planes: the normal of entry {crooked} is not of length 1")
     digest = hashlib.sha256()
     for content in (np.array(ids, np.uint64), new_ids, nodes, parts, edges, planes):
-        digest.update(len(content).to_bytes(8, "little") + content.tobytes())
+        digest.update(len(content).to_bytes(8, "little"))
+        digest.update(content)
     return FractureFields(*ids, new_ids, nodes, parts, edges, planes, digest.digest())
 
 
-def check_fracture(fields: FractureFields, mesh: TetMesh, node_fragment: np.ndarray) -> CheckedFracture:
-    """Raise InvalidMessage unless the fields fit the mesh; `node_fragment` (n,): fragment id of each mesh node now.
+def check_fracture(
+    fields: FractureFields, mesh: TetMesh, node_fragment: np.ndarray, pinched: np.ndarray
+) -> tuple[CheckedFracture, np.ndarray, np.ndarray]:
+    """Raise InvalidMessage unless the fields fit the mesh: what they say, which nodes are pinched now, and which of the
+    new fragments may be without volume.
 
-    Ids and the sequence are checked by the caller, who knows the whole run.
+    node_fragment (n,): fragment id of each mesh node now; pinched (n,) uint8: the nodes that planes of earlier
+    fractures pass through. Ids and the sequence are checked by the caller, who knows the whole run.
+
+    What is next to a node that no plane passes through belongs to it; a fragment without such a node (indices into
+    new_fragment_ids) has all its volume elsewhere, or none.
     """
     part_of_node = _labels(fields, mesh, node_fragment)
-    _connected(mesh, part_of_node, fields.new_fragment_ids)
-    edges, planes = _cuts(fields, mesh, part_of_node)
+    between = _connected(fields, mesh, part_of_node)
+    edges, planes, pinched_now = _cuts(fields, mesh, part_of_node, between)
     nodes = np.flatnonzero(part_of_node >= 0).astype(np.int32)
-    return CheckedFracture(
+    checked = CheckedFracture(
         fields.body_id, fields.fragment_id, fields.new_fragment_ids, nodes, part_of_node[nodes], edges, planes,
         fields.digest,
     )  # fmt: skip
+    pinched_now |= pinched
+    free = np.bincount(checked.parts[pinched_now[nodes] == 0], minlength=len(fields.new_fragment_ids))
+    return checked, pinched_now, np.flatnonzero(free == 0)
+
+
+def refuse_without_volume(fragment_id: int) -> None:
+    refuse("no_volume", f"cut_planes: fragment {fragment_id} has no volume: they pass through its nodes")
+
+
+def apply_fracture(geometry: CollisionGeometry, row: int, event: CheckedFracture) -> int:
+    """Break fragment `row`; returns the row of the first new one."""
+    return geometry.apply_fracture(
+        row, event.nodes, event.parts, event.edges, event.planes, len(event.new_fragment_ids)
+    )
 
 
 def fracture_of_removed_body(fields: FractureFields) -> CheckedFracture:
@@ -115,21 +138,24 @@ def _labels(fields: FractureFields, mesh: TetMesh, node_fragment: np.ndarray) ->
     return part_of_node
 
 
-def _connected(mesh: TetMesh, part_of_node: np.ndarray, new_ids: np.ndarray) -> None:
-    nodes_of = np.bincount(part_of_node[part_of_node >= 0], minlength=len(new_ids))
+def _connected(fields: FractureFields, mesh: TetMesh, part_of_node: np.ndarray) -> int:
+    """Returns how many mesh edges join two of the new fragments."""
+    new_ids = fields.new_fragment_ids
+    nodes_of = np.bincount(fields.parts, minlength=len(new_ids))
     if not nodes_of.all():
         refuse("empty_fragment", f"node_fragments: fragment {new_ids[np.argmin(nodes_of)]} has no node")
-    split = first_split(mesh.edges, part_of_node, len(new_ids))
+    split, between = first_split(mesh.edges, part_of_node, len(new_ids))
     if split >= 0:
         refuse("disconnected", f"node_fragments: fragment {new_ids[split]} falls into pieces that no edge joins")
+    return between
 
 
-def _cuts(fields: FractureFields, mesh: TetMesh, part_of_node: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The mesh edges that are cut, ascending (k,) int32, and their planes (k, 4)."""
+def _cuts(
+    fields: FractureFields, mesh: TetMesh, part_of_node: np.ndarray, between: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The mesh edges that are cut, ascending (k,) int32, their planes (k, 4), and the nodes that they pinch (n,)."""
     ends = indices("cut_edges", fields.cut_edges, 2, len(mesh.nodes), "mesh nodes")
-    problem, row, edges, planes, room = match_cuts(
-        mesh.nodes, mesh.edges, mesh.edges_begin, part_of_node, ends, fields.cut_planes, CROSSING_TOLERANCE
-    )
+    problem, row, found = match_cuts(mesh, part_of_node, between, ends, fields.cut_planes, CROSSING_TOLERANCE)
     if problem != FINE:
         a, b = mesh.edges[row] if problem in (DOUBLED, EXTRA, MISSING) else ends[row]
         kind, text = {
@@ -140,14 +166,4 @@ def _cuts(fields: FractureFields, mesh: TetMesh, part_of_node: np.ndarray) -> tu
             MISSED: ("missed_edge", f"cut_planes: entry {row} does not cross its edge {a}-{b} from first to second"),
         }[problem]
         refuse(kind, text)
-    _have_volume(fields, part_of_node, room)
-    return edges, planes
-
-
-def _have_volume(fields: FractureFields, part_of_node: np.ndarray, room: np.ndarray) -> None:
-    """A lone node with all planes through it has nothing of the body; room (n,): see match_cuts."""
-    nodes_of = np.bincount(part_of_node[part_of_node >= 0], minlength=len(fields.new_fragment_ids))
-    flat = np.flatnonzero((part_of_node >= 0) & (nodes_of[part_of_node] == 1) & (room <= 0.0))
-    if len(flat):
-        flat_id = fields.new_fragment_ids[part_of_node[flat[0]]]
-        refuse("no_volume", f"cut_planes: fragment {flat_id} has no volume: all pass through its one node {flat[0]}")
+    return found.edges, found.planes, found.pinched

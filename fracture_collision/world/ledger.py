@@ -7,17 +7,23 @@ from __future__ import annotations
 
 import numpy as np
 
+from fracture_collision.core.collision_geometry import CollisionGeometry
 from fracture_collision.records import ADD, REMOVE, CollisionBody, FractureEvent
 from fracture_collision.world.body_gate import CheckedBody, MeshStore, check_body, read_body
 from fracture_collision.world.checks import identifier, refuse
 from fracture_collision.world.errors import StatesAhead
 from fracture_collision.world.fracture_gate import (
     CheckedFracture,
+    apply_fracture,
     check_fracture,
     fracture_of_removed_body,
     read_fracture,
+    refuse_without_volume,
 )
 from fracture_collision.world.settings import Settings
+
+# Of the smallest tetrahedron: what has no more, with planes through all its nodes, is rounding.
+LEAST_VOLUME = 1e-9
 
 
 class Ledger:
@@ -27,6 +33,7 @@ class Ledger:
         self._room_for_nodes = settings.max_nodes
         self._nodes: dict[int, int] = {}  # body id -> its nodes or vertices
         self._labels: dict[int, np.ndarray] = {}  # body id -> fragment id of each node, for tetrahedral bodies
+        self._pinched: dict[int, np.ndarray] = {}  # body id -> its nodes that planes of cracks pass through, likewise
         self._removed: dict[int, bytes] = {}  # body id -> digest of the body that was
         self._owner: dict[int, int] = {}  # fragment id -> body id, for every fragment ever made
         self._born: dict[int, int] = {}  # fragment id -> sequence of the event that made it, 0: with its body
@@ -61,6 +68,7 @@ class Ledger:
         self._room_for_nodes -= len(fields.vertices)
         if checked.mesh is not None:
             self._labels[checked.body_id] = np.full(len(fields.vertices), checked.fragment_id, dtype=np.int64)
+            self._pinched[checked.body_id] = np.zeros(len(fields.vertices), np.uint8)
 
     def add_fracture(self, event: FractureEvent) -> None:
         fields = read_fracture(event)
@@ -87,13 +95,28 @@ class Ledger:
             if body.mesh is None:
                 refuse("rigid_body", f"body_id: body {fields.body_id} has no tetrahedra and cannot break")
             labels = self._labels[body.body_id]
-            checked = check_fracture(fields, body.mesh.mesh, labels)
+            checked, pinched, doubtful = check_fracture(fields, body.mesh.mesh, labels, self._pinched[body.body_id])
+            if len(doubtful):
+                self._have_volume(body, checked, doubtful)
             labels[checked.nodes] = checked.new_fragment_ids[checked.parts]
+            self._pinched[body.body_id] = pinched
         self.events.append(checked)
         self._broke[fragment_id] = sequence
         for new_id in new_ids:
             self._owner[new_id] = fields.body_id
             self._born[new_id] = sequence
+
+    def _have_volume(self, body: CheckedBody, checked: CheckedFracture, doubtful: np.ndarray) -> None:
+        """Refuse the fracture if one of the `doubtful` new fragments has no volume: tried on a geometry of its own."""
+        geometry = CollisionGeometry()
+        row = {body.fragment_id: geometry.add_tetrahedra(body.mesh)}
+        for event in [e for e in self.events if e.body_id == body.body_id] + [checked]:
+            first = apply_fracture(geometry, row[event.fragment_id], event)
+            row.update((new_id, first + i) for i, new_id in enumerate(event.new_fragment_ids.tolist()))
+        least = LEAST_VOLUME * body.mesh.mesh.moments[:, 0].min()
+        for new_id in checked.new_fragment_ids[doubtful].tolist():
+            if not geometry.volume(row[new_id]) > least:
+                refuse_without_volume(new_id)
 
     def require_living(self, fragment_ids: np.ndarray, sequence: int) -> None:
         """Raise unless all live after `sequence` events: StatesAhead for one not known yet, else InvalidMessage."""
@@ -119,6 +142,7 @@ class Ledger:
             refuse("unknown_id", f"body_id: no body {body_id} to remove")
         self._removed[body_id] = self.bodies.pop(body_id).digest
         self._labels.pop(body_id, None)
+        self._pinched.pop(body_id, None)
         self._room_for_nodes += self._nodes.pop(body_id)
         self._store.keep_only(self.bodies.values())
         self.removals += 1

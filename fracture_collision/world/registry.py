@@ -9,7 +9,7 @@ import numpy as np
 from fracture_collision.core.collision_geometry import CollisionGeometry, MassProperties
 from fracture_collision.records import FragmentRegistry
 from fracture_collision.world.body_gate import CheckedBody
-from fracture_collision.world.fracture_gate import CheckedFracture
+from fracture_collision.world.fracture_gate import CheckedFracture, apply_fracture
 from fracture_collision.world.settings import FIELDS, NORMALS, TRAVERSALS, Settings
 
 
@@ -50,10 +50,7 @@ class Registry:
         self._chain = hashlib.sha256(self._chain + event.digest).digest()
         if event.body_id not in self._bodies:
             return
-        first = self.geometry.apply_fracture(
-            self._row.pop(event.fragment_id), event.nodes, event.parts, event.edges, event.planes,
-            len(event.new_fragment_ids),
-        )  # fmt: skip
+        first = apply_fracture(self.geometry, self._row.pop(event.fragment_id), event)
         for i, new_id in enumerate(event.new_fragment_ids.tolist()):
             self._add_fragment(new_id, event.body_id, event.fragment_id, first + i)
 
@@ -83,7 +80,7 @@ class Registry:
 
     def record(self) -> FragmentRegistry:
         ids = sorted(self._row)
-        masses = [self._mass_of(f) for f in ids]
+        masses = self._masses_of(ids)
         count = len(ids)
         return FragmentRegistry(
             fracture_sequence=self.sequence,
@@ -97,11 +94,13 @@ class Registry:
             digest=self.digest(),
         )
 
-    def _mass_of(self, fragment_id: int) -> MassProperties:
-        if fragment_id not in self._mass:
-            density = self._bodies[self._body_of[fragment_id]].density
-            self._mass[fragment_id] = self.geometry.mass_properties(self._row[fragment_id], density)
-        return self._mass[fragment_id]
+    def _masses_of(self, fragment_ids: list[int]) -> list[MassProperties]:
+        new = [f for f in fragment_ids if f not in self._mass]
+        if new:
+            densities = np.array([self._bodies[self._body_of[f]].density for f in new])
+            rows = np.array([self._row[f] for f in new])
+            self._mass.update(zip(new, self.geometry.mass_properties(rows, densities), strict=True))
+        return [self._mass[f] for f in fragment_ids]
 
     def _add_fragment(self, fragment_id: int, body_id: int, parent_id: int, row: int) -> None:
         self._row[fragment_id] = row
