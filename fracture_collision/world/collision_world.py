@@ -46,8 +46,8 @@ class CollisionWorld:
         self._removals = 0
         self._crew = Crew(self.settings.threads or os.cpu_count() or 1)
         self._scratch: Scratch | None = None
-        # of the last answer, and of which geometry; they make the next one quicker, never different
-        self._lists, self._lists_of = NO_LISTS, self._registry.geometry
+        # of the last answer, with what they hold for; they make the next one quicker, never different
+        self._lists, self._lists_of = NO_LISTS, (self._registry, self.settings.detection_tolerance)
         self.last_timings: dict[str, float] = {"update": 0.0, "broad_phase": 0.0, "narrow_phase": 0.0}  # [s]
         self.last_visits = 0  # tree nodes tested by the last answer
         self.last_pairs = 0  # of fragments, that its broad phase found
@@ -94,8 +94,9 @@ class CollisionWorld:
             boxes, pools.fragment.kind[rows], pools.fragment.shape[rows], rotations, positions, is_static[chosen]
         )
         paired = perf_counter()
-        if self._lists_of is not self._registry.geometry:
-            self._lists, self._lists_of = NO_LISTS, self._registry.geometry
+        holds_for = self._registry, self.settings.detection_tolerance
+        if self._lists_of != holds_for:
+            self._lists, self._lists_of = NO_LISTS, holds_for
         budget = max(self.settings.visit_budget // len(pairs), 1) if self.settings.visit_budget and len(pairs) else 0
         found, self._lists = query_pairs(
             pools, rows, rotations, positions, pairs, self.settings.contacts_per_pair,
