@@ -18,7 +18,7 @@ from fracture_collision.core.moments import (
     sphere_mass_properties,
     surface_moments,
 )
-from fracture_collision.core.occupancy import cells_of_box, fill_pyramid, mark_all, mark_cells, pyramid_words
+from fracture_collision.core.occupancy import cells_of_boxes, fill_pyramid, mark_all, mark_cells
 from fracture_collision.core.pool_tables import PoolTables
 from fracture_collision.core.pools import (
     ALTERNATING,
@@ -299,12 +299,13 @@ class CollisionGeometry:
     def _mark_cells(self, parent, first, end, reaches) -> None:
         k = int(self._tables.fragment["mesh"].view[parent])
         grid, dims = self._tables.mesh["grid"].view[k], self._tables.mesh["grid_dims"].view[k, :3]
-        cells = np.empty((end - first, 7), np.int32)
-        for i, box in enumerate(reaches):
-            cells[i] = cells_of_box(box, grid[:3], grid[3], dims, 0)
-            cells[i, 6] = self._tables.occupancy.append(np.zeros(pyramid_words(cells[i]), np.uint64))
+        cells, words = cells_of_boxes(reaches, grid[:3], grid[3], dims, self._tables.occupancy.used)
+        self._tables.occupancy.fill(words, 0)
         occupancy = self._tables.occupancy.view
-        mark_cells(self.pools, parent, first, end, cells, occupancy)
+        count = end - first
+        mark_cells(
+            self.pools, parent, first, end, cells, occupancy, np.zeros(count, np.uint64), np.empty(count, np.int32)
+        )
         self._tables.fragment["cells"].view[first:end] = cells
         for row in cells:
             fill_pyramid(row, occupancy)
@@ -358,8 +359,10 @@ class CollisionGeometry:
                 return known
         mesh, tables = prepared.mesh, self._tables
         index, node, tet, edge = tables.append_mesh(mesh)
-        cells = cells_of_box(mesh.box, mesh.grid_origin, mesh.grid_cell, mesh.grid_dims, 0)
-        cells[6] = self._tables.occupancy.append(np.zeros(pyramid_words(cells), np.uint64))
+        (cells,), words = cells_of_boxes(
+            mesh.box[None], mesh.grid_origin, mesh.grid_cell, mesh.grid_dims, self._tables.occupancy.used
+        )
+        self._tables.occupancy.fill(words, 0)
         self._tables.have_grown()
         mark_all(self.pools.mesh, index, cells, self._tables.occupancy.view)
         fill_pyramid(cells, self._tables.occupancy.view)

@@ -12,6 +12,7 @@ import math
 import numpy as np
 
 from fracture_collision.core.compiled import inlined_kernel, query_kernel
+from fracture_collision.core.pools import PARTED
 from fracture_collision.core.tet_mesh import PARTS
 
 # Cells that a sphere's diameter may span at the level that is asked: more of them cost loads, fewer cull less.
@@ -71,27 +72,62 @@ def mark_all(mesh, k, cells, occupancy):
 
 
 @query_kernel
-def mark_cells(pools, parent, low, high, cells, occupancy):
-    """Level 0 of fragments low .. high - 1, into which `parent` broke; `cells` (high - low, 7)."""
+def mark_cells(pools, parent, low, high, cells, occupancy, words, holders):
+    """Level 0 of fragments low .. high - 1, into which `parent` broke; `cells` (high - low, 7).
+
+    words (high - low,) uint64, clear, holders (high - low,) int32: working space, what each holds of a cell, and who
+    does.
+    """
     mesh, body = pools.mesh, pools.body
     node_shift, tet_shift = pools.fragment.node_shift[parent], pools.fragment.tet_shift[parent]
     ny, nz, first = mesh.grid_dims[pools.fragment.mesh[parent], 1:]
-    x0, y0, z0, nx, my, mz, _ = pools.fragment.cells[parent]
+    x0, y0, z0, nx, my, mz, at = pools.fragment.cells[parent]
     for i in range(x0, x0 + nx):
         for j in range(y0, y0 + my):
             for l in range(z0, z0 + mz):  # noqa: E741
                 c = first + (i * ny + j) * nz + l
-                for e in range(mesh.cell_begin[c], mesh.cell_begin[c + 1]):
+                begin, end = mesh.cell_begin[c], mesh.cell_begin[c + 1]
+                if begin == end:
+                    continue
+                # most cells go from the parent to one fragment as they are
+                heir = body.tet_fragment[mesh.cell_tets[begin] + tet_shift]
+                if low <= heir < high:
+                    e = begin + 1
+                    while e < end and body.tet_fragment[mesh.cell_tets[e] + tet_shift] == heir:
+                        e += 1
+                    if e == end:
+                        word = pools.occupancy[at + ((i - x0) * my + (j - y0)) * mz + (l - z0)]
+                        _mark(cells[heir - low], i, j, l, word, occupancy)
+                        continue
+                used = 0
+                for e in range(begin, end):
                     t, parts = mesh.cell_tets[e], mesh.cell_parts[e]
                     alone = body.tet_fragment[t + tet_shift]
-                    if low <= alone < high:
-                        _mark(cells[alone - low], i, j, l, parts, occupancy)
                     if alone >= 0:
-                        continue
-                    for corner in range(4):
-                        holder = body.node_fragment[mesh.tetrahedra[t, corner] + node_shift]
-                        if low <= holder < high:
-                            _mark(cells[holder - low], i, j, l, parts, occupancy)
+                        used = _hold(alone, low, high, parts, words, holders, used)
+                    elif alone == PARTED:
+                        row = body.cut_begin[t + tet_shift]
+                        used = _hold(body.front[row], low, high, parts, words, holders, used)
+                        used = _hold(body.back[row], low, high, parts, words, holders, used)
+                    else:
+                        for corner in range(4):
+                            label = body.node_fragment[mesh.tetrahedra[t, corner] + node_shift]
+                            used = _hold(label, low, high, parts, words, holders, used)
+                for k in range(used):
+                    f = holders[k]
+                    _mark(cells[f], i, j, l, words[f], occupancy)
+                    words[f] = 0
+
+
+@inlined_kernel
+def _hold(label, low, high, parts, words, holders, used):
+    """Note that a fragment holds these parts of a cell; returns how many do."""
+    if low <= label < high:
+        if words[label - low] == 0:
+            holders[used] = label - low
+            used += 1
+        words[label - low] |= parts
+    return used
 
 
 @query_kernel
@@ -184,8 +220,15 @@ def sphere_may_touch(pools, f, x, y, z, r):
     return False
 
 
-def cells_of_box(box: np.ndarray, origin: np.ndarray, cell: float, dims: np.ndarray, first_word: int) -> np.ndarray:
-    """The cells row (7,) of a fragment with bounding box (6,) [m] in a location grid."""
-    lower = np.clip(np.floor((box[:3] - origin) / cell), 0, dims - 1).astype(np.int32)
-    upper = np.clip(np.floor((box[3:] - origin) / cell), 0, dims - 1).astype(np.int32)
-    return np.concatenate([lower, upper - lower + 1, [first_word]]).astype(np.int32)
+def cells_of_boxes(
+    boxes: np.ndarray, origin: np.ndarray, cell: float, dims: np.ndarray, first_word: int
+) -> tuple[np.ndarray, int]:
+    """The cells rows (n, 7) of fragments with bounding boxes (n, 6) [m] in a location grid, one's words behind the
+    other's from `first_word` on, and how many words they have together.
+    """
+    lower = np.clip(np.floor((boxes[:, :3] - origin) / cell), 0, dims - 1).astype(np.int32)
+    upper = np.clip(np.floor((boxes[:, 3:] - origin) / cell), 0, dims - 1).astype(np.int32)
+    cells = np.concatenate([lower, upper - lower + 1, np.zeros((len(boxes), 1), np.int32)], axis=1)
+    end = first_word + np.cumsum([pyramid_words(row) for row in cells])
+    cells[1:, 6], cells[:1, 6] = end[:-1], first_word
+    return cells, int(end[-1]) - first_word
