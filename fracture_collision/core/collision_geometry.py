@@ -301,6 +301,7 @@ class CollisionGeometry:
         grid, dims = self._tables.mesh["grid"].view[k], self._tables.mesh["grid_dims"].view[k, :3]
         cells, words = cells_of_boxes(reaches, grid[:3], grid[3], dims, self._tables.occupancy.used)
         self._tables.occupancy.fill(words, 0)
+        self._tables.have_grown()  # the rows of the cut tetrahedra too
         occupancy = self._tables.occupancy.view
         count = end - first
         mark_cells(

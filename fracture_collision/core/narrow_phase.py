@@ -32,9 +32,9 @@ from fracture_collision.core.pools import FACING
 from fracture_collision.core.traversal import ID_SAMPLE, ID_SIDE, query_listed, query_pair, rounding_slack
 
 # Contacts a pair gets room for at first, on average and at least for a thread's share of pairs; those that find none
-# left are asked again.
+# left are asked again. Memory that nobody writes to costs nothing.
 FIRST_ROOM = 64
-LEAST_ROOM = 2048
+LEAST_ROOM = 1 << 15
 
 
 class PairContacts(NamedTuple):
