@@ -28,10 +28,10 @@ class PoolTables:
     """Columns of each pool by name, growing at their ends; after an append, `have_grown` renews what `pools` shows."""
 
     def __init__(self, traversal: int, field: int, normals: int) -> None:
-        f8, i4, u1, u8 = np.float64, np.int32, np.uint8, np.uint64
+        f8, f4, i4, u1, u8 = np.float64, np.float32, np.int32, np.uint8, np.uint64
         self.mesh = _table(
             nodes=(3, f8), tetrahedra=(4, i4), neighbours=(4, i4), tetrahedron_edges=(6, i4), edges=(2, i4),
-            edge_tets=(0, i4), boxes=(6, f8), barycentric=(12, f8), moments=(10, f8), on_surface=(0, u1),
+            edge_tets=(0, i4), boxes=(6, f4), barycentric=(12, f8), moments=(10, f8), on_surface=(0, u1),
             node_normals=(3, f8), node_tets_begin=(0, i4), node_tets=(0, i4), first=(3, i4), grid=(4, f8),
             grid_dims=(4, i4), cell_begin=(0, i4), cell_tets=(0, i4), cell_parts=(0, u8), depth_grid=(4, f8),
             depth_grid_dims=(4, i4), grid_depth=(0, f8),

@@ -64,7 +64,7 @@ class MeshPool(NamedTuple):
     tetrahedron_edges: np.ndarray  # (M, 6) int32
     edges: np.ndarray  # (E, 2) int32
     edge_tets: np.ndarray  # (E,) int32, a tetrahedron at each edge
-    boxes: np.ndarray  # (M, 6) float64 [m]
+    boxes: np.ndarray  # (M, 6) float32 [m], rounded outwards
     barycentric: np.ndarray  # (M, 12) float64
     moments: np.ndarray  # (M, 10) float64
     on_surface: np.ndarray  # (N,) uint8

@@ -37,7 +37,7 @@ class TetMesh(NamedTuple):
     edges: np.ndarray  # (e, 2) int32, ascending, first < second
     edges_begin: np.ndarray  # (n + 1,) int32: the edges whose first node is i
     edge_tets: np.ndarray  # (e,) int32, a tetrahedron at each edge
-    boxes: np.ndarray  # (m, 6) float64 [m], lower and upper corner
+    boxes: np.ndarray  # (m, 6) float32 [m], lower and upper corner, rounded outwards
     barycentric: np.ndarray  # (m, 12) float64, rows (gx, gy, gz, c) of vertices 1, 2, 3: weight = g . x + c
     moments: np.ndarray  # (m, 10) float64, see moments.py
     on_surface: np.ndarray  # (n,) uint8, 1: vertex of the old surface
@@ -88,7 +88,7 @@ def build_tet_mesh(nodes: np.ndarray, tetrahedra: np.ndarray) -> TetMesh:
         edges=np.ascontiguousarray(edges, dtype=np.int32),
         edges_begin=np.searchsorted(edges[:, 0], np.arange(len(nodes) + 1)).astype(np.int32),
         edge_tets=edge_tets,
-        boxes=boxes,
+        boxes=_rounded_outwards(boxes),
         barycentric=barycentric,
         moments=tetrahedron_moments(corners),
         on_surface=on_surface,
@@ -126,6 +126,15 @@ def vertex_normals(nodes: np.ndarray, surface: np.ndarray) -> np.ndarray:
     first = np.zeros((len(nodes), 3))
     first[surface[::-1].ravel()] = np.repeat(face[::-1], 3, axis=0)
     return np.where(length > 1e-9, normals / np.maximum(length, 1e-9), first)
+
+
+def _rounded_outwards(boxes: np.ndarray) -> np.ndarray:
+    """Boxes (m, 6) as float32 that hold those given: they only bound, and half the bytes are half the cache."""
+    rounded = boxes.astype(np.float32)
+    lower, upper = rounded[:, :3], rounded[:, 3:]
+    np.copyto(lower, np.nextafter(lower, np.float32(-np.inf)), where=lower > boxes[:, :3])
+    np.copyto(upper, np.nextafter(upper, np.float32(np.inf)), where=upper < boxes[:, 3:])
+    return rounded
 
 
 def _cell_size(volume: float, extent: np.ndarray, count: int) -> float:
