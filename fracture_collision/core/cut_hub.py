@@ -1,13 +1,5 @@
-"""Face points and hub of a tetrahedron that is divided like a fan.
-
-Glondu 2014, section 4.1, stores at most six planes, one a cut edge; what they make of the tetrahedron where several
-differ is ours (docs/numerics.md). The crack runs through the crossings, the points where planes cross their edges. Each
-face and then the tetrahedron is divided like a fan: a face of three fragments from a *face point*, the tetrahedron from
-a *hub*. Crossings and face points depend on the edge and the face alone, so neighbours agree about their common face:
-regions fit without gap, overlap or step. Where planes agree (the bisectors of a Voronoi pattern) crossings, face points
-and hubs lie in them.
-
-What a neighbour owned it keeps: a face or tetrahedron that is crossed again is divided anew within the older crack.
+"""Face points and hub of a tetrahedron that is divided like a fan: see cut_tetrahedron.py, and docs/numerics.md for the
+rule that each of them follows.
 """
 
 from __future__ import annotations
