@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from fracture_collision.core.collision_geometry import CollisionGeometry
+from fracture_collision.core.crack_seeds import MOST_SEEDS
 from fracture_collision.core.occupancy import sphere_may_touch
 from fracture_collision.core.pools import OLD_FACE, Pools
 from fracture_collision.core.surface_triangles import surface_triangles
@@ -26,6 +27,7 @@ def validate_body(geometry: CollisionGeometry, rows: Sequence[int]) -> None:
     pools = geometry.pools
     tets = np.array(geometry.tet_range(rows[0]))
     _validate_labels(pools, rows, tets)
+    _validate_seeds(pools, rows, tets)
     _validate_polygons(pools, rows, tets)
     radius = float(pools.fragment.radius[rows[0]])
     volumes = [_validate_surface(geometry, row, radius) for row in rows]
@@ -51,6 +53,23 @@ def _validate_labels(pools: Pools, rows: Sequence[int], tets: np.ndarray) -> Non
     assert np.array_equal(planes >= 0, is_cut), "an edge is cut if and only if its ends differ"
     shares = body.edge_share[edges + fragment.edge_shift[rows[0]]][is_cut]
     assert (shares >= 0.0).all() and (shares <= 1.0).all(), "a crossing has left its edge"
+
+
+def _validate_seeds(pools: Pools, rows: Sequence[int], tets: np.ndarray) -> None:
+    mesh, fragment, seeds = pools.mesh, pools.fragment, pools.seeds
+    blocks = {tuple(fragment.seeds[row].tolist()) for row in rows}
+    assert len(blocks) == 1, "fragments of one body go by different seeds"
+    begin, end = blocks.pop()
+    edges = np.unique(mesh.tetrahedron_edges[tets])
+    labels = pools.body.node_fragment[mesh.edges[edges] + fragment.node_shift[rows[0]]].astype(np.int64)
+    keys = labels.min(axis=1) << 32 | labels.max(axis=1)
+    expected = np.unique(keys[labels[:, 0] != labels[:, 1]])
+    assert np.array_equal(seeds.keys[begin:end], expected), "seeds are not those of the pairs that share a crack"
+    for k in range(begin, end):
+        own = seeds.edges[slice(*seeds.ranges[k])]
+        shared = edges[keys == seeds.keys[k]]
+        assert len(own) == min(len(shared), MOST_SEEDS), "a pair has more seeds or fewer than it can have"
+        assert len(np.unique(own)) == len(own) and np.isin(own, shared).all(), "a seed twice, or of another pair"
 
 
 def _validate_polygons(pools: Pools, rows: Sequence[int], tets: np.ndarray) -> None:

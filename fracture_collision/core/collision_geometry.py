@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.core import fracture_update, touched_tetrahedra
+from fracture_collision.core.crack_seeds import choose_seeds
 from fracture_collision.core.cut_tetrahedron import make_cut_scratch
 from fracture_collision.core.fragment_trees import REBUILT, RESTRUCTURED, rebuilt_trees, split_trees
 from fracture_collision.core.front_propagation import update_averaged_field
@@ -255,6 +256,7 @@ class CollisionGeometry:
         self._rebuild_surfaces(node_shift, tet_shift, edge_shift, touched, first, end, reaches)
         self._mark_cells(row, first, end, reaches)
         self._give_trees(row, rows, nodes, parts, edges, first, count)
+        self._choose_seeds(row, rows)
         self._tables.have_grown()
         if self._field == AVERAGED:
             update_averaged_field(
@@ -295,6 +297,19 @@ class CollisionGeometry:
             )
         self._tables.fragment["tree_begin"].view[first : first + count] = begin[:-1]
         self._tables.fragment["tree_end"].view[first : first + count] = begin[1:]
+
+    def _choose_seeds(self, row, rows) -> None:
+        """Anew for the whole body that fragment `row` is of: a neighbour's crack has fallen to its parts."""
+        tables, fragment = self._tables, self._tables.fragment
+        keys, ranges, edges = choose_seeds(
+            self.pools.mesh, self.pools.body, fragment["node_shift"].view[row], fragment["edge_shift"].view[row],
+            rows.edge, rows.edge + len(rows.prepared.mesh.edges), tables.seeds["edges"].used,
+        )  # fmt: skip
+        begin = tables.seeds["keys"].append(keys)
+        tables.seeds["ranges"].append(ranges)
+        tables.seeds["edges"].append(edges)
+        own = np.concatenate([keys >> 32, keys & 0xFFFFFFFF])
+        fragment["seeds"].view[own] = begin, begin + len(keys)
 
     def _mark_cells(self, parent, first, end, reaches) -> None:
         k = int(self._tables.fragment["mesh"].view[parent])
@@ -346,7 +361,7 @@ class CollisionGeometry:
         values = dict(
             kind=kind, mesh=mesh, node_shift=NEVER_BROKEN, tet_shift=NEVER_BROKEN, edge_shift=NEVER_BROKEN, box=box,
             shape=shape, radius=radius, tree_begin=tree_begin, tree_end=tree_end,
-            cells=np.zeros(7, np.int32) if cells is None else cells,
+            cells=np.zeros(7, np.int32) if cells is None else cells, seeds=np.zeros(2, np.int32),
         )  # fmt: skip
         for name, value in values.items():
             self._tables.fragment[name].append(np.asarray(value)[None])

@@ -12,6 +12,7 @@ import numpy as np
 from fracture_collision.core.compiled import inlined_kernel, kernel, threaded_kernel
 from fracture_collision.core.crew import Crew
 from fracture_collision.core.facing_normal import turn_contacts
+from fracture_collision.core.known_samples import ID_SAMPLE, ID_SIDE, query_listed, rounding_slack
 from fracture_collision.core.neighbour_lists import (
     FULL,
     MOST_LISTED,
@@ -29,7 +30,7 @@ from fracture_collision.core.neighbour_lists import (
     pair_keys,
 )
 from fracture_collision.core.pools import FACING
-from fracture_collision.core.traversal import ID_SAMPLE, ID_SIDE, query_listed, query_pair, rounding_slack
+from fracture_collision.core.traversal import query_pair
 
 # Contacts a pair gets room for at first, on average and at least for a thread's share of pairs; those that find none
 # left are asked again. Memory that nobody writes to costs nothing.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from fracture_collision.core.crack_seeds import SeedPool
 from fracture_collision.core.pools import (
     SAMPLE,
     SIZE,
@@ -43,7 +44,7 @@ class PoolTables:
         )  # fmt: skip
         self.fragment = _table(
             kind=(0, i4), mesh=(0, i4), node_shift=(0, i4), tet_shift=(0, i4), edge_shift=(0, i4), box=(6, f8),
-            shape=(4, f8), radius=(0, f8), tree_begin=(0, i4), tree_end=(0, i4), cells=(7, i4),
+            shape=(4, f8), radius=(0, f8), tree_begin=(0, i4), tree_end=(0, i4), cells=(7, i4), seeds=(2, i4),
         )  # fmt: skip
         self.tree = _table(spheres=(4, f8), entries=(3, i4))
         self.triangles = _table(
@@ -51,6 +52,7 @@ class PoolTables:
             node_first=(0, i4), node_count=(0, i4), node_range=(2, i4), triangle_range=(2, i4),
             first_vertex=(0, i4),
         )  # fmt: skip
+        self.seeds = _table(keys=(0, np.int64), ranges=(2, i4), edges=(0, i4))
         self.occupancy = GrowableArray(0, u8)
         self._switches = traversal, field, normals
         self._pools: Pools | None = None
@@ -65,6 +67,7 @@ class PoolTables:
                 TreePool(**{k: a.view for k, a in self.tree.items()}),
                 self.occupancy.view,
                 TriangleMeshPool(**{k: a.view for k, a in self.triangles.items()}),
+                SeedPool(**{k: a.view for k, a in self.seeds.items()}),
                 *self._switches,
             )
         return self._pools

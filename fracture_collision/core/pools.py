@@ -11,6 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fracture_collision.core.crack_seeds import SeedPool
+
 
 class GrowableArray:
     """An array that grows at its end: amortized O(1) a row, `view` contiguous."""
@@ -117,6 +119,7 @@ class FragmentPool(NamedTuple):
     tree_begin: np.ndarray  # int32
     tree_end: np.ndarray  # int32
     cells: np.ndarray  # (F, 7) int32: first cell x y z, cells x y z, first word of `occupancy`
+    seeds: np.ndarray  # (F, 2) int32: first row of SeedPool.keys of its body, row behind the last
 
 
 class TriangleMeshPool(NamedTuple):
@@ -156,6 +159,7 @@ class Pools(NamedTuple):
     tree: TreePool
     occupancy: np.ndarray  # uint64, multi-level grids (occupancy.py)
     triangles: TriangleMeshPool
+    seeds: SeedPool  # crack_seeds.py
     traversal: int  # ALTERNATING or QUEUE
     field: int  # EXACT or AVERAGED
     normals: int  # NEAREST or FACING

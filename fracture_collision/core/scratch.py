@@ -25,6 +25,7 @@ class Scratch(NamedTuple):
     queue: np.ndarray  # (threads, 2, 2 nodes) int32: rows of the two above
     rotation: np.ndarray  # (threads, 2, 3, 3) float64: a pair's relative poses
     translation: np.ndarray  # (threads, 2, 3) float64 [m]
+    point: np.ndarray  # (threads, 3) float64 [m]
     stack: np.ndarray  # (threads, STACK) int32: a descent through a triangle hierarchy
 
 
@@ -40,5 +41,6 @@ def make_scratch(threads: int, tetrahedra: int, nodes: int) -> Scratch:
         queue=np.zeros((threads, 2, 2 * nodes), dtype=np.int32),
         rotation=np.zeros((threads, 2, 3, 3)),
         translation=np.zeros((threads, 2, 3)),
+        point=np.zeros((threads, 3)),
         stack=np.zeros((threads, STACK), dtype=np.int32),
     )

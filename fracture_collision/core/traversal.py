@@ -17,23 +17,27 @@ import math
 import numpy as np
 
 from fracture_collision.core.compiled import inlined_kernel, query_kernel
-from fracture_collision.core.elementary_queries import (
-    INSIDE,
-    OUTSIDE,
-    bounded_probe,
-    least_distance,
-    probe,
-    sphere_test,
-)
+from fracture_collision.core.elementary_queries import INSIDE, OUTSIDE, least_distance, probe, sphere_test
 from fracture_collision.core.flood import NO_SOURCE
-from fracture_collision.core.kinds import PLANE, SPHERE, TETRAHEDRA, TRIANGLES
-from fracture_collision.core.neighbour_lists import spin
+from fracture_collision.core.kinds import PLANE, SPHERE, TRIANGLES
+from fracture_collision.core.known_samples import (
+    ID_AT,
+    ID_SAMPLE,
+    ID_SIDE,
+    ID_SOURCE,
+    ID_TETRAHEDRON,
+    ask_sample,
+    home_tetrahedron,
+    moved_since,
+    put_contact,
+    query_seeds,
+    rounding_slack,
+    share_a_body,
+    to_other,
+)
+from fracture_collision.core.neighbour_lists import displacement, spin
 from fracture_collision.core.oriented_boxes import boxes_apart
-from fracture_collision.core.pools import NEVER_BROKEN, NONE_BELOW, OWN_SAMPLE, QUEUE, SAMPLE, SIZE, SURFACE
-
-# Rounding must not make a bound lie: this share of the smaller R, and of all coordinates that a depth is made from.
-BOUND_SLACK = 1e-12
-COORDINATE_SLACK = 8.0 * np.finfo(np.float64).eps
+from fracture_collision.core.pools import NONE_BELOW, OWN_SAMPLE, QUEUE, SAMPLE, SIZE, SURFACE
 
 # columns of scratch.node_int
 ENTRY, SIDE, NEXT_CHILD, STATUS = 0, 1, 2, 3
@@ -42,24 +46,8 @@ DEPTH = 3
 UNTESTED = -1
 UNTURNED = np.eye(3).ravel()
 UNKNOWN = 3  # beside INSIDE, NEAR, OUTSIDE: not asked, for no depth that it can have would count
-# columns of ids
-ID_SIDE, ID_SAMPLE, ID_SOURCE, ID_TETRAHEDRON, ID_AT = 0, 1, 2, 3, 4
-
-
-@inlined_kernel
-def rotated(rotation, x, y, z):
-    return (
-        rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z,
-        rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z,
-        rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z,
-    )
-
-
-@inlined_kernel
-def to_other(rotation, translation, x, y, z):
-    """rotation (3, 3) applied, then translation (3,)."""
-    x, y, z = rotated(rotation, x, y, z)
-    return x + translation[0], y + translation[1], z + translation[2]
+# Poses of neighbour_lists.keep_pose: two fragments of one body, where they were made.
+IN_PLACE = np.tile(np.append(UNTURNED, np.zeros(3)), (2, 1))
 
 
 @inlined_kernel
@@ -67,17 +55,6 @@ def _depth_limit(pools, f):
     """No point of fragment f is deeper than half its box's shortest side [m]."""
     b = pools.fragment.box[f]
     return 0.5 * min(b[3] - b[0], b[4] - b[1], b[5] - b[2])
-
-
-@inlined_kernel
-def _farthest(pools, f):
-    """Largest coordinate [m] of fragment f's geometry in its body frame."""
-    if pools.fragment.kind[f] == PLANE:
-        return abs(pools.fragment.shape[f, 3])
-    farthest = 0.0
-    for d in range(6):
-        farthest = max(farthest, abs(pools.fragment.box[f, d]))
-    return farthest
 
 
 @inlined_kernel
@@ -95,84 +72,6 @@ def sphere_contact(pools, ball, other, x, y, z, near, contacts, ids, count, side
     ids[count, ID_SIDE], ids[count, ID_SAMPLE] = side, -1
     ids[count, ID_SOURCE], ids[count, ID_TETRAHEDRON], ids[count, ID_AT] = NO_SOURCE, -1, -1
     return count + 1
-
-
-@inlined_kernel
-def share_a_body(pools, a, b):
-    """Whether two fragments are of one body, that broke."""
-    fragment = pools.fragment
-    return (
-        fragment.kind[a] == TETRAHEDRA and fragment.kind[b] == TETRAHEDRA and fragment.mesh[a] == fragment.mesh[b]
-        and fragment.node_shift[a] != NEVER_BROKEN and fragment.node_shift[a] == fragment.node_shift[b]
-    )  # fmt: skip
-
-
-@inlined_kernel
-def home_tetrahedron(pools, f, sample):
-    """A tetrahedron at the node or edge of fragment f's mesh that a sample of it is on."""
-    mesh, k = pools.mesh, pools.fragment.mesh[f]
-    first_node, nodes = mesh.first[k, 0], mesh.first[k, 2]
-    if sample >= nodes:
-        return mesh.edge_tets[mesh.first[k, 1] + (sample - nodes) // 2]
-    # node_tets_begin has one row more than nodes in each mesh before this one
-    return mesh.node_tets[mesh.node_tets_begin[first_node + sample + k]]
-
-
-@inlined_kernel
-def _moved(sphere, x, y, z):
-    """How far the centre of a sphere is from where it is in the unbroken body [m]; (x, y, z): in the other's frame."""
-    dx, dy, dz = x - sphere[0], y - sphere[1], z - sphere[2]
-    return math.sqrt(dx * dx + dy * dy + dz * dz)
-
-
-@inlined_kernel
-def rounding_slack(pools, a, b, translation):
-    """What rounding may take from the bound [m] of a pair with these relative translations (2, 3)."""
-    fragment = pools.fragment
-    slack = BOUND_SLACK * min(fragment.radius[a], fragment.radius[b])
-    slack += COORDINATE_SLACK * (_farthest(pools, a) + _farthest(pools, b))
-    for d in range(3):
-        slack += COORDINATE_SLACK * (abs(translation[0, d]) + abs(translation[1, d]))
-    return slack
-
-
-@inlined_kernel
-def _put_contact(contacts, ids, count, side, sample, x, y, z, answer):
-    """Row `count` from a sample's point and what bounded_probe says of it."""
-    row = contacts[count]
-    row[0], row[1], row[2] = x, y, z
-    row[3], row[4], row[5] = answer[5], answer[6], answer[7]
-    row[6], row[7], row[8] = answer[2], answer[3], answer[4]
-    row[9] = answer[1]
-    ids[count, ID_SIDE], ids[count, ID_SAMPLE] = side, sample
-    ids[count, ID_SOURCE], ids[count, ID_TETRAHEDRON], ids[count, ID_AT] = answer[9], answer[10], answer[11]
-
-
-@query_kernel
-def query_listed(pools, a, b, rotation, translation, wanted, near, listed, contacts, ids, capacity, scratch, thread):
-    """query_pair of a pair of which `listed` (n,) are all samples that can be near (neighbour_lists.py).
-
-    Returns the same, exhausted False; -1 contacts: as many as wanted or than there is room for, so a search must say.
-    """
-    tree, count = pools.tree, 0
-    slack, one_body = rounding_slack(pools, a, b, translation), share_a_body(pools, a, b)
-    for k in range(len(listed)):
-        entry, side = listed[k] >> 1, listed[k] & 1
-        other = b if side == 0 else a
-        c, sample = tree.spheres[entry], tree.entries[entry, SAMPLE]
-        x, y, z = to_other(rotation[side], translation[side], c[0], c[1], c[2])
-        start = home_tetrahedron(pools, other, sample) if one_body else -1
-        deep = _moved(c, x, y, z) + slack if one_body else math.inf
-        answer = bounded_probe(pools, other, x, y, z, near, deep, start, False, scratch, thread)
-        if answer[0] == INSIDE and answer[1] == -math.inf:
-            answer = bounded_probe(pools, other, x, y, z, near, math.inf, start, True, scratch, thread)
-        if answer[0] == OUTSIDE:
-            continue
-        if count + 1 >= wanted or count == capacity:
-            return -1, slack, k + 1, False
-        _put_contact(contacts, ids, count, side, sample, x, y, z, answer)
-        count += 1
-    return count, slack, len(listed), False
 
 
 @query_kernel
@@ -195,9 +94,9 @@ def query_pair(
     The queues hold rows of node_int and node_float, one a node that was reached. A child whose sphere keeps out of
     reach of the other counts as visited but takes no row.
 
-    Fragments of one body share a frame, and in place no sample of one is inside the other: so none
-    is deeper than it has moved since. That bounds all below a node at once, and two that have hardly moved against
-    each other need no search once they have their m contacts.
+    Fragments of one body share a frame, and in place no sample of one is inside the other: so none is deeper than it
+    has moved since. That bounds all below a node at once. Two that have hardly moved against each other need no more
+    than their m contacts, and these are looked for first where the two touch in place (crack_seeds.py).
     """
     fragment, tree = pools.fragment, pools.tree
     slack = rounding_slack(pools, a, b, translation)
@@ -207,11 +106,20 @@ def query_pair(
     within, samples = near + reach, 0
     if bounded and boxes_apart(fragment.box[a], fragment.box[b], rotation[0], translation[0], within + slack):
         return 0, slack, 0, False, 0
+    visits = 0
+    if one_body:
+        apart = displacement(pools, a, b, rotation, translation, IN_PLACE)
+        if apart <= epsilon:
+            count, visits = query_seeds(
+                pools, a, b, rotation, translation, wanted, near, budget, contacts, ids, capacity, scratch, thread
+            )
+            if count == wanted or (budget and visits >= budget):
+                return count, apart + slack, visits, count < wanted, 0
     node, node_point = scratch.node_int[thread], scratch.node_float[thread]
     queue = scratch.queue[thread]
     current, following = 0, 1
     nodes, size = 0, 0
-    count, visits = 0, 0
+    count = 0
     bound = 0.0
     for side in range(2):
         own, other = (a, b) if side == 0 else (b, a)
@@ -241,7 +149,7 @@ def query_pair(
             x, y, z = node_point[k, 0], node_point[k, 1], node_point[k, 2]
             radius = tree.spheres[entry, 3]
             end = entry + tree.entries[entry, SIZE]
-            moved = _moved(tree.spheres[entry], x, y, z) if one_body else math.inf
+            moved = moved_since(tree.spheres[entry], x, y, z) if one_body else math.inf
             if node[k, NEXT_CHILD] < 0:
                 # first time on this level: test
                 if budget and visits >= budget:
@@ -271,14 +179,12 @@ def query_pair(
                         # one body: what it has moved is all there is to search, and found at once
                         deep = moved + slack if one_body else math.inf if full else epsilon
                         asked = leaf and reach == 0.0
-                        answer = bounded_probe(pools, other, x, y, z, near, deep, start, asked, scratch, thread)
-                        if answer[0] == INSIDE and answer[1] == -math.inf:
-                            answer = bounded_probe(pools, other, x, y, z, near, math.inf, start, True, scratch, thread)
+                        answer = ask_sample(pools, other, x, y, z, near, deep, start, asked, scratch, thread)
                         status, most = answer[0], answer[8]
                         if status != OUTSIDE:
                             if full or -answer[1] > epsilon:
                                 if count < capacity:
-                                    _put_contact(contacts, ids, count, side, sample, x, y, z, answer)
+                                    put_contact(contacts, ids, count, side, sample, x, y, z, answer)
                                 count += 1
                                 m = max(m, count)
                             else:
@@ -394,6 +300,6 @@ def _bound_of_rest(pools, pair, node, node_point, queue, which, begin, end):
         sphere, p = pools.tree.spheres[node[k, ENTRY]], node_point[k]
         depth = p[DEPTH] + sphere[3]
         if one_body:
-            depth = min(depth, _moved(sphere, p[0], p[1], p[2]) + turned * sphere[3])
+            depth = min(depth, moved_since(sphere, p[0], p[1], p[2]) + turned * sphere[3])
         bound = max(bound, min(depth, _depth_limit(pools, other)))
     return bound

@@ -1,0 +1,224 @@
+"""What the aims against other libraries leave room for: the least that an answer can take on this machine.
+
+Least times are those of programs that do nothing but read and write what the answer rests on (`visits.Work` for
+queries; for updates the passes below). Where an aim lies below them, nobody meets it who gives the same answer; where
+it lies above, the distance is what is left to do.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from statistics import median
+from time import perf_counter
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.peers.report import MUJOCO, OURS, RAPIER
+from benchmarks.peers.worlds import World, empty_states, make_world
+from benchmarks.scaling.growth import SEARCHED, Progress, silent
+from benchmarks.scaling.machine import measure_machine
+from benchmarks.scaling.visits import LISTED, LOCATED, TETRAHEDRON, floor_of
+from fracture_collision.core.compiled import threaded_kernel
+from fracture_collision.records import FragmentStates
+from fracture_collision.world import CollisionWorld
+
+# As `python -m benchmarks.peers --csv` leaves it: the aims are ratios to its times.
+PEERS = Path(__file__).resolve().parents[2] / "docs" / "peers.csv"
+TIGHT, LOOSE = OURS, "ours, epsilon 5 % R"  # settings
+LOOSE_TOLERANCE = 0.05
+COLD = 64 << 20  # [bytes] walked through between two passes, more than a core's caches hold
+TRIALS = 9
+
+
+class Aim(NamedTuple):
+    """`what` of one world is to take no longer than `times` what `peer` takes."""
+
+    what: str  # update, or the setting of a query of jittered frames
+    world: str
+    peer: str
+    times: float
+
+
+AIMS = (
+    Aim(TIGHT, "shell20w", MUJOCO, 3.0), Aim(LOOSE, "shell20w", MUJOCO, 3.0),
+    Aim(TIGHT, "ball20w", MUJOCO, 3.0), Aim(LOOSE, "ball20w", MUJOCO, 3.0),
+    Aim(TIGHT, "ball8", RAPIER, 1.0), Aim(TIGHT, "shell20", RAPIER, 1.0),
+    Aim("update", "ball8", RAPIER, 1.0 / 4.0), Aim("update", "ball60", RAPIER, 1.0 / 2.0),
+)  # fmt: skip
+
+
+class LimitRow(NamedTuple):
+    """Milliseconds, one thread."""
+
+    what: str
+    world: str
+    aim: float  # by peers.csv
+    least: float
+    ours: float  # by peers.csv
+    ours_over_least: float
+    rests_on: str  # what `least` has to do
+
+
+def measure_limits(
+    aims: Sequence[Aim] = AIMS, peers: Path = PEERS, progress: Progress = silent
+) -> list[LimitRow]:
+    """Raises FileNotFoundError without peers.csv, KeyError where it lacks a world or method."""
+    with peers.open(newline="", encoding="utf-8") as stream:
+        times = {(row["world"], row["method"]): row for row in csv.DictReader(stream)}
+    rows = []
+    for name in dict.fromkeys(aim.world for aim in aims):
+        progress(f"limits: {name}")
+        world = make_world(name)
+        for aim in aims:
+            if aim.world != name:
+                continue
+            if aim.what == "update":
+                column, ours = "update", times[name, OURS]
+                least, words = _least_update(world)
+            else:
+                column, ours = "jitter_query", times[name, aim.what]
+                least, words = _least_query(world, 0.0 if aim.what == TIGHT else LOOSE_TOLERANCE)
+            taken = float(ours[column])
+            asked = aim.times * float(times[name, aim.peer][column])
+            rows.append(LimitRow(aim.what, name, asked, least, taken, taken / least, words))
+    return rows
+
+
+def _least_query(world: World, tolerance: float) -> tuple[float, str]:
+    """[ms] of a jittered frame, and words. `tolerance`: 0: the service's default.
+
+    Contacts have to be located and listed. In a pair that has fewer than it wants, no sample of the crack that the two
+    share is left out unseen: in place it touches, so only where it is now says that it no longer does.
+    """
+    settings = SEARCHED._replace(penetration_tolerance=tolerance) if tolerance else SEARCHED
+    service, in_place = (_broken(world, chosen) for chosen in (settings, SEARCHED._replace(contacts_per_pair=1 << 30)))
+    shared = _contacts_of_pairs(in_place, next(f for f in world.frames if f.kind == "touch"), world)
+    contacts, located = [], []
+    for frame in world.frames:
+        if frame.kind != "jitter":
+            continue
+        found = _contacts_of_pairs(service, frame, world)
+        contacts.append(sum(found.values()))
+        wanted = settings.contacts_per_pair
+        located.append(sum(max(n - found.get(pair, 0), 0) for pair, n in shared.items() if found.get(pair, 0) < wanted))
+    machine = measure_machine(TETRAHEDRON * len(world.body.tetrahedra) // 4)
+    listed, apart = (floor_of(work, machine).in_turn for work in (LISTED, LOCATED))
+    mean_listed, mean_apart = float(np.mean(contacts)), float(np.mean(located))
+    words = f"{mean_listed:.0f} contacts at {listed:.0f} ns, {mean_apart:.0f} other samples of cracks at {apart:.0f} ns"
+    return 1e-6 * (mean_listed * listed + mean_apart * apart), words
+
+
+def _broken(world: World, settings) -> CollisionWorld:
+    service = CollisionWorld(settings)
+    service.add_body(world.body)
+    service.add_fracture(world.event)
+    return service
+
+
+def _contacts_of_pairs(service: CollisionWorld, frame, world: World) -> dict[tuple[int, int], int]:
+    ids = np.array([f.fragment_id for f in world.fragments])
+    answer = service.contacts(FragmentStates(1, 1, ids, frame.body_positions.ravel(), frame.quaternions.ravel()))
+    counts = np.diff(answer.pair_begin.astype(np.int64)).tolist()
+    return dict(zip(zip(answer.fragment_a.tolist(), answer.fragment_b.tolist(), strict=True), counts, strict=True))
+
+
+def _least_update(world: World) -> tuple[float, str]:
+    """[ms] of a fracture, and words: its bytes hashed, its planes put to the ends of their edges, each tetrahedron of
+    what breaks read once, the rows that it leaves written.
+    """
+    service = CollisionWorld(SEARCHED)
+    service.add_body(world.body)
+    service.contacts(empty_states(0))
+    event = world.event
+    before = {name: len(rows) for name, rows in _columns(service)}
+    service.add_fracture(event)
+    service.contacts(empty_states(1))
+    left = [rows[before[name] :] for name, rows in _columns(service)]
+    mesh = service._registry.geometry.pools.mesh
+    ends = event.cut_edges.reshape(-1, 2).astype(np.int64)
+    planes = np.ascontiguousarray(event.cut_planes.reshape(-1, 4))
+    shares = np.full(len(mesh.edges), -1.0)
+    row_of = {tuple(edge): row for row, edge in enumerate(np.sort(mesh.edges, axis=1).tolist())}
+    cut = np.array([row_of[tuple(edge)] for edge in np.sort(ends, axis=1).tolist()])
+    crossings = np.empty(len(ends))
+    parts = np.zeros(len(mesh.nodes), np.int64)
+    parts[event.nodes] = event.node_fragments
+    sums = np.zeros((len(event.new_fragment_ids), mesh.moments.shape[1]))
+    arrays = [np.ascontiguousarray(value) for value in event if isinstance(value, np.ndarray)]
+
+    def put() -> None:
+        _shares(ends, planes, mesh.nodes, crossings)
+        shares[cut] = crossings
+
+    passes: tuple[Callable[[], object], ...] = (
+        lambda: [hashlib.sha256(array).digest() for array in arrays],
+        put,
+        lambda: _sums(mesh.tetrahedra, mesh.tetrahedron_edges, mesh.moments, mesh.nodes, shares, parts, sums),
+        lambda: [array.copy() for array in left],
+    )
+    put()
+    whole = int(_sums(mesh.tetrahedra, mesh.tetrahedron_edges, mesh.moments, mesh.nodes, shares, parts, sums))
+    times = [_cold_median(one) for one in passes]
+    megabytes = 1e-6 * sum(array.nbytes for array in left)
+    words = (
+        f"{1e-6 * sum(a.nbytes for a in arrays):.2f} MB hashed in {times[0]:.2f}, {len(ends)} planes in {times[1]:.2f},"
+        f" {len(mesh.tetrahedra)} tetrahedra, {len(mesh.tetrahedra) - whole} of them cut, read in {times[2]:.2f},"
+        f" {megabytes:.1f} MB written in {times[3]:.2f}"
+    )
+    return sum(times), words
+
+
+def _columns(service: CollisionWorld) -> Iterator[tuple[str, np.ndarray]]:
+    """All columns of its pools."""
+    for pool, rows in service._registry.geometry.pools._asdict().items():
+        if isinstance(rows, np.ndarray):
+            yield pool, rows
+        elif isinstance(rows, tuple):
+            for name, column in rows._asdict().items():
+                yield f"{pool}.{name}", column
+
+
+def _cold_median(once: Callable[[], object]) -> float:
+    """[ms]"""
+    other = np.zeros(COLD, np.uint8)
+    times = []
+    for _ in range(TRIALS):
+        other += 1
+        began = perf_counter()
+        once()
+        times.append(perf_counter() - began)
+    return 1e3 * median(times)
+
+
+@threaded_kernel
+def _shares(ends, planes, nodes, shares):
+    for i in range(len(ends)):
+        a, b, p = nodes[ends[i, 0]], nodes[ends[i, 1]], planes[i]
+        before = p[0] * a[0] + p[1] * a[1] + p[2] * a[2] - p[3]
+        behind = p[0] * b[0] + p[1] * b[1] + p[2] * b[2] - p[3]
+        shares[i] = before / (before - behind)
+    return 0.0
+
+
+@threaded_kernel
+def _sums(tetrahedra, edges, moments, nodes, shares, parts, sums):
+    """Moments of what one fragment has alone, which it counts and returns; of what is cut the corners are added up."""
+    whole = 0
+    for t in range(len(tetrahedra)):
+        is_cut = False
+        for k in range(6):
+            is_cut |= shares[edges[t, k]] >= 0.0
+        row = sums[parts[tetrahedra[t, 0]]]
+        if is_cut:
+            for k in range(4):
+                for d in range(3):
+                    row[d] += nodes[tetrahedra[t, k], d]
+            continue
+        whole += 1
+        for d in range(moments.shape[1]):
+            row[d] += moments[t, d]
+    return float(whole)

@@ -1,0 +1,143 @@
+"""Where two fragments of one body touch in place: crossings of the crack that they share, a few a pair, far apart.
+
+A cut edge gives both its fragments a sample in its crossing (Glondu 2014, 6.3), so in place these touch. Two fragments
+that have moved by no more than epsilon against each other cannot be deeper: all that is left to do is to find the
+contacts wanted, and that is a matter of asking here first, where they most likely are, not of a search.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fracture_collision.core.compiled import inlined_kernel, kernel
+from fracture_collision.core.cut_tetrahedron import point_on_edge
+
+# Crossings that are kept of a pair. More find contacts where only a small part of a crack still touches; each costs a
+# pair that does not touch a question in vain.
+MOST_SEEDS = 32
+# Out of these many, taken evenly, seeds are chosen farthest first.
+CANDIDATES = 48
+
+
+class SeedPool(NamedTuple):
+    """A body's rows are ascending in their keys; FragmentPool.seeds says which they are. Those of before its last
+    fracture stay as garbage.
+    """
+
+    keys: np.ndarray  # int64 smaller row of the fragment pool << 32 | larger row
+    ranges: np.ndarray  # (., 2) int32: first row of `edges`, row behind the last
+    edges: np.ndarray  # int32 row of MeshPool.edges; each farther from those before it than all that follow
+
+
+@inlined_kernel
+def seed_key(a, b):
+    return np.int64(min(a, b)) << np.int64(32) | np.int64(max(a, b))
+
+
+@inlined_kernel
+def find_seeds(fragment, seeds, a, b):
+    """(first row of SeedPool.edges, row behind the last) of two fragments of one body; none if they share no crack."""
+    key = seed_key(a, b)
+    begin, end = fragment.seeds[a, 0], fragment.seeds[a, 1]
+    while begin < end:
+        middle = (begin + end) // 2
+        if seeds.keys[middle] < key:
+            begin = middle + 1
+        else:
+            end = middle
+    if begin < fragment.seeds[a, 1] and seeds.keys[begin] == key:
+        return seeds.ranges[begin, 0], seeds.ranges[begin, 1]
+    return 0, 0
+
+
+@kernel
+def choose_seeds(mesh, body, node_shift, edge_shift, first_edge, last_edge, first_seed):
+    """Rows of SeedPool for one body: mesh edges first_edge .. last_edge - 1, labels and crossings as they are now.
+
+    Ranges count from `first_seed` on. Returns (keys, ranges, edges).
+    """
+    cut, low, high = _cut_edges(mesh, body, node_shift, edge_shift, first_edge, last_edge)
+    # by the smaller label and then the larger: sorted by the larger first
+    order = _by_label(cut, 1, low, high, _by_label(cut, 2, low, high, np.arange(len(cut))))
+    keys, ranges = np.empty(len(cut), np.int64), np.empty((len(cut), 2), np.int32)
+    edges = np.empty(len(cut), np.int32)
+    points, near, work = np.empty((3, CANDIDATES)), np.empty(CANDIDATES), np.empty(3)
+    chosen = np.empty(CANDIDATES, np.int32)
+    pairs, used, begin = 0, 0, 0
+    while begin < len(cut):
+        first, end = order[begin], begin + 1
+        while end < len(cut) and cut[order[end], 1] == cut[first, 1] and cut[order[end], 2] == cut[first, 2]:
+            end += 1
+        count = min(end - begin, CANDIDATES)
+        for k in range(count):
+            e = cut[order[begin + k * (end - begin) // count], 0]
+            chosen[k] = e
+            point_on_edge(mesh.nodes, mesh.edges[e, 0], mesh.edges[e, 1], body.edge_share[e + edge_shift], work)
+            points[0, k], points[1, k], points[2, k] = work[0], work[1], work[2]
+        keys[pairs] = seed_key(cut[first, 1], cut[first, 2])
+        ranges[pairs, 0], ranges[pairs, 1] = first_seed + used, first_seed + used + min(count, MOST_SEEDS)
+        used = _farthest_first(points, near, chosen, count, edges, used)
+        pairs, begin = pairs + 1, end
+    return keys[:pairs].copy(), ranges[:pairs].copy(), edges[:used].copy()
+
+
+@kernel
+def _cut_edges(mesh, body, node_shift, edge_shift, first_edge, last_edge):
+    """Cut edges with the smaller and the larger label of their ends (n, 3) int32; least and largest label of all."""
+    cut, count = np.empty((last_edge - first_edge, 3), np.int32), 0
+    low, high = np.iinfo(np.int32).max, -1
+    for e in range(first_edge, last_edge):
+        if body.edge_plane[e + edge_shift] < 0:
+            continue
+        a = body.node_fragment[mesh.edges[e, 0] + node_shift]
+        b = body.node_fragment[mesh.edges[e, 1] + node_shift]
+        cut[count, 0], cut[count, 1], cut[count, 2] = e, min(a, b), max(a, b)
+        low, high = min(low, a, b), max(high, a, b)
+        count += 1
+    return cut[:count], low, high
+
+
+@kernel
+def _by_label(cut, column, low, high, order):
+    """`order` (n,) of rows of `cut`, sorted by a column of labels; equal ones stay in their order."""
+    places = np.zeros(max(high - low, 0) + 2, np.int64)
+    for i in order:
+        places[cut[i, column] - low + 1] += 1
+    for k in range(1, len(places)):
+        places[k] += places[k - 1]
+    out = np.empty_like(order)
+    for i in order:
+        label = cut[i, column] - low
+        out[places[label]] = i
+        places[label] += 1
+    return out
+
+
+@inlined_kernel
+def _farthest_first(points, near, chosen, count, edges, used):
+    """Append at most MOST_SEEDS of `chosen` (count,), at points (3, .) [m]; returns the row behind the last."""
+    x, y, z = points[0], points[1], points[2]
+    mx = my = mz = 0.0
+    for k in range(count):
+        mx, my, mz = mx + x[k], my + y[k], mz + z[k]
+    # the first is the one farthest from their middle
+    px, py, pz = mx / count, my / count, mz / count
+    for k in range(count):
+        near[k] = np.inf
+    for taken in range(min(count, MOST_SEEDS)):
+        farthest, last = -1.0, 0
+        for k in range(count):
+            dx, dy, dz = x[k] - px, y[k] - py, z[k] - pz
+            near[k] = min(near[k], dx * dx + dy * dy + dz * dz)
+        for k in range(count):
+            if near[k] > farthest:
+                farthest, last = near[k], k
+        edges[used + taken] = chosen[last]
+        px, py, pz = x[last], y[last], z[last]
+        if taken == 0:
+            for k in range(count):
+                near[k] = np.inf
+        near[last] = -1.0
+    return used + min(count, MOST_SEEDS)
