@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from benchmarks.peers.report import MUJOCO, RAPIER
 from benchmarks.peers.worlds import EDGES, World, break_body
 from benchmarks.scaling.growth import GrowthRow, fit_exponents, measure_growth, measure_threads
+from benchmarks.scaling.limits import LOOSE, TIGHT, Aim, measure_limits
 from benchmarks.scaling.machine import measure_machine
 from benchmarks.scaling.memory import measure_memory
 from benchmarks.scaling.piles import copy_of, make_pile, world_of
@@ -78,6 +80,21 @@ def test_what_a_visit_cannot_do_without() -> None:
     culled, located, listed = (floor_of(work, machine) for work in KINDS_OF_VISIT)
     assert 0.0 < culled.least < located.least < listed.least
     assert all(row.least < row.in_turn for row in (culled, located, listed))
+
+
+def test_limits_are_below_what_is_measured(tmp_path: Path) -> None:
+    """Of a world of its own size, beside times that a CSV file gives."""
+    peers = tmp_path / "peers.csv"
+    rows = {TIGHT: (9.0, 20.0), LOOSE: (9.0, 5.0), MUJOCO: (30.0, 0.3), RAPIER: (5.0, 1.0)}
+    with peers.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(("world", "method", "update", "jitter_query"))
+        writer.writerows(("shell20w", method, *times) for method, times in rows.items())
+    whats = (TIGHT, MUJOCO, 3.0), (LOOSE, MUJOCO, 3.0), ("update", RAPIER, 0.25)
+    tight, loose, update = measure_limits([Aim(what, "shell20w", peer, times) for what, peer, times in whats], peers)
+    assert tight.aim == pytest.approx(0.9) and update.aim == pytest.approx(1.25) and loose.ours == 5.0
+    # fewer contacts have to be listed, all samples of cracks that are shared by pairs with few to be seen
+    assert 0.0 < loose.least < tight.least and update.least > 0.0 and update.rests_on.count("in") >= 4
 
 
 @pytest.mark.slow

@@ -69,6 +69,13 @@ def visits(quick: bool, progress: Progress) -> Tables:
     return {"visits": rows, "floors": floors}, []
 
 
+def limits(quick: bool, progress: Progress) -> Tables:
+    from benchmarks.scaling.limits import AIMS, measure_limits
+
+    rows = measure_limits(AIMS[:1] if quick else AIMS, progress=progress)
+    return {"limits": rows}, []
+
+
 def round_trips(quick: bool, progress: Progress) -> Tables:
     from benchmarks.scaling.piles import broken_body
     from benchmarks.scaling.round_trips import measure_round_trips
@@ -79,7 +86,7 @@ def round_trips(quick: bool, progress: Progress) -> Tables:
 
 MEASURES = {
     "growth": growth, "threads": threads, "memory": memory, "updates": updates, "visits": visits,
-    "round_trips": round_trips,
+    "limits": limits, "round_trips": round_trips,
 }  # fmt: skip
 
 
@@ -97,7 +104,8 @@ def main(names: tuple[str, ...], quick: bool, path: Path | None) -> None:
 
     growth: time over close pairs of piles. threads: two against one. memory: of a body, and of one more. updates:
     breaking one of many against one alone. visits: where a query's time goes, and what a visit cannot do without.
-    round_trips: what ROS adds to an answer; needs ROS 2.
+    limits: what the aims against other libraries leave room for, by docs/peers.csv and this machine. round_trips: what
+    ROS adds to an answer; needs ROS 2.
     """
     from rich.console import Console
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from textwrap import fill
 
 from benchmarks.studies import fig5, fig12, fig15, fig16, fig17, resolution, tables
-from benchmarks.studies.beside_others import peers_section, speed_error_section
+from benchmarks.studies.beside_others import limits_section, peers_section, speed_error_section
 from benchmarks.studies.study import Study
 from benchmarks.studies.table import Table, read_table
 
@@ -65,6 +65,7 @@ def _section_of(study: Study) -> Callable[[Path], str]:
 SECTIONS: tuple[Callable[[Path], str], ...] = (
     speed_error_section,
     peers_section,
+    limits_section,
     *(_section_of(study) for study in STUDIES.values()),
 )
 
