@@ -147,9 +147,11 @@ def _cell_size(volume: float, extent: np.ndarray, count: int) -> float:
 
 
 def _barycentric_rows(corners: np.ndarray) -> np.ndarray:
-    sides = corners[:, 1:] - corners[:, :1]
-    # rows of the inverse of the matrix with the sides as columns
-    gradients = np.linalg.inv(np.swapaxes(sides, 1, 2))
+    a, b, c = np.moveaxis(corners[:, 1:] - corners[:, :1], 1, 0)
+    # Rows of the inverse of the matrix with the sides as columns, written out: LAPACK rounds differently from processor
+    # to processor, and answers should be the same bytes on all.
+    normals = np.stack((np.cross(b, c), np.cross(c, a), np.cross(a, b)), axis=1)
+    gradients = normals / (a * normals[:, 0]).sum(axis=1)[:, None, None]
     rows = np.empty((len(corners), 3, 4))
     rows[:, :, :3] = gradients
     rows[:, :, 3] = -np.einsum("mij,mj->mi", gradients, corners[:, 0])
