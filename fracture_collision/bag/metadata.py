@@ -1,4 +1,4 @@
-"""metadata.yaml of a rosbag2 folder: which files, which topics, how many messages, and what the recorder knew besides."""
+"""metadata.yaml of a rosbag2 folder: files, topics, how many messages, and what the recorder knew besides."""
 
 from __future__ import annotations
 

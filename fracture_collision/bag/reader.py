@@ -54,7 +54,8 @@ def mcap_files(bag: Path | str) -> list[Path]:
 
 def mcap_files_without_metadata(bag: Path) -> list[Path]:
     """Those that lie in the folder, in the order of their numbers. Raises BagError."""
-    files = sorted((file for file in bag.glob("*.mcap") if file.is_file()), key=lambda file: (len(file.name), file.name))
+    found = (file for file in bag.glob("*.mcap") if file.is_file())
+    files = sorted(found, key=lambda file: (len(file.name), file.name))
     if not files:
         raise BagError(f"{bag}: neither an .mcap file nor a folder with a metadata.yaml or .mcap files")
     return files
