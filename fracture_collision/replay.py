@@ -26,9 +26,7 @@ from fracture_collision.world.settings import check_settings
 # [s] A wait for the recorded moment looks this often whether it is to be ended.
 WAITING_INTERVAL = 0.05
 
-# Arrays of an answer by what an element belongs to, with its numbers an element.
-_OF_PAIRS = {"fragment_a": 1, "fragment_b": 1, "pair_begin": 1, "missed_depth_bound": 1, "friction": 1,
-             "restitution": 1}  # fmt: skip
+# Arrays of an answer that have so many numbers a contact; all others have one a pair.
 _OF_CONTACTS = {"points_a": 3, "points_b": 3, "normals": 3, "gaps": 1, "contact_ids": 1}
 
 
@@ -316,7 +314,7 @@ def _pair_of(contacts: ContactConstraintArray, name: str, index: int) -> tuple[i
     if name in _OF_CONTACTS:
         pair = int(np.searchsorted(contacts.pair_begin, index // _OF_CONTACTS[name], side="right")) - 1
     else:
-        pair = index // _OF_PAIRS[name]
+        pair = index - (name == "pair_begin")  # where a pair begins is where the one before ends
     if not 0 <= pair < min(len(contacts.fragment_a), len(contacts.fragment_b)):
         return None
     return int(contacts.fragment_a[pair]), int(contacts.fragment_b[pair])
