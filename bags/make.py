@@ -1,6 +1,6 @@
-"""Makes golden bags as digests.yaml describes them, and writes their digests there: `python bags/make.py [NAME ...]`.
+"""Makes golden bags as digests.yaml says, and writes their digests there: `python bags/make.py [NAME ...]`.
 
-A bag is replaced only where its content is another. After a change that is meant to change answers, look at what changed
+A bag is replaced only where its content is another. After a change that is meant to change answers, look at what is new
 (`fracture-collision replay bags/NAME`, before this) and commit both.
 """
 
