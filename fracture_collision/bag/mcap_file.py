@@ -69,7 +69,7 @@ class McapFile:
 
     def channels(self, on_damage: Callable[[BagError], None] | None = None) -> list[tuple[Channel, Schema | None]]:
         """All that are defined, by id. `on_damage` as for `messages`."""
-        if not self.is_whole:  # the end of a file repeats what its chunks define
+        if not (self.is_whole and self._channels):  # the end of most files repeats what their chunks define
             self._define_from_chunks(on_damage)
         return [(channel, self._schemas.get(channel.schema_id)) for _, channel in sorted(self._channels.items())]
 

@@ -18,7 +18,7 @@ from fracture_collision.bag.writer import CHUNK_BYTES
 
 class Mended(NamedTuple):
     messages: int
-    lost_bytes: int  # half a record at the end of a file
+    lost_bytes: int  # at the end of files, that could not be read
     damaged: list[str]  # chunks that could not be read, in words
 
 

@@ -70,7 +70,7 @@ def missing_words(bag: Path | str) -> list[str]:
     for path in mcap_files(bag):
         file = McapFile(path)
         if not file.is_whole:
-            lost = f"; its last {file.lost_bytes} bytes are half a record" if file.lost_bytes else ""
+            lost = f"; its last {file.lost_bytes} bytes cannot be read" if file.lost_bytes else ""
             words.append(f"{path}: ends before its end, as when a recorder is killed{lost}")
     return words
 

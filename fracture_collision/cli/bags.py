@@ -84,7 +84,7 @@ def mend(bag: Path) -> None:
         raise click.ClickException(str(error)) from error
     for words in mended.damaged:
         click.echo(f"left out: {words}")
-    lost = f"; {mended.lost_bytes} bytes of half a record are gone" if mended.lost_bytes else ""
+    lost = f"; {mended.lost_bytes} bytes that could not be read are gone" if mended.lost_bytes else ""
     click.echo(f"{bag}: {mended.messages} messages{lost}")
 
 

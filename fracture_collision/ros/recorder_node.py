@@ -53,6 +53,7 @@ class RecorderNode(Node):
             raise Fatal(f"parameter folder: {error}") from error
         self._newest_time = 0  # [ns]
         self._settled_time = 0  # [ns] the newest when the last flush was; what belongs to it has come since
+        self._flushed_time = 0  # [ns] what belongs to it is in the bag
         self._counts = dict.fromkeys((topic.name for topic in RECORDED), 0)
         self._unflushed = 0  # messages
         self._noted_settings: str | None = None
@@ -63,11 +64,16 @@ class RecorderNode(Node):
 
     def _keep(self, topic: qos.Topic, name: str) -> Callable[[bytes], None]:
         def keep(data: bytes) -> None:
+            try:
+                clear = zero_padding(data, topic.message_class)
+            except ValueError as error:  # nor does any reader of the bag know what to do with it
+                self.get_logger().warning(f"{name}: not recorded: {error}", throttle_duration_sec=1.0)
+                return
             self._counts[topic.name] += 1
             if topic is not DIAGNOSTICS:  # they carry the wall clock's time, all others that of the simulation
                 seconds, nanoseconds = _STAMP.unpack_from(data, _STAMP_OFFSET)
-                self._newest_time = seconds * 10**9 + nanoseconds
-            self._bag.write(name, zero_padding(data, topic.message_class), self._newest_time)
+                self._newest_time = max(seconds * 10**9 + nanoseconds, 0)  # bags know no time before the epoch
+            self._bag.write(name, clear, self._newest_time)
             self._unflushed += 1
 
         return keep
@@ -98,8 +104,8 @@ class RecorderNode(Node):
 
     def _flush(self) -> None:
         settled, self._settled_time = self._settled_time, self._newest_time
-        if self._unflushed or settled != self._settled_time:
-            self._unflushed = 0
+        if self._unflushed or settled != self._flushed_time:
+            self._unflushed, self._flushed_time = 0, settled
             self._bag.flush(settled)
 
     def finish(self) -> None:
