@@ -12,7 +12,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import rclpy
 import yaml
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
 from recorded_pane import STEPS, record_pane, replayed
 from ros_client import ServiceClient
 from rosbags.highlevel import AnyReader
@@ -26,9 +30,11 @@ from fracture_collision.bag.mend import mend_bag
 from fracture_collision.bag.reader import message_counts, missing_words, read_messages, recorded_settings
 from fracture_collision.records import FractureEvent
 from fracture_collision.replay import Order, Replay, settings_of
+from fracture_collision.ros import qos
 from fracture_collision.ros.node_process import NodeProcess, free_domain_id
 from fracture_collision.ros.replay_run import OverDds
 from fracture_collision.ros.scene_recording import TOPICS, record_scene
+from fracture_collision.ros.service_settings import ServiceSettings
 from fracture_collision.share import share_directory
 from fracture_collision.simulation.scene import load_scene
 from fracture_collision.world import Settings
@@ -148,6 +154,43 @@ def test_a_recorder_killed_in_mid_run_leaves_a_bag_that_opens(tmp_path: Path) ->
             assert by_name[CONTACTS].digest.startswith("RIHS01_")
         assert settings_of(damaged, {"threads": 1}).words == []
         assert sorted(path.name for path in damaged.iterdir()) == ["bag_0.mcap", "metadata.yaml"]
+
+
+def test_settings_are_asked_for_and_asked_again_when_they_change(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a node that lets its parameters be changed."""
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    context = Context()
+    rclpy.init(context=context, domain_id=free_domain_id())
+    service, recorder = (rclpy.create_node(name, context=context, namespace="/arm") for name in ("service", "recorder"))
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(service)
+    executor.add_node(recorder)
+    told: list[dict[str, object]] = []
+    asked = ServiceSettings(recorder, "contact_constraints", told.append)
+
+    def spin_until(count: int) -> None:
+        deadline = time.monotonic() + PATIENCE
+        while len(told) < count and time.monotonic() < deadline:
+            asked.look()
+            executor.spin_once(timeout_sec=0.05)
+        assert len(told) == count
+
+    try:
+        asked.look()  # nobody there yet
+        for name, value in Settings()._asdict().items():
+            service.declare_parameter(name, value)
+        topic = qos.CONTACT_CONSTRAINTS
+        service.create_publisher(topic.message_class, topic.name, topic.qos)
+        spin_until(1)
+        assert told == [Settings()._asdict()]
+        service.set_parameters([Parameter("contacts_per_pair", value=5)])
+        spin_until(2)
+        assert told[1] == Settings(contacts_per_pair=5)._asdict()
+    finally:
+        executor.shutdown()
+        for node in (service, recorder):
+            node.destroy_node()
+        context.try_shutdown()
 
 
 def test_a_recorder_outlives_what_is_no_message(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -100,18 +100,24 @@ def replay(
         order = Order(*(steps or (None, None)), backwards, loops)
         for sentence in (*words, *found.words):
             console.print(f"note: {sentence}", highlight=False, soft_wrap=True)
-        with _service(ros, found.settings, console, interruption.check) as (service, refusals):
+        played, refusals = None, {}
+        # A node is to be ended in order; kernels that are loaded into this process need not be.
+        with (
+            interruption.held() if ros else nullcontext(),
+            _service(ros, found.settings, console, interruption.check) as (service, refusals),
+        ):
             played = Replay(runs, service, order, rate, interruption.check)
-            try:
-                with _bar(console) as bar, interruption.held():
-                    task = bar.add_task("replaying", total=played.total)
-                    for done in played:
-                        bar.update(task, completed=done)
-                        interruption.check()
-            except KeyboardInterrupt:
-                console.print(f"stopped after {len(played.report().seconds)} of {played.total} steps")
-                _tell(played.report(), refusals, console)
-                sys.exit(INTERRUPTED)
+            with _bar(console) as bar, interruption.held():
+                task = bar.add_task("replaying", total=played.total)
+                for done in played:
+                    bar.update(task, completed=done)
+                    interruption.check()
+    except KeyboardInterrupt:
+        done, total = (played.report().answers, played.total) if played else (0, "all")
+        console.print(f"stopped after {done} of {total} steps")
+        if played:
+            _tell(played.report(), refusals, console)
+        sys.exit(INTERRUPTED)
     except BagError as error:
         raise NoBag(str(error)) from error
     except (ValueError, Unanswered) as error:
