@@ -2,7 +2,7 @@
 
 https://mcap.dev/spec. Records are found by their lengths; the last one may be cut. Chunks are taken in the order of
 their times and their messages merged, as readers with an index do. Nothing is allocated on a file's word alone: no
-record is longer than the file, no chunk larger than LARGEST_CHUNK, whatever it says.
+record is longer than the file, no chunk larger than it says, or than LARGEST_CHUNK and LARGEST_RATIO allow.
 """
 
 from __future__ import annotations
@@ -29,6 +29,10 @@ from fracture_collision.bag.errors import BagError
 MAGIC = b"\x89MCAP0\r\n"
 # [bytes] Decompressed. A writer ends a chunk once it is larger than a megabyte or so: no more than that and a message.
 LARGEST_CHUNK = 1 << 29
+# Meshes and contacts compress to a half or a tenth. A chunk that is large and says it was a thousand times its size is
+# there to fill the memory.
+LARGEST_RATIO = 1000
+SMALL_CHUNK = 1 << 24  # [bytes] Decompressed; up to here nobody asks.
 # [bytes] Of one record of definitions or metadata; a message's definition is some kilobytes.
 LARGEST_DEFINITION = 1 << 24
 
@@ -179,7 +183,7 @@ class McapFile:
         """The chunk as if it had never been compressed. The library's own way allocates what the compressed data say
         that they come to."""
         size = chunk.uncompressed_size
-        if size > LARGEST_CHUNK:
+        if size > LARGEST_CHUNK or size > max(SMALL_CHUNK, LARGEST_RATIO * len(chunk.data)):
             raise BagError(f"{self.path}: the chunk at byte {piece.begin} says it has {size} bytes; too many")
         try:
             if chunk.compression == "zstd":

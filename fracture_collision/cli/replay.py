@@ -93,14 +93,19 @@ def replay(
     from fracture_collision.bag.reader import missing_words
     from fracture_collision.replay import Order, Replay, Unanswered, settings_of
 
+    played: Any = None
     try:
         words = missing_words(bag)
         runs = read_runs(bag, namespace)
-        found = settings_of(bag, {**_given(settings), "threads": threads})
+        try:
+            found = settings_of(bag, {**_given(settings), "threads": threads})
+        except BagError:
+            raise
+        except ValueError as error:
+            raise click.UsageError(str(error)) from error
         order = Order(*(steps or (None, None)), backwards, loops)
         for sentence in (*words, *found.words):
             console.print(f"note: {sentence}", highlight=False, soft_wrap=True)
-        played, refusals = None, {}
         # A node is to be ended in order; kernels that are loaded into this process need not be.
         with (
             interruption.held() if ros else nullcontext(),
@@ -120,7 +125,7 @@ def replay(
         sys.exit(INTERRUPTED)
     except BagError as error:
         raise NoBag(str(error)) from error
-    except (ValueError, Unanswered) as error:
+    except Unanswered as error:
         raise click.ClickException(str(error)) from error
     _tell(played.report(), refusals, console)
     if not played.report().exact:
