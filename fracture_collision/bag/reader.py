@@ -3,12 +3,28 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import yaml
-from mcap.reader import make_reader
+from mcap.records import Metadata
+
+from fracture_collision.bag import metadata
+from fracture_collision.bag.errors import BagError
+from fracture_collision.bag.mcap_file import McapFile
+
+__all__ = ["BagError", "BagMessage", "RecordedSettings", "mcap_files", "mcap_files_without_metadata", "message_counts", 
+           "missing_words", "read_messages", "recorded_settings", "topic_digest", "topic_types"]  # fmt: skip
+
+# Names in a bag's custom data: the settings of the service that answered, as JSON; and those it had before, where it
+# was started anew with others while the recorder ran.
+SETTINGS = "collision_settings"
+EARLIER_SETTINGS = "earlier_collision_settings"
+NOTES = "fracture_collision"  # the name of the MCAP metadata records that say the same
+_ROSBAG2 = "rosbag2"  # likewise of rosbag2's own
+
+LARGEST_SETTINGS = 1 << 16  # [bytes]
 
 
 class BagMessage(NamedTuple):
@@ -17,52 +33,118 @@ class BagMessage(NamedTuple):
     data: bytes  # CDR
 
 
-class BagError(ValueError):
-    """Not a bag, or one that holds no run, or not all of it."""
-
-
-def _information(bag: Path) -> dict[str, Any]:
-    metadata = bag / "metadata.yaml"
-    if not metadata.is_file():
-        raise BagError(f"{bag}: neither an .mcap file nor a folder with a metadata.yaml")
-    content = yaml.safe_load(metadata.read_text())
-    if not isinstance(content, dict) or "rosbag2_bagfile_information" not in content:
-        raise BagError(f"{metadata}: not the metadata of a rosbag2 folder")
-    return content["rosbag2_bagfile_information"]
+class RecordedSettings(NamedTuple):
+    values: dict[str, Any]  # by name, as JSON has them; nobody has looked at them yet
+    changed: bool  # in the middle of the recording: some answers were made with others
 
 
 def mcap_files(bag: Path | str) -> list[Path]:
-    """The files of a rosbag2 folder, or the one .mcap file given. Raises BagError."""
+    """The files of a rosbag2 folder, or the one .mcap file given. Raises BagError.
+
+    A folder without metadata.yaml, as `ros2 bag record` leaves it when it is killed, has those that lie there.
+    """
     bag = Path(bag)
     if bag.is_file():
         return [bag]
-    return [bag / name for name in _information(bag)["relative_file_paths"]]
+    information = metadata.read_metadata(bag)
+    if information is not None:
+        return metadata.named_files(bag, information)
+    return mcap_files_without_metadata(bag)
 
 
-def read_messages(folder: Path | str, topics: list[str] | None = None) -> Iterator[BagMessage]:
+def mcap_files_without_metadata(bag: Path) -> list[Path]:
+    """Those that lie in the folder, in the order of their numbers. Raises BagError."""
+    found = (file for file in bag.glob("*.mcap") if file.is_file())
+    files = sorted(found, key=lambda file: (len(file.name), file.name))
+    if not files:
+        raise BagError(f"{bag}: neither an .mcap file nor a folder with a metadata.yaml or .mcap files")
+    return files
+
+
+def missing_words(bag: Path | str) -> list[str]:
+    """What is not as it should be in a bag that can be read all the same: a sentence each. Raises BagError."""
+    bag = Path(bag)
+    words = []
+    if bag.is_dir() and not (bag / metadata.FILE_NAME).is_file():
+        words.append(f"{bag}: has no {metadata.FILE_NAME}")
+    for path in mcap_files(bag):
+        file = McapFile(path)
+        if not file.is_whole:
+            lost = f"; its last {file.lost_bytes} bytes cannot be read" if file.lost_bytes else ""
+            words.append(f"{path}: ends before its end, as when a recorder is killed{lost}")
+    return words
+
+
+def read_messages(bag: Path | str, topics: list[str] | None = None) -> Iterator[BagMessage]:
     """All messages of a bag, or those of `topics`, in the order of their times. Raises BagError."""
-    for file in mcap_files(folder):
-        with file.open("rb") as stream:
-            for _, channel, message in make_reader(stream).iter_messages(topics):
-                yield BagMessage(channel.topic, message.log_time, message.data)
+    for path in mcap_files(bag):
+        for _, channel, message in McapFile(path).messages(topics):
+            yield BagMessage(channel.topic, message.log_time, message.data)
 
 
-def message_counts(folder: Path | str) -> dict[str, int]:
-    """By topic, as metadata.yaml says. Raises BagError."""
-    information = _information(Path(folder))
-    return {
-        entry["topic_metadata"]["name"]: entry["message_count"] for entry in information["topics_with_message_count"]
-    }
+def topic_types(bag: Path | str) -> dict[str, tuple[str, str]]:
+    """By topic: package/msg/Name, and the text of the definition. Raises BagError."""
+    types: dict[str, tuple[str, str]] = {}
+    for path in mcap_files(bag):
+        for channel, schema in McapFile(path).channels():
+            if schema is not None:
+                types.setdefault(channel.topic, (schema.name, schema.data.decode(errors="replace")))
+    return types
 
 
-def topic_digest(folder: Path | str, topic: str) -> str:
+def message_counts(bag: Path | str) -> dict[str, int]:
+    """By topic, counted: the metadata of a recorder that was killed do not know. Raises BagError."""
+    counts: dict[str, int] = {}
+    for path in mcap_files(bag):
+        file = McapFile(path)
+        for channel, _ in file.channels():
+            counts.setdefault(channel.topic, 0)
+        for _, channel, _ in file.messages():
+            counts[channel.topic] = counts.get(channel.topic, 0) + 1
+    return counts
+
+
+def recorded_settings(bag: Path | str) -> RecordedSettings | None:
+    """Those of the service that answered; None where the bag does not say. Raises BagError."""
+    bag = Path(bag)
+    noted: dict[str, str] = {}
+    if bag.is_dir() and (information := metadata.read_metadata(bag)) is not None:
+        noted = metadata.custom_data(information)
+    if SETTINGS not in noted:
+        for path in mcap_files(bag):
+            for record in McapFile(path).metadata:
+                noted |= _noted(record, path)
+    if SETTINGS not in noted:
+        return None
+    text = noted[SETTINGS]
+    try:
+        values = json.loads(text) if len(text) <= LARGEST_SETTINGS else None
+    except (ValueError, RecursionError) as error:
+        raise BagError(f"{bag}: {SETTINGS}: not JSON: {error}") from error
+    if not isinstance(values, dict):
+        raise BagError(f"{bag}: {SETTINGS}: not a JSON object")
+    return RecordedSettings(values, EARLIER_SETTINGS in noted)
+
+
+def _noted(record: Metadata, path: Path) -> dict[str, str]:
+    if record.name == NOTES:
+        return record.metadata
+    text = record.metadata.get("serialized_metadata", "") if record.name == _ROSBAG2 else ""
+    if not text or len(text) > metadata.LARGEST:
+        return {}
+    content = metadata.load_yaml(text, str(path))
+    information = content.get(metadata.KEY) if isinstance(content, dict) else None
+    return metadata.custom_data(information) if isinstance(information, dict) else {}
+
+
+def topic_digest(bag: Path | str, topic: str) -> str:
     """SHA-256 over the serialized messages of a topic, times included: equal if and only if the streams are.
 
     A message that is its predecessor sent again, as by a simulator that got no answer in time, counts once.
     """
     digest = hashlib.sha256()
     last = None
-    for message in read_messages(folder, [topic]):
+    for message in read_messages(bag, [topic]):
         if message == last:
             continue
         last = message

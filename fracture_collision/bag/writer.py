@@ -1,12 +1,12 @@
 """Bags in rosbag2's own layout: a folder with metadata.yaml and one MCAP file, serialized messages as they were sent.
 
 Equal content gives equal bytes: times are those of the messages' headers, and messages of one moment are put in the
-order of the topics, however they happened to arrive.
+order of the topics, however they happened to arrive. (`flush` ends a chunk when it is called: then equal messages, in
+other chunks.)
 """
 
 from __future__ import annotations
 
-import copy
 import heapq
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,13 +15,13 @@ from typing import Any, NamedTuple
 import yaml
 from mcap.writer import CompressionType, Writer
 
-# rosbag2's metadata of ROS 2 Jazzy.
-METADATA_VERSION = 9
-ROS_DISTRO = "jazzy"
+from fracture_collision.bag.metadata import Span, TopicEntry, write_metadata
+from fracture_collision.bag.reader import NOTES
 
 # Messages are held back until this many others came after them: those that belong to one moment arrive on different
 # topics, a few messages apart.
 REORDER_WINDOW = 256
+CHUNK_BYTES = 1 << 20  # before compression
 
 _FOREVER = {"sec": 9223372036, "nsec": 854775807}
 
@@ -44,9 +44,11 @@ class BagTopic(NamedTuple):
 
 
 class BagWriter:
-    """Writes one bag. Use as a context manager: without `close` the bag has no index and no metadata."""
+    """Writes one bag. Use as a context manager: without `close` the bag has no index, and lacks what came after the
+    last `flush`; it can be read and mended all the same (bag/reader.py, bag/mend.py).
+    """
 
-    def __init__(self, folder: Path | str, topics: Sequence[BagTopic]) -> None:
+    def __init__(self, folder: Path | str, topics: Sequence[BagTopic], chunk_bytes: int = CHUNK_BYTES) -> None:
         """Raises FileExistsError where `folder` is there already."""
         self._folder = Path(folder)
         self._folder.mkdir(parents=True)
@@ -54,11 +56,13 @@ class BagWriter:
         self._topics = list(topics)
         self._rank = {topic.name: rank for rank, topic in enumerate(self._topics)}
         self._counts = [0] * len(self._topics)
+        self._written = [0] * len(self._topics)  # of those, what is not held any more
         self._held: list[tuple[int, int, int, bytes]] = []  # heap of (time, topic, count in the topic, data)
         self._first_time: int | None = None
         self._last_time = 0
+        self._custom_data: dict[str, str] = {}
         self._stream = (self._folder / self._file_name).open("wb")
-        self._writer = Writer(self._stream, compression=CompressionType.ZSTD)
+        self._writer = Writer(self._stream, chunk_size=chunk_bytes, compression=CompressionType.ZSTD)
         self._writer.start(profile="ros2", library="fracture_collision")
         self._channels = []
         for topic in self._topics:
@@ -68,6 +72,8 @@ class BagWriter:
                 "topic_type_hash": topic.type_hash,
             }
             self._channels.append(self._writer.register_channel(topic.name, "cdr", schema, channel_metadata))
+        self._stream.flush()
+        self._write_metadata()
 
     def write(self, topic: str, data: bytes, nanoseconds: int) -> None:
         """Takes a serialized message of `topic` with its time since the epoch (of simulation)."""
@@ -77,16 +83,29 @@ class BagWriter:
         if len(self._held) > REORDER_WINDOW:
             self._write_first()
 
+    def note(self, name: str, text: str) -> None:
+        """What the recorder knows besides: `custom_data` of metadata.yaml, and beside the messages, so that the MCAP
+        file alone has it too. The last text of a name counts."""
+        self._custom_data[name] = text
+        self._writer.add_metadata(NOTES, {name: text})
+        self._stream.flush()
+        self._write_metadata()
+
+    def flush(self, until: int) -> None:
+        """Hands all up to the time `until` [ns] to the operating system: whatever becomes of this process, that much is
+        in the bag. Messages of that time and before are expected to have come."""
+        while self._held and self._held[0][0] <= until:
+            self._write_first()
+        self._writer.flush()
+        self._write_metadata()
+
     def close(self) -> None:
         """Writes what is held, the index, and metadata.yaml."""
         while self._held:
             self._write_first()
-        metadata = {"rosbag2_bagfile_information": self._metadata()}
-        text = yaml.safe_dump(metadata, sort_keys=False)
-        self._writer.add_metadata("rosbag2", {"serialized_metadata": text})
+        self._writer.add_metadata("rosbag2", {"serialized_metadata": self._write_metadata()})
         self._writer.finish()
         self._stream.close()
-        (self._folder / "metadata.yaml").write_text(text)
 
     def __enter__(self) -> BagWriter:
         return self
@@ -99,39 +118,15 @@ class BagWriter:
         self._first_time = time if self._first_time is None else min(self._first_time, time)
         self._last_time = max(self._last_time, time)
         self._writer.add_message(self._channels[rank], log_time=time, data=data, publish_time=time, sequence=sequence)
+        self._written[rank] += 1
 
-    def _metadata(self) -> dict[str, Any]:
-        start = self._first_time or 0
-        span = {
-            "duration": {"nanoseconds": max(self._last_time - start, 0)},
-            "starting_time": {"nanoseconds_since_epoch": start},
-            "message_count": sum(self._counts),
-        }
-        return {
-            "version": METADATA_VERSION,
-            "storage_identifier": "mcap",
-            **span,
-            "topics_with_message_count": [
-                {"topic_metadata": _topic_mapping(topic), "message_count": count}
-                for topic, count in zip(self._topics, self._counts, strict=True)
-            ],
-            "compression_format": "",
-            "compression_mode": "",
-            "relative_file_paths": [self._file_name],
-            "files": [{"path": self._file_name, **copy.deepcopy(span)}],  # copied: YAML would refer to the one above
-            "custom_data": None,
-            "ros_distro": ROS_DISTRO,
-        }
-
-
-def _topic_mapping(topic: BagTopic) -> dict[str, Any]:
-    return {
-        "name": topic.name,
-        "type": topic.message_type,
-        "serialization_format": "cdr",
-        "offered_qos_profiles": [_qos_mapping(topic.qos)],
-        "type_description_hash": topic.type_hash,
-    }
+    def _write_metadata(self) -> str:
+        entries = [
+            TopicEntry(topic.name, topic.message_type, [_qos_mapping(topic.qos)], topic.type_hash, count)
+            for topic, count in zip(self._topics, self._written, strict=True)
+        ]
+        span = Span(self._first_time or 0, self._last_time)
+        return write_metadata(self._folder, [self._file_name], entries, span, self._custom_data)
 
 
 def _qos_mapping(qos: OfferedQos) -> dict[str, Any]:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import click
 
+from fracture_collision.cli.bags import digest, mend, record
 from fracture_collision.cli.bench import bench
+from fracture_collision.cli.replay import replay
 from fracture_collision.cli.scene import scene
 from fracture_collision.cli.smash import smash
 
@@ -19,6 +19,10 @@ Examples:
   fracture-collision bench                        the paper's figures and tables again, in some minutes
   fracture-collision scenes                       which scenes there are
   fracture-collision digest out/smash/bag         equal for equal runs
+  fracture-collision replay out/smash/bag         asked again: is every answer the one recorded?
+  fracture-collision replay --help                ... over DDS, backwards, on 8 threads
+  fracture-collision record bricks --out out/b    a bag without DDS
+  fracture-collision mend out/smash/bag           whose recorder was killed
 
 The nodes alone: collision_node and simulator_node, with --ros-args -p NAME:=VALUE.
 """
@@ -37,6 +41,8 @@ def main() -> None:
 main.add_command(smash)
 main.add_command(scene)
 main.add_command(bench)
+for command in (replay, record, mend, digest):
+    main.add_command(command)
 
 
 @main.command()
@@ -48,16 +54,3 @@ def scenes() -> None:
         click.echo(f"{file.path.stem:17} {file.title}")
         for variant in file.variants:
             click.echo(f"{'':17} {file.path.stem}:{variant}")
-
-
-@main.command()
-@click.argument("bag", type=click.Path(exists=True, file_okay=False, path_type=Path))
-def digest(bag: Path) -> None:
-    """Print a SHA-256 of each topic of a BAG folder: equal if and only if all messages are, byte for byte."""
-    from fracture_collision.bag.reader import BagError, message_counts, topic_digest
-
-    try:
-        for topic, count in message_counts(bag).items():
-            click.echo(f"{topic_digest(bag, topic)}  {count:6}  {topic}")
-    except BagError as error:
-        raise click.ClickException(str(error)) from error

@@ -1,0 +1,148 @@
+"""What went to and fro in a recorded run: bodies, events, and each question with the answer that was recorded.
+
+Topics are known by their message types, so the run may have been recorded under any namespace.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from fracture_collision.bag.cdr import LAYOUTS, Received, deserialize_record, serialize_record
+from fracture_collision.bag.errors import BagError
+from fracture_collision.bag.reader import read_messages, topic_types
+from fracture_collision.records import CollisionBody, ContactConstraintArray, FractureEvent, FragmentStates
+
+PACKAGE = "fracture_collision/msg/"
+_CLASSES = (CollisionBody, FractureEvent, FragmentStates, ContactConstraintArray)
+# How the generated message classes write the types that .msg files write otherwise.
+_TYPE_WORDS = {"float64": "double", "bool": "boolean"}
+
+
+class Message(NamedTuple):
+    data: bytes  # as recorded
+    received: Received
+
+
+class Question(NamedTuple):
+    step: int
+    fracture_sequence: int
+    time: int  # [ns] of its heading
+    bodies_before: int  # of the run's messages on `bodies`, those that were recorded before it
+    states: bytes  # as recorded
+    answers: tuple[bytes, ...]  # those recorded, each once: none, one, or several that contradict each other
+
+
+class Run(NamedTuple):
+    run_id: int
+    bodies: list[Message]  # in the order of recording
+    events: list[Message]  # ascending in sequence
+    questions: list[Question]  # ascending in step
+
+
+class _Gathered:
+    """One run while the bag is read."""
+
+    def __init__(self) -> None:
+        self.bodies: dict[bytes, Message] = {}  # latched: what is delivered again says nothing new
+        self.events: dict[bytes, Message] = {}
+        self.states: dict[tuple[int, int], tuple[bytes, int, int]] = {}  # by step and sequence: data, time, bodies
+        self.answers: dict[tuple[int, int], dict[bytes, None]] = {}
+
+
+def read_runs(bag: Path, namespace: str | None = None) -> list[Run]:
+    """The runs of a bag in the order in which they began: a rosbag2 folder, or one .mcap file.
+
+    `namespace`: of the topics, where there are several. A message sent again counts once. Raises BagError in words
+    where the bag holds no run, or a message is not what its topic says.
+    """
+    classes = _topics(bag, namespace)
+    runs: dict[int, _Gathered] = {}
+    for count, message in enumerate(read_messages(bag, list(classes))):
+        record_class = classes[message.topic]
+        try:
+            received = deserialize_record(message.data, record_class)
+        except ValueError as error:
+            raise BagError(f"{bag}: {message.topic}, message {count} at {message.nanoseconds} ns: {error}") from error
+        run = runs.setdefault(received.run_id, _Gathered())
+        try:
+            _gather(run, Message(message.data, received))
+        except BagError as error:
+            raise BagError(f"{bag}: {message.topic}: {error}") from error
+    found = [_run(run_id, run) for run_id, run in runs.items()]
+    found = [run for run in found if run.questions]
+    if not found:
+        raise BagError(f"{bag}: holds no {PACKAGE}FragmentStates")
+    return found
+
+
+def canonical(received: Received) -> bytes:
+    """The message with zeros in the gaps of its serialization: equal messages have equal bytes."""
+    return serialize_record(received.record, received.heading, received.run_id)
+
+
+def _topics(bag: Path, namespace: str | None) -> dict[str, Any]:
+    """Of each topic that a run needs the class of its records."""
+    known = {PACKAGE + record_class.__name__: record_class for record_class in _CLASSES}
+    classes: dict[str, Any] = {}
+    for topic, (name, definition) in topic_types(bag).items():
+        if name in known and (namespace is None or topic.rpartition("/")[0] == "/" + namespace.strip("/")):
+            _check_definition(bag, topic, known[name], definition)
+            classes[topic] = known[name]
+    namespaces = sorted({topic.rpartition("/")[0] for topic in classes})
+    if len(namespaces) > 1:
+        names = ", ".join(each or "/" for each in namespaces)
+        raise BagError(f"{bag}: has the topics of several services, under {names}; say which by --namespace")
+    return classes
+
+
+def _check_definition(bag: Path, topic: str, record_class: Any, definition: str) -> None:
+    expected = [("header", "std_msgs/Header"), *LAYOUTS[record_class]]
+    found = defined_fields(definition)
+    if found != expected:
+        differing = [name for name, kind in expected + found if ((name, kind) in expected) != ((name, kind) in found)]
+        what = ", ".join(dict.fromkeys(differing)) or "the order of its fields"
+        raise BagError(f"{bag}: {topic}: recorded with another definition of {record_class.__name__}: {what[:200]}")
+
+
+def defined_fields(definition: str) -> list[tuple[str, str]]:
+    """Name and type of each field of a .msg text, without those of the types that it uses."""
+    fields = []
+    for line in definition.partition("\n===")[0].splitlines():
+        words = line.partition("#")[0].split()
+        if len(words) >= 2 and not any("=" in word for word in words[1:3]):  # else a constant, or nothing
+            kind = words[0].removesuffix("[]").replace("/msg/", "/")
+            kind = _TYPE_WORDS.get(kind, kind)
+            fields.append((words[1], f"sequence<{kind}>" if words[0].endswith("[]") else kind))
+    return fields
+
+
+def _gather(run: _Gathered, message: Message) -> None:
+    record = message.received.record
+    if isinstance(record, CollisionBody):
+        run.bodies.setdefault(message.data, message)
+    elif isinstance(record, FractureEvent):
+        run.events.setdefault(message.data, message)
+    elif isinstance(record, FragmentStates):
+        heading = message.received.heading
+        question = message.data, heading.sec * 10**9 + heading.nanosec, len(run.bodies)
+        known = run.states.setdefault((record.step, record.fracture_sequence), question)
+        if known[0] != message.data and canonical(deserialize_record(known[0], FragmentStates)) != canonical(
+            message.received
+        ):
+            raise BagError(f"step {record.step} was asked twice, with different states")
+    else:
+        run.answers.setdefault((record.step, record.fracture_sequence), {})[canonical(message.received)] = None
+
+
+def _run(run_id: int, run: _Gathered) -> Run:
+    questions = [
+        Question(step, sequence, time, bodies, data, tuple(run.answers.get((step, sequence), ())))
+        for (step, sequence), (data, time, bodies) in run.states.items()
+    ]
+    return Run(
+        run_id,
+        list(run.bodies.values()),
+        sorted(run.events.values(), key=lambda message: message.received.record.sequence),
+        sorted(questions, key=lambda question: (question.step, question.fracture_sequence)),
+    )

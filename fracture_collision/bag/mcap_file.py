@@ -1,0 +1,237 @@
+"""One MCAP file, read from its beginning, without trust in its index: a recorder that was killed wrote none.
+
+https://mcap.dev/spec. Records are found by their lengths; the last one may be cut. Chunks are taken in the order of
+their times and their messages merged, as readers with an index do. Nothing is allocated on a file's word alone: no
+record is longer than the file, no chunk larger than it says, or than LARGEST_CHUNK and LARGEST_RATIO allow.
+"""
+
+from __future__ import annotations
+
+import heapq
+import os
+import struct
+import zlib
+from collections.abc import Callable, Collection, Iterator
+from io import BytesIO
+from pathlib import Path
+from typing import IO, NamedTuple
+
+import lz4.frame
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, Message, Metadata, Schema
+from mcap.stream_reader import breakup_chunk
+
+from fracture_collision.bag.errors import BagError
+
+MAGIC = b"\x89MCAP0\r\n"
+# [bytes] Decompressed. A writer ends a chunk once it is larger than a megabyte or so: no more than that and a message.
+LARGEST_CHUNK = 1 << 29
+# Meshes and contacts compress to a half or a tenth. A chunk that is large and says it was a thousand times its size is
+# there to fill the memory.
+LARGEST_RATIO = 1000
+SMALL_CHUNK = 1 << 24  # [bytes] Decompressed; up to here nobody asks.
+# [bytes] Of one record of definitions or metadata; a message's definition is some kilobytes.
+LARGEST_DEFINITION = 1 << 24
+
+_HEAD = struct.Struct("<BQ")  # of a record: opcode, length
+_TIMES = struct.Struct("<QQ")  # a chunk begins with the times of its first and last message
+_MESSAGE_TIME = struct.Struct("<HIQ")  # a message with its channel, sequence and time
+_MALFORMED = (McapError, struct.error, UnicodeDecodeError, OverflowError)
+
+
+class Piece(NamedTuple):
+    """A chunk, or a message that stands alone."""
+
+    time: int  # [ns] of its first message
+    begin: int  # of the record's content in the file
+    size: int
+    opcode: int
+
+
+class FoundMessage(NamedTuple):
+    schema: Schema | None
+    channel: Channel
+    message: Message
+
+
+class McapFile:
+    """What a file holds. Raises BagError where it is no MCAP file, or damaged otherwise than by being cut."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.pieces: list[Piece] = []
+        self.metadata: list[Metadata] = []
+        self._schemas: dict[int, Schema] = {}
+        self._channels: dict[int, Channel] = {}
+        self.is_whole = False  # ends as it should
+        self.lost_bytes = 0  # behind the last whole record, where it does not
+        with _open(path) as stream:
+            self._scan(stream)
+
+    def channels(self, on_damage: Callable[[BagError], None] | None = None) -> list[tuple[Channel, Schema | None]]:
+        """All that are defined, by id. `on_damage` as for `messages`."""
+        if not (self.is_whole and self._channels):  # the end of most files repeats what their chunks define
+            self._define_from_chunks(on_damage)
+        return [(channel, self._schemas.get(channel.schema_id)) for _, channel in sorted(self._channels.items())]
+
+    def messages(
+        self, topics: Collection[str] | None = None, on_damage: Callable[[BagError], None] | None = None
+    ) -> Iterator[FoundMessage]:
+        """In the order of their times, those of one time as they stand in the file; all, or those of `topics`.
+
+        A chunk that is damaged raises BagError; with `on_damage` it is left out, and that told.
+        """
+        waiting: list[tuple[int, int, int, Piece | Message]] = [
+            (piece.time, piece.begin, -1, piece) for piece in self.pieces
+        ]
+        heapq.heapify(waiting)
+        with _open(self.path) as stream:
+            while waiting:
+                _, begin, _, item = heapq.heappop(waiting)
+                if isinstance(item, Message):
+                    yield self._found(item)
+                    continue
+                try:
+                    inside = self._messages_of(stream, item)
+                    for index, message in enumerate(inside):
+                        channel = self._channel(message, item)
+                        if topics is None or channel.topic in topics:
+                            heapq.heappush(waiting, (message.log_time, begin, index, message))
+                except BagError as error:
+                    if on_damage is None:
+                        raise
+                    on_damage(error)
+
+    # --- records ---------------------------------------------------------------------------------------------------
+
+    def _scan(self, stream: IO[bytes]) -> None:
+        size = os.fstat(stream.fileno()).st_size
+        if stream.read(len(MAGIC)) != MAGIC:
+            raise BagError(f"{self.path}: not an MCAP file")
+        at = len(MAGIC)
+        has_footer = False
+        while at < size:
+            stream.seek(at)
+            head = stream.read(_HEAD.size)
+            if has_footer:
+                self.is_whole = head == MAGIC
+                break
+            if len(head) < _HEAD.size:
+                break
+            opcode, length = _HEAD.unpack(head)
+            begin = at + _HEAD.size
+            if opcode == 0 or length > size - begin:
+                break
+            self._note(stream, opcode, begin, length)
+            has_footer = opcode == Opcode.FOOTER
+            at = begin + length
+        self.lost_bytes = 0 if self.is_whole else size - at
+
+    def _note(self, stream: IO[bytes], opcode: int, begin: int, length: int) -> None:
+        if opcode == Opcode.CHUNK and length >= _TIMES.size:
+            time, _ = _TIMES.unpack(stream.read(_TIMES.size))
+            self.pieces.append(Piece(time, begin, length, opcode))
+        elif opcode == Opcode.MESSAGE and length >= _MESSAGE_TIME.size:
+            *_, time = _MESSAGE_TIME.unpack(stream.read(_MESSAGE_TIME.size))
+            self.pieces.append(Piece(time, begin, length, opcode))
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA):
+            if length > LARGEST_DEFINITION:
+                raise BagError(f"{self.path}: a definition of {length} bytes at byte {begin}")
+            content = ReadDataStream(BytesIO(stream.read(length)))
+            try:
+                if opcode == Opcode.METADATA:
+                    self.metadata.append(Metadata.read(content))
+                else:
+                    self._define(Schema.read(content) if opcode == Opcode.SCHEMA else Channel.read(content))
+            except _MALFORMED as error:
+                raise self._damaged(begin, error) from error
+
+    def _define(self, record: Schema | Channel) -> None:
+        """A later definition of an id says the same again; the first one stands."""
+        known = self._schemas if isinstance(record, Schema) else self._channels
+        known.setdefault(record.id, record)
+
+    def _define_from_chunks(self, on_damage: Callable[[BagError], None] | None = None) -> None:
+        with _open(self.path) as stream:
+            for piece in self.pieces:
+                try:
+                    self._messages_of(stream, piece)
+                except BagError as error:
+                    if on_damage is None:
+                        raise
+                    on_damage(error)
+
+    def _messages_of(self, stream: IO[bytes], piece: Piece) -> list[Message]:
+        """The messages of a piece; what it defines is taken note of."""
+        stream.seek(piece.begin)
+        content = stream.read(piece.size)
+        try:
+            if piece.opcode == Opcode.MESSAGE:
+                return [Message.read(ReadDataStream(BytesIO(content)), piece.size)]
+            records = breakup_chunk(self._opened(Chunk.read(ReadDataStream(BytesIO(content))), piece))
+        except _MALFORMED as error:
+            raise self._damaged(piece.begin, error) from error
+        for record in records:
+            if isinstance(record, Schema | Channel):
+                self._define(record)
+        return [record for record in records if isinstance(record, Message)]
+
+    def _opened(self, chunk: Chunk, piece: Piece) -> Chunk:
+        """The chunk as if it had never been compressed. The library's own way allocates what the compressed data say
+        that they come to."""
+        size = chunk.uncompressed_size
+        if size > LARGEST_CHUNK or size > max(SMALL_CHUNK, LARGEST_RATIO * len(chunk.data)):
+            raise BagError(f"{self.path}: the chunk at byte {piece.begin} says it has {size} bytes; too many")
+        try:
+            if chunk.compression == "zstd":
+                source = zstandard.ZstdDecompressor(max_window_size=1 << 27).stream_reader(BytesIO(chunk.data))
+                data = _read_all(source.read, size)
+            elif chunk.compression == "lz4":
+                data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1)
+            elif not chunk.compression:
+                data = chunk.data
+            else:
+                raise BagError(f"{self.path}: the chunk at byte {piece.begin} is compressed as {chunk.compression!r}")
+        except (zstandard.ZstdError, RuntimeError, EOFError) as error:
+            raise self._damaged(piece.begin, error) from error
+        if len(data) != size:
+            found = "more" if len(data) > size else str(len(data))
+            raise self._damaged(piece.begin, f"it says that it has {size} bytes and has {found}")
+        if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
+            raise self._damaged(piece.begin, "its checksum is another")
+        return Chunk("", data, chunk.message_end_time, chunk.message_start_time, 0, size)
+
+    def _channel(self, message: Message, piece: Piece) -> Channel:
+        if message.channel_id not in self._channels:
+            self._define_from_chunks()
+        channel = self._channels.get(message.channel_id)
+        if channel is None:
+            raise self._damaged(piece.begin, f"a message is of channel {message.channel_id}, which is not defined")
+        return channel
+
+    def _found(self, message: Message) -> FoundMessage:
+        channel = self._channels[message.channel_id]
+        return FoundMessage(self._schemas.get(channel.schema_id), channel, message)
+
+    def _damaged(self, begin: int, reason: Exception | str) -> BagError:
+        words = str(reason) or type(reason).__name__
+        return BagError(f"{self.path}: damaged at byte {begin}: {words}")
+
+
+def _open(path: Path) -> IO[bytes]:
+    try:
+        return path.open("rb")
+    except OSError as error:
+        raise BagError(f"{path}: {error.strerror}") from error
+
+
+def _read_all(read: Callable[[int], bytes], size: int) -> bytes:
+    """`size` bytes and one more if there is one, in steps: as much memory as there are bytes, not as it says."""
+    parts, left = [], size + 1
+    while left and (part := read(min(left, 1 << 20))):
+        parts.append(part)
+        left -= len(part)
+    return b"".join(parts)

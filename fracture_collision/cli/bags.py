@@ -1,0 +1,104 @@
+"""The commands about bags but replaying them: `record`, `mend`, `digest`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import click
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from fracture_collision.cli.console import INTERRUPTED, Interruption
+
+RECORD_EXAMPLES = """\b
+Examples:
+  fracture-collision record plates --out out/plates_bag
+  fracture-collision record bricks --out out/b --seed 3 --steps 400 --every 10
+"""
+
+
+@click.command(epilog=RECORD_EXAMPLES)
+@click.argument("name")
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="The bag's folder; must not be there yet.")
+@click.option("--seed", type=click.IntRange(min=0), help="Of the fracture patterns.  [default: the scene's own]")
+@click.option("--curvature", type=click.FloatRange(min=0.0), help="Of all cracks: 0 flat, 0.25 as in porcelain.")
+@click.option("--settings", multiple=True, metavar="NAME=VALUE[,...]", help="Of the collision service.")
+@click.option("--steps", type=click.IntRange(min=1), help="Stop after so many.  [default: the scene's duration]")
+@click.option("--every", type=click.IntRange(min=1), default=1, show_default=True, help="Keep one step of so many.")
+def record(
+    name: str, out: Path, seed: int | None, curvature: float | None, settings: tuple[str, ...], steps: int | None,
+    every: int,
+) -> None:  # fmt: skip
+    """Run the scene NAME without DDS and record it.
+
+    The bag has bodies, fracture events, states and contacts, with the bytes that the nodes send and recorder_node
+    records; not registries, meshes and diagnostics. All of a scene is in a bag after some seconds.
+    """
+    console = Console()
+    interruption = Interruption(console, "stopped")
+    from fracture_collision.cli.scene import parse_settings
+    from fracture_collision.ros.scene_recording import Selection, record_scene
+    from fracture_collision.simulation.scene import SceneError, load_scene
+    from fracture_collision.simulation.scene_changes import with_curvature
+    from fracture_collision.world.settings import check_settings
+
+    try:
+        chosen = parse_settings(settings)
+        check_settings(chosen)
+        scene = load_scene(name)
+        if curvature is not None:
+            scene = with_curvature(scene, curvature)
+        total = scene.step_count if steps is None else min(steps, scene.step_count)
+        progress = Progress(
+            TextColumn("recording"), BarColumn(), MofNCompleteColumn(), TextColumn("steps"), TimeElapsedColumn(),
+            console=console,
+        )  # fmt: skip
+        with progress as bar, interruption.held():
+            task = bar.add_task("", total=total)
+            for done in record_scene(scene, chosen, seed, out, Selection(end=total, every=every)):
+                bar.update(task, completed=done)
+                interruption.check()
+    except (SceneError, ValueError, OSError) as error:
+        raise click.ClickException(str(error)) from error
+    except KeyboardInterrupt:
+        console.print(f"stopped; {out} has the steps up to there", highlight=False, soft_wrap=True)
+        sys.exit(INTERRUPTED)
+    console.print(f"  {out}", highlight=False)
+
+
+@click.command()
+@click.argument("bag", type=click.Path(exists=True, file_okay=False, path_type=Path))
+def mend(bag: Path) -> None:
+    """Give a BAG folder whose recorder was killed the index and the metadata that it lacks.
+
+    Rewrites its .mcap files and metadata.yaml in place, each put there when it is complete. All messages that can be
+    read stay as they are; what cannot is said, and gone. A bag that is whole is rewritten all the same.
+    """
+    from fracture_collision.bag.errors import BagError
+    from fracture_collision.bag.mend import mend_bag
+
+    try:
+        mended = mend_bag(bag)
+    except (BagError, OSError) as error:
+        raise click.ClickException(str(error)) from error
+    for words in mended.damaged:
+        click.echo(f"left out: {words}")
+    lost = f"; {mended.lost_bytes} bytes that could not be read are gone" if mended.lost_bytes else ""
+    click.echo(f"{bag}: {mended.messages} messages{lost}")
+
+
+@click.command()
+@click.argument("bag", type=click.Path(exists=True, path_type=Path))
+def digest(bag: Path) -> None:
+    """Print a SHA-256 of each topic of a BAG: equal if and only if all messages are, byte for byte."""
+    from fracture_collision.bag.errors import BagError
+    from fracture_collision.bag.reader import message_counts, missing_words, topic_digest
+
+    try:
+        for words in missing_words(bag):
+            click.echo(f"note: {words}", err=True)
+        for topic, count in message_counts(bag).items():
+            click.echo(f"{topic_digest(bag, topic)}  {count:6}  {topic}")
+    except BagError as error:
+        raise click.ClickException(str(error)) from error

@@ -1,0 +1,199 @@
+"""`fracture-collision replay`: a recorded run asked again, its answers compared with those recorded."""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, nullcontext
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from fracture_collision.cli.console import INTERRUPTED, Interruption
+
+OTHERWISE = 1  # exit status: some answer is not the one recorded
+NO_BAG = 2
+
+EXAMPLES = """\b
+Examples:
+  fracture-collision replay out/smash/bag                  all steps, as fast as it goes
+  fracture-collision replay out/smash/bag --ros            ... by a collision_node of its own, over DDS
+  fracture-collision replay out/smash/bag --steps 160:200  from step 160 to before step 200
+  fracture-collision replay out/smash/bag --steps 300:     from the middle on
+  fracture-collision replay out/smash/bag --backwards --loop 3 --threads 8
+  fracture-collision replay out/smash/bag --rate 0.5       at half the recorded pace
+  fracture-collision replay bag --settings contacts_per_pair=6   where the bag does not say it
+
+\b
+Exit status: 0: all as recorded; 1: some answer is another; 2: not a bag, or none with a run in it.
+"""
+
+
+class NoBag(click.ClickException):
+    exit_code = NO_BAG
+
+
+class StepRange(click.ParamType):
+    """A:B as (A, B), each an int or None."""
+
+    name = "A:B"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if not isinstance(value, str):
+            return value
+        first, colon, end = value.partition(":")
+        try:
+            numbers = tuple(int(part) if part else None for part in (first, end))
+        except ValueError:
+            numbers = (-1,)
+        if not colon or any(number is not None and number < 0 for number in numbers):
+            self.fail(f"{value!r} is no A:B, from step A to before step B; either may be left out", param, ctx)
+        return numbers
+
+
+@click.command(epilog=EXAMPLES)
+@click.argument("bag", type=click.Path(exists=True, path_type=Path))
+@click.option("--ros", is_flag=True, help="Ask a collision_node in a process of its own, over DDS.")
+@click.option(
+    "--rate", type=click.FloatRange(min=0.0, min_open=True),
+    help="Times the recorded pace, where that is slower than it goes.  [default: as fast as it goes]",
+)  # fmt: skip
+@click.option(
+    "--threads", type=click.IntRange(min=0), default=0, show_default=True, help="Of the service; 0: one a core."
+)
+@click.option("--steps", type=StepRange(), help="From step A to before step B.  [default: all]")
+@click.option("--backwards", is_flag=True, help="The last step first.")
+@click.option("--loop", "loops", type=click.IntRange(min=1), default=1, show_default=True, help="Play it so often.")
+@click.option(
+    "--settings", multiple=True, metavar="NAME=VALUE[,...]",
+    help="Of the service, in place of those that the bag names; may be given several times.",
+)  # fmt: skip
+@click.option("--namespace", help="Of the topics, in a bag of several services.")
+def replay(
+    bag: Path, ros: bool, rate: float | None, threads: int, steps: tuple[int | None, int | None] | None,
+    backwards: bool, loops: int, settings: tuple[str, ...], namespace: str | None,
+) -> None:  # fmt: skip
+    """Ask the service again what was asked in BAG, and compare its answers with those recorded, byte for byte.
+
+    BAG is a rosbag2 folder or one .mcap file, recorded by recorder_node or `ros2 bag record`; one whose recorder was
+    killed will do. Bodies, fracture events and states go to the service as they were recorded. Prints one SHA-256 over
+    all answers, by step: it is the same in whatever order, however fast, however often and on however many threads the
+    questions are put; where answers differ from the recording, the first number that does; and how long answers took.
+    """
+    console = Console()
+    interruption = Interruption(console, "stopped before the first step")
+    # Imported late: --help should not wait for numba.
+    from fracture_collision.bag.errors import BagError
+    from fracture_collision.bag.exchanges import read_runs
+    from fracture_collision.bag.reader import missing_words
+    from fracture_collision.replay import Order, Replay, Unanswered, settings_of
+
+    played: Any = None
+    try:
+        words = missing_words(bag)
+        runs = read_runs(bag, namespace)
+        try:
+            found = settings_of(bag, {**_given(settings), "threads": threads})
+        except BagError:
+            raise
+        except ValueError as error:
+            raise click.UsageError(str(error)) from error
+        order = Order(*(steps or (None, None)), backwards, loops)
+        for sentence in (*words, *found.words):
+            console.print(f"note: {sentence}", highlight=False, soft_wrap=True)
+        # A node is to be ended in order; kernels that are loaded into this process need not be.
+        with (
+            interruption.held() if ros else nullcontext(),
+            _service(ros, found.settings, console, interruption.check) as (service, refusals),
+        ):
+            played = Replay(runs, service, order, rate, interruption.check)
+            with _bar(console) as bar, interruption.held():
+                task = bar.add_task("replaying", total=played.total)
+                for done in played:
+                    bar.update(task, completed=done)
+                    interruption.check()
+    except KeyboardInterrupt:
+        done, total = (played.report().answers, played.total) if played else (0, "all")
+        console.print(f"stopped after {done} of {total} steps")
+        if played:
+            _tell(played.report(), refusals, console)
+        sys.exit(INTERRUPTED)
+    except BagError as error:
+        raise NoBag(str(error)) from error
+    except Unanswered as error:
+        raise click.ClickException(str(error)) from error
+    _tell(played.report(), refusals, console)
+    if not played.report().exact:
+        sys.exit(OTHERWISE)
+
+
+def _given(assignments: tuple[str, ...]) -> dict[str, Any]:
+    """The settings that were given, by name. ValueError names what is wrong."""
+    from fracture_collision.cli.scene import parse_settings
+
+    parsed = parse_settings(assignments)
+    names = [part.partition("=")[0].strip() for each in assignments for part in each.split(",")]
+    return {name: getattr(parsed, name) for name in names}
+
+
+@contextmanager
+def _service(
+    ros: bool, settings: Any, console: Console, wait: Callable[[], None]
+) -> Iterator[tuple[Any, dict[str, str]]]:
+    """The service to ask, and what it refuses."""
+    with ExitStack() as stack:
+        if ros:
+            from fracture_collision.ros.replay_run import OverDds
+
+            folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="replay_")))
+            with console.status("starting collision_node; after a change of the sources this takes minutes"):
+                service: Any = stack.enter_context(OverDds(settings, folder / "collision_node.log", wait))
+            yield service, {}
+            return
+        from fracture_collision.replay import InProcess
+        from fracture_collision.world.warm_up import compile_kernels
+
+        with console.status("bringing kernels into memory; after a change of the sources this takes minutes"):
+            compile_kernels(progress=lambda _: None)
+        service = InProcess(settings)
+        yield service, service.refusals
+
+
+def _bar(console: Console) -> Progress:
+    return Progress(
+        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("steps"), TimeElapsedColumn(),
+        console=console,
+    )  # fmt: skip
+
+
+def _tell(report: Any, refusals: dict[str, str], console: Console) -> None:
+    def say(text: str) -> None:
+        console.print(text, highlight=False, soft_wrap=True)
+
+    if not report.answers:
+        return
+    say(f"{report.digest}  {report.steps} steps")
+    for kind, reason in refusals.items():
+        say(f"refused: {kind}: {reason}")
+    if report.contradicted:
+        say(f"{_count(report.contradicted)} answered in two ways in this replay, first step {report.contradicted[0]}")
+    if report.recorded_twice:
+        say(f"{_count(report.recorded_twice)} answered in two ways in the bag, first step {report.recorded_twice[0]}")
+    compared = report.steps - report.unrecorded
+    if report.differing:
+        say(f"{report.differing} of {compared} answers are not those recorded; the first: {report.difference.words()}")
+    elif compared:
+        say(f"all {compared} answers are those recorded, byte for byte")
+    if report.unrecorded:
+        say(f"the bag has no answer to {report.unrecorded} of these steps")
+    milliseconds = 1e3 * report.seconds
+    say(f"an answer took {np.median(milliseconds):.2f} ms, the slowest {milliseconds.max():.2f} ms")
+
+
+def _count(steps: list[int]) -> str:
+    return "1 step was" if len(steps) == 1 else f"{len(steps)} steps were"

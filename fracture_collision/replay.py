@@ -1,0 +1,335 @@
+"""A recorded run asked again, and the answers compared with those recorded, byte for byte.
+
+Contacts are a function of bodies, events, states and settings alone: so it does not matter in what order the questions
+are put, how fast, how often or on how many threads. `Replay` puts them to any `Service`; `InProcess` is one,
+ros/replay_run.py has another, over DDS.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from fracture_collision.bag.cdr import deserialize_record, serialize_record
+from fracture_collision.bag.errors import BagError
+from fracture_collision.bag.exchanges import Question, Run
+from fracture_collision.bag.reader import recorded_settings
+from fracture_collision.records import INVALID_STATES, ContactConstraintArray, FragmentStates
+from fracture_collision.world import CollisionWorld, InvalidMessage, Settings, StatesAhead
+from fracture_collision.world.settings import check_settings
+
+# [s] A wait for the recorded moment looks this often whether it is to be ended.
+WAITING_INTERVAL = 0.05
+
+# Arrays of an answer that have so many numbers a contact; all others have one a pair.
+_OF_CONTACTS = {"points_a": 3, "points_b": 3, "normals": 3, "gaps": 1, "contact_ids": 1}
+
+
+class Unanswered(RuntimeError):
+    """A service gave no answer; the text says to what, and what it said of itself."""
+
+
+class Service(Protocol):
+    def ask(self, run: Run, question: Question) -> tuple[bytes, float]:
+        """The answer, serialized with zeros in the gaps, and how long it took [s]. Raises Unanswered."""
+
+
+class Order(NamedTuple):
+    """Which questions, and in what order. What is answered does not depend on it."""
+
+    first: int | None = None  # step; None: that of the recording
+    end: int | None = None  # the first step that is not asked any more
+    backwards: bool = False
+    loops: int = 1
+
+
+AS_RECORDED = Order()
+
+
+class Difference(NamedTuple):
+    """Where an answer and the recording part first."""
+
+    run_id: int
+    step: int
+    field: str
+    index: int | None  # of the number in the field; None: not an array, or of another length
+    pair: tuple[int, int] | None  # of fragments, as the recording has it
+    recorded: str
+    answered: str
+
+    def words(self) -> str:
+        where = f"step {self.step}"
+        if self.pair is not None:
+            where += f", pair {self.pair[0]}-{self.pair[1]}"
+        place = self.field if self.index is None else f"{self.field}[{self.index}]"
+        return f"{where}, {place}: recorded {self.recorded}, answered {self.answered}"
+
+
+class Report(NamedTuple):
+    digest: str  # SHA-256 of all answers
+    recorded_digest: str  # of those recorded, to the same questions; "" where one of them has none
+    steps: int  # questions asked, each counted once
+    answers: int  # all, those to a question asked again too
+    unrecorded: int  # questions whose answer the bag does not have
+    differing: int  # questions answered otherwise than recorded
+    difference: Difference | None  # the first of those, by step
+    contradicted: list[int]  # steps that were answered in two ways in this replay
+    recorded_twice: list[int]  # steps that have two different answers in the bag
+    seconds: np.ndarray  # (answers,) how long each took
+
+    @property
+    def exact(self) -> bool:
+        return not (self.differing or self.contradicted or self.recorded_twice)
+
+
+class Replay:
+    """An iterator over the questions of `runs` in `order`, each put to `service`; yields how many are done.
+
+    `rate`: times the pace of the recording; None: as fast as it goes. `wait`: called while it waits for a moment to
+    come; what it raises ends the replay. `report` may be asked for at any time.
+    """
+
+    def __init__(
+        self, runs: list[Run], service: Service, order: Order = AS_RECORDED, rate: float | None = None,
+        wait: Callable[[], None] = lambda: None,
+    ) -> None:  # fmt: skip
+        """Raises BagError where no step is in the order's range."""
+        self._service = service
+        self._rate = rate
+        self._wait = wait
+        self._plays = _plays(runs, order)
+        if not self._plays:
+            raise BagError(f"no step from {order.first} to {order.end}: {_range_words(runs)}")
+        self._order = order
+        self._runs = runs
+        self._answers: dict[tuple[int, int], bytes] = {}  # by place of the run and of the question in it
+        self._contradicted: set[tuple[int, int]] = set()
+        self._seconds: list[float] = []
+
+    @property
+    def total(self) -> int:
+        return len(self._plays) * self._order.loops
+
+    def __iter__(self) -> Iterator[int]:
+        for _ in range(self._order.loops):
+            started, last_run = time.monotonic(), None
+            for place, at in self._plays:
+                run = self._runs[place]
+                question = run.questions[at]
+                if place != last_run:
+                    started, begin, last_run = time.monotonic(), question.time, place
+                self._await(started, abs(question.time - begin))
+                answer, seconds = self._service.ask(run, question)
+                if self._answers.setdefault((place, at), answer) != answer:
+                    self._contradicted.add((place, at))
+                self._seconds.append(seconds)
+                yield len(self._seconds)
+
+    def _await(self, started: float, nanoseconds: int) -> None:
+        self._wait()
+        if self._rate is None:
+            return
+        due = started + 1e-9 * nanoseconds / self._rate
+        while (left := due - time.monotonic()) > 0:
+            time.sleep(min(left, WAITING_INTERVAL))
+            self._wait()
+
+    def report(self) -> Report:
+        """Of the answers so far."""
+        differing: list[tuple[Run, Question, bytes]] = []
+        recorded_twice, unrecorded, recorded = [], 0, {}
+        for (place, at), answer in sorted(self._answers.items()):
+            run = self._runs[place]
+            question = run.questions[at]
+            if not question.answers:
+                unrecorded += 1
+                continue
+            recorded[place, at] = question.answers[0]
+            if len(question.answers) > 1:
+                recorded_twice.append(question.step)
+            if answer != question.answers[0]:
+                differing.append((run, question, answer))
+        return Report(
+            digest=self._digest(self._answers),
+            recorded_digest="" if unrecorded or not recorded else self._digest(recorded),
+            steps=len(self._answers),
+            answers=len(self._seconds),
+            unrecorded=unrecorded,
+            differing=len(differing),
+            difference=first_difference(*differing[0]) if differing else None,
+            contradicted=[self._runs[place].questions[at].step for place, at in sorted(self._contradicted)],
+            recorded_twice=recorded_twice,
+            seconds=np.array(self._seconds),
+        )
+
+    def _digest(self, answers: Mapping[tuple[int, int], bytes]) -> str:
+        """SHA-256 over step, length and bytes of each answer, by run and step: whatever the order of play was."""
+        digest = hashlib.sha256()
+        for (place, at), answer in sorted(answers.items()):
+            step = self._runs[place].questions[at].step
+            digest.update(step.to_bytes(8, "little") + len(answer).to_bytes(8, "little"))
+            digest.update(answer)
+        return digest.hexdigest()
+
+
+class InProcess:
+    """The service in this process, without ROS."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self._run: Run | None = None
+        self.refusals: dict[str, str] = {}  # of bodies and events: kind, and its last reason
+
+    def ask(self, run: Run, question: Question) -> tuple[bytes, float]:
+        heading, run_id, states = deserialize_record(question.states, FragmentStates)
+        if run is not self._run or question.bodies_before < self._bodies:
+            # Back before a body came or went: only a world that never knew of it answers as the recorded one did.
+            self._run, self._world = run, CollisionWorld(self._settings)
+            self._bodies = self._events = 0
+        started = time.perf_counter()
+        while self._bodies < question.bodies_before:
+            self._tell_body()
+        while self._events < len(run.events) and self._next_sequence() <= states.fracture_sequence:
+            self._tell_event()
+        answer = self._answer(states)
+        seconds = time.perf_counter() - started
+        return serialize_record(answer, heading, run_id), seconds
+
+    def _answer(self, states: FragmentStates) -> ContactConstraintArray:
+        while True:
+            try:
+                return self._world.contacts(states)
+            except StatesAhead as error:
+                # Recorders keep no order across topics: the body may stand behind the states that name it.
+                if self._bodies < len(self._run.bodies):
+                    self._tell_body()
+                elif self._events < len(self._run.events):
+                    self._tell_event()
+                else:
+                    raise Unanswered(f"step {states.step}: {error}") from error
+            except InvalidMessage:
+                return refusal_of(states)
+
+    def _next_sequence(self) -> int:
+        return self._run.events[self._events].received.record.sequence
+
+    def _tell_body(self) -> None:
+        self._bodies += 1
+        self._tell(self._world.add_body, self._run.bodies[self._bodies - 1].received.record)
+
+    def _tell_event(self) -> None:
+        self._events += 1
+        self._tell(self._world.add_fracture, self._run.events[self._events - 1].received.record)
+
+    def _tell(self, add: Callable[[Any], None], record: Any) -> None:
+        try:
+            add(record)
+        except InvalidMessage as error:  # the recorded service refused it too
+            self.refusals[f"{type(record).__name__}, {error.kind}"] = str(error)
+
+
+def refusal_of(states: FragmentStates) -> ContactConstraintArray:
+    """The answer to states that break a rule: no contacts, and the status says why."""
+    floats, ids = np.zeros(0), np.zeros(0, dtype=np.uint32)
+    return ContactConstraintArray(
+        step=states.step, fracture_sequence=states.fracture_sequence, status=INVALID_STATES,
+        fragment_a=ids, fragment_b=ids, pair_begin=np.zeros(1, dtype=np.uint32), missed_depth_bound=floats,
+        friction=floats, restitution=floats, points_a=floats, points_b=floats, normals=floats, gaps=floats,
+        contact_ids=np.zeros(0, dtype=np.uint64),
+    )  # fmt: skip
+
+
+class SettingsFound(NamedTuple):
+    settings: Settings
+    words: list[str]  # what is to be said of where they come from
+
+
+def settings_of(bag: Path, given: Mapping[str, Any]) -> SettingsFound:
+    """Those of the service that was recorded, with `given` ones in their place; defaults where the bag does not say.
+
+    Of limits the recorded ones count too: what was refused is refused again. Raises BagError, ValueError.
+    """
+    recorded = recorded_settings(bag)
+    words = []
+    settings = Settings()
+    if recorded is None:
+        words.append("the bag does not say with which settings it was answered; the defaults are taken for them")
+    else:
+        settings = _checked_settings(bag, recorded.values, words)
+        if recorded.changed:
+            words.append("the service was started anew with other settings in mid-recording; the last are taken")
+    settings = settings._replace(**{"threads": 0, **given})
+    check_settings(settings)
+    return SettingsFound(settings, words)
+
+
+def _checked_settings(bag: Path, values: Mapping[str, Any], words: list[str]) -> Settings:
+    settings = Settings()
+    for name, value in values.items():
+        if name not in Settings._fields:
+            words.append(f"the bag's setting {name[:80]!r} is not known here")
+            continue
+        kind = type(getattr(settings, name))
+        value = float(value) if kind is float and type(value) is int else value
+        if type(value) is not kind:
+            raise BagError(f"{bag}: the setting {name}: {str(value)[:80]!r} is no {kind.__name__}")
+        settings = settings._replace(**{name: value})
+    try:
+        check_settings(settings)
+    except ValueError as error:
+        raise BagError(f"{bag}: the settings: {error}") from error
+    return settings
+
+
+def first_difference(run: Run, question: Question, answer: bytes) -> Difference:
+    """Where `answer` parts from the first one that was recorded; they are not the same."""
+    recorded = deserialize_record(question.answers[0], ContactConstraintArray)
+    answered = deserialize_record(answer, ContactConstraintArray)
+    at = (run.run_id, question.step)
+    for name in ("heading", "run_id"):
+        one, other = getattr(recorded, name), getattr(answered, name)
+        if one != other:
+            return Difference(*at, name, None, None, str(one), str(other))
+    for name, one in recorded.record._asdict().items():
+        other = getattr(answered.record, name)
+        if not isinstance(one, np.ndarray):
+            if one != other:
+                return Difference(*at, name, None, None, str(one), str(other))
+        elif len(one) != len(other):
+            return Difference(*at, name, None, None, f"{len(one)} numbers", f"{len(other)}")
+        elif one.tobytes() != other.tobytes():
+            bits = np.dtype(f"u{one.itemsize}")
+            index = int(np.flatnonzero(one.view(bits) != other.view(bits))[0])
+            pair = _pair_of(recorded.record, name, index)
+            return Difference(*at, name, index, pair, repr(one[index].item()), repr(other[index].item()))
+    raise ValueError("the answers are the same")
+
+
+def _pair_of(contacts: ContactConstraintArray, name: str, index: int) -> tuple[int, int] | None:
+    if name in _OF_CONTACTS:
+        pair = int(np.searchsorted(contacts.pair_begin, index // _OF_CONTACTS[name], side="right")) - 1
+    else:
+        pair = index - (name == "pair_begin")  # where a pair begins is where the one before ends
+    if not 0 <= pair < min(len(contacts.fragment_a), len(contacts.fragment_b)):
+        return None
+    return int(contacts.fragment_a[pair]), int(contacts.fragment_b[pair])
+
+
+def _plays(runs: list[Run], order: Order) -> list[tuple[int, int]]:
+    """Places of runs and of their questions in one play of the order."""
+    plays = [
+        (place, at)
+        for place, run in enumerate(runs)
+        for at, question in enumerate(run.questions)
+        if (order.first is None or question.step >= order.first) and (order.end is None or question.step < order.end)
+    ]
+    return plays[::-1] if order.backwards else plays
+
+
+def _range_words(runs: list[Run]) -> str:
+    return "; ".join(f"the bag has steps {run.questions[0].step} to {run.questions[-1].step}" for run in runs)
