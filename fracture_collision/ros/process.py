@@ -20,6 +20,8 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 
+from fracture_collision.ros.shared_memory import remove_left_behind
+
 
 class Fatal(RuntimeError):
     """The node cannot go on; its text is all that the user needs to see."""
@@ -51,6 +53,7 @@ def run_node(make_node: Callable[[], Node], work: Callable[[Node], None]) -> int
     """
     for order in (signal.SIGINT, signal.SIGTERM):
         signal.signal(order, _on_signal)
+    remove_left_behind()  # of one that was killed, and that this one perhaps takes the place of
     rclpy.init()
     node = None
     try:
