@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import time
@@ -29,12 +30,18 @@ class Stage:
         self._folder = folder
         self._domain_id = free_domain_id()
         self._nodes: list[NodeProcess] = []
+        self._started = 0
 
     def start(self, module: str, **parameters) -> NodeProcess:
         """`module`: below fracture_collision.ros."""
-        log = self._folder / f"{module}_{len(self._nodes)}.log"
+        self._started += 1
+        log = self._folder / f"{module}_{self._started}.log"
         self._nodes.append(NodeProcess(module, parameters, self._domain_id, log))
         return self._nodes[-1]
+
+    def forget(self, node: NodeProcess) -> None:
+        """One that has ended."""
+        self._nodes.remove(node)
 
     def close(self) -> None:
         for node in reversed(self._nodes):
@@ -103,10 +110,28 @@ def await_step(simulator: NodeProcess, step: int, *alive: NodeProcess) -> float:
     )
 
 
+def await_end(simulator: NodeProcess, *alive: NodeProcess) -> float:
+    """[s] until the scene has ended."""
+    return await_that(lambda: simulator.exit_status() is not None, "the scene's end", *alive)
+
+
 def steps_told(simulator: NodeProcess) -> int:
     """The last step that it has told of; needs its parameter `progress`."""
     told = _STEP.findall(simulator.log_text())
     return int(told[-1]) if told else 0
+
+
+def await_recording(recorder: NodeProcess, steps: int, *alive: NodeProcess) -> float:
+    """[s] until it has as many states and contacts, and a registry; needs its parameter `progress`."""
+
+    def is_there() -> bool:
+        lines = [line for line in recorder.log_text().splitlines() if line.startswith("{") and line.endswith("}")]
+        counts = json.loads(lines[-1]) if lines else {}
+        return counts.get("fragments", 0) > 0 and all(
+            counts.get(topic, 0) >= steps for topic in ("fragment_states", "contact_constraints")
+        )
+
+    return await_that(is_there, f"a recording of {steps} steps", recorder, *alive)
 
 
 def must_end(node: NodeProcess) -> None:

@@ -14,7 +14,9 @@ import numpy as np
 from campaigns.kills.stage import (
     Digests,
     Stage,
+    await_end,
     await_ready,
+    await_recording,
     await_step,
     await_that,
     await_words,
@@ -27,7 +29,7 @@ from fracture_collision.ros.node_process import NodeProcess
 
 Progress = Callable[[str], None]
 MOST_RUNS = 100  # more without the kills that were asked for: the scene is too short
-LONGEST_WAIT = 1.5  # [s] from one answer after a kill to the next kill, at most
+LONGEST_WAIT = 1.5  # [s]
 
 
 class Return(NamedTuple):
@@ -47,9 +49,12 @@ def undisturbed(folder: Path, scene: str) -> Digests:
 
 
 def kill_services(
-    folder: Path, scene: str, times: int, seed: int, reference: Digests, progress: Progress
-) -> tuple[list[Return], int]:
+    folder: Path, scene: str, times: int, seed: int, reference: Digests, progress: Progress,
+    longest_wait: float = LONGEST_WAIT,
+) -> tuple[list[Return], int]:  # fmt: skip
     """SIGKILL to the service at random instants of as many runs as `times` kills take, started again at once.
+
+    longest_wait [s]: from one answer after a kill to the next kill, at most.
 
     Returns how it came back, and how many runs differed from `reference`.
     """
@@ -62,7 +67,7 @@ def kill_services(
             recorder, service, simulator = _start(nodes, own, scene)
             while len(returns) < times:
                 progress(f"run {run + 1}: {len(returns)} of {times} services killed")
-                if _ends_before(simulator, random.uniform(0.0, LONGEST_WAIT), recorder, service):
+                if _ends_before(simulator, random.uniform(0.0, longest_wait), recorder, service):
                     break
                 service.stop(patience=0.0, orders=(signal.SIGKILL,))
                 step = steps_told(simulator)
@@ -142,7 +147,7 @@ def _start(
     nodes: Stage, folder: Path, scene: str, service: NodeProcess | None = None
 ) -> tuple[NodeProcess, NodeProcess, NodeProcess]:
     """Recorder, service and simulator."""
-    recorder = nodes.start("recorder_node", folder=str(folder / "bag"))
+    recorder = nodes.start("recorder_node", folder=str(folder / "bag"), progress=True)
     service = service or nodes.start("collision_node", threads=1)
     return recorder, service, nodes.start("simulator_node", scene=scene, wait_for_subscribers=2, progress=True)
 
@@ -155,8 +160,9 @@ def _ends_before(simulator: NodeProcess, seconds: float, *alive: NodeProcess) ->
     return simulator.exit_status() is not None
 
 
-def _end(simulator: NodeProcess, *others: NodeProcess) -> None:
+def _end(simulator: NodeProcess, recorder: NodeProcess, service: NodeProcess) -> None:
     """Waits for the scene's end, then ends the others."""
-    await_that(lambda: simulator.exit_status() is not None, "the scene's end", *others)
-    for node in (simulator, *others):
+    await_end(simulator, recorder, service)
+    await_recording(recorder, steps_told(simulator), service)
+    for node in (simulator, recorder, service):
         must_end(node)

@@ -19,10 +19,10 @@ from rclpy.node import Node
 from fracture_collision.ros.qos import Topic
 
 # A subscriber that stalls longer than this (killed, or stopped in a debugger) is left behind rather than holding up the
-# run. One that was killed is listed until its lease runs out, 20 s: as long as somebody is behind, all others get only
-# the time in which they answer if they are alive.
+# run. One that was killed is listed until its lease has run out (config/fast_dds.xml): while somebody is behind, the
+# others get only as much time at each message as they take if they are alive.
 ACKNOWLEDGEMENT_TIMEOUT = Duration(seconds=1)
-ALIVE_TIMEOUT = Duration(seconds=0.02)
+ALIVE_TIMEOUT = Duration(seconds=0.1)
 
 
 class AcknowledgedPublisher:
