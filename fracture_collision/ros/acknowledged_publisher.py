@@ -18,8 +18,11 @@ from rclpy.node import Node
 
 from fracture_collision.ros.qos import Topic
 
-# A subscriber that stalls longer than this (stopped in a debugger, say) is left behind rather than holding up the run.
-ACKNOWLEDGEMENT_TIMEOUT = Duration(seconds=2)
+# A subscriber that stalls longer than this (killed, or stopped in a debugger) is left behind rather than holding up the
+# run. One that was killed is listed until its lease has run out (config/fast_dds.xml): while somebody is behind, the
+# others get only as much time at each message as they take if they are alive.
+ACKNOWLEDGEMENT_TIMEOUT = Duration(seconds=1)
+ALIVE_TIMEOUT = Duration(seconds=0.1)
 
 
 class AcknowledgedPublisher:
@@ -29,6 +32,7 @@ class AcknowledgedPublisher:
         self._topic = topic
         self._logger = node.get_logger()
         self._publisher = node.create_publisher(topic.message_class, topic.name, topic.qos)
+        self._is_behind = False  # whether some subscriber did not acknowledge in time
 
     @property
     def subscriber_count(self) -> int:
@@ -43,9 +47,20 @@ class AcknowledgedPublisher:
         self.settle()
         self._publisher.publish(message)
 
+    def publish_again(self, message: Any) -> None:
+        """The last message once more, for somebody who was not there: nothing is overwritten that was not the same,
+        and whoever has not acknowledged it by now may be gone.
+        """
+        self._is_behind = True
+        self._publisher.publish(message)
+
     def flush(self) -> None:
         """Waits until everybody has the last message; needed before the publisher goes."""
-        if not self._publisher.wait_for_all_acked(ACKNOWLEDGEMENT_TIMEOUT):
+        was_behind = self._is_behind
+        self._is_behind = not self._publisher.wait_for_all_acked(
+            ALIVE_TIMEOUT if was_behind else ACKNOWLEDGEMENT_TIMEOUT
+        )
+        if self._is_behind and not was_behind:
             self._logger.warning(
                 f"{self._topic.name}: a subscriber did not acknowledge the last message in time and may miss it",
                 throttle_duration_sec=5.0,

@@ -10,9 +10,11 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any
+
+from fracture_collision.ros.shared_memory import remove_left_behind
 
 # Domains above this have ports that Linux hands out to anybody (REP 2000's "safe on all platforms").
 HIGHEST_DOMAIN_ID = 101
@@ -96,16 +98,22 @@ class NodeProcess:
         """Exit status. Raises subprocess.TimeoutExpired."""
         return self._process.wait(timeout)
 
-    def stop(self, patience: float = 10.0) -> int:
-        """Asks it to end, then makes it; returns its exit status."""
-        for order in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
+    def stop(
+        self,
+        patience: float = 10.0,
+        orders: Sequence[signal.Signals] = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL),
+    ) -> int:
+        """Asks it to end, then makes it, waiting `patience` [s] after each of `orders`; returns its exit status."""
+        for order in orders:
             if self._process.poll() is None:
                 self._process.send_signal(order)
                 try:
                     self._process.wait(patience)
                 except subprocess.TimeoutExpired:
                     continue
-        return self._process.wait()
+        status = self._process.wait()
+        remove_left_behind()
+        return status
 
     def log_text(self) -> str:
         return self.log.read_text(errors="replace")

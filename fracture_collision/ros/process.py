@@ -20,10 +20,16 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 
+from fracture_collision.ros.shared_memory import remove_left_behind
+from fracture_collision.share import share_directory
+
 
 class Fatal(RuntimeError):
     """The node cannot go on; its text is all that the user needs to see."""
 
+
+# Where Fast DDS looks for profiles: version 2, then 3.
+_PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 
 _nothing_to_lose = False
 
@@ -44,6 +50,12 @@ def _on_signal(_signal: int, _frame: FrameType | None) -> None:
         os._exit(0)
 
 
+def _choose_profiles() -> None:
+    """Fast DDS reads config/fast_dds.xml, unless the user has a file of his own; other middleware does not look."""
+    if not any(os.environ.get(name) for name in _PROFILES):
+        os.environ[_PROFILES[0]] = str(share_directory() / "config" / "fast_dds.xml")
+
+
 def run_node(make_node: Callable[[], Node], work: Callable[[Node], None]) -> int:
     """Runs `work` on the node that `make_node` makes; returns the process's exit status.
 
@@ -51,6 +63,8 @@ def run_node(make_node: Callable[[], Node], work: Callable[[Node], None]) -> int
     """
     for order in (signal.SIGINT, signal.SIGTERM):
         signal.signal(order, _on_signal)
+    remove_left_behind()  # of one that was killed, and that this one perhaps takes the place of
+    _choose_profiles()
     rclpy.init()
     node = None
     try:

@@ -24,10 +24,13 @@ from fracture_collision.simulation.scene import SceneError, load_scene
 from fracture_collision.simulation.simulation import Simulation
 from fracture_collision.simulation.warm_up import compile_kernels
 
-# Asking again: the first pause covers a service that compiles a kernel, the last one that is started by hand.
+# Asking again: the first pause covers a service that compiles a kernel, the last one that is started by hand. Where
+# somebody has come to listen or to answer the pause is short at first: one of the two ways may not be there yet.
 FIRST_PAUSE = 1.0  # [s]
 PAUSE_GROWTH = 1.5
 LONGEST_PAUSE = 15.0  # [s]
+PAUSE_FOR_NEWCOMERS = 0.05  # [s]
+LOOK_INTERVAL = 0.02  # [s] between two looks at who is there
 
 PROGRESS_INTERVAL = 0.1  # [s]
 
@@ -128,16 +131,32 @@ class SimulatorNode(Node):
         began = time.perf_counter()
         self._states.settle()
         published = time.perf_counter()
-        pause = FIRST_PAUSE
+        self._states.publish(data)
+        pause, there, has_waited = FIRST_PAUSE, None, False
+        deadline = time.monotonic() + pause
         while True:
-            self._states.publish(data)
+            executor.spin_once(timeout_sec=LOOK_INTERVAL)
+            if self._contacts is not None and self._registry_covers(states):
+                round_trip = time.perf_counter() - published
+                if has_waited:
+                    self.get_logger().info(f"step {states.step} is answered after {round_trip:.2f} s; going on")
+                return published - began, round_trip
+            before, there = there, self._present()
+            if before is not None and (there[0] > before[0] or there[1] > before[1]):
+                self.get_logger().info(f"a service may have come; asking again for step {states.step}")
+                pause = PAUSE_FOR_NEWCOMERS
+            elif time.monotonic() < deadline:
+                continue
+            else:
+                self.get_logger().warning(f"no answer to step {states.step} yet; asking again")
+                pause = min(pause * PAUSE_GROWTH, LONGEST_PAUSE)
+            has_waited = True
+            self._states.publish_again(data)
             deadline = time.monotonic() + pause
-            while (left := deadline - time.monotonic()) > 0:
-                executor.spin_once(timeout_sec=left)
-                if self._contacts is not None and self._registry_covers(states):
-                    return published - began, time.perf_counter() - published
-            self.get_logger().warning(f"no answer to step {states.step} after {pause:.1f} s; asking again")
-            pause = min(pause * PAUSE_GROWTH, LONGEST_PAUSE)
+
+    def _present(self) -> tuple[int, int]:
+        """How many listen to states, and how many publish contacts."""
+        return self._states.subscriber_count, self.count_publishers(qos.CONTACT_CONSTRAINTS.name)
 
     def _registry_covers(self, states: FragmentStates) -> bool:
         registry = self._registry

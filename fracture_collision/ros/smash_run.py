@@ -184,7 +184,8 @@ def _check_alive(*processes: NodeProcess) -> None:
 
 def _await_recording(recorded: Callable[[], dict[str, int]], steps: int, *processes: NodeProcess) -> None:
     deadline = time.monotonic() + RECORDER_PATIENCE
-    while min(recorded().get("fragment_states", 0), recorded().get("contact_constraints", 0)) < steps:
+    wanted = {"fragment_states": steps, "contact_constraints": steps, "fragments": 1}
+    while any(recorded().get(topic, 0) < count for topic, count in wanted.items()):
         _check_alive(*processes)
         if time.monotonic() > deadline:
             raise RunFailed(f"the recorder has only {recorded()} of {steps} steps")

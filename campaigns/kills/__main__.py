@@ -1,0 +1,58 @@
+"""`python -m campaigns.kills`: kills nodes of a running scene at random, and says whether it made a difference."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import click
+import numpy as np
+
+
+@click.command(context_settings={"show_default": True, "help_option_names": ["-h", "--help"]})
+@click.option("--times", default=200, type=click.IntRange(min=1), help="How often the service is killed.")
+@click.option("--others", default=20, type=click.IntRange(min=1), help="How often the simulator, and a listener.")
+@click.option("--scene", default="plates", help="Name or file; fractures are part of most.")
+@click.option("--seed", default=1, help="Of the instants.")
+@click.option("--out", default=Path("out/kills"), type=click.Path(path_type=Path), help="Logs and bags.")
+def main(times: int, others: int, scene: str, seed: int, out: Path) -> None:
+    """SIGKILL to service, simulator and listeners at random instants of a running SCENE, over real DDS.
+
+    The service has to come back with the same registry and the same answers, byte for byte, as in a run that nobody
+    disturbed; neither processes nor files in shared memory may be left. Ends with status 1 where that is not so.
+    """
+    from rich.console import Console
+
+    from campaigns.kills import trials
+    from campaigns.kills.stage import litter
+
+    console = Console()
+    shutil.rmtree(out, ignore_errors=True)
+    with Console(stderr=True).status("a run that nobody disturbs") as status:
+        before = litter()
+        reference = trials.undisturbed(out / "undisturbed", scene)
+        returns, different = trials.kill_services(out / "services", scene, times, seed, reference, status.update)
+        simulators = trials.kill_simulators(out / "simulators", scene, others, seed, reference, status.update)
+        listeners = trials.kill_listeners(out / "listeners", scene, others, seed, reference, status.update)
+        faults = list(trials.orders_of_ending(out / "orders", scene, status.update))
+        after = litter()
+    started, answered = (np.array([getattr(r, name) for r in returns]) for name in ("started", "answered"))
+    console.print(f"registry: {reference.registry}")
+    steps = [r.step for r in returns]
+    console.print(f"{len(returns)} services killed, at steps {min(steps)} to {max(steps)}")
+    for name, seconds in (("process started to ready", started), ("ready to next step", answered)):
+        console.print(f"  {name}: {np.median(seconds):.2f} s median, {seconds.max():.2f} s worst")
+    console.print(f"  runs that differ: {different}")
+    console.print(f"{others} simulators killed: {'the run after them differs' if simulators else 'no difference'}")
+    console.print(f"{others} listeners killed: {'the run differs' if listeners else 'no difference'}")
+    console.print(f"SIGINT and SIGTERM in all orders: {len(faults)} faults")
+    for fault in faults:
+        console.print(f"  {fault}", markup=False)
+    files, processes = after.files - before.files, after.processes - before.processes
+    console.print(f"left behind: {len(files)} files in shared memory, {len(processes)} processes")
+    if different or simulators or listeners or faults or files or processes:
+        raise SystemExit(1)
+
+
+if __name__ == "__main__":
+    main(prog_name="python -m campaigns.kills")

@@ -1,0 +1,167 @@
+"""Real nodes in a domain of their own, runs of a scene with somebody killed in the middle, and what is left of them."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NamedTuple
+
+from fracture_collision.bag.reader import read_messages, topic_digest
+from fracture_collision.ros.node_process import NodeProcess, free_domain_id
+from fracture_collision.ros.shared_memory import YOUNG, left_behind
+
+PATIENCE = 300.0  # [s] a node that takes longer hangs
+LOOK = 0.002  # [s]
+COMPARED = ("/bodies", "/fracture_events", "/fragment_states", "/contact_constraints")
+READY = "ready, "
+_STEP = re.compile(r'"step": (\d+)')
+
+
+class Stage:
+    """Starts nodes; `close` ends them all."""
+
+    def __init__(self, folder: Path) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self._folder = folder
+        self._domain_id = free_domain_id()
+        self._nodes: list[NodeProcess] = []
+        self._started = 0
+
+    def start(self, module: str, **parameters) -> NodeProcess:
+        """`module`: below fracture_collision.ros."""
+        self._started += 1
+        log = self._folder / f"{module}_{self._started}.log"
+        self._nodes.append(NodeProcess(module, parameters, self._domain_id, log))
+        return self._nodes[-1]
+
+    def forget(self, node: NodeProcess) -> None:
+        """One that has ended."""
+        self._nodes.remove(node)
+
+    def close(self) -> None:
+        for node in reversed(self._nodes):
+            node.stop()
+
+
+@contextmanager
+def stage(folder: Path) -> Iterator[Stage]:
+    made = Stage(folder)
+    try:
+        yield made
+    finally:
+        made.close()
+
+
+class Digests(NamedTuple):
+    """SHA-256 of what a run said, by topic of COMPARED, and its last registry's own digest."""
+
+    topics: tuple[str, ...]
+    registry: str
+
+
+def digests(bag: Path) -> Digests:
+    """Raises ValueError without a registry."""
+    from fracture_collision.msg import FragmentRegistry
+    from rclpy.serialization import deserialize_message
+
+    last = None
+    for message in read_messages(bag, ["/fragments"]):
+        last = message.data
+    if last is None:
+        raise ValueError(f"{bag}: no registry")
+    registry = deserialize_message(last, FragmentRegistry)
+    return Digests(tuple(topic_digest(bag, topic) for topic in COMPARED), registry.digest)
+
+
+def await_that(condition: Callable[[], bool], what: str, *alive: NodeProcess) -> float:
+    """[s] until it holds. Raises RuntimeError where one of `alive` ends before, or after PATIENCE."""
+    began = time.perf_counter()
+    while not condition():
+        for node in alive:
+            if node.exit_status() is not None:
+                raise RuntimeError(f"{what}: {node.name} ended with {node.exit_status()}:\n{node.log_text()[-2000:]}")
+        if time.perf_counter() - began > PATIENCE:
+            raise RuntimeError(f"in vain: {what}")
+        time.sleep(LOOK)
+    return time.perf_counter() - began
+
+
+def await_words(node: NodeProcess, words: str, *alive: NodeProcess) -> float:
+    """[s] until they are in its log, or one of `alive` has ended well."""
+    return await_that(
+        lambda: words in node.log_text() or any(other.exit_status() == 0 for other in alive), words, node
+    )
+
+
+def await_ready(service: NodeProcess, *alive: NodeProcess) -> float:
+    """[s]"""
+    return await_that(lambda: READY in service.log_text(), "a ready service", service, *alive)
+
+
+def await_step(simulator: NodeProcess, step: int, *alive: NodeProcess) -> float:
+    """[s] until it tells of a later step, or has ended."""
+    return await_that(
+        lambda: simulator.exit_status() is not None or steps_told(simulator) > step, f"a step after {step}", *alive
+    )
+
+
+def await_end(simulator: NodeProcess, *alive: NodeProcess) -> float:
+    """[s] until the scene has ended."""
+    return await_that(lambda: simulator.exit_status() is not None, "the scene's end", *alive)
+
+
+def steps_told(simulator: NodeProcess) -> int:
+    """The last step that it has told of; needs its parameter `progress`."""
+    told = _STEP.findall(simulator.log_text())
+    return int(told[-1]) if told else 0
+
+
+def await_recording(recorder: NodeProcess, steps: int, *alive: NodeProcess) -> float:
+    """[s] until it has as many states and contacts, and a registry; needs its parameter `progress`."""
+
+    def is_there() -> bool:
+        lines = [line for line in recorder.log_text().splitlines() if line.startswith("{") and line.endswith("}")]
+        counts = json.loads(lines[-1]) if lines else {}
+        return counts.get("fragments", 0) > 0 and all(
+            counts.get(topic, 0) >= steps for topic in ("fragment_states", "contact_constraints")
+        )
+
+    return await_that(is_there, f"a recording of {steps} steps", recorder, *alive)
+
+
+def must_end(node: NodeProcess) -> None:
+    """With status 0 and no traceback, else RuntimeError."""
+    status = node.stop(patience=60.0)
+    if status != 0 or "Traceback" in node.log_text():
+        raise RuntimeError(f"{node.name} ended with {status}:\n{node.log_text()[-2000:]}")
+
+
+class Litter(NamedTuple):
+    files: frozenset[Path]  # of Fast DDS in shared memory that nobody uses
+    processes: frozenset[int]  # nodes without a parent
+
+
+def litter() -> Litter:
+    """What is left."""
+    time.sleep(1.5 * YOUNG)  # what has just been left is taken for new
+    return Litter(frozenset(left_behind()), frozenset(_orphans()))
+
+
+def _orphans() -> Iterator[int]:
+    """Nodes of this package whose parent has gone."""
+    for folder in Path("/proc").iterdir():
+        if not folder.name.isdigit():
+            continue
+        try:
+            words = (folder / "cmdline").read_bytes().split(b"\0")
+            parent = int((folder / "stat").read_text().rsplit(")", 1)[1].split()[1])
+        except (OSError, IndexError, ValueError):
+            continue
+        is_ours = any(word.startswith(b"fracture_collision.ros.") for word in words)
+        if is_ours and parent in (0, 1) and folder.stat().st_uid == os.getuid():
+            yield int(folder.name)

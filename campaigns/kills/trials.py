@@ -1,0 +1,168 @@
+"""Runs of a scene in which somebody is killed, each compared byte by byte with one that nobody disturbed."""
+
+from __future__ import annotations
+
+import itertools
+import signal
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from campaigns.kills.stage import (
+    Digests,
+    Stage,
+    await_end,
+    await_ready,
+    await_recording,
+    await_step,
+    await_that,
+    await_words,
+    digests,
+    must_end,
+    stage,
+    steps_told,
+)
+from fracture_collision.ros.node_process import NodeProcess
+
+Progress = Callable[[str], None]
+MOST_RUNS = 100  # more without the kills that were asked for: the scene is too short
+LONGEST_WAIT = 1.5  # [s]
+
+
+class Return(NamedTuple):
+    """A service that was killed and started again. Seconds."""
+
+    step: int  # that the simulator had done when it was killed
+    started: float  # from starting its process to its saying that it is ready
+    answered: float  # from there to the simulator's next step
+
+
+def undisturbed(folder: Path, scene: str) -> Digests:
+    """What a run says that nobody disturbs."""
+    with stage(folder) as nodes:
+        recorder, service, simulator = _start(nodes, folder, scene)
+        _end(simulator, recorder, service)
+    return digests(folder / "bag")
+
+
+def kill_services(
+    folder: Path, scene: str, times: int, seed: int, reference: Digests, progress: Progress,
+    longest_wait: float = LONGEST_WAIT,
+) -> tuple[list[Return], int]:  # fmt: skip
+    """SIGKILL to the service at random instants of as many runs as `times` kills take, started again at once.
+
+    longest_wait [s]: from one answer after a kill to the next kill, at most.
+
+    Returns how it came back, and how many runs differed from `reference`.
+    """
+    random = np.random.default_rng(seed)
+    returns: list[Return] = []
+    different = 0
+    for run in range(MOST_RUNS):
+        own = folder / f"run_{run}"
+        with stage(own) as nodes:
+            recorder, service, simulator = _start(nodes, own, scene)
+            while len(returns) < times:
+                progress(f"run {run + 1}: {len(returns)} of {times} services killed")
+                if _ends_before(simulator, random.uniform(0.0, longest_wait), recorder, service):
+                    break
+                service.stop(patience=0.0, orders=(signal.SIGKILL,))
+                step = steps_told(simulator)
+                service = nodes.start("collision_node", threads=1)
+                started = await_ready(service, recorder)
+                returns.append(Return(step, started, await_step(simulator, step, recorder, service)))
+            _end(simulator, recorder, service)
+        different += digests(own / "bag") != reference
+        if len(returns) >= times:
+            return returns, different
+    raise RuntimeError(f"{scene}: only {len(returns)} kills in {MOST_RUNS} runs")
+
+
+def kill_simulators(folder: Path, scene: str, times: int, seed: int, reference: Digests, progress: Progress) -> int:
+    """The simulator is killed and started again, each time beside the same service; then one run is made to its end.
+
+    Returns 1 if that differed from `reference`, else 0.
+    """
+    random = np.random.default_rng(seed)
+    with stage(folder) as nodes:
+        service = nodes.start("collision_node", threads=1)
+        await_ready(service)
+        for i in range(times):
+            progress(f"{i} of {times} simulators killed")
+            simulator = nodes.start("simulator_node", scene=scene, progress=True)
+            await_step(simulator, 0, service)
+            _ends_before(simulator, random.uniform(0.0, LONGEST_WAIT), service)
+            simulator.stop(patience=0.0, orders=(signal.SIGKILL,))
+        recorder, _, simulator = _start(nodes, folder, scene, service)
+        _end(simulator, recorder, service)
+    return int(digests(folder / "bag") != reference)
+
+
+def kill_listeners(folder: Path, scene: str, times: int, seed: int, reference: Digests, progress: Progress) -> int:
+    """Somebody else who listens to everything is killed again and again; returns 1 if a run differed."""
+    random = np.random.default_rng(seed)
+    killed, different = 0, 0
+    for run in range(MOST_RUNS):
+        own = folder / f"run_{run}"
+        with stage(own) as nodes:
+            recorder, service, simulator = _start(nodes, own, scene)
+            while killed < times:
+                progress(f"run {run + 1}: {killed} of {times} listeners killed")
+                listener = nodes.start("recorder_node", folder=str(own / f"listener_{killed}"), progress=True)
+                await_words(listener, "{", simulator)
+                is_last = _ends_before(simulator, random.uniform(0.0, 0.5), service, recorder)
+                listener.stop(patience=0.0, orders=(signal.SIGKILL,))
+                killed += 1
+                if is_last:
+                    break
+            _end(simulator, recorder, service)
+        different += digests(own / "bag") != reference
+        if killed >= times:
+            break
+    return different
+
+
+def orders_of_ending(folder: Path, scene: str, progress: Progress) -> Iterator[str]:
+    """Ctrl-C and SIGTERM to all three nodes in all orders, in mid-run; yields what went wrong, in words."""
+    orders = list(itertools.permutations(range(3)))
+    for i, (order, sign) in enumerate(itertools.product(orders, (signal.SIGINT, signal.SIGTERM))):
+        progress(f"{i} of {2 * len(orders)} orders of ending")
+        own = folder / f"order_{i}"
+        with stage(own) as nodes:
+            three = _start(nodes, own, scene)
+            await_step(three[2], 0, *three[:2])
+            for k in order:
+                three[k].send_signal(sign)
+            for node in three:
+                status = node.wait(60.0)
+                if status != 0 or "Traceback" in node.log_text():
+                    names = ", ".join(three[k].name for k in order)
+                    yield f"{sign.name} to {names}: {node.name} ended with {status}: {node.log_text()[-300:]}"
+
+
+def _start(
+    nodes: Stage, folder: Path, scene: str, service: NodeProcess | None = None
+) -> tuple[NodeProcess, NodeProcess, NodeProcess]:
+    """Recorder, service and simulator."""
+    recorder = nodes.start("recorder_node", folder=str(folder / "bag"), progress=True)
+    service = service or nodes.start("collision_node", threads=1)
+    return recorder, service, nodes.start("simulator_node", scene=scene, wait_for_subscribers=2, progress=True)
+
+
+def _ends_before(simulator: NodeProcess, seconds: float, *alive: NodeProcess) -> bool:
+    """Waits for so long, from the first step on; whether the scene has ended by then."""
+    await_step(simulator, 0, *alive)
+    deadline = time.monotonic() + seconds
+    await_that(lambda: simulator.exit_status() is not None or time.monotonic() > deadline, "an instant", *alive)
+    return simulator.exit_status() is not None
+
+
+def _end(simulator: NodeProcess, recorder: NodeProcess, service: NodeProcess) -> None:
+    """Waits for the scene's end, then ends the others."""
+    await_end(simulator, recorder, service)
+    await_recording(recorder, steps_told(simulator), service)
+    for node in (simulator, recorder, service):
+        must_end(node)

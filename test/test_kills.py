@@ -1,0 +1,114 @@
+"""Killed and back: a slice of `python -m campaigns.kills`, over real DDS, and what it stands on."""
+
+from __future__ import annotations
+
+import fcntl
+import mmap
+import os
+import signal
+import time
+from pathlib import Path
+
+import pytest
+
+from campaigns.kills.stage import Digests, litter, stage
+from campaigns.kills.trials import kill_listeners, kill_services, kill_simulators, orders_of_ending, undisturbed
+from campaigns.soak import Cycle, growth, soak
+from fracture_collision.bag.reader import message_counts
+from fracture_collision.ros.shared_memory import YOUNG, remove_left_behind
+
+SCENE, STEPS = "pane", 60
+SOON = 0.1  # [s] after the first step: a run takes less than a second
+pytestmark = pytest.mark.timeout(900)
+
+
+def no_progress(_text: str) -> None:
+    """Nobody looks."""
+
+
+@pytest.fixture(scope="module")
+def reference(tmp_path_factory: pytest.TempPathFactory) -> Digests:
+    folder = tmp_path_factory.mktemp("undisturbed")
+    found = undisturbed(folder, SCENE)
+    assert message_counts(folder / "bag")["/fragment_states"] == STEPS
+    return found
+
+
+def test_a_killed_service_comes_back_and_nothing_is_different(tmp_path: Path, reference: Digests) -> None:
+    before = litter()
+    returns, different = kill_services(tmp_path, SCENE, 2, 3, reference, no_progress, SOON)
+    assert len(returns) == 2 and different == 0
+    assert litter().processes <= before.processes and litter().files <= before.files
+
+
+def test_the_comparison_can_fail(tmp_path: Path, reference: Digests) -> None:
+    other = reference._replace(registry="0" * 64)
+    assert kill_services(tmp_path, SCENE, 1, 1, other, no_progress)[1] == 1
+
+
+def test_a_killed_simulator_leaves_the_service_fit_for_the_next(tmp_path: Path, reference: Digests) -> None:
+    assert kill_simulators(tmp_path, SCENE, 1, 3, reference, no_progress) == 0
+
+
+def test_a_killed_listener_is_not_missed(tmp_path: Path, reference: Digests) -> None:
+    assert kill_listeners(tmp_path, SCENE, 1, 3, reference, no_progress) == 0
+
+
+@pytest.mark.slow
+def test_nodes_end_by_signals_in_any_order(tmp_path: Path) -> None:
+    assert list(orders_of_ending(tmp_path, SCENE, no_progress)) == []
+
+
+def test_the_simulator_says_that_it_waits_and_that_it_goes_on(tmp_path: Path, reference: Digests) -> None:
+    kill_services(tmp_path, SCENE, 1, 5, reference, no_progress, SOON)
+    (log,) = (tmp_path / "run_0").glob("simulator_node_*.log")
+    words = log.read_text()
+    assert "asking again" in words and "going on" in words
+
+
+def test_what_nobody_holds_is_removed(tmp_path: Path) -> None:
+    old = time.time() - 2.0 * YOUNG
+    left = ["fastrtps_00ff00ff00ff00ff", "fastrtps_00ff00ff00ff00ff_el"]
+    left += ["fastrtps_port7411", "fastrtps_port7411_el", "sem.fastrtps_port7411_mutex"]
+    left += ["fastrtps_port7413", "sem.fastrtps_port7413_mutex"]  # the listener's lock went with it
+    held = ["fastrtps_1111111111111111", "fastrtps_1111111111111111_el"]
+    mapped = ["fastrtps_port7415"]
+    strange = ["fastrtps_of_somebody_el", "fastrtps_", "other_el"]
+    young = ["fastrtps_2222222222222222", "fastrtps_2222222222222222_el"]
+    for name in (*left, *held, *mapped, *strange, *young):
+        (tmp_path / name).write_bytes(bytes(64))
+        os.utime(tmp_path / name, (old, old) if name not in young else None)
+    with (tmp_path / held[1]).open("rb") as lock, (tmp_path / mapped[0]).open("rb") as port:
+        fcntl.flock(lock, fcntl.LOCK_SH)
+        with mmap.mmap(port.fileno(), 0, access=mmap.ACCESS_READ):
+            assert remove_left_behind(tmp_path) == len(left)
+    assert {file.name for file in tmp_path.iterdir()} == {*held, *mapped, *strange, *young}
+    assert remove_left_behind(tmp_path / "nowhere") == 0
+
+
+def test_a_killed_node_leaves_nothing(tmp_path: Path) -> None:
+    before = litter()
+    with stage(tmp_path) as nodes:
+        listener = nodes.start("recorder_node", folder=str(tmp_path / "bag"))
+        while not (tmp_path / "bag").exists():
+            assert listener.exit_status() is None, listener.log_text()
+            time.sleep(0.01)
+        time.sleep(YOUNG)  # what is younger is left to the next who sweeps
+        assert listener.stop(patience=5.0, orders=(signal.SIGKILL,)) == -signal.SIGKILL
+    assert litter().files <= before.files
+
+
+def test_a_soak_measures_what_it_says(tmp_path: Path) -> None:
+    (first,) = soak(tmp_path, SCENE, 2, 0.1, True, no_progress)
+    assert first.runs == 2 and first.age > 0.1
+    assert first.resident > 50.0 and 0.0 < first.processor < 60.0
+
+
+def test_growth_of_memory_and_time_is_found() -> None:
+    steady = [Cycle(100.0 * k, k, 200.0, 3.0) for k in range(1, 30)]
+    assert growth(steady) == (0.0, 0.0)
+    leaking = [cycle._replace(resident=200.0 + 0.01 * cycle.age) for cycle in steady]
+    slowing = [cycle._replace(processor=3.0 + 0.001 * cycle.age) for cycle in steady]
+    assert growth(leaking)[0] > 0.1 and growth(slowing)[1] > 0.5
+    with pytest.raises(ValueError, match="too few"):
+        growth(steady[:3])
