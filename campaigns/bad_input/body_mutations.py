@@ -102,8 +102,8 @@ PLANES = [
     mutation("plane", "of zeros", lambda r, p: r._replace(plane=np.zeros(4)), "no_shape", NO_SHAPE_FIELDS),
     mutation("plane", "out of sight", lambda r, p: r._replace(plane=np.array([0.0, one_of((1e-9, 1e-320), p), 0, 1e3])),
              "out_of_range"),
-    mutation("plane", "of a tiny normal", lambda r, p: r._replace(plane=np.array([0, 0, one_of((1e-320, 5e-324), p), 0])),
-             FINE),
+    mutation("plane", "of a tiny normal", lambda r, p: r._replace(
+        plane=np.array([0.0, 0.0, one_of((1e-320, 5e-324), p), 0.0])), FINE),
     mutation("is_static", "a plane that moves", lambda r, p: r._replace(is_static=False), "out_of_range"),
 ]  # fmt: skip
 
@@ -249,7 +249,8 @@ TRIANGLES = [
     mutation("triangles", "one turned over", _turned_over("triangles"), BAD),
     mutation("triangles", "one with a corner twice", _same_corner("triangles"), BAD, **MESH),
     mutation("triangles", "one twice", _once_more("triangles", 1), BAD),
-    mutation("triangles", "all turned over", lambda r, p: _with_rows(r, "triangles", _rows(r, "triangles")[:, ::-1]), BAD),
+    mutation("triangles", "all turned over", lambda r, p: _with_rows(
+        r, "triangles", _rows(r, "triangles")[:, ::-1]), BAD),
     mutation("triangles", "two solids", _copies(5.0, "triangles"), BAD),
     mutation("triangles", "two solids in one another", _copies(0.1, "triangles"), BAD),
     mutation("vertices", "one where another is", _vertex_on_another, BAD, MESH_FIELDS, True),

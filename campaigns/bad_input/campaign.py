@@ -16,7 +16,7 @@ import numpy as np
 
 from campaigns.bad_input.clean_scene import SETTINGS
 from campaigns.bad_input.mutations import Pick
-from campaigns.bad_input.trial import TABLES, Bench, Case, fixed_cases, several, single
+from campaigns.bad_input.trial import TABLES, Bench, Case, fixed_cases, several, single, spoilt
 from fracture_collision.world import Settings
 
 CHUNK = 500
@@ -38,6 +38,7 @@ class Tally(NamedTuple):
     outcomes: Counter[tuple[str, str, str]]  # topic, door, outcome
     kinds: Counter[tuple[str, str]]  # topic, kind
     sites: Counter[tuple[str, int]]  # file, line
+    readers: Counter[tuple[str, str]]  # topic, who could read a message's bytes
     problems: list[Problem]
     slowest: tuple[float, str]  # [s], case
     resident: dict[int, list[int]]  # process -> resident memory after each chunk [bytes]
@@ -49,22 +50,30 @@ class Tally(NamedTuple):
     def __add__(self, other: Tally) -> Tally:
         return Tally(
             self.outcomes + other.outcomes, self.kinds + other.kinds, self.sites + other.sites,
-            self.problems + other.problems, max(self.slowest, other.slowest),
-            {pid: self.resident.get(pid, []) + other.resident.get(pid, []) for pid in {**self.resident, **other.resident}},
+            self.readers + other.readers, self.problems + other.problems, max(self.slowest, other.slowest),
+            {pid: self.resident.get(pid, []) + other.resident.get(pid, [])
+             for pid in {**self.resident, **other.resident}},
         )  # fmt: skip
 
 
 def nothing() -> Tally:
-    return Tally(Counter(), Counter(), Counter(), [], (0.0, ""), {})
+    return Tally(Counter(), Counter(), Counter(), Counter(), [], (0.0, ""), {})
 
 
 def numbered(seed: int, number: int) -> tuple[str, Case]:
-    """Door and case: single mutations, walking through the table, take turns with two and three at once."""
+    """Door and case: single mutations, walking through the table, take turns with two and three at once
+    and, at the messages' door, with spoilt bytes.
+    """
     turn, rest = divmod(number, len(TOPICS) * len(DOORS))
     topic, door = TOPICS[rest % len(TOPICS)], DOORS[rest // len(TOPICS)]
     pick = picking(seed, number)
     entry, form = divmod(turn, 2)
-    case = single(topic, entry, pick) if form == 0 else several(topic, entry, pick, 2 + entry % 2)
+    if form == 0:
+        case = single(topic, entry, pick)
+    elif door == "messages":
+        case = spoilt(topic, pick)
+    else:
+        case = several(topic, entry, pick, 2 + entry % 2)
     return (door if case.on_the_wire else "records"), case
 
 
@@ -104,6 +113,8 @@ def run(cases: Iterable[tuple[str, Case]]) -> Tally:
             tally.kinds[case.topic, verdict.kind] += 1
         if verdict.site:
             tally.sites[verdict.site] += 1
+        if bench.readers:
+            tally.readers[case.topic, bench.readers] += 1
         if problem:
             tally.problems.append(Problem(str(number), door, f"{case.topic}: {case.name}", problem))
     faulthandler.cancel_dump_traceback_later()

@@ -1,4 +1,4 @@
-"""The scene that bad messages are fed into: one body of each kind, one broken, one removed, and room for little more."""
+"""The scene that bad messages are fed into: a body of each kind, one broken, one removed, and room for little more."""
 
 from __future__ import annotations
 

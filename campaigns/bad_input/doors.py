@@ -9,14 +9,16 @@ import numpy as np
 from gate_world import observed
 from rclpy.serialization import serialize_message
 
-from campaigns.bad_input.clean_scene import CLEAN, ENDING, REFERENCE, record_bytes
+from campaigns.bad_input.clean_scene import CLEAN, ENDING, record_bytes
 from fracture_collision.records import FragmentStates
+from fracture_collision.ros import qos
 from fracture_collision.ros.cdr_records import deserialize_record, serialize_record
 from fracture_collision.ros.collision_run import CollisionRun
-from fracture_collision.ros.conversion import heading, message_class_of, to_message
+from fracture_collision.ros.conversion import heading, to_message
 from fracture_collision.world import CollisionWorld, InvalidMessage, Settings, StatesAhead
 
 RUN_ID = 41
+MESSAGE_CLASSES = {topic.name: topic.message_class for topic in qos.TOPICS}
 TAKEN, REFUSED, HELD = "taken", "refused", "held"
 
 
@@ -66,11 +68,10 @@ class RunDoor:
         return self.run.event_count
 
     def deliver(self, topic: str, record: Any) -> Verdict:
-        return self.deliver_bytes(topic, as_bytes(record), message_class_of(record))
-
-    def deliver_bytes(self, topic: str, data: bytes, message_class: Any) -> Verdict:
+        """A record, or the bytes of some."""
+        data = record if isinstance(record, bytes) else as_bytes(record)
         try:
-            received = deserialize_record(data, message_class)
+            received = deserialize_record(data, MESSAGE_CLASSES[topic])
         except ValueError as error:
             return Verdict(REFUSED, "malformed", str(error))
         if topic == "fragment_states":
@@ -118,17 +119,20 @@ def ending(door: Door) -> bytes:
 
 def unsound(world: CollisionWorld, events: int) -> str:
     """What is wrong with a world that took something, in words; "" if nothing is."""
+    nobody = FragmentStates(20, events, np.zeros(0, int), np.zeros(0), np.zeros(0))
     for sequence in (1, events):
-        still = np.array([0.0, 0.0, 0.0, 1.0])
-        contacts = world.contacts(FragmentStates(20, sequence, np.array([3]), np.array([0.1, 0.0, 0.25]), still))
+        world.contacts(nobody._replace(fracture_sequence=sequence))
         told = world.fragments()
+        count = len(told.fragment_ids)
+        contacts = world.contacts(FragmentStates(
+            21, sequence, told.fragment_ids, np.zeros(3 * count), np.tile([0.0, 0.0, 0.0, 1.0], count)
+        ))  # fmt: skip
         for record in (contacts, told):
             for name, value in record._asdict().items():
                 if isinstance(value, np.ndarray) and value.dtype.kind == "f" and np.isnan(value).any():
                     return f"{name} of {type(record).__name__} is not a number"
         if not (told.masses >= 0.0).all():  # 0: a plane's
             return f"masses {told.masses}"
-    world.contacts(REFERENCE)
     return ""
 
 

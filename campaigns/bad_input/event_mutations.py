@@ -103,9 +103,8 @@ def _an_edge_left_out(record: Any, pick: Pick) -> Any:
 def _an_edge_twice(record: Any, pick: Pick) -> Any:
     edges, planes = np.array(record.cut_edges).reshape(-1, 2), _planes(record)
     i = pick(len(edges))
-    return record._replace(
-        cut_edges=np.append(edges, edges[i : i + 1], 0).ravel(), cut_planes=np.append(planes, planes[i : i + 1], 0).ravel()
-    )
+    edges, planes = np.append(edges, edges[i : i + 1], 0), np.append(planes, planes[i : i + 1], 0)
+    return record._replace(cut_edges=edges.ravel(), cut_planes=planes.ravel())
 
 
 def _an_edge_turned(record: Any, pick: Pick) -> Any:

@@ -204,10 +204,9 @@ def value_mutations(
     field: str, values: tuple, kinds: str, names: Iterable[str] = (), what: str = "", may_pass: bool = False
 ) -> list[Mutation]:
     """A scalar field that has one of `values`, all of which a message can say."""
-    return [
-        mutation(field, what or f"is one of {reprlib.repr(values)}", lambda r, p: r._replace(**{field: one_of(values, p)}), kinds,
-                 names, may_pass)
-    ]  # fmt: skip
+    what = what or f"is one of {reprlib.repr(values)}"
+    change = lambda record, pick: record._replace(**{field: one_of(values, pick)})  # noqa: E731
+    return [mutation(field, what, change, kinds, names, may_pass)]
 
 
 def scalar_type_mutations(field: str, values: tuple, kinds: str = "wrong_type") -> list[Mutation]:

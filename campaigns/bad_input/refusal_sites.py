@@ -46,6 +46,6 @@ def _refuses(node: ast.AST) -> bool:
 def counted(reached: Counter[tuple[str, int]]) -> dict[Site, int]:
     """How often each site was reached; `reached` by file and line."""
     return {
-        site: sum(n for (file, line), n in reached.items() if file == site.file and site.first_line <= line <= site.last_line)
+        site: sum(reached[site.file, line] for line in range(site.first_line, site.last_line + 1))
         for site in refusal_sites()
-    }  # fmt: skip
+    }

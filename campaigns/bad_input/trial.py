@@ -13,9 +13,10 @@ from gate_world import observed
 
 from campaigns.bad_input.body_mutations import BODY_MUTATIONS, SHAPES
 from campaigns.bad_input.clean_scene import FULL, REFERENCE, REMOVED, SETTINGS
-from campaigns.bad_input.doors import DOORS, HELD, REFUSED, TAKEN, Verdict, ending, unsound
+from campaigns.bad_input.doors import DOORS, HELD, MESSAGE_CLASSES, REFUSED, TAKEN, Verdict, ending, unsound
 from campaigns.bad_input.event_mutations import EVENT_MUTATIONS
 from campaigns.bad_input.mutations import ANY_KIND, Mutation, Pick
+from campaigns.bad_input.serialized import compared_with_rclpy, spoilt_bytes
 from campaigns.bad_input.states_mutations import STATES_MUTATIONS
 from fracture_collision.world import Settings
 
@@ -25,6 +26,7 @@ TABLES: dict[str, list[tuple[Any, Mutation]]] = {
 # Every rule broken once, as the tests of the gate do it.
 RULES = {"bodies": BODIES, "fracture_events": EVENTS, "fragment_states": STATES}
 SHAPE_PARTS = frozenset({"primitive.type", "primitive.dimensions"})
+FIELDS = {topic: table[0][0]._fields for topic, table in TABLES.items()}
 # "field: ...", or several fields
 _NAMES = re.compile(r"([a-z_.]+(?:, [a-z_.]+)*): ")
 
@@ -90,6 +92,15 @@ def several(topic: str, number: int, pick: Pick, count: int) -> Case:
     )  # fmt: skip
 
 
+def spoilt(topic: str, pick: Pick) -> Case:
+    """A serialized message that is none any more, or another one."""
+    what, data = spoilt_bytes(topic, pick)
+    return Case(
+        topic, f"bytes: {what}", data, ANY_KIND | {"malformed"}, SHAPE_PARTS.union(FIELDS[topic]), must_fail=False,
+        on_the_wire=True,
+    )  # fmt: skip
+
+
 class Bench:
     """Two of a door: one is tried first; what it refuses, the other must refuse alike and stay what it was.
 
@@ -99,13 +110,14 @@ class Bench:
     def __init__(self, door: str, settings: Settings) -> None:
         self._make = lambda: DOORS[door](settings)
         self.verdict = Verdict(TAKEN)  # of the last case
+        self.readers = ""  # who could read it, if it was bytes
         fresh = self._make()
         self._clean, self._ending = observed(fresh.world), ending(fresh)
         self._tried, self._veteran = self._make(), self._make()
 
     def judge(self, case: Case) -> str:
         """What is wrong with what came of it, in words; "" if nothing is."""
-        self.verdict = Verdict(TAKEN)
+        self.verdict, self.readers = Verdict(TAKEN), ""
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("error")
@@ -121,6 +133,10 @@ class Bench:
         return "" if came == self._ending else "the clean scene after it has other answers than without it"
 
     def _judge(self, case: Case) -> str:
+        if isinstance(case.record, bytes):
+            self.readers, problem = compared_with_rclpy(case.record, MESSAGE_CLASSES[case.topic])
+            if problem:
+                return problem
         verdict = self.verdict = self._tried.deliver(case.topic, case.record)
         if verdict.outcome != REFUSED:
             # states change nothing, not even those that are ahead
@@ -152,6 +168,8 @@ def _expected(case: Case, verdict: Verdict) -> str:
         return ""
     if verdict.kind not in case.kinds:
         return f"{verdict.outcome} as {verdict.kind}, not {' or '.join(sorted(case.kinds))}: {verdict.text}"
+    if verdict.kind == "malformed":
+        return "" if verdict.text.startswith("no serialized ") else f"no words for what is malformed: {verdict.text}"
     found = _NAMES.match(verdict.text)
     if found is None or not case.names.intersection(found[1].split(", ")):
         return f"the words name none of {', '.join(sorted(case.names))}: {verdict.text}"

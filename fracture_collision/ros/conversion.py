@@ -62,7 +62,7 @@ def heading(stamp_seconds: float, frame_id: str = "world") -> Heading:
 
 
 def to_message(record: NamedTuple, head: Heading, run_id: int) -> Any:
-    """The ROS message of a record. ValueError where an array has more than one dimension, or a plane not four numbers."""
+    """The ROS message of a record. ValueError where an array has more than one dimension, a plane not four numbers."""
     message_class = message_class_of(record)
     header = Header(stamp=Time(sec=head.sec, nanosec=head.nanosec), frame_id=head.frame_id)
     message = message_class(header=header, run_id=run_id)
