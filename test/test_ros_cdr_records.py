@@ -67,6 +67,15 @@ def test_every_message_of_the_package_is_read_as_rclpy_reads_it(record: Any) -> 
         assert (received.heading, received.run_id) == (head, RUN)
 
 
+def test_a_string_ends_at_its_first_zero_as_in_rclpy() -> None:
+    head, data = heading(0.0, "world"), bytearray(the_bytes(states(1), heading(0.0, "world")))
+    at = data.index(b"world\0")
+    for text in (b"world!", b"wo\0ld\0", b"\0\0\0\0\0\0", b"wor\xff\xfe\0"):
+        data[at : at + 6] = text
+        theirs = deserialize_message(bytes(data), message_class_of(states(0))).header.frame_id
+        assert deserialize_record(data, message_class_of(states(0))).heading == head._replace(frame_id=theirs)
+
+
 def test_points_of_a_polygon_are_passed_over() -> None:
     message = to_message(EXAMPLES[0], HEADINGS[0], RUN)
     message.primitive.polygon.points = [Point32(x=1.0, y=2.0, z=3.0)] * 5

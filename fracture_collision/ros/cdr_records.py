@@ -180,7 +180,8 @@ class _Reader:
         begin, self._end = self._end, self._end + length
         if self._end > len(self._body):
             raise _TooShort
-        return self._body[begin : max(self._end - 1, begin)].decode(errors="replace")
+        # up to its zero: as C, and so rclpy, reads it
+        return self._body[begin : self._end].partition(b"\0")[0].decode(errors="replace")
 
 
 @cache
