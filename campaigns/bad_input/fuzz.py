@@ -9,7 +9,6 @@ Numba's kernels are not instrumented: that would change what is compiled.
 from __future__ import annotations
 
 import sys
-import tempfile
 from pathlib import Path
 
 import atheris
@@ -40,9 +39,10 @@ with atheris.instrument_imports(include=[PACKAGE.name], exclude=_left_alone()):
 
 @click.command(help=__doc__)
 @click.option("--seconds", default=300, show_default=True, type=click.IntRange(1))
-@click.option("--corpus", type=click.Path(file_okay=False, path_type=Path), help="Kept there for the next time.")
+@click.option("--corpus", type=click.Path(file_okay=False, path_type=Path), default=bad_input.ROOT / "out" / "fuzz",
+              help="Kept there for the next time; what was found stands beside it.")  # fmt: skip
 @click.argument("inputs", nargs=-1, type=click.Path(exists=True))
-def main(seconds: int, corpus: Path | None, inputs: tuple[str, ...]) -> None:
+def main(seconds: int, corpus: Path, inputs: tuple[str, ...]) -> None:
     benches = {door: Bench(door, SETTINGS) for door in DOORS}
 
     def try_input(data: bytes) -> None:
@@ -52,9 +52,11 @@ def main(seconds: int, corpus: Path | None, inputs: tuple[str, ...]) -> None:
             raise AssertionError(f"{door}, {case.topic}, {case.name}: {problem}")
 
     if not inputs:
-        corpus = corpus or Path(tempfile.mkdtemp(prefix="bad_input_"))
         write_seeds(corpus)
-        inputs = (str(corpus), f"-max_total_time={seconds}", "-max_len=4096", "-print_final_stats=1", "-timeout=60")
+        inputs = (
+            str(corpus), f"-artifact_prefix={corpus}_found_", f"-max_total_time={seconds}", "-max_len=4096",
+            "-print_final_stats=1", "-timeout=60",
+        )  # fmt: skip
     atheris.Setup([sys.argv[0], *inputs], try_input)
     atheris.Fuzz()
 
@@ -75,6 +77,8 @@ def picking_from(data: bytes) -> Pick:
     decisions = atheris.FuzzedDataProvider(data)
 
     def pick(below: int) -> int:
+        if below < 1:
+            raise ValueError("nothing to pick from")
         return decisions.ConsumeUInt(8) % below if below > 2**31 else decisions.ConsumeIntInRange(0, below - 1)
 
     return pick
