@@ -22,6 +22,8 @@ from fracture_collision.ros.node_process import NodeProcess, free_domain_id
 RUN = 41
 LATCHED = ("bodies", "fracture_events")
 MORE_MEMORY = 20e6  # [bytes] DDS keeps what it has received of a latched topic
+# Topics keep no order between them: the event is sent when its body is known to have come.
+BEGINNING = (*CLEAN[:-2], ("fragment_states", EARLIER), *CLEAN[-2:])
 LIMITS = {"threads": 1, "max_nodes": SETTINGS.max_nodes, "max_fragments": SETTINGS.max_fragments}
 
 
@@ -83,7 +85,7 @@ def test_a_node_survives_bad_messages_and_counts_them(tmp_path: Path) -> None:
     node, client = NodeProcess("collision_node", LIMITS, domain_id, tmp_path / "node.log"), ServiceClient(domain_id)
     try:
         client.await_service()
-        answers = play(client, CLEAN)
+        answers = play(client, BEGINNING)[1:]
         expected: Counter[str] = Counter()
         before = resident(node)
 
@@ -136,7 +138,7 @@ def test_a_node_survives_spoilt_bytes_and_counts_them(tmp_path: Path) -> None:
     node, client = NodeProcess("collision_node", LIMITS, domain_id, tmp_path / "node.log"), ServiceClient(domain_id)
     try:
         client.await_service()
-        first = play(client, CLEAN)
+        first = play(client, BEGINNING)[1:]
         before = resident(node)
         sent: Counter[str] = Counter()
         for topic in TOPICS_READ_AS_BYTES:
