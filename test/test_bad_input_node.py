@@ -124,8 +124,8 @@ def malformed(topic: str) -> Iterator[bytes]:
     twin = RunDoor(SETTINGS)
     for number in range(300):
         data = spoilt(topic, picking(11, number)).record
-        # rmw hands on nothing shorter than an encapsulation
-        if len(data) >= 4 and twin.deliver(topic, data).kind == "malformed":
+        # nothing shorter than an encapsulation is handed on, and DDS fills up to a multiple of four bytes
+        if len(data) >= 4 and len(data) % 4 == 0 and twin.deliver(topic, data).kind == "malformed":
             yield data
     for data in valid_messages(topic):
         yield from (data[:length] for length in range(4, len(data), 100))
@@ -149,7 +149,7 @@ def test_a_node_survives_spoilt_bytes_and_counts_them(tmp_path: Path) -> None:
                 # of states only the newest is taken: the first ones are waited for, the others may go by unseen
                 if topic not in LATCHED and sent[key] <= WAITED_FOR:
                     client.spin_until(lambda key=key: counts(client)[key] == sent[key], f"{key} {sent[key]} times")
-        assert min(sent.values()) > 50
+        assert min(sent.values()) > 40
         latched = {key: n for key, n in sent.items() if key.split(":")[0] in LATCHED}
         client.spin_until(lambda: all(counts(client)[key] == n for key, n in latched.items()), f"{latched}")
         assert node.exit_status() is None
