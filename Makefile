@@ -4,7 +4,7 @@ BIN    := .venv/bin
 STAMPS := build/stamps
 
 .DEFAULT_GOAL := help
-.PHONY: help build smash test test-full lint peers peers-pins pins clean
+.PHONY: help build smash test test-full lint peers peers-pins fuzz fuzz-pins pins clean
 
 help: ## this text
 	@echo "fracture_collision: collision detection for fracturing rigid bodies."
@@ -40,10 +40,26 @@ lint: $(STAMPS)/messages ## style, and the arrows between the rooms
 peers: build $(STAMPS)/peers ## ours beside the libraries people would use instead: table, ratios and out/peers.csv, some minutes
 	@$(BIN)/python -m benchmarks.peers
 
-peers-pins: $(STAMPS)/environment ## resolve requirements/peers.in anew into requirements/peers.txt, within pins.txt
+peers-fuzz: build $(STAMPS)/fuzz ## a coverage-guided fuzzer looks for bad input that is not refused as it should be, five minutes
+	@$(BIN)/python -m campaigns.bad_input.fuzz
+
+fuzz-pins: $(STAMPS)/environment ## resolve requirements/fuzz.in anew into requirements/fuzz.txt, within pins.txt
+	@$(BIN)/uv pip compile requirements/fuzz.in --constraint requirements/pins.txt \
+	  --output-file requirements/fuzz.txt --universal --upgrade --python-version 3.10 --no-annotate --quiet \
+	  --custom-compile-command "make fuzz-pins"
+
+pins: $(STAMPS)/environment ## resolve requirements/peers.in anew into requirements/peers.txt, within pins.txt
 	@$(BIN)/uv pip compile requirements/peers.in --constraint requirements/pins.txt \
 	  --output-file requirements/peers.txt --universal --upgrade --python-version 3.10 --no-annotate --quiet \
 	  --custom-compile-command "make peers-pins"
+
+fuzz: build $(STAMPS)/fuzz ## a coverage-guided fuzzer looks for bad input that is not refused as it should be, five minutes
+	@$(BIN)/python -m campaigns.bad_input.fuzz
+
+fuzz-pins: $(STAMPS)/environment ## resolve requirements/fuzz.in anew into requirements/fuzz.txt, within pins.txt
+	@$(BIN)/uv pip compile requirements/fuzz.in --constraint requirements/pins.txt \
+	  --output-file requirements/fuzz.txt --universal --upgrade --python-version 3.10 --no-annotate --quiet \
+	  --custom-compile-command "make fuzz-pins"
 
 pins: $(STAMPS)/environment ## resolve requirements/*.in anew into requirements/pins.txt, for all Pythons at once
 	@$(BIN)/uv pip compile requirements/develop.in --output-file requirements/pins.txt --universal --upgrade \
@@ -70,6 +86,11 @@ $(STAMPS)/environment: requirements/pins.txt
 $(STAMPS)/peers: requirements/peers.txt $(STAMPS)/environment
 	@echo "== .venv: the libraries to compare with (about a minute)"
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --requirement requirements/peers.txt
+	@touch $@
+
+$(STAMPS)/fuzz: requirements/fuzz.txt $(STAMPS)/environment
+	@echo "== .venv: the fuzzer"
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --requirement requirements/fuzz.txt
 	@touch $@
 
 # An editable install: nodes and tests run from the working tree; the generated messages lie in the .venv.

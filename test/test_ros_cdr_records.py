@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import tracemalloc
+from contextlib import suppress
 from struct import Struct
 from struct import error as StructError
 from typing import Any
 
 import numpy as np
 import pytest
+from geometry_msgs.msg import Point32
 from rclpy.serialization import deserialize_message, serialize_message
 from test_ros_conversion import EXAMPLES, assert_same, floats, ids
 
@@ -55,6 +58,30 @@ def test_bytes_are_those_of_rclpy_both_ways(head: Heading) -> None:
             assert (received.heading, received.run_id) == (head, RUN)
 
 
+@pytest.mark.parametrize("record", EXAMPLES, ids=lambda record: type(record).__name__)
+def test_every_message_of_the_package_is_read_as_rclpy_reads_it(record: Any) -> None:
+    for head in HEADINGS:
+        message = to_message(record, head, RUN)
+        received = deserialize_record(serialize_message(message), type(message))
+        assert_same(record, received.record)
+        assert (received.heading, received.run_id) == (head, RUN)
+
+
+def test_a_string_ends_at_its_first_zero_as_in_rclpy() -> None:
+    head, data = heading(0.0, "world"), bytearray(the_bytes(states(1), heading(0.0, "world")))
+    at = data.index(b"world\0")
+    for text in (b"world!", b"wo\0ld\0", b"\0\0\0\0\0\0", b"wor\xff\xfe\0"):
+        data[at : at + 6] = text
+        theirs = deserialize_message(bytes(data), message_class_of(states(0))).header.frame_id
+        assert deserialize_record(data, message_class_of(states(0))).heading == head._replace(frame_id=theirs)
+
+
+def test_points_of_a_polygon_are_passed_over() -> None:
+    message = to_message(EXAMPLES[0], HEADINGS[0], RUN)
+    message.primitive.polygon.points = [Point32(x=1.0, y=2.0, z=3.0)] * 5
+    assert_same(EXAMPLES[0], deserialize_record(serialize_message(message), type(message)).record)
+
+
 def test_arrays_are_aligned_and_may_be_written_to() -> None:
     for record in RECORDS:
         received = deserialize_record(serialize_record(record, HEADINGS[0], RUN), message_class_of(record)).record
@@ -69,13 +96,47 @@ def test_what_stands_behind_the_last_field_is_ignored_as_rclpy_does() -> None:
     assert_same(RECORDS[0], to_record(deserialize_message(data, message_class_of(RECORDS[0]))))
 
 
-@pytest.mark.parametrize("record", [states(2), contacts(1, 2)], ids=lambda record: type(record).__name__)
+def the_bytes(record: Any, head: Heading = HEADINGS[0]) -> bytes:
+    message = to_message(record, head, RUN)
+    return zero_padding(serialize_message(message), type(message))
+
+
+@pytest.mark.parametrize("record", [states(2), contacts(1, 2), *EXAMPLES], ids=lambda record: type(record).__name__)
 def test_every_message_cut_short_is_refused_in_words(record: Any) -> None:
     message_class = message_class_of(record)
-    data = serialize_record(record, HEADINGS[0], RUN)
+    data = the_bytes(record)
     for length in range(len(data)):
         with pytest.raises(ValueError, match=f"no serialized {message_class.__name__}"):
             deserialize_record(data[:length], message_class)
+
+
+def test_words_name_the_field() -> None:
+    body = EXAMPLES[0]
+    data = the_bytes(body)
+    for length, field in ((9, "nanosec"), (34, "run_id"), (len(data) - 1, "restitution"), (len(data) - 30, "density")):
+        with pytest.raises(ValueError, match=f"{length} bytes are too few for its field {field}$"):
+            deserialize_record(data[:length], message_class_of(body))
+
+
+def test_what_is_neither_true_nor_false_is_refused() -> None:
+    at = len(the_bytes(EXAMPLES[0])) - 32  # of is_static: three numbers stand behind it
+    for value in (2, 255):
+        data = bytearray(the_bytes(EXAMPLES[0]))
+        assert data[at] == 1
+        data[at] = value
+        with pytest.raises(ValueError, match="CollisionBody: is_static: neither true nor false"):
+            deserialize_record(bytes(data), message_class_of(EXAMPLES[0]))
+    data = bytearray(the_bytes(EXAMPLES[-1]))
+    data[-1] = 2
+    with pytest.raises(ValueError, match="FragmentMesh: is_crack: neither true nor false"):
+        deserialize_record(bytes(data), message_class_of(EXAMPLES[-1]))
+
+
+def test_more_dimensions_than_a_primitive_may_have_are_refused() -> None:
+    data = the_bytes(EXAMPLES[0])
+    at = data.rindex(Struct("<I").pack(3), 0, data.index(Struct("<ddd").pack(1.0, 2.0, 0.5)))
+    with pytest.raises(ValueError, match="4 entries, more than 3"):
+        deserialize_record(data[:at] + Struct("<I").pack(4) + data[at + 4 :], message_class_of(EXAMPLES[0]))
 
 
 def test_a_count_beyond_the_message_is_refused_before_memory_is_taken() -> None:
@@ -85,6 +146,22 @@ def test_a_count_beyond_the_message_is_refused_before_memory_is_taken() -> None:
     for count in (3 * 2**20, 2**31, 2**32 - 1):
         with pytest.raises(ValueError, match="too few"):
             deserialize_record(data[:at] + Struct("<I").pack(count) + data[at + 4 :], message_class_of(record))
+
+
+@pytest.mark.parametrize("record", EXAMPLES, ids=lambda record: type(record).__name__)
+def test_no_length_takes_more_memory_than_the_message_has(record: Any) -> None:
+    """Every four bytes in turn say that they count something huge."""
+    data, message_class = the_bytes(record), message_class_of(record)
+    tracemalloc.start()
+    try:
+        for at in range(4, len(data) - 3, 4):
+            for count in (len(data), 2**31 - 1, 2**32 - 1):
+                with suppress(ValueError):
+                    deserialize_record(data[:at] + Struct("<I").pack(count) + data[at + 4 :], message_class)
+        _, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert most < 20 * len(data) + 20_000
 
 
 def test_noise_is_read_or_refused_and_nothing_else() -> None:
@@ -104,7 +181,7 @@ def test_noise_is_read_or_refused_and_nothing_else() -> None:
     assert 100 < refused < 3000
 
 
-def test_other_byte_orders_are_left_to_rclpy() -> None:
+def test_the_other_byte_order() -> None:
     """A big-endian FragmentStates, written by hand."""
     head = Struct(">iII4sQQQII").pack(3, 5, 4, b"map\0", 41, 7, 2, 1, 0xDEADBEEF)
     positions = Struct(">I4xddd").pack(3, 1.0, 2.0, 3.0)
@@ -115,7 +192,7 @@ def test_other_byte_orders_are_left_to_rclpy() -> None:
     assert received.record.fragment_ids.tolist() == [0xDEADBEEF]
     assert received.record.positions.tolist() == [1.0, 2.0, 3.0]
     assert received.record.orientations.tolist() == [0.0, 0.0, 0.0, 1.0]
-    for wrong in (data[:-6], b"\x07\x07" + data[2:]):
+    for wrong in (data[:-6], b"\x07\x07" + data[2:], b"\x00\x07" + data[2:], b""):
         with pytest.raises(ValueError, match="no serialized FragmentStates"):
             deserialize_record(wrong, message_class_of(states(0)))
 

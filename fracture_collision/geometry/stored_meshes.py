@@ -1,21 +1,71 @@
-"""Tetrahedral meshes that come with the package, because the mesher that made them gives no two equal ones.
+"""Tetrahedral meshes in files: one comes with the package, because the mesher that made it gives no two equal ones.
 
-Files of two arrays in config/meshes; their origin and licence stand beside them.
+A file of two arrays, `vertices` and `tetrahedra`, as numpy.savez writes it; origin and licence of the package's stand
+beside it in config/meshes. A file is data: no pickles, and no array is made before its size is known to be bearable.
 """
 
 from __future__ import annotations
 
-import numpy as np
+import zipfile
+import zlib
+from pathlib import Path
 
-from fracture_collision.geometry.generators import TetGeometry, require_positive
+import numpy as np
+from numpy.lib import format as npy
+
+from fracture_collision.geometry.generators import TETRAHEDRA_LIMIT, TetGeometry, require_positive
 from fracture_collision.share import share_directory
+
+_HEADER_READERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
+MAX_HEADER = 1_000  # bytes of an array's header
 
 
 def bunny(longest_side: float = 0.2) -> TetGeometry:
     """The Stanford bunny, 2,010 nodes, in a box about the origin whose longest side, along z, is `longest_side` [m]."""
     require_positive(longest_side=longest_side)
-    with np.load(share_directory() / "config" / "meshes" / "bunny.npz", allow_pickle=False) as stored:
-        vertices, tetrahedra = stored["vertices"].astype(np.float64), stored["tetrahedra"]
+    vertices, tetrahedra = read_tetrahedra(share_directory() / "config" / "meshes" / "bunny.npz")
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     scale = longest_side / (high - low).max()
     return TetGeometry((vertices - 0.5 * (low + high)) * scale, tetrahedra)
+
+
+def read_tetrahedra(file: Path) -> TetGeometry:
+    """vertices (n, 3) float64 and tetrahedra (m, 4) of a .npz file, in the file's own unit.
+
+    Raises ValueError, naming file and array, for what is no such file, is larger than TETRAHEDRA_LIMIT, or has vertices
+    that are not finite or indices that are none.
+    """
+    try:
+        with zipfile.ZipFile(file) as archive:
+            vertices = _read_array(archive, "vertices", 3, "f", 4 * TETRAHEDRA_LIMIT)
+            tetrahedra = _read_array(archive, "tetrahedra", 4, "iu", TETRAHEDRA_LIMIT)
+    except (zipfile.BadZipFile, OSError, EOFError, NotImplementedError, RuntimeError, zlib.error) as error:
+        raise ValueError(f"{file}: no readable .npz file: {error}") from error
+    except ValueError as error:
+        raise ValueError(f"{file}: {error}") from error
+    if not np.isfinite(vertices).all():
+        raise ValueError(f"{file}: vertices: not all finite")
+    if tetrahedra.min() < 0 or tetrahedra.max() >= len(vertices):
+        raise ValueError(f"{file}: tetrahedra: an index is not among the {len(vertices)} vertices")
+    return TetGeometry(vertices.astype(np.float64), tetrahedra)
+
+
+def _read_array(archive: zipfile.ZipFile, name: str, columns: int, kinds: str, most_rows: int) -> np.ndarray:
+    member = f"{name}.npy"
+    if member not in archive.namelist():
+        raise ValueError(f"{name}: missing")
+    with archive.open(member) as stream:
+        try:
+            read_header = _HEADER_READERS[npy.read_magic(stream)]
+            shape, is_fortran, dtype = read_header(stream, max_header_size=MAX_HEADER)
+        except (ValueError, KeyError) as error:
+            raise ValueError(f"{name}: no array: {error}") from error
+        if dtype.kind not in kinds or is_fortran:
+            raise ValueError(f"{name}: not rows of {'floats' if kinds == 'f' else 'integers'} but {dtype}")
+        if len(shape) != 2 or shape[1] != columns or not 0 < shape[0] <= most_rows:
+            raise ValueError(f"{name}: needs (n, {columns}) numbers, n from 1 to {most_rows}, got {shape}")
+        size = shape[0] * columns * dtype.itemsize
+        data = stream.read(size + 1)
+    if len(data) != size:
+        raise ValueError(f"{name}: announces {size} bytes and has {'more' if len(data) > size else len(data)}")
+    return np.frombuffer(data, dtype).reshape(shape)

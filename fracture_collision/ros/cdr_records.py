@@ -1,9 +1,13 @@
 """Records to serialized messages and back, without rclpy's message objects in between: for what goes to and fro in
-every step.
+every step, and for whatever a stranger sends.
 
 On its way through a message object each array is copied four times, into fresh memory each time, and each field is
 checked; here it is copied once. The layout is read from the message class. The bytes are those that rclpy makes of
 conversion.to_message, with zeros in the gaps (ros/cdr_padding.py).
+
+Reading takes no more memory than the message has bytes, whatever it says of its lengths, and all that is wrong with it
+is one ValueError in words. rclpy's executor drops what it cannot read without a word, and makes a Python object of some
+hundred bytes of each point of a primitive's polygon.
 
 CDR: a number stands at a multiple of its size, counted from behind the four bytes of the encapsulation; a sequence is
 its length as uint32, then its elements, and one that is empty is not aligned; a string counts the zero at its end.
@@ -11,29 +15,40 @@ its length as uint32, then its elements, and one that is empty is not aligned; a
 
 from __future__ import annotations
 
+import importlib
+import re
+from collections.abc import Callable, Mapping
 from functools import cache
 from struct import Struct
-from struct import error as StructError
 from typing import Any, NamedTuple
 
 import numpy as np
-from rclpy.impl.implementation_singleton import rclpy_implementation
-from rclpy.serialization import deserialize_message
 
-from fracture_collision.ros.conversion import (
-    SEQUENCES,
-    Heading,
-    flat_array,
-    message_class_of,
-    record_class_of,
-    to_record,
-)
+from fracture_collision.records import SolidPrimitive
+from fracture_collision.ros.conversion import SEQUENCES, Heading, flat_array, message_class_of, record_class_of
 
 _ENCAPSULATION = b"\x00\x01\x00\x00"  # plain CDR, little-endian
-_LITTLE_ENDIAN = _ENCAPSULATION[:2]
+_BYTE_ORDERS = {b"\x00\x00": ">", b"\x00\x01": "<"}  # of plain CDR; its two bytes of options say nothing
 _STAMP_AND_LENGTH = Struct("<iII")  # sec, nanosec, and the length of frame_id
-_COUNT = Struct("<I")
+_COUNTS = {order: Struct(f"{order}I") for order in "<>"}
+_COUNT = _COUNTS["<"]
 _NUMBERS = {"uint32": Struct("<I"), "uint64": Struct("<Q")}
+
+# ROS type -> struct's code, and how many numbers one of it has
+_ELEMENTS = {
+    "boolean": ("?", 1), "uint8": ("B", 1), "int32": ("i", 1), "uint32": ("I", 1), "uint64": ("Q", 1),
+    "float": ("f", 1), "double": ("d", 1), "geometry_msgs/Point32": ("f", 3),
+}  # fmt: skip
+# Messages within messages, as records.
+_NESTED: dict[str, Callable[[Mapping[str, Any]], Any]] = {
+    "std_msgs/Header": lambda part: Heading(*part["stamp"], part["frame_id"]),
+    "builtin_interfaces/Time": lambda part: (part["sec"], part["nanosec"]),
+    "shape_msgs/SolidPrimitive": lambda part: SolidPrimitive(part["type"], tuple(part["dimensions"].tolist())),
+    "shape_msgs/Plane": lambda part: part["coef"],
+    "geometry_msgs/Polygon": lambda part: part["points"],
+}
+_SEQUENCE = re.compile(r"sequence<([^,>]+)(?:, (\d+))?>")
+_ARRAY = re.compile(r"([^\[]+)\[(\d+)\]")
 
 
 class Received(NamedTuple):
@@ -71,58 +86,123 @@ def serialize_record(record: NamedTuple, heading: Heading, run_id: int) -> bytes
 
 
 def deserialize_record(data: bytes, message_class: Any) -> Received:
-    """What `serialize_record` was given; its arrays are views of one copy of `data`. Other encapsulations than plain
-    little-endian CDR, of machines of another kind, are left to rclpy.
+    """The record, heading and run of a serialized message, of any of msg/; its arrays are views of one copy of `data`.
 
-    Raises ValueError where `data` is no serialized `message_class`. What stands behind its last field is ignored.
+    Raises ValueError where `data` is no serialized `message_class`, in plain CDR of either byte order. What stands
+    behind its last field is ignored, as rclpy does.
     """
-    if data[:2] != _LITTLE_ENDIAN:
-        return _by_rclpy(data, message_class)
+    order = _BYTE_ORDERS.get(bytes(data[:2]))
+    name = message_class.__name__
+    if order is None:
+        raise ValueError(f"no serialized {name}: begins with {bytes(data[:2]).hex() or 'nothing'}, not plain CDR")
     # A copy, for arrays that may be written to and stand at multiples of their numbers' size in memory too.
-    body = bytearray(memoryview(data)[len(_ENCAPSULATION) :])
+    reader = _Reader(bytearray(memoryview(data)[len(_ENCAPSULATION) :]), order)
     try:
-        return _read(body, message_class)
-    except StructError:
-        raise ValueError(f"no serialized {message_class.__name__}: {len(data)} bytes are too few") from None
+        values = reader.fields(_layout(message_class, order))
+    except _TooShort:
+        raise ValueError(f"no serialized {name}: {len(data)} bytes are too few for its field {reader.at}") from None
+    except ValueError as error:
+        raise ValueError(f"no serialized {name}: {reader.at}: {error}") from None
+    return Received(values.pop("header"), values.pop("run_id"), record_class_of(message_class)(**values))
 
 
-def _read(body: bytearray, message_class: Any) -> Received:
-    sec, nanosec, length = _STAMP_AND_LENGTH.unpack_from(body)
-    end = _require(body, _STAMP_AND_LENGTH.size, length)
-    frame_id = body[_STAMP_AND_LENGTH.size : max(end - 1, _STAMP_AND_LENGTH.size)].decode(errors="replace")
-    values: dict[str, Any] = {}
-    for name, field in _fields(message_class):
-        if isinstance(field, Struct):
-            begin = end + -end % field.size
-            (values[name],) = field.unpack_from(body, begin)
-            end = begin + field.size
-            continue
-        begin = end + -end % _COUNT.size
-        (count,) = _COUNT.unpack_from(body, begin)
-        end = begin + _COUNT.size
-        if not count:
-            values[name] = np.empty(0, field)
-            continue
-        begin = end + -end % field.itemsize
-        end = _require(body, begin, count * field.itemsize)
-        values[name] = np.frombuffer(body, field, count, begin)
-    return Received(Heading(sec, nanosec, frame_id), values.pop("run_id"), record_class_of(message_class)(**values))
+class _TooShort(Exception):
+    """More is announced than there is."""
 
 
-def _require(body: bytearray, begin: int, size: int) -> int:
-    """Where `size` bytes from `begin` on end; struct.error where they are not all there."""
-    if begin + size > len(body):
-        raise StructError
-    return begin + size
+class _Elements(NamedTuple):
+    """An array's: of a fixed length, or one that stands before them and has a limit or none."""
+
+    dtype: np.dtype
+    numbers: int  # of each element
+    length: int | None
+    limit: int | None
 
 
-def _by_rclpy(data: bytes, message_class: Any) -> Received:
-    try:
-        message = deserialize_message(data, message_class)
-    except rclpy_implementation.RMWError as error:
-        raise ValueError(f"no serialized {message_class.__name__}: {error}") from error
-    stamp = message.header.stamp
-    return Received(Heading(stamp.sec, stamp.nanosec, message.header.frame_id), message.run_id, to_record(message))
+class _Nested(NamedTuple):
+    layout: tuple[tuple[str, Any], ...]
+    record: Callable[[Mapping[str, Any]], Any]
+
+
+class _Reader:
+    """Goes through a serialized message field by field."""
+
+    def __init__(self, body: bytearray, order: str) -> None:
+        self.at = ""  # the field that is read
+        self._body = body
+        self._count = _COUNTS[order]
+        self._end = 0  # of what was read
+
+    def fields(self, layout: tuple[tuple[str, Any], ...]) -> dict[str, Any]:
+        values = {}
+        for name, how in layout:
+            self.at = name
+            if isinstance(how, Struct):
+                values[name] = self._number(how)
+            elif isinstance(how, _Elements):
+                values[name] = self._array(how)
+            elif isinstance(how, _Nested):
+                values[name] = how.record(self.fields(how.layout))
+            else:
+                values[name] = self._string()
+        return values
+
+    def _number(self, packed: Struct) -> Any:
+        begin = self._end + -self._end % packed.size
+        end = begin + packed.size
+        if end > len(self._body):
+            raise _TooShort
+        (value,) = packed.unpack_from(self._body, begin)
+        if value is True and self._body[begin] != 1:
+            raise ValueError("neither true nor false")
+        self._end = end
+        return value
+
+    def _array(self, how: _Elements) -> np.ndarray:
+        count = self._number(self._count) if how.length is None else how.length
+        if how.limit is not None and count > how.limit:
+            raise ValueError(f"{count} entries, more than {how.limit}")
+        dtype, count = how.dtype, count * how.numbers
+        if not count:  # what is empty is not aligned
+            return np.empty(0, dtype.newbyteorder("="))
+        begin = self._end + -self._end % dtype.itemsize
+        end = begin + count * dtype.itemsize
+        if end > len(self._body):
+            raise _TooShort
+        if dtype.kind == "b" and max(self._body[begin:end]) > 1:
+            raise ValueError("neither true nor false")
+        self._end = end
+        array = np.frombuffer(self._body, dtype, count, begin)
+        return array if dtype.isnative else array.astype(dtype.newbyteorder("="))
+
+    def _string(self) -> str:
+        length = self._number(self._count)
+        begin, self._end = self._end, self._end + length
+        if self._end > len(self._body):
+            raise _TooShort
+        # up to its zero: as C, and so rclpy, reads it
+        return self._body[begin : self._end].partition(b"\0")[0].decode(errors="replace")
+
+
+@cache
+def _layout(message_class: Any, order: str) -> tuple[tuple[str, Any], ...]:
+    """Of each field its name and how it is read."""
+    types = message_class.get_fields_and_field_types()
+    return tuple((name, _how(kind, order)) for name, kind in types.items())
+
+
+def _how(kind: str, order: str) -> Struct | _Elements | _Nested | str:
+    if match := _SEQUENCE.fullmatch(kind):
+        code, numbers = _ELEMENTS[match[1]]
+        return _Elements(np.dtype(order + code), numbers, None, int(match[2]) if match[2] else None)
+    if match := _ARRAY.fullmatch(kind):
+        code, numbers = _ELEMENTS[match[1]]
+        return _Elements(np.dtype(order + code), numbers, int(match[2]), None)
+    if kind in _NESTED:
+        package, name = kind.split("/")
+        nested_class = getattr(importlib.import_module(f"{package}.msg"), name)
+        return _Nested(_layout(nested_class, order), _NESTED[kind])
+    return kind if kind == "string" else Struct(order + _ELEMENTS[kind][0])
 
 
 @cache

@@ -62,7 +62,7 @@ def heading(stamp_seconds: float, frame_id: str = "world") -> Heading:
 
 
 def to_message(record: NamedTuple, head: Heading, run_id: int) -> Any:
-    """The ROS message of a record. ValueError where an array has more than one dimension."""
+    """The ROS message of a record. ValueError where an array has more than one dimension, a plane not four numbers."""
     message_class = message_class_of(record)
     header = Header(stamp=Time(sec=head.sec, nanosec=head.nanosec), frame_id=head.frame_id)
     message = message_class(header=header, run_id=run_id)
@@ -103,8 +103,16 @@ def _to_field(value: Any, field_type: str) -> Any:
     if field_type == "shape_msgs/SolidPrimitive":
         return SolidPrimitiveMessage(type=value.type, dimensions=[float(x) for x in value.dimensions])
     if field_type == "shape_msgs/Plane":
-        return Plane(coef=np.asarray(value, dtype=np.float64))
+        return Plane(coef=_four(value))
     return {"double": float, "string": str, "boolean": bool}.get(field_type, int)(value)
+
+
+def _four(value: Any) -> np.ndarray:
+    """rclpy looks no more at how many there are, and serializes what stands in memory behind too few."""
+    coefficients = flat_array(value, np.float64)
+    if len(coefficients) != 4:
+        raise ValueError(f"plane: {len(coefficients)} coefficients, not 4")
+    return coefficients
 
 
 def _from_field(value: Any, field_type: str) -> Any:

@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fracture_collision.simulation.scene_fields import Fields, SceneError
+from fracture_collision.simulation.scene_files import MAX_TRACK_BYTES, read_text
 
 COLUMNS = ["time", "x", "y", "z", "holds"]
 
@@ -112,9 +113,9 @@ def kick(
 
 def _rows_of_file(file: Path, path: str) -> list[list[str]]:
     try:
-        with file.open(newline="", encoding="utf-8") as stream:
-            rows = [row for row in csv.reader(line for line in stream if not line.startswith("#")) if row]
-    except OSError as error:
+        lines = read_text(file, MAX_TRACK_BYTES).splitlines(keepends=True)
+        rows = [row for row in csv.reader(line for line in lines if not line.startswith("#")) if row]
+    except (SceneError, csv.Error) as error:
         raise SceneError(f"{path}: {error}") from error
     if not rows or rows[0] != COLUMNS:
         raise SceneError(f"{path}: {file} does not begin with the columns {','.join(COLUMNS)}")

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import yaml
 from scipy.spatial.transform import Rotation
 
 from fracture_collision.geometry.generators import TetGeometry
@@ -21,8 +20,10 @@ from fracture_collision.simulation.contact_solver import SolverSettings
 from fracture_collision.simulation.fracture_pattern import PatternSettings
 from fracture_collision.simulation.hand import Hand, parse_hand
 from fracture_collision.simulation.scene_fields import Fields, SceneError, numbers
+from fracture_collision.simulation.scene_files import read_yaml
 from fracture_collision.simulation.shapes import Shape, parse_shape
 
+MAX_STEPS = 10**9
 EARTH = (0.0, 0.0, -9.81)  # [m/s2] gravity, unless a scene has its own
 
 
@@ -79,7 +80,9 @@ def scene_files() -> list[SceneFile]:
     """The scenes that come with the package, by name."""
     files = sorted((share_directory() / "config" / "scenes").glob("*.yaml"))
     return [
-        SceneFile(file, file.read_text(encoding="utf-8").splitlines()[0].lstrip("# "), tuple(_variants(_content(file))))
+        SceneFile(
+            file, file.read_text(encoding="utf-8").splitlines()[0].lstrip("# "), tuple(_variants(read_yaml(file)))
+        )
         for file in files
     ]
 
@@ -90,7 +93,7 @@ def load_scene(name_or_path: str | Path) -> Scene:
     NAME:VARIANT is the scene with what its field `variants` says of this variant.
     """
     path, variant = _find(str(name_or_path))
-    return parse_scene(_content(path), path.stem, variant, path.parent)
+    return parse_scene(read_yaml(path), path.stem, variant, path.parent)
 
 
 def parse_scene(content: Any, name: str, variant: str = "", folder: Path | None = None) -> Scene:
@@ -127,6 +130,8 @@ def parse_scene(content: Any, name: str, variant: str = "", folder: Path | None 
         hand=hand,
     )
     root.finish()
+    if scene.duration > MAX_STEPS * scene.time_step:
+        raise SceneError(f"duration: {scene.duration} s are more than {MAX_STEPS} steps of {scene.time_step} s")
     return scene
 
 
@@ -141,13 +146,6 @@ def _find(name: str) -> tuple[Path, str]:
         if path.is_file():
             return path, wanted
     raise SceneError(f"no scene {name!r}: looked for {' and '.join(str(path) for path, _ in candidates)}")
-
-
-def _content(path: Path) -> Any:
-    try:
-        return yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise SceneError(f"{path}: not YAML: {error}") from error
 
 
 def _variants(content: Any) -> Mapping[str, Any]:
@@ -195,14 +193,14 @@ def _material(fields: Fields) -> Material:
 
 
 def _body(fields: Fields, materials: Mapping[str, Material], made: dict[tuple, TetGeometry]) -> SceneBody:
-    material_name = str(fields.take("material"))
+    material_name = fields.text("material")
     if material_name not in materials:
         raise SceneError(f"{fields.name('material')}: {material_name!r} is none of {', '.join(materials)}")
     is_static = fields.take("static", False)
     if not isinstance(is_static, bool):
         raise SceneError(f"{fields.name('static')}: needs true or false, got {is_static!r}")
     body = SceneBody(
-        name=str(fields.take("name")),
+        name=fields.text("name"),
         shape=parse_shape(Fields(fields.mapping("shape"), fields.name("shape")), made),
         material=materials[material_name],
         is_static=is_static,

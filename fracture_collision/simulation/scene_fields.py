@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import reprlib
+import sys
 from collections.abc import Mapping
 from typing import Any
 
@@ -13,12 +15,17 @@ class SceneError(ValueError):
     """A scene file says something that cannot be; the text begins with the field's path."""
 
 
+def _short(value: Any) -> str:
+    """As much of it as fits a line."""
+    return reprlib.repr(value) if isinstance(value, str | list | tuple | Mapping | int) else repr(value)
+
+
 class Fields:
     """A mapping whose fields are taken out one by one; what is left at the end is a slip of the pen."""
 
     def __init__(self, content: Any, path: str) -> None:
         if not isinstance(content, Mapping):
-            raise SceneError(f"{path or 'scene'}: needs fields, got {content!r}")
+            raise SceneError(f"{path or 'scene'}: needs fields, got {_short(content)}")
         self._left = dict(content)
         self._path = path
 
@@ -34,36 +41,43 @@ class Fields:
 
     def number(self, key: str, default: Any = ..., minimum: float = -math.inf, above: float = -math.inf) -> float:
         value = self.take(key, default)
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-            raise SceneError(f"{self.name(key)}: needs a finite number, got {value!r}")
+        if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= sys.float_info.max:
+            raise SceneError(f"{self.name(key)}: needs a finite number, got {_short(value)}")
         if value < minimum or value <= above:
             limit = f"at least {minimum}" if value < minimum else f"more than {above}"
             raise SceneError(f"{self.name(key)}: needs {limit}, got {value}")
         return float(value)
 
+    def text(self, key: str) -> str:
+        """A text, or a number that stands for one."""
+        value = self.take(key)
+        if isinstance(value, bool) or not isinstance(value, str | int | float):
+            raise SceneError(f"{self.name(key)}: needs a text, got {_short(value)}")
+        return str(value)
+
     def integer(self, key: str, default: Any = ..., minimum: int = 0) -> int:
         value = self.take(key, default)
         if isinstance(value, bool) or not isinstance(value, int) or value < minimum:
-            raise SceneError(f"{self.name(key)}: needs a whole number of at least {minimum}, got {value!r}")
+            raise SceneError(f"{self.name(key)}: needs a whole number of at least {minimum}, got {_short(value)}")
         return value
 
     def vector(self, key: str, size: int, default: Any = ...) -> np.ndarray:
         value = self.take(key, default)
         if not isinstance(value, list | tuple) or len(value) != size:
-            raise SceneError(f"{self.name(key)}: needs {size} numbers, got {value!r}")
+            raise SceneError(f"{self.name(key)}: needs {size} numbers, got {_short(value)}")
         parts = Fields(dict(enumerate(value)), self.name(key))
         return np.array([parts.number(i) for i in range(size)])
 
     def mapping(self, key: str, default: Any = ...) -> Mapping:
         value = self.take(key, default)
         if not isinstance(value, Mapping):
-            raise SceneError(f"{self.name(key)}: needs fields, got {value!r}")
+            raise SceneError(f"{self.name(key)}: needs fields, got {_short(value)}")
         return value
 
     def sequence(self, key: str) -> list:
         value = self.take(key)
         if not isinstance(value, list) or not value:
-            raise SceneError(f"{self.name(key)}: needs a list, got {value!r}")
+            raise SceneError(f"{self.name(key)}: needs a list, got {_short(value)}")
         return value
 
     def keys(self) -> list[str]:

@@ -34,6 +34,7 @@ MAX_NAME = 256
 MAX_DENSITY = 1e9  # [kg/m3] beyond all matter on Earth; keeps masses finite
 MAX_FRICTION = 1e6
 DIMENSIONS = {BOX: 3, SPHERE: 1}
+SHAPE_FIELDS = "primitive, plane, vertices"
 
 
 class CheckedBody(NamedTuple):
@@ -122,7 +123,7 @@ def check_body(fields: BodyFields, store: MeshStore, room_for_nodes: int) -> Che
     """Raise InvalidMessage unless the fields together are a body; prepares its geometry."""
     has_mesh = bool(len(fields.vertices) or len(fields.tetrahedra) or len(fields.triangles))
     if (fields.primitive != 0) + bool(fields.plane.any()) + has_mesh != 1:
-        refuse("no_shape", "a body needs exactly one of primitive, plane, and vertices with tetrahedra or triangles")
+        refuse("no_shape", f"{SHAPE_FIELDS}: a body needs exactly one of these, vertices with tetrahedra or triangles")
     sphere, box, half_space, mesh, surface = 0.0, None, None, None, None
     if fields.primitive:
         sphere, box = _primitive(fields.primitive, fields.dimensions)
@@ -135,7 +136,7 @@ def check_body(fields: BodyFields, store: MeshStore, room_for_nodes: int) -> Che
         if len(vertices) > room_for_nodes:
             refuse("limit_exceeded", f"vertices: {len(vertices)}; the limit on nodes leaves room for {room_for_nodes}")
         if not len(tetrahedra) and not len(triangles):
-            refuse("no_shape", "vertices without tetrahedra or triangles")
+            refuse("no_shape", "tetrahedra, triangles: the vertices have neither")
         if float(np.ptp(vertices, axis=0).max(initial=0.0)) < SMALLEST_LENGTH:
             refuse("out_of_range", f"vertices: the body is smaller than {SMALLEST_LENGTH:g} m")
         if len(tetrahedra):

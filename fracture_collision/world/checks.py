@@ -23,7 +23,8 @@ def floats(name: str, values, columns: int = 0, limit: float = np.inf) -> np.nda
     given = _array(name, values)
     if given.dtype.kind not in "fiu":
         refuse("wrong_type", f"{name}: not numbers but {given.dtype}")
-    array = np.ascontiguousarray(given, dtype=np.float64).ravel()
+    with np.errstate(over="ignore"):  # what is too large for a double becomes infinite, and is refused as such
+        array = np.ascontiguousarray(given, dtype=np.float64).ravel()
     if not np.isfinite(array).all():
         i = int(np.flatnonzero(~np.isfinite(array))[0])
         refuse("not_finite", f"{name}: entry {i} is {array[i]}")

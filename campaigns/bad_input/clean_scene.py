@@ -1,0 +1,31 @@
+"""The scene that bad messages are fed into: a body of each kind, one broken, one removed, and room for little more."""
+
+from __future__ import annotations
+
+import numpy as np
+from gate_world import FIRST, REFERENCE, SECOND, box, plane, record_bytes, rigid, sphere, tetrahedral
+
+from fracture_collision.records import REMOVE
+from fracture_collision.world import Settings
+
+REMOVED = 5
+# 53 nodes are in use; two more bodies of 45 fit, a larger one does not. 7 fragments were made.
+SETTINGS = Settings(threads=1, max_nodes=160, max_fragments=40)
+FULL = SETTINGS._replace(max_bodies=4)  # not one body more
+
+# (topic, record), in order; what they make answers REFERENCE
+CLEAN = (
+    ("bodies", tetrahedral(1)), ("bodies", plane(2)), ("bodies", sphere(3)), ("bodies", box(REMOVED)),
+    ("bodies", box(REMOVED, operation=REMOVE)), ("bodies", rigid(4)), ("fracture_events", FIRST),
+    ("fragment_states", REFERENCE),
+)  # fmt: skip
+# What comes after: the second fracture, and states of both registries.
+_STILL = REFERENCE._replace(step=8, fracture_sequence=2, fragment_ids=np.array([3, 4, 10, 12]))
+ENDING = (
+    ("fragment_states", REFERENCE),
+    ("fracture_events", SECOND),
+    *(("fragment_states", _STILL._replace(step=8 + i, positions=_STILL.positions - 0.01 * i)) for i in range(4)),
+    ("fragment_states", REFERENCE._replace(step=12)),
+)
+
+__all__ = ["CLEAN", "ENDING", "FULL", "REFERENCE", "REMOVED", "SETTINGS", "record_bytes"]

@@ -1,0 +1,51 @@
+"""The lines of world/ that refuse something, read from its source: which of them has a campaign reached?"""
+
+from __future__ import annotations
+
+import ast
+from collections import Counter
+from pathlib import Path
+from typing import NamedTuple
+
+from fracture_collision import world
+
+REFUSING = {"refuse"}
+RAISED = {"InvalidMessage", "StatesAhead"}
+
+
+class Site(NamedTuple):
+    file: str
+    first_line: int
+    last_line: int
+    function: str
+
+    def __str__(self) -> str:
+        return f"world/{Path(self.file).name}:{self.first_line} in {self.function}"
+
+
+def refusal_sites() -> list[Site]:
+    """Every call of `refuse` and every `raise` of what a message is refused with, but that in `refuse` itself."""
+    sites = []
+    for file in sorted(Path(world.__path__[0]).glob("*.py")):
+        for function in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(function, ast.FunctionDef) and function.name not in REFUSING:
+                sites += [
+                    Site(str(file), node.lineno, node.end_lineno or node.lineno, function.name)
+                    for node in ast.walk(function)
+                    if _refuses(node)
+                ]
+    return sites
+
+
+def _refuses(node: ast.AST) -> bool:
+    if isinstance(node, ast.Raise):
+        return isinstance(node.exc, ast.Call) and getattr(node.exc.func, "id", "") in RAISED
+    return isinstance(node, ast.Call) and getattr(node.func, "id", "") in REFUSING
+
+
+def counted(reached: Counter[tuple[str, int]]) -> dict[Site, int]:
+    """How often each site was reached; `reached` by file and line."""
+    return {
+        site: sum(reached[site.file, line] for line in range(site.first_line, site.last_line + 1))
+        for site in refusal_sites()
+    }
