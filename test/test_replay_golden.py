@@ -22,8 +22,8 @@ MOST_BYTES = 6_000_000  # all of them together
 
 OTHER_ANSWERS = """
 The service answers otherwise than when this bag was made: {words}
-Meant to? `python bags/make.py`, and commit bags/. Not meant to, and the last digits differ? Digests are those of one
-kind of processor (bags/README.md): if this test passes with OPENBLAS_CORETYPE=Haswell in the environment, it is that.
+Meant to? `python bags/make.py`, and commit bags/. Not meant to, and the last digits differ, on another processor than
+those tried (bags/README.md)? Then something that answers rest on is rounded by what the processor has.
 """
 
 
