@@ -4,7 +4,7 @@ BIN    := .venv/bin
 STAMPS := build/stamps
 
 .DEFAULT_GOAL := help
-.PHONY: help build smash test test-full lint peers peers-pins fuzz fuzz-pins pins clean
+.PHONY: help build smash test test-full lint peers peers-pins golden-bags fuzz fuzz-pins pins clean
 
 help: ## this text
 	@echo "fracture_collision: collision detection for fracturing rigid bodies."
@@ -40,18 +40,13 @@ lint: $(STAMPS)/messages ## style, and the arrows between the rooms
 peers: build $(STAMPS)/peers ## ours beside the libraries people would use instead: table, ratios and out/peers.csv, some minutes
 	@$(BIN)/python -m benchmarks.peers
 
-peers-fuzz: build $(STAMPS)/fuzz ## a coverage-guided fuzzer looks for bad input that is not refused as it should be, five minutes
-	@$(BIN)/python -m campaigns.bad_input.fuzz
-
-fuzz-pins: $(STAMPS)/environment ## resolve requirements/fuzz.in anew into requirements/fuzz.txt, within pins.txt
-	@$(BIN)/uv pip compile requirements/fuzz.in --constraint requirements/pins.txt \
-	  --output-file requirements/fuzz.txt --universal --upgrade --python-version 3.10 --no-annotate --quiet \
-	  --custom-compile-command "make fuzz-pins"
-
-pins: $(STAMPS)/environment ## resolve requirements/peers.in anew into requirements/peers.txt, within pins.txt
+peers-pins: $(STAMPS)/environment ## resolve requirements/peers.in anew into requirements/peers.txt, within pins.txt
 	@$(BIN)/uv pip compile requirements/peers.in --constraint requirements/pins.txt \
 	  --output-file requirements/peers.txt --universal --upgrade --python-version 3.10 --no-annotate --quiet \
 	  --custom-compile-command "make peers-pins"
+
+golden-bags: build ## make the bags of bags/ anew, after a change that is meant to change answers
+	@$(BIN)/python bags/make.py
 
 fuzz: build $(STAMPS)/fuzz ## a coverage-guided fuzzer looks for bad input that is not refused as it should be, five minutes
 	@$(BIN)/python -m campaigns.bad_input.fuzz
@@ -102,7 +97,7 @@ $(STAMPS)/messages: $(STAMPS)/environment $(wildcard msg/*.msg) CMakeLists.txt p
 
 # Numba caches a kernel by its own file's date and does not see that a function it calls in another file has changed:
 # any change throws all compiled kernels away.
-KERNEL_SOURCES := $(shell find fracture_collision -name '*.py' -not -path '*/ros/*' -not -path '*/bag/*' -not -path '*/cli/*')
+KERNEL_SOURCES := $(shell find fracture_collision -name '*.py' -not -path '*/ros/*' -not -path '*/bag/*' -not -path '*/cli/*' -not -name 'replay.py')
 $(STAMPS)/kernels: $(STAMPS)/messages $(KERNEL_SOURCES)
 	@echo "== kernels: compile into the cache (some minutes)"
 	@find fracture_collision -name '*.nb[ic]' -delete
