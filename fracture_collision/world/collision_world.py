@@ -59,11 +59,11 @@ class CollisionWorld:
         self._ledger.add_fracture(event)
 
     def change_settings(self, settings: Settings) -> None:
-        """From now on as if the world had been made with `settings`: what is known stays, answers are those of a new world
-        that is told the same. Limits hold for what comes; what is there already may be beyond them.
+        """From now on as if the world had been made with `settings`: what is known stays, and the answers are those of
+        a new world that is told the same. Limits hold for what comes; what is there may be beyond them.
 
-        A change of `field`, `normals`, `tree` or `traversal` makes the registry anew from the log, when next it is asked
-        for. Raises ValueError, and changes nothing, where a setting is out of range.
+        After a change of `field`, `normals`, `tree` or `traversal` the registry is made anew from the log, when it is
+        next asked for. Raises ValueError, and changes nothing, where a setting is out of range.
         """
         check_settings(settings)
         if settings.threads != self.settings.threads:
