@@ -23,6 +23,10 @@ LOG = (qos.BODIES, qos.FRACTURE_EVENTS)  # a run can be rebuilt from these
 TOPICS = (*LOG, qos.FRAGMENT_STATES)
 
 
+# What rmw says of a node whose publishers it has met already.
+_UNKNOWN = "_NODE_NAME_UNKNOWN_"
+
+
 class Incoming:
     """Subscriptions to TOPICS whose messages are read, judged by a RunGuard and handed on. Parameter: allow_takeover.
 
@@ -37,8 +41,8 @@ class Incoming:
         refuse: Callable[[Refusal], None],
         begin_anew: Callable[[], None],
     ) -> None:
-        """`largest_message`: [bytes]. `handlers`: by the topic's name. `begin_anew`: what is known of earlier runs shall
-        be forgotten.
+        """`largest_message`: [bytes]. `handlers`: by the topic's name. `begin_anew`: what is known of earlier runs
+        shall be forgotten.
         """
         self._node = node
         self._largest_message = largest_message
@@ -151,12 +155,13 @@ class Incoming:
             for info in self._node.get_publishers_info_by_topic(self._subscriptions[topic.name].topic_name):
                 participant = participant_of(bytes(info.endpoint_gid))
                 there.add(participant)
-                self._names[participant] = f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+                if not info.node_name.startswith(_UNKNOWN):
+                    self._names[participant] = f"{info.node_namespace.rstrip('/')}/{info.node_name}"
         self._guard.observe(publishers, {topic.name for topic in LOG})
 
     def _name(self, participant: bytes) -> str:
         """Two nodes may have one name, so with a part of their GUID."""
-        return f"{self._names.get(participant, 'a publisher')} [{participant[4:8].hex()}]"
+        return f"{self._names.get(participant, 'a publisher')} [{participant[4:].hex()}]"
 
 
 def _read(data: bytes, message_class: Any) -> Received:

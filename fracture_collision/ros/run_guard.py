@@ -26,7 +26,8 @@ class RunGuard:
     def __init__(self) -> None:
         self.leader: bytes | None = None  # who is followed
         self._helpers: dict[str, bytes] = {}  # topic -> who is followed there, as the leader does not publish it
-        self._led: set[str] = set()  # topics that the leader was seen to publish
+        self._led: set[str] = set()  # topics that the leader was ever seen to publish
+        self._publishers: Mapping[str, Set[bytes]] = {}  # as last observed
         self._former: bytes | None = None  # who led a run that is over
         self._displaced: set[bytes] = set()  # leaders whose run was taken over while they were there
         self.waiting: set[bytes] = set()  # who was refused and is still there
@@ -42,7 +43,7 @@ class RunGuard:
             return Verdict.FOLLOW
         if self.leader is None:
             return self._begin(participant, anew=self._former not in (None, participant))
-        if same_run and topic not in self._led and topic not in self._helpers:
+        if same_run and topic not in self._topics_of(self.leader) and topic not in self._helpers:
             self._helpers[topic] = participant
             return Verdict.FOLLOW
         if allow_takeover and participant not in self._displaced:
@@ -55,6 +56,7 @@ class RunGuard:
         """Takes note of who publishes which topic now. A leader who is gone leads no more. If it published the whole
         log, all of `log_topics`, its run is over with it; else the run goes on with whoever speaks of it next.
         """
+        self._publishers = publishers
         present = set().union(*publishers.values())
         self._helpers = {topic: who for topic, who in self._helpers.items() if who in publishers[topic]}
         self._displaced &= present
@@ -62,13 +64,16 @@ class RunGuard:
         if self.leader is None:
             return
         if self.leader in present:
-            self._led |= {topic for topic, there in publishers.items() if self.leader in there}
+            self._led |= self._topics_of(self.leader)
         else:
             self._former = self.leader if log_topics <= self._led else None
             self.leader = None
             self._helpers.clear()
 
+    def _topics_of(self, participant: bytes) -> set[str]:
+        return {topic for topic, there in self._publishers.items() if participant in there}
+
     def _begin(self, participant: bytes, anew: bool) -> Verdict:
         self.leader, self._former = participant, None
-        self._led, self._helpers = set(), {}
+        self._led, self._helpers = self._topics_of(participant), {}
         return Verdict.BEGIN if anew else Verdict.FOLLOW
