@@ -54,6 +54,9 @@ class ServiceClient:
         self.node.destroy_node()
         self._context.try_shutdown()
 
+    def spin_once(self, timeout_sec: float) -> None:
+        self._executor.spin_once(timeout_sec=timeout_sec)
+
     def spin_until(self, condition: Callable[[], bool], what: str, patience: float = PATIENCE) -> None:
         deadline = time.monotonic() + patience
         while not condition():
