@@ -1,13 +1,16 @@
 """Starts the collision service and the simulator:
 
 ros2 launch fracture_collision fracture_collision.launch.py scene:=plates seed:=1
+
+They speak on this machine only, unless discovery_range:=SUBNET or the variable ROS_AUTOMATIC_DISCOVERY_RANGE says more.
 """
 
 from __future__ import annotations
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, Shutdown
-from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch.actions import DeclareLaunchArgument, SetEnvironmentVariable, Shutdown
+from launch.conditions import IfCondition
+from launch.substitutions import EnvironmentVariable, EqualsSubstitution, LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
@@ -15,7 +18,9 @@ from launch_ros.substitutions import FindPackageShare
 
 def generate_launch_description() -> LaunchDescription:
     """Both nodes in one namespace; the simulator's end is the end of all."""
-    default_parameters = PathJoinSubstitution([FindPackageShare("fracture_collision"), "config", "collision.yaml"])
+    config = [FindPackageShare("fracture_collision"), "config"]
+    default_parameters = PathJoinSubstitution([*config, "collision.yaml"])
+    this_machine = PathJoinSubstitution([*config, "this_machine.xml"])
     namespace = LaunchConfiguration("namespace")
     return LaunchDescription(
         [
@@ -24,6 +29,18 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument("namespace", default_value="", description="put before every topic"),
             DeclareLaunchArgument(
                 "parameters", default_value=default_parameters, description="of the service, a parameter file"
+            ),
+            DeclareLaunchArgument(
+                "discovery_range",
+                default_value=EnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", default_value="LOCALHOST"),
+                choices=["LOCALHOST", "SUBNET", "SYSTEM_DEFAULT"],
+                description="who may find the nodes",
+            ),
+            SetEnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", LaunchConfiguration("discovery_range")),
+            SetEnvironmentVariable(
+                "FASTRTPS_DEFAULT_PROFILES_FILE",
+                EnvironmentVariable("FASTRTPS_DEFAULT_PROFILES_FILE", default_value=this_machine),
+                condition=IfCondition(EqualsSubstitution(LaunchConfiguration("discovery_range"), "LOCALHOST")),
             ),
             Node(
                 package="fracture_collision",

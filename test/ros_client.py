@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
+from rclpy.parameter_client import AsyncParameterClient
 
 from fracture_collision.records import ContactConstraintArray, FragmentRegistry
 from fracture_collision.ros import qos
@@ -21,19 +23,25 @@ PATIENCE = 60.0  # [s] for a machine that is busy with other things
 class ServiceClient:
     """Publishes bodies, events and states; collects answers, registries and diagnostics."""
 
-    def __init__(self, domain_id: int) -> None:
+    def __init__(self, domain_id: int, ros_arguments: Sequence[str] = ()) -> None:
+        """`ros_arguments`: what would stand behind --ros-args: of namespace and remapping."""
         self._context = Context()
         rclpy.init(context=self._context, domain_id=domain_id)
-        self.node = rclpy.create_node("service_client", context=self._context)
+        self.node = rclpy.create_node(
+            "service_client", context=self._context, cli_args=["--ros-args", *ros_arguments] if ros_arguments else None
+        )
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
         self._publishers = {
             topic.name: self.node.create_publisher(topic.message_class, topic.name, topic.qos)
             for topic in (qos.BODIES, qos.FRACTURE_EVENTS, qos.FRAGMENT_STATES)
         }
+        self._parameters: AsyncParameterClient | None = None
         self.answers: list[Any] = []
         self.registries: list[Any] = []
         self.diagnostics: dict[str, str] = {}
+        self.details: dict[str, dict[str, str]] = {}  # of each status its values
+        self.diagnostics_came: list[float] = []  # time.monotonic()
         self._refusals: dict[str, str] = {}
         for topic, collected in ((qos.CONTACT_CONSTRAINTS, self.answers), (qos.FRAGMENTS, self.registries)):
             self.node.create_subscription(
@@ -46,6 +54,9 @@ class ServiceClient:
         self.node.destroy_node()
         self._context.try_shutdown()
 
+    def spin_once(self, timeout_sec: float) -> None:
+        self._executor.spin_once(timeout_sec=timeout_sec)
+
     def spin_until(self, condition: Callable[[], bool], what: str, patience: float = PATIENCE) -> None:
         deadline = time.monotonic() + patience
         while not condition():
@@ -54,6 +65,9 @@ class ServiceClient:
 
     def await_service(self) -> None:
         self.spin_until(lambda: self._publishers["fragment_states"].get_subscription_count() == 1, "a service")
+
+    def drop_publisher(self, topic: str) -> None:
+        self.node.destroy_publisher(self._publishers.pop(topic))
 
     def publish(self, topic: str, record: Any, run_id: int, time_stamp: float = 0.0) -> None:
         self._publishers[topic].publish(to_message(record, heading(time_stamp), run_id))
@@ -83,8 +97,19 @@ class ServiceClient:
         """`key`: 'topic: kind' on /diagnostics; `words` must be in its last reason."""
         self.spin_until(lambda: words in self._refusals.get(key, ""), f"a refusal under {key!r} with {words!r}")
 
+    def set_parameters(self, **values: Any) -> list[str]:
+        """Of the service: why each was refused, "" where it was not."""
+        if self._parameters is None:
+            self._parameters = AsyncParameterClient(self.node, "collision_node")
+        assert self._parameters.wait_for_services(PATIENCE)
+        future = self._parameters.set_parameters([Parameter(name, value=value) for name, value in values.items()])
+        self.spin_until(future.done, "an answer of the parameter service")
+        return [result.reason if not result.successful else "" for result in future.result().results]
+
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        self.diagnostics_came.append(time.monotonic())
         for status in message.status:
             self.diagnostics[status.name] = status.message
+            self.details[status.name] = {value.key: value.value for value in status.values}
             if status.name.endswith("refused messages"):
                 self._refusals = {value.key: value.value for value in status.values}

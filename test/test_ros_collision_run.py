@@ -95,3 +95,15 @@ def test_what_is_held_has_a_limit(monkeypatch) -> None:
     kinds = [run.add_fracture(FIRST._replace(sequence=k))[0].kind for k in (1, 2, 3)]
     assert kinds == ["unknown_id", "unknown_id", "limit_exceeded"]
     assert run.held_event_count == 2
+
+
+def test_what_is_held_has_a_limit_in_bytes(monkeypatch) -> None:
+    size = sum(np.asarray(field).nbytes for field in FIRST)
+    monkeypatch.setattr(collision_run, "MAX_HELD_BYTES", 2 * size + size // 2)
+    run = CollisionRun(1, SETTINGS)
+    kinds = [run.add_fracture(FIRST._replace(sequence=k))[0].kind for k in (1, 2, 2, 3)]
+    assert kinds == ["unknown_id", "unknown_id", "unknown_id", "limit_exceeded"]
+    assert run.held_event_count == 2
+    run.add_body(breakable_body())  # what waited is applied, and makes room
+    assert run.held_event_count == 0
+    assert run.add_fracture(FIRST._replace(sequence=9, body_id=77))[0].kind == "unknown_id"

@@ -12,47 +12,77 @@ from pathlib import Path
 
 import numpy as np
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
 from fracture_collision.records import INVALID_STATES, ContactConstraintArray, FragmentStates
 from fracture_collision.ros import qos
 from fracture_collision.ros.acknowledged_publisher import AcknowledgedPublisher
-from fracture_collision.ros.cdr_records import Received, deserialize_record, serialize_record
+from fracture_collision.ros.cdr_records import Received, serialize_record
 from fracture_collision.ros.collision_run import CollisionRun, Refusal
-from fracture_collision.ros.conversion import Heading, array_bytes, to_message, to_record
-from fracture_collision.ros.diagnostics import AnswerTimes, RefusalCounts, diagnostic_array
-from fracture_collision.ros.parameters import declare_fixed, declare_settings
-from fracture_collision.ros.process import nothing_to_lose, run_node
+from fracture_collision.ros.conversion import Heading, to_message
+from fracture_collision.ros.diagnostics import (
+    AnswerTimes,
+    RefusalCounts,
+    diagnostic_array,
+    settings_status,
+    status,
+)
+from fracture_collision.ros.incoming import Incoming
+from fracture_collision.ros.parameters import SettingsParameters, declare_fixed
+from fracture_collision.ros.process import Fatal, nothing_to_lose, run_node
 from fracture_collision.ros.prompt_executor import PromptExecutor
-from fracture_collision.ros.timing_files import SERVICE_COLUMNS
-from fracture_collision.world import InvalidMessage
+from fracture_collision.ros.timing_files import SERVICE_COLUMNS, RowFile
+from fracture_collision.world import InvalidMessage, Settings
 from fracture_collision.world.warm_up import cache_is_cold, compile_kernels
 
 
 class CollisionNode(Node):
-    """Parameters: those of world.Settings, and `timing_file`. Topics: ros/qos.py."""
+    """Parameters: those of world.Settings, `allow_takeover` and `timing_file`. Topics: ros/qos.py."""
 
     def __init__(self) -> None:
         super().__init__("collision_node")
-        self._settings = declare_settings(self)
-        self._timing_file = declare_fixed(self, "timing_file", "", "times of each answer are written there at the end")
+        try:
+            self._changeable = SettingsParameters(self, self._on_new_settings)
+        except ValueError as error:
+            raise Fatal(str(error)) from error
+        timing_file = declare_fixed(self, "timing_file", "", "times of each answer are written there")
+        self._timing_rows = _row_file(timing_file) if timing_file else None
         self._phase = "starting"
         self._run: CollisionRun | None = None
         self._next_run: CollisionRun | None = None  # of events that came before the first body of their run
         self._held: Received | None = None  # the newest states that cannot be answered yet
+        self._replaced_states = 0  # newer ones came while they were held
         self._registry_version: tuple[int, int, int, int] | None = None
         self._meshes_published: set[int] = set()
         self._refusals = RefusalCounts()
         self._times = AnswerTimes()
-        self._timing_rows: list[tuple[float, ...]] = []
+        self._last_answer = "no answer yet"
+        self._settings_since = "the start"
 
+        self._incoming = Incoming(
+            self,
+            lambda: self._settings.max_message_bytes,
+            {
+                qos.BODIES.name: self._on_body,
+                qos.FRACTURE_EVENTS.name: self._on_fracture,
+                qos.FRAGMENT_STATES.name: self._on_states,
+            },
+            self._note,
+            self._forget_run,
+        )
         self._contacts = AcknowledgedPublisher(self, qos.CONTACT_CONSTRAINTS)
         self._fragments = AcknowledgedPublisher(self, qos.FRAGMENTS)
         self._meshes = AcknowledgedPublisher(self, qos.FRAGMENT_MESHES)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self.create_timer(1.0, self._publish_diagnostics)
+        # Not of the node's clock: under use_sim_time that stands still until somebody moves it.
+        self.create_timer(1.0, self._every_second, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    @property
+    def _settings(self) -> Settings:
+        return self._changeable.current
 
     # --- start and end ---------------------------------------------------------------------------------------------
 
@@ -72,51 +102,36 @@ class CollisionNode(Node):
 
         with nothing_to_lose():
             compile_kernels(progress=progress)
-        for topic, callback, raw in (
-            (qos.BODIES, self._on_body, False),
-            (qos.FRACTURE_EVENTS, self._on_fracture, False),
-            (qos.FRAGMENT_STATES, self._on_states, True),
-        ):
-            self.create_subscription(topic.message_class, topic.name, callback, topic.qos, raw=raw)
+        self._incoming.listen()
         self._phase = "ready"
         self.get_logger().info(f"ready, {time.perf_counter() - started:.1f} s after its start")
         self._publish_diagnostics()
 
     def finish(self) -> None:
-        """Writes what was asked for."""
-        if self._timing_file:
-            rows = np.array(self._timing_rows, dtype=np.float64).reshape(-1, len(SERVICE_COLUMNS))
-            np.save(Path(self._timing_file), rows)
+        """Completes what was asked for."""
+        if self._timing_rows is not None:
+            self._timing_rows.close()
 
     # --- messages --------------------------------------------------------------------------------------------------
 
-    def _on_body(self, message: qos.BODIES.message_class) -> None:
-        if not self._size_allowed(qos.BODIES, array_bytes(message)):
-            return
+    def _on_body(self, message: Received) -> None:
         if self._run is None or message.run_id != self._run.run_id:
             self._start_run(message.run_id)
-        self._note(self._run.add_body(to_record(message)))
+        self._note(*self._run.add_body(message.record))
         self._answer_held()
 
-    def _on_fracture(self, message: qos.FRACTURE_EVENTS.message_class) -> None:
-        if not self._size_allowed(qos.FRACTURE_EVENTS, array_bytes(message)):
-            return
+    def _on_fracture(self, message: Received) -> None:
         run = self._run
         if run is None or message.run_id != run.run_id:
             if self._next_run is None or message.run_id != self._next_run.run_id:
                 self._next_run = CollisionRun(message.run_id, self._settings)
             run = self._next_run
-        self._note(run.add_fracture(to_record(message)))
+        self._note(*run.add_fracture(message.record))
         self._answer_held()
 
-    def _on_states(self, data: bytes) -> None:
-        if not self._size_allowed(qos.FRAGMENT_STATES, len(data)):
-            return
-        try:
-            self._held = deserialize_record(data, qos.FRAGMENT_STATES.message_class)
-        except ValueError as error:
-            self._note([Refusal(qos.FRAGMENT_STATES.name, "malformed", str(error))])
-            return
+    def _on_states(self, message: Received) -> None:
+        self._replaced_states += self._held is not None
+        self._held = message
         self._answer_held()
 
     def _start_run(self, run_id: int) -> None:
@@ -124,23 +139,36 @@ class CollisionNode(Node):
         waiting = self._next_run
         self._run = waiting if waiting and waiting.run_id == run_id else CollisionRun(run_id, self._settings)
         self._next_run = None
+        self._forget_published()
+        self.get_logger().info(f"run {run_id} begins, of {self._incoming.followed}", throttle_duration_sec=1.0)
+
+    def _forget_run(self) -> None:
+        self._run = self._next_run = self._held = None
+        self._forget_published()
+
+    def _forget_published(self) -> None:
         self._registry_version = None
         self._meshes_published.clear()
-        self.get_logger().info(f"run {run_id} begins")
 
-    def _size_allowed(self, topic: qos.Topic, size: int) -> bool:
-        limit = self._settings.max_message_bytes
-        if size > limit:
-            reason = f"{size} bytes, more than the parameter max_message_bytes, {limit}"
-            self._note([Refusal(topic.name, "limit_exceeded", reason)])
-        return size <= limit
-
-    def _note(self, refusals: list[Refusal]) -> None:
+    def _note(self, *refusals: Refusal) -> None:
         for refusal in refusals:
             self._refusals.add(refusal)
             self.get_logger().warning(
                 f"refused, {refusal.topic}, {refusal.kind}: {refusal.reason}", throttle_duration_sec=1.0
             )
+
+    def _on_new_settings(self, former: Settings, settings: Settings) -> None:
+        for run in (self._run, self._next_run):
+            if run is not None:
+                run.world.change_settings(settings)
+        changes = [
+            f"{name}: {getattr(former, name)} -> {value}"
+            for name, value in settings._asdict().items()
+            if value != getattr(former, name)
+        ]
+        self._settings_since = self._last_answer
+        self.get_logger().info(f"settings changed after {self._last_answer}: {', '.join(changes)}")
+        self._publish_diagnostics()
 
     # --- answers ---------------------------------------------------------------------------------------------------
 
@@ -154,7 +182,7 @@ class CollisionNode(Node):
             contacts = self._run.answer(states)
         except InvalidMessage as error:
             self._held = None
-            self._note([Refusal(qos.FRAGMENT_STATES.name, error.kind, str(error))])
+            self._note(Refusal(qos.FRAGMENT_STATES.name, error.kind, str(error)))
             self._contacts.publish(serialize_record(_refusal_of(states), heading, run_id))
             return
         if contacts is None:
@@ -187,23 +215,34 @@ class CollisionNode(Node):
 
     def _record_times(self, states: FragmentStates, answer: float, conversion: float) -> None:
         parts = dict(self._run.world.last_timings)
-        self._times.add({"answer": answer, **parts, "conversion and publishing": conversion})
-        if self._timing_file:
+        visits = self._run.world.last_visits
+        self._times.add({"answer": answer, **parts, "conversion and publishing": conversion}, visits)
+        self._last_answer = f"the answer to step {states.step} of run {self._run.run_id}"
+        if self._timing_rows is not None:
             collision = parts["broad_phase"] + parts["narrow_phase"]
-            visits = self._run.world.last_visits
-            row = (states.step, states.fracture_sequence, collision, parts["update"], conversion, visits)
-            self._timing_rows.append(tuple(map(float, row)))
+            self._timing_rows.add(
+                (states.step, states.fracture_sequence, collision, parts["update"], conversion, visits)
+            )
+
+    def _every_second(self) -> None:
+        self._incoming.look_around()
+        self._publish_diagnostics()
 
     def _publish_diagnostics(self) -> None:
-        run = self._run
-        values = [KeyValue(key="phase", value=self._phase)]
+        run, incoming = self._run, self._incoming
+        values = {
+            "phase": self._phase,
+            "follows": incoming.followed,
+            "refused for it": ", ".join(incoming.waiting) or "nobody",
+            "states dropped for newer ones": incoming.dropped_states + self._replaced_states,
+        }
         if run is not None:
-            values += [
-                KeyValue(key="run_id", value=str(run.run_id)),
-                KeyValue(key="bodies", value=str(len(run.body_ids))),
-                KeyValue(key="fracture_sequence", value=str(run.event_count)),
-                KeyValue(key="events held for their body", value=str(run.held_event_count)),
-            ]
+            values |= {
+                "run_id": run.run_id,
+                "bodies": len(run.body_ids),
+                "fracture_sequence": run.event_count,
+                "events held for their body": run.held_event_count,
+            }
         message = self._phase
         if self._held is not None:
             _, run_id, states = self._held
@@ -211,18 +250,22 @@ class CollisionNode(Node):
                 f"states of run {run_id}, step {states.step}, are held: their bodies, or the events up to"
                 f" {states.fracture_sequence}, have not all arrived"
             )
+        level = DiagnosticStatus.WARN if self._held is not None else DiagnosticStatus.OK
         self._diagnostics.publish(
             diagnostic_array(
-                self.get_clock().now().to_msg(),
-                DiagnosticStatus(
-                    level=DiagnosticStatus.WARN if self._held is not None else DiagnosticStatus.OK,
-                    name="fracture_collision: answers",
-                    message=message,
-                    values=values + self._times.values(),
-                ),
+                self,
+                status("answers", level, message, values | self._times.values()),
                 self._refusals.status(),
+                settings_status(self._settings, self._settings_since),
             )
         )
+
+
+def _row_file(path: str) -> RowFile:
+    try:
+        return RowFile(Path(path), len(SERVICE_COLUMNS))
+    except OSError as error:
+        raise Fatal(f"timing_file: {error}") from error
 
 
 def _refusal_of(states: FragmentStates) -> ContactConstraintArray:

@@ -8,11 +8,14 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+
 from fracture_collision.records import ADD, CollisionBody, ContactConstraintArray, FractureEvent, FragmentStates
 from fracture_collision.world import CollisionWorld, InvalidMessage, Settings, StatesAhead
 
 # Events held for a body that has not come; beyond this the publisher of the bodies is certainly gone.
 MAX_HELD_EVENTS = 10_000
+MAX_HELD_BYTES = 256 * 1024 * 1024  # of their arrays
 
 
 class Refusal(NamedTuple):
@@ -32,6 +35,7 @@ class CollisionRun:
         self.event_count = 0
         self.removals = 0
         self._held_events: dict[int, FractureEvent] = {}  # by sequence
+        self._held_bytes = 0
 
     @property
     def held_event_count(self) -> int:
@@ -56,10 +60,13 @@ class CollisionRun:
         it may be that the body never comes; a later event of the same sequence takes its place."""
         if event.sequence <= self.event_count:
             return self._apply(event)
-        if len(self._held_events) >= MAX_HELD_EVENTS and event.sequence not in self._held_events:
-            reason = f"{MAX_HELD_EVENTS} events wait for their bodies already"
+        self._release(event.sequence)
+        size = _array_bytes(event)
+        if len(self._held_events) >= MAX_HELD_EVENTS or self._held_bytes + size > MAX_HELD_BYTES:
+            reason = f"{len(self._held_events)} events, {self._held_bytes} bytes, wait for their bodies already"
             return [Refusal("fracture_events", "limit_exceeded", reason)]
         self._held_events[event.sequence] = event
+        self._held_bytes += size
         if event.body_id in self._known_bodies:
             return self._apply_held_events()
         reason = f"body_id: no body {event.body_id}; event {event.sequence} is held until it comes"
@@ -86,5 +93,15 @@ class CollisionRun:
             first = min(self._held_events)
             if self._held_events[first].body_id not in self._known_bodies:
                 break
-            refusals += self._apply(self._held_events.pop(first))
+            refusals += self._apply(self._release(first))
         return refusals
+
+    def _release(self, sequence: int) -> FractureEvent | None:
+        event = self._held_events.pop(sequence, None)
+        if event is not None:
+            self._held_bytes -= _array_bytes(event)
+        return event
+
+
+def _array_bytes(event: FractureEvent) -> int:
+    return sum(np.asarray(field).nbytes for field in event)

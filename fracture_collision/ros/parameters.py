@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 
 from fracture_collision.world import Settings
+from fracture_collision.world.settings import check_settings
 
 
 class Range(NamedTuple):
@@ -34,22 +38,11 @@ _DESCRIPTIONS: dict[str, tuple[str, Range | None]] = {
 }
 
 
-def declare_settings(node: Node) -> Settings:
-    """Declares every setting of the service and returns what was given. Fixed while the node lives: contacts are a
-    function of the messages and the settings, and a change in mid-run would leave no trace in a recording.
-
-    Raises rclpy's InvalidParameterValueException for a value out of range.
-    """
-    values = {}
-    for name, default in Settings()._asdict().items():
-        description, limits = _DESCRIPTIONS[name]
-        values[name] = declare_fixed(node, name, default, description, limits)
-    return Settings(**values)
-
-
-def declare_fixed(node: Node, name: str, default: Any, description: str, limits: Range | None = None) -> Any:
-    """Declares a parameter that is given at start and stays; returns its value."""
-    descriptor = ParameterDescriptor(description=description, read_only=True)
+def declare(
+    node: Node, name: str, default: Any, description: str, limits: Range | None = None, fixed: bool = False
+) -> Any:
+    """Declares a parameter; returns its value. Fixed: given at start, and stays."""
+    descriptor = ParameterDescriptor(description=description, read_only=fixed)
     if limits is not None and isinstance(default, int):
         descriptor.integer_range = [IntegerRange(from_value=int(limits.low), to_value=int(limits.high))]
     elif limits is not None:
@@ -57,3 +50,41 @@ def declare_fixed(node: Node, name: str, default: Any, description: str, limits:
             FloatingPointRange(from_value=float(limits.low), to_value=float(limits.high))
         ]
     return node.declare_parameter(name, default, descriptor).value
+
+
+declare_fixed = partial(declare, fixed=True)
+
+
+class SettingsParameters:
+    """Every setting of the service as a parameter, all of which may change while it runs: between two answers, so that
+    each answer is a function of messages and settings still.
+    """
+
+    def __init__(self, node: Node, on_change: Callable[[Settings, Settings], None]) -> None:
+        """`on_change` gets the settings as they were and as they are.
+
+        Raises rclpy's InvalidParameterValueException or ValueError for a value out of range.
+        """
+        values = {}
+        for name, default in Settings()._asdict().items():
+            values[name] = declare(node, name, default, *_DESCRIPTIONS[name])
+        self.current = Settings(**values)
+        check_settings(self.current)
+        self._on_change = on_change
+        node.add_on_set_parameters_callback(self._judge)
+        node.add_post_set_parameters_callback(self._take)
+
+    def _changed(self, parameters: list[Parameter]) -> Settings:
+        return self.current._replace(**{p.name: p.value for p in parameters if p.name in Settings._fields})
+
+    def _judge(self, parameters: list[Parameter]) -> SetParametersResult:
+        try:
+            check_settings(self._changed(parameters))
+        except ValueError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _take(self, parameters: list[Parameter]) -> None:
+        former, self.current = self.current, self._changed(parameters)
+        if self.current != former:
+            self._on_change(former, self.current)

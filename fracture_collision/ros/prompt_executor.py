@@ -10,18 +10,23 @@ first timer: one holds the lock of its queue and needs the interpreter's, anothe
 
 from __future__ import annotations
 
+from collections.abc import Callable, Coroutine
 from typing import Any
 
 from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
+from rclpy.subscription import Subscription
 from rclpy.utilities import timeout_sec_to_nsec
 from rclpy.waitable import NumberOfEntities
 
+from fracture_collision.ros.message_origin import take_with_origin
+
 
 class PromptExecutor(SingleThreadedExecutor):
-    """For nodes whose subscriptions have plain callbacks of one argument, the message: no coroutines, no message info.
+    """For nodes whose subscriptions have plain callbacks, no coroutines: of one argument, the message; or, where it is
+    raw, of two, with its Origin (ros/message_origin.py) in place of rclpy's message info.
 
     Messages are handed over in the order in which their subscriptions were made, one of each before the next wait.
     """
@@ -55,12 +60,33 @@ class PromptExecutor(SingleThreadedExecutor):
         if not self.context.ok():
             raise ExternalShutdownException
         for subscription in subscriptions:
-            with subscription.handle:
-                taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
-            if taken is not None:
-                subscription.callback(taken[0])
+            arguments = _taken(subscription)
+            if arguments is not None:
+                subscription.callback(*arguments)
         if others:
             super().spin_once(timeout_sec=0)
+
+    def _take_subscription(self, subscription: Subscription) -> Callable[[], Coroutine] | None:
+        """For messages that rclpy's executor finds while it looks for something else."""
+        if subscription._callback_type is Subscription.CallbackType.MessageOnly:
+            return super()._take_subscription(subscription)
+        arguments = _taken(subscription)
+        if arguments is None:
+            return None
+
+        async def call() -> None:
+            subscription.callback(*arguments)
+
+        return call
+
+
+def _taken(subscription: Subscription) -> tuple[Any, ...] | None:
+    """What the callback shall be called with; None where there is no message after all."""
+    if subscription._callback_type is Subscription.CallbackType.WithMessageInfo:
+        return take_with_origin(subscription)
+    with subscription.handle:
+        taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
+    return None if taken is None else taken[:1]
 
 
 class _Entities:

@@ -105,7 +105,8 @@ class SimulatorNode(Node):
     def _await_subscribers(self, executor: PromptExecutor) -> None:
         """A recorder that starts with the simulator must not miss the first steps."""
         started, said = time.monotonic(), 0.0
-        while min(self._states.subscriber_count, self.count_subscribers("contact_constraints")) < self._subscribers:
+        contacts = self.resolve_topic_name(qos.CONTACT_CONSTRAINTS.name)  # it may be remapped
+        while min(self._states.subscriber_count, self.count_subscribers(contacts)) < self._subscribers:
             executor.spin_once(timeout_sec=0.02)
             if time.monotonic() - started > said + 5.0:
                 said += 5.0

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import numpy as np
+
 # Times in seconds; `visits` counts sphere tree nodes.
 SERVICE_COLUMNS = ("step", "fracture_sequence", "collision", "update", "conversion", "visits")
 
@@ -21,3 +25,29 @@ SIMULATOR_COLUMNS = (
     "max_speed",
     "deepest_gap",
 )
+
+
+class RowFile:
+    """A .npy file of float64 rows that takes them as they come, so that hours of them need no memory."""
+
+    def __init__(self, path: Path, columns: int) -> None:
+        """Raises OSError."""
+        self._columns = columns
+        self._rows = 0
+        self._file = path.open("wb")
+        self._write_header()
+
+    def add(self, row: tuple[float, ...]) -> None:
+        self._file.write(np.array(row, dtype="<f8").tobytes())
+        self._rows += 1
+
+    def close(self) -> None:
+        """Now the file says how many rows it has."""
+        self._file.seek(0)
+        self._write_header()
+        self._file.close()
+
+    def _write_header(self) -> None:
+        # numpy leaves room for the longest count of rows, so that it may be written anew
+        header = {"descr": "<f8", "fortran_order": False, "shape": (self._rows, self._columns)}
+        np.lib.format.write_array_header_1_0(self._file, header)

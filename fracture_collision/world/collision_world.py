@@ -27,7 +27,7 @@ from fracture_collision.world.errors import StatesAhead
 from fracture_collision.world.fragment_mesh import fragment_mesh
 from fracture_collision.world.ledger import Ledger
 from fracture_collision.world.registry import Registry
-from fracture_collision.world.settings import Settings, check_settings
+from fracture_collision.world.settings import Settings, check_settings, geometry_settings
 from fracture_collision.world.states_gate import CheckedStates, check_states
 
 
@@ -43,8 +43,8 @@ class CollisionWorld:
         check_settings(self.settings)
         self._ledger = Ledger(self.settings)
         self._registry = Registry(self.settings)
-        self._removals = 0
-        self._crew = Crew(self.settings.threads or os.cpu_count() or 1)
+        self._built_for = 0, geometry_settings(self.settings)
+        self._crew = _crew_of(self.settings)
         self._scratch: Scratch | None = None
         # of the last answer, with what they hold for; they make the next one quicker, never different
         self._lists, self._lists_of = NO_LISTS, (self._registry, self.settings.detection_tolerance)
@@ -57,6 +57,20 @@ class CollisionWorld:
 
     def add_fracture(self, event: FractureEvent) -> None:
         self._ledger.add_fracture(event)
+
+    def change_settings(self, settings: Settings) -> None:
+        """From now on as if the world had been made with `settings`: what is known stays, and the answers are those of
+        a new world that is told the same. Limits hold for what comes; what is there may be beyond them.
+
+        After a change of `field`, `normals`, `tree` or `traversal` the registry is made anew from the log, when it is
+        next asked for. Raises ValueError, and changes nothing, where a setting is out of range.
+        """
+        check_settings(settings)
+        if settings.threads != self.settings.threads:
+            self._crew, self._scratch = _crew_of(settings), None
+        self._ledger.change_limits(settings)
+        self._lists = NO_LISTS
+        self.settings = settings
 
     def contacts(self, states: FragmentStates) -> ContactConstraintArray:
         """All contacts of the fragments that `states` names, and of the static ones, at its registry.
@@ -125,9 +139,9 @@ class CollisionWorld:
 
     def _advance(self, sequence: int) -> None:
         """Bring the registry to `sequence` events, from the log's beginning if it has gone farther."""
-        if sequence < self._registry.sequence or self._removals != self._ledger.removals:
-            self._registry = Registry(self.settings)
-            self._removals = self._ledger.removals
+        built_for = self._ledger.removals, geometry_settings(self.settings)
+        if sequence < self._registry.sequence or self._built_for != built_for:
+            self._registry, self._built_for = Registry(self.settings), built_for
         for body_id, body in self._ledger.bodies.items():
             if not self._registry.has_body(body_id):
                 self._registry.add_body(body)
@@ -178,3 +192,7 @@ class CollisionWorld:
             gaps=found.gaps,
             contact_ids=keys,
         )
+
+
+def _crew_of(settings: Settings) -> Crew:
+    return Crew(settings.threads or os.cpu_count() or 1)

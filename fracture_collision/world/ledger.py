@@ -42,6 +42,11 @@ class Ledger:
         self.events: list[CheckedFracture] = []
         self.removals = 0
 
+    def change_limits(self, settings: Settings) -> None:
+        """Limits of what comes from now on; what is there already stays."""
+        self._room_for_nodes += settings.max_nodes - self._settings.max_nodes
+        self._settings = settings
+
     def add_body(self, body: CollisionBody) -> None:
         operation = identifier("operation", body.operation)
         if operation == REMOVE:

@@ -1,4 +1,7 @@
-"""The service's settings: one place, with meaning, unit and why. config/collision.yaml carries the same names."""
+"""The service's settings: one place, with meaning, unit and why. config/collision.yaml carries the same names.
+
+All may change while the service runs, between two answers (CollisionWorld.change_settings).
+"""
 
 from __future__ import annotations
 
@@ -41,12 +44,17 @@ class Settings(NamedTuple):
     max_bodies: int = 10_000
     max_nodes: int = 2_000_000  # tetrahedral-mesh and surface vertices of all bodies together
     max_fragments: int = 100_000  # ever made in one run
-    max_message_bytes: int = 256 * 1024 * 1024
+    max_message_bytes: int = 256 * 1024 * 1024  # serialized
 
 
 FIELDS = {"exact": EXACT, "averaged": AVERAGED}
 NORMALS = {"facing": FACING, "nearest": NEAREST}
 TRAVERSALS = {"alternating": ALTERNATING, "queue": QUEUE}
+
+
+def geometry_settings(settings: Settings) -> tuple[str, ...]:
+    """What a registry is built by: with another of these, it is built anew from the log."""
+    return settings.field, settings.normals, settings.tree, settings.traversal
 
 
 def check_settings(settings: Settings) -> None:

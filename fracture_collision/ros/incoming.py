@@ -1,0 +1,176 @@
+"""The topics that a run comes by: what is let through to the service, and what was dropped or refused on the way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
+
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
+from rclpy.serialization import deserialize_message
+from rclpy.subscription import Subscription
+
+from fracture_collision.ros import qos
+from fracture_collision.ros.cdr_records import Received, deserialize_record
+from fracture_collision.ros.collision_run import Refusal
+from fracture_collision.ros.conversion import Heading, to_record
+from fracture_collision.ros.message_origin import Origin, participant_of
+from fracture_collision.ros.parameters import declare
+from fracture_collision.ros.run_guard import RunGuard, Verdict
+
+LOG = (qos.BODIES, qos.FRACTURE_EVENTS)  # a run can be rebuilt from these
+TOPICS = (*LOG, qos.FRAGMENT_STATES)
+
+
+# What rmw says of a node whose publishers it has met already.
+_UNKNOWN = "_NODE_NAME_UNKNOWN_"
+
+
+class Incoming:
+    """Subscriptions to TOPICS whose messages are read, judged by a RunGuard and handed on. Parameter: allow_takeover.
+
+    For a PromptExecutor: it says who sent a message.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        largest_message: Callable[[], int],
+        handlers: Mapping[str, Callable[[Received], None]],
+        refuse: Callable[[Refusal], None],
+        begin_anew: Callable[[], None],
+    ) -> None:
+        """`largest_message`: [bytes]. `handlers`: by the topic's name. `begin_anew`: what is known of earlier runs
+        shall be forgotten.
+        """
+        self._node = node
+        self._largest_message = largest_message
+        self._handlers = handlers
+        self._refuse = refuse
+        self._begin_anew = begin_anew
+        self._guard = RunGuard()
+        self._run_id: int | None = None  # of the last message that was let through
+        self._names: dict[bytes, str] = {}  # of those that publish, as people know them
+        self._subscriptions: dict[str, Subscription] = {}
+        self._log_is_due = False  # what was refused of it is wanted now
+        self._asked_in_vain: tuple[Origin, Received] | None = None  # the newest states that were another's
+        self._states_from: Origin | None = None  # the newest of who is followed
+        self.dropped_states = 0
+        declare(
+            node, "allow_takeover", False,
+            "another publisher's run is followed at once; false: only when the one that is followed is gone",
+        )  # fmt: skip
+
+    def listen(self) -> None:
+        for topic in TOPICS:
+            self._subscribe(topic)
+
+    def look_around(self) -> None:
+        """Notices who came and who went; to be called now and then, outside the subscriptions' callbacks."""
+        if not self._subscriptions:
+            return
+        self._observe()
+        guard = self._guard
+        if guard.leader is None and guard.waiting:
+            self._log_is_due = True
+        if self._log_is_due:
+            self._log_is_due = False
+            guard.waiting.clear()
+            for topic in LOG:  # who subscribes anew is told everything again
+                self._node.destroy_subscription(self._subscriptions[topic.name])
+                self._subscribe(topic)
+            if self._asked_in_vain is not None:
+                question, self._asked_in_vain = self._asked_in_vain, None
+                self._let_through(qos.FRAGMENT_STATES, *question)
+
+    @property
+    def followed(self) -> str:
+        """Whose run it is."""
+        return self._name(self._guard.leader) if self._guard.leader is not None else "nobody"
+
+    @property
+    def waiting(self) -> list[str]:
+        """Who is refused for it."""
+        return sorted(map(self._name, self._guard.waiting))
+
+    def _subscribe(self, topic: qos.Topic) -> None:
+        self._subscriptions[topic.name] = self._node.create_subscription(
+            topic.message_class, topic.name, partial(self._on_message, topic), topic.qos, raw=True
+        )
+
+    def _on_message(self, topic: qos.Topic, data: bytes, origin: Origin) -> None:
+        last = self._states_from
+        if topic is qos.FRAGMENT_STATES and last is not None and origin.publisher == last.publisher:
+            self.dropped_states += origin.sequence_number - last.sequence_number - 1
+            self._states_from = origin
+        limit = self._largest_message()
+        if len(data) > limit:
+            reason = f"{len(data)} bytes, more than the parameter max_message_bytes, {limit}"
+            self._refuse(Refusal(topic.name, "limit_exceeded", reason))
+            return
+        try:
+            received = _read(data, topic.message_class)
+        except ValueError as error:
+            self._refuse(Refusal(topic.name, "malformed", str(error)))
+            return
+        self._let_through(topic, origin, received)
+
+    def _let_through(self, topic: qos.Topic, origin: Origin, received: Received) -> None:
+        if not self._is_followed(topic, origin.participant, received.run_id):
+            if topic is qos.FRAGMENT_STATES:
+                self._asked_in_vain = origin, received
+            return
+        self._run_id = received.run_id
+        if topic is qos.FRAGMENT_STATES:
+            self._states_from = origin
+        self._handlers[topic.name](received)
+
+    def _is_followed(self, topic: qos.Topic, participant: bytes, run_id: int) -> bool:
+        guard = self._guard
+        if guard.follows(topic.name, participant):
+            return True
+        if participant not in guard.waiting:
+            self._observe()
+        allow_takeover = self._node.get_parameter("allow_takeover").value
+        verdict = guard.judge(topic.name, participant, run_id == self._run_id, allow_takeover)
+        if verdict is Verdict.REFUSE:
+            reason = (
+                f"run {run_id} of {self._name(participant)}: the service follows {self.followed} until that one's"
+                " publishers are gone; the parameter allow_takeover would let another in at once"
+            )
+            self._refuse(Refusal(topic.name, "other_publisher", reason))
+            return False
+        if participant in guard.waiting:
+            self._log_is_due = True
+        if verdict is Verdict.BEGIN:
+            self._begin_anew()
+        return True
+
+    def _observe(self) -> None:
+        self._names.clear()
+        publishers: dict[str, set[bytes]] = {}
+        for topic in TOPICS:
+            there = publishers.setdefault(topic.name, set())
+            for info in self._node.get_publishers_info_by_topic(self._subscriptions[topic.name].topic_name):
+                participant = participant_of(bytes(info.endpoint_gid))
+                there.add(participant)
+                if not info.node_name.startswith(_UNKNOWN):
+                    self._names[participant] = f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+        self._guard.observe(publishers, {topic.name for topic in LOG})
+
+    def _name(self, participant: bytes) -> str:
+        """Two nodes may have one name, so with a part of their GUID."""
+        return f"{self._names.get(participant, 'a publisher')} [{participant[4:].hex()}]"
+
+
+def _read(data: bytes, message_class: Any) -> Received:
+    """ValueError where `data` is none."""
+    if message_class is qos.FRAGMENT_STATES.message_class:
+        return deserialize_record(data, message_class)
+    try:
+        message = deserialize_message(data, message_class)
+    except rclpy_implementation.RMWError as error:
+        raise ValueError(f"no serialized {message_class.__name__}: {error}") from error
+    stamp = message.header.stamp
+    return Received(Heading(stamp.sec, stamp.nanosec, message.header.frame_id), message.run_id, to_record(message))

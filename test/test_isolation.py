@@ -1,0 +1,143 @@
+"""Nodes that the project starts cannot be met from another machine: tried with one made of network namespaces."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from fracture_collision.ros.node_process import free_domain_id, loopback_environment
+
+HERE, ELSEWHERE = "10.213.7.1", "10.213.7.2"
+
+# Run there: what a participant sees of the service within some seconds.
+STRANGER = """
+import sys, time, rclpy
+rclpy.init()
+node = rclpy.create_node("stranger")
+deadline = time.monotonic() + float(sys.argv[1])
+seen = 0
+while time.monotonic() < deadline and not seen:
+    seen = node.count_publishers("/contact_constraints") + node.count_subscribers("/fragment_states")
+    time.sleep(0.05)
+print("saw", seen)
+"""
+# Long enough for a service to start and for several of DDS's announcements, which come every 3 s: where it can be met,
+# it is within 5 s.
+PATIENCE = 15.0  # [s]
+
+
+class Machines(NamedTuple):
+    """Two network namespaces joined by a cable, each with its shared memory to itself."""
+
+    here: str
+    elsewhere: str
+
+    def start(self, machine: str, *command: str, **environment: str) -> subprocess.Popen:
+        own_memory = 'mount -t tmpfs tmpfs /dev/shm && exec "$@"'
+        return subprocess.Popen(
+            ["ip", "netns", "exec", machine, "unshare", "--mount", "sh", "-c", own_memory, "sh", sys.executable]
+            + list(command),
+            env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        )  # fmt: skip
+
+
+def ip(*arguments: str) -> None:
+    subprocess.run(["ip", *arguments], check=True, capture_output=True, timeout=20.0)
+
+
+@pytest.fixture(scope="module")
+def machines() -> Iterator[Machines]:
+    number = os.getpid()
+    machines = Machines(f"fc_here_{number}", f"fc_there_{number}")
+    cable = (f"fch{number}"[:15], f"fct{number}"[:15])
+    try:
+        for machine in machines:
+            ip("netns", "add", machine)
+        ends = [(end, "netns", machine) for end, machine in zip(cable, machines, strict=True)]
+        ip("link", "add", *ends[0], "type", "veth", "peer", *ends[1])
+        for machine, end, address in zip(machines, cable, (HERE, ELSEWHERE), strict=True):
+            ip("-n", machine, "addr", "add", f"{address}/24", "dev", end)
+            for link in ("lo", end):
+                ip("-n", machine, "link", "set", link, "up")
+        made = machines.start(machines.here, "-c", "")
+        text, _ = made.communicate(timeout=20.0)
+        if made.returncode != 0:
+            raise OSError(text)
+    except (OSError, subprocess.CalledProcessError) as error:
+        for machine in machines:
+            subprocess.run(["ip", "netns", "del", machine], capture_output=True)
+        said = getattr(error, "stderr", b"") or str(error)
+        pytest.skip(f"network namespaces cannot be made here (that takes root and iproute2): {said}")
+    yield machines
+    for machine in machines:
+        ip("netns", "del", machine)
+
+
+def seen_from_elsewhere(machines: Machines, environment: dict[str, str], where: str = "", **stranger: str) -> bool:
+    """Whether a participant of the other machine meets a service that is started in `environment`."""
+    domain = {"ROS_DOMAIN_ID": environment["ROS_DOMAIN_ID"], "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}
+    service = machines.start(machines.here, "-m", "fracture_collision.ros.collision_node", **environment)
+    try:
+        looks = machines.start(
+            where or machines.elsewhere, "-c", STRANGER, str(PATIENCE), **(os.environ | domain | stranger)
+        )
+        text, _ = looks.communicate(timeout=PATIENCE + 60.0)
+        assert looks.returncode == 0 and service.poll() is None, text
+        return "saw 0" not in text
+    finally:
+        service.terminate()
+        service.communicate(timeout=30.0)
+
+
+@pytest.fixture
+def default_environment(monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
+    """What the project starts its nodes with where the user has said nothing."""
+    for name in ("ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE", "ROS_STATIC_PEERS"):
+        monkeypatch.delenv(name, raising=False)
+    return loopback_environment(free_domain_id())
+
+
+def test_the_project_starts_its_nodes_on_localhost_unless_told_otherwise(
+    default_environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert default_environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
+    assert Path(default_environment["FASTRTPS_DEFAULT_PROFILES_FILE"]).is_file()
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
+    told = loopback_environment(7)
+    assert told["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SUBNET" and "FASTRTPS_DEFAULT_PROFILES_FILE" not in told
+
+
+def test_another_machine_does_not_find_it(machines: Machines, default_environment: dict[str, str]) -> None:
+    assert not seen_from_elsewhere(machines, default_environment)
+
+
+def test_nor_by_its_address(machines: Machines, default_environment: dict[str, str]) -> None:
+    assert not seen_from_elsewhere(machines, default_environment, ROS_STATIC_PEERS=HERE)
+
+
+def test_this_machine_finds_it(machines: Machines, default_environment: dict[str, str]) -> None:
+    assert seen_from_elsewhere(machines, default_environment, where=machines.here)
+
+
+def test_another_machine_finds_one_that_speaks_on_the_network(
+    machines: Machines, default_environment: dict[str, str]
+) -> None:
+    """The control: else the tests above would prove nothing."""
+    open_to_all = default_environment | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}
+    del open_to_all["FASTRTPS_DEFAULT_PROFILES_FILE"]
+    assert seen_from_elsewhere(machines, open_to_all)
+
+
+def test_and_by_its_address_one_that_is_only_not_announced(
+    machines: Machines, default_environment: dict[str, str]
+) -> None:
+    """Why the discovery range alone is not enough."""
+    unannounced = dict(default_environment)
+    del unannounced["FASTRTPS_DEFAULT_PROFILES_FILE"]
+    assert seen_from_elsewhere(machines, unannounced, ROS_STATIC_PEERS=HERE)

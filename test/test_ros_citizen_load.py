@@ -1,0 +1,117 @@
+"""More than the service can answer: the newest states are, the rest is counted; and a budget that keeps the cost."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ros_client import ServiceClient
+from ros_stage import Stage
+
+from fracture_collision.geometry.generators import ball
+from fracture_collision.records import BUDGET_EXHAUSTED, CollisionBody, FragmentStates
+
+RUN = 41
+ANSWERS = "fracture_collision: answers"
+DROPPED = "states dropped for newer ones"
+FLOOD = 5.0  # [s]
+
+# Two breakable balls, one a third of its radius in the other: some hundred tree nodes are visited a step.
+STATES = FragmentStates(
+    1, 0, np.array([1, 2]), np.array([0.0, 0.0, 0.0, 0.7, 0.1, 0.05]), np.tile([0.0, 0.0, 0.0, 1.0], 2)
+)
+
+
+@pytest.fixture
+def stage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Stage]:
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    stage = Stage(tmp_path)
+    yield stage
+    stage.close()
+
+
+def service_with_two_balls(stage: Stage) -> ServiceClient:
+    stage.start("collision_node", threads=1, neighbour_lists=False)
+    client = stage.client()
+    client.await_service()
+    mesh = ball(0.5, 0.06)
+    for number in (1, 2):
+        body = CollisionBody(number, number, vertices=mesh.vertices.ravel(), tetrahedra=mesh.tetrahedra.ravel())
+        client.publish("bodies", body, RUN)
+    return client
+
+
+def cost(client: ServiceClient) -> float:
+    """[s] from asking to the answer, the least of some."""
+    seconds = []
+    for _ in range(15):
+        began = time.perf_counter()
+        client.ask(STATES, RUN)
+        seconds.append(time.perf_counter() - began)
+    return min(seconds)
+
+
+def test_a_flood_of_states(stage: Stage) -> None:
+    client = service_with_two_balls(stage)
+    least = cost(client)
+    answered_before = len(client.answers)
+    client.answers.clear()
+    published: dict[int, float] = {}
+    came: dict[int, float] = {}
+    step, began = 100, time.monotonic()
+    while time.monotonic() < began + FLOOD:
+        step += 1
+        published[step] = time.monotonic()
+        client.publish("fragment_states", STATES._replace(step=step), RUN)
+        client.spin_once(timeout_sec=0.001)
+        for answer in client.answers[len(came) :]:
+            came[answer.step] = time.monotonic()
+    client.spin_until(lambda: client.answers[-1].step == step, "the answer to the last states")
+    sent, answered = len(published), len(client.answers)
+    assert answered < sent / 2  # else it was no flood
+
+    # What is not answered is counted.
+    def all_counted() -> bool:
+        details = client.details[ANSWERS]
+        return int(details["answers"]) == answered_before + answered and int(details[DROPPED]) == sent - answered
+
+    client.spin_until(all_counted, f"{sent} sent = {answered} answered + {sent - answered} dropped")
+
+    # Each answer is to states that were the newest when its computation began: what was published next was too late for
+    # it. On a machine that does other things, too, most of them.
+    steps = list(came)
+    assert steps == sorted(steps)
+    latency = np.array([came[step] - published[step] for step in steps])
+    age = np.array([came[step] - published[step + 1] for step in steps if step + 1 in published])
+    gaps = np.diff([came[step] for step in steps])
+    assert np.median(latency) < 3.0 * least + 0.02, (np.median(latency), least)
+    assert np.quantile(latency, 0.9) < 6.0 * least + 0.05, (latency, least)
+    assert np.median(age - np.median(gaps)) < 0.01, (age, gaps)
+    # It does not grow: the last are no later than the first.
+    third = len(latency) // 3
+    assert np.median(latency[-third:]) < 2.0 * np.median(latency[:third]) + 0.02
+
+
+def test_a_visit_budget_keeps_the_cost_and_says_what_it_left_out(stage: Stage) -> None:
+    client = service_with_two_balls(stage)
+    whole = client.ask(STATES, RUN)
+    seconds = cost(client)
+    assert whole.status == 0
+    visits, bounds, costs = [], [], []
+    for budget in (400, 100):
+        assert client.set_parameters(visit_budget=budget) == [""]
+        answer = client.ask(STATES, RUN)
+        assert answer.status == BUDGET_EXHAUSTED
+        costs.append(cost(client))
+        bounds.append(answer.missed_depth_bound.max())
+        client.spin_until(lambda: int(client.details[ANSWERS]["answers"]) == len(client.answers), "its word on them")
+        told = next(value for key, value in client.details[ANSWERS].items() if key.startswith("tree nodes visited"))
+        visits.append(int(told.split(", ")[-1].split()[0]))
+        assert visits[-1] <= budget
+    assert bounds[1] >= bounds[0] > 2.0 * whole.missed_depth_bound.max()
+    assert costs[1] < 0.7 * seconds
+    assert client.set_parameters(visit_budget=0) == [""]
+    assert client.ask(STATES, RUN).status == 0

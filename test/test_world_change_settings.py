@@ -1,0 +1,85 @@
+"""Settings changed in mid-run: from then on the answers are those of a world that had them from the beginning."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from test_ros_collision_run import FIRST, SECOND, STATES, breakable_body, field_bytes, ground
+
+from fracture_collision.world import CollisionWorld, InvalidMessage, Settings
+
+START = Settings(threads=1)
+CHANGES = [
+    {"contacts_per_pair": 2}, {"penetration_tolerance": 0.1}, {"detection_tolerance": 0.05}, {"field": "averaged"},
+    {"normals": "nearest"}, {"tree": "plain"}, {"tree": "rebuilt"}, {"traversal": "queue"}, {"neighbour_lists": False},
+    {"threads": 3}, {"visit_budget": 40}, {"max_bodies": 1}, {"max_nodes": 1}, {"max_fragments": 1},
+]  # fmt: skip
+# In no answer: the next body or fracture meets them, or the time it takes.
+UNSEEN = {"neighbour_lists", "threads", "max_bodies", "max_nodes", "max_fragments"}
+
+# As STATES, and with the pieces sunk into each other and lifted off the ground.
+MOVED = STATES._replace(positions=STATES.positions + np.array([0, 0, 0, 0, 0, 0.02, -0.03, 0.01, 0.02, -0.05, 0, 0.02]))
+
+
+def answers(world: CollisionWorld) -> list[list[bytes]]:
+    """The repeated states let slow pairs get their lists of neighbours."""
+    return [field_bytes(world.contacts(states)) for states in (STATES, STATES, STATES, MOVED)]
+
+
+def told_world(settings: Settings) -> CollisionWorld:
+    world = CollisionWorld(settings)
+    world.add_body(breakable_body())
+    world.add_body(ground())
+    world.add_fracture(FIRST)
+    world.add_fracture(SECOND)
+    return world
+
+
+@pytest.mark.parametrize("change", CHANGES, ids=lambda change: "-".join(map(str, *change.items())))
+def test_a_change_gives_the_answers_of_a_world_made_with_it(change: dict) -> None:
+    world = told_world(START)
+    before = answers(world)
+    limits_only = all(name.startswith("max_") for name in change)
+    made_with_it = told_world(START if limits_only else START._replace(**change))
+    world.change_settings(START._replace(**change))
+    registry = world.fragments()
+    assert registry.fracture_sequence == 2 and registry.digest == made_with_it_digest(made_with_it)
+    assert answers(world) == answers(made_with_it)
+    world.change_settings(START)
+    assert answers(world) == before
+
+
+def made_with_it_digest(world: CollisionWorld) -> str:
+    world.contacts(STATES)
+    return world.fragments().digest
+
+
+@pytest.mark.parametrize("change", [change for change in CHANGES if not UNSEEN & set(change)], ids=str)
+def test_these_changes_show_in_the_answer(change: dict) -> None:
+    """So that the test above can fail."""
+    world = told_world(START)
+    before = answers(world)
+    world.change_settings(START._replace(**change))
+    assert answers(world) != before
+
+
+def test_limits_are_for_what_comes() -> None:
+    world = told_world(START)
+    nodes = len(breakable_body().vertices) // 3
+    for change, kind_of_limit in (
+        ({"max_bodies": 2}, "2 bodies"), ({"max_fragments": 6}, "6 fragments"), ({"max_nodes": 2 * nodes - 1}, "nodes")
+    ):  # fmt: skip
+        world.change_settings(START._replace(**change))
+        with pytest.raises(InvalidMessage, match=kind_of_limit) as refused:
+            world.add_body(breakable_body()._replace(body_id=9, fragment_id=90))
+        assert refused.value.kind == "limit_exceeded"
+    world.change_settings(START._replace(max_nodes=2 * nodes))
+    world.add_body(breakable_body()._replace(body_id=9, fragment_id=90))
+    assert 90 in world.fragments().fragment_ids
+
+
+def test_a_setting_out_of_range_changes_nothing() -> None:
+    world = told_world(START)
+    with pytest.raises(ValueError, match="penetration_tolerance"):
+        world.change_settings(START._replace(contacts_per_pair=2, penetration_tolerance=np.nan))
+    assert world.settings == START
