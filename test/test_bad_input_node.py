@@ -131,7 +131,7 @@ def malformed(topic: str) -> Iterator[bytes]:
         yield from (data[:length] for length in range(4, len(data), 100))
 
 
-TOPICS_READ_AS_BYTES = ("fragment_states",)
+TOPICS_READ_AS_BYTES = ("bodies", "fracture_events", "fragment_states")
 
 
 def test_a_node_survives_spoilt_bytes_and_counts_them(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from fracture_collision import records
 from fracture_collision.ros import qos
 from fracture_collision.ros.cdr_padding import zero_padding
-from fracture_collision.ros.conversion import array_bytes, heading, to_message, to_record
+from fracture_collision.ros.conversion import heading, to_message, to_record
 from fracture_collision.share import share_directory
 from fracture_collision.world import Settings
 
@@ -140,7 +140,6 @@ def test_large_arrays_convert_at_memory_speed() -> None:
         to_record(message)
         best = min(best, time.perf_counter() - started)
     # 14 MB: 10 ms at memory speed; a walk over 1.8 million elements takes ten times as long.
-    assert array_bytes(message) > 8 * 9 * count
     assert best < 0.05
 
 

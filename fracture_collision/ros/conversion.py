@@ -79,13 +79,6 @@ def to_record(message: Any) -> Any:
     return record_class(**{name: _from_field(getattr(message, name), types[name]) for name in record_class._fields})
 
 
-def array_bytes(message: Any) -> int:
-    """Size of a message's arrays [bytes]."""
-    types = message.get_fields_and_field_types()
-    values = (getattr(message, name) for name, kind in types.items() if kind in SEQUENCES)
-    return sum(len(value) * value.itemsize for value in values)
-
-
 def flat_array(value: Any, dtype: Any) -> np.ndarray:
     """As a contiguous array of `dtype`; ValueError where it has more than one dimension."""
     flat = np.ascontiguousarray(value, dtype=dtype)

@@ -4,17 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any
 
-from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
-from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 
 from fracture_collision.ros import qos
 from fracture_collision.ros.cdr_records import Received, deserialize_record
 from fracture_collision.ros.collision_run import Refusal
-from fracture_collision.ros.conversion import Heading, to_record
 from fracture_collision.ros.message_origin import Origin, participant_of
 from fracture_collision.ros.parameters import declare
 from fracture_collision.ros.run_guard import RunGuard, Verdict
@@ -110,7 +106,7 @@ class Incoming:
             self._refuse(Refusal(topic.name, "limit_exceeded", reason))
             return
         try:
-            received = _read(data, topic.message_class)
+            received = deserialize_record(data, topic.message_class)
         except ValueError as error:
             self._refuse(Refusal(topic.name, "malformed", str(error)))
             return
@@ -162,15 +158,3 @@ class Incoming:
     def _name(self, participant: bytes) -> str:
         """Two nodes may have one name, so with a part of their GUID."""
         return f"{self._names.get(participant, 'a publisher')} [{participant[4:].hex()}]"
-
-
-def _read(data: bytes, message_class: Any) -> Received:
-    """ValueError where `data` is none."""
-    if message_class is qos.FRAGMENT_STATES.message_class:
-        return deserialize_record(data, message_class)
-    try:
-        message = deserialize_message(data, message_class)
-    except rclpy_implementation.RMWError as error:
-        raise ValueError(f"no serialized {message_class.__name__}: {error}") from error
-    stamp = message.header.stamp
-    return Received(Heading(stamp.sec, stamp.nanosec, message.header.frame_id), message.run_id, to_record(message))
