@@ -9,8 +9,7 @@ from __future__ import annotations
 
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, SetEnvironmentVariable, Shutdown
-from launch.conditions import IfCondition
-from launch.substitutions import EnvironmentVariable, EqualsSubstitution, LaunchConfiguration, PathJoinSubstitution
+from launch.substitutions import EnvironmentVariable, LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
@@ -18,9 +17,7 @@ from launch_ros.substitutions import FindPackageShare
 
 def generate_launch_description() -> LaunchDescription:
     """Both nodes in one namespace; the simulator's end is the end of all."""
-    config = [FindPackageShare("fracture_collision"), "config"]
-    default_parameters = PathJoinSubstitution([*config, "collision.yaml"])
-    this_machine = PathJoinSubstitution([*config, "this_machine.xml"])
+    default_parameters = PathJoinSubstitution([FindPackageShare("fracture_collision"), "config", "collision.yaml"])
     namespace = LaunchConfiguration("namespace")
     return LaunchDescription(
         [
@@ -37,11 +34,6 @@ def generate_launch_description() -> LaunchDescription:
                 description="who may find the nodes",
             ),
             SetEnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", LaunchConfiguration("discovery_range")),
-            SetEnvironmentVariable(
-                "FASTRTPS_DEFAULT_PROFILES_FILE",
-                EnvironmentVariable("FASTRTPS_DEFAULT_PROFILES_FILE", default_value=this_machine),
-                condition=IfCondition(EqualsSubstitution(LaunchConfiguration("discovery_range"), "LOCALHOST")),
-            ),
             Node(
                 package="fracture_collision",
                 executable="collision_node",

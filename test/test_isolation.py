@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import xml.etree.ElementTree as ET
 from collections.abc import Iterator
-from pathlib import Path
 from typing import NamedTuple
 
 import pytest
 
 from fracture_collision.ros.node_process import free_domain_id, loopback_environment
+from fracture_collision.share import share_directory
 
 HERE, ELSEWHERE = "10.213.7.1", "10.213.7.2"
 
@@ -107,10 +108,17 @@ def test_the_project_starts_its_nodes_on_localhost_unless_told_otherwise(
     default_environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert default_environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
-    assert Path(default_environment["FASTRTPS_DEFAULT_PROFILES_FILE"]).is_file()
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
-    told = loopback_environment(7)
-    assert told["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SUBNET" and "FASTRTPS_DEFAULT_PROFILES_FILE" not in told
+    assert loopback_environment(7)["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SUBNET"
+
+
+def test_both_profiles_say_the_same_of_leases() -> None:
+    files = [ET.parse(share_directory() / "config" / name) for name in ("fast_dds.xml", "this_machine.xml")]
+    told = [
+        [file.find(f".//{{*}}{name}/{{*}}sec").text for name in ("leaseDuration", "leaseAnnouncement")]
+        for file in files
+    ]
+    assert told[0] == told[1]
 
 
 def test_another_machine_does_not_find_it(machines: Machines, default_environment: dict[str, str]) -> None:
@@ -130,7 +138,6 @@ def test_another_machine_finds_one_that_speaks_on_the_network(
 ) -> None:
     """The control: else the tests above would prove nothing."""
     open_to_all = default_environment | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}
-    del open_to_all["FASTRTPS_DEFAULT_PROFILES_FILE"]
     assert seen_from_elsewhere(machines, open_to_all)
 
 
@@ -138,6 +145,6 @@ def test_and_by_its_address_one_that_is_only_not_announced(
     machines: Machines, default_environment: dict[str, str]
 ) -> None:
     """Why the discovery range alone is not enough."""
-    unannounced = dict(default_environment)
-    del unannounced["FASTRTPS_DEFAULT_PROFILES_FILE"]
+    profiles = share_directory() / "config" / "fast_dds.xml"
+    unannounced = default_environment | {"FASTRTPS_DEFAULT_PROFILES_FILE": str(profiles)}
     assert seen_from_elsewhere(machines, unannounced, ROS_STATIC_PEERS=HERE)

@@ -78,9 +78,10 @@ def test_two_simulators_do_not_tear_a_scene_apart(stage: Stage, second_run: int)
     second.await_service()
     tell_two_boxes(second, second_run)
     second.publish("fracture_events", FIRST._replace(sequence=3, fragment_id=10), second_run)
-    second.publish("fragment_states", TWO_BOXES, second_run)
-    for topic in ("bodies", "fracture_events", "fragment_states"):
+    for topic in ("bodies", "fracture_events"):
         second.await_refusal(f"{topic}: other_publisher", f"run {second_run} of")
+    second.publish("fragment_states", TWO_BOXES, second_run)  # the service has met this publisher, too, by now
+    second.await_refusal("fragment_states: other_publisher", f"run {second_run} of")
     assert field_bytes(first.ask(STATES, RUN)) == good
     assert [answer.step for answer in first.answers] == [STATES.step] * 2
     assert second.diagnostics[ANSWERS] == "ready"  # nothing is held for the second either
@@ -130,7 +131,7 @@ def test_bodies_and_states_may_come_from_two_processes(stage: Stage) -> None:
 @pytest.mark.slow
 @pytest.mark.timeout(400)
 def test_a_simulator_that_was_killed_gets_in_again(stage: Stage) -> None:
-    """DDS misses who was killed after 20 s."""
+    """DDS misses who was killed when its lease has run out (config/fast_dds.xml)."""
     service = stage.start("collision_node", threads=1)
 
     first = stage.start("simulator_node", scene="pane", progress=True)
@@ -142,7 +143,7 @@ def test_a_simulator_that_was_killed_gets_in_again(stage: Stage) -> None:
     killed = time.monotonic()
     successor = stage.start("simulator_node", scene="pane", progress=True)
     assert successor.wait(300.0) == 0, stage.log(successor)
-    assert time.monotonic() - killed > 15.0
+    assert time.monotonic() - killed > 3.0
     said = [line for line in stage.log(successor).splitlines() if "WARN" in line or "ERROR" in line]
     assert said and all("asking again" in line for line in said), said
     assert "other_publisher" in stage.log(service)

@@ -113,12 +113,17 @@ def names_in_dds(client, node: str) -> tuple[set[str], set[str]]:
         publishers = client.node.get_publisher_names_and_types_by_node(node, "/cell")
         subscribers = client.node.get_subscriber_names_and_types_by_node(node, "/cell")
         services = [name for name, _ in client.node.get_service_names_and_types_by_node(node, "/cell")]
+        called = [name for name, _ in client.node.get_client_names_and_types_by_node(node, "/cell")]
     except Exception as error:  # rclpy's own kind, for a node that is not there yet
         assert "node" in str(error).lower(), error
         return set(), set()
     return (
-        {f"rt{name}" for name, _ in publishers} | {f"rr{name}Reply" for name in services},
-        {f"rt{name}" for name, _ in subscribers} | {f"rq{name}Request" for name in services},
+        {f"rt{name}" for name, _ in publishers}
+        | {f"rr{name}Reply" for name in services}
+        | {f"rq{name}Request" for name in called},
+        {f"rt{name}" for name, _ in subscribers}
+        | {f"rq{name}Request" for name in services}
+        | {f"rr{name}Reply" for name in called},
     )
 
 

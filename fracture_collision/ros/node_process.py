@@ -15,12 +15,10 @@ from pathlib import Path
 from typing import IO, Any
 
 from fracture_collision.ros.shared_memory import remove_left_behind
-from fracture_collision.share import share_directory
 
 # Domains above this have ports that Linux hands out to anybody (REP 2000's "safe on all platforms").
 HIGHEST_DOMAIN_ID = 101
 _PORT_BASE, _PORTS_A_DOMAIN = 7400, 250  # of the DDS interoperability wire protocol, section 9.6.1
-_PROFILES_FILE = "FASTRTPS_DEFAULT_PROFILES_FILE"  # of Fast DDS 2
 _SET_PARENT_DEATH_SIGNAL = 1  # prctl's PR_SET_PDEATHSIG
 
 
@@ -46,12 +44,10 @@ def chosen_domain_id() -> int:
 
 def loopback_environment(domain_id: int) -> dict[str, str]:
     """The environment in which nodes talk to this machine only, in a domain of their own; unless the user's has another
-    ROS_AUTOMATIC_DISCOVERY_RANGE. That variable alone keeps nodes from being found; who knows the machine's address
-    would still get in, so Fast DDS is told to use no other interface than loopback.
+    ROS_AUTOMATIC_DISCOVERY_RANGE. What else that variable means to a node: see ros/process.py.
     """
     environment = os.environ | {"ROS_DOMAIN_ID": str(domain_id)}
-    if environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST") == "LOCALHOST":
-        environment.setdefault(_PROFILES_FILE, str(share_directory() / "config" / "this_machine.xml"))
+    environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     return environment
 
 

@@ -51,9 +51,16 @@ def _on_signal(_signal: int, _frame: FrameType | None) -> None:
 
 
 def _choose_profiles() -> None:
-    """Fast DDS reads config/fast_dds.xml, unless the user has a file of his own; other middleware does not look."""
+    """Fast DDS reads config/fast_dds.xml, or this_machine.xml, unless the user has a file of his own; other middleware
+    does not look.
+
+    ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST alone keeps a node from being found; who knows the machine's address would
+    still get in.
+    """
     if not any(os.environ.get(name) for name in _PROFILES):
-        os.environ[_PROFILES[0]] = str(share_directory() / "config" / "fast_dds.xml")
+        here_only = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE") == "LOCALHOST"
+        name = "this_machine.xml" if here_only else "fast_dds.xml"
+        os.environ[_PROFILES[0]] = str(share_directory() / "config" / name)
 
 
 def run_node(make_node: Callable[[], Node], work: Callable[[Node], None]) -> int:

@@ -26,7 +26,8 @@ NODE_SERVICES = (
     "set_parameters", "set_parameters_atomically",
 )  # fmt: skip
 # Of every rclpy node: its log, changes of its parameters, and which topics it has.
-NODE_PUBLISHES = ("rt/rosout", "rt/parameter_events", "ros_discovery_info")
+PARAMETER_EVENTS = "rt/parameter_events"
+NODE_PUBLISHES = ("rt/rosout", PARAMETER_EVENTS, "ros_discovery_info")
 NODE_SUBSCRIBES = ("ros_discovery_info", "rt/clock")  # the clock under use_sim_time
 DIAGNOSTICS = "rt/diagnostics"
 
@@ -40,16 +41,21 @@ class Role(NamedTuple):
     enclave: str  # also the name of its node
     publishes: tuple[qos.Topic, ...] = ()
     subscribes: tuple[qos.Topic, ...] = ()
-    publishes_diagnostics: bool = False
-    subscribes_diagnostics: bool = False
-    sets_parameters_of: str = ""  # a node
+    also_publishes: tuple[str, ...] = ()  # in DDS
+    also_subscribes: tuple[str, ...] = ()
+    calls: tuple[str, ...] = ()  # of collision_node's NODE_SERVICES
 
 
 ROLES = (
-    Role("collision_node", publishes=_RESULTS, subscribes=_RUN, publishes_diagnostics=True),
+    Role("collision_node", publishes=_RESULTS, subscribes=_RUN, also_publishes=(DIAGNOSTICS,)),
     Role("simulator_node", publishes=_RUN, subscribes=(qos.CONTACT_CONSTRAINTS, qos.FRAGMENTS)),
-    Role("recorder_node", subscribes=qos.TOPICS, subscribes_diagnostics=True),
-    Role("viewer", subscribes=qos.TOPICS, subscribes_diagnostics=True, sets_parameters_of="collision_node"),
+    Role(
+        "recorder_node", subscribes=qos.TOPICS, also_subscribes=(DIAGNOSTICS, PARAMETER_EVENTS),
+        calls=("get_parameters",),
+    ),
+    Role(
+        "viewer", subscribes=qos.TOPICS, also_subscribes=(DIAGNOSTICS, PARAMETER_EVENTS), calls=NODE_SERVICES,
+    ),
 )
 
 
@@ -62,15 +68,14 @@ def dds_names(role: Role, namespace: str = "") -> DdsNames:
     """DDS topics that a node of the role in `namespace` writes and reads."""
     publishes = [_topic(topic, namespace) for topic in role.publishes]
     subscribes = [_topic(topic, namespace) for topic in role.subscribes]
-    publishes += [DIAGNOSTICS] * role.publishes_diagnostics + [*NODE_PUBLISHES]
-    subscribes += [DIAGNOSTICS] * role.subscribes_diagnostics + [*NODE_SUBSCRIBES]
-    requests, replies = _service_topics(role.enclave, namespace)
+    publishes += [*role.also_publishes, *NODE_PUBLISHES]
+    subscribes += [*role.also_subscribes, *NODE_SUBSCRIBES]
+    requests, replies = _service_topics(role.enclave, namespace, NODE_SERVICES)
     publishes += replies
     subscribes += requests
-    if role.sets_parameters_of:
-        requests, replies = _service_topics(role.sets_parameters_of, namespace)
-        publishes += requests
-        subscribes += replies
+    requests, replies = _service_topics("collision_node", namespace, role.calls)
+    publishes += requests
+    subscribes += replies
     return DdsNames(sorted(publishes), sorted(subscribes))
 
 
@@ -128,9 +133,9 @@ def _topic(topic: qos.Topic, namespace: str) -> str:
     return f"rt{namespace}/{topic.name}"
 
 
-def _service_topics(node: str, namespace: str) -> tuple[list[str], list[str]]:
-    """Requests and replies of a node's own services."""
-    names = [f"{namespace}/{node}/{service}" for service in NODE_SERVICES]
+def _service_topics(node: str, namespace: str, services: tuple[str, ...]) -> tuple[list[str], list[str]]:
+    """Requests and replies of some of a node's own services."""
+    names = [f"{namespace}/{node}/{service}" for service in services]
     return [f"rq{name}Request" for name in names], [f"rr{name}Reply" for name in names]
 
 

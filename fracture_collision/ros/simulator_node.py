@@ -63,6 +63,7 @@ class SimulatorNode(Node):
             qos.FRACTURE_EVENTS.message_class, qos.FRACTURE_EVENTS.name, qos.FRACTURE_EVENTS.qos
         )
         self._states = AcknowledgedPublisher(self, qos.FRAGMENT_STATES)
+        self._contacts_topic = self.resolve_topic_name(qos.CONTACT_CONSTRAINTS.name)  # it may be remapped
         for topic, callback, raw in (
             (qos.CONTACT_CONSTRAINTS, self._on_contacts, True),
             (qos.FRAGMENTS, self._on_registry, False),
@@ -105,8 +106,7 @@ class SimulatorNode(Node):
     def _await_subscribers(self, executor: PromptExecutor) -> None:
         """A recorder that starts with the simulator must not miss the first steps."""
         started, said = time.monotonic(), 0.0
-        contacts = self.resolve_topic_name(qos.CONTACT_CONSTRAINTS.name)  # it may be remapped
-        while min(self._states.subscriber_count, self.count_subscribers(contacts)) < self._subscribers:
+        while min(self._states.subscriber_count, self.count_subscribers(self._contacts_topic)) < self._subscribers:
             executor.spin_once(timeout_sec=0.02)
             if time.monotonic() - started > said + 5.0:
                 said += 5.0
@@ -157,7 +157,7 @@ class SimulatorNode(Node):
 
     def _present(self) -> tuple[int, int]:
         """How many listen to states, and how many publish contacts."""
-        return self._states.subscriber_count, self.count_publishers(qos.CONTACT_CONSTRAINTS.name)
+        return self._states.subscriber_count, self.count_publishers(self._contacts_topic)
 
     def _registry_covers(self, states: FragmentStates) -> bool:
         registry = self._registry
