@@ -131,7 +131,7 @@ def test_bodies_and_states_may_come_from_two_processes(stage: Stage) -> None:
 @pytest.mark.slow
 @pytest.mark.timeout(400)
 def test_a_simulator_that_was_killed_gets_in_again(stage: Stage) -> None:
-    """DDS misses who was killed when its lease has run out (config/fast_dds.xml)."""
+    """DDS misses who was killed when its lease has run out, after 20 s."""
     service = stage.start("collision_node", threads=1)
 
     first = stage.start("simulator_node", scene="pane", progress=True)

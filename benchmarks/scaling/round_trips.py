@@ -74,14 +74,14 @@ class _Simulator:
     def __init__(self, domain_id: int) -> None:
         self._context = Context()
         rclpy.init(context=self._context, domain_id=domain_id)
-        self._node = rclpy.create_node("round_trips", context=self._context)
+        self._node = rclpy.create_node("simulator_node", context=self._context)
         self._executor = PromptExecutor(context=self._context)
         self._executor.add_node(self._node)
         self._bodies, self._events = (
             self._node.create_publisher(topic.message_class, topic.name, topic.qos)
             for topic in (qos.BODIES, qos.FRACTURE_EVENTS)
         )
-        self._states = AcknowledgedPublisher(self._node, qos.FRAGMENT_STATES)
+        self._states = AcknowledgedPublisher(self._node, qos.FRAGMENT_STATES, answerers="collision_node")
         topic = qos.CONTACT_CONSTRAINTS
         self._node.create_subscription(topic.message_class, topic.name, self._take, topic.qos, raw=True)
         self.answer: Received | None = None

@@ -15,24 +15,32 @@ from typing import Any
 
 from rclpy.duration import Duration
 from rclpy.node import Node
+from rclpy.qos import HistoryPolicy
 
 from fracture_collision.ros.qos import Topic
 
 # A subscriber that stalls longer than this (killed, or stopped in a debugger) is left behind rather than holding up the
-# run. One that was killed is listed until its lease has run out (config/fast_dds.xml): while somebody is behind, the
-# others get only as much time at each message as they take if they are alive.
-ACKNOWLEDGEMENT_TIMEOUT = Duration(seconds=1)
-ALIVE_TIMEOUT = Duration(seconds=0.1)
+# run. One that was killed is listed until its lease has run out, 20 s: while somebody is behind, the others get only as
+# much time at each message as they take if they are alive, on a busy machine too. (Leases of 5 s were tried: on a busy
+# machine the living lost sight of each other, and not all found back.)
+ACKNOWLEDGEMENT_TIMEOUT = Duration(seconds=2)
+ALIVE_TIMEOUT = Duration(seconds=0.5)
 
 
 class AcknowledgedPublisher:
-    """Publishes on `topic`; overwrites nothing that some subscriber has yet to receive."""
+    """Publishes on `topic`; overwrites nothing that some subscriber has yet to receive.
 
-    def __init__(self, node: Node, topic: Topic) -> None:
+    `answerers`: nodes of this name need not acknowledge anything, for they answer; where no others listen there is no
+    wait, be they dead or alive.
+    """
+
+    def __init__(self, node: Node, topic: Topic, answerers: str = "") -> None:
         self._topic = topic
-        self._logger = node.get_logger()
+        self._node = node
+        self._answerers = answerers
         self._publisher = node.create_publisher(topic.message_class, topic.name, topic.qos)
         self._is_behind = False  # whether some subscriber did not acknowledge in time
+        self._listeners = 0, False  # subscribers when it was last asked who they are, and whether any is no answerer
 
     @property
     def subscriber_count(self) -> int:
@@ -40,7 +48,13 @@ class AcknowledgedPublisher:
 
     def settle(self) -> None:
         """Waits until the next message may overwrite the last."""
-        if self.subscriber_count > 1:
+        if self._topic.qos.history == HistoryPolicy.KEEP_ALL:
+            return
+        count = self.subscriber_count
+        if count != self._listeners[0]:
+            names = {info.node_name for info in self._node.get_subscriptions_info_by_topic(self._publisher.topic_name)}
+            self._listeners = count, bool(names - {self._answerers})
+        if self._listeners[1]:
             self.flush()
 
     def publish(self, message: Any) -> None:
@@ -61,7 +75,13 @@ class AcknowledgedPublisher:
             ALIVE_TIMEOUT if was_behind else ACKNOWLEDGEMENT_TIMEOUT
         )
         if self._is_behind and not was_behind:
-            self._logger.warning(
+            self._node.get_logger().warning(
                 f"{self._topic.name}: a subscriber did not acknowledge the last message in time and may miss it",
                 throttle_duration_sec=5.0,
             )
+
+    def close(self) -> None:
+        """Forgets all it sent, once everybody has it."""
+        if self.subscriber_count:
+            self.flush()
+        self._node.destroy_publisher(self._publisher)

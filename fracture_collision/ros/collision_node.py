@@ -38,6 +38,10 @@ from fracture_collision.ros.timing_files import SERVICE_COLUMNS, RowFile
 from fracture_collision.world import InvalidMessage, Settings
 from fracture_collision.world.warm_up import cache_is_cold, compile_kernels
 
+# [s] States were held for so long: bodies and events are asked for again. They are latched, and come by themselves; but
+# discovery now and then leaves a reader out that came while others were killed.
+LOG_PAUSES = (2, 4, 8, 16, 32, 64, 128)
+
 
 class CollisionNode(Node):
     """Parameters: those of world.Settings, `allow_takeover` and `timing_file`. Topics: ros/qos.py."""
@@ -54,6 +58,7 @@ class CollisionNode(Node):
         self._run: CollisionRun | None = None
         self._next_run: CollisionRun | None = None  # of events that came before the first body of their run
         self._held: Received | None = None  # the newest states that cannot be answered yet
+        self._seconds_held = 0
         self._replaced_states = 0  # newer ones came while they were held
         self._registry_version: tuple[int, int, int, int] | None = None
         self._meshes_published: set[int] = set()
@@ -73,8 +78,8 @@ class CollisionNode(Node):
             self._note,
             self._forget_run,
         )
-        self._contacts = AcknowledgedPublisher(self, qos.CONTACT_CONSTRAINTS)
-        self._fragments = AcknowledgedPublisher(self, qos.FRAGMENTS)
+        self._contacts = AcknowledgedPublisher(self, qos.CONTACT_CONSTRAINTS, answerers="simulator_node")
+        self._fragments = AcknowledgedPublisher(self, qos.FRAGMENTS, answerers="simulator_node")
         self._meshes = AcknowledgedPublisher(self, qos.FRAGMENT_MESHES)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         # Not of the node's clock: under use_sim_time that stands still until somebody moves it.
@@ -148,7 +153,11 @@ class CollisionNode(Node):
 
     def _forget_published(self) -> None:
         self._registry_version = None
-        self._meshes_published.clear()
+        if self._meshes_published:
+            # A latched publisher keeps all it ever sent, and tells it to who comes; these are no more.
+            self._meshes.close()
+            self._meshes = AcknowledgedPublisher(self, qos.FRAGMENT_MESHES)
+            self._meshes_published.clear()
 
     def _note(self, *refusals: Refusal) -> None:
         for refusal in refusals:
@@ -225,6 +234,10 @@ class CollisionNode(Node):
             )
 
     def _every_second(self) -> None:
+        self._seconds_held = self._seconds_held + 1 if self._held is not None else 0
+        if self._seconds_held in LOG_PAUSES:
+            self.get_logger().warning("states are held: what they speak of has not all come; asking for it again")
+            self._incoming.ask_for_log()
         self._incoming.look_around()
         self._publish_diagnostics()
 

@@ -80,6 +80,10 @@ class Incoming:
                 question, self._asked_in_vain = self._asked_in_vain, None
                 self._let_through(qos.FRAGMENT_STATES, *question)
 
+    def ask_for_log(self) -> None:
+        """Bodies and events shall be told again, at the next look around."""
+        self._log_is_due = True
+
     @property
     def followed(self) -> str:
         """Whose run it is."""

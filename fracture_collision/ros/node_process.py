@@ -10,6 +10,7 @@ import signal
 import socket
 import subprocess
 import sys
+from collections import deque
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any
@@ -20,19 +21,31 @@ from fracture_collision.ros.shared_memory import remove_left_behind
 HIGHEST_DOMAIN_ID = 101
 _PORT_BASE, _PORTS_A_DOMAIN = 7400, 250  # of the DDS interoperability wire protocol, section 9.6.1
 _SET_PARENT_DEATH_SIGNAL = 1  # prctl's PR_SET_PDEATHSIG
+# Domains that this process has got; more than it uses at a time, and few enough for others to find one.
+_MOST_CLAIMS = 8
+_claims: deque[socket.socket] = deque()
 
 
 def free_domain_id() -> int:
-    """A ROS domain id that nobody on this machine uses. Raises RuntimeError if all are taken."""
+    """A ROS domain id that nobody on this machine uses, as far as can be told: no port of its is taken on all
+    interfaces, and nobody else has got it from here lately. Raises RuntimeError if all are taken.
+    """
     candidates = list(range(1, HIGHEST_DOMAIN_ID + 1))
     random.shuffle(candidates)  # others who look for one at the same moment should not find the same one
     for domain_id in candidates:
+        # nodes that keep to loopback take no port that could be seen, so whoever starts some holds a name
+        claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as discovery:
             try:
+                claim.bind(f"\0fracture_collision/domain/{domain_id}")
                 discovery.bind(("", _PORT_BASE + _PORTS_A_DOMAIN * domain_id))
             except OSError:
+                claim.close()
                 continue
-            return domain_id
+        _claims.append(claim)
+        if len(_claims) > _MOST_CLAIMS:
+            _claims.popleft().close()
+        return domain_id
     raise RuntimeError("all ROS domains of this machine are in use")
 
 

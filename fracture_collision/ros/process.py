@@ -51,16 +51,13 @@ def _on_signal(_signal: int, _frame: FrameType | None) -> None:
 
 
 def _choose_profiles() -> None:
-    """Fast DDS reads config/fast_dds.xml, or this_machine.xml, unless the user has a file of his own; other middleware
-    does not look.
-
-    ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST alone keeps a node from being found; who knows the machine's address would
-    still get in.
+    """With ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST Fast DDS uses no other interface than loopback, unless the user has
+    profiles of his own; other middleware does not look. The range alone keeps a node from being found; who knows the
+    machine's address would still get in.
     """
-    if not any(os.environ.get(name) for name in _PROFILES):
-        here_only = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE") == "LOCALHOST"
-        name = "this_machine.xml" if here_only else "fast_dds.xml"
-        os.environ[_PROFILES[0]] = str(share_directory() / "config" / name)
+    is_local = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE") == "LOCALHOST"
+    if is_local and not any(os.environ.get(name) for name in _PROFILES):
+        os.environ[_PROFILES[0]] = str(share_directory() / "config" / "this_machine.xml")
 
 
 def run_node(make_node: Callable[[], Node], work: Callable[[Node], None]) -> int:

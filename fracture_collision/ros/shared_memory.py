@@ -36,28 +36,29 @@ def remove_left_behind(folder: Path = FOLDER) -> int:
 
 
 def left_behind(folder: Path = FOLDER) -> set[Path]:
-    """Files of segments and ports whose lock nobody holds; where there is none, those of our own that no process of
-    ours has mapped.
+    """Files of our own, of segments and ports, that no process of ours has mapped and whose lock nobody holds.
+
+    As long as somebody has a dead one's port mapped it must stay: Fast DDS tells by it that the port is dead, and sends
+    to the next one of that number.
     """
     groups: dict[str, list[Path]] = {}
     for file in folder.iterdir() if folder.is_dir() else ():
         if (name := _FILE.fullmatch(file.name)) is not None:
             groups.setdefault(name[1], []).append(file)
-    left, unlocked = set(), []
+    left: set[Path] = set()
     for files in groups.values():
         try:
-            if any(time.time() - file.stat().st_mtime < YOUNG for file in files):
-                continue
-            locks = [file for file in files if file.name.endswith(_LOCKS)]
-            if not locks:
-                unlocked += [file for file in files if file.stat().st_uid == os.getuid()]
-            elif not any(map(_is_held, locks)):
+            stats = [file.stat() for file in files]
+            is_ours = all(each.st_uid == os.getuid() for each in stats)
+            is_young = any(time.time() - each.st_mtime < YOUNG for each in stats)
+            if is_ours and not is_young and not any(_is_held(file) for file in files if file.name.endswith(_LOCKS)):
                 left.update(files)
-        except OSError:  # it has gone in the meantime, or is none of ours
+        except OSError:  # it has gone in the meantime
             continue
-    if unlocked:
+    if left:
         mapped = set(_mapped(folder))
-        left.update(file for file in unlocked if file.name not in mapped)
+        used = {name[1] for each in mapped if (name := _FILE.fullmatch(each)) is not None}
+        left = {file for file in left if _FILE.fullmatch(file.name)[1] not in used}
     return left
 
 

@@ -62,7 +62,7 @@ class SimulatorNode(Node):
         self._events = self.create_publisher(
             qos.FRACTURE_EVENTS.message_class, qos.FRACTURE_EVENTS.name, qos.FRACTURE_EVENTS.qos
         )
-        self._states = AcknowledgedPublisher(self, qos.FRAGMENT_STATES)
+        self._states = AcknowledgedPublisher(self, qos.FRAGMENT_STATES, answerers="collision_node")
         self._contacts_topic = self.resolve_topic_name(qos.CONTACT_CONSTRAINTS.name)  # it may be remapped
         for topic, callback, raw in (
             (qos.CONTACT_CONSTRAINTS, self._on_contacts, True),
