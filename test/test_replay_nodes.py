@@ -23,11 +23,12 @@ from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability
 from test_replay import CONTACTS, EVENTS, STATES
 
-from fracture_collision.bag.cdr import Heading, serialize_record
+from fracture_collision.bag.cdr import serialize_record
 from fracture_collision.bag.exchanges import read_runs
 from fracture_collision.bag.mcap_file import McapFile
 from fracture_collision.bag.mend import mend_bag
 from fracture_collision.bag.reader import message_counts, missing_words, read_messages, recorded_settings
+from fracture_collision.cdr import Heading
 from fracture_collision.records import FractureEvent
 from fracture_collision.replay import Order, Replay, settings_of
 from fracture_collision.ros import qos

@@ -21,10 +21,11 @@ from rclpy.context import Context
 from benchmarks.peers.worlds import World
 from benchmarks.scaling.growth import Progress, silent
 from benchmarks.scaling.piles import Pile, make_pile
+from fracture_collision.cdr import Received
 from fracture_collision.records import FragmentStates
 from fracture_collision.ros import qos
 from fracture_collision.ros.acknowledged_publisher import AcknowledgedPublisher
-from fracture_collision.ros.cdr_records import Received, deserialize_record, serialize_record
+from fracture_collision.ros.cdr_records import deserialize_record, serialize_record
 from fracture_collision.ros.conversion import heading, to_message
 from fracture_collision.ros.node_process import NodeProcess, free_domain_id
 from fracture_collision.ros.prompt_executor import PromptExecutor

@@ -17,12 +17,13 @@ from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
+from fracture_collision.cdr import Heading, Received
 from fracture_collision.records import INVALID_STATES, ContactConstraintArray, FragmentStates
 from fracture_collision.ros import qos
 from fracture_collision.ros.acknowledged_publisher import AcknowledgedPublisher
-from fracture_collision.ros.cdr_records import Received, serialize_record
+from fracture_collision.ros.cdr_records import serialize_record
 from fracture_collision.ros.collision_run import CollisionRun, Refusal
-from fracture_collision.ros.conversion import Heading, to_message
+from fracture_collision.ros.conversion import to_message
 from fracture_collision.ros.diagnostics import (
     AnswerTimes,
     RefusalCounts,
