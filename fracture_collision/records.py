@@ -97,6 +97,17 @@ class ContactConstraintArray(NamedTuple):
     contact_ids: np.ndarray  # uint64
 
 
+def refusal_of(states: FragmentStates) -> ContactConstraintArray:
+    """The answer to states that break a rule: no contacts, and the status says why."""
+    floats, ids = _floats(), _indices()
+    return ContactConstraintArray(
+        step=states.step, fracture_sequence=states.fracture_sequence, status=INVALID_STATES,
+        fragment_a=ids, fragment_b=ids, pair_begin=_indices(1), missed_depth_bound=floats,
+        friction=floats, restitution=floats, points_a=floats, points_b=floats, normals=floats, gaps=floats,
+        contact_ids=np.zeros(0, dtype=np.uint64),
+    )  # fmt: skip
+
+
 class FragmentRegistry(NamedTuple):
     """All living fragments after `fracture_sequence` events (FragmentRegistry.msg)."""
 

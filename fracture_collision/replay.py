@@ -19,7 +19,7 @@ from fracture_collision.bag.cdr import deserialize_record, serialize_record
 from fracture_collision.bag.errors import BagError
 from fracture_collision.bag.exchanges import Question, Run
 from fracture_collision.bag.reader import recorded_settings
-from fracture_collision.records import INVALID_STATES, ContactConstraintArray, FragmentStates
+from fracture_collision.records import ContactConstraintArray, FragmentStates, refusal_of
 from fracture_collision.world import CollisionWorld, InvalidMessage, Settings, StatesAhead
 from fracture_collision.world.settings import check_settings
 
@@ -231,17 +231,6 @@ class InProcess:
             add(record)
         except InvalidMessage as error:  # the recorded service refused it too
             self.refusals[f"{type(record).__name__}, {error.kind}"] = str(error)
-
-
-def refusal_of(states: FragmentStates) -> ContactConstraintArray:
-    """The answer to states that break a rule: no contacts, and the status says why."""
-    floats, ids = np.zeros(0), np.zeros(0, dtype=np.uint32)
-    return ContactConstraintArray(
-        step=states.step, fracture_sequence=states.fracture_sequence, status=INVALID_STATES,
-        fragment_a=ids, fragment_b=ids, pair_begin=np.zeros(1, dtype=np.uint32), missed_depth_bound=floats,
-        friction=floats, restitution=floats, points_a=floats, points_b=floats, normals=floats, gaps=floats,
-        contact_ids=np.zeros(0, dtype=np.uint64),
-    )  # fmt: skip
 
 
 class SettingsFound(NamedTuple):

@@ -8,7 +8,6 @@ from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
@@ -16,6 +15,7 @@ from rclpy.parameter_client import AsyncParameterClient
 from fracture_collision.records import ContactConstraintArray, FragmentRegistry
 from fracture_collision.ros import qos
 from fracture_collision.ros.conversion import heading, to_message, to_record
+from fracture_collision.ros.own_context import own_context
 
 PATIENCE = 60.0  # [s] for a machine that is busy with other things
 
@@ -25,8 +25,7 @@ class ServiceClient:
 
     def __init__(self, domain_id: int, ros_arguments: Sequence[str] = ()) -> None:
         """`ros_arguments`: what would stand behind --ros-args: of namespace and remapping."""
-        self._context = Context()
-        rclpy.init(context=self._context, domain_id=domain_id)
+        self._context = own_context(domain_id)
         self.node = rclpy.create_node(
             "service_client", context=self._context, cli_args=["--ros-args", *ros_arguments] if ros_arguments else None
         )

@@ -7,7 +7,6 @@ from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
-import pytest
 from gate_world import EARLIER, FIRST, REFERENCE, record_bytes
 from ros_client import ServiceClient
 
@@ -26,13 +25,6 @@ MORE_MEMORY = 20e6  # [bytes] DDS keeps what it has received of a latched topic
 # Topics keep no order between them: the event is sent when its body is known to have come.
 BEGINNING = (*CLEAN[:-2], ("fragment_states", EARLIER), *CLEAN[-2:])
 LIMITS = {"threads": 1, "max_nodes": SETTINGS.max_nodes, "max_fragments": SETTINGS.max_fragments}
-
-
-@pytest.fixture(scope="module", autouse=True)
-def only_this_machine() -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-        yield
 
 
 def refused_cases(topic: str) -> list[tuple[Case, str]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 from fracture_collision.msg import FragmentStates as FragmentStatesMessage
 from ros_client import ServiceClient
-from ros_stage import Stage
+from ros_stage import StageWithClients
 from test_ros_collision_run import FIRST, SECOND, STATES, breakable_body, expected_contacts, field_bytes, ground
 
 from fracture_collision.records import BOX, CollisionBody, FragmentStates, SolidPrimitive
@@ -26,16 +27,9 @@ TWO_BOXES = FragmentStates(
 )
 
 
-@pytest.fixture(scope="module", autouse=True)
-def only_this_machine() -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-        yield
-
-
 @pytest.fixture
-def stage(tmp_path: Path) -> Iterator[Stage]:
-    stage = Stage(tmp_path)
+def stage(tmp_path: Path) -> Iterator[StageWithClients]:
+    stage = StageWithClients(tmp_path)
     yield stage
     stage.close()
 
@@ -66,7 +60,7 @@ def answer_of(settings: Settings) -> list[bytes]:
 
 
 @pytest.mark.parametrize("second_run", [RUN + 1, RUN], ids=["another run id", "the same run id"])
-def test_two_simulators_do_not_tear_a_scene_apart(stage: Stage, second_run: int) -> None:
+def test_two_simulators_do_not_tear_a_scene_apart(stage: StageWithClients, second_run: int) -> None:
     stage.start("collision_node", threads=1)
     first = stage.client()
     first.await_service()
@@ -97,7 +91,7 @@ def test_two_simulators_do_not_tear_a_scene_apart(stage: Stage, second_run: int)
     assert second.await_registry(second_run, 0).fragment_ids.tolist() == [1, 2]
 
 
-def test_a_parameter_lets_another_in_at_once(stage: Stage) -> None:
+def test_a_parameter_lets_another_in_at_once(stage: StageWithClients) -> None:
     stage.start("collision_node", threads=1)
     first, second = stage.client(), stage.client()
     first.await_service()
@@ -114,7 +108,7 @@ def test_a_parameter_lets_another_in_at_once(stage: Stage) -> None:
     first.await_refusal("fragment_states: other_publisher", f"run {RUN} of")
 
 
-def test_bodies_and_states_may_come_from_two_processes(stage: Stage) -> None:
+def test_bodies_and_states_may_come_from_two_processes(stage: StageWithClients) -> None:
     stage.start("collision_node", threads=1)
     first = stage.client()
     first.await_service()
@@ -130,29 +124,29 @@ def test_bodies_and_states_may_come_from_two_processes(stage: Stage) -> None:
 
 @pytest.mark.slow
 @pytest.mark.timeout(400)
-def test_a_simulator_that_was_killed_gets_in_again(stage: Stage) -> None:
+def test_a_simulator_that_was_killed_gets_in_again(stage: StageWithClients) -> None:
     """DDS misses who was killed when its lease has run out, after 20 s."""
     service = stage.start("collision_node", threads=1)
 
     first = stage.start("simulator_node", scene="pane", progress=True)
     deadline = time.monotonic() + 120.0
-    while '"step": 1,' not in stage.log(first):
-        assert first.poll() is None and time.monotonic() < deadline, stage.log(first)
+    while '"step": 1,' not in first.log_text():
+        assert first.exit_status() is None and time.monotonic() < deadline, first.log_text()
         time.sleep(0.01)
-    first.kill()
+    first.send_signal(signal.SIGKILL)
     killed = time.monotonic()
     successor = stage.start("simulator_node", scene="pane", progress=True)
-    assert successor.wait(300.0) == 0, stage.log(successor)
+    assert successor.wait(300.0) == 0, successor.log_text()
     assert time.monotonic() - killed > 3.0
-    said = [line for line in stage.log(successor).splitlines() if "WARN" in line or "ERROR" in line]
+    said = [line for line in successor.log_text().splitlines() if "WARN" in line or "ERROR" in line]
     assert said and all("asking again" in line for line in said), said
-    assert "other_publisher" in stage.log(service)
+    assert "other_publisher" in service.log_text()
 
 
 # --- parameters --------------------------------------------------------------------------------------------------
 
 
-def test_settings_change_between_two_answers(stage: Stage) -> None:
+def test_settings_change_between_two_answers(stage: StageWithClients) -> None:
     service = stage.start("collision_node", threads=1)
     client = stage.client()
     client.await_service()
@@ -171,10 +165,10 @@ def test_settings_change_between_two_answers(stage: Stage) -> None:
         assert client.diagnostics[SETTINGS] == f"since the answer to step {STATES.step} of run {RUN}"
         assert client.set_parameters(**{name: getattr(start, name)}) == [""]
     assert field_bytes(client.ask(STATES, RUN)) == answer_of(start)
-    assert "settings changed after the answer to step 5 of run 41: contacts_per_pair: 8 -> 2" in stage.log(service)
+    assert "settings changed after the answer to step 5 of run 41: contacts_per_pair: 8 -> 2" in service.log_text()
 
 
-def test_what_may_not_change_is_refused_in_words(stage: Stage) -> None:
+def test_what_may_not_change_is_refused_in_words(stage: StageWithClients) -> None:
     stage.start("collision_node", threads=1)
     client = stage.client()
     client.await_service()
@@ -191,7 +185,7 @@ def test_what_may_not_change_is_refused_in_words(stage: Stage) -> None:
     assert field_bytes(client.ask(STATES, RUN)) == answer_of(Settings(threads=1))
 
 
-def test_limits_are_parameters(stage: Stage) -> None:
+def test_limits_are_parameters(stage: StageWithClients) -> None:
     stage.start("collision_node", threads=1, max_bodies=2, max_fragments=6, max_message_bytes=30_000)
     client = stage.client()
     client.await_service()
@@ -212,7 +206,7 @@ def test_limits_are_parameters(stage: Stage) -> None:
 # --- names, clocks, diagnostics ----------------------------------------------------------------------------------
 
 
-def test_two_services_in_two_namespaces(stage: Stage) -> None:
+def test_two_services_in_two_namespaces(stage: StageWithClients) -> None:
     clients = {}
     for side in ("left", "right"):
         stage.start("collision_node", "-r", f"__ns:=/{side}", threads=1)
@@ -229,7 +223,7 @@ def test_two_services_in_two_namespaces(stage: Stage) -> None:
     clients["left"].spin_until(lambda: names <= set(clients["left"].diagnostics), "diagnostics of both")
 
 
-def test_remapped_topics(stage: Stage) -> None:
+def test_remapped_topics(stage: StageWithClients) -> None:
     renamed = []
     for name in ("bodies", "fracture_events", "fragment_states", "contact_constraints", "fragments"):
         renamed += ["-r", f"{name}:=/cell/{name}_of_the_cell"]
@@ -242,7 +236,7 @@ def test_remapped_topics(stage: Stage) -> None:
     assert stranger.node.count_subscribers("fragment_states") == 0
 
 
-def test_simulation_time_that_stands_still_stops_nothing(stage: Stage) -> None:
+def test_simulation_time_that_stands_still_stops_nothing(stage: StageWithClients) -> None:
     stage.start("collision_node", threads=1, use_sim_time=True)
     client = stage.client()
     client.await_service()
@@ -252,7 +246,7 @@ def test_simulation_time_that_stands_still_stops_nothing(stage: Stage) -> None:
     client.spin_until(lambda: len(client.diagnostics_came) >= 3, "diagnostics without a /clock")
 
 
-def test_diagnostics_come_every_second_with_times(stage: Stage) -> None:
+def test_diagnostics_come_every_second_with_times(stage: StageWithClients) -> None:
     stage.start("collision_node", threads=1)
     client = stage.client()
     client.await_service()
@@ -269,7 +263,7 @@ def test_diagnostics_come_every_second_with_times(stage: Stage) -> None:
         assert "ms median" in details[f"{part} (last 5)"] and "ms worst" in details[f"{part} (last 5)"]
 
 
-def test_a_thousand_refusals_are_a_few_lines(stage: Stage) -> None:
+def test_a_thousand_refusals_are_a_few_lines(stage: StageWithClients) -> None:
     service = stage.start("collision_node", threads=1)
     client = stage.client()
     client.await_service()
@@ -280,12 +274,12 @@ def test_a_thousand_refusals_are_a_few_lines(stage: Stage) -> None:
         client.publish("fracture_events", FIRST._replace(sequence=sequence), RUN)
     client.spin_until(lambda: client.diagnostics.get(REFUSED, "").startswith("1000 refused"), "a thousand refusals")
     seconds = time.monotonic() - started
-    lines = stage.log(service).count("refused, ")
+    lines = service.log_text().count("refused, ")
     assert 1 <= lines <= seconds + 2, (lines, seconds)
     assert client.details[REFUSED].keys() == {"fracture_events: sequence_gap"}
 
 
-def test_who_sent_a_message_is_known_in_both_ways_of_the_executor(stage: Stage) -> None:
+def test_who_sent_a_message_is_known_in_both_ways_of_the_executor(stage: StageWithClients) -> None:
     """rclpy's own executor takes messages too, while it looks for timers that are due."""
     client = stage.client()
     came = []

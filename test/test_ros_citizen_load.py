@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from ros_client import ServiceClient
-from ros_stage import Stage
+from ros_stage import StageWithClients
 
 from fracture_collision.geometry.generators import ball
 from fracture_collision.records import BUDGET_EXHAUSTED, CollisionBody, FragmentStates
@@ -26,14 +26,13 @@ STATES = FragmentStates(
 
 
 @pytest.fixture
-def stage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Stage]:
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    stage = Stage(tmp_path)
+def stage(tmp_path: Path) -> Iterator[StageWithClients]:
+    stage = StageWithClients(tmp_path)
     yield stage
     stage.close()
 
 
-def service_with_two_balls(stage: Stage) -> ServiceClient:
+def service_with_two_balls(stage: StageWithClients) -> ServiceClient:
     stage.start("collision_node", threads=1, neighbour_lists=False)
     client = stage.client()
     client.await_service()
@@ -54,7 +53,7 @@ def cost(client: ServiceClient) -> float:
     return min(seconds)
 
 
-def test_a_flood_of_states(stage: Stage) -> None:
+def test_a_flood_of_states(stage: StageWithClients) -> None:
     client = service_with_two_balls(stage)
     least = cost(client)
     answered_before = len(client.answers)
@@ -95,7 +94,7 @@ def test_a_flood_of_states(stage: Stage) -> None:
     assert np.median(latency[-third:]) < 2.0 * np.median(latency[:third]) + 0.02
 
 
-def test_a_visit_budget_keeps_the_cost_and_says_what_it_left_out(stage: Stage) -> None:
+def test_a_visit_budget_keeps_the_cost_and_says_what_it_left_out(stage: StageWithClients) -> None:
     client = service_with_two_balls(stage)
     whole = client.ask(STATES, RUN)
     seconds = cost(client)

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from ros_stage import Stage
+from ros_stage import StageWithClients
 
 from fracture_collision.ros import qos
 from fracture_collision.ros.node_process import free_domain_id, loopback_environment
@@ -45,9 +45,8 @@ KINDS = {"NONE", "SIGN", "ENCRYPT"}
 
 
 @pytest.fixture
-def stage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Stage]:
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    stage = Stage(tmp_path)
+def stage(tmp_path: Path) -> Iterator[StageWithClients]:
+    stage = StageWithClients(tmp_path)
     yield stage
     stage.close()
 
@@ -88,7 +87,9 @@ def test_they_are_valid_by_the_schemas_of_sros2(tmp_path: Path) -> None:
             subprocess.run([xmllint, "--noout", "--schema", schema, path], check=True)
 
 
-def test_nodes_have_the_topics_and_services_they_are_permitted_and_no_others(stage: Stage, tmp_path: Path) -> None:
+def test_nodes_have_the_topics_and_services_they_are_permitted_and_no_others(
+    stage: StageWithClients, tmp_path: Path
+) -> None:
     stage.start("recorder_node", "-r", "__ns:=/cell", folder=str(tmp_path / "bag"))
     stage.start("collision_node", "-r", "__ns:=/cell", threads=1)
     stage.start("simulator_node", "-r", "__ns:=/cell", scene="pane", wait_for_subscribers=50)  # it waits for ever

@@ -23,13 +23,6 @@ RUN = 41
 LARGEST_MESSAGE = 100_000  # [bytes]
 
 
-@pytest.fixture(scope="module", autouse=True)
-def only_this_machine() -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-        yield
-
-
 @pytest.fixture
 def domain_id() -> int:
     return free_domain_id()

@@ -17,6 +17,7 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import String
 
 from fracture_collision.ros.node_process import free_domain_id
+from fracture_collision.ros.own_context import own_context
 from fracture_collision.ros.prompt_executor import PromptExecutor
 
 PATIENCE = 30.0  # [s]
@@ -39,10 +40,8 @@ class Stage(NamedTuple):
 
 
 @pytest.fixture
-def stage(monkeypatch: pytest.MonkeyPatch) -> Iterator[Stage]:
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    context = Context()
-    rclpy.init(context=context, domain_id=free_domain_id())
+def stage() -> Iterator[Stage]:
+    context = own_context(free_domain_id())
     node = rclpy.create_node("prompt", context=context)
     executor = PromptExecutor(context=context)
     executor.add_node(node)

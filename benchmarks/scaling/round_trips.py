@@ -5,28 +5,28 @@ The service is a process of its own; states and answers go as simulator_node sen
 
 from __future__ import annotations
 
-import os
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from pathlib import Path
 from statistics import median
 from typing import Any, NamedTuple
 
 import numpy as np
 import rclpy
-from rclpy.context import Context
 
 from benchmarks.peers.worlds import World
 from benchmarks.scaling.growth import Progress, silent
 from benchmarks.scaling.piles import Pile, make_pile
+from fracture_collision.cdr import Received
 from fracture_collision.records import FragmentStates
 from fracture_collision.ros import qos
 from fracture_collision.ros.acknowledged_publisher import AcknowledgedPublisher
-from fracture_collision.ros.cdr_records import Received, deserialize_record, serialize_record
+from fracture_collision.ros.cdr_records import deserialize_record, serialize_record
 from fracture_collision.ros.conversion import heading, to_message
 from fracture_collision.ros.node_process import NodeProcess, free_domain_id
+from fracture_collision.ros.own_context import own_context
 from fracture_collision.ros.prompt_executor import PromptExecutor
 from fracture_collision.ros.timing_files import SERVICE_COLUMNS
 
@@ -72,8 +72,7 @@ class _Simulator:
     """Publishes and waits as simulator_node does."""
 
     def __init__(self, domain_id: int) -> None:
-        self._context = Context()
-        rclpy.init(context=self._context, domain_id=domain_id)
+        self._context = own_context(domain_id)
         self._node = rclpy.create_node("simulator_node", context=self._context)
         self._executor = PromptExecutor(context=self._context)
         self._executor.add_node(self._node)
@@ -127,7 +126,6 @@ class _Simulator:
 def _measure(pile: Pile, steps: int, recorder: bool) -> RoundTripRow:
     with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
         folder, domain_id = Path(name), free_domain_id()
-        stack.enter_context(_this_machine_only())
         simulator = _Simulator(domain_id)
         stack.callback(simulator.close)
         times_file = folder / "service.npy"
@@ -176,20 +174,6 @@ def _moved(pile: Pile, step: int) -> FragmentStates:
 
 def _nobody(pile: Pile, step: int) -> FragmentStates:
     return FragmentStates(step, pile.states.fracture_sequence, np.zeros(0, np.uint32), np.zeros(0), np.zeros(0))
-
-
-@contextmanager
-def _this_machine_only() -> Iterator[None]:
-    name = "ROS_AUTOMATIC_DISCOVERY_RANGE"
-    before = os.environ.get(name)
-    os.environ[name] = "LOCALHOST"
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ[name]
-        else:
-            os.environ[name] = before
 
 
 def _ms(seconds: np.ndarray) -> float:

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from fracture_collision.bag.reader import read_messages, topic_digest
 from fracture_collision.ros.node_process import NodeProcess, free_domain_id
@@ -23,20 +23,20 @@ _STEP = re.compile(r'"step": (\d+)')
 
 
 class Stage:
-    """Starts nodes; `close` ends them all."""
+    """Starts nodes of one domain; `close` ends them all."""
 
     def __init__(self, folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         self._folder = folder
-        self._domain_id = free_domain_id()
+        self.domain_id = free_domain_id()
         self._nodes: list[NodeProcess] = []
         self._started = 0
 
-    def start(self, module: str, **parameters) -> NodeProcess:
-        """`module`: below fracture_collision.ros."""
+    def start(self, module: str, *arguments: str, **parameters: Any) -> NodeProcess:
+        """`module`: below fracture_collision.ros. `arguments`: of namespace and remapping."""
         self._started += 1
         log = self._folder / f"{module}_{self._started}.log"
-        self._nodes.append(NodeProcess(module, parameters, self._domain_id, log))
+        self._nodes.append(NodeProcess(module, parameters, self.domain_id, log, arguments=arguments))
         return self._nodes[-1]
 
     def forget(self, node: NodeProcess) -> None:

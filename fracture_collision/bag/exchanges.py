@@ -8,9 +8,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from fracture_collision.bag.cdr import LAYOUTS, Received, deserialize_record, serialize_record
+from fracture_collision.bag.cdr import LAYOUTS, deserialize_record, serialize_record
 from fracture_collision.bag.errors import BagError
 from fracture_collision.bag.reader import read_messages, topic_types
+from fracture_collision.cdr import Received
 from fracture_collision.records import CollisionBody, ContactConstraintArray, FractureEvent, FragmentStates
 
 PACKAGE = "fracture_collision/msg/"
@@ -97,7 +98,7 @@ def _topics(bag: Path, namespace: str | None) -> dict[str, Any]:
 
 
 def _check_definition(bag: Path, topic: str, record_class: Any, definition: str) -> None:
-    expected = [("header", "std_msgs/Header"), *LAYOUTS[record_class]]
+    expected = list(LAYOUTS[record_class])
     found = defined_fields(definition)
     if found != expected:
         differing = [name for name, kind in expected + found if ((name, kind) in expected) != ((name, kind) in found)]

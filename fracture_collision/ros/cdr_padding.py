@@ -7,46 +7,43 @@ end cut, equal messages have equal bytes.
 
 from __future__ import annotations
 
-import importlib
-import re
 from functools import cache
 from struct import Struct
 from typing import Any
 
+from fracture_collision.cdr import ARRAY, LITTLE_ENDIAN, SEQUENCE
+from fracture_collision.ros.cdr_records import layout_of, nested_class
+
 _ENCAPSULATION = 4  # bytes before the body, alignment counts from behind them
-_LITTLE_ENDIAN = b"\x00\x01"
 _COUNT = Struct("<I")
 _SIZES = {
     "boolean": 1, "octet": 1, "int8": 1, "uint8": 1, "int16": 2, "uint16": 2, "int32": 4, "uint32": 4, "int64": 8,
     "uint64": 8, "float": 4, "double": 8,
 }  # fmt: skip
-_SEQUENCE = re.compile(r"sequence<([^,>]+)(?:, \d+)?>")
-_ARRAY = re.compile(r"(.+)\[(\d+)\]")
 
 
 def zero_padding(data: bytes, message_class: Any) -> bytes:
     """`data`, a little-endian CDR serialization of `message_class`, with zeros in its alignment gaps and nothing behind
     its last field. Raises ValueError where data is none.
     """
-    if data[:2] != _LITTLE_ENDIAN:
+    if data[:2] != LITTLE_ENDIAN:
         raise ValueError(f"no serialized {message_class.__name__}: begins with {data[:2].hex()}")
     walk = _Walk(bytearray(data))
     try:
-        walk.fields(_layout(message_class))
+        walk.fields(_types(message_class))
     except IndexError:
         raise ValueError(f"no serialized {message_class.__name__}: {len(data)} bytes are too few") from None
     return bytes(walk.data[: walk.position])
 
 
 @cache
-def _layout(message_class: Any) -> tuple[str, ...]:
-    return tuple(message_class.get_fields_and_field_types().values())
+def _types(message_class: Any) -> tuple[str, ...]:
+    return tuple(kind for _, kind in layout_of(message_class))
 
 
 @cache
-def _nested(name: str) -> tuple[str, ...]:
-    package, class_name = name.split("/")
-    return _layout(getattr(importlib.import_module(f"{package}.msg"), class_name))
+def _nested_types(kind: str) -> tuple[str, ...]:
+    return _types(nested_class(kind))
 
 
 class _Walk:
@@ -56,8 +53,8 @@ class _Walk:
         self.data = data
         self.position = _ENCAPSULATION
 
-    def fields(self, layout: tuple[str, ...]) -> None:
-        for field_type in layout:
+    def fields(self, types: tuple[str, ...]) -> None:
+        for field_type in types:
             self.field(field_type)
 
     def field(self, field_type: str) -> None:
@@ -65,12 +62,12 @@ class _Walk:
             self._skip(_SIZES[field_type], 1)
         elif field_type == "string":
             self._skip(1, self._count())
-        elif match := _SEQUENCE.fullmatch(field_type):
+        elif match := SEQUENCE.fullmatch(field_type):
             self._elements(match[1], self._count())
-        elif match := _ARRAY.fullmatch(field_type):
+        elif match := ARRAY.fullmatch(field_type):
             self._elements(match[1], int(match[2]))
         else:
-            self.fields(_nested(field_type))
+            self.fields(_nested_types(field_type))
 
     def _elements(self, element_type: str, count: int) -> None:
         if element_type in _SIZES:

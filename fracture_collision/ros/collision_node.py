@@ -10,19 +10,19 @@ import sys
 import time
 from pathlib import Path
 
-import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
-from fracture_collision.records import INVALID_STATES, ContactConstraintArray, FragmentStates
+from fracture_collision.cdr import Heading, Received
+from fracture_collision.records import FragmentStates, refusal_of
 from fracture_collision.ros import qos
 from fracture_collision.ros.acknowledged_publisher import AcknowledgedPublisher
-from fracture_collision.ros.cdr_records import Received, serialize_record
+from fracture_collision.ros.cdr_records import serialize_record
 from fracture_collision.ros.collision_run import CollisionRun, Refusal
-from fracture_collision.ros.conversion import Heading, to_message
+from fracture_collision.ros.conversion import to_message
 from fracture_collision.ros.diagnostics import (
     AnswerTimes,
     RefusalCounts,
@@ -192,7 +192,7 @@ class CollisionNode(Node):
         except InvalidMessage as error:
             self._held = None
             self._note(Refusal(qos.FRAGMENT_STATES.name, error.kind, str(error)))
-            self._contacts.publish(serialize_record(_refusal_of(states), heading, run_id))
+            self._contacts.publish(serialize_record(refusal_of(states), heading, run_id))
             return
         if contacts is None:
             return
@@ -279,17 +279,6 @@ def _row_file(path: str) -> RowFile:
         return RowFile(Path(path), len(SERVICE_COLUMNS))
     except OSError as error:
         raise Fatal(f"timing_file: {error}") from error
-
-
-def _refusal_of(states: FragmentStates) -> ContactConstraintArray:
-    """The answer to states that break a rule: no contacts, and the status says why."""
-    floats, ids = np.zeros(0), np.zeros(0, dtype=np.uint32)
-    return ContactConstraintArray(
-        step=states.step, fracture_sequence=states.fracture_sequence, status=INVALID_STATES,
-        fragment_a=ids, fragment_b=ids, pair_begin=np.zeros(1, dtype=np.uint32), missed_depth_bound=floats,
-        friction=floats, restitution=floats, points_a=floats, points_b=floats, normals=floats, gaps=floats,
-        contact_ids=np.zeros(0, dtype=np.uint64),
-    )  # fmt: skip
 
 
 def _work(node: CollisionNode) -> None:

@@ -17,16 +17,12 @@ from std_msgs.msg import Header
 
 from fracture_collision import msg as messages
 from fracture_collision import records
+from fracture_collision.cdr import Heading, flat_array
 
 Record = TypeVar("Record", bound=NamedTuple)
 
-# ROS element type -> (array.array's type code, numpy's type)
-SEQUENCES = {
-    "sequence<double>": ("d", np.float64),
-    "sequence<float>": ("f", np.float32),
-    "sequence<uint32>": ("I", np.uint32),
-    "sequence<uint64>": ("Q", np.uint64),
-}
+# ROS type -> by which code array.array and numpy know its elements
+_SEQUENCES = {"sequence<double>": "d", "sequence<float>": "f", "sequence<uint32>": "I", "sequence<uint64>": "Q"}
 
 _RECORD_OF = {
     messages.CollisionBody: records.CollisionBody,
@@ -45,14 +41,6 @@ def message_class_of(record: NamedTuple) -> Any:
 
 def record_class_of(message_class: Any) -> Any:
     return _RECORD_OF[message_class]
-
-
-class Heading(NamedTuple):
-    """std_msgs/Header as a record: simulation time and frame."""
-
-    sec: int
-    nanosec: int
-    frame_id: str
 
 
 def heading(stamp_seconds: float, frame_id: str = "world") -> Heading:
@@ -79,18 +67,10 @@ def to_record(message: Any) -> Any:
     return record_class(**{name: _from_field(getattr(message, name), types[name]) for name in record_class._fields})
 
 
-def flat_array(value: Any, dtype: Any) -> np.ndarray:
-    """As a contiguous array of `dtype`; ValueError where it has more than one dimension."""
-    flat = np.ascontiguousarray(value, dtype=dtype)
-    if flat.ndim != 1:
-        raise ValueError(f"an array of shape {flat.shape} where the message has a flat one")
-    return flat
-
-
 def _to_field(value: Any, field_type: str) -> Any:
-    if field_type in SEQUENCES:
-        code, dtype = SEQUENCES[field_type]
-        return array(code, flat_array(value, dtype).tobytes())
+    if field_type in _SEQUENCES:
+        code = _SEQUENCES[field_type]
+        return array(code, flat_array(value, code).tobytes())
     if field_type == "sequence<boolean>":
         return np.asarray(value, dtype=bool).tolist()
     if field_type == "shape_msgs/SolidPrimitive":
@@ -109,8 +89,8 @@ def _four(value: Any) -> np.ndarray:
 
 
 def _from_field(value: Any, field_type: str) -> Any:
-    if field_type in SEQUENCES:
-        return np.asarray(value, dtype=SEQUENCES[field_type][1])
+    if field_type in _SEQUENCES:
+        return np.asarray(value, dtype=_SEQUENCES[field_type])
     if field_type == "sequence<boolean>":
         return np.array(value, dtype=bool)
     if field_type == "shape_msgs/SolidPrimitive":

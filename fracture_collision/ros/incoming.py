@@ -8,8 +8,9 @@ from functools import partial
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 
+from fracture_collision.cdr import Received
 from fracture_collision.ros import qos
-from fracture_collision.ros.cdr_records import Received, deserialize_record
+from fracture_collision.ros.cdr_records import deserialize_record
 from fracture_collision.ros.collision_run import Refusal
 from fracture_collision.ros.message_origin import Origin, participant_of
 from fracture_collision.ros.parameters import declare

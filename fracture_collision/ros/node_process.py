@@ -74,10 +74,13 @@ class NodeProcess:
         domain_id: int,
         log: Path,
         stdout: int | None = None,
+        arguments: Sequence[str] = (),
     ) -> None:
-        """`module`: below fracture_collision.ros. The log gets stderr, and stdout too unless it goes elsewhere."""
+        """`module`: below fracture_collision.ros. The log gets stderr, and stdout too unless it goes elsewhere.
+        `arguments`: what else stands behind --ros-args, of namespace and remapping.
+        """
         given = [f"{name}:={json.dumps(value)}" for name, value in parameters.items()]
-        command = [sys.executable, "-m", f"fracture_collision.ros.{module}", "--ros-args"]
+        command = [sys.executable, "-m", f"fracture_collision.ros.{module}", "--ros-args", *arguments]
         for assignment in given:
             command += ["-p", assignment]
         self.name = module

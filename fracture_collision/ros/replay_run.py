@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import os
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 
 import rclpy
-from rclpy.context import Context
 
 from fracture_collision.bag.cdr import deserialize_record
 from fracture_collision.bag.exchanges import Message, Question, Run, canonical
 from fracture_collision.records import ContactConstraintArray
 from fracture_collision.replay import Unanswered
 from fracture_collision.ros import qos
-from fracture_collision.ros.node_process import NodeProcess, free_domain_id, loopback_environment
+from fracture_collision.ros.node_process import NodeProcess, free_domain_id
+from fracture_collision.ros.own_context import own_context
 from fracture_collision.ros.prompt_executor import PromptExecutor
 from fracture_collision.world import Settings
 
@@ -44,9 +42,7 @@ class OverDds:
         parameters = self._settings._asdict()
         self._process = NodeProcess("collision_node", parameters, domain_id, self._log)
         try:
-            self._context = Context()
-            with _environment(loopback_environment(domain_id)):
-                rclpy.init(context=self._context, domain_id=domain_id)
+            self._context = own_context(domain_id)
             self._node = rclpy.create_node("replay", context=self._context, enable_rosout=False)
             self._executor = PromptExecutor(context=self._context)
             self._executor.add_node(self._node)
@@ -138,18 +134,3 @@ class OverDds:
     def _last_words(self) -> str:
         lines = self._process.log_text().splitlines()
         return f"the end of {self._log}:\n" + "\n".join(lines[-10:])
-
-
-@contextmanager
-def _environment(values: Mapping[str, str]) -> Iterator[None]:
-    """rclpy reads from the environment whom it talks to."""
-    before = {name: os.environ.get(name) for name in values}
-    os.environ.update(values)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value

@@ -10,15 +10,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from rclpy.serialization import serialize_message
-
 from fracture_collision.bag.reader import SETTINGS
 from fracture_collision.bag.writer import BagWriter
+from fracture_collision.cdr import Heading
 from fracture_collision.lockstep import Lockstep
 from fracture_collision.ros import qos
-from fracture_collision.ros.cdr_padding import zero_padding
 from fracture_collision.ros.cdr_records import serialize_record
-from fracture_collision.ros.conversion import Heading, heading, message_class_of, to_message
+from fracture_collision.ros.conversion import heading
 from fracture_collision.ros.recorder_node import bag_topic
 from fracture_collision.ros.simulator_node import derived_run_id, with_static_fragments
 from fracture_collision.simulation.scene import Scene
@@ -50,32 +48,26 @@ def record_scene(
     """
     run_id = derived_run_id(scene.name, scene.seed if seed is None else seed)
     end = scene.step_count if selection.end is None else min(selection.end, scene.step_count)
-    topics = {topic.message_class: topic for topic in TOPICS}
-
     with BagWriter(bag, [bag_topic(f"/{topic.name}", topic) for topic in TOPICS], CHUNK_BYTES) as writer, Lockstep(
         scene, settings, seed
     ) as run:
-        def write(name: str, data: bytes, stamp: Heading) -> None:
-            writer.write(f"/{name}", data, stamp.sec * 10**9 + stamp.nanosec)
-
-        def write_message(record: NamedTuple, stamp: Heading) -> None:
-            message_class = message_class_of(record)
-            data = serialize_message(to_message(record, stamp, run_id))
-            write(topics[message_class].name, zero_padding(data, message_class), stamp)
+        def write(topic: qos.Topic, record: NamedTuple, stamp: Heading) -> None:
+            data = serialize_record(record, stamp, run_id)
+            writer.write(f"/{topic.name}", data, stamp.sec * 10**9 + stamp.nanosec)
 
         # Threads and memory of earlier steps change no answer, and are this machine's business.
         writer.note(SETTINGS, json.dumps(settings._replace(threads=Settings().threads)._asdict()))
         bodies = run.simulation.start_bodies()
         static_fragments = [body.fragment_id for body in bodies if body.is_static]
         for body in bodies:
-            write_message(body, heading(0.0))
+            write(qos.BODIES, body, heading(0.0))
         for step in range(end):
             stamp = heading(run.simulation.time)
             for event in run.simulation.begin_step().events:
-                write_message(event, stamp)
+                write(qos.FRACTURE_EVENTS, event, stamp)
             exchange = run.step()
             if step >= selection.first and (step - selection.first) % selection.every == 0:
                 states = with_static_fragments(exchange.states, static_fragments)
-                write(qos.FRAGMENT_STATES.name, serialize_record(states, stamp, run_id), stamp)
-                write(qos.CONTACT_CONSTRAINTS.name, serialize_record(exchange.contacts, stamp, run_id), stamp)
+                write(qos.FRAGMENT_STATES, states, stamp)
+                write(qos.CONTACT_CONSTRAINTS, exchange.contacts, stamp)
             yield step + 1

@@ -1,0 +1,288 @@
+"""Records to serialized messages and back, without ROS and without message objects in between: for bags, for what goes
+to and fro in every step, and for whatever a stranger sends.
+
+On its way through one of rclpy's message objects each array is copied four times, into fresh memory each time; here it
+is copied once. What is written has zeros in the gaps and nothing behind its last field, and is otherwise what rclpy
+makes of the same message: equal messages have equal bytes.
+
+Reading takes no more memory than the message has bytes, whatever it says of its lengths, and all that is wrong with it
+is one ValueError in words.
+
+CDR: a number stands at a multiple of its size, counted from behind the four bytes of the encapsulation; a sequence is
+its length as uint32, then its elements, and one that is empty is not aligned; a string counts the zero at its end.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from operator import itemgetter
+from struct import Struct, calcsize
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fracture_collision.records import SolidPrimitive
+
+# Name and type of each field, in the words of the generated message classes' get_fields_and_field_types.
+Layout = tuple[tuple[str, str], ...]
+
+SEQUENCE = re.compile(r"sequence<([^,>]+)(?:, (\d+))?>")
+ARRAY = re.compile(r"([^\[]+)\[(\d+)\]")
+
+# Type -> by which code struct, array.array and numpy know a number of it, and how many numbers one of it has.
+ELEMENTS = {
+    "boolean": ("?", 1), "uint8": ("B", 1), "int32": ("i", 1), "uint32": ("I", 1), "uint64": ("Q", 1),
+    "float": ("f", 1), "double": ("d", 1), "geometry_msgs/Point32": ("f", 3),
+}  # fmt: skip
+
+LITTLE_ENDIAN = b"\x00\x01"
+_BYTE_ORDERS = {LITTLE_ENDIAN: "<", b"\x00\x00": ">"}
+_ENCAPSULATION = LITTLE_ENDIAN + b"\x00\x00"  # the last two are options, which say nothing in plain CDR
+_COUNT = "I"
+_UNLIMITED = 2**32 - 1
+_WIDEST = 8  # bytes of a number
+_GAPS = tuple(map(bytes, range(_WIDEST)))
+
+
+class Heading(NamedTuple):
+    """std_msgs/Header as a record: simulation time and frame."""
+
+    sec: int
+    nanosec: int
+    frame_id: str
+
+
+class Received(NamedTuple):
+    heading: Heading
+    run_id: int
+    record: Any
+
+
+class _Nested(NamedTuple):
+    """How a message within a message is made of its fields, in a record, and taken apart into them."""
+
+    make: Callable[..., Any]
+    fields: Callable[[Any], tuple[Any, ...]]
+
+
+_NESTED = {
+    "std_msgs/Header": _Nested(Heading, tuple),
+    "shape_msgs/SolidPrimitive": _Nested(
+        lambda kind, dimensions, polygon: SolidPrimitive(kind, tuple(dimensions.tolist())),
+        lambda primitive: (primitive.type, primitive.dimensions, ()),  # only a prism has a polygon
+    ),
+    "shape_msgs/Plane": _Nested(lambda coefficients: coefficients, lambda coefficients: (coefficients,)),
+}
+
+
+class _Variable(NamedTuple):
+    """A string, or an array of numbers."""
+
+    name: str
+    dtype: np.dtype | None  # as in the message; None: a string
+    native: np.dtype | None  # as in memory
+    alignment: int
+    size: int  # bytes of an element
+    element: int  # numbers in one
+    has_length: bool  # which stands before its elements
+    fewest: int  # elements
+    most: int
+    is_plain: bool  # in this machine's byte order, and whatever its bits are they are one of its numbers
+
+
+class _Step(NamedTuple):
+    """Numbers that stand side by side, the last of them the length of what comes behind them, if that has one."""
+
+    packed: tuple[Struct, ...]  # with the gaps, by where they begin, modulo _WIDEST
+    places: slice  # of those that are fields, among all values
+    place: int  # of the variable
+    variable: _Variable | None
+    names: tuple[str, ...]
+    codes: str
+
+
+class Codec:
+    """Writes and reads the messages of one type.
+
+    What a layout says is worked out once; writing and reading, which run in every step, are one loop each.
+    """
+
+    def __init__(self, record_class: Any, layout: Layout, nested: Callable[[str], Layout]) -> None:
+        """`layout`: with header and run_id, which the record has not. `nested`: the layout of another message type by
+        its name; what it raises comes through.
+        """
+        fields = [list(_leaves(name, kind, nested)) for name, kind in layout]
+        leaves = [leaf for field in fields for leaf in field]
+        self._name = record_class.__name__
+        self._make = record_class._make
+        self._plans = {mark: tuple(_steps(leaves, order)) for mark, order in _BYTE_ORDERS.items()}
+        self._booleans = [(place, name) for place, (name, kind) in enumerate(leaves) if kind == "boolean"]
+        self._nested: list[tuple[int, slice, _Nested]] = []  # last first: the places before stay what they are
+        begin = 0
+        for place, (field, (_, kind)) in enumerate(zip(fields, layout, strict=True)):
+            if kind in _NESTED:
+                self._nested.insert(0, (place, slice(begin, begin + len(field)), _NESTED[kind]))
+            begin += len(field)
+        own, theirs = ("header", "run_id", *record_class._fields), [name for name, _ in layout]
+        self._in_message_order = itemgetter(*map(own.index, theirs))
+        self._in_own_order = itemgetter(*map(theirs.index, own))
+
+    def write(self, record: NamedTuple, heading: Heading, run_id: int) -> bytes:
+        """Little-endian. ValueError where an array has more than one dimension, or not as many numbers as it may have;
+        struct.error where a number does not fit.
+        """
+        values = list(self._in_message_order((heading, run_id, *record)))
+        for place, _, nested in self._nested:
+            values[place : place + 1] = nested.fields(values[place])
+        for place, _ in self._booleans:
+            values[place] = bool(values[place])
+        parts: list[Any] = [_ENCAPSULATION]
+        end = 0
+        for packed, places, place, variable, _, _ in self._plans[LITTLE_ENDIAN]:
+            numbers = values[places]
+            if variable is None:
+                parts.append(packed[end % _WIDEST].pack(*numbers))
+                break
+            name, dtype, _, alignment, size, element, has_length, fewest, most, _ = variable
+            data = values[place].encode() + b"\0" if dtype is None else flat_array(values[place], dtype)
+            count = len(data) // element
+            if not fewest <= count <= most:
+                raise ValueError(f"{name}: {count} entries, not {fewest} to {most}")
+            if has_length:
+                numbers.append(count)
+            side_by_side = packed[end % _WIDEST]
+            parts.append(side_by_side.pack(*numbers))
+            end += side_by_side.size
+            if count:  # what is empty is not aligned
+                parts += (_GAPS[-end % alignment], data)
+                end += -end % alignment + count * size
+        return b"".join(parts)
+
+    def read(self, data: bytes) -> Received:
+        """The arrays are views of one copy of `data`, and may be written to.
+
+        Raises ValueError where `data` is no such message in plain CDR of either byte order. What stands behind its last
+        field is ignored, as rclpy does.
+        """
+        plan = self._plans.get(bytes(data[:2]))
+        if plan is None:
+            raise self._error(f"begins with {bytes(data[:2]).hex() or 'nothing'}, not plain CDR")
+        # A copy, for arrays that may be written to and stand at multiples of their numbers' size in memory too.
+        body = bytearray(memoryview(data)[len(_ENCAPSULATION) :])
+        values: list[Any] = []
+        available, end = len(body), 0
+        for step in plan:
+            side_by_side = step.packed[end % _WIDEST]
+            begin, end = end, end + side_by_side.size
+            if end > available:
+                raise self._too_few(data, _first_beyond(step, begin, available))
+            values += side_by_side.unpack_from(body, begin)
+            if step.variable is None:
+                break
+            name, dtype, native, alignment, size, element, has_length, _, most, is_plain = step.variable
+            count = values.pop() if has_length else most
+            if count > most:
+                raise self._error(f"{name}: {count} entries, more than {most}")
+            if not count:
+                values.append("" if dtype is None else np.empty(0, native))
+                continue
+            begin = end + -end % alignment
+            end = begin + count * size
+            if end > available:
+                raise self._too_few(data, name)
+            if dtype is None:
+                # up to its zero: as C, and so rclpy, reads it
+                values.append(body[begin:end].partition(b"\0")[0].decode(errors="replace"))
+                continue
+            array = np.frombuffer(body, dtype, count * element, begin)
+            if not is_plain:
+                if dtype.kind == "b" and array.view(np.uint8).max() > 1:
+                    raise self._error(f"{name}: neither true nor false")
+                array = array.astype(native)
+            values.append(array)
+        for place, name in self._booleans:
+            if values[place] > 1:
+                raise self._error(f"{name}: neither true nor false")
+            values[place] = bool(values[place])
+        for _, places, nested in self._nested:
+            values[places] = (nested.make(*values[places]),)
+        heading, run_id, *record = self._in_own_order(values)
+        return Received(heading, run_id, self._make(record))
+
+    def _too_few(self, data: bytes, field: str) -> ValueError:
+        return self._error(f"{len(data)} bytes are too few for its field {field}")
+
+    def _error(self, words: str) -> ValueError:
+        return ValueError(f"no serialized {self._name}: {words}")
+
+
+def flat_array(value: Any, dtype: Any) -> np.ndarray:
+    """As a contiguous array of `dtype`; ValueError where it has more than one dimension."""
+    flat = np.ascontiguousarray(value, dtype=dtype)
+    if flat.ndim != 1:
+        raise ValueError(f"an array of shape {flat.shape} where the message has a flat one")
+    return flat
+
+
+def _leaves(name: str, kind: str, nested: Callable[[str], Layout]) -> Iterator[tuple[str, str]]:
+    """The field itself, or those of the message that it is, and of those within that."""
+    if kind == "string" or kind in ELEMENTS or SEQUENCE.fullmatch(kind) or ARRAY.fullmatch(kind):
+        yield name, kind
+    else:
+        for own_name, own_kind in nested(kind):
+            yield from _leaves(own_name, own_kind, nested)
+
+
+def _steps(leaves: list[tuple[str, str]], order: str) -> Iterator[_Step]:
+    names: list[str] = []
+    codes = ""
+    for place, (name, kind) in enumerate([*leaves, ("", "")]):
+        if kind in ELEMENTS:
+            names.append(name)
+            # A boolean as the byte that it is, which may be neither.
+            codes += ELEMENTS[kind][0].replace("?", "B")
+            continue
+        if not (kind or names):
+            return
+        places = slice(place - len(names), place)
+        variable = _variable(name, kind, order) if kind else None
+        if variable is not None and variable.has_length:
+            names.append(name)
+            codes += _COUNT
+        yield _Step(_packed(codes, order), places, place, variable, tuple(names), codes)
+        names, codes = [], ""
+
+
+def _variable(name: str, kind: str, order: str) -> _Variable:
+    if kind == "string":
+        return _Variable(name, None, None, 1, 1, 1, True, 0, _UNLIMITED, True)
+    sequence, array = SEQUENCE.fullmatch(kind), ARRAY.fullmatch(kind)
+    code, element = ELEMENTS[(sequence or array)[1]]
+    native = np.dtype(code)
+    dtype, size = native.newbyteorder(order), native.itemsize
+    fewest, most = (int(array[2]),) * 2 if array else (0, int(sequence[2] or _UNLIMITED))
+    is_plain = dtype.isnative and dtype.kind != "b"
+    return _Variable(name, dtype, native, size, element * size, element, array is None, fewest, most, is_plain)
+
+
+def _packed(codes: str, order: str) -> tuple[Struct, ...]:
+    return tuple(
+        Struct(order + "".join(f"{gap}x{code}" for code, gap, _ in _places(codes, begin))) for begin in range(_WIDEST)
+    )
+
+
+def _first_beyond(step: _Step, begin: int, available: int) -> str:
+    """The first field of the step's numbers that ends behind what is there."""
+    places = zip(step.names, _places(step.codes, begin), strict=True)
+    return next(name for name, (_, _, end) in places if end > available)
+
+
+def _places(codes: str, begin: int) -> Iterator[tuple[str, int, int]]:
+    """Of each number its code, the gap before it, and where it ends."""
+    end = begin
+    for code in codes:
+        size = calcsize("=" + code)
+        gap = -end % size
+        end += gap + size
+        yield code, gap, end
