@@ -41,7 +41,7 @@ def soak(
         await_ready(service)
         began, runs = time.monotonic(), 0
         while time.monotonic() - began < seconds:
-            before = _processor(service.pid)
+            before = processor_seconds(service.pid)
             bag = folder / "bag"
             recorder = nodes.start("recorder_node", folder=str(bag)) if listens else None
             for seed in range(1, seeds + 1):
@@ -55,7 +55,7 @@ def soak(
                 must_end(recorder)
                 nodes.forget(recorder)
                 shutil.rmtree(bag)
-            yield Cycle(time.monotonic() - began, runs, _resident(service.pid), _processor(service.pid) - before)
+            yield Cycle(time.monotonic() - began, runs, _resident(service.pid), processor_seconds(service.pid) - before)
         must_end(service)
 
 
@@ -64,8 +64,8 @@ def _resident(pid: int) -> float:
     return 1e-6 * pages * os.sysconf("SC_PAGE_SIZE")
 
 
-def _processor(pid: int) -> float:
-    """[s] of processor time so far."""
+def processor_seconds(pid: int) -> float:
+    """Of processor time that a process has had so far."""
     words = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(words[11]) + int(words[12])) / TICKS
 

@@ -30,7 +30,7 @@ def no_progress(_text: str) -> None:
 def reference(tmp_path_factory: pytest.TempPathFactory) -> Digests:
     folder = tmp_path_factory.mktemp("undisturbed")
     found = undisturbed(folder, SCENE)
-    assert message_counts(folder / "bag")["/fragment_states"] == STEPS
+    assert message_counts(folder / "bag")["/fragment_states"] >= STEPS  # more: some asked twice
     return found
 
 
