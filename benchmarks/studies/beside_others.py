@@ -77,8 +77,8 @@ def limits_section(folder: Path) -> str:
         " queries of curved cracks within 3 times mujoco's hulls, of flat ones no slower than rapier's. The least is"
         " what a program would take on this machine that does nothing but read and write what the same answer rests on,"
         " each step of a query waiting for the one before; made by `python -m benchmarks.scaling limits`. Where an aim"
-        " lies below the least, no program meets it that lists the same contacts and finds its data in the common cache,"
-        " as here: by default these are all that are deeper than 0.2 % R, some thousands where hulls give a few hundred."
+        " lies below the least, no program meets it that lists the same contacts and finds its data in the common"
+        " cache, as here: by default these are all that are deeper than 0.2 % R, thousands where hulls give hundreds."
     )
     return "\n\n".join(("## What there is room for", text, "\n".join(lines), _made(folder / LIMITS, rows))) + "\n"
 
