@@ -86,17 +86,19 @@ def test_refused_messages_leave_nothing_in_memory() -> None:
         if door == "records" and bench.judge(case) == "" and bench.verdict.outcome == REFUSED:
             kept.append(case)
     assert len(kept) > 600
+    # What leaks grows with every round. What the interpreter keeps for reuse (its free lists of tuples) fills up, in more
+    # rounds or fewer: each full garbage collection empties it.
+    grown: list[int] = []
     tracemalloc.start()
     try:
-        for case in kept:
-            bench.judge(case)
-        before = tracemalloc.get_traced_memory()[0]
-        for case in kept:
-            bench.judge(case)
-        grown = tracemalloc.get_traced_memory()[0] - before
+        while len(grown) < 8 and not any(growth < 20_000 for growth in grown):
+            before = tracemalloc.get_traced_memory()[0]
+            for case in kept:
+                bench.judge(case)
+            grown.append(tracemalloc.get_traced_memory()[0] - before)
     finally:
         tracemalloc.stop()
-    assert grown < 20_000, grown
+    assert grown[-1] < 20_000, grown
 
 
 def test_a_case_that_does_not_come_to_what_it_must_is_found() -> None:
