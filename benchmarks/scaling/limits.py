@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import csv
 import hashlib
+import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import cache
@@ -143,9 +144,11 @@ def _contacts_of_pairs(service: CollisionWorld, frame, world: World) -> dict[tup
 
 
 def _least_update(world: World) -> tuple[float, str]:
-    """[ms] of a fracture, and words: its bytes hashed, its planes put to the ends of their edges, each tetrahedron of
-    what breaks read once and its moments added to a mass (of one that is cut: two, from the moments of one corner),
-    the rows that it leaves written. Left out: all checks, who owns what, triangles, cells and trees.
+    """[ms] of a fracture, and words: its bytes hashed, its cut edges found among the mesh's and its labels' pieces
+    counted (else it could not be refused), its planes put to the ends of their edges, each tetrahedron of what breaks
+    read once and its moments added to a mass (of one that is cut: two, from the moments of one corner), for each node
+    of the new trees one distance (its radius holds what is below it), the rows that all this leaves written. Left out:
+    all other checks, who owns what in a cut tetrahedron, corners of triangles, cells, the way of a node into its tree.
     """
     service = CollisionWorld(SEARCHED)
     service.add_body(world.body)
@@ -154,18 +157,21 @@ def _least_update(world: World) -> tuple[float, str]:
     before = {name: len(rows) for name, rows in _columns(service)}
     service.add_fracture(event)
     service.contacts(empty_states(1))
-    left = [rows[before[name] :] for name, rows in _columns(service)]
+    left = {name: rows[before[name] :] for name, rows in _columns(service)}
     mesh = service._registry.geometry.pools.mesh
     ends = event.cut_edges.reshape(-1, 2).astype(np.int64)
     planes = np.ascontiguousarray(event.cut_planes.reshape(-1, 4))
     shares = np.full(len(mesh.edges), -1.0)
-    row_of = {tuple(edge): row for row, edge in enumerate(np.sort(mesh.edges, axis=1).tolist())}
-    cut = np.array([row_of[tuple(edge)] for edge in np.sort(ends, axis=1).tolist()])
-    crossings = np.empty(len(ends))
+    table = _edge_table(mesh.edges, len(mesh.nodes))
+    cut, crossings = np.empty(len(ends), np.int64), np.empty(len(ends))
+    spheres, roots = left["tree.spheres"], np.empty(len(mesh.nodes), np.int32)
     parts = np.zeros(len(mesh.nodes), np.int64)
     parts[event.nodes] = event.node_fragments
     sums = np.zeros((len(event.new_fragment_ids), mesh.moments.shape[1]))
     arrays = [np.ascontiguousarray(value) for value in event if isinstance(value, np.ndarray)]
+
+    def find() -> None:
+        _find_edges(ends, *table, cut)
 
     def put() -> None:
         _shares(ends, planes, mesh.nodes, crossings)
@@ -173,18 +179,22 @@ def _least_update(world: World) -> tuple[float, str]:
 
     passes: tuple[Callable[[], object], ...] = (
         lambda: [hashlib.sha256(array).digest() for array in arrays],
+        lambda: (find(), _pieces(mesh.edges, parts, roots)),
         put,
         lambda: _sums(mesh.tetrahedra, mesh.tetrahedron_edges, mesh.moments, mesh.nodes, shares, parts, sums),
-        lambda: [array.copy() for array in left],
+        lambda: _radii(spheres),
+        lambda: [array.copy() for array in left.values()],
     )
+    find()
     put()
     whole = int(_sums(mesh.tetrahedra, mesh.tetrahedron_edges, mesh.moments, mesh.nodes, shares, parts, sums))
     times = [_cold_median(one) for one in passes]
-    megabytes = 1e-6 * sum(array.nbytes for array in left)
+    megabytes = 1e-6 * sum(array.nbytes for array in left.values())
     words = (
-        f"{1e-6 * sum(a.nbytes for a in arrays):.2f} MB hashed in {times[0]:.2f}, {len(ends)} planes in {times[1]:.2f},"
-        f" {len(mesh.tetrahedra)} tetrahedra, {len(mesh.tetrahedra) - whole} of them cut, weighed in {times[2]:.2f},"
-        f" {megabytes:.1f} MB written in {times[3]:.2f}"
+        f"{1e-6 * sum(a.nbytes for a in arrays):.2f} MB hashed in {times[0]:.2f}, edges and pieces checked in"
+        f" {times[1]:.2f}, {len(ends)} planes put in {times[2]:.2f}, {len(mesh.tetrahedra)} tetrahedra,"
+        f" {len(mesh.tetrahedra) - whole} of them cut, weighed in {times[3]:.2f}, radii of {len(spheres)} tree nodes in"
+        f" {times[4]:.2f}, {megabytes:.1f} MB written in {times[5]:.2f}"
     )
     return sum(times), words
 
@@ -209,6 +219,57 @@ def _cold_median(once: Callable[[], object]) -> float:
         once()
         times.append(perf_counter() - began)
     return 1e3 * median(times)
+
+
+def _edge_table(edges: np.ndarray, nodes: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Edges by their smaller end: first row of each node (nodes + 1,), the larger ends, rows of `edges`."""
+    small, large = edges.min(axis=1), edges.max(axis=1)
+    order = np.argsort(small, kind="stable")
+    return np.searchsorted(small[order], np.arange(nodes + 1)), large[order], order
+
+
+@threaded_kernel
+def _find_edges(ends, begin, larger, rows, found):
+    for i in range(len(ends)):
+        a, b = min(ends[i, 0], ends[i, 1]), max(ends[i, 0], ends[i, 1])
+        for k in range(begin[a], begin[a + 1]):
+            if larger[k] == b:
+                found[i] = rows[k]
+                break
+    return 0.0
+
+
+@threaded_kernel
+def _pieces(edges, parts, roots):
+    """How many connected pieces the labels `parts` leave of a mesh's nodes."""
+    pieces = len(roots)
+    for i in range(len(roots)):
+        roots[i] = i
+    for k in range(len(edges)):
+        a, b = edges[k, 0], edges[k, 1]
+        if parts[a] != parts[b]:
+            continue
+        while roots[a] != a:
+            roots[a] = roots[roots[a]]
+            a = roots[a]
+        while roots[b] != b:
+            roots[b] = roots[roots[b]]
+            b = roots[b]
+        if a != b:
+            roots[max(a, b)] = min(a, b)
+            pieces -= 1
+    return pieces
+
+
+@threaded_kernel
+def _radii(spheres):
+    """Largest of one distance a tree node."""
+    largest = 0.0
+    for i in range(1, len(spheres)):
+        p, q = spheres[i], spheres[i // 2]
+        dx, dy, dz = p[0] - q[0], p[1] - q[1], p[2] - q[2]
+        largest = max(largest, math.sqrt(dx * dx + dy * dy + dz * dz))
+    return largest
 
 
 @threaded_kernel

@@ -5,6 +5,9 @@ The service is a process of its own; states and answers go as simulator_node sen
 
 from __future__ import annotations
 
+import signal
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -15,6 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import rclpy
+from rclpy.executors import SingleThreadedExecutor
 
 from benchmarks.peers.worlds import World
 from benchmarks.scaling.growth import Progress, silent
@@ -25,7 +29,7 @@ from fracture_collision.ros import qos
 from fracture_collision.ros.acknowledged_publisher import AcknowledgedPublisher
 from fracture_collision.ros.cdr_records import deserialize_record, serialize_record
 from fracture_collision.ros.conversion import heading, to_message
-from fracture_collision.ros.node_process import NodeProcess, free_domain_id
+from fracture_collision.ros.node_process import NodeProcess, free_domain_id, loopback_environment
 from fracture_collision.ros.own_context import own_context
 from fracture_collision.ros.prompt_executor import PromptExecutor
 from fracture_collision.ros.timing_files import SERVICE_COLUMNS
@@ -53,6 +57,7 @@ class RoundTripRow(NamedTuple):
     acknowledgement: float  # before all: until everybody had acknowledged the last states
     serialization: float  # states and contacts, each from record to bytes and back, here
     answer_bytes: int
+    beyond_plain: float  # the same bytes, there and back, between two nodes of rclpy's own that do nothing else
 
 
 def measure_round_trips(
@@ -84,7 +89,7 @@ class _Simulator:
         topic = qos.CONTACT_CONSTRAINTS
         self._node.create_subscription(topic.message_class, topic.name, self._take, topic.qos, raw=True)
         self.answer: Received | None = None
-        self.answer_bytes = 0
+        self.answer_data = b""
 
     def close(self) -> None:
         self._executor.shutdown()
@@ -93,7 +98,7 @@ class _Simulator:
 
     def _take(self, data: bytes) -> None:
         self.answer = deserialize_record(data, qos.CONTACT_CONSTRAINTS.message_class)
-        self.answer_bytes = len(data)
+        self.answer_data = data
 
     def await_subscribers(self, count: int) -> None:
         deadline = time.monotonic() + PATIENCE
@@ -142,23 +147,67 @@ def _measure(pile: Pile, steps: int, recorder: bool) -> RoundTripRow:
         simulator.await_subscribers(2 if recorder else 1)
         simulator.tell(pile)
         # one more, since the order to stop may come before the service has noted the last one's times
-        its, contacts, answer_bytes = [], None, 0
+        its, contacts, answer = [], None, b""
         for step in _paced(2 * (WARM_UP + steps) + 1):
             its.append(simulator.ask(_moved(pile, step) if step % 2 else _nobody(pile, step)))
             if step % 2:
-                contacts, answer_bytes = simulator.answer.record, simulator.answer_bytes
+                contacts, answer = simulator.answer.record, simulator.answer_data
         if service.stop():
             raise RuntimeError(service.log_text())
         acknowledgement, round_trip = np.array(its[2 * WARM_UP : -1]).T
         rows = dict(zip(SERVICE_COLUMNS, np.load(times_file)[2 * WARM_UP : 2 * (WARM_UP + steps)].T, strict=True))
     beyond, empty = np.reshape(round_trip - rows["collision"] - rows["update"], (steps, 2)).T
     computation, conversion = rows["collision"][::2], rows["conversion"][::2]
+    question = serialize_record(pile.states, heading(0.0), RUN_ID)
     return RoundTripRow(
         recorder, len(pile.states.fragment_ids), len(contacts.gaps), steps, _ms(computation), _ms(beyond),
         1e3 * float(beyond.max()), _ms(empty), _ms(conversion), _ms(acknowledgement),
         _serialization(pile.states, qos.FRAGMENT_STATES) + _serialization(contacts, qos.CONTACT_CONSTRAINTS),
-        answer_bytes,
+        len(answer), _plain(question, answer, float(np.median(computation)), steps),
     )  # fmt: skip
+
+
+def _plain(question: bytes, answer: bytes, computation: float, steps: int) -> float:
+    """Median [ms] from a question published to its answer received, less what the answerer (plain_echo.py) took."""
+    with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
+        answer_file, times_file, domain_id = Path(name) / "answer", Path(name) / "times.npy", free_domain_id()
+        answer_file.write_bytes(answer)
+        command = [sys.executable, "-m", "benchmarks.scaling.plain_echo", answer_file, str(computation), times_file]
+        echo = subprocess.Popen(command, env=loopback_environment(domain_id))
+        stack.callback(echo.kill)
+        context = own_context(domain_id)
+        stack.callback(context.try_shutdown)
+        node = rclpy.create_node("plain_questioner", context=context)
+        stack.callback(node.destroy_node)
+        executor = SingleThreadedExecutor(context=context)
+        stack.callback(executor.shutdown)
+        executor.add_node(node)
+        states, contacts = qos.FRAGMENT_STATES, qos.CONTACT_CONSTRAINTS
+        publisher = node.create_publisher(states.message_class, states.name, states.qos)
+        taken: list[bytes] = []
+        node.create_subscription(contacts.message_class, contacts.name, taken.append, contacts.qos, raw=True)
+        deadline = time.monotonic() + PATIENCE
+        while not (publisher.get_subscription_count() and node.count_publishers(contacts.name)):
+            _before(deadline, "plain_echo did not come")
+            executor.spin_once(timeout_sec=0.02)
+        its = []
+        for _ in _paced(WARM_UP + steps):
+            taken.clear()
+            deadline = time.monotonic() + PATIENCE
+            began = time.perf_counter()
+            publisher.publish(question)
+            while not taken:
+                _before(deadline, "plain_echo did not answer")
+                executor.spin_once(timeout_sec=1.0)
+            its.append(time.perf_counter() - began)
+        echo.send_signal(signal.SIGINT)
+        echo.wait(PATIENCE)
+        return _ms((np.array(its) - np.load(times_file)[: len(its)])[WARM_UP:])
+
+
+def _before(deadline: float, otherwise: str) -> None:
+    if time.monotonic() > deadline:
+        raise RuntimeError(otherwise)
 
 
 def _paced(steps: int) -> Iterator[int]:
