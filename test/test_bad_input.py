@@ -86,8 +86,8 @@ def test_refused_messages_leave_nothing_in_memory() -> None:
         if door == "records" and bench.judge(case) == "" and bench.verdict.outcome == REFUSED:
             kept.append(case)
     assert len(kept) > 600
-    # What leaks grows with every round. What the interpreter keeps for reuse (its free lists of tuples) fills up, in more
-    # rounds or fewer: each full garbage collection empties it.
+    # What leaks grows with every round. What the interpreter keeps for reuse (its free lists of tuples) fills up, in
+    # some rounds: each full garbage collection empties it.
     grown: list[int] = []
     tracemalloc.start()
     try:
