@@ -111,12 +111,14 @@ class Lockstep:
             self.world.settings = chosen
 
     def _tell(self, request: StepRequest) -> bool:
-        """Tells the service the events that it does not know; whether there were any."""
+        """Tells the service the bodies and events that it does not know; whether there were any."""
         news = [event for event in request.events if event.sequence > self._told]
+        for body in request.bodies:
+            self.world.add_body(body)
         for event in news:
             self.world.add_fracture(event)
             self._told = event.sequence
-        return bool(news)
+        return bool(news or request.bodies)
 
     def close(self) -> None:
         self.simulation.close()

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-EXECUTABLES = ("collision_node", "simulator_node", "fracture-collision")
+EXECUTABLES = ("collision_node", "simulator_node", "live_simulator_node", "fracture-collision")
 NOT_SOURCES = (".git", ".venv", "build", "install", "log", "out", "*.egg-info", "__pycache__", ".*_cache")
 
 # Run in the installed package's environment, away from the sources: uses a message for real, says where it comes from.

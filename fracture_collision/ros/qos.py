@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+from geometry_msgs.msg import Twist
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from fracture_collision.msg import (
@@ -13,6 +14,9 @@ from fracture_collision.msg import (
     FragmentMesh,
     FragmentRegistry,
     FragmentStates,
+    HandTarget,
+    SimulationStatus,
+    ThrowBall,
 )
 
 # Every message ever sent, for late joiners too: a service that is started again learns the whole run from these.
@@ -53,6 +57,14 @@ FRAGMENT_STATES = Topic("fragment_states", FragmentStates, EACH_STEP)
 CONTACT_CONSTRAINTS = Topic("contact_constraints", ContactConstraintArray, EACH_STEP)
 FRAGMENTS = Topic("fragments", FragmentRegistry, LATCHED_NEWEST)
 FRAGMENT_MESHES = Topic("fragment_meshes", FragmentMesh, LATCHED)
+
+# What a live scene (ros/live_simulator_node.py) is told, and what it tells. Of velocities and of places of a hand only
+# the newest count, of balls all.
+COMMANDS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+THROW_BALL = Topic("throw_ball", ThrowBall, COMMANDS)
+HAND_TARGET = Topic("hand_target", HandTarget, EACH_STEP)
+CMD_VEL = Topic("cmd_vel", Twist, EACH_STEP)
+SIMULATION_STATUS = Topic("simulation_status", SimulationStatus, EACH_STEP)
 
 TOPICS = (BODIES, FRACTURE_EVENTS, FRAGMENT_STATES, CONTACT_CONSTRAINTS, FRAGMENTS, FRAGMENT_MESHES)
 

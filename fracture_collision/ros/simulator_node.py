@@ -10,8 +10,9 @@ from pathlib import Path
 
 import numpy as np
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 
-from fracture_collision.records import INVALID_STATES, ContactConstraintArray, FragmentRegistry, FragmentStates
+from fracture_collision.records import ADD, INVALID_STATES, ContactConstraintArray, FragmentRegistry, FragmentStates
 from fracture_collision.ros import qos
 from fracture_collision.ros.acknowledged_publisher import AcknowledgedPublisher
 from fracture_collision.ros.cdr_records import deserialize_record, serialize_record
@@ -20,8 +21,8 @@ from fracture_collision.ros.parameters import Range, declare_fixed
 from fracture_collision.ros.process import Fatal, nothing_to_lose, run_node
 from fracture_collision.ros.prompt_executor import PromptExecutor
 from fracture_collision.ros.timing_files import SIMULATOR_COLUMNS
-from fracture_collision.simulation.scene import SceneError, load_scene
-from fracture_collision.simulation.simulation import Simulation
+from fracture_collision.simulation.scene import Scene, SceneError, load_scene
+from fracture_collision.simulation.simulation import Simulation, StepReport
 from fracture_collision.simulation.warm_up import compile_kernels
 
 # Asking again: the first pause covers a service that compiles a kernel, the last one that is started by hand. Where
@@ -53,15 +54,12 @@ class SimulatorNode(Node):
             scene = load_scene(scene_name)
         except (SceneError, OSError) as error:
             raise Fatal(str(error)) from error
-        self._simulation = Simulation(scene, scene.seed if seed < 0 else seed)
+        self._simulation = self._make_simulation(scene, scene.seed if seed < 0 else seed)
         self._total_steps = scene.step_count
         # The same scene and seed give the same run, so they may well share an id: recordings compare byte for byte.
         self._run_id = run_id or derived_run_id(scene.name, scene.seed if seed < 0 else seed)
 
-        self._bodies = self.create_publisher(qos.BODIES.message_class, qos.BODIES.name, qos.BODIES.qos)
-        self._events = self.create_publisher(
-            qos.FRACTURE_EVENTS.message_class, qos.FRACTURE_EVENTS.name, qos.FRACTURE_EVENTS.qos
-        )
+        self._bodies, self._events = self._open_log()
         self._states = AcknowledgedPublisher(self, qos.FRAGMENT_STATES, answerers="collision_node")
         self._contacts_topic = self.resolve_topic_name(qos.CONTACT_CONSTRAINTS.name)  # it may be remapped
         for topic, callback, raw in (
@@ -83,10 +81,7 @@ class SimulatorNode(Node):
         self._await_subscribers(executor)
         self._announce(self._simulation.start_bodies(), [])
         while not self._simulation.finished:
-            request = self._simulation.begin_step()
-            self._announce(request.bodies, request.events)
-            acknowledgement, round_trip = self._ask(request.states, executor)
-            report = self._simulation.finish_step(self._contacts, self._registry)
+            report, acknowledgement, round_trip = self._step(executor)
             self._rows.append(
                 (
                     report.step, report.time, report.contacts, report.fragments, acknowledgement, round_trip,
@@ -103,6 +98,24 @@ class SimulatorNode(Node):
             np.save(Path(self._timing_file), np.array(self._rows).reshape(-1, len(SIMULATOR_COLUMNS)))
         self._simulation.close()
 
+    def _make_simulation(self, scene: Scene, seed: int) -> Simulation:
+        return Simulation(scene, seed)
+
+    def _open_log(self) -> tuple[Publisher, Publisher]:
+        """Publishers of bodies and events, on which late joiners find a run from its start."""
+        bodies, events = (
+            self.create_publisher(topic.message_class, topic.name, topic.qos)
+            for topic in (qos.BODIES, qos.FRACTURE_EVENTS)
+        )
+        return bodies, events
+
+    def _step(self, executor: PromptExecutor) -> tuple[StepReport, float, float]:
+        """One step, and both times of `_ask`."""
+        request = self._simulation.begin_step()
+        self._announce(request.bodies, request.events)
+        times = self._ask(request.states, executor)
+        return self._simulation.finish_step(self._contacts, self._registry), *times
+
     def _await_subscribers(self, executor: PromptExecutor) -> None:
         """A recorder that starts with the simulator must not miss the first steps."""
         started, said = time.monotonic(), 0.0
@@ -115,7 +128,7 @@ class SimulatorNode(Node):
     def _announce(self, bodies: list, events: list) -> None:
         stamp = heading(self._simulation.time)
         for body in bodies:
-            if body.is_static:
+            if body.is_static and body.operation == ADD:
                 self._static_fragments.append(body.fragment_id)
             self._bodies.publish(to_message(body, stamp, self._run_id))
         for event in events:
@@ -218,7 +231,8 @@ def derived_run_id(scene_name: str, seed: int) -> int:
     return int.from_bytes(digest[:8], "big") >> 2 or 1
 
 
-def _work(node: SimulatorNode) -> None:
+def work(node: SimulatorNode) -> None:
+    """Runs the node to its end, or until it is told to end."""
     executor = PromptExecutor()
     executor.add_node(node)
     try:
@@ -232,7 +246,7 @@ def _work(node: SimulatorNode) -> None:
 
 
 def main() -> int:
-    return run_node(SimulatorNode, _work)
+    return run_node(SimulatorNode, work)
 
 
 if __name__ == "__main__":

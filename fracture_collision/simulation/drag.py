@@ -60,6 +60,20 @@ class Drag:
         self.move(position, np.zeros(3))
         return self._grip is not None
 
+    def hold(self, fragment_id: int, point: np.ndarray, position: np.ndarray, states: BodyStates) -> bool:
+        """Take hold of one fragment at `point` (3,) [m] of its body frame, by its nearest node if it has any.
+
+        The hand is at `position` (3,) [m], world. False where the fragment is not among `states`.
+        """
+        self._grip = None
+        if fragment_id in states.fragment_ids:
+            node, body = -1, self._breakable.get(self._body_ids[fragment_id])
+            if body is not None:
+                node, point = body.nearest_node(fragment_id, np.asarray(point, np.float64))
+            self._grip = Grip(fragment_id, np.asarray(point, np.float64), node)
+        self.move(position, np.zeros(3))
+        return self._grip is not None
+
     def move(self, position: np.ndarray, velocity: np.ndarray) -> None:
         """Where the hand is, (3,) [m], and how fast it moves, (3,) [m/s], for the next step; world."""
         self._position, self._velocity = np.asarray(position, np.float64), np.asarray(velocity, np.float64)

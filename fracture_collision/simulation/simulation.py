@@ -16,12 +16,13 @@ impulse, keeps the rest of its momentum and meets the pieces in the next step.
 from __future__ import annotations
 
 import time
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fracture_collision.records import (
+    REMOVE,
     CollisionBody,
     ContactConstraintArray,
     FractureEvent,
@@ -72,6 +73,15 @@ class StepReport(NamedTuple):
     hand_energy: float  # [J] that a hand put in; negative where it took some out
 
 
+class Pusher(Protocol):
+    """Something outside the scene that acts on what moves in it."""
+
+    def pull(
+        self, states: BodyStates, time: float, time_step: float, gravity: np.ndarray
+    ) -> tuple[np.ndarray, float]:
+        """What it adds in the step at `time` [s]: to all velocities, (n, 6) [m/s, rad/s], and to the energy [J]."""
+
+
 class Simulation:
     """A run of one scene. The same scene, seed and answers give the same states, byte for byte.
 
@@ -103,13 +113,14 @@ class Simulation:
         # Named in states, but not in the engine until the registry brings their masses.
         self._waiting: dict[int, FrameState] = {}
         self._events: list[FractureEvent] = []
-        self._announced = False
         self._held_together: set[int] = set()  # fragments that were hit hard enough but found no pattern to break by
         self._warm_start = NO_WARM_START
         self._memory = contact_memory.NOTHING
         self._asked: FragmentStates | None = None
         names = {i: body.name for i, body in self._body_of.items()}
         self.drag = Drag(scene.hand, names, self._body_id_of, self._breakable)
+        self._pushers: list[Pusher] = [self.drag]
+        self._news = [collision_body(i, body) for i, body in self._body_of.items()]  # bodies not yet announced
 
     @property
     def time(self) -> float:
@@ -127,22 +138,54 @@ class Simulation:
         """`drag.grab` of what is in motion now; `drag` moves the hand and lets go."""
         return self.drag.grab(name, position, self._engine.states())
 
+    def hold(self, fragment_id: int, point: np.ndarray, position: np.ndarray) -> bool:
+        """`drag.hold` of what is in motion now."""
+        return self.drag.hold(fragment_id, point, position, self._engine.states())
+
+    def add_pusher(self, pusher: Pusher) -> None:
+        """From the next step on it pushes too, beside the hand."""
+        self._pushers.append(pusher)
+
+    def throw(self, body: SceneBody) -> int:
+        """Another body comes into the scene with the next step, whatever its `start_time`. Returns its id, which is
+        also that of its one fragment. ValueError for a static body.
+        """
+        if body.is_static:
+            raise ValueError(f"{body.name!r} cannot move, so it cannot be thrown")
+        number = self._next_fragment_id
+        self._next_fragment_id += 1
+        self._body_of[number], self._body_id_of[number] = body, number
+        if body.shape.mesh is not None:
+            self._breakable[number] = BreakableBody(number, number, body.shape.mesh)
+        self._news.append(collision_body(number, body))
+        self._enter(number)
+        return number
+
+    def take_out(self, body_id: int) -> None:
+        """A body leaves the scene, with all its fragments. KeyError where there is none that can move."""
+        body = self._body_of[body_id]
+        if body.is_static:
+            raise KeyError(body_id)
+        for fragment_id in [i for i, of in self._body_id_of.items() if of == body_id]:
+            if self._waiting.pop(fragment_id, None) is None:
+                self._engine.remove(fragment_id)
+            if self.drag.held == fragment_id:
+                self.drag.release()
+            del self._body_id_of[fragment_id]
+        self._unthrown = [each for each in self._unthrown if each[1] != body_id]
+        del self._body_of[body_id]
+        self._news.append(collision_body(body_id, body)._replace(operation=REMOVE))
+
     def start_bodies(self) -> list[CollisionBody]:
         """All bodies of the scene, to be published before the first states."""
-        self._announced = True
-        return [collision_body(i, body) for i, body in self._body_of.items()]
+        return self._take_news()
 
     def begin_step(self) -> StepRequest:
         """Asks for the contacts at the present time. May be called again while no answer comes: it says the same."""
         while self._unthrown and self._unthrown[0][0] <= self.time + 1e-9 * self._scene.time_step:
-            _, fragment_id = self._unthrown.pop(0)
-            body = self._body_of[fragment_id]
-            self._waiting[fragment_id] = FrameState(
-                body.position, body.orientation, body.linear_velocity, body.angular_velocity
-            )
-        bodies = [] if self._announced else self.start_bodies()
+            self._enter(self._unthrown.pop(0)[1])
         self._asked = self._states()
-        return StepRequest(self._asked, bodies, list(self._events))
+        return StepRequest(self._asked, self._take_news(), list(self._events))
 
     def finish_step(self, contacts: ContactConstraintArray, registry: FragmentRegistry) -> StepReport:
         """Takes the answer and goes one time step on. ValueError where it is the answer to another question."""
@@ -163,7 +206,7 @@ class Simulation:
             contacts, self._asked, self._memory, self._scene.solver.memory_reach
         )
         pairs = self._body_pairs(contacts, states)
-        pushes, hand_energy = self.drag.pull(states, self.time, self._scene.time_step, self._scene.gravity)
+        pushes, hand_energy = self._pushed(states)
         bodies = self._rigid_bodies(states, pushes)
         solution, overloaded = self._solve(bodies, contacts, pairs)
         solver_seconds = time.perf_counter() - started
@@ -215,6 +258,24 @@ class Simulation:
         if body.material.fracture is None or self._body_id_of[fragment_id] not in self._breakable:
             raise ValueError(f"fragment {fragment_id}, of {body.name!r}, is of a kind that does not break")
         return self._break(fragment_id, states.frame(rows[0]), np.asarray(point, dtype=np.float64), overload)
+
+    def _take_news(self) -> list[CollisionBody]:
+        news, self._news = self._news, []
+        return news
+
+    def _enter(self, body_id: int) -> None:
+        body = self._body_of[body_id]
+        self._waiting[body_id] = FrameState(
+            body.position, body.orientation, body.linear_velocity, body.angular_velocity
+        )
+
+    def _pushed(self, states: BodyStates) -> tuple[np.ndarray, float]:
+        """What all that push add to velocities and energy."""
+        pushes, energy = np.zeros((len(states.fragment_ids), 6)), 0.0
+        for pusher in self._pushers:
+            more, gain = pusher.pull(states, self.time, self._scene.time_step, self._scene.gravity)
+            pushes, energy = pushes + more, energy + gain
+        return pushes, energy
 
     def _states(self) -> FragmentStates:
         moving = self._engine.states()

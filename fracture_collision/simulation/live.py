@@ -1,0 +1,133 @@
+"""A scene to play with: it goes on until it is told to end, and takes commands between its steps.
+
+What the scene throws by itself is left to the person: balls with a start time do not come. Everything else is the
+scene's, and so is the physics (simulation.py).
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import NamedTuple
+
+import numpy as np
+
+from fracture_collision.simulation.hammer import Hammer
+from fracture_collision.simulation.scene import Material, Scene, SceneBody
+from fracture_collision.simulation.shapes import Shape
+from fracture_collision.simulation.simulation import Simulation
+
+BALL = Material(density=2000.0, friction=0.6, restitution=0.2, rolling_arm=5e-4, fracture=None)
+STEEL = Material(density=7800.0, friction=0.4, restitution=0.1, rolling_arm=5e-4, fracture=None)
+HAMMER_RADIUS = 0.04  # [m]; of steel: 2.1 kg
+IN_FRONT = 0.35  # [m] from the middle of what can break to where the hammer first hangs, along -y
+MOST_BALLS = 12  # of more the oldest leave
+UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
+
+# What a person may ask for: nobody throws a house, or at the speed of sound.
+RADII = (0.005, 0.25)  # [m]
+DENSITIES = (10.0, 20000.0)  # [kg/m3]
+MOST_SPEED = 40.0  # [m/s] of a ball
+MOST_HAMMER_SPEED = 4.0  # [m/s]
+FARTHEST = 100.0  # [m] from the world's origin
+
+
+class Ball(NamedTuple):
+    """As ThrowBall.msg says."""
+
+    position: np.ndarray  # (3,) [m]
+    velocity: np.ndarray  # (3,) [m/s]
+    radius: float  # [m]
+    density: float  # [kg/m3]
+
+
+class CommandRefused(ValueError):
+    """A command that makes no sense; nothing has changed. Its text names the field."""
+
+
+class LiveScene:
+    """A run of `scene` with a person in it. `simulation` is stepped by whoever owns this."""
+
+    def __init__(self, scene: Scene, seed: int) -> None:
+        kept = tuple(body for body in scene.bodies if not _is_thrown(body))
+        self.simulation = Simulation(scene._replace(bodies=kept, hand=None), seed)
+        self._home = _hammer_home(kept)
+        self._hammer: Hammer | None = None
+        self._balls: deque[int] = deque()
+        self._thrown = 0
+        self._taken = 0  # fragment that the hand was told to take, whatever has become of it
+
+    def throw(self, ball: Ball) -> None:
+        """It flies from the next step on. Raises CommandRefused."""
+        _finite("position", ball.position)
+        _finite("velocity", ball.velocity)
+        _within("position", float(np.abs(ball.position).max()), (0.0, FARTHEST), "m")
+        _within("velocity", float(np.linalg.norm(ball.velocity)), (0.0, MOST_SPEED), "m/s")
+        _within("radius", ball.radius, RADII, "m")
+        _within("density", ball.density, DENSITIES, "kg/m3")
+        if len(self._balls) == MOST_BALLS:
+            self.simulation.take_out(self._balls.popleft())
+        self._thrown += 1
+        material = BALL._replace(density=float(ball.density))
+        body = _sphere(f"thrown {self._thrown}", float(ball.radius), material, ball.position, ball.velocity)
+        self._balls.append(self.simulation.throw(body))
+
+    def drag(self, fragment_id: int, grip: np.ndarray, target: np.ndarray) -> None:
+        """As HandTarget.msg says. Raises CommandRefused."""
+        hand = self.simulation.drag
+        if not fragment_id:
+            self._taken = 0
+            hand.release()
+            return
+        _finite("grip", grip)
+        _finite("target", target)
+        _within("target", float(np.abs(target).max()), (0.0, FARTHEST), "m")
+        if fragment_id != self._taken:
+            self._taken = fragment_id
+            if not self.simulation.hold(fragment_id, grip, target):
+                self._taken = 0
+                raise CommandRefused(f"fragment_id: {fragment_id} is nothing that can move")
+        hand.move(np.asarray(target, np.float64), np.zeros(3))
+
+    def steer(self, velocity: np.ndarray) -> None:
+        """The hammer goes with `velocity` (3,) [m/s], world axes, until told otherwise; it comes at the first command
+        that is not to stand still. Raises CommandRefused.
+        """
+        _finite("linear", velocity)
+        _within("linear", float(np.linalg.norm(velocity)), (0.0, MOST_HAMMER_SPEED), "m/s")
+        if self._hammer is None:
+            if not np.any(velocity):
+                return
+            body = _sphere("hammer", HAMMER_RADIUS, STEEL, self._home, np.zeros(3))
+            self._hammer = Hammer(self.simulation.throw(body), self._home)
+            self.simulation.add_pusher(self._hammer)
+        self._hammer.steer(velocity)
+
+    def close(self) -> None:
+        self.simulation.close()
+
+
+def _is_thrown(body: SceneBody) -> bool:
+    return body.start_time > 0.0 and body.shape.kind == "sphere"
+
+
+def _hammer_home(bodies: tuple[SceneBody, ...]) -> np.ndarray:
+    places = [body.position for body in bodies if not body.is_static]
+    middle = np.mean(places, axis=0) if places else np.array([0.0, 0.0, 0.5])
+    return middle - np.array([0.0, IN_FRONT, 0.0])
+
+
+def _sphere(name: str, radius: float, material: Material, position: np.ndarray, velocity: np.ndarray) -> SceneBody:
+    return SceneBody(
+        name, Shape("sphere", radius=radius), material, False, np.array(position, np.float64), UPRIGHT, 0.0,
+        np.array(velocity, np.float64), np.zeros(3),
+    )  # fmt: skip
+
+
+def _finite(name: str, values: np.ndarray) -> None:
+    if not np.all(np.isfinite(values)):
+        raise CommandRefused(f"{name}: {np.asarray(values).tolist()} is not finite")
+
+
+def _within(name: str, value: float, limits: tuple[float, float], unit: str) -> None:
+    if not limits[0] <= value <= limits[1]:
+        raise CommandRefused(f"{name}: {value:.4g} {unit} is not within {limits[0]:g} and {limits[1]:g} {unit}")

@@ -1,0 +1,155 @@
+"""A scene that is played with: balls, a hand, a hammer; what leaves the scene, and what is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from fracture_collision.records import ADD, REMOVE
+from fracture_collision.simulation.live import MOST_BALLS, Ball, CommandRefused, LiveScene
+from fracture_collision.simulation.scene import load_scene
+from fracture_collision.simulation.simulation import StepReport, StepRequest
+from fracture_collision.world import CollisionWorld, Settings
+
+PLATE = np.array([-0.45, 0.0, 0.7227])
+STILL = np.zeros(3)
+
+
+class Run:
+    """Simulator and service of a live scene, in one process."""
+
+    def __init__(self, scene: str = "plates") -> None:
+        self.live = LiveScene(load_scene(scene), 7)
+        self.world = CollisionWorld(Settings())
+        self.requests: list[StepRequest] = []
+
+    def step(self, count: int = 1) -> StepReport:
+        simulation = self.live.simulation
+        for _ in range(count):
+            self.requests.append(simulation.begin_step())
+            for body in self.requests[-1].bodies:
+                self.world.add_body(body)
+            for event in self.requests[-1].events:
+                self.world.add_fracture(event)
+            contacts = self.world.contacts(self.requests[-1].states)
+            report = simulation.finish_step(contacts, self.world.fragments())
+        return report
+
+    def place(self, fragment_id: int) -> np.ndarray:
+        states = self.requests[-1].states
+        return states.positions.reshape(-1, 3)[list(states.fragment_ids).index(fragment_id)]
+
+    def announced(self, operation: int) -> list[int]:
+        return [body.body_id for request in self.requests for body in request.bodies if body.operation == operation]
+
+
+@pytest.fixture
+def run() -> Iterator[Run]:
+    made = Run()
+    yield made
+    made.live.close()
+
+
+def test_nobody_throws_but_the_person(run: Run) -> None:
+    assert run.step(120).fragments == 4, "the scene's first ball would have come at step 100"
+    assert [body.name for body in run.requests[0].bodies] == [
+        "ground", "shelf", "rack", "wall", "plate 1", "plate 2", "plate 3", "plate 4",
+    ]  # fmt: skip
+    run.live.throw(Ball(PLATE - [0.0, 0.4, 0.0], np.array([0.0, 7.0, 0.3]), 0.04, 2000.0))
+    assert run.step(60).fragments > 10
+
+
+def test_old_balls_leave(run: Run) -> None:
+    for k in range(MOST_BALLS + 3):
+        run.live.throw(Ball(np.array([0.1 * k - 0.6, -2.0, 1.0]), STILL, 0.04, 2000.0))
+        report = run.step()
+    balls = [body_id for body_id in run.announced(ADD) if body_id > 8]
+    assert len(balls) == MOST_BALLS + 3 and run.announced(REMOVE) == balls[:3]
+    assert report.fragments == 4 + MOST_BALLS
+    named = set(run.requests[-1].states.fragment_ids)
+    assert set(balls[3:]) <= named and balls[0] not in run.world.fragments().body_ids
+    assert run.step(50).fragments == 4 + MOST_BALLS
+
+
+def test_a_hand_keeps_what_breaks_in_it(run: Run) -> None:
+    run.step(5)
+    run.live.drag(5, STILL, PLATE + [0.0, -0.3, 0.1])
+    run.step(100)
+    lifted = run.place(5)
+    assert np.linalg.norm(lifted - (PLATE + [0.0, -0.3, 0.1])) < 0.05
+    assert run.live.simulation.strike(5, STILL, 3.0)
+    run.step()
+    held = run.live.simulation.drag.held
+    assert held not in (None, 5)
+    run.live.drag(5, STILL, PLATE + [0.0, -0.3, 0.3])  # as the page says it: it does not know of the piece
+    run.step(100)
+    assert run.live.simulation.drag.held == held and run.place(held)[2] > lifted[2] + 0.1
+    run.live.drag(0, STILL, STILL)
+    assert run.live.simulation.drag.held is None
+
+
+def test_what_is_held_may_leave(run: Run) -> None:
+    run.live.throw(Ball(np.array([0.0, -2.0, 1.0]), STILL, 0.04, 2000.0))
+    run.step()
+    (ball,) = [body_id for body_id in run.announced(ADD) if body_id > 8]
+    run.live.drag(ball, STILL, np.array([0.0, -2.0, 1.2]))
+    run.step(20)
+    run.live.simulation.take_out(ball)
+    run.step(20)
+    assert run.live.simulation.drag.held is None and ball not in run.requests[-1].states.fragment_ids
+    with pytest.raises(KeyError):
+        run.live.simulation.take_out(ball)
+    with pytest.raises(KeyError):
+        run.live.simulation.take_out(1)  # the ground
+
+
+def test_a_hammer_goes_where_it_is_told_and_breaks_what_is_there(run: Run) -> None:
+    run.live.steer(STILL)
+    assert run.step(5).fragments == 4, "no hammer for a command to stand still"
+    run.live.steer(np.array([-0.5, 0.0, 0.0]))
+    run.step(80)
+    (hammer,) = [body_id for body_id in run.announced(ADD) if body_id > 8]
+    begin = run.place(hammer)
+    run.step(40)
+    np.testing.assert_allclose(run.place(hammer) - begin, [-0.05, 0.0, 0.0], atol=2e-3)
+    run.live.steer(np.array([0.0, 3.0, 0.0]))
+    assert run.step(80).fragments > 10
+    run.live.steer(STILL)
+    run.step(100)
+    there = run.place(hammer)
+    assert run.step(50).fragments > 10
+    assert np.linalg.norm(run.place(hammer) - there) < 5e-3
+
+
+@pytest.mark.parametrize(
+    ("act", "words"),
+    [
+        (lambda live: live.throw(Ball(PLATE * np.nan, STILL, 0.04, 2000.0)), "position: "),
+        (lambda live: live.throw(Ball(PLATE * 1e9, STILL, 0.04, 2000.0)), "position: "),
+        (lambda live: live.throw(Ball(PLATE, np.full(3, 100.0), 0.04, 2000.0)), "velocity: "),
+        (lambda live: live.throw(Ball(PLATE, STILL, np.nan, 2000.0)), "radius: nan"),
+        (lambda live: live.throw(Ball(PLATE, STILL, 0.04, -1.0)), "density: -1"),
+        (lambda live: live.steer(np.array([0.0, 0.0, 5.0])), "linear: 5 m/s"),
+        (lambda live: live.drag(99, STILL, STILL), "fragment_id: 99"),
+        (lambda live: live.drag(1, STILL, STILL), "fragment_id: 1 "),
+        (lambda live: live.drag(5, STILL, STILL * np.nan), "target: "),
+    ],
+)
+def test_nonsense_is_refused_in_words(run: Run, act, words: str) -> None:
+    run.step(2)
+    with pytest.raises(CommandRefused, match=words):
+        act(run.live)
+    assert run.step(2).fragments == 4
+
+
+def test_the_same_commands_give_the_same_run() -> None:
+    def states() -> list[bytes]:
+        run = Run()
+        run.live.throw(Ball(PLATE - [0.0, 0.3, 0.0], np.array([0.0, 7.0, 0.3]), 0.04, 2000.0))
+        run.step(50)
+        run.live.close()
+        return [request.states.positions.tobytes() for request in run.requests]
+
+    assert states() == states()
