@@ -9,6 +9,7 @@ from fracture_collision.cli.bench import bench
 from fracture_collision.cli.replay import replay
 from fracture_collision.cli.scene import scene
 from fracture_collision.cli.smash import smash
+from fracture_collision.cli.teleop import teleop
 
 EXAMPLES = """\b
 Examples:
@@ -23,6 +24,7 @@ Examples:
   fracture-collision replay --help                ... over DDS, backwards, on 8 threads
   fracture-collision record bricks --out out/b    a bag without DDS
   fracture-collision mend out/smash/bag           whose recorder was killed
+  fracture-collision teleop                       the hammer of a live scene by keys, from another terminal
 
 The nodes alone: collision_node and simulator_node, with --ros-args -p NAME:=VALUE.
 """
@@ -41,7 +43,7 @@ def main() -> None:
 main.add_command(smash)
 main.add_command(scene)
 main.add_command(bench)
-for command in (replay, record, mend, digest):
+for command in (teleop, replay, record, mend, digest):
     main.add_command(command)
 
 

@@ -49,6 +49,11 @@ def free_domain_id() -> int:
     raise RuntimeError("all ROS domains of this machine are in use")
 
 
+def default_domain_id() -> int:
+    """What ROS itself would take: ROS_DOMAIN_ID, else 0. Raises ValueError where that is no number."""
+    return int(os.environ.get("ROS_DOMAIN_ID") or 0)
+
+
 def chosen_domain_id() -> int:
     """ROS_DOMAIN_ID where the user has set one, so that nodes of his own can listen; else one that is free."""
     given = os.environ.get("ROS_DOMAIN_ID", "")
