@@ -8,6 +8,7 @@ from geometry_msgs.msg import Twist
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from fracture_collision.msg import (
+    AnswerTimes,
     CollisionBody,
     ContactConstraintArray,
     FractureEvent,
@@ -65,6 +66,7 @@ THROW_BALL = Topic("throw_ball", ThrowBall, COMMANDS)
 HAND_TARGET = Topic("hand_target", HandTarget, EACH_STEP)
 CMD_VEL = Topic("cmd_vel", Twist, EACH_STEP)
 SIMULATION_STATUS = Topic("simulation_status", SimulationStatus, EACH_STEP)
+ANSWER_TIMES = Topic("answer_times", AnswerTimes, EACH_STEP)
 
 TOPICS = (BODIES, FRACTURE_EVENTS, FRAGMENT_STATES, CONTACT_CONSTRAINTS, FRAGMENTS, FRAGMENT_MESHES)
 

@@ -1,0 +1,304 @@
+"""The page of a live scene: hears what the nodes say, shows it in browsers, and tells the nodes what a person does.
+
+Everything comes by topics, so the page may run anywhere a viewer may, and it may come and go while the scene runs. It
+asks for states and contacts without a promise (best effort): nobody waits for somebody who only looks.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.parameter_client import AsyncParameterClient
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.timer import Timer
+from scipy.spatial.transform import Rotation
+
+from fracture_collision.msg import AnswerTimes, SimulationStatus
+from fracture_collision.records import REMOVE, FragmentStates
+from fracture_collision.ros import qos
+from fracture_collision.ros.cdr_records import deserialize_record
+from fracture_collision.ros.conversion import to_record
+from fracture_collision.ros.live_client import LiveClient
+from fracture_collision.ros.node_process import NodeProcess, default_domain_id
+from fracture_collision.ros.parameters import Range, declare_fixed
+from fracture_collision.ros.process import Fatal, run_node
+from fracture_collision.ros.prompt_executor import PromptExecutor
+from fracture_collision.simulation.scene import scene_files
+from fracture_collision.viewer.page import Page
+from fracture_collision.viewer.page_events import Ball, Drag, Handlers, Ray, ServiceSliders, Start
+from fracture_collision.viewer.page_plots import Figures
+
+SERVICE = "collision_node"
+LOOKING = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+TOLD = frozenset({"collision_ms", "update_ms", "solver_ms", "ros_ms", "contacts", "fragments"})
+GRAVITY = 9.81  # [m/s2] that a thrown ball is aimed against
+OUT_OF_THE_EYE = 0.2  # [m] before the eye a ball starts
+HAMMER_SPEED = 1.0  # [m/s]
+KEY_HOLDS = 0.3  # [s] that the hammer goes on after an arrow key's last word
+ARROWS = {"up": (0.0, 1.0), "down": (0.0, -1.0), "right": (1.0, 0.0), "left": (-1.0, 0.0)}  # x, y
+
+
+class PageNode(Node):
+    """Parameters say where the page is served; it prints its address as a line of JSON."""
+
+    def __init__(self) -> None:
+        super().__init__("page_node")
+        host = declare_fixed(self, "host", "127.0.0.1", "address to serve; others than this machine get in by 0.0.0.0")
+        port = declare_fixed(self, "port", 0, "0: any that is free", Range(0, 65535))
+        self._folder = Path(declare_fixed(self, "folder", "out/play", "where recordings go"))
+        self._hands = LiveClient(self)
+        self._service = AsyncParameterClient(self, SERVICE)
+        self._recorder: NodeProcess | None = None
+        # From the page's thread to this one's.
+        self._orders: deque[Callable[[], None]] = deque()
+        self._wake = self.create_guard_condition(self._obey)
+
+        self._run_id = 0
+        self._body_of: dict[int, int] = {}  # of each fragment
+        self._meshes: dict[int, Any] = {}  # that came before it was known of which body they are
+        self._states: FragmentStates | None = None
+        self._status: SimulationStatus | None = None
+        self._held: tuple[int, np.ndarray] | None = None  # fragment and grip in its body frame
+        self._stop_timer: Timer | None = None  # of the hammer, after the last arrow key
+
+        names = tuple(file.path.stem for file in scene_files())
+        try:
+            self.page = Page(self._handlers(), Start(scenes=names, scene="plates"), host, port, TOLD)
+        except OSError as error:
+            raise Fatal(f"the page cannot be served at {host}:{port}: {error}") from error
+        print(json.dumps({"address": self.page.address}), flush=True)
+        self._listen()
+
+    def close(self) -> None:
+        self.page.close()
+        if self._recorder is not None:
+            self._recorder.stop()
+
+    def _listen(self) -> None:
+        for topic, callback, profile, raw in (
+            (qos.BODIES, self._on_body, qos.BODIES.qos, False),
+            (qos.FRACTURE_EVENTS, self._on_fracture, qos.FRACTURE_EVENTS.qos, False),
+            (qos.FRAGMENTS, self._on_registry, qos.FRAGMENTS.qos, False),
+            (qos.FRAGMENT_MESHES, self._on_mesh, qos.FRAGMENT_MESHES.qos, False),
+            (qos.FRAGMENT_STATES, self._on_states, LOOKING, True),
+            (qos.CONTACT_CONSTRAINTS, self._on_contacts, LOOKING, True),
+            (qos.SIMULATION_STATUS, self._on_status, LOOKING, False),
+            (qos.ANSWER_TIMES, self._on_times, LOOKING, False),
+        ):
+            self.create_subscription(topic.message_class, topic.name, callback, profile, raw=raw)
+
+    # --- what the nodes say ----------------------------------------------------------------------------------------
+
+    def _of_this_run(self, run_id: int) -> bool:
+        """Only a body begins a run."""
+        return run_id == self._run_id
+
+    def _on_body(self, message: Any) -> None:
+        if not self._of_this_run(message.run_id):
+            self._run_id = message.run_id
+            self._body_of.clear()
+            self._meshes.clear()
+            self._states = self._held = None
+            self.page.new_run()
+        body = to_record(message)
+        if body.operation == REMOVE:
+            self.page.remove_body(body.body_id)
+            return
+        self._body_of[body.fragment_id] = body.body_id
+        self.page.add_body(body)
+
+    def _on_fracture(self, message: Any) -> None:
+        if not self._of_this_run(message.run_id):
+            return
+        for fragment_id in message.new_fragment_ids:
+            self._body_of[fragment_id] = message.body_id
+            if fragment_id in self._meshes:
+                self.page.add_fragment(self._meshes.pop(fragment_id), message.body_id)
+
+    def _on_registry(self, message: Any) -> None:
+        """For a page that came when the run was long begun: who lives."""
+        if self._of_this_run(message.run_id):
+            self._body_of.update(zip(message.fragment_ids, message.body_ids, strict=True))
+
+    def _on_mesh(self, message: Any) -> None:
+        if not self._of_this_run(message.run_id):
+            return
+        mesh = to_record(message)
+        body_id = self._body_of.get(mesh.fragment_id)
+        if body_id is None:
+            self._meshes[mesh.fragment_id] = mesh  # its event is still on its way
+        else:
+            self.page.add_fragment(mesh, body_id)
+
+    def _on_states(self, data: bytes) -> None:
+        with suppress(ValueError):  # no states; the service says so
+            received = deserialize_record(data, qos.FRAGMENT_STATES.message_class)
+            if self._of_this_run(received.run_id):
+                self._states = received.record
+                self.page.show_states(received.record)
+
+    def _on_contacts(self, data: bytes) -> None:
+        if self.page.wants_contacts:
+            with suppress(ValueError):
+                received = deserialize_record(data, qos.CONTACT_CONSTRAINTS.message_class)
+                if self._of_this_run(received.run_id):
+                    self.page.show_contacts(received.record)
+
+    def _on_status(self, message: SimulationStatus) -> None:
+        if self._of_this_run(message.run_id):
+            self._status = message
+
+    def _on_times(self, message: AnswerTimes) -> None:
+        status = self._status
+        if status is None or not self._of_this_run(message.run_id):
+            return
+        beyond = status.round_trip - message.collision - message.update
+        self.page.show_figures(
+            Figures(
+                time=message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec,
+                collision_ms=1e3 * message.collision,
+                update_ms=1e3 * message.update,
+                solver_ms=1e3 * status.solver,
+                ros_ms=1e3 * max(beyond, 0.0),
+                contacts=status.contacts,
+                fragments=status.fragments,
+            )
+        )
+
+    # --- what a person does ----------------------------------------------------------------------------------------
+
+    def _handlers(self) -> Handlers:
+        def later(act: Callable[..., None]) -> Callable[..., None]:
+            def order(*told: Any) -> None:
+                self._orders.append(lambda: act(*told))
+                self._wake.trigger()
+
+            return order
+
+        return Handlers(
+            clicked=later(self._throw),
+            drag_begun=later(self._take),
+            drag_moved=later(self._pull),
+            drag_ended=later(self._let_go),
+            arrow=later(self._strike),
+            scene_chosen=later(self._choose),
+            reset=later(lambda: self._answered(self._hands.reset(), "reset")),
+            paused=later(lambda paused: self._answered(self._hands.pause(paused), "pause")),
+            one_step=later(lambda: self._answered(self._hands.step(), "one step")),
+            slow_motion=later(lambda rate: self._hands.set_parameters(rate=float(rate))),
+            service_set=later(self._set_service),
+            recording=later(self._record),
+        )
+
+    def _obey(self) -> None:
+        while self._orders:
+            self._orders.popleft()()
+
+    def _throw(self, ray: Ray, ball: Ball) -> None:
+        """So that it passes, some way off, through the point that was clicked on: it falls on its way."""
+        middle = ray.origin + ray.direction if self._states is None else self._middle()
+        seconds = float(np.linalg.norm(middle - ray.origin)) / ball.speed
+        velocity = ball.speed * ray.direction + np.array([0.0, 0.0, 0.5 * GRAVITY * seconds])
+        self._hands.throw(ray.origin + OUT_OF_THE_EYE * ray.direction, velocity, ball.radius)
+
+    def _middle(self) -> np.ndarray:
+        return np.median(self._states.positions.reshape(-1, 3), axis=0)
+
+    def _take(self, drag: Drag) -> None:
+        frame = self._frame(drag.fragment_id)
+        if frame is not None:
+            position, turn = frame
+            self._held = drag.fragment_id, turn.inv().apply(drag.grip - position)
+            self._pull(drag)
+
+    def _pull(self, drag: Drag) -> None:
+        if self._held is not None:
+            fragment_id, grip = self._held
+            self._hands.drag(self._run_id, fragment_id, grip, drag.target)
+
+    def _let_go(self, _drag: Drag) -> None:
+        self._held = None
+        self._hands.let_go()
+
+    def _frame(self, fragment_id: int) -> tuple[np.ndarray, Rotation] | None:
+        rows = [] if self._states is None else np.flatnonzero(self._states.fragment_ids == fragment_id)
+        if not len(rows):
+            return None
+        row = rows[0]
+        positions, orientations = self._states.positions.reshape(-1, 3), self._states.orientations.reshape(-1, 4)
+        return positions[row], Rotation.from_quat(orientations[row])
+
+    def _strike(self, arrow: str) -> None:
+        x, y = ARROWS[arrow]
+        self._hands.steer((HAMMER_SPEED * x, HAMMER_SPEED * y, 0.0))
+        if self._stop_timer is not None:
+            self.destroy_timer(self._stop_timer)
+        self._stop_timer = self.create_timer(KEY_HOLDS, self._stand)
+
+    def _stand(self) -> None:
+        self.destroy_timer(self._stop_timer)
+        self._stop_timer = None
+        self._hands.steer((0.0, 0.0, 0.0))
+
+    def _choose(self, scene: str) -> None:
+        chosen = self._hands.set_parameters(next_scene=scene)
+        chosen.add_done_callback(lambda _done: self._answered(self._hands.reset(), f"scene {scene}"))
+
+    def _set_service(self, sliders: ServiceSliders) -> None:
+        parameters = [Parameter(name, value=value) for name, value in sliders._asdict().items()]
+        self._service.set_parameters(parameters)
+
+    def _answered(self, future: Any, what: str) -> None:
+        def look(done: Any) -> None:
+            result = done.result()
+            if result is not None and not result.success:
+                self.get_logger().warning(f"{what}: {result.message}")
+
+        future.add_done_callback(look)
+
+    def _record(self, wanted: bool) -> None:
+        if self._recorder is not None:
+            self._recorder.stop()
+            self._recorder = None
+        if wanted:
+            folder = _new_folder(self._folder)
+            self._recorder = NodeProcess(
+                "recorder_node", {"folder": str(folder)}, default_domain_id(), folder.parent / f"{folder.name}.log"
+            )
+            self.get_logger().info(f"recording into {folder}")
+
+
+def _new_folder(parent: Path) -> Path:
+    """A name that nothing has yet: bag_1, bag_2 ..."""
+    parent.mkdir(parents=True, exist_ok=True)
+    number = 1
+    while (parent / f"bag_{number}").exists():
+        number += 1
+    return parent / f"bag_{number}"
+
+
+def _work(node: PageNode) -> None:
+    executor = PromptExecutor()
+    executor.add_node(node)
+    try:
+        executor.spin()
+    finally:
+        node.close()
+        executor.shutdown()
+
+
+def main() -> int:
+    return run_node(PageNode, _work)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,81 @@
+"""A live scene with its page: service, simulator and page as processes that talk over DDS, until they are told to end."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import NamedTuple
+
+from fracture_collision.ros.node_process import NodeProcess, default_domain_id
+
+LOOK = 0.05  # [s]
+PATIENCE = 120.0  # [s] for the page's address
+ENDING = 3.0  # [s] that a node has to end
+
+
+class PlayFailed(RuntimeError):
+    """A node did not come, or ended. Its text names the log."""
+
+
+class Played(NamedTuple):
+    """A scene that is being played."""
+
+    address: str  # of the page
+    domain_id: int
+    nodes: tuple[NodeProcess, ...]
+
+    def check(self) -> None:
+        """Raises PlayFailed if a node has ended."""
+        for node in self.nodes:
+            if node.exit_status() is not None:
+                raise _failed(node)
+
+
+@contextmanager
+def played(scene: str, seed: int, out: Path, host: str, port: int) -> Iterator[Played]:
+    """Starts all nodes and waits for the page; ends them all afterwards. Raises PlayFailed."""
+    logs, domain_id = out / "logs", default_domain_id()
+    logs.mkdir(parents=True, exist_ok=True)
+    with ExitStack() as nodes:
+
+        def start(module: str, stdout: int | None = None, **parameters: object) -> NodeProcess:
+            (logs / f"{module}.log").unlink(missing_ok=True)
+            node = NodeProcess(module, parameters, domain_id, logs / f"{module}.log", stdout)
+            nodes.callback(node.stop, ENDING)
+            return node
+
+        simulator = start("live_simulator_node", scene=scene, seed=seed)
+        service = start("collision_node")
+        page = start("page_node", subprocess.PIPE, host=host, port=port, folder=str(out), scene=scene)
+        run = Played(_address(page, (service, simulator)), domain_id, (service, simulator, page))
+        yield run
+
+
+def _address(page: NodeProcess, others: tuple[NodeProcess, ...]) -> str:
+    told: list[str] = []
+
+    def read() -> None:
+        for line in page.stdout:
+            if line.startswith("{"):  # some libraries greet on stdout
+                told.append(json.loads(line)["address"])
+
+    threading.Thread(target=read, daemon=True).start()
+    deadline = time.monotonic() + PATIENCE
+    while not told:
+        for node in (page, *others):
+            if node.exit_status() is not None:
+                raise _failed(node)
+        if time.monotonic() > deadline:
+            raise PlayFailed(f"the page did not come within {PATIENCE:.0f} s; see {page.log}")
+        time.sleep(LOOK)
+    return told[0]
+
+
+def _failed(node: NodeProcess) -> PlayFailed:
+    tail = "\n".join(node.log_text().splitlines()[-10:])
+    return PlayFailed(f"{node.name} ended with status {node.exit_status()}; the end of {node.log}:\n{tail}")
