@@ -31,6 +31,7 @@ from fracture_collision.ros.diagnostics import (
     status,
 )
 from fracture_collision.ros.incoming import Incoming
+from fracture_collision.ros.neighbours import Neighbours
 from fracture_collision.ros.parameters import SettingsParameters, declare_fixed
 from fracture_collision.ros.process import Fatal, nothing_to_lose, run_node
 from fracture_collision.ros.prompt_executor import PromptExecutor
@@ -67,8 +68,10 @@ class CollisionNode(Node):
         self._last_answer = "no answer yet"
         self._settings_since = "the start"
 
+        self._neighbours = Neighbours(self)
         self._incoming = Incoming(
             self,
+            self._neighbours,
             lambda: self._settings.max_message_bytes,
             {
                 qos.BODIES.name: self._on_body,
@@ -78,9 +81,9 @@ class CollisionNode(Node):
             self._note,
             self._forget_run,
         )
-        self._contacts = AcknowledgedPublisher(self, qos.CONTACT_CONSTRAINTS, answerers="simulator_node")
-        self._fragments = AcknowledgedPublisher(self, qos.FRAGMENTS, answerers="simulator_node")
-        self._meshes = AcknowledgedPublisher(self, qos.FRAGMENT_MESHES)
+        self._contacts = AcknowledgedPublisher(self, qos.CONTACT_CONSTRAINTS, "simulator_node", self._neighbours)
+        self._fragments = AcknowledgedPublisher(self, qos.FRAGMENTS, "simulator_node", self._neighbours)
+        self._meshes = AcknowledgedPublisher(self, qos.FRAGMENT_MESHES, neighbours=self._neighbours)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         # Not of the node's clock: under use_sim_time that stands still until somebody moves it.
         self.create_timer(1.0, self._every_second, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -107,6 +110,8 @@ class CollisionNode(Node):
 
         with nothing_to_lose():
             compile_kernels(progress=progress)
+            if not self._neighbours.await_all():
+                self.get_logger().info("not all DDS participants of this machine are known; going on")
         self._incoming.listen()
         self._phase = "ready"
         self.get_logger().info(f"ready, {time.perf_counter() - started:.1f} s after its start")
@@ -156,7 +161,7 @@ class CollisionNode(Node):
         if self._meshes_published:
             # A latched publisher keeps all it ever sent, and tells it to who comes; these are no more.
             self._meshes.close()
-            self._meshes = AcknowledgedPublisher(self, qos.FRAGMENT_MESHES)
+            self._meshes = AcknowledgedPublisher(self, qos.FRAGMENT_MESHES, neighbours=self._neighbours)
             self._meshes_published.clear()
 
     def _note(self, *refusals: Refusal) -> None:
@@ -247,23 +252,27 @@ class CollisionNode(Node):
             "phase": self._phase,
             "follows": incoming.followed,
             "refused for it": ", ".join(incoming.waiting) or "nobody",
+            "slow subscribers": self._neighbours.said_of_the_slow(),
+            "messages overtaken before all had them": self._contacts.overtaken + self._fragments.overtaken,
             "states dropped for newer ones": incoming.dropped_states + self._replaced_states,
+            "events held for a body": sum(one.held_event_count for one in (run, self._next_run) if one is not None),
         }
         if run is not None:
             values |= {
                 "run_id": run.run_id,
                 "bodies": len(run.body_ids),
                 "fracture_sequence": run.event_count,
-                "events held for their body": run.held_event_count,
             }
         message = self._phase
+        if self._neighbours.slow:
+            message += "; some subscribers are slow and may miss messages"
         if self._held is not None:
             _, run_id, states = self._held
             message = (
                 f"states of run {run_id}, step {states.step}, are held: their bodies, or the events up to"
                 f" {states.fracture_sequence}, have not all arrived"
             )
-        level = DiagnosticStatus.WARN if self._held is not None else DiagnosticStatus.OK
+        level = DiagnosticStatus.WARN if self._held is not None or self._neighbours.slow else DiagnosticStatus.OK
         self._diagnostics.publish(
             diagnostic_array(
                 self,
