@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
-import pytest
 from ros_client import ServiceClient
 from ros_stage import StageWithClients
 
@@ -23,13 +20,6 @@ FLOOD = 5.0  # [s]
 STATES = FragmentStates(
     1, 0, np.array([1, 2]), np.array([0.0, 0.0, 0.0, 0.7, 0.1, 0.05]), np.tile([0.0, 0.0, 0.0, 1.0], 2)
 )
-
-
-@pytest.fixture
-def stage(tmp_path: Path) -> Iterator[StageWithClients]:
-    stage = StageWithClients(tmp_path)
-    yield stage
-    stage.close()
 
 
 def service_with_two_balls(stage: StageWithClients) -> ServiceClient:

@@ -7,7 +7,6 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -42,13 +41,6 @@ ORDER = {
     "allow_rule": ["domains", "publish", "subscribe"],
 }  # fmt: skip
 KINDS = {"NONE", "SIGN", "ENCRYPT"}
-
-
-@pytest.fixture
-def stage(tmp_path: Path) -> Iterator[StageWithClients]:
-    stage = StageWithClients(tmp_path)
-    yield stage
-    stage.close()
 
 
 def test_the_files_kept_are_those_the_script_writes(tmp_path: Path) -> None:

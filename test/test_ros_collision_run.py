@@ -89,6 +89,17 @@ def test_an_event_of_an_unknown_body_blocks_nothing() -> None:
     assert refusal.kind == "sequence_repeat" and run.held_event_count == 0
 
 
+def test_events_behind_one_whose_body_is_missing_are_held_in_words() -> None:
+    run = CollisionRun(1, SETTINGS)
+    run.add_body(breakable_body())
+    run.add_fracture(FIRST._replace(body_id=77))
+    (refusal,) = run.add_fracture(SECOND)
+    assert refusal.kind == "sequence_gap" and "behind event 1, until body 77 comes" in refusal.reason
+    assert (run.held_event_count, run.event_count) == (2, 0)
+    assert run.add_fracture(FIRST) == []
+    assert (run.held_event_count, run.event_count) == (0, 2)
+
+
 def test_what_is_held_has_a_limit(monkeypatch) -> None:
     monkeypatch.setattr(collision_run, "MAX_HELD_EVENTS", 2)
     run = CollisionRun(1, SETTINGS)

@@ -42,3 +42,11 @@ def test_states(world: CollisionWorld, rule: str) -> None:
     refused(world, lambda: world.contacts(states), kind, words, StatesAhead if rule in AHEAD else InvalidMessage)
     assert world.contacts(EARLIER).fracture_sequence == 0
     assert len(world.contacts(REFERENCE._replace(linear_velocities=np.ones(12), angular_velocities=np.ones(12))).gaps)
+
+
+@pytest.mark.parametrize("wrong", [[1], None, "1", 1.0, True, {}, -1, 2**32])
+def test_what_is_no_id_has_no_mesh(world: CollisionWorld, wrong: object) -> None:
+    with pytest.raises(InvalidMessage, match="^fragment_id: ") as caught:
+        world.fragment_mesh(wrong)
+    assert caught.value.kind == ("out_of_range" if isinstance(wrong, int) and wrong is not True else "wrong_type")
+    assert world.fragment_mesh(np.uint32(2)).fragment_id == 2

@@ -11,36 +11,43 @@ to it; without a third subscriber there is no wait. Setting that delay to 0 by a
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 from rclpy.duration import Duration
 from rclpy.node import Node
-from rclpy.qos import HistoryPolicy
+from rclpy.qos import HistoryPolicy, ReliabilityPolicy
 
+from fracture_collision.ros.message_origin import participant_of
+from fracture_collision.ros.neighbours import Neighbours, is_nameless
 from fracture_collision.ros.qos import Topic
 
-# A subscriber that stalls longer than this (killed, or stopped in a debugger) is left behind rather than holding up the
-# run. One that was killed is listed until its lease has run out, 20 s: while somebody is behind, the others get only as
-# much time at each message as they take if they are alive, on a busy machine too. (Leases of 5 s were tried: on a busy
-# machine the living lost sight of each other, and not all found back.)
-ACKNOWLEDGEMENT_TIMEOUT = Duration(seconds=2)
-ALIVE_TIMEOUT = Duration(seconds=0.5)
+# [s] A subscriber that stalls longer than this (stopped in a debugger, or on another machine that has gone) is left
+# behind rather than holding up the run. Until it has caught up no message waits longer for it, nor for those beside it
+# who cannot be told from it, than twice as long as an acknowledgement takes. One of this machine that was killed holds
+# up nothing (neighbours.py). Shorter leases were tried: with 5 s the living lost sight of each other on a busy machine,
+# and not all found back.
+PATIENCE = 2.0
+PATIENCE_WITH_THE_SLOW = 0.01
+LOOK_INTERVAL = 0.05  # [s] between two looks at whether somebody has died
 
 
 class AcknowledgedPublisher:
     """Publishes on `topic`; overwrites nothing that some subscriber has yet to receive.
 
     `answerers`: nodes of this name need not acknowledge anything, for they answer; where no others listen there is no
-    wait, be they dead or alive.
+    wait. `neighbours`: of the node, for all its publishers: whom one has waited for in vain the others need not.
     """
 
-    def __init__(self, node: Node, topic: Topic, answerers: str = "") -> None:
+    def __init__(self, node: Node, topic: Topic, answerers: str = "", neighbours: Neighbours | None = None) -> None:
         self._topic = topic
         self._node = node
         self._answerers = answerers
+        self._neighbours = neighbours or Neighbours(node)
         self._publisher = node.create_publisher(topic.message_class, topic.name, topic.qos)
-        self._is_behind = False  # whether some subscriber did not acknowledge in time
-        self._listeners = 0, False  # subscribers when it was last asked who they are, and whether any is no answerer
+        self._subscribers: int | None = None  # when it was last asked who they are; None: not all had a name then
+        self._known_listeners: frozenset[bytes] = frozenset()
+        self.overtaken = 0  # messages that the next one followed before all had acknowledged them
 
     @property
     def subscriber_count(self) -> int:
@@ -50,38 +57,63 @@ class AcknowledgedPublisher:
         """Waits until the next message may overwrite the last."""
         if self._topic.qos.history == HistoryPolicy.KEEP_ALL:
             return
-        count = self.subscriber_count
-        if count != self._listeners[0]:
-            names = {info.node_name for info in self._node.get_subscriptions_info_by_topic(self._publisher.topic_name)}
-            self._listeners = count, bool(names - {self._answerers})
-        if self._listeners[1]:
-            self.flush()
+        if not self._listeners():
+            self._neighbours.slow.pop(self._topic.name, None)
+        elif not self.flush():
+            self.overtaken += 1
 
     def publish(self, message: Any) -> None:
         self.settle()
         self._publisher.publish(message)
 
     def publish_again(self, message: Any) -> None:
-        """The last message once more, for somebody who was not there: nothing is overwritten that was not the same,
-        and whoever has not acknowledged it by now may be gone.
-        """
-        self._is_behind = True
+        """The last message once more, for somebody who was not there: nothing is overwritten that was not the same."""
         self._publisher.publish(message)
 
-    def flush(self) -> None:
-        """Waits until everybody has the last message; needed before the publisher goes."""
-        was_behind = self._is_behind
-        self._is_behind = not self._publisher.wait_for_all_acked(
-            ALIVE_TIMEOUT if was_behind else ACKNOWLEDGEMENT_TIMEOUT
-        )
-        if self._is_behind and not was_behind:
+    def flush(self) -> bool:
+        """Waits until everybody has the last message; needed before the publisher goes. False: not all, in time."""
+        slow, name, listeners = self._neighbours.slow, self._topic.name, self._listeners()
+        are_slow = any(not listeners.isdisjoint(some) for some in slow.values())
+        deadline = time.monotonic() + (PATIENCE_WITH_THE_SLOW if are_slow else PATIENCE)
+        while not self._publisher.wait_for_all_acked(Duration(seconds=min(LOOK_INTERVAL, _left(deadline)))):
+            if _left(deadline) == 0.0:
+                break
+            self._neighbours.look()
+        else:
+            slow.pop(name, None)
+            return True
+        if name not in slow:
+            slow[name] = listeners
             self._node.get_logger().warning(
-                f"{self._topic.name}: a subscriber did not acknowledge the last message in time and may miss it",
+                f"{name}: a subscriber did not acknowledge the last message in time and may miss some. These listen:"
+                f" {self._neighbours.names(listeners)}",
                 throttle_duration_sec=5.0,
             )
+        return False
 
     def close(self) -> None:
         """Forgets all it sent, once everybody has it."""
         if self.subscriber_count:
             self.flush()
+        self._neighbours.slow.pop(self._topic.name, None)
         self._node.destroy_publisher(self._publisher)
+
+    def _listeners(self) -> frozenset[bytes]:
+        """Participants of those that need to acknowledge."""
+        count = self.subscriber_count
+        if count != self._subscribers:
+            infos = self._node.get_subscriptions_info_by_topic(self._publisher.topic_name)
+            self._neighbours.look(*infos)
+            self._subscribers = None if any(is_nameless(info) for info in infos) else count
+            # who asks for no promise (best effort) acknowledges nothing
+            self._known_listeners = frozenset(
+                participant_of(bytes(info.endpoint_gid))
+                for info in infos
+                if info.node_name != self._answerers and info.qos_profile.reliability == ReliabilityPolicy.RELIABLE
+            )
+        return self._known_listeners
+
+
+def _left(deadline: float) -> float:
+    """[s]"""
+    return max(deadline - time.monotonic(), 0.0)

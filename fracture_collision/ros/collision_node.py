@@ -17,12 +17,13 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
 from fracture_collision.cdr import Heading, Received
+from fracture_collision.msg import AnswerTimes
 from fracture_collision.records import FragmentStates, refusal_of
 from fracture_collision.ros import qos
 from fracture_collision.ros.acknowledged_publisher import AcknowledgedPublisher
 from fracture_collision.ros.cdr_records import serialize_record
 from fracture_collision.ros.collision_run import CollisionRun, Refusal
-from fracture_collision.ros.conversion import to_message
+from fracture_collision.ros.conversion import header_of, to_message
 from fracture_collision.ros.diagnostics import (
     AnswerTimes,
     RefusalCounts,
@@ -31,6 +32,7 @@ from fracture_collision.ros.diagnostics import (
     status,
 )
 from fracture_collision.ros.incoming import Incoming
+from fracture_collision.ros.neighbours import Neighbours
 from fracture_collision.ros.parameters import SettingsParameters, declare_fixed
 from fracture_collision.ros.process import Fatal, nothing_to_lose, run_node
 from fracture_collision.ros.prompt_executor import PromptExecutor
@@ -67,8 +69,10 @@ class CollisionNode(Node):
         self._last_answer = "no answer yet"
         self._settings_since = "the start"
 
+        self._neighbours = Neighbours(self)
         self._incoming = Incoming(
             self,
+            self._neighbours,
             lambda: self._settings.max_message_bytes,
             {
                 qos.BODIES.name: self._on_body,
@@ -78,9 +82,11 @@ class CollisionNode(Node):
             self._note,
             self._forget_run,
         )
-        self._contacts = AcknowledgedPublisher(self, qos.CONTACT_CONSTRAINTS, answerers="simulator_node")
-        self._fragments = AcknowledgedPublisher(self, qos.FRAGMENTS, answerers="simulator_node")
-        self._meshes = AcknowledgedPublisher(self, qos.FRAGMENT_MESHES)
+        self._contacts = AcknowledgedPublisher(self, qos.CONTACT_CONSTRAINTS, "simulator_node", self._neighbours)
+        self._fragments = AcknowledgedPublisher(self, qos.FRAGMENTS, "simulator_node", self._neighbours)
+        self._meshes = AcknowledgedPublisher(self, qos.FRAGMENT_MESHES, neighbours=self._neighbours)
+        topic = qos.ANSWER_TIMES
+        self._answer_times = self.create_publisher(topic.message_class, topic.name, topic.qos)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         # Not of the node's clock: under use_sim_time that stands still until somebody moves it.
         self.create_timer(1.0, self._every_second, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -107,6 +113,8 @@ class CollisionNode(Node):
 
         with nothing_to_lose():
             compile_kernels(progress=progress)
+            if not self._neighbours.await_all():
+                self.get_logger().info("not all DDS participants of this machine are known; going on")
         self._incoming.listen()
         self._phase = "ready"
         self.get_logger().info(f"ready, {time.perf_counter() - started:.1f} s after its start")
@@ -156,7 +164,7 @@ class CollisionNode(Node):
         if self._meshes_published:
             # A latched publisher keeps all it ever sent, and tells it to who comes; these are no more.
             self._meshes.close()
-            self._meshes = AcknowledgedPublisher(self, qos.FRAGMENT_MESHES)
+            self._meshes = AcknowledgedPublisher(self, qos.FRAGMENT_MESHES, neighbours=self._neighbours)
             self._meshes_published.clear()
 
     def _note(self, *refusals: Refusal) -> None:
@@ -200,7 +208,7 @@ class CollisionNode(Node):
         answered = time.perf_counter()
         self._publish_registry(heading, states.fracture_sequence)
         self._contacts.publish(serialize_record(contacts, heading, run_id))
-        self._record_times(states, answered - started, time.perf_counter() - answered)
+        self._record_times(heading, states, answered - started, time.perf_counter() - answered)
         self._publish_meshes(heading)
 
     def _publish_registry(self, heading: Heading, fracture_sequence: int) -> None:
@@ -222,13 +230,19 @@ class CollisionNode(Node):
 
     # --- what it says of itself ------------------------------------------------------------------------------------
 
-    def _record_times(self, states: FragmentStates, answer: float, conversion: float) -> None:
+    def _record_times(self, heading: Heading, states: FragmentStates, answer: float, conversion: float) -> None:
         parts = dict(self._run.world.last_timings)
         visits = self._run.world.last_visits
         self._times.add({"answer": answer, **parts, "conversion and publishing": conversion}, visits)
         self._last_answer = f"the answer to step {states.step} of run {self._run.run_id}"
+        collision = parts["broad_phase"] + parts["narrow_phase"]
+        if self._answer_times.get_subscription_count():
+            told = AnswerTimes(
+                header=header_of(heading), run_id=self._run.run_id, step=states.step, collision=collision,
+                update=parts["update"], conversion=conversion, visits=visits,
+            )  # fmt: skip
+            self._answer_times.publish(told)
         if self._timing_rows is not None:
-            collision = parts["broad_phase"] + parts["narrow_phase"]
             self._timing_rows.add(
                 (states.step, states.fracture_sequence, collision, parts["update"], conversion, visits)
             )
@@ -247,23 +261,27 @@ class CollisionNode(Node):
             "phase": self._phase,
             "follows": incoming.followed,
             "refused for it": ", ".join(incoming.waiting) or "nobody",
+            "slow subscribers": self._neighbours.said_of_the_slow(),
+            "messages overtaken before all had them": self._contacts.overtaken + self._fragments.overtaken,
             "states dropped for newer ones": incoming.dropped_states + self._replaced_states,
+            "events held for a body": sum(one.held_event_count for one in (run, self._next_run) if one is not None),
         }
         if run is not None:
             values |= {
                 "run_id": run.run_id,
                 "bodies": len(run.body_ids),
                 "fracture_sequence": run.event_count,
-                "events held for their body": run.held_event_count,
             }
         message = self._phase
+        if self._neighbours.slow:
+            message += "; some subscribers are slow and may miss messages"
         if self._held is not None:
             _, run_id, states = self._held
             message = (
                 f"states of run {run_id}, step {states.step}, are held: their bodies, or the events up to"
                 f" {states.fracture_sequence}, have not all arrived"
             )
-        level = DiagnosticStatus.WARN if self._held is not None else DiagnosticStatus.OK
+        level = DiagnosticStatus.WARN if self._held is not None or self._neighbours.slow else DiagnosticStatus.OK
         self._diagnostics.publish(
             diagnostic_array(
                 self,

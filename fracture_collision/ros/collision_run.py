@@ -56,8 +56,10 @@ class CollisionRun:
         return self._apply_held_events()
 
     def add_fracture(self, event: FractureEvent) -> list[Refusal]:
-        """Takes an event, or holds it where its body has not arrived. An event held is reported as one refused, for
-        it may be that the body never comes; a later event of the same sequence takes its place."""
+        """Takes an event, or holds it where its body has not arrived, or behind one that is held. An event held is
+        reported as one refused, for it may be that the body never comes; a later event of the same sequence takes its
+        place.
+        """
         if event.sequence <= self.event_count:
             return self._apply(event)
         self._release(event.sequence)
@@ -68,7 +70,15 @@ class CollisionRun:
         self._held_events[event.sequence] = event
         self._held_bytes += size
         if event.body_id in self._known_bodies:
-            return self._apply_held_events()
+            refusals = self._apply_held_events()
+            if event.sequence not in self._held_events:
+                return refusals
+            first = min(self._held_events)
+            reason = (
+                f"sequence: event {event.sequence} is held behind event {first}, until body"
+                f" {self._held_events[first].body_id} comes"
+            )
+            return [*refusals, Refusal("fracture_events", "sequence_gap", reason)]
         reason = f"body_id: no body {event.body_id}; event {event.sequence} is held until it comes"
         return [Refusal("fracture_events", "unknown_id", reason)]
 

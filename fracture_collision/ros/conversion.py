@@ -49,11 +49,14 @@ def heading(stamp_seconds: float, frame_id: str = "world") -> Heading:
     return Heading(nanoseconds // 10**9, nanoseconds % 10**9, frame_id)
 
 
+def header_of(head: Heading) -> Header:
+    return Header(stamp=Time(sec=head.sec, nanosec=head.nanosec), frame_id=head.frame_id)
+
+
 def to_message(record: NamedTuple, head: Heading, run_id: int) -> Any:
     """The ROS message of a record. ValueError where an array has more than one dimension, a plane not four numbers."""
     message_class = message_class_of(record)
-    header = Header(stamp=Time(sec=head.sec, nanosec=head.nanosec), frame_id=head.frame_id)
-    message = message_class(header=header, run_id=run_id)
+    message = message_class(header=header_of(head), run_id=run_id)
     for name, field_type in message_class.get_fields_and_field_types().items():
         if name not in ("header", "run_id"):
             setattr(message, name, _to_field(getattr(record, name), field_type))

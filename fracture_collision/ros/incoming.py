@@ -13,15 +13,12 @@ from fracture_collision.ros import qos
 from fracture_collision.ros.cdr_records import deserialize_record
 from fracture_collision.ros.collision_run import Refusal
 from fracture_collision.ros.message_origin import Origin, participant_of
+from fracture_collision.ros.neighbours import Neighbours
 from fracture_collision.ros.parameters import declare
 from fracture_collision.ros.run_guard import RunGuard, Verdict
 
 LOG = (qos.BODIES, qos.FRACTURE_EVENTS)  # a run can be rebuilt from these
 TOPICS = (*LOG, qos.FRAGMENT_STATES)
-
-
-# What rmw says of a node whose publishers it has met already.
-_UNKNOWN = "_NODE_NAME_UNKNOWN_"
 
 
 class Incoming:
@@ -33,6 +30,7 @@ class Incoming:
     def __init__(
         self,
         node: Node,
+        neighbours: Neighbours,
         largest_message: Callable[[], int],
         handlers: Mapping[str, Callable[[Received], None]],
         refuse: Callable[[Refusal], None],
@@ -42,13 +40,13 @@ class Incoming:
         shall be forgotten.
         """
         self._node = node
+        self._neighbours = neighbours
         self._largest_message = largest_message
         self._handlers = handlers
         self._refuse = refuse
         self._begin_anew = begin_anew
         self._guard = RunGuard()
         self._run_id: int | None = None  # of the last message that was let through
-        self._names: dict[bytes, str] = {}  # of those that publish, as people know them
         self._subscriptions: dict[str, Subscription] = {}
         self._log_is_due = False  # what was refused of it is wanted now
         self._asked_in_vain: tuple[Origin, Received] | None = None  # the newest states that were another's
@@ -88,12 +86,12 @@ class Incoming:
     @property
     def followed(self) -> str:
         """Whose run it is."""
-        return self._name(self._guard.leader) if self._guard.leader is not None else "nobody"
+        return self._neighbours.name(self._guard.leader) if self._guard.leader is not None else "nobody"
 
     @property
     def waiting(self) -> list[str]:
         """Who is refused for it."""
-        return sorted(map(self._name, self._guard.waiting))
+        return sorted(map(self._neighbours.name, self._guard.waiting))
 
     def _subscribe(self, topic: qos.Topic) -> None:
         self._subscriptions[topic.name] = self._node.create_subscription(
@@ -137,8 +135,8 @@ class Incoming:
         verdict = guard.judge(topic.name, participant, run_id == self._run_id, allow_takeover)
         if verdict is Verdict.REFUSE:
             reason = (
-                f"run {run_id} of {self._name(participant)}: the service follows {self.followed} until that one's"
-                " publishers are gone; the parameter allow_takeover would let another in at once"
+                f"run {run_id} of {self._neighbours.name(participant)}: the service follows {self.followed} until that"
+                " one's publishers are gone; the parameter allow_takeover would let another in at once"
             )
             self._refuse(Refusal(topic.name, "other_publisher", reason))
             return False
@@ -149,17 +147,13 @@ class Incoming:
         return True
 
     def _observe(self) -> None:
-        self._names.clear()
-        publishers: dict[str, set[bytes]] = {}
-        for topic in TOPICS:
-            there = publishers.setdefault(topic.name, set())
-            for info in self._node.get_publishers_info_by_topic(self._subscriptions[topic.name].topic_name):
-                participant = participant_of(bytes(info.endpoint_gid))
-                there.add(participant)
-                if not info.node_name.startswith(_UNKNOWN):
-                    self._names[participant] = f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+        infos = {
+            topic.name: self._node.get_publishers_info_by_topic(self._subscriptions[topic.name].topic_name)
+            for topic in TOPICS
+        }
+        self._neighbours.look(*(info for there in infos.values() for info in there))
+        publishers = {
+            name: {participant_of(bytes(info.endpoint_gid)) for info in there} - self._neighbours.dead
+            for name, there in infos.items()
+        }
         self._guard.observe(publishers, {topic.name for topic in LOG})
-
-    def _name(self, participant: bytes) -> str:
-        """Two nodes may have one name, so with a part of their GUID."""
-        return f"{self._names.get(participant, 'a publisher')} [{participant[4:].hex()}]"

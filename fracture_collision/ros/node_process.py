@@ -15,11 +15,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any
 
+from fracture_collision.ros.farewell import PORT_BASE, PORTS_A_DOMAIN
 from fracture_collision.ros.shared_memory import remove_left_behind
 
 # Domains above this have ports that Linux hands out to anybody (REP 2000's "safe on all platforms").
 HIGHEST_DOMAIN_ID = 101
-_PORT_BASE, _PORTS_A_DOMAIN = 7400, 250  # of the DDS interoperability wire protocol, section 9.6.1
 _SET_PARENT_DEATH_SIGNAL = 1  # prctl's PR_SET_PDEATHSIG
 # Domains that this process has got; more than it uses at a time, and few enough for others to find one.
 _MOST_CLAIMS = 8
@@ -38,7 +38,7 @@ def free_domain_id() -> int:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as discovery:
             try:
                 claim.bind(f"\0fracture_collision/domain/{domain_id}")
-                discovery.bind(("", _PORT_BASE + _PORTS_A_DOMAIN * domain_id))
+                discovery.bind(("", PORT_BASE + PORTS_A_DOMAIN * domain_id))
             except OSError:
                 claim.close()
                 continue

@@ -54,6 +54,7 @@ class PageNode(Node):
         super().__init__("page_node")
         host = declare_fixed(self, "host", "127.0.0.1", "address to serve; others than this machine get in by 0.0.0.0")
         port = declare_fixed(self, "port", 0, "0: any that is free", Range(0, 65535))
+        scene = declare_fixed(self, "scene", "plates", "that runs when the page opens")
         self._folder = Path(declare_fixed(self, "folder", "out/play", "where recordings go"))
         self._hands = LiveClient(self)
         self._service = AsyncParameterClient(self, SERVICE)
@@ -72,7 +73,7 @@ class PageNode(Node):
 
         names = tuple(file.path.stem for file in scene_files())
         try:
-            self.page = Page(self._handlers(), Start(scenes=names, scene="plates"), host, port, TOLD)
+            self.page = Page(self._handlers(), Start(scenes=names if scene in names else (scene, *names), scene=scene), host, port, TOLD)
         except OSError as error:
             raise Fatal(f"the page cannot be served at {host}:{port}: {error}") from error
         print(json.dumps({"address": self.page.address}), flush=True)

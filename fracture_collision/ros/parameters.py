@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from difflib import get_close_matches
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -53,6 +54,17 @@ def declare(
 
 
 declare_fixed = partial(declare, fixed=True)
+
+
+def warn_of_unknown(node: Node) -> None:
+    """Names what a parameter file or the command line gives `node` that it has not declared: rclpy ignores it."""
+    with node.handle:
+        given = node.handle.get_parameters(Parameter)
+    declared = list(node.get_parameters_by_prefix(""))
+    for name in sorted(given.keys() - set(declared)):
+        nearest = get_close_matches(name, declared, n=1)
+        advice = f"; did you mean {nearest[0]}?" if nearest else ""
+        node.get_logger().warning(f"parameter {name}: there is none of that name, it changes nothing{advice}")
 
 
 class SettingsParameters:

@@ -20,6 +20,7 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 
+from fracture_collision.ros.parameters import warn_of_unknown
 from fracture_collision.ros.shared_memory import remove_left_behind
 from fracture_collision.share import share_directory
 
@@ -73,6 +74,7 @@ def run_node(make_node: Callable[[], Node], work: Callable[[Node], None]) -> int
     node = None
     try:
         node = make_node()
+        warn_of_unknown(node)
         work(node)
         return 0
     except ExternalShutdownException:

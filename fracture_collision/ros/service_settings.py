@@ -12,9 +12,8 @@ from rclpy.parameter import parameter_value_to_python
 from rclpy.qos import qos_profile_parameter_events
 from rclpy.task import Future
 
+from fracture_collision.ros.neighbours import is_nameless
 from fracture_collision.world import Settings
-
-_UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"  # rcl's, until discovery has brought the name
 
 
 class ServiceSettings:
@@ -32,7 +31,7 @@ class ServiceSettings:
     def look(self) -> None:
         """Asks a publisher that has not been asked yet. To be called now and then."""
         publishers = self._node.get_publishers_info_by_topic(self._topic)
-        if not publishers or publishers[0].node_name == _UNKNOWN_NODE:
+        if not publishers or is_nameless(publishers[0]):
             return
         gid = bytes(publishers[0].endpoint_gid)
         name = f"{publishers[0].node_namespace.rstrip('/')}/{publishers[0].node_name}"

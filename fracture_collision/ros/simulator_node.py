@@ -17,6 +17,7 @@ from fracture_collision.ros import qos
 from fracture_collision.ros.acknowledged_publisher import AcknowledgedPublisher
 from fracture_collision.ros.cdr_records import deserialize_record, serialize_record
 from fracture_collision.ros.conversion import heading, to_message, to_record
+from fracture_collision.ros.neighbours import Neighbours
 from fracture_collision.ros.parameters import Range, declare_fixed
 from fracture_collision.ros.process import Fatal, nothing_to_lose, run_node
 from fracture_collision.ros.prompt_executor import PromptExecutor
@@ -60,7 +61,7 @@ class SimulatorNode(Node):
         self._run_id = run_id or derived_run_id(scene.name, scene.seed if seed < 0 else seed)
 
         self._bodies, self._events = self._open_log()
-        self._states = AcknowledgedPublisher(self, qos.FRAGMENT_STATES, answerers="collision_node")
+        self._states = AcknowledgedPublisher(self, qos.FRAGMENT_STATES, "collision_node", Neighbours(self))
         self._contacts_topic = self.resolve_topic_name(qos.CONTACT_CONSTRAINTS.name)  # it may be remapped
         for topic, callback, raw in (
             (qos.CONTACT_CONSTRAINTS, self._on_contacts, True),

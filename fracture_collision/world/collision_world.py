@@ -21,7 +21,7 @@ from fracture_collision.records import (
     FragmentRegistry,
     FragmentStates,
 )
-from fracture_collision.world.checks import refuse
+from fracture_collision.world.checks import identifier, refuse
 from fracture_collision.world.contact_ids import contact_ids
 from fracture_collision.world.errors import StatesAhead
 from fracture_collision.world.fragment_mesh import fragment_mesh
@@ -130,12 +130,13 @@ class CollisionWorld:
         return self._registry.record()
 
     def fragment_mesh(self, fragment_id: int) -> FragmentMesh:
-        """Surface of a living fragment for viewers; raises InvalidMessage for one that is not."""
+        """Surface of a living fragment for viewers; raises InvalidMessage for one that is not, or for no id at all."""
+        number = identifier("fragment_id", fragment_id)
         self._advance(self._registry.sequence)
-        row = self._registry.row_of(fragment_id)
+        row = self._registry.row_of(number)
         if row is None:
-            refuse("unknown_id", f"fragment_id: no living fragment {fragment_id}")
-        return fragment_mesh(fragment_id, self._registry.geometry, row)
+            refuse("unknown_id", f"fragment_id: no living fragment {number}")
+        return fragment_mesh(number, self._registry.geometry, row)
 
     def _advance(self, sequence: int) -> None:
         """Bring the registry to `sequence` events, from the log's beginning if it has gone farther."""
