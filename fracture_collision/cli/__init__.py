@@ -6,6 +6,7 @@ import click
 
 from fracture_collision.cli.bags import digest, mend, record
 from fracture_collision.cli.bench import bench
+from fracture_collision.cli.play import play
 from fracture_collision.cli.replay import replay
 from fracture_collision.cli.scene import scene
 from fracture_collision.cli.smash import smash
@@ -43,7 +44,7 @@ def main() -> None:
 main.add_command(smash)
 main.add_command(scene)
 main.add_command(bench)
-for command in (teleop, replay, record, mend, digest):
+for command in (play, teleop, replay, record, mend, digest):
     main.add_command(command)
 
 

@@ -38,7 +38,7 @@ def play(scene: str, seed: int | None, host: str, port: int, opens: bool, out: P
     """Smash a scene yourself, in the browser.
 
     Starts collision_node, live_simulator_node and the page as processes that talk over DDS on this machine alone, and
-    runs until Ctrl-C. `ros2 topic list`, RViz and nodes of your own see the same topics, in the ROS domain that is named.
+    runs until Ctrl-C. `ros2 topic list` and nodes of your own see the same topics, in the domain that is named.
     """
     console = Console()
     interrupt_on_signals()

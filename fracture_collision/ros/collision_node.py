@@ -17,7 +17,6 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
 from fracture_collision.cdr import Heading, Received
-from fracture_collision.msg import AnswerTimes
 from fracture_collision.records import FragmentStates, refusal_of
 from fracture_collision.ros import qos
 from fracture_collision.ros.acknowledged_publisher import AcknowledgedPublisher
@@ -237,7 +236,7 @@ class CollisionNode(Node):
         self._last_answer = f"the answer to step {states.step} of run {self._run.run_id}"
         collision = parts["broad_phase"] + parts["narrow_phase"]
         if self._answer_times.get_subscription_count():
-            told = AnswerTimes(
+            told = qos.ANSWER_TIMES.message_class(
                 header=header_of(heading), run_id=self._run.run_id, step=states.step, collision=collision,
                 update=parts["update"], conversion=conversion, visits=visits,
             )  # fmt: skip

@@ -71,9 +71,9 @@ class PageNode(Node):
         self._held: tuple[int, np.ndarray] | None = None  # fragment and grip in its body frame
         self._stop_timer: Timer | None = None  # of the hammer, after the last arrow key
 
-        names = tuple(file.path.stem for file in scene_files())
+        scenes = tuple(dict.fromkeys((scene, *(file.path.stem for file in scene_files()))))
         try:
-            self.page = Page(self._handlers(), Start(scenes=names if scene in names else (scene, *names), scene=scene), host, port, TOLD)
+            self.page = Page(self._handlers(), Start(scenes=scenes, scene=scene), host, port, TOLD)
         except OSError as error:
             raise Fatal(f"the page cannot be served at {host}:{port}: {error}") from error
         print(json.dumps({"address": self.page.address}), flush=True)

@@ -1,4 +1,4 @@
-"""A live scene with its page: service, simulator and page as processes that talk over DDS, until they are told to end."""
+"""A live scene with its page: service, simulator and page, processes that talk over DDS until they are told to end."""
 
 from __future__ import annotations
 
