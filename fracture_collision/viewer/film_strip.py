@@ -9,12 +9,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from fracture_collision.viewer.ray_picture import render
-from fracture_collision.viewer.recorded_run import RecordedRun, RecordedStates, read_run
-from fracture_collision.viewer.run_camera import camera_of, sun_of
+from fracture_collision.viewer.recorded_run import RecordedRun, read_run
+from fracture_collision.viewer.run_camera import camera_of, chosen_moments, sun_of
 from fracture_collision.viewer.run_scene import RunScene
 
-FRACTURE_WEIGHT = 0.75  # of the choice of moments; the rest of it is spread evenly over the run
-AFTERMATH = 0.3  # [s] for so long a fracture is worth looking at
 GAP = 8  # [px] between frames
 
 
@@ -45,21 +43,6 @@ def draw_film_strip(
     sun = sun_of(camera)
     pictures = [render(scene.at(states), camera, width, height, sun, samples) for states in moments]
     _compose(pictures, [f"{states.time:.2f} s" for states in moments], Path(png_path))
-
-
-def chosen_moments(run: RecordedRun, count: int) -> list[RecordedStates]:
-    """`count` states (fewer if the run has fewer), first and last among them, dense where fractures happen."""
-    time = np.array([states.time for states in run.states])
-    sequence = np.array([states.fracture_sequence for states in run.states])
-    share = np.arange(len(time)) / max(1, len(time) - 1)
-    broken_at = time[1:][np.diff(sequence) > 0]
-    if len(broken_at):
-        seen = np.clip((time[:, None] - broken_at) / AFTERMATH, 0.0, 1.0).mean(axis=1)
-        share = (1.0 - FRACTURE_WEIGHT) * share + FRACTURE_WEIGHT * seen / max(seen[-1], 1e-9)
-    wanted = np.linspace(0.0, 1.0, count) if count > 1 else np.ones(1)
-    nearest = np.abs(share[None] - wanted[:, None]).argmin(axis=1)
-    nearest[-1] = len(time) - 1
-    return [run.states[i] for i in sorted(set(nearest.tolist()))]
 
 
 def _compose(pictures: list[np.ndarray], captions: list[str], png_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""From where a run is looked at: picked from what moves in it and where it comes from."""
+"""When and from where a run is looked at: picked from what breaks and moves in it and where that comes from."""
 
 from __future__ import annotations
 
@@ -7,10 +7,27 @@ import math
 import numpy as np
 
 from fracture_collision.viewer.ray_picture import Camera
-from fracture_collision.viewer.recorded_run import RecordedStates
+from fracture_collision.viewer.recorded_run import RecordedRun, RecordedStates
 from fracture_collision.viewer.run_scene import RunScene
 
 OPENING = math.radians(32.0)
+FRACTURE_WEIGHT = 0.75  # of the choice of moments; the rest of it is spread evenly over the run
+AFTERMATH = 0.3  # [s] for so long a fracture is worth looking at
+
+
+def chosen_moments(run: RecordedRun, count: int) -> list[RecordedStates]:
+    """`count` states (fewer if the run has fewer), first and last among them, dense where fractures happen."""
+    time = np.array([states.time for states in run.states])
+    sequence = np.array([states.fracture_sequence for states in run.states])
+    share = np.arange(len(time)) / max(1, len(time) - 1)
+    broken_at = time[1:][np.diff(sequence) > 0]
+    if len(broken_at):
+        seen = np.clip((time[:, None] - broken_at) / AFTERMATH, 0.0, 1.0).mean(axis=1)
+        share = (1.0 - FRACTURE_WEIGHT) * share + FRACTURE_WEIGHT * seen / max(seen[-1], 1e-9)
+    wanted = np.linspace(0.0, 1.0, count) if count > 1 else np.ones(1)
+    nearest = np.abs(share[None] - wanted[:, None]).argmin(axis=1)
+    nearest[-1] = len(time) - 1
+    return [run.states[i] for i in sorted(set(nearest.tolist()))]
 
 
 def sun_of(camera: Camera) -> np.ndarray:
