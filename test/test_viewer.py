@@ -14,9 +14,10 @@ from oracles.fragmented_body import ORIGINAL, FragmentedBody
 from fracture_collision.bag.reader import BagError
 from fracture_collision.geometry.generators import brick
 from fracture_collision.records import BOX, SPHERE, CollisionBody, FragmentMesh, FragmentStates, SolidPrimitive
-from fracture_collision.viewer.film_strip import GAP, chosen_moments, render_film_strip
+from fracture_collision.viewer.film_strip import GAP, render_film_strip
 from fracture_collision.viewer.ray_picture import Camera, TriangleScene, render
 from fracture_collision.viewer.recorded_run import RecordedRun, RecordedStates, read_run
+from fracture_collision.viewer.run_camera import chosen_moments
 from fracture_collision.viewer.times_plot import plot_times
 
 WIDTH, HEIGHT = 128, 96

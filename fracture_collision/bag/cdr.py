@@ -1,11 +1,17 @@
-"""The messages that a replay needs as bytes: bags are read and answers compared where no ROS is installed."""
+"""The messages that replays and viewers need as bytes: bags are read and answers compared where no ROS is installed."""
 
 from __future__ import annotations
 
 from typing import Any, NamedTuple
 
 from fracture_collision.cdr import Codec, Heading, Layout, Received
-from fracture_collision.records import CollisionBody, ContactConstraintArray, FractureEvent, FragmentStates
+from fracture_collision.records import (
+    CollisionBody,
+    ContactConstraintArray,
+    FractureEvent,
+    FragmentMesh,
+    FragmentStates,
+)
 
 _FIRST = (("header", "std_msgs/Header"), ("run_id", "uint64"))
 # Those of the generated message classes, which bags are read without.
@@ -32,6 +38,10 @@ LAYOUTS: dict[type, Layout] = {
         ("missed_depth_bound", "sequence<double>"), ("friction", "sequence<double>"),
         ("restitution", "sequence<double>"), ("points_a", "sequence<double>"), ("points_b", "sequence<double>"),
         ("normals", "sequence<double>"), ("gaps", "sequence<double>"), ("contact_ids", "sequence<uint64>"),
+    ),
+    FragmentMesh: (
+        *_FIRST, ("fragment_id", "uint32"), ("vertices", "sequence<float>"), ("triangles", "sequence<uint32>"),
+        ("is_crack", "sequence<boolean>"),
     ),
 }  # fmt: skip
 

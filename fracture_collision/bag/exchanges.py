@@ -5,6 +5,7 @@ Topics are known by their message types, so the run may have been recorded under
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,7 +18,7 @@ from fracture_collision.records import CollisionBody, ContactConstraintArray, Fr
 PACKAGE = "fracture_collision/msg/"
 _CLASSES = (CollisionBody, FractureEvent, FragmentStates, ContactConstraintArray)
 # How the generated message classes write the types that .msg files write otherwise.
-_TYPE_WORDS = {"float64": "double", "bool": "boolean"}
+_TYPE_WORDS = {"float64": "double", "float32": "float", "bool": "boolean"}
 
 
 class Message(NamedTuple):
@@ -57,7 +58,7 @@ def read_runs(bag: Path, namespace: str | None = None) -> list[Run]:
     `namespace`: of the topics, where there are several. A message sent again counts once. Raises BagError in words
     where the bag holds no run, or a message is not what its topic says.
     """
-    classes = _topics(bag, namespace)
+    classes = topics_of(bag, _CLASSES, namespace)
     runs: dict[int, _Gathered] = {}
     for count, message in enumerate(read_messages(bag, list(classes))):
         record_class = classes[message.topic]
@@ -82,9 +83,12 @@ def canonical(received: Received) -> bytes:
     return serialize_record(received.record, received.heading, received.run_id)
 
 
-def _topics(bag: Path, namespace: str | None) -> dict[str, Any]:
-    """Of each topic that a run needs the class of its records."""
-    known = {PACKAGE + record_class.__name__: record_class for record_class in _CLASSES}
+def topics_of(bag: Path, record_classes: Iterable[Any], namespace: str | None = None) -> dict[str, Any]:
+    """By topic the class of its records, of those that have one of `record_classes`, known by their message types.
+
+    Raises BagError where they are of several services, or were recorded with another definition.
+    """
+    known = {PACKAGE + record_class.__name__: record_class for record_class in record_classes}
     classes: dict[str, Any] = {}
     for topic, (name, definition) in topic_types(bag).items():
         if name in known and (namespace is None or topic.rpartition("/")[0] == "/" + namespace.strip("/")):

@@ -1,19 +1,19 @@
-"""A run as a bag holds it: bodies, fractures, meshes and where everything was at each step."""
+"""A run as a bag holds it: bodies, fractures, meshes, where everything was at each step and what was answered."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from mcap.reader import make_reader
-from mcap_ros2.decoder import DecoderFactory
 
-from fracture_collision.bag.reader import BagError, mcap_files
-from fracture_collision.records import REMOVE, CollisionBody, FragmentMesh, SolidPrimitive
+from fracture_collision.bag.cdr import deserialize_record
+from fracture_collision.bag.exchanges import Question, Run, read_runs, topics_of
+from fracture_collision.bag.reader import BagError, read_messages
+from fracture_collision.records import REMOVE, CollisionBody, ContactConstraintArray, FragmentMesh, FragmentStates
 
-PACKAGE = "fracture_collision/msg/"
+NO_ANSWERS: Mapping[int, bytes] = {}
 
 
 class RecordedStates(NamedTuple):
@@ -30,80 +30,72 @@ class RecordedRun(NamedTuple):
     body_of: dict[int, int]  # fragment_id -> body_id
     meshes: dict[int, FragmentMesh]  # by fragment_id
     states: list[RecordedStates]  # ascending in step
+    answers: Mapping[int, bytes] = NO_ANSWERS  # by step, serialized; those that were recorded
+
+    def contacts(self, step: int) -> ContactConstraintArray | None:
+        """What was answered to the states of a step; None where that was not recorded. Raises BagError."""
+        data = self.answers.get(step)
+        if data is None:
+            return None
+        try:
+            return deserialize_record(data, ContactConstraintArray).record
+        except ValueError as error:
+            raise BagError(f"step {step}: {error}") from error
 
 
-def read_run(bag: Path) -> RecordedRun:
+def read_run(bag: Path, namespace: str | None = None) -> RecordedRun:
     """Read the last run of a bag: a rosbag2 folder, or one .mcap file.
 
-    Topics are known by their message types, so the run may have been recorded under any namespace. Raises BagError in
-    words where there is no such file, or no FragmentStates in it.
+    Topics are known by their message types, so the run may have been recorded under any namespace; `namespace` says
+    which where there are several. Raises BagError in words where there is no such file, no FragmentStates in it, or
+    something is not what its topic says.
     """
-    messages: dict[int, dict[str, list[Any]]] = {}
-    last_run = None
-    for kind, message in _messages(mcap_files(bag)):
-        messages.setdefault(message.run_id, {}).setdefault(kind, []).append(message)
-        if kind == "FragmentStates":
-            last_run = message.run_id
-    if last_run is None:
-        raise BagError(f"{bag}: holds no {PACKAGE}FragmentStates")
-    run = messages[last_run]
-    bodies = {m.body_id: _body(m) for m in run.get("CollisionBody", []) if m.operation != REMOVE}
+    return recorded_run(bag, read_runs(bag, namespace)[-1], namespace)
+
+
+def recorded_run(bag: Path, run: Run, namespace: str | None = None) -> RecordedRun:
+    """One of the runs that `read_runs` found in the bag, with the meshes recorded beside it. Raises BagError."""
+    added = (message.received.record for message in run.bodies)
+    bodies = {body.body_id: body for body in added if body.operation != REMOVE}
     body_of = {body.fragment_id: body.body_id for body in bodies.values()}
-    for event in run.get("FractureEvent", []):
-        body_of.update((int(f), event.body_id) for f in event.new_fragment_ids)
-    meshes = {m.fragment_id: _mesh(m) for m in run.get("FragmentMesh", [])}
-    states = {m.step: _states(m) for m in run["FragmentStates"]}
-    return RecordedRun(bodies, body_of, meshes, [states[step] for step in sorted(states)])
+    for message in run.events:
+        event = message.received.record
+        body_of.update((f, event.body_id) for f in event.new_fragment_ids.tolist())
+    states = [_states(bag, question) for question in run.questions]
+    answers = {question.step: question.answers[0] for question in run.questions if question.answers}
+    return RecordedRun(bodies, body_of, _meshes(bag, run.run_id, namespace), states, answers)
 
 
-def _messages(files: list[Path]) -> Iterator[tuple[str, Any]]:
-    kinds = ("CollisionBody", "FractureEvent", "FragmentMesh", "FragmentStates")
-    for file in files:
-        with file.open("rb") as stream:
-            reader = make_reader(stream, decoder_factories=[DecoderFactory()])
-            summary = reader.get_summary()
-            topics = None
-            if summary is not None:
-                wanted = {PACKAGE + kind for kind in kinds}
-                ids = {i for i, schema in summary.schemas.items() if schema.name in wanted}
-                topics = [c.topic for c in summary.channels.values() if c.schema_id in ids]
-                if not topics:
-                    continue
-            for schema, _, _, message in reader.iter_decoded_messages(topics=topics):
-                kind = schema.name.removeprefix(PACKAGE)
-                if kind in kinds:
-                    yield kind, message
+def _meshes(bag: Path, run_id: int, namespace: str | None) -> dict[int, FragmentMesh]:
+    meshes: dict[int, FragmentMesh] = {}
+    topics = topics_of(bag, [FragmentMesh], namespace)
+    if not topics:
+        return meshes
+    for message in read_messages(bag, list(topics)):
+        try:
+            received = deserialize_record(message.data, FragmentMesh)
+        except ValueError as error:
+            raise BagError(f"{bag}: {message.topic}: {error}") from error
+        mesh = received.record
+        corners, triangles = len(mesh.vertices) // 3, len(mesh.triangles) // 3
+        fits = 3 * corners == len(mesh.vertices) and 3 * triangles == len(mesh.triangles) == 3 * len(mesh.is_crack)
+        if not fits or np.any(mesh.triangles >= corners) or not np.isfinite(mesh.vertices).all():
+            raise BagError(f"{bag}: {message.topic}: the mesh of fragment {mesh.fragment_id} is no triangle mesh")
+        if received.run_id == run_id:
+            meshes[mesh.fragment_id] = mesh
+    return meshes
 
 
-def _body(message: Any) -> CollisionBody:
-    return CollisionBody(
-        body_id=message.body_id,
-        fragment_id=message.fragment_id,
-        name=message.name,
-        primitive=SolidPrimitive(message.primitive.type, tuple(message.primitive.dimensions)),
-        plane=np.array(message.plane.coef, dtype=np.float64),
-        vertices=np.array(message.vertices, dtype=np.float64),
-        triangles=np.array(message.triangles, dtype=np.uint32),
-        tetrahedra=np.array(message.tetrahedra, dtype=np.uint32),
-        is_static=message.is_static,
-    )
-
-
-def _mesh(message: Any) -> FragmentMesh:
-    return FragmentMesh(
-        message.fragment_id,
-        np.array(message.vertices, dtype=np.float32),
-        np.array(message.triangles, dtype=np.uint32),
-        np.array(message.is_crack, dtype=np.bool_),
-    )
-
-
-def _states(message: Any) -> RecordedStates:
+def _states(bag: Path, question: Question) -> RecordedStates:
+    states: FragmentStates = deserialize_record(question.states, FragmentStates).record
+    count = len(states.fragment_ids)
+    if len(states.positions) != 3 * count or len(states.orientations) != 4 * count:
+        raise BagError(f"{bag}: step {states.step}: not as many poses as fragments")
     return RecordedStates(
-        time=message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec,
-        step=message.step,
-        fracture_sequence=message.fracture_sequence,
-        fragment_ids=np.array(message.fragment_ids, dtype=np.int64),
-        positions=np.array(message.positions, dtype=np.float64).reshape(-1, 3),
-        orientations=np.array(message.orientations, dtype=np.float64).reshape(-1, 4),
+        time=1e-9 * question.time,
+        step=states.step,
+        fracture_sequence=states.fracture_sequence,
+        fragment_ids=states.fragment_ids.astype(np.int64),
+        positions=states.positions.reshape(-1, 3),
+        orientations=states.orientations.reshape(-1, 4),
     )

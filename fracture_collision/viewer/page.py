@@ -1,0 +1,243 @@
+"""A page in the browser that shows a run while it happens, and tells what a person does there.
+
+It takes records, whoever has them: a bag that is played, nodes that are listened to. Nothing waits for the network:
+calls leave what is new with a thread of the page's own, which hands the newest of it to the browsers, at most thirty
+times a second, meshes and removals at once. viser serves the page and keeps what is in it, so that a browser may come,
+go and come back at any time, and several may look.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import threading
+import time
+import traceback
+from collections import deque
+from collections.abc import Callable
+
+import viser
+
+from fracture_collision.records import CollisionBody, ContactConstraintArray, FragmentMesh, FragmentStates
+from fracture_collision.viewer.page_contacts import ContactLayers
+from fracture_collision.viewer.page_controls import Controls
+from fracture_collision.viewer.page_events import Handlers, Start
+from fracture_collision.viewer.page_plots import Figures, Plots
+from fracture_collision.viewer.page_scene import SceneNodes
+from fracture_collision.viewer.page_stream import LiveValues
+from fracture_collision.viewer.ray_picture import Camera
+
+LOCALHOST = "127.0.0.1"
+INTERVAL = 1.0 / 30.0  # [s] between two pictures
+TITLE = "fracture_collision"
+BRAND = (38, 94, 150)
+
+
+class LocalServer(viser.ViserServer):
+    """Serves this machine, or whom its host says, and nobody else: the way through a public relay is shut."""
+
+    def request_share_url(self, verbose: bool = True) -> str | None:
+        return None
+
+
+class Page:
+    """Use as a context manager, or `close` it. Calls may come from any one thread; `handlers` are called in another."""
+
+    def __init__(
+        self,
+        handlers: Handlers | None = None,
+        start: Start | None = None,
+        host: str = LOCALHOST,
+        port: int = 0,
+        told: frozenset[str] = frozenset(),
+        add_controls: Callable[[viser.GuiApi], None] = lambda gui: None,
+    ) -> None:
+        """`port` 0: any free one. `told`: which fields of Figures there will be: only those get a plot. `add_controls`:
+        makes knobs of the caller's own, above all others. Raises OSError where it cannot be served.
+        """
+        handlers = handlers or Handlers()
+        with _viser_is_quiet():
+            self._server = LocalServer(host=host, port=port, label=TITLE, verbose=False)
+        self.address = f"http://{self._server.get_host()}:{self._server.get_port()}"
+        self._server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=BRAND)
+        self._live = LiveValues(self._server)
+        drag = {"start": handlers.drag_begun, "update": handlers.drag_moved, "end": handlers.drag_ended}
+        self._scene = SceneNodes(self._server, self._live, drag if all(drag.values()) else {})
+        self._summary = self._server.gui.add_markdown("")
+        add_controls(self._server.gui)
+        Controls(self._server, handlers, start or Start())
+        self._layers = ContactLayers(self._server, self._live, self._redraw_contacts)
+        shadows = self._server.gui.add_checkbox("shadows", True, hint="off for graphics processors that are slow")
+        shadows.on_update(lambda _event: self._order(lambda: self._scene.cast_shadows(shadows.value)))
+        self._plots = Plots(self._server, told)
+        self._server.on_client_connect(self._live.send_all)
+
+        self._news = threading.Condition()
+        self._orders: deque[Callable[[], None]] = deque()  # in the order in which they were given
+        self._states: FragmentStates | None = None  # the newest, until it is shown
+        self._contacts: ContactConstraintArray | None = None
+        self._contacts_are_new = False
+        self._figures: list[Figures] = []
+        self._said = ""
+        self._busy = self._closed = False
+        self.pictures = 0  # states handed to the browsers so far
+        self.paint_seconds = 0.0  # processor time of that, meshes included
+        self._thread = threading.Thread(target=self._paint, name="page", daemon=True)
+        self._thread.start()
+
+    def __enter__(self) -> Page:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def browsers(self) -> int:
+        """How many look."""
+        return len(self._server.get_clients())
+
+    @property
+    def messages_sent(self) -> int:
+        """Poses, one of them two messages, and contact layers, to each browser."""
+        return self._live.messages_sent
+
+    @property
+    def wants_contacts(self) -> bool:
+        """Whether a switch is on that shows them; without, there is no need to fetch any."""
+        return self._layers.wanted
+
+    def new_run(self) -> None:
+        """All that is there goes, and what has not been shown yet."""
+        with self._news:
+            self._orders.clear()
+            self._states = self._contacts = None
+            self._contacts_are_new = True
+            self._figures = []
+            self._order(self._clear)
+
+    def add_body(self, body: CollisionBody) -> None:
+        """Planes and static bodies are there at once, others as soon as states name their fragment."""
+        self._order(lambda: self._scene.add_body(body))
+
+    def remove_body(self, body_id: int) -> None:
+        self._order(lambda: self._scene.remove_body(body_id))
+
+    def add_fragment(self, mesh: FragmentMesh, body_id: int) -> None:
+        """There as soon as states name it. Until all that the states name is known, what was there stays."""
+        self._order(lambda: self._scene.add_fragment(mesh, body_id))
+
+    def remove_fragment(self, fragment_id: int) -> None:
+        """It does not come again. One that only is not there at the moment states leave out, and nothing else."""
+        self._order(lambda: self._scene.remove(fragment_id))
+
+    def look_from(self, camera: Camera) -> None:
+        """Without, the camera of a run is chosen when its first states come."""
+        self._order(lambda: self._scene.look_from(camera))
+
+    def show_states(self, states: FragmentStates) -> None:
+        with self._news:
+            self._states = states
+            self._news.notify()
+
+    def show_contacts(self, contacts: ContactConstraintArray | None) -> None:
+        with self._news:
+            self._contacts, self._contacts_are_new = contacts, True
+            self._news.notify()
+
+    def show_figures(self, figures: Figures) -> None:
+        """All are plotted, also those of steps that are not shown."""
+        with self._news:
+            self._figures.append(figures)
+            self._news.notify()
+
+    def flush(self, timeout: float = 10.0) -> None:
+        """Returns when all that was handed over is on its way. Raises TimeoutError."""
+        with self._news:
+            if not self._news.wait_for(lambda: self._closed or not (self._busy or self._has_news()), timeout):
+                raise TimeoutError(f"the page was not done within {timeout} s")
+
+    def close(self) -> None:
+        """Ends the page for all who look."""
+        with self._news:
+            self._closed = True
+            self._news.notify_all()
+        self._thread.join()
+        with _viser_is_quiet():
+            self._server.stop()
+
+    def _order(self, order: Callable[[], None]) -> None:
+        with self._news:
+            self._orders.append(order)
+            self._news.notify()
+
+    def _redraw_contacts(self) -> None:
+        with self._news:
+            self._contacts_are_new = True
+            self._news.notify()
+
+    def _clear(self) -> None:
+        self._scene.clear()
+        self._plots.clear()
+
+    def _has_news(self) -> bool:
+        return bool(self._orders or self._states is not None or self._contacts_are_new or self._figures)
+
+    def _paint(self) -> None:
+        due = time.monotonic()  # of the next picture
+        while True:
+            with self._news:
+                self._busy = False
+                self._news.notify_all()
+                self._news.wait_for(lambda: self._closed or self._has_news())
+                if not self._orders:  # thirty times a second is enough; an order does not wait so long
+                    self._news.wait_for(lambda: self._closed or self._orders, max(due - time.monotonic(), 0.0))
+                if self._closed:
+                    return
+                orders, self._orders = self._orders, deque()
+                states, self._states = self._states, None
+                figures, self._figures = self._figures, []
+                contacts, redraw, self._contacts_are_new = self._contacts, self._contacts_are_new, False
+                self._busy = True
+            due, began = max(due, time.monotonic() - INTERVAL) + INTERVAL, time.thread_time()
+            try:
+                self._show(orders, states, figures, contacts, redraw)
+            except Exception:  # of one picture; the next may be all right
+                traceback.print_exc()
+            self.paint_seconds += time.thread_time() - began
+
+    def _show(
+        self,
+        orders: deque[Callable[[], None]],
+        states: FragmentStates | None,
+        figures: list[Figures],
+        contacts: ContactConstraintArray | None,
+        redraw: bool,
+    ) -> None:
+        for order in orders:
+            order()
+        if states is not None:
+            self._scene.place(states)
+            self.pictures += 1
+            if not self._scene.is_looked_at:
+                self._scene.look_at_all()
+        if redraw:
+            self._layers.draw(contacts, self._scene.centre)
+        for row in figures:
+            self._plots.add(row)
+        if figures:
+            self._plots.draw()
+            self._say(figures[-1])
+
+    def _say(self, figures: Figures) -> None:
+        counts = {"fragments": figures.fragments, "contacts": figures.contacts}
+        known = (f"{count} {name}" for name, count in counts.items() if count is not None)
+        text = " · ".join((f"**{figures.time:.2f} s**", *known))
+        if text != self._said:
+            self._summary.content = self._said = text
+
+
+@contextlib.contextmanager
+def _viser_is_quiet():
+    """viser prints a table of addresses and a farewell, whatever its verbosity."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        yield

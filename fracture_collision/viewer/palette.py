@@ -1,0 +1,57 @@
+"""Colours by which bodies, their fragments and the cracks in them are told apart."""
+
+from __future__ import annotations
+
+import colorsys
+from typing import NamedTuple
+
+import numpy as np
+
+from fracture_collision.records import CollisionBody
+
+# Linear RGB. One family of colours a breakable body; what does not break keeps to the quiet ones.
+FAMILY_HUES = (0.56, 0.03, 0.11, 0.43, 0.78, 0.33, 0.93, 0.64)
+THROWN_COLOUR = (0.10, 0.10, 0.12)
+STATIC_COLOURS = ((0.46, 0.29, 0.16), (0.34, 0.21, 0.12), (0.62, 0.60, 0.56), (0.40, 0.42, 0.44))
+GLAZE_SHINE, PLAIN_SHINE = 0.35, 0.06
+
+
+class Paint(NamedTuple):
+    outside: tuple[float, float, float]  # linear RGB, 0..1
+    crack: tuple[float, float, float]
+    shine: float  # of the outside, 0..1; cracks are matt
+
+
+class Palette:
+    """Colours of the bodies it was told of: a family each for those that can break, in the order in which they came."""
+
+    def __init__(self) -> None:
+        self._family: dict[int, int] = {}
+        self._static_rank: dict[int, int] = {}
+
+    def add(self, body: CollisionBody) -> None:
+        if len(body.tetrahedra):
+            self._family.setdefault(body.body_id, len(self._family))
+        elif body.is_static and not np.any(body.plane):
+            self._static_rank.setdefault(body.body_id, len(self._static_rank))
+
+    def is_breakable(self, body_id: int) -> bool:
+        return body_id in self._family
+
+    def paint(self, fragment_id: int, body_id: int) -> Paint:
+        """Fragments of a body are shades of one hue; their cracks are all of the same, much paler one."""
+        if body_id in self._family:
+            # Neighbouring ids differ visibly: the golden ratio spreads them over the family's range of lightness.
+            spread = (fragment_id * 0.6180339887) % 1.0
+            hue = FAMILY_HUES[self._family[body_id] % len(FAMILY_HUES)]
+            outside = colorsys.hls_to_rgb(hue + 0.02 * (spread - 0.5), 0.42 + 0.12 * spread, 0.62)
+            crack = colorsys.hls_to_rgb(hue, 0.80, 0.45)
+            return Paint(_linear(outside), _linear(crack), GLAZE_SHINE)
+        rank = self._static_rank.get(body_id)
+        colour = THROWN_COLOUR if rank is None else STATIC_COLOURS[rank % len(STATIC_COLOURS)]
+        return Paint(colour, colour, PLAIN_SHINE)
+
+
+def _linear(colour: tuple[float, float, float]) -> tuple[float, float, float]:
+    """From display values, by a gamma of 2."""
+    return colour[0] ** 2, colour[1] ** 2, colour[2] ** 2
