@@ -6,9 +6,11 @@ import click
 
 from fracture_collision.cli.bags import digest, mend, record
 from fracture_collision.cli.bench import bench
+from fracture_collision.cli.film import film
 from fracture_collision.cli.replay import replay
 from fracture_collision.cli.scene import scene
 from fracture_collision.cli.smash import smash
+from fracture_collision.cli.view import view
 
 EXAMPLES = """\b
 Examples:
@@ -23,6 +25,8 @@ Examples:
   fracture-collision replay --help                ... over DDS, backwards, on 8 threads
   fracture-collision record bricks --out out/b    a bag without DDS
   fracture-collision mend out/smash/bag           whose recorder was killed
+  fracture-collision view out/smash/bag           a recorded run in the browser
+  fracture-collision film out/smash/bag           ... as an animated picture, or an MP4
 
 The nodes alone: collision_node and simulator_node, with --ros-args -p NAME:=VALUE.
 """
@@ -41,7 +45,7 @@ def main() -> None:
 main.add_command(smash)
 main.add_command(scene)
 main.add_command(bench)
-for command in (replay, record, mend, digest):
+for command in (view, film, replay, record, mend, digest):
     main.add_command(command)
 
 

@@ -22,7 +22,7 @@ from fracture_collision.records import CollisionBody, ContactConstraintArray, Fr
 from fracture_collision.viewer.page_contacts import ContactLayers
 from fracture_collision.viewer.page_controls import Controls
 from fracture_collision.viewer.page_events import Handlers, Start
-from fracture_collision.viewer.page_plots import Figures, Plots
+from fracture_collision.viewer.page_plots import Figures, Plots, check_told
 from fracture_collision.viewer.page_scene import SceneNodes
 from fracture_collision.viewer.page_stream import LiveValues
 from fracture_collision.viewer.ray_picture import Camera
@@ -53,9 +53,11 @@ class Page:
         add_controls: Callable[[viser.GuiApi], None] = lambda gui: None,
     ) -> None:
         """`port` 0: any free one. `told`: which fields of Figures there will be: only those get a plot. `add_controls`:
-        makes knobs of the caller's own, above all others. Raises OSError where it cannot be served.
+        makes knobs of the caller's own, above all others. Raises OSError where it cannot be served, ValueError where
+        `told` names no figure.
         """
         handlers = handlers or Handlers()
+        check_told(told)
         with _viser_is_quiet():
             self._server = LocalServer(host=host, port=port, label=TITLE, verbose=False)
         self.address = f"http://{self._server.get_host()}:{self._server.get_port()}"
