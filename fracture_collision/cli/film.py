@@ -41,7 +41,7 @@ class PictureSize(click.ParamType):
 @click.argument("bag", type=click.Path(exists=True, path_type=Path))
 @click.option(
     "--out", type=click.Path(dir_okay=False, path_type=Path),
-    help="A .webp, .gif, .png (animated) or .mp4.  [default: BAG.webp]",
+    help="A .webp, .gif or .mp4.  [default: BAG.webp]",
 )  # fmt: skip
 @click.option("--fps", type=click.FloatRange(1.0, 100.0), default=25.0, show_default=True, help="Frames a second.")
 @click.option("--size", type=PictureSize(), default="640x360", show_default=True, help="Pixels.")

@@ -1,6 +1,6 @@
 """A recorded run as a film: an animated picture, or an MP4 through the ffmpeg that the user has.
 
-GIF, WebP and PNG are written by Pillow. For MP4 there is no encoder here: those that come as wheels are under the GPL
+GIF and WebP are written by Pillow. For MP4 there is no encoder here: those that come as wheels are under the GPL
 or bring libraries that are, and a package that is Apache-2.0 had better not install them; as a program of the user's
 own, called with pictures on its standard input, ffmpeg is as good as any.
 """
@@ -23,7 +23,7 @@ from fracture_collision.viewer.recorded_run import RecordedRun
 from fracture_collision.viewer.run_camera import camera_of, chosen_moments, sun_of
 from fracture_collision.viewer.run_scene import RunScene
 
-ANIMATED = {".gif": "GIF", ".webp": "WEBP", ".png": "PNG", ".apng": "PNG"}
+ANIMATED = {".gif": "GIF", ".webp": "WEBP"}
 MOMENTS = 6  # of the run that the camera is chosen by
 GIF_COLOURS = 255  # of one frame, beside the one for what has not changed
 WEBP_QUALITY = 80
@@ -49,7 +49,7 @@ class Cut(NamedTuple):
 
 
 def make_film(run: RecordedRun, path: Path, cut: Cut, progress: Progress = lambda done, total: None) -> int:
-    """Write the film and return how many frames it has. Its suffix says what it is: .gif, .webp, .png (animated), .mp4.
+    """Write the film and return how many frames it has. Its suffix says what it is: .gif, .webp or .mp4.
 
     The file is there when it is complete, and not before; if anything goes wrong, or `progress` raises, what was there
     stays. Raises FilmError, and BagError where the run lacks meshes.
@@ -101,7 +101,7 @@ def _write_animated(frames: Iterator[np.ndarray], path: Path, cut: Cut) -> None:
     from PIL import Image
 
     kind = ANIMATED[path.suffix.lower()]
-    options = {"WEBP": {"quality": WEBP_QUALITY, "method": 4}, "GIF": {"disposal": 1}, "PNG": {}}[kind]
+    options = {"WEBP": {"quality": WEBP_QUALITY, "method": 4}, "GIF": {"disposal": 1}}[kind]
 
     def pictures() -> Iterator[Image.Image]:
         for frame in frames:

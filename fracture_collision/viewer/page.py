@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import socket
 import threading
 import time
 import traceback
@@ -58,6 +59,7 @@ class Page:
         """
         handlers = handlers or Handlers()
         check_told(told)
+        _check_free(host, port)
         with _viser_is_quiet():
             self._server = LocalServer(host=host, port=port, label=TITLE, verbose=False)
         self.address = f"http://{self._server.get_host()}:{self._server.get_port()}"
@@ -71,6 +73,7 @@ class Page:
         self._layers = ContactLayers(self._server, self._live, self._redraw_contacts)
         shadows = self._server.gui.add_checkbox("shadows", True, hint="off for graphics processors that are slow")
         shadows.on_update(lambda _event: self._order(lambda: self._scene.cast_shadows(shadows.value)))
+        self._shadows = shadows
         self._plots = Plots(self._server, told)
         self._server.on_client_connect(self._live.send_all)
 
@@ -135,6 +138,10 @@ class Page:
     def look_from(self, camera: Camera) -> None:
         """Without, the camera of a run is chosen when its first states come."""
         self._order(lambda: self._scene.look_from(camera))
+
+    def cast_shadows(self, on: bool) -> None:
+        """As the page's own switch does."""
+        self._shadows.value = on
 
     def show_states(self, states: FragmentStates) -> None:
         with self._news:
@@ -236,6 +243,15 @@ class Page:
         text = " · ".join((f"**{figures.time:.2f} s**", *known))
         if text != self._said:
             self._summary.content = self._said = text
+
+
+def _check_free(host: str, port: int) -> None:
+    """Raises OSError. viser would wait for ever for a host that is none of this machine's, and take the next port in
+    place of one that is taken.
+    """
+    with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as trial:
+        trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        trial.bind((host, port))
 
 
 @contextlib.contextmanager
