@@ -6,11 +6,13 @@ import click
 
 from fracture_collision.cli.bags import digest, mend, record
 from fracture_collision.cli.bench import bench
+from fracture_collision.cli.film import film
 from fracture_collision.cli.play import play
 from fracture_collision.cli.replay import replay
 from fracture_collision.cli.scene import scene
 from fracture_collision.cli.smash import smash
 from fracture_collision.cli.teleop import teleop
+from fracture_collision.cli.view import view
 
 EXAMPLES = """\b
 Examples:
@@ -25,7 +27,7 @@ Examples:
   fracture-collision replay --help                ... over DDS, backwards, on 8 threads
   fracture-collision record bricks --out out/b    a bag without DDS
   fracture-collision mend out/smash/bag           whose recorder was killed
-  fracture-collision teleop                       the hammer of a live scene by keys, from another terminal
+for command in (play, teleop, view, film, replay, record, mend, digest):
 
 The nodes alone: collision_node and simulator_node, with --ros-args -p NAME:=VALUE.
 """
@@ -44,7 +46,11 @@ def main() -> None:
 main.add_command(smash)
 main.add_command(scene)
 main.add_command(bench)
+<<<<<<< HEAD
 for command in (play, teleop, replay, record, mend, digest):
+=======
+for command in (view, film, replay, record, mend, digest):
+>>>>>>> page
     main.add_command(command)
 
 

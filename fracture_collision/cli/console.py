@@ -16,7 +16,7 @@ from types import FrameType
 
 import click
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from fracture_collision.run_report import TableRow
@@ -110,6 +110,24 @@ class ProgressBar:
         self._bar.update(
             self._task, completed=step, total=steps, now=now, description="simulating" if steps else word
         )
+
+
+@contextmanager
+def counting_bar(console: Console, doing: str, things: str) -> Iterator[Callable[[int, int], None]]:
+    """A bar that is there from the first call on: of so many things done, of how many."""
+    bar = Progress(
+        TextColumn(doing), BarColumn(), MofNCompleteColumn(), TextColumn(things), TimeElapsedColumn(), console=console
+    )
+    task = bar.add_task("", total=None)
+
+    def show(done: int, total: int) -> None:
+        bar.start()
+        bar.update(task, completed=done, total=total)
+
+    try:
+        yield show
+    finally:
+        bar.stop()
 
 
 def figures_table(title: str, columns: Iterable[str], rows: Iterable[Iterable[str]]) -> Table:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import socket
 import threading
 import time
 import traceback
@@ -22,7 +23,7 @@ from fracture_collision.records import CollisionBody, ContactConstraintArray, Fr
 from fracture_collision.viewer.page_contacts import ContactLayers
 from fracture_collision.viewer.page_controls import Controls
 from fracture_collision.viewer.page_events import Handlers, Start
-from fracture_collision.viewer.page_plots import Figures, Plots
+from fracture_collision.viewer.page_plots import Figures, Plots, check_told
 from fracture_collision.viewer.page_scene import SceneNodes
 from fracture_collision.viewer.page_stream import LiveValues
 from fracture_collision.viewer.ray_picture import Camera
@@ -53,9 +54,12 @@ class Page:
         add_controls: Callable[[viser.GuiApi], None] = lambda gui: None,
     ) -> None:
         """`port` 0: any free one. `told`: which fields of Figures there will be: only those get a plot. `add_controls`:
-        makes knobs of the caller's own, above all others. Raises OSError where it cannot be served.
+        makes knobs of the caller's own, above all others. Raises OSError where it cannot be served, ValueError where
+        `told` names no figure.
         """
         handlers = handlers or Handlers()
+        check_told(told)
+        _check_free(host, port)
         with _viser_is_quiet():
             self._server = LocalServer(host=host, port=port, label=TITLE, verbose=False)
         self.address = f"http://{self._server.get_host()}:{self._server.get_port()}"
@@ -69,6 +73,7 @@ class Page:
         self._layers = ContactLayers(self._server, self._live, self._redraw_contacts)
         shadows = self._server.gui.add_checkbox("shadows", True, hint="off for graphics processors that are slow")
         shadows.on_update(lambda _event: self._order(lambda: self._scene.cast_shadows(shadows.value)))
+        self._shadows = shadows
         self._plots = Plots(self._server, told)
         self._server.on_client_connect(self._live.send_all)
 
@@ -133,6 +138,10 @@ class Page:
     def look_from(self, camera: Camera) -> None:
         """Without, the camera of a run is chosen when its first states come."""
         self._order(lambda: self._scene.look_from(camera))
+
+    def cast_shadows(self, on: bool) -> None:
+        """As the page's own switch does."""
+        self._shadows.value = on
 
     def show_states(self, states: FragmentStates) -> None:
         with self._news:
@@ -234,6 +243,15 @@ class Page:
         text = " · ".join((f"**{figures.time:.2f} s**", *known))
         if text != self._said:
             self._summary.content = self._said = text
+
+
+def _check_free(host: str, port: int) -> None:
+    """Raises OSError. viser would wait for ever for a host that is none of this machine's, and take the next port in
+    place of one that is taken.
+    """
+    with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as trial:
+        trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        trial.bind((host, port))
 
 
 @contextlib.contextmanager

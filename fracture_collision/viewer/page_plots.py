@@ -39,14 +39,18 @@ PLOTS = (
 )
 
 
+def check_told(told: frozenset[str]) -> None:
+    """Raises ValueError where one of them is no field of Figures."""
+    unknown = told - set(Figures._fields)
+    if unknown:
+        raise ValueError(f"no figures of these names: {', '.join(sorted(unknown))}")
+
+
 class Plots:
     """One plot for each group of figures that are told. One thread at a time."""
 
     def __init__(self, server: viser.ViserServer, told: frozenset[str]) -> None:
         """`told`: names of the fields of Figures that will not be None; of `time` there need be no word."""
-        unknown = told - set(Figures._fields)
-        if unknown:
-            raise ValueError(f"no figures of these names: {', '.join(sorted(unknown))}")
         self._rows: deque[Figures] = deque()
         self._next = 0.0  # [s] of the wall clock
         self._plots: list[tuple[viser.GuiUplotHandle, tuple[str, ...]]] = []

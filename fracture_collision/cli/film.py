@@ -1,0 +1,91 @@
+"""`fracture-collision film`: a recorded run as an animated picture or an MP4."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.console import Console
+
+from fracture_collision.cli.console import INTERRUPTED, Interruption, counting_bar
+
+NO_BAG = 2
+
+EXAMPLES = """\b
+Examples:
+  fracture-collision film out/smash/bag                       out/smash/bag.webp, to put into a README
+  fracture-collision film out/smash/bag --out smash.mp4       by the ffmpeg that is installed
+  fracture-collision film out/smash/bag --begin 0.3 --end 0.8 --speed 0.1 --out crash.gif
+"""
+
+
+class PictureSize(click.ParamType):
+    """WxH as (W, H)."""
+
+    name = "WxH"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if not isinstance(value, str):
+            return value
+        found = re.fullmatch(r"(\d{1,4})x(\d{1,4})", value)
+        width, height = map(int, found.groups()) if found else (0, 0)
+        if min(width, height) < 16:
+            self.fail(f"{value!r} is no WxH of at least 16 pixels each", param, ctx)
+        return width, height
+
+
+@click.command(epilog=EXAMPLES)
+@click.argument("bag", type=click.Path(exists=True, path_type=Path))
+@click.option(
+    "--out", type=click.Path(dir_okay=False, path_type=Path),
+    help="A .webp, .gif or .mp4.  [default: BAG.webp]",
+)  # fmt: skip
+@click.option("--fps", type=click.FloatRange(1.0, 100.0), default=25.0, show_default=True, help="Frames a second.")
+@click.option("--size", type=PictureSize(), default="640x360", show_default=True, help="Pixels.")
+@click.option("--begin", type=click.FloatRange(min=0.0), default=0.0, help="Simulated s.  [default: the beginning]")
+@click.option("--end", type=click.FloatRange(min=0.0), help="Simulated s.  [default: the end]")
+@click.option(
+    "--speed", type=click.FloatRange(0.001, 100.0), default=1.0, show_default=True, help="Simulated s a second of film."
+)
+@click.option("--samples", type=click.IntRange(1, 64), default=4, show_default=True, help="Rays a pixel.")
+@click.option("--namespace", help="Of the topics, in a bag of several services.")
+def film(
+    bag: Path, out: Path | None, fps: float, size: tuple[int, int], begin: float, end: float | None, speed: float,
+    samples: int, namespace: str | None,
+) -> None:  # fmt: skip
+    """Make a film of the last run of BAG: a rosbag2 folder, or one .mcap file.
+
+    Times count from the first recorded states. The film is there when it is complete, and not before.
+    """
+    console = Console()
+    interruption = Interruption(console, "stopped; there is no film")
+    # Imported late: --help should not wait for numba.
+    from fracture_collision.bag.errors import BagError
+    from fracture_collision.run_meshes import read_run_with_meshes
+    from fracture_collision.viewer.film import Cut, FilmError, make_film
+
+    out = out or bag.resolve().with_suffix(".webp")
+    cut = Cut(begin, float("inf") if end is None else end, speed, fps, *size, samples)
+    try:
+        with counting_bar(console, "making meshes", "fractures") as progress:
+            run = read_run_with_meshes(bag, namespace, progress)
+        with counting_bar(console, "drawing", "frames") as progress, interruption.held():
+
+            def drawn(done: int, total: int) -> None:
+                interruption.check()
+                progress(done, total)
+
+            count = make_film(run, out, cut, drawn)
+    except BagError as error:
+        failure = click.ClickException(str(error))
+        failure.exit_code = NO_BAG
+        raise failure from error
+    except (FilmError, OSError, ModuleNotFoundError) as error:
+        raise click.ClickException(str(error)) from error
+    except KeyboardInterrupt:
+        console.print("stopped; there is no film")
+        sys.exit(INTERRUPTED)
+    console.print(f"  {out}: {count} frames, {out.stat().st_size / 1e6:.1f} MB", highlight=False, soft_wrap=True)

@@ -1,0 +1,83 @@
+"""A headless Chromium with WebGL in software, for tests of the page; where there is none they are left out in words."""
+
+from __future__ import annotations
+
+import io
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, TypeVar
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+PROGRAMS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+ARGUMENTS = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox")  # root has no other way
+PATIENCE = 60.0  # [s] with pictures drawn in software on a machine that does other things beside
+WIDTH, HEIGHT = 800, 360
+PANEL = 340  # [px] on the right
+# What viser 1.1 says of its own listeners when something is dragged; nothing is wrong then.
+KNOWN = "Unable to preventDefault inside passive event listener"
+
+Found = TypeVar("Found")
+
+
+@contextmanager
+def chromium() -> Iterator[Any]:
+    playwright = pytest.importorskip("playwright.sync_api", reason="the page is tested by playwright: not installed")
+    program = next(filter(None, map(shutil.which, PROGRAMS)), None)
+    if program is None:
+        pytest.skip("no Chromium on this machine to test the page in: apt install chromium")
+    with playwright.sync_playwright() as running:
+        browser = running.chromium.launch(executable_path=program, args=list(ARGUMENTS))
+        try:
+            yield browser
+        finally:
+            browser.close()
+
+
+@contextmanager
+def opened(browser: Any, address: str) -> Iterator[Any]:
+    """A page that has come to the scene. Whoever leaves it finds nothing wrong in its console, and nothing asked of
+    anybody but the address.
+    """
+    context = browser.new_context(viewport={"width": WIDTH, "height": HEIGHT})
+    page = context.new_page()
+    page.set_default_timeout(1e3 * PATIENCE)
+    wrong: list[str] = []
+    elsewhere: list[str] = []
+
+    def on_console(said: Any) -> None:
+        if said.type == "error" and KNOWN not in said.text:
+            wrong.append(said.text)
+
+    def on_request(asked: Any) -> None:
+        if not asked.url.startswith((address, "data:", "blob:")):
+            elsewhere.append(asked.url)
+
+    page.on("console", on_console)
+    page.on("request", on_request)
+    page.on("pageerror", lambda error: wrong.append(str(error)))
+    page.goto(address)
+    page.wait_for_selector("canvas")
+    try:
+        yield page
+        assert not wrong and not elsewhere, (wrong, elsewhere)
+    finally:
+        context.close()
+
+
+def picture_of(page: Any) -> np.ndarray:
+    """(height, width, 3) 0..1, of what the panel leaves free."""
+    shot = page.screenshot(clip={"x": 0, "y": 0, "width": WIDTH - PANEL, "height": HEIGHT}, timeout=1e3 * PATIENCE)
+    return imread(io.BytesIO(shot))[..., :3]
+
+
+def until(look: Callable[[], Found], good: Callable[[Found], bool], patience: float = PATIENCE) -> Found:
+    """Look again and again, each look taking its time, until what is seen is good."""
+    end = time.monotonic() + patience
+    while not good(seen := look()):
+        assert time.monotonic() < end, seen
+    return seen
