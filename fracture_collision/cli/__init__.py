@@ -27,7 +27,10 @@ Examples:
   fracture-collision replay --help                ... over DDS, backwards, on 8 threads
   fracture-collision record bricks --out out/b    a bag without DDS
   fracture-collision mend out/smash/bag           whose recorder was killed
-for command in (play, teleop, view, film, replay, record, mend, digest):
+  fracture-collision play                         smash it yourself, in the browser
+  fracture-collision teleop                       the hammer of a live scene by keys, from another terminal
+  fracture-collision view out/smash/bag           a recorded run in the browser
+  fracture-collision film out/smash/bag           ... as a picture that moves
 
 The nodes alone: collision_node and simulator_node, with --ros-args -p NAME:=VALUE.
 """
@@ -46,11 +49,7 @@ def main() -> None:
 main.add_command(smash)
 main.add_command(scene)
 main.add_command(bench)
-<<<<<<< HEAD
-for command in (play, teleop, replay, record, mend, digest):
-=======
-for command in (view, film, replay, record, mend, digest):
->>>>>>> page
+for command in (play, teleop, view, film, replay, record, mend, digest):
     main.add_command(command)
 
 
