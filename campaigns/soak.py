@@ -17,6 +17,7 @@ from typing import NamedTuple
 import click
 
 from campaigns.kills.stage import await_end, await_ready, must_end, stage
+from fracture_collision.cli.console import interrupt_on_signals
 
 SETTLING = 300.0  # [s] of a service's life before its memory is looked at
 TICKS = os.sysconf("SC_CLK_TCK")
@@ -95,6 +96,7 @@ def main(minutes: float, scene: str, seeds: int, listen: bool, out: Path) -> Non
     """
     from rich.console import Console
 
+    interrupt_on_signals()
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir(parents=True)
     cycles = []

@@ -6,12 +6,14 @@ import fcntl
 import mmap
 import os
 import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 
 import pytest
 
-from campaigns.kills.stage import Digests, litter, stage
+from campaigns.kills.stage import Digests, await_that, litter, stage
 from campaigns.kills.trials import kill_listeners, kill_services, kill_simulators, orders_of_ending, undisturbed
 from campaigns.soak import Cycle, growth, soak
 from fracture_collision.bag.reader import message_counts
@@ -102,6 +104,26 @@ def test_a_soak_measures_what_it_says(tmp_path: Path) -> None:
     (first,) = soak(tmp_path, SCENE, 2, 0.1, True, no_progress)
     assert first.runs == 2 and first.age > 0.1
     assert first.resident > 50.0 and 0.0 < first.processor < 60.0
+
+
+def test_a_soak_in_the_background_ends_by_ctrl_c(tmp_path: Path) -> None:
+    """A shell starts it there with SIGINT ignored."""
+    before = litter().processes
+    command = [sys.executable, "-m", "campaigns.soak", "--scene", SCENE, "--seeds", "1", "--out", str(tmp_path)]
+    process = subprocess.Popen(command, stderr=subprocess.DEVNULL, preexec_fn=_ignore_ctrl_c)
+    try:
+        log = tmp_path / "logs" / "collision_node_1.log"
+        await_that(lambda: log.exists() and "loading kernels" in log.read_text(), "a service that is soaked")
+        assert process.poll() is None
+        process.send_signal(signal.SIGINT)
+        assert process.wait(60.0) not in (0, -signal.SIGINT)
+    finally:
+        process.kill()
+    assert litter().processes <= before
+
+
+def _ignore_ctrl_c() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def test_growth_of_memory_and_time_is_found() -> None:

@@ -25,7 +25,9 @@ def main(times: int, others: int, scene: str, seed: int, out: Path) -> None:
 
     from campaigns.kills import trials
     from campaigns.kills.stage import litter
+    from fracture_collision.cli.console import interrupt_on_signals
 
+    interrupt_on_signals()
     console = Console()
     shutil.rmtree(out, ignore_errors=True)
     with Console(stderr=True).status("a run that nobody disturbs") as status:

@@ -135,10 +135,15 @@ def await_recording(recorder: NodeProcess, steps: int, *alive: NodeProcess) -> f
 
 
 def must_end(node: NodeProcess) -> None:
-    """With status 0 and no traceback, else RuntimeError."""
-    status = node.stop(patience=60.0)
-    if status != 0 or "Traceback" in node.log_text():
-        raise RuntimeError(f"{node.name} ended with {status}:\n{node.log_text()[-2000:]}")
+    """Well, else RuntimeError."""
+    if fault := fault_at_end(node, node.stop(patience=60.0)):
+        raise RuntimeError(fault)
+
+
+def fault_at_end(node: NodeProcess, status: int) -> str:
+    """In words; "" where it ended with status 0 and no traceback."""
+    text = node.log_text()
+    return f"{node.name} ended with {status}:\n{text[-2000:]}" if status != 0 or "Traceback" in text else ""
 
 
 class Litter(NamedTuple):

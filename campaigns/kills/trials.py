@@ -21,6 +21,7 @@ from campaigns.kills.stage import (
     await_that,
     await_words,
     digests,
+    fault_at_end,
     must_end,
     stage,
     steps_told,
@@ -137,10 +138,8 @@ def orders_of_ending(folder: Path, scene: str, progress: Progress) -> Iterator[s
             for k in order:
                 three[k].send_signal(sign)
             for node in three:
-                status = node.wait(60.0)
-                if status != 0 or "Traceback" in node.log_text():
-                    names = ", ".join(three[k].name for k in order)
-                    yield f"{sign.name} to {names}: {node.name} ended with {status}: {node.log_text()[-300:]}"
+                if fault := fault_at_end(node, node.wait(60.0)):
+                    yield f"{sign.name} to {', '.join(three[k].name for k in order)}: {fault}"
 
 
 def _start(
