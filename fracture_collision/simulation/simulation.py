@@ -48,6 +48,14 @@ from fracture_collision.simulation.scene import Scene, SceneBody
 from fracture_collision.simulation.scene_records import collision_body
 
 
+class _Traits(NamedTuple):
+    """What the scene says of the engine's bodies."""
+
+    fragment_ids: np.ndarray  # (n,) uint32, in the engine's order
+    rolling_arms: np.ndarray  # (n + 1,) [m]; the last for what cannot move
+    strengths: np.ndarray  # (n,) [N s]; inf where it does not break
+
+
 class StepRequest(NamedTuple):
     """What must be published before the answer can come."""
 
@@ -105,6 +113,7 @@ class Simulation:
         self._events: list[FractureEvent] = []
         self._announced = False
         self._held_together: set[int] = set()  # fragments that were hit hard enough but found no pattern to break by
+        self._known_traits: _Traits | None = None
         self._warm_start = NO_WARM_START
         self._memory = contact_memory.NOTHING
         self._asked: FragmentStates | None = None
@@ -165,7 +174,7 @@ class Simulation:
         pairs = self._body_pairs(contacts, states)
         pushes, hand_energy = self.drag.pull(states, self.time, self._scene.time_step, self._scene.gravity)
         bodies = self._rigid_bodies(states, pushes)
-        solution, overloaded = self._solve(bodies, contacts, pairs)
+        solution, overloaded = self._solve(bodies, contacts, pairs, self._traits(states).strengths)
         solver_seconds = time.perf_counter() - started
         v, drift = solution.velocities, solution.drift
         self._engine.advance(v[:, :3], v[:, 3:], drift[:, :3], drift[:, 3:])
@@ -185,6 +194,7 @@ class Simulation:
             impact = Rotation.from_quat(states.frame_orientations[i]).inv().apply(impact - states.frame_positions[i])
             if not self._break(fragment_id, moved.frame(i), impact, load / strength):
                 self._held_together.add(fragment_id)
+                self._known_traits = None
         return StepReport(
             step=asked[0],
             time=self.time,
@@ -231,15 +241,17 @@ class Simulation:
         return FragmentStates(self._step, self._sequence, ids[order], *[column[order].ravel() for column in columns])
 
     def _admit_waiting(self, registry: FragmentRegistry) -> None:
-        rows = {int(fragment_id): row for row, fragment_id in enumerate(registry.fragment_ids)}
+        if not self._waiting:
+            return
+        rows = {fragment_id: row for row, fragment_id in enumerate(registry.fragment_ids.tolist())}
         for fragment_id in sorted(self._waiting):
             if fragment_id not in rows:
                 raise ValueError(f"registry of fracture_sequence {self._sequence}: fragment {fragment_id} is missing")
             row = rows[fragment_id]
-            xx, xy, xz, yy, yz, zz = registry.inertias[6 * row : 6 * row + 6]
+            xx, xy, xz, yy, yz, zz = registry.inertias[6 * row : 6 * row + 6].tolist()
             properties = MassProperties(
                 mass=float(registry.masses[row]),
-                center_of_mass=np.array(registry.centers_of_mass[3 * row : 3 * row + 3]),
+                center_of_mass=registry.centers_of_mass[3 * row : 3 * row + 3],
                 inertia=np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]),
             )
             self._engine.add(fragment_id, properties, self._waiting[fragment_id])
@@ -252,16 +264,17 @@ class Simulation:
 
     def _body_pairs(self, contacts: ContactConstraintArray, states: BodyStates) -> BodyPairs:
         immovable = len(states.fragment_ids)
-        ids = np.append(states.fragment_ids, 0)
+        ids, arms_of = np.append(states.fragment_ids, 0), self._traits(states).rolling_arms
 
         def rows_and_arms(fragments: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             rows = np.searchsorted(states.fragment_ids, fragments)
             rows = np.where(ids[rows] == fragments, rows, immovable)
-            for fragment in fragments[rows == immovable]:
-                if int(fragment) not in self._body_id_of or not self._scene_body(int(fragment)).is_static:
+            arms = arms_of[rows]
+            for fragment in np.unique(fragments[rows == immovable]).tolist():
+                if fragment not in self._body_id_of or not self._scene_body(fragment).is_static:
                     raise ValueError(f"contacts of step {contacts.step}: fragment {fragment} is not in the states")
-            arms = [self._scene_body(int(fragment)).material.rolling_arm for fragment in fragments]
-            return rows.astype(np.int64), np.array(arms)
+                arms[fragments == fragment] = self._scene_body(fragment).material.rolling_arm
+            return rows.astype(np.int64), arms
 
         (a, arms_a), (b, arms_b) = rows_and_arms(contacts.fragment_a), rows_and_arms(contacts.fragment_b)
         return BodyPairs(a, b, np.maximum(arms_a, arms_b))
@@ -270,14 +283,13 @@ class Simulation:
         return self._body_of[self._body_id_of[fragment_id]]
 
     def _solve(
-        self, bodies: RigidBodies, contacts: ContactConstraintArray, pairs: BodyPairs
+        self, bodies: RigidBodies, contacts: ContactConstraintArray, pairs: BodyPairs, strengths: np.ndarray
     ) -> tuple[Solution, np.ndarray]:
-        """Velocities, and the rows of the bodies that break."""
+        """Velocities, and the rows of the bodies that break. `strengths` (n,) [N s] of the bodies."""
         settings, time_step = self._scene.solver, self._scene.time_step
         solution = solve_contacts(bodies, contacts, pairs, self._warm_start, settings, time_step)
         count = len(bodies.masses)
         loads = normal_impulse_sums(solution, contacts, pairs, count)
-        strengths = self._strengths(bodies.masses)
         overloaded = np.flatnonzero(loads > strengths)
         if len(overloaded):
             share = np.ones(count + 1)
@@ -295,21 +307,28 @@ class Simulation:
             )
         return solution, overloaded
 
-    def _strengths(self, masses: np.ndarray) -> np.ndarray:
-        """[N s] for each body of the engine; inf where it does not break."""
-        result = np.full(len(masses), np.inf)
-        for i, fragment_id in enumerate(self._engine.states().fragment_ids):
-            fracture = self._scene_body(int(fragment_id)).material.fracture
-            body = self._breakable.get(self._body_id_of[int(fragment_id)])
-            if (
-                fracture is not None
-                and body is not None
-                and int(fragment_id) not in self._held_together
-                and masses[i] >= fracture.minimum_mass
-                and body.node_count(int(fragment_id)) >= 2 * fracture.pattern.minimum_nodes
-            ):
-                result[i] = fracture.strength
-        return result
+    def _traits(self, states: BodyStates) -> _Traits:
+        """Made anew where bodies have come or gone."""
+        if self._known_traits is None or not np.array_equal(self._known_traits.fragment_ids, states.fragment_ids):
+            ids = states.fragment_ids.tolist()
+            arms = [self._scene_body(fragment_id).material.rolling_arm for fragment_id in ids]
+            strengths = [self._strength(*body) for body in zip(ids, states.masses.tolist(), strict=True)]
+            self._known_traits = _Traits(states.fragment_ids, np.array([*arms, 0.0]), np.array(strengths))
+        return self._known_traits
+
+    def _strength(self, fragment_id: int, mass: float) -> float:
+        """[N s]; inf where it does not break."""
+        fracture = self._scene_body(fragment_id).material.fracture
+        body = self._breakable.get(self._body_id_of[fragment_id])
+        if (
+            fracture is None
+            or body is None
+            or fragment_id in self._held_together
+            or mass < fracture.minimum_mass
+            or body.node_count(fragment_id) < 2 * fracture.pattern.minimum_nodes
+        ):
+            return np.inf
+        return fracture.strength
 
     def _break(self, fragment_id: int, frame: FrameState, impact: np.ndarray, overload: float) -> bool:
         """`impact` (3,) [m] in the body frame. False where the fragment holds together."""
