@@ -23,8 +23,8 @@ from fracture_collision.viewer.recorded_run import RecordedRun, RecordedStates
 from fracture_collision.world import Settings
 
 MILLI = 1e3
-# [bytes] for what fractures make: of thirty that break a mesh of 8,000 tetrahedra. More is fetched when it is needed.
-KEPT = 64 << 20
+# [bytes] for working space, and for each tetrahedron that may break; what a run needs beyond that is fetched then.
+KEPT, KEPT_EACH = 32 << 20, 400
 COUNTS = ("contacts", "colliding_points", "pairs", "visits")
 
 
@@ -72,7 +72,8 @@ class SceneRun:
         self._count_colliding = count_colliding
         service.compile_kernels(progress=_say_nothing)
         simulator.compile_kernels(progress=_say_nothing)
-        keep_memory(KEPT)
+        meshes = [body.shape.mesh for body in scene.bodies if body.shape.mesh is not None and body.material.fracture]
+        keep_memory(KEPT + KEPT_EACH * sum(len(mesh.tetrahedra) for mesh in meshes))
         self._lockstep = Lockstep(scene, self.settings, self.seed)
         bodies = {body.body_id: body for body in self._lockstep.simulation.start_bodies()}
         self.film = RecordedRun(bodies, {body.fragment_id: i for i, body in bodies.items()}, {}, [])
