@@ -58,8 +58,8 @@ class StepFigures(NamedTuple):
 class SceneRun:
     """A run of one scene: an iterator over its steps, and afterwards, or when stopped half way, their report.
 
-    Kernels are brought into memory first, and memory for what fractures make, so that no step waits for them. Only `count_colliding` costs another query a
-    step, outside the times. Use as a context manager.
+    Kernels are brought into memory first, and memory for what fractures make, so that no step waits for them. Only
+    `count_colliding` costs another query a step, outside the times. Use as a context manager.
     """
 
     def __init__(

@@ -65,7 +65,7 @@ class BulletWorld:
         pybullet.setTimeStep(self._time_step, physicsClientId=self._client)
         pybullet.setGravity(*self._gravity, physicsClientId=self._client)
         self._newcomers: dict[int, tuple[_Inertial, FrameState]] = {}  # in Bullet when states are asked for
-        # Of bodies that are gone, for the next that come: to make and remove one takes twenty times as long as to move it
+        # Of bodies that are gone, for the next that come: to make one takes twenty times as long as to move it
         # elsewhere. Meanwhile they fall, which nobody sees.
         self._spare: list[int] = []
         self._bodies = NO_BODIES

@@ -142,9 +142,9 @@ def _join_small(pieces, count, between, minimum_nodes):
     while True:
         smallest = -1
         for piece in range(count):
-            if 0 < sizes[piece] < minimum_nodes and not is_alone[piece]:
-                if smallest < 0 or sizes[piece] < sizes[smallest]:
-                    smallest = piece
+            is_small = 0 < sizes[piece] < minimum_nodes and not is_alone[piece]
+            if is_small and (smallest < 0 or sizes[piece] < sizes[smallest]):
+                smallest = piece
         if smallest < 0:
             return
         shared[:] = 0

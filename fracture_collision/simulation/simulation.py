@@ -29,6 +29,7 @@ from fracture_collision.records import (
     FragmentStates,
 )
 from fracture_collision.simulation import contact_memory
+from fracture_collision.simulation.body_traits import Traits, traits_of
 from fracture_collision.simulation.breakable_body import BreakableBody
 from fracture_collision.simulation.bullet_world import BulletWorld
 from fracture_collision.simulation.contact_memory import with_remembered
@@ -46,14 +47,6 @@ from fracture_collision.simulation.engine import BodyStates, Engine, FrameState,
 from fracture_collision.simulation.free_motion import free_velocities
 from fracture_collision.simulation.scene import Scene, SceneBody
 from fracture_collision.simulation.scene_records import collision_body
-
-
-class _Traits(NamedTuple):
-    """What the scene says of the engine's bodies."""
-
-    fragment_ids: np.ndarray  # (n,) uint32, in the engine's order
-    rolling_arms: np.ndarray  # (n + 1,) [m]; the last for what cannot move
-    strengths: np.ndarray  # (n,) [N s]; inf where it does not break
 
 
 class StepRequest(NamedTuple):
@@ -113,7 +106,7 @@ class Simulation:
         self._events: list[FractureEvent] = []
         self._announced = False
         self._held_together: set[int] = set()  # fragments that were hit hard enough but found no pattern to break by
-        self._known_traits: _Traits | None = None
+        self._known_traits: Traits | None = None
         self._warm_start = NO_WARM_START
         self._memory = contact_memory.NOTHING
         self._asked: FragmentStates | None = None
@@ -307,28 +300,12 @@ class Simulation:
             )
         return solution, overloaded
 
-    def _traits(self, states: BodyStates) -> _Traits:
-        """Made anew where bodies have come or gone."""
+    def _traits(self, states: BodyStates) -> Traits:
         if self._known_traits is None or not np.array_equal(self._known_traits.fragment_ids, states.fragment_ids):
-            ids = states.fragment_ids.tolist()
-            arms = [self._scene_body(fragment_id).material.rolling_arm for fragment_id in ids]
-            strengths = [self._strength(*body) for body in zip(ids, states.masses.tolist(), strict=True)]
-            self._known_traits = _Traits(states.fragment_ids, np.array([*arms, 0.0]), np.array(strengths))
+            self._known_traits = traits_of(
+                states, self._body_of, self._body_id_of, self._breakable, self._held_together
+            )
         return self._known_traits
-
-    def _strength(self, fragment_id: int, mass: float) -> float:
-        """[N s]; inf where it does not break."""
-        fracture = self._scene_body(fragment_id).material.fracture
-        body = self._breakable.get(self._body_id_of[fragment_id])
-        if (
-            fracture is None
-            or body is None
-            or fragment_id in self._held_together
-            or mass < fracture.minimum_mass
-            or body.node_count(fragment_id) < 2 * fracture.pattern.minimum_nodes
-        ):
-            return np.inf
-        return fracture.strength
 
     def _break(self, fragment_id: int, frame: FrameState, impact: np.ndarray, overload: float) -> bool:
         """`impact` (3,) [m] in the body frame. False where the fragment holds together."""
