@@ -53,9 +53,9 @@ class Lockstep:
         self.world = CollisionWorld(Settings() if settings is None else settings)
         self.simulation = Simulation(scene, seed, engine)
         self._told = 0  # events that the service knows
-        self._registry: FragmentRegistry | None = None  # after those
         for body in self.simulation.start_bodies():
             self.world.add_body(body)
+        self._registry: FragmentRegistry | None = self.world.fragments()  # after those
 
     def __enter__(self) -> Lockstep:
         return self

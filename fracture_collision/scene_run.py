@@ -15,6 +15,7 @@ import numpy as np
 import fracture_collision.simulation.warm_up as simulator
 import fracture_collision.world.warm_up as service
 from fracture_collision.geometry.tetrahedra import boundary_triangles
+from fracture_collision.kept_memory import keep_memory
 from fracture_collision.lockstep import Exchange, Lockstep
 from fracture_collision.run_report import summaries
 from fracture_collision.simulation.scene import Scene
@@ -22,6 +23,8 @@ from fracture_collision.viewer.recorded_run import RecordedRun, RecordedStates
 from fracture_collision.world import Settings
 
 MILLI = 1e3
+# [bytes] for working space, and for each tetrahedron that may break; what a run needs beyond that is fetched then.
+KEPT, KEPT_EACH = 32 << 20, 400
 COUNTS = ("contacts", "colliding_points", "pairs", "visits")
 
 
@@ -55,8 +58,8 @@ class StepFigures(NamedTuple):
 class SceneRun:
     """A run of one scene: an iterator over its steps, and afterwards, or when stopped half way, their report.
 
-    Kernels are brought into memory first, so that no step waits for them. Only `count_colliding` costs another query a
-    step, outside the times. Use as a context manager.
+    Kernels are brought into memory first, and memory for what fractures make, so that no step waits for them. Only
+    `count_colliding` costs another query a step, outside the times. Use as a context manager.
     """
 
     def __init__(
@@ -69,6 +72,8 @@ class SceneRun:
         self._count_colliding = count_colliding
         service.compile_kernels(progress=_say_nothing)
         simulator.compile_kernels(progress=_say_nothing)
+        meshes = [body.shape.mesh for body in scene.bodies if body.shape.mesh is not None and body.material.fracture]
+        keep_memory(KEPT + KEPT_EACH * sum(len(mesh.tetrahedra) for mesh in meshes))
         self._lockstep = Lockstep(scene, self.settings, self.seed)
         bodies = {body.body_id: body for body in self._lockstep.simulation.start_bodies()}
         self.film = RecordedRun(bodies, {body.fragment_id: i for i, body in bodies.items()}, {}, [])

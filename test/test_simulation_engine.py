@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pybullet
 import pytest
 from scipy.spatial.transform import Rotation
 
@@ -10,6 +11,7 @@ from fracture_collision.simulation.bullet_world import BulletWorld
 from fracture_collision.simulation.contact_solver import kinetic_energy
 from fracture_collision.simulation.engine import FrameState, MassProperties
 from fracture_collision.simulation.free_motion import free_velocities
+from fracture_collision.simulation.rotations import through_matrices
 
 STEP = 1.0 / 400.0
 
@@ -120,6 +122,51 @@ def test_two_worlds_do_not_know_of_each_other(world):
     first.remove(1)
     assert len(first.states().fragment_ids) == 0
     assert len(second.states().fragment_ids) == 1
+
+
+def test_bodies_that_come_and_go_together_move_as_each_would_alone(world):
+    rng = np.random.default_rng(7)
+    bodies = {i: (lopsided(rng), tumbling(rng)._replace(orientation=Rotation.random(random_state=i).as_quat()))
+              for i in range(1, 9)}  # fmt: skip
+    comings, goings = {0: (1, 2, 3, 4), 2: (5,), 4: (6, 7, 8)}, {2: (2, 4), 3: (1,), 5: (7,)}
+    gravity = np.array([0.0, 0.0, -9.81])
+
+    def run(only):
+        """All states of each body, step by step."""
+        engine, seen = world(gravity), {}
+        for step in range(8):
+            for i in goings.get(step, ()):
+                if i in only:
+                    engine.remove(i)
+            for i in comings.get(step, ()):
+                if i in only:
+                    engine.add(i, *bodies[i])
+            states = engine.states()
+            assert states.fragment_ids.tolist() == sorted(states.fragment_ids.tolist())
+            for row, i in enumerate(states.fragment_ids.tolist()):
+                seen.setdefault(i, []).append([column[row].tobytes() for column in states])
+            drift = np.full((len(states.masses), 3), 0.01)
+            engine.advance(states.linear, states.angular, drift, -drift)
+        return seen
+
+    together = run(bodies)
+    assert {i: len(seen) for i, seen in together.items()} == {1: 3, 2: 2, 3: 8, 4: 2, 5: 6, 6: 4, 7: 1, 8: 4}
+    for i, seen in together.items():
+        assert run([i]) == {i: seen}
+
+
+def test_orientations_are_rounded_as_bullet_rounds_those_of_bodies_it_creates():
+    """To the bit: a run does not depend on whether bodies were created or set where they are."""
+    turns = np.vstack((Rotation.random(200, random_state=8).as_quat(), np.eye(4), np.full((1, 4), 0.5)))
+    client = pybullet.connect(pybullet.DIRECT)
+    try:
+        for turn, set_to in zip(turns, through_matrices(turns), strict=True):
+            body = pybullet.createMultiBody(baseMass=1.0, baseOrientation=turn.tolist(), physicsClientId=client)
+            created = pybullet.getBasePositionAndOrientation(body, physicsClientId=client)[1]
+            pybullet.resetBasePositionAndOrientation(body, [0.0] * 3, set_to.tolist(), physicsClientId=client)
+            assert pybullet.getBasePositionAndOrientation(body, physicsClientId=client)[1] == created
+    finally:
+        pybullet.disconnect(client)
 
 
 def test_what_cannot_be_is_refused(world):

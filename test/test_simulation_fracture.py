@@ -6,6 +6,8 @@ import time
 
 import numpy as np
 import pytest
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from simulation_oracle import Oracle
 
 from fracture_collision.geometry import generators
@@ -14,6 +16,7 @@ from fracture_collision.records import ContactConstraintArray
 from fracture_collision.simulation.breakable_body import BreakableBody
 from fracture_collision.simulation.bullet_world import BulletWorld
 from fracture_collision.simulation.fracture_pattern import PatternSettings
+from fracture_collision.simulation.pattern_pieces import connected_pieces
 from fracture_collision.simulation.scene import parse_scene
 from fracture_collision.simulation.simulation import Simulation
 
@@ -62,6 +65,45 @@ class Labels:
                     break
                 reached = grown
             assert reached == set(nodes.tolist())
+
+
+def pieces_by_scipy(labels, edges, minimum_nodes):
+    """The slow twin of connected_pieces."""
+    inside = edges[labels[edges[:, 0]] == labels[edges[:, 1]]]
+    graph = coo_array((np.ones(len(inside), dtype=np.int8), inside.T), shape=(len(labels), len(labels)))
+    pieces = connected_components(graph, directed=False)[1]
+    alone = set()
+    while True:
+        sizes = np.bincount(pieces)
+        small = [i for i in np.argsort(sizes, kind="stable") if 0 < sizes[i] < minimum_nodes and i not in alone]
+        if not small:
+            break
+        across = pieces[edges]
+        across = across[(across == small[0]).any(axis=1) & (across[:, 0] != across[:, 1])]
+        if not len(across):
+            alone.add(small[0])
+            continue
+        neighbours = np.where(across[:, 0] == small[0], across[:, 1], across[:, 0])
+        pieces[pieces == small[0]] = np.bincount(neighbours).argmax()
+    first = np.sort(np.unique(pieces, return_index=True)[1])
+    return np.argmax(pieces[:, None] == pieces[first], axis=1)
+
+
+@pytest.mark.parametrize("minimum_nodes", [1, 4, 30])
+@pytest.mark.parametrize("shape", MESHES)
+def test_pieces_are_those_that_scipy_finds(shape, minimum_nodes):
+    mesh, rng = MESHES[shape], np.random.default_rng(5)
+    edges = unique_edges(mesh.tetrahedra).astype(np.int64)
+    for seeds in (2, 9, 60):
+        centers = mesh.vertices[rng.choice(len(mesh.vertices), seeds, replace=False)]
+        distances = np.linalg.norm(mesh.vertices[:, None] - centers, axis=2)
+        # some nodes go astray, so that seeds have more pieces than one
+        labels = np.where(rng.random(len(distances)) < 0.05, rng.integers(seeds), distances.argmin(axis=1))
+        pieces, count, cut = connected_pieces(labels, edges, minimum_nodes)
+        expected = pieces_by_scipy(labels, edges, minimum_nodes)
+        np.testing.assert_array_equal(pieces, expected)
+        assert count == expected.max() + 1
+        np.testing.assert_array_equal(cut, edges[expected[edges[:, 0]] != expected[edges[:, 1]]])
 
 
 def break_once(mesh, seed, curvature=0.0, overload=4.0, **settings):

@@ -8,6 +8,7 @@ from fracture_collision.geometry.generators import TetGeometry
 from fracture_collision.geometry.tetrahedra import unique_edges
 from fracture_collision.records import FractureEvent
 from fracture_collision.simulation.fracture_pattern import PatternSettings, voronoi_pattern
+from fracture_collision.simulation.pattern_pieces import inside_fragment
 
 
 class BreakableBody:
@@ -48,12 +49,9 @@ class BreakableBody:
         `overload` is the impulse of the blow over the strength: a blow twice as strong as need be sows twice the seeds
         of one that just suffices, up to `settings.seeds`.
         """
-        nodes = np.flatnonzero(self._node_fragments == fragment_id)
-        inside = (self._node_fragments[self._edges] == fragment_id).all(axis=1)
+        nodes, edges = inside_fragment(self._node_fragments, self._edges, fragment_id)
         seeds = int(np.clip(round(settings.seeds_per_overload * overload), 2, settings.seeds))
-        pattern = voronoi_pattern(
-            self._vertices, self._edges[inside], nodes, impact_point, seeds, settings, generator
-        )
+        pattern = voronoi_pattern(self._vertices[nodes], edges, impact_point, seeds, settings, generator)
         if pattern is None:
             return None
         new_ids = first_new_id + np.arange(pattern.piece_count)
@@ -68,6 +66,6 @@ class BreakableBody:
             new_fragment_ids=new_ids.astype(np.uint32),
             nodes=nodes.astype(np.uint32),
             node_fragments=pattern.pieces.astype(np.uint32),
-            cut_edges=pattern.cut_edges.astype(np.uint32).ravel(),
+            cut_edges=nodes[pattern.cut_edges].astype(np.uint32).ravel(),
             cut_planes=np.ascontiguousarray(pattern.cut_planes).ravel(),
         )

@@ -16,8 +16,14 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
+
+from fracture_collision.simulation.pattern_pieces import (
+    connected_pieces,
+    edge_lengths,
+    nearest_seeds,
+    range_between,
+    seed_pairs,
+)
 
 
 class PatternSettings(NamedTuple):
@@ -31,11 +37,11 @@ class PatternSettings(NamedTuple):
 
 
 class Pattern(NamedTuple):
-    """How a fragment falls apart; node indices as in the body's mesh, planes in the body frame."""
+    """How a fragment falls apart; nodes by their places among those of the fragment, planes in the body frame."""
 
     pieces: np.ndarray  # (k,) for each node of the fragment, the index of its piece: 0 .. piece_count - 1
     piece_count: int
-    cut_edges: np.ndarray  # (c, 2) node indices
+    cut_edges: np.ndarray  # (c, 2) nodes
     cut_planes: np.ndarray  # (c, 4) unit normal from the first node to the second, and offset n.x [m]
 
 
@@ -54,29 +60,25 @@ class _Warp(NamedTuple):
 
 
 def voronoi_pattern(
-    vertices: np.ndarray,
+    points: np.ndarray,
     edges: np.ndarray,
-    nodes: np.ndarray,
     impact_point: np.ndarray,
     seed_count: int,
     settings: PatternSettings,
     generator: np.random.Generator,
 ) -> Pattern | None:
-    """Break the fragment of `nodes` (k,) of the mesh `vertices` (n, 3) [m] near `impact_point` (3,) [m], body frame.
+    """Break the fragment with nodes at `points` (k, 3) [m] near `impact_point` (3,) [m], both in the body frame.
 
-    `edges` (e, 2) are the mesh edges inside the fragment. Returns None where it holds together: fewer than two pieces
-    of at least `settings.minimum_nodes`. Equal arguments and generator state give equal bytes.
+    `edges` (e, 2) int64 are the mesh edges inside the fragment. Returns None where it holds together: fewer than two
+    pieces of at least `settings.minimum_nodes`. Equal arguments and generator state give equal bytes.
     """
-    points = vertices[nodes]
-    local = np.searchsorted(nodes, edges)
-    seeds = _draw_seeds(points, vertices[edges], impact_point, min(seed_count, len(nodes)), settings, generator)
+    seeds = _draw_seeds(points, edges, impact_point, min(seed_count, len(points)), settings, generator)
     warp = _draw_warp(points, len(seeds), settings, generator) if settings.curvature > 0.0 else None
     places, centers = (points, seeds) if warp is None else (warp(points), warp(seeds))
-    labels = np.argmin(((places[:, None] - centers[None]) ** 2).sum(axis=2), axis=1)
-    pieces, piece_count = _pieces(labels, local, settings.minimum_nodes)
+    labels = nearest_seeds(places, centers)
+    pieces, piece_count, cut = connected_pieces(labels, edges, settings.minimum_nodes)
     if piece_count < 2:
         return None
-    cut = local[pieces[local[:, 0]] != pieces[local[:, 1]]]
     # From the lower seed to the higher, so that all edges between two seeds share one plane. Two pieces of one seed
     # have no edge in common, or they would be one.
     cut = np.where((labels[cut[:, 0]] > labels[cut[:, 1]])[:, None], cut[:, ::-1], cut)
@@ -84,19 +86,19 @@ def voronoi_pattern(
         planes = _flat_planes(points, seeds, labels, cut)
     else:
         planes = _curved_planes(points, centers, labels, cut, warp)
-    return Pattern(pieces, piece_count, nodes[cut], planes)
+    return Pattern(pieces, piece_count, cut, planes)
 
 
 def _draw_seeds(
     points: np.ndarray,
-    edge_ends: np.ndarray,
+    edges: np.ndarray,
     impact_point: np.ndarray,
     count: int,
     settings: PatternSettings,
     generator: np.random.Generator,
 ) -> np.ndarray:
     """Nodes, drawn by their distance from the impact, each moved by up to half an edge: no two distances tie."""
-    edge_length = np.linalg.norm(edge_ends[:, 0] - edge_ends[:, 1], axis=1).mean() if len(edge_ends) else 0.0
+    edge_length = edge_lengths(points, edges).mean() if len(edges) else 0.0
     distance = np.linalg.norm(points - impact_point, axis=1)
     weights = (distance + 2.0 * edge_length + np.finfo(float).tiny) ** -settings.concentration
     chosen = generator.choice(len(points), size=count, replace=False, p=weights / weights.sum())
@@ -114,41 +116,15 @@ def _draw_warp(points: np.ndarray, seed_count: int, settings: PatternSettings, g
     return _Warp(amplitude * directions[0], wave_number * directions[1], generator.uniform(0.0, 2.0 * np.pi, 3))
 
 
-def _pieces(labels: np.ndarray, edges: np.ndarray, minimum_nodes: int) -> tuple[np.ndarray, int]:
-    """Connected pieces of equal label, the small ones joined to neighbours; numbered by their first nodes."""
-    inside = edges[labels[edges[:, 0]] == labels[edges[:, 1]]]
-    graph = coo_array((np.ones(len(inside), dtype=np.int8), inside.T), shape=(len(labels), len(labels)))
-    _, pieces = connected_components(graph, directed=False)
-    while True:
-        sizes = np.bincount(pieces)
-        small = np.flatnonzero((sizes > 0) & (sizes < minimum_nodes))
-        for piece in small[np.argsort(sizes[small], kind="stable")]:
-            across = pieces[edges]
-            across = across[(across == piece).any(axis=1) & (across[:, 0] != across[:, 1])]
-            if len(across):
-                neighbours = np.where(across[:, 0] == piece, across[:, 1], across[:, 0])
-                pieces[pieces == piece] = np.bincount(neighbours).argmax()
-                break
-        else:
-            break
-    _, first, inverse = np.unique(pieces, return_index=True, return_inverse=True)
-    rank = np.empty(len(first), dtype=np.int64)
-    rank[np.argsort(first)] = np.arange(len(first))
-    return rank[inverse], len(first)
-
-
 def _flat_planes(points: np.ndarray, seeds: np.ndarray, labels: np.ndarray, cut: np.ndarray) -> np.ndarray:
-    first, second = labels[cut].T
-    pair, inverse = np.unique(np.column_stack((first, second)), axis=0, return_inverse=True)
+    pair, inverse = seed_pairs(labels, cut, len(seeds))
     normals = seeds[pair[:, 1]] - seeds[pair[:, 0]]
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     offsets = np.einsum("pk,pk->p", normals, 0.5 * (seeds[pair[:, 1]] + seeds[pair[:, 0]]))
     # Labels come from distances, sides from dot products; where rounding lets the two differ the pair's one plane moves
     # by that rounding, for all its edges alike.
     sides = np.einsum("cik,ck->ci", points[cut], normals[inverse])
-    highest_first, lowest_second = np.full(len(pair), -np.inf), np.full(len(pair), np.inf)
-    np.maximum.at(highest_first, inverse, sides[:, 0])
-    np.minimum.at(lowest_second, inverse, sides[:, 1])
+    highest_first, lowest_second = range_between(sides, inverse, len(pair))
     between = (highest_first <= offsets) & (offsets < lowest_second)
     offsets = np.where(between, offsets, 0.5 * (highest_first + lowest_second))
     return np.column_stack((normals, offsets))[inverse]

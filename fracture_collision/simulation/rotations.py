@@ -40,6 +40,45 @@ def quaternion_products(p, q):
 
 
 @njit(cache=True)
+def through_matrices(quaternions):
+    """(n, 4) unit quaternions, made matrices and quaternions again, with the rounding of Bullet's btMatrix3x3."""
+    result, m = np.empty_like(quaternions), np.empty((3, 3))
+    for row in range(len(quaternions)):
+        x, y, z, w = quaternions[row]
+        s = 2.0 / (x * x + y * y + z * z + w * w)
+        xs, ys, zs = x * s, y * s, z * s
+        m[0, 0], m[0, 1], m[0, 2] = 1.0 - (y * ys + z * zs), x * ys - w * zs, x * zs + w * ys
+        m[1, 0], m[1, 1], m[1, 2] = x * ys + w * zs, 1.0 - (x * xs + z * zs), y * zs - w * xs
+        m[2, 0], m[2, 1], m[2, 2] = x * zs - w * ys, y * zs + w * xs, 1.0 - (x * xs + y * ys)
+        trace, q = m[0, 0] + m[1, 1] + m[2, 2], result[row]
+        if trace > 0.0:
+            s = np.sqrt(trace + 1.0)
+            q[3], s = 0.5 * s, 0.5 / s
+            for i in range(3):
+                j, k = (i + 1) % 3, (i + 2) % 3
+                q[i] = (m[k, j] - m[j, k]) * s
+        else:
+            i = (2 if m[1, 1] < m[2, 2] else 1) if m[0, 0] < m[1, 1] else (2 if m[0, 0] < m[2, 2] else 0)
+            j, k = (i + 1) % 3, (i + 2) % 3
+            s = np.sqrt(m[i, i] - m[j, j] - m[k, k] + 1.0)
+            q[i], s = 0.5 * s, 0.5 / s
+            q[3], q[j], q[k] = (m[k, j] - m[j, k]) * s, (m[j, i] + m[i, j]) * s, (m[k, i] + m[i, k]) * s
+    return result
+
+
+@njit(cache=True)
+def crossed(first, second):
+    """Cross products of vectors (n, 3), row by row."""
+    result = np.empty_like(first)
+    for i in range(len(first)):
+        a, b = first[i], second[i]
+        result[i, 0] = a[1] * b[2] - a[2] * b[1]
+        result[i, 1] = a[2] * b[0] - a[0] * b[2]
+        result[i, 2] = a[0] * b[1] - a[1] * b[0]
+    return result
+
+
+@njit(cache=True)
 def turned_along(before, after, vectors):
     """Vectors (n, 3) carried along by frames that turn from quaternions `before` (n, 4) to `after`."""
     was, now = rotation_matrices(before), rotation_matrices(after)

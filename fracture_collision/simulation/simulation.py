@@ -30,6 +30,7 @@ from fracture_collision.records import (
     FragmentStates,
 )
 from fracture_collision.simulation import contact_memory
+from fracture_collision.simulation.body_traits import Traits, traits_of
 from fracture_collision.simulation.breakable_body import BreakableBody
 from fracture_collision.simulation.bullet_world import BulletWorld
 from fracture_collision.simulation.contact_memory import with_remembered
@@ -114,6 +115,7 @@ class Simulation:
         self._waiting: dict[int, FrameState] = {}
         self._events: list[FractureEvent] = []
         self._held_together: set[int] = set()  # fragments that were hit hard enough but found no pattern to break by
+        self._known_traits: Traits | None = None
         self._warm_start = NO_WARM_START
         self._memory = contact_memory.NOTHING
         self._asked: FragmentStates | None = None
@@ -208,7 +210,7 @@ class Simulation:
         pairs = self._body_pairs(contacts, states)
         pushes, hand_energy = self._pushed(states)
         bodies = self._rigid_bodies(states, pushes)
-        solution, overloaded = self._solve(bodies, contacts, pairs)
+        solution, overloaded = self._solve(bodies, contacts, pairs, self._traits(states).strengths)
         solver_seconds = time.perf_counter() - started
         v, drift = solution.velocities, solution.drift
         self._engine.advance(v[:, :3], v[:, 3:], drift[:, :3], drift[:, 3:])
@@ -228,6 +230,7 @@ class Simulation:
             impact = Rotation.from_quat(states.frame_orientations[i]).inv().apply(impact - states.frame_positions[i])
             if not self._break(fragment_id, moved.frame(i), impact, load / strength):
                 self._held_together.add(fragment_id)
+                self._known_traits = None
         return StepReport(
             step=asked[0],
             time=self.time,
@@ -292,15 +295,17 @@ class Simulation:
         return FragmentStates(self._step, self._sequence, ids[order], *[column[order].ravel() for column in columns])
 
     def _admit_waiting(self, registry: FragmentRegistry) -> None:
-        rows = {int(fragment_id): row for row, fragment_id in enumerate(registry.fragment_ids)}
+        if not self._waiting:
+            return
+        rows = {fragment_id: row for row, fragment_id in enumerate(registry.fragment_ids.tolist())}
         for fragment_id in sorted(self._waiting):
             if fragment_id not in rows:
                 raise ValueError(f"registry of fracture_sequence {self._sequence}: fragment {fragment_id} is missing")
             row = rows[fragment_id]
-            xx, xy, xz, yy, yz, zz = registry.inertias[6 * row : 6 * row + 6]
+            xx, xy, xz, yy, yz, zz = registry.inertias[6 * row : 6 * row + 6].tolist()
             properties = MassProperties(
                 mass=float(registry.masses[row]),
-                center_of_mass=np.array(registry.centers_of_mass[3 * row : 3 * row + 3]),
+                center_of_mass=registry.centers_of_mass[3 * row : 3 * row + 3],
                 inertia=np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]),
             )
             self._engine.add(fragment_id, properties, self._waiting[fragment_id])
@@ -313,16 +318,17 @@ class Simulation:
 
     def _body_pairs(self, contacts: ContactConstraintArray, states: BodyStates) -> BodyPairs:
         immovable = len(states.fragment_ids)
-        ids = np.append(states.fragment_ids, 0)
+        ids, arms_of = np.append(states.fragment_ids, 0), self._traits(states).rolling_arms
 
         def rows_and_arms(fragments: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             rows = np.searchsorted(states.fragment_ids, fragments)
             rows = np.where(ids[rows] == fragments, rows, immovable)
-            for fragment in fragments[rows == immovable]:
-                if int(fragment) not in self._body_id_of or not self._scene_body(int(fragment)).is_static:
+            arms = arms_of[rows]
+            for fragment in np.unique(fragments[rows == immovable]).tolist():
+                if fragment not in self._body_id_of or not self._scene_body(fragment).is_static:
                     raise ValueError(f"contacts of step {contacts.step}: fragment {fragment} is not in the states")
-            arms = [self._scene_body(int(fragment)).material.rolling_arm for fragment in fragments]
-            return rows.astype(np.int64), np.array(arms)
+                arms[fragments == fragment] = self._scene_body(fragment).material.rolling_arm
+            return rows.astype(np.int64), arms
 
         (a, arms_a), (b, arms_b) = rows_and_arms(contacts.fragment_a), rows_and_arms(contacts.fragment_b)
         return BodyPairs(a, b, np.maximum(arms_a, arms_b))
@@ -331,14 +337,13 @@ class Simulation:
         return self._body_of[self._body_id_of[fragment_id]]
 
     def _solve(
-        self, bodies: RigidBodies, contacts: ContactConstraintArray, pairs: BodyPairs
+        self, bodies: RigidBodies, contacts: ContactConstraintArray, pairs: BodyPairs, strengths: np.ndarray
     ) -> tuple[Solution, np.ndarray]:
-        """Velocities, and the rows of the bodies that break."""
+        """Velocities, and the rows of the bodies that break. `strengths` (n,) [N s] of the bodies."""
         settings, time_step = self._scene.solver, self._scene.time_step
         solution = solve_contacts(bodies, contacts, pairs, self._warm_start, settings, time_step)
         count = len(bodies.masses)
         loads = normal_impulse_sums(solution, contacts, pairs, count)
-        strengths = self._strengths(bodies.masses)
         overloaded = np.flatnonzero(loads > strengths)
         if len(overloaded):
             share = np.ones(count + 1)
@@ -356,21 +361,12 @@ class Simulation:
             )
         return solution, overloaded
 
-    def _strengths(self, masses: np.ndarray) -> np.ndarray:
-        """[N s] for each body of the engine; inf where it does not break."""
-        result = np.full(len(masses), np.inf)
-        for i, fragment_id in enumerate(self._engine.states().fragment_ids):
-            fracture = self._scene_body(int(fragment_id)).material.fracture
-            body = self._breakable.get(self._body_id_of[int(fragment_id)])
-            if (
-                fracture is not None
-                and body is not None
-                and int(fragment_id) not in self._held_together
-                and masses[i] >= fracture.minimum_mass
-                and body.node_count(int(fragment_id)) >= 2 * fracture.pattern.minimum_nodes
-            ):
-                result[i] = fracture.strength
-        return result
+    def _traits(self, states: BodyStates) -> Traits:
+        if self._known_traits is None or not np.array_equal(self._known_traits.fragment_ids, states.fragment_ids):
+            self._known_traits = traits_of(
+                states, self._body_of, self._body_id_of, self._breakable, self._held_together
+            )
+        return self._known_traits
 
     def _break(self, fragment_id: int, frame: FrameState, impact: np.ndarray, overload: float) -> bool:
         """`impact` (3,) [m] in the body frame. False where the fragment holds together."""

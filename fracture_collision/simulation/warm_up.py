@@ -1,4 +1,4 @@
-"""Compiles the simulator's kernels into numba's cache, by letting a ball hit the ground once."""
+"""Compiles the simulator's kernels into numba's cache, by letting a ball hit the ground and a brick break once."""
 
 from __future__ import annotations
 
@@ -6,7 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 
+from fracture_collision.geometry import generators
 from fracture_collision.records import ContactConstraintArray, FragmentRegistry
+from fracture_collision.simulation.breakable_body import BreakableBody
+from fracture_collision.simulation.fracture_pattern import PatternSettings
 from fracture_collision.simulation.scene import parse_scene
 from fracture_collision.simulation.simulation import Simulation
 
@@ -34,6 +37,11 @@ def compile_kernels(progress: Callable[[str], None]) -> None:
             simulation.finish_step(_touching(step), _registry())
     finally:
         simulation.close()
+    progress("fracture patterns")
+    for curvature in (0.0, 0.25):
+        brick = BreakableBody(1, 1, generators.brick((1.0, 1.0, 1.0), 0.5))
+        settings = PatternSettings(curvature=curvature, minimum_nodes=1)
+        brick.fracture(1, 1, 2, np.zeros(3), 2.0, settings, np.random.default_rng(1))
 
 
 def _touching(step: int) -> ContactConstraintArray:

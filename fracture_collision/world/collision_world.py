@@ -175,7 +175,7 @@ class CollisionWorld:
         first, second = ids[a[owner_pair]], ids[b[owner_pair]]
         from_a = found.samples[:, 0] == 0
         keys = np.empty(len(found.gaps), dtype=np.uint64)
-        contact_ids(np.where(from_a, first, second), np.where(from_a, second, first), found.samples[:, 1], keys)
+        contact_ids(np.where(from_a, first, second), np.where(from_a, second, first), found.samples[:, 1].copy(), keys)
         a, b = a[listed], b[listed]
         return ContactConstraintArray(
             step=states.step,

@@ -1,0 +1,44 @@
+"""What a scene says of the bodies in motion, in arrays: looked up where bodies come or go, not for every contact."""
+
+from __future__ import annotations
+
+from collections.abc import Container, Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from fracture_collision.simulation.breakable_body import BreakableBody
+from fracture_collision.simulation.engine import BodyStates
+from fracture_collision.simulation.scene import SceneBody
+
+
+class Traits(NamedTuple):
+    fragment_ids: np.ndarray  # (n,) uint32, in the engine's order
+    rolling_arms: np.ndarray  # (n + 1,) [m]; the last, 0, for what cannot move
+    strengths: np.ndarray  # (n,) [N s]; inf where it does not break
+
+
+def traits_of(
+    states: BodyStates,
+    bodies: Mapping[int, SceneBody],
+    body_ids: Mapping[int, int],
+    breakable: Mapping[int, BreakableBody],
+    held_together: Container[int],
+) -> Traits:
+    """Of the bodies in `states`; the rest as the simulation keeps it: `body_ids` of fragments, `breakable` by body id,
+    `held_together`: fragments that do not break.
+    """
+    arms, strengths = np.zeros(len(states.masses) + 1), np.full(len(states.masses), np.inf)
+    for i, fragment_id in enumerate(states.fragment_ids.tolist()):
+        body_id = body_ids[fragment_id]
+        material, mesh = bodies[body_id].material, breakable.get(body_id)
+        fracture, arms[i] = material.fracture, material.rolling_arm
+        if (
+            fracture is not None
+            and mesh is not None
+            and fragment_id not in held_together
+            and states.masses[i] >= fracture.minimum_mass
+            and mesh.node_count(fragment_id) >= 2 * fracture.pattern.minimum_nodes
+        ):
+            strengths[i] = fracture.strength
+    return Traits(states.fragment_ids, arms, strengths)
