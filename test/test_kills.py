@@ -38,14 +38,23 @@ def reference(tmp_path_factory: pytest.TempPathFactory) -> Digests:
 
 def test_a_killed_service_comes_back_and_nothing_is_different(tmp_path: Path, reference: Digests) -> None:
     before = litter()
-    returns, different = kill_services(tmp_path, SCENE, 2, 3, reference, no_progress, SOON)
-    assert len(returns) == 2 and different == 0
+    returns, different, lost = kill_services(tmp_path, SCENE, 2, 3, reference, no_progress, SOON)
+    assert len(returns) == 2 and different == 0 and lost <= 2
     assert litter().processes <= before.processes and litter().files <= before.files
 
 
 def test_the_comparison_can_fail(tmp_path: Path, reference: Digests) -> None:
     other = reference._replace(registry="0" * 64)
-    assert kill_services(tmp_path, SCENE, 1, 1, other, no_progress)[1] == 1
+    assert kill_services(tmp_path, SCENE, 1, 1, other, no_progress).different == 1
+
+
+def test_one_answer_that_is_another_is_a_difference_and_one_that_is_lost_is_counted(reference: Digests) -> None:
+    assert not reference.differs(reference) and reference.lost(reference) == 0
+    step = min(reference.answers)
+    assert reference._replace(answers=reference.answers | {step: "0" * 64}).differs(reference, may_lack=1)
+    lacking = reference._replace(answers={k: v for k, v in reference.answers.items() if k != step})
+    assert lacking.lost(reference) == 1
+    assert lacking.differs(reference) and not lacking.differs(reference, may_lack=1)
 
 
 def test_a_killed_simulator_leaves_the_service_fit_for_the_next(tmp_path: Path, reference: Digests) -> None:
