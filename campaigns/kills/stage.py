@@ -84,8 +84,9 @@ class Digests(NamedTuple):
 def digests(bag: Path) -> Digests:
     """Raises ValueError without a registry."""
     from fracture_collision.msg import ContactConstraintArray, FragmentRegistry
-    from fracture_collision.ros.cdr_records import deserialize_record
     from rclpy.serialization import deserialize_message
+
+    from fracture_collision.ros.cdr_records import deserialize_record
 
     last = None
     for message in read_messages(bag, ["/fragments"]):
