@@ -27,6 +27,7 @@ SCENES = {
     "piggy_bank": Expected(60, (15, 120), 1),
     "drop_bunnies": Expected(50, (110, 250), 27),
     "bricks": Expected(70, (110, 220), 32),
+    "vase": Expected(470, (30, 80), 1),
     "bunnies": Expected(660, (20, 90), 5),
     "reference_sphere": Expected(30, (8, 40), 1),
 }

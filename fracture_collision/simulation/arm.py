@@ -196,6 +196,6 @@ def _require_possible(arm: Arm, limits: JointLimits, path: str) -> None:
 
 
 def _curve(arm: Arm) -> PchipInterpolator:
-    """Goes no farther than from row to row: it stays within the joints' limits as its rows do. Begins and ends at rest."""
+    """Goes no farther than from row to row: within the joints' limits as its rows are. Begins and ends at rest."""
     times = np.concatenate((arm.times[:1] - 1.0, arm.times, arm.times[-1:] + 1.0))
     return PchipInterpolator(times, np.concatenate((arm.angles[:1], arm.angles, arm.angles[-1:])))
