@@ -188,8 +188,9 @@ class Simulation:
         self._news.append(collision_body(body_id, body)._replace(operation=REMOVE))
 
     def start_bodies(self) -> list[CollisionBody]:
-        """All bodies of the scene, to be published before the first states."""
-        return self._take_news()
+        """All bodies of the scene, to be published before the first states; says the same if called again."""
+        self._news.clear()
+        return [collision_body(i, body) for i, body in self._body_of.items()]
 
     def begin_step(self) -> StepRequest:
         """Asks for the contacts at the present time. May be called again while no answer comes: it says the same."""
