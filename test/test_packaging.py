@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-EXECUTABLES = ("collision_node", "simulator_node", "live_simulator_node", "fracture-collision")
+EXECUTABLES = ("collision_node", "simulator_node", "live_simulator_node", "page_node", "fracture-collision")
 NOT_SOURCES = (".git", ".venv", "build", "install", "log", "out", "*.egg-info", "__pycache__", ".*_cache")
 
 # Run in the installed package's environment, away from the sources: uses a message for real, says where it comes from.
@@ -115,7 +115,8 @@ def test_colcon_build(workplace: Path, sources: Path, environment_copy: Path) ->
 
 def assert_shared_files(share: Path) -> None:
     for folder in ("config", "launch", "msg"):
-        files = (path for path in (ROOT / folder).rglob("*") if path.suffix in (".yaml", ".npz", ".py", ".msg"))
+        suffixes = (".yaml", ".npz", ".py", ".msg", ".rviz")
+        files = (path for path in (ROOT / folder).rglob("*") if path.suffix in suffixes)
         expected = {path.relative_to(ROOT) for path in files}
         assert expected
         missing = [path for path in expected if not (share / path).is_file()]

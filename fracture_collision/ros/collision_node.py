@@ -17,7 +17,7 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
 from fracture_collision.cdr import Heading, Received
-from fracture_collision.records import FragmentStates, refusal_of
+from fracture_collision.records import ADD, FragmentStates, refusal_of
 from fracture_collision.ros import qos
 from fracture_collision.ros.acknowledged_publisher import AcknowledgedPublisher
 from fracture_collision.ros.cdr_records import serialize_record
@@ -31,6 +31,7 @@ from fracture_collision.ros.diagnostics import (
     status,
 )
 from fracture_collision.ros.incoming import Incoming
+from fracture_collision.ros.markers import MarkersPublisher
 from fracture_collision.ros.neighbours import Neighbours
 from fracture_collision.ros.parameters import SettingsParameters, declare_fixed
 from fracture_collision.ros.process import Fatal, nothing_to_lose, run_node
@@ -84,6 +85,7 @@ class CollisionNode(Node):
         self._contacts = AcknowledgedPublisher(self, qos.CONTACT_CONSTRAINTS, "simulator_node", self._neighbours)
         self._fragments = AcknowledgedPublisher(self, qos.FRAGMENTS, "simulator_node", self._neighbours)
         self._meshes = AcknowledgedPublisher(self, qos.FRAGMENT_MESHES, neighbours=self._neighbours)
+        self._markers = MarkersPublisher(self)
         topic = qos.ANSWER_TIMES
         self._answer_times = self.create_publisher(topic.message_class, topic.name, topic.qos)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
@@ -130,6 +132,8 @@ class CollisionNode(Node):
         if self._run is None or message.run_id != self._run.run_id:
             self._start_run(message.run_id)
         self._note(*self._run.add_body(message.record))
+        if message.record.operation != ADD or message.record.body_id in self._run.body_ids:
+            self._markers.add_body(message.record)
         self._answer_held()
 
     def _on_fracture(self, message: Received) -> None:
@@ -160,6 +164,7 @@ class CollisionNode(Node):
 
     def _forget_published(self) -> None:
         self._registry_version = None
+        self._markers.forget()
         if self._meshes_published:
             # A latched publisher keeps all it ever sent, and tells it to who comes; these are no more.
             self._meshes.close()
@@ -209,6 +214,7 @@ class CollisionNode(Node):
         self._contacts.publish(serialize_record(contacts, heading, run_id))
         self._record_times(heading, states, answered - started, time.perf_counter() - answered)
         self._publish_meshes(heading)
+        self._markers.after_answer(self._run.world, heading, states, contacts)
 
     def _publish_registry(self, heading: Heading, fracture_sequence: int) -> None:
         run = self._run

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 from geometry_msgs.msg import Twist
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
+from visualization_msgs.msg import MarkerArray
 
 from fracture_collision.msg import (
     AnswerTimes,
@@ -59,6 +60,9 @@ FRAGMENT_STATES = Topic("fragment_states", FragmentStates, EACH_STEP)
 CONTACT_CONSTRAINTS = Topic("contact_constraints", ContactConstraintArray, EACH_STEP)
 FRAGMENTS = Topic("fragments", FragmentRegistry, LATCHED_NEWEST)
 FRAGMENT_MESHES = Topic("fragment_meshes", FragmentMesh, LATCHED)
+
+# For RViz and Foxglove (ros/markers.py): for late joiners the last message.
+MARKERS = Topic("markers", MarkerArray, LATCHED_NEWEST)
 
 # What a live scene (ros/live_simulator_node.py) is told, and what it tells. Of velocities and of places of a hand only
 # the newest count, of balls all.

@@ -9,11 +9,9 @@ import viser
 
 from fracture_collision.records import ContactConstraintArray
 from fracture_collision.viewer.page_stream import LiveValues
+from fracture_collision.viewer.palette import gap_colours
 
 MILLI = 1e3
-# Gap [m] -> colour: penetration red, touching yellow, about to touch green.
-GAP_SCALE = 5e-4  # a gap of so much or more has the full colour
-PENETRATING, TOUCHING, APART = (np.array(colour, float) for colour in ((226, 26, 28), (250, 214, 40), (50, 180, 90)))
 PAIR_COLOUR = (120, 60, 200)
 BOUND_SCALE = 2e-3  # [m] likewise, of missed depth: blue 0, magenta this much or more
 CERTAIN, UNCERTAIN = np.array((40, 120, 240.0)), np.array((255, 0, 180.0))
@@ -79,7 +77,7 @@ class ContactLayers:
         on = {name for name, switch in self._switches.items() if switch.value}
         layers: dict[str, tuple[np.ndarray, np.ndarray]] = {}
         a, b = contacts.points_a.reshape(-1, 3), contacts.points_b.reshape(-1, 3)
-        middle, colours = 0.5 * (a + b), _gap_colours(contacts.gaps)
+        middle, colours = 0.5 * (a + b), 255.0 * gap_colours(contacts.gaps)
         if "points" in on:
             layers["points"] = middle, colours
         if "normals" in on:
@@ -95,13 +93,6 @@ class ContactLayers:
                 colour = (1.0 - share) * CERTAIN + share * UNCERTAIN
                 layers["bounds"] = lines, np.repeat(colour[:, None], 2, axis=1)
         return layers
-
-
-def _gap_colours(gaps: np.ndarray) -> np.ndarray:
-    share = np.clip(gaps / GAP_SCALE, -1.0, 1.0)[:, None]
-    return np.where(
-        share < 0.0, TOUCHING - share * (PENETRATING - TOUCHING), TOUCHING + share * (APART - TOUCHING)
-    )
 
 
 def _pair_lines(contacts: ContactConstraintArray, centre: Centre) -> tuple[np.ndarray, np.ndarray]:

@@ -13,6 +13,11 @@ from fracture_collision.records import CollisionBody
 FAMILY_HUES = (0.56, 0.03, 0.11, 0.43, 0.78, 0.33, 0.93, 0.64)
 THROWN_COLOUR = (0.10, 0.10, 0.12)
 STATIC_COLOURS = ((0.46, 0.29, 0.16), (0.34, 0.21, 0.12), (0.62, 0.60, 0.56), (0.40, 0.42, 0.44))
+# Gap [m] -> display colour: penetration red, touching yellow, about to touch green.
+GAP_SCALE = 5e-4  # a gap of so much or more has the full colour
+PENETRATING, TOUCHING, APART = (
+    np.array(colour) / 255.0 for colour in ((226, 26, 28), (250, 214, 40), (50, 180, 90))
+)
 GLAZE_SHINE, PLAIN_SHINE = 0.35, 0.06
 
 
@@ -50,6 +55,19 @@ class Palette:
         rank = self._static_rank.get(body_id)
         colour = THROWN_COLOUR if rank is None else STATIC_COLOURS[rank % len(STATIC_COLOURS)]
         return Paint(colour, colour, PLAIN_SHINE)
+
+
+def gap_colours(gaps: np.ndarray) -> np.ndarray:
+    """RGB (n, 3), 0..1 as displays show it, of gaps (n,) [m]."""
+    share = np.clip(gaps / GAP_SCALE, -1.0, 1.0)[:, None]
+    return np.where(
+        share < 0.0, TOUCHING - share * (PENETRATING - TOUCHING), TOUCHING + share * (APART - TOUCHING)
+    )
+
+
+def display_colour(linear: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Of a Paint's colour what displays show."""
+    return linear[0] ** 0.5, linear[1] ** 0.5, linear[2] ** 0.5
 
 
 def _linear(colour: tuple[float, float, float]) -> tuple[float, float, float]:
