@@ -89,7 +89,8 @@ def test_places_are_those_of_the_urdf(kinematics: ArmKinematics) -> None:
 def test_parts_cover_the_links_meshes() -> None:
     for link in range(1, JOINTS + 1):
         file = Path(pybullet_data.getDataPath()) / URDF.parent / "meshes" / f"link_{link}.obj"
-        vertices = np.array([line.split()[1:4] for line in file.read_text().splitlines() if line.startswith("v ")], float)
+        rows = [line.split()[1:4] for line in file.read_text().splitlines() if line.startswith("v ")]
+        vertices = np.array(rows, np.float64)
         spheres = [part for part in MOVING if part.link == link and part.shape.kind == "sphere"]
         outside = [np.linalg.norm(vertices - part.center, axis=1) - part.shape.radius for part in spheres]
         assert np.min(outside, axis=0).max() < 0.035
