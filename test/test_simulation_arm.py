@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import cache
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import pybullet_data
 import pytest
 
 from fracture_collision.lockstep import Exchange, Lockstep
-from fracture_collision.simulation.arm import JOINTS, MOVING, PARTS, ArmKinematics, require_within
+from fracture_collision.simulation.arm import JOINTS, MOVING, PARTS, URDF, ArmKinematics, require_within
 from fracture_collision.simulation.live import CommandRefused, LiveScene
 from fracture_collision.simulation.scene import Scene, SceneError, load_scene, parse_scene
 from fracture_collision.world import CollisionWorld, Settings
@@ -82,6 +84,16 @@ def test_places_are_those_of_the_urdf(kinematics: ArmKinematics) -> None:
     np.testing.assert_allclose(np.linalg.norm(turns, axis=1), 1.0, atol=1e-12)
     turned = kinematics.places(np.array([0.5, np.pi / 2, 0.0, 0.0, 0.0, 0.0, 0.0]))[0][-1]
     np.testing.assert_allclose(turned, [bent[-1, 0] * np.cos(0.5), bent[-1, 0] * np.sin(0.5), bent[-1, 2]], atol=1e-6)
+
+
+def test_parts_cover_the_links_meshes() -> None:
+    for link in range(1, JOINTS + 1):
+        file = Path(pybullet_data.getDataPath()) / URDF.parent / "meshes" / f"link_{link}.obj"
+        rows = [line.split()[1:4] for line in file.read_text().splitlines() if line.startswith("v ")]
+        vertices = np.array(rows, np.float64)
+        spheres = [part for part in MOVING if part.link == link and part.shape.kind == "sphere"]
+        outside = [np.linalg.norm(vertices - part.center, axis=1) - part.shape.radius for part in spheres]
+        assert np.min(outside, axis=0).max() < 0.035
 
 
 def test_a_scene_places_the_arm(kinematics: ArmKinematics) -> None:
