@@ -29,6 +29,7 @@ MESHES: dict[str, Callable[..., TetGeometry]] = {
     "sampled_shell": sampled_bodies.sampled_shell,
     "bunny": stored_meshes.bunny,
     "piggy_bank": piggy_bank,
+    "stored_mesh": stored_meshes.stored_mesh,
 }
 KINDS = ("plane", "box", "sphere", *MESHES)
 
