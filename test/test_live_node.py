@@ -9,6 +9,7 @@ import pytest
 from fracture_collision.msg import FragmentStates, SimulationStatus
 from ros_client import PATIENCE
 from ros_stage import StageWithClients
+from sensor_msgs.msg import JointState
 
 from fracture_collision.ros import qos
 from fracture_collision.ros.live_client import LiveClient
@@ -26,7 +27,10 @@ class Player:
         self.hands = LiveClient(self._ears.node)
         self.told: list[SimulationStatus] = []
         self.states: list[FragmentStates] = []
-        for topic, collected in ((qos.SIMULATION_STATUS, self.told), (qos.FRAGMENT_STATES, self.states)):
+        self.joints: list[JointState] = []
+        for topic, collected in (
+            (qos.SIMULATION_STATUS, self.told), (qos.FRAGMENT_STATES, self.states), (qos.JOINT_STATES, self.joints),
+        ):  # fmt: skip
             self._ears.node.create_subscription(topic.message_class, topic.name, collected.append, topic.qos)
         self.until(lambda: self.hands.is_there() and bool(self.told) and bool(self.states), "a live scene")
 
@@ -150,3 +154,27 @@ def test_another_scene_and_nonsense(player: Player) -> None:
     assert player.status.fragments == 4
     player.begin_again("pane")
     assert player.status.scene == "pane" and not player.status.refused
+
+
+def test_an_arm_goes_where_its_joints_are_commanded_and_breaks_a_vase(player: Player) -> None:
+    player.hands.command_joints([0.0] * 7)
+    player.until(lambda: player.status.refused == "joint_commands: the scene has no arm", "words")
+    player.joints.clear()
+    player.begin_again("vase")
+    player.until(lambda: bool(player.joints), "joint states")
+    first, whole = player.joints[-1], player.status.fragments
+    names = list(first.name)
+    assert names == [f"lbr_iiwa_joint_{j}" for j in range(1, 8)] and not any(first.velocity)
+    player.hands.command_joints([3.0], names[:1])
+    player.until(lambda: player.status.refused.startswith("joint_commands: lbr_iiwa_joint_1: 3 rad is not"), "words")
+    player.steps_go_on()
+    assert player.joints[-1].position == first.position
+    swing = np.radians([-70.0, 60.0, 0.0, -80.0, 0.0, -50.0, 0.0])
+    player.hands.command_joints(swing)
+    player.until(lambda: np.allclose(player.joints[-1].position, swing, atol=1e-9), "an arm that has arrived")
+    assert player.status.fragments == whole
+    player.hands.command_joints([1.0], names[:1])
+    player.until(lambda: player.status.fragments > whole + 10, "shards")
+    player.steps_go_on()
+    player.begin_again()
+    assert player.status.fragments == 4

@@ -71,6 +71,8 @@ def colourful(picture: np.ndarray) -> np.ndarray:
 
 def on_a_plate(page: Any) -> tuple[float, float]:
     """A pixel amid many of one colour family."""
+    # a browser that draws in software is warned of it, in orange
+    page.evaluate("document.querySelectorAll('.mantine-Notification-root').forEach(each => each.remove())")
     seen = colourful(until(lambda: picture_of(page), lambda picture: np.count_nonzero(colourful(picture)) > 300))
     # the pixel with the most others about it
     sums = np.pad(seen.cumsum(0).cumsum(1), ((1, 0), (1, 0)))

@@ -10,6 +10,7 @@ import pytest
 
 from fracture_collision.simulation.scene import SceneError, load_scene, parse_scene
 from fracture_collision.simulation.scene_records import collision_body
+from fracture_collision.simulation.simulation import Simulation
 
 VALID = {
     "seed": 1, "gravity": [0.0, 0.0, -9.81], "time_step": 0.01, "duration": 1.0,
@@ -33,6 +34,14 @@ def test_the_plates_scene():
     assert (record.body_id, record.fragment_id) == (7, 7)
     assert np.ptp(record.vertices.reshape(-1, 3), axis=0)[0] == pytest.approx(0.25)
     assert record.tetrahedra.max() < len(record.vertices) // 3
+
+
+def test_bodies_at_the_start_are_said_as_often_as_asked_and_announced_once():
+    simulation = Simulation(parse_scene(VALID, "said"))
+    first, again = simulation.start_bodies(), simulation.start_bodies()
+    assert [body.name for body in first] == [body.name for body in again] == ["ground", "brick"]
+    assert simulation.begin_step().bodies == []
+    simulation.close()
 
 
 def test_a_scene_by_path_is_the_scene_by_name():

@@ -33,7 +33,7 @@ def main(times: int, others: int, scene: str, seed: int, out: Path) -> None:
     with Console(stderr=True).status("a run that nobody disturbs") as status:
         before = litter()
         reference = trials.undisturbed(out / "undisturbed", scene)
-        returns, different = trials.kill_services(out / "services", scene, times, seed, reference, status.update)
+        returns, different, lost = trials.kill_services(out / "services", scene, times, seed, reference, status.update)
         simulators = trials.kill_simulators(out / "simulators", scene, others, seed, reference, status.update)
         listeners = trials.kill_listeners(out / "listeners", scene, others, seed, reference, status.update)
         faults = list(trials.orders_of_ending(out / "orders", scene, status.update))
@@ -45,6 +45,7 @@ def main(times: int, others: int, scene: str, seed: int, out: Path) -> None:
     for name, seconds in (("process started to ready", started), ("ready to next step", answered)):
         console.print(f"  {name}: {np.median(seconds):.2f} s median, {seconds.max():.2f} s worst")
     console.print(f"  runs that differ: {different}")
+    console.print(f"  answers that were being said when their service was killed, and were not recorded: {lost}")
     console.print(f"{others} simulators killed: {'the run after them differs' if simulators else 'no difference'}")
     console.print(f"{others} listeners killed: {'the run differs' if listeners else 'no difference'}")
     console.print(f"SIGINT and SIGTERM in all orders: {len(faults)} faults")

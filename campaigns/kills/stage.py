@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import re
@@ -17,7 +18,8 @@ from fracture_collision.ros.shared_memory import YOUNG, left_behind
 
 PATIENCE = 300.0  # [s] a node that takes longer hangs
 LOOK = 0.002  # [s]
-COMPARED = ("/bodies", "/fracture_events", "/fragment_states", "/contact_constraints")
+COMPARED = ("/bodies", "/fracture_events", "/fragment_states")
+SETTLED = 3.0  # [s] after which nothing more comes of what was said before
 READY = "ready, "
 _STEP = re.compile(r'"step": (\d+)')
 
@@ -58,16 +60,33 @@ def stage(folder: Path) -> Iterator[Stage]:
 
 
 class Digests(NamedTuple):
-    """SHA-256 of what a run said, by topic of COMPARED, and its last registry's own digest."""
+    """SHA-256 of what a run said, by topic of COMPARED and answer by answer, and its last registry's own digest."""
 
     topics: tuple[str, ...]
+    answers: dict[int, str]  # by step
     registry: str
+
+    def lost(self, undisturbed: Digests) -> int:
+        """How many answers of an undisturbed run are not there."""
+        return len(undisturbed.answers.keys() - self.answers.keys())
+
+    def differs(self, undisturbed: Digests, may_lack: int = 0) -> bool:
+        """Whether anything is not as there, or more than `may_lack` answers are not there at all.
+
+        A service that is killed while it says an answer may have said it to the simulator and not to a recorder. The
+        simulator goes on then, and nobody asks for it again.
+        """
+        same = (self.topics, self.registry) == (undisturbed.topics, undisturbed.registry)
+        equal = all(undisturbed.answers.get(step) == answer for step, answer in self.answers.items())
+        return not same or not equal or self.lost(undisturbed) > may_lack
 
 
 def digests(bag: Path) -> Digests:
     """Raises ValueError without a registry."""
-    from fracture_collision.msg import FragmentRegistry
+    from fracture_collision.msg import ContactConstraintArray, FragmentRegistry
     from rclpy.serialization import deserialize_message
+
+    from fracture_collision.ros.cdr_records import deserialize_record
 
     last = None
     for message in read_messages(bag, ["/fragments"]):
@@ -75,7 +94,13 @@ def digests(bag: Path) -> Digests:
     if last is None:
         raise ValueError(f"{bag}: no registry")
     registry = deserialize_message(last, FragmentRegistry)
-    return Digests(tuple(topic_digest(bag, topic) for topic in COMPARED), registry.digest)
+    answers = {}
+    for message in read_messages(bag, ["/contact_constraints"]):
+        step = deserialize_record(message.data, ContactConstraintArray).record.step
+        answer = hashlib.sha256(message.data).hexdigest()
+        if answers.setdefault(step, answer) != answer:
+            raise ValueError(f"{bag}: two answers to step {step}")
+    return Digests(tuple(topic_digest(bag, topic) for topic in COMPARED), answers, registry.digest)
 
 
 def await_that(condition: Callable[[], bool], what: str, *alive: NodeProcess) -> float:
@@ -121,15 +146,21 @@ def steps_told(simulator: NodeProcess) -> int:
     return int(told[-1]) if told else 0
 
 
-def await_recording(recorder: NodeProcess, steps: int, *alive: NodeProcess) -> float:
-    """[s] until it has as many states and contacts, and a registry; needs its parameter `progress`."""
+def await_recording(recorder: NodeProcess, steps: int, *alive: NodeProcess, may_lack: int = 0) -> float:
+    """[s] until it has as many states and contacts, and a registry; needs its parameter `progress`. With `may_lack`
+    contacts fewer it is done too, once no more have come for a while.
+    """
+    most, since = 0, time.monotonic()
 
     def is_there() -> bool:
+        nonlocal most, since
         lines = [line for line in recorder.log_text().splitlines() if line.startswith("{") and line.endswith("}")]
         counts = json.loads(lines[-1]) if lines else {}
-        return counts.get("fragments", 0) > 0 and all(
-            counts.get(topic, 0) >= steps for topic in ("fragment_states", "contact_constraints")
-        )
+        states, contacts = (counts.get(topic, 0) for topic in ("fragment_states", "contact_constraints"))
+        if contacts > most:
+            most, since = contacts, time.monotonic()
+        is_settled = contacts >= steps - may_lack and time.monotonic() > since + SETTLED
+        return counts.get("fragments", 0) > 0 and states >= steps and (contacts >= steps or is_settled)
 
     return await_that(is_there, f"a recording of {steps} steps", recorder, *alive)
 

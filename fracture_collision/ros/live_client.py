@@ -10,6 +10,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
 from rclpy.task import Future
+from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 
@@ -23,9 +24,9 @@ class LiveClient:
     """Commands of one `node`. Whatever returns a Future is answered while the node spins."""
 
     def __init__(self, node: Node) -> None:
-        self._balls, self._hand, self._velocity = (
+        self._balls, self._hand, self._velocity, self._joints = (
             node.create_publisher(topic.message_class, topic.name, topic.qos)
-            for topic in (qos.THROW_BALL, qos.HAND_TARGET, qos.CMD_VEL)
+            for topic in (qos.THROW_BALL, qos.HAND_TARGET, qos.CMD_VEL, qos.JOINT_COMMANDS)
         )
         self._reset, self._step = (node.create_client(Trigger, name) for name in ("reset", "step"))
         self._pause = node.create_client(SetBool, "pause")
@@ -33,7 +34,8 @@ class LiveClient:
 
     def is_there(self) -> bool:
         """Whether a live simulator listens to all of this."""
-        heard = all(each.get_subscription_count() > 0 for each in (self._balls, self._hand, self._velocity))
+        said = (self._balls, self._hand, self._velocity, self._joints)
+        heard = all(each.get_subscription_count() > 0 for each in said)
         return heard and all(each.service_is_ready() for each in (self._reset, self._step, self._pause))
 
     def throw(
@@ -63,6 +65,10 @@ class LiveClient:
     def steer(self, velocity: Sequence[float]) -> None:
         """The hammer goes with `velocity` (3,) [m/s], world axes, until told otherwise."""
         self._velocity.publish(Twist(linear=_vector(velocity)))
+
+    def command_joints(self, positions: Sequence[float], names: Sequence[str] = ()) -> None:
+        """The scene's arm goes to `positions` [rad] of these joints, of all in order without names."""
+        self._joints.publish(JointState(name=list(names), position=[float(position) for position in positions]))
 
     def reset(self) -> Future:
         """Of a Trigger.Response."""

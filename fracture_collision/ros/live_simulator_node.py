@@ -1,7 +1,8 @@
 """A simulator to play with: paced by the clock, it goes on until it is told to end and takes commands by topics.
 
-throw_ball, hand_target and cmd_vel (any teleop tool's) act in the scene; the services reset, pause and step on the run.
-What is asked for is done between two steps, in the order it came. Steps themselves are simulator_node's.
+throw_ball, hand_target and cmd_vel (any teleop tool's) act in the scene, joint_commands on its arm if it has one, which
+tells joint_states; the services reset, pause and step on the run. What is asked for is done between two steps, in the
+order it came. Steps themselves are simulator_node's.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from functools import partial
 
 import numpy as np
 from geometry_msgs.msg import Twist
-from rclpy.publisher import Publisher
+from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 
@@ -51,10 +52,13 @@ class LiveSimulatorNode(SimulatorNode):
         self._reached: deque[tuple[float, float]] = deque()  # real and simulated time of the last steps
         for topic, callback in (
             (qos.THROW_BALL, self._on_ball), (qos.HAND_TARGET, self._on_hand), (qos.CMD_VEL, self._on_velocity),
+            (qos.JOINT_COMMANDS, self._on_joints),
         ):  # fmt: skip
             self.create_subscription(topic.message_class, topic.name, callback, topic.qos)
-        topic = qos.SIMULATION_STATUS
-        self._status: Publisher = self.create_publisher(topic.message_class, topic.name, topic.qos)
+        self._status, self._joints = (
+            self.create_publisher(topic.message_class, topic.name, topic.qos)
+            for topic in (qos.SIMULATION_STATUS, qos.JOINT_STATES)
+        )
         self.create_service(Trigger, "reset", self._on_reset)
         self.create_service(Trigger, "step", self._on_step)
         self.create_service(SetBool, "pause", self._on_pause)
@@ -139,6 +143,14 @@ class LiveSimulatorNode(SimulatorNode):
             status.solver, status.fracture = report.solver_seconds, report.fracture_seconds
             status.kinetic_energy = report.kinetic_energy
         self._status.publish(status)
+        arm = self._simulation.arm
+        if arm is not None:
+            self._joints.publish(
+                JointState(
+                    header=Header(stamp=status.header.stamp), name=list(arm.limits.names),
+                    position=arm.angles.tolist(), velocity=arm.speeds.tolist(),
+                )  # fmt: skip
+            )
 
     # --- commands --------------------------------------------------------------------------------------------------
 
@@ -170,6 +182,10 @@ class LiveSimulatorNode(SimulatorNode):
     def _on_velocity(self, message: Twist) -> None:
         velocity = _xyz(message.linear)
         self._later(qos.CMD_VEL, lambda: self._live.steer(velocity))
+
+    def _on_joints(self, message: JointState) -> None:
+        names, positions = list(message.name), list(message.position)
+        self._later(qos.JOINT_COMMANDS, lambda: self._live.command_joints(names, positions))
 
     def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         name = self.get_parameter("next_scene").value or self._scene.name

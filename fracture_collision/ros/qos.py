@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 from geometry_msgs.msg import Twist
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
 from fracture_collision.msg import (
@@ -69,6 +70,9 @@ COMMANDS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 THROW_BALL = Topic("throw_ball", ThrowBall, COMMANDS)
 HAND_TARGET = Topic("hand_target", HandTarget, EACH_STEP)
 CMD_VEL = Topic("cmd_vel", Twist, EACH_STEP)
+# Of an arm: where its joints shall go, and where they are; only `name` and `position` of a command count.
+JOINT_COMMANDS = Topic("joint_commands", JointState, COMMANDS)
+JOINT_STATES = Topic("joint_states", JointState, EACH_STEP)
 SIMULATION_STATUS = Topic("simulation_status", SimulationStatus, EACH_STEP)
 ANSWER_TIMES = Topic("answer_times", AnswerTimes, EACH_STEP)
 

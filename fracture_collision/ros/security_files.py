@@ -47,14 +47,15 @@ class Role(NamedTuple):
 
 
 ROLES = (
-    Role("collision_node", publishes=_RESULTS, subscribes=_RUN, also_publishes=(DIAGNOSTICS,)),
+    Role("collision_node", publishes=(*_RESULTS, qos.ANSWER_TIMES), subscribes=_RUN, also_publishes=(DIAGNOSTICS,)),
     Role("simulator_node", publishes=_RUN, subscribes=(qos.CONTACT_CONSTRAINTS, qos.FRAGMENTS)),
     Role(
         "recorder_node", subscribes=qos.TOPICS, also_subscribes=(DIAGNOSTICS, PARAMETER_EVENTS),
         calls=("get_parameters",),
     ),
     Role(
-        "viewer", subscribes=qos.TOPICS, also_subscribes=(DIAGNOSTICS, PARAMETER_EVENTS), calls=NODE_SERVICES,
+        "viewer", subscribes=(*qos.TOPICS, qos.ANSWER_TIMES), also_subscribes=(DIAGNOSTICS, PARAMETER_EVENTS),
+        calls=NODE_SERVICES,
     ),
 )
 

@@ -45,29 +45,48 @@ def left_behind(folder: Path = FOLDER) -> set[Path]:
     for file in folder.iterdir() if folder.is_dir() else ():
         if (name := _FILE.fullmatch(file.name)) is not None:
             groups.setdefault(name[1], []).append(file)
-    left: set[Path] = set()
-    for files in groups.values():
-        try:
-            stats = [file.stat() for file in files]
-            is_ours = all(each.st_uid == os.getuid() for each in stats)
-            is_young = any(time.time() - each.st_mtime < YOUNG for each in stats)
-            if is_ours and not is_young and not any(_is_held(file) for file in files if file.name.endswith(_LOCKS)):
-                left.update(files)
-        except OSError:  # it has gone in the meantime
-            continue
-    if left:
-        mapped = set(_mapped(folder))
-        used = {name[1] for each in mapped if (name := _FILE.fullmatch(each)) is not None}
-        left = {file for file in left if _FILE.fullmatch(file.name)[1] not in used}
-    return left
+    locked = _locked_inodes()
+    suspects = {name: files for name, files in groups.items() if _seems_unused(files, locked)}
+    if suspects:
+        for mapped in _mapped(folder):
+            if (name := _FILE.fullmatch(mapped)) is not None:
+                suspects.pop(name[1], None)
+    # At last, as to try a lock is to hold it for a moment: a participant that opens the file then would fail, and be
+    # deaf. Who takes the port of one that was killed opens it while others have it mapped still.
+    return {
+        file
+        for files in suspects.values()
+        if not any(_is_held(each) for each in files if each.name.endswith(_LOCKS))
+        for file in files
+    }
+
+
+def _seems_unused(files: list[Path], locked: set[int]) -> bool:
+    try:
+        stats = [file.stat() for file in files]
+    except OSError:  # it has gone in the meantime
+        return False
+    return not any(
+        each.st_uid != os.getuid() or time.time() - each.st_mtime < YOUNG or each.st_ino in locked for each in stats
+    )
+
+
+def _locked_inodes() -> set[int]:
+    """Of all files that a process which we can see holds a lock of; proc(5)."""
+    try:
+        lines = Path("/proc/locks").read_text().splitlines()
+    except OSError:
+        return set()
+    return {int(field.rpartition(":")[2]) for line in lines for field in line.split() if field.count(":") == 2}
 
 
 def _is_held(lock: Path) -> bool:
-    with lock.open("rb") as file:
-        try:
+    """Also by a process that we cannot see, of another container."""
+    try:
+        with lock.open("rb") as file:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            return True
+    except OSError:  # it is held, or has gone in the meantime
+        return True
     return False
 
 

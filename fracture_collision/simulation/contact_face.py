@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.simulation.compiled import uncounted
-from fracture_collision.simulation.contact_rows import NORMAL_MASS, TANGENT_MASS, load, push, pushed, store, turn
+from fracture_collision.simulation.contact_rows import NORMAL_MASS, TANGENT_MASS, push, turn
 
 # A way whose energy is less than this share of the bodies' own, 1e-10 of the speeds, is as good as none.
 NO_ENERGY = 1.0e-20
@@ -72,63 +72,38 @@ def add_up(rows, start, u, impulses, rolling):
 
 
 @uncounted
-def keep_to_face(rows, face, step, path):
-    """Take what is not free out of two ways, and find what the rest does to the bodies.
+def keep_to_face(rows, face, way):
+    """Take what is not free out of a way, and find what the rest does to the bodies.
 
     It is summed up from the impulses: a difference of velocities has their rounding, which grows from one iteration to
     the next where a short way is gone many times over.
     """
-    for i in range(step.u.shape[0]):
-        for k in range(6):
-            step.u[i, k] = path.u[i, k] = 0.0
-    for pair in range(rows.body_a.size):
-        # What the first reads of the contacts, the second finds at hand.
-        _keep_pair_to_face(rows, face, pair, step)
-        _keep_pair_to_face(rows, face, pair, path)
-    _find_momenta(rows, step)
-    _find_momenta(rows, path)
-
-
-@uncounted
-def _keep_pair_to_face(rows, face, pair, way):
     impulses, u = way.impulses, way.u
-    a, b = rows.body_a[pair], rows.body_b[pair]
-    mass_a, mass_b = rows.inverse_masses[a], rows.inverse_masses[b]
-    ua, ub = load(u, a), load(u, b)
-    for c in range(rows.begin[pair], rows.begin[pair + 1]):
-        if not face.presses[c]:
-            impulses[c, 0] = 0.0
-        if not face.sticks[c]:
-            impulses[c, 1] = impulses[c, 2] = 0.0
-        normal, x, y = impulses[c, 0], impulses[c, 1], impulses[c, 2]
-        if normal != 0.0 or x != 0.0 or y != 0.0:
-            ua, ub = pushed(rows.contacts[c], ua, ub, mass_a, mass_b, normal, x, y)
-    store(u, a, ua)
-    store(u, b, ub)
-    if not face.holds[pair]:
-        way.rolling[pair, 0] = way.rolling[pair, 1] = way.rolling[pair, 2] = 0.0
-    x, y, z = way.rolling[pair, 0], way.rolling[pair, 1], way.rolling[pair, 2]
-    if x != 0.0 or y != 0.0 or z != 0.0:
-        turn(rows, pair, u, x, y, z)
+    for i in range(u.shape[0]):
+        for k in range(6):
+            u[i, k] = 0.0
+    for pair in range(rows.body_a.size):
+        for c in range(rows.begin[pair], rows.begin[pair + 1]):
+            if not face.presses[c]:
+                impulses[c, 0] = 0.0
+            if not face.sticks[c]:
+                impulses[c, 1] = impulses[c, 2] = 0.0
+            normal, x, y = impulses[c, 0], impulses[c, 1], impulses[c, 2]
+            if normal != 0.0 or x != 0.0 or y != 0.0:
+                push(rows, pair, c, u, normal, x, y)
+        if not face.holds[pair]:
+            way.rolling[pair, 0] = way.rolling[pair, 1] = way.rolling[pair, 2] = 0.0
+        x, y, z = way.rolling[pair, 0], way.rolling[pair, 1], way.rolling[pair, 2]
+        if x != 0.0 or y != 0.0 or z != 0.0:
+            turn(rows, pair, u, x, y, z)
+    _find_momenta(rows, way)
 
 
 @uncounted
 def lowest(rows, targets, u, step, path, scale):
     """Shares of two ways that lead from here to the minimum of f. `scale`: u M u, as large as it gets."""
-    step_slope, step_curvature = dot(step.momenta, u), dot(step.momenta, step.u)
-    path_slope, path_curvature = dot(path.momenta, u), dot(path.momenta, path.u)
-    step_apart = path_apart = 0.0
-    for c in range(targets.size):
-        normal, x, y = step.impulses[c, 0], step.impulses[c, 1], step.impulses[c, 2]
-        if normal != 0.0 or x != 0.0 or y != 0.0:
-            step_slope -= normal * targets[c]
-            step_apart += _apart(rows, c, normal, x, y)
-        normal, x, y = path.impulses[c, 0], path.impulses[c, 1], path.impulses[c, 2]
-        if normal != 0.0 or x != 0.0 or y != 0.0:
-            path_slope -= normal * targets[c]
-            path_apart += _apart(rows, c, normal, x, y)
-    step_leads = step_curvature > max(NO_WAY * step_apart, NO_ENERGY * scale)
-    path_leads = path_curvature > max(NO_WAY * path_apart, NO_ENERGY * scale)
+    step_slope, step_curvature, step_leads = _slope_and_curvature(rows, targets, u, step, scale)
+    path_slope, path_curvature, path_leads = _slope_and_curvature(rows, targets, u, path, scale)
     along_step, along_path = 0.0, 0.0
     if step_leads and path_leads:
         mixed = dot(step.momenta, path.u)
@@ -145,9 +120,15 @@ def lowest(rows, targets, u, step, path, scale):
 
 
 @uncounted
-def _apart(rows, c, normal, x, y):
-    """x A x of one contact's impulses, if there were no others."""
-    return normal * normal / rows.contacts[c, NORMAL_MASS] + (x * x + y * y) / rows.contacts[c, TANGENT_MASS]
+def _slope_and_curvature(rows, targets, u, way, scale):
+    slope, curvature, apart = dot(way.momenta, u), dot(way.momenta, way.u), 0.0
+    for c in range(targets.size):
+        normal, x, y = way.impulses[c, 0], way.impulses[c, 1], way.impulses[c, 2]
+        if normal == 0.0 and x == 0.0 and y == 0.0:
+            continue
+        slope -= normal * targets[c]
+        apart += normal * normal / rows.contacts[c, NORMAL_MASS] + (x * x + y * y) / rows.contacts[c, TANGENT_MASS]
+    return slope, curvature, curvature > max(NO_WAY * apart, NO_ENERGY * scale)
 
 
 @uncounted

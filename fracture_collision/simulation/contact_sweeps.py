@@ -114,7 +114,8 @@ def sweep(rows, surfaces, targets, u, free, impulses, rolling, iterations, accur
         difference(impulses, rolling, before, step)
         along_step, along_path, part = 0.0, 0.0, 0.0
         for _ in range(FACES):
-            keep_to_face(rows, face, step, path)
+            keep_to_face(rows, face, step)
+            keep_to_face(rows, face, path)
             along_step, along_path = lowest(rows, targets, u, step, path, scale)
             left, part = leave_face(rows, surfaces, impulses, step, path, along_step, along_path, face)
             if not left:

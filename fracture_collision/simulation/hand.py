@@ -71,7 +71,7 @@ def parse_hand(fields: Fields, folder: Path | None, names: list[str]) -> Hand:
     )
     track, path = fields.take("track"), fields.name("track")
     if isinstance(track, str):
-        rows = _rows_of_file((folder or Path()) / track, path)
+        rows = rows_of_file((folder or Path()) / track, path, COLUMNS)
     elif isinstance(track, list):
         rows = track
     else:
@@ -111,14 +111,15 @@ def kick(
     return np.concatenate((impulse / mass, inverse @ arm @ impulse))
 
 
-def _rows_of_file(file: Path, path: str) -> list[list[str]]:
+def rows_of_file(file: Path, path: str, columns: list[str]) -> list[list[str]]:
+    """Rows of a CSV file that begins with these `columns`; `path` is the field that names it. Raises SceneError."""
     try:
         lines = read_text(file, MAX_TRACK_BYTES).splitlines(keepends=True)
         rows = [row for row in csv.reader(line for line in lines if not line.startswith("#")) if row]
     except (SceneError, csv.Error) as error:
         raise SceneError(f"{path}: {error}") from error
-    if not rows or rows[0] != COLUMNS:
-        raise SceneError(f"{path}: {file} does not begin with the columns {','.join(COLUMNS)}")
+    if not rows or rows[0] != columns:
+        raise SceneError(f"{path}: {file} does not begin with the columns {','.join(columns)}")
     return rows[1:]
 
 

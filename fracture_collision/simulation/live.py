@@ -1,16 +1,18 @@
 """A scene to play with: it goes on until it is told to end, and takes commands between its steps.
 
-What the scene throws by itself is left to the person: balls with a start time do not come. Everything else is the
-scene's, and so is the physics (simulation.py).
+What the scene does by itself is left to the person: balls with a start time do not come, a recorded hand does not move,
+nor does an arm swing. Everything else is the scene's, and so is the physics (simulation.py).
 """
 
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from fracture_collision.simulation.arm import PARTS
 from fracture_collision.simulation.hammer import Hammer
 from fracture_collision.simulation.scene import Material, Scene, SceneBody
 from fracture_collision.simulation.shapes import Shape
@@ -49,7 +51,8 @@ class LiveScene:
 
     def __init__(self, scene: Scene, seed: int) -> None:
         kept = tuple(body for body in scene.bodies if not _is_thrown(body))
-        self.simulation = Simulation(scene._replace(bodies=kept, hand=None), seed)
+        arm = None if scene.arm is None else scene.arm.standing()
+        self.simulation = Simulation(scene._replace(bodies=kept, hand=None, arm=arm), seed)
         self._home = _hammer_home(kept)
         self._hammer: Hammer | None = None
         self._balls: deque[int] = deque()
@@ -102,6 +105,18 @@ class LiveScene:
             self.simulation.add_pusher(self._hammer)
         self._hammer.steer(velocity)
 
+    def command_joints(self, names: Sequence[str], positions: Sequence[float]) -> None:
+        """The arm goes to `positions` [rad] of the joints of these `names`, all seven in order where there are none.
+
+        Raises CommandRefused.
+        """
+        if self.simulation.arm is None:
+            raise CommandRefused("the scene has no arm")
+        try:
+            self.simulation.arm.command(names, positions)
+        except ValueError as error:
+            raise CommandRefused(str(error)) from error
+
     def close(self) -> None:
         self.simulation.close()
 
@@ -111,7 +126,8 @@ def _is_thrown(body: SceneBody) -> bool:
 
 
 def _hammer_home(bodies: tuple[SceneBody, ...]) -> np.ndarray:
-    places = [body.position for body in bodies if not body.is_static]
+    arm = {part.name for part in PARTS}
+    places = [body.position for body in bodies if not body.is_static and body.name not in arm]
     middle = np.mean(places, axis=0) if places else np.array([0.0, 0.0, 0.5])
     return middle - np.array([0.0, IN_FRONT, 0.0])
 

@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from fracture_collision.geometry.generators import TetGeometry
 from fracture_collision.share import share_directory
+from fracture_collision.simulation.arm import PARTS, Arm, ArmKinematics, parse_arm
 from fracture_collision.simulation.contact_solver import SolverSettings
 from fracture_collision.simulation.fracture_pattern import PatternSettings
 from fracture_collision.simulation.hand import Hand, parse_hand
@@ -64,6 +65,7 @@ class Scene(NamedTuple):
     solver: SolverSettings
     bodies: tuple[SceneBody, ...]
     hand: Hand | None = None  # that drags bodies
+    arm: Arm | None = None  # whose parts are among the bodies, under the names of arm.PARTS
 
     @property
     def step_count(self) -> int:
@@ -112,13 +114,20 @@ def parse_scene(content: Any, name: str, variant: str = "", folder: Path | None 
     bodies = tuple(
         _body(Fields(value, f"bodies[{i}]"), materials, made) for i, value in enumerate(root.sequence("bodies"))
     )
+    dragged = [body.name for body in bodies if not body.is_static]
+    arm = root.take("arm", None)
+    if arm is not None:
+        arm_fields = Fields(arm, "arm")
+        material = _material_of(arm_fields, materials)
+        arm = parse_arm(arm_fields, folder)
+        bodies += _arm_bodies(arm, material)
     names = [body.name for body in bodies]
     for body_name in names:
         if names.count(body_name) > 1:
             raise SceneError(f"bodies: the name {body_name!r} occurs {names.count(body_name)} times")
     hand = root.take("hand", None)
     if hand is not None:
-        hand = parse_hand(Fields(hand, "hand"), folder, [body.name for body in bodies if not body.is_static])
+        hand = parse_hand(Fields(hand, "hand"), folder, dragged)
     scene = Scene(
         name=name,
         seed=root.integer("seed", 1),
@@ -128,6 +137,7 @@ def parse_scene(content: Any, name: str, variant: str = "", folder: Path | None 
         solver=numbers(Fields(root.mapping("solver", {}), "solver"), SolverSettings()),
         bodies=bodies,
         hand=hand,
+        arm=arm,
     )
     root.finish()
     if scene.duration > MAX_STEPS * scene.time_step:
@@ -192,17 +202,40 @@ def _material(fields: Fields) -> Material:
     return material
 
 
+def _material_of(fields: Fields, materials: Mapping[str, Material]) -> Material:
+    name = fields.text("material")
+    if name not in materials:
+        raise SceneError(f"{fields.name('material')}: {name!r} is none of {', '.join(materials)}")
+    return materials[name]
+
+
+def _arm_bodies(arm: Arm, material: Material) -> tuple[SceneBody, ...]:
+    """Its parts, where its swing begins."""
+    kinematics = ArmKinematics(arm.position, arm.orientation)
+    try:
+        centers, turns = kinematics.places(arm.swing()(0.0))
+    finally:
+        kinematics.close()
+    foot = arm.position + Rotation.from_quat(arm.orientation).apply(PARTS[0].center)
+    places = [(foot, arm.orientation), *zip(centers, turns, strict=True)]
+    return tuple(
+        SceneBody(
+            part.name, part.shape, material._replace(fracture=None), part.link == 0, center, turn, 0.0, np.zeros(3),
+            np.zeros(3),
+        )
+        for part, (center, turn) in zip(PARTS, places, strict=True)
+    )  # fmt: skip
+
+
 def _body(fields: Fields, materials: Mapping[str, Material], made: dict[tuple, TetGeometry]) -> SceneBody:
-    material_name = fields.text("material")
-    if material_name not in materials:
-        raise SceneError(f"{fields.name('material')}: {material_name!r} is none of {', '.join(materials)}")
+    material = _material_of(fields, materials)
     is_static = fields.take("static", False)
     if not isinstance(is_static, bool):
         raise SceneError(f"{fields.name('static')}: needs true or false, got {is_static!r}")
     body = SceneBody(
         name=fields.text("name"),
         shape=parse_shape(Fields(fields.mapping("shape"), fields.name("shape")), made),
-        material=materials[material_name],
+        material=material,
         is_static=is_static,
         position=fields.vector("position", 3, (0.0, 0.0, 0.0)),
         orientation=Rotation.from_euler("xyz", fields.vector("rotation", 3, (0.0, 0.0, 0.0)), degrees=True).as_quat(),

@@ -15,6 +15,7 @@ import numpy as np
 from fracture_collision.geometry import concave_shapes, generators, sampled_bodies, stored_meshes
 from fracture_collision.geometry.generators import TetGeometry
 from fracture_collision.geometry.piggy_bank import piggy_bank
+from fracture_collision.geometry.vase import vase
 from fracture_collision.simulation.scene_fields import Fields, SceneError
 
 MESHES: dict[str, Callable[..., TetGeometry]] = {
@@ -30,6 +31,7 @@ MESHES: dict[str, Callable[..., TetGeometry]] = {
     "bunny": stored_meshes.bunny,
     "piggy_bank": piggy_bank,
     "stored_mesh": stored_meshes.stored_mesh,
+    "vase": vase,
 }
 KINDS = ("plane", "box", "sphere", *MESHES)
 

@@ -30,6 +30,8 @@ from fracture_collision.records import (
     FragmentStates,
 )
 from fracture_collision.simulation import contact_memory
+from fracture_collision.simulation.arm import PARTS
+from fracture_collision.simulation.arm_control import ArmControl
 from fracture_collision.simulation.body_traits import Traits, traits_of
 from fracture_collision.simulation.breakable_body import BreakableBody
 from fracture_collision.simulation.bullet_world import BulletWorld
@@ -69,9 +71,9 @@ class StepReport(NamedTuple):
     potential_energy: float  # [J] in the scene's gravity, relative to the world's origin
     drift_energy: float  # [J] potential energy that this step's drift correction put in by lifting bodies
     max_speed: float  # [m/s] of any centre of mass at the end of the step
-    deepest_gap: float  # [m] the smallest gap among this step's contacts; 0 without contacts
+    deepest_gap: float  # [m] the smallest gap among the contacts that are solved; 0 without
     events: list[FractureEvent]  # of this step, to be told with the next request
-    hand_energy: float  # [J] that a hand put in; negative where it took some out
+    hand_energy: float  # [J] that a hand, an arm put in; negative where they took some out
 
 
 class Pusher(Protocol):
@@ -122,6 +124,11 @@ class Simulation:
         names = {i: body.name for i, body in self._body_of.items()}
         self.drag = Drag(scene.hand, names, self._body_id_of, self._breakable)
         self._pushers: list[Pusher] = [self.drag]
+        self.arm: ArmControl | None = None  # the scene's
+        if scene.arm is not None:
+            ids = {name: i for i, name in names.items()}
+            self.arm = ArmControl(scene.arm, [ids[part.name] for part in PARTS])
+            self._pushers.append(self.arm)
         self._news = [collision_body(i, body) for i, body in self._body_of.items()]  # bodies not yet announced
 
     @property
@@ -135,6 +142,8 @@ class Simulation:
 
     def close(self) -> None:
         self._engine.close()
+        if self.arm is not None:
+            self.arm.close()
 
     def grab(self, name: str, position: np.ndarray) -> bool:
         """`drag.grab` of what is in motion now; `drag` moves the hand and lets go."""
@@ -179,8 +188,9 @@ class Simulation:
         self._news.append(collision_body(body_id, body)._replace(operation=REMOVE))
 
     def start_bodies(self) -> list[CollisionBody]:
-        """All bodies of the scene, to be published before the first states."""
-        return self._take_news()
+        """All bodies of the scene, to be published before the first states; says the same if called again."""
+        self._news.clear()
+        return [collision_body(i, body) for i, body in self._body_of.items()]
 
     def begin_step(self) -> StepRequest:
         """Asks for the contacts at the present time. May be called again while no answer comes: it says the same."""
@@ -203,7 +213,10 @@ class Simulation:
         self._admit_waiting(registry)
         states = self._engine.states()
         started = time.perf_counter()
-        listed, deepest_gap = len(contacts.gaps), float(contacts.gaps.min(initial=0.0))
+        listed = len(contacts.gaps)
+        if self.arm is not None:
+            contacts = self.arm.without_own(contacts)
+        deepest_gap = float(contacts.gaps.min(initial=0.0))
         contacts, self._memory = with_remembered(
             contacts, self._asked, self._memory, self._scene.solver.memory_reach
         )

@@ -50,8 +50,9 @@ class ContactLayers:
         }  # fmt: skip
         for name, thickness in (("normals", 2.0), ("pairs", 3.0), ("bounds", 4.0)):
             self._nodes[name] = scene.add_line_segments(
-                f"/contact_{name}", segment, segment.astype(np.uint8), thickness=thickness, visible=False
-            )
+                f"/contact_{name}", segment, segment.astype(np.uint8), thickness=thickness, thickness_units="screen",
+                visible=False,
+            )  # fmt: skip
         self._said = ""
 
     @property

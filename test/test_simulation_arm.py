@@ -1,0 +1,292 @@
+"""A robot arm in a scene: it goes where it is told, breaks what it hits, is never stronger than it may be."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from fracture_collision.lockstep import Exchange, Lockstep
+from fracture_collision.simulation.arm import JOINTS, MOVING, PARTS, ArmKinematics, require_within
+from fracture_collision.simulation.live import CommandRefused, LiveScene
+from fracture_collision.simulation.scene import Scene, SceneError, load_scene, parse_scene
+from fracture_collision.world import CollisionWorld, Settings
+
+ORIGIN, UPRIGHT = np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])
+TOOL = PARTS[-1].name
+POSTURE = [0.0, 50.0, 0.0, -70.0, 0.0, -40.0, 0.0]
+GROUND = {"name": "ground", "material": "metal", "static": True, "shape": {"plane": {"coefficients": [0, 0, 1, 0]}}}
+
+
+def scene(swing, duration=1.0, bodies=(GROUND,), **arm) -> Scene:
+    return parse_scene(
+        {
+            "time_step": 0.0025, "duration": duration, "materials": {"metal": {"density": 1000.0, "friction": 0.4}},
+            "bodies": list(bodies), "arm": {"material": "metal", "swing": swing, **arm},
+        },
+        "armed",
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def kinematics() -> Iterator[ArmKinematics]:
+    made = ArmKinematics(ORIGIN, UPRIGHT)
+    yield made
+    made.close()
+
+
+def places(what: Scene, states) -> np.ndarray:
+    """Of the parts that move, (n, 3) [m]."""
+    ids = [1 + [body.name for body in what.bodies].index(part.name) for part in MOVING]
+    return states.positions.reshape(-1, 3)[np.searchsorted(states.fragment_ids, ids)]
+
+
+class Smashed(NamedTuple):
+    scene: Scene
+    exchanges: tuple[Exchange, ...]
+    lags: np.ndarray  # (steps,) [m] of the part that is farthest off its place
+    asked: np.ndarray  # (steps, 7) [rad] of the joints
+
+
+@cache
+def smashed() -> Smashed:
+    """The scene that comes with the package, to 0.4 s after the blow."""
+    what = load_scene("vase")
+    exchanges, lags, asked = [], [], []
+    kinematics = ArmKinematics(ORIGIN, UPRIGHT)
+    with Lockstep(what._replace(duration=1.5), Settings(threads=1)) as run:
+        for exchange in run:
+            exchanges.append(exchange)
+            asked.append(run.simulation.arm.angles)
+            expected = kinematics.places(asked[-1])[0]
+            lags.append(np.linalg.norm(places(what, run.states()) - expected, axis=1).max())
+    kinematics.close()
+    return Smashed(what, tuple(exchanges), np.array(lags), np.array(asked))
+
+
+# --- kinematics ------------------------------------------------------------------------------------------------------
+
+
+def test_places_are_those_of_the_urdf(kinematics: ArmKinematics) -> None:
+    """Stretched upwards the flange is 1.306 m above the foot, as the data sheet's 360 + 420 + 400 + 126 mm; bent by a
+    quarter at joint 2 it reaches what of that lies beyond the shoulder.
+    """
+    tool = np.array(PARTS[-1].center)
+    up = kinematics.places(np.zeros(JOINTS))[0][-1]
+    np.testing.assert_allclose(up - [0.0, 0.0, tool[2]], [0.0, 0.0, 0.36 + 0.42 + 0.4 + 0.081], atol=2e-3)
+    bent, turns = kinematics.places(np.array([0.0, np.pi / 2, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    np.testing.assert_allclose(bent[-1], [up[2] - 0.36, 0.0, 0.36], atol=2e-3)
+    np.testing.assert_allclose(np.linalg.norm(turns, axis=1), 1.0, atol=1e-12)
+    turned = kinematics.places(np.array([0.5, np.pi / 2, 0.0, 0.0, 0.0, 0.0, 0.0]))[0][-1]
+    np.testing.assert_allclose(turned, [bent[-1, 0] * np.cos(0.5), bent[-1, 0] * np.sin(0.5), bent[-1, 2]], atol=1e-6)
+
+
+def test_a_scene_places_the_arm(kinematics: ArmKinematics) -> None:
+    what = scene([[0.0, *POSTURE]], position=[1.0, 2.0, 0.5], rotation=[0.0, 0.0, 90.0])
+    here = {body.name: body for body in what.bodies}
+    x, y, z = kinematics.places(np.radians(POSTURE))[0][-1]
+    np.testing.assert_allclose(here[TOOL].position, [1.0 - y, 2.0 + x, 0.5 + z], atol=1e-9)
+    np.testing.assert_allclose(here[PARTS[0].name].position, [1.0, 2.0, 0.579], atol=1e-9)
+    assert [body.name for body in what.bodies if body.is_static] == ["ground", PARTS[0].name]
+
+
+# --- a swing ---------------------------------------------------------------------------------------------------------
+
+
+def test_the_vase_breaks_when_it_is_hit_and_not_before() -> None:
+    run = smashed()
+    vase = 1 + [body.name for body in run.scene.bodies].index("vase")
+    arm = {1 + [body.name for body in run.scene.bodies].index(part.name) for part in MOVING}
+    broken = next(i for i, each in enumerate(run.exchanges) if each.report.events)
+    assert run.exchanges[broken].report.events[0].fragment_id == vase
+    touching = [
+        i
+        for i, each in enumerate(run.exchanges[: broken + 1])
+        for a, b in zip(each.contacts.fragment_a, each.contacts.fragment_b, strict=True)
+        if (a == vase and b in arm) or (b == vase and a in arm)
+    ]
+    assert touching and 0 <= broken - touching[0] <= 3, "as soon as they touch"
+    assert run.exchanges[-1].report.fragments > 20 + len(MOVING)
+
+
+def test_the_arm_follows_its_swing_to_a_rounding_and_gives_way_to_what_it_hits_by_millimetres() -> None:
+    run = smashed()
+    broken = next(i for i, each in enumerate(run.exchanges) if each.report.events)
+    assert run.lags[: broken - 2].max() < 1e-9
+    assert 1e-4 < run.lags[broken:].max() < 0.03 and run.lags[-1] < 1e-6
+    steps = np.diff(run.asked, axis=0) / run.scene.time_step
+    assert np.abs(steps).max() <= run.scene.arm.settings.speed_limit + 1e-9
+
+
+def test_energy_is_what_the_arm_puts_in_and_never_more() -> None:
+    run = smashed()
+    reports = [each.report for each in run.exchanges]
+    energy = np.array([report.kinetic_energy + report.potential_energy for report in reports])
+    rise = np.diff(energy) - [report.hand_energy + report.drift_energy for report in reports[1:]]
+    broken = next(i for i, report in enumerate(reports) if report.events)
+    assert np.ptp(energy[:broken]) > 5.0
+    # from when the vase has set itself on its plinth
+    assert np.abs(rise[5 : broken - 3]).max() < 1e-12 * energy.max(), "nothing is hit: it is just that"
+    assert rise.max() < 2e-5 * energy.max()
+
+
+def test_the_same_bytes_twice() -> None:
+    def states() -> list[bytes]:
+        with Lockstep(load_scene("vase")._replace(duration=1.15), Settings(threads=1)) as run:
+            return [each.states.positions.tobytes() + each.states.orientations.tobytes() for each in run]
+
+    assert states() == states()
+
+
+def test_parts_of_the_arm_do_not_push_each_other() -> None:
+    """They overlap by centimetres, and the service says so; standing still takes no energy and moves nothing."""
+    what = scene([[0.0, *POSTURE]], 0.2)
+    with Lockstep(what, Settings(threads=1)) as run:
+        exchanges = list(run)
+        moved = places(what, run.states()) - places(what, exchanges[0].states)
+    assert exchanges[-1].contacts.gaps.min() < -0.02 and exchanges[-1].report.deepest_gap == 0.0
+    assert np.abs(moved).max() < 1e-12
+    assert max(abs(each.report.hand_energy) for each in exchanges) < 1e-9
+
+
+def test_held_up_it_presses_with_its_force_and_waits() -> None:
+    """Onto a wall that stands in its way: no part lags by more than the limit, none is faster than it was sent."""
+    wall = {"name": "wall", "material": "metal", "static": True, "position": [0.8, 0.2, 0.4],
+            "shape": {"box": {"size": [0.8, 0.1, 0.8]}}}  # fmt: skip
+    swing = [[0.0, -30.0, *POSTURE[1:]], [1.0, 60.0, *POSTURE[1:]]]
+    what = scene(swing, 2.0, (GROUND, wall))
+    with Lockstep(what, Settings(threads=1)) as run:
+        reports = [each.report for each in run]
+        asked = run.simulation.arm.angles
+        tool = places(what, run.states())
+    assert np.degrees(asked[0]) < 30.0, "it did not get through"
+    kinematics = ArmKinematics(ORIGIN, UPRIGHT)
+    lags = np.linalg.norm(tool - kinematics.places(asked)[0], axis=1)
+    kinematics.close()
+    assert 1e-3 < lags.max() < 1.5 * what.arm.settings.lag_limit
+    assert tool[:, 1].max() < 0.2 and min(report.deepest_gap for report in reports) > -0.02
+    assert reports[-1].max_speed < 0.05
+
+
+# --- commands --------------------------------------------------------------------------------------------------------
+
+
+class Played:
+    """The scene as a person plays it."""
+
+    def __init__(self) -> None:
+        self.live = LiveScene(load_scene("vase"), 1)
+        self._world = CollisionWorld(Settings(threads=1))
+
+    def step(self, count: int) -> tuple[list[int], np.ndarray]:
+        """Fragments at each step, and the joints' angles (count, 7)."""
+        fragments, angles = [], []
+        for _ in range(count):
+            request = self.live.simulation.begin_step()
+            for body in request.bodies:
+                self._world.add_body(body)
+            for event in request.events:
+                self._world.add_fracture(event)
+            answer = self._world.contacts(request.states)
+            fragments.append(self.live.simulation.finish_step(answer, self._world.fragments()).fragments)
+            angles.append(self.live.simulation.arm.angles)
+        return fragments, np.array(angles)
+
+
+@pytest.fixture
+def played() -> Iterator[Played]:
+    made = Played()
+    yield made
+    made.live.close()
+
+
+def test_it_goes_where_it_is_commanded_within_its_limits(played: Played) -> None:
+    still = played.step(40)[1]
+    assert np.ptp(still, axis=0).max() == 0.0, "nobody swings but the person"
+    settings, h = load_scene("vase").arm.settings, 0.0025
+    played.live.command_joints(["lbr_iiwa_joint_1", "lbr_iiwa_joint_4"], [-2.0, -1.0])
+    angles = np.vstack((still[-1:], played.step(400)[1]))
+    goal = still[-1].copy()
+    goal[[0, 3]] = -2.0, -1.0
+    np.testing.assert_allclose(angles[-1], goal, atol=1e-9)
+    speeds = np.diff(angles, axis=0) / h
+    assert np.abs(speeds).max() <= settings.speed_limit + 1e-9
+    changes = np.abs(np.diff(np.vstack((np.zeros(JOINTS), speeds)), axis=0))
+    assert changes.max() <= 1.5 * settings.acceleration_limit * h
+    assert (np.sign(goal - still[-1]) * speeds >= -1e-9).all(), "straight there"
+    assert played.live.simulation.arm.speeds.max() == 0.0
+
+
+def test_a_person_breaks_the_vase(played: Played) -> None:
+    whole = played.step(10)[0][-1]
+    arm = played.live.simulation.arm
+    played.live.command_joints([], np.radians([-60.0, 60.0, 0.0, -80.0, 0.0, -50.0, 0.0]))
+    assert set(played.step(200)[0]) == {whole}
+    played.live.command_joints([arm.limits.names[0]], [1.0])
+    assert played.step(250)[0][-1] > whole + 10
+
+
+@pytest.mark.parametrize(
+    ("names", "positions", "words"),
+    [
+        ([], [0.0] * 6, "position: 6 for 7 joints"),
+        (["elbow"], [0.0], "no joint 'elbow'; there is lbr_iiwa_joint_1"),
+        (["lbr_iiwa_joint_1"], [float("nan")], "lbr_iiwa_joint_1: nan is not finite"),
+        (["lbr_iiwa_joint_2"], [2.2], "lbr_iiwa_joint_2: 2.2 rad is not within -2.094 and 2.094 rad"),
+        (["lbr_iiwa_joint_1"] * 2, [0.1, 0.2], "a joint occurs twice"),
+        (["lbr_iiwa_joint_1"], [], "position: 0 for 1 joints"),
+    ],
+)
+def test_nonsense_is_refused_in_words(played: Played, names, positions, words: str) -> None:
+    before = played.step(2)[1][-1]
+    with pytest.raises(CommandRefused, match=words):
+        played.live.command_joints(names, positions)
+    assert np.array_equal(played.step(5)[1][-1], before)
+
+
+def test_a_scene_without_an_arm_says_so() -> None:
+    live = LiveScene(load_scene("pane"), 1)
+    with pytest.raises(CommandRefused, match="the scene has no arm"):
+        live.command_joints([], [0.0] * JOINTS)
+    live.close()
+
+
+def row(time: float = 0.0, **angles: float) -> list[float]:
+    return [time, *[angles.get(f"joint_{j}", 0.0) for j in range(1, JOINTS + 1)]]
+
+
+@pytest.mark.parametrize(
+    ("arm", "words"),
+    [
+        ({"swing": []}, "arm.swing: needs the name of a CSV file, or a list of rows"),
+        ({"swing": [[0.0, 1.0]]}, r"arm.swing\[0\]: needs time, joint_1"),
+        ({"swing": [row(), row()]}, r"arm.swing\[1\]: time 0.0 s does not follow 0.0 s"),
+        ({"swing": [row(joint_3=float("inf"))]}, r"arm.swing\[0\]: needs finite numbers"),
+        ({"swing": [row(joint_6=121.0)]}, r"arm.swing\[0\]: lbr_iiwa_joint_6: 2.112 rad is not within"),
+        ({"swing": [row(), row(0.1, joint_1=90.0)]}, r"arm.swing: lbr_iiwa_joint_1 turns with .* more than 3 rad/s"),
+        ({"swing": "nowhere.csv"}, "arm.swing: nowhere.csv: no file"),
+        ({"swing": [row()], "force_limit": 0.0}, "arm.force_limit: needs more than 0"),
+        ({"swing": [row()], "colour": "orange"}, "arm.colour: unknown field"),
+        ({"swing": [row()], "material": "butter"}, "arm.material: 'butter' is none of metal"),
+    ],
+)
+def test_a_scene_that_cannot_be_is_refused_in_words(arm, words: str) -> None:
+    with pytest.raises(SceneError, match=words):
+        scene(**arm)
+
+
+def test_a_swing_may_lie_in_a_file(tmp_path, kinematics: ArmKinematics) -> None:
+    lines = ["# degrees", "time,joint_1,joint_2,joint_3,joint_4,joint_5,joint_6,joint_7", "0,0,50,0,-70,0,-40,0"]
+    (tmp_path / "swing.csv").write_text("\n".join([*lines, "1,20,50,0,-70,0,-40,0"]) + "\n")
+    content = {
+        "time_step": 0.01, "duration": 1.0, "materials": {"metal": {"density": 1000.0, "friction": 0.4}},
+        "bodies": [GROUND], "arm": {"material": "metal", "swing": "swing.csv"},
+    }  # fmt: skip
+    arm = parse_scene(content, "armed", folder=tmp_path).arm
+    swing = arm.swing()
+    np.testing.assert_allclose(np.degrees(swing(1.0)), [20.0, *POSTURE[1:]])
+    np.testing.assert_allclose(np.degrees([swing(-1.0)[0], swing(0.5)[0], swing(9.0)[0]]), [0.0, 10.0, 20.0])
+    require_within(kinematics.limits, swing(0.5))
