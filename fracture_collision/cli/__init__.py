@@ -18,6 +18,7 @@ EXAMPLES = """\b
 Examples:
   fracture-collision smash                        four plates on a shelf, over ROS 2, into out/smash
   fracture-collision smash --seed 3 --out out/3   the same with other cracks
+  fracture-collision smash --mesh bunny.obj       a closed surface of your own, dropped onto a floor
   fracture-collision scene bricks                 a scene without ROS: times, tables, a film strip
   fracture-collision scene --help                 ... and what can be varied
   fracture-collision bench                        the paper's figures and tables again, in some minutes

@@ -13,15 +13,25 @@ from rich.table import Table
 
 from fracture_collision.cli.console import INTERRUPTED, Interruption, ProgressBar, figures_table
 
+NODES_ALONG = 15  # the longest side of a mesh of one's own
+
 
 @click.command()
 @click.option("--scene", default="plates", show_default=True, help="A name that `scenes` lists, or a scene file.")
+@click.option(
+    "--mesh", type=click.Path(path_type=Path),
+    help="A closed surface of your own instead (.obj, .stl, .ply, .off): dropped onto a floor, hit by a ball.",
+)  # fmt: skip
+@click.option(
+    "--size", type=click.FloatRange(0.01, 10.0), default=0.3, show_default=True,
+    help="With --mesh: its longest side, in metres.",
+)  # fmt: skip
 @click.option(
     "--out", type=click.Path(file_okay=False, path_type=Path), default=Path("out/smash"), show_default=True,
     help="Folder for the results; those of an earlier run are replaced.",
 )  # fmt: skip
 @click.option("--seed", type=click.IntRange(min=0), help="Of the fracture patterns.  [default: the scene's own]")
-def smash(scene: str, out: Path, seed: int | None) -> None:
+def smash(scene: str, mesh: Path | None, size: float, out: Path, seed: int | None) -> None:
     """Run a scene over ROS 2 and record it.
 
     Starts collision_node, simulator_node and a recorder as processes that talk over DDS on this machine alone, and
@@ -33,6 +43,7 @@ def smash(scene: str, out: Path, seed: int | None) -> None:
       times.png        what each step took
       report.json      the same as numbers
       logs/            what the nodes said
+      scene.yaml       with --mesh: the scene made of it, and mesh.npz, its tetrahedra
     """
     console = Console()
     interruption = Interruption(console, "stopped")
@@ -41,6 +52,9 @@ def smash(scene: str, out: Path, seed: int | None) -> None:
     from fracture_collision.viewer.film_strip import render_film_strip
     from fracture_collision.viewer.times_plot import plot_times
 
+    if mesh is not None:
+        with console.status(f"filling {mesh} with tetrahedra"):
+            scene = str(_own_scene(mesh, size, out))
     try:
         with ProgressBar(console) as bar, interruption.held():
 
@@ -61,6 +75,27 @@ def smash(scene: str, out: Path, seed: int | None) -> None:
         sys.exit(INTERRUPTED)
     for name in ("film_strip.png", "times.png", "report.json", "bag"):
         console.print(f"  {out / name}", highlight=False)
+
+
+def _own_scene(file: Path, size: float, out: Path) -> Path:
+    """Fills the surface, and leaves mesh.npz and scene.yaml in `out`."""
+    import numpy as np
+    import yaml
+
+    from fracture_collision.geometry.surface_files import read_surface
+    from fracture_collision.geometry.surface_meshing import tetrahedralize_surface
+    from fracture_collision.simulation.own_body import own_body_scene
+
+    try:
+        filled = tetrahedralize_surface(*read_surface(file, size), size / NODES_ALONG)
+    except (ValueError, ModuleNotFoundError) as error:
+        raise click.ClickException(str(error)) from error
+    out.mkdir(parents=True, exist_ok=True)
+    stored = (out / "mesh.npz").resolve()
+    np.savez(stored, vertices=filled.vertices, tetrahedra=filled.tetrahedra)
+    scene = out / "scene.yaml"
+    scene.write_text(yaml.safe_dump(own_body_scene(stored, filled), sort_keys=False), encoding="utf-8")
+    return scene
 
 
 def _table(report: dict[str, Any]) -> Table:

@@ -29,6 +29,11 @@ def bunny(longest_side: float = 0.2) -> TetGeometry:
     return TetGeometry((vertices - 0.5 * (low + high)) * scale, tetrahedra)
 
 
+def stored_mesh(file: str) -> TetGeometry:
+    """A mesh [m] from a file as `read_tetrahedra` reads it; raises as that does."""
+    return read_tetrahedra(Path(file))
+
+
 def read_tetrahedra(file: Path) -> TetGeometry:
     """vertices (n, 3) float64 and tetrahedra (m, 4) of a .npz file, in the file's own unit.
 

@@ -30,6 +30,7 @@ MESHES: dict[str, Callable[..., TetGeometry]] = {
     "sampled_shell": sampled_bodies.sampled_shell,
     "bunny": stored_meshes.bunny,
     "piggy_bank": piggy_bank,
+    "stored_mesh": stored_meshes.stored_mesh,
     "vase": vase,
 }
 KINDS = ("plane", "box", "sphere", *MESHES)

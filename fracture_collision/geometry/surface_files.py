@@ -1,0 +1,145 @@
+"""Closed surfaces from files of one's own (OBJ, STL, PLY, OFF, by trimesh), and words for what keeps one from being a
+body: a surface must bound one solid.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+SUFFIXES = (".obj", ".stl", ".ply", ".off")
+MAX_TRIANGLES = 200_000
+_PAIRS_AT_ONCE = 2_000_000
+
+
+class Surface(NamedTuple):
+    vertices: np.ndarray  # (n, 3) float64 [m]
+    triangles: np.ndarray  # (t, 3) int64, closed, counter-clockwise from outside
+
+
+def read_surface(file: Path, longest_side: float) -> Surface:
+    """The surface in a file, in a box about the origin whose longest side is `longest_side` [m].
+
+    Raises ValueError, naming the file, in words that say what is wrong and where, in the file's own coordinates.
+    """
+    if file.suffix.lower() not in SUFFIXES:
+        raise ValueError(f"{file}: {file.suffix or 'no suffix'} is none of {', '.join(SUFFIXES)}")
+    if not file.is_file():
+        raise ValueError(f"{file}: no file")
+    vertices, triangles = _read(file)
+    if not len(triangles):
+        raise ValueError(f"{file}: no faces")
+    if len(triangles) > MAX_TRIANGLES:
+        raise ValueError(f"{file}: {len(triangles)} triangles, more than {MAX_TRIANGLES}")
+    if not np.all(np.isfinite(vertices)):
+        raise ValueError(f"{file}: vertices that are not finite")
+    try:
+        require_solid(vertices, triangles)
+    except ValueError as error:
+        raise ValueError(f"{file}: {error}") from error
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    return Surface((vertices - 0.5 * (low + high)) * (longest_side / (high - low).max()), triangles)
+
+
+def _read(file: Path) -> Surface:
+    """Equal places are one vertex, what has no extent is no triangle."""
+    import trimesh  # late: it takes a while
+
+    try:
+        mesh = trimesh.load(file, force="mesh", process=False)
+        places, triangles = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
+    except Exception as error:  # of all kinds, by what is wrong with the file
+        raise ValueError(f"{file}: cannot be read as {file.suffix[1:].upper()}: {error}") from error
+    if not len(triangles):
+        return Surface(places.reshape(-1, 3), triangles.reshape(-1, 3))
+    if triangles.min() < 0 or triangles.max() >= len(places):
+        raise ValueError(f"{file}: a face names a vertex that is not among the {len(places)}")
+    vertices, number = np.unique(places[triangles.ravel()], axis=0, return_inverse=True)
+    triangles = number.reshape(-1, 3)
+    a, b, c = triangles.T
+    return Surface(vertices, np.ascontiguousarray(triangles[(a != b) & (b != c) & (c != a)]))
+
+
+def require_solid(vertices: np.ndarray, triangles: np.ndarray) -> None:
+    """Raises ValueError in words unless the triangles (t, 3) bound one solid, hollow or not, seen counter-clockwise
+    from outside, and meet nowhere but at their edges.
+    """
+    directed = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    ends, edge_of, faces = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True, return_counts=True)
+    edge_of = edge_of.ravel()
+
+    def refuse_edges(bad: np.ndarray, words: str) -> None:
+        if np.any(bad):
+            a, b = (_place(vertices[i]) for i in ends[np.flatnonzero(bad)[0]])
+            count = int(np.count_nonzero(bad))
+            raise ValueError(f"{count} edge{'s' * (count > 1)} {words}, the first between {a} and {b}")
+
+    refuse_edges(faces == 1, "with only one face: the surface has holes")
+    refuse_edges(faces > 2, "with more than two faces: the surface bounds no solid there")
+    forward = np.bincount(edge_of[directed[:, 0] < directed[:, 1]], minlength=len(ends))
+    refuse_edges(forward != 1, "whose two faces look to opposite sides: some triangles are the wrong way round")
+
+    order = np.argsort(edge_of, kind="stable").reshape(-1, 2) // 3
+    graph = coo_array((np.ones(len(order)), (order[:, 0], order[:, 1])), shape=(len(triangles),) * 2)
+    count, part = connected_components(graph, directed=False)
+    a, b, c = (vertices[triangles[:, i]] for i in range(3))
+    volumes = np.bincount(part, np.einsum("ij,ij->i", np.cross(a, b), c) / 6.0, count)
+    if not np.any(volumes > 0.0):
+        raise ValueError("all triangles are the wrong way round, clockwise from outside: turn the surface inside out")
+    if np.count_nonzero(volumes > 0.0) > 1:
+        sizes = ", ".join(map(str, np.sort(np.bincount(part))[::-1][:5]))
+        raise ValueError(f"{count} parts that do not hang together, of {sizes} triangles: one body needs one")
+    crossing = _first_crossing(vertices, triangles)
+    if crossing is not None:
+        raise ValueError(f"the surface cuts through itself, first near {_place(crossing)}")
+
+
+def _place(point: np.ndarray) -> str:
+    return "(" + ", ".join(f"{x:.6g}" for x in point) + ")"
+
+
+def _first_crossing(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray | None:
+    """Where an edge of one triangle runs through another that shares no vertex with it; None: nowhere."""
+    corners = vertices[triangles]
+    order = np.argsort(corners[:, :, 0].min(axis=1), kind="stable")
+    triangles, corners = triangles[order], corners[order]
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    until = np.searchsorted(low[:, 0], high[:, 0], side="right")  # boxes that begin before this one ends, along x
+    counts = until - np.arange(len(triangles)) - 1
+    ends = np.cumsum(counts)
+    begin = 0
+    while begin < len(triangles):
+        done = ends[begin - 1] if begin else 0
+        stop = max(int(np.searchsorted(ends, done + _PAIRS_AT_ONCE, side="right")), begin + 1)
+        first = np.repeat(np.arange(begin, stop), counts[begin:stop])
+        second = np.arange(len(first)) - np.repeat(ends[begin:stop] - counts[begin:stop] - done, counts[begin:stop])
+        second += first + 1
+        near = np.all((low[first] <= high[second]) & (low[second] <= high[first]), axis=1)
+        first, second = first[near], second[near]
+        apart = ~np.any(triangles[first][:, :, None] == triangles[second][:, None, :], axis=(1, 2))
+        first, second = first[apart], second[apart]
+        for one, other in ((first, second), (second, first)):
+            for k in range(3):
+                start, end = corners[one, k], corners[one, (k + 1) % 3]
+                hit = _runs_through(start, end, corners[other])
+                if np.any(hit):
+                    at = np.flatnonzero(hit)[0]
+                    return 0.5 * (start[at] + end[at])
+        begin = stop
+    return None
+
+
+def _runs_through(start: np.ndarray, end: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Whether segments (n, 3) cross triangles (n, 3, 3), touching left out."""
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+
+    def volume(p: np.ndarray, q: np.ndarray, r: np.ndarray, s: np.ndarray) -> np.ndarray:
+        return np.einsum("ij,ij->i", np.cross(q - p, r - p), s - p)
+
+    sides = np.stack((volume(start, end, a, b), volume(start, end, b, c), volume(start, end, c, a)))
+    across = volume(a, b, c, start) * volume(a, b, c, end) < 0.0
+    return across & (np.all(sides > 0.0, axis=0) | np.all(sides < 0.0, axis=0))

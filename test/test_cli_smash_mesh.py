@@ -1,0 +1,55 @@
+"""`fracture-collision smash --mesh`: the scene made of a mesh of one's own, and words for what cannot be one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+import yaml
+from click.testing import CliRunner
+
+from fracture_collision.cli.smash import _own_scene, smash
+from fracture_collision.geometry.generators import TetGeometry, ball
+from fracture_collision.lockstep import Lockstep
+from fracture_collision.simulation.own_body import own_body_scene
+from fracture_collision.simulation.scene import load_scene
+from fracture_collision.world import Settings
+
+
+def scene_of(mesh: TetGeometry, folder: Path) -> Path:
+    np.savez(folder / "mesh.npz", vertices=mesh.vertices, tetrahedra=mesh.tetrahedra)
+    (folder / "scene.yaml").write_text(yaml.safe_dump(own_body_scene(folder / "mesh.npz", mesh)))
+    return folder / "scene.yaml"
+
+
+@pytest.mark.parametrize("radius", [0.02, 0.15, 2.0])
+def test_a_mesh_of_any_size_falls_and_breaks(tmp_path: Path, radius: float) -> None:
+    scene = load_scene(scene_of(ball(radius, radius / 5.0), tmp_path))
+    fragments = []
+    with Lockstep(scene, Settings(threads=1)) as lockstep:
+        while not lockstep.simulation.finished and max(fragments, default=1) < 5:
+            fragments.append(lockstep.step().report.fragments)
+    assert fragments[0] <= 2 and max(fragments) >= 5
+
+
+def test_a_surface_is_filled(tmp_path: Path) -> None:
+    pytest.importorskip("pytetwild", exc_type=ModuleNotFoundError)
+    file = tmp_path / "ring.obj"
+    trimesh.creation.torus(0.5, 0.2).export(file)
+    scene = load_scene(_own_scene(file, 0.4, tmp_path / "out"))
+    body = scene.bodies[1]
+    assert np.ptp(body.shape.mesh.vertices, axis=0).max() == pytest.approx(0.4, rel=0.01)
+    assert len(body.shape.mesh.vertices) > 100
+
+
+def test_a_mesh_with_holes_gets_words(tmp_path: Path) -> None:
+    file = tmp_path / "open.obj"
+    box = trimesh.creation.box((1.0, 1.0, 1.0))
+    trimesh.Trimesh(box.vertices, box.faces[2:], process=False).export(file)
+    result = CliRunner().invoke(smash, ["--mesh", str(file), "--out", str(tmp_path / "out")])
+    assert result.exit_code == 1
+    words = " ".join(result.output.split())
+    assert "edges with only one face: the surface has holes, the first between (" in words
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,105 @@
+"""Surfaces from files: good ones are read, bad ones are refused in words that say what is wrong and where."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from fracture_collision.geometry.surface_files import read_surface
+
+BOX = trimesh.creation.box((2.0, 1.0, 1.0))
+
+
+def stored(mesh: trimesh.Trimesh, file: Path) -> Path:
+    mesh.export(file)
+    return file
+
+
+@pytest.mark.parametrize("suffix", ["obj", "stl", "ply", "off"])
+def test_a_closed_surface_of_every_format(tmp_path: Path, suffix: str) -> None:
+    ring = trimesh.creation.torus(0.5, 0.2)
+    vertices, triangles = read_surface(stored(ring, tmp_path / f"ring.{suffix}"), 0.3)
+    assert np.ptp(vertices, axis=0).max() == pytest.approx(0.3)
+    assert np.allclose(vertices.max(axis=0), -vertices.min(axis=0))
+    mesh = trimesh.Trimesh(vertices, triangles, process=False)
+    assert mesh.is_volume and mesh.euler_number == 0
+    assert mesh.volume == pytest.approx(ring.volume * (0.3 / ring.extents.max()) ** 3, rel=1e-4)
+
+
+def test_a_hollow_body_is_one(tmp_path: Path) -> None:
+    inside = trimesh.creation.icosphere(subdivisions=1, radius=0.2)
+    inside.invert()
+    hollow = trimesh.util.concatenate(BOX, inside)
+    assert len(read_surface(stored(hollow, tmp_path / "hollow.ply"), 1.0).triangles) == len(hollow.faces)
+
+
+def holes() -> trimesh.Trimesh:
+    return trimesh.Trimesh(BOX.vertices, BOX.faces[1:], process=False)
+
+
+def one_turned() -> trimesh.Trimesh:
+    return trimesh.Trimesh(BOX.vertices, np.vstack((BOX.faces[:1, ::-1], BOX.faces[1:])), process=False)
+
+
+def inside_out() -> trimesh.Trimesh:
+    return trimesh.Trimesh(BOX.vertices, BOX.faces[:, ::-1], process=False)
+
+
+def two_parts() -> trimesh.Trimesh:
+    return trimesh.util.concatenate(BOX, BOX.copy().apply_translation((5.0, 0.0, 0.0)))
+
+
+def fin() -> trimesh.Trimesh:
+    """A tetrahedron on an edge that two faces of the box have already."""
+    a, b = BOX.vertices[BOX.faces[0, :2]]
+    apart = np.array([(0.0, 0.0, 9.0), (0.0, 5.0, 9.0)])
+    tip = trimesh.Trimesh(np.vstack(([a, b], apart)), [[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]], process=False)
+    if tip.volume < 0.0:
+        tip.invert()
+    return trimesh.util.concatenate(BOX, tip)
+
+
+def cut_through() -> trimesh.Trimesh:
+    """A ball with a vertex pulled through the other side."""
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=1.0)
+    vertices = np.array(ball.vertices)
+    top = np.argmax(vertices[:, 2])
+    vertices[top] = (0.05, 0.03, -1.5)
+    return trimesh.Trimesh(vertices, ball.faces, process=False)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (holes, r"3 edges with only one face: the surface has holes, the first between \(-1, -0.5, -0.5\) and"),
+        (one_turned, r"3 edges whose two faces look to opposite sides"),
+        (inside_out, r"all triangles are the wrong way round"),
+        (two_parts, r"2 parts that do not hang together, of 12, 12 triangles"),
+        (fin, r"1 edge with more than two faces"),
+        (cut_through, r"the surface cuts through itself, first near \("),
+    ],
+)
+def test_what_bounds_no_solid_is_refused(tmp_path: Path, make, words: str) -> None:
+    with pytest.raises(ValueError, match=r"bad\.ply: " + words):
+        read_surface(stored(make(), tmp_path / "bad.ply"), 1.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("points.obj", "v 0 0 0\nv 1 0 0\n", "no faces|cannot be read"),
+        ("text.stl", "no mesh at all", "cannot be read as STL|no faces"),
+        ("text.txt", "", r"\.txt is none of"),
+        ("nan.off", "OFF\n3 1 0\n0 0 nan\n1 0 0\n0 1 0\n3 0 1 2\n", "not finite|cannot be read"),
+        (None, "", "no file"),
+    ],
+)
+def test_what_is_no_surface_is_refused(tmp_path: Path, name: str | None, content: str, words: str) -> None:
+    file = tmp_path / (name or "missing.obj")
+    if name:
+        file.write_text(content)
+    with pytest.raises(ValueError, match=words):
+        read_surface(file, 1.0)
