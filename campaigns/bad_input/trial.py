@@ -54,11 +54,13 @@ def fixed_cases() -> Iterator[Case]:
             "bodies", "one body too many", shape, frozenset({"limit_exceeded"}), frozenset({"body_id"}),
             on_the_wire=True, settings=FULL,
         )  # fmt: skip
-    for fragment_id in (0, 1, REMOVED, 12, 2**32, -1, 0.5, None, "1"):
-        yield Case(
-            "fragment_meshes", f"of {fragment_id!r}", fragment_id, frozenset({"unknown_id"}),
-            frozenset({"fragment_id"})
-        )  # fmt: skip
+    for kind, fragment_ids in (
+        ("unknown_id", (0, 1, REMOVED, 12)), ("out_of_range", (2**32, -1)), ("wrong_type", (0.5, None, "1", [1])),
+    ):  # fmt: skip
+        for fragment_id in fragment_ids:
+            yield Case(
+                "fragment_meshes", f"of {fragment_id!r}", fragment_id, frozenset({kind}), frozenset({"fragment_id"})
+            )
 
 
 def single(topic: str, number: int, pick: Pick) -> Case:

@@ -33,6 +33,7 @@ DIAGNOSTICS = "rt/diagnostics"
 
 _RUN = (qos.BODIES, qos.FRACTURE_EVENTS, qos.FRAGMENT_STATES)
 _RESULTS = (qos.CONTACT_CONSTRAINTS, qos.FRAGMENTS, qos.FRAGMENT_MESHES)
+_SHOWN = (qos.ANSWER_TIMES, qos.MARKERS)
 
 
 class Role(NamedTuple):
@@ -47,14 +48,14 @@ class Role(NamedTuple):
 
 
 ROLES = (
-    Role("collision_node", publishes=(*_RESULTS, qos.ANSWER_TIMES), subscribes=_RUN, also_publishes=(DIAGNOSTICS,)),
+    Role("collision_node", publishes=(*_RESULTS, *_SHOWN), subscribes=_RUN, also_publishes=(DIAGNOSTICS,)),
     Role("simulator_node", publishes=_RUN, subscribes=(qos.CONTACT_CONSTRAINTS, qos.FRAGMENTS)),
     Role(
         "recorder_node", subscribes=qos.TOPICS, also_subscribes=(DIAGNOSTICS, PARAMETER_EVENTS),
         calls=("get_parameters",),
     ),
     Role(
-        "viewer", subscribes=(*qos.TOPICS, qos.ANSWER_TIMES), also_subscribes=(DIAGNOSTICS, PARAMETER_EVENTS),
+        "viewer", subscribes=(*qos.TOPICS, *_SHOWN), also_subscribes=(DIAGNOSTICS, PARAMETER_EVENTS),
         calls=NODE_SERVICES,
     ),
 )
