@@ -11,7 +11,6 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable
-from functools import partial
 
 import numpy as np
 from geometry_msgs.msg import Twist
@@ -174,10 +173,7 @@ class LiveSimulatorNode(SimulatorNode):
         if message.run_id != self._run_id and message.fragment_id:
             return  # of the run before a reset
         grip, target = _xyz(message.grip), _xyz(message.target)
-        self._later(qos.HAND_TARGET, partial(self._drag, message.fragment_id, grip, target))
-
-    def _drag(self, fragment_id: int, grip: np.ndarray, target: np.ndarray) -> None:
-        self._live.drag(fragment_id, grip, target)
+        self._later(qos.HAND_TARGET, lambda: self._live.drag(message.fragment_id, grip, target))
 
     def _on_velocity(self, message: Twist) -> None:
         velocity = _xyz(message.linear)

@@ -78,13 +78,13 @@ def islands_of(begin, body_a, body_b, count):
         if b < count:
             touches[b] = True
         if a < count and b < count:
-            a, b = _root(root, a), _root(root, b)
+            a, b = root_of(root, a), root_of(root, b)
             root[max(a, b)] = min(a, b)
     label = np.full(count, -1)
     island_count = 0
     for i in range(count):
         if touches[i]:
-            r = _root(root, i)
+            r = root_of(root, i)
             if r == i:
                 label[i] = island_count
                 island_count += 1
@@ -103,7 +103,7 @@ def islands_of(begin, body_a, body_b, count):
 
 
 @uncounted
-def _root(root, i):
+def root_of(root, i):
     while root[i] != i:
         root[i] = root[root[i]]
         i = root[i]

@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 
 from fracture_collision.simulation.compiled import uncounted
+from fracture_collision.simulation.contact_islands import root_of
 
 
 @njit(cache=True)
@@ -62,14 +63,14 @@ def connected_pieces(labels, edges, minimum_nodes):
     for e in range(len(edges)):
         a, b = edges[e, 0], edges[e, 1]
         if labels[a] == labels[b]:
-            a, b = _root(root, a), _root(root, b)
+            a, b = root_of(root, a), root_of(root, b)
             root[max(a, b)] = min(a, b)
         else:
             between[between_count, 0], between[between_count, 1] = a, b
             between_count += 1
     pieces = np.empty(labels.size, np.int64)
     for i in range(labels.size):
-        pieces[i] = _root(root, i)
+        pieces[i] = root_of(root, i)
     count = _number_by_first(pieces)
     between = between[:between_count]
     _join_small(pieces, count, between, minimum_nodes)
@@ -112,14 +113,6 @@ def range_between(sides, rows, count):
 def _squared_distance(a, b):
     x, y, z = a[0] - b[0], a[1] - b[1], a[2] - b[2]
     return x * x + y * y + z * z
-
-
-@uncounted
-def _root(root, i):
-    while root[i] != i:
-        root[i] = root[root[i]]
-        i = root[i]
-    return i
 
 
 @njit(cache=True)
