@@ -11,15 +11,16 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.peers.report import MUJOCO, RAPIER
 from benchmarks.peers.worlds import EDGES, World, break_body
-from benchmarks.scaling.growth import GrowthRow, fit_exponents, measure_growth, measure_threads
-from benchmarks.scaling.limits import LOOSE, TIGHT, Aim, measure_limits
+from benchmarks.scaling.growth import Exponents, GrowthRow, ThreadsRow, fit_exponents, measure_growth, measure_threads
+from benchmarks.scaling.limits import FIRST, LOOSE, TIGHT, UPDATE, Aim, measure_limits
 from benchmarks.scaling.machine import measure_machine
-from benchmarks.scaling.memory import measure_memory
+from benchmarks.scaling.memory import MemoryRow, measure_memory
 from benchmarks.scaling.piles import copy_of, make_pile, world_of
 from benchmarks.scaling.report import Asked, write_csv
-from benchmarks.scaling.round_trips import measure_round_trips
-from benchmarks.scaling.updates import measure_update_of_one
-from benchmarks.scaling.visits import KINDS_OF_VISIT, floor_of
+from benchmarks.scaling.round_trips import RoundTripRow, measure_round_trips
+from benchmarks.scaling.updates import UpdateRow, measure_update_of_one
+from benchmarks.scaling.visits import KINDS_OF_VISIT, FloorRow, VisitRow, floor_of
+from benchmarks.studies.as_a_whole import SHEETS, scaling_section
 from fracture_collision.geometry.generators import ball
 from fracture_collision.world import Settings
 
@@ -85,16 +86,19 @@ def test_what_a_visit_cannot_do_without() -> None:
 def test_limits_are_below_what_is_measured(tmp_path: Path) -> None:
     """Of a world of its own size, beside times that a CSV file gives."""
     peers = tmp_path / "peers.csv"
-    rows = {TIGHT: (9.0, 20.0), LOOSE: (9.0, 5.0), MUJOCO: (30.0, 0.3), RAPIER: (5.0, 1.0)}
+    rows = {TIGHT: (9.0, 18.0, 20.0), LOOSE: (9.0, 6.0, 5.0), MUJOCO: (30.0, 0.5, 0.3), RAPIER: (5.0, 3.0, 1.0)}
     with peers.open("w", newline="") as file:
         writer = csv.writer(file)
-        writer.writerow(("world", "method", "update", "jitter_query"))
+        writer.writerow(("world", "method", "update", "first_query", "jitter_query"))
         writer.writerows(("shell20w", method, *times) for method, times in rows.items())
-    whats = (TIGHT, MUJOCO, 3.0), (LOOSE, MUJOCO, 3.0), ("update", RAPIER, 0.25)
-    tight, loose, update = measure_limits([Aim(what, "shell20w", peer, times) for what, peer, times in whats], peers)
+    whats = (TIGHT, MUJOCO, 3.0), (LOOSE, MUJOCO, 3.0), (UPDATE, RAPIER, 0.25), (FIRST, RAPIER, 0.5)
+    tight, loose, update, both = measure_limits(
+        [Aim(what, "shell20w", peer, times) for what, peer, times in whats], peers
+    )
     assert tight.aim == pytest.approx(0.9) and update.aim == pytest.approx(1.25) and loose.ours == 5.0
     # fewer contacts have to be listed, all samples of cracks that are shared by pairs with few to be seen
     assert 0.0 < loose.least < tight.least and update.least > 0.0 and update.rests_on.count("in") >= 4
+    assert both.aim == pytest.approx(4.0) and both.ours == 27.0 and both.least == update.least + tight.least
 
 
 @pytest.mark.slow
@@ -111,6 +115,21 @@ def test_memory_of_a_body_and_of_one_more() -> None:
 def test_round_trips_are_longer_than_the_computation(source: World) -> None:
     for row in measure_round_trips(source, 12, steps=5):
         assert row.steps == 5 and row.beyond > row.in_service > 0.0 and row.beyond_worst >= row.beyond
+
+
+def test_the_page_has_a_column_for_what_was_measured(tmp_path: Path) -> None:
+    fields = {
+        "growth": GrowthRow, "exponents": Exponents, "threads": ThreadsRow, "memory": MemoryRow, "updates": UpdateRow,
+        "visits": VisitRow, "floors": FloorRow, "round_trips": RoundTripRow,
+    }  # fmt: skip
+    for sheet in SHEETS:
+        assert {column.name for column in sheet.columns} <= set(fields[sheet.name]._fields)
+    assert scaling_section(tmp_path) == ""
+    write_csv("growth", [GrowthRow(100, 4321, 50, 300, 1000, 0.25, 2.0, 2.5, 6.25)], tmp_path / "scaling.csv")
+    write_csv("exponents", [Exponents(0.9123, 1.0, 1.0, 1.1)], tmp_path / "scaling.csv")
+    section = scaling_section(tmp_path)
+    assert "| 100 | 4,321 | 300 | 1,000 | 0.25 | 2.5 | 6.2 |" in section and "| 0.91 |" in section
+    assert "Two threads" not in section
 
 
 def test_tables_are_written(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ ERRORS = (("error, mean", "jitter_error_mean", 100, 2), ("worst", "jitter_error_
 
 def peers_section(folder: Path) -> str:
     """A table a world; "" where nothing was measured. `make peers` (or python -m benchmarks.peers --csv) measures."""
-    rows = _rows(folder / PEERS)
+    rows = rows_of(folder / PEERS)
     if not rows:
         return ""
     parts = [
@@ -42,13 +42,13 @@ def peers_section(folder: Path) -> str:
             counts = [_count(row, found, of) for _, found, of in COUNTS]
             lines.append(f"| {' | '.join([row['method'], *times, *counts, *errors])} |")
         parts += [f"**{world}**, {own[0]['fragments']} fragments", "\n".join(lines)]
-    parts.append(_made(folder / PEERS, rows))
+    parts.append(made(folder / PEERS, rows))
     return "\n\n".join(parts) + "\n"
 
 
 def speed_error_section(folder: Path) -> str:
     """The picture, and the smaller one of updates; "" where they were not drawn."""
-    rows = _rows(folder / PICTURE_ROWS)
+    rows = rows_of(folder / PICTURE_ROWS)
     pictures = [f"![Speed against error]({name})" for name in PICTURES if (folder / name).is_file()]
     if not rows or not pictures:
         return ""
@@ -57,33 +57,36 @@ def speed_error_section(folder: Path) -> str:
         " whose boxes overlap; a missed pair counts with its true depth, a false one with the reported one. Drawn by"
         " `python -m benchmarks.speed_error`."
     )
-    return "\n\n".join(("## Speed against error", text, *pictures, _made(folder / PICTURE_ROWS, rows))) + "\n"
+    return "\n\n".join(("## Speed against error", text, *pictures, made(folder / PICTURE_ROWS, rows))) + "\n"
 
 
 def limits_section(folder: Path) -> str:
     """What the aims leave room for; "" where nothing was measured. `python -m benchmarks.scaling limits` measures."""
-    rows = _rows(folder / LIMITS)
+    rows = rows_of(folder / LIMITS)
     if not rows:
         return ""
-    head = ("of", "world", "aim, ms", "least, ms", "ours, ms", "ours / least", "what the least is made of")
-    lines = [f"| {' | '.join(head)} |", "| --- | --- | ---: | ---: | ---: | ---: | --- |"]
+    head = ("of", "world", "beside", "aim, ms", "least, ms", "ours, ms", "ours / least", "what the least is made of")
+    lines = [f"| {' | '.join(head)} |", "| --- | --- | --- | ---: | ---: | ---: | ---: | --- |"]
     for row in rows:
         figures = (f"{float(row[name]):.2f}" for name in ("aim", "least", "ours"))
-        what = "update" if row["what"] == "update" else f"jittered query, {row['what']}"
-        cells = (what, row["world"], *figures, f"{float(row['ours_over_least']):.1f}", row["rests_on"])
+        what = row["what"] if row["what"].startswith("update") else f"jittered query, {row['what']}"
+        factor = float(row["times"])
+        beside = f"{row['peer']} {f'x {factor:g}' if factor >= 1.0 else f'/ {1.0 / factor:g}'}"
+        cells = (what, row["world"], beside, *figures, f"{float(row['ours_over_least']):.1f}", row["rests_on"])
         lines.append(f"| {' | '.join(cells)} |")
     text = (
-        "The aims: updates 4 times (ball8) and 2 times (ball60) as fast as rapier's, whose hulls are given for free;"
-        " queries of curved cracks within 3 times mujoco's hulls, of flat ones no slower than rapier's. The least is"
-        " what a program would take on this machine that does nothing but read and write what the same answer rests on,"
-        " each step of a query waiting for the one before; made by `python -m benchmarks.scaling limits`. Where an aim"
-        " lies below the least, no program meets it that lists the same contacts and finds its data in the common"
-        " cache, as here: by default these are all that are deeper than 0.2 % R, thousands where hulls give hundreds."
+        "Aims are shares or multiples of what others take in the table above (the hulls of fragments are given to"
+        " rapier for free). The least is what a program would take on this machine that does nothing but read and write"
+        " what the same answer rests on, each step of a query waiting for the one before; made by `python -m"
+        " benchmarks.scaling limits`. Where an aim lies below the least, no program meets it that lists the same"
+        " contacts and finds its data in the common cache, as here: by default these are all that are deeper than"
+        " 0.2 % R, thousands where hulls give hundreds. Where it lies above, nothing here says that it cannot be met."
     )
-    return "\n\n".join(("## What there is room for", text, "\n".join(lines), _made(folder / LIMITS, rows))) + "\n"
+    return "\n\n".join(("## What there is room for", text, "\n".join(lines), made(folder / LIMITS, rows))) + "\n"
 
 
-def _rows(csv_path: Path) -> list[dict[str, str]]:
+def rows_of(csv_path: Path) -> list[dict[str, str]]:
+    """Empty where the file is not there."""
     if not csv_path.is_file():
         return []
     with csv_path.open(newline="", encoding="utf-8") as stream:
@@ -98,5 +101,6 @@ def _count(row: dict[str, str], found: str, of: str) -> str:
     return f"{float(row[found]):.0f} / {float(row[of]):.0f}" if row[found] else "–"
 
 
-def _made(csv_path: Path, rows: list[dict[str, str]]) -> str:
+def made(csv_path: Path, rows: list[dict[str, str]]) -> str:
+    """The small line below a table: from which file, on what."""
     return f"<sub>[{csv_path.name}]({csv_path.name}); {rows[0]['cpu']}, {rows[0].get('cores', 1)} core</sub>"

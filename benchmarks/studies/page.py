@@ -10,6 +10,7 @@ from pathlib import Path
 from textwrap import fill
 
 from benchmarks.studies import fig5, fig12, fig15, fig16, fig17, resolution, tables
+from benchmarks.studies.as_a_whole import scaling_section
 from benchmarks.studies.beside_others import limits_section, peers_section, speed_error_section
 from benchmarks.studies.study import Study
 from benchmarks.studies.table import Table, read_table
@@ -66,6 +67,7 @@ SECTIONS: tuple[Callable[[Path], str], ...] = (
     speed_error_section,
     peers_section,
     limits_section,
+    scaling_section,
     *(_section_of(study) for study in STUDIES.values()),
 )
 
