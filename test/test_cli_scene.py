@@ -228,11 +228,11 @@ def test_a_signal_that_is_held_interrupts_no_kernel() -> None:
         "    try:",
         "        with interruption.held():",
         "            compile_kernels(lambda words: None)",
-        "            print(len(kernels), 'kernels')",
+        "            print(len(kernels), 'kernels', flush=True)",
         "            interruption.check()",
         "            print('not checked')",
         "    except KeyboardInterrupt:",
-        "        print('checked')",
+        "        print('checked', flush=True)",  # ending at once flushes nothing
         "        os.kill(os.getpid(), signal.SIGTERM)",
         "command()",
     )
