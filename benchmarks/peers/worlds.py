@@ -87,14 +87,17 @@ class World(NamedTuple):
     frames: list[Frame]
 
 
-def make_world(name: str) -> World:
-    """One of WORLDS, or another of the same pattern: ball or shell, number of seeds, w for curved cracks."""
+def make_world(name: str, mesher: str | None = None) -> World:
+    """One of WORLDS, or another of the same pattern: ball or shell, number of seeds, w for curved cracks.
+
+    mesher: of flat cracks, PLANES or EDGES; None: flat_mesher().
+    """
     kind, count, curved = re.fullmatch(r"(ball|shell)(\d+)(w?)", name).groups()
     inner = SHELL_INNER if kind == "shell" else 0.0
     geometry = sampled_shell(1.0, inner, 10, 7, 4000) if inner else sampled_ball(1.0, 11, 4000)
     for seed in range(1, DRAWS):
         seeds = clustered_seeds(geometry.vertices, inner, int(count), seed)
-        world = break_body(name, geometry, seeds, bool(curved), EDGES if curved else flat_mesher())
+        world = break_body(name, geometry, seeds, bool(curved), EDGES if curved else mesher or flat_mesher())
         if curved or len(world.fragments) == len(seeds):  # cells in several pieces would not be the same work for all
             return world
     raise ValueError(f"{name}: no draw of seeds in {DRAWS} leaves every cell in one piece")

@@ -14,7 +14,7 @@ import numpy as np
 import pybullet
 from scipy.spatial.transform import Rotation
 
-from benchmarks.peers.worlds import DENSITY, World, empty_states, hull_points, make_world, volume
+from benchmarks.peers.worlds import DENSITY, EDGES, World, empty_states, hull_points, make_world, volume
 from fracture_collision.geometry.generators import geodesic_sphere
 from fracture_collision.records import CollisionBody, FractureEvent, FragmentStates
 from fracture_collision.world import CollisionWorld, Settings
@@ -39,7 +39,8 @@ class Pile(NamedTuple):
 
 
 def broken_body() -> World:
-    return make_world(BODY)
+    """The same, and so the same piles, whether or not the libraries to compare with are installed."""
+    return make_world(BODY, EDGES)
 
 
 def copy_of(source: World, k: int) -> tuple[CollisionBody, FractureEvent]:
