@@ -190,6 +190,11 @@ def _least_update(world: World) -> tuple[float, str]:
     parts = np.zeros(len(mesh.nodes), np.int64)
     parts[event.nodes] = event.node_fragments
     sums = np.zeros((len(event.new_fragment_ids), mesh.moments.shape[1]))
+    points, corners = np.unique(left["body.triangles"].reshape(-1, 3), axis=0, return_inverse=True)
+    corners = corners.reshape(-1, 3)
+    given = {plane.tobytes() for plane in np.vstack((planes, -planes))}
+    bent = np.array([face.tobytes() not in given for face in left["body.faces"]])
+    faces = np.empty_like(left["body.faces"])
     arrays = [np.ascontiguousarray(value) for value in event if isinstance(value, np.ndarray)]
 
     def find() -> None:
@@ -205,6 +210,7 @@ def _least_update(world: World) -> tuple[float, str]:
         put,
         lambda: _sums(mesh.tetrahedra, mesh.tetrahedron_edges, mesh.moments, mesh.nodes, shares, parts, sums),
         lambda: _radii(spheres),
+        lambda: _planes(points, corners, bent, faces),
         lambda: [array.copy() for array in left.values()],
     )
     find()
@@ -216,7 +222,8 @@ def _least_update(world: World) -> tuple[float, str]:
         f"{1e-6 * sum(a.nbytes for a in arrays):.2f} MB hashed in {times[0]:.2f}, edges and pieces checked in"
         f" {times[1]:.2f}, {len(ends)} planes put in {times[2]:.2f}, {len(mesh.tetrahedra)} tetrahedra,"
         f" {len(mesh.tetrahedra) - whole} of them cut, weighed in {times[3]:.2f}, radii of {len(spheres)} tree nodes in"
-        f" {times[4]:.2f}, {megabytes:.1f} MB written in {times[5]:.2f}"
+        f" {times[4]:.2f}, {len(corners)} triangles, {np.count_nonzero(bent)} of them in planes of their own, in"
+        f" {times[5]:.2f}, {megabytes:.1f} MB written in {times[6]:.2f}"
     )
     return sum(times), words
 
@@ -292,6 +299,23 @@ def _radii(spheres):
         dx, dy, dz = p[0] - q[0], p[1] - q[1], p[2] - q[2]
         largest = max(largest, math.sqrt(dx * dx + dy * dy + dz * dz))
     return largest
+
+
+@threaded_kernel
+def _planes(points, corners, bent, faces):
+    """Of triangles whose corners are rows of `points`: of those that are `bent` unit normal and offset."""
+    total = 0.0
+    for i in range(len(corners)):
+        a, b, c = points[corners[i, 0]], points[corners[i, 1]], points[corners[i, 2]]
+        total += a[0] + b[1] + c[2]
+        if not bent[i]:
+            continue
+        ux, uy, uz, vx, vy, vz = b[0] - a[0], b[1] - a[1], b[2] - a[2], c[0] - a[0], c[1] - a[1], c[2] - a[2]
+        x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        share = 1.0 / math.sqrt(max(x * x + y * y + z * z, 1e-300))
+        x, y, z = share * x, share * y, share * z
+        faces[i, 0], faces[i, 1], faces[i, 2], faces[i, 3] = x, y, z, x * a[0] + y * a[1] + z * a[2]
+    return total
 
 
 @threaded_kernel
