@@ -22,7 +22,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fracture_collision.records import (
-    REMOVE,
     CollisionBody,
     ContactConstraintArray,
     FractureEvent,
@@ -33,8 +32,8 @@ from fracture_collision.simulation import contact_memory
 from fracture_collision.simulation.arm import PARTS
 from fracture_collision.simulation.arm_control import ArmControl
 from fracture_collision.simulation.body_traits import Traits, traits_of
-from fracture_collision.simulation.breakable_body import BreakableBody
 from fracture_collision.simulation.bullet_world import BulletWorld
+from fracture_collision.simulation.cast import Cast
 from fracture_collision.simulation.contact_memory import with_remembered
 from fracture_collision.simulation.contact_solver import (
     NO_WARM_START,
@@ -46,10 +45,9 @@ from fracture_collision.simulation.contact_solver import (
     solve_contacts,
 )
 from fracture_collision.simulation.drag import Drag
-from fracture_collision.simulation.engine import BodyStates, Engine, FrameState, MassProperties
+from fracture_collision.simulation.engine import BodyStates, Engine, FrameState
 from fracture_collision.simulation.free_motion import free_velocities
 from fracture_collision.simulation.scene import Scene, SceneBody
-from fracture_collision.simulation.scene_records import collision_body
 
 
 class StepRequest(NamedTuple):
@@ -97,39 +95,21 @@ class Simulation:
         self._engine = BulletWorld(scene.gravity, scene.time_step) if engine is None else engine
         self._step = 0
         self._sequence = 0
-        self._next_fragment_id = len(scene.bodies) + 1
-        self._body_of: dict[int, SceneBody] = {i: body for i, body in enumerate(scene.bodies, start=1)}
-        self._breakable = {
-            i: BreakableBody(i, i, body.shape.mesh) for i, body in self._body_of.items() if body.shape.mesh is not None
-        }
-        self._body_id_of = {i: i for i in self._body_of}  # of each living fragment
-        self._unthrown = sorted(
-            (body.start_time, i) for i, body in self._body_of.items() if not body.is_static
-        )
-        # A static body whose frame is the world's need not be named.
-        still = np.zeros(3)
-        self._static_frames = {
-            i: FrameState(body.position, body.orientation, still, still)
-            for i, body in self._body_of.items()
-            if body.is_static and (body.position.any() or body.orientation[3] != 1.0)
-        }
-        # Named in states, but not in the engine until the registry brings their masses.
-        self._waiting: dict[int, FrameState] = {}
+        self._cast = Cast(scene.bodies)
         self._events: list[FractureEvent] = []
         self._held_together: set[int] = set()  # fragments that were hit hard enough but found no pattern to break by
         self._known_traits: Traits | None = None
         self._warm_start = NO_WARM_START
         self._memory = contact_memory.NOTHING
         self._asked: FragmentStates | None = None
-        names = {i: body.name for i, body in self._body_of.items()}
-        self.drag = Drag(scene.hand, names, self._body_id_of, self._breakable)
+        names = {i: body.name for i, body in self._cast.body_of.items()}
+        self.drag = Drag(scene.hand, names, self._cast.body_id_of, self._cast.breakable)
         self._pushers: list[Pusher] = [self.drag]
         self.arm: ArmControl | None = None  # the scene's
         if scene.arm is not None:
             ids = {name: i for i, name in names.items()}
             self.arm = ArmControl(scene.arm, [ids[part.name] for part in PARTS])
             self._pushers.append(self.arm)
-        self._news = [collision_body(i, body) for i, body in self._body_of.items()]  # bodies not yet announced
 
     @property
     def time(self) -> float:
@@ -161,43 +141,22 @@ class Simulation:
         """Another body comes into the scene with the next step, whatever its `start_time`. Returns its id, which is
         also that of its one fragment. ValueError for a static body.
         """
-        if body.is_static:
-            raise ValueError(f"{body.name!r} cannot move, so it cannot be thrown")
-        number = self._next_fragment_id
-        self._next_fragment_id += 1
-        self._body_of[number], self._body_id_of[number] = body, number
-        if body.shape.mesh is not None:
-            self._breakable[number] = BreakableBody(number, number, body.shape.mesh)
-        self._news.append(collision_body(number, body))
-        self._enter(number)
-        return number
+        return self._cast.throw(body)
 
     def take_out(self, body_id: int) -> None:
         """A body leaves the scene, with all its fragments. KeyError where there is none that can move."""
-        body = self._body_of[body_id]
-        if body.is_static:
-            raise KeyError(body_id)
-        for fragment_id in [i for i, of in self._body_id_of.items() if of == body_id]:
-            if self._waiting.pop(fragment_id, None) is None:
-                self._engine.remove(fragment_id)
-            if self.drag.held == fragment_id:
-                self.drag.release()
-            del self._body_id_of[fragment_id]
-        self._unthrown = [each for each in self._unthrown if each[1] != body_id]
-        del self._body_of[body_id]
-        self._news.append(collision_body(body_id, body)._replace(operation=REMOVE))
+        if self.drag.held in self._cast.take_out(body_id, self._engine):
+            self.drag.release()
 
     def start_bodies(self) -> list[CollisionBody]:
         """All bodies of the scene, to be published before the first states; says the same if called again."""
-        self._news.clear()
-        return [collision_body(i, body) for i, body in self._body_of.items()]
+        return self._cast.announce()
 
     def begin_step(self) -> StepRequest:
         """Asks for the contacts at the present time. May be called again while no answer comes: it says the same."""
-        while self._unthrown and self._unthrown[0][0] <= self.time + 1e-9 * self._scene.time_step:
-            self._enter(self._unthrown.pop(0)[1])
+        self._cast.enter_until(self.time + 1e-9 * self._scene.time_step)
         self._asked = self._states()
-        return StepRequest(self._asked, self._take_news(), list(self._events))
+        return StepRequest(self._asked, self._cast.take_news(), list(self._events))
 
     def finish_step(self, contacts: ContactConstraintArray, registry: FragmentRegistry) -> StepReport:
         """Takes the answer and goes one time step on. ValueError where it is the answer to another question."""
@@ -210,7 +169,7 @@ class Simulation:
                 f" {(contacts.step, contacts.fracture_sequence)} and the registry of {registry.fracture_sequence}"
             )
         self._events.clear()
-        self._admit_waiting(registry)
+        self._cast.admit_waiting(registry, self._engine)
         states = self._engine.states()
         started = time.perf_counter()
         listed = len(contacts.gaps)
@@ -238,7 +197,7 @@ class Simulation:
         for i in overloaded:
             impact, load = _hardest_hit(i, contacts, pairs, solution)
             fragment_id = int(states.fragment_ids[i])
-            strength = self._scene_body(fragment_id).material.fracture.strength
+            strength = self._cast.scene_body(fragment_id).material.fracture.strength
             # Where it was hit, not where it has gone since.
             impact = Rotation.from_quat(states.frame_orientations[i]).inv().apply(impact - states.frame_positions[i])
             if not self._break(fragment_id, moved.frame(i), impact, load / strength):
@@ -270,20 +229,10 @@ class Simulation:
         rows = np.flatnonzero(states.fragment_ids == fragment_id)
         if not len(rows):
             raise ValueError(f"fragment {fragment_id} is not in motion")
-        body = self._scene_body(fragment_id)
-        if body.material.fracture is None or self._body_id_of[fragment_id] not in self._breakable:
+        body = self._cast.scene_body(fragment_id)
+        if body.material.fracture is None or self._cast.body_id_of[fragment_id] not in self._cast.breakable:
             raise ValueError(f"fragment {fragment_id}, of {body.name!r}, is of a kind that does not break")
         return self._break(fragment_id, states.frame(rows[0]), np.asarray(point, dtype=np.float64), overload)
-
-    def _take_news(self) -> list[CollisionBody]:
-        news, self._news = self._news, []
-        return news
-
-    def _enter(self, body_id: int) -> None:
-        body = self._body_of[body_id]
-        self._waiting[body_id] = FrameState(
-            body.position, body.orientation, body.linear_velocity, body.angular_velocity
-        )
 
     def _pushed(self, states: BodyStates) -> tuple[np.ndarray, float]:
         """What all that push add to velocities and energy."""
@@ -295,7 +244,7 @@ class Simulation:
 
     def _states(self) -> FragmentStates:
         moving = self._engine.states()
-        others = self._static_frames | self._waiting
+        others = self._cast.static_frames | self._cast.waiting
         ids = np.concatenate((moving.fragment_ids, np.array(list(others), dtype=np.uint32)))
         order = np.argsort(ids)
         in_engine = FrameState(
@@ -306,23 +255,6 @@ class Simulation:
             for k, values in enumerate(in_engine)
         ]
         return FragmentStates(self._step, self._sequence, ids[order], *[column[order].ravel() for column in columns])
-
-    def _admit_waiting(self, registry: FragmentRegistry) -> None:
-        if not self._waiting:
-            return
-        rows = {fragment_id: row for row, fragment_id in enumerate(registry.fragment_ids.tolist())}
-        for fragment_id in sorted(self._waiting):
-            if fragment_id not in rows:
-                raise ValueError(f"registry of fracture_sequence {self._sequence}: fragment {fragment_id} is missing")
-            row = rows[fragment_id]
-            xx, xy, xz, yy, yz, zz = registry.inertias[6 * row : 6 * row + 6].tolist()
-            properties = MassProperties(
-                mass=float(registry.masses[row]),
-                center_of_mass=registry.centers_of_mass[3 * row : 3 * row + 3],
-                inertia=np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]),
-            )
-            self._engine.add(fragment_id, properties, self._waiting[fragment_id])
-        self._waiting.clear()
 
     def _rigid_bodies(self, states: BodyStates, pushes: np.ndarray) -> RigidBodies:
         velocities = np.hstack((states.linear, states.angular)) + pushes
@@ -338,16 +270,13 @@ class Simulation:
             rows = np.where(ids[rows] == fragments, rows, immovable)
             arms = arms_of[rows]
             for fragment in np.unique(fragments[rows == immovable]).tolist():
-                if fragment not in self._body_id_of or not self._scene_body(fragment).is_static:
+                if fragment not in self._cast.body_id_of or not self._cast.scene_body(fragment).is_static:
                     raise ValueError(f"contacts of step {contacts.step}: fragment {fragment} is not in the states")
-                arms[fragments == fragment] = self._scene_body(fragment).material.rolling_arm
+                arms[fragments == fragment] = self._cast.scene_body(fragment).material.rolling_arm
             return rows.astype(np.int64), arms
 
         (a, arms_a), (b, arms_b) = rows_and_arms(contacts.fragment_a), rows_and_arms(contacts.fragment_b)
         return BodyPairs(a, b, np.maximum(arms_a, arms_b))
-
-    def _scene_body(self, fragment_id: int) -> SceneBody:
-        return self._body_of[self._body_id_of[fragment_id]]
 
     def _solve(
         self, bodies: RigidBodies, contacts: ContactConstraintArray, pairs: BodyPairs, strengths: np.ndarray
@@ -377,28 +306,23 @@ class Simulation:
     def _traits(self, states: BodyStates) -> Traits:
         if self._known_traits is None or not np.array_equal(self._known_traits.fragment_ids, states.fragment_ids):
             self._known_traits = traits_of(
-                states, self._body_of, self._body_id_of, self._breakable, self._held_together
+                states, self._cast.body_of, self._cast.body_id_of, self._cast.breakable, self._held_together
             )
         return self._known_traits
 
     def _break(self, fragment_id: int, frame: FrameState, impact: np.ndarray, overload: float) -> bool:
         """`impact` (3,) [m] in the body frame. False where the fragment holds together."""
-        body_id = self._body_id_of[fragment_id]
-        event = self._breakable[body_id].fracture(
-            fragment_id, self._sequence + 1, self._next_fragment_id, impact, overload,
-            self._scene_body(fragment_id).material.fracture.pattern,
+        body_id = self._cast.body_id_of[fragment_id]
+        event = self._cast.breakable[body_id].fracture(
+            fragment_id, self._sequence + 1, self._cast.next_fragment_id, impact, overload,
+            self._cast.scene_body(fragment_id).material.fracture.pattern,
             np.random.default_rng([self._seed, self._sequence + 1]),
         )  # fmt: skip
         if event is None:
             return False
         self._sequence += 1
-        self._next_fragment_id += len(event.new_fragment_ids)
         self._events.append(event)
-        self._engine.remove(fragment_id)
-        del self._body_id_of[fragment_id]
-        for new_id in event.new_fragment_ids:
-            self._body_id_of[int(new_id)] = body_id
-            self._waiting[int(new_id)] = frame
+        self._cast.replace(event, frame, self._engine)
         self.drag.keep_hold(body_id, fragment_id)
         return True
 
