@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fracture_collision.core import touched_tetrahedra
+from fracture_collision.core.connected_pieces import connected_pieces
 from fracture_collision.core.cut_tetrahedron import CUT, DIVIDED
 from fracture_collision.core.pools import FANNED, OLD_FACE, PARTED
 from fracture_collision.geometry.generators import ball, brick, plate, shell
-from fracture_collision.geometry.tetrahedra import connected_pieces
 from fracture_collision.records import ContactConstraintArray, FragmentStates
 from fracture_collision.world.fracture_match import first_split
 

@@ -15,7 +15,6 @@ from fracture_collision.geometry.surface_meshing import tetrahedralize_surface
 from fracture_collision.geometry.tetrahedra import (
     EDGE_VERTICES,
     boundary_triangles,
-    connected_pieces,
     face_neighbours,
     tetrahedron_edges,
     tetrahedron_volumes,
@@ -212,16 +211,6 @@ def test_connectivity_of_a_small_mesh_against_brute_force() -> None:
         tetrahedron_edges(tets, edges[1:])
     with pytest.raises(ValueError, match="more than two"):
         face_neighbours(np.array([[0, 1, 2, 3], [0, 1, 2, 4], [0, 1, 2, 5]]))
-
-
-def test_connected_pieces() -> None:
-    edges = np.array([[0, 1], [1, 2], [2, 3], [3, 4], [4, 5], [0, 6]])
-    labels = np.array([1, 1, 0, 1, 1, 0, 0, 0])
-    assert connected_pieces(edges, labels).tolist() == [0, 0, 1, 2, 2, 3, 4, 5]
-    # each piece of a mesh cut by a slab is one, the slab's two sides are two
-    mesh = brick((1.0, 0.2, 0.2), 0.1)
-    middle = np.abs(mesh.vertices[:, 0]) < 0.15
-    assert connected_pieces(unique_edges(mesh.tetrahedra), middle).max() + 1 == 3
 
 
 def torus_surface() -> tuple[np.ndarray, np.ndarray]:

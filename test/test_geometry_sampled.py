@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from fracture_collision.core.connected_pieces import connected_pieces
 from fracture_collision.geometry.sampled_bodies import sampled_ball, sampled_shell
 from fracture_collision.geometry.tetrahedra import (
     boundary_triangles,
-    connected_pieces,
     tetrahedron_volumes,
     unique_edges,
 )

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import rclpy
 import yaml
+from rcl_interfaces.srv import GetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from recorded_pane import STEPS, record_pane, replayed
@@ -30,7 +31,7 @@ from fracture_collision.bag.reader import message_counts, missing_words, read_me
 from fracture_collision.cdr import Heading
 from fracture_collision.records import FractureEvent
 from fracture_collision.replay import Order, Replay, settings_of
-from fracture_collision.ros import qos
+from fracture_collision.ros import qos, service_settings
 from fracture_collision.ros.node_process import NodeProcess, free_domain_id
 from fracture_collision.ros.own_context import own_context
 from fracture_collision.ros.replay_run import OverDds
@@ -185,6 +186,47 @@ def test_settings_are_asked_for_and_asked_again_when_they_change() -> None:
         service.set_parameters([Parameter("contacts_per_pair", value=5)])
         spin_until(2)
         assert told[1] == Settings(contacts_per_pair=5)._asdict()
+    finally:
+        executor.shutdown()
+        for node in (service, recorder):
+            node.destroy_node()
+        context.try_shutdown()
+
+
+def test_settings_are_asked_for_again_where_the_answer_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(service_settings, "ASK_AGAIN", 0.2)
+    context = own_context(free_domain_id())
+    service = rclpy.create_node("service", context=context, start_parameter_services=False)
+    recorder = rclpy.create_node("recorder", context=context)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(service)
+    executor.add_node(recorder)
+    told: list[dict[str, object]] = []
+    lost: list[GetParameters.Response] = []
+
+    def answer(request: GetParameters.Request, response: GetParameters.Response) -> GetParameters.Response:
+        values = Settings()._asdict()
+        response.values = [Parameter(name, value=values[name]).get_parameter_value() for name in request.names]
+        return response
+
+    def lose_two(response: GetParameters.Response, header: object) -> None:
+        if len(lost) < 2:
+            lost.append(response)
+        else:
+            send(response, header)
+
+    asked = ServiceSettings(recorder, "contact_constraints", told.append)
+    try:
+        parameters = service.create_service(GetParameters, "service/get_parameters", answer)
+        send = parameters.send_response
+        parameters.send_response = lose_two
+        topic = qos.CONTACT_CONSTRAINTS
+        service.create_publisher(topic.message_class, topic.name, topic.qos)
+        deadline = time.monotonic() + PATIENCE
+        while not told and time.monotonic() < deadline:
+            asked.look()
+            executor.spin_once(timeout_sec=0.05)
+        assert told == [Settings()._asdict()] and len(lost) == 2
     finally:
         executor.shutdown()
         for node in (service, recorder):

@@ -23,6 +23,7 @@ from fracture_collision.ros.node_process import free_domain_id
 from fracture_collision.ros.own_context import own_context
 from fracture_collision.ros.participant_process import (
     Process,
+    age_of,
     is_dead,
     is_of_this_process,
     is_stopped,
@@ -132,6 +133,7 @@ def test_dead_stopped_and_zombie_processes() -> None:
     started = int(Path(f"/proc/{child.pid}/stat").read_text().rpartition(")")[2].split()[19])
     process = Process(child.pid, started)
     assert not is_dead(process) and not is_stopped(process)
+    assert 0.0 <= age_of(child.pid) < age_of(os.getpid())
     child.send_signal(signal.SIGSTOP)
     await_that(lambda: is_stopped(process), "a stopped process")
     assert not is_dead(process)
@@ -140,6 +142,8 @@ def test_dead_stopped_and_zombie_processes() -> None:
     assert Path(f"/proc/{child.pid}").exists() and not is_stopped(process)
     child.communicate()
     assert is_dead(process)
+    with pytest.raises(ProcessLookupError):
+        age_of(child.pid)
 
 
 def test_a_farewell_is_a_disposal_in_rtps() -> None:

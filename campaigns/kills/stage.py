@@ -17,11 +17,13 @@ from fracture_collision.ros.node_process import NodeProcess, free_domain_id
 from fracture_collision.ros.shared_memory import YOUNG, left_behind
 
 PATIENCE = 300.0  # [s] a node that takes longer hangs
-LOOK = 0.002  # [s]
+LOOK = 0.02  # [s] more often would take time from the nodes; what is timed, they tell by their own clocks
 COMPARED = ("/bodies", "/fracture_events", "/fragment_states")
 SETTLED = 3.0  # [s] after which nothing more comes of what was said before
 READY = "ready, "
 _STEP = re.compile(r'"step": (\d+)')
+_READY = re.compile(rf"{READY}([0-9.]+) s after its process was started")
+_GOES_ON = re.compile(r"\[(\d+\.\d+)\] \[[^]]*\]: step \d+ is answered after")
 
 
 class Stage:
@@ -144,6 +146,16 @@ def steps_told(simulator: NodeProcess) -> int:
     """The last step that it has told of; needs its parameter `progress`."""
     told = _STEP.findall(simulator.log_text())
     return int(told[-1]) if told else 0
+
+
+def ready_told(service: NodeProcess) -> float:
+    """[s] from its process being started to its being ready, as it says itself."""
+    return float(_READY.search(service.log_text())[1])
+
+
+def answers_awaited(simulator: NodeProcess) -> list[float]:
+    """[s] of time.time() when each answer came that it had to ask for again."""
+    return [float(told) for told in _GOES_ON.findall(simulator.log_text())]
 
 
 def await_recording(recorder: NodeProcess, steps: int, *alive: NodeProcess, may_lack: int = 0) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -14,6 +15,7 @@ import numpy as np
 from campaigns.kills.stage import (
     Digests,
     Stage,
+    answers_awaited,
     await_end,
     await_ready,
     await_recording,
@@ -23,10 +25,12 @@ from campaigns.kills.stage import (
     digests,
     fault_at_end,
     must_end,
+    ready_told,
     stage,
     steps_told,
 )
 from fracture_collision.ros.node_process import NodeProcess
+from fracture_collision.ros.participant_process import age_of
 
 Progress = Callable[[str], None]
 MOST_RUNS = 100  # more without the kills that were asked for: the scene is too short
@@ -37,8 +41,8 @@ class Return(NamedTuple):
     """A service that was killed and started again. Seconds."""
 
     step: int  # that the simulator had done when it was killed
-    started: float  # from starting its process to its saying that it is ready
-    answered: float  # from there to the simulator's next step
+    ready: float  # from its process being started, as /proc tells, to its saying that it is ready
+    answered: float  # from its process being started to its first answer being there; nan: the scene was over
 
 
 class KilledServices(NamedTuple):
@@ -75,10 +79,13 @@ def kill_services(
                 if _ends_before(simulator, random.uniform(0.0, longest_wait), recorder, service):
                     break
                 service.stop(patience=0.0, orders=(signal.SIGKILL,))
-                step = steps_told(simulator)
+                step, awaited = steps_told(simulator), len(answers_awaited(simulator))
                 service = nodes.start("collision_node", threads=1)
-                started = await_ready(service, recorder)
-                returns.append(Return(step, started, await_step(simulator, step, recorder, service)))
+                started = time.time() - age_of(service.pid)
+                await_ready(service, recorder)
+                await_step(simulator, step, recorder, service)
+                came = answers_awaited(simulator)[awaited:]
+                returns.append(Return(step, ready_told(service), came[0] - started if came else math.nan))
             may_lack = len(returns) - before
             _end(simulator, recorder, service, may_lack)
         said = digests(own / "bag")

@@ -2,13 +2,29 @@
 
 from __future__ import annotations
 
-from numba import njit
+from collections.abc import Callable
+from typing import Any
 
-kernel = njit(cache=True, error_model="numpy")
+from fracture_collision.core.kernel_cache import KernelCache, njit
+
+
+def _cached(**options: Any) -> Callable[[Callable], Any]:
+    compiled = njit(error_model="numpy", **options)
+
+    def decorate(function: Callable) -> Any:
+        dispatcher = compiled(function)
+        if dispatcher is not function:  # as it is with NUMBA_DISABLE_JIT
+            dispatcher._cache = KernelCache(function)  # in place of what cache=True would put there
+        return dispatcher
+
+    return decorate
+
+
+kernel = _cached()
 # The kernels of a query allocate nothing, so they count no references: with counting, six sevenths of a query's time
 # went into atomic increments for arrays taken out of the pools.
-query_kernel = njit(cache=True, error_model="numpy", _nrt=False)
+query_kernel = _cached(_nrt=False)
 # For what runs inside a query's inner loops: a call would copy the pools, several hundred words, onto the stack.
-inlined_kernel = njit(cache=True, error_model="numpy", _nrt=False, forceinline=True)
+inlined_kernel = _cached(_nrt=False, forceinline=True)
 # For what a crew of threads runs side by side: the interpreter's lock is let go.
-threaded_kernel = njit(cache=True, error_model="numpy", _nrt=False, nogil=True)
+threaded_kernel = _cached(_nrt=False, nogil=True)

@@ -8,8 +8,6 @@ independent of the platform's sort: rows ascend lexicographically.
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 # Local vertices of the six edges of a tetrahedron and of its four faces; face i lies opposite vertex i and is
 # counter-clockwise from outside.
@@ -65,22 +63,6 @@ def tetrahedron_volumes(vertices: np.ndarray, tetrahedra: np.ndarray) -> np.ndar
     corner = vertices[tetrahedra]
     a, b, c = (corner[:, i] - corner[:, 0] for i in (1, 2, 3))
     return np.einsum("ij,ij->i", np.cross(a, b), c) / 6.0
-
-
-def connected_pieces(edges: np.ndarray, labels: np.ndarray) -> np.ndarray:
-    """Number the pieces of equal label that hang together through edges: (n,) int32, one piece index a node.
-
-    Two nodes are in one piece if a path of edges joins them along nodes of their own label. Pieces are numbered from
-    0 in the order of their smallest node; a node without edges is a piece of its own.
-    """
-    labels = np.asarray(labels)
-    kept = edges[labels[edges[:, 0]] == labels[edges[:, 1]]]
-    graph = coo_array((np.ones(len(kept), dtype=np.int8), (kept[:, 0], kept[:, 1])), shape=(len(labels), len(labels)))
-    _, raw = connected_components(graph, directed=False)
-    _, first_node, inverse = np.unique(raw, return_index=True, return_inverse=True)
-    rank = np.empty(len(first_node), dtype=np.int32)
-    rank[np.argsort(first_node)] = np.arange(len(first_node), dtype=np.int32)
-    return rank[inverse]
 
 
 def _edge_keys(tetrahedra: np.ndarray, base: int = 1) -> tuple[int, np.ndarray]:

@@ -1,14 +1,15 @@
 """The collision service: bodies, fracture events and states in, contact constraints out.
 
-A callback is: convert, one call, convert, publish. The order of messages across topics is collision_run's business,
-what they may say is world's.
+A callback is: convert (ros/incoming.py), one call (ros/collision_run.py), convert and publish (ros/answers.py). What
+messages may say is world's business.
 """
 
 from __future__ import annotations
 
+import gc
+import os
 import sys
 import time
-from pathlib import Path
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -16,27 +17,17 @@ from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
-from fracture_collision.cdr import Heading, Received
-from fracture_collision.records import ADD, FragmentStates, refusal_of
+from fracture_collision.cdr import Received
 from fracture_collision.ros import qos
-from fracture_collision.ros.acknowledged_publisher import AcknowledgedPublisher
-from fracture_collision.ros.cdr_records import serialize_record
+from fracture_collision.ros.answers import Answers
 from fracture_collision.ros.collision_run import CollisionRun, Refusal
-from fracture_collision.ros.conversion import header_of, to_message
-from fracture_collision.ros.diagnostics import (
-    AnswerTimes,
-    RefusalCounts,
-    diagnostic_array,
-    settings_status,
-    status,
-)
+from fracture_collision.ros.diagnostics import RefusalCounts, diagnostic_array, settings_status, status
 from fracture_collision.ros.incoming import Incoming
-from fracture_collision.ros.markers import MarkersPublisher
 from fracture_collision.ros.neighbours import Neighbours
-from fracture_collision.ros.parameters import SettingsParameters, declare_fixed
+from fracture_collision.ros.parameters import SettingsParameters
+from fracture_collision.ros.participant_process import age_of
 from fracture_collision.ros.process import Fatal, nothing_to_lose, run_node
 from fracture_collision.ros.prompt_executor import PromptExecutor
-from fracture_collision.ros.timing_files import SERVICE_COLUMNS, RowFile
 from fracture_collision.world import InvalidMessage, Settings
 from fracture_collision.world.warm_up import cache_is_cold, compile_kernels
 
@@ -54,19 +45,13 @@ class CollisionNode(Node):
             self._changeable = SettingsParameters(self, self._on_new_settings)
         except ValueError as error:
             raise Fatal(str(error)) from error
-        timing_file = declare_fixed(self, "timing_file", "", "times of each answer are written there")
-        self._timing_rows = _row_file(timing_file) if timing_file else None
         self._phase = "starting"
         self._run: CollisionRun | None = None
         self._next_run: CollisionRun | None = None  # of events that came before the first body of their run
         self._held: Received | None = None  # the newest states that cannot be answered yet
         self._seconds_held = 0
         self._replaced_states = 0  # newer ones came while they were held
-        self._registry_version: tuple[int, int, int, int] | None = None
-        self._meshes_published: set[int] = set()
         self._refusals = RefusalCounts()
-        self._times = AnswerTimes()
-        self._last_answer = "no answer yet"
         self._settings_since = "the start"
 
         self._neighbours = Neighbours(self)
@@ -82,12 +67,7 @@ class CollisionNode(Node):
             self._note,
             self._forget_run,
         )
-        self._contacts = AcknowledgedPublisher(self, qos.CONTACT_CONSTRAINTS, "simulator_node", self._neighbours)
-        self._fragments = AcknowledgedPublisher(self, qos.FRAGMENTS, "simulator_node", self._neighbours)
-        self._meshes = AcknowledgedPublisher(self, qos.FRAGMENT_MESHES, neighbours=self._neighbours)
-        self._markers = MarkersPublisher(self)
-        topic = qos.ANSWER_TIMES
-        self._answer_times = self.create_publisher(topic.message_class, topic.name, topic.qos)
+        self._answers = Answers(self, self._neighbours)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         # Not of the node's clock: under use_sim_time that stands still until somebody moves it.
         self.create_timer(1.0, self._every_second, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -99,11 +79,14 @@ class CollisionNode(Node):
     # --- start and end ---------------------------------------------------------------------------------------------
 
     def prepare(self) -> None:
-        """Loads the kernels from numba's cache, or compiles them, and says which; then listens. Who waits for the
-        service to subscribe need not ask in vain.
+        """Loads the kernels from numba's cache, or compiles them, and says which; meanwhile it gets bodies and events.
+        Then it listens to states, too: who waits for the service to subscribe to them need not ask in vain.
         """
-        started = time.perf_counter()
-        doing = "compiling kernels (cold cache, one to two minutes)" if cache_is_cold() else "loading kernels"
+        self._incoming.listen_to_log()
+        doing = "loading kernels"
+        if cache_is_cold():
+            doing = "compiling kernels (cold cache, one to two minutes)"
+            gc.enable()
 
         def progress(text: str) -> None:
             if not rclpy.ok():
@@ -111,6 +94,7 @@ class CollisionNode(Node):
             self._phase = f"{doing}; {text}"
             self.get_logger().info(self._phase)
             self._publish_diagnostics()
+            self._neighbours.are_all_known()  # if so, it matters since when
 
         with nothing_to_lose():
             compile_kernels(progress=progress)
@@ -118,13 +102,13 @@ class CollisionNode(Node):
                 self.get_logger().info("not all DDS participants of this machine are known; going on")
         self._incoming.listen()
         self._phase = "ready"
-        self.get_logger().info(f"ready, {time.perf_counter() - started:.1f} s after its start")
+        self.get_logger().info(f"ready, {age_of(os.getpid()):.2f} s after its process was started")
         self._publish_diagnostics()
+        gc.freeze()
+        gc.enable()
 
     def finish(self) -> None:
-        """Completes what was asked for."""
-        if self._timing_rows is not None:
-            self._timing_rows.close()
+        self._answers.close()
 
     # --- messages --------------------------------------------------------------------------------------------------
 
@@ -132,8 +116,7 @@ class CollisionNode(Node):
         if self._run is None or message.run_id != self._run.run_id:
             self._start_run(message.run_id)
         self._note(*self._run.add_body(message.record))
-        if message.record.operation != ADD or message.record.body_id in self._run.body_ids:
-            self._markers.add_body(message.record)
+        self._answers.add_body(self._run, message.record)
         self._answer_held()
 
     def _on_fracture(self, message: Received) -> None:
@@ -155,21 +138,12 @@ class CollisionNode(Node):
         waiting = self._next_run
         self._run = waiting if waiting and waiting.run_id == run_id else CollisionRun(run_id, self._settings)
         self._next_run = None
-        self._forget_published()
+        self._answers.forget()
         self.get_logger().info(f"run {run_id} begins, of {self._incoming.followed}", throttle_duration_sec=1.0)
 
     def _forget_run(self) -> None:
         self._run = self._next_run = self._held = None
-        self._forget_published()
-
-    def _forget_published(self) -> None:
-        self._registry_version = None
-        self._markers.forget()
-        if self._meshes_published:
-            # A latched publisher keeps all it ever sent, and tells it to who comes; these are no more.
-            self._meshes.close()
-            self._meshes = AcknowledgedPublisher(self, qos.FRAGMENT_MESHES, neighbours=self._neighbours)
-            self._meshes_published.clear()
+        self._answers.forget()
 
     def _note(self, *refusals: Refusal) -> None:
         for refusal in refusals:
@@ -187,8 +161,8 @@ class CollisionNode(Node):
             for name, value in settings._asdict().items()
             if value != getattr(former, name)
         ]
-        self._settings_since = self._last_answer
-        self.get_logger().info(f"settings changed after {self._last_answer}: {', '.join(changes)}")
+        self._settings_since = self._answers.last
+        self.get_logger().info(f"settings changed after {self._answers.last}: {', '.join(changes)}")
         self._publish_diagnostics()
 
     # --- answers ---------------------------------------------------------------------------------------------------
@@ -204,53 +178,13 @@ class CollisionNode(Node):
         except InvalidMessage as error:
             self._held = None
             self._note(Refusal(qos.FRAGMENT_STATES.name, error.kind, str(error)))
-            self._contacts.publish(serialize_record(refusal_of(states), heading, run_id))
+            self._answers.refuse(heading, run_id, states)
             return
-        if contacts is None:
-            return
-        self._held = None
-        answered = time.perf_counter()
-        self._publish_registry(heading, states.fracture_sequence)
-        self._contacts.publish(serialize_record(contacts, heading, run_id))
-        self._record_times(heading, states, answered - started, time.perf_counter() - answered)
-        self._publish_meshes(heading)
-        self._markers.after_answer(self._run.world, heading, states, contacts)
-
-    def _publish_registry(self, heading: Heading, fracture_sequence: int) -> None:
-        run = self._run
-        version = (run.run_id, fracture_sequence, len(run.body_ids), run.removals)
-        if version != self._registry_version:
-            self._registry_version = version
-            self._fragments.publish(to_message(run.world.fragments(), heading, run.run_id))
-
-    def _publish_meshes(self, heading: Heading) -> None:
-        """Of fragments that have none on the topic yet, while somebody looks."""
-        if self._meshes.subscriber_count == 0:
-            return
-        for fragment_id in self._run.world.fragments().fragment_ids.tolist():
-            if fragment_id not in self._meshes_published:
-                self._meshes_published.add(fragment_id)
-                mesh = self._run.world.fragment_mesh(fragment_id)
-                self._meshes.publish(to_message(mesh, heading, self._run.run_id))
+        if contacts is not None:
+            self._held = None
+            self._answers.publish(self._run, heading, states, contacts, time.perf_counter() - started)
 
     # --- what it says of itself ------------------------------------------------------------------------------------
-
-    def _record_times(self, heading: Heading, states: FragmentStates, answer: float, conversion: float) -> None:
-        parts = dict(self._run.world.last_timings)
-        visits = self._run.world.last_visits
-        self._times.add({"answer": answer, **parts, "conversion and publishing": conversion}, visits)
-        self._last_answer = f"the answer to step {states.step} of run {self._run.run_id}"
-        collision = parts["broad_phase"] + parts["narrow_phase"]
-        if self._answer_times.get_subscription_count():
-            told = qos.ANSWER_TIMES.message_class(
-                header=header_of(heading), run_id=self._run.run_id, step=states.step, collision=collision,
-                update=parts["update"], conversion=conversion, visits=visits,
-            )  # fmt: skip
-            self._answer_times.publish(told)
-        if self._timing_rows is not None:
-            self._timing_rows.add(
-                (states.step, states.fracture_sequence, collision, parts["update"], conversion, visits)
-            )
 
     def _every_second(self) -> None:
         self._seconds_held = self._seconds_held + 1 if self._held is not None else 0
@@ -267,7 +201,7 @@ class CollisionNode(Node):
             "follows": incoming.followed,
             "refused for it": ", ".join(incoming.waiting) or "nobody",
             "slow subscribers": self._neighbours.said_of_the_slow(),
-            "messages overtaken before all had them": self._contacts.overtaken + self._fragments.overtaken,
+            "messages overtaken before all had them": self._answers.overtaken,
             "states dropped for newer ones": incoming.dropped_states + self._replaced_states,
             "events held for a body": sum(one.held_event_count for one in (run, self._next_run) if one is not None),
         }
@@ -290,18 +224,11 @@ class CollisionNode(Node):
         self._diagnostics.publish(
             diagnostic_array(
                 self,
-                status("answers", level, message, values | self._times.values()),
+                status("answers", level, message, values | self._answers.times.values()),
                 self._refusals.status(),
                 settings_status(self._settings, self._settings_since),
             )
         )
-
-
-def _row_file(path: str) -> RowFile:
-    try:
-        return RowFile(Path(path), len(SERVICE_COLUMNS))
-    except OSError as error:
-        raise Fatal(f"timing_file: {error}") from error
 
 
 def _work(node: CollisionNode) -> None:
@@ -318,6 +245,7 @@ def _work(node: CollisionNode) -> None:
 
 
 def main() -> int:
+    gc.disable()  # until it is ready: of half a million objects that numba makes next to none are garbage
     return run_node(CollisionNode, _work)
 
 

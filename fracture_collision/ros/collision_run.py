@@ -10,8 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fracture_collision import world
 from fracture_collision.records import ADD, CollisionBody, ContactConstraintArray, FractureEvent, FragmentStates
-from fracture_collision.world import CollisionWorld, InvalidMessage, Settings, StatesAhead
+from fracture_collision.world.errors import InvalidMessage, StatesAhead
+from fracture_collision.world.settings import Settings
 
 # Events held for a body that has not come; beyond this the publisher of the bodies is certainly gone.
 MAX_HELD_EVENTS = 10_000
@@ -29,7 +31,7 @@ class CollisionRun:
 
     def __init__(self, run_id: int, settings: Settings) -> None:
         self.run_id = run_id
-        self.world = CollisionWorld(settings)
+        self.world = world.CollisionWorld(settings)  # which loads numba, not when this module is imported
         self.body_ids: set[int] = set()
         self._known_bodies: set[int] = set()  # removed ones too: an event of theirs may still be on its way
         self.event_count = 0

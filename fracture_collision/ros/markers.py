@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Iterator
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from rclpy.clock import Clock, ClockType
@@ -24,7 +24,9 @@ from fracture_collision.records import ADD, CollisionBody, ContactConstraintArra
 from fracture_collision.ros import qos
 from fracture_collision.ros.marker_bytes import MarkerRecord, serialize_markers
 from fracture_collision.viewer.palette import Palette, display_colour, gap_colours
-from fracture_collision.world import CollisionWorld
+
+if TYPE_CHECKING:  # with it comes numba, and the service announces itself before that
+    from fracture_collision.world import CollisionWorld
 
 INTERVAL = 0.1  # [s] between two messages
 COMPLETE_INTERVAL = 2.0  # [s] between two that say all

@@ -40,6 +40,7 @@ class Neighbours:
         self.dead: set[bytes] = set()  # who is listed still, or was at the last look
         # By topic, who listened when not all acknowledged a message in time: one of them, at least, is slow.
         self.slow: dict[str, frozenset[bytes]] = {}
+        self._count, self._count_since = 0, time.monotonic()  # of participants, when are_all_known was last asked
         # Not of the node's clock: under use_sim_time that stands still until somebody moves it.
         node.create_timer(LOOK_INTERVAL, self.look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
@@ -47,18 +48,22 @@ class Neighbours:
         """Waits until all participants of this machine are known, and what they listen to: who speaks earlier speaks
         past them. False: not all, in LONGEST_ACQUAINTANCE.
         """
-        began = changed = time.monotonic()
-        known = -1
-        while time.monotonic() - began < LONGEST_ACQUAINTANCE:
-            infos = self._node.get_subscriptions_info_by_topic(_DISCOVERY_TOPIC, no_mangle=True)
-            before, known = known, len(infos)
-            if known != before:
-                changed = time.monotonic()
-            is_quiet = time.monotonic() - changed >= QUIET
-            if is_quiet and known >= participants_here(self._node.context.get_domain_id()):
-                return True
+        deadline = time.monotonic() + LONGEST_ACQUAINTANCE
+        while not self.are_all_known():
+            if time.monotonic() > deadline:
+                return False
             time.sleep(0.01)
-        return False
+        return True
+
+    def are_all_known(self) -> bool:
+        """Whether all participants of this machine are known, and nobody new has come for QUIET: as far as can be told
+        from when this was asked before.
+        """
+        count = len(self._node.get_subscriptions_info_by_topic(_DISCOVERY_TOPIC, no_mangle=True))
+        if count != self._count:
+            self._count, self._count_since = count, time.monotonic()
+        is_quiet = time.monotonic() - self._count_since >= QUIET
+        return is_quiet and count >= participants_here(self._node.context.get_domain_id())
 
     def look(self, *more: TopicEndpointInfo) -> None:
         """Notices who came, `more` of them perhaps, and forgets whose process has died since."""

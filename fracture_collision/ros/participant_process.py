@@ -9,6 +9,7 @@ kind. Knows no ROS.
 from __future__ import annotations
 
 import os
+import time
 from pathlib import Path
 from typing import NamedTuple
 
@@ -56,6 +57,14 @@ def is_stopped(process: Process) -> bool:
     """By SIGSTOP or a debugger."""
     status = _status(process.pid)
     return status is not None and status.started == process.started and status.state in "Tt"
+
+
+def age_of(pid: int) -> float:
+    """[s] since a process was started, to the tick (10 ms) that proc(5) tells it by. Raises ProcessLookupError."""
+    status = _status(pid)
+    if status is None:
+        raise ProcessLookupError(f"no process {pid}")
+    return time.clock_gettime(time.CLOCK_BOOTTIME) - status.started / os.sysconf("SC_CLK_TCK")
 
 
 class _Status(NamedTuple):

@@ -1,9 +1,15 @@
 """The collision service as a Python library, without ROS."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
 from fracture_collision.records import CollisionBody, FractureEvent, FragmentStates
-from fracture_collision.world.collision_world import CollisionWorld
 from fracture_collision.world.errors import InvalidMessage, StatesAhead
 from fracture_collision.world.settings import Settings
+
+if TYPE_CHECKING:
+    from fracture_collision.world.collision_world import CollisionWorld
 
 __all__ = [
     "CollisionBody",
@@ -14,3 +20,14 @@ __all__ = [
     "Settings",
     "StatesAhead",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """CollisionWorld, when first asked for: with it comes numba, which takes half a second to import. A node announces
+    itself before that.
+    """
+    if name != "CollisionWorld":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from fracture_collision.world.collision_world import CollisionWorld
+
+    return CollisionWorld

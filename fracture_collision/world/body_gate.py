@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.core.collision_geometry import PreparedMesh, PreparedSurface, prepare_mesh, prepare_surface
+from fracture_collision.core.connected_pieces import connected_pieces
 from fracture_collision.core.tet_mesh import build_tet_mesh
 from fracture_collision.geometry.tetrahedra import (
     boundary_triangles,
-    connected_pieces,
     tetrahedron_volumes,
     unique_edges,
 )

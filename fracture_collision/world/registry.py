@@ -7,16 +7,22 @@ import hashlib
 import numpy as np
 
 from fracture_collision.core.collision_geometry import CollisionGeometry, MassProperties
+from fracture_collision.core.pools import ALTERNATING, AVERAGED, EXACT, FACING, NEAREST, QUEUE
 from fracture_collision.records import FragmentRegistry
 from fracture_collision.world.body_gate import CheckedBody
 from fracture_collision.world.fracture_gate import CheckedFracture, apply_fracture
 from fracture_collision.world.settings import FIELDS, NORMALS, TRAVERSALS, Settings
 
+# How core calls what the settings name; a tree's name is its own.
+_FIELD = dict(zip(FIELDS, (EXACT, AVERAGED), strict=True))
+_NORMALS = dict(zip(NORMALS, (FACING, NEAREST), strict=True))
+_TRAVERSAL = dict(zip(TRAVERSALS, (ALTERNATING, QUEUE), strict=True))
+
 
 class Registry:
     def __init__(self, settings: Settings) -> None:
         self.geometry = CollisionGeometry(
-            settings.tree, TRAVERSALS[settings.traversal], FIELDS[settings.field], NORMALS[settings.normals]
+            settings.tree, _TRAVERSAL[settings.traversal], _FIELD[settings.field], _NORMALS[settings.normals]
         )
         self.sequence = 0
         self._bodies: dict[int, CheckedBody] = {}

@@ -1,14 +1,12 @@
 """The service's settings: one place, with meaning, unit and why. config/collision.yaml carries the same names.
 
-All may change while the service runs, between two answers (CollisionWorld.change_settings).
+All may change while the service runs, between two answers (CollisionWorld.change_settings). Imports nothing of core, so
+that a node knows its settings before kernels are loaded; world/registry.py has core's word for each choice.
 """
 
 from __future__ import annotations
 
 from typing import NamedTuple
-
-from fracture_collision.core.fragment_trees import TREES
-from fracture_collision.core.pools import ALTERNATING, AVERAGED, EXACT, FACING, NEAREST, QUEUE
 
 
 class Settings(NamedTuple):
@@ -47,9 +45,10 @@ class Settings(NamedTuple):
     max_message_bytes: int = 256 * 1024 * 1024  # serialized
 
 
-FIELDS = {"exact": EXACT, "averaged": AVERAGED}
-NORMALS = {"facing": FACING, "nearest": NEAREST}
-TRAVERSALS = {"alternating": ALTERNATING, "queue": QUEUE}
+FIELDS = ("exact", "averaged")
+NORMALS = ("facing", "nearest")
+TREES = ("restructured", "plain", "rebuilt")
+TRAVERSALS = ("alternating", "queue")
 
 
 def geometry_settings(settings: Settings) -> tuple[str, ...]:

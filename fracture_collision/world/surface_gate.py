@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
+from fracture_collision.core.connected_pieces import joined
 from fracture_collision.world.checks import refuse
 
 # Twice the area against the longest side squared: below, rounding decides where the normal points.
@@ -66,8 +65,8 @@ def _one_fan_a_vertex(triangles: np.ndarray, opposite: np.ndarray, vertex_count:
     """A corner is joined with the next one around its vertex: as many circles of corners as vertices."""
     triangle, corner = opposite // 3, opposite % 3
     next_corner = 3 * triangle + (corner + 1) % 3  # side a-b starts in a, the other triangle's side b-a ends there
-    fans, fan = _joined(np.arange(triangles.size), next_corner, triangles.size)
-    if fans == vertex_count:
+    fan = joined(np.arange(triangles.size), next_corner, triangles.size)
+    if fan.max() + 1 == vertex_count:
         return
     pairs = np.unique(np.column_stack([triangles.ravel(), fan]), axis=0)
     vertex = np.flatnonzero(np.bincount(pairs[:, 0]) > 1)[0]
@@ -75,7 +74,7 @@ def _one_fan_a_vertex(triangles: np.ndarray, opposite: np.ndarray, vertex_count:
 
 
 def _one_solid(triangles: np.ndarray, corners: np.ndarray, opposite: np.ndarray) -> None:
-    pieces, piece = _joined(np.arange(len(triangles)).repeat(3), opposite // 3, len(triangles))
+    piece = joined(np.arange(len(triangles)).repeat(3), opposite // 3, len(triangles))
     apex = 0.5 * (corners.min(axis=(0, 1)) + corners.max(axis=(0, 1)))
     a, b, c = (corners[:, i] - apex for i in range(3))
     volumes = np.bincount(piece, np.einsum("ij,ij->i", np.cross(a, b), c) / 6.0)
@@ -98,8 +97,3 @@ def _winding_number(point: np.ndarray, corners: np.ndarray) -> float:
     triple = np.einsum("ij,ij->i", a, np.cross(b, c))
     dots = [np.einsum("ij,ij->i", u, v) * w for u, v, w in ((a, b, lc), (b, c, la), (c, a, lb))]
     return float(2.0 * np.arctan2(triple, la * lb * lc + dots[0] + dots[1] + dots[2]).sum() / (4.0 * np.pi))
-
-
-def _joined(first: np.ndarray, second: np.ndarray, count: int) -> tuple[int, np.ndarray]:
-    graph = coo_array((np.ones(len(first), np.int8), (first, second)), shape=(count, count))
-    return connected_components(graph, directed=False)

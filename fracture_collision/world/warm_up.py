@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 
 import fracture_collision
+from fracture_collision import world as service
 from fracture_collision.geometry.generators import TetGeometry, brick
 from fracture_collision.geometry.tetrahedra import unique_edges
 from fracture_collision.records import BOX, SPHERE, CollisionBody, FractureEvent, FragmentStates, SolidPrimitive
-from fracture_collision.world.collision_world import CollisionWorld
 from fracture_collision.world.settings import Settings
 
 
@@ -27,7 +27,7 @@ def cache_is_cold() -> bool:
 def compile_kernels(progress: Callable[[str], None]) -> None:
     """Run the small scene; `progress` is called with words before each stage."""
     # under the averaged field a fracture needs all that it does under the exact one, and more
-    world = CollisionWorld(Settings(threads=2, field="averaged"))
+    world = service.CollisionWorld(Settings(threads=2, field="averaged"))
     geometry = brick((1.0, 0.5, 0.5), 0.5)
     progress("bodies: mesh preprocess, sphere trees (1 of 3)")
     world.add_body(_tetrahedral_body(geometry.vertices, geometry.tetrahedra))

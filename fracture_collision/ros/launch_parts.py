@@ -1,0 +1,61 @@
+"""What the launch files share: their arguments, and a node as they start it.
+
+Needs ROS's launch, which is no wheel: only launch/ imports this.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from launch.actions import DeclareLaunchArgument, SetEnvironmentVariable, Shutdown
+from launch.substitutions import EnvironmentVariable, LaunchConfiguration, PathJoinSubstitution
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+from launch_ros.substitutions import FindPackageShare
+
+PACKAGE = "fracture_collision"
+
+
+def arguments() -> list[DeclareLaunchArgument | SetEnvironmentVariable]:
+    """Those of every launch file, and what they set for all nodes."""
+    default_parameters = PathJoinSubstitution([FindPackageShare(PACKAGE), "config", "collision.yaml"])
+    return [
+        DeclareLaunchArgument("scene", default_value="plates", description="name in config/scenes, or a path"),
+        DeclareLaunchArgument("seed", default_value="-1", description="of fracture patterns; -1: the scene's"),
+        DeclareLaunchArgument("namespace", default_value="", description="put before every topic"),
+        DeclareLaunchArgument(
+            "parameters", default_value=default_parameters, description="of the service, a parameter file"
+        ),
+        DeclareLaunchArgument(
+            "discovery_range",
+            default_value=EnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", default_value="LOCALHOST"),
+            choices=["LOCALHOST", "SUBNET", "SYSTEM_DEFAULT"],
+            description="who may find the nodes",
+        ),
+        SetEnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", LaunchConfiguration("discovery_range")),
+    ]
+
+
+def collision_node(ends_all: bool) -> Node:
+    return node("collision_node", LaunchConfiguration("parameters"), ends_all=ends_all)
+
+
+def node(executable: str, parameters: Any, ends_all: bool = True) -> Node:
+    """In the namespace that is asked for. `ends_all`: its end is the end of all."""
+    return Node(
+        package=PACKAGE,
+        executable=executable,
+        namespace=LaunchConfiguration("namespace"),
+        parameters=[parameters],
+        output="screen",
+        on_exit=Shutdown() if ends_all else None,
+    )
+
+
+def text(name: str) -> ParameterValue:
+    """A launch argument as a parameter: what looks like a number stays text."""
+    return ParameterValue(LaunchConfiguration(name), value_type=str)
+
+
+def whole(name: str) -> ParameterValue:
+    return ParameterValue(LaunchConfiguration(name), value_type=int)
