@@ -15,6 +15,7 @@ from fracture_collision.geometry.generators import TetGeometry, brick
 from fracture_collision.geometry.tetrahedra import unique_edges
 from fracture_collision.records import BOX, SPHERE, CollisionBody, FractureEvent, FragmentStates, SolidPrimitive
 from fracture_collision.world.collision_world import CollisionWorld
+from fracture_collision.world.inspection import field_on_plane
 from fracture_collision.world.settings import Settings
 
 
@@ -46,6 +47,14 @@ def compile_kernels(progress: Callable[[str], None]) -> None:
         world.contacts(_states(step, 2, np.array([2, 5, 7, 8, 9])))
     world.fragments()
     world.fragment_mesh(5)
+
+
+def compile_inspection_kernels() -> None:
+    """What only a person who looks inside asks for (inspection.py): no service loads it."""
+    world = CollisionWorld(Settings(threads=1))
+    geometry = brick((1.0, 0.5, 0.5), 0.5)
+    world.add_body(_tetrahedral_body(geometry.vertices, geometry.tetrahedra))
+    field_on_plane(world, world.present(_states(1, 0, np.array([1]))), 1, 0.0, finest=2)
 
 
 def _tetrahedral_body(vertices: np.ndarray, tetrahedra: np.ndarray) -> CollisionBody:
