@@ -76,6 +76,11 @@ def picture_of(page: Any) -> np.ndarray:
     return imread(io.BytesIO(shot))[..., :3]
 
 
+def drop_warning(page: Any) -> None:
+    """viser warns of a browser that draws in software, in orange and over the scene."""
+    page.evaluate("document.querySelectorAll('.mantine-Notification-root').forEach(each => each.remove())")
+
+
 def number_of(page: Any, label: str) -> Any:
     """The box beside a slider, to be filled."""
     uuid = page.locator("label").filter(has_text=re.compile(f"^{re.escape(label)}$")).get_attribute("for")

@@ -127,8 +127,13 @@ def test_shapes_without_a_mesh_are_on_the_plane_and_the_ground_is_not() -> None:
     assert np.array_equal(found.owners, expected) and {NOBODY, 2, 3} == set(np.unique(expected).tolist())
     assert np.allclose(found.depths, np.maximum(np.maximum(of_ball, of_box), 0.0), atol=1e-12)
     assert np.array_equal(found.shared, (of_ball > 0.0) & (of_box > 0.0))
-    assert spheres_of_level(world, here, 0).fragment_ids.tolist() == [2]  # the box's; a ball has no tree
     assert field_on_plane(world, here, 2, 0.9) is None  # cuts the box alone
+    assert not len(spheres_of_level(world, here, 0).radii)  # the box stands, a ball has no tree
+    world.add_body(CollisionBody(4, 4, primitive=SolidPrimitive(BOX, (2.0, 2.0, 1.0))))
+    here = world.present(FragmentStates(2, 0, np.array([3, 4]), np.zeros(6), np.tile(turned, 2)))
+    spheres = spheres_of_level(world, here, 0)
+    assert spheres.fragment_ids.tolist() == [4]
+    assert within(np.array([[x, y, 0.5] for x in (-1, 1) for y in (-1, 1)]), spheres.centres, spheres.radii).all()
 
 
 @pytest.mark.parametrize(

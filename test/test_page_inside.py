@@ -146,7 +146,7 @@ def test_the_plane_is_where_it_cuts_and_the_way_it_is(page: Page, axis: int) -> 
                 assert np.argmax(image[row, column, :3]) == np.argmax(colour)
                 assert image[row, column, :3].max() <= 255.0 * colour.max()
     assert np.array_equal(np.argwhere(image[..., 3] == 0), [[0, 0]])  # up left
-    assert image[0, 2].max() > image[1, 2].max()  # darker where it is deeper
+    assert image[0, 2, :3].max() > image[1, 2, :3].max()  # darker where it is deeper
     assert f"{AXES[axis]} = 0.100 m: 60.0 mm deep inside, bands of 10 mm" in inside._words.content
 
 

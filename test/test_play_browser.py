@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser import chromium, number_of, opened, picture_of, until
+from browser import chromium, drop_warning, number_of, opened, picture_of, until
 from fracture_collision.msg import FragmentStates, SimulationStatus
 from ros_client import PATIENCE, ServiceClient
 
@@ -72,8 +72,7 @@ def colourful(picture: np.ndarray) -> np.ndarray:
 
 def on_a_plate(page: Any) -> tuple[float, float]:
     """A pixel amid many of one colour family."""
-    # a browser that draws in software is warned of it, in orange
-    page.evaluate("document.querySelectorAll('.mantine-Notification-root').forEach(each => each.remove())")
+    drop_warning(page)
     seen = colourful(until(lambda: picture_of(page), lambda picture: np.count_nonzero(colourful(picture)) > 300))
     # the pixel with the most others about it
     sums = np.pad(seen.cumsum(0).cumsum(1), ((1, 0), (1, 0)))
@@ -147,11 +146,11 @@ def shown_plots(page: Any) -> list[str]:
 def test_a_person_looks_inside(browser: Any, scene: Scene) -> None:
     with opened(browser, scene.address) as page:
         x, y = on_a_plate(page)
-        plots = len(shown_plots(page))
+        plots = len(until(lambda: shown_plots(page), lambda plots: len(plots) == 3))
         page.get_by_label("sphere trees").check()
         page.get_by_text("level 2 of").wait_for()
         number_of(page, "level").fill("0")
-        page.get_by_text(re.compile(f"level 0 of .*: {PLATES} spheres")).wait_for()  # the shelf's are boxes
+        page.get_by_text(re.compile(f"level 0 of .*: {PLATES} spheres")).wait_for()  # the shelf does not move
         page.get_by_label("sphere trees").uncheck()
         page.get_by_label("field on a plane").check()
         page.get_by_text("mm deep inside").wait_for()

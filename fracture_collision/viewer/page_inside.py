@@ -21,7 +21,7 @@ MILLI = 1e3
 DEEPEST_LEVEL = 16  # of the slider: of 2^16 points
 MOST_SPHERES = 500  # drawn; more hide each other, and cost a graphics processor too much
 ROUNDNESS = 2  # subdivisions of an icosahedron
-SPHERE_OPACITY = 0.22
+SPHERE_OPACITY = 0.3
 AXES = ("x", "y", "z")
 # Of a plane across each axis: the side from which the camera of a run looks at it at first. What is there is in the
 # way.
@@ -107,7 +107,7 @@ class Inside:
                 "field on a plane", False,
                 hint="Depths inside the fragments, exact; those that are cut or in the way are not shown.",
             )  # fmt: skip
-            self._axis = gui.add_dropdown("across", AXES, AXES[1])
+            self._axis = gui.add_dropdown("across", AXES, initial_value=AXES[1])
             self._share = gui.add_slider(
                 "place", 0.0, 1.0, 0.01, 0.5,
                 hint="from one end of what can move to the other, as they were when the plane was switched on",
@@ -285,7 +285,7 @@ def _words_of(view: InsideView, wanted: InsideWanted) -> list[str]:
     words = []
     if view.spheres is not None:
         spheres = view.spheres
-        count = np.count_nonzero(spheres.radii)
+        count = int(np.count_nonzero(spheres.radii))
         most = f"the {MOST_SPHERES} largest of " if count > MOST_SPHERES else ""
         words.append(f"level {spheres.level} of {spheres.deepest}: {most}{count:,} sphere{'s' * (count != 1)}")
     if wanted.plane is not None and view.plane is not None:

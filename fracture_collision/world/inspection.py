@@ -103,9 +103,9 @@ def _pair_keys(contacts: ContactConstraintArray) -> np.ndarray:
 
 
 def spheres_of_level(world: CollisionWorld, here: Present, level: int) -> LevelSpheres:
-    """Of the fragments present; level 0: a sphere about each. Planes and spheres have no tree."""
+    """Of what can move of those present; level 0: a sphere about each. Planes and spheres have no tree."""
     ids, centres, radii, deepest = [np.zeros(0, np.int64)], [np.zeros((0, 3))], [np.zeros(0)], 0
-    for fragment_id, row in zip(here.ids.tolist(), here.rows.tolist(), strict=True):
+    for fragment_id, row in zip(here.ids[~here.is_static].tolist(), here.rows[~here.is_static].tolist(), strict=True):
         if not world.geometry.tree_entries(row):
             continue
         tree = world.geometry.sphere_tree(row)
