@@ -16,9 +16,7 @@ from fracture_collision.simulation.engine import Engine
 from fracture_collision.simulation.scene import Scene
 from fracture_collision.simulation.simulation import Simulation, StepReport, StepRequest
 from fracture_collision.world import CollisionWorld, Settings
-
-# Contacts a pair, when all of them are wanted.
-EVERY_CONTACT = 1 << 30
+from fracture_collision.world.inspection import every_contact
 
 
 class StepTimes(NamedTuple):
@@ -103,12 +101,7 @@ class Lockstep:
 
     def every_contact(self, states: FragmentStates) -> ContactConstraintArray:
         """The contacts at `states` if each pair had room for all: what self-adapting selection (5.2) chooses from."""
-        chosen = self.world.settings
-        self.world.settings = chosen._replace(contacts_per_pair=EVERY_CONTACT, visit_budget=0)
-        try:
-            return self.world.contacts(states)
-        finally:
-            self.world.settings = chosen
+        return every_contact(self.world, states)
 
     def _tell(self, request: StepRequest) -> bool:
         """Tells the service the bodies and events that it does not know; whether there were any."""

@@ -20,6 +20,8 @@ from fracture_collision.viewer.shading import smooth_normals
 def main() -> None:
     started = time.monotonic()
     service.compile_kernels(progress=_say)
+    _say("looking inside")
+    service.compile_inspection_kernels()
     simulator.compile_kernels(progress=_say)
     _say("a pane that breaks, and its pieces again")
     with Lockstep(load_scene("pane")) as run:

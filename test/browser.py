@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 import shutil
 import time
 from collections.abc import Callable, Iterator
@@ -73,6 +74,17 @@ def picture_of(page: Any) -> np.ndarray:
     """(height, width, 3) 0..1, of what the panel leaves free."""
     shot = page.screenshot(clip={"x": 0, "y": 0, "width": WIDTH - PANEL, "height": HEIGHT}, timeout=1e3 * PATIENCE)
     return imread(io.BytesIO(shot))[..., :3]
+
+
+def drop_warning(page: Any) -> None:
+    """viser warns of a browser that draws in software, in orange and over the scene."""
+    page.evaluate("document.querySelectorAll('.mantine-Notification-root').forEach(each => each.remove())")
+
+
+def number_of(page: Any, label: str) -> Any:
+    """The box beside a slider, to be filled."""
+    uuid = page.locator("label").filter(has_text=re.compile(f"^{re.escape(label)}$")).get_attribute("for")
+    return page.locator(f"[id='{uuid}'] + * input")
 
 
 def until(look: Callable[[], Found], good: Callable[[Found], bool], patience: float = PATIENCE) -> Found:

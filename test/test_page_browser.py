@@ -9,13 +9,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser import HEIGHT, PATIENCE, WIDTH, chromium, opened, picture_of, until
+from browser import HEIGHT, PATIENCE, WIDTH, chromium, drop_warning, number_of, opened, picture_of, until
 from small_run import small_run
 
 from fracture_collision.records import CollisionBody, ContactConstraintArray, FragmentStates, refusal_of
 from fracture_collision.viewer.bag_player import BagPlayer
 from fracture_collision.viewer.page import INTERVAL, Page
-from fracture_collision.viewer.page_events import Handlers
+from fracture_collision.viewer.page_events import Handlers, InsideWanted, PlaneWanted
+from fracture_collision.viewer.page_inside import InsideFigures, InsideView, PlanePicture, Spheres
 from fracture_collision.viewer.page_plots import Figures
 from fracture_collision.viewer.ray_picture import Camera
 from fracture_collision.viewer.recorded_run import RecordedRun, RecordedStates
@@ -180,6 +181,80 @@ def test_a_person_clicks_drags_and_looks_closer(browser: Any) -> None:
             until(lambda: np.count_nonzero(bright_red(picture_of(seen))), lambda count: count > before + 10)
             seen.get_by_label("missed depth bound").check()
             seen.get_by_text("1.200 mm").wait_for()
+
+
+def test_a_person_looks_inside(browser: Any) -> None:
+    asked: queue.Queue[InsideWanted] = queue.Queue()
+    records = [record for _, record in small_run(steps=1)]
+    with Page(Handlers(looking_inside=asked.put)) as page:
+        for record in records[:-1]:
+            page.add_body(record)
+        # level, straight at the second brick, at (0.4, 0, 0.6), 0.3 m high and deep, 0.4 m wide
+        page.look_from(Camera(np.array([0.4, -3.0, 0.6]), np.array([0.4, 0.0, 0.6]), 0.6))
+        page.cast_shadows(False)
+        page.show_states(records[-1])
+        with opened(browser, page.address) as seen:
+            until(lambda: picture_of(seen), lambda picture: np.count_nonzero(red(picture)) > 150)
+            bare = steady(seen)
+            seen.get_by_label("sphere trees").check()
+            assert asked.get(timeout=PATIENCE) == InsideWanted(level=2)
+            number_of(seen, "level").fill("5")
+            assert asked.get(timeout=PATIENCE) == InsideWanted(level=5)
+            around = Spheres(5, 7, np.array([4]), np.zeros((1, 3)), np.array([0.35]))
+            page.show_inside(InsideView(around))
+            seen.get_by_text("level 5 of 7: 1 sphere").wait_for()
+            # translucent, and wider than the brick
+            brick = np.count_nonzero(bare_brick := red(bare)[:, WIDTH // 2 - 35 :])
+            assert 1500 < brick < bare_brick.size / 4
+            until(lambda: changed(picture_of(seen), bare), lambda count: count > 1.2 * brick)
+            both = Spheres(5, 7, np.array([3, 4]), np.zeros((2, 3)), np.array([0.3, 0.3]))
+            page.show_inside(InsideView(both))
+            with opened(browser, page.address) as late:  # who comes later sees them too
+                until(lambda: changed(steady(late), bare), lambda count: count > 1.5 * brick)
+            seen.get_by_label("sphere trees").uncheck()
+            assert asked.get(timeout=PATIENCE) == InsideWanted()
+            until(lambda: changed(picture_of(seen), bare), lambda count: count < EDGES)
+
+            seen.get_by_label("field on a plane").check()
+            assert asked.get(timeout=PATIENCE) == InsideWanted(plane=PlaneWanted(1, 0.5))
+            # the brick's section, all of which is in two fragments at once but for its left half
+            owners = np.full((30, 40), 4)
+            shared = np.zeros((30, 40), dtype=bool)
+            shared[:, 20:] = True
+            section = PlanePicture(1, 0.0, np.array([0.2, 0.45]), 0.01, owners, np.full((30, 40), 0.01), shared)
+            page.show_inside(InsideView(plane=section))
+            found = until(lambda: picture_of(seen), lambda picture: np.count_nonzero(bright_red(picture)) > 100)
+            columns = np.flatnonzero(bright_red(found).any(axis=0))
+            assert columns.min() > WIDTH / 2 - 4  # on the right
+            seen.get_by_label("field on a plane").uncheck()
+            assert asked.get(timeout=PATIENCE) == InsideWanted()
+            until(lambda: changed(picture_of(seen), bare), lambda count: count < EDGES)
+
+            seen.get_by_label("error beside speed").check()
+            assert asked.get(timeout=PATIENCE) == InsideWanted(errors=True)
+            for moment in (0.1, 0.2):
+                page.show_inside(InsideView(figures=InsideFigures(moment, 3, 40, 0.25, 0.5, 0.0, 1.5)))
+            seen.get_by_text("promised: no more than 0.500 mm").wait_for()
+            until(lambda: seen.locator(".uplot").count(), lambda count: count == 1)
+
+
+EDGES = 500  # pixels that differ where edges are drawn anew
+
+
+def steady(page: Any) -> np.ndarray:
+    """A picture in which nothing changes any more: lights and sky come by and by."""
+    page.wait_for_load_state("networkidle")
+    drop_warning(page)
+    last, equal = picture_of(page), 0
+    while equal < 5:
+        picture = picture_of(page)
+        equal = equal + 1 if changed(picture, last) == 0 else 0
+        last = picture
+    return last
+
+
+def changed(picture: np.ndarray, before: np.ndarray) -> int:
+    return int(np.count_nonzero(np.abs(picture - before).max(axis=2) > 0.08))
 
 
 def bright_red(picture: np.ndarray) -> np.ndarray:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from browser import chromium, opened, picture_of, until
+from browser import chromium, drop_warning, number_of, opened, picture_of, until
 from fracture_collision.msg import FragmentStates, SimulationStatus
 from ros_client import PATIENCE, ServiceClient
 
@@ -71,8 +72,7 @@ def colourful(picture: np.ndarray) -> np.ndarray:
 
 def on_a_plate(page: Any) -> tuple[float, float]:
     """A pixel amid many of one colour family."""
-    # a browser that draws in software is warned of it, in orange
-    page.evaluate("document.querySelectorAll('.mantine-Notification-root').forEach(each => each.remove())")
+    drop_warning(page)
     seen = colourful(until(lambda: picture_of(page), lambda picture: np.count_nonzero(colourful(picture)) > 300))
     # the pixel with the most others about it
     sums = np.pad(seen.cumsum(0).cumsum(1), ((1, 0), (1, 0)))
@@ -124,3 +124,60 @@ def test_a_person_smashes_plates(browser: Any, scene: Scene) -> None:
         step = scene.status.step
         page.get_by_role("button", name="one step").click()
         scene.until(lambda: scene.status.step == step + 1, "one step")
+
+
+def listed_and_colliding(page: Any) -> tuple[int, int]:
+    words = page.get_by_text("contacts listed of").inner_text()
+    found = re.search(r"([\d,]+) contacts listed of ([\d,]+) colliding points", words)
+    return int(found[1].replace(",", "")), int(found[2].replace(",", ""))
+
+
+def unlisted_and_promised(page: Any) -> tuple[float, float]:
+    """[mm]"""
+    words = page.get_by_text("not listed: up to").inner_text()
+    found = re.search(r"up to ([\d.]+) mm deep; promised: no more than ([\d.]+) mm", words)
+    return float(found[1]), float(found[2])
+
+
+def shown_plots(page: Any) -> list[str]:
+    return page.evaluate("[...document.querySelectorAll('.uplot canvas')].map(each => each.toDataURL())")
+
+
+def test_a_person_looks_inside(browser: Any, scene: Scene) -> None:
+    with opened(browser, scene.address) as page:
+        x, y = on_a_plate(page)
+        plots = len(until(lambda: shown_plots(page), lambda plots: len(plots) == 3))
+        page.get_by_label("sphere trees").check()
+        page.get_by_text("level 2 of").wait_for()
+        number_of(page, "level").fill("0")
+        page.get_by_text(re.compile(f"level 0 of .*: {PLATES} spheres")).wait_for()  # the shelf does not move
+        page.get_by_label("sphere trees").uncheck()
+        page.get_by_label("field on a plane").check()
+        page.get_by_text("mm deep inside").wait_for()
+        page.get_by_label("field on a plane").uncheck()
+
+        page.get_by_label("colliding points").check()
+        page.get_by_label("error beside speed").check()
+        page.mouse.click(x, y)
+        scene.until(lambda: scene.status.fragments > PLATES + 5, "a ball and shards")
+        page.get_by_text("promised: no more than").wait_for()
+        until(lambda: len(shown_plots(page)), lambda count: count == plots + 2)
+        # on the run the service's own answers are judged
+        number_of(page, "contacts a pair").fill("32")
+        many, colliding = until(lambda: listed_and_colliding(page), lambda counts: counts[0] > 20)
+        assert many <= colliding
+
+        # and at rest the slider says what it would do
+        page.get_by_label("pause").check()
+        scene.until(lambda: scene.status.paused, "a pause")
+        number_of(page, "contacts a pair").fill("1")
+        page.get_by_text("asked of a copy here").wait_for()
+        number_of(page, "epsilon, share of R").fill("0")
+        until(lambda: unlisted_and_promised(page), lambda depths: depths[0] == 0.0)
+        (exact, colliding), drawn = listed_and_colliding(page), shown_plots(page)
+        number_of(page, "epsilon, share of R").fill("0.02")
+        deep, promised = until(lambda: unlisted_and_promised(page), lambda depths: depths[0] > 0.0)
+        assert deep <= promised
+        few, still = until(lambda: listed_and_colliding(page), lambda counts: counts[0] < exact)
+        assert still == colliding
+        until(lambda: shown_plots(page), lambda plots: plots != drawn)

@@ -29,12 +29,14 @@ from fracture_collision.ros.cdr_records import deserialize_record
 from fracture_collision.ros.conversion import to_record
 from fracture_collision.ros.live_client import LiveClient
 from fracture_collision.ros.node_process import NodeProcess, default_domain_id
+from fracture_collision.ros.page_mirror import Mirror
 from fracture_collision.ros.parameters import Range, declare_fixed
 from fracture_collision.ros.process import Fatal, run_node
 from fracture_collision.ros.prompt_executor import PromptExecutor
+from fracture_collision.ros.service_settings import ServiceSettings
 from fracture_collision.simulation.scene import scene_files
 from fracture_collision.viewer.page import Page
-from fracture_collision.viewer.page_events import Ball, Drag, Handlers, Ray, ServiceSliders, Start
+from fracture_collision.viewer.page_events import Ball, Drag, Handlers, InsideWanted, Ray, ServiceSliders, Start
 from fracture_collision.viewer.page_plots import Figures
 
 SERVICE = "collision_node"
@@ -43,6 +45,7 @@ TOLD = frozenset({"collision_ms", "update_ms", "solver_ms", "ros_ms", "contacts"
 GRAVITY = 9.81  # [m/s2] that a thrown ball is aimed against
 OUT_OF_THE_EYE = 0.2  # [m] before the eye a ball starts
 HAMMER_SPEED = 1.0  # [m/s]
+SETTINGS_LOOK = 0.2  # [s] between two looks whether the service's settings have changed
 KEY_HOLDS = 0.3  # [s] that the hammer goes on after an arrow key's last word
 ARROWS = {"up": (0.0, 1.0), "down": (0.0, -1.0), "right": (1.0, 0.0), "left": (-1.0, 0.0)}  # x, y
 
@@ -59,6 +62,8 @@ class PageNode(Node):
         self._hands = LiveClient(self)
         self._service = AsyncParameterClient(self, SERVICE)
         self._recorder: NodeProcess | None = None
+        self._mirror = Mirror(lambda view: self.page.show_inside(view))
+        self._service_settings: ServiceSettings | None = None  # asked for once somebody looks inside
         # From the page's thread to this one's.
         self._orders: deque[Callable[[], None]] = deque()
         self._wake = self.create_guard_condition(self._obey)
@@ -80,6 +85,7 @@ class PageNode(Node):
         self._listen()
 
     def close(self) -> None:
+        self._mirror.close()
         self.page.close()
         if self._recorder is not None:
             self._recorder.stop()
@@ -109,8 +115,10 @@ class PageNode(Node):
             self._body_of.clear()
             self._meshes.clear()
             self._states = self._held = None
+            self._mirror.new_run(message.run_id)
             self.page.new_run()
         body = to_record(message)
+        self._mirror.hear(body)
         if body.operation == REMOVE:
             self.page.remove_body(body.body_id)
             return
@@ -120,6 +128,7 @@ class PageNode(Node):
     def _on_fracture(self, message: Any) -> None:
         if not self._of_this_run(message.run_id):
             return
+        self._mirror.hear(message)
         for fragment_id in message.new_fragment_ids:
             self._body_of[fragment_id] = message.body_id
             if fragment_id in self._meshes:
@@ -145,23 +154,27 @@ class PageNode(Node):
             received = deserialize_record(data, qos.FRAGMENT_STATES.message_class)
             if self._of_this_run(received.run_id):
                 self._states = received.record
+                self._mirror.hear_states(received)
                 self.page.show_states(received.record)
 
     def _on_contacts(self, data: bytes) -> None:
-        if self.page.wants_contacts:
+        if self.page.wants_contacts or self._mirror.wants_contacts:
             with suppress(ValueError):
                 received = deserialize_record(data, qos.CONTACT_CONSTRAINTS.message_class)
                 if self._of_this_run(received.run_id):
+                    self._mirror.hear_contacts(received.record)
                     self.page.show_contacts(received.record)
 
     def _on_status(self, message: SimulationStatus) -> None:
         if self._of_this_run(message.run_id):
             self._status = message
+            self._mirror.hear_paused(message.paused)
 
     def _on_times(self, message: AnswerTimes) -> None:
         status = self._status
         if status is None or not self._of_this_run(message.run_id):
             return
+        self._mirror.hear_times(1e3 * message.collision)
         beyond = status.round_trip - message.collision - message.update
         self.page.show_figures(
             Figures(
@@ -198,6 +211,7 @@ class PageNode(Node):
             slow_motion=later(lambda rate: self._hands.set_parameters(rate=float(rate))),
             service_set=later(self._set_service),
             recording=later(self._record),
+            looking_inside=later(self._look_inside),
         )
 
     def _obey(self) -> None:
@@ -257,6 +271,13 @@ class PageNode(Node):
     def _set_service(self, sliders: ServiceSliders) -> None:
         parameters = [Parameter(name, value=value) for name, value in sliders._asdict().items()]
         self._service.set_parameters(parameters)
+
+    def _look_inside(self, wanted: InsideWanted) -> None:
+        if self._service_settings is None:
+            heard = self._mirror.hear_settings
+            self._service_settings = ServiceSettings(self, qos.CONTACT_CONSTRAINTS.name, heard)
+            self.create_timer(SETTINGS_LOOK, self._service_settings.look)
+        self._mirror.want(wanted)
 
     def _answered(self, future: Any, what: str) -> None:
         def look(done: Any) -> None:

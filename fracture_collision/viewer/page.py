@@ -23,7 +23,8 @@ from fracture_collision.records import CollisionBody, ContactConstraintArray, Fr
 from fracture_collision.viewer.page_contacts import ContactLayers
 from fracture_collision.viewer.page_controls import Controls
 from fracture_collision.viewer.page_events import Handlers, Start
-from fracture_collision.viewer.page_plots import Figures, Plots, check_told
+from fracture_collision.viewer.page_inside import Inside, InsideView
+from fracture_collision.viewer.page_plots import Figures, Plots, check_told, plots_of
 from fracture_collision.viewer.page_scene import SceneNodes
 from fracture_collision.viewer.page_stream import LiveValues
 from fracture_collision.viewer.ray_picture import Camera
@@ -74,7 +75,10 @@ class Page:
         shadows = self._server.gui.add_checkbox("shadows", True, hint="off for graphics processors that are slow")
         shadows.on_update(lambda _event: self._order(lambda: self._scene.cast_shadows(shadows.value)))
         self._shadows = shadows
-        self._plots = Plots(self._server, told)
+        self._inside: Inside | None = None
+        if handlers.looking_inside:
+            self._inside = Inside(self._server, self._live, self._scene, handlers.looking_inside, self._redraw_inside)
+        self._plots = self._add_plots(told)
         self._server.on_client_connect(self._live.send_all)
 
         self._news = threading.Condition()
@@ -83,6 +87,8 @@ class Page:
         self._contacts: ContactConstraintArray | None = None
         self._contacts_are_new = False
         self._figures: list[Figures] = []
+        self._view: InsideView | None = None
+        self._inside_is_new = False
         self._said = ""
         self._busy = self._closed = False
         self.pictures = 0  # states handed to the browsers so far
@@ -118,6 +124,7 @@ class Page:
             self._states = self._contacts = None
             self._contacts_are_new = True
             self._figures = []
+            self._view = None
             self._order(self._clear)
 
     def add_body(self, body: CollisionBody) -> None:
@@ -159,6 +166,12 @@ class Page:
             self._figures.append(figures)
             self._news.notify()
 
+    def show_inside(self, view: InsideView) -> None:
+        """What Handlers.looking_inside has asked for; the figures of all are plotted as long as they come apart."""
+        with self._news:
+            self._view, self._inside_is_new = view, True
+            self._news.notify()
+
     def flush(self, timeout: float = 10.0) -> None:
         """Returns when all that was handed over is on its way. Raises TimeoutError."""
         with self._news:
@@ -184,12 +197,30 @@ class Page:
             self._contacts_are_new = True
             self._news.notify()
 
+    def _redraw_inside(self) -> None:
+        with self._news:
+            self._inside_is_new = True
+            self._news.notify()
+
+    def _add_plots(self, told: frozenset[str]) -> Plots:
+        groups = plots_of(told)
+        if not groups and self._inside is None:
+            return Plots(self._server.gui, ())
+        with self._server.gui.add_folder("The last seconds"):
+            plots = Plots(self._server.gui, groups)
+            if self._inside is not None:
+                self._inside.add_plots()
+        return plots
+
     def _clear(self) -> None:
         self._scene.clear()
         self._plots.clear()
+        if self._inside is not None:
+            self._inside.clear()
 
     def _has_news(self) -> bool:
-        return bool(self._orders or self._states is not None or self._contacts_are_new or self._figures)
+        return bool(self._orders or self._states is not None or self._contacts_are_new or self._figures
+                    or self._inside_is_new)  # fmt: skip
 
     def _paint(self) -> None:
         due = time.monotonic()  # of the next picture
@@ -206,10 +237,14 @@ class Page:
                 states, self._states = self._states, None
                 figures, self._figures = self._figures, []
                 contacts, redraw, self._contacts_are_new = self._contacts, self._contacts_are_new, False
+                view, self._view = self._view, None
+                look, self._inside_is_new = self._inside_is_new, False
                 self._busy = True
             due, began = max(due, time.monotonic() - INTERVAL) + INTERVAL, time.thread_time()
             try:
                 self._show(orders, states, figures, contacts, redraw)
+                if self._inside is not None:
+                    self._show_inside(view, look, states is not None)
             except Exception:  # of one picture; the next may be all right
                 traceback.print_exc()
             self.paint_seconds += time.thread_time() - began
@@ -236,6 +271,12 @@ class Page:
         if figures:
             self._plots.draw()
             self._say(figures[-1])
+
+    def _show_inside(self, view: InsideView | None, look: bool, has_moved: bool) -> None:
+        if look:
+            self._inside.draw(view)
+        elif has_moved:
+            self._inside.move()
 
     def _say(self, figures: Figures) -> None:
         counts = {"fragments": figures.fragments, "contacts": figures.contacts}

@@ -26,7 +26,7 @@ class Controls:
         self._handlers = handlers
         if handlers.scene_chosen and start.scenes:
             scene = self._gui.add_dropdown("scene", start.scenes, start.scene or start.scenes[0])
-            _on_update(scene, handlers.scene_chosen)
+            on_update(scene, handlers.scene_chosen)
         self._add_time(start)
         if handlers.clicked:
             self._add_ball(server, start.ball, handlers.clicked)
@@ -40,16 +40,16 @@ class Controls:
     def _add_time(self, start: Start) -> None:
         handlers = self._handlers
         if handlers.paused:
-            _on_update(self._gui.add_checkbox("pause", False), handlers.paused)
+            on_update(self._gui.add_checkbox("pause", False), handlers.paused)
         if handlers.one_step:
             _on_click(self._gui.add_button("one step", icon=viser.Icon.PLAYER_TRACK_NEXT), handlers.one_step)
         if handlers.reset:
             _on_click(self._gui.add_button("start over", icon=viser.Icon.REFRESH), handlers.reset)
         if handlers.slow_motion:
             slider = self._gui.add_slider("slow motion", SLOWEST, 1.0, 0.01, start.slow_motion)
-            _on_update(slider, handlers.slow_motion)
+            on_update(slider, handlers.slow_motion)
         if handlers.recording:
-            _on_update(self._gui.add_checkbox("record", False, hint="writes a bag"), handlers.recording)
+            on_update(self._gui.add_checkbox("record", False, hint="writes a bag"), handlers.recording)
 
     def _add_ball(self, server: viser.ViserServer, ball: Ball, clicked: Callable[[Ray, Ball], None]) -> None:
         with self._gui.add_folder("Ball: click to throw"):
@@ -77,7 +77,7 @@ class Controls:
             service_set(ServiceSliders(**{name: knob.value for name, knob in knobs.items()}))
 
         for knob in knobs.values():
-            _on_update(knob, told)
+            on_update(knob, told)
 
 
 def _rays(clicked: Callable[[Ray, Ball], None], ball: Callable[[], Ball]) -> Callable[..., Any]:
@@ -87,9 +87,11 @@ def _rays(clicked: Callable[[Ray, Ball], None], ball: Callable[[], Ball]) -> Cal
     return _as_coroutine(on_click)
 
 
-def _on_update(knob: Any, handler: Callable[[Any], None]) -> None:
+def on_update(knob: Any, handler: Callable[[Any], None]) -> None:
+    """Tells the knob's new value when a person, and not the program, has moved it."""
+
     def told(event: viser.GuiEvent) -> None:
-        if event.client is not None:  # a person, and not the program
+        if event.client is not None:
             handler(event.target.value)
 
     knob.on_update(_as_coroutine(told))

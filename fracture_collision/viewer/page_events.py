@@ -36,6 +36,31 @@ class ServiceSliders(NamedTuple):
     visit_budget: int = 0
 
 
+class PlaneWanted(NamedTuple):
+    """A plane across a world axis."""
+
+    axis: int  # 0, 1, 2: x, y, z
+    share: float  # of the way from one end of what can move to the other
+
+
+class InsideWanted(NamedTuple):
+    """What of the inside of collision detection a person wants to see; None, False: not."""
+
+    level: int | None = None  # of the sphere trees
+    plane: PlaneWanted | None = None  # with the field on it
+    colliding: bool = False  # all colliding points, counted
+    errors: bool = False  # of the service's answers
+
+    @property
+    def compares(self) -> bool:
+        """Whether answers are wanted beside all that there is to list."""
+        return self.colliding or self.errors
+
+    @property
+    def anything(self) -> bool:
+        return self != InsideWanted()
+
+
 class Handlers(NamedTuple):
     """Who is told what a person does; what nobody wants to be told of, the page does not offer.
 
@@ -54,6 +79,7 @@ class Handlers(NamedTuple):
     slow_motion: Callable[[float], None] | None = None  # simulated seconds a second of the wall clock, at most 1
     service_set: Callable[[ServiceSliders], None] | None = None
     recording: Callable[[bool], None] | None = None
+    looking_inside: Callable[[InsideWanted], None] | None = None  # answered by Page.show_inside, again and again
 
 
 class Start(NamedTuple):

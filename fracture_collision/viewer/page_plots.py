@@ -1,17 +1,20 @@
-"""Plots of the last seconds: milliseconds a step, contacts, fragments."""
+"""Plots of the last seconds: milliseconds a step, contacts, fragments; and whatever else comes with a time."""
 
 from __future__ import annotations
 
 import time
 from collections import deque
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import viser
 
 SHOWN = 4.0  # [s] of simulated time that a plot reaches back
-INTERVAL = 0.25  # [s] of the wall clock between two drawings
-SMALLEST_MS = 1e-2  # a logarithmic axis has no zero
+INTERVAL = 0.25  # [s]
+FLOORS = {"_ms": 1e-2, "_mm": 1e-4}  # by endings of names: a logarithmic axis has no zero
+
+Group = tuple[str, tuple[str, ...]]  # a plot: its title, and the names of its curves
 
 
 class Figures(NamedTuple):
@@ -23,20 +26,29 @@ class Figures(NamedTuple):
     solver_ms: float | None = None
     ros_ms: float | None = None  # round trip beyond those
     contacts: int | None = None  # listed
-    colliding_points: int | None = None  # contacts there would be without a limit
     fragments: int | None = None
 
 
 CURVES = {
     "collision_ms": ("collision", "#1f77b4"), "update_ms": ("update", "#ff7f0e"), "solver_ms": ("solver", "#d62728"),
     "ros_ms": ("ROS", "#7f7f7f"), "contacts": ("contacts listed", "#2ca02c"),
-    "colliding_points": ("colliding points", "#8c564b"), "fragments": ("fragments", "#9467bd"),
+    "colliding": ("colliding points", "#8c564b"), "fragments": ("fragments", "#9467bd"),
+    "promised_mm": ("promised", "#1f77b4"), "unlisted_mm": ("not listed", "#d62728"),
+    "too_shallow_mm": ("told too shallow", "#ff7f0e"),
 }  # fmt: skip
-PLOTS = (
+PLOTS: tuple[Group, ...] = (
     ("milliseconds a step", ("collision_ms", "update_ms", "solver_ms", "ros_ms")),
-    ("contacts", ("contacts", "colliding_points")),
+    ("contacts", ("contacts",)),
     ("fragments", ("fragments",)),
 )
+
+
+def plots_of(told: frozenset[str]) -> list[Group]:
+    """Those of PLOTS that have curves, with these alone. `told`: names of the fields of Figures that will not be None;
+    of `time` there need be no word.
+    """
+    groups = [(title, tuple(name for name in names if name in told)) for title, names in PLOTS]
+    return [(title, names) for title, names in groups if names]
 
 
 def check_told(told: frozenset[str]) -> None:
@@ -47,55 +59,62 @@ def check_told(told: frozenset[str]) -> None:
 
 
 class Plots:
-    """One plot for each group of figures that are told. One thread at a time."""
+    """A plot for each group, of rows that have a `time` [s] and all the groups' curves. One thread at a time."""
 
-    def __init__(self, server: viser.ViserServer, told: frozenset[str]) -> None:
-        """`told`: names of the fields of Figures that will not be None; of `time` there need be no word."""
-        self._rows: deque[Figures] = deque()
+    def __init__(
+        self, gui: viser.GuiApi, groups: Sequence[Group], visible: bool = True, interval: float = INTERVAL
+    ) -> None:
+        """`interval`: [s] of the wall clock between two drawings, at least."""
+        self._rows: deque[Any] = deque()
+        self._interval = interval
         self._next = 0.0  # [s] of the wall clock
-        self._plots: list[tuple[viser.GuiUplotHandle, tuple[str, ...]]] = []
-        groups = [(title, tuple(name for name in names if name in told)) for title, names in PLOTS]
-        if not any(names for _, names in groups):
-            return
-        with server.gui.add_folder("The last seconds"):
-            for title, names in groups:
-                if names:
-                    self._plots.append((_plot(server, title, names), names))
+        self._plots = [(_plot(gui, title, names, visible), names) for title, names in groups]
+
+    def show(self, visible: Sequence[bool]) -> None:
+        """Which of the groups are to be seen."""
+        for (plot, _), is_seen in zip(self._plots, visible, strict=True):
+            plot.visible = is_seen
 
     def clear(self) -> None:
         self._rows.clear()
         self._next = 0.0
 
-    def add(self, figures: Figures) -> None:
-        if self._rows and not 0.0 <= figures.time - self._rows[-1].time <= SHOWN:
+    def add(self, row: Any) -> None:
+        """A row of the same moment as the last takes its place: the scene stands, and is asked otherwise."""
+        if self._rows and not 0.0 <= row.time - self._rows[-1].time <= SHOWN:
             self._rows.clear()  # somewhere else in time
-        if not self._rows or figures.time > self._rows[-1].time:
-            self._rows.append(figures)
-        while figures.time - self._rows[0].time > SHOWN:
+        if self._rows and row.time == self._rows[-1].time:
+            self._rows.pop()
+        self._rows.append(row)
+        while row.time - self._rows[0].time > SHOWN:
             self._rows.popleft()
 
     def draw(self) -> None:
-        """Now and then: several times a second is often enough to read."""
+        """Now and then: several times a second is often enough to read. What comes too early waits for the next."""
         now = time.monotonic()
         if now < self._next or not self._rows:
             return
-        self._next = now + INTERVAL
+        self._next = now + self._interval
         moments = np.array([row.time for row in self._rows])
         for plot, names in self._plots:
-            floor = SMALLEST_MS if names[0].endswith("_ms") else 0.0
+            floor = _floor(names)
             columns = [[np.nan if (v := getattr(row, name)) is None else max(v, floor) for row in self._rows]
                        for name in names]  # fmt: skip
             plot.data = (moments, *map(np.array, columns))
 
 
-def _plot(server: viser.ViserServer, title: str, names: tuple[str, ...]) -> viser.GuiUplotHandle:
+def _floor(names: tuple[str, ...]) -> float:
+    return next((floor for ending, floor in FLOORS.items() if names[0].endswith(ending)), 0.0)
+
+
+def _plot(gui: viser.GuiApi, title: str, names: tuple[str, ...], visible: bool) -> viser.GuiUplotHandle:
     uplot = viser.uplot
     series = [uplot.Series(label="time, s")]
     for name in names:
         label, colour = CURVES[name]
         series.append(uplot.Series(label=label, stroke=colour, width=1.5))
-    scale = uplot.Scale(distr=3) if names[0].endswith("_ms") else uplot.Scale(auto=True)
-    return server.gui.add_uplot(
-        data=tuple(np.zeros(1) for _ in series), series=tuple(series), title=title, height=150,
+    scale = uplot.Scale(distr=3) if _floor(names) else uplot.Scale(auto=True)
+    return gui.add_uplot(
+        data=tuple(np.zeros(1) for _ in series), series=tuple(series), title=title, height=150, visible=visible,
         scales={"x": uplot.Scale(time=False, auto=True), "y": scale},
     )  # fmt: skip

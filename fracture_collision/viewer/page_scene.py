@@ -13,12 +13,13 @@ from fracture_collision.viewer.body_mesh import BodyMesh, mesh_of_body, mesh_of_
 from fracture_collision.viewer.gltf import glb_of_mesh
 from fracture_collision.viewer.page_events import Drag, Ray
 from fracture_collision.viewer.page_stream import LiveValues
-from fracture_collision.viewer.palette import Palette
+from fracture_collision.viewer.palette import Palette, display_colour
 from fracture_collision.viewer.ray_picture import Camera
 
 FLOOR_COLOUR, TILE_COLOUR = (186, 189, 194), (168, 171, 177)
 FLOOR_TILE = 0.5  # [m]
 FLOOR_FADE = 30.0  # [m] from the camera, where the floor has gone over into the sky
+UNKNOWN_COLOUR = (0.5, 0.5, 0.5)
 SHADOW = 0.42  # darkness of shadows on the floor, 0..1
 SKY = ((154, 182, 214), (226, 232, 238))  # above, at the horizon
 SUN = (-0.9, -1.3, 2.0)  # towards it
@@ -60,6 +61,7 @@ class SceneNodes:
         self._fragments: dict[int, _Fragment] = {}
         self._nodes: dict[int, viser.GlbHandle] = {}
         self._poses: dict[int, np.ndarray] = {}  # (7,) of those that are shown
+        self._hidden: frozenset[int] = frozenset()  # that would be shown, were they not in the way
         self.is_looked_at = False  # somebody has said where the camera stands
 
     def add_body(self, body: CollisionBody) -> None:
@@ -109,7 +111,26 @@ class SceneNodes:
         pose = self._poses.get(fragment_id)
         if pose is None:
             return None
-        return pose[:3] + _turned(self._fragments[fragment_id].centre, pose[3:])
+        return pose[:3] + turned(self._fragments[fragment_id].centre, pose[3:])
+
+    @property
+    def poses(self) -> dict[int, np.ndarray]:
+        """(7,) position [m] and unit quaternion w x y z, world, of every fragment that is there. To be read only."""
+        return self._poses
+
+    def colour(self, fragment_id: int) -> tuple[float, float, float]:
+        """Of its outside, 0..1 as displays show it; grey if it is not known."""
+        fragment = self._fragments.get(fragment_id)
+        if fragment is None:
+            return UNKNOWN_COLOUR
+        return display_colour(self._palette.paint(fragment_id, fragment.body_id).outside)
+
+    def hide(self, fragment_ids: frozenset[int]) -> None:
+        """These, and no others, are not shown wherever they are: what is behind them is."""
+        for fragment_id in self._hidden ^ fragment_ids:
+            if fragment_id in self._poses:
+                self._nodes[fragment_id].visible = fragment_id not in fragment_ids
+        self._hidden = fragment_ids
 
     def look_from(self, camera: Camera) -> None:
         """Where the camera of each page begins; pages that are open go there."""
@@ -143,7 +164,7 @@ class SceneNodes:
             if node is None:
                 node = self._nodes[fragment_id] = self._make_node(fragment_id, pose)
             elif fragment_id not in self._poses:
-                node.visible = True
+                node.visible = fragment_id not in self._hidden
             self._poses[fragment_id] = pose
             names.append(node.name)
         self._live.pose(names, poses)
@@ -151,7 +172,9 @@ class SceneNodes:
     def _make_node(self, fragment_id: int, pose: np.ndarray) -> viser.GlbHandle:
         fragment = self._fragments[fragment_id]
         name = f"{self._root.name}/fragment{fragment_id}"
-        node = self._server.scene.add_glb(name, fragment.glb, position=pose[:3], wxyz=pose[3:])
+        node = self._server.scene.add_glb(
+            name, fragment.glb, position=pose[:3], wxyz=pose[3:], visible=fragment_id not in self._hidden
+        )
         if self._drag and not self._bodies[fragment.body_id].is_static:
 
             async def on_drag(event: viser.SceneNodeDragEvent) -> None:
@@ -186,9 +209,10 @@ class SceneNodes:
         scene.set_background_image(np.tile(rows[:, None], (1, 8, 1)).astype(np.uint8), format="png")
 
 
-def _turned(vector: np.ndarray, wxyz: np.ndarray) -> np.ndarray:
-    across = np.cross(wxyz[1:], vector)
-    return vector + 2.0 * (wxyz[0] * across + np.cross(wxyz[1:], across))
+def turned(vectors: np.ndarray, wxyz: np.ndarray) -> np.ndarray:
+    """(..., 3) vectors, turned by unit quaternions (..., 4)."""
+    across = np.cross(wxyz[..., 1:], vectors)
+    return vectors + 2.0 * (wxyz[..., :1] * across + np.cross(wxyz[..., 1:], across))
 
 
 def _from_z_to(normal: np.ndarray) -> np.ndarray:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import os
 from time import perf_counter
+from typing import NamedTuple
 
 import numpy as np
 
 from fracture_collision.core.broad_phase import overlapping_pairs, world_boxes
+from fracture_collision.core.collision_geometry import CollisionGeometry
 from fracture_collision.core.crew import Crew
 from fracture_collision.core.narrow_phase import PairContacts, query_pairs, rotation_matrices
 from fracture_collision.core.neighbour_lists import NO_LISTS
@@ -29,6 +31,18 @@ from fracture_collision.world.ledger import Ledger
 from fracture_collision.world.registry import Registry
 from fracture_collision.world.settings import Settings, check_settings, geometry_settings
 from fracture_collision.world.states_gate import CheckedStates, check_states
+
+
+class Present(NamedTuple):
+    """The n fragments that take part in a step, by ascending id: those that the states name, and the static ones."""
+
+    ids: np.ndarray  # (n,) int64
+    rows: np.ndarray  # (n,) int64, in the pools
+    positions: np.ndarray  # (n, 3) [m] of the body frame, in the world
+    rotations: np.ndarray  # (n, 3, 3) body frame to world
+    is_static: np.ndarray  # (n,) bool
+    friction: np.ndarray  # (n,)
+    restitution: np.ndarray  # (n,)
 
 
 class CollisionWorld:
@@ -78,26 +92,10 @@ class CollisionWorld:
         Raises StatesAhead for states of an event or a body that has not arrived yet.
         """
         started = perf_counter()
-        checked = check_states(states)
-        if checked.fracture_sequence > len(self._ledger.events):
-            raise StatesAhead(
-                "sequence_gap",
-                f"fracture_sequence: {checked.fracture_sequence}, but only {len(self._ledger.events)} events are known",
-            )
-        if checked.fracture_sequence != self._registry.sequence:
-            # what is refused must not move the registry
-            self._ledger.require_living(checked.fragment_ids, checked.fracture_sequence)
-        self._advance(checked.fracture_sequence)
-        ids, rows, is_static, friction, restitution = self._registry.lookup()
-        moving = self._find(checked, ids)
+        checked, moving = self._bring_to(states)
         updated = perf_counter()
-        taking_part = is_static.copy()
-        taking_part[moving] = True
-        chosen = np.flatnonzero(taking_part)
-        positions, orientations = np.zeros((len(ids), 3)), np.tile(np.array([0.0, 0.0, 0.0, 1.0]), (len(ids), 1))
-        positions[moving], orientations[moving] = checked.positions, checked.orientations
-        rows, positions = rows[chosen], positions[chosen]
-        rotations = rotation_matrices(orientations[chosen])
+        here = self._place(checked, moving)
+        rows, positions, rotations = here.rows, here.positions, here.rotations
         pools = self._registry.geometry.pools
         radius = pools.fragment.radius[rows]
         # two boxes grown by half the tolerance each meet whenever their fragments come within it
@@ -105,7 +103,7 @@ class CollisionWorld:
         boxes = np.empty((len(rows), 6))
         world_boxes(pools.fragment.box, rows, rotations, positions, margins, boxes)
         pairs = overlapping_pairs(
-            boxes, pools.fragment.kind[rows], pools.fragment.shape[rows], rotations, positions, is_static[chosen]
+            boxes, pools.fragment.kind[rows], pools.fragment.shape[rows], rotations, positions, here.is_static
         )
         paired = perf_counter()
         holds_for = self._registry, self.settings.detection_tolerance
@@ -117,12 +115,21 @@ class CollisionWorld:
             self.settings.penetration_tolerance, self.settings.detection_tolerance, budget,
             self._sized_scratch(rows), self._crew, self._lists if self.settings.neighbour_lists else None,
         )  # fmt: skip
-        answer = self._answer(checked, ids[chosen], friction[chosen], restitution[chosen], radius, pairs, found)
+        answer = self._answer(checked, here, radius, pairs, found)
         self.last_visits, self.last_pairs = int(found.visits.sum()), len(pairs)
         self.last_timings = {
             "update": updated - started, "broad_phase": paired - updated, "narrow_phase": perf_counter() - paired,
         }  # fmt: skip
         return answer
+
+    @property
+    def geometry(self) -> CollisionGeometry:
+        """After the events of the last states; rows as of `present`."""
+        return self._registry.geometry
+
+    def present(self, states: FragmentStates) -> Present:
+        """Who takes part at `states`, and where. Raises as `contacts` does."""
+        return self._place(*self._bring_to(states))
 
     def fragments(self) -> FragmentRegistry:
         """The registry that the last states belonged to; bodies that arrived since are in it."""
@@ -137,6 +144,32 @@ class CollisionWorld:
         if row is None:
             refuse("unknown_id", f"fragment_id: no living fragment {number}")
         return fragment_mesh(number, self._registry.geometry, row)
+
+    def _bring_to(self, states: FragmentStates) -> tuple[CheckedStates, np.ndarray]:
+        """The states checked, the registry brought to theirs; and which of its living fragments they name."""
+        checked = check_states(states)
+        if checked.fracture_sequence > len(self._ledger.events):
+            raise StatesAhead(
+                "sequence_gap",
+                f"fracture_sequence: {checked.fracture_sequence}, but only {len(self._ledger.events)} events are known",
+            )
+        if checked.fracture_sequence != self._registry.sequence:
+            # what is refused must not move the registry
+            self._ledger.require_living(checked.fragment_ids, checked.fracture_sequence)
+        self._advance(checked.fracture_sequence)
+        return checked, self._find(checked, self._registry.lookup()[0])
+
+    def _place(self, checked: CheckedStates, moving: np.ndarray) -> Present:
+        ids, rows, is_static, friction, restitution = self._registry.lookup()
+        taking_part = is_static.copy()
+        taking_part[moving] = True
+        chosen = np.flatnonzero(taking_part)
+        positions, orientations = np.zeros((len(ids), 3)), np.tile(np.array([0.0, 0.0, 0.0, 1.0]), (len(ids), 1))
+        positions[moving], orientations[moving] = checked.positions, checked.orientations
+        return Present(
+            ids[chosen], rows[chosen], positions[chosen], rotation_matrices(orientations[chosen]), is_static[chosen],
+            friction[chosen], restitution[chosen],
+        )  # fmt: skip
 
     def _advance(self, sequence: int) -> None:
         """Bring the registry to `sequence` events, from the log's beginning if it has gone farther."""
@@ -166,7 +199,8 @@ class CollisionWorld:
             self._scratch = make_scratch(self._crew.threads, tets, nodes)
         return self._scratch
 
-    def _answer(self, states, ids, friction, restitution, radius, pairs, found: PairContacts) -> ContactConstraintArray:
+    def _answer(self, states, here: Present, radius, pairs, found: PairContacts) -> ContactConstraintArray:
+        ids, friction, restitution = here.ids, here.friction, here.restitution
         a, b = pairs[:, 0], pairs[:, 1]
         epsilon = self.settings.penetration_tolerance * np.minimum(radius[a], radius[b])
         listed = (found.counts > 0) | (found.bounds > epsilon)

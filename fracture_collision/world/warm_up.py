@@ -48,6 +48,16 @@ def compile_kernels(progress: Callable[[str], None]) -> None:
     world.fragment_mesh(5)
 
 
+def compile_inspection_kernels() -> None:
+    """What only a person who looks inside asks for: no service loads it."""
+    from fracture_collision.world.inspection import field_on_plane
+
+    world = service.CollisionWorld(Settings(threads=1))
+    geometry = brick((1.0, 0.5, 0.5), 0.5)
+    world.add_body(_tetrahedral_body(geometry.vertices, geometry.tetrahedra))
+    field_on_plane(world, world.present(_states(1, 0, np.array([1]))), 1, 0.0, finest=2)
+
+
 def _tetrahedral_body(vertices: np.ndarray, tetrahedra: np.ndarray) -> CollisionBody:
     return CollisionBody(1, 1, vertices=vertices.ravel(), tetrahedra=tetrahedra.ravel())
 

@@ -1,0 +1,190 @@
+"""What a person may look at inside a CollisionWorld, and no answer needs: spheres of a tree's level, the field on a
+plane, all that an answer could have listed, and how far an answer is from that.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fracture_collision.core.broad_phase import world_boxes
+from fracture_collision.core.compiled import threaded_kernel
+from fracture_collision.core.elementary_queries import INSIDE, probe
+from fracture_collision.core.kinds import PLANE
+from fracture_collision.core.pools import Pools
+from fracture_collision.core.scratch import make_scratch
+from fracture_collision.records import ContactConstraintArray, FragmentStates
+from fracture_collision.world.collision_world import CollisionWorld, Present
+
+# Contacts a pair, when all of them are wanted.
+EVERY_CONTACT = 1 << 30
+# Of a plane across x, y or z: the axis that its columns go along, and that of its rows.
+PLANE_AXES = ((1, 2), (0, 2), (0, 1))
+NOBODY = -1  # no fragment's id
+FINEST = 128  # cells along the longer side of a plane's grid, unless the asker wants others
+
+
+class LevelSpheres(NamedTuple):
+    """A cover of each fragment's samples: the n spheres of one level of its tree, and the samples above that level that
+    have nothing below them, of radius 0.
+    """
+
+    fragment_ids: np.ndarray  # (n,) int64
+    centres: np.ndarray  # (n, 3) [m] body frame
+    radii: np.ndarray  # (n,) [m]
+    deepest: int  # level that any of the trees has
+
+
+class PlaneField(NamedTuple):
+    """Depths at the middles of the cells of a grid across an axis; rows and columns go along PLANE_AXES of it."""
+
+    axis: int  # 0, 1, 2: x, y, z
+    place: float  # [m] along it, world
+    corner: np.ndarray  # (2,) [m] of the first cell, where its column and its row begin, world
+    cell: float  # [m] edge
+    owners: np.ndarray  # (rows, columns) int64 id of the fragment that the point is in, NOBODY; the deepest of several
+    depths: np.ndarray  # (rows, columns) [m] to the nearest surface of that fragment; 0 where nobody is
+    shared: np.ndarray  # (rows, columns) bool: inside more than one fragment
+
+
+class AnswerErrors(NamedTuple):
+    """An answer against every contact there is, of the exact field, along the shortest ways out."""
+
+    listed: int  # contacts
+    colliding: int  # contacts there are
+    unlisted: float  # [m] deepest penetration that is not listed
+    promised: float  # [m] that the missed depth bounds, and epsilon where a pair has none, allow to be unlisted
+    too_shallow: float  # [m] that a listed penetration is deeper than told, at most
+
+
+def asked_with(world: CollisionWorld, states: FragmentStates, **settings: Any) -> ContactConstraintArray:
+    """The contacts at `states` that a world with other `settings` would answer; this one keeps its own."""
+    chosen = world.settings
+    world.settings = chosen._replace(**settings)
+    try:
+        return world.contacts(states)
+    finally:
+        world.settings = chosen
+
+
+def every_contact(world: CollisionWorld, states: FragmentStates) -> ContactConstraintArray:
+    """The contacts at `states` if each pair had room for all: what self-adapting selection (5.2) chooses from."""
+    return asked_with(world, states, contacts_per_pair=EVERY_CONTACT, visit_budget=0)
+
+
+def errors_of(
+    answer: ContactConstraintArray, every: ContactConstraintArray, world: CollisionWorld, here: Present, epsilon: float
+) -> AnswerErrors:
+    """`every`: every_contact, to the same states, of a `world` with the exact field and nearest normals, where `here`
+    is present; `epsilon`: the penetration tolerance, a share of R, that the answer was asked with.
+    """
+    _, of_every, of_answer = np.intersect1d(every.contact_ids, answer.contact_ids, return_indices=True)
+    depths = np.maximum(-every.gaps, 0.0)
+    is_unlisted = np.ones(len(depths), dtype=bool)
+    is_unlisted[of_every] = False
+    promised = answer.missed_depth_bound.max(initial=0.0)
+    # a pair that the answer does not name has no contact, and nothing deeper than epsilon
+    unnamed = ~np.isin(_pair_keys(every), _pair_keys(answer))
+    radius = world.geometry.pools.fragment.radius[here.rows]
+    ends = (radius[np.searchsorted(here.ids, end[unnamed])] for end in (every.fragment_a, every.fragment_b))
+    return AnswerErrors(
+        listed=len(answer.gaps),
+        colliding=len(every.gaps),
+        unlisted=float(depths[is_unlisted].max(initial=0.0)),
+        promised=float(max(promised, (epsilon * np.minimum(*ends)).max(initial=0.0))),
+        too_shallow=float((depths[of_every] - np.maximum(-answer.gaps[of_answer], 0.0)).max(initial=0.0)),
+    )
+
+
+def _pair_keys(contacts: ContactConstraintArray) -> np.ndarray:
+    return contacts.fragment_a.astype(np.uint64) << np.uint64(32) | contacts.fragment_b.astype(np.uint64)
+
+
+def spheres_of_level(world: CollisionWorld, here: Present, level: int) -> LevelSpheres:
+    """Of what can move of those present; level 0: a sphere about each. Planes and spheres have no tree."""
+    ids, centres, radii, deepest = [np.zeros(0, np.int64)], [np.zeros((0, 3))], [np.zeros(0)], 0
+    for fragment_id, row in zip(here.ids[~here.is_static].tolist(), here.rows[~here.is_static].tolist(), strict=True):
+        if not world.geometry.tree_entries(row):
+            continue
+        tree = world.geometry.sphere_tree(row)
+        levels = _levels(tree.size)
+        cover = (levels == level) | ((levels < level) & (tree.size == 1))
+        ids.append(np.full(np.count_nonzero(cover), fragment_id))
+        centres.append(tree.center[cover])
+        radii.append(tree.radius[cover])
+        deepest = max(deepest, int(levels.max()))
+    return LevelSpheres(np.concatenate(ids), np.concatenate(centres), np.concatenate(radii), deepest)
+
+
+def _levels(sizes: np.ndarray) -> np.ndarray:
+    """How many entries each is below, of a tree in preorder whose subtrees have `sizes` (n,) entries."""
+    count = len(sizes)
+    begun = np.arange(count + 1)  # entries before each one: their subtrees have begun
+    ended = np.cumsum(np.bincount(np.arange(count) + sizes, minlength=count + 1))
+    return (begun - ended)[:count]
+
+
+def reach_along(world: CollisionWorld, here: Present, axis: int) -> tuple[float, float] | None:
+    """[m] from where to where the boxes of what can move go along a world axis; None if nothing can."""
+    boxes, _ = _solid_boxes(world.geometry.pools, here)
+    boxes = boxes[~here.is_static & np.isfinite(boxes).all(axis=1)]
+    return (float(boxes[:, axis].min()), float(boxes[:, axis + 3].max())) if len(boxes) else None
+
+
+def field_on_plane(
+    world: CollisionWorld, here: Present, axis: int, place: float, finest: int = FINEST
+) -> PlaneField | None:
+    """The field of the world's settings on the plane at `place` [m] across a world axis, where it cuts what can move;
+    None where it cuts nothing. Static bodies are in it where they are about; planes are nowhere.
+    """
+    pools = world.geometry.pools
+    boxes, is_solid = _solid_boxes(pools, here)
+    cut = is_solid & (boxes[:, axis] <= place) & (place <= boxes[:, axis + 3])
+    sized_by = cut & ~here.is_static
+    if not sized_by.any():
+        return None
+    across = list(PLANE_AXES[axis])
+    low, high = boxes[sized_by, :3][:, across].min(axis=0), boxes[sized_by, 3:][:, across].max(axis=0)
+    cell = float((high - low).max()) / finest
+    columns, rows = (max(math.ceil((high[k] - low[k]) / cell), 1) for k in range(2))
+    owners, depths = np.full((rows, columns), NOBODY), np.full((rows, columns), -np.inf)
+    shared = np.zeros((rows, columns), dtype=bool)
+    for i in np.flatnonzero(cut).tolist():
+        first = np.floor((boxes[i, :3][across] - low) / cell).astype(int).clip(0, (columns, rows))
+        last = np.ceil((boxes[i, 3:][across] - low) / cell).astype(int).clip(0, (columns, rows))
+        part = slice(first[1], last[1]), slice(first[0], last[0])
+        points = np.full((*owners[part].shape, 3), place)
+        points[..., across[0]] = low[0] + cell * (np.arange(first[0], last[0]) + 0.5)
+        points[..., across[1]] = low[1] + cell * (np.arange(first[1], last[1]) + 0.5)[:, None]
+        own = (points.reshape(-1, 3) - here.positions[i]) @ here.rotations[i]
+        depth = depths_inside(pools, here.rows[i], own).reshape(owners[part].shape)
+        shared[part] |= (depth > 0.0) & (depths[part] > 0.0)
+        is_deepest = depth > depths[part]
+        owners[part][is_deepest] = here.ids[i]
+        depths[part][is_deepest] = depth[is_deepest]
+    return PlaneField(axis, place, low, cell, owners, np.maximum(depths, 0.0), shared)
+
+
+def depths_inside(pools: Pools, row: int, points: np.ndarray) -> np.ndarray:
+    """Depth (n,) [m] of points (n, 3) [m] in the body frame of fragment `row`; minus infinity outside."""
+    depths = np.empty(len(points))
+    _depths_inside(
+        pools, row, np.ascontiguousarray(points), depths, make_scratch(1, len(pools.mesh.tetrahedra), 1)
+    )
+    return depths
+
+
+@threaded_kernel
+def _depths_inside(pools, row, points, depths, scratch):
+    for i in range(len(points)):
+        answer = probe(pools, row, points[i, 0], points[i, 1], points[i, 2], 0.0, math.inf, scratch, 0)
+        depths[i] = -answer[1] if answer[0] == INSIDE else -math.inf
+
+
+def _solid_boxes(pools: Pools, here: Present) -> tuple[np.ndarray, np.ndarray]:
+    """World boxes (n, 6) [m] of those present, and which of them are no planes."""
+    boxes = np.empty((len(here.rows), 6))
+    world_boxes(pools.fragment.box, here.rows, here.rotations, here.positions, np.zeros(len(here.rows)), boxes)
+    return boxes, pools.fragment.kind[here.rows] != PLANE
