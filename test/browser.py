@@ -76,15 +76,19 @@ def picture_of(page: Any) -> np.ndarray:
     return imread(io.BytesIO(shot))[..., :3]
 
 
-def drop_warning(page: Any) -> None:
-    """viser warns of a browser that draws in software, in orange and over the scene."""
-    page.evaluate("document.querySelectorAll('.mantine-Notification-root').forEach(each => each.remove())")
+def drop_notices(page: Any) -> None:
+    """They lie over the scene: viser warns of a browser that draws in software. Hidden, not removed: the page looks for
+    them when their time is over.
+    """
+    page.evaluate(
+        "document.querySelectorAll('.mantine-Notification-root').forEach(each => each.style.display = 'none')"
+    )
 
 
-def number_of(page: Any, label: str) -> Any:
-    """The box beside a slider, to be filled."""
-    uuid = page.locator("label").filter(has_text=re.compile(f"^{re.escape(label)}$")).get_attribute("for")
-    return page.locator(f"[id='{uuid}'] + * input")
+def knob(page: Any, label: str) -> Any:
+    """The input in the row of a label that begins so: of a slider its number, of a dropdown its text."""
+    row = page.locator("label", has_text=re.compile(f"^{re.escape(label)}")).locator("xpath=ancestor::*[.//input][1]")
+    return row.locator("input:visible").last
 
 
 def until(look: Callable[[], Found], good: Callable[[Found], bool], patience: float = PATIENCE) -> Found:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from sensor_msgs.msg import JointState
 
 from fracture_collision.ros import qos
 from fracture_collision.ros.live_client import LiveClient
+from fracture_collision.share import share_directory
 
 PLATE = np.array([-0.45, 0.0, 0.7227])  # the first of the scene
 
@@ -111,6 +113,16 @@ def test_pause_step_and_slow_motion(player: Player) -> None:
     assert not player.answer(player.hands.set_parameters(rate=0.0)).results[0].successful
 
 
+def test_a_run_that_begins_in_a_pause_makes_its_first_step(player: Player) -> None:
+    assert player.answer(player.hands.pause(True)).success
+    before = player.status.run_id
+    assert player.answer(player.hands.reset()).success
+    player.until(lambda: player.status.run_id != before and player.status.step == 1, "the first step of another run")
+    count = len(player.told)
+    player.until(lambda: len(player.told) > count + 3, "more news")
+    assert player.status.step == 1 and player.status.paused and player.status.fragments == 4
+
+
 def test_a_hand_lifts_a_plate_and_lets_go(player: Player) -> None:
     plate = 5  # ground, shelf, rack and wall come first
     begin = player.place(plate)
@@ -154,6 +166,15 @@ def test_another_scene_and_nonsense(player: Player) -> None:
     assert player.status.fragments == 4
     player.begin_again("pane")
     assert player.status.scene == "pane" and not player.status.refused
+
+
+def test_a_scene_file_begins_again(player: Player, tmp_path: Path) -> None:
+    file = tmp_path / "my_pane.yaml"
+    file.write_text((share_directory() / "config" / "scenes" / "pane.yaml").read_text())
+    player.begin_again(str(file))
+    assert player.status.scene == "my_pane"
+    player.begin_again("")
+    assert player.status.scene == "my_pane"
 
 
 def test_an_arm_goes_where_its_joints_are_commanded_and_breaks_a_vase(player: Player) -> None:

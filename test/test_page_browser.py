@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser import HEIGHT, PATIENCE, WIDTH, chromium, drop_warning, number_of, opened, picture_of, until
+from browser import HEIGHT, PATIENCE, WIDTH, chromium, drop_notices, knob, opened, picture_of, until
 from small_run import small_run
 
 from fracture_collision.records import CollisionBody, ContactConstraintArray, FragmentStates, refusal_of
@@ -198,7 +198,7 @@ def test_a_person_looks_inside(browser: Any) -> None:
             bare = steady(seen)
             seen.get_by_label("sphere trees").check()
             assert asked.get(timeout=PATIENCE) == InsideWanted(level=2)
-            number_of(seen, "level").fill("5")
+            knob(seen, "level").fill("5")
             assert asked.get(timeout=PATIENCE) == InsideWanted(level=5)
             around = Spheres(5, 7, np.array([4]), np.zeros((1, 3)), np.array([0.35]))
             page.show_inside(InsideView(around))
@@ -244,7 +244,7 @@ EDGES = 500  # pixels that differ where edges are drawn anew
 def steady(page: Any) -> np.ndarray:
     """A picture in which nothing changes any more: lights and sky come by and by."""
     page.wait_for_load_state("networkidle")
-    drop_warning(page)
+    drop_notices(page)
     last, equal = picture_of(page), 0
     while equal < 5:
         picture = picture_of(page)

@@ -48,6 +48,7 @@ class LiveSimulatorNode(SimulatorNode):
         self._next: Scene | None = None
         self._next_status = 0.0
         self._refused = ""
+        self._scene_name = self.get_parameter("scene").value  # as load_scene takes it
         self._reached: deque[tuple[float, float]] = deque()  # real and simulated time of the last steps
         for topic, callback in (
             (qos.THROW_BALL, self._on_ball), (qos.HAND_TARGET, self._on_hand), (qos.CMD_VEL, self._on_velocity),
@@ -85,7 +86,8 @@ class LiveSimulatorNode(SimulatorNode):
         due = time.monotonic()
         report, round_trip = None, 0.0
         while self._next is None:
-            if self._paused and not self._steps_allowed:
+            # the first step is made all the same: who looks has nothing to see before
+            if self._paused and not self._steps_allowed and report is not None:
                 self._tell(report, round_trip)
                 executor.spin_once(timeout_sec=PAUSE_LOOK)
                 due = time.monotonic()
@@ -184,12 +186,13 @@ class LiveSimulatorNode(SimulatorNode):
         self._later(qos.JOINT_COMMANDS, lambda: self._live.command_joints(names, positions))
 
     def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        name = self.get_parameter("next_scene").value or self._scene.name
+        name = self.get_parameter("next_scene").value or self._scene_name
         try:
             self._next = load_scene(name)
         except (SceneError, OSError) as error:
             response.message = str(error)
             return response
+        self._scene_name = name
         response.success, response.message = True, f"{name} begins again"
         return response
 

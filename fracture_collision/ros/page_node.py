@@ -21,6 +21,7 @@ from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.timer import Timer
 from scipy.spatial.transform import Rotation
+from sensor_msgs.msg import JointState
 
 from fracture_collision.msg import AnswerTimes, SimulationStatus
 from fracture_collision.records import REMOVE, FragmentStates
@@ -28,15 +29,16 @@ from fracture_collision.ros import qos
 from fracture_collision.ros.cdr_records import deserialize_record
 from fracture_collision.ros.conversion import to_record
 from fracture_collision.ros.live_client import LiveClient
-from fracture_collision.ros.node_process import NodeProcess, default_domain_id
 from fracture_collision.ros.page_mirror import Mirror
 from fracture_collision.ros.parameters import Range, declare_fixed
 from fracture_collision.ros.process import Fatal, run_node
 from fracture_collision.ros.prompt_executor import PromptExecutor
+from fracture_collision.ros.recordings import RecordingFailed, Recordings
 from fracture_collision.ros.service_settings import ServiceSettings
+from fracture_collision.simulation.arm import PARTS, joint_limits
 from fracture_collision.simulation.scene import scene_files
 from fracture_collision.viewer.page import Page
-from fracture_collision.viewer.page_events import Ball, Drag, Handlers, InsideWanted, Ray, ServiceSliders, Start
+from fracture_collision.viewer.page_events import Ball, Drag, Handlers, Joint, Ray, ServiceSliders, Start
 from fracture_collision.viewer.page_plots import Figures
 
 SERVICE = "collision_node"
@@ -45,8 +47,8 @@ TOLD = frozenset({"collision_ms", "update_ms", "solver_ms", "ros_ms", "contacts"
 GRAVITY = 9.81  # [m/s2] that a thrown ball is aimed against
 OUT_OF_THE_EYE = 0.2  # [m] before the eye a ball starts
 HAMMER_SPEED = 1.0  # [m/s]
-SETTINGS_LOOK = 0.2  # [s] between two looks whether the service's settings have changed
 KEY_HOLDS = 0.3  # [s] that the hammer goes on after an arrow key's last word
+LOOK_INTERVAL = 0.2  # [s] between two looks at who answers, and whether its settings have changed
 ARROWS = {"up": (0.0, 1.0), "down": (0.0, -1.0), "right": (1.0, 0.0), "left": (-1.0, 0.0)}  # x, y
 
 
@@ -58,12 +60,11 @@ class PageNode(Node):
         host = declare_fixed(self, "host", "127.0.0.1", "address to serve; others than this machine get in by 0.0.0.0")
         port = declare_fixed(self, "port", 0, "0: any that is free", Range(0, 65535))
         scene = declare_fixed(self, "scene", "plates", "that runs when the page opens")
-        self._folder = Path(declare_fixed(self, "folder", "out/play", "where recordings go"))
+        folder = Path(declare_fixed(self, "folder", "out/play", "where recordings go"))
+        self._recordings = Recordings(folder, self.get_namespace())
         self._hands = LiveClient(self)
         self._service = AsyncParameterClient(self, SERVICE)
-        self._recorder: NodeProcess | None = None
         self._mirror = Mirror(lambda view: self.page.show_inside(view))
-        self._service_settings: ServiceSettings | None = None  # asked for once somebody looks inside
         # From the page's thread to this one's.
         self._orders: deque[Callable[[], None]] = deque()
         self._wake = self.create_guard_condition(self._obey)
@@ -75,20 +76,27 @@ class PageNode(Node):
         self._status: SimulationStatus | None = None
         self._held: tuple[int, np.ndarray] | None = None  # fragment and grip in its body frame
         self._stop_timer: Timer | None = None  # of the hammer, after the last arrow key
+        self._awaits_joints = False  # of an arm that has come
+        self._refused = ""  # as the simulator said last
 
+        limits = joint_limits()
+        joints = tuple(map(Joint, limits.names, limits.lower.tolist(), limits.upper.tolist()))
         scenes = tuple(dict.fromkeys((scene, *(file.path.stem for file in scene_files()))))
         try:
-            self.page = Page(self._handlers(), Start(scenes=scenes, scene=scene), host, port, TOLD)
+            start = Start(scenes=scenes, scene=scene, joints=joints)
+            self.page = Page(self._handlers(), start, host, port, TOLD)
         except OSError as error:
             raise Fatal(f"the page cannot be served at {host}:{port}: {error}") from error
         print(json.dumps({"address": self.page.address}), flush=True)
         self._listen()
+        self._settings = ServiceSettings(self, qos.CONTACT_CONSTRAINTS.name, self._on_settings)
+        self.create_timer(LOOK_INTERVAL, self._settings.look)
 
     def close(self) -> None:
         self._mirror.close()
         self.page.close()
-        if self._recorder is not None:
-            self._recorder.stop()
+        with suppress(RecordingFailed):  # its log says why
+            self._recordings.end()
 
     def _listen(self) -> None:
         for topic, callback, profile, raw in (
@@ -100,6 +108,7 @@ class PageNode(Node):
             (qos.CONTACT_CONSTRAINTS, self._on_contacts, LOOKING, True),
             (qos.SIMULATION_STATUS, self._on_status, LOOKING, False),
             (qos.ANSWER_TIMES, self._on_times, LOOKING, False),
+            (qos.JOINT_STATES, self._on_joints, LOOKING, False),
         ):
             self.create_subscription(topic.message_class, topic.name, callback, profile, raw=raw)
 
@@ -116,12 +125,14 @@ class PageNode(Node):
             self._meshes.clear()
             self._states = self._held = None
             self._mirror.new_run(message.run_id)
+            self._awaits_joints = False
             self.page.new_run()
         body = to_record(message)
         self._mirror.hear(body)
         if body.operation == REMOVE:
             self.page.remove_body(body.body_id)
             return
+        self._awaits_joints |= body.name == PARTS[0].name
         self._body_of[body.fragment_id] = body.body_id
         self.page.add_body(body)
 
@@ -169,6 +180,18 @@ class PageNode(Node):
         if self._of_this_run(message.run_id):
             self._status = message
             self._mirror.hear_paused(message.paused)
+            if message.refused and message.refused != self._refused:
+                self.page.notify(message.refused)
+            self._refused = message.refused
+
+    def _on_joints(self, message: JointState) -> None:
+        if self._awaits_joints:
+            self._awaits_joints = False
+            self.page.show_arm(message.position)
+
+    def _on_settings(self, settings: dict[str, Any]) -> None:
+        self._mirror.hear_settings(settings)
+        self.page.show_service(ServiceSliders(**{name: settings[name] for name in ServiceSliders._fields}))
 
     def _on_times(self, message: AnswerTimes) -> None:
         status = self._status
@@ -210,8 +233,9 @@ class PageNode(Node):
             one_step=later(lambda: self._answered(self._hands.step(), "one step")),
             slow_motion=later(lambda rate: self._hands.set_parameters(rate=float(rate))),
             service_set=later(self._set_service),
+            joint_set=later(lambda name, angle: self._hands.command_joints([angle], [name])),
             recording=later(self._record),
-            looking_inside=later(self._look_inside),
+            looking_inside=later(self._mirror.want),
         )
 
     def _obey(self) -> None:
@@ -270,42 +294,37 @@ class PageNode(Node):
 
     def _set_service(self, sliders: ServiceSliders) -> None:
         parameters = [Parameter(name, value=value) for name, value in sliders._asdict().items()]
-        self._service.set_parameters(parameters)
+        self._service.set_parameters(parameters).add_done_callback(self._look_at_results)
 
-    def _look_inside(self, wanted: InsideWanted) -> None:
-        if self._service_settings is None:
-            heard = self._mirror.hear_settings
-            self._service_settings = ServiceSettings(self, qos.CONTACT_CONSTRAINTS.name, heard)
-            self.create_timer(SETTINGS_LOOK, self._service_settings.look)
-        self._mirror.want(wanted)
+    def _look_at_results(self, done: Any) -> None:
+        for result in done.result().results if done.result() else ():
+            if not result.successful:
+                self._warn(result.reason)
+
+    def _say(self, words: str) -> None:
+        self.get_logger().info(words)
+        self.page.notify(words)
+
+    def _warn(self, words: str) -> None:
+        self.get_logger().warning(words)
+        self.page.notify(words)
 
     def _answered(self, future: Any, what: str) -> None:
         def look(done: Any) -> None:
             result = done.result()
             if result is not None and not result.success:
-                self.get_logger().warning(f"{what}: {result.message}")
+                self._warn(f"{what}: {result.message}")
 
         future.add_done_callback(look)
 
     def _record(self, wanted: bool) -> None:
-        if self._recorder is not None:
-            self._recorder.stop()
-            self._recorder = None
-        if wanted:
-            folder = _new_folder(self._folder)
-            self._recorder = NodeProcess(
-                "recorder_node", {"folder": str(folder)}, default_domain_id(), folder.parent / f"{folder.name}.log"
-            )
-            self.get_logger().info(f"recording into {folder}")
-
-
-def _new_folder(parent: Path) -> Path:
-    """A name that nothing has yet: bag_1, bag_2 ..."""
-    parent.mkdir(parents=True, exist_ok=True)
-    number = 1
-    while (parent / f"bag_{number}").exists():
-        number += 1
-    return parent / f"bag_{number}"
+        try:
+            if (bag := self._recordings.end()) is not None:
+                self._say(f"{bag} is complete")
+            if wanted:
+                self._say(f"recording into {self._recordings.begin()}")
+        except RecordingFailed as error:
+            self._warn(str(error))
 
 
 def _work(node: PageNode) -> None:

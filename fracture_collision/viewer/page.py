@@ -15,14 +15,14 @@ import threading
 import time
 import traceback
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import viser
 
 from fracture_collision.records import CollisionBody, ContactConstraintArray, FragmentMesh, FragmentStates
 from fracture_collision.viewer.page_contacts import ContactLayers
 from fracture_collision.viewer.page_controls import Controls
-from fracture_collision.viewer.page_events import Handlers, Start
+from fracture_collision.viewer.page_events import Handlers, ServiceSliders, Start
 from fracture_collision.viewer.page_inside import Inside, InsideView
 from fracture_collision.viewer.page_plots import Figures, Plots, check_told, plots_of
 from fracture_collision.viewer.page_scene import SceneNodes
@@ -33,6 +33,7 @@ LOCALHOST = "127.0.0.1"
 INTERVAL = 1.0 / 30.0  # [s] between two pictures
 TITLE = "fracture_collision"
 BRAND = (38, 94, 150)
+NOTICE = 8.0  # [s] that words stay
 
 
 class LocalServer(viser.ViserServer):
@@ -70,7 +71,7 @@ class Page:
         self._scene = SceneNodes(self._server, self._live, drag if all(drag.values()) else {})
         self._summary = self._server.gui.add_markdown("")
         add_controls(self._server.gui)
-        Controls(self._server, handlers, start or Start())
+        self._controls = Controls(self._server, handlers, start or Start())
         self._layers = ContactLayers(self._server, self._live, self._redraw_contacts)
         shadows = self._server.gui.add_checkbox("shadows", True, hint="off for graphics processors that are slow")
         shadows.on_update(lambda _event: self._order(lambda: self._scene.cast_shadows(shadows.value)))
@@ -150,6 +151,19 @@ class Page:
         """As the page's own switch does."""
         self._shadows.value = on
 
+    def show_service(self, service: ServiceSliders) -> None:
+        """Its sliders stand there from now on; nobody is told of it."""
+        self._controls.show_service(service)
+
+    def show_arm(self, angles: Sequence[float]) -> None:
+        """The scene has an arm, whose joints are at `angles` [rad]: its sliders stay until the next run."""
+        self._order(lambda: self._controls.show_arm(angles))
+
+    def notify(self, words: str) -> None:
+        """For some seconds, to all who look now."""
+        for client in self._server.get_clients().values():
+            client.add_notification(TITLE, words, auto_close_seconds=NOTICE)
+
     def show_states(self, states: FragmentStates) -> None:
         with self._news:
             self._states = states
@@ -214,6 +228,7 @@ class Page:
 
     def _clear(self) -> None:
         self._scene.clear()
+        self._controls.show_arm(None)
         self._plots.clear()
         if self._inside is not None:
             self._inside.clear()

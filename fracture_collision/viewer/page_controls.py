@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 import viser
 
-from fracture_collision.viewer.page_events import Ball, Handlers, Ray, ServiceSliders, Start
+from fracture_collision.viewer.page_events import Ball, Handlers, Joint, Ray, ServiceSliders, Start
 
 ARROWS = (("up", "arrowup"), ("down", "arrowdown"), ("left", "arrowleft"), ("right", "arrowright"))
 FIELDS = ("exact", "averaged")
@@ -24,18 +25,35 @@ class Controls:
     def __init__(self, server: viser.ViserServer, handlers: Handlers, start: Start) -> None:
         self._gui = server.gui
         self._handlers = handlers
+        self._service: dict[str, Any] = {}
+        self._arm: viser.GuiFolderHandle | None = None
+        self._joints: list[viser.GuiSliderHandle] = []
         if handlers.scene_chosen and start.scenes:
             scene = self._gui.add_dropdown("scene", start.scenes, start.scene or start.scenes[0])
             on_update(scene, handlers.scene_chosen)
         self._add_time(start)
         if handlers.clicked:
             self._add_ball(server, start.ball, handlers.clicked)
+        if handlers.joint_set and start.joints:
+            self._add_arm(start.joints, handlers.joint_set)
         if handlers.service_set:
             self._add_service(start.service, handlers.service_set)
         if handlers.arrow:
             for word, key in ARROWS:
                 command = self._gui.add_command(f"hammer {word}", hotkey=key)
                 command.on_trigger(_as_coroutine(lambda _event, word=word: handlers.arrow(word)))
+
+    def show_service(self, service: ServiceSliders) -> None:
+        """What the service has now."""
+        for name, knob in self._service.items():
+            knob.value = getattr(service, name)
+
+    def show_arm(self, angles: Sequence[float] | None) -> None:
+        """With the joints at `angles` [rad]; None: there is no arm."""
+        if self._arm is not None:
+            for slider, angle in zip(self._joints, angles or (), strict=False):
+                slider.value = round(math.degrees(angle))
+            self._arm.visible = angles is not None
 
     def _add_time(self, start: Start) -> None:
         handlers = self._handlers
@@ -58,9 +76,22 @@ class Controls:
         rays = _rays(clicked, lambda: Ball(float(speed.value), float(radius.value)))
         server.scene.on_click()(rays)
 
+    def _add_arm(self, joints: Sequence[Joint], joint_set: Callable[[str, float], None]) -> None:
+        self._arm = self._gui.add_folder("Arm: joints, degrees", visible=False)
+        with self._arm:
+            for number, joint in enumerate(joints, 1):
+                lower, upper = (round(math.degrees(limit)) for limit in (joint.lower, joint.upper))
+                slider = self._gui.add_slider(f"joint {number}", lower, upper, 1, min(max(0, lower), upper))
+                self._joints.append(slider)
+
+                def bend(degrees: float, joint: Joint = joint) -> None:
+                    joint_set(joint.name, min(max(math.radians(degrees), joint.lower), joint.upper))
+
+                on_update(slider, bend)
+
     def _add_service(self, service: ServiceSliders, service_set: Callable[[ServiceSliders], None]) -> None:
         with self._gui.add_folder("Collision service"):
-            knobs: dict[str, Any] = {
+            self._service = knobs = {
                 "contacts_per_pair": self._gui.add_slider("contacts a pair", 1, 32, 1, service.contacts_per_pair),
                 "penetration_tolerance": self._gui.add_slider(
                     "epsilon, share of R", 0.0, 0.02, 0.0005, service.penetration_tolerance,

@@ -61,6 +61,14 @@ class InsideWanted(NamedTuple):
         return self != InsideWanted()
 
 
+class Joint(NamedTuple):
+    """Of an arm; the page has a slider for it while the scene has the arm."""
+
+    name: str
+    lower: float  # [rad]
+    upper: float  # [rad]
+
+
 class Handlers(NamedTuple):
     """Who is told what a person does; what nobody wants to be told of, the page does not offer.
 
@@ -78,6 +86,7 @@ class Handlers(NamedTuple):
     one_step: Callable[[], None] | None = None
     slow_motion: Callable[[float], None] | None = None  # simulated seconds a second of the wall clock, at most 1
     service_set: Callable[[ServiceSliders], None] | None = None
+    joint_set: Callable[[str, float], None] | None = None  # name, [rad] within its limits
     recording: Callable[[bool], None] | None = None
     looking_inside: Callable[[InsideWanted], None] | None = None  # answered by Page.show_inside, again and again
 
@@ -90,3 +99,4 @@ class Start(NamedTuple):
     ball: Ball = Ball(6.0, 0.04)
     slow_motion: float = 1.0
     service: ServiceSliders = ServiceSliders()
+    joints: tuple[Joint, ...] = ()

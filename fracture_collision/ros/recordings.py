@@ -1,0 +1,52 @@
+"""Bags that a person asks for, one after another: a recorder_node each, in a process of its own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from fracture_collision.ros.node_process import NodeProcess, default_domain_id
+
+
+class RecordingFailed(RuntimeError):
+    """Its text says why, or where that stands."""
+
+
+class Recordings:
+    """At most one at a time, into bag_1, bag_2 ... of a folder."""
+
+    def __init__(self, folder: Path, namespace: str) -> None:
+        """`namespace`: of the nodes that are to be recorded."""
+        self._folder = folder
+        self._namespace = namespace
+        self._running: tuple[Path, NodeProcess] | None = None
+
+    def begin(self) -> Path:
+        """The bag that is written from now on. Raises RecordingFailed."""
+        try:
+            bag = _new_folder(self._folder)
+            node = NodeProcess(
+                "recorder_node", {"folder": str(bag)}, default_domain_id(), bag.with_suffix(".log"),
+                arguments=("-r", f"__ns:={self._namespace}"),
+            )  # fmt: skip
+        except OSError as error:
+            raise RecordingFailed(f"no recording: {error}") from error
+        self._running = bag, node
+        return bag
+
+    def end(self) -> Path | None:
+        """The bag that was written, which is complete now; None: there was none. Raises RecordingFailed."""
+        if self._running is None:
+            return None
+        (bag, node), self._running = self._running, None
+        if status := node.stop():
+            raise RecordingFailed(f"the recorder of {bag} ended with status {status}; see {node.log}")
+        return bag
+
+
+def _new_folder(parent: Path) -> Path:
+    """A name that nothing has yet: bag_1, bag_2 ..."""
+    parent.mkdir(parents=True, exist_ok=True)
+    number = 1
+    while (parent / f"bag_{number}").exists():
+        number += 1
+    return parent / f"bag_{number}"
