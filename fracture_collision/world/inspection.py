@@ -23,7 +23,7 @@ EVERY_CONTACT = 1 << 30
 # Of a plane across x, y or z: the axis that its columns go along, and that of its rows.
 PLANE_AXES = ((1, 2), (0, 2), (0, 1))
 NOBODY = -1  # no fragment's id
-FINEST = 128  # cells along the longer side of a plane's grid, unless the asker wants others
+FINEST = 192  # cells along the longer side of a plane's grid, unless the asker wants others
 
 
 class LevelSpheres(NamedTuple):
@@ -151,6 +151,7 @@ def field_on_plane(
     columns, rows = (max(math.ceil((high[k] - low[k]) / cell), 1) for k in range(2))
     owners, depths = np.full((rows, columns), NOBODY), np.full((rows, columns), -np.inf)
     shared = np.zeros((rows, columns), dtype=bool)
+    scratch = make_scratch(1, len(pools.mesh.tetrahedra), 1)
     for i in np.flatnonzero(cut).tolist():
         first = np.floor((boxes[i, :3][across] - low) / cell).astype(int).clip(0, (columns, rows))
         last = np.ceil((boxes[i, 3:][across] - low) / cell).astype(int).clip(0, (columns, rows))
@@ -159,7 +160,8 @@ def field_on_plane(
         points[..., across[0]] = low[0] + cell * (np.arange(first[0], last[0]) + 0.5)
         points[..., across[1]] = low[1] + cell * (np.arange(first[1], last[1]) + 0.5)[:, None]
         own = (points.reshape(-1, 3) - here.positions[i]) @ here.rotations[i]
-        depth = depths_inside(pools, here.rows[i], own).reshape(owners[part].shape)
+        depth = np.empty(owners[part].shape)
+        _depths_inside(pools, here.rows[i], np.ascontiguousarray(own), depth.reshape(-1), scratch)
         shared[part] |= (depth > 0.0) & (depths[part] > 0.0)
         is_deepest = depth > depths[part]
         owners[part][is_deepest] = here.ids[i]
@@ -167,17 +169,9 @@ def field_on_plane(
     return PlaneField(axis, place, low, cell, owners, np.maximum(depths, 0.0), shared)
 
 
-def depths_inside(pools: Pools, row: int, points: np.ndarray) -> np.ndarray:
-    """Depth (n,) [m] of points (n, 3) [m] in the body frame of fragment `row`; minus infinity outside."""
-    depths = np.empty(len(points))
-    _depths_inside(
-        pools, row, np.ascontiguousarray(points), depths, make_scratch(1, len(pools.mesh.tetrahedra), 1)
-    )
-    return depths
-
-
 @threaded_kernel
 def _depths_inside(pools, row, points, depths, scratch):
+    """Depth (n,) [m] of points (n, 3) [m] in the body frame of fragment `row`; minus infinity outside."""
     for i in range(len(points)):
         answer = probe(pools, row, points[i, 0], points[i, 1], points[i, 2], 0.0, math.inf, scratch, 0)
         depths[i] = -answer[1] if answer[0] == INSIDE else -math.inf
