@@ -79,10 +79,9 @@ class CollisionNode(Node):
     # --- start and end ---------------------------------------------------------------------------------------------
 
     def prepare(self) -> None:
-        """Loads the kernels from numba's cache, or compiles them, and says which; meanwhile it gets bodies and events.
-        Then it listens to states, too: who waits for the service to subscribe to them need not ask in vain.
+        """Loads the kernels from numba's cache, or compiles them, and says which; then listens. Who waits for the
+        service to subscribe need not ask in vain.
         """
-        self._incoming.listen_to_log()
         doing = "loading kernels"
         if cache_is_cold():
             doing = "compiling kernels (cold cache, one to two minutes)"

@@ -57,14 +57,9 @@ class Incoming:
             "another publisher's run is followed at once; false: only when the one that is followed is gone",
         )  # fmt: skip
 
-    def listen_to_log(self) -> None:
-        """What was said before comes now; it is handed on when the node spins."""
-        for topic in LOG:
-            self._subscribe(topic)
-
     def listen(self) -> None:
-        """To states, too: who waits for somebody to ask waits for this."""
-        self._subscribe(qos.FRAGMENT_STATES)
+        for topic in TOPICS:
+            self._subscribe(topic)
 
     def look_around(self) -> None:
         """Notices who came and who went; to be called now and then, outside the subscriptions' callbacks."""
