@@ -147,6 +147,25 @@ def test_a_body_stays_until_its_pieces_are_there() -> None:
         assert not page._scene._nodes
 
 
+def test_a_floor_is_drawn_once_and_holds_nothing_up() -> None:
+    meshes, states = records_of(FragmentMesh), records_of(FragmentStates)[0]
+    with Page() as page:
+        for body in records_of(CollisionBody):
+            page.add_body(body)
+        page.add_fragment(meshes[0]._replace(fragment_id=1), 1)  # services make meshes of floors too
+        floor = {"fragment_ids": [1], "positions": [0.0, 0.0, 0.0], "orientations": [0.0, 0.0, 0.0, 1.0]}
+        for fewer in (0, 1):  # the last body leaves
+            count = len(states.fragment_ids) - fewer
+            named = {
+                name: np.concatenate((own, getattr(states, name)[: len(own) * count])) for name, own in floor.items()
+            }
+            page.show_states(states._replace(**named))
+            page.flush()
+        nodes = page._scene._nodes
+        assert sorted(nodes) == sorted(states.fragment_ids) and 1 not in nodes
+        assert not nodes[int(states.fragment_ids[-1])].visible
+
+
 def test_the_newest_states_are_shown_at_most_thirty_times_a_second() -> None:
     states = records_of(FragmentStates)[0]
     with Page(told=frozenset({"contacts"})) as page:

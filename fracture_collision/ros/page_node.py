@@ -48,6 +48,9 @@ GRAVITY = 9.81  # [m/s2] that a thrown ball is aimed against
 OUT_OF_THE_EYE = 0.2  # [m] before the eye a ball starts
 HAMMER_SPEED = 1.0  # [m/s]
 KEY_HOLDS = 0.3  # [s] that the hammer goes on after an arrow key's last word
+# [s] Messages, pictures and browsers have a thread each: with Python's own 5 ms the one that has a short thing to do
+# waits too long for the one that has a long one.
+SWITCH_INTERVAL = 0.5e-3
 LOOK_INTERVAL = 0.2  # [s] between two looks at who answers, and whether its settings have changed
 ARROWS = {"up": (0.0, 1.0), "down": (0.0, -1.0), "right": (1.0, 0.0), "left": (-1.0, 0.0)}  # x, y
 
@@ -338,6 +341,7 @@ def _work(node: PageNode) -> None:
 
 
 def main() -> int:
+    sys.setswitchinterval(SWITCH_INTERVAL)
     return run_node(PageNode, _work)
 
 

@@ -7,19 +7,16 @@ import time
 from bisect import bisect_right
 from collections.abc import Callable
 
-import numpy as np
 import viser
 
 from fracture_collision.records import FragmentStates
 from fracture_collision.viewer.page import INTERVAL, LOCALHOST, Page
 from fracture_collision.viewer.page_plots import Figures
-from fracture_collision.viewer.ray_picture import Camera
+from fracture_collision.viewer.page_scene import FREE_ASPECT, beside_the_panel
 from fracture_collision.viewer.recorded_run import RecordedRun
 from fracture_collision.viewer.run_camera import camera_of, chosen_moments
 from fracture_collision.viewer.run_scene import RunScene
 
-FREE_ASPECT = 1.1  # of what the panel leaves free of a browser's window
-PANEL_SHARE = 0.25  # of the width of the window
 MOMENTS = 6  # of the run that the camera is chosen by
 SLIDER_INTERVAL = 0.2  # [s] between two movements of the time bar
 SLOWEST, FASTEST = 0.02, 2.0
@@ -43,7 +40,7 @@ class BagPlayer:
         self._shown = -1  # index of states
         self._advanced_at = time.monotonic()
         self._slider_at = 0.0
-        camera = _beside_the_panel(camera_of(RunScene(run), chosen_moments(run, MOMENTS), FREE_ASPECT))
+        camera = beside_the_panel(camera_of(RunScene(run), chosen_moments(run, MOMENTS), FREE_ASPECT))
         told = frozenset({"fragments", "contacts"} if run.answers else {"fragments"})
         self.page = Page(host=host, port=port, told=told, add_controls=self._add_controls)
         self.page.look_from(camera)
@@ -162,12 +159,3 @@ class BagPlayer:
             if event.client is not None:
                 with self._lock:
                     self._speed = float(speed.value)
-
-
-def _beside_the_panel(camera: Camera) -> Camera:
-    """Turned a little to the right, so that what it looks at stands in the middle of the free part of the window."""
-    ahead = camera.target - camera.position
-    right = np.cross(ahead, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    half_width = np.linalg.norm(ahead) * np.tan(0.5 * camera.opening) * FREE_ASPECT / (1.0 - PANEL_SHARE)
-    return camera._replace(target=camera.target + PANEL_SHARE * half_width * right)

@@ -279,6 +279,8 @@ class Page:
             self.pictures += 1
             if not self._scene.is_looked_at:
                 self._scene.look_at_all()
+        if orders:
+            self._server.flush()  # else what is new would wait for more, as poses may
         if redraw:
             self._layers.draw(contacts, self._scene.centre)
         for row in figures:

@@ -26,6 +26,8 @@ SUN = (-0.9, -1.3, 2.0)  # towards it
 SUN_COLOUR, SUN_STRENGTH = (255, 244, 228), 3.0
 DAYLIGHT = 0.55  # strength of the light from all sides
 OPENING = np.radians(38.0)  # of the camera
+FREE_ASPECT = 1.1  # of what the panel leaves free of a browser's window
+PANEL_SHARE = 0.25  # of the width of the window
 
 DragHandlers = dict[str, Callable[[Drag], None]]  # by viser's names of phases: start, update, end
 
@@ -62,12 +64,14 @@ class SceneNodes:
         self._nodes: dict[int, viser.GlbHandle] = {}
         self._poses: dict[int, np.ndarray] = {}  # (7,) of those that are shown
         self._hidden: frozenset[int] = frozenset()  # that would be shown, were they not in the way
+        self._planes: set[int] = set()  # fragments that are the floor or a wall: those stand already
         self.is_looked_at = False  # somebody has said where the camera stands
 
     def add_body(self, body: CollisionBody) -> None:
         self._bodies[body.body_id] = body
         self._palette.add(body)
         if np.any(body.plane):
+            self._planes.add(body.fragment_id)
             self._add_plane(body)
             return
         self._add(body.fragment_id, body.body_id, mesh_of_body(body))
@@ -75,7 +79,8 @@ class SceneNodes:
             self._place([body.fragment_id], np.array([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]]))
 
     def add_fragment(self, mesh: FragmentMesh, body_id: int) -> None:
-        self._add(mesh.fragment_id, body_id, mesh_of_fragment(mesh))
+        if mesh.fragment_id not in self._planes:
+            self._add(mesh.fragment_id, body_id, mesh_of_fragment(mesh))
 
     def remove(self, fragment_id: int) -> None:
         self._fragments.pop(fragment_id, None)
@@ -99,7 +104,7 @@ class SceneNodes:
         poses = np.hstack((states.positions.reshape(-1, 3), xyzw[:, [3, 0, 1, 2]]))
         known = [i for i, fragment_id in enumerate(ids) if fragment_id in self._fragments]
         self._place([ids[i] for i in known], poses[known])
-        if len(known) == len(ids):
+        if len(known) + len(self._planes.intersection(ids)) == len(ids):
             gone = set(self._poses) - set(ids)
             for fragment_id in sorted(gone):
                 if not self._bodies[self._fragments[fragment_id].body_id].is_static:
@@ -150,7 +155,8 @@ class SceneNodes:
         if len(centres):
             low, high = centres.min(axis=0), centres.max(axis=0)
             target, size = 0.5 * (low + high), max(float(np.linalg.norm(high - low)), 0.5)
-            self.look_from(Camera(target + size * np.array([0.5, -1.5, 0.6]), target, OPENING))
+            eye = target + size * np.array([0.5, -1.5, 0.6])
+            self.look_from(beside_the_panel(Camera(eye, target, OPENING)))
 
     def _add(self, fragment_id: int, body_id: int, mesh: BodyMesh) -> None:
         self.remove(fragment_id)
@@ -207,6 +213,15 @@ class SceneNodes:
         share = np.linspace(0.0, 1.0, 256)[:, None] ** 0.7
         rows = (1.0 - share) * np.array(SKY[0]) + share * np.array(SKY[1])
         scene.set_background_image(np.tile(rows[:, None], (1, 8, 1)).astype(np.uint8), format="png")
+
+
+def beside_the_panel(camera: Camera) -> Camera:
+    """Turned a little to the right, so that what it looks at stands in the middle of the free part of the window."""
+    ahead = camera.target - camera.position
+    right = np.cross(ahead, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    half_width = np.linalg.norm(ahead) * np.tan(0.5 * camera.opening) * FREE_ASPECT / (1.0 - PANEL_SHARE)
+    return camera._replace(target=camera.target + PANEL_SHARE * half_width * right)
 
 
 def turned(vectors: np.ndarray, wxyz: np.ndarray) -> np.ndarray:

@@ -1,0 +1,119 @@
+"""`python -m benchmarks.page`: from a fracture published to its fragments in a browser, and pictures a second.
+
+Service, live simulator and page are the processes that `fracture-collision play` starts. First a looker that draws
+nothing takes what a browser is handed; then a Chromium without a graphics processor draws it, beside the nodes.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from pathlib import Path
+from statistics import median
+
+import click
+import yaml
+
+from benchmarks.page.lookers import Looker, browser, taker
+from benchmarks.page.person import PLATES, Fracture, scene_played, throw_at
+from campaigns.soak import processor_seconds
+from fracture_collision.share import share_directory
+
+AFTERWARDS = 1.5  # [s] for all to come of a ball
+DRAWN = 1.0  # [s] in which what has come is drawn, and no other ball flies yet
+SMALLEST = 0.3  # [kg] of a brick that still breaks: of 32 bricks come some 250 pieces
+FRAGMENTS = 200
+WATCHED = 10.0  # [s]
+ASKED_MS, ASKED_PICTURES = 100.0, 30.0
+
+Look = Callable[[str], AbstractContextManager[Looker]]
+
+
+def measure_fractures(look: Look, rounds: int) -> tuple[list[float], list[float]]:
+    """[ms] from each fracture published to the last of its meshes handed over, and to that shown."""
+    handed, shown = [], []
+    with scene_played("plates") as (run, person), look(run.address) as looker:
+        for _ in range(rounds):
+            person.begin_again()
+            person.fractures.clear()
+            for plate in PLATES:
+                throw_at(person, plate)
+                person.wait(AFTERWARDS)
+            _latencies(person.fractures, looker, handed, shown)
+    return handed, shown
+
+
+def _latencies(fractures: list[Fracture], looker: Looker, handed: list[float], shown: list[float]) -> None:
+    """Of the fragments that a page ever saw: what breaks again at once has no mesh."""
+    meshes, pictures = looker.meshes(), looker.shown()
+    for fracture in fractures:
+        first = {}
+        for mesh in meshes:
+            if fracture.time < mesh.time < fracture.time + 2 * AFTERWARDS and mesh.fragment_id in fracture.fragment_ids:
+                first.setdefault(mesh.fragment_id, mesh.time)
+        if first:
+            came = max(first.values())
+            handed.append(1e3 * (came - fracture.time))
+            # the last picture with something new in it, of those that are this fracture's
+            end = min((other.time for other in fractures if other.time > came), default=came + DRAWN)
+            drawn = [moment for moment in pictures if came < moment < end] or [m for m in pictures if m > came][:1]
+            if drawn:
+                shown.append(1e3 * (drawn[-1] - fracture.time))
+
+
+def measure_pictures(look: Look) -> str:
+    """Bricks fall and break, the machine as busy with them as it can be."""
+    with tempfile.TemporaryDirectory() as folder:
+        content = yaml.safe_load((share_directory() / "config" / "scenes" / "bricks.yaml").read_text())
+        content["materials"]["clay"]["fracture"]["minimum_mass"] = SMALLEST
+        file = Path(folder) / "small_bricks.yaml"
+        file.write_text(yaml.safe_dump(content))
+        with scene_played(str(file)) as (run, person), look(run.address) as looker:
+            person.begin_again()
+            person.until(lambda: person.status.fragments >= FRAGMENTS, f"{FRAGMENTS} fragments")
+            looker.pictures()
+            before, step = [processor_seconds(node.pid) for node in run.nodes], person.status.step
+            person.wait(WATCHED)
+            pictures, status = looker.pictures(), person.status
+            used = [processor_seconds(node.pid) - b for node, b in zip(run.nodes, before, strict=True)]
+    shares = ", ".join(
+        f"{node.name} {100.0 * seconds / pictures.seconds:.0f} %" for node, seconds in zip(run.nodes, used, strict=True)
+    )
+    rate = pictures.count / pictures.seconds
+    words = f"{rate:.1f} pictures a second (asked: {ASKED_PICTURES:.0f}) of {status.fragments} fragments"
+    if pictures.moved:
+        words += f", {pictures.moved:.0f} of them moving; {1e3 * used[-1] / pictures.count:.1f} ms of the page's"
+        words += " processor time a picture"
+    words += f"; {(status.step - step) / pictures.seconds:.0f} steps a second"
+    return f"{words}; of a core: {shares}"
+
+
+def _words(times: list[float]) -> str:
+    ordered = sorted(times)
+    within = sum(t <= ASKED_MS for t in ordered)
+    return (
+        f"median {median(ordered):.0f} ms, nine of ten within {ordered[int(0.9 * (len(ordered) - 1))]:.0f} ms, worst"
+        f" {ordered[-1]:.0f} ms; {within} of {len(ordered)} within {ASKED_MS:.0f} ms"
+    )
+
+
+@click.command(context_settings={"show_default": True, "help_option_names": ["-h", "--help"]})
+@click.option("--rounds", default=5, type=click.IntRange(min=1), help="Of four plates smashed one after another.")
+@click.option("--browser/--no-browser", "draws", default=True, help="Also with a Chromium that draws.")
+def main(rounds: int, draws: bool) -> None:
+    """Print how long new fragments take to a browser, and how many pictures a second it gets."""
+    ways: list[tuple[str, Look]] = [("handed out, nobody draws", taker)]
+    if draws:
+        ways.append(("Chromium, drawn by software on the nodes' own processors", browser))
+    for title, look in ways:
+        click.echo(f"{title}:")
+        handed, shown = measure_fractures(look, rounds)
+        click.echo(f"  fracture published to meshes in the browser: {_words(handed)}")
+        if shown:
+            click.echo(f"  fracture published to shown: {_words(shown)}")
+        click.echo(f"  {measure_pictures(look)}")
+
+
+if __name__ == "__main__":
+    main(prog_name="python -m benchmarks.page")

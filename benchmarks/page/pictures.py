@@ -1,0 +1,43 @@
+"""`python -m benchmarks.page.pictures`: docs/play.png and docs/play_arm.png, live scenes as a browser shows them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.page.lookers import browser
+from benchmarks.page.person import PLATES, Person, scene_played, throw_at
+
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+SWING = np.radians([-75.0, 60.0, 0.0, -80.0, 0.0, -50.0, 0.0])  # as config/scenes/vase.yaml has it
+THROUGH = np.radians(20.0)  # the vase stands at 0
+
+
+def smash_plates(person: Person) -> None:
+    for place, fragments in ((PLATES[0], 14), (PLATES[2], 28)):
+        throw_at(person, place)
+        person.until(lambda fragments=fragments: person.status.fragments > fragments, "shards")
+
+
+def hit_vase(person: Person) -> None:
+    person.hands.command_joints(SWING)
+    person.wait(5.0)
+    whole = person.status.fragments
+    person.hands.command_joints([THROUGH], ["lbr_iiwa_joint_1"])
+    person.until(lambda: person.status.fragments > whole + 5, "shards")
+
+
+def take(scene: str, act: Callable[[Person], None], file: Path) -> None:
+    with scene_played(scene) as (run, person):
+        act(person)
+        future = person.hands.pause(True)
+        person.until(lambda: future.done() and person.status.paused, "a pause")
+        with browser(run.address) as seen:
+            seen.save_picture(file)
+
+
+if __name__ == "__main__":
+    take("plates", smash_plates, DOCS / "play.png")
+    take("vase", hit_vase, DOCS / "play_arm.png")
