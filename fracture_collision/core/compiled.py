@@ -3,12 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib.metadata import version
 from typing import Any
 
-from fracture_collision.core.kernel_cache import KernelCache, njit
+# Loading kernels quicker goes by numba's inside (kernel_cache.py): with other versions they are loaded numba's way.
+TRIED_WITH = "0.68."
+
+if version("numba").startswith(TRIED_WITH):
+    from fracture_collision.core.kernel_cache import KernelCache, njit
+else:
+    from numba import njit
+
+    KernelCache = None
 
 
 def _cached(**options: Any) -> Callable[[Callable], Any]:
+    if KernelCache is None:
+        return njit(error_model="numpy", cache=True, **options)
     compiled = njit(error_model="numpy", **options)
 
     def decorate(function: Callable) -> Any:

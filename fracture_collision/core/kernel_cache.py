@@ -5,7 +5,8 @@ from its cache it makes itself ready to compile: it registers all that it could 
 With each it reads the bitcode that lies beside the machine code and asks every function in it for its name. Here all
 that is done when something is to be compiled, or to be linked with what was loaded; what is loaded is the same.
 
-Goes by the inside of numba; test_core_kernel_cache.py tells where it no longer fits.
+Goes by the inside of numba: compiled.py uses it with the versions that it was tried with, and test_core_kernel_cache.py
+tells where it no longer fits.
 """
 
 from __future__ import annotations
