@@ -23,6 +23,7 @@ from rclpy.timer import Timer
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import JointState
 
+from fracture_collision.cdr import Received
 from fracture_collision.msg import AnswerTimes, SimulationStatus
 from fracture_collision.records import REMOVE, FragmentStates
 from fracture_collision.ros import qos
@@ -74,6 +75,7 @@ class PageNode(Node):
         self._body_of: dict[int, int] = {}  # of each fragment
         self._meshes: dict[int, Any] = {}  # that came before it was known of which body they are
         self._states: FragmentStates | None = None
+        self._early: Received | None = None  # states that came before the first body of their run
         self._status: SimulationStatus | None = None
         self._held: tuple[int, np.ndarray] | None = None  # fragment and grip in its body frame
         self._stop_timer: Timer | None = None  # of the hammer, after the last arrow key
@@ -126,6 +128,8 @@ class PageNode(Node):
             self._states = self._held = None
             self._awaits_joints = False
             self.page.new_run()
+            if self._early is not None and self._of_this_run(self._early.run_id):
+                self._show(self._early.record)
         body = to_record(message)
         if body.operation == REMOVE:
             self.page.remove_body(body.body_id)
@@ -161,8 +165,13 @@ class PageNode(Node):
         with suppress(ValueError):  # no states; the service says so
             received = deserialize_record(data, qos.FRAGMENT_STATES.message_class)
             if self._of_this_run(received.run_id):
-                self._states = received.record
-                self.page.show_states(received.record)
+                self._show(received.record)
+            else:
+                self._early = received
+
+    def _show(self, states: FragmentStates) -> None:
+        self._states = states
+        self.page.show_states(states)
 
     def _on_contacts(self, data: bytes) -> None:
         if self.page.wants_contacts:
