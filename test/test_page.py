@@ -147,6 +147,22 @@ def test_a_body_stays_until_its_pieces_are_there() -> None:
         assert not page._scene._nodes
 
 
+def test_states_that_came_first_place_what_comes_later() -> None:
+    states = records_of(FragmentStates)
+    with Page() as page:
+        page.show_states(states[-1])  # and no more: a pause
+        page.flush()
+        for record in records_of(CollisionBody):
+            page.add_body(record)
+        for mesh in records_of(FragmentMesh):
+            page.add_fragment(mesh, 3)
+        page.flush()
+        assert sorted(page._scene._nodes) == sorted(states[-1].fragment_ids)
+        page.new_run()
+        page.flush()
+        assert not page._scene._nodes
+
+
 def test_a_floor_is_drawn_once_and_holds_nothing_up() -> None:
     meshes, states = records_of(FragmentMesh), records_of(FragmentStates)[0]
     with Page() as page:

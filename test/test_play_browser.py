@@ -61,7 +61,11 @@ def test_a_person_smashes_plates(browser: Any, scene: LivePage) -> None:
         scene.until(in_the_air, "a plate in the air")
     # who leaves lets go
     scene.until(lambda: not in_the_air(), "a plate that fell")
+
+
+def test_two_people_look_at_a_scene_that_pauses(browser: Any, scene: LivePage) -> None:
     with opened(browser, scene.address) as page:
+        page.get_by_label("shadows").uncheck()
         page.get_by_label("pause").check()
         scene.until(lambda: scene.status.paused, "a pause")
         page.reload()

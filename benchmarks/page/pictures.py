@@ -12,6 +12,7 @@ from benchmarks.page.person import PLATES, Person, scene_played, throw_at
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 SWING = np.radians([-75.0, 60.0, 0.0, -80.0, 0.0, -50.0, 0.0])  # as config/scenes/vase.yaml has it
+FLIGHT = 0.3  # [s]
 THROUGH = np.radians(20.0)  # the vase stands at 0
 
 
@@ -27,6 +28,7 @@ def hit_vase(person: Person) -> None:
     whole = person.status.fragments
     person.hands.command_joints([THROUGH], ["lbr_iiwa_joint_1"])
     person.until(lambda: person.status.fragments > whole + 5, "shards")
+    person.wait(FLIGHT)
 
 
 def take(scene: str, act: Callable[[Person], None], file: Path) -> None:

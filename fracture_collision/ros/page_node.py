@@ -23,6 +23,7 @@ from rclpy.timer import Timer
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import JointState
 
+from fracture_collision.cdr import Received
 from fracture_collision.msg import AnswerTimes, SimulationStatus
 from fracture_collision.records import REMOVE, FragmentStates
 from fracture_collision.ros import qos
@@ -76,6 +77,7 @@ class PageNode(Node):
         self._body_of: dict[int, int] = {}  # of each fragment
         self._meshes: dict[int, Any] = {}  # that came before it was known of which body they are
         self._states: FragmentStates | None = None
+        self._early: Received | None = None  # states that came before the first body of their run
         self._status: SimulationStatus | None = None
         self._held: tuple[int, np.ndarray] | None = None  # fragment and grip in its body frame
         self._stop_timer: Timer | None = None  # of the hammer, after the last arrow key
@@ -130,6 +132,8 @@ class PageNode(Node):
             self._mirror.new_run(message.run_id)
             self._awaits_joints = False
             self.page.new_run()
+            if self._early is not None and self._of_this_run(self._early.run_id):
+                self._show(self._early)
         body = to_record(message)
         self._mirror.hear(body)
         if body.operation == REMOVE:
@@ -167,9 +171,14 @@ class PageNode(Node):
         with suppress(ValueError):  # no states; the service says so
             received = deserialize_record(data, qos.FRAGMENT_STATES.message_class)
             if self._of_this_run(received.run_id):
-                self._states = received.record
-                self._mirror.hear_states(received)
-                self.page.show_states(received.record)
+                self._show(received)
+            else:
+                self._early = received
+
+    def _show(self, received: Received) -> None:
+        self._states = received.record
+        self._mirror.hear_states(received)
+        self.page.show_states(received.record)
 
     def _on_contacts(self, data: bytes) -> None:
         if self.page.wants_contacts or self._mirror.wants_contacts:

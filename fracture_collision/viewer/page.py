@@ -85,6 +85,7 @@ class Page:
         self._news = threading.Condition()
         self._orders: deque[Callable[[], None]] = deque()  # in the order in which they were given
         self._states: FragmentStates | None = None  # the newest, until it is shown
+        self._placed: FragmentStates | None = None  # the last that was shown
         self._contacts: ContactConstraintArray | None = None
         self._contacts_are_new = False
         self._figures: list[Figures] = []
@@ -227,6 +228,7 @@ class Page:
         return plots
 
     def _clear(self) -> None:
+        self._placed = None
         self._scene.clear()
         self._controls.show_arm(None)
         self._plots.clear()
@@ -275,9 +277,11 @@ class Page:
         for order in orders:
             order()
         if states is not None:
-            self._scene.place(states)
+            self._placed = states
             self.pictures += 1
-            if not self._scene.is_looked_at:
+        if self._placed is not None and (states is not None or orders):  # what has come may be named already
+            all_there = self._scene.place(self._placed)
+            if all_there and not self._scene.is_looked_at:
                 self._scene.look_at_all()
         if orders:
             self._server.flush()  # else what is new would wait for more, as poses may

@@ -94,22 +94,24 @@ class SceneNodes:
         for fragment_id in [f for f, fragment in self._fragments.items() if fragment.body_id == body_id]:
             self.remove(fragment_id)
 
-    def place(self, states: FragmentStates) -> None:
+    def place(self, states: FragmentStates) -> bool:
         """Everything where the states say; what they do not name is not shown, static bodies apart.
 
-        While a mesh is still on its way nothing is taken off: a body stays until its pieces are there.
+        While a mesh is still on its way nothing is taken off: a body stays until its pieces are there. False: so it is.
         """
         ids = [int(fragment_id) for fragment_id in states.fragment_ids]
         xyzw = states.orientations.reshape(-1, 4)
         poses = np.hstack((states.positions.reshape(-1, 3), xyzw[:, [3, 0, 1, 2]]))
         known = [i for i, fragment_id in enumerate(ids) if fragment_id in self._fragments]
         self._place([ids[i] for i in known], poses[known])
-        if len(known) + len(self._planes.intersection(ids)) == len(ids):
+        all_there = len(known) + len(self._planes.intersection(ids)) == len(ids)
+        if all_there:
             gone = set(self._poses) - set(ids)
             for fragment_id in sorted(gone):
                 if not self._bodies[self._fragments[fragment_id].body_id].is_static:
                     del self._poses[fragment_id]
                     self._nodes[fragment_id].visible = False
+        return all_there
 
     def centre(self, fragment_id: int) -> np.ndarray | None:
         """(3,) [m], world: the middle of a fragment's surface; None where it is not shown."""
