@@ -6,6 +6,7 @@ import fcntl
 import mmap
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -18,7 +19,10 @@ from campaigns.kills.trials import kill_listeners, kill_services, kill_simulator
 from campaigns.soak import Cycle, growth, soak
 from fracture_collision.bag.reader import message_counts
 from fracture_collision.ros import shared_memory
-from fracture_collision.ros.shared_memory import YOUNG, left_behind, remove_left_behind
+from fracture_collision.ros.farewell import PORT_BASE, PORTS_A_DOMAIN
+from fracture_collision.ros.node_process import free_domain_id
+from fracture_collision.ros.shared_memory import YOUNG, dead_ports, left_behind, remove_left_behind
+from fracture_collision.ros.successor_ports import ports_of_the_dead_held
 
 SCENE, STEPS = "pane", 60
 SOON = 0.1  # [s] after the first step: a run takes less than a second
@@ -109,6 +113,29 @@ def test_no_lock_is_tried_of_what_somebody_may_be_opening(tmp_path: Path, monkey
     with (tmp_path / "fastrtps_port7417").open("rb") as port, mmap.mmap(port.fileno(), 0, access=mmap.ACCESS_READ):
         assert {file.name for file in left_behind(tmp_path)} == {"fastrtps_port7419", "fastrtps_port7419_el"}
     assert tried == ["fastrtps_port7419_el"]
+
+
+def test_the_next_one_listens_at_other_ports(tmp_path: Path) -> None:
+    """Than those that were killed last: whoever has their ports mapped goes on writing there."""
+    domain_id = free_domain_id()
+    first = PORT_BASE + PORTS_A_DOMAIN * domain_id
+    dead, alive, elsewhere = [first + 11, first + 13, first + 15], first + 17, first + PORTS_A_DOMAIN + 11
+    for age, port in enumerate((*dead, alive, elsewhere)):
+        made = time.time() - (2.0 + age) * YOUNG
+        for name in (f"fastrtps_port{port}", f"fastrtps_port{port}_el"):
+            (tmp_path / name).write_bytes(bytes(64))
+            os.utime(tmp_path / name, (made, made))
+    # of a port with many listeners there is none to take the place of
+    (tmp_path / f"fastrtps_port{first + 1}").write_bytes(bytes(64))
+    with (tmp_path / f"fastrtps_port{alive}_el").open("rb") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        assert dead_ports(tmp_path) == [*dead, elsewhere]
+        with ports_of_the_dead_held(domain_id, tmp_path) as held:
+            assert held == [first + 10, first + 11, first + 12, first + 13]
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other, pytest.raises(OSError):
+                other.bind(("127.0.0.1", dead[0]))
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", dead[0]))
 
 
 def test_a_killed_node_leaves_nothing(tmp_path: Path) -> None:

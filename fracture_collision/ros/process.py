@@ -22,6 +22,7 @@ from rclpy.node import Node
 
 from fracture_collision.ros.parameters import warn_of_unknown
 from fracture_collision.ros.shared_memory import remove_left_behind
+from fracture_collision.ros.successor_ports import ports_of_the_dead_held
 from fracture_collision.share import share_directory
 
 
@@ -73,7 +74,8 @@ def run_node(make_node: Callable[[], Node], work: Callable[[Node], None]) -> int
     rclpy.init()
     node = None
     try:
-        node = make_node()
+        with ports_of_the_dead_held(rclpy.get_default_context().get_domain_id()):
+            node = make_node()
         warn_of_unknown(node)
         work(node)
         return 0

@@ -13,6 +13,7 @@ import os
 import re
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 FOLDER = Path("/dev/shm")
@@ -20,7 +21,8 @@ FOLDER = Path("/dev/shm")
 YOUNG = 1.0  # [s]
 
 _FILE = re.compile(r"(?:sem\.)?(fastrtps_(?:[0-9a-f]{16}|port\d+))(?:_[es]l|_mutex)?")
-_LOCKS = ("_el", "_sl")
+_LOCKS = ("_el", "_sl")  # of who listens at a port alone, and with others
+_PORT = "fastrtps_port"
 
 
 def remove_left_behind(folder: Path = FOLDER) -> int:
@@ -41,10 +43,7 @@ def left_behind(folder: Path = FOLDER) -> set[Path]:
     As long as somebody has a dead one's port mapped it must stay: Fast DDS tells by it that the port is dead, and sends
     to the next one of that number.
     """
-    groups: dict[str, list[Path]] = {}
-    for file in folder.iterdir() if folder.is_dir() else ():
-        if (name := _FILE.fullmatch(file.name)) is not None:
-            groups.setdefault(name[1], []).append(file)
+    groups = _groups(folder)
     locked = _locked_inodes()
     suspects = {name: files for name, files in groups.items() if _seems_unused(files, locked)}
     if suspects:
@@ -59,6 +58,27 @@ def left_behind(folder: Path = FOLDER) -> set[Path]:
         if not any(_is_held(each) for each in files if each.name.endswith(_LOCKS))
         for file in files
     }
+
+
+def dead_ports(folder: Path = FOLDER) -> list[int]:
+    """Numbers of our ports that nobody listens at any more, the last one made first. Others may have them mapped."""
+    locked = _locked_inodes()
+    made: dict[int, float] = {}
+    for name, files in _groups(folder).items():
+        lock = folder / f"{name}_el"
+        if name.startswith(_PORT) and lock in files and _seems_unused(files, locked):
+            with suppress(OSError):  # it has gone in the meantime
+                made[int(name.removeprefix(_PORT))] = lock.stat().st_mtime
+    return sorted(made, key=made.__getitem__, reverse=True)
+
+
+def _groups(folder: Path) -> dict[str, list[Path]]:
+    """Files by the segment or port that they belong to."""
+    groups: dict[str, list[Path]] = {}
+    for file in folder.iterdir() if folder.is_dir() else ():
+        if (name := _FILE.fullmatch(file.name)) is not None:
+            groups.setdefault(name[1], []).append(file)
+    return groups
 
 
 def _seems_unused(files: list[Path], locked: set[int]) -> bool:
