@@ -86,8 +86,8 @@ def drop_notices(page: Any) -> None:
 
 
 def knob(page: Any, label: str) -> Any:
-    """The input in the row of a label that begins so: of a slider its number, of a dropdown its text."""
-    row = page.locator("label", has_text=re.compile(f"^{re.escape(label)}")).locator("xpath=ancestor::*[.//input][1]")
+    """The input in the row of a label: of a slider its number, of a dropdown its text."""
+    row = page.locator("label", has_text=re.compile(f"^{re.escape(label)}$")).locator("xpath=ancestor::*[.//input][1]")
     return row.locator("input:visible").last
 
 

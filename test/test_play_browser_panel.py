@@ -107,14 +107,14 @@ def test_sliders_reach_the_service_and_its_answers(scene: LivePage, page: Any) -
 
     smash(scene, page)
     scene.until(lambda: most_contacts() > 1, "pairs with several contacts")
-    knob(page, "epsilon").fill("0.02")
+    knob(page, "epsilon, share of R").fill("0.02")
     has("penetration_tolerance", 0.02)
     knob(page, "contacts a pair").fill("1")
     has("contacts_per_pair", 1)
     scene.until(lambda: most_contacts() == 1, "pairs with one contact each")
     knob(page, "contacts a pair").fill("8")
     has("contacts_per_pair", 8)
-    knob(page, "epsilon").fill("0")
+    knob(page, "epsilon, share of R").fill("0")
     has("penetration_tolerance", 0.0)
     scene.until(lambda: most_contacts() > 1, "pairs with several contacts")
 

@@ -60,6 +60,8 @@ class ServiceSettings:
         if self._asking is None or event.node != self._asking[1]:
             return
         if any(parameter.name in Settings._fields for parameter in event.changed_parameters):
+            # an answer that is on its way may be from before
+            self._drop_request()
             self._known, self._request_due = None, 0.0
 
     def _on_answer(self, future: Future) -> None:
