@@ -12,6 +12,8 @@ from browser import chromium, knob, opened, until
 from live_page import LivePage, live_page, on_a_plate
 
 PLATES = 4
+# A browser that draws in software, on the processors of the nodes, takes minutes for these.
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture

@@ -20,6 +20,8 @@ from fracture_collision.ros import qos
 from fracture_collision.viewer.recorded_run import read_run
 
 PLATES = 4
+# A browser that draws in software, on the processors of the nodes, takes minutes for these.
+pytestmark = pytest.mark.slow
 BUDGET_EXHAUSTED = 1
 
 

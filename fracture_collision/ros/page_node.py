@@ -83,6 +83,7 @@ class PageNode(Node):
         self._stop_timer: Timer | None = None  # of the hammer, after the last arrow key
         self._awaits_joints = False  # of an arm that has come
         self._refused = ""  # as the simulator said last
+        self._set: list[ServiceSliders] = []  # by a person, since the service was last heard to have it
 
         limits = joint_limits()
         joints = tuple(map(Joint, limits.names, limits.lower.tolist(), limits.upper.tolist()))
@@ -202,8 +203,14 @@ class PageNode(Node):
             self.page.show_arm(message.position)
 
     def _on_settings(self, settings: dict[str, Any]) -> None:
+        """Sliders that a person has moved meanwhile must not jump back: what comes is what they said a moment ago."""
         self._mirror.hear_settings(settings)
-        self.page.show_service(ServiceSliders(**{name: settings[name] for name in ServiceSliders._fields}))
+        has = ServiceSliders(**{name: settings[name] for name in ServiceSliders._fields})
+        if has in self._set:
+            del self._set[: self._set.index(has)]
+        else:
+            self._set.clear()
+            self.page.show_service(has)
 
     def _on_times(self, message: AnswerTimes) -> None:
         status = self._status
@@ -305,6 +312,7 @@ class PageNode(Node):
         chosen.add_done_callback(lambda _done: self._answered(self._hands.reset(), f"scene {scene}"))
 
     def _set_service(self, sliders: ServiceSliders) -> None:
+        self._set.append(sliders)
         parameters = [Parameter(name, value=value) for name, value in sliders._asdict().items()]
         self._service.set_parameters(parameters).add_done_callback(self._look_at_results)
 
