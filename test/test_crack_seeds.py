@@ -9,10 +9,11 @@ from fractured_worlds import FracturedWorld, fractured_world, with_settings
 from fracture_collision.geometry.generators import ball, shell
 from fracture_collision.records import ContactConstraintArray
 from fracture_collision.world import CollisionWorld, Settings
+from fracture_collision.world.inspection import EVERY_CONTACT
 
 EPSILON = 0.05  # [R]
 SEEDED = Settings(threads=1, neighbour_lists=False, penetration_tolerance=EPSILON)
-EVERYTHING = SEEDED._replace(contacts_per_pair=1 << 30)
+EVERYTHING = SEEDED._replace(contacts_per_pair=EVERY_CONTACT)
 NEAREST = {"normals": "nearest"}  # depths of the bound, which gaps along turned normals are not
 Contact = tuple[float, ...]
 

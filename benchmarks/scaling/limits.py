@@ -29,6 +29,7 @@ from fracture_collision.core.compiled import threaded_kernel
 from fracture_collision.core.moments import add_row, tetrahedron_terms
 from fracture_collision.records import FragmentStates
 from fracture_collision.world import CollisionWorld
+from fracture_collision.world.inspection import EVERY_CONTACT
 
 # As `python -m benchmarks.peers --csv` leaves it: the aims are ratios to its times.
 PEERS = Path(__file__).resolve().parents[2] / "docs" / "peers.csv"
@@ -122,7 +123,8 @@ def _least_query(world: World, tolerance: float) -> tuple[float, str]:
     share is left out unseen: in place it touches, so only where it is now says that it no longer does.
     """
     settings = SEARCHED._replace(penetration_tolerance=tolerance) if tolerance else SEARCHED
-    service, in_place = (_broken(world, chosen) for chosen in (settings, SEARCHED._replace(contacts_per_pair=1 << 30)))
+    everything = SEARCHED._replace(contacts_per_pair=EVERY_CONTACT)
+    service, in_place = (_broken(world, chosen) for chosen in (settings, everything))
     shared = _contacts_of_pairs(in_place, next(f for f in world.frames if f.kind == "touch"), world)
     contacts, located = [], []
     for frame in world.frames:

@@ -135,6 +135,7 @@ class PageNode(Node):
             self.page.new_run()
             if self._early is not None and self._of_this_run(self._early.run_id):
                 self._show(self._early)
+            self._early = None
         body = to_record(message)
         self._mirror.hear(body)
         if body.operation == REMOVE:
