@@ -80,7 +80,8 @@ def shows_bricks(picture: np.ndarray) -> bool:
 
 def test_a_run_is_played_reloaded_and_looked_at_twice(browser: Any, player: BagPlayer) -> None:
     with opened(browser, player.page.address) as page:
-        still = until(lambda: picture_of(page), shows_bricks)
+        until(lambda: picture_of(page), shows_bricks)
+        still = steady(page)  # bricks are there before all lights are
         page.get_by_role("button", name="play").click()
         page.get_by_text("1.18 s").wait_for()  # the end
         moved = until(lambda: picture_of(page), shows_bricks)
