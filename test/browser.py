@@ -21,6 +21,15 @@ WIDTH, HEIGHT = 800, 270
 PANEL = 340  # [px] on the right
 # What viser 1.1 says of its own listeners when something is dragged; nothing is wrong then.
 KNOWN = "Unable to preventDefault inside passive event listener"
+# viser warns of a browser that draws in software, in a notice over the scene, whenever it gets around to it. Notices
+# are there and say what they say, but no picture shows them and clicks go through them.
+UNSEEN = """
+document.addEventListener("DOMContentLoaded", () => {
+  const style = document.createElement("style");
+  style.textContent = ".mantine-Notification-root { opacity: 0 !important; pointer-events: none !important }";
+  document.head.append(style);
+});
+"""
 
 Found = TypeVar("Found")
 
@@ -45,6 +54,7 @@ def opened(browser: Any, address: str) -> Iterator[Any]:
     anybody but the address.
     """
     context = browser.new_context(viewport={"width": WIDTH, "height": HEIGHT})
+    context.add_init_script(UNSEEN)
     page = context.new_page()
     page.set_default_timeout(1e3 * PATIENCE)
     wrong: list[str] = []
@@ -74,15 +84,6 @@ def picture_of(page: Any) -> np.ndarray:
     """(height, width, 3) 0..1, of what the panel leaves free."""
     shot = page.screenshot(clip={"x": 0, "y": 0, "width": WIDTH - PANEL, "height": HEIGHT}, timeout=1e3 * PATIENCE)
     return imread(io.BytesIO(shot))[..., :3]
-
-
-def drop_notices(page: Any) -> None:
-    """They lie over the scene: viser warns of a browser that draws in software. Hidden, not removed: the page looks for
-    them when their time is over.
-    """
-    page.evaluate(
-        "document.querySelectorAll('.mantine-Notification-root').forEach(each => each.style.display = 'none')"
-    )
 
 
 def knob(page: Any, label: str) -> Any:

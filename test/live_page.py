@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from browser import drop_notices, knob, picture_of, until
+from browser import knob, picture_of, until
 from fracture_collision.msg import ContactConstraintArray, FragmentStates, SimulationStatus
 from ros_client import PATIENCE, ServiceClient
 
@@ -77,7 +77,6 @@ def colourful(picture: np.ndarray) -> np.ndarray:
 
 def on_a_plate(page: Any) -> tuple[float, float]:
     """A pixel amid many of one colour family."""
-    drop_notices(page)
     seen = colourful(until(lambda: picture_of(page), lambda picture: np.count_nonzero(colourful(picture)) > 300))
     # the pixel with the most others about it
     sums = np.pad(seen.cumsum(0).cumsum(1), ((1, 0), (1, 0)))

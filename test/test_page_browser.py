@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser import HEIGHT, PATIENCE, WIDTH, chromium, drop_notices, knob, opened, picture_of, until
+from browser import HEIGHT, PATIENCE, WIDTH, chromium, knob, opened, picture_of, until
 from small_run import small_run
 
 from fracture_collision.records import CollisionBody, ContactConstraintArray, FragmentStates, refusal_of
@@ -245,7 +245,6 @@ EDGES = 500  # pixels that differ where edges are drawn anew
 def steady(page: Any) -> np.ndarray:
     """A picture in which nothing changes any more: lights and sky come by and by."""
     page.wait_for_load_state("networkidle")
-    drop_notices(page)
     last, equal = picture_of(page), 0
     while equal < 5:
         picture = picture_of(page)
