@@ -7,6 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 from fracture_collision.geometry.concave_shapes import l_block, torus
 from fracture_collision.geometry.generators import TetGeometry, ball, bowl, brick, plate, shell
@@ -20,6 +23,7 @@ from fracture_collision.geometry.tetrahedra import (
     tetrahedron_volumes,
     unique_edges,
 )
+from fracture_collision.geometry.unique_rows import unique_rows
 
 SHAPES = {
     "ball": lambda h: ball(0.05, 0.05 * h),
@@ -259,3 +263,11 @@ def test_a_missing_mesher_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(builtins, "__import__", without_mesher)
     with pytest.raises(ModuleNotFoundError, match="pip install"):
         tetrahedralize_surface(*torus_surface(), 0.03)
+
+
+@given(arrays(np.float32, st.tuples(st.integers(0, 40), st.integers(1, 4)), elements=st.sampled_from([-1, -0.0, 0, 3])))
+def test_unique_rows_are_those_of_numpy(rows: np.ndarray) -> None:
+    chosen, kind = unique_rows(rows)
+    expected, inverse = np.unique(rows + 0.0, axis=0, return_inverse=True)  # + 0.0: one zero
+    assert np.array_equal(rows[chosen], expected)
+    assert np.array_equal(kind, inverse.ravel())

@@ -35,6 +35,7 @@ class Answers:
         self._rows = _row_file(timing_file) if timing_file else None
         self._registry_version: tuple[int, int, int, int] | None = None
         self._meshes_published: set[int] = set()
+        self._meshes_version: tuple[int, int, int, int] | None = None  # of which all are published
         self.times = AnswerTimes()
         self.last = "no answer yet"
 
@@ -52,7 +53,7 @@ class Answers:
 
     def forget(self) -> None:
         """A new run."""
-        self._registry_version = None
+        self._registry_version = self._meshes_version = None
         self._markers.forget()
         if self._meshes_published:
             # A latched publisher keeps all it ever sent, and tells it to who comes; these are no more.
@@ -110,12 +111,13 @@ class Answers:
 
     def _publish_meshes(self, run: CollisionRun, heading: Heading) -> None:
         """Of fragments that have none on the topic yet, while somebody looks."""
-        if self._meshes.subscriber_count == 0:
+        if self._meshes_version == self._registry_version or self._meshes.subscriber_count == 0:
             return
+        self._meshes_version = self._registry_version
         for fragment_id in run.world.fragments().fragment_ids.tolist():
             if fragment_id not in self._meshes_published:
                 self._meshes_published.add(fragment_id)
-                self._meshes.publish(to_message(run.world.fragment_mesh(fragment_id), heading, run.run_id))
+                self._meshes.publish(serialize_record(run.world.fragment_mesh(fragment_id), heading, run.run_id))
 
 
 def _row_file(path: str) -> RowFile:

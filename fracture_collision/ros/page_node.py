@@ -109,7 +109,7 @@ class PageNode(Node):
             (qos.BODIES, self._on_body, qos.BODIES.qos, False),
             (qos.FRACTURE_EVENTS, self._on_fracture, qos.FRACTURE_EVENTS.qos, False),
             (qos.FRAGMENTS, self._on_registry, qos.FRAGMENTS.qos, False),
-            (qos.FRAGMENT_MESHES, self._on_mesh, qos.FRAGMENT_MESHES.qos, False),
+            (qos.FRAGMENT_MESHES, self._on_mesh, qos.FRAGMENT_MESHES.qos, True),
             (qos.FRAGMENT_STATES, self._on_states, LOOKING, True),
             (qos.CONTACT_CONSTRAINTS, self._on_contacts, LOOKING, True),
             (qos.SIMULATION_STATUS, self._on_status, LOOKING, False),
@@ -159,15 +159,16 @@ class PageNode(Node):
         if self._of_this_run(message.run_id):
             self._body_of.update(zip(message.fragment_ids, message.body_ids, strict=True))
 
-    def _on_mesh(self, message: Any) -> None:
-        if not self._of_this_run(message.run_id):
-            return
-        mesh = to_record(message)
-        body_id = self._body_of.get(mesh.fragment_id)
-        if body_id is None:
-            self._meshes[mesh.fragment_id] = mesh  # its event is still on its way
-        else:
-            self.page.add_fragment(mesh, body_id)
+    def _on_mesh(self, data: bytes) -> None:
+        with suppress(ValueError):  # no mesh
+            _, run_id, mesh = deserialize_record(data, qos.FRAGMENT_MESHES.message_class)
+            if not self._of_this_run(run_id):
+                return
+            body_id = self._body_of.get(mesh.fragment_id)
+            if body_id is None:
+                self._meshes[mesh.fragment_id] = mesh  # its event is still on its way
+            else:
+                self.page.add_fragment(mesh, body_id)
 
     def _on_states(self, data: bytes) -> None:
         with suppress(ValueError):  # no states; the service says so

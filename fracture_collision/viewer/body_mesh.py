@@ -6,9 +6,11 @@ import numpy as np
 
 from fracture_collision.geometry.generators import brick, shell
 from fracture_collision.geometry.tetrahedra import boundary_triangles
+from fracture_collision.geometry.unique_rows import unique_rows
 from fracture_collision.records import BOX, SPHERE, CollisionBody, FragmentMesh
 from fracture_collision.viewer.shading import smooth_normals
 
+PLACE_DIGITS = 7  # of coordinates [m]: what agrees so far is at the same place
 CREASE = float(np.cos(np.radians(35.0)))  # corners of triangles that meet more sharply are not smoothed
 
 
@@ -20,7 +22,8 @@ class BodyMesh:
         self.triangles = vertices[triangles].astype(np.float64)  # (t, 3, 3)
         self.is_crack = np.zeros(len(triangles), dtype=np.bool_) if is_crack is None else is_crack
         self.normals = np.empty((3 * len(triangles), 3))
-        place = _places(vertices)[triangles.ravel()]
+        _, places = unique_rows(np.round(vertices.astype(np.float64), PLACE_DIGITS))
+        place = places[triangles.ravel()]
         corners = np.argsort(place, kind="stable")
         begin = np.searchsorted(place[corners], np.arange(place.max(initial=-1) + 2))
         smooth_normals(self.triangles, self.is_crack, corners, begin, CREASE, self.normals)
@@ -45,13 +48,3 @@ def mesh_of_body(body: CollisionBody) -> BodyMesh:
 
 def mesh_of_fragment(mesh: FragmentMesh) -> BodyMesh:
     return BodyMesh(mesh.vertices.reshape(-1, 3), mesh.triangles.reshape(-1, 3), mesh.is_crack)
-
-
-def _places(points: np.ndarray) -> np.ndarray:
-    """(n,) a number each, the same for points at the same place, to 1e-7 m."""
-    rounded = np.round(points.astype(np.float64), 7)
-    order = np.lexsort(rounded.T)  # many times faster than np.unique of rows
-    ordered = rounded[order]
-    places = np.zeros(len(points), dtype=np.int64)
-    places[order[1:]] = np.cumsum(np.any(ordered[1:] != ordered[:-1], axis=1))
-    return places

@@ -12,7 +12,8 @@ import struct
 
 import numpy as np
 
-from fracture_collision.viewer.body_mesh import BodyMesh
+from fracture_collision.geometry.unique_rows import unique_rows
+from fracture_collision.viewer.body_mesh import PLACE_DIGITS, BodyMesh
 from fracture_collision.viewer.palette import Paint
 
 GLAZE_ROUGHNESS, PLAIN_ROUGHNESS, CRACK_ROUGHNESS = 0.32, 0.75, 1.0
@@ -44,13 +45,8 @@ def _smooth_corners(triangles: np.ndarray, normals: np.ndarray) -> tuple[np.ndar
     points = triangles.reshape(-1, 3)
     steps = np.round(_STEPS * normals.reshape(-1, 3)).astype(np.int64) + _STEPS
     key = (steps[:, 0] * 512 + steps[:, 1]) * 512 + steps[:, 2]
-    rows = np.column_stack((np.round(points, 7), key))
-    order = np.lexsort(rows.T)
-    first = np.ones(len(rows), dtype=np.bool_)
-    first[1:] = np.any(rows[order[1:]] != rows[order[:-1]], axis=1)
-    index = np.empty(len(rows), dtype=np.int64)
-    index[order] = np.cumsum(first) - 1
-    return points[order[first]], index
+    chosen, index = unique_rows(np.column_stack((np.round(points, PLACE_DIGITS), key)))
+    return points[chosen], index
 
 
 class _File:

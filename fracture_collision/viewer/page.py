@@ -274,15 +274,16 @@ class Page:
         contacts: ContactConstraintArray | None,
         redraw: bool,
     ) -> None:
-        for order in orders:
-            order()
-        if states is not None:
-            self._placed = states
-            self.pictures += 1
-        if self._placed is not None and (states is not None or orders):  # what has come may be named already
-            all_there = self._scene.place(self._placed)
-            if all_there and not self._scene.is_looked_at:
-                self._scene.look_at_all()
+        with self._server.atomic():  # else each message by itself would wake the thread that sends them
+            for order in orders:
+                order()
+            if states is not None:
+                self._placed = states
+                self.pictures += 1
+            if self._placed is not None and (states is not None or orders):  # what has come may be named already
+                all_there = self._scene.place(self._placed, again=states is None)
+                if all_there and not self._scene.is_looked_at:
+                    self._scene.look_at_all()
         if orders:
             self._server.flush()  # else what is new would wait for more, as poses may
         if redraw:

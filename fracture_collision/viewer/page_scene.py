@@ -94,8 +94,9 @@ class SceneNodes:
         for fragment_id in [f for f, fragment in self._fragments.items() if fragment.body_id == body_id]:
             self.remove(fragment_id)
 
-    def place(self, states: FragmentStates) -> bool:
-        """Everything where the states say; what they do not name is not shown, static bodies apart.
+    def place(self, states: FragmentStates, *, again: bool = False) -> bool:
+        """Everything where the states say; what they do not name is not shown, static bodies apart. `again`: these
+        states were placed before, and only what has come since is not where they say.
 
         While a mesh is still on its way nothing is taken off: a body stays until its pieces are there. False: so it is.
         """
@@ -103,8 +104,10 @@ class SceneNodes:
         xyzw = states.orientations.reshape(-1, 4)
         poses = np.hstack((states.positions.reshape(-1, 3), xyzw[:, [3, 0, 1, 2]]))
         known = [i for i, fragment_id in enumerate(ids) if fragment_id in self._fragments]
-        self._place([ids[i] for i in known], poses[known])
         all_there = len(known) + len(self._planes.intersection(ids)) == len(ids)
+        if again:
+            known = [i for i in known if ids[i] not in self._poses]
+        self._place([ids[i] for i in known], poses[known])
         if all_there:
             gone = set(self._poses) - set(ids)
             for fragment_id in sorted(gone):

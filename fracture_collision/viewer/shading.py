@@ -160,10 +160,11 @@ def smooth_normals(triangles, is_crack, corners, begin, crease, normals):
     for place in range(len(begin) - 1):
         for a in range(begin[place], begin[place + 1]):
             own = corners[a] // 3
+            ax, ay, az = area[own, 0], area[own, 1], area[own, 2]
             x = y = z = 0.0
             for b in range(begin[place], begin[place + 1]):
                 other = corners[b] // 3
-                dot = (area[own] * area[other]).sum()
+                dot = ax * area[other, 0] + ay * area[other, 1] + az * area[other, 2]
                 if own == other or (is_crack[own] == is_crack[other] and dot > crease * length[own] * length[other]):
                     x, y, z = x + area[other, 0], y + area[other, 1], z + area[other, 2]
             size = max(math.sqrt(x * x + y * y + z * z), 1e-300)

@@ -9,6 +9,7 @@ from fracture_collision.core.kinds import BOX, PLANE, SPHERE, TRIANGLES
 from fracture_collision.core.surface_triangles import surface_triangles
 from fracture_collision.geometry.generators import ball, brick
 from fracture_collision.geometry.tetrahedra import boundary_triangles
+from fracture_collision.geometry.unique_rows import unique_rows
 from fracture_collision.records import FragmentMesh
 
 SPHERE_EDGE = 0.2  # of the radius: round enough to look at
@@ -46,7 +47,6 @@ def _plane_square(shape: np.ndarray) -> np.ndarray:
 
 
 def _record(fragment_id: int, corners: np.ndarray, is_crack: np.ndarray) -> FragmentMesh:
-    vertices, index = np.unique(corners.reshape(-1, 3).astype(np.float32), axis=0, return_inverse=True)
-    return FragmentMesh(
-        fragment_id, np.ascontiguousarray(vertices).ravel(), index.astype(np.uint32).ravel(), is_crack.astype(np.bool_)
-    )
+    points = corners.reshape(-1, 3).astype(np.float32)
+    chosen, index = unique_rows(points)
+    return FragmentMesh(fragment_id, points[chosen].ravel(), index.astype(np.uint32), is_crack.astype(np.bool_))
