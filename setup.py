@@ -63,7 +63,7 @@ class BuildMessages(Command):
             f"-DCMAKE_INSTALL_PREFIX={self.stage}",
             f"-DCMAKE_PREFIX_PATH={prefixes}",
             f"-DPython3_EXECUTABLE={sys.executable}",
-            "-DCMAKE_BUILD_TYPE=Release",
+            f"-DCMAKE_BUILD_TYPE={os.environ.get('CMAKE_BUILD_TYPE', 'Release')}",
             "-DBUILD_TESTING=OFF",
             "-DINSTALL_PYTHON_PACKAGE=OFF",
         ]  # fmt: skip

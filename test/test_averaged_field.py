@@ -237,8 +237,10 @@ def _world_of(
     return made
 
 
-@pytest.mark.parametrize("budget", [0, 1000])
-@pytest.mark.parametrize("jitter", [0.02, 0.15])
+@pytest.mark.parametrize(
+    ("jitter", "budget"),
+    [(0.02, 0), (0.15, 1000), *(pytest.param(*each, marks=pytest.mark.slow) for each in ((0.02, 1000), (0.15, 0)))],
+)
 def test_no_unlisted_sample_is_deeper_than_the_bound(case: FracturedWorld, jitter: float, budget: int) -> None:
     world = case.world
     if budget:

@@ -12,12 +12,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from matplotlib.image import imread
 from rosbags.highlevel import AnyReader
+from scene_of_length import scene_of_length
 
 from fracture_collision.bag.reader import read_messages
-from fracture_collision.share import share_directory
 
 SCENE = "pane"
 STEPS = 60
@@ -120,9 +119,7 @@ def test_two_runs_are_the_same_byte_for_byte(smashed: tuple[Path, str], tmp_path
 
 @pytest.mark.parametrize("order", [signal.SIGINT, signal.SIGTERM])
 def test_stopped_in_the_middle_it_leaves_no_process(tmp_path: Path, order: signal.Signals) -> None:
-    long_scene = tmp_path / "long.yaml"
-    pane = yaml.safe_load((share_directory() / "config" / "scenes" / f"{SCENE}.yaml").read_text())
-    long_scene.write_text(yaml.safe_dump(pane | {"duration": 600.0}))
+    long_scene = scene_of_length(SCENE, 600.0, tmp_path)
     out = tmp_path / "out"
     with (tmp_path / "said.txt").open("w") as said:
         process = subprocess.Popen(

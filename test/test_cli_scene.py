@@ -13,14 +13,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from click.testing import CliRunner, Result
 from matplotlib.image import imread
+from scene_of_length import scene_of_length
 
 from fracture_collision.cli import main
 from fracture_collision.cli.scene import RESULTS, parse_settings
 from fracture_collision.scene_run import SceneRun, StepFigures
-from fracture_collision.share import share_directory
 from fracture_collision.simulation.scene import load_scene
 from fracture_collision.world import Settings
 
@@ -159,9 +158,7 @@ def test_help_teaches() -> None:
 
 @pytest.mark.parametrize("order", [signal.SIGINT, signal.SIGTERM])
 def test_stopped_in_the_middle_it_says_so_and_keeps_what_was_done(tmp_path: Path, order: signal.Signals) -> None:
-    scene = tmp_path / "long.yaml"
-    pane = yaml.safe_load((share_directory() / "config" / "scenes" / "pane.yaml").read_text())
-    scene.write_text(yaml.safe_dump(pane | {"duration": 600.0}))
+    scene = scene_of_length("pane", 600.0, tmp_path)
     out, said = tmp_path / "out", tmp_path / "said.txt"
     out.mkdir()
     (out / "report.json").write_text("of the run before")

@@ -63,6 +63,7 @@ def test_a_person_smashes_plates(browser: Any, scene: LivePage) -> None:
     scene.until(lambda: not in_the_air(), "a plate that fell")
 
 
+@pytest.mark.slow  # as are other minutes in front of a page that a processor draws
 def test_two_people_look_at_a_scene_that_pauses(browser: Any, scene: LivePage) -> None:
     with opened(browser, scene.address) as page:
         page.get_by_label("shadows").uncheck()

@@ -21,6 +21,7 @@ from recorded_pane import STEPS, record_pane, replayed
 from ros_client import ServiceClient
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability
+from scene_of_length import scene_of_length
 from test_replay import CONTACTS, EVENTS, STATES
 
 from fracture_collision.bag.cdr import serialize_record
@@ -37,7 +38,6 @@ from fracture_collision.ros.own_context import own_context
 from fracture_collision.ros.replay_run import OverDds
 from fracture_collision.ros.scene_recording import TOPICS, record_scene
 from fracture_collision.ros.service_settings import ServiceSettings
-from fracture_collision.share import share_directory
 from fracture_collision.simulation.scene import load_scene
 from fracture_collision.world import Settings
 
@@ -102,9 +102,7 @@ def test_nodes_record_what_the_library_records(tmp_path: Path) -> None:
 
 
 def test_a_recorder_killed_in_mid_run_leaves_a_bag_that_opens(tmp_path: Path) -> None:
-    long_scene = tmp_path / "long.yaml"
-    pane = yaml.safe_load((share_directory() / "config" / "scenes" / "pane.yaml").read_text())
-    long_scene.write_text(yaml.safe_dump(pane | {"duration": 600.0}))
+    long_scene = scene_of_length("pane", 600.0, tmp_path)
     recording = Recording(tmp_path, long_scene, {"threads": 1})
     file = recording.bag / "bag_0.mcap"
     try:
