@@ -16,7 +16,7 @@ from matplotlib.image import imread
 
 PROGRAMS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 ARGUMENTS = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox")  # root has no other way
-PATIENCE = 60.0  # [s] with pictures drawn in software on a machine that does other things beside
+PATIENCE = 120.0  # [s] with pictures drawn in software on a machine that does other things beside
 WIDTH, HEIGHT = 800, 270
 PANEL = 340  # [px] on the right
 # What viser 1.1 says of its own listeners when something is dragged; nothing is wrong then.

@@ -17,7 +17,7 @@ from fracture_collision.ros import qos
 from fracture_collision.ros.conversion import heading, to_message, to_record
 from fracture_collision.ros.own_context import own_context
 
-PATIENCE = 60.0  # [s] for a machine that is busy with other things
+PATIENCE = 120.0  # [s] for a machine that is busy with other things
 ASK_AGAIN = 5.0  # [s]
 
 

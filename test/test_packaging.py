@@ -38,7 +38,7 @@ def clean_environment(**changes: str) -> dict[str, str]:
 
 def run(*command: str | Path, cwd: Path, environment: dict[str, str]) -> str:
     done = subprocess.run(
-        [str(part) for part in command], cwd=cwd, env=environment, capture_output=True, text=True, timeout=240
+        [str(part) for part in command], cwd=cwd, env=environment, capture_output=True, text=True, timeout=800
     )
     assert done.returncode == 0, f"{command}\n{done.stdout[-4000:]}\n{done.stderr[-4000:]}"
     return done.stdout

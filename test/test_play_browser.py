@@ -48,6 +48,7 @@ def test_a_person_smashes_plates(browser: Any, scene: LivePage) -> None:
         page.get_by_role("button", name="start over").click()
         scene.until(lambda: scene.status.run_id != run_id and scene.status.step > 5, "another run")
         assert scene.status.fragments == PLATES
+        page.get_by_text(f"· {PLATES} fragments").wait_for()  # until then what it shows are shards
 
         x, y = on_a_plate(page)
         begin = scene.places()

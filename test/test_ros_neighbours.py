@@ -36,7 +36,6 @@ ANSWERS = "fracture_collision: answers"
 OVERTAKEN = "messages overtaken before all had them"
 SLOW = "slow subscribers"
 FORGOTTEN = "died without a word and is forgotten"
-pytestmark = pytest.mark.timeout(300)
 
 
 @pytest.mark.parametrize("victim", ["recorder", "service"])

@@ -7,27 +7,46 @@ nothing takes what a browser is handed; then a Chromium without a graphics proce
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
+from itertools import cycle
 from pathlib import Path
 from statistics import median
+from typing import Any, NamedTuple
 
 import click
 import yaml
 
 from benchmarks.page.lookers import Looker, browser, taker
-from benchmarks.page.person import PLATES, Fracture, scene_played, throw_at
+from benchmarks.page.person import PLATES, Fracture, Person, scene_played, throw_at
 from campaigns.soak import processor_seconds
 from fracture_collision.share import share_directory
 
 AFTERWARDS = 1.5  # [s] for all to come of a ball
 DRAWN = 1.0  # [s] in which what has come is drawn, and no other ball flies yet
-SMALLEST = 0.3  # [kg] of a brick that still breaks: of 32 bricks come some 250 pieces
 FRAGMENTS = 200
+BALLS = 1.0  # [s] between two
 WATCHED = 10.0  # [s]
 ASKED_MS, ASKED_PICTURES = 100.0, 30.0
 
 Look = Callable[[str], AbstractContextManager[Looker]]
+
+
+class Busy(NamedTuple):
+    """A scene whose material breaks into more than 200 pieces."""
+
+    scene: str
+    material: str
+    fracture: dict[str, Any]  # in place of what the scene says
+    aims: tuple[Sequence[float], ...] = ()  # [m] of balls, one after another: shards soon lie still
+
+
+LYING = tuple((x, y, z - 0.07) for x, y, z in PLATES)
+BUSY = (
+    Busy("bricks", "clay", {"minimum_mass": 0.5}),
+    Busy("plates", "porcelain", {"minimum_mass": 0.01, "pattern": {"seeds": 60}}, PLATES + LYING),
+)
 
 
 def measure_fractures(look: Look, rounds: int) -> tuple[list[float], list[float]]:
@@ -62,31 +81,52 @@ def _latencies(fractures: list[Fracture], looker: Looker, handed: list[float], s
                 shown.append(1e3 * (drawn[-1] - fracture.time))
 
 
-def measure_pictures(look: Look) -> str:
-    """Bricks fall and break, the machine as busy with them as it can be."""
-    with tempfile.TemporaryDirectory() as folder:
-        content = yaml.safe_load((share_directory() / "config" / "scenes" / "bricks.yaml").read_text())
-        content["materials"]["clay"]["fracture"]["minimum_mass"] = SMALLEST
-        file = Path(folder) / "small_bricks.yaml"
-        file.write_text(yaml.safe_dump(content))
-        with scene_played(str(file)) as (run, person), look(run.address) as looker:
-            person.begin_again()
-            person.until(lambda: person.status.fragments >= FRAGMENTS, f"{FRAGMENTS} fragments")
-            looker.pictures()
-            before, step = [processor_seconds(node.pid) for node in run.nodes], person.status.step
-            person.wait(WATCHED)
-            pictures, status = looker.pictures(), person.status
-            used = [processor_seconds(node.pid) - b for node, b in zip(run.nodes, before, strict=True)]
+def measure_pictures(look: Look, busy: Busy) -> str:
+    """From 200 fragments on, the machine as busy with them as it can be."""
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        scene_played(str(_scene_file(Path(folder), busy))) as (run, person),
+        look(run.address) as looker,
+    ):
+        person.begin_again()
+        balls = cycle(busy.aims)
+        while person.status.fragments < FRAGMENTS:
+            _throw_next(person, balls)
+        looker.pictures()
+        before, step = [processor_seconds(node.pid) for node in run.nodes], person.status.step
+        end = time.monotonic() + WATCHED
+        while time.monotonic() < end:
+            _throw_next(person, balls)
+        pictures, status = looker.pictures(), person.status
+        used = [processor_seconds(node.pid) - b for node, b in zip(run.nodes, before, strict=True)]
     shares = ", ".join(
         f"{node.name} {100.0 * seconds / pictures.seconds:.0f} %" for node, seconds in zip(run.nodes, used, strict=True)
     )
     rate = pictures.count / pictures.seconds
-    words = f"{rate:.1f} pictures a second (asked: {ASKED_PICTURES:.0f}) of {status.fragments} fragments"
+    words = f"{busy.scene}: {rate:.1f} pictures a second (asked: {ASKED_PICTURES:.0f}) of {status.fragments} fragments"
     if pictures.moved:
         words += f", {pictures.moved:.0f} of them moving; {1e3 * used[-1] / pictures.count:.1f} ms of the page's"
         words += " processor time a picture"
-    words += f"; {(status.step - step) / pictures.seconds:.0f} steps a second"
+    words += f"; {(status.step - step) / pictures.seconds:.0f} steps a second, {status.contacts} contacts"
     return f"{words}; of a core: {shares}"
+
+
+def _scene_file(folder: Path, busy: Busy) -> Path:
+    content = yaml.safe_load((share_directory() / "config" / "scenes" / f"{busy.scene}.yaml").read_text())
+    own = content["materials"][busy.material]["fracture"]
+    pattern = own["pattern"] | busy.fracture.get("pattern", {})
+    content["materials"][busy.material]["fracture"] = own | busy.fracture | {"pattern": pattern}
+    file = folder / f"{busy.scene}.yaml"
+    file.write_text(yaml.safe_dump(content))
+    return file
+
+
+def _throw_next(person: Person, places: Iterator[Sequence[float]]) -> None:
+    """A ball, where there is a place left to throw one at; and its time."""
+    place = next(places, None)
+    if place is not None:
+        throw_at(person, place)
+    person.wait(BALLS)
 
 
 def _words(times: list[float]) -> str:
@@ -112,7 +152,8 @@ def main(rounds: int, draws: bool) -> None:
         click.echo(f"  fracture published to meshes in the browser: {_words(handed)}")
         if shown:
             click.echo(f"  fracture published to shown: {_words(shown)}")
-        click.echo(f"  {measure_pictures(look)}")
+        for busy in BUSY:
+            click.echo(f"  {measure_pictures(look, busy)}")
 
 
 if __name__ == "__main__":
