@@ -24,6 +24,7 @@ def test_a_taker_gets_meshes_and_poses_as_a_browser_does() -> None:
             until(lambda: sorted(mesh.fragment_id for mesh in seen.meshes()), lambda ids: ids == [2, 3, 4, 5])
             until(lambda: page.browsers, lambda count: count == 1)
             until(lambda: seen.pictures().count, bool)  # what was there when it came
+            until(lambda: seen.pictures().count, lambda count: count == 0)
             places, counted = states.positions.reshape(-1, 3), []
             for step in range(1, PICTURES + 1):
                 before = page.pictures

@@ -5,12 +5,12 @@ All times are the wall clock's [s], as DDS stamps its messages with it: nodes, l
 
 from __future__ import annotations
 
+import math
 import re
 import shutil
 import struct
 import threading
 import time
-from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -61,7 +61,8 @@ class Taker:
     def __init__(self, address: str) -> None:
         self._meshes: list[Mesh] = []
         self._lock = threading.Lock()
-        self._poses: Counter[int] = Counter()  # messages by fragment
+        self._count = self._moved = 0  # pictures, and places in them
+        self._last_placed = math.inf  # fragment
         self._asked = time.time()
         # by this viser knows a page from a stranger
         self._socket = connect(
@@ -84,11 +85,9 @@ class Taker:
 
     def pictures(self) -> Pictures:
         with self._lock:
-            poses, self._poses = self._poses, Counter()
+            count, moved, self._count, self._moved = self._count, self._moved, 0, 0
             asked, self._asked = self._asked, time.time()
-        # what moves always has one place a picture
-        count = max(poses.values(), default=0)
-        return Pictures(self._asked - asked, count, poses.total() / max(count, 1))
+        return Pictures(self._asked - asked, count, moved / max(count, 1))
 
     def _take(self) -> None:
         try:
@@ -106,7 +105,10 @@ class Taker:
             elif found and message["type"] == "SetPositionMessage":
                 placed.append(int(found[1]))
         with self._lock:
-            self._poses.update(placed)
+            for fragment_id in placed:
+                self._count += fragment_id <= self._last_placed  # in a picture they ascend
+                self._moved += 1
+                self._last_placed = fragment_id
 
 
 def messages_of(frame: bytes) -> list[dict[str, Any]]:

@@ -31,6 +31,7 @@ from fracture_collision.viewer.ray_picture import Camera
 
 LOCALHOST = "127.0.0.1"
 INTERVAL = 1.0 / 30.0  # [s] between two pictures
+MOST_BEHIND = 3.0 * INTERVAL  # [s] Pictures that states came too late for are made up for, so many at most.
 TITLE = "fracture_collision"
 BRAND = (38, 94, 150)
 NOTICE = 8.0  # [s] that words stay
@@ -257,7 +258,9 @@ class Page:
                 view, self._view = self._view, None
                 look, self._inside_is_new = self._inside_is_new, False
                 self._busy = True
-            due, began = max(due, time.monotonic() - INTERVAL) + INTERVAL, time.thread_time()
+            if states is not None:  # figures come after the states they are of, and shall not put off the next ones
+                due = max(due, time.monotonic() - MOST_BEHIND) + INTERVAL
+            began = time.thread_time()
             try:
                 self._show(orders, states, figures, contacts, redraw)
                 if self._inside is not None:
