@@ -9,7 +9,7 @@ from benchmarks.page.lookers import taker
 from fracture_collision.records import CollisionBody, FragmentStates
 from fracture_collision.viewer.page import Page
 
-PICTURES = 5
+PICTURES = 30
 
 
 def test_a_taker_gets_meshes_and_poses_as_a_browser_does() -> None:
@@ -24,7 +24,6 @@ def test_a_taker_gets_meshes_and_poses_as_a_browser_does() -> None:
             until(lambda: sorted(mesh.fragment_id for mesh in seen.meshes()), lambda ids: ids == [2, 3, 4, 5])
             until(lambda: page.browsers, lambda count: count == 1)
             until(lambda: seen.pictures().count, bool)  # what was there when it came
-            until(lambda: seen.pictures().count, lambda count: count == 0)
             places, counted = states.positions.reshape(-1, 3), []
             for step in range(1, PICTURES + 1):
                 before = page.pictures
@@ -32,6 +31,7 @@ def test_a_taker_gets_meshes_and_poses_as_a_browser_does() -> None:
                 until(lambda before=before: page.pictures, lambda count, before=before: count > before)
             # a newer place may overtake one that has not been sent
             until(lambda: counted.append(seen.pictures()) or sum(each.count for each in counted), bool)
-    assert sum(each.count for each in counted) <= PICTURES + 1  # and one that may have been on its way
+    # and what was there when it came, which may still have been on its way: at most two places of each, one by one
+    assert sum(each.count for each in counted) <= PICTURES + 2 * len(places)
     assert 0.0 < counted[-1].moved <= len(places)
     assert not seen.shown()

@@ -5,7 +5,6 @@ All times are the wall clock's [s], as DDS stamps its messages with it: nodes, l
 
 from __future__ import annotations
 
-import math
 import re
 import shutil
 import struct
@@ -62,7 +61,7 @@ class Taker:
         self._meshes: list[Mesh] = []
         self._lock = threading.Lock()
         self._count = self._moved = 0  # pictures, and places in them
-        self._last_placed = math.inf  # fragment
+        self._placed: set[int] = set()  # fragments, in the last of them
         self._asked = time.time()
         # by this viser knows a page from a stranger
         self._socket = connect(
@@ -106,9 +105,11 @@ class Taker:
                 placed.append(int(found[1]))
         with self._lock:
             for fragment_id in placed:
-                self._count += fragment_id <= self._last_placed  # in a picture they ascend
+                if fragment_id in self._placed or not self._count:  # a picture places each once
+                    self._count += 1
+                    self._placed.clear()
                 self._moved += 1
-                self._last_placed = fragment_id
+                self._placed.add(fragment_id)
 
 
 def messages_of(frame: bytes) -> list[dict[str, Any]]:

@@ -6,6 +6,7 @@ asks for states and contacts without a promise (best effort): nobody waits for s
 
 from __future__ import annotations
 
+import gc
 import json
 import sys
 from collections import deque
@@ -32,12 +33,13 @@ from fracture_collision.ros.conversion import to_record
 from fracture_collision.ros.live_client import LiveClient
 from fracture_collision.ros.page_mirror import Mirror
 from fracture_collision.ros.parameters import Range, declare_fixed
-from fracture_collision.ros.process import Fatal, run_node
+from fracture_collision.ros.process import Fatal, nothing_to_lose, run_node
 from fracture_collision.ros.prompt_executor import PromptExecutor
 from fracture_collision.ros.recordings import RecordingFailed, Recordings
 from fracture_collision.ros.service_settings import ServiceSettings
 from fracture_collision.simulation.arm import PARTS, joint_limits
 from fracture_collision.simulation.scene import scene_files
+from fracture_collision.viewer.body_mesh import compile_mesh_kernels
 from fracture_collision.viewer.page import Page
 from fracture_collision.viewer.page_events import Ball, Drag, Handlers, Joint, Ray, ServiceSliders, Start
 from fracture_collision.viewer.page_plots import Figures
@@ -353,6 +355,9 @@ def _work(node: PageNode) -> None:
     executor = PromptExecutor()
     executor.add_node(node)
     try:
+        with nothing_to_lose():
+            compile_mesh_kernels()
+        gc.freeze()  # to look through all that was loaded for garbage takes 120 ms, in which no mesh gets through
         executor.spin()
     finally:
         node.close()

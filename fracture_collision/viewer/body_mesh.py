@@ -31,6 +31,11 @@ class BodyMesh:
         self.centre = self.triangles.reshape(-1, 3).mean(axis=0) if len(triangles) else np.zeros(3)
 
 
+def compile_mesh_kernels() -> None:
+    """Else the first mesh waits for them: from numba's cache half a second."""
+    BodyMesh(np.eye(3), np.array([[0, 1, 2]], np.uint32), np.zeros(1, np.bool_))
+
+
 def mesh_of_body(body: CollisionBody) -> BodyMesh:
     """Of a body as it is before anything breaks; of a plane, which has no surface of any size, no triangles."""
     if body.primitive.type == SPHERE:
