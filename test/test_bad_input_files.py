@@ -55,7 +55,7 @@ YAML = {
 }  # fmt: skip
 
 
-@pytest.mark.timeout(120)
+@pytest.mark.timeout(20)
 @pytest.mark.parametrize("harm", YAML)
 def test_a_scene_file(harm: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     text, words = YAML[harm]
@@ -140,7 +140,7 @@ MESHES = {
 }
 
 
-@pytest.mark.timeout(120)
+@pytest.mark.timeout(20)
 @pytest.mark.parametrize("harm", MESHES)
 def test_a_mesh_file(harm: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     content, words = MESHES[harm]

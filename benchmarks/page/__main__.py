@@ -19,7 +19,7 @@ import click
 import yaml
 
 from benchmarks.page.lookers import Looker, browser, taker
-from benchmarks.page.person import PLATES, Fracture, Person, scene_played, throw_at
+from benchmarks.page.person import PATIENCE, PLATES, Fracture, Person, scene_played, throw_at
 from campaigns.soak import processor_seconds
 from fracture_collision.share import share_directory
 
@@ -90,7 +90,10 @@ def measure_pictures(look: Look, busy: Busy) -> str:
     ):
         person.begin_again()
         balls = cycle(busy.aims)
+        deadline = time.monotonic() + PATIENCE
         while person.status.fragments < FRAGMENTS:
+            if time.monotonic() > deadline:
+                raise RuntimeError(f"in vain: {FRAGMENTS} fragments")
             _throw_next(person, balls)
         looker.pictures()
         before, step = [processor_seconds(node.pid) for node in run.nodes], person.status.step

@@ -105,7 +105,7 @@ class Taker:
                 placed.append(int(found[1]))
         with self._lock:
             for fragment_id in placed:
-                if fragment_id in self._placed or not self._count:  # a picture places each once
+                if fragment_id in self._placed or not self._placed:  # a picture places each once
                     self._count += 1
                     self._placed.clear()
                 self._moved += 1
