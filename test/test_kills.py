@@ -50,7 +50,9 @@ def test_a_killed_service_comes_back_and_nothing_is_different(tmp_path: Path, re
 
 def test_the_comparison_can_fail(tmp_path: Path, reference: Digests) -> None:
     other = reference._replace(registry="0" * 64)
-    assert kill_services(tmp_path, SCENE, 1, 1, other, no_progress).different == 1
+    found = kill_services(tmp_path, SCENE, 1, 1, other, no_progress, SOON)
+    runs = list(tmp_path.glob("run_*"))  # more than one where a run was over before its service was killed
+    assert len(found.returns) == 1 and found.different == len(runs)
 
 
 def test_one_answer_that_is_another_is_a_difference_and_one_that_is_lost_is_counted(reference: Digests) -> None:
