@@ -30,6 +30,7 @@ from fracture_collision.core.averaged_field import averaged_penetration  # noqa:
 from fracture_collision.core.flood import (  # noqa: E402
     EVERYTHING,
     least_distance_squared,
+    may_leave_over,
     nearest_from_inside,
     nearest_in_tetrahedron,
     next_stamp,
@@ -131,7 +132,7 @@ def rings(pools, rows, tets, points, limits, scratch, depths):
             best = nearest_in_tetrahedron(pools, rows[i], t, x, y, z, EVERYTHING, best)
             for face in range(4):
                 n = mesh.neighbours[t, face]
-                if n >= 0 and visited[n] != stamp:
+                if n >= 0 and visited[n] != stamp and may_leave_over(mesh, t, face, x, y, z, best[0]):
                     visited[n] = stamp
                     if holds_fragment(pools, rows[i], n):
                         key = least_distance_squared(mesh, n, x, y, z)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 
 from fracture_collision.core.closest_point import DIRECTION_FLOOR
-from fracture_collision.core.compiled import inlined_kernel, query_kernel
+from fracture_collision.core.compiled import inlined_kernel
 from fracture_collision.core.flood import (
     NO_SOURCE,
     nearest_from_inside,
@@ -34,7 +34,7 @@ SAME_ROOT = 1e-10
 NOWHERE = -2  # no tetrahedron, nor -1, the outside
 
 
-@query_kernel
+@inlined_kernel
 def turn_to_crack(pools, f, g, near, row, source, where, t, scratch, thread):
     """Turn the contact of a sample of `g` with `f`, of one body, to the crack that parts the two, if it is near.
 

@@ -54,7 +54,7 @@ def turn_contacts(pools, a, b, rotation, translation, near, contacts, ids, count
             _turn_to_facing(pools, f, own, sample, side, rotation, translation, near, contacts[c], scratch, thread)
 
 
-@query_kernel
+@inlined_kernel
 def _turn_to_facing(pools, f, own, sample, side, rotation, translation, near, row, scratch, thread):
     x, y, z, d = row[0], row[1], row[2], row[9]
     px, py, pz = to_other(rotation[1 - side], translation[1 - side], x, y, z)

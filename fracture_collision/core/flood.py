@@ -2,8 +2,9 @@
 
 The segment from a point inside fragment f to the nearest point of f's surface runs inside f. So: start at the
 tetrahedron that holds the point, spread over faces to tetrahedra that hold some of f, nearest box first, while a box is
-nearer than the best distance so far; measure against the surface polygons of f in each. What is left is exact, with no
-stored distance and nothing to update at a fracture.
+nearer than the best distance so far; measure against the surface polygons of f in each. The segment is straight: it
+leaves a tetrahedron only over faces that the point is behind. What is left is exact, with no stored distance and
+nothing to update at a fracture.
 """
 
 from __future__ import annotations
@@ -58,6 +59,18 @@ def _face_is_farther(mesh, t, face, x, y, z, d2):
     weight, slope = _weight_and_slope(mesh, t, face, x, y, z)
     weight = abs(weight) - WEIGHT_ROUNDING
     return weight > 0.0 and weight * weight > d2 * slope * PLANE_SLACK
+
+
+@inlined_kernel
+def may_leave_over(mesh, t, face, x, y, z, d2):
+    """Whether a segment from the point, no longer than sqrt(d2) [m], may leave tetrahedron `t` over a face: only where
+    the point is behind the face, as `t` is, and no farther from its plane.
+    """
+    weight, slope = _weight_and_slope(mesh, t, face, x, y, z)
+    if weight < 0.0:
+        return weight >= -WEIGHT_ROUNDING
+    weight -= WEIGHT_ROUNDING
+    return weight <= 0.0 or weight * weight <= d2 * slope * PLANE_SLACK
 
 
 @inlined_kernel
@@ -202,7 +215,7 @@ def nearest_from_inside(pools, f, start, x, y, z, limit, only, scratch, thread):
         best = nearest_in_tetrahedron(pools, f, t, x, y, z, only, best)
         for face in range(4):
             n = mesh.neighbours[t, face]
-            if n < 0 or visited[n] == stamp:
+            if n < 0 or visited[n] == stamp or not may_leave_over(mesh, t, face, x, y, z, best[0]):
                 continue
             visited[n] = stamp
             if holds_fragment(pools, f, n):

@@ -11,6 +11,9 @@ from fracture_collision.core.cut_tetrahedron import FACE_VERTICES
 from fracture_collision.core.point_location import holds_fragment
 from fracture_collision.core.pools import NEVER_BROKEN, Pools
 
+# Triangles that a fragment gets room for at first; one that has more is looked through again.
+FIRST_ROOM = 4096
+
 
 @kernel
 def _collect(pools, f, first_tet, last_tet, out, crack):
@@ -51,7 +54,9 @@ def surface_triangles(pools: Pools, row: int, tets: range) -> tuple[np.ndarray, 
 
     `tets`: the rows of its body's mesh.
     """
-    count = _collect(pools, row, tets.start, tets.stop, np.empty((0, 9)), np.empty(0, np.uint8))
-    out, crack = np.empty((count, 9)), np.empty(count, np.uint8)
-    _collect(pools, row, tets.start, tets.stop, out, crack)
-    return out.reshape(-1, 3, 3), crack.astype(np.bool_)
+    room, count = 0, FIRST_ROOM
+    while count > room:
+        room = count
+        out, crack = np.empty((room, 9)), np.empty(room, np.uint8)
+        count = _collect(pools, row, tets.start, tets.stop, out, crack)
+    return out[:count].reshape(-1, 3, 3), crack[:count].astype(np.bool_)

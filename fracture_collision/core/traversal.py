@@ -146,12 +146,12 @@ def query_pair(
             k = queue[current, head]
             entry, side = node[k, ENTRY], node[k, SIDE]
             other = b if side == 0 else a
-            x, y, z = node_point[k, 0], node_point[k, 1], node_point[k, 2]
-            radius = tree.spheres[entry, 3]
+            x, y, z = node_point[k, 0], node_point[k, 1], node_point[k, 2]  # its first child may be the same point
             end = entry + tree.entries[entry, SIZE]
-            moved = moved_since(tree.spheres[entry], x, y, z) if one_body else math.inf
             if node[k, NEXT_CHILD] < 0:
                 # first time on this level: test
+                radius = tree.spheres[entry, 3]
+                moved = moved_since(tree.spheres[entry], x, y, z) if one_body else math.inf
                 if budget and visits >= budget:
                     exhausted = True
                     break
@@ -179,7 +179,9 @@ def query_pair(
                         # one body: what it has moved is all there is to search, and found at once
                         deep = moved + slack if one_body else math.inf if full else epsilon
                         asked = leaf and reach == 0.0
-                        answer = ask_sample(pools, other, x, y, z, near, deep, start, asked, scratch, thread)
+                        # once there are m, what is outside counts no more, however near, but for what is below it
+                        outside = 0.0 if leaf and not full else near
+                        answer = ask_sample(pools, other, x, y, z, outside, deep, start, asked, scratch, thread)
                         status, most = answer[0], answer[8]
                         if status != OUTSIDE:
                             if full or -answer[1] > epsilon:
@@ -239,7 +241,8 @@ def query_pair(
                 depth = -least_distance(pools, other, x, y, z)
             # of a rigid mesh a lone sample's test is all that its probe does
             asked = status != INSIDE and (child_size > 1 or fragment.kind[other] != TRIANGLES)
-            if asked and not sphere_test(pools, other, -depth, x, y, z, c[3] + within, scratch, thread):
+            around = c[3] + within if count < m else c[3]  # from m on only what is inside counts
+            if asked and not sphere_test(pools, other, -depth, x, y, z, around, scratch, thread):
                 visits += 1
                 continue
             _reach_node(node, node_point, nodes, child, side, status, x, y, z, depth)

@@ -24,6 +24,7 @@ class BodyMesh:
         self.normals = np.empty((3 * len(triangles), 3))
         _, places = unique_rows(np.round(vertices.astype(np.float64), PLACE_DIGITS))
         place = places[triangles.ravel()]
+        self.places = place.reshape(-1, 3)  # (t, 3) of the corners: those at the same place have the same number
         corners = np.argsort(place, kind="stable")
         begin = np.searchsorted(place[corners], np.arange(place.max(initial=-1) + 2))
         smooth_normals(self.triangles, self.is_crack, corners, begin, CREASE, self.normals)

@@ -12,8 +12,7 @@ import struct
 
 import numpy as np
 
-from fracture_collision.geometry.unique_rows import unique_rows
-from fracture_collision.viewer.body_mesh import PLACE_DIGITS, BodyMesh
+from fracture_collision.viewer.body_mesh import BodyMesh
 from fracture_collision.viewer.palette import Paint
 
 GLAZE_ROUGHNESS, PLAIN_ROUGHNESS, CRACK_ROUGHNESS = 0.32, 0.75, 1.0
@@ -30,7 +29,7 @@ def glb_of_mesh(mesh: BodyMesh, paint: Paint) -> bytes:
     file = _File()
     outside, crack = ~mesh.is_crack, mesh.is_crack
     if outside.any():
-        corners, index = _smooth_corners(mesh.triangles[outside], mesh.normals[outside])
+        corners, index = _smooth_corners(mesh.triangles[outside], mesh.normals[outside], mesh.places[outside])
         roughness = GLAZE_ROUGHNESS if paint.shine > 0.2 else PLAIN_ROUGHNESS
         file.add_primitive(corners, index, paint.outside, roughness, None)
     if crack.any():
@@ -40,13 +39,14 @@ def glb_of_mesh(mesh: BodyMesh, paint: Paint) -> bytes:
     return file.bytes()
 
 
-def _smooth_corners(triangles: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _smooth_corners(
+    triangles: np.ndarray, normals: np.ndarray, places: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Corners (n, 3) and indices (3 t,): those of the same place and the same normal are one."""
-    points = triangles.reshape(-1, 3)
     steps = np.round(_STEPS * normals.reshape(-1, 3)).astype(np.int64) + _STEPS
-    key = (steps[:, 0] * 512 + steps[:, 1]) * 512 + steps[:, 2]
-    chosen, index = unique_rows(np.column_stack((np.round(points, PLACE_DIGITS), key)))
-    return points[chosen], index
+    key = ((places.ravel() * 512 + steps[:, 0]) * 512 + steps[:, 1]) * 512 + steps[:, 2]
+    _, chosen, index = np.unique(key, return_index=True, return_inverse=True)
+    return triangles.reshape(-1, 3)[chosen], index
 
 
 class _File:

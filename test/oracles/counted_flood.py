@@ -13,7 +13,7 @@ from numba import njit
 
 from fracture_collision.core.closest_point import closest_on_triangle
 from fracture_collision.core.cut_tetrahedron import FACE_VERTICES
-from fracture_collision.core.flood import least_distance_squared
+from fracture_collision.core.flood import least_distance_squared, may_leave_over
 from fracture_collision.core.point_location import holds_fragment
 from fracture_collision.core.pools import OLD_FACE, Pools
 
@@ -73,7 +73,7 @@ def _counted_flood(pools, f, start, x, y, z, limit):
                 measured += 1
         for face in range(4):
             n = mesh.neighbours[t, face]
-            if n >= 0 and not seen[n]:
+            if n >= 0 and not seen[n] and may_leave_over(mesh, t, face, x, y, z, best):
                 seen[n] = True
                 looked_at += 1
                 if holds_fragment(pools, f, n):
