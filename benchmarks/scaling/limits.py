@@ -21,7 +21,8 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.peers.report import FIELD, MUJOCO, OURS, RAPIER, VERTICES
-from benchmarks.peers.worlds import World, empty_states, make_world
+from benchmarks.peers.worlds import Frame, World, empty_states, make_world
+from benchmarks.scaling.contacts_alone import contacts_alone
 from benchmarks.scaling.growth import SEARCHED, Progress, silent
 from benchmarks.scaling.machine import Machine, measure_machine
 from benchmarks.scaling.visits import LISTED, LOCATED, TETRAHEDRON, floor_of
@@ -72,6 +73,7 @@ class LimitRow(NamedTuple):
     times: float  # that the peer's time may be taken
     aim: float  # by peers.csv
     least: float
+    alone: float  # of a query: what its contacts take with nobody looking for them (contacts_alone.py); else nan
     ours: float  # by peers.csv
     ours_over_least: float
     rests_on: str  # what `least` has to do
@@ -94,30 +96,32 @@ def measure_limits(
                 sum(float(times[name, method][column]) for column in columns)
                 for method in (OURS if aim.what in COLUMNS else aim.what, aim.peer)
             )
-            least, words = floors[aim.what]
+            least, alone, words = floors[aim.what]
             rows.append(
-                LimitRow(aim.what, name, aim.peer, aim.times, aim.times * theirs, least, ours, ours / least, words)
+                LimitRow(
+                    aim.what, name, aim.peer, aim.times, aim.times * theirs, least, alone, ours, ours / least, words
+                )
             )
     return rows
 
 
-def _floors(world: World, whats: set[str]) -> dict[str, tuple[float, str]]:
-    """[ms] of each, and words."""
+def _floors(world: World, whats: set[str]) -> dict[str, tuple[float, float, str]]:
+    """Of each the least and the contacts alone [ms], and words."""
     found = {
         what: _least_query(world, 0.0 if what == TIGHT else LOOSE_TOLERANCE)
         for what in (TIGHT, LOOSE)
         if what in whats or (what == TIGHT and FIRST in whats)
     }
     if whats & COLUMNS.keys():
-        found[UPDATE] = _least_update(world)
+        least, words = _least_update(world)
+        found[UPDATE] = least, math.nan, words
     if FIRST in whats:
-        update, query = found[UPDATE], found[TIGHT]
-        found[FIRST] = update[0] + query[0], "both of these"
+        found[FIRST] = found[UPDATE][0] + found[TIGHT][0], math.nan, "both of these"
     return found
 
 
-def _least_query(world: World, tolerance: float) -> tuple[float, str]:
-    """[ms] of a jittered frame, and words. `tolerance`: 0: the service's default.
+def _least_query(world: World, tolerance: float) -> tuple[float, float, str]:
+    """[ms] of a jittered frame, of its contacts alone, and words. `tolerance`: 0: the service's default.
 
     Contacts have to be located and listed. In a pair that has fewer than it wants, no sample of the crack that the two
     share is left out unseen: in place it touches, so only where it is now says that it no longer does.
@@ -126,11 +130,13 @@ def _least_query(world: World, tolerance: float) -> tuple[float, str]:
     everything = SEARCHED._replace(contacts_per_pair=EVERY_CONTACT)
     service, in_place = (_broken(world, chosen) for chosen in (settings, everything))
     shared = _contacts_of_pairs(in_place, next(f for f in world.frames if f.kind == "touch"), world)
-    contacts, located = [], []
+    contacts, located, alone = [], [], []
     for frame in world.frames:
         if frame.kind != "jitter":
             continue
         found = _contacts_of_pairs(service, frame, world)
+        states = _states(frame, world)
+        alone.append(contacts_alone(service, states, service.contacts(states)))
         contacts.append(sum(found.values()))
         wanted = settings.contacts_per_pair
         located.append(sum(max(n - found.get(pair, 0), 0) for pair, n in shared.items() if found.get(pair, 0) < wanted))
@@ -138,7 +144,7 @@ def _least_query(world: World, tolerance: float) -> tuple[float, str]:
     listed, apart = (floor_of(work, machine).in_turn for work in (LISTED, LOCATED))
     mean_listed, mean_apart = float(np.mean(contacts)), float(np.mean(located))
     words = f"{mean_listed:.0f} contacts at {listed:.0f} ns, {mean_apart:.0f} other samples of cracks at {apart:.0f} ns"
-    return 1e-6 * (mean_listed * listed + mean_apart * apart), words
+    return 1e-6 * (mean_listed * listed + mean_apart * apart), float(np.mean(alone)), words
 
 
 @cache
@@ -160,9 +166,13 @@ def _broken(world: World, settings) -> CollisionWorld:
     return service
 
 
-def _contacts_of_pairs(service: CollisionWorld, frame, world: World) -> dict[tuple[int, int], int]:
+def _states(frame: Frame, world: World) -> FragmentStates:
     ids = np.array([f.fragment_id for f in world.fragments])
-    answer = service.contacts(FragmentStates(1, 1, ids, frame.body_positions.ravel(), frame.quaternions.ravel()))
+    return FragmentStates(1, 1, ids, frame.body_positions.ravel(), frame.quaternions.ravel())
+
+
+def _contacts_of_pairs(service: CollisionWorld, frame: Frame, world: World) -> dict[tuple[int, int], int]:
+    answer = service.contacts(_states(frame, world))
     counts = np.diff(answer.pair_begin.astype(np.int64)).tolist()
     return dict(zip(zip(answer.fragment_a.tolist(), answer.fragment_b.tolist(), strict=True), counts, strict=True))
 

@@ -70,7 +70,7 @@ def rotation_matrices(quaternions):
 
 
 @inlined_kernel
-def _relative_pose(rotation_from, position_from, rotation_to, position_to, rotation, translation):
+def relative_pose(rotation_from, position_from, rotation_to, position_to, rotation, translation):
     for i in range(3):
         translation[i] = 0.0
         for k in range(3):
@@ -99,8 +99,8 @@ def _query_share(
         p = todo[k]
         i, j = pairs[p, 0], pairs[p, 1]
         a, b = rows[i], rows[j]
-        _relative_pose(rotations[i], positions[i], rotations[j], positions[j], rotation[0], translation[0])
-        _relative_pose(rotations[j], positions[j], rotations[i], positions[i], rotation[1], translation[1])
+        relative_pose(rotations[i], positions[i], rotations[j], positions[j], rotation[0], translation[0])
+        relative_pose(rotations[j], positions[j], rotations[i], positions[i], rotation[1], translation[1])
         radius = min(pools.fragment.radius[a], pools.fragment.radius[b])
         out, out_ids = contacts[thread, used:], ids[thread, used:]
         slot, last = slots[p], matched[p]
