@@ -87,6 +87,7 @@ class OneBrowser:
 
     def __init__(self) -> None:
         self.sent: list[Any] = []
+        self.flushed = 0  # of these, on their way at once
         self._websock_connection = self
 
     def get_clients(self) -> dict[int, OneBrowser]:
@@ -98,13 +99,16 @@ class OneBrowser:
     def queue_message(self, message: Any) -> None:
         self.sent.append(message)
 
+    def flush(self) -> None:
+        self.flushed = len(self.sent)
+
 
 def test_only_what_has_moved_is_sent_and_a_late_page_is_told_all() -> None:
     browser = OneBrowser()
     live = LiveValues(browser)
     poses = np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (3, 1))
     live.pose(["/a", "/b", "/c"], poses)
-    assert len(browser.sent) == 6
+    assert browser.flushed == len(browser.sent) == 6
     moved = poses.copy()
     moved[1, 2] = 0.5  # b moves without turning
     moved[2, 0] = 0.5 * STILL

@@ -12,6 +12,8 @@ import subprocess
 import sys
 from collections import deque
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import IO, Any
 
@@ -80,9 +82,11 @@ class NodeProcess:
         log: Path,
         stdout: int | None = None,
         arguments: Sequence[str] = (),
+        niceness: int = 0,
     ) -> None:
         """`module`: below fracture_collision.ros. The log gets stderr, and stdout too unless it goes elsewhere.
-        `arguments`: what else stands behind --ros-args, of namespace and remapping.
+        `arguments`: what else stands behind --ros-args, of namespace and remapping. `niceness`: 0 .. 19, how far others
+        who want the same processor come first.
         """
         given = [f"{name}:={json.dumps(value)}" for name, value in parameters.items()]
         command = [sys.executable, "-m", f"fracture_collision.ros.{module}", "--ros-args", *arguments]
@@ -99,7 +103,7 @@ class NodeProcess:
                 text=True,
                 env=loopback_environment(domain_id),
                 start_new_session=True,  # Ctrl-C reaches the parent, which stops its nodes in order
-                preexec_fn=_die_with_parent,
+                preexec_fn=partial(_prepare, niceness),
             )
 
     @property
@@ -144,5 +148,10 @@ class NodeProcess:
         return self.log.read_text(errors="replace")
 
 
-def _die_with_parent() -> None:
+def _prepare(niceness: int) -> None:
+    """What a child does before it becomes a node: it shall end with its parent."""
     ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, signal.SIGTERM)
+    if niceness:
+        os.nice(niceness)
+        with suppress(OSError):  # where sessions share a processor first and processes then, that of the session counts
+            Path("/proc/self/autogroup").write_text(str(niceness))

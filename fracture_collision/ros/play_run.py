@@ -16,6 +16,8 @@ from fracture_collision.ros.node_process import NodeProcess, default_domain_id
 LOOK = 0.05  # [s]
 PATIENCE = 120.0  # [s] for the page's address
 ENDING = 3.0  # [s] that a node has to end
+# Niceness of those who compute: what a person sees and does comes first, also while a body breaks.
+BEHIND = 5
 
 
 class PlayFailed(RuntimeError):
@@ -43,14 +45,14 @@ def played(scene: str, seed: int, out: Path, host: str, port: int) -> Iterator[P
     logs.mkdir(parents=True, exist_ok=True)
     with ExitStack() as nodes:
 
-        def start(module: str, stdout: int | None = None, **parameters: object) -> NodeProcess:
+        def start(module: str, stdout: int | None = None, niceness: int = 0, **parameters: object) -> NodeProcess:
             (logs / f"{module}.log").unlink(missing_ok=True)
-            node = NodeProcess(module, parameters, domain_id, logs / f"{module}.log", stdout)
+            node = NodeProcess(module, parameters, domain_id, logs / f"{module}.log", stdout, niceness=niceness)
             nodes.callback(node.stop, ENDING)
             return node
 
-        simulator = start("live_simulator_node", scene=scene, seed=seed)
-        service = start("collision_node")
+        simulator = start("live_simulator_node", scene=scene, seed=seed, niceness=BEHIND)
+        service = start("collision_node", niceness=BEHIND)
         page = start("page_node", subprocess.PIPE, host=host, port=port, folder=str(out), scene=scene)
         run = Played(_address(page, (service, simulator)), domain_id, (service, simulator, page))
         yield run

@@ -85,3 +85,4 @@ def _queue(client: viser.ClientHandle, queued: list[Any]) -> None:
     with client.atomic():
         for message in queued:
             client._websock_connection.queue_message(message)
+    client.flush()  # else they would wait for more, until the next picture's take their place

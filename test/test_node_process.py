@@ -1,0 +1,24 @@
+"""Nodes as child processes: who comes first on a processor that many want."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from fracture_collision.ros.node_process import NodeProcess, free_domain_id
+
+
+@pytest.mark.parametrize("niceness", [0, 5])
+def test_a_node_lets_others_come_first(tmp_path: Path, niceness: int) -> None:
+    own = os.getpriority(os.PRIO_PROCESS, 0)
+    node = NodeProcess("recorder_node", {"folder": str(tmp_path / "bag")}, free_domain_id(), tmp_path / "log",
+                       niceness=niceness)  # fmt: skip
+    try:
+        assert os.getpriority(os.PRIO_PROCESS, node.pid) == min(own + niceness, 19)
+        of_session = Path(f"/proc/{node.pid}/autogroup")
+        if of_session.is_file() and own == 0:
+            assert of_session.read_text().split()[-1] == str(niceness)
+    finally:
+        node.stop()
