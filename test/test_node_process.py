@@ -17,8 +17,9 @@ def test_a_node_lets_others_come_first(tmp_path: Path, niceness: int) -> None:
                        niceness=niceness)  # fmt: skip
     try:
         assert os.getpriority(os.PRIO_PROCESS, node.pid) == min(own + niceness, 19)
-        of_session = Path(f"/proc/{node.pid}/autogroup")
-        if of_session.is_file() and own == 0:
-            assert of_session.read_text().split()[-1] == str(niceness)
+        of_session = Path(f"/proc/{node.pid}/autogroup")  # of Linux, and empty where it does not share by sessions
+        words = of_session.read_text().split() if of_session.is_file() else []
+        if words and os.access(of_session, os.W_OK):
+            assert words[-1] == str(niceness)
     finally:
         node.stop()

@@ -10,9 +10,9 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from collections import deque
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import IO, Any
@@ -23,6 +23,8 @@ from fracture_collision.ros.shared_memory import remove_left_behind
 # Domains above this have ports that Linux hands out to anybody (REP 2000's "safe on all platforms").
 HIGHEST_DOMAIN_ID = 101
 _SET_PARENT_DEATH_SIGNAL = 1  # prctl's PR_SET_PDEATHSIG
+_SESSION = Path("/proc/self/autogroup")  # of Linux
+_TRIES, _AGAIN = 10, 0.05  # [s]
 # Domains that this process has got; more than it uses at a time, and few enough for others to find one.
 _MOST_CLAIMS = 8
 _claims: deque[socket.socket] = deque()
@@ -151,7 +153,15 @@ class NodeProcess:
 def _prepare(niceness: int) -> None:
     """What a child does before it becomes a node: it shall end with its parent."""
     ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, signal.SIGTERM)
-    if niceness:
-        os.nice(niceness)
-        with suppress(OSError):  # where sessions share a processor first and processes then, that of the session counts
-            Path("/proc/self/autogroup").write_text(str(niceness))
+    if not niceness:
+        return
+    os.nice(niceness)
+    # where sessions share a processor first and their processes then, the session's niceness counts
+    for _ in range(_TRIES):
+        try:
+            _SESSION.write_text(str(niceness))
+            return
+        except BlockingIOError:  # Linux takes one word about it in a tenth of a second, of all users together
+            time.sleep(_AGAIN)
+        except OSError:  # there is no such thing
+            return
