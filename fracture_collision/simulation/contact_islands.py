@@ -129,7 +129,8 @@ def _sorted_by(labels, label_count):
 def solve_islands(islands, bodies, contacts, settings, time_step, only_limited, result):
     """One step of all bodies that touch something; writes `result`, where all others have u* and no drift.
 
-    With `only_limited`, of those islands in which an impulse is limited; `result` holds all others' already.
+    With `only_limited`, of those islands in which an impulse is limited; `result` holds all others' already, and every
+    drift: what parts bodies is not limited by what they can bear.
     """
     local = np.empty(bodies.masses.size, np.int64)
     for i in range(islands.pair_begin.size - 1):
@@ -147,10 +148,12 @@ def solve_islands(islands, bodies, contacts, settings, time_step, only_limited, 
         for k in range(members.size):
             before[k], free[k] = bodies.velocities[members[k]], bodies.free_velocities[members[k]]
         u = new_velocities(rows, surfaces, before, free, gaps, restitution, impulses, rolling, settings, time_step)
-        drift = drift_velocities(rows, gaps, before, u, against, settings, time_step)
         for k in range(members.size):
             result.velocities[members[k]] = u[k]
-            result.drift[members[k]] = drift[k]
+        if not only_limited:
+            drift = drift_velocities(rows, gaps, before, u, against, settings, time_step)
+            for k in range(members.size):
+                result.drift[members[k]] = drift[k]
         _keep_impulses(pairs, rows, contacts, impulses, rolling, result)
 
 
