@@ -11,6 +11,7 @@ from fracture_collision.core.crack_seeds import choose_seeds
 from fracture_collision.core.cut_tetrahedron import make_cut_scratch
 from fracture_collision.core.fragment_trees import REBUILT, RESTRUCTURED, rebuilt_trees, split_trees
 from fracture_collision.core.front_propagation import update_averaged_field
+from fracture_collision.core.hull_separation import CORNERS_EACH, corners_by_fragment
 from fracture_collision.core.interior_field import InteriorField, make_interior_field
 from fracture_collision.core.kinds import BOX, PLANE, SPHERE, TETRAHEDRA, TRIANGLES
 from fracture_collision.core.moments import (
@@ -269,14 +270,24 @@ class CollisionGeometry:
         pools, moments, gaps = self.pools, self._moments.view, self._gaps.view
         columns = {name: self._tables.body[name] for name in SurfaceRows._fields}
         room = SurfaceRows(**{name: column.reserve(touched.room) for name, column in columns.items()})
-        for rebuild in (fracture_update.rebuild_parted, fracture_update.rebuild_fanned):
-            written = rebuild(
-                pools.mesh, pools.body, node_shift, tet_shift, edge_shift, touched, first, end, columns["front"].used,
-                room, moments, pools.fragment.box, reaches, gaps, self._scratch,
-            )  # fmt: skip
-            for column in columns.values():
-                column.advance(written)
-            room = SurfaceRows(*(column[written:] for column in room))
+        written = fracture_update.rebuild_parted(
+            pools.mesh, pools.body, node_shift, tet_shift, edge_shift, touched, first, end, columns["front"].used,
+            room, moments, pools.fragment.box, reaches, gaps, self._scratch,
+        )  # fmt: skip
+        room = SurfaceRows(*(column[written:] for column in room))
+        most = CORNERS_EACH * len(touched.cut)
+        owners, corners = np.empty(most, np.int32), np.empty((most, 3))
+        more, found = fracture_update.rebuild_fanned(
+            pools.mesh, pools.body, node_shift, tet_shift, edge_shift, touched, first, end,
+            columns["front"].used + written, room, moments, pools.fragment.box, reaches, gaps, owners, corners,
+            self._scratch,
+        )  # fmt: skip
+        for column in columns.values():
+            column.advance(written + more)
+        sorted_corners = self._tables.body["corners"]
+        begin = corners_by_fragment(owners[:found], corners[:found], first, end, sorted_corners.reserve(found))
+        begin += sorted_corners.advance(found)
+        self._tables.fragment["corners"].view[first:end] = np.column_stack((begin[:-1], begin[1:]))
 
     def _give_trees(self, row, rows, nodes, parts, edges, first, count) -> None:
         """Trees of fragments first .. first + count - 1, into which `row` broke."""
@@ -361,7 +372,8 @@ class CollisionGeometry:
         values = dict(
             kind=kind, mesh=mesh, node_shift=NEVER_BROKEN, tet_shift=NEVER_BROKEN, edge_shift=NEVER_BROKEN, box=box,
             shape=shape, radius=radius, tree_begin=tree_begin, tree_end=tree_end,
-            cells=np.zeros(7, np.int32) if cells is None else cells, seeds=np.zeros(2, np.int32),
+            cells=np.zeros(7, np.int32) if cells is None else cells, corners=np.zeros(2, np.int32),
+            seeds=np.zeros(2, np.int32),
         )  # fmt: skip
         for name, value in values.items():
             self._tables.fragment[name].append(np.asarray(value)[None])

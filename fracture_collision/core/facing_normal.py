@@ -15,17 +15,9 @@ from fracture_collision.core.compiled import inlined_kernel, query_kernel
 from fracture_collision.core.crack_normal import FARTHER, turn_to_crack
 from fracture_collision.core.flood import NO_SOURCE, TOWARD, nearest_from_inside, nearest_from_outside, source_normal
 from fracture_collision.core.kinds import BOX, TETRAHEDRA, TRIANGLES
-from fracture_collision.core.known_samples import (
-    ID_AT,
-    ID_SAMPLE,
-    ID_SIDE,
-    ID_SOURCE,
-    ID_TETRAHEDRON,
-    rotated,
-    share_a_body,
-    to_other,
-)
+from fracture_collision.core.known_samples import ID_AT, ID_SAMPLE, ID_SIDE, ID_SOURCE, ID_TETRAHEDRON, share_a_body
 from fracture_collision.core.point_location import holds_fragment, tetrahedron_at
+from fracture_collision.core.rotations import rotated, to_other
 from fracture_collision.core.triangle_field import nearest_triangle
 
 # A normal at less than 75 degrees from the sample's own points the same way.

@@ -43,6 +43,7 @@ from fracture_collision.core.cut_tetrahedron import (
     SINGULAR,
     point_on_edge,
 )
+from fracture_collision.core.hull_separation import add_corners
 from fracture_collision.core.moments import add_row, tetrahedron_terms
 from fracture_collision.core.pools import FANNED, OLD_FACE, PARTED
 from fracture_collision.core.surface_rows import (
@@ -96,10 +97,14 @@ def rebuild_parted(
 @query_kernel
 def rebuild_fanned(
     mesh, body, node_shift, tet_shift, edge_shift, touched, low, high, first_polygon, out, moments, boxes, reaches,
-    gaps, work,
+    gaps, owners, corners, work,
 ):  # fmt: skip
-    """The same for tetrahedra that are divided about their hub."""
-    written = 0
+    """The same for tetrahedra that are divided about their hub.
+
+    Their corners go to `corners` (c, 3), whose they are to `owners` (c,) (hull_separation.add_corners). Returns rows of
+    `out` and corners written.
+    """
+    written = found = 0
     for t in touched.cut:
         if touched.kinds[t - touched.first] != DIVIDED:
             continue
@@ -113,9 +118,10 @@ def rebuild_fanned(
         _add_parts(work, pattern, low, high, moments)
         written = _write_fan(work, pattern, out, written, boxes, gaps)
         written = _write_old_faces(mesh, t, work, pattern, out, written, gaps)
+        found = add_corners(mesh, t, work, pattern, low, high, owners, corners, found)
         body.tet_fragment[t + tet_shift] = FANNED
         body.cut_begin[t + tet_shift], body.cut_count[t + tet_shift] = first_polygon + begin, written - begin
-    return written
+    return written, found
 
 
 @inlined_kernel

@@ -12,6 +12,7 @@ from fracture_collision.core.cut_tetrahedron import point_on_edge
 from fracture_collision.core.elementary_queries import INSIDE, OUTSIDE, bounded_probe
 from fracture_collision.core.kinds import PLANE, TETRAHEDRA
 from fracture_collision.core.pools import NEVER_BROKEN, SAMPLE
+from fracture_collision.core.rotations import to_other
 
 # Rounding must not make a bound lie: this share of the smaller R, and of all coordinates that a depth is made from.
 BOUND_SLACK = 1e-12
@@ -19,22 +20,6 @@ COORDINATE_SLACK = 8.0 * np.finfo(np.float64).eps
 
 # columns of ids
 ID_SIDE, ID_SAMPLE, ID_SOURCE, ID_TETRAHEDRON, ID_AT = 0, 1, 2, 3, 4
-
-
-@inlined_kernel
-def rotated(rotation, x, y, z):
-    return (
-        rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z,
-        rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z,
-        rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z,
-    )
-
-
-@inlined_kernel
-def to_other(rotation, translation, x, y, z):
-    """rotation (3, 3) applied, then translation (3,)."""
-    x, y, z = rotated(rotation, x, y, z)
-    return x + translation[0], y + translation[1], z + translation[2]
 
 
 @inlined_kernel

@@ -100,6 +100,7 @@ class BodyPool(NamedTuple):
     faces: np.ndarray  # (T, 4) float64 their planes: that normal, unit, and offset [m]
     front: np.ndarray  # int32 fragment row
     back: np.ndarray  # int32 fragment row, -1: nothing
+    corners: np.ndarray  # (C, 3) float64 [m] what may stick out of the hull of a fragment's samples, hull_separation.py
     kind: np.ndarray  # uint8: below OLD_FACE of what parts two fragments, the face it is behind; OLD_FACE + that face
     # the averaged field, rows as node_fragment; none under the exact one
     node_field: np.ndarray  # (., 7) float64: d [m] and unit n of Glondu 2014, eq. 1-2; a point [m] certainly not inside
@@ -119,6 +120,7 @@ class FragmentPool(NamedTuple):
     tree_begin: np.ndarray  # int32
     tree_end: np.ndarray  # int32
     cells: np.ndarray  # (F, 7) int32: first cell x y z, cells x y z, first word of `occupancy`
+    corners: np.ndarray  # (F, 2) int32: first row of BodyPool.corners, row behind the last
     seeds: np.ndarray  # (F, 2) int32: first row of SeedPool.keys of its body, row behind the last
 
 

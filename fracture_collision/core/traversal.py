@@ -19,6 +19,7 @@ import numpy as np
 from fracture_collision.core.compiled import inlined_kernel, query_kernel
 from fracture_collision.core.elementary_queries import INSIDE, OUTSIDE, least_distance, probe, sphere_test
 from fracture_collision.core.flood import NO_SOURCE
+from fracture_collision.core.hull_separation import hull_of, parting_plane
 from fracture_collision.core.kinds import PLANE, SPHERE, TRIANGLES
 from fracture_collision.core.known_samples import (
     ID_AT,
@@ -33,11 +34,11 @@ from fracture_collision.core.known_samples import (
     query_seeds,
     rounding_slack,
     share_a_body,
-    to_other,
 )
 from fracture_collision.core.neighbour_lists import displacement, spin
 from fracture_collision.core.oriented_boxes import boxes_apart
 from fracture_collision.core.pools import NONE_BELOW, OWN_SAMPLE, QUEUE, SAMPLE, SIZE, SURFACE
+from fracture_collision.core.rotations import rotated, to_other
 
 # columns of scratch.node_int
 ENTRY, SIDE, NEXT_CHILD, STATUS = 0, 1, 2, 3
@@ -45,6 +46,7 @@ ENTRY, SIDE, NEXT_CHILD, STATUS = 0, 1, 2, 3
 DEPTH = 3
 UNTESTED = -1
 UNTURNED = np.eye(3).ravel()
+NO_PLANE = (0.0, 0.0, 0.0, 0.0)
 UNKNOWN = 3  # beside INSIDE, NEAR, OUTSIDE: not asked, for no depth that it can have would count
 # Poses of neighbour_lists.keep_pose: two fragments of one body, where they were made.
 IN_PLACE = np.tile(np.append(UNTURNED, np.zeros(3)), (2, 1))
@@ -74,6 +76,31 @@ def sphere_contact(pools, ball, other, x, y, z, near, contacts, ids, count, side
     return count + 1
 
 
+@inlined_kernel
+def _has_hull(kind):
+    """Whether hull_separation knows what such a fragment lies within."""
+    return kind != PLANE and kind != SPHERE
+
+
+@inlined_kernel
+def _way_between(box_a, box_b, rotation, translation):
+    """From the middle of b's box to that of a's, in b's frame; rotation, translation: from a's frame to b's."""
+    x, y, z = to_other(
+        rotation, translation, 0.5 * (box_a[0] + box_a[3]), 0.5 * (box_a[1] + box_a[4]), 0.5 * (box_a[2] + box_a[5])
+    )
+    return x - 0.5 * (box_b[0] + box_b[3]), y - 0.5 * (box_b[1] + box_b[4]), z - 0.5 * (box_b[2] + box_b[5])
+
+
+@inlined_kernel
+def _most_depth(pools, other, x, y, z, plane):
+    """An upper bound [m] of a point's depth in `other`, as cheap as it gets; `other` is behind `plane`: a unit normal
+    and an offset [m].
+    """
+    least = least_distance(pools, other, x, y, z)
+    beyond = plane[0] * x + plane[1] * y + plane[2] * z - plane[3]
+    return -max(least, beyond) if beyond > 0.0 else -least
+
+
 @query_kernel
 def query_pair(
     pools, a, b, rotation, translation, wanted, epsilon, near, reach, budget,
@@ -96,7 +123,9 @@ def query_pair(
 
     Fragments of one body share a frame, and in place no sample of one is inside the other: so none is deeper than it
     has moved since. That bounds all below a node at once. Two that have hardly moved against each other need no more
-    than their m contacts, and these are looked for first where the two touch in place (crack_seeds.py).
+    than their m contacts, and these are looked for first where the two touch in place (crack_seeds.py); they are no
+    farther apart than they have moved. Of all others a plane is sought that parts their hulls (hull_separation.py).
+    Where there is none, the best that was found still bounds the depth of all that lies beyond the other along it.
     """
     fragment, tree = pools.fragment, pools.tree
     slack = rounding_slack(pools, a, b, translation)
@@ -106,7 +135,7 @@ def query_pair(
     within, samples = near + reach, 0
     if bounded and boxes_apart(fragment.box[a], fragment.box[b], rotation[0], translation[0], within + slack):
         return 0, slack, 0, False, 0
-    visits = 0
+    visits, apart = 0, math.inf
     if one_body:
         apart = displacement(pools, a, b, rotation, translation, IN_PLACE)
         if apart <= epsilon:
@@ -115,6 +144,18 @@ def query_pair(
             )
             if count == wanted or (budget and visits >= budget):
                 return count, apart + slack, visits, count < wanted, 0
+    beyond_b, beyond_a = NO_PLANE, NO_PLANE
+    if apart > within and _has_hull(fragment.kind[a]) and _has_hull(fragment.kind[b]):
+        way = _way_between(fragment.box[a], fragment.box[b], rotation[0], translation[0])
+        x, y, z, low, high = parting_plane(
+            hull_of(pools, a), hull_of(pools, b), way, rotation, translation, within + slack
+        )
+        if low - high > within + slack:
+            return 0, slack, visits, False, 0
+        t = translation[0]
+        beyond_b = x, y, z, high + slack
+        x, y, z = rotated(rotation[1], -x, -y, -z)
+        beyond_a = x, y, z, beyond_b[0] * t[0] + beyond_b[1] * t[1] + beyond_b[2] * t[2] - low + slack
     node, node_point = scratch.node_int[thread], scratch.node_float[thread]
     queue = scratch.queue[thread]
     current, following = 0, 1
@@ -133,7 +174,8 @@ def query_pair(
             root = fragment.tree_begin[own]
             c = tree.spheres[root]
             x, y, z = to_other(rotation[side], translation[side], c[0], c[1], c[2])
-            _reach_node(node, node_point, nodes, root, side, UNTESTED, x, y, z, -least_distance(pools, other, x, y, z))
+            depth = _most_depth(pools, other, x, y, z, beyond_b if side == 0 else beyond_a)
+            _reach_node(node, node_point, nodes, root, side, UNTESTED, x, y, z, depth)
             queue[current, size] = nodes
             nodes += 1
             size += 1
@@ -238,7 +280,7 @@ def query_pair(
                 status, depth = node[k, STATUS], node_point[k, DEPTH]
             else:
                 x, y, z = to_other(rotation[side], translation[side], c[0], c[1], c[2])
-                depth = -least_distance(pools, other, x, y, z)
+                depth = _most_depth(pools, other, x, y, z, beyond_b if side == 0 else beyond_a)
             # of a rigid mesh a lone sample's test is all that its probe does
             asked = status != INSIDE and (child_size > 1 or fragment.kind[other] != TRIANGLES)
             around = c[3] + within if count < m else c[3]  # from m on only what is inside counts
