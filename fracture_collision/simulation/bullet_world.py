@@ -16,8 +16,8 @@ from fracture_collision.simulation.engine import BodyStates, FrameState, MassPro
 from fracture_collision.simulation.rotations import (
     crossed,
     from_principal,
-    quaternion_of,
     quaternion_products,
+    quaternions_of,
     rotation_matrices,
     through_matrices,
     turned,
@@ -29,13 +29,6 @@ VELOCITY_LIMIT = 1.0e6
 INVERSE = np.array([-1.0, -1.0, -1.0, 1.0])  # of a unit quaternion, coordinate by coordinate
 
 
-class _Inertial(NamedTuple):
-    mass: float
-    center_of_mass: np.ndarray  # (3,) body frame
-    body_to_inertial: np.ndarray  # (4,) quaternion; the inertial frame's axes are the principal ones
-    moments: np.ndarray  # (3,) [kg m2], principal
-
-
 class _Bodies(NamedTuple):
     """What does not change while a body is there; ascending by fragment id."""
 
@@ -43,8 +36,8 @@ class _Bodies(NamedTuple):
     fragment_ids: np.ndarray  # (n,) uint32
     masses: np.ndarray  # (n,)
     centers_of_mass: np.ndarray  # (n, 3)
-    body_to_inertial: np.ndarray  # (n, 4)
-    moments: np.ndarray  # (n, 3)
+    body_to_inertial: np.ndarray  # (n, 4) quaternions; the inertial frame's axes are the principal ones
+    moments: np.ndarray  # (n, 3) [kg m2], principal
 
 
 NO_BODIES = _Bodies(
@@ -64,7 +57,7 @@ class BulletWorld:
         self._client = pybullet.connect(pybullet.DIRECT)
         pybullet.setTimeStep(self._time_step, physicsClientId=self._client)
         pybullet.setGravity(*self._gravity, physicsClientId=self._client)
-        self._newcomers: dict[int, tuple[_Inertial, FrameState]] = {}  # in Bullet when states are asked for
+        self._newcomers: dict[int, tuple[MassProperties, FrameState]] = {}  # in Bullet when states are asked for
         # Of bodies that are gone, for the next that come: to make one takes twenty times as long as to move it
         # elsewhere. Meanwhile they fall, which nobody sees.
         self._spare: list[int] = []
@@ -76,7 +69,9 @@ class BulletWorld:
     def add(self, fragment_id: int, properties: MassProperties, frame: FrameState) -> None:
         if fragment_id in self._newcomers or self._row_of(fragment_id) is not None:
             raise ValueError(f"fragment {fragment_id} is already in the world")
-        self._newcomers[fragment_id] = _inertial_frame(fragment_id, properties), frame
+        if not properties.mass > 0.0:
+            raise ValueError(f"fragment {fragment_id}: mass {properties.mass} kg: not positive")
+        self._newcomers[fragment_id] = properties, frame
 
     def remove(self, fragment_id: int) -> None:
         if self._newcomers.pop(fragment_id, None) is not None:
@@ -130,9 +125,10 @@ class BulletWorld:
     def _take_in(self) -> None:
         """All newcomers at once: a tenth of the time of one by one."""
         ids = np.array(list(self._newcomers), dtype=np.uint32)
-        inertials, frames = zip(*self._newcomers.values(), strict=True)
+        properties, frames = zip(*self._newcomers.values(), strict=True)
         self._newcomers.clear()
-        masses, centers_of_mass, body_to_inertial, moments = map(np.array, zip(*inertials, strict=True))
+        masses, centers_of_mass, inertias = map(np.array, zip(*properties, strict=True))
+        moments, body_to_inertial = _principal_axes(ids, inertias)
         positions, to_world, linear, angular = map(np.array, zip(*frames, strict=True))
         arms = turned(rotation_matrices(to_world), centers_of_mass)
         handles = self._created(
@@ -205,17 +201,10 @@ def _joined(first: _Table, second: _Table) -> _Table:
     return type(first)(*[np.concatenate(columns) for columns in zip(first, second, strict=True)])
 
 
-def _inertial_frame(fragment_id: int, properties: MassProperties) -> _Inertial:
-    moments, axes = np.linalg.eigh(properties.inertia)
-    if not (properties.mass > 0.0 and moments[0] > 0.0):
-        raise ValueError(
-            f"fragment {fragment_id}: mass {properties.mass} kg, principal moments {moments} kg m2: not positive"
-        )
-    if np.linalg.det(axes) < 0.0:
-        axes[:, 2] = -axes[:, 2]
-    return _Inertial(
-        float(properties.mass),
-        np.asarray(properties.center_of_mass, dtype=np.float64),
-        quaternion_of(axes.T),
-        moments,
-    )
+def _principal_axes(ids: np.ndarray, inertias: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of inertias (n, 3, 3): principal moments (n, 3), and the rotations (n, 4) from the body's axes to theirs."""
+    moments, axes = np.linalg.eigh(inertias)
+    for i in np.flatnonzero(~(moments[:, 0] > 0.0)):
+        raise ValueError(f"fragment {ids[i]}: principal moments {moments[i]} kg m2: not positive")
+    axes[np.linalg.det(axes) < 0.0, :, 2] *= -1.0
+    return moments, quaternions_of(np.ascontiguousarray(axes.transpose(0, 2, 1)))

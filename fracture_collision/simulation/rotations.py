@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numba import njit
 
@@ -114,17 +116,23 @@ def turned(rotations, vectors):
     return result
 
 
-def quaternion_of(matrix: np.ndarray) -> np.ndarray:
-    """(4,) unit quaternion of a rotation matrix (3, 3), by its largest coordinate (Shepperd 1978)."""
-    trace = matrix.trace()
-    squares = np.array([*(1.0 + 2.0 * matrix.diagonal() - trace), 1.0 + trace])  # four times those of x, y, z, w
-    k = int(squares.argmax())
-    antisymmetric = matrix - matrix.T
-    products = np.empty(4)  # four times those with the largest
-    if k == 3:
-        products[:3] = antisymmetric[2, 1], antisymmetric[0, 2], antisymmetric[1, 0]
-    else:
-        products[:3] = (matrix + matrix.T)[k]
-        products[3] = antisymmetric[(k + 2) % 3, (k + 1) % 3]
-    products[k] = squares[k]
-    return products / np.sqrt(products @ products)
+@njit(cache=True)
+def quaternions_of(matrices):
+    """(n, 4) unit quaternions of rotation matrices (n, 3, 3), each by its largest coordinate (Shepperd 1978)."""
+    result = np.empty((len(matrices), 4))
+    squares, products = np.empty(4), np.empty(4)  # four times those of x, y, z, w; those with the largest
+    for i in range(len(matrices)):
+        m = matrices[i]
+        trace = m[0, 0] + m[1, 1] + m[2, 2]
+        for k in range(3):
+            squares[k] = 1.0 + 2.0 * m[k, k] - trace
+        squares[3] = 1.0 + trace
+        k = squares.argmax()
+        for j in range(3):
+            # x, y and z with w; or with another of them
+            products[j] = m[(j + 2) % 3, (j + 1) % 3] - m[(j + 1) % 3, (j + 2) % 3] if k == 3 else m[k, j] + m[j, k]
+        if k < 3:
+            products[3] = m[(k + 2) % 3, (k + 1) % 3] - m[(k + 1) % 3, (k + 2) % 3]
+        products[k] = squares[k]
+        result[i] = products / math.sqrt(np.dot(products, products))
+    return result
