@@ -8,7 +8,7 @@ import numpy as np
 
 from fracture_collision.core import fracture_update, touched_tetrahedra
 from fracture_collision.core.crack_seeds import choose_seeds
-from fracture_collision.core.cut_tetrahedron import make_cut_scratch
+from fracture_collision.core.cut_tetrahedron import DIVIDED, make_cut_scratch
 from fracture_collision.core.fragment_trees import REBUILT, RESTRUCTURED, rebuilt_trees, split_trees
 from fracture_collision.core.front_propagation import update_averaged_field
 from fracture_collision.core.hull_separation import CORNERS_EACH, corners_by_fragment
@@ -275,7 +275,7 @@ class CollisionGeometry:
             room, moments, pools.fragment.box, reaches, gaps, self._scratch,
         )  # fmt: skip
         room = SurfaceRows(*(column[written:] for column in room))
-        most = CORNERS_EACH * len(touched.cut)
+        most = CORNERS_EACH * int(np.count_nonzero(touched.kinds == DIVIDED))
         owners, corners = np.empty(most, np.int32), np.empty((most, 3))
         more, found = fracture_update.rebuild_fanned(
             pools.mesh, pools.body, node_shift, tet_shift, edge_shift, touched, first, end,

@@ -118,7 +118,7 @@ def rebuild_fanned(
         _add_parts(work, pattern, low, high, moments)
         written = _write_fan(work, pattern, out, written, boxes, gaps)
         written = _write_old_faces(mesh, t, work, pattern, out, written, gaps)
-        found = add_corners(mesh, t, work, pattern, low, high, owners, corners, found)
+        found = add_corners(mesh, t, work, pattern, oldest == newest, low, high, owners, corners, found)
         body.tet_fragment[t + tet_shift] = FANNED
         body.cut_begin[t + tet_shift], body.cut_count[t + tet_shift] = first_polygon + begin, written - begin
     return written, found

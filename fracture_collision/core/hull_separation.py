@@ -55,15 +55,16 @@ def hull_of(pools, f):
 
 
 @inlined_kernel
-def add_corners(mesh, t, work, pattern, low, high, owners, points, used):
+def add_corners(mesh, t, work, pattern, at_once, low, high, owners, points, used):
     """Append the corners that fragments low .. high - 1 have in tetrahedron t; returns the row behind the last.
 
-    work, pattern: the tetrahedron as it was divided. Face points stand in one of the two tetrahedra that share them.
+    work, pattern: the tetrahedron as it was divided; at_once: by one fracture. Face points stand in one of the two
+    tetrahedra that share them; the hub of three fragments made at once is between two of them that all three have.
     """
     if GROUPS[pattern] < 3:
         return used
     for i in range(4):
-        if GROUP[pattern, i] == i:
+        if GROUP[pattern, i] == i and not (at_once and GROUPS[pattern] == 3):
             used = _append(work.labels[i], work.points[HUB], low, high, owners, points, used)
     for face in range(4):
         v = FACE_NODES[pattern, face]
