@@ -28,7 +28,7 @@ from benchmarks.scaling.machine import Machine, measure_machine
 from benchmarks.scaling.visits import LISTED, LOCATED, TETRAHEDRON, floor_of
 from fracture_collision.core.compiled import threaded_kernel
 from fracture_collision.core.moments import add_row, tetrahedron_terms
-from fracture_collision.records import FragmentStates
+from fracture_collision.records import ContactConstraintArray, FragmentStates
 from fracture_collision.world import CollisionWorld
 from fracture_collision.world.inspection import EVERY_CONTACT
 
@@ -73,7 +73,8 @@ class LimitRow(NamedTuple):
     times: float  # that the peer's time may be taken
     aim: float  # by peers.csv
     least: float
-    alone: float  # of a query: what its contacts take with nobody looking for them (contacts_alone.py); else nan
+    # of a query: what its contacts take with nobody looking for them (contacts_alone.py), after an update's least;
+    alone: float  # of an update nan
     ours: float  # by peers.csv
     ours_over_least: float
     rests_on: str  # what `least` has to do
@@ -116,7 +117,8 @@ def _floors(world: World, whats: set[str]) -> dict[str, tuple[float, float, str]
         least, words = _least_update(world)
         found[UPDATE] = least, math.nan, words
     if FIRST in whats:
-        found[FIRST] = found[UPDATE][0] + found[TIGHT][0], math.nan, "both of these"
+        least = found[UPDATE][0]
+        found[FIRST] = least + found[TIGHT][0], least + found[TIGHT][1], "both of these"
     return found
 
 
@@ -129,14 +131,15 @@ def _least_query(world: World, tolerance: float) -> tuple[float, float, str]:
     settings = SEARCHED._replace(penetration_tolerance=tolerance) if tolerance else SEARCHED
     everything = SEARCHED._replace(contacts_per_pair=EVERY_CONTACT)
     service, in_place = (_broken(world, chosen) for chosen in (settings, everything))
-    shared = _contacts_of_pairs(in_place, next(f for f in world.frames if f.kind == "touch"), world)
+    shared = _contacts_of_pairs(in_place.contacts(_states(next(f for f in world.frames if f.kind == "touch"), world)))
     contacts, located, alone = [], [], []
     for frame in world.frames:
         if frame.kind != "jitter":
             continue
-        found = _contacts_of_pairs(service, frame, world)
         states = _states(frame, world)
-        alone.append(contacts_alone(service, states, service.contacts(states)))
+        answer = service.contacts(states)
+        found = _contacts_of_pairs(answer)
+        alone.append(contacts_alone(service, states, answer))
         contacts.append(sum(found.values()))
         wanted = settings.contacts_per_pair
         located.append(sum(max(n - found.get(pair, 0), 0) for pair, n in shared.items() if found.get(pair, 0) < wanted))
@@ -171,8 +174,7 @@ def _states(frame: Frame, world: World) -> FragmentStates:
     return FragmentStates(1, 1, ids, frame.body_positions.ravel(), frame.quaternions.ravel())
 
 
-def _contacts_of_pairs(service: CollisionWorld, frame: Frame, world: World) -> dict[tuple[int, int], int]:
-    answer = service.contacts(_states(frame, world))
+def _contacts_of_pairs(answer: ContactConstraintArray) -> dict[tuple[int, int], int]:
     counts = np.diff(answer.pair_begin.astype(np.int64)).tolist()
     return dict(zip(zip(answer.fragment_a.tolist(), answer.fragment_b.tolist(), strict=True), counts, strict=True))
 

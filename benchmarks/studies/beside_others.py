@@ -87,7 +87,7 @@ def limits_section(folder: Path) -> str:
         " 0.2 % R, thousands where hulls give hundreds. Where it lies above, nothing here says that it cannot be met."
         " Contacts alone: what this program takes to locate a query's contacts, find their nearest surface and turn"
         " their normals, each sample known beforehand; the rest of its time it looks for them, and sees that there are"
-        " no others."
+        " no others. Of a first query, after the least of the update before it."
     )
     return "\n\n".join(("## What there is room for", text, "\n".join(lines), made(folder / LIMITS, rows))) + "\n"
 

@@ -149,7 +149,7 @@ def _beside(value: Any, paper: tuple[float | None, float | None] | None) -> str:
 
 STUDY = Study(
     "tables", "The five scenes (Tables 1 to 3)",
-    Size(("piggy_bank",), ("flat",)),
+    Size(("piggy_bank",), ("flat",), repeats=3),
     Size(SCENES, ("flat", "curved"), repeats=3),
     trials, tables, {"": draw}, section,
 )  # fmt: skip
