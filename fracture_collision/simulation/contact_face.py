@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.simulation.compiled import uncounted
-from fracture_collision.simulation.contact_rows import NORMAL_MASS, TANGENT_MASS, push, turn
+from fracture_collision.simulation.contact_rows import NORMAL_MASS, TANGENT_MASS, load, push, pushed, store, turn
 
 # A way whose energy is less than this share of the bodies' own, 1e-10 of the speeds, is as good as none.
 NO_ENERGY = 1.0e-20
@@ -33,6 +33,14 @@ class Way(NamedTuple):
     momenta: np.ndarray  # (n + 1, 6) M u
 
 
+class Live(NamedTuple):
+    """The contacts that have had an impulse since the sweeps began: a third of them, and only they lie on any way."""
+
+    begin: np.ndarray  # (p + 1,) int64
+    contacts: np.ndarray  # (N,) int64; of pair i contacts[begin[i] : begin[i + 1]], ascending; the rest is not used
+    has_lived: np.ndarray  # (N,) bool
+
+
 class Face(NamedTuple):
     """What its last visit found within its bounds. A tangent's bound moves with lambda: to compare the two afterwards
     would let what slides stick, and friction take part in finding lambda."""
@@ -43,9 +51,22 @@ class Face(NamedTuple):
 
 
 @uncounted
-def difference(impulses, rolling, before, way):
+def list_live(rows, live):
+    """Bring the list up to what has lived."""
+    used = 0
+    for pair in range(rows.body_a.size):
+        live.begin[pair] = used
+        for c in range(rows.begin[pair], rows.begin[pair + 1]):
+            if live.has_lived[c]:
+                live.contacts[used] = c
+                used += 1
+    live.begin[rows.body_a.size] = used
+
+
+@uncounted
+def difference(impulses, rolling, before, live, way):
     """The way from `before` to here; what it does to the bodies is found on the face."""
-    for c in range(impulses.shape[0]):
+    for c in live.contacts[: live.begin[-1]]:
         for k in range(3):
             way.impulses[c, k] = impulses[c, k] - before.impulses[c, k]
     for pair in range(rolling.shape[0]):
@@ -54,13 +75,13 @@ def difference(impulses, rolling, before, way):
 
 
 @uncounted
-def add_up(rows, start, u, impulses, rolling):
+def add_up(rows, live, start, u, impulses, rolling):
     """u from its value at `start` and the impulses since."""
     for i in range(u.shape[0]):
         for k in range(6):
             u[i, k] = start.u[i, k]
     for pair in range(rows.body_a.size):
-        for c in range(rows.begin[pair], rows.begin[pair + 1]):
+        for c in live.contacts[live.begin[pair] : live.begin[pair + 1]]:
             push(
                 rows, pair, c, u, impulses[c, 0] - start.impulses[c, 0], impulses[c, 1] - start.impulses[c, 1],
                 impulses[c, 2] - start.impulses[c, 2],
@@ -72,7 +93,7 @@ def add_up(rows, start, u, impulses, rolling):
 
 
 @uncounted
-def keep_to_face(rows, face, way):
+def keep_to_face(rows, live, face, way):
     """Take what is not free out of a way, and find what the rest does to the bodies.
 
     It is summed up from the impulses: a difference of velocities has their rounding, which grows from one iteration to
@@ -83,14 +104,19 @@ def keep_to_face(rows, face, way):
         for k in range(6):
             u[i, k] = 0.0
     for pair in range(rows.body_a.size):
-        for c in range(rows.begin[pair], rows.begin[pair + 1]):
+        a, b = rows.body_a[pair], rows.body_b[pair]
+        mass_a, mass_b = rows.inverse_masses[a], rows.inverse_masses[b]
+        ua, ub = load(u, a), load(u, b)
+        for c in live.contacts[live.begin[pair] : live.begin[pair + 1]]:
             if not face.presses[c]:
                 impulses[c, 0] = 0.0
             if not face.sticks[c]:
                 impulses[c, 1] = impulses[c, 2] = 0.0
             normal, x, y = impulses[c, 0], impulses[c, 1], impulses[c, 2]
             if normal != 0.0 or x != 0.0 or y != 0.0:
-                push(rows, pair, c, u, normal, x, y)
+                ua, ub = pushed(rows.contacts[c], ua, ub, mass_a, mass_b, normal, x, y)
+        store(u, a, ua)
+        store(u, b, ub)
         if not face.holds[pair]:
             way.rolling[pair, 0] = way.rolling[pair, 1] = way.rolling[pair, 2] = 0.0
         x, y, z = way.rolling[pair, 0], way.rolling[pair, 1], way.rolling[pair, 2]
@@ -100,10 +126,28 @@ def keep_to_face(rows, face, way):
 
 
 @uncounted
-def lowest(rows, targets, u, step, path, scale):
+def take_out(rows, live, face, way):
+    """Take out of a way what has left the face since it was kept to it."""
+    impulses = way.impulses
+    for pair in range(rows.body_a.size):
+        for c in live.contacts[live.begin[pair] : live.begin[pair + 1]]:
+            normal = x = y = 0.0
+            if not face.presses[c]:
+                normal = impulses[c, 0]
+                impulses[c, 0] = 0.0
+            if not face.sticks[c]:
+                x, y = impulses[c, 1], impulses[c, 2]
+                impulses[c, 1] = impulses[c, 2] = 0.0
+            if normal != 0.0 or x != 0.0 or y != 0.0:
+                push(rows, pair, c, way.u, -normal, -x, -y)
+    _find_momenta(rows, way)
+
+
+@uncounted
+def lowest(rows, live, targets, u, step, path, scale):
     """Shares of two ways that lead from here to the minimum of f. `scale`: u M u, as large as it gets."""
-    step_slope, step_curvature, step_leads = _slope_and_curvature(rows, targets, u, step, scale)
-    path_slope, path_curvature, path_leads = _slope_and_curvature(rows, targets, u, path, scale)
+    step_slope, step_curvature, step_leads = _slope_and_curvature(rows, live, targets, u, step, scale)
+    path_slope, path_curvature, path_leads = _slope_and_curvature(rows, live, targets, u, path, scale)
     along_step, along_path = 0.0, 0.0
     if step_leads and path_leads:
         mixed = dot(step.momenta, path.u)
@@ -120,9 +164,9 @@ def lowest(rows, targets, u, step, path, scale):
 
 
 @uncounted
-def _slope_and_curvature(rows, targets, u, way, scale):
+def _slope_and_curvature(rows, live, targets, u, way, scale):
     slope, curvature, apart = dot(way.momenta, u), dot(way.momenta, way.u), 0.0
-    for c in range(targets.size):
+    for c in live.contacts[: live.begin[-1]]:
         normal, x, y = way.impulses[c, 0], way.impulses[c, 1], way.impulses[c, 2]
         if normal == 0.0 and x == 0.0 and y == 0.0:
             continue
@@ -132,7 +176,7 @@ def _slope_and_curvature(rows, targets, u, way, scale):
 
 
 @uncounted
-def leave_face(rows, surfaces, impulses, step, path, along_step, along_path, face):
+def leave_face(rows, live, surfaces, impulses, step, path, along_step, along_path, face):
     """Take from the face what these shares of two ways would carry beyond its bounds.
 
     Returns whether there was any, and which part of the way no normal impulse leaves.
@@ -140,7 +184,7 @@ def leave_face(rows, surfaces, impulses, step, path, along_step, along_path, fac
     left, part = False, 1.0
     for pair in range(rows.body_a.size):
         friction = surfaces.friction[pair]
-        for c in range(rows.begin[pair], rows.begin[pair + 1]):
+        for c in live.contacts[live.begin[pair] : live.begin[pair + 1]]:
             move = along_step * step.impulses[c, 0] + along_path * path.impulses[c, 0]
             normal = impulses[c, 0] + move
             if face.presses[c] and not 0.0 <= normal <= surfaces.impulse_limits[c]:
@@ -158,7 +202,7 @@ def leave_face(rows, surfaces, impulses, step, path, along_step, along_path, fac
 
 
 @uncounted
-def go(rows, surfaces, targets, u, impulses, rolling, step, path, along_step, along_path):
+def go(rows, live, surfaces, targets, u, impulses, rolling, step, path, along_step, along_path):
     """Go these shares of two ways, cut back to the cones. Goes nowhere and says so where f would not be lower."""
     work = 0.0
     for i in range(u.shape[0]):
@@ -166,7 +210,7 @@ def go(rows, surfaces, targets, u, impulses, rolling, step, path, along_step, al
             step.u[i, k] = along_step * step.u[i, k] + along_path * path.u[i, k]
     for pair in range(rows.body_a.size):
         friction, total = surfaces.friction[pair], 0.0
-        for c in range(rows.begin[pair], rows.begin[pair + 1]):
+        for c in live.contacts[live.begin[pair] : live.begin[pair + 1]]:
             move0 = along_step * step.impulses[c, 0] + along_path * path.impulses[c, 0]
             move1 = along_step * step.impulses[c, 1] + along_path * path.impulses[c, 1]
             move2 = along_step * step.impulses[c, 2] + along_path * path.impulses[c, 2]
@@ -206,7 +250,7 @@ def go(rows, surfaces, targets, u, impulses, rolling, step, path, along_step, al
     for i in range(u.shape[0]):
         for k in range(6):
             u[i, k] += step.u[i, k]
-    for c in range(impulses.shape[0]):
+    for c in live.contacts[: live.begin[-1]]:
         for k in range(3):
             impulses[c, k] += step.impulses[c, k]
     for pair in range(rolling.shape[0]):

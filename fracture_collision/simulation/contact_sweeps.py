@@ -13,6 +13,7 @@ from numba import njit
 from fracture_collision.simulation.compiled import uncounted
 from fracture_collision.simulation.contact_face import (
     Face,
+    Live,
     Way,
     add_up,
     difference,
@@ -21,7 +22,9 @@ from fracture_collision.simulation.contact_face import (
     go,
     keep_to_face,
     leave_face,
+    list_live,
     lowest,
+    take_out,
 )
 from fracture_collision.simulation.contact_rows import (
     COUPLING1,
@@ -94,35 +97,44 @@ def sweep(rows, surfaces, targets, u, free, impulses, rolling, iterations, accur
     before, start = _no_way(u, impulses, rolling), _no_way(u, impulses, rolling)
     count = len(impulses)
     face = Face(np.zeros(count, np.bool_), np.zeros(count, np.bool_), np.zeros(len(rolling), np.bool_))
-    _keep(start, u, impulses, rolling)
+    live = Live(np.zeros(len(rolling) + 1, np.int64), np.empty(count, np.int64), np.zeros(count, np.bool_))
+    for c in range(count):
+        if impulses[c, 0] != 0.0 or impulses[c, 1] != 0.0 or impulses[c, 2] != 0.0:
+            live.has_lived[c] = True
+    list_live(rows, live)
+    _keep(start, u, impulses, rolling, live)
     scale = doubled_energy(rows, start)
     has_gone = False
     for iteration in range(iterations):
         is_last = iteration == iterations - 1
         if is_last and has_gone:
             # What u gathered by going on is more than rounding where it went far; the last word is with what is.
-            add_up(rows, start, u, impulses, rolling)
-        _keep(before, u, impulses, rolling)
-        _sweep_once(rows, surfaces, targets, u, impulses, rolling, face, False)
-        _sweep_once(rows, surfaces, targets, u, impulses, rolling, face, True)
+            add_up(rows, live, start, u, impulses, rolling)
+        _keep(before, u, impulses, rolling, live)
+        _sweep_once(rows, surfaces, targets, u, impulses, rolling, live, face, False)
+        _sweep_once(rows, surfaces, targets, u, impulses, rolling, live, face, True)
+        list_live(rows, live)
         if is_last:
             break
         if _squared_change(rows, u, before.u) <= accuracy * accuracy * _squared_change(rows, u, free):
             if has_gone:
-                add_up(rows, start, u, impulses, rolling)
+                add_up(rows, live, start, u, impulses, rolling)
             break
-        difference(impulses, rolling, before, step)
+        difference(impulses, rolling, before, live, step)
         along_step, along_path, part = 0.0, 0.0, 0.0
-        for _ in range(FACES):
-            keep_to_face(rows, face, step)
-            keep_to_face(rows, face, path)
-            along_step, along_path = lowest(rows, targets, u, step, path, scale)
-            left, part = leave_face(rows, surfaces, impulses, step, path, along_step, along_path, face)
+        keep_to_face(rows, live, face, step)
+        keep_to_face(rows, live, face, path)
+        for search in range(FACES):
+            if search > 0:
+                take_out(rows, live, face, step)
+                take_out(rows, live, face, path)
+            along_step, along_path = lowest(rows, live, targets, u, step, path, scale)
+            left, part = leave_face(rows, live, surfaces, impulses, step, path, along_step, along_path, face)
             if not left:
                 break
-        if go(rows, surfaces, targets, u, impulses, rolling, step, path, part * along_step, part * along_path):
+        if go(rows, live, surfaces, targets, u, impulses, rolling, step, path, part * along_step, part * along_path):
             has_gone = True
-        difference(impulses, rolling, before, path)
+        difference(impulses, rolling, before, live, path)
 
 
 @uncounted
@@ -144,11 +156,11 @@ def _squared_change(rows, u, before):
 
 
 @uncounted
-def _keep(way, u, impulses, rolling):
+def _keep(way, u, impulses, rolling, live):
     for i in range(u.shape[0]):
         for k in range(6):
             way.u[i, k] = u[i, k]
-    for c in range(impulses.shape[0]):
+    for c in live.contacts[: live.begin[-1]]:
         for k in range(3):
             way.impulses[c, k] = impulses[c, k]
     for pair in range(rolling.shape[0]):
@@ -162,7 +174,7 @@ def _no_way(u, impulses, rolling):
 
 
 @uncounted
-def _sweep_once(rows, surfaces, targets, u, impulses, rolling, face, backward):
+def _sweep_once(rows, surfaces, targets, u, impulses, rolling, live, face, backward):
     pair_count = rows.body_a.size
     for visit in range(pair_count):
         pair = pair_count - 1 - visit if backward else visit
@@ -198,6 +210,7 @@ def _sweep_once(rows, surfaces, targets, u, impulses, rolling, face, backward):
                 s = normal_velocity(r, ua, ub)
                 wanted = min(max(carried - r[NORMAL_MASS] * (s - targets[c]), 0.0), surfaces.impulse_limits[c])
                 if wanted != carried:
+                    live.has_lived[c] = True
                     ua, ub = pushed_apart(r, ua, ub, mass_a, mass_b, wanted - carried)
                 face.sticks[c] = False
             impulses[c, 0] = wanted
