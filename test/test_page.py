@@ -186,7 +186,7 @@ def test_a_floor_is_drawn_once_and_holds_nothing_up() -> None:
         assert not nodes[int(states.fragment_ids[-1])].visible
 
 
-def test_the_newest_states_are_shown_at_most_thirty_times_a_second() -> None:
+def test_the_newest_states_are_shown_some_thirty_times_a_second() -> None:
     states = records_of(FragmentStates)[0]
     with Page(told=frozenset({"contacts"})) as page:
         for body in records_of(CollisionBody):

@@ -27,7 +27,8 @@ AFTERWARDS = 1.5  # [s] for all to come of a ball
 DRAWN = 1.0  # [s] in which what has come is drawn, and no other ball flies yet
 FRAGMENTS = 200
 BALLS = 1.0  # [s] between two
-WATCHED = 10.0  # [s]
+WATCHED = 10.0  # [s] at most: of what lies still there are no pictures
+REST = 1.0e-3  # [J] of all fragments together: the last of some forty kilograms creep by millimetres a second
 ASKED_MS, ASKED_PICTURES = 100.0, 30.0
 
 Look = Callable[[str], AbstractContextManager[Looker]]
@@ -82,7 +83,7 @@ def _latencies(fractures: list[Fracture], looker: Looker, handed: list[float], s
 
 
 def measure_pictures(look: Look, busy: Busy) -> str:
-    """From 200 fragments on, the machine as busy with them as it can be."""
+    """From 200 fragments on until they lie still, the machine as busy with them as it can be."""
     with (
         tempfile.TemporaryDirectory() as folder,
         scene_played(str(_scene_file(Path(folder), busy))) as (run, person),
@@ -98,7 +99,7 @@ def measure_pictures(look: Look, busy: Busy) -> str:
         looker.pictures()
         before, step = [processor_seconds(node.pid) for node in run.nodes], person.status.step
         end = time.monotonic() + WATCHED
-        while time.monotonic() < end:
+        while time.monotonic() < end and _moves(person):
             _throw_next(person, balls)
         pictures, status = looker.pictures(), person.status
         used = [processor_seconds(node.pid) - b for node, b in zip(run.nodes, before, strict=True)]
@@ -107,6 +108,7 @@ def measure_pictures(look: Look, busy: Busy) -> str:
     )
     rate = pictures.count / pictures.seconds
     words = f"{busy.scene}: {rate:.1f} pictures a second (asked: {ASKED_PICTURES:.0f}) of {status.fragments} fragments"
+    words += f" in {pictures.seconds:.1f} s"
     if pictures.moved:
         words += f", {pictures.moved:.0f} of them moving; {1e3 * used[-1] / pictures.count:.1f} ms of the page's"
         words += " processor time a picture"
@@ -125,11 +127,16 @@ def _scene_file(folder: Path, busy: Busy) -> Path:
 
 
 def _throw_next(person: Person, places: Iterator[Sequence[float]]) -> None:
-    """A ball, where there is a place left to throw one at; and its time."""
+    """A ball, where there is a place left to throw one at; and its time, or till all lie still."""
     place = next(places, None)
     if place is not None:
         throw_at(person, place)
-    person.wait(BALLS)
+    end = time.monotonic() + BALLS
+    person.until(lambda: time.monotonic() > end or not _moves(person), "time")
+
+
+def _moves(person: Person) -> bool:
+    return person.status.kinetic_energy > REST
 
 
 def _words(times: list[float]) -> str:

@@ -65,7 +65,7 @@ class BagPlayer:
         return self._moments[-1] - self._moments[0]
 
     def play_until(self, check: Callable[[], None]) -> None:
-        """For ever: until `check`, called thirty times a second, raises."""
+        """For ever: until `check`, called as often as pictures are made, raises."""
         while True:
             check()
             self.advance()

@@ -1,7 +1,7 @@
 """A page in the browser that shows a run while it happens, and tells what a person does there.
 
 It takes records, whoever has them: a bag that is played, nodes that are listened to. Nothing waits for the network:
-calls leave what is new with a thread of the page's own, which hands the newest of it to the browsers, at most thirty
+calls leave what is new with a thread of the page's own, which hands the newest of it to the browsers, some thirty
 times a second, meshes and removals at once. viser serves the page and keeps what is in it, so that a browser may come,
 go and come back at any time, and several may look.
 """
@@ -30,7 +30,7 @@ from fracture_collision.viewer.page_stream import LiveValues
 from fracture_collision.viewer.ray_picture import Camera
 
 LOCALHOST = "127.0.0.1"
-INTERVAL = 1.0 / 30.0  # [s] between two pictures
+INTERVAL = 1.0 / 32.0  # [s] between two pictures: some come too late, and thirty a second shall be left
 MOST_BEHIND = 3.0 * INTERVAL  # [s] Pictures that states came too late for are made up for, so many at most.
 TITLE = "fracture_collision"
 BRAND = (38, 94, 150)
@@ -247,7 +247,7 @@ class Page:
                 self._busy = False
                 self._news.notify_all()
                 self._news.wait_for(lambda: self._closed or self._has_news())
-                if not self._orders:  # thirty times a second is enough; an order does not wait so long
+                if not self._orders:  # that often is enough; an order does not wait so long
                     self._news.wait_for(lambda: self._closed or self._orders, max(due - time.monotonic(), 0.0))
                 if self._closed:
                     return
