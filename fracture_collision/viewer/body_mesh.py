@@ -23,11 +23,8 @@ class BodyMesh:
         self.is_crack = np.zeros(len(triangles), dtype=np.bool_) if is_crack is None else is_crack
         self.normals = np.empty((3 * len(triangles), 3))
         _, places = unique_rows(np.round(vertices.astype(np.float64), PLACE_DIGITS))
-        place = places[triangles.ravel()]
-        self.places = place.reshape(-1, 3)  # (t, 3) of the corners: those at the same place have the same number
-        corners = np.argsort(place, kind="stable")
-        begin = np.searchsorted(place[corners], np.arange(place.max(initial=-1) + 2))
-        smooth_normals(self.triangles, self.is_crack, corners, begin, CREASE, self.normals)
+        self.places = places[triangles]  # (t, 3) of the corners: those at the same place have the same number
+        smooth_normals(self.triangles, self.is_crack, self.places.ravel(), CREASE, self.normals)
         self.normals = self.normals.reshape(-1, 3, 3)
         self.centre = self.triangles.reshape(-1, 3).mean(axis=0) if len(triangles) else np.zeros(3)
 

@@ -12,6 +12,7 @@ import struct
 
 import numpy as np
 
+from fracture_collision.geometry.unique_rows import unique_rows
 from fracture_collision.viewer.body_mesh import BodyMesh
 from fracture_collision.viewer.palette import Paint
 
@@ -43,9 +44,8 @@ def _smooth_corners(
     triangles: np.ndarray, normals: np.ndarray, places: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Corners (n, 3) and indices (3 t,): those of the same place and the same normal are one."""
-    steps = np.round(_STEPS * normals.reshape(-1, 3)).astype(np.int64) + _STEPS
-    key = ((places.ravel() * 512 + steps[:, 0]) * 512 + steps[:, 1]) * 512 + steps[:, 2]
-    _, chosen, index = np.unique(key, return_index=True, return_inverse=True)
+    steps = np.round(_STEPS * normals.reshape(-1, 3))
+    chosen, index = unique_rows(np.column_stack((places.ravel(), steps)))
     return triangles.reshape(-1, 3)[chosen], index
 
 
@@ -70,7 +70,8 @@ class _File:
     ) -> None:
         """`colour`: linear RGB; `brightness` (n,): by which it is multiplied at each corner."""
         corners = corners.astype("<f4")
-        bounds = {"min": corners.min(axis=0).tolist(), "max": corners.max(axis=0).tolist()}
+        columns = np.ascontiguousarray(corners.T)  # along rows numpy looks ten times as long for the smallest
+        bounds = {"min": columns.min(axis=1).tolist(), "max": columns.max(axis=1).tolist()}
         attributes = {"POSITION": self._add(corners, _FLOAT, "VEC3", bounds)}
         if brightness is not None:
             rgba = np.full((len(corners), 4), 255, dtype=np.uint8)

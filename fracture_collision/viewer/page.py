@@ -277,9 +277,9 @@ class Page:
         contacts: ContactConstraintArray | None,
         redraw: bool,
     ) -> None:
+        for order in orders:  # meshes are made here: meanwhile what is ready shall go out
+            order()
         with self._server.atomic():  # else each message by itself would wake the thread that sends them
-            for order in orders:
-                order()
             if states is not None:
                 self._placed = states
                 self.pictures += 1
@@ -293,7 +293,7 @@ class Page:
             self._layers.draw(contacts, self._scene.centre)
         for row in figures:
             self._plots.add(row)
-        if figures:
+        if figures and not orders:  # what is new has more to come; a plot may wait
             self._plots.draw()
             self._say(figures[-1])
 

@@ -145,18 +145,21 @@ def add_light(
 
 
 @njit(cache=True)
-def smooth_normals(triangles, is_crack, corners, begin, crease, normals):
+def smooth_normals(triangles, is_crack, places, crease, normals):
     """Corner normals (3t, 3): the area-weighted mean of the triangles that meet there without a crease.
 
-    corners[begin[i] .. begin[i+1]-1]: the corners (3 x triangle + corner) at place i; crease: the cosine beyond which
-    two triangles are not smoothed. Crack and outside never are.
+    places (3t,): of each corner, those at the same place have the same number; crease: the cosine beyond which two
+    triangles are not smoothed. Crack and outside never are.
     """
-    area = np.empty((len(triangles), 3))
+    corners, begin = _by_place(places)
+    area, length = np.empty((len(triangles), 3)), np.empty(len(triangles))
     for t in range(len(triangles)):
-        ax, ay, az = triangles[t, 1] - triangles[t, 0]
-        bx, by, bz = triangles[t, 2] - triangles[t, 0]
-        area[t, 0], area[t, 1], area[t, 2] = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-    length = np.sqrt((area * area).sum(axis=1))
+        p, q, r = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        ax, ay, az = q[0] - p[0], q[1] - p[1], q[2] - p[2]
+        bx, by, bz = r[0] - p[0], r[1] - p[1], r[2] - p[2]
+        x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+        area[t, 0], area[t, 1], area[t, 2] = x, y, z
+        length[t] = math.sqrt(x * x + y * y + z * z)
     for place in range(len(begin) - 1):
         for a in range(begin[place], begin[place + 1]):
             own = corners[a] // 3
@@ -169,3 +172,17 @@ def smooth_normals(triangles, is_crack, corners, begin, crease, normals):
                     x, y, z = x + area[other, 0], y + area[other, 1], z + area[other, 2]
             size = max(math.sqrt(x * x + y * y + z * z), 1e-300)
             normals[corners[a], 0], normals[corners[a], 1], normals[corners[a], 2] = x / size, y / size, z / size
+
+
+@njit(cache=True)
+def _by_place(places):
+    """corners[begin[i] .. begin[i+1]-1]: the corners (3 x triangle + corner) at place i."""
+    begin = np.zeros((places.max() if len(places) else -1) + 2, np.int64)
+    for place in places:
+        begin[place + 1] += 1
+    begin = np.cumsum(begin)
+    corners, free = np.empty(len(places), np.int64), begin.copy()
+    for corner in range(len(places)):
+        corners[free[places[corner]]] = corner
+        free[places[corner]] += 1
+    return corners, begin
