@@ -293,7 +293,7 @@ class Page:
             self._layers.draw(contacts, self._scene.centre)
         for row in figures:
             self._plots.add(row)
-        if figures and not orders:  # what is new has more to come; a plot may wait
+        if figures:
             self._plots.draw()
             self._say(figures[-1])
 
