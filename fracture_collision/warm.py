@@ -13,8 +13,8 @@ import fracture_collision.simulation.warm_up as simulator
 import fracture_collision.world.warm_up as service
 from fracture_collision.lockstep import Lockstep
 from fracture_collision.simulation.scene import load_scene
+from fracture_collision.viewer.body_mesh import BodyMesh
 from fracture_collision.viewer.ray_picture import Camera, TriangleScene, render
-from fracture_collision.viewer.shading import smooth_normals
 
 
 def main() -> None:
@@ -33,10 +33,9 @@ def main() -> None:
 
 
 def draw_one_triangle() -> None:
-    triangles = np.array([[[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [0.0, 1.0, 1.0]]])
-    normals = np.empty((3, 3))
-    smooth_normals(triangles, np.zeros(1, dtype=bool), np.arange(3), np.arange(4), 0.5, normals)
-    scene = TriangleScene(triangles, normals.reshape(1, 3, 3), np.full((1, 3), 0.5), np.zeros(1), 0.0)
+    corners = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [0.0, 1.0, 1.0]])
+    mesh = BodyMesh(corners, np.array([[0, 1, 2]], np.uint32))
+    scene = TriangleScene(mesh.triangles, mesh.normals, np.full((1, 3), 0.5), np.zeros(1), 0.0)
     camera = Camera(np.array([0.2, 0.2, 4.0]), np.zeros(3), 0.8)
     render(scene, camera, 8, 8, np.array([0.0, 0.6, 0.8]))
 
