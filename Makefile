@@ -37,9 +37,10 @@ test: build lint ## all tests but the slow ones, and lint
 test-full: build lint ## all tests, the slow ones too
 	@$(PYTEST)
 
-lint: $(STAMPS)/messages ## style, and the arrows between the rooms
+lint: $(STAMPS)/messages ## style, the arrows between the rooms, arithmetic that is the same everywhere
 	@$(BIN)/ruff check .
 	@$(BIN)/lint-imports --no-cache
+	@$(BIN)/python -m lint.portable_arithmetic
 
 peers: build $(STAMPS)/peers ## ours beside the libraries people would use instead: table, ratios and out/peers.csv, some minutes
 	@$(BIN)/python -m benchmarks.peers

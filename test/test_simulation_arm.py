@@ -8,13 +8,17 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import pybullet
 import pybullet_data
 import pytest
+from scipy.spatial.transform import Rotation
 
 from fracture_collision.lockstep import Exchange, Lockstep
 from fracture_collision.simulation.arm import JOINTS, MOVING, PARTS, URDF, ArmKinematics, require_within
 from fracture_collision.simulation.live import CommandRefused, LiveScene
+from fracture_collision.simulation.rotations import from_euler_angles
 from fracture_collision.simulation.scene import Scene, SceneError, load_scene, parse_scene
+from fracture_collision.simulation.urdf_chain import link_frames, read_chain
 from fracture_collision.world import CollisionWorld, Settings
 
 ORIGIN, UPRIGHT = np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])
@@ -34,10 +38,8 @@ def scene(swing, duration=1.0, bodies=(GROUND,), **arm) -> Scene:
 
 
 @pytest.fixture(scope="module")
-def kinematics() -> Iterator[ArmKinematics]:
-    made = ArmKinematics(ORIGIN, UPRIGHT)
-    yield made
-    made.close()
+def kinematics() -> ArmKinematics:
+    return ArmKinematics(ORIGIN, UPRIGHT)
 
 
 def places(what: Scene, states) -> np.ndarray:
@@ -65,7 +67,6 @@ def smashed() -> Smashed:
             asked.append(run.simulation.arm.angles)
             expected = kinematics.places(asked[-1])[0]
             lags.append(np.linalg.norm(places(what, run.states()) - expected, axis=1).max())
-    kinematics.close()
     return Smashed(what, tuple(exchanges), np.array(lags), np.array(asked))
 
 
@@ -84,6 +85,31 @@ def test_places_are_those_of_the_urdf(kinematics: ArmKinematics) -> None:
     np.testing.assert_allclose(np.linalg.norm(turns, axis=1), 1.0, atol=1e-12)
     turned = kinematics.places(np.array([0.5, np.pi / 2, 0.0, 0.0, 0.0, 0.0, 0.0]))[0][-1]
     np.testing.assert_allclose(turned, [bent[-1, 0] * np.cos(0.5), bent[-1, 0] * np.sin(0.5), bent[-1, 2]], atol=1e-6)
+
+
+def test_places_are_those_that_bullet_finds() -> None:
+    """Bullet's are of single precision."""
+    position, orientation = np.array([0.1, -0.2, 0.3]), from_euler_angles(np.array([0.3, -0.4, 2.0]))
+    chain = read_chain(Path(pybullet_data.getDataPath()) / URDF)
+    client = pybullet.connect(pybullet.DIRECT)
+    try:
+        arm = pybullet.loadURDF(
+            str(Path(pybullet_data.getDataPath()) / URDF), position.tolist(), orientation.tolist(), useFixedBase=True,
+            physicsClientId=client,
+        )  # fmt: skip
+        told = [pybullet.getJointInfo(arm, j, physicsClientId=client) for j in range(JOINTS)]
+        for limits, column in zip(chain.limits, (1, 8, 9, 11), strict=True):
+            assert list(limits) == [each.decode() if column == 1 else each for each in (row[column] for row in told)]
+        for angles in np.random.default_rng(3).uniform(-2.0, 2.0, (5, JOINTS)):
+            for j, angle in enumerate(angles.tolist()):
+                pybullet.resetJointState(arm, j, angle, physicsClientId=client)
+            states = pybullet.getLinkStates(arm, range(JOINTS), computeForwardKinematics=1, physicsClientId=client)
+            origins, turns = link_frames(chain, position, orientation, angles)
+            np.testing.assert_allclose(origins, [state[4] for state in states], atol=1e-6)
+            expected = Rotation.from_quat([state[5] for state in states])
+            assert (Rotation.from_quat(turns) * expected.inv()).magnitude().max() < 1e-6
+    finally:
+        pybullet.disconnect(client)
 
 
 def test_parts_cover_the_links_meshes() -> None:
@@ -177,7 +203,6 @@ def test_held_up_it_presses_with_its_force_and_waits() -> None:
     assert np.degrees(asked[0]) < 30.0, "it did not get through"
     kinematics = ArmKinematics(ORIGIN, UPRIGHT)
     lags = np.linalg.norm(tool - kinematics.places(asked)[0], axis=1)
-    kinematics.close()
     assert 1e-3 < lags.max() < 1.5 * what.arm.settings.lag_limit
     assert tool[:, 1].max() < 0.2 and min(report.deepest_gap for report in reports) > -0.02
     assert reports[-1].max_speed < 0.05

@@ -1,4 +1,4 @@
-"""Bullet as integrator: frames, free motion, no damping, no clamps, no leaks between worlds."""
+"""The engine: frames, free motion, no damping, no clamps, no leaks between worlds; beside Bullet."""
 
 from __future__ import annotations
 
@@ -7,11 +7,10 @@ import pybullet
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fracture_collision.simulation.bullet_world import BulletWorld
 from fracture_collision.simulation.contact_solver import kinetic_energy
 from fracture_collision.simulation.engine import FrameState, MassProperties
 from fracture_collision.simulation.free_motion import free_velocities
-from fracture_collision.simulation.rotations import through_matrices
+from fracture_collision.simulation.rigid_body_world import RigidBodyWorld
 
 STEP = 1.0 / 400.0
 
@@ -31,8 +30,8 @@ def tumbling(rng):
 def world():
     worlds = []
 
-    def make(gravity=(0.0, 0.0, 0.0)):
-        worlds.append(BulletWorld(np.array(gravity), STEP))
+    def make():
+        worlds.append(RigidBodyWorld(STEP))
         return worlds[-1]
 
     yield make
@@ -59,7 +58,7 @@ def test_the_body_frame_comes_back_as_it_went_in(world):
 def test_a_free_tumbling_body_keeps_its_energy_and_flies_its_parabola(world):
     rng = np.random.default_rng(2)
     gravity = np.array([0.0, 0.0, -9.81])
-    engine = world(gravity)
+    engine = world()
     engine.add(1, lopsided(rng), tumbling(rng))
     start = engine.states()
     momentum = start.inertias[0] @ start.angular[0]
@@ -96,7 +95,7 @@ def test_fast_spins_are_not_clamped(world):
 
 def test_drift_moves_poses_and_leaves_velocities(world):
     rng = np.random.default_rng(4)
-    engine = world((0.0, 0.0, -9.81))
+    engine = world()
     engine.add(1, lopsided(rng), FrameState(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), np.zeros(3)))
     before = engine.states()
     drift = np.array([[0.1, 0.2, 0.3]])
@@ -129,11 +128,10 @@ def test_bodies_that_come_and_go_together_move_as_each_would_alone(world):
     bodies = {i: (lopsided(rng), tumbling(rng)._replace(orientation=Rotation.random(random_state=i).as_quat()))
               for i in range(1, 9)}  # fmt: skip
     comings, goings = {0: (1, 2, 3, 4), 2: (5,), 4: (6, 7, 8)}, {2: (2, 4), 3: (1,), 5: (7,)}
-    gravity = np.array([0.0, 0.0, -9.81])
 
     def run(only):
         """All states of each body, step by step."""
-        engine, seen = world(gravity), {}
+        engine, seen = world(), {}
         for step in range(8):
             for i in goings.get(step, ()):
                 if i in only:
@@ -155,18 +153,45 @@ def test_bodies_that_come_and_go_together_move_as_each_would_alone(world):
         assert run([i]) == {i: seen}
 
 
-def test_orientations_are_rounded_as_bullet_rounds_those_of_bodies_it_creates():
-    """To the bit: a run does not depend on whether bodies were created or set where they are."""
-    turns = np.vstack((Rotation.random(200, random_state=8).as_quat(), np.eye(4), np.full((1, 4), 0.5)))
+def test_a_step_moves_a_body_as_bullet_does(world):
+    """Bullet integrates by the same formulas; it rounds sin and cos as the processor's libm does."""
+    rng = np.random.default_rng(8)
     client = pybullet.connect(pybullet.DIRECT)
     try:
-        for turn, set_to in zip(turns, through_matrices(turns), strict=True):
+        pybullet.setTimeStep(STEP, physicsClientId=client)
+        for spin in (0.0, 1e-6, 0.02, 1.0, 100.0):
+            turn = Rotation.random(random_state=rng).as_quat()
+            velocity, angular = rng.normal(size=3), spin * rng.normal(size=3)
             body = pybullet.createMultiBody(baseMass=1.0, baseOrientation=turn.tolist(), physicsClientId=client)
-            created = pybullet.getBasePositionAndOrientation(body, physicsClientId=client)[1]
-            pybullet.resetBasePositionAndOrientation(body, [0.0] * 3, set_to.tolist(), physicsClientId=client)
-            assert pybullet.getBasePositionAndOrientation(body, physicsClientId=client)[1] == created
+            pybullet.changeDynamics(
+                body, -1, localInertiaDiagonal=[1.0, 1.0, 1.0], linearDamping=0.0, angularDamping=0.0,
+                maxJointVelocity=1e6, physicsClientId=client,
+            )  # fmt: skip
+            pybullet.resetBaseVelocity(body, velocity.tolist(), angular.tolist(), physicsClientId=client)
+            engine = world()
+            engine.add(1, MassProperties(1.0, np.zeros(3), np.eye(3)), FrameState(np.zeros(3), turn, velocity, angular))
+            for _ in range(20):
+                pybullet.stepSimulation(physicsClientId=client)
+                states = engine.states()
+                engine.advance(states.linear, states.angular, np.zeros((1, 3)), np.zeros((1, 3)))
+            position, orientation = pybullet.getBasePositionAndOrientation(body, physicsClientId=client)
+            np.testing.assert_allclose(engine.states().centers[0], position, atol=1e-13)
+            assert abs(engine.states().frame_orientations[0] @ orientation) == pytest.approx(1.0, abs=1e-13)
+            pybullet.removeBody(body, physicsClientId=client)
     finally:
         pybullet.disconnect(client)
+
+
+def test_a_turn_of_any_size_is_exact(world):
+    for angle in (1e-12, 1e-9, 1e-3, 0.5 * np.pi, 3.0, 40.0):
+        engine = world()
+        spin = np.array([0.6, 0.0, -0.8]) * angle / STEP
+        frame = FrameState(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), spin)
+        engine.add(1, MassProperties(1.0, np.zeros(3), np.eye(3)), frame)
+        engine.advance(np.zeros((1, 3)), spin[None], np.zeros((1, 3)), np.zeros((1, 3)))
+        expected = Rotation.from_rotvec(angle * np.array([0.6, 0.0, -0.8])).as_quat()
+        got = engine.states().frame_orientations[0]
+        np.testing.assert_allclose(got * np.sign(got @ expected), expected, atol=1e-15 * max(1.0, angle))
 
 
 def test_what_cannot_be_is_refused(world):
@@ -174,6 +199,8 @@ def test_what_cannot_be_is_refused(world):
     frame = FrameState(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), np.zeros(3))
     with pytest.raises(ValueError, match="fragment 3: mass 0.0 kg"):
         engine.add(3, MassProperties(0.0, np.zeros(3), np.eye(3)), frame)
+    with pytest.raises(ValueError, match="fragment 3: inertia .* not positive"):
+        engine.add(3, MassProperties(1.0, np.zeros(3), np.diag([1.0, 1.0, -1.0])), frame)
     engine.add(3, MassProperties(1.0, np.zeros(3), np.eye(3)), frame)
     with pytest.raises(ValueError, match="already"):
         engine.add(3, MassProperties(1.0, np.zeros(3), np.eye(3)), frame)

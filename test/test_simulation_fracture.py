@@ -14,9 +14,9 @@ from fracture_collision.geometry import generators
 from fracture_collision.geometry.tetrahedra import unique_edges
 from fracture_collision.records import ContactConstraintArray
 from fracture_collision.simulation.breakable_body import BreakableBody
-from fracture_collision.simulation.bullet_world import BulletWorld
 from fracture_collision.simulation.fracture_pattern import PatternSettings
 from fracture_collision.simulation.pattern_pieces import connected_pieces
+from fracture_collision.simulation.rigid_body_world import RigidBodyWorld
 from fracture_collision.simulation.scene import parse_scene
 from fracture_collision.simulation.simulation import Simulation
 
@@ -196,7 +196,7 @@ def test_a_pattern_takes_milliseconds():
 # --- fracture within a simulation -----------------------------------------------------------------------------------
 
 
-class WatchedWorld(BulletWorld):
+class WatchedWorld(RigidBodyWorld):
     """Keeps what it held before and after its last step."""
 
     def advance(self, *velocities):
@@ -252,7 +252,7 @@ def momenta(states, fragment_ids):
 
 class Run:
     def __init__(self, scene, **more):
-        self.world = WatchedWorld(scene.gravity, scene.time_step)
+        self.world = WatchedWorld(scene.time_step)
         self.simulation = Simulation(scene, engine=self.world, **more)
         self.oracle = Oracle(self.simulation.start_bodies())
 

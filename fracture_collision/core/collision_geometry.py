@@ -40,6 +40,7 @@ from fracture_collision.core.sphere_tree import SphereTree, build_sphere_tree
 from fracture_collision.core.surface_rows import SurfaceRows
 from fracture_collision.core.tet_mesh import TetMesh
 from fracture_collision.core.triangle_field import TriangleMesh, append_triangle_mesh, build_triangle_mesh
+from fracture_collision.portable_math import lengths
 
 
 class MassProperties(NamedTuple):
@@ -85,7 +86,7 @@ def prepare_mesh(mesh: TetMesh) -> PreparedMesh:
 def prepare_surface(vertices: np.ndarray, triangles: np.ndarray) -> PreparedSurface:
     """Preprocess a closed mesh (vertices (n, 3) [m], triangles (t, 3)); every vertex is a sample."""
     corners = vertices[triangles]
-    longest = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).max()
+    longest = lengths(corners - np.roll(corners, -1, axis=1)).max()
     return PreparedSurface(
         build_triangle_mesh(vertices, triangles),
         build_sphere_tree(vertices, np.ones(len(vertices), np.uint8)),

@@ -100,12 +100,12 @@ def mass_properties(moments: np.ndarray, density: np.ndarray) -> tuple[np.ndarra
 
 
 def sphere_mass_properties(radius: float, density: float) -> tuple[float, np.ndarray, np.ndarray]:
-    mass = density * 4.0 / 3.0 * math.pi * radius**3
-    moment = 0.4 * mass * radius**2
+    mass = density * 4.0 / 3.0 * math.pi * radius * radius * radius
+    moment = 0.4 * mass * radius * radius
     return mass, np.zeros(3), np.array([moment, 0.0, 0.0, moment, 0.0, moment])
 
 
 def box_mass_properties(half: np.ndarray, density: float) -> tuple[float, np.ndarray, np.ndarray]:
     mass = density * 8.0 * float(np.prod(half))
-    xx, yy, zz = half**2 * mass / 3.0
+    xx, yy, zz = half * half * mass / 3.0
     return mass, np.zeros(3), np.array([yy + zz, 0.0, 0.0, xx + zz, 0.0, xx + yy])

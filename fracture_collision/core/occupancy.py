@@ -22,9 +22,9 @@ ROUNDING = 1e-9
 
 
 def _slabs(axis: int) -> np.ndarray:
-    """The parts first .. last along an axis, in entry PARTS first + last (PARTS**2,) uint64."""
+    """The parts first .. last along an axis, in entry PARTS first + last (PARTS * PARTS,) uint64."""
     part = np.indices((PARTS, PARTS, PARTS))[axis].ravel()
-    bit = np.uint64(1) << np.arange(PARTS**3, dtype=np.uint64)
+    bit = np.uint64(1) << np.arange(PARTS * PARTS * PARTS, dtype=np.uint64)
     chosen = [bit[(first <= part) & (part <= last)] for first in range(PARTS) for last in range(PARTS)]
     return np.array([np.bitwise_or.reduce(bits, initial=np.uint64(0)) for bits in chosen], dtype=np.uint64)
 

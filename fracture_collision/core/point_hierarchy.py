@@ -33,8 +33,8 @@ def build_point_hierarchy(points: np.ndarray) -> PointHierarchy:
     index = np.arange(n)
     begins, boxes = [], []
     for level in range(depth + 1):
-        bounds = (np.arange(2**level + 1) * n) >> level
-        node = np.repeat(np.arange(2**level), np.diff(bounds))
+        bounds = (np.arange((1 << level) + 1) * n) >> level
+        node = np.repeat(np.arange(1 << level), np.diff(bounds))
         placed = points[index]
         low, high = np.minimum.reduceat(placed, bounds[:-1]), np.maximum.reduceat(placed, bounds[:-1])
         begins.append(bounds)

@@ -17,6 +17,7 @@ import numpy as np
 from fracture_collision.core.compiled import kernel
 from fracture_collision.core.max_distance_order import MaxDistanceOrder, max_distance_order
 from fracture_collision.core.pools import NONE_BELOW, OWN_SAMPLE
+from fracture_collision.portable_math import lengths
 
 
 class SphereTree(NamedTuple):
@@ -146,6 +147,6 @@ def validate_sphere_tree(tree: SphereTree, expected_samples: np.ndarray) -> None
         assert child == end, f"the children of entry {i} do not fill its subtree"
         assert children >= 2, f"entry {i} has a single child"
         assert carries, f"no child of entry {i} carries its point"
-        reach = np.sqrt(((center[i + 1 : end] - center[i]) ** 2).sum(axis=1)).max()
+        reach = lengths(center[i + 1 : end] - center[i]).max()
         assert reach <= radius[i] * (1.0 + 1e-12), f"entry {i} does not hold a descendant: {reach} > {radius[i]}"
     assert len(on_surface) == len(size)

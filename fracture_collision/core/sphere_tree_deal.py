@@ -20,7 +20,7 @@ UNKNOWN, MIXED = -2, -1
 # "Using de Bruijn Sequences to Index a 1 in a Computer Word", 1998).
 DE_BRUIJN = np.uint64(0x03F79D71B4CB0A89)
 BIT_POSITION = np.zeros(64, np.int64)
-BIT_POSITION[[((0x03F79D71B4CB0A89 << b) & (2**64 - 1)) >> 58 for b in range(64)]] = np.arange(64)
+BIT_POSITION[[((0x03F79D71B4CB0A89 << b) & 0xFFFFFFFFFFFFFFFF) >> 58 for b in range(64)]] = np.arange(64)
 
 
 class Deal(NamedTuple):

@@ -19,6 +19,7 @@ from fracture_collision.geometry.tetrahedra import (
     tetrahedron_volumes,
     unique_edges,
 )
+from fracture_collision.portable_math import arctangent2, cube_root, dots, images, lengths
 
 # A location grid with about one tetrahedron's box a cell answers fastest; a hollow body's box holds more air than
 # tetrahedra, so the number of cells is bounded too.
@@ -104,7 +105,7 @@ def build_tet_mesh(nodes: np.ndarray, tetrahedra: np.ndarray) -> TetMesh:
         cell_parts=cells[2],
         box=np.concatenate([lower, upper]),
         # The corners of a triangle with longest side L cover it with balls of radius L / sqrt(3).
-        sampling_gap=float(np.sqrt((sides**2).sum(axis=2).max() / 3.0)),
+        sampling_gap=float(np.sqrt(dots(sides, sides).max() / 3.0)),
     )
 
 
@@ -115,13 +116,13 @@ def vertex_normals(nodes: np.ndarray, surface: np.ndarray) -> np.ndarray:
     """
     corners = nodes[surface]
     face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    face /= np.linalg.norm(face, axis=1)[:, None]
+    face /= lengths(face)[:, None]
     normals = np.zeros((len(nodes), 3))
     for i in range(3):
         u, v = corners[:, (i + 1) % 3] - corners[:, i], corners[:, (i + 2) % 3] - corners[:, i]
-        angle = np.arctan2(np.linalg.norm(np.cross(u, v), axis=1), (u * v).sum(axis=1))
+        angle = arctangent2(lengths(np.cross(u, v)), (u * v).sum(axis=1))
         np.add.at(normals, surface[:, i], angle[:, None] * face)
-    length = np.linalg.norm(normals, axis=1)[:, None]
+    length = lengths(normals)[:, None]
     # where sheets fold back upon themselves their normals cancel: any of them will do
     first = np.zeros((len(nodes), 3))
     first[surface[::-1].ravel()] = np.repeat(face[::-1], 3, axis=0)
@@ -139,7 +140,7 @@ def _rounded_outwards(boxes: np.ndarray) -> np.ndarray:
 
 def _cell_size(volume: float, extent: np.ndarray, count: int) -> float:
     """Edge of a regular tetrahedron of the mesh's mean volume, enlarged until the cells stay few."""
-    cell = (6.0 * np.sqrt(2.0) * volume / count) ** (1.0 / 3.0)
+    cell = cube_root(6.0 * np.sqrt(2.0) * volume / count)
     limit = CELLS_PER_TETRAHEDRON * count + 64
     while np.prod(np.floor(extent / cell) + 2) > limit:
         cell *= 1.1
@@ -148,13 +149,12 @@ def _cell_size(volume: float, extent: np.ndarray, count: int) -> float:
 
 def _barycentric_rows(corners: np.ndarray) -> np.ndarray:
     a, b, c = np.moveaxis(corners[:, 1:] - corners[:, :1], 1, 0)
-    # Rows of the inverse of the matrix with the sides as columns, written out: LAPACK rounds differently from processor
-    # to processor, and answers should be the same bytes on all.
+    # Rows of the inverse of the matrix with the sides as columns, written out.
     normals = np.stack((np.cross(b, c), np.cross(c, a), np.cross(a, b)), axis=1)
     gradients = normals / (a * normals[:, 0]).sum(axis=1)[:, None, None]
     rows = np.empty((len(corners), 3, 4))
     rows[:, :, :3] = gradients
-    rows[:, :, 3] = -np.einsum("mij,mj->mi", gradients, corners[:, 0])
+    rows[:, :, 3] = -images(gradients, corners[:, 0])
     return np.ascontiguousarray(rows.reshape(-1, 12))
 
 

@@ -25,6 +25,7 @@ from fracture_collision.core.closest_point import (
 )
 from fracture_collision.core.compiled import kernel, query_kernel
 from fracture_collision.core.pools import GrowableArray
+from fracture_collision.portable_math import arctangent2, lengths
 
 # Four triangles a leaf: one more box costs about as much as one more triangle.
 LEAF_TRIANGLES = 4
@@ -75,12 +76,12 @@ def _pseudonormals(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndar
     """Pseudonormals of edges and vertices, and each triangle's rows among them (t, 6): section 3 of the source."""
     corners = vertices[triangles]
     sides = np.roll(corners, -1, axis=1) - corners  # from corner i to the next
-    sides /= np.linalg.norm(sides, axis=2, keepdims=True)
+    sides /= lengths(sides)[..., None]
     normals = np.cross(sides[:, 0], sides[:, 1])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals /= lengths(normals)[..., None]
     back = -np.roll(sides, 1, axis=1)
-    sines = np.linalg.norm(np.cross(sides, back), axis=2)
-    angles = np.arctan2(sines, (sides * back).sum(axis=2))
+    sines = lengths(np.cross(sides, back))
+    angles = arctangent2(sines, (sides * back).sum(axis=2))
     ends = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2), axis=2).astype(np.int64)
     _, edge = np.unique(ends[..., 0] * len(vertices) + ends[..., 1], return_inverse=True)
     edge = edge.reshape(-1, 3)
@@ -89,7 +90,7 @@ def _pseudonormals(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndar
     for i in range(3):
         np.add.at(sums, features[:, i], normals)
         np.add.at(sums, features[:, 3 + i], angles[:, i, None] * normals)
-    length = np.linalg.norm(sums, axis=1, keepdims=True)
+    length = lengths(sums)[..., None]
     return sums / np.where(length > 0.0, length, 1.0), features.astype(np.int32)
 
 

@@ -13,6 +13,7 @@ from fracture_collision.geometry.generators import (
     require_affordable,
     require_positive,
 )
+from fracture_collision.portable_math import cosine, sine
 
 
 def torus(major_radius: float, minor_radius: float, edge_length: float) -> TetGeometry:
@@ -26,13 +27,13 @@ def torus(major_radius: float, minor_radius: float, edge_length: float) -> TetGe
         raise ValueError(f"minor_radius: {minor_radius} m is not below major_radius, {major_radius} m: no hole is left")
     rings = max(2, round(minor_radius / edge_length))
     around = max(6, round(2.0 * np.pi * major_radius / edge_length))
-    require_affordable(18 * rings**2 * around)
+    require_affordable(18 * rings * rings * around)
     ring, azimuth, triangles = disc(rings)
     distance = minor_radius * ring / rings
     turn = (2.0 * np.pi / around * np.arange(around))[:, None]
-    reach = major_radius + distance * np.cos(azimuth)
-    height = np.broadcast_to(distance * np.sin(azimuth), (around, len(ring)))
-    vertices = np.stack((reach * np.cos(turn), reach * np.sin(turn), height), axis=-1).reshape(-1, 3)
+    reach = major_radius + distance * cosine(azimuth)
+    height = np.broadcast_to(distance * sine(azimuth), (around, len(ring)))
+    vertices = np.stack((reach * cosine(turn), reach * sine(turn), height), axis=-1).reshape(-1, 3)
     return oriented(vertices, prisms(triangles, len(ring), around) % len(vertices))
 
 

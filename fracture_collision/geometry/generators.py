@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.geometry.tetrahedra import tetrahedron_volumes
+from fracture_collision.portable_math import arctangent2, cosine, lengths, products, sine
 
 # Beyond this a mesh is a slip of the pen (an edge length in millimetres), not a body to simulate.
 TETRAHEDRA_LIMIT = 4_000_000
@@ -37,13 +38,13 @@ def ball(radius: float, edge_length: float) -> TetGeometry:
     """
     require_positive(radius=radius, edge_length=edge_length)
     frequency = max(1, round(radius / edge_length))
-    require_affordable(20 * frequency**3)
+    require_affordable(20 * frequency * frequency * frequency)
     corners, triangles = _icosahedron()
     cones = np.column_stack((np.full(len(triangles), len(corners)), triangles))
     weights, tetrahedra = _edgewise_subdivision(cones, frequency)
     layer = frequency - weights[:, len(corners)]
-    directions = weights[:, : len(corners)] @ corners
-    length = np.linalg.norm(directions, axis=1)
+    directions = products(weights[:, : len(corners)], corners)
+    length = lengths(directions)
     scale = radius * layer / (frequency * np.where(layer > 0, length, 1.0))
     return oriented(directions * scale[:, None], tetrahedra)
 
@@ -60,7 +61,7 @@ def shell(outer_radius: float, inner_radius: float, edge_length: float, layers: 
     layers = _layer_count(layers, outer_radius - inner_radius, edge_length)
     # The icosahedron's edge spans 1.107 rad of the sphere.
     frequency = max(1, round(1.107 * outer_radius / edge_length))
-    require_affordable(60 * frequency**2 * layers)
+    require_affordable(60 * frequency * frequency * layers)
     directions, triangles = geodesic_sphere(frequency)
     radii = np.linspace(inner_radius, outer_radius, layers + 1)
     return oriented((radii[:, None, None] * directions).reshape(-1, 3), prisms(triangles, len(directions), layers))
@@ -77,7 +78,8 @@ def brick(size_xyz: tuple[float, float, float], edge_length: float) -> TetGeomet
     axes = [np.linspace(-0.5 * s, 0.5 * s, n + 1) for s, n in zip(size, cells, strict=True)]
     vertices = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     stride = np.array([(cells[1] + 1) * (cells[2] + 1), cells[2] + 1, 1])
-    first = (np.stack(np.meshgrid(*map(np.arange, cells), indexing="ij"), axis=-1).reshape(-1, 3) @ stride)[:, None]
+    places = np.stack(np.meshgrid(*map(np.arange, cells), indexing="ij"), axis=-1).reshape(-1, 3)
+    first = (places * stride).sum(axis=1)[:, None]
     paths = np.array([np.cumsum([0, *(stride[axis] for axis in order)]) for order in permutations(range(3))])
     return oriented(vertices, (first[:, None, :] + paths).reshape(-1, 4))
 
@@ -96,14 +98,14 @@ def plate(
     layers = _layer_count(layers, thickness, edge_length)
     radius = 0.5 * diameter
     rings = max(2, round(radius / edge_length))
-    require_affordable(18 * rings**2 * layers)
+    require_affordable(18 * rings * rings * layers)
     ring, azimuth, triangles = disc(rings)
     r = radius * ring / rings
     # The well is flat to 0.55 of the radius; from there a half cosine leads up to the edge.
     rise = np.clip((r / radius - 0.55) / 0.45, 0.0, 1.0)
-    height = rim_height * 0.5 * (1.0 - np.cos(np.pi * rise)) - 0.5 * (rim_height + thickness)
+    height = rim_height * 0.5 * (1.0 - cosine(np.pi * rise)) - 0.5 * (rim_height + thickness)
     z = height + np.linspace(0.0, thickness, layers + 1)[:, None]
-    surface = np.column_stack((r * np.cos(azimuth), r * np.sin(azimuth)))
+    surface = np.column_stack((r * cosine(azimuth), r * sine(azimuth)))
     vertices = np.column_stack((np.tile(surface, (layers + 1, 1)), z.ravel()))
     return oriented(vertices, prisms(triangles, len(surface), layers))
 
@@ -117,16 +119,16 @@ def bowl(diameter: float, thickness: float, edge_length: float, depth: float, la
     require_positive(diameter=diameter, thickness=thickness, edge_length=edge_length, depth=depth)
     if depth > 0.5 * diameter:
         raise ValueError(f"depth: {depth} m is more than half the diameter, {0.5 * diameter} m (a hemisphere)")
-    outer = (0.25 * diameter**2 + depth**2) / (2.0 * depth)
+    outer = (0.25 * diameter * diameter + depth * depth) / (2.0 * depth)
     if thickness >= 0.9 * min(outer, 0.5 * diameter):
         raise ValueError(f"thickness: {thickness} m leaves no hollow in a bowl of diameter {diameter} m")
     layers = _layer_count(layers, thickness, edge_length)
-    opening = math.atan2(0.5 * diameter, outer - depth)
+    opening = float(arctangent2(0.5 * diameter, outer - depth))
     rings = max(2, round(outer * opening / edge_length))
-    require_affordable(18 * rings**2 * layers)
+    require_affordable(18 * rings * rings * layers)
     ring, azimuth, triangles = disc(rings)
     polar = opening * ring / rings
-    directions = np.column_stack((np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), -np.cos(polar)))
+    directions = np.column_stack((sine(polar) * cosine(azimuth), sine(polar) * sine(azimuth), -cosine(polar)))
     radii = np.linspace(outer - thickness, outer, layers + 1)
     vertices = (radii[:, None, None] * directions).reshape(-1, 3) + (0.0, 0.0, outer - depth)
     return oriented(vertices, prisms(triangles, len(directions), layers))
@@ -198,8 +200,8 @@ def geodesic_sphere(frequency: int) -> tuple[np.ndarray, np.ndarray]:
     """An icosahedron's faces divided into frequency^2 each: unit vertices (10 frequency^2 + 2, 3), triangles."""
     corners, triangles = _icosahedron()
     weights, triangles = _edgewise_subdivision(triangles, frequency)
-    directions = weights @ corners
-    return directions / np.linalg.norm(directions, axis=1)[:, None], triangles
+    directions = products(weights, corners)
+    return directions / lengths(directions)[:, None], triangles
 
 
 def disc(rings: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -222,7 +224,7 @@ def _icosahedron() -> tuple[np.ndarray, np.ndarray]:
     """Unit vertices (12, 3) and faces (20, 3)."""
     g = 0.5 * (1.0 + math.sqrt(5.0))
     corners = np.array([p for a in (-1, 1) for b in (-g, g) for p in ((0, a, b), (a, b, 0), (b, 0, a))])
-    near = np.linalg.norm(corners[:, None] - corners[None], axis=2) < 2.1
+    near = lengths(corners[:, None] - corners[None]) < 2.1
     faces = [(i, j, k) for i in range(12) for j in range(i + 1, 12) for k in range(j + 1, 12)
              if near[i, j] and near[j, k] and near[i, k]]  # fmt: skip
-    return corners / math.hypot(1.0, g), np.array(faces)
+    return corners / math.sqrt(1.0 + g * g), np.array(faces)

@@ -18,6 +18,7 @@ from fracture_collision.geometry.generators import (
     require_affordable,
     require_positive,
 )
+from fracture_collision.portable_math import arccosine, dots, exponential, lengths, power
 
 # Half axes of the outside without bumps; x is forwards, z up. The unit is half the body's length.
 _BODY = np.array([1.0, 0.78, 0.78])
@@ -43,11 +44,11 @@ def piggy_bank(length: float, wall: float, edge_length: float, layers: int = 2) 
     if wall >= 0.5 * unit * _BODY.min():
         raise ValueError(f"wall: {wall} m leaves no hollow in a pig of {length} m")
     frequency = max(4, round(1.107 * unit * _BODY.mean() / edge_length))
-    require_affordable(60 * frequency**2 * layers)
+    require_affordable(60 * frequency * frequency * layers)
     directions, triangles = geodesic_sphere(frequency)
-    body = 1.0 / np.linalg.norm(directions / _BODY, axis=1)
+    body = 1.0 / lengths(directions / _BODY)
     outer = unit * (body + _bumps(directions))
-    inner = 1.0 / np.linalg.norm(directions / (unit * _BODY - wall), axis=1)
+    inner = 1.0 / lengths(directions / (unit * _BODY - wall))
     radii = inner + np.linspace(0.0, 1.0, layers + 1)[:, None] * (outer - inner)
     vertices = (radii[:, :, None] * directions).reshape(-1, 3)
     return oriented(vertices, prisms(triangles, len(directions), layers))
@@ -57,7 +58,7 @@ def _bumps(directions: np.ndarray) -> np.ndarray:
     """What rises above the ellipsoid in each of the unit `directions` (n, 3): (n,)."""
     height = np.zeros(len(directions))
     for towards, rise, width, flatness in _BUMPS:
-        axis = np.array(towards) / np.linalg.norm(towards)
-        angle = np.arccos(np.clip(directions @ axis, -1.0, 1.0))
-        height = np.maximum(height, rise * np.exp(-((angle / width) ** flatness)))
+        axis = np.array(towards) / lengths(towards)
+        angle = arccosine(np.clip(dots(directions, axis), -1.0, 1.0))
+        height = np.maximum(height, rise * exponential(-power(angle / width, flatness)))
     return height

@@ -11,6 +11,7 @@ from scipy.spatial import Delaunay
 
 from fracture_collision.geometry.generators import TetGeometry, geodesic_sphere, oriented, require_positive
 from fracture_collision.geometry.tetrahedra import tetrahedron_volumes
+from fracture_collision.portable_math import cube_root, lengths
 
 # Points of the grid are moved by up to this part of its spacing, or Delaunay would meet nothing but ties.
 _JITTER = 0.3
@@ -40,14 +41,15 @@ def sampled_shell(
     surface = [outer_radius * geodesic_sphere(outer_frequency)[0]]
     if inner_radius > 0.0:
         surface.append(inner_radius * geodesic_sphere(inner_frequency)[0])
-    volume = 4.0 / 3.0 * np.pi * (outer_radius**3 - inner_radius**3)
+    cubes = [radius * radius * radius for radius in (outer_radius, inner_radius)]
+    volume = 4.0 / 3.0 * np.pi * (cubes[0] - cubes[1])
     inside = np.empty((0, 3))
     if interior_points > 0:
-        inside = _grid_points(outer_radius, inner_radius, (volume / interior_points) ** (1.0 / 3.0), interior_points)
+        inside = _grid_points(outer_radius, inner_radius, cube_root(volume / interior_points), interior_points)
     vertices = np.concatenate([*surface, inside])
     tetrahedra = Delaunay(vertices).simplices
     centres = vertices[tetrahedra].mean(axis=1)
-    tetrahedra = tetrahedra[np.linalg.norm(centres, axis=1) > inner_radius]
+    tetrahedra = tetrahedra[lengths(centres) > inner_radius]
     flat = np.abs(tetrahedron_volumes(vertices, tetrahedra)) < 1e-9 * volume / len(tetrahedra)
     made = oriented(vertices, tetrahedra[~flat])
     if len(np.unique(made.tetrahedra)) != len(vertices):
@@ -61,10 +63,10 @@ def _grid_points(outer_radius: float, inner_radius: float, spacing: float, wante
         axis = np.arange(-outer_radius, outer_radius, spacing)
         points = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
         points += np.random.default_rng(_SEED).uniform(-_JITTER, _JITTER, points.shape) * spacing
-        distance = np.linalg.norm(points, axis=1)
+        distance = lengths(points)
         low = inner_radius + _CLEARANCE * spacing if inner_radius > 0.0 else 0.0
         points = points[(distance < outer_radius - _CLEARANCE * spacing) & (distance > low)]
         if abs(len(points) - wanted) <= 0.02 * wanted:
             break
-        spacing *= (max(len(points), 1) / wanted) ** (1.0 / 3.0)
+        spacing *= cube_root(max(len(points), 1) / wanted)
     return points

@@ -11,6 +11,8 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from fracture_collision.portable_math import dots
+
 SUFFIXES = (".obj", ".stl", ".ply", ".off")
 MAX_TRIANGLES = 200_000
 _PAIRS_AT_ONCE = 2_000_000
@@ -87,7 +89,7 @@ def require_solid(vertices: np.ndarray, triangles: np.ndarray) -> None:
     graph = coo_array((np.ones(len(order)), (order[:, 0], order[:, 1])), shape=(len(triangles),) * 2)
     count, part = connected_components(graph, directed=False)
     a, b, c = (vertices[triangles[:, i]] for i in range(3))
-    volumes = np.bincount(part, np.einsum("ij,ij->i", np.cross(a, b), c) / 6.0, count)
+    volumes = np.bincount(part, dots(np.cross(a, b), c) / 6.0, count)
     if not np.any(volumes > 0.0):
         raise ValueError("all triangles are the wrong way round, clockwise from outside: turn the surface inside out")
     if np.count_nonzero(volumes > 0.0) > 1:
@@ -138,7 +140,7 @@ def _runs_through(start: np.ndarray, end: np.ndarray, corners: np.ndarray) -> np
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
 
     def volume(p: np.ndarray, q: np.ndarray, r: np.ndarray, s: np.ndarray) -> np.ndarray:
-        return np.einsum("ij,ij->i", np.cross(q - p, r - p), s - p)
+        return dots(np.cross(q - p, r - p), s - p)
 
     sides = np.stack((volume(start, end, a, b), volume(start, end, b, c), volume(start, end, c, a)))
     across = volume(a, b, c, start) * volume(a, b, c, end) < 0.0

@@ -12,6 +12,7 @@ import numpy as np
 
 from fracture_collision.geometry.generators import TetGeometry
 from fracture_collision.geometry.tetrahedra import face_neighbours, tetrahedron_volumes
+from fracture_collision.portable_math import dots
 
 
 def tetrahedralize_surface(
@@ -98,5 +99,5 @@ def require_closed_surface(vertices: np.ndarray, triangles: np.ndarray) -> None:
         a, b = divmod(int(values[counts > 1][0]), len(vertices))
         raise ValueError(f"triangles: more than two share the edge between vertices {a} and {b}")
     a, b, c = (vertices[triangles[:, i]] for i in range(3))
-    if np.einsum("ij,ij->", np.cross(a, b), c) <= 0.0:
+    if dots(np.cross(a, b), c).sum() <= 0.0:
         raise ValueError("triangles: seen clockwise from outside (the enclosed volume is not positive)")

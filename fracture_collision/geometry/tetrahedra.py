@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from fracture_collision.portable_math import dots
+
 # Local vertices of the six edges of a tetrahedron and of its four faces; face i lies opposite vertex i and is
 # counter-clockwise from outside.
 EDGE_VERTICES = np.array([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)], dtype=np.int32)
@@ -62,7 +64,7 @@ def tetrahedron_volumes(vertices: np.ndarray, tetrahedra: np.ndarray) -> np.ndar
     """Signed volumes [m3]: (m,) float64, positive for well oriented tetrahedra."""
     corner = vertices[tetrahedra]
     a, b, c = (corner[:, i] - corner[:, 0] for i in (1, 2, 3))
-    return np.einsum("ij,ij->i", np.cross(a, b), c) / 6.0
+    return dots(np.cross(a, b), c) / 6.0
 
 
 def _edge_keys(tetrahedra: np.ndarray, base: int = 1) -> tuple[int, np.ndarray]:

@@ -17,6 +17,7 @@ from fracture_collision.geometry.generators import (
     require_affordable,
     require_positive,
 )
+from fracture_collision.portable_math import cosine, lengths, sine
 
 # Radius and height of the surface half way through the wall, from the middle of the bottom to the lip; the height of
 # the vase is 1. Between them a monotone cubic, so that the bottom stays flat and nothing bulges where it should not.
@@ -43,27 +44,27 @@ def vase(height: float, wall: float, edge_length: float, layers: int = 2) -> Tet
     if wall >= 0.5 * NARROWEST * height:
         raise ValueError(f"wall: {wall} m leaves no hollow in a vase of {height} m")
     points = PROFILE * (height - wall)
-    lengths = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))))
-    profile = PchipInterpolator(lengths, points)
+    distances = np.concatenate(([0.0], np.cumsum(lengths(np.diff(points, axis=0)))))
+    profile = PchipInterpolator(distances, points)
     rings = max(2, round(2.0 * np.pi * BELLY * height / (6.0 * edge_length)))
-    steps = max(4, round((lengths[-1] - lengths[FOOT]) / edge_length))
+    steps = max(4, round((distances[-1] - distances[FOOT]) / edge_length))
     require_affordable(3 * layers * 6 * rings * (rings + 2 * steps))
 
     ring, azimuth, triangles = disc(rings)
     around = 6 * rings
     wall_azimuth = np.tile(azimuth[-around:], steps)
-    wall_lengths = np.repeat(np.linspace(lengths[FOOT], lengths[-1], steps + 1)[1:], around)
-    along = np.concatenate((lengths[FOOT] * ring / rings, wall_lengths))
+    wall_lengths = np.repeat(np.linspace(distances[FOOT], distances[-1], steps + 1)[1:], around)
+    along = np.concatenate((distances[FOOT] * ring / rings, wall_lengths))
     azimuth = np.concatenate((azimuth, wall_azimuth))
     triangles = np.concatenate((triangles, _rows_of_triangles(len(ring) - around, around, steps)))
 
     middle, slope = profile(along), profile(along, 1)
     normal = np.column_stack((slope[:, 1], -slope[:, 0]))
-    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    normal /= lengths(normal)[:, None]
     offsets = np.linspace(-0.5 * wall, 0.5 * wall, layers + 1)
     r, z = (middle + offsets[:, None, None] * normal).reshape(-1, 2).T
     azimuth = np.tile(azimuth, layers + 1)
-    vertices = np.column_stack((r * np.cos(azimuth), r * np.sin(azimuth), z + 0.5 * wall))
+    vertices = np.column_stack((r * cosine(azimuth), r * sine(azimuth), z + 0.5 * wall))
     return oriented(vertices, prisms(triangles, len(along), layers))
 
 

@@ -1,8 +1,7 @@
 """A robot arm in a scene, the KUKA LBR iiwa that comes with PyBullet: its parts, its postures, its recorded swing.
 
 Each link stands for one to three spheres, the flange carries a block to strike with, and the foot is a box that cannot
-move; to the collision service they are bodies like any other. How they follow their links: `arm_control`. PyBullet
-reads the URDF and reckons the forward kinematics, nothing else.
+move; to the collision service they are bodies like any other. How they follow their links: `arm_control`.
 """
 
 from __future__ import annotations
@@ -12,15 +11,14 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import pybullet
 import pybullet_data
 from scipy.interpolate import PchipInterpolator
-from scipy.spatial.transform import Rotation
 
 from fracture_collision.simulation.hand import rows_of_file
-from fracture_collision.simulation.rotations import rotation_matrices
+from fracture_collision.simulation.rotations import DEGREE, from_euler_angles, rotation_matrices, turned
 from fracture_collision.simulation.scene_fields import Fields, SceneError
 from fracture_collision.simulation.shapes import Shape
+from fracture_collision.simulation.urdf_chain import JointLimits, link_frames, read_chain
 
 URDF = Path("kuka_iiwa") / "model.urdf"
 JOINTS = 7
@@ -93,50 +91,29 @@ class Arm(NamedTuple):
         return lambda time: curve(min(max(time, first), last))
 
 
-class JointLimits(NamedTuple):
-    names: tuple[str, ...]
-    lower: np.ndarray  # (7,) [rad]
-    upper: np.ndarray  # (7,) [rad]
-    speeds: np.ndarray  # (7,) [rad/s]
-
-
 class ArmKinematics:
-    """Where an arm's parts are, by the angles of its joints. Has a Bullet client of its own: close it."""
+    """Where an arm's parts are, by the angles of its joints."""
 
     def __init__(self, position: np.ndarray, orientation: np.ndarray) -> None:
-        self._client = pybullet.connect(pybullet.DIRECT)
-        self._arm = pybullet.loadURDF(
-            str(Path(pybullet_data.getDataPath()) / URDF), list(position), list(orientation), useFixedBase=True,
-            physicsClientId=self._client,
-        )  # fmt: skip
-        told = [pybullet.getJointInfo(self._arm, j, physicsClientId=self._client) for j in range(JOINTS)]
-        lower, upper, speeds = (np.array([joint[k] for joint in told]) for k in (8, 9, 11))
-        self.limits = JointLimits(tuple(joint[1].decode() for joint in told), lower, upper, speeds)
+        self._position, self._orientation = position, orientation
+        self._chain = read_chain(Path(pybullet_data.getDataPath()) / URDF)
         self._links = np.array([part.link - 1 for part in MOVING])
         self._centers = np.array([part.center for part in MOVING])
 
+    @property
+    def limits(self) -> JointLimits:
+        return self._chain.limits
+
     def places(self, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Centres (n, 3) [m] and orientations (n, 4) of the parts that move, in their order; world frame."""
-        for j, angle in enumerate(angles.tolist()):
-            pybullet.resetJointState(self._arm, j, angle, physicsClientId=self._client)
-        states = pybullet.getLinkStates(
-            self._arm, range(JOINTS), computeForwardKinematics=1, physicsClientId=self._client
-        )
-        origins, turns = (np.array([state[k] for state in states])[self._links] for k in (4, 5))
-        return origins + np.einsum("nij,nj->ni", rotation_matrices(turns), self._centers), turns
-
-    def close(self) -> None:
-        """Safe to call twice."""
-        if self._client >= 0:
-            pybullet.disconnect(physicsClientId=self._client)
-            self._client = -1
+        origins, turns = link_frames(self._chain, self._position, self._orientation, angles)
+        origins, turns = origins[self._links], turns[self._links]
+        return origins + turned(rotation_matrices(turns), self._centers), turns
 
 
 def joint_limits() -> JointLimits:
     """Of an arm wherever it stands."""
-    kinematics = ArmKinematics(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))
-    kinematics.close()
-    return kinematics.limits
+    return ArmKinematics(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])).limits
 
 
 def parse_arm(fields: Fields, folder: Path | None) -> Arm:
@@ -145,7 +122,7 @@ def parse_arm(fields: Fields, folder: Path | None) -> Arm:
     settings = ArmSettings(*[fields.number(key, default._asdict()[key], above=0.0) for key in ArmSettings._fields])
     position = fields.vector("position", 3, (0.0, 0.0, 0.0))
     rotation = fields.vector("rotation", 3, (0.0, 0.0, 0.0))
-    orientation = Rotation.from_euler("xyz", rotation, degrees=True).as_quat()
+    orientation = from_euler_angles(DEGREE * rotation)
     swing, path = fields.take("swing"), fields.name("swing")
     if isinstance(swing, str):
         swing = rows_of_file((folder or Path()) / swing, path, COLUMNS)
@@ -153,7 +130,7 @@ def parse_arm(fields: Fields, folder: Path | None) -> Arm:
         raise SceneError(f"{path}: needs the name of a CSV file, or a list of rows, got {swing!r}")
     fields.finish()
     rows = _rows(swing, path)
-    arm = Arm(settings, position, orientation, rows[:, 0].copy(), np.radians(rows[:, 1:]))
+    arm = Arm(settings, position, orientation, rows[:, 0].copy(), DEGREE * rows[:, 1:])
     _require_possible(arm, joint_limits(), path)
     return arm
 

@@ -20,14 +20,17 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from fracture_collision.portable_math import dots, images, lengths, rotation_vectors
 from fracture_collision.records import ContactConstraintArray
-from fracture_collision.simulation.arm import JOINTS, Arm, ArmKinematics, JointLimits, require_within
+from fracture_collision.simulation.arm import JOINTS, Arm, ArmKinematics, require_within
 from fracture_collision.simulation.contact_solver import kinetic_energy
 from fracture_collision.simulation.engine import BodyStates
+from fracture_collision.simulation.rotations import quaternion_products
+from fracture_collision.simulation.urdf_chain import JointLimits
 
 LEVER = 0.1  # [m] by which the force limit turns a part
+INVERSE = np.array([-1.0, -1.0, -1.0, 1.0])  # of a unit quaternion, coordinate by coordinate
 
 
 class ArmControl:
@@ -60,9 +63,6 @@ class ArmControl:
         """(7,) [rad/s]"""
         return self._speeds.copy()
 
-    def close(self) -> None:
-        self._kinematics.close()
-
     def command(self, names: Sequence[str], positions: Sequence[float]) -> None:
         """Go to `positions` [rad] of the joints of these `names`, or of all in order without names; the others stay.
 
@@ -89,21 +89,19 @@ class ArmControl:
         rows = np.searchsorted(states.fragment_ids, self._own[1:])
         h, settings = time_step, self._settings
         before = np.hstack((states.linear[rows], states.angular[rows]))
-        behind = np.linalg.norm(states.centers[rows] - self._places, axis=1).max()
+        behind = lengths(states.centers[rows] - self._places).max()
         self._advance(h, float(np.clip(2.0 - 2.0 * behind / settings.lag_limit, 0.0, 1.0)))
         places, turns = self._kinematics.places(self._angles)
-        here = Rotation.from_quat(turns)
-        velocities = np.hstack((places - self._places, (here * Rotation.from_quat(self._turns).inv()).as_rotvec())) / h
-        away = (Rotation.from_quat(states.frame_orientations[rows]) * here.inv()).as_rotvec()
-        off = np.hstack((states.centers[rows] - places, away))
+        velocities = np.hstack((places - self._places, _turn_between(self._turns, turns))) / h
+        off = np.hstack((states.centers[rows] - places, _turn_between(turns, states.frame_orientations[rows])))
         ahead = velocities - self._velocities
         swing = 2.0 * math.pi * settings.frequency
-        stiffness, damping = swing**2, 2.0 * settings.damping_ratio * swing
+        stiffness, damping = swing * swing, 2.0 * settings.damping_ratio * swing
         led = before + ahead
         spring = stiffness * (off + h * led) + damping * (led - velocities)
         kicks = ahead - h * spring / (1.0 + h * damping + h * h * stiffness)
         impulses = states.masses[rows, None] * kicks[:, :3]
-        twists = np.einsum("nij,nj->ni", states.inertias[rows], kicks[:, 3:])
+        twists = images(states.inertias[rows], kicks[:, 3:])
         kicks[:, :3] *= _shares(impulses, h * settings.force_limit)
         kicks[:, 3:] *= _shares(twists, h * settings.force_limit * LEVER)
         kicks[:, :3] -= h * gravity  # the arm bears its own weight whatever else it does
@@ -151,6 +149,11 @@ class ArmControl:
         self._angles = np.clip(np.where(arrived, self._goal, before + step), self.limits.lower, self.limits.upper)
 
 
+def _turn_between(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Rotation vectors (n, 3) [rad], world axes, from unit quaternions (n, 4) to others."""
+    return rotation_vectors(quaternion_products(after, INVERSE * before))
+
+
 def _work(
     masses: np.ndarray, inertias: np.ndarray, before: np.ndarray, kicks: np.ndarray, fall: np.ndarray
 ) -> float:
@@ -158,9 +161,9 @@ def _work(
     after = before + kicks
     after[:, :3] += fall
     gain = kinetic_energy(masses, inertias, after) - kinetic_energy(masses, inertias, before)
-    return gain - float(masses @ (after[:, :3] @ fall))
+    return gain - float((masses * dots(after[:, :3], fall)).sum())
 
 
 def _shares(vectors: np.ndarray, most: float) -> np.ndarray:
     """By which (n, 3) vectors are at most so long: (n, 1), at most 1."""
-    return np.minimum(1.0, most / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300))
+    return np.minimum(1.0, most / np.maximum(lengths(vectors)[..., None], 1e-300))

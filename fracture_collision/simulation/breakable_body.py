@@ -6,6 +6,7 @@ import numpy as np
 
 from fracture_collision.geometry.generators import TetGeometry
 from fracture_collision.geometry.tetrahedra import unique_edges
+from fracture_collision.portable_math import lengths
 from fracture_collision.records import FractureEvent
 from fracture_collision.simulation.fracture_pattern import PatternSettings, voronoi_pattern
 from fracture_collision.simulation.pattern_pieces import inside_fragment
@@ -27,7 +28,7 @@ class BreakableBody:
     def nearest_node(self, fragment_id: int, point: np.ndarray) -> tuple[int, np.ndarray]:
         """The fragment's node nearest to `point` (3,) [m], the first of several, and where it is; body frame."""
         nodes = np.flatnonzero(self._node_fragments == fragment_id)
-        node = int(nodes[np.argmin(((self._vertices[nodes] - point) ** 2).sum(axis=1))])
+        node = int(nodes[np.argmin(lengths(self._vertices[nodes] - point))])
         return node, self._vertices[node]
 
     def owner(self, node: int) -> int:

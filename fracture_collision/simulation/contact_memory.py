@@ -44,7 +44,7 @@ def with_remembered(
     `states` are those that `contacts` answer; a fragment they do not name is static, its frame the world's. `reach` is
     the distance [m] by which a remembered contact may open or slip.
     """
-    order = np.argsort(states.fragment_ids)
+    order = np.argsort(states.fragment_ids, kind="stable")
     ids = states.fragment_ids[order]
     positions = np.concatenate((states.positions.reshape(-1, 3)[order], np.zeros((1, 3))))
     quaternions = np.concatenate((states.orientations.reshape(-1, 4)[order], [[0.0, 0.0, 0.0, 1.0]]))

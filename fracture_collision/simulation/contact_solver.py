@@ -39,6 +39,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from fracture_collision.portable_math import dots, images
 from fracture_collision.records import ContactConstraintArray
 from fracture_collision.simulation.contact_islands import Bodies, Contacts, Result, islands_of, solve_islands
 
@@ -181,4 +182,4 @@ def normal_impulse_sums(
 def kinetic_energy(masses: np.ndarray, inertias: np.ndarray, velocities: np.ndarray) -> float:
     """Of n bodies with velocities (n, 6) [J]."""
     v, w = velocities[:, :3], velocities[:, 3:]
-    return float(0.5 * (masses @ np.einsum("ni,ni->n", v, v) + np.einsum("ni,nij,nj->", w, inertias, w)))
+    return float(0.5 * ((masses * dots(v, v)).sum() + dots(w, images(inertias, w)).sum()))

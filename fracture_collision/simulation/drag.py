@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from fracture_collision.portable_math import lengths
 from fracture_collision.simulation.breakable_body import BreakableBody
 from fracture_collision.simulation.contact_solver import kinetic_energy
 from fracture_collision.simulation.engine import BodyStates
 from fracture_collision.simulation.hand import Grip, Hand, HandSettings, kick
+from fracture_collision.simulation.rotations import turned_back, turned_by
 
 
 class Drag:
@@ -49,12 +50,12 @@ class Drag:
         for i, fragment_id in enumerate(states.fragment_ids.tolist()):
             if self._body_ids[fragment_id] != body_id:
                 continue
-            turn = Rotation.from_quat(states.frame_orientations[i]).inv()
-            at = turn.apply(position - states.frame_positions[i])
-            node, point = -1, turn.apply(states.centers[i] - states.frame_positions[i])
+            turn, origin = states.frame_orientations[i], states.frame_positions[i]
+            at = turned_back(turn, position - origin)
+            node, point = -1, turned_back(turn, states.centers[i] - origin)
             if body_id in self._breakable:
                 node, point = self._breakable[body_id].nearest_node(fragment_id, at)
-            distance = float(np.linalg.norm(point - at))
+            distance = float(lengths(point - at))
             if distance < nearest:
                 self._grip, nearest = Grip(fragment_id, point, node), distance
         self.move(position, np.zeros(3))
@@ -98,12 +99,12 @@ class Drag:
             return pushes, 0.0
         i = int(np.searchsorted(states.fragment_ids, self._grip.fragment_id))
         before = np.concatenate((states.linear[i], states.angular[i]))
-        turn = Rotation.from_quat(states.frame_orientations[i])
+        held_at = states.frame_positions[i] + turned_by(states.frame_orientations[i], self._grip.point)
         # The spring reckons with the weight of this step, or what hangs from it would hang too low.
         falling = before + np.concatenate((time_step * gravity, np.zeros(3)))
         pushes[i] = kick(
             self._settings, states.masses[i], states.inertias[i], states.centers[i], falling,
-            turn.apply(self._grip.point) + states.frame_positions[i], self._position, self._velocity, time_step,
+            held_at, self._position, self._velocity, time_step,
         )  # fmt: skip
         of_body = states.masses[i : i + 1], states.inertias[i : i + 1]
         gain = kinetic_energy(*of_body, (before + pushes[i])[None]) - kinetic_energy(*of_body, before[None])

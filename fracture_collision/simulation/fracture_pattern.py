@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fracture_collision.portable_math import cosine, dots, images, lengths, normal_numbers, power, products, sine
 from fracture_collision.simulation.pattern_pieces import (
     connected_pieces,
     edge_lengths,
@@ -51,12 +52,15 @@ class _Warp(NamedTuple):
     phases: np.ndarray  # (w,)
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
-        return points + np.sin(points @ self.waves.T + self.phases) @ self.amplitudes
+        return points + products(sine(self._angles(points)), self.amplitudes)
 
     def jacobians(self, points: np.ndarray) -> np.ndarray:
         """d phi_i / d x_j: (n, 3, 3)."""
-        slopes = np.cos(points @ self.waves.T + self.phases)
-        return np.eye(3) + np.einsum("nw,wi,wj->nij", slopes, self.amplitudes, self.waves)
+        slopes = cosine(self._angles(points))
+        return np.eye(3) + products(slopes[:, None, :] * self.amplitudes.T, self.waves)
+
+    def _angles(self, points: np.ndarray) -> np.ndarray:
+        return products(points, self.waves.T) + self.phases
 
 
 def voronoi_pattern(
@@ -99,8 +103,8 @@ def _draw_seeds(
 ) -> np.ndarray:
     """Nodes, drawn by their distance from the impact, each moved by up to half an edge: no two distances tie."""
     edge_length = edge_lengths(points, edges).mean() if len(edges) else 0.0
-    distance = np.linalg.norm(points - impact_point, axis=1)
-    weights = (distance + 2.0 * edge_length + np.finfo(float).tiny) ** -settings.concentration
+    distance = lengths(points - impact_point)
+    weights = power(distance + 2.0 * edge_length + np.finfo(float).tiny, -settings.concentration)
     chosen = generator.choice(len(points), size=count, replace=False, p=weights / weights.sum())
     return points[chosen] + 0.5 * edge_length * generator.uniform(-1.0, 1.0, (count, 3))
 
@@ -109,8 +113,8 @@ def _draw_warp(points: np.ndarray, seed_count: int, settings: PatternSettings, g
     """Three waves as long as two cells; the amplitude stays below the fold, |A| |K| < 1."""
     extent = np.ptp(points, axis=0)
     cell = np.sqrt(np.sort(extent)[1:].prod() / seed_count)
-    directions = generator.normal(size=(2, 3, 3))
-    directions /= np.linalg.norm(directions, axis=2, keepdims=True)
+    directions = normal_numbers(generator, (2, 3, 3))
+    directions /= lengths(directions)[..., None]
     wave_number = np.pi / cell
     amplitude = min(settings.curvature * cell, 0.8 / wave_number) / 3.0
     return _Warp(amplitude * directions[0], wave_number * directions[1], generator.uniform(0.0, 2.0 * np.pi, 3))
@@ -119,11 +123,11 @@ def _draw_warp(points: np.ndarray, seed_count: int, settings: PatternSettings, g
 def _flat_planes(points: np.ndarray, seeds: np.ndarray, labels: np.ndarray, cut: np.ndarray) -> np.ndarray:
     pair, inverse = seed_pairs(labels, cut, len(seeds))
     normals = seeds[pair[:, 1]] - seeds[pair[:, 0]]
-    normals /= np.linalg.norm(normals, axis=1)[:, None]
-    offsets = np.einsum("pk,pk->p", normals, 0.5 * (seeds[pair[:, 1]] + seeds[pair[:, 0]]))
+    normals /= lengths(normals)[:, None]
+    offsets = dots(normals, 0.5 * (seeds[pair[:, 1]] + seeds[pair[:, 0]]))
     # Labels come from distances, sides from dot products; where rounding lets the two differ the pair's one plane moves
     # by that rounding, for all its edges alike.
-    sides = np.einsum("cik,ck->ci", points[cut], normals[inverse])
+    sides = images(points[cut], normals[inverse])
     highest_first, lowest_second = range_between(sides, inverse, len(pair))
     between = (highest_first <= offsets) & (offsets < lowest_second)
     offsets = np.where(between, offsets, 0.5 * (highest_first + lowest_second))
@@ -139,14 +143,14 @@ def _curved_planes(
     for _ in range(40):
         middle = 0.5 * (low + high)
         place = warp(start + middle[:, None] * (end - start))
-        nearer_s = ((place - s) ** 2).sum(axis=1) <= ((place - t) ** 2).sum(axis=1)
+        nearer_s = dots(place - s, place - s) <= dots(place - t, place - t)
         low, high = np.where(nearer_s, middle, low), np.where(nearer_s, high, middle)
     # Off the ends, so that a plane cuts off no node of its own.
     crossing = start + np.clip(0.5 * (low + high), 1e-6, 1.0 - 1e-6)[:, None] * (end - start)
-    normals = np.einsum("cij,ci->cj", warp.jacobians(crossing), t - s)
-    normals /= np.linalg.norm(normals, axis=1)[:, None]
-    along = (end - start) / np.linalg.norm(end - start, axis=1)[:, None]
+    normals = images(warp.jacobians(crossing).transpose(0, 2, 1), t - s)
+    normals /= lengths(normals)[:, None]
+    along = (end - start) / lengths(end - start)[:, None]
     # An edge that runs nearly within the bisector, or against it over a bulge, is cut straight across instead.
-    grazing = np.einsum("ck,ck->c", normals, along) < 0.05
+    grazing = dots(normals, along) < 0.05
     normals = np.where(grazing[:, None], along, normals)
-    return np.column_stack((normals, np.einsum("ck,ck->c", normals, crossing)))
+    return np.column_stack((normals, dots(normals, crossing)))

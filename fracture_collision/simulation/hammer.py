@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from fracture_collision.portable_math import lengths
 from fracture_collision.simulation.contact_solver import kinetic_energy
 from fracture_collision.simulation.engine import BodyStates
 from fracture_collision.simulation.hand import HandSettings, kick
@@ -37,7 +38,7 @@ class Hammer:
             return pushes, 0.0
         center = states.centers[i]
         ahead = self._position + time_step * self._velocity - center
-        distance = float(np.linalg.norm(ahead))
+        distance = float(lengths(ahead))
         self._position = center + ahead * min(1.0, LEAD / distance if distance > 0.0 else 1.0)
         before = np.concatenate((states.linear[i], states.angular[i]))
         falling = before + np.concatenate((time_step * gravity, np.zeros(3)))

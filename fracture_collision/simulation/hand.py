@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from fracture_collision.portable_math import images, inverses, lengths, products, solutions
 from fracture_collision.simulation.scene_fields import Fields, SceneError
 from fracture_collision.simulation.scene_files import MAX_TRACK_BYTES, read_text
 
@@ -98,17 +99,17 @@ def kick(
     """
     x, y, z = point - center
     arm = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    inverse = np.linalg.inv(inertia)
-    mobility = np.eye(3) / mass - arm @ inverse @ arm
+    inverse = inverses(inertia)
+    mobility = np.eye(3) / mass - products(arm, products(inverse, arm))
     swing = 2.0 * math.pi * settings.frequency
-    stiffness, damping = mass * swing**2, 2.0 * settings.damping_ratio * mass * swing
-    at_point = velocity[:3] - arm @ velocity[3:]
+    stiffness, damping = mass * swing * swing, 2.0 * settings.damping_ratio * mass * swing
+    at_point = velocity[:3] - images(arm, velocity[3:])
     pull = stiffness * (point + time_step * at_point - hand_position) + damping * (at_point - hand_velocity)
     softness = time_step * (damping + time_step * stiffness)
-    impulse = -time_step * np.linalg.solve(np.eye(3) + softness * mobility, pull)
-    size = float(np.linalg.norm(impulse))
+    impulse = -time_step * solutions(np.eye(3) + softness * mobility, pull)
+    size = float(lengths(impulse))
     impulse *= min(1.0, settings.force_limit * time_step / size) if size > 0.0 else 1.0
-    return np.concatenate((impulse / mass, inverse @ arm @ impulse))
+    return np.concatenate((impulse / mass, images(inverse, images(arm, impulse))))
 
 
 def rows_of_file(file: Path, path: str, columns: list[str]) -> list[list[str]]:

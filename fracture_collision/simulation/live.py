@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fracture_collision.portable_math import lengths
 from fracture_collision.simulation.arm import PARTS
 from fracture_collision.simulation.hammer import Hammer
 from fracture_collision.simulation.scene import Material, Scene, SceneBody
@@ -64,7 +65,7 @@ class LiveScene:
         _finite("position", ball.position)
         _finite("velocity", ball.velocity)
         _within("position", float(np.abs(ball.position).max()), (0.0, FARTHEST), "m")
-        _within("velocity", float(np.linalg.norm(ball.velocity)), (0.0, MOST_SPEED), "m/s")
+        _within("velocity", float(lengths(ball.velocity)), (0.0, MOST_SPEED), "m/s")
         _within("radius", ball.radius, RADII, "m")
         _within("density", ball.density, DENSITIES, "kg/m3")
         if len(self._balls) == MOST_BALLS:
@@ -96,7 +97,7 @@ class LiveScene:
         that is not to stand still. Raises CommandRefused.
         """
         _finite("linear", velocity)
-        _within("linear", float(np.linalg.norm(velocity)), (0.0, MOST_HAMMER_SPEED), "m/s")
+        _within("linear", float(lengths(velocity)), (0.0, MOST_HAMMER_SPEED), "m/s")
         if self._hammer is None:
             if not np.any(velocity):
                 return

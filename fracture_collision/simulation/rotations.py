@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numba import njit
+
+from fracture_collision.portable_math import cosine, images, normal_numbers, sine
+
+DEGREE = np.pi / 180.0  # [rad]
 
 
 @njit(cache=True)
@@ -42,33 +44,6 @@ def quaternion_products(p, q):
 
 
 @njit(cache=True)
-def through_matrices(quaternions):
-    """(n, 4) unit quaternions, made matrices and quaternions again, with the rounding of Bullet's btMatrix3x3."""
-    result, m = np.empty_like(quaternions), np.empty((3, 3))
-    for row in range(len(quaternions)):
-        x, y, z, w = quaternions[row]
-        s = 2.0 / (x * x + y * y + z * z + w * w)
-        xs, ys, zs = x * s, y * s, z * s
-        m[0, 0], m[0, 1], m[0, 2] = 1.0 - (y * ys + z * zs), x * ys - w * zs, x * zs + w * ys
-        m[1, 0], m[1, 1], m[1, 2] = x * ys + w * zs, 1.0 - (x * xs + z * zs), y * zs - w * xs
-        m[2, 0], m[2, 1], m[2, 2] = x * zs - w * ys, y * zs + w * xs, 1.0 - (x * xs + y * ys)
-        trace, q = m[0, 0] + m[1, 1] + m[2, 2], result[row]
-        if trace > 0.0:
-            s = np.sqrt(trace + 1.0)
-            q[3], s = 0.5 * s, 0.5 / s
-            for i in range(3):
-                j, k = (i + 1) % 3, (i + 2) % 3
-                q[i] = (m[k, j] - m[j, k]) * s
-        else:
-            i = (2 if m[1, 1] < m[2, 2] else 1) if m[0, 0] < m[1, 1] else (2 if m[0, 0] < m[2, 2] else 0)
-            j, k = (i + 1) % 3, (i + 2) % 3
-            s = np.sqrt(m[i, i] - m[j, j] - m[k, k] + 1.0)
-            q[i], s = 0.5 * s, 0.5 / s
-            q[3], q[j], q[k] = (m[k, j] - m[j, k]) * s, (m[j, i] + m[i, j]) * s, (m[k, i] + m[i, k]) * s
-    return result
-
-
-@njit(cache=True)
 def crossed(first, second):
     """Cross products of vectors (n, 3), row by row."""
     result = np.empty_like(first)
@@ -94,18 +69,6 @@ def turned_along(before, after, vectors):
 
 
 @njit(cache=True)
-def from_principal(axes, moments):
-    """(n, 3, 3) symmetric matrices with `moments` (n, 3) along the columns of `axes` (n, 3, 3)."""
-    result = np.zeros_like(axes)
-    for i in range(len(axes)):
-        for j in range(3):
-            for k in range(3):
-                for m in range(3):
-                    result[i, j, k] += axes[i, j, m] * moments[i, m] * axes[i, k, m]
-    return result
-
-
-@njit(cache=True)
 def turned(rotations, vectors):
     """Vectors (n, 3) turned by matrices (n, 3, 3)."""
     result = np.zeros_like(vectors)
@@ -117,22 +80,39 @@ def turned(rotations, vectors):
 
 
 @njit(cache=True)
-def quaternions_of(matrices):
-    """(n, 4) unit quaternions of rotation matrices (n, 3, 3), each by its largest coordinate (Shepperd 1978)."""
-    result = np.empty((len(matrices), 4))
-    squares, products = np.empty(4), np.empty(4)  # four times those of x, y, z, w; those with the largest
+def turned_matrices(rotations, matrices):
+    """R M R^T, (n, 3, 3), of matrices M (n, 3, 3) in frames turned by R (n, 3, 3)."""
+    result, half = np.zeros_like(matrices), np.empty((3, 3))
     for i in range(len(matrices)):
-        m = matrices[i]
-        trace = m[0, 0] + m[1, 1] + m[2, 2]
-        for k in range(3):
-            squares[k] = 1.0 + 2.0 * m[k, k] - trace
-        squares[3] = 1.0 + trace
-        k = squares.argmax()
+        r, m = rotations[i], matrices[i]
         for j in range(3):
-            # x, y and z with w; or with another of them
-            products[j] = m[(j + 2) % 3, (j + 1) % 3] - m[(j + 1) % 3, (j + 2) % 3] if k == 3 else m[k, j] + m[j, k]
-        if k < 3:
-            products[3] = m[(k + 2) % 3, (k + 1) % 3] - m[(k + 1) % 3, (k + 2) % 3]
-        products[k] = squares[k]
-        result[i] = products / math.sqrt(np.dot(products, products))
+            for k in range(3):
+                half[j, k] = r[j, 0] * m[0, k] + r[j, 1] * m[1, k] + r[j, 2] * m[2, k]
+        for j in range(3):
+            for k in range(3):
+                result[i, j, k] = half[j, 0] * r[k, 0] + half[j, 1] * r[k, 1] + half[j, 2] * r[k, 2]
     return result
+
+
+def turned_by(quaternion: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """A vector (3,) turned by a unit quaternion (4,)."""
+    return images(rotation_matrices(quaternion[None])[0], vector)
+
+
+def turned_back(quaternion: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """The vector (3,) that a unit quaternion (4,) turns to `vector`."""
+    return images(rotation_matrices(quaternion[None])[0].T, vector)
+
+
+def from_euler_angles(angles: np.ndarray) -> np.ndarray:
+    """The quaternion (4,) of rotations about the fixed x, y and z axes, in this order, by angles (3,) [rad]."""
+    about = np.zeros((3, 1, 4))
+    for axis in range(3):
+        about[axis, 0, axis], about[axis, 0, 3] = sine(0.5 * angles[axis]), cosine(0.5 * angles[axis])
+    return quaternion_products(about[2], quaternion_products(about[1], about[0]))[0]
+
+
+def random_quaternion(generator: np.random.Generator) -> np.ndarray:
+    """Unit (4,), evenly distributed over all rotations (Marsaglia 1972)."""
+    numbers = normal_numbers(generator, (1, 4))
+    return quaternion_products(numbers, np.array([[0.0, 0.0, 0.0, 1.0]]))[0]

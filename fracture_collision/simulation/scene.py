@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from fracture_collision.geometry.generators import TetGeometry
 from fracture_collision.share import share_directory
@@ -20,11 +19,12 @@ from fracture_collision.simulation.arm import PARTS, Arm, ArmKinematics, parse_a
 from fracture_collision.simulation.contact_solver import SolverSettings
 from fracture_collision.simulation.fracture_pattern import PatternSettings
 from fracture_collision.simulation.hand import Hand, parse_hand
+from fracture_collision.simulation.rotations import DEGREE, from_euler_angles, turned_by
 from fracture_collision.simulation.scene_fields import Fields, SceneError, numbers
 from fracture_collision.simulation.scene_files import read_yaml
 from fracture_collision.simulation.shapes import Shape, parse_shape
 
-MAX_STEPS = 10**9
+MAX_STEPS = 1_000_000_000
 EARTH = (0.0, 0.0, -9.81)  # [m/s2] gravity, unless a scene has its own
 
 
@@ -211,12 +211,8 @@ def _material_of(fields: Fields, materials: Mapping[str, Material]) -> Material:
 
 def _arm_bodies(arm: Arm, material: Material) -> tuple[SceneBody, ...]:
     """Its parts, where its swing begins."""
-    kinematics = ArmKinematics(arm.position, arm.orientation)
-    try:
-        centers, turns = kinematics.places(arm.swing()(0.0))
-    finally:
-        kinematics.close()
-    foot = arm.position + Rotation.from_quat(arm.orientation).apply(PARTS[0].center)
+    centers, turns = ArmKinematics(arm.position, arm.orientation).places(arm.swing()(0.0))
+    foot = arm.position + turned_by(arm.orientation, PARTS[0].center)
     places = [(foot, arm.orientation), *zip(centers, turns, strict=True)]
     return tuple(
         SceneBody(
@@ -238,7 +234,7 @@ def _body(fields: Fields, materials: Mapping[str, Material], made: dict[tuple, T
         material=material,
         is_static=is_static,
         position=fields.vector("position", 3, (0.0, 0.0, 0.0)),
-        orientation=Rotation.from_euler("xyz", fields.vector("rotation", 3, (0.0, 0.0, 0.0)), degrees=True).as_quat(),
+        orientation=from_euler_angles(DEGREE * fields.vector("rotation", 3, (0.0, 0.0, 0.0))),
         start_time=fields.number("start_time", 0.0, minimum=0.0),
         linear_velocity=fields.vector("linear_velocity", 3, (0.0, 0.0, 0.0)),
         angular_velocity=fields.vector("angular_velocity", 3, (0.0, 0.0, 0.0)),

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from fracture_collision.portable_math import normal_numbers
+from fracture_collision.simulation.rotations import random_quaternion
 from fracture_collision.simulation.scene import Scene
 
 # Of a random drop: standard deviation of each coordinate.
@@ -38,12 +39,12 @@ def random_drop(scene: Scene, seed: int) -> Scene:
     bodies = []
     for body in scene.bodies:
         if not body.is_static:
-            throw = DROP_SPEED * generator.normal(size=3)
+            throw = DROP_SPEED * normal_numbers(generator, (3,))
             throw[2] = -abs(throw[2])
             body = body._replace(
-                orientation=Rotation.random(random_state=generator).as_quat(),
+                orientation=random_quaternion(generator),
                 linear_velocity=body.linear_velocity + throw,
-                angular_velocity=body.angular_velocity + DROP_SPIN * generator.normal(size=3),
+                angular_velocity=body.angular_velocity + DROP_SPIN * normal_numbers(generator, (3,)),
             )
         bodies.append(body)
     return scene._replace(bodies=tuple(bodies), seed=seed)

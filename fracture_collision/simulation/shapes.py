@@ -16,6 +16,7 @@ from fracture_collision.geometry import concave_shapes, generators, sampled_bodi
 from fracture_collision.geometry.generators import TetGeometry
 from fracture_collision.geometry.piggy_bank import piggy_bank
 from fracture_collision.geometry.vase import vase
+from fracture_collision.portable_math import lengths
 from fracture_collision.simulation.scene_fields import Fields, SceneError
 
 MESHES: dict[str, Callable[..., TetGeometry]] = {
@@ -55,7 +56,7 @@ def parse_shape(fields: Fields, made: dict[tuple, TetGeometry]) -> Shape:
     part = Fields(fields.mapping(kind), fields.name(kind))
     if kind == "plane":
         plane = part.vector("coefficients", 4)
-        if not math.isclose(float(np.linalg.norm(plane[:3])), 1.0, abs_tol=1e-9):
+        if not math.isclose(float(lengths(plane[:3])), 1.0, abs_tol=1e-9):
             raise SceneError(f"{part.name('coefficients')}: the normal (a, b, c) is not of unit length")
         shape = Shape(kind, plane=tuple(map(float, plane)))
     elif kind == "box":

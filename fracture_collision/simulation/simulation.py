@@ -19,8 +19,8 @@ import time
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from fracture_collision.portable_math import dots, lengths
 from fracture_collision.records import (
     CollisionBody,
     ContactConstraintArray,
@@ -32,7 +32,6 @@ from fracture_collision.simulation import contact_memory
 from fracture_collision.simulation.arm import PARTS
 from fracture_collision.simulation.arm_control import ArmControl
 from fracture_collision.simulation.body_traits import Traits, traits_of
-from fracture_collision.simulation.bullet_world import BulletWorld
 from fracture_collision.simulation.cast import Cast
 from fracture_collision.simulation.contact_memory import with_remembered
 from fracture_collision.simulation.contact_solver import (
@@ -47,6 +46,8 @@ from fracture_collision.simulation.contact_solver import (
 from fracture_collision.simulation.drag import Drag
 from fracture_collision.simulation.engine import BodyStates, Engine, FrameState
 from fracture_collision.simulation.free_motion import free_velocities
+from fracture_collision.simulation.rigid_body_world import RigidBodyWorld
+from fracture_collision.simulation.rotations import turned_back
 from fracture_collision.simulation.scene import Scene, SceneBody
 
 
@@ -86,13 +87,13 @@ class Pusher(Protocol):
 class Simulation:
     """A run of one scene. The same scene, seed and answers give the same states, byte for byte.
 
-    `seed` stands in for the scene's own where given. `engine` likewise for PyBullet.
+    `seed` replaces the scene's own where given, `engine` the RigidBodyWorld.
     """
 
     def __init__(self, scene: Scene, seed: int | None = None, engine: Engine | None = None) -> None:
         self._scene = scene
         self._seed = scene.seed if seed is None else seed
-        self._engine = BulletWorld(scene.gravity, scene.time_step) if engine is None else engine
+        self._engine = RigidBodyWorld(scene.time_step) if engine is None else engine
         self._step = 0
         self._sequence = 0
         self._cast = Cast(scene.bodies)
@@ -122,8 +123,6 @@ class Simulation:
 
     def close(self) -> None:
         self._engine.close()
-        if self.arm is not None:
-            self.arm.close()
 
     def grab(self, name: str, position: np.ndarray) -> bool:
         """`drag.grab` of what is in motion now; `drag` moves the hand and lets go."""
@@ -192,14 +191,14 @@ class Simulation:
         moved = self._engine.states()
         velocities = np.hstack((moved.linear, moved.angular))
         energy = kinetic_energy(moved.masses, moved.inertias, velocities)
-        lifted = -float(moved.masses @ (drift[:, :3] @ self._scene.gravity)) * self._scene.time_step
+        lifted = -float((moved.masses * dots(drift[:, :3], self._scene.gravity)).sum()) * self._scene.time_step
         started = time.perf_counter()
         for i in overloaded:
             impact, load = _hardest_hit(i, contacts, pairs, solution)
             fragment_id = int(states.fragment_ids[i])
             strength = self._cast.scene_body(fragment_id).material.fracture.strength
             # Where it was hit, not where it has gone since.
-            impact = Rotation.from_quat(states.frame_orientations[i]).inv().apply(impact - states.frame_positions[i])
+            impact = turned_back(states.frame_orientations[i], impact - states.frame_positions[i])
             if not self._break(fragment_id, moved.frame(i), impact, load / strength):
                 self._held_together.add(fragment_id)
                 self._known_traits = None
@@ -211,9 +210,9 @@ class Simulation:
             solver_seconds=solver_seconds,
             fracture_seconds=time.perf_counter() - started if len(overloaded) else 0.0,
             kinetic_energy=energy,
-            potential_energy=-float(moved.masses @ (moved.centers @ self._scene.gravity)),
+            potential_energy=-float((moved.masses * dots(moved.centers, self._scene.gravity)).sum()),
             drift_energy=lifted,
-            max_speed=float(np.linalg.norm(moved.linear, axis=1).max(initial=0.0)),
+            max_speed=float(lengths(moved.linear).max(initial=0.0)),
             deepest_gap=deepest_gap,
             events=list(self._events),
             hand_energy=hand_energy,
@@ -246,7 +245,7 @@ class Simulation:
         moving = self._engine.states()
         others = self._cast.static_frames | self._cast.waiting
         ids = np.concatenate((moving.fragment_ids, np.array(list(others), dtype=np.uint32)))
-        order = np.argsort(ids)
+        order = np.argsort(ids, kind="stable")
         in_engine = FrameState(
             moving.frame_positions, moving.frame_orientations, moving.frame_velocities(), moving.angular
         )
@@ -340,4 +339,4 @@ def _hardest_hit(
             best, best_load = pair, load
     those = slice(begin[best], begin[best + 1])
     points = (contacts.points_a if pairs.body_a[best] == row else contacts.points_b).reshape(-1, 3)
-    return impulses[those] @ points[those] / best_load, best_load
+    return (impulses[those, None] * points[those]).sum(axis=0) / best_load, best_load

@@ -16,6 +16,7 @@ from fracture_collision.geometry.tetrahedra import (
     tetrahedron_volumes,
     unique_edges,
 )
+from fracture_collision.portable_math import lengths
 from fracture_collision.records import BOX, SPHERE, CollisionBody
 from fracture_collision.world.checks import (
     LARGEST_LENGTH,
@@ -165,7 +166,7 @@ def _half_space(plane: np.ndarray) -> np.ndarray:
     if largest == 0.0:
         refuse("out_of_range", "plane: the normal (a, b, c) is zero")
     normal = plane[:3] / largest
-    length = float(np.linalg.norm(normal))
+    length = float(lengths(normal))
     if abs(plane[3]) > LARGEST_LENGTH * largest:
         refuse("out_of_range", f"plane: farther than {LARGEST_LENGTH:g} m from the origin")
     return np.append(normal / length, -plane[3] / largest / length)
@@ -187,8 +188,8 @@ def _check_tetrahedra(vertices: np.ndarray, tetrahedra: np.ndarray, triangles: n
         refuse("bad_mesh", f"vertices: vertex {unused[0]} belongs to no tetrahedron")
     volumes = tetrahedron_volumes(vertices, tetrahedra)
     corners = vertices[tetrahedra]
-    longest = np.max([((corners[:, i] - corners[:, j]) ** 2).sum(axis=1) for i in range(4) for j in range(i)], axis=0)
-    bad = np.flatnonzero(volumes <= FLAT_TETRAHEDRON * longest**1.5)
+    longest = np.max([lengths(corners[:, i] - corners[:, j]) for i in range(4) for j in range(i)], axis=0)
+    bad = np.flatnonzero(volumes <= FLAT_TETRAHEDRON * longest * longest * longest)
     if len(bad):
         what = "inverted" if volumes[bad[0]] < 0 else "flat"
         refuse("bad_mesh", f"tetrahedra: tetrahedron {bad[0]} is {what} (volume {volumes[bad[0]]:.3g} m3)")

@@ -6,8 +6,8 @@ import numpy as np
 
 from fracture_collision.world.errors import InvalidMessage
 
-UINT32_MAX = 2**32 - 1
-UINT64_MAX = 2**64 - 1
+UINT32_MAX = 0xFFFFFFFF
+UINT64_MAX = 0xFFFFFFFFFFFFFFFF
 # [m] Beyond, doubles are farther than 0.1 micrometres apart; within, no fifth power of a length overflows.
 LARGEST_LENGTH = 1e9
 # [m] Below, products of four lengths begin to lose bits to underflow only far away, and no rigid body is that small.

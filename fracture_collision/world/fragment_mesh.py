@@ -10,6 +10,7 @@ from fracture_collision.core.surface_triangles import surface_triangles
 from fracture_collision.geometry.generators import ball, brick
 from fracture_collision.geometry.tetrahedra import boundary_triangles
 from fracture_collision.geometry.unique_rows import unique_rows
+from fracture_collision.portable_math import lengths
 from fracture_collision.records import FragmentMesh
 
 SPHERE_EDGE = 0.2  # of the radius: round enough to look at
@@ -40,7 +41,7 @@ def _boundary(body) -> np.ndarray:
 def _plane_square(shape: np.ndarray) -> np.ndarray:
     normal, center = shape[:3], shape[:3] * shape[3]
     side = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
-    u = PLANE_HALF * side / np.linalg.norm(side)
+    u = PLANE_HALF * side / lengths(side)
     v = np.cross(normal, u)
     corners = np.array([center - u - v, center + u - v, center + u + v, center - u + v])
     return corners[[[0, 1, 2], [0, 2, 3]]]

@@ -15,6 +15,7 @@ from fracture_collision.core.elementary_queries import INSIDE, probe
 from fracture_collision.core.kinds import PLANE
 from fracture_collision.core.pools import Pools
 from fracture_collision.core.scratch import make_scratch
+from fracture_collision.portable_math import products
 from fracture_collision.records import ContactConstraintArray, FragmentStates
 from fracture_collision.world.collision_world import CollisionWorld, Present
 
@@ -159,7 +160,7 @@ def field_on_plane(
         points = np.full((*owners[part].shape, 3), place)
         points[..., across[0]] = low[0] + cell * (np.arange(first[0], last[0]) + 0.5)
         points[..., across[1]] = low[1] + cell * (np.arange(first[1], last[1]) + 0.5)[:, None]
-        own = (points.reshape(-1, 3) - here.positions[i]) @ here.rotations[i]
+        own = products(points.reshape(-1, 3) - here.positions[i], here.rotations[i])
         depth = np.empty(owners[part].shape)
         _depths_inside(pools, here.rows[i], np.ascontiguousarray(own), depth.reshape(-1), scratch)
         shared[part] |= (depth > 0.0) & (depths[part] > 0.0)

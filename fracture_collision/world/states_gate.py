@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fracture_collision.portable_math import lengths
 from fracture_collision.records import FragmentStates
 from fracture_collision.world.checks import (
     LARGEST_LENGTH,
@@ -44,7 +45,7 @@ def check_states(states: FragmentStates) -> CheckedStates:
         if len(velocities):
             same_length(name, velocities, "fragment_ids", len(ids))
     with np.errstate(over="ignore"):  # infinite is not 1 either
-        length = np.linalg.norm(orientations, axis=1)
+        length = lengths(orientations)
     crooked = np.flatnonzero(~(np.abs(length - 1.0) <= QUATERNION_TOLERANCE))
     if len(crooked):
         i = crooked[0]

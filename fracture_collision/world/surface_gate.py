@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fracture_collision.core.connected_pieces import joined
+from fracture_collision.portable_math import arctangent2, dots, lengths
 from fracture_collision.world.checks import refuse
 
 # Twice the area against the longest side squared: below, rounding decides where the normal points.
@@ -22,8 +23,8 @@ def check_surface(vertices: np.ndarray, triangles: np.ndarray) -> None:
         refuse("bad_mesh", f"vertices: vertex {unused[0]} belongs to no triangle")
     corners = vertices[triangles]
     sides = np.roll(corners, -1, axis=1) - corners
-    twice_area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
-    flat = np.flatnonzero(twice_area <= FLAT_TRIANGLE * (sides**2).sum(axis=2).max(axis=1))
+    twice_area = lengths(np.cross(sides[:, 0], sides[:, 1]))
+    flat = np.flatnonzero(twice_area <= FLAT_TRIANGLE * dots(sides, sides).max(axis=1))
     if len(flat):
         refuse("bad_mesh", f"triangles: triangle {flat[0]} has no area ({0.5 * twice_area[flat[0]]:.3g} m2)")
     opposite = _opposite_sides(triangles, len(vertices))
@@ -77,7 +78,7 @@ def _one_solid(triangles: np.ndarray, corners: np.ndarray, opposite: np.ndarray)
     piece = joined(np.arange(len(triangles)).repeat(3), opposite // 3, len(triangles))
     apex = 0.5 * (corners.min(axis=(0, 1)) + corners.max(axis=(0, 1)))
     a, b, c = (corners[:, i] - apex for i in range(3))
-    volumes = np.bincount(piece, np.einsum("ij,ij->i", np.cross(a, b), c) / 6.0)
+    volumes = np.bincount(piece, dots(np.cross(a, b), c) / 6.0)
     outer = np.flatnonzero(volumes > 0.0)
     if not len(outer):
         refuse("bad_mesh", f"triangles: inside out (volume {volumes.sum():.3g} m3); order them counter-clockwise")
@@ -93,7 +94,7 @@ def _one_solid(triangles: np.ndarray, corners: np.ndarray, opposite: np.ndarray)
 def _winding_number(point: np.ndarray, corners: np.ndarray) -> float:
     """How often closed triangles (t, 3, 3) wind around a point: A. van Oosterom, J. Strackee, 1983."""
     a, b, c = (corners[:, i] - point for i in range(3))
-    la, lb, lc = (np.linalg.norm(v, axis=1) for v in (a, b, c))
-    triple = np.einsum("ij,ij->i", a, np.cross(b, c))
-    dots = [np.einsum("ij,ij->i", u, v) * w for u, v, w in ((a, b, lc), (b, c, la), (c, a, lb))]
-    return float(2.0 * np.arctan2(triple, la * lb * lc + dots[0] + dots[1] + dots[2]).sum() / (4.0 * np.pi))
+    la, lb, lc = (lengths(v) for v in (a, b, c))
+    triple = dots(a, np.cross(b, c))
+    angles = [dots(u, v) * w for u, v, w in ((a, b, lc), (b, c, la), (c, a, lb))]
+    return float(2.0 * arctangent2(triple, la * lb * lc + angles[0] + angles[1] + angles[2]).sum() / (4.0 * np.pi))

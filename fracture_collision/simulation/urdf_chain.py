@@ -1,0 +1,69 @@
+"""A chain of revolute joints out of a URDF file, and where its links are for given joint angles.
+
+Forward kinematics: the frame of link j is that of link j - 1, moved by the joint's `origin` and turned about its
+`axis` by the joint's angle (REP-103 axes; URDF's rpy are rotations about fixed x, y, z axes in this order).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+from xml.etree import ElementTree
+
+import numpy as np
+
+from fracture_collision.portable_math import cosine, lengths, sine
+from fracture_collision.simulation.rotations import from_euler_angles, quaternion_products, turned_by
+
+
+class JointLimits(NamedTuple):
+    names: tuple[str, ...]
+    lower: np.ndarray  # (k,) [rad]
+    upper: np.ndarray  # (k,) [rad]
+    speeds: np.ndarray  # (k,) [rad/s]
+
+
+class Chain(NamedTuple):
+    """k revolute joints, each at the end of the link before."""
+
+    limits: JointLimits
+    places: np.ndarray  # (k, 3) [m], of the joint in the frame of the link before
+    turns: np.ndarray  # (k, 4) unit quaternions x y z w, likewise
+    axes: np.ndarray  # (k, 3) unit, in the joint's frame
+
+
+def read_chain(file: Path) -> Chain:
+    """The revolute joints of a URDF file, in its order. ValueError where one does not follow the other."""
+    joints = [joint for joint in ElementTree.parse(file).getroot().iter("joint") if joint.get("type") == "revolute"]
+    for before, after in zip(joints[:-1], joints[1:], strict=True):
+        if before.find("child").get("link") != after.find("parent").get("link"):
+            raise ValueError(f"{file}: joint {after.get('name')} does not follow {before.get('name')}: no chain")
+    lower, upper, speeds = (np.concatenate([_numbers(joint, "limit", key) for joint in joints])
+                            for key in ("lower", "upper", "velocity"))  # fmt: skip
+    limits = JointLimits(tuple(joint.get("name") for joint in joints), lower, upper, speeds)
+    axes = np.array([_numbers(joint, "axis", "xyz") for joint in joints])
+    return Chain(
+        limits,
+        np.array([_numbers(joint, "origin", "xyz") for joint in joints]),
+        np.array([from_euler_angles(_numbers(joint, "origin", "rpy")) for joint in joints]),
+        axes / lengths(axes)[:, None],
+    )
+
+
+def link_frames(
+    chain: Chain, position: np.ndarray, orientation: np.ndarray, angles: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Origins (k, 3) [m] and orientations (k, 4) of the links behind each joint, with the first link's frame given."""
+    origins, orientations = np.empty_like(chain.places), np.empty_like(chain.turns)
+    half = 0.5 * np.asarray(angles)
+    about = np.column_stack((sine(half)[:, None] * chain.axes, cosine(half)))
+    local = quaternion_products(chain.turns, about)
+    for j in range(len(angles)):
+        position = position + turned_by(orientation, chain.places[j])
+        orientation = quaternion_products(orientation[None], local[j : j + 1])[0]
+        origins[j], orientations[j] = position, orientation
+    return origins, orientations
+
+
+def _numbers(joint: ElementTree.Element, tag: str, key: str) -> np.ndarray:
+    return np.array([float(number) for number in joint.find(tag).get(key).split()])

@@ -1,0 +1,1 @@
+"""House rules that ruff and import-linter cannot express; run by `make lint`."""
