@@ -1,0 +1,126 @@
+"""Whether what rests is held up by what it touches: a linear program over friction cones.
+
+For all bodies at rest together: are there contact forces, each within its friction cone, whose sum and moment on each
+body balance its weight? A pair resists rolling by torques of up to its rolling arm times its normal force. Each body is
+granted TOLERANCE of its weight, and of its weight times its size as a moment; what is missing beyond that is minimised.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import linprog
+from scipy.sparse import coo_array
+
+from fracture_collision.world.inspection import asked_with
+
+TOLERANCE = 0.05  # of the weight
+FACETS = 12  # of a friction cone
+SPEED_AT_REST = 2e-3  # [m/s] of any point of the body
+ROOM = 4096  # contacts a pair: all within the detection tolerance
+
+
+class Support(NamedTuple):
+    fragment_ids: np.ndarray  # (n,) of the bodies at rest
+    missing: np.ndarray  # (n,) what their contacts cannot carry beyond TOLERANCE, as a share of their weight
+
+    @property
+    def unsupported(self) -> list[int]:
+        return self.fragment_ids[self.missing > 1e-6].tolist()
+
+
+def support_of(run, scene) -> Support:
+    """Of a Lockstep run as it stands."""
+    states = run.states()
+    contacts = asked_with(run.world, states, contacts_per_pair=ROOM)
+    registry = run.world.fragments()
+    bodies = run.simulation._engine.states()
+    rolling = {body_id: body.material.rolling_arm for body_id, body in run.simulation._cast.body_of.items()}
+    of = dict(zip(registry.fragment_ids.tolist(), registry.body_ids.tolist(), strict=True))
+    size = np.sqrt(np.trace(bodies.inertias, axis1=1, axis2=2) / bodies.masses)
+    speed = np.linalg.norm(bodies.linear, axis=1) + np.linalg.norm(bodies.angular, axis=1) * size
+    own_arm = run.simulation.arm
+    driven = [] if own_arm is None else own_arm._own.tolist()
+    resting = np.flatnonzero((speed < SPEED_AT_REST) & ~np.isin(bodies.fragment_ids, driven))
+    row_of = {int(bodies.fragment_ids[i]): k for k, i in enumerate(resting)}
+    gravity = scene.gravity
+    weight = bodies.masses[resting] * np.linalg.norm(gravity)
+    if not len(resting) or not weight.any():
+        return Support(bodies.fragment_ids[resting], np.zeros(len(resting)))
+    arm_of = {f: rolling[of[f]] for f in of}
+    return _solve(contacts, resting, row_of, bodies, gravity, weight, size, arm_of)
+
+
+def _solve(contacts, resting, row_of, bodies, gravity, weight, size, arm_of):
+    rows, columns, values = [], [], []  # of the balance: six rows a body, in units of its weight
+    upper_rows, upper_columns, upper_values, upper = [], [], [], 0
+    column = 0
+
+    def act(body, at, force, c, sign):
+        k = row_of.get(body)
+        if k is None:
+            return
+        moment = np.cross(at - bodies.centers[resting[k]], force) / size[resting[k]]
+        for i, value in enumerate((*force, *moment)):
+            rows.append(6 * k + i), columns.append(c), values.append(sign * value / weight[k])
+
+    begin = contacts.pair_begin.astype(int)
+    points = 0.5 * (contacts.points_a + contacts.points_b).reshape(-1, 3)
+    normals = contacts.normals.reshape(-1, 3)
+    turns = 2.0 * np.pi * np.arange(FACETS) / FACETS
+    circle = np.column_stack((np.cos(turns), np.sin(turns))) / np.cos(np.pi / FACETS)  # around the friction circle
+    for p in range(len(contacts.fragment_a)):
+        a, b = int(contacts.fragment_a[p]), int(contacts.fragment_b[p])
+        if a not in row_of and b not in row_of:
+            continue
+        scale = min(weight[row_of[f]] for f in (a, b) if f in row_of)
+        pressing = []
+        for c in range(begin[p], begin[p + 1]):
+            n = normals[c]
+            t = np.cross(n, np.eye(3)[np.argmin(np.abs(n))])
+            t /= np.linalg.norm(t)
+            s = np.cross(n, t)
+            for x, y in circle:
+                force = scale * (n + contacts.friction[p] * (x * t + y * s))
+                act(b, points[c], force, column, 1.0)
+                act(a, points[c], force, column, -1.0)
+                pressing.append(column)
+                column += 1
+        arm = max(arm_of[a], arm_of[b])
+        if arm > 0.0:
+            for axis in range(3):
+                for sign in (1.0, -1.0):
+                    for body, way in ((b, 1.0), (a, -1.0)):
+                        k = row_of.get(body)
+                        if k is not None:
+                            rows.append(6 * k + 3 + axis), columns.append(column)
+                            values.append(way * sign * scale / size[resting[k]] / weight[k])
+                    upper_rows.append(upper), upper_columns.append(column), upper_values.append(1.0)
+                    for each in pressing:
+                        upper_rows.append(upper), upper_columns.append(each), upper_values.append(-arm)
+                    upper += 1
+                    column += 1
+    n, forces = len(resting), column
+    # granted and missing, of either sign, of each row
+    for sign in (1.0, -1.0):
+        for _kind in range(2):
+            for row in range(6 * n):
+                rows.append(row), columns.append(column), values.append(sign)
+                column += 1
+    cost = np.zeros(column)
+    bounds = np.full((column, 2), np.inf)
+    bounds[:, 0] = 0.0
+    for k in range(2):
+        granted = slice(forces + 12 * n * k, forces + 12 * n * k + 6 * n)
+        missing = slice(granted.stop, granted.stop + 6 * n)
+        bounds[granted, 1] = TOLERANCE
+        cost[missing] = 1.0
+    balance = coo_array((values, (rows, columns)), shape=(6 * n, column)).tocsr()
+    target = np.zeros((n, 6))
+    target[:, :3] = -gravity / np.linalg.norm(gravity)
+    limits = coo_array((upper_values, (upper_rows, upper_columns)), shape=(upper, column)).tocsr() if upper else None
+    done = linprog(cost, limits, np.zeros(upper) if upper else None, balance, target.ravel(), bounds, method="highs")
+    assert done.status == 0, done.message
+    found = done.x[forces:].reshape(2, 2, n, 6)[:, 1]
+    return Support(bodies.fragment_ids[resting], found.sum(axis=(0, 2)))

@@ -1,0 +1,89 @@
+"""The same course and the same answers, to the bit, on any x86-64 processor.
+
+Other processors are imitated by what libraries choose their code by: OpenBLAS's kernels, numpy's dispatch, glibc's
+variants of sin, exp and the like. numba's code generation for another processor is tried with the slow tests, as it
+compiles every kernel once more.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+from scene_courses import PINNED
+
+PROGRAM = Path(__file__).with_name("scene_courses.py")
+EXPECTED = yaml.safe_load(PINNED.read_text())
+# Shards, cracks of both kinds, a robot arm, thin walls: what went apart when kernels of BLAS and libm took part.
+SOME = ["plates", "piggy_bank", "vase", "pane@0.25"]
+ENVIRONMENTS = {
+    "as it is": {},
+    "OpenBLAS for Haswell": {"OPENBLAS_CORETYPE": "Haswell"},
+    "OpenBLAS for SkylakeX": {"OPENBLAS_CORETYPE": "SkylakeX"},
+    "OpenBLAS for Zen": {"OPENBLAS_CORETYPE": "Zen"},
+    "OpenBLAS for Prescott": {"OPENBLAS_CORETYPE": "Prescott"},
+    # numpy 2.4 on names groups of features; older ones take single ones and warn of those they do not know
+    "numpy's baseline": {"NPY_DISABLE_CPU_FEATURES": "X86_V3 X86_V4 AVX2 FMA3 AVX512F AVX512_SKX"},
+    "glibc without FMA": {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-FMA,-FMA4,-AVX2,-AVX2_Usable,-FMA_Usable"},
+}
+
+
+def course(names, environment):
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", PROGRAM, *names], env=os.environ | environment, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    return dict(line.split() for line in done.stdout.splitlines() if len(line.split()) == 2)
+
+
+def expected(names):
+    return {name: EXPECTED[name] for name in names}
+
+
+@pytest.mark.parametrize("name", EXPECTED)
+def test_every_scene_takes_its_course(name):
+    assert course([name], {}) == expected([name])
+
+
+@pytest.mark.parametrize("kind", list(ENVIRONMENTS)[1:])
+def test_scenes_take_the_same_course_elsewhere(kind):
+    assert course(SOME, ENVIRONMENTS[kind]) == expected(SOME)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", list(ENVIRONMENTS)[1:])
+def test_all_scenes_take_the_same_course_elsewhere(kind):
+    assert course(EXPECTED, ENVIRONMENTS[kind]) == EXPECTED
+
+
+@pytest.mark.slow
+def test_kernels_compiled_for_any_processor_take_the_same_course(tmp_path):
+    generic = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE_DIR": str(tmp_path)}
+    assert course(EXPECTED, generic) == EXPECTED
+
+
+def test_the_environments_do_make_libraries_round_differently():
+    """What is compared must be able to fail: BLAS, numpy and libm do differ here, where the processor has a choice."""
+    program = (
+        "import hashlib, math, numpy as np; r = np.random.default_rng(1); a = r.normal(size=(300, 300));"
+        "x = r.uniform(0, 9, 20000); d = lambda v: hashlib.sha256(np.asarray(v).tobytes()).hexdigest();"
+        "print(d(a @ a), d(np.exp(x)), d([math.sin(v) for v in x]))"
+    )
+
+    def rounding(kind):
+        environment = os.environ | ENVIRONMENTS[kind]
+        done = subprocess.run([sys.executable, "-W", "ignore", "-c", program], env=environment, capture_output=True)
+        assert done.returncode == 0, done.stderr
+        return done.stdout.decode().split()
+
+    features = Path("/proc/cpuinfo").read_text().split("flags", 1)[1].split("\n", 1)[0].split()
+    if "avx2" not in features or "fma" not in features:
+        pytest.skip("this processor leaves the libraries no choice")
+    of_blas = {rounding(kind)[0] for kind in ENVIRONMENTS if "OpenBLAS" in kind}
+    assert len(of_blas) > 1
+    assert rounding("as it is")[1] != rounding("numpy's baseline")[1] or "avx512f" not in features
+    assert rounding("as it is")[2] != rounding("glibc without FMA")[2]
