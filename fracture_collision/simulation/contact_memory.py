@@ -3,10 +3,9 @@
 The service lists a pair's first few contacts and beyond them only those deeper than a tolerance (Glondu 2014, section
 5.2). Which these are changes from step to step, so a shard at rest would lose a support, sink by the tolerance, get it
 back, and never lie still. A contact therefore stays in the pair's manifold, as in Bullet's persistent manifolds, while
-both bodies touch elsewhere too, and until its witness points, each fixed to its body, part or slip too far, or until
-the service's certificate contradicts it: no unlisted sample is deeper than the pair's missed depth bound. A sample that
-slips over an edge keeps its distance to the face that it was on, while its true depth, to the nearest face, falls. Such
-a contact would carry a shard beside the edge for ever.
+the service lists another that pushes the same way, and until its witness points, each fixed to its body, part or slip
+too far. A sample that slips over an edge is nearest to another face from then on, while its remembered contact keeps
+the normal of the first. Where nothing else of the pair pushes that way, it would hold a shard beside the edge.
 """
 
 from __future__ import annotations
@@ -20,8 +19,9 @@ from fracture_collision.records import ContactConstraintArray, FragmentStates
 from fracture_collision.simulation.compiled import uncounted
 from fracture_collision.simulation.rotations import rotation_matrices
 
-# [m] A search that ends with a lower bound has found every sample that touches; only rounding is left.
-NOTHING_MISSED = 1.0e-9
+# Cosine of the angle (25 degrees) within which two contacts push the same way: more than the normals of one curved face
+# differ between neighbouring samples, less than those of two faces that meet in an edge.
+SAME_WAY = 0.9
 
 
 class ContactMemory(NamedTuple):
@@ -63,7 +63,7 @@ def with_remembered(
         contacts.fragment_a, contacts.fragment_b, contacts.pair_begin.astype(np.int64), contacts.contact_ids,
         contacts.points_a.reshape(-1, 3), contacts.points_b.reshape(-1, 3), contacts.normals.reshape(-1, 3),
         contacts.gaps, frames_of(contacts.fragment_a), frames_of(contacts.fragment_b), positions,
-        rotation_matrices(quaternions), memory, reach, contacts.missed_depth_bound,
+        rotation_matrices(quaternions), memory, reach,
     )  # fmt: skip
     merged = contacts._replace(
         pair_begin=begin, contact_ids=contact_ids, points_a=points_a.ravel(), points_b=points_b.ravel(),
@@ -75,7 +75,7 @@ def with_remembered(
 @njit(cache=True)
 def _merge(
     fragment_a, fragment_b, begin, contact_ids, points_a, points_b, normals, gaps, frame_a, frame_b, positions,
-    rotations, memory, reach, bounds,
+    rotations, memory, reach,
 ):  # fmt: skip
     room = len(gaps) + len(memory.contact_ids)
     out_begin = np.zeros(len(fragment_a) + 1, dtype=np.int64)
@@ -101,9 +101,6 @@ def _merge(
             memory.fragment_a[old] < a or (memory.fragment_a[old] == a and memory.fragment_b[old] < b)
         ):
             old += 1
-        if bounds[pair] < NOTHING_MISSED:
-            out_begin[pair + 1] = count
-            continue
         if old < len(memory.fragment_a) and memory.fragment_a[old] == a and memory.fragment_b[old] == b:
             for m in range(memory.pair_begin[old], memory.pair_begin[old + 1]):
                 if _listed(contact_ids, begin[pair], begin[pair + 1], memory.contact_ids[m]):
@@ -117,7 +114,9 @@ def _merge(
                     apart = out_b[count, i] - out_a[count, i]
                     gap += apart * out_normals[count, i]
                     square += apart * apart
-                if gap > reach or square - gap * gap > reach * reach or -gap > bounds[pair]:
+                if gap > reach or square - gap * gap > reach * reach:
+                    continue
+                if not _pushes_as_one_of(normals, begin[pair], begin[pair + 1], out_normals[count]):
                     continue
                 out_ids[count] = memory.contact_ids[m]
                 out_gaps[count] = gap
@@ -135,6 +134,14 @@ def _merge(
 def _listed(contact_ids, first, end, wanted):
     for c in range(first, end):  # noqa: SIM110 (compiled)
         if contact_ids[c] == wanted:
+            return True
+    return False
+
+
+@njit(cache=True)
+def _pushes_as_one_of(normals, first, end, normal):
+    for c in range(first, end):  # noqa: SIM110 (compiled)
+        if normals[c, 0] * normal[0] + normals[c, 1] * normal[1] + normals[c, 2] * normal[2] > SAME_WAY:
             return True
     return False
 
