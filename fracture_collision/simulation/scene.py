@@ -89,6 +89,14 @@ def scene_files() -> list[SceneFile]:
     ]
 
 
+def scene_names() -> list[str]:
+    """What load_scene takes without a path: the package's scenes, each with its variants."""
+    return [
+        name for file in scene_files()
+        for name in (file.path.stem, *(f"{file.path.stem}:{variant}" for variant in file.variants))
+    ]  # fmt: skip
+
+
 def load_scene(name_or_path: str | Path) -> Scene:
     """The scene of this file, or of this name among those that come with the package.
 
