@@ -16,7 +16,7 @@ from fracture_collision.geometry import concave_shapes, generators, sampled_bodi
 from fracture_collision.geometry.generators import TetGeometry
 from fracture_collision.geometry.piggy_bank import piggy_bank
 from fracture_collision.geometry.vase import vase
-from fracture_collision.simulation.scene_fields import Fields, SceneError
+from fracture_collision.simulation.scene_fields import Fields, SceneError, quoted
 
 MESHES: dict[str, Callable[..., TetGeometry]] = {
     "ball": generators.ball,
@@ -50,7 +50,7 @@ def parse_shape(fields: Fields, made: dict[tuple, TetGeometry]) -> Shape:
     """The shape that just one field, named by a kind, describes. `made` keeps meshes, so that equal ones are one."""
     kinds = fields.keys()
     if len(kinds) != 1 or kinds[0] not in KINDS:
-        raise SceneError(f"{fields.name('')[:-1]}: needs just one of {', '.join(KINDS)}, got {kinds}")
+        raise SceneError(f"{fields.name('')[:-1]}: needs just one of {', '.join(KINDS)}, got {quoted(kinds)}")
     kind = kinds[0]
     part = Fields(fields.mapping(kind), fields.name(kind))
     if kind == "plane":
