@@ -15,7 +15,7 @@ from bag_of_records import write_bag
 from click.testing import CliRunner
 from small_run import small_run
 
-from fracture_collision.cli import main
+from fracture_collision.cli.commands import main
 
 GOLDEN = Path(__file__).parents[1] / "bags" / "pane"  # has no meshes
 

@@ -14,7 +14,8 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from fracture_collision.cli.console import INTERRUPTED, Interruption
+from fracture_collision.cli.console import Interruption
+from fracture_collision.early_signals import INTERRUPTED
 
 OTHERWISE = 1  # exit status: some answer is not the one recorded
 NO_BAG = 2

@@ -11,13 +11,8 @@ import click
 import numpy as np
 from rich.console import Console
 
-from fracture_collision.cli.console import (
-    INTERRUPTED,
-    Interruption,
-    ProgressBar,
-    beside_paper,
-    figures_table,
-)
+from fracture_collision.cli.console import Interruption, ProgressBar, beside_paper, figures_table
+from fracture_collision.early_signals import INTERRUPTED
 from fracture_collision.run_report import statistics_table, times_table
 
 EXAMPLES = """\b

@@ -11,7 +11,8 @@ import click
 from rich.console import Console
 from rich.table import Table
 
-from fracture_collision.cli.console import INTERRUPTED, Interruption, ProgressBar, figures_table
+from fracture_collision.cli.console import Interruption, ProgressBar, figures_table
+from fracture_collision.early_signals import INTERRUPTED
 
 NODES_ALONG = 15  # the longest side of a mesh of one's own
 

@@ -38,7 +38,10 @@ RATE_WINDOW = 1.0  # [s] over which the rate that is reached is told
 
 
 class LiveSimulatorNode(SimulatorNode):
-    """A node of the same name as SimulatorNode: to the service it is one. Parameters besides: `rate`, `next_scene`."""
+    """A node of the same name as SimulatorNode: to the service it is one.
+
+    Parameters: `scene`, `seed`, `run_id`, `wait_for_subscribers`; while it runs `rate` and `next_scene`.
+    """
 
     def __init__(self) -> None:
         self._live: LiveScene | None = None

@@ -91,7 +91,7 @@ class NodeProcess:
         who want the same processor come first.
         """
         given = [f"{name}:={json.dumps(value)}" for name, value in parameters.items()]
-        command = [sys.executable, "-m", f"fracture_collision.ros.{module}", "--ros-args", *arguments]
+        command = [sys.executable, "-m", "fracture_collision.ros.start", module, "--ros-args", *arguments]
         for assignment in given:
             command += ["-p", assignment]
         self.name = module

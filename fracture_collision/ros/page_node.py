@@ -59,7 +59,7 @@ ARROWS = {"up": (0.0, 1.0), "down": (0.0, -1.0), "right": (1.0, 0.0), "left": (-
 
 
 class PageNode(Node):
-    """Parameters say where the page is served; it prints its address as a line of JSON."""
+    """Prints the page's address as a line of JSON. Parameters: `host`, `port`, `scene`, `folder` of recordings."""
 
     def __init__(self) -> None:
         super().__init__("page_node")

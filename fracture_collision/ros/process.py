@@ -7,11 +7,13 @@ So a handler that raises nothing stands there instead, and nodes end where they 
 
 from __future__ import annotations
 
+import inspect
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from types import FrameType
 
 import rclpy
@@ -62,11 +64,34 @@ def _choose_profiles() -> None:
         os.environ[_PROFILES[0]] = str(share_directory() / "config" / "this_machine.xml")
 
 
+def _asks_for_help(arguments: Sequence[str]) -> bool:
+    """Of what is not for ROS."""
+    own = arguments[: arguments.index("--ros-args")] if "--ros-args" in arguments else arguments
+    return "--help" in own or "-h" in own
+
+
+def _help(make_node: Callable[[], Node]) -> str:
+    name = make_node.__module__.rpartition(".")[2]
+    if name == "__main__":
+        name = Path(sys.argv[0]).stem
+    lines = (
+        f"usage: {name} [--ros-args -p NAME:=VALUE ... --params-file FILE -r FROM:=TO ...]",
+        inspect.getdoc(sys.modules[make_node.__module__]) or "",
+        inspect.getdoc(make_node) or "",
+        "`ros2 param list` and `ros2 param describe` tell more of a node that runs.",
+    )
+    return "\n\n".join(lines)
+
+
 def run_node(make_node: Callable[[], Node], work: Callable[[Node], None]) -> int:
-    """Runs `work` on the node that `make_node` makes; returns the process's exit status.
+    """Runs `work` on the node that the class `make_node` makes; returns the process's exit status. Where the arguments
+    ask for help it prints the docstrings of module and class, and makes none.
 
     SIGINT and SIGTERM end it cleanly, with status 0: that is how nodes are told to go.
     """
+    if _asks_for_help(sys.argv[1:]):
+        print(_help(make_node))
+        return 0
     for order in (signal.SIGINT, signal.SIGTERM):
         signal.signal(order, _on_signal)
     remove_left_behind()  # of one that was killed, and that this one perhaps takes the place of
