@@ -120,7 +120,7 @@ def parse_scene(content: Any, name: str, variant: str = "", folder: Path | None 
     }
     made: dict[tuple, TetGeometry] = {}
     bodies = tuple(
-        _body(Fields(value, f"bodies[{i}]"), materials, made) for i, value in enumerate(root.sequence("bodies"))
+        _body(Fields(value, f"bodies[{i}]"), materials, made, folder) for i, value in enumerate(root.sequence("bodies"))
     )
     dragged = [body.name for body in bodies if not body.is_static]
     arm = root.take("arm", None)
@@ -235,14 +235,16 @@ def _arm_bodies(arm: Arm, material: Material) -> tuple[SceneBody, ...]:
     )  # fmt: skip
 
 
-def _body(fields: Fields, materials: Mapping[str, Material], made: dict[tuple, TetGeometry]) -> SceneBody:
+def _body(
+    fields: Fields, materials: Mapping[str, Material], made: dict[tuple, TetGeometry], folder: Path | None
+) -> SceneBody:
     material = _material_of(fields, materials)
     is_static = fields.take("static", False)
     if not isinstance(is_static, bool):
         raise SceneError(f"{fields.name('static')}: needs true or false, got {quoted(is_static)}")
     body = SceneBody(
         name=fields.text("name"),
-        shape=parse_shape(Fields(fields.mapping("shape"), fields.name("shape")), made),
+        shape=parse_shape(Fields(fields.mapping("shape"), fields.name("shape")), made, folder),
         material=material,
         is_static=is_static,
         position=fields.vector("position", 3, (0.0, 0.0, 0.0)),
