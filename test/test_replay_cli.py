@@ -140,6 +140,16 @@ def test_record_and_mend(tmp_path: Path) -> None:
     assert after.returncode == 0 and "note:" not in after.stdout
 
 
+def test_a_recording_that_does_not_begin_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def failing(*_: object) -> None:
+        raise ValueError("no run")
+
+    monkeypatch.setattr("fracture_collision.ros.scene_recording.Lockstep", failing)
+    with pytest.raises(ValueError, match="no run"):
+        record_pane(tmp_path / "bag")
+    assert not (tmp_path / "bag").exists()
+
+
 def test_digest_takes_a_file_and_a_folder(bag: Path) -> None:
     one, other = run("digest", bag), run("digest", bag / "pane_0.mcap")
     assert one.returncode == other.returncode == 0 and one.stdout == other.stdout

@@ -58,7 +58,7 @@ def play(scene: str, seed: int | None, host: str, port: int, opens: bool, out: P
             while True:
                 run.check()
                 time.sleep(LOOK)
-    except PlayFailed as error:
+    except (PlayFailed, OSError) as error:
         raise click.ClickException(str(error)) from error
     except KeyboardInterrupt:
         console.print("ended; all nodes are gone")
