@@ -25,15 +25,12 @@ from rclpy.node import Node
 from fracture_collision.ros.parameters import warn_of_unknown
 from fracture_collision.ros.shared_memory import remove_left_behind
 from fracture_collision.ros.successor_ports import ports_of_the_dead_held
-from fracture_collision.share import share_directory
+from fracture_collision.ros.this_machine import keep_to_this_machine
 
 
 class Fatal(RuntimeError):
     """The node cannot go on; its text is all that the user needs to see."""
 
-
-# Where Fast DDS looks for profiles: version 2, then 3.
-_PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 
 _nothing_to_lose = False
 
@@ -52,16 +49,6 @@ def nothing_to_lose() -> Iterator[None]:
 def _on_signal(_signal: int, _frame: FrameType | None) -> None:
     if _nothing_to_lose:
         os._exit(0)
-
-
-def _choose_profiles() -> None:
-    """With ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST Fast DDS uses no other interface than loopback, unless the user has
-    profiles of his own; other middleware does not look. The range alone keeps a node from being found; who knows the
-    machine's address would still get in.
-    """
-    is_local = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE") == "LOCALHOST"
-    if is_local and not any(os.environ.get(name) for name in _PROFILES):
-        os.environ[_PROFILES[0]] = str(share_directory() / "config" / "this_machine.xml")
 
 
 def _asks_for_help(arguments: Sequence[str]) -> bool:
@@ -95,7 +82,7 @@ def run_node(make_node: Callable[[], Node], work: Callable[[Node], None]) -> int
     for order in (signal.SIGINT, signal.SIGTERM):
         signal.signal(order, _on_signal)
     remove_left_behind()  # of one that was killed, and that this one perhaps takes the place of
-    _choose_profiles()
+    keep_to_this_machine(os.environ)
     rclpy.init()
     node = None
     try:
