@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import socket
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from queue import Queue
 from urllib.parse import urlsplit
 
-import msgspec
 import pytest
 import viser
+from page_client import page_client
 from websockets import Headers
-from websockets.sync.client import connect
 
 from fracture_collision.viewer import page as page_module
 from fracture_collision.viewer.page import Page
@@ -20,10 +18,6 @@ from fracture_collision.viewer.page_events import Handlers, Start
 from fracture_collision.viewer.page_gate import Gate, GateError, guarded
 
 FOREIGN = ("http://evil.example", "https://evil.example", "null", "http://localhost.evil.example", "file://")
-CAMERA = {
-    "type": "ViewerCameraMessage", "wxyz": (1.0, 0.0, 0.0, 0.0), "position": (0.0, 0.0, 0.0), "fov": 1.0, "near": 0.1,
-    "far": 10.0, "image_height": 10, "image_width": 10, "look_at": (0.0, 1.0, 0.0), "up_direction": (0.0, 0.0, 1.0),
-}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -46,13 +40,6 @@ def answer(port: int, host: str, origin: str | None = None, upgrade: bool = Fals
         while b"\r\n\r\n" not in head and (more := connection.recv(4096)):
             head += more
     return int(head.split()[1]), head.decode(errors="replace")
-
-
-def wait_until(there: Callable[[], bool]) -> None:
-    end = time.monotonic() + 30.0
-    while not there():
-        assert time.monotonic() < end
-        time.sleep(0.01)
 
 
 @pytest.mark.parametrize("name", ["localhost", "127.0.0.1", "[::1]", "LOCALHOST"])
@@ -116,16 +103,11 @@ def test_which_names_a_page_on_the_network_has() -> None:
 def test_only_scenes_that_are_offered_are_chosen() -> None:
     """Whatever a client sends."""
     chosen: Queue[str] = Queue()
-    with Page(Handlers(scene_chosen=chosen.put), Start(scenes=("plates", "pane"), scene="plates")) as page:
-        (knob,) = (each for each in page._server.gui._gui_input_handle_from_uuid.values() if each.value == "plates")
-        address = page.address.replace("http", "ws")
-        with connect(address, subprotocols=[f"viser-v{viser.__version__}"], compression=None) as client:
-            client.send(msgspec.msgpack.encode(CAMERA))  # before, it is no client yet
-            wait_until(lambda: page.browsers == 1)
-            for scene in ("/etc/passwd", "no such scene", "pane"):
-                update = {"type": "GuiUpdateMessage", "uuid": knob._impl.uuid, "updates": {"value": scene}}
-                client.send(msgspec.msgpack.encode(update))
-            assert chosen.get(timeout=30.0) == "pane"
+    start = Start(scenes=("plates", "pane"), scene="plates")
+    with Page(Handlers(scene_chosen=chosen.put), start) as page, page_client(page.address) as client:
+        for scene in ("/etc/passwd", "no such scene", "pane"):
+            client.set("scene", scene)
+        assert chosen.get(timeout=30.0) == "pane"
 
 
 def test_another_viser_serves_no_page(monkeypatch: pytest.MonkeyPatch) -> None:

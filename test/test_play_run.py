@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import socket
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import pytest
 from click.testing import CliRunner
+from page_client import page_client, wait_until
+from websockets.exceptions import InvalidStatus
 
 from fracture_collision.cli.commands import main
 from fracture_collision.ros.node_process import free_domain_id
@@ -42,6 +46,29 @@ def test_nodes_that_do_not_come_leave_the_earlier_logs(out: Path) -> None:
     with pytest.raises(PlayFailed, match=words), played("pane", -1, out, nobodys, 0):
         pass
     assert contents(out) == before
+
+
+def test_a_page_records_below_out_and_a_foreign_one_does_nothing(out: Path, tmp_path: Path) -> None:
+    secret = tmp_path.parent / "passwords"
+    secret.write_text("hunter2\n")
+    with played("pane", -1, out, "127.0.0.1", 0) as run:
+        port = urlsplit(run.address).port
+        for origin in ("http://evil.example", f"http://localhost:{port + 1}", f"http://evil.example:{port}"):
+            with pytest.raises(InvalidStatus, match="403"), page_client(run.address, origin=origin):
+                pass
+            rebound = socket.create_connection(("127.0.0.1", port))
+            with pytest.raises(InvalidStatus, match="403"), page_client(origin, sock=rebound, origin=origin):
+                pass
+        with page_client(run.address, origin=run.address) as own:
+            own.set("scene", str(secret))
+            own.set("record", True)
+            wait_until(lambda: (out / "bag_2" / "metadata.yaml").exists())
+            own.set("record", False)
+            wait_until(lambda: any("is complete" in notice for notice in own.notices))
+            assert not any("hunter2" in notice for notice in own.notices)
+        run.check()
+    assert {each.name for each in out.iterdir()} == {"logs", "bag_1", "bag_2", "bag_2.log"}
+    assert not any("hunter2" in log.read_text() for log in (out / "logs").iterdir())
 
 
 def test_a_run_has_logs_of_its_own_alone(out: Path) -> None:
