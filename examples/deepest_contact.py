@@ -1,7 +1,10 @@
 """Prints the deepest contact of each step of a scene that runs in the same ROS domain."""
 
+from contextlib import suppress
+
 import rclpy
 from fracture_collision.msg import ContactConstraintArray
+from rclpy.executors import ExternalShutdownException
 
 
 def on_contacts(contacts: ContactConstraintArray) -> None:
@@ -14,7 +17,8 @@ def on_contacts(contacts: ContactConstraintArray) -> None:
 
 
 if __name__ == "__main__":
-    rclpy.init()
-    node = rclpy.create_node("deepest_contact")
-    node.create_subscription(ContactConstraintArray, "contact_constraints", on_contacts, 10)
-    rclpy.spin(node)
+    with suppress(KeyboardInterrupt, ExternalShutdownException):  # SIGINT, SIGTERM
+        rclpy.init()
+        node = rclpy.create_node("deepest_contact")
+        node.create_subscription(ContactConstraintArray, "contact_constraints", on_contacts, 10)
+        rclpy.spin(node)

@@ -47,6 +47,9 @@ class Order(NamedTuple):
     backwards: bool = False
     loops: int = 1
 
+    def has(self, step: int) -> bool:
+        return (self.first is None or step >= self.first) and (self.end is None or step < self.end)
+
 
 AS_RECORDED = Order()
 
@@ -76,6 +79,7 @@ class Report(NamedTuple):
     steps: int  # questions asked, each counted once
     answers: int  # all, those to a question asked again too
     unrecorded: int  # questions whose answer the bag does not have
+    unasked: list[int]  # steps in the range asked for that have an answer in the bag, but no question
     differing: int  # questions answered otherwise than recorded
     difference: Difference | None  # the first of those, by step
     contradicted: list[int]  # steps that were answered in two ways in this replay
@@ -84,7 +88,18 @@ class Report(NamedTuple):
 
     @property
     def exact(self) -> bool:
+        """Nothing that was compared differs."""
         return not (self.differing or self.contradicted or self.recorded_twice)
+
+    @property
+    def compared(self) -> int:
+        """Questions that have an answer in the bag."""
+        return self.steps - self.unrecorded
+
+    @property
+    def complete(self) -> bool:
+        """Each question has its answer in the bag, and each answer its question."""
+        return not (self.unrecorded or self.unasked)
 
 
 class Replay:
@@ -160,6 +175,7 @@ class Replay:
             steps=len(self._answers),
             answers=len(self._seconds),
             unrecorded=unrecorded,
+            unasked=[step for run in self._runs for step in run.unasked if self._order.has(step)],
             differing=len(differing),
             difference=first_difference(*differing[0]) if differing else None,
             contradicted=[self._runs[place].questions[at].step for place, at in sorted(self._contradicted)],
@@ -315,10 +331,11 @@ def _plays(runs: list[Run], order: Order) -> list[tuple[int, int]]:
         (place, at)
         for place, run in enumerate(runs)
         for at, question in enumerate(run.questions)
-        if (order.first is None or question.step >= order.first) and (order.end is None or question.step < order.end)
+        if order.has(question.step)
     ]
     return plays[::-1] if order.backwards else plays
 
 
 def _range_words(runs: list[Run]) -> str:
-    return "; ".join(f"the bag has steps {run.questions[0].step} to {run.questions[-1].step}" for run in runs)
+    asked = (run.questions for run in runs if run.questions)
+    return "; ".join(f"the bag has steps {questions[0].step} to {questions[-1].step}" for questions in asked)

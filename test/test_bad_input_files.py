@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import pickle
+import re
 import zipfile
 from pathlib import Path
 
@@ -180,3 +181,31 @@ def test_nothing_of_the_package_reads_more_than_data() -> None:
     for file in package.rglob("*.py"):
         text = file.read_text(encoding="utf-8")
         assert [word for word in words if word in text] == [], file.name
+
+
+SECRET = "hunter2" * 20
+PASSWORDS = f"root:x:0:0:{SECRET}:/root:/bin/bash\n"
+NO_SCENES = {
+    "a password file": PASSWORDS + PASSWORDS,
+    "credentials": f"[default]\naws_secret_access_key = {SECRET}\n",
+    "a key": f"-----BEGIN PRIVATE KEY-----\n{SECRET}\n{SECRET}\n",
+    "a tag": f"!{SECRET} x",
+    "an anchor": f"*{SECRET}",
+    "a field": f"{SECRET}: 1\n" + SCENE,
+    "a list": f"[{SECRET}, {SECRET}, {SECRET}]",
+    "a text for a number": SCENE.replace("0.01", SECRET),
+    "kinds of a shape": SCENE.replace("{plane: {coefficients: [0, 0, 1, 0]}}", f"{{{SECRET}: 1, a: 2}}"),
+    "a material": SCENE.replace("material: stone", f"material: {SECRET}"),
+    "a track": SCENE + f"hand: {{track: {{a: {SECRET}}}}}",
+    "a row of a track": SCENE + f"hand: {{track: [[{SECRET}, 1, 2, 3, 4], [0, 0, 0, 0, '']]}}",
+}
+
+
+@pytest.mark.parametrize("kind", NO_SCENES)
+def test_errors_quote_little_of_a_file_that_is_no_scene(kind: str, tmp_path: Path) -> None:
+    file = tmp_path / "no_scene"
+    file.write_text(NO_SCENES[kind], encoding="utf-8")
+    with pytest.raises(SceneError) as refusal:
+        load_scene(file)
+    assert not re.search(r"(hunter2){6}", str(refusal.value)), refusal.value
+    assert len(str(refusal.value)) < 300

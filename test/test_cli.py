@@ -43,6 +43,23 @@ def nodes_of(out: Path) -> list[str]:
     return found
 
 
+def write_earlier_run(out: Path) -> None:
+    """All that an earlier run may have left in `out`, and a file of somebody else."""
+    for folder in ("bag", "logs"):
+        (out / folder).mkdir(parents=True)
+        (out / folder / "earlier").write_text("earlier")
+    for file in ("report.json", "times.png", "film_strip.png", "scene.yaml", "mesh.npz", "notes"):
+        (out / file).write_text("earlier")
+
+
+def await_a_step(out: Path) -> None:
+    """Until a run into `out` is answered: its recorder has written some."""
+    deadline = time.monotonic() + 120.0
+    while not any(file.stat().st_size > 100_000 for file in out.glob(".new-*/bag/*.mcap")):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
 @pytest.fixture(scope="module")
 def smashed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     out = tmp_path_factory.mktemp("first") / "out"
@@ -110,8 +127,13 @@ def test_pictures_are_not_blank(smashed: tuple[Path, str]) -> None:
 
 def test_two_runs_are_the_same_byte_for_byte(smashed: tuple[Path, str], tmp_path: Path) -> None:
     first, _ = smashed
+    write_earlier_run(tmp_path / "out")
     done = run("smash", "--scene", SCENE, "--out", tmp_path / "out")
     assert done.returncode == 0, done.stdout + done.stderr
+    left = {each.name for each in (tmp_path / "out").iterdir()}
+    assert left == {"bag", "logs", "report.json", "times.png", "film_strip.png", "notes"}
+    assert not (tmp_path / "out" / "bag" / "earlier").exists()
+    assert json.loads((tmp_path / "out" / "report.json").read_text())["scene"] == SCENE
     for topic in ("/bodies", "/fracture_events", "/fragment_states", "/contact_constraints"):
         one, other = ([m for m in read_messages(out / "bag", [topic])] for out in (first, tmp_path / "out"))
         assert len(one) > 0 and one == other
@@ -126,12 +148,12 @@ def test_stopped_in_the_middle_it_leaves_no_process(tmp_path: Path, order: signa
             command("smash", "--scene", long_scene, "--out", out), stdout=said, stderr=said, start_new_session=True
         )
         try:
-            service_log = out / "logs" / "collision_node.log"
             deadline = time.monotonic() + 120.0
-            while not (service_log.exists() and "begins" in service_log.read_text()):
+            while not any("begins" in log.read_text() for log in out.glob(".new-*/logs/collision_node.log")):
                 assert process.poll() is None and time.monotonic() < deadline
                 time.sleep(0.05)
             assert len(nodes_of(out)) == 3
+            await_a_step(out)
             os.kill(process.pid, order)
             assert process.wait(60.0) == 130
         finally:
@@ -139,13 +161,33 @@ def test_stopped_in_the_middle_it_leaves_no_process(tmp_path: Path, order: signa
     assert nodes_of(out) == []
     text = (tmp_path / "said.txt").read_text()
     assert "all nodes have ended" in text and "Traceback" not in text
+    assert {each.name for each in out.iterdir()} == {"bag", "logs"}
+    assert next(read_messages(out / "bag", ["/fragment_states"])) is not None
 
 
-def test_a_scene_that_is_not_there_is_an_error_in_words(tmp_path: Path) -> None:
-    done = run("smash", "--scene", "no_such_scene", "--out", tmp_path / "out")
+@pytest.mark.parametrize("there", [False, True])
+@pytest.mark.parametrize(
+    ("words", "domain", "said"),
+    [
+        (("--scene", "no_such_scene"), "", "no_such_scene"),
+        (("--scene", "reference_sphere:nope"), "", "no variant"),
+        (("--mesh", "nowhere.obj"), "", "nowhere.obj"),
+        (("--scene", SCENE), "9999", "ended with status"),  # a domain that has no ports: no node gets as far as a step
+    ],
+)
+def test_a_run_that_cannot_start_changes_nothing(
+    there: bool, words: tuple[str, ...], domain: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    if there:
+        write_earlier_run(out)
+    before = sorted((str(file), file.read_text()) for file in out.rglob("*") if file.is_file())
+    monkeypatch.setenv("ROS_DOMAIN_ID", domain)
+    done = run("smash", *words, "--out", out)
     assert done.returncode == 1
-    assert "no_such_scene" in done.stderr and "Traceback" not in done.stderr
-    assert nodes_of(tmp_path / "out") == []
+    assert said in done.stderr and "Traceback" not in done.stderr
+    assert nodes_of(out) == [] and out.exists() == there
+    assert sorted((str(file), file.read_text()) for file in out.rglob("*") if file.is_file()) == before
 
 
 def test_a_folder_that_is_no_bag_is_an_error_in_words(tmp_path: Path) -> None:

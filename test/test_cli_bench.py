@@ -14,7 +14,7 @@ from click.testing import CliRunner, Result
 
 pytest.importorskip("distributed")
 
-from fracture_collision.cli import main  # noqa: E402
+from fracture_collision.cli.commands import main  # noqa: E402
 
 
 def call(*words: str | Path) -> Result:

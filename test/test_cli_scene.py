@@ -17,7 +17,7 @@ from click.testing import CliRunner, Result
 from matplotlib.image import imread
 from scene_of_length import scene_of_length
 
-from fracture_collision.cli import main
+from fracture_collision.cli.commands import main
 from fracture_collision.cli.scene import RESULTS, parse_settings
 from fracture_collision.scene_run import SceneRun, StepFigures
 from fracture_collision.simulation.scene import load_scene

@@ -10,7 +10,7 @@ import trimesh
 import yaml
 from click.testing import CliRunner
 
-from fracture_collision.cli.smash import _own_scene, smash
+from fracture_collision.cli.smash import _filled, _own_scene, smash
 from fracture_collision.geometry.generators import TetGeometry, ball
 from fracture_collision.lockstep import Lockstep
 from fracture_collision.simulation.own_body import own_body_scene
@@ -20,7 +20,7 @@ from fracture_collision.world import Settings
 
 def scene_of(mesh: TetGeometry, folder: Path) -> Path:
     np.savez(folder / "mesh.npz", vertices=mesh.vertices, tetrahedra=mesh.tetrahedra)
-    (folder / "scene.yaml").write_text(yaml.safe_dump(own_body_scene(folder / "mesh.npz", mesh)))
+    (folder / "scene.yaml").write_text(yaml.safe_dump(own_body_scene(Path("mesh.npz"), mesh)))
     return folder / "scene.yaml"
 
 
@@ -38,10 +38,23 @@ def test_a_surface_is_filled(tmp_path: Path) -> None:
     pytest.importorskip("pytetwild", exc_type=ModuleNotFoundError)
     file = tmp_path / "ring.obj"
     trimesh.creation.torus(0.5, 0.2).export(file)
-    scene = load_scene(_own_scene(file, 0.4, tmp_path / "out"))
+    scene = load_scene(_own_scene(_filled(file, 0.4), tmp_path / "out", tmp_path))
     body = scene.bodies[1]
     assert np.ptp(body.shape.mesh.vertices, axis=0).max() == pytest.approx(0.4, rel=0.01)
     assert len(body.shape.mesh.vertices) > 100
+
+
+def test_a_scene_that_smash_has_left_goes_into_the_next_run(tmp_path: Path) -> None:
+    """Where the earlier run's outputs are replaced."""
+    old, new = tmp_path / "old", tmp_path / "new"
+    old.mkdir()
+    new.mkdir()
+    scene_of(ball(0.1, 0.05), old)
+    copied = _own_scene(None, old, new)
+    assert copied == new / "scene.yaml"
+    for file in old.iterdir():
+        file.unlink()
+    assert len(load_scene(copied).bodies) == 3
 
 
 def test_a_mesh_with_holes_gets_words(tmp_path: Path) -> None:

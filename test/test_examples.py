@@ -3,16 +3,39 @@
 from __future__ import annotations
 
 import re
+import signal
 import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 from ros_stage import StageWithClients
 
 from fracture_collision.ros.node_process import loopback_environment
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 PATIENCE = 120.0  # [s]
+
+
+def test_the_readme_shows_the_subscriber_as_it_is() -> None:
+    code = (EXAMPLES / "deepest_contact.py").read_text().split('"""\n\n', 1)[1]
+    assert code in (EXAMPLES.parent / "README.md").read_text()
+
+
+@pytest.mark.parametrize("order", [signal.SIGINT, signal.SIGTERM])
+def test_the_subscriber_ends_without_a_traceback(tmp_path: Path, order: signal.Signals) -> None:
+    stage = StageWithClients(tmp_path)
+    command = [sys.executable, str(EXAMPLES / "deepest_contact.py")]
+    listener = subprocess.Popen(command, env=loopback_environment(stage.domain_id), stderr=subprocess.PIPE, text=True)
+    try:
+        client = stage.client()
+        client.spin_until(lambda: client.node.count_subscribers("contact_constraints") == 2, "the listener")
+        listener.send_signal(order)
+        _, said = listener.communicate(timeout=PATIENCE)
+        assert listener.returncode == 0 and "Traceback" not in said, said
+    finally:
+        listener.kill()
+        stage.close()
 
 
 def test_a_body_of_ones_own_breaks_and_somebody_listens(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from click.testing import CliRunner, Result
 from small_run import small_run
 
 from fracture_collision.bag.reader import BagError
-from fracture_collision.cli import main
+from fracture_collision.cli.commands import main
 from fracture_collision.run_meshes import read_run_with_meshes
 from fracture_collision.viewer.film import Cut, FilmError, frame_indices, make_film
 from fracture_collision.viewer.recorded_run import read_run

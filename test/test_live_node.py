@@ -147,10 +147,6 @@ def test_a_hammer_comes_goes_and_stops(player: Player) -> None:
 
 
 def test_another_scene_and_nonsense(player: Player) -> None:
-    refused = player.answer(player.hands.set_parameters(next_scene="no such scene"))
-    assert refused.results[0].successful, "only a reset reads it"
-    answer = player.answer(player.hands.reset())
-    assert not answer.success and "no such scene" in answer.message
     here, still = [0.0, -1.0, 1.0], [0.0, 0.0, 0.0]
     for act, words in (
         (lambda: player.hands.throw([0.0, 0.0, np.nan], still), "throw_ball: position: "),
@@ -168,13 +164,36 @@ def test_another_scene_and_nonsense(player: Player) -> None:
     assert player.status.scene == "pane" and not player.status.refused
 
 
-def test_a_scene_file_begins_again(player: Player, tmp_path: Path) -> None:
-    file = tmp_path / "my_pane.yaml"
-    file.write_text((share_directory() / "config" / "scenes" / "pane.yaml").read_text())
-    player.begin_again(str(file))
-    assert player.status.scene == "my_pane"
-    player.begin_again("")
-    assert player.status.scene == "my_pane"
+def test_scenes_come_by_name_and_files_tell_nothing(stage: StageWithClients, tmp_path: Path) -> None:
+    own, secret = tmp_path / "my_pane.yaml", tmp_path / "passwords"
+    own.write_text((share_directory() / "config" / "scenes" / "pane.yaml").read_text())
+    secret.write_text("hunter2\n")
+    simulator = stage.start("live_simulator_node", scene=str(own))
+    ears = stage.client()
+    hands = LiveClient(ears.node)
+    ears.spin_until(hands.is_there, "a live scene")
+
+    def answer(future):
+        ears.spin_until(future.done, "an answer")
+        return future.result()
+
+    def set_next(scene: str):
+        return answer(hands.set_parameters(next_scene=scene)).results[0]
+
+    folder = share_directory() / "config" / "scenes"
+    told = set()
+    for path in (secret, tmp_path / "nowhere", folder / "pane.yaml", "../my_pane.yaml", "no such scene", tmp_path):
+        result = set_next(str(path))
+        assert not result.successful and "plates" in result.reason
+        told.add(result.reason)
+    assert len(told) == 1, "nothing is told of what there is"
+    for scene in ("reference_sphere:coarse_inside", str(own), ""):
+        assert set_next(scene).successful
+    assert answer(hands.reset()).success
+    own.write_text(secret.read_text())
+    refused = answer(hands.reset())
+    assert not refused.success and "hunter2" not in refused.message and "log of simulator_node" in refused.message
+    assert "hunter2" in simulator.log_text()
 
 
 def test_an_arm_goes_where_its_joints_are_commanded_and_breaks_a_vase(player: Player) -> None:

@@ -15,7 +15,7 @@ from rclpy.parameter import parameter_value_to_python
 from rclpy.parameter_client import AsyncParameterClient
 from sensor_msgs.msg import JointState
 
-from fracture_collision.cli import main
+from fracture_collision.cli.commands import main
 from fracture_collision.ros import qos
 from fracture_collision.viewer.recorded_run import read_run
 

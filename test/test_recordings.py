@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from ros_stage import StageWithClients
 
-from fracture_collision.ros.recordings import RecordingFailed, Recordings
+from fracture_collision.ros.recordings import RecordingFailed, Recordings, _new_folder
 
 
 def test_nodes_of_a_namespace_are_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -24,6 +24,12 @@ def test_nodes_of_a_namespace_are_recorded(tmp_path: Path, monkeypatch: pytest.M
     finally:
         recordings.end()
         stage.close()
+
+
+def test_a_name_is_free_of_what_an_earlier_recorder_said(tmp_path: Path) -> None:
+    (tmp_path / "bag_1").mkdir()
+    (tmp_path / "bag_2.log").write_text("no bag came of it")
+    assert _new_folder(tmp_path) == tmp_path / "bag_3"
 
 
 def test_no_folder_is_told(tmp_path: Path) -> None:

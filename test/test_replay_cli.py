@@ -15,6 +15,9 @@ from recorded_pane import CLASSES, STEPS, changed_bag, record_pane, write_bag
 
 from fracture_collision.bag.cdr import deserialize_record, serialize_record
 from fracture_collision.bag.reader import BagMessage, read_messages
+from fracture_collision.bag.writer import BagWriter
+from fracture_collision.ros.recorder_node import bag_topic
+from fracture_collision.ros.scene_recording import TOPICS
 from fracture_collision.world import Settings
 
 CONTACTS = "/contact_constraints"
@@ -137,15 +140,52 @@ def test_record_and_mend(tmp_path: Path) -> None:
     assert after.returncode == 0 and "note:" not in after.stdout
 
 
+def test_a_recording_that_does_not_begin_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def failing(*_: object) -> None:
+        raise ValueError("no run")
+
+    monkeypatch.setattr("fracture_collision.ros.scene_recording.Lockstep", failing)
+    with pytest.raises(ValueError, match="no run"):
+        record_pane(tmp_path / "bag")
+    assert not (tmp_path / "bag").exists()
+
+
 def test_digest_takes_a_file_and_a_folder(bag: Path) -> None:
     one, other = run("digest", bag), run("digest", bag / "pane_0.mcap")
     assert one.returncode == other.returncode == 0 and one.stdout == other.stdout
     assert f"{STEPS:6}  {CONTACTS}" in one.stdout
 
 
-def test_bags_of_nothing_but_states_are_answered(bag: Path, tmp_path: Path) -> None:
+def test_where_nothing_can_be_compared_it_fails(bag: Path, tmp_path: Path) -> None:
     def without_contacts(message: BagMessage) -> list[BagMessage]:
         return [message] if message.topic != CONTACTS else []
 
     done = run("replay", changed_bag(tmp_path / "bag", bag, without_contacts))
-    assert done.returncode == 0 and f"no answer to {STEPS} of these steps" in done.stdout
+    assert done.returncode == 3 and f"no answer to {STEPS} of these steps" in done.stdout
+    assert "nothing was compared: no answer in" in " ".join(done.stderr.split())
+
+
+def test_where_the_answers_are_of_another_type_it_fails(bag: Path, tmp_path: Path) -> None:
+    renamed = tmp_path / "renamed"
+    topics = [bag_topic(f"/{topic.name}", topic) for topic in TOPICS]
+    topics = [t if t.name != CONTACTS else t._replace(message_type="other/msg/Contacts") for t in topics]
+    with BagWriter(renamed, topics) as writer:
+        for message in read_messages(bag):
+            writer.write(message.topic, message.data, message.nanoseconds)
+    done = run("replay", renamed)
+    words = " ".join(done.stderr.split())
+    assert done.returncode == 3 and "has no topic of type fracture_collision/msg/ContactConstraintArray" in words
+    assert f"{CONTACTS} (other/msg/Contacts)" in words
+
+
+def test_questions_and_answers_that_are_missing_are_noticed(bag: Path, tmp_path: Path) -> None:
+    """A bag may lack either: of a step in the middle, and of the last."""
+    for name, topic in (("answers", CONTACTS), ("questions", "/fragment_states")):
+        lost = [list(read_messages(bag, [topic]))[step] for step in (12, STEPS - 1)]
+        spoilt = changed_bag(tmp_path / name, bag, lambda m, lost=lost: [m] if m not in lost else [])
+        done = run("replay", spoilt, "--settings", "contacts_per_pair=6")
+        assert done.returncode == 3 and f"all {STEPS - 2} answers are those recorded" in done.stdout
+        words = "no answer to 2 of these" if name == "answers" else "answers, but no states, of 2 steps, first step 12"
+        assert words in done.stdout
+        some = run("replay", spoilt, "--settings", "contacts_per_pair=6", "--steps", "13:29")
+        assert some.returncode == 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import signal
 import socket
@@ -15,7 +16,7 @@ from bag_of_records import write_bag
 from click.testing import CliRunner
 from small_run import small_run
 
-from fracture_collision.cli import main
+from fracture_collision.cli.commands import main
 
 GOLDEN = Path(__file__).parents[1] / "bags" / "pane"  # has no meshes
 
@@ -49,6 +50,21 @@ def test_it_serves_until_it_is_told_to_stop(bag: Path, which: str, order: signal
     assert "ended" in said and "Traceback" not in said and "viser" not in said
     with pytest.raises(OSError):
         urllib.request.urlopen(found[0], timeout=5)
+
+
+@pytest.mark.parametrize("order", ["INT", "TERM"])
+def test_a_signal_as_soon_as_the_address_is_known_ends_it_as_later_ones_do(
+    bag: Path, tmp_path: Path, order: str
+) -> None:
+    browser = tmp_path / "browser"
+    browser.write_text(f"#!/bin/sh\nkill -{order} $PPID\n")
+    browser.chmod(0o755)
+    done = subprocess.run(
+        [sys.executable, "-m", "fracture_collision.cli", "view", bag, "--open"],
+        env=os.environ | {"BROWSER": str(browser)}, capture_output=True, text=True, timeout=120.0,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "ended" in done.stdout and "Traceback" not in done.stderr
 
 
 def test_what_cannot_be_shown_is_refused_in_words(bag: Path, tmp_path: Path) -> None:

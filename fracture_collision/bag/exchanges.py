@@ -40,6 +40,7 @@ class Run(NamedTuple):
     bodies: list[Message]  # in the order of recording
     events: list[Message]  # ascending in sequence
     questions: list[Question]  # ascending in step
+    unasked: list[int]  # steps that have an answer, but not the states it answers; ascending
 
 
 class _Gathered:
@@ -72,10 +73,19 @@ def read_runs(bag: Path, namespace: str | None = None) -> list[Run]:
         except BagError as error:
             raise BagError(f"{bag}: {message.topic}: {error}") from error
     found = [_run(run_id, run) for run_id, run in runs.items()]
-    found = [run for run in found if run.questions]
-    if not found:
+    found = [run for run in found if run.questions or run.unasked]
+    if not any(run.questions for run in found):
         raise BagError(f"{bag}: holds no {PACKAGE}FragmentStates")
     return found
+
+
+def answers_missing(bag: Path, namespace: str | None = None) -> str:
+    """Of a bag without answers, why it has none."""
+    name = PACKAGE + ContactConstraintArray.__name__
+    if topics_of(bag, [ContactConstraintArray], namespace):
+        return f"no answer in {bag} is to one of these steps"
+    others = ", ".join(f"{topic} ({kind})" for topic, (kind, _) in topic_types(bag).items() if PACKAGE not in kind)
+    return f"{bag} has no topic of type {name}" + (f"; of other types it has {others[:300]}" if others else "")
 
 
 def canonical(received: Received) -> bytes:
@@ -150,4 +160,5 @@ def _run(run_id: int, run: _Gathered) -> Run:
         list(run.bodies.values()),
         sorted(run.events.values(), key=lambda message: message.received.record.sequence),
         sorted(questions, key=lambda question: (question.step, question.fracture_sequence)),
+        sorted(step for step, sequence in run.answers if (step, sequence) not in run.states),
     )

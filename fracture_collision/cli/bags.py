@@ -9,7 +9,8 @@ import click
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from fracture_collision.cli.console import INTERRUPTED, Interruption
+from fracture_collision.cli.console import Interruption, interrupt_on_signals
+from fracture_collision.early_signals import INTERRUPTED
 
 RECORD_EXAMPLES = """\b
 Examples:
@@ -79,9 +80,13 @@ def mend(bag: Path) -> None:
     from fracture_collision.bag.mend import mend_bag
 
     try:
+        interrupt_on_signals()
         mended = mend_bag(bag)
     except (BagError, OSError) as error:
         raise click.ClickException(str(error)) from error
+    except KeyboardInterrupt:
+        click.echo(f"stopped; every file of {bag} is as it was, or mended")
+        sys.exit(INTERRUPTED)
     for words in mended.damaged:
         click.echo(f"left out: {words}")
     lost = f"; {mended.lost_bytes} bytes that could not be read are gone" if mended.lost_bytes else ""

@@ -10,7 +10,8 @@ import click
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from fracture_collision.cli.console import INTERRUPTED, interrupt_on_signals
+from fracture_collision.cli.console import interrupt_on_signals
+from fracture_collision.early_signals import INTERRUPTED
 
 EXAMPLES = """\b
 Examples:
@@ -49,7 +50,6 @@ def bench(
     Trials run in processes of their own. What is timed runs alone, one after the other on one worker, while all other
     workers are idle; all else runs side by side. Only times depend on the machine and on the number of workers.
     """
-    interrupt_on_signals()
     console = Console()
     root = _checkout()
     try:
@@ -84,6 +84,7 @@ def bench(
         TextColumn("{task.fields[now]}"), console=console,
     )  # fmt: skip
     try:
+        interrupt_on_signals()
         with bar:
             task = bar.add_task("starting", total=None, now="kernels, workers")
             told = Told(

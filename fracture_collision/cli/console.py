@@ -19,9 +19,9 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from fracture_collision.early_signals import INTERRUPTED
 from fracture_collision.run_report import TableRow
 
-INTERRUPTED = 130  # exit status, as a shell gives it after SIGINT
 SHOW_CURSOR = "\x1b[?25h"  # a progress bar hides it
 
 

@@ -10,7 +10,8 @@ from typing import Any
 import click
 from rich.console import Console
 
-from fracture_collision.cli.console import INTERRUPTED, Interruption, counting_bar
+from fracture_collision.cli.console import Interruption, counting_bar
+from fracture_collision.early_signals import INTERRUPTED
 
 NO_BAG = 2
 

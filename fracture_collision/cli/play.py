@@ -41,11 +41,11 @@ def play(scene: str, seed: int | None, host: str, port: int, opens: bool, out: P
     runs until Ctrl-C. `ros2 topic list` and nodes of your own see the same topics, in the domain that is named.
     """
     console = Console()
-    interrupt_on_signals()
     # Imported late: --help should not wait for ROS.
     from fracture_collision.ros.play_run import PlayFailed, played
 
     try:
+        interrupt_on_signals()
         with console.status("starting the nodes"), played(scene, -1 if seed is None else seed, out, host, port) as run:
             console.print(
                 Panel(
@@ -58,7 +58,7 @@ def play(scene: str, seed: int | None, host: str, port: int, opens: bool, out: P
             while True:
                 run.check()
                 time.sleep(LOOK)
-    except PlayFailed as error:
+    except (PlayFailed, OSError) as error:
         raise click.ClickException(str(error)) from error
     except KeyboardInterrupt:
         console.print("ended; all nodes are gone")

@@ -14,10 +14,12 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from fracture_collision.cli.console import INTERRUPTED, Interruption
+from fracture_collision.cli.console import Interruption
+from fracture_collision.early_signals import INTERRUPTED
 
 OTHERWISE = 1  # exit status: some answer is not the one recorded
 NO_BAG = 2
+INCOMPLETE = 3  # exit status: some question has no answer in the bag, or some answer no question
 
 EXAMPLES = """\b
 Examples:
@@ -30,12 +32,17 @@ Examples:
   fracture-collision replay bag --settings contacts_per_pair=6   where the bag does not say it
 
 \b
-Exit status: 0: all as recorded; 1: some answer is another; 2: not a bag, or none with a run in it.
+Exit status: 0: all as recorded; 1: some answer is another; 2: not a bag, or none with a run in it; 3: what could be
+compared is as recorded, but the bag lacks answers, or the states that answers belong to. 1 goes before 3.
 """
 
 
 class NoBag(click.ClickException):
     exit_code = NO_BAG
+
+
+class NothingCompared(click.ClickException):
+    exit_code = INCOMPLETE
 
 
 class StepRange(click.ParamType):
@@ -89,7 +96,7 @@ def replay(
     interruption = Interruption(console, "stopped before the first step")
     # Imported late: --help should not wait for numba.
     from fracture_collision.bag.errors import BagError
-    from fracture_collision.bag.exchanges import read_runs
+    from fracture_collision.bag.exchanges import answers_missing, read_runs
     from fracture_collision.bag.reader import missing_words
     from fracture_collision.replay import Order, Replay, Unanswered, settings_of
 
@@ -130,6 +137,10 @@ def replay(
     _tell(played.report(), refusals, console)
     if not played.report().exact:
         sys.exit(OTHERWISE)
+    if not played.report().compared:
+        raise NothingCompared(f"nothing was compared: {answers_missing(bag, namespace)}")
+    if not played.report().complete:
+        sys.exit(INCOMPLETE)
 
 
 def _given(assignments: tuple[str, ...]) -> dict[str, Any]:
@@ -184,13 +195,16 @@ def _tell(report: Any, refusals: dict[str, str], console: Console) -> None:
         say(f"{_count(report.contradicted)} answered in two ways in this replay, first step {report.contradicted[0]}")
     if report.recorded_twice:
         say(f"{_count(report.recorded_twice)} answered in two ways in the bag, first step {report.recorded_twice[0]}")
-    compared = report.steps - report.unrecorded
     if report.differing:
-        say(f"{report.differing} of {compared} answers are not those recorded; the first: {report.difference.words()}")
-    elif compared:
-        say(f"all {compared} answers are those recorded, byte for byte")
+        words = f"{report.differing} of {report.compared} answers are not those recorded"
+        say(f"{words}; the first: {report.difference.words()}")
+    elif report.compared:
+        say(f"all {report.compared} answers are those recorded, byte for byte")
     if report.unrecorded:
         say(f"the bag has no answer to {report.unrecorded} of these steps")
+    if report.unasked:
+        steps = "1 step" if len(report.unasked) == 1 else f"{len(report.unasked)} steps"
+        say(f"the bag has answers, but no states, of {steps}, first step {report.unasked[0]}")
     milliseconds = 1e3 * report.seconds
     say(f"an answer took {np.median(milliseconds):.2f} ms, the slowest {milliseconds.max():.2f} ms")
 

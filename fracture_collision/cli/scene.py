@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +12,9 @@ import click
 import numpy as np
 from rich.console import Console
 
-from fracture_collision.cli.console import (
-    INTERRUPTED,
-    Interruption,
-    ProgressBar,
-    beside_paper,
-    figures_table,
-)
+from fracture_collision.cli.console import Interruption, ProgressBar, beside_paper, figures_table
+from fracture_collision.early_signals import INTERRUPTED
+from fracture_collision.outputs import NewOutputs
 from fracture_collision.run_report import statistics_table, times_table
 
 EXAMPLES = """\b
@@ -91,9 +88,8 @@ def scene(
         if steps is not None:
             what = what._replace(duration=min(steps, what.step_count) * what.time_step)
         out = Path("out", what.name.replace(":", "_")) if out is None else out
-        out.mkdir(parents=True, exist_ok=True)
-        for file in RESULTS:  # of an earlier run
-            (out / file).unlink(missing_ok=True)
+        with NewOutputs(out, RESULTS):  # that it can be written is better known before the run than after it
+            pass
     except (SceneError, ValueError, OSError) as error:
         raise click.ClickException(str(error)) from error
     interruption.parting = f"stopped after 0 of {what.step_count} steps"
@@ -111,8 +107,13 @@ def scene(
         words += f"; {out / 'report.json'} and {out / 'steps.csv'} are of those"
         console.print(words, highlight=False, soft_wrap=True)
         sys.exit(INTERRUPTED)
-    interruption.parting = "stopped; not all that the run was to leave is there"
-    left = _leave(run, out, pictures, console)
+    interruption.parting = f"stopped; {out} is as it was before"
+    try:
+        with interruption.held():
+            left = _leave(run, out, pictures, console, interruption.check)
+    except KeyboardInterrupt:
+        console.print("stopped; not all that the run was to leave is there")
+        sys.exit(INTERRUPTED)
     for file in left:
         console.print(f"  {file}", highlight=False)
 
@@ -134,12 +135,33 @@ def parse_settings(assignments: tuple[str, ...]) -> Any:
     return settings
 
 
-def _leave(run: Any, out: Path, pictures: bool, console: Console) -> list[Path]:
-    """Prints the tables, writes the files; returns their paths."""
-    report = run.report()
-    left = [out / file for file in (RESULTS if pictures else RESULTS[:2])]
-    left[0].write_text(json.dumps(report, indent=1))
-    run.write_steps(left[1])
+def _leave(
+    run: Any, out: Path, pictures: bool, console: Console, check: Callable[[], None] = lambda: None
+) -> list[Path]:
+    """Prints the tables, puts the files in place of an earlier run's; returns their paths. Where `check` raises the
+    others are put there without pictures.
+    """
+    names = RESULTS if pictures else RESULTS[:2]
+    with NewOutputs(out, RESULTS) as new:
+        report = run.report()
+        files = [new.folder / name for name in names]
+        files[0].write_text(json.dumps(report, indent=1))
+        run.write_steps(files[1])
+        new.started = True
+        _tell(report, console)
+        if pictures:
+            from fracture_collision.viewer.film_strip import draw_film_strip
+            from fracture_collision.viewer.times_plot import plot_times
+
+            with console.status("drawing pictures"):
+                check()
+                plot_times(report, files[2])
+                check()
+                draw_film_strip(run.film, files[3])
+    return [out / name for name in names]
+
+
+def _tell(report: dict[str, Any], console: Console) -> None:
     sizes = [[str(value) for value in size.values()] for size in report["sizes"]]
     columns = ("bodies", "triangles", "tetrahedra", "points", "of these inside")
     console.print(figures_table(f"{report['scene']}: sizes", columns, sizes))
@@ -149,11 +171,3 @@ def _leave(run: Any, out: Path, pictures: bool, console: Console) -> list[Path]:
     deepest, fastest = -1e3 * np.minimum(report["deepest_gap"], 0.0), 1e3 * report["max_speed"][-1]
     words = f"penetration: worst {deepest.max():.2f} mm, {deepest[-1]:.3f} mm at the end; fastest at the end "
     console.print(f"{words}{fastest:.2f} mm/s", highlight=False, soft_wrap=True)
-    if pictures:
-        from fracture_collision.viewer.film_strip import draw_film_strip
-        from fracture_collision.viewer.times_plot import plot_times
-
-        with console.status("drawing pictures"):
-            plot_times(report, left[2])
-            draw_film_strip(run.film, left[3])
-    return left

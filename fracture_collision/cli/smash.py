@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 from rich.console import Console
 from rich.table import Table
 
-from fracture_collision.cli.console import INTERRUPTED, Interruption, ProgressBar, figures_table
+from fracture_collision.cli.console import Interruption, ProgressBar, figures_table
+from fracture_collision.early_signals import INTERRUPTED
+
+if TYPE_CHECKING:
+    from fracture_collision.geometry.generators import TetGeometry
 
 NODES_ALONG = 15  # the longest side of a mesh of one's own
+OWN_SCENE, OWN_MESH = "scene.yaml", "mesh.npz"
+RESULTS = ("bag", "film_strip.png", "times.png", "report.json", "logs", OWN_SCENE, OWN_MESH)
 
 
 @click.command()
@@ -28,7 +35,7 @@ NODES_ALONG = 15  # the longest side of a mesh of one's own
 )  # fmt: skip
 @click.option(
     "--out", type=click.Path(file_okay=False, path_type=Path), default=Path("out/smash"), show_default=True,
-    help="Folder for the results; those of an earlier run are replaced.",
+    help="Folder for the results; those of an earlier run are replaced once this one has answered a step.",
 )  # fmt: skip
 @click.option("--seed", type=click.IntRange(min=0), help="Of the fracture patterns.  [default: the scene's own]")
 def smash(scene: str, mesh: Path | None, size: float, out: Path, seed: int | None) -> None:
@@ -48,54 +55,81 @@ def smash(scene: str, mesh: Path | None, size: float, out: Path, seed: int | Non
     console = Console()
     interruption = Interruption(console, "stopped")
     # Imported late: --help should not wait for ROS, numba and matplotlib.
+    from fracture_collision.outputs import NewOutputs
     from fracture_collision.ros.smash_run import Progress, RunFailed, run_scene
+    from fracture_collision.simulation.scene import SceneError, load_scene
     from fracture_collision.viewer.film_strip import render_film_strip
     from fracture_collision.viewer.times_plot import plot_times
 
+    filled = None
     if mesh is not None:
         with console.status(f"filling {mesh} with tetrahedra"):
-            scene = str(_own_scene(mesh, size, out))
+            filled = _filled(mesh, size)
+    new = NewOutputs(out, RESULTS)
     try:
-        with ProgressBar(console) as bar, interruption.held():
+        if filled is None:
+            load_scene(scene)
+        with interruption.held(), new:
+            interruption.parting = "stopped; not all that the run was to leave is there"
+            if filled is not None or _is_same_file(scene, out / OWN_SCENE):
+                scene = str(_own_scene(filled, out, new.folder))
+            with ProgressBar(console) as bar:
 
-            def progress(at: Progress) -> None:
-                interruption.check()
-                bar.show(*at)
+                def progress(at: Progress) -> None:
+                    new.started |= at.step > 0
+                    interruption.check()
+                    bar.show(*at)
 
-            report = run_scene(scene, seed, out, progress)
-        (out / "report.json").write_text(json.dumps(report, indent=1))
-        console.print(_table(report))
-        with console.status("drawing pictures"):
-            plot_times(report, out / "times.png")
-            render_film_strip(out / "bag", out / "film_strip.png")
-    except RunFailed as error:
-        raise click.ClickException(str(error)) from error
+                report = run_scene(scene, seed, new.folder, progress)
+            report["scene"] = scene.replace(str(new.folder), str(out))
+            (new.folder / "report.json").write_text(json.dumps(report, indent=1))
+            console.print(_table(report))
+            interruption.check()
+            with console.status("drawing pictures"):
+                plot_times(report, new.folder / "times.png")
+                render_film_strip(new.folder / "bag", new.folder / "film_strip.png")
+    except (RunFailed, SceneError, OSError) as error:
+        raise click.ClickException(str(error).replace(str(new.folder), str(out))) from error
     except KeyboardInterrupt:
-        console.print("stopped; all nodes have ended")
+        as_before = "" if new.published else f", and {out} is as it was before"
+        console.print(f"stopped; all nodes have ended{as_before}", highlight=False, soft_wrap=True)
         sys.exit(INTERRUPTED)
     for name in ("film_strip.png", "times.png", "report.json", "bag"):
         console.print(f"  {out / name}", highlight=False)
 
 
-def _own_scene(file: Path, size: float, out: Path) -> Path:
-    """Fills the surface, and leaves mesh.npz and scene.yaml in `out`."""
+def _filled(file: Path, size: float) -> TetGeometry:
+    """The surface of a file, filled with tetrahedra."""
+    from fracture_collision.geometry.surface_files import read_surface
+    from fracture_collision.geometry.surface_meshing import tetrahedralize_surface
+
+    try:
+        return tetrahedralize_surface(*read_surface(file, size), size / NODES_ALONG)
+    except (ValueError, ModuleNotFoundError) as error:
+        raise click.ClickException(str(error)) from error
+
+
+def _own_scene(filled: TetGeometry | None, out: Path, folder: Path) -> Path:
+    """Leaves mesh and scene in `folder`; None: those that an earlier run has left in `out`."""
     import numpy as np
     import yaml
 
-    from fracture_collision.geometry.surface_files import read_surface
-    from fracture_collision.geometry.surface_meshing import tetrahedralize_surface
     from fracture_collision.simulation.own_body import own_body_scene
 
-    try:
-        filled = tetrahedralize_surface(*read_surface(file, size), size / NODES_ALONG)
-    except (ValueError, ModuleNotFoundError) as error:
-        raise click.ClickException(str(error)) from error
-    out.mkdir(parents=True, exist_ok=True)
-    stored = (out / "mesh.npz").resolve()
-    np.savez(stored, vertices=filled.vertices, tetrahedra=filled.tetrahedra)
-    scene = out / "scene.yaml"
-    scene.write_text(yaml.safe_dump(own_body_scene(stored, filled), sort_keys=False), encoding="utf-8")
+    scene = folder / OWN_SCENE
+    if filled is None:
+        for name in (OWN_SCENE, OWN_MESH):
+            if (out / name).exists():
+                shutil.copyfile(out / name, folder / name)
+        return scene
+    np.savez(folder / OWN_MESH, vertices=filled.vertices, tetrahedra=filled.tetrahedra)
+    scene.write_text(yaml.safe_dump(own_body_scene(Path(OWN_MESH), filled), sort_keys=False), encoding="utf-8")
     return scene
+
+
+def _is_same_file(scene: str, file: Path) -> bool:
+    """`scene` may be a name, and the file not there."""
+    return Path(scene).exists() and file.exists() and Path(scene).samefile(file)
 
 
 def _table(report: dict[str, Any]) -> Table:

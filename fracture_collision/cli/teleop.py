@@ -39,7 +39,6 @@ def teleop(speed: float, namespace: str) -> None:
     """
     if not sys.stdin.isatty():
         raise click.UsageError("keys come from a terminal, and this is none")
-    interrupt_on_signals()
     from fracture_collision.ros.node_process import default_domain_id
     from fracture_collision.ros.teleop import Told, drive
 
@@ -52,4 +51,5 @@ def teleop(speed: float, namespace: str) -> None:
             heard = f"{now.listeners} listening" if now.listeners else f"nobody listens in domain {domain_id} yet"
             line.update(Text(f"{WORDS[now.direction]:12} {now.speed:.2f} m/s   {heard}"))
 
+        interrupt_on_signals()
         drive(domain_id, namespace, speed, told)

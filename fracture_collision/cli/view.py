@@ -19,7 +19,7 @@ Examples:
   fracture-collision view bags/plates --port 8080 --no-open
 
 \b
-Exit status: 0: ended by Ctrl-C; 2: not a bag, or none with a run in it.
+Exit status: 0: ended by Ctrl-C; 130: likewise, before there was a page; 2: not a bag, or none with a run in it.
 """
 
 
@@ -54,11 +54,11 @@ def view(bag: Path, speed: float, port: int, host: str, opens: bool, namespace: 
     except OSError as error:
         raise click.ClickException(f"the page cannot be served at {host}, port {port}: {error}") from error
     with player:
-        console.print(f"{player.page.address}   (Ctrl-C ends it)", highlight=False, soft_wrap=True)
-        if opens:
-            webbrowser.open(player.page.address)
         try:
             with interruption.held():
+                console.print(f"{player.page.address}   (Ctrl-C ends it)", highlight=False, soft_wrap=True)
+                if opens:
+                    webbrowser.open(player.page.address)
                 player.play_until(interruption.check)
         except KeyboardInterrupt:
             console.print("ended")

@@ -14,6 +14,8 @@ from collections.abc import Callable
 
 import numpy as np
 from geometry_msgs.msg import Twist
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
@@ -25,7 +27,7 @@ from fracture_collision.ros.process import Fatal, run_node
 from fracture_collision.ros.prompt_executor import PromptExecutor
 from fracture_collision.ros.simulator_node import SimulatorNode, derived_run_id, work
 from fracture_collision.simulation.live import Ball, CommandRefused, LiveScene
-from fracture_collision.simulation.scene import Scene, SceneError, load_scene
+from fracture_collision.simulation.scene import Scene, SceneError, load_scene, scene_names
 from fracture_collision.simulation.simulation import Simulation, StepReport
 
 STATUS_INTERVAL = 0.02  # [s]
@@ -36,19 +38,25 @@ RATE_WINDOW = 1.0  # [s] over which the rate that is reached is told
 
 
 class LiveSimulatorNode(SimulatorNode):
-    """A node of the same name as SimulatorNode: to the service it is one. Parameters besides: `rate`, `next_scene`."""
+    """A node of the same name as SimulatorNode: to the service it is one.
+
+    Parameters: `scene`, `seed`, `run_id`, `wait_for_subscribers`; while it runs `rate` and `next_scene`.
+    """
 
     def __init__(self) -> None:
         self._live: LiveScene | None = None
         super().__init__()
         declare(self, "rate", 1.0, "simulated time over real time; 0.1: slow motion", Range(0.01, 10.0))
-        declare(self, "next_scene", "", "begun at the next reset: a name in config/scenes, or a file; '': the same")
+        self._scene_name = self.get_parameter("scene").value  # as load_scene takes it
+        # Whoever sets this may be a page in a browser: no paths, but for the one that was given at the start.
+        self._offered = ("", self._scene_name, *scene_names())
+        self.add_on_set_parameters_callback(self._judge)
+        declare(self, "next_scene", "", "begun at the next reset: a name in config/scenes; '': the same")
         self._commands: deque[Callable[[], None]] = deque()
         self._paused, self._steps_allowed = False, 0
         self._next: Scene | None = None
         self._next_status = 0.0
         self._refused = ""
-        self._scene_name = self.get_parameter("scene").value  # as load_scene takes it
         self._reached: deque[tuple[float, float]] = deque()  # real and simulated time of the last steps
         for topic, callback in (
             (qos.THROW_BALL, self._on_ball), (qos.HAND_TARGET, self._on_hand), (qos.CMD_VEL, self._on_velocity),
@@ -185,12 +193,20 @@ class LiveSimulatorNode(SimulatorNode):
         names, positions = list(message.name), list(message.position)
         self._later(qos.JOINT_COMMANDS, lambda: self._live.command_joints(names, positions))
 
+    def _judge(self, parameters: list[Parameter]) -> SetParametersResult:
+        if all(each.value in self._offered for each in parameters if each.name == "next_scene"):
+            return SetParametersResult(successful=True)
+        reason = f"next_scene: needs the name of a scene: {', '.join(self._offered[1:])}"
+        return SetParametersResult(successful=False, reason=reason)
+
     def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         name = self.get_parameter("next_scene").value or self._scene_name
         try:
             self._next = load_scene(name)
         except (SceneError, OSError) as error:
-            response.message = str(error)
+            # Errors quote the file, which is nobody's business but this machine's.
+            self.get_logger().error(str(error))
+            response.message = f"{name} cannot be read; the log of simulator_node says why"
             return response
         self._scene_name = name
         response.success, response.message = True, f"{name} begins again"

@@ -19,6 +19,7 @@ from typing import IO, Any
 
 from fracture_collision.ros.farewell import PORT_BASE, PORTS_A_DOMAIN
 from fracture_collision.ros.shared_memory import remove_left_behind
+from fracture_collision.ros.this_machine import LOCALHOST, RANGE, as_the_user_has_it
 
 # Domains above this have ports that Linux hands out to anybody (REP 2000's "safe on all platforms").
 HIGHEST_DOMAIN_ID = 101
@@ -66,10 +67,10 @@ def chosen_domain_id() -> int:
 
 def loopback_environment(domain_id: int) -> dict[str, str]:
     """The environment in which nodes talk to this machine only, in a domain of their own; unless the user's has another
-    ROS_AUTOMATIC_DISCOVERY_RANGE. What else that variable means to a node: see ros/process.py.
+    ROS_AUTOMATIC_DISCOVERY_RANGE. What else that variable means to a node: see ros/this_machine.py.
     """
-    environment = os.environ | {"ROS_DOMAIN_ID": str(domain_id)}
-    environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    environment = as_the_user_has_it(os.environ) | {"ROS_DOMAIN_ID": str(domain_id)}
+    environment.setdefault(RANGE, LOCALHOST)
     return environment
 
 
@@ -91,7 +92,7 @@ class NodeProcess:
         who want the same processor come first.
         """
         given = [f"{name}:={json.dumps(value)}" for name, value in parameters.items()]
-        command = [sys.executable, "-m", f"fracture_collision.ros.{module}", "--ros-args", *arguments]
+        command = [sys.executable, "-m", "fracture_collision.ros.start", module, "--ros-args", *arguments]
         for assignment in given:
             command += ["-p", assignment]
         self.name = module

@@ -10,13 +10,18 @@ import rclpy
 from rclpy.context import Context
 
 from fracture_collision.ros.node_process import loopback_environment
+from fracture_collision.ros.this_machine import PROFILES, keep_to_this_machine
 
 
 def own_context(domain_id: int) -> Context:
     """One that talks to whom a NodeProcess of the same domain talks to. End it by try_shutdown()."""
     context = Context()
-    with _environment(loopback_environment(domain_id)):
+    environment = loopback_environment(domain_id)
+    keep_to_this_machine(environment)
+    with _environment(environment):
         rclpy.init(context=context, domain_id=domain_id)
+    if PROFILES[0] in environment:  # Fast DDS reads it when the first participant is made, with the first node
+        os.environ[PROFILES[0]] = environment[PROFILES[0]]
     return context
 
 

@@ -59,7 +59,7 @@ ARROWS = {"up": (0.0, 1.0), "down": (0.0, -1.0), "right": (1.0, 0.0), "left": (-
 
 
 class PageNode(Node):
-    """Parameters say where the page is served; it prints its address as a line of JSON."""
+    """Prints the page's address as a line of JSON. Parameters: `host`, `port`, `scene`, `folder` of recordings."""
 
     def __init__(self) -> None:
         super().__init__("page_node")
@@ -312,18 +312,24 @@ class PageNode(Node):
         self._hands.steer((0.0, 0.0, 0.0))
 
     def _choose(self, scene: str) -> None:
-        chosen = self._hands.set_parameters(next_scene=scene)
-        chosen.add_done_callback(lambda _done: self._answered(self._hands.reset(), f"scene {scene}"))
+        def begin(done: Any) -> None:
+            if self._all_taken(done):
+                self._answered(self._hands.reset(), f"scene {scene}")
+
+        self._hands.set_parameters(next_scene=scene).add_done_callback(begin)
 
     def _set_service(self, sliders: ServiceSliders) -> None:
         self._set.append(sliders)
         parameters = [Parameter(name, value=value) for name, value in sliders._asdict().items()]
-        self._service.set_parameters(parameters).add_done_callback(self._look_at_results)
+        self._service.set_parameters(parameters).add_done_callback(self._all_taken)
 
-    def _look_at_results(self, done: Any) -> None:
-        for result in done.result().results if done.result() else ():
+    def _all_taken(self, done: Any) -> bool:
+        """Whether all parameters were set; says why not."""
+        results = done.result().results if done.result() else []
+        for result in results:
             if not result.successful:
                 self._warn(result.reason)
+        return all(result.successful for result in results)
 
     def _say(self, words: str) -> None:
         self.get_logger().info(words)

@@ -11,8 +11,11 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
+from fracture_collision.outputs import NewOutputs
 from fracture_collision.ros.node_process import NodeProcess, default_domain_id
+from fracture_collision.simulation.scene import SceneError, load_scene
 
+LOGS = "logs"
 LOOK = 0.05  # [s]
 PATIENCE = 120.0  # [s] for the page's address
 ENDING = 3.0  # [s] that a node has to end
@@ -21,7 +24,7 @@ BEHIND = 5
 
 
 class PlayFailed(RuntimeError):
-    """A node did not come, or ended. Its text names the log."""
+    """There is no such scene, or a node did not come, or ended. Its text has the end of the log."""
 
 
 class Played(NamedTuple):
@@ -40,13 +43,19 @@ class Played(NamedTuple):
 
 @contextmanager
 def played(scene: str, seed: int, out: Path, host: str, port: int) -> Iterator[Played]:
-    """Starts all nodes and waits for the page; ends them all afterwards. Raises PlayFailed."""
-    logs, domain_id = out / "logs", default_domain_id()
-    logs.mkdir(parents=True, exist_ok=True)
-    with ExitStack() as nodes:
+    """Starts all nodes and waits for the page; ends them all afterwards. What the nodes say is in out/logs, in place of
+    an earlier run's once the page is there. Raises PlayFailed, and OSError where `out` cannot be written.
+    """
+    domain_id = default_domain_id()
+    try:
+        load_scene(scene)
+    except (SceneError, OSError) as error:
+        raise PlayFailed(str(error)) from error
+    with NewOutputs(out, (LOGS,)) as new, ExitStack() as nodes:
+        logs = new.folder / LOGS
+        logs.mkdir()
 
         def start(module: str, stdout: int | None = None, niceness: int = 0, **parameters: object) -> NodeProcess:
-            (logs / f"{module}.log").unlink(missing_ok=True)
             node = NodeProcess(module, parameters, domain_id, logs / f"{module}.log", stdout, niceness=niceness)
             nodes.callback(node.stop, ENDING)
             return node
@@ -55,6 +64,9 @@ def played(scene: str, seed: int, out: Path, host: str, port: int) -> Iterator[P
         service = start("collision_node", niceness=BEHIND)
         page = start("page_node", subprocess.PIPE, host=host, port=port, folder=str(out), scene=scene)
         run = Played(_address(page, (service, simulator)), domain_id, (service, simulator, page))
+        new.publish()
+        for node in run.nodes:
+            node.log = out / LOGS / node.log.name
         yield run
 
 
@@ -73,11 +85,14 @@ def _address(page: NodeProcess, others: tuple[NodeProcess, ...]) -> str:
             if node.exit_status() is not None:
                 raise _failed(node)
         if time.monotonic() > deadline:
-            raise PlayFailed(f"the page did not come within {PATIENCE:.0f} s; see {page.log}")
+            raise PlayFailed(f"the page did not come within {PATIENCE:.0f} s; the last that it said:\n{_tail(page)}")
         time.sleep(LOOK)
     return told[0]
 
 
 def _failed(node: NodeProcess) -> PlayFailed:
-    tail = "\n".join(node.log_text().splitlines()[-10:])
-    return PlayFailed(f"{node.name} ended with status {node.exit_status()}; the end of {node.log}:\n{tail}")
+    return PlayFailed(f"{node.name} ended with status {node.exit_status()}; the last that it said:\n{_tail(node)}")
+
+
+def _tail(node: NodeProcess) -> str:
+    return "\n".join(node.log_text().splitlines()[-10:])

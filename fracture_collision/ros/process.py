@@ -7,11 +7,13 @@ So a handler that raises nothing stands there instead, and nodes end where they 
 
 from __future__ import annotations
 
+import inspect
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from types import FrameType
 
 import rclpy
@@ -23,15 +25,12 @@ from rclpy.node import Node
 from fracture_collision.ros.parameters import warn_of_unknown
 from fracture_collision.ros.shared_memory import remove_left_behind
 from fracture_collision.ros.successor_ports import ports_of_the_dead_held
-from fracture_collision.share import share_directory
+from fracture_collision.ros.this_machine import keep_to_this_machine
 
 
 class Fatal(RuntimeError):
     """The node cannot go on; its text is all that the user needs to see."""
 
-
-# Where Fast DDS looks for profiles: version 2, then 3.
-_PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 
 _nothing_to_lose = False
 
@@ -52,25 +51,38 @@ def _on_signal(_signal: int, _frame: FrameType | None) -> None:
         os._exit(0)
 
 
-def _choose_profiles() -> None:
-    """With ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST Fast DDS uses no other interface than loopback, unless the user has
-    profiles of his own; other middleware does not look. The range alone keeps a node from being found; who knows the
-    machine's address would still get in.
-    """
-    is_local = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE") == "LOCALHOST"
-    if is_local and not any(os.environ.get(name) for name in _PROFILES):
-        os.environ[_PROFILES[0]] = str(share_directory() / "config" / "this_machine.xml")
+def _asks_for_help(arguments: Sequence[str]) -> bool:
+    """Of what is not for ROS."""
+    own = arguments[: arguments.index("--ros-args")] if "--ros-args" in arguments else arguments
+    return "--help" in own or "-h" in own
+
+
+def _help(make_node: Callable[[], Node]) -> str:
+    name = make_node.__module__.rpartition(".")[2]
+    if name == "__main__":
+        name = Path(sys.argv[0]).stem
+    lines = (
+        f"usage: {name} [--ros-args -p NAME:=VALUE ... --params-file FILE -r FROM:=TO ...]",
+        inspect.getdoc(sys.modules[make_node.__module__]) or "",
+        inspect.getdoc(make_node) or "",
+        "`ros2 param list` and `ros2 param describe` tell more of a node that runs.",
+    )
+    return "\n\n".join(lines)
 
 
 def run_node(make_node: Callable[[], Node], work: Callable[[Node], None]) -> int:
-    """Runs `work` on the node that `make_node` makes; returns the process's exit status.
+    """Runs `work` on the node that the class `make_node` makes; returns the process's exit status. Where the arguments
+    ask for help it prints the docstrings of module and class, and makes none.
 
     SIGINT and SIGTERM end it cleanly, with status 0: that is how nodes are told to go.
     """
+    if _asks_for_help(sys.argv[1:]):
+        print(_help(make_node))
+        return 0
     for order in (signal.SIGINT, signal.SIGTERM):
         signal.signal(order, _on_signal)
     remove_left_behind()  # of one that was killed, and that this one perhaps takes the place of
-    _choose_profiles()
+    keep_to_this_machine(os.environ)
     rclpy.init()
     node = None
     try:

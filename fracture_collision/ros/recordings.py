@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import count
 from pathlib import Path
 
 from fracture_collision.ros.node_process import NodeProcess, default_domain_id
@@ -44,9 +45,7 @@ class Recordings:
 
 
 def _new_folder(parent: Path) -> Path:
-    """A name that nothing has yet: bag_1, bag_2 ..."""
+    """A name that no bag has yet, nor what a recorder said: bag_1, bag_2 ..."""
     parent.mkdir(parents=True, exist_ok=True)
-    number = 1
-    while (parent / f"bag_{number}").exists():
-        number += 1
-    return parent / f"bag_{number}"
+    bags = (parent / f"bag_{number}" for number in count(1))
+    return next(bag for bag in bags if not (bag.exists() or bag.with_suffix(".log").exists()))

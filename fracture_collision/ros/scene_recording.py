@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from errno import EEXIST
 from pathlib import Path
 from typing import NamedTuple
 
@@ -48,9 +49,11 @@ def record_scene(
     """
     run_id = derived_run_id(scene.name, scene.seed if seed is None else seed)
     end = scene.step_count if selection.end is None else min(selection.end, scene.step_count)
-    with BagWriter(bag, [bag_topic(f"/{topic.name}", topic) for topic in TOPICS], CHUNK_BYTES) as writer, Lockstep(
-        scene, settings, seed
-    ) as run:
+    if bag.exists():
+        raise FileExistsError(EEXIST, "is there already", str(bag))
+    topics = [bag_topic(f"/{topic.name}", topic) for topic in TOPICS]
+    with Lockstep(scene, settings, seed) as run, BagWriter(bag, topics, CHUNK_BYTES) as writer:
+
         def write(topic: qos.Topic, record: NamedTuple, stamp: Heading) -> None:
             data = serialize_record(record, stamp, run_id)
             writer.write(f"/{topic.name}", data, stamp.sec * 10**9 + stamp.nanosec)

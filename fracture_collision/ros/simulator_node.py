@@ -39,7 +39,7 @@ PROGRESS_INTERVAL = 0.1  # [s]
 
 
 class SimulatorNode(Node):
-    """Parameters say which scene; the topics are those of ros/qos.py."""
+    """Parameters: `scene`, `seed`, `run_id`, `wait_for_subscribers`, `timing_file`, `progress`. Topics: ros/qos.py."""
 
     def __init__(self) -> None:
         super().__init__("simulator_node")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 import subprocess
 import threading
 import time
@@ -40,13 +39,12 @@ class Progress(NamedTuple):
 
 
 def run_scene(scene: str, seed: int | None, out: Path, on_progress: Callable[[Progress], None]) -> dict[str, Any]:
-    """Runs `scene` to its end; leaves out/bag and out/logs and returns the report (see `make_report`).
+    """Runs `scene` to its end; leaves out/bag and out/logs, which must not be there yet, and returns the report (see
+    `make_report`).
 
     Raises RunFailed. Whatever happens, no process is left behind.
     """
     logs, bag = out / "logs", out / "bag"
-    for folder in (logs, bag):
-        shutil.rmtree(folder, ignore_errors=True)
     logs.mkdir(parents=True)
     times = {name: logs / f"{name}.npy" for name in ("collision_node", "simulator_node")}
     domain_id = chosen_domain_id()
@@ -194,4 +192,4 @@ def _await_recording(recorded: Callable[[], dict[str, int]], steps: int, *proces
 
 def _last_words(process: NodeProcess) -> str:
     tail = "\n".join(process.log_text().splitlines()[-15:])
-    return f"{process.name} ended with status {process.exit_status()}; the end of {process.log}:\n{tail}"
+    return f"{process.name} ended with status {process.exit_status()}; the last that it said:\n{tail}"

@@ -16,7 +16,7 @@ from scipy.interpolate import PchipInterpolator
 
 from fracture_collision.simulation.hand import rows_of_file
 from fracture_collision.simulation.rotations import DEGREE, from_euler_angles, rotation_matrices, turned
-from fracture_collision.simulation.scene_fields import Fields, SceneError
+from fracture_collision.simulation.scene_fields import Fields, SceneError, quoted
 from fracture_collision.simulation.shapes import Shape
 from fracture_collision.simulation.urdf_chain import JointLimits, link_frames, read_chain
 
@@ -127,7 +127,7 @@ def parse_arm(fields: Fields, folder: Path | None) -> Arm:
     if isinstance(swing, str):
         swing = rows_of_file((folder or Path()) / swing, path, COLUMNS)
     if not isinstance(swing, list) or not swing:
-        raise SceneError(f"{path}: needs the name of a CSV file, or a list of rows, got {swing!r}")
+        raise SceneError(f"{path}: needs the name of a CSV file, or a list of rows, got {quoted(swing)}")
     fields.finish()
     rows = _rows(swing, path)
     arm = Arm(settings, position, orientation, rows[:, 0].copy(), DEGREE * rows[:, 1:])
@@ -148,9 +148,9 @@ def _rows(swing: list, path: str) -> np.ndarray:
         try:
             rows[i] = [float(number) for number in row]
         except (ValueError, TypeError) as error:
-            raise SceneError(f"{path}[{i}]: needs {', '.join(COLUMNS)}, got {row!r}") from error
+            raise SceneError(f"{path}[{i}]: needs {', '.join(COLUMNS)}, got {quoted(row)}") from error
         if not np.all(np.isfinite(rows[i])):
-            raise SceneError(f"{path}[{i}]: needs finite numbers, got {row!r}")
+            raise SceneError(f"{path}[{i}]: needs finite numbers, got {quoted(row)}")
         if i and rows[i, 0] <= rows[i - 1, 0]:
             raise SceneError(f"{path}[{i}]: time {rows[i, 0]} s does not follow {rows[i - 1, 0]} s")
     return rows

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fracture_collision.portable_math import images, inverses, lengths, products, solutions
-from fracture_collision.simulation.scene_fields import Fields, SceneError
+from fracture_collision.simulation.scene_fields import Fields, SceneError, quoted
 from fracture_collision.simulation.scene_files import MAX_TRACK_BYTES, read_text
 
 COLUMNS = ["time", "x", "y", "z", "holds"]
@@ -76,7 +76,7 @@ def parse_hand(fields: Fields, folder: Path | None, names: list[str]) -> Hand:
     elif isinstance(track, list):
         rows = track
     else:
-        raise SceneError(f"{path}: needs the name of a CSV file, or a list of rows, got {track!r}")
+        raise SceneError(f"{path}: needs the name of a CSV file, or a list of rows, got {quoted(track)}")
     fields.finish()
     return Hand(settings, _track(rows, path, names))
 
@@ -133,12 +133,12 @@ def _track(rows: list[Any], path: str, names: list[str]) -> HandTrack:
             *numbers, name = row
             values[i] = [float(number) for number in numbers]
         except (ValueError, TypeError) as error:
-            raise SceneError(f"{path}[{i}]: needs {', '.join(COLUMNS)}, got {row!r}") from error
+            raise SceneError(f"{path}[{i}]: needs {', '.join(COLUMNS)}, got {quoted(row)}") from error
         if not np.all(np.isfinite(values[i])):
-            raise SceneError(f"{path}[{i}]: needs finite numbers, got {row!r}")
+            raise SceneError(f"{path}[{i}]: needs finite numbers, got {quoted(row)}")
         if i and values[i, 0] <= values[i - 1, 0]:
             raise SceneError(f"{path}[{i}]: time {values[i, 0]} s does not follow {values[i - 1, 0]} s")
         if name and name not in names:
-            raise SceneError(f"{path}[{i}]: no body {name!r} that can move")
+            raise SceneError(f"{path}[{i}]: no body {quoted(name)} that can move")
         holds.append(str(name or ""))
     return HandTrack(values[:, 0].copy(), values[:, 1:].copy(), tuple(holds))

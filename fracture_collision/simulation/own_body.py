@@ -18,7 +18,7 @@ SMALLEST_SHARE = 1.0 / 30.0  # of its mass: lighter fragments do not break
 
 
 def own_body_scene(file: Path, mesh: TetGeometry) -> dict[str, Any]:
-    """What a scene file says (simulation/scene.py). `file`: where `mesh` [m] is stored."""
+    """What a scene file says (simulation/scene.py). `file`: where `mesh` [m] is stored, seen from the scene file."""
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     size = float((high - low).max())
     mass = DENSITY * float(tetrahedron_volumes(*mesh).sum())

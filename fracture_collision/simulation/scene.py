@@ -20,7 +20,7 @@ from fracture_collision.simulation.contact_solver import SolverSettings
 from fracture_collision.simulation.fracture_pattern import PatternSettings
 from fracture_collision.simulation.hand import Hand, parse_hand
 from fracture_collision.simulation.rotations import DEGREE, from_euler_angles, turned_by
-from fracture_collision.simulation.scene_fields import Fields, SceneError, numbers
+from fracture_collision.simulation.scene_fields import Fields, SceneError, numbers, quoted
 from fracture_collision.simulation.scene_files import read_yaml
 from fracture_collision.simulation.shapes import Shape, parse_shape
 
@@ -89,6 +89,14 @@ def scene_files() -> list[SceneFile]:
     ]
 
 
+def scene_names() -> list[str]:
+    """What load_scene takes without a path: the package's scenes, each with its variants."""
+    return [
+        name for file in scene_files()
+        for name in (file.path.stem, *(f"{file.path.stem}:{variant}" for variant in file.variants))
+    ]  # fmt: skip
+
+
 def load_scene(name_or_path: str | Path) -> Scene:
     """The scene of this file, or of this name among those that come with the package.
 
@@ -112,7 +120,7 @@ def parse_scene(content: Any, name: str, variant: str = "", folder: Path | None 
     }
     made: dict[tuple, TetGeometry] = {}
     bodies = tuple(
-        _body(Fields(value, f"bodies[{i}]"), materials, made) for i, value in enumerate(root.sequence("bodies"))
+        _body(Fields(value, f"bodies[{i}]"), materials, made, folder) for i, value in enumerate(root.sequence("bodies"))
     )
     dragged = [body.name for body in bodies if not body.is_static]
     arm = root.take("arm", None)
@@ -124,7 +132,7 @@ def parse_scene(content: Any, name: str, variant: str = "", folder: Path | None 
     names = [body.name for body in bodies]
     for body_name in names:
         if names.count(body_name) > 1:
-            raise SceneError(f"bodies: the name {body_name!r} occurs {names.count(body_name)} times")
+            raise SceneError(f"bodies: the name {quoted(body_name)} occurs {names.count(body_name)} times")
     hand = root.take("hand", None)
     if hand is not None:
         hand = parse_hand(Fields(hand, "hand"), folder, dragged)
@@ -172,7 +180,7 @@ def _merged(content: Any, change: Any, path: str) -> Any:
         changed = list(content)
         for name, value in change.items():
             if name not in places:
-                raise SceneError(f"{path}: no body {name!r}")
+                raise SceneError(f"{path}: no body {quoted(name)}")
             changed[places[name]] = _merged(content[places[name]], value, f"{path}.{name}")
         return changed
     return change
@@ -205,7 +213,7 @@ def _material(fields: Fields) -> Material:
 def _material_of(fields: Fields, materials: Mapping[str, Material]) -> Material:
     name = fields.text("material")
     if name not in materials:
-        raise SceneError(f"{fields.name('material')}: {name!r} is none of {', '.join(materials)}")
+        raise SceneError(f"{fields.name('material')}: {quoted(name)} is none of {', '.join(materials)}")
     return materials[name]
 
 
@@ -223,14 +231,16 @@ def _arm_bodies(arm: Arm, material: Material) -> tuple[SceneBody, ...]:
     )  # fmt: skip
 
 
-def _body(fields: Fields, materials: Mapping[str, Material], made: dict[tuple, TetGeometry]) -> SceneBody:
+def _body(
+    fields: Fields, materials: Mapping[str, Material], made: dict[tuple, TetGeometry], folder: Path | None
+) -> SceneBody:
     material = _material_of(fields, materials)
     is_static = fields.take("static", False)
     if not isinstance(is_static, bool):
-        raise SceneError(f"{fields.name('static')}: needs true or false, got {is_static!r}")
+        raise SceneError(f"{fields.name('static')}: needs true or false, got {quoted(is_static)}")
     body = SceneBody(
         name=fields.text("name"),
-        shape=parse_shape(Fields(fields.mapping("shape"), fields.name("shape")), made),
+        shape=parse_shape(Fields(fields.mapping("shape"), fields.name("shape")), made, folder),
         material=material,
         is_static=is_static,
         position=fields.vector("position", 3, (0.0, 0.0, 0.0)),

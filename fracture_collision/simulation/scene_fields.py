@@ -15,9 +15,16 @@ class SceneError(ValueError):
     """A scene file says something that cannot be; the text begins with the field's path."""
 
 
-def _short(value: Any) -> str:
-    """As much of it as fits a line."""
-    return reprlib.repr(value) if isinstance(value, str | list | tuple | Mapping | int) else repr(value)
+MOST_QUOTED = 40  # characters of a value: enough to find it, and little of a file that is no scene
+
+
+def quoted(value: Any) -> str:
+    """As much of it as an error may say."""
+    return shortened(reprlib.repr(value))
+
+
+def shortened(text: str) -> str:
+    return text if len(text) <= MOST_QUOTED else f"{text[: MOST_QUOTED - 3]}..."
 
 
 class Fields:
@@ -25,7 +32,7 @@ class Fields:
 
     def __init__(self, content: Any, path: str) -> None:
         if not isinstance(content, Mapping):
-            raise SceneError(f"{path or 'scene'}: needs fields, got {_short(content)}")
+            raise SceneError(f"{path or 'scene'}: needs fields, got {quoted(content)}")
         self._left = dict(content)
         self._path = path
 
@@ -42,7 +49,7 @@ class Fields:
     def number(self, key: str, default: Any = ..., minimum: float = -math.inf, above: float = -math.inf) -> float:
         value = self.take(key, default)
         if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= sys.float_info.max:
-            raise SceneError(f"{self.name(key)}: needs a finite number, got {_short(value)}")
+            raise SceneError(f"{self.name(key)}: needs a finite number, got {quoted(value)}")
         if value < minimum or value <= above:
             limit = f"at least {minimum}" if value < minimum else f"more than {above}"
             raise SceneError(f"{self.name(key)}: needs {limit}, got {value}")
@@ -52,40 +59,40 @@ class Fields:
         """A text, or a number that stands for one."""
         value = self.take(key)
         if isinstance(value, bool) or not isinstance(value, str | int | float):
-            raise SceneError(f"{self.name(key)}: needs a text, got {_short(value)}")
+            raise SceneError(f"{self.name(key)}: needs a text, got {quoted(value)}")
         return str(value)
 
     def integer(self, key: str, default: Any = ..., minimum: int = 0) -> int:
         value = self.take(key, default)
         if isinstance(value, bool) or not isinstance(value, int) or value < minimum:
-            raise SceneError(f"{self.name(key)}: needs a whole number of at least {minimum}, got {_short(value)}")
+            raise SceneError(f"{self.name(key)}: needs a whole number of at least {minimum}, got {quoted(value)}")
         return value
 
     def vector(self, key: str, size: int, default: Any = ...) -> np.ndarray:
         value = self.take(key, default)
         if not isinstance(value, list | tuple) or len(value) != size:
-            raise SceneError(f"{self.name(key)}: needs {size} numbers, got {_short(value)}")
+            raise SceneError(f"{self.name(key)}: needs {size} numbers, got {quoted(value)}")
         parts = Fields(dict(enumerate(value)), self.name(key))
         return np.array([parts.number(i) for i in range(size)])
 
     def mapping(self, key: str, default: Any = ...) -> Mapping:
         value = self.take(key, default)
         if not isinstance(value, Mapping):
-            raise SceneError(f"{self.name(key)}: needs fields, got {_short(value)}")
+            raise SceneError(f"{self.name(key)}: needs fields, got {quoted(value)}")
         return value
 
     def sequence(self, key: str) -> list:
         value = self.take(key)
         if not isinstance(value, list) or not value:
-            raise SceneError(f"{self.name(key)}: needs a list, got {_short(value)}")
+            raise SceneError(f"{self.name(key)}: needs a list, got {quoted(value)}")
         return value
 
-    def keys(self) -> list[str]:
+    def keys(self) -> list[Any]:
         return list(self._left)
 
     def finish(self) -> None:
         for key in self._left:
-            raise SceneError(f"{self.name(str(key))}: unknown field")
+            raise SceneError(f"{self.name(shortened(str(key)))}: unknown field")
 
 
 def numbers(fields: Fields, defaults: Any) -> Any:

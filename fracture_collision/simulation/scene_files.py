@@ -11,7 +11,7 @@ from typing import Any
 
 import yaml
 
-from fracture_collision.simulation.scene_fields import SceneError
+from fracture_collision.simulation.scene_fields import SceneError, shortened
 
 MAX_SCENE_BYTES = 1_000_000
 MAX_TRACK_BYTES = 20_000_000  # hours of a hand, a row a step
@@ -52,7 +52,19 @@ def read_yaml(file: Path) -> Any:
     except RecursionError:
         raise SceneError(f"{file}: not YAML that can be read: too deep") from None
     except (yaml.YAMLError, ValueError, OverflowError) as error:  # ValueError: of a date or a number that is none
-        raise SceneError(f"{file}: not YAML: {error}") from error
+        raise SceneError(f"{file}: not YAML: {_words(error)}") from error
+
+
+def _words(error: Exception) -> str:
+    """What is wrong, and in which line; PyYAML's own words have the line itself, whatever file it is of."""
+    if not isinstance(error, yaml.MarkedYAMLError):
+        return _shortened_words(str(error))
+    mark = error.problem_mark or error.context_mark
+    return _shortened_words(error.problem or error.context or "") + (f", line {mark.line + 1}" if mark else "")
+
+
+def _shortened_words(text: str) -> str:
+    return " ".join(map(shortened, text.split()))
 
 
 def _require_few(root: yaml.Node, file: Path) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +18,7 @@ from fracture_collision.geometry.generators import TetGeometry
 from fracture_collision.geometry.piggy_bank import piggy_bank
 from fracture_collision.geometry.vase import vase
 from fracture_collision.portable_math import lengths
-from fracture_collision.simulation.scene_fields import Fields, SceneError
+from fracture_collision.simulation.scene_fields import Fields, SceneError, quoted
 
 MESHES: dict[str, Callable[..., TetGeometry]] = {
     "ball": generators.ball,
@@ -47,11 +48,13 @@ class Shape(NamedTuple):
     mesh: TetGeometry | None = None  # of one of MESHES
 
 
-def parse_shape(fields: Fields, made: dict[tuple, TetGeometry]) -> Shape:
-    """The shape that just one field, named by a kind, describes. `made` keeps meshes, so that equal ones are one."""
+def parse_shape(fields: Fields, made: dict[tuple, TetGeometry], folder: Path | None = None) -> Shape:
+    """The shape that just one field, named by a kind, describes. `made` keeps meshes, so that equal ones are one. Files
+    it names lie in `folder`.
+    """
     kinds = fields.keys()
     if len(kinds) != 1 or kinds[0] not in KINDS:
-        raise SceneError(f"{fields.name('')[:-1]}: needs just one of {', '.join(KINDS)}, got {kinds}")
+        raise SceneError(f"{fields.name('')[:-1]}: needs just one of {', '.join(KINDS)}, got {quoted(kinds)}")
     kind = kinds[0]
     part = Fields(fields.mapping(kind), fields.name(kind))
     if kind == "plane":
@@ -67,18 +70,20 @@ def parse_shape(fields: Fields, made: dict[tuple, TetGeometry]) -> Shape:
     elif kind == "sphere":
         shape = Shape(kind, radius=part.number("radius", above=0.0))
     else:
-        shape = Shape(kind, mesh=_mesh(kind, part, made))
+        shape = Shape(kind, mesh=_mesh(kind, part, made, folder))
     part.finish()
     return shape
 
 
-def _mesh(kind: str, fields: Fields, made: dict[tuple, TetGeometry]) -> TetGeometry:
+def _mesh(kind: str, fields: Fields, made: dict[tuple, TetGeometry], folder: Path | None) -> TetGeometry:
     make = MESHES[kind]
     arguments = {}
     for key, parameter in inspect.signature(make).parameters.items():
         default = ... if parameter.default is inspect.Parameter.empty else parameter.default
         value = fields.take(key, default)
         arguments[key] = tuple(value) if isinstance(value, list) else value
+    if kind == "stored_mesh" and isinstance(arguments["file"], str):
+        arguments["file"] = str((folder or Path()) / arguments["file"])
     key = (kind, *arguments.values())
     try:
         if key not in made:

@@ -23,6 +23,7 @@ from fracture_collision.records import CollisionBody, ContactConstraintArray, Fr
 from fracture_collision.viewer.page_contacts import ContactLayers
 from fracture_collision.viewer.page_controls import Controls
 from fracture_collision.viewer.page_events import Handlers, ServiceSliders, Start
+from fracture_collision.viewer.page_gate import Gate, GateError, bracketed, guarded
 from fracture_collision.viewer.page_inside import Inside, InsideView
 from fracture_collision.viewer.page_plots import Figures, Plots, check_told, plots_of
 from fracture_collision.viewer.page_scene import SceneNodes
@@ -63,9 +64,8 @@ class Page:
         handlers = handlers or Handlers()
         check_told(told)
         _check_free(host, port)
-        with _viser_is_quiet():
-            self._server = LocalServer(host=host, port=port, label=TITLE, verbose=False)
-        self.address = f"http://{self._server.get_host()}:{self._server.get_port()}"
+        self._server = _server(host, port)
+        self.address = f"http://{bracketed(host)}:{self._server.get_port()}"
         self._server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=BRAND)
         self._live = LiveValues(self._server)
         drag = {"start": handlers.drag_begun, "update": handlers.drag_moved, "end": handlers.drag_ended}
@@ -318,6 +318,19 @@ def _check_free(host: str, port: int) -> None:
     with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as trial:
         trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         trial.bind((host, port))
+
+
+def _server(host: str, port: int) -> LocalServer:
+    """Raises GateError where it would listen to whoever comes; then it does not listen any more."""
+    server = None
+    with _viser_is_quiet():
+        try:
+            with guarded(Gate(host)):
+                server = LocalServer(host=host, port=port, label=TITLE, verbose=False)
+        except GateError:
+            server.stop()
+            raise
+    return server
 
 
 @contextlib.contextmanager

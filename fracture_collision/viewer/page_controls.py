@@ -30,7 +30,7 @@ class Controls:
         self._joints: list[viser.GuiSliderHandle] = []
         if handlers.scene_chosen and start.scenes:
             scene = self._gui.add_dropdown("scene", start.scenes, start.scene or start.scenes[0])
-            on_update(scene, handlers.scene_chosen)
+            on_update(scene, _one_of(start.scenes, handlers.scene_chosen))
         self._add_time(start)
         if handlers.clicked:
             self._add_ball(server, start.ball, handlers.clicked)
@@ -109,6 +109,16 @@ class Controls:
 
         for knob in knobs.values():
             on_update(knob, told)
+
+
+def _one_of(options: Sequence[str], handler: Callable[[str], None]) -> Callable[[str], None]:
+    """A browser offers nothing else, but who speaks to the page need not be one."""
+
+    def chosen(option: str) -> None:
+        if option in options:
+            handler(option)
+
+    return chosen
 
 
 def _rays(clicked: Callable[[Ray, Ball], None], ball: Callable[[], Ball]) -> Callable[..., Any]:

@@ -6,7 +6,7 @@ that comes after an hour would have millions of places in the log to step over. 
 own queue, which viser does not keep and in which a newer value of the same thing takes the older one's place: a slow
 page skips pictures and lags behind none. A page that comes later is told the last values by `send_all`.
 
-This is the one file that goes below viser's public interface (the queue and two message types, of viser 1.1).
+This file and `page_gate` go below viser's public interface (here the queue and two message types, of viser 1.1).
 """
 
 from __future__ import annotations

@@ -1,0 +1,65 @@
+"""All commands of `fracture-collision`."""
+
+from __future__ import annotations
+
+import click
+
+from fracture_collision.cli.bags import digest, mend, record
+from fracture_collision.cli.bench import bench
+from fracture_collision.cli.film import film
+from fracture_collision.cli.play import play
+from fracture_collision.cli.replay import replay
+from fracture_collision.cli.scene import scene
+from fracture_collision.cli.smash import smash
+from fracture_collision.cli.teleop import teleop
+from fracture_collision.cli.view import view
+
+EXAMPLES = """\b
+Examples:
+  fracture-collision smash                        four plates on a shelf, over ROS 2, into out/smash
+  fracture-collision smash --seed 3 --out out/3   the same with other cracks
+  fracture-collision smash --mesh bunny.obj       a closed surface of your own, dropped onto a floor
+  fracture-collision scene bricks                 a scene without ROS: times, tables, a film strip
+  fracture-collision scene --help                 ... and what can be varied
+  fracture-collision bench                        the paper's figures and tables again, in some minutes
+  fracture-collision scenes                       which scenes there are
+  fracture-collision digest out/smash/bag         equal for equal runs
+  fracture-collision replay out/smash/bag         asked again: is every answer the one recorded?
+  fracture-collision replay --help                ... over DDS, backwards, on 8 threads
+  fracture-collision record bricks --out out/b    a bag without DDS
+  fracture-collision mend out/smash/bag           whose recorder was killed
+  fracture-collision play                         smash it yourself, in the browser
+  fracture-collision teleop                       the hammer of a live scene by keys, from another terminal
+  fracture-collision view out/smash/bag           a recorded run in the browser
+  fracture-collision film out/smash/bag           ... as a picture that moves
+
+The nodes alone: collision_node and simulator_node, with --ros-args -p NAME:=VALUE.
+"""
+
+
+@click.group(epilog=EXAMPLES, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+def main() -> None:
+    """Collision detection for fracturing rigid bodies.
+
+    Bodies are tetrahedral meshes that break; the service answers every simulation step with contact constraints and
+    says how deep a penetration it could have missed. This command runs it end to end; as a library it is
+    `fracture_collision.world`, as a ROS 2 node `collision_node`.
+    """
+
+
+main.add_command(smash)
+main.add_command(scene)
+main.add_command(bench)
+for command in (play, teleop, view, film, replay, record, mend, digest):
+    main.add_command(command)
+
+
+@main.command()
+def scenes() -> None:
+    """List the scenes that come with the package."""
+    from fracture_collision.simulation.scene import scene_files
+
+    for file in scene_files():
+        click.echo(f"{file.path.stem:17} {file.title}")
+        for variant in file.variants:
+            click.echo(f"{'':17} {file.path.stem}:{variant}")

@@ -1,0 +1,46 @@
+"""The nodes as commands: `collision_node`, or `python -m fracture_collision.ros.start collision_node`.
+
+A node takes a second to import; if it is told to end meanwhile, it does, with status 0 as ever (ros/process.py).
+"""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+
+from fracture_collision.early_signals import signals_end_at_once
+
+NODES = ("collision_node", "simulator_node", "live_simulator_node", "page_node", "recorder_node")
+
+
+def start(node: str) -> int:
+    """Runs one of NODES with the process's arguments; returns its exit status."""
+    signals_end_at_once(0)
+    return import_module(f"fracture_collision.ros.{node}").main()
+
+
+def collision_node() -> int:
+    return start("collision_node")
+
+
+def simulator_node() -> int:
+    return start("simulator_node")
+
+
+def live_simulator_node() -> int:
+    return start("live_simulator_node")
+
+
+def page_node() -> int:
+    return start("page_node")
+
+
+def recorder_node() -> int:
+    return start("recorder_node")
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == [] or sys.argv[1] not in NODES:
+        sys.exit(f"which node? One of {', '.join(NODES)}")
+    sys.argv[:2] = sys.argv[1:2]
+    sys.exit(start(sys.argv[0]))

@@ -1,0 +1,132 @@
+"""Which browsers the page answers: those that opened it by its own address.
+
+A browser lets any web page open a websocket to any address and leaves it to the server to look at the Origin; viser
+does not. And a web page whose name is made to resolve to this machine (DNS rebinding) has an Origin of its own that
+matches its Host. So both headers are checked, of every request:
+
+- Host must be an address of the page, with its port. A name that somebody else's name server may resolve is none.
+- Origin, where there is one, must be that same address. Browsers send one with every websocket. Other programs need
+  not; they run on this machine, or on one that --host lets in, and could send any.
+- A request has no query: in `?websocket=ADDRESS` the page would obey another server, under this one's origin.
+- The page may not be shown inside another one, whose clicks it would take for its own.
+
+viser offers no way to look at a request. So while a server is being made, the function by which its module starts
+listening is one that puts the check first (written against viser 1.1); where that is not what viser calls, no page is
+served.
+"""
+
+from __future__ import annotations
+
+import http
+import ipaddress
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import viser
+import websockets.asyncio.server
+from viser.infra import _infra as viser_infra
+from websockets import Headers
+from websockets.http11 import Request, Response
+
+LOOPBACK_HOSTS = ("localhost", "127.0.0.1", "[::1]")
+NOT_FRAMED = {"X-Frame-Options": "DENY", "Content-Security-Policy": "frame-ancestors 'none'"}
+_HTTP_PORT = 80  # which a Host need not name
+
+_one_at_a_time = threading.Lock()
+
+
+class GateError(RuntimeError):
+    """viser serves in another way than this file expects: nothing would be checked."""
+
+
+class Gate:
+    """The requests that a server on `host` answers."""
+
+    def __init__(self, host: str) -> None:
+        self._hosts = {*LOOPBACK_HOSTS, bracketed(host).lower()}
+        address = _address(host)
+        self._is_open = host == "" or (address is not None and address.is_unspecified)
+        if self._is_open:  # by this machine's name, too, and by any address of it
+            self._hosts.add(socket.gethostname().lower())
+
+    def refusal(self, headers: Headers, path: str, port: int) -> str:
+        """Why a request for `path` at this `port` is refused; "": it is not."""
+        hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
+        if len(hosts) != 1 or not self._is_own(hosts[0].lower(), port):
+            return "this is not the page's address"
+        if origins and [origin.lower() for origin in origins] != [f"http://{hosts[0].lower()}"]:
+            return "the page takes commands from itself only"
+        if "?" in path:
+            return "the page's address has no query"
+        return ""
+
+    def _is_own(self, host: str, port: int) -> bool:
+        name, colon, digits = host.rpartition(":")
+        if not colon or "]" in digits:
+            name, digits = host, str(_HTTP_PORT)
+        if digits != str(port):
+            return False
+        # An address, unlike a name, leads nowhere else.
+        return name in self._hosts or (self._is_open and _address(name.strip("[]")) is not None)
+
+
+@contextmanager
+def guarded(gate: Gate) -> Iterator[None]:
+    """The viser server that is made meanwhile answers what `gate` lets in. Raises GateError, and then it must not be
+    used: it may listen, and check nothing.
+    """
+    served = False
+
+    def serve(*arguments: Any, process_request: Callable[..., Response | None] | None = None, **options: Any) -> Any:
+        nonlocal served
+        served = True
+
+        def process(connection: Any, request: Request) -> Response | None:
+            port = connection.transport.get_extra_info("sockname")[1]
+            if reason := gate.refusal(request.headers, request.path, port):
+                body = f"{reason}\n".encode()
+                headers = Headers({"Content-Type": "text/plain", "Content-Length": str(len(body)), **NOT_FRAMED})
+                return Response(http.HTTPStatus.FORBIDDEN, "Forbidden", headers, body)
+            response = None if process_request is None else process_request(connection, request)
+            if response is not None:
+                response.headers.update(NOT_FRAMED)
+            return response
+
+        return websockets.asyncio.server.serve(*arguments, process_request=process, **options)
+
+    with _one_at_a_time:
+        theirs = viser_infra.websockets
+        server = _Instead(websockets.asyncio.server, serve=serve)
+        viser_infra.websockets = _Instead(theirs, asyncio=_Instead(theirs.asyncio, server=server))
+        try:
+            yield
+        finally:
+            viser_infra.websockets = theirs
+    if not served:
+        raise GateError(f"viser {viser.__version__} listens in a way that leaves requests unchecked; 1.1 is expected")
+
+
+class _Instead:
+    """A module with some of its names replaced."""
+
+    def __init__(self, module: Any, **replaced: Any) -> None:
+        self.__dict__.update(replaced)
+        self._module = module
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._module, name)
+
+
+def bracketed(host: str) -> str:
+    """As it stands in an address: of IP version 6 in brackets."""
+    return f"[{host}]" if ":" in host else host
+
+
+def _address(text: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
+    try:
+        return ipaddress.ip_address(text)
+    except ValueError:
+        return None

@@ -1,0 +1,69 @@
+"""A program that speaks to the page as viser's own client does, and may send what no browser would. For tests."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import msgspec
+import viser
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import ClientConnection, connect
+
+from benchmarks.page.lookers import messages_of
+
+PATIENCE = 60.0  # [s]
+CAMERA = {
+    "type": "ViewerCameraMessage", "wxyz": (1.0, 0.0, 0.0, 0.0), "position": (0.0, 0.0, 0.0), "fov": 1.0, "near": 0.1,
+    "far": 10.0, "image_height": 10, "image_width": 10, "look_at": (0.0, 1.0, 0.0), "up_direction": (0.0, 0.0, 1.0),
+}  # fmt: skip
+
+
+class PageClient:
+    def __init__(self, connection: ClientConnection) -> None:
+        self._connection = connection
+        self._knobs: dict[str, str] = {}  # by label
+        self.notices: list[str] = []
+        self._send(CAMERA)  # before, viser takes it for nobody
+        self._thread = threading.Thread(target=self._take, daemon=True)
+        self._thread.start()
+
+    def set(self, label: str, value: Any) -> None:
+        """As if a person had moved the knob."""
+        wait_until(lambda: label in self._knobs)
+        self._send({"type": "GuiUpdateMessage", "uuid": self._knobs[label], "updates": {"value": value}})
+
+    def _send(self, message: dict[str, Any]) -> None:
+        self._connection.send(msgspec.msgpack.encode(message))
+
+    def _take(self) -> None:
+        try:
+            for frame in self._connection:
+                for message in messages_of(frame):
+                    label = (message.get("props") or {}).get("label")
+                    if label is not None and "uuid" in message:
+                        self._knobs[label] = message["uuid"]
+                    if message["type"] == "NotificationShowMessage":
+                        self.notices.append(message["props"]["body"])
+        except ConnectionClosed:
+            pass
+
+
+@contextmanager
+def page_client(address: str, **options: Any) -> Iterator[PageClient]:
+    """`options`: of websockets' client, such as `origin`. Raises InvalidStatus where the page refuses it."""
+    with connect(
+        address.replace("http", "ws", 1), subprotocols=[f"viser-v{viser.__version__}"], compression=None,
+        max_size=None, **options,
+    ) as connection:  # fmt: skip
+        yield PageClient(connection)
+
+
+def wait_until(there: Callable[[], object]) -> None:
+    end = time.monotonic() + PATIENCE
+    while not there():
+        assert time.monotonic() < end
+        time.sleep(0.01)
