@@ -114,7 +114,8 @@ class Clock:
 
 
 class StandIn:
-    """A publisher, its node and its neighbours, with one subscriber that acknowledges the last message after some seconds."""
+    """A publisher, its node and its neighbours, with one subscriber that acknowledges the last message when it is time.
+    """
 
     slow: dict[str, frozenset[bytes]]
 

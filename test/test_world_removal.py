@@ -84,7 +84,8 @@ class Twins:
 def counted(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """What is done to geometries from here on, by name."""
     done: list[str] = []
-    for name in ("apply_fracture", "add_tetrahedra", "add_triangles", "add_box", "add_sphere", "add_plane", "keep_only"):
+    adds = "add_tetrahedra", "add_triangles", "add_box", "add_sphere", "add_plane"
+    for name in ("apply_fracture", "keep_only", *adds):
         real = getattr(CollisionGeometry, name)
 
         def noted(self, *arguments, _name=name, _real=real):

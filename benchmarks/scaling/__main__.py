@@ -111,8 +111,8 @@ def main(names: tuple[str, ...], quick: bool, path: Path | None) -> None:
 
     growth: time over close pairs of piles. threads: two against one. memory: of a body, and of one more. updates:
     breaking one of many against one alone. visits: where a query's time goes, and what a visit cannot do without.
-    limits: what the aims against other libraries leave room for, by docs/peers.csv and this machine. removal: REMOVE after
-    many events. round_trips: what ROS adds to an answer; needs ROS 2.
+    limits: what the aims against other libraries leave room for, by docs/peers.csv and this machine. removal: REMOVE
+    after many events. round_trips: what ROS adds to an answer; needs ROS 2.
     """
     from rich.console import Console
 

@@ -72,7 +72,8 @@ def measure_removal(events: int = 1000, cell: float = CELL, progress: Progress =
     settings = Settings(threads=1)
     whole = CollisionBody(1, 1, vertices=body.vertices.ravel(), tetrahedra=body.tetrahedra.ravel())
     first_ball = 2 * events + 10
-    balls = [CollisionBody(n, n, primitive=SolidPrimitive(SPHERE, (0.1,))) for n in range(first_ball, first_ball + BALLS)]
+    ball = SolidPrimitive(SPHERE, (0.1,))
+    balls = [CollisionBody(n, n, primitive=ball) for n in range(first_ball, first_ball + BALLS)]
     log = halvings(body, events)
     nobody = FragmentStates(1, events, np.empty(0, int), np.empty(0), np.empty(0))
 

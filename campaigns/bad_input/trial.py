@@ -171,8 +171,8 @@ class Bench:
 
 
 def _wait_for_events(verdict: Verdict) -> bool:
-    """Whether states were held for events that are not there, or refused as the next event was rejected before: which of
-    the two depends on the bad events that a door has seen, and on nothing else.
+    """Whether states were held for events that are not there, or refused as the next event was rejected before. Which
+    of the two depends on the bad events that a door has seen, and on nothing else.
     """
     return verdict.kind == REJECTED or (verdict.outcome == HELD and verdict.kind in ("", "sequence_gap"))
 

@@ -20,8 +20,9 @@ def main(times: int, others: int, mixed: int, scene: str, seed: int, out: Path) 
     """SIGKILL to service, simulator and listeners at random instants of a running SCENE, over real DDS.
 
     The service has to come back with the same registry and the same answers, byte for byte, as in a run that nobody
-    disturbed; neither processes nor files in shared memory may be left. Then service and recorder are killed while they
-    start, at fractures and both at once, and counted is who does not come back. Ends with status 1 where that is not so.
+    disturbed; neither processes nor files in shared memory may be left. Service and recorder are also killed while they
+    start, at fractures and both at once; those that do not come back are counted. Ends with status 1 if any of this
+    fails.
     """
     from rich.console import Console
 
@@ -60,7 +61,8 @@ def main(times: int, others: int, mixed: int, scene: str, seed: int, out: Path) 
         faults += both.faults
         console.print(f"{both.kills} kills of service and recorder: {len(both.deaf)} deaf, {len(both.faults)} faults")
         for name, (count, median, worst) in medians(both.returns).items():
-            console.print(f"  {name} killed, {count} times, to the first answer: {median:.2f} s median, {worst:.2f} worst")
+            told = f"{median:.2f} s median, {worst:.2f} s worst"
+            console.print(f"  {name} killed, {count} times, to the first answer: {told}")
         console.print(f"  from SIGINT to a node's end: {both.longest_end:.2f} s worst")
         for text in (*both.deaf, *both.faults):
             console.print(f"  {text}", markup=False)

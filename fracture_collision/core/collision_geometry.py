@@ -49,7 +49,6 @@ from fracture_collision.core.surface_rows import SurfaceRows
 from fracture_collision.core.tet_mesh import TetMesh
 from fracture_collision.core.triangle_field import TriangleMesh, append_triangle_mesh, build_triangle_mesh
 
-
 # [bytes] Less is not worth a compaction.
 LEAST_GARBAGE = 1 << 20
 

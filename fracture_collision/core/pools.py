@@ -2,7 +2,8 @@
 
 One flat array a quantity, whatever the number of bodies, so that a kernel gets everything in one tuple and equal
 geometries share one preprocess. Rows are only appended; a retired fragment's tree stays as garbage until the pools are
-compacted (pool_compaction.py) or the world is rebuilt. `GrowableArray` owns the memory (pool_tables.py holds one a column), the NamedTuples are views for the kernels.
+compacted (pool_compaction.py) or the world is rebuilt. `GrowableArray` owns the memory (pool_tables.py holds one a
+column), the NamedTuples are views for the kernels.
 """
 
 from __future__ import annotations

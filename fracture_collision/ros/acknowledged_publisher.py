@@ -22,9 +22,9 @@ from fracture_collision.ros.message_origin import participant_of
 from fracture_collision.ros.neighbours import Neighbours, is_nameless
 from fracture_collision.ros.qos import Topic
 
-# [s] A subscriber that stalls longer than this (on another machine that has gone, say) is left behind rather than holding
-# up the run. One of this machine that was killed holds up nothing (neighbours.py). Shorter leases were tried: with 5 s the
-# living lost sight of each other on a busy machine, and not all found back.
+# [s] A subscriber that stalls longer than this (on another machine that has gone, say) is left behind rather than
+# holding up the run. One of this machine that was killed holds up nothing (neighbours.py). Shorter leases were tried:
+# with 5 s the living lost sight of each other on a busy machine, and not all found back.
 PATIENCE = 2.0
 # [s] Likewise one of a process of this machine that is stopped, by SIGSTOP or a debugger: twice as long as two
 # acknowledgements of those beside it take, who cannot be told from it.

@@ -14,7 +14,6 @@ from fracture_collision.cdr import Codec, Heading, Layout, Received
 from fracture_collision.msg import FractureEvent
 from fracture_collision.ros.conversion import message_class_of, record_class_of
 
-
 _LEADING_BYTES = 4096  # of an event: header with the name of a frame, run_id and sequence
 
 

@@ -1,8 +1,8 @@
 """One run as the service sees it: messages as the topics happen to deliver them, applied in the order they ask for.
 
 DDS keeps order within a topic, not across topics. An event may arrive before its body, states before either: they are
-held until they can be applied. An event that is rejected holds up those behind it, not the states that need it: these
-are refused with the reason, and the others are held until a corrected one arrives, however late. Knows records, not ROS.
+held until they can be applied. Where an event is rejected, states that need it are refused with the reason, and later
+events are held until a corrected one arrives, however late. Knows records, not ROS.
 """
 
 from __future__ import annotations

@@ -31,7 +31,6 @@ from fracture_collision.ros.shared_memory import remove_left_behind
 from fracture_collision.ros.successor_ports import ports_of_the_dead_held
 from fracture_collision.share import share_directory
 
-
 # [s] From SIGINT or SIGTERM, or from where the node's work is over, to the end of its process, whatever DDS does.
 LONGEST_END = 10.0
 PORTS_INTERVAL = 1.0  # [s] between two looks at the node's ports

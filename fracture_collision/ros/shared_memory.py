@@ -39,7 +39,8 @@ def remove_left_behind(folder: Path = FOLDER) -> int:
 
 
 def left_behind(folder: Path = FOLDER) -> set[Path]:
-    """Files of our own, of segments and ports, that no process of ours has mapped and that nobody we can see has locked.
+    """Files of our own, of segments and ports, that no process of ours has mapped and no process that we can see has
+    locked.
 
     As long as somebody has a dead one's port mapped it must stay: Fast DDS tells by it that the port is dead, and sends
     to the next one of that number.
