@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from campaigns.kills.mixed import kill_mixed, medians
 from campaigns.kills.stage import Digests, await_that, litter, stage
 from campaigns.kills.trials import kill_listeners, kill_services, kill_simulators, orders_of_ending, undisturbed
 from campaigns.soak import Cycle, growth, soak
@@ -23,6 +24,7 @@ from fracture_collision.ros.shared_memory import YOUNG, dead_ports
 from fracture_collision.ros.successor_ports import ports_of_the_dead_held
 
 SCENE, STEPS = "pane", 60
+LONG_SCENE = "plates"  # seconds in which to kill
 SOON = 0.1  # [s] after the first step: a run takes less than a second
 pytestmark = pytest.mark.timeout(900)
 
@@ -68,6 +70,13 @@ def test_a_killed_simulator_leaves_the_service_fit_for_the_next(tmp_path: Path, 
 
 def test_a_killed_listener_is_not_missed(tmp_path: Path, reference: Digests) -> None:
     assert kill_listeners(tmp_path, SCENE, 1, 3, reference, no_progress) == 0
+
+
+def test_service_and_recorder_come_back_from_the_worst_moments(tmp_path: Path) -> None:
+    mixed = kill_mixed(tmp_path, LONG_SCENE, 6, 2, no_progress)
+    assert mixed.kills >= 6 and mixed.returns
+    assert mixed.deaf == [] and mixed.faults == []
+    assert all(count > 0 for count, _, _ in medians(mixed.returns).values())
 
 
 @pytest.mark.slow

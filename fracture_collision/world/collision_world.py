@@ -82,7 +82,7 @@ class CollisionWorld:
         self._ledger.reject(sequence, reason)
 
     def lacks(self, ahead: StatesAhead) -> bool:
-        """Whether states that raised `ahead` would raise it again; takes no time that grows with what is missing."""
+        """Whether states that raised `ahead` would raise it again. Amortized O(1) per missing fragment."""
         return self._ledger.lacks(ahead)
 
     def change_settings(self, settings: Settings) -> None:
@@ -102,7 +102,8 @@ class CollisionWorld:
     def contacts(self, states: FragmentStates) -> ContactConstraintArray:
         """All contacts of the fragments that `states` names, and of the static ones, at its registry.
 
-        Raises StatesAhead for states of an event or a body that has not arrived yet.
+        Raises StatesAhead for states of an event or a body that has not arrived yet, and InvalidMessage with its reason
+        for those of an event that was rejected (`rejected_event`).
         """
         started = perf_counter()
         checked, moving = self._bring_to(states)
