@@ -113,6 +113,13 @@ class _Trial:
         counts = json.loads(lines[-1]) if lines else {}
         return counts.get("fragment_states", 0) > 0 and counts.get("contact_constraints", 0) > 0
 
+    def await_all_up(self) -> None:
+        """Orders to end that come earlier are another trial's (trials.orders_of_ending)."""
+        bag = self._folder / f"bag_{self._bags}"
+        recorder, service = self.node[RECORDER], self.node[SERVICE]
+        await_that(lambda: bag.exists() or recorder.exit_status() is not None, "a recorder that is up")
+        await_that(lambda: READY in service.log_text() or service.exit_status() is not None, "a service that is up")
+
     def come_back(self, names: tuple[str, ...], step: int) -> str:
         """Waits for it; what is wrong, in words."""
         began = time.monotonic()
@@ -161,6 +168,7 @@ def kill_mixed(folder: Path, scene: str, times: int, seed: int, progress: Progre
                 came = answers_awaited(trial.simulator)[awaited:]
                 if SERVICE in victims and came:
                     returns.append(Answered(victims, moment, came[0] - started))
+            trial.await_all_up()
             for node in (trial.simulator, *trial.node.values()):
                 began = time.monotonic()
                 if fault := fault_at_end(node, node.stop(patience=2.0 * LONGEST_END)):
