@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import fcntl
-import mmap
 import os
 import signal
 import socket
@@ -14,17 +13,18 @@ from pathlib import Path
 
 import pytest
 
+from campaigns.kills.mixed import kill_mixed, medians
 from campaigns.kills.stage import Digests, await_that, litter, stage
 from campaigns.kills.trials import kill_listeners, kill_services, kill_simulators, orders_of_ending, undisturbed
 from campaigns.soak import Cycle, growth, soak
 from fracture_collision.bag.reader import message_counts
-from fracture_collision.ros import shared_memory
 from fracture_collision.ros.farewell import PORT_BASE, PORTS_A_DOMAIN
 from fracture_collision.ros.node_process import free_domain_id
-from fracture_collision.ros.shared_memory import YOUNG, dead_ports, left_behind, remove_left_behind
+from fracture_collision.ros.shared_memory import YOUNG, dead_ports
 from fracture_collision.ros.successor_ports import ports_of_the_dead_held
 
 SCENE, STEPS = "pane", 60
+LONG_SCENE = "plates"  # seconds in which to kill
 SOON = 0.1  # [s] after the first step: a run takes less than a second
 pytestmark = pytest.mark.timeout(900)
 
@@ -72,6 +72,13 @@ def test_a_killed_listener_is_not_missed(tmp_path: Path, reference: Digests) -> 
     assert kill_listeners(tmp_path, SCENE, 1, 3, reference, no_progress) == 0
 
 
+def test_service_and_recorder_come_back_from_the_worst_moments(tmp_path: Path) -> None:
+    mixed = kill_mixed(tmp_path, LONG_SCENE, 6, 2, no_progress)
+    assert mixed.kills >= 6 and mixed.returns
+    assert mixed.deaf == [] and mixed.faults == []
+    assert all(count > 0 for count, _, _ in medians(mixed.returns).values())
+
+
 @pytest.mark.slow
 def test_nodes_end_by_signals_in_any_order(tmp_path: Path) -> None:
     assert list(orders_of_ending(tmp_path, SCENE, no_progress)) == []
@@ -82,39 +89,6 @@ def test_the_simulator_says_that_it_waits_and_that_it_goes_on(tmp_path: Path, re
     (log,) = (tmp_path / "run_0").glob("simulator_node_*.log")
     words = log.read_text()
     assert "asking again" in words and "going on" in words
-
-
-def test_what_nobody_holds_is_removed(tmp_path: Path) -> None:
-    old = time.time() - 2.0 * YOUNG
-    left = ["fastrtps_00ff00ff00ff00ff", "fastrtps_00ff00ff00ff00ff_el"]
-    left += ["fastrtps_port7411", "fastrtps_port7411_el", "sem.fastrtps_port7411_mutex"]
-    left += ["fastrtps_port7413", "sem.fastrtps_port7413_mutex"]  # the listener's lock went with it
-    held = ["fastrtps_1111111111111111", "fastrtps_1111111111111111_el"]
-    mapped = ["fastrtps_port7415"]
-    strange = ["fastrtps_of_somebody_el", "fastrtps_", "other_el"]
-    young = ["fastrtps_2222222222222222", "fastrtps_2222222222222222_el"]
-    for name in (*left, *held, *mapped, *strange, *young):
-        (tmp_path / name).write_bytes(bytes(64))
-        os.utime(tmp_path / name, (old, old) if name not in young else None)
-    with (tmp_path / held[1]).open("rb") as lock, (tmp_path / mapped[0]).open("rb") as port:
-        fcntl.flock(lock, fcntl.LOCK_SH)
-        with mmap.mmap(port.fileno(), 0, access=mmap.ACCESS_READ):
-            assert remove_left_behind(tmp_path) == len(left)
-    assert {file.name for file in tmp_path.iterdir()} == {*held, *mapped, *strange, *young}
-    assert remove_left_behind(tmp_path / "nowhere") == 0
-
-
-def test_no_lock_is_tried_of_what_somebody_may_be_opening(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of a killed service's port, which others have mapped still: its successor would fail to lock it just then."""
-    old = time.time() - 2.0 * YOUNG
-    for name in ("fastrtps_port7417", "fastrtps_port7417_el", "fastrtps_port7419", "fastrtps_port7419_el"):
-        (tmp_path / name).write_bytes(bytes(64))
-        os.utime(tmp_path / name, (old, old))
-    tried: list[str] = []
-    monkeypatch.setattr(shared_memory.fcntl, "flock", lambda file, _how: tried.append(Path(file.name).name))
-    with (tmp_path / "fastrtps_port7417").open("rb") as port, mmap.mmap(port.fileno(), 0, access=mmap.ACCESS_READ):
-        assert {file.name for file in left_behind(tmp_path)} == {"fastrtps_port7419", "fastrtps_port7419_el"}
-    assert tried == ["fastrtps_port7419_el"]
 
 
 def test_the_next_one_listens_at_other_ports(tmp_path: Path) -> None:

@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from fracture_collision.geometry.generators import brick
 from fracture_collision.geometry.tetrahedra import unique_edges
-from fracture_collision.records import CollisionBody, ContactConstraintArray, FractureEvent, FragmentStates
+from fracture_collision.records import (
+    SPHERE,
+    CollisionBody,
+    ContactConstraintArray,
+    FractureEvent,
+    FragmentStates,
+    SolidPrimitive,
+)
 from fracture_collision.ros import collision_run
+from fracture_collision.ros.cdr_records import place_of_event, serialize_record
+from fracture_collision.ros.collision_node import is_time_for_log
 from fracture_collision.ros.collision_run import CollisionRun
-from fracture_collision.world import CollisionWorld, Settings
+from fracture_collision.ros.conversion import heading
+from fracture_collision.world import CollisionWorld, InvalidMessage, Settings, StatesAhead
 
 SETTINGS = Settings(threads=1)
 
@@ -94,7 +105,8 @@ def test_events_behind_one_whose_body_is_missing_are_held_in_words() -> None:
     run.add_body(breakable_body())
     run.add_fracture(FIRST._replace(body_id=77))
     (refusal,) = run.add_fracture(SECOND)
-    assert refusal.kind == "sequence_gap" and "behind event 1, until body 77 comes" in refusal.reason
+    assert refusal.kind == "sequence_gap"
+    assert refusal.reason == "sequence: event 2 is held: event 1 waits for body 77, which has not arrived"
     assert (run.held_event_count, run.event_count) == (2, 0)
     assert run.add_fracture(FIRST) == []
     assert (run.held_event_count, run.event_count) == (0, 2)
@@ -118,3 +130,131 @@ def test_what_is_held_has_a_limit_in_bytes(monkeypatch) -> None:
     run.add_body(breakable_body())  # what waited is applied, and makes room
     assert run.held_event_count == 0
     assert run.add_fracture(FIRST._replace(sequence=9, body_id=77))[0].kind == "unknown_id"
+
+
+BAD = FIRST._replace(nodes=FIRST.nodes[1:])
+
+
+def ready_run() -> CollisionRun:
+    run = CollisionRun(1, SETTINGS)
+    assert run.add_body(breakable_body()) == [] and run.add_body(ground()) == []
+    return run
+
+
+def rejection(run: CollisionRun) -> str:
+    with pytest.raises(InvalidMessage) as refusal:
+        run.answer(STATES)
+    assert refusal.value.kind == "event_rejected" and not isinstance(refusal.value, StatesAhead)
+    return str(refusal.value)
+
+
+def test_states_that_need_a_rejected_event_are_refused_until_it_is_corrected() -> None:
+    run = ready_run()
+    assert run.answer(STATES) is None
+    (refusal,) = run.add_fracture(BAD)
+    assert refusal.kind == "size_mismatch"
+    words = f"event 1 was rejected: {refusal.reason}; a corrected event with sequence 1 is awaited"
+    assert rejection(run) == f"fracture_sequence: 2, but {words}" and run.rejected_event == words
+    # a topic delivers the later one only once, and perhaps long before the corrected one
+    (held,) = run.add_fracture(SECOND)
+    assert held.kind == "sequence_gap" and words in held.reason
+    assert words in rejection(run)
+    (again,) = run.add_fracture(BAD)
+    assert again.kind == "size_mismatch" and words in rejection(run)
+    assert run.add_fracture(FIRST) == []
+    assert (run.held_event_count, run.event_count, run.rejected_event) == (0, 2, "")
+    assert field_bytes(run.answer(STATES)) == field_bytes(expected_contacts())
+    (repeat,) = run.add_fracture(BAD)  # the latched topic has it still
+    assert repeat.kind == "size_mismatch" and run.rejected_event == ""
+    assert field_bytes(run.answer(STATES)) == field_bytes(expected_contacts())
+
+
+def test_earlier_states_are_answered_beside_a_rejected_event() -> None:
+    run = ready_run()
+    run.add_fracture(BAD)
+    before = STATES._replace(
+        fracture_sequence=0, fragment_ids=np.array([1, 2]), positions=np.array([0.0, 0.0, 0.24, 0.0, 0.0, 0.0]),
+        orientations=STATES.orientations[:8],
+    )  # fmt: skip
+    assert len(run.answer(before).gaps) > 0
+
+
+def test_events_behind_one_that_is_rejected_late_are_kept() -> None:
+    """It waits for its body, is rejected when that comes, and the others wait on."""
+    run = CollisionRun(1, SETTINGS)
+    run.add_body(ground())
+    run.add_fracture(BAD)
+    run.add_fracture(SECOND)
+    assert "event 1 waits for body 1" in run.add_fracture(SECOND)[0].reason
+    (refusal,) = run.add_body(breakable_body())
+    assert refusal.kind == "size_mismatch" and run.held_event_count == 1
+    assert "event 1 was rejected" in rejection(run)
+    assert run.add_fracture(FIRST) == [] and run.event_count == 2
+
+
+def test_an_event_that_cannot_be_read_is_known_by_its_sequence() -> None:
+    data = bytearray(serialize_record(SECOND, heading(1.5), 7))
+    for damaged in (data[:-40], data[:400], data):
+        place = place_of_event(bytes(damaged))
+        assert (place.run_id, place.record.sequence) == (7, 2)
+    assert place_of_event(bytes(data[:20])) is None
+    run = ready_run()
+    run.reject_fracture(2, "too long")
+    assert run.rejected_event == "" and run.answer(STATES) is None  # event 1 may come yet
+    assert run.add_fracture(FIRST) == []
+    assert "event 2 was rejected: too long" in rejection(run)
+    assert run.add_fracture(SECOND) == []
+    assert field_bytes(run.answer(STATES)) == field_bytes(expected_contacts())
+
+
+def test_events_beyond_the_limit_are_asked_for_again_when_they_are_due(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(collision_run, "MAX_HELD_EVENTS", 1)
+    run = ready_run()
+    third = SECOND._replace(sequence=3)
+    assert run.add_fracture(third)[0].kind == "sequence_gap"
+    assert run.add_fracture(SECOND)[0].kind == "sequence_gap"  # takes the place of the later one
+    assert run.held_event_count == 1 and not run.wants_log()
+    assert run.add_fracture(FIRST) == []  # and this that of the second
+    assert run.event_count == 1 and run.wants_log() and not run.wants_log()
+    assert run.add_fracture(FIRST) == [] and run.add_fracture(SECOND) == []
+    assert run.event_count == 2
+    (refusal,) = run.add_fracture(third)
+    assert refusal.kind == "retired_id" and "event 3 was rejected" in run.rejected_event
+
+
+def test_states_are_looked_at_again_only_when_what_they_lack_is_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    run = CollisionRun(1, SETTINGS)
+    balls = [CollisionBody(n, n, primitive=SolidPrimitive(SPHERE, (0.1,))) for n in range(1, 41)]
+    ids = np.arange(1, 41)
+    states = FragmentStates(1, 0, ids, np.zeros(120), np.tile([0.0, 0.0, 0.0, 1.0], 40))
+    tried = []
+    real = CollisionWorld.contacts
+    monkeypatch.setattr(CollisionWorld, "contacts", lambda *a: tried.append(1) or real(*a))
+    for ball in balls[::2] + balls[:0:-2]:
+        assert run.answer(states) is None
+        run.add_body(ball)
+    assert len(tried) == 1
+    assert run.answer(states) is not None and len(tried) == 2
+    # other states are looked at, of course
+    assert run.answer(states._replace(step=2)) is not None and len(tried) == 3
+
+
+def test_what_states_wait_for_is_told() -> None:
+    run = CollisionRun(1, SETTINGS)
+    assert run.answer(STATES) is None
+    assert "event 1 has not arrived" in run.what_states_wait_for()
+    run.add_fracture(FIRST)
+    assert "event 1 waits for body 1, which has not arrived" in run.what_states_wait_for()
+    assert run.add_body(breakable_body()._replace(density=-1.0))
+    assert "event 1 waits for body 1, which was rejected: density" in run.what_states_wait_for()
+    run.add_body(breakable_body())
+    run.add_fracture(SECOND)
+    assert run.answer(STATES) is None
+    assert run.what_states_wait_for() == "no body or event has arrived that makes fragment 2"
+    run.add_body(ground()._replace(friction=-1.0))
+    assert run.what_states_wait_for().startswith("no fragment 2 is known, as body 2 was rejected: friction")
+
+
+def test_bodies_and_events_are_asked_for_again_without_end() -> None:
+    due = [second for second in range(1000) if is_time_for_log(second)]
+    assert due == [2, 4, 8, 16, 32, 64, *range(128, 1000, 128)]

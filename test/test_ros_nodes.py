@@ -79,6 +79,34 @@ def test_states_wait_for_what_they_speak_of(service: NodeProcess, client: Servic
     assert client.answers[0].step == STATES.step and len(client.answers[0].gaps) > 0
 
 
+@pytest.mark.parametrize("how", ["a field", "its size", "its bytes"])
+def test_a_rejected_event_holds_up_nothing_for_ever(how: str, service: NodeProcess, client: ServiceClient) -> None:
+    """States that need it are answered at once; the corrected event brings what came meanwhile along."""
+    client.await_service()
+    for body in (breakable_body(), ground()):
+        client.publish("bodies", body, RUN)
+    if how == "a field":
+        client.publish("fracture_events", FIRST._replace(nodes=FIRST.nodes[1:]), RUN)
+    else:
+        data = serialize_record(FIRST, heading(0.0), RUN)
+        data = data + bytes(LARGEST_MESSAGE) if how == "its size" else data[:-200]
+        client.publish_bytes("fracture_events", data)
+    client.publish("fracture_events", SECOND, RUN)
+    client.publish("fragment_states", STATES, RUN)
+    client.spin_until(lambda: len(client.answers) == 1, "an answer to states that need a rejected event")
+    assert client.answers[0].status == INVALID_STATES and client.answers[0].step == STATES.step
+    answers = "fracture_collision: answers"
+    truth = "a corrected event with sequence 1 is awaited"
+    client.spin_until(lambda: truth in client.diagnostics.get(answers, ""), "what is awaited")
+    assert client.diagnostics[answers].startswith("event 1 was rejected: ")
+    client.await_refusal("fragment_states: event_rejected", truth)
+    assert client.ask(STATES._replace(step=6), RUN).status == INVALID_STATES
+    client.publish("fracture_events", FIRST, RUN)
+    client.spin_until(lambda: client.diagnostics[answers] == "ready", "nothing to be awaited")
+    contacts = client.ask(STATES, RUN)
+    assert field_bytes(contacts) == field_bytes(to_record(to_message(expected_contacts(), heading(0.0), RUN)))
+
+
 def test_a_new_run_id_is_a_new_scene(service: NodeProcess, client: ServiceClient) -> None:
     client.await_service()
     tell_all(client, RUN)
@@ -124,7 +152,7 @@ def test_bad_input_is_refused_in_words_and_changes_nothing(service: NodeProcess,
     client.publish("bodies", breakable_body()._replace(body_id=9, fragment_id=90, vertices=np.zeros(12_501)), RUN)
     client.await_refusal("bodies: limit_exceeded", "max_message_bytes")
     client.publish("fracture_events", SECOND._replace(sequence=9), RUN)
-    client.await_refusal("fracture_events: sequence_gap", "sequence: 9")
+    client.await_refusal("fracture_events: sequence_gap", "event 9 is held: event 3 has not arrived")
     client.publish("fracture_events", FIRST._replace(sequence=3, body_id=77), RUN)
     client.await_refusal("fracture_events: unknown_id", "no body 77")
 

@@ -84,9 +84,16 @@ def round_trips(quick: bool, progress: Progress) -> Tables:
     return {"round_trips": rows}, [Asked("states to contacts beyond computation, median [ms]", rows[0].beyond, 1.0)]
 
 
+def removal(quick: bool, progress: Progress) -> Tables:
+    from benchmarks.scaling.removal import measure_removal
+
+    row = measure_removal(240 if quick else 1000, progress=progress)
+    return {"removal": [row]}, [Asked(f"REMOVE after {row.events} events, median [ms]", row.remove_median, 2.0)]
+
+
 MEASURES = {
     "growth": growth, "threads": threads, "memory": memory, "updates": updates, "visits": visits,
-    "limits": limits, "round_trips": round_trips,
+    "limits": limits, "removal": removal, "round_trips": round_trips,
 }  # fmt: skip
 
 
@@ -104,8 +111,8 @@ def main(names: tuple[str, ...], quick: bool, path: Path | None) -> None:
 
     growth: time over close pairs of piles. threads: two against one. memory: of a body, and of one more. updates:
     breaking one of many against one alone. visits: where a query's time goes, and what a visit cannot do without.
-    limits: what the aims against other libraries leave room for, by docs/peers.csv and this machine. round_trips: what
-    ROS adds to an answer; needs ROS 2.
+    limits: what the aims against other libraries leave room for, by docs/peers.csv and this machine. removal: REMOVE
+    after many events. round_trips: what ROS adds to an answer; needs ROS 2.
     """
     from rich.console import Console
 

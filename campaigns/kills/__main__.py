@@ -12,18 +12,22 @@ import numpy as np
 @click.command(context_settings={"show_default": True, "help_option_names": ["-h", "--help"]})
 @click.option("--times", default=200, type=click.IntRange(min=1), help="How often the service is killed.")
 @click.option("--others", default=20, type=click.IntRange(min=1), help="How often the simulator, and a listener.")
+@click.option("--mixed", default=300, type=click.IntRange(min=0), help="SIGKILLs of service and recorder, also both.")
 @click.option("--scene", default="plates", help="Name or file; fractures are part of most.")
 @click.option("--seed", default=1, help="Of the instants.")
 @click.option("--out", default=Path("out/kills"), type=click.Path(path_type=Path), help="Logs and bags.")
-def main(times: int, others: int, scene: str, seed: int, out: Path) -> None:
+def main(times: int, others: int, mixed: int, scene: str, seed: int, out: Path) -> None:
     """SIGKILL to service, simulator and listeners at random instants of a running SCENE, over real DDS.
 
     The service has to come back with the same registry and the same answers, byte for byte, as in a run that nobody
-    disturbed; neither processes nor files in shared memory may be left. Ends with status 1 where that is not so.
+    disturbed; neither processes nor files in shared memory may be left. Service and recorder are also killed while they
+    start, at fractures and both at once; those that do not come back are counted. Ends with status 1 if any of this
+    fails.
     """
     from rich.console import Console
 
     from campaigns.kills import trials
+    from campaigns.kills.mixed import kill_mixed, medians
     from campaigns.kills.stage import litter
     from fracture_collision.cli.console import interrupt_on_signals
 
@@ -36,6 +40,7 @@ def main(times: int, others: int, scene: str, seed: int, out: Path) -> None:
         returns, different, lost = trials.kill_services(out / "services", scene, times, seed, reference, status.update)
         simulators = trials.kill_simulators(out / "simulators", scene, others, seed, reference, status.update)
         listeners = trials.kill_listeners(out / "listeners", scene, others, seed, reference, status.update)
+        both = kill_mixed(out, scene, mixed, seed, status.update) if mixed else None
         faults = list(trials.orders_of_ending(out / "orders", scene, status.update))
         after = litter()
     ready, answered = (np.array([getattr(r, name) for r in returns]) for name in ("ready", "answered"))
@@ -52,9 +57,18 @@ def main(times: int, others: int, scene: str, seed: int, out: Path) -> None:
     console.print(f"SIGINT and SIGTERM in all orders: {len(faults)} faults")
     for fault in faults:
         console.print(f"  {fault}", markup=False)
+    if both is not None:
+        faults += both.faults
+        console.print(f"{both.kills} kills of service and recorder: {len(both.deaf)} deaf, {len(both.faults)} faults")
+        for name, (count, median, worst) in medians(both.returns).items():
+            told = f"{median:.2f} s median, {worst:.2f} s worst"
+            console.print(f"  {name} killed, {count} times, to the first answer: {told}")
+        console.print(f"  from SIGINT to a node's end: {both.longest_end:.2f} s worst")
+        for text in (*both.deaf, *both.faults):
+            console.print(f"  {text}", markup=False)
     files, processes = after.files - before.files, after.processes - before.processes
     console.print(f"left behind: {len(files)} files in shared memory, {len(processes)} processes")
-    if different or simulators or listeners or faults or files or processes:
+    if different or simulators or listeners or faults or files or processes or (both and both.deaf):
         raise SystemExit(1)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +22,13 @@ from fracture_collision.core.moments import (
     surface_moments,
 )
 from fracture_collision.core.occupancy import cells_of_boxes, fill_pyramid, mark_all, mark_cells
+from fracture_collision.core.pool_compaction import (
+    MeshRows,
+    SurfaceMeshRows,
+    bytes_of_fragments,
+    bytes_of_mesh,
+    compact,
+)
 from fracture_collision.core.pool_tables import PoolTables
 from fracture_collision.core.pools import (
     ALTERNATING,
@@ -41,6 +49,9 @@ from fracture_collision.core.surface_rows import SurfaceRows
 from fracture_collision.core.tet_mesh import TetMesh
 from fracture_collision.core.triangle_field import TriangleMesh, append_triangle_mesh, build_triangle_mesh
 from fracture_collision.portable_math import lengths
+
+# [bytes] Less is not worth a compaction.
+LEAST_GARBAGE = 1 << 20
 
 
 class MassProperties(NamedTuple):
@@ -64,18 +75,6 @@ class PreparedSurface(NamedTuple):
     tree: SphereTree
     moments: np.ndarray  # (10,), see moments.py
     sampling_gap: float  # [m]
-
-
-class _MeshRows(NamedTuple):
-    """Where a mesh begins in the pools."""
-
-    index: int
-    node: int
-    tet: int
-    edge: int
-    tree: int
-    cells: np.ndarray
-    prepared: PreparedMesh
 
 
 def prepare_mesh(mesh: TetMesh) -> PreparedMesh:
@@ -111,21 +110,23 @@ class CollisionGeometry:
         self._moments = GrowableArray(10, np.float64)
         self._gaps = GrowableArray(0, np.float64)
         self._scratch = make_cut_scratch()
-        self._meshes: list[_MeshRows] = []
-        self._surfaces: list[tuple[PreparedSurface, int, int]] = []  # with its rows in the pools: mesh, first of tree
+        self._meshes: list[tuple[PreparedMesh, MeshRows]] = []  # by its row in the pools
+        self._surfaces: list[tuple[PreparedSurface, SurfaceMeshRows]] = []
+        self._bodies_of: Counter[int] = Counter()  # id of a preprocess -> bodies that have it
+        self._garbage = 0  # [bytes] of bodies retired since the last compaction
 
     @property
     def pools(self) -> Pools:
         return self._tables.pools
 
-    def sampling_gap(self, row: int) -> float:
-        """[m] no point of the fragment's surface is farther from one of its samples."""
-        return float(self._gaps.view[row])
+    def sampling_gaps(self, rows: np.ndarray) -> np.ndarray:
+        """(n,) [m]: no point of the surfaces of fragments `rows` (n,) is farther from one of their samples."""
+        return self._gaps.view[rows]
 
     def tet_range(self, row: int) -> range:
         """Rows of the mesh of a tetrahedral fragment's body."""
-        rows = self._meshes[self._tables.fragment["mesh"].view[row]]
-        return range(rows.tet, rows.tet + len(rows.prepared.mesh.tetrahedra))
+        prepared, rows = self._meshes[self._tables.fragment["mesh"].view[row]]
+        return range(rows.tet, rows.tet + len(prepared.mesh.tetrahedra))
 
     def rigid_triangles(self, row: int) -> np.ndarray:
         """Corners (t, 3, 3) [m] of a rigid body of triangles."""
@@ -167,6 +168,33 @@ class CollisionGeometry:
             return MassProperties(*box_mass_properties(shape[:3], density))
         return MassProperties(0.0, np.zeros(3), np.zeros(6))
 
+    def retire_body(self, rows: np.ndarray) -> None:
+        """No query will name `rows` (n,) any more, all fragments of one body. Their memory stays until `keep_only`."""
+        kind, index = (int(self._tables.fragment[name].view[rows[0]]) for name in ("kind", "mesh"))
+        shapes = {TETRAHEDRA: self._meshes, TRIANGLES: self._surfaces}.get(kind)
+        prepared = shapes[index][0] if shapes else None
+        self._garbage += bytes_of_fragments(
+            self._tables, rows, self._meshes[index][1] if kind == TETRAHEDRA else None, kind != TRIANGLES
+        )
+        self._bodies_of[id(prepared)] -= 1
+        if prepared is not None and not self._bodies_of[id(prepared)]:
+            self._garbage += bytes_of_mesh(prepared)
+
+    def is_mostly_garbage(self) -> bool:
+        """Whether `keep_only` copies no more than what was retired since the last."""
+        return self._garbage > LEAST_GARBAGE and 2 * self._garbage > self._tables.bytes_used
+
+    def keep_only(self, rows: np.ndarray) -> np.ndarray:
+        """Drop all that fragments `rows` (n,) do not need; returns their rows from now on (n,). Their order stays."""
+        meshes, surfaces = [own for _, own in self._meshes], [own for _, own in self._surfaces]
+        moved, meshes, surfaces = compact(
+            self._tables, (self._moments, self._gaps), np.sort(rows), meshes, surfaces
+        )
+        self._meshes = [(self._meshes[old][0], new) for old, new in meshes]
+        self._surfaces = [(self._surfaces[old][0], new) for old, new in surfaces]
+        self._garbage = 0
+        return moved.position[rows]
+
     def add_plane(self, normal: np.ndarray, offset: float) -> int:
         """Half-space normal . x <= offset; `normal` unit."""
         box = np.array([-np.inf] * 3 + [np.inf] * 3)
@@ -195,6 +223,7 @@ class CollisionGeometry:
     def add_tetrahedra(self, prepared: PreparedMesh) -> int:
         """A whole body; equal `prepared` objects share their pool rows."""
         rows = self._mesh_rows(prepared)
+        self._bodies_of[id(prepared)] += 1
         mesh = prepared.mesh
         row = self._add_row(
             TETRAHEDRA, mesh.box, np.zeros(4), 0.5 * float((mesh.box[3:] - mesh.box[:3]).max()),
@@ -206,16 +235,19 @@ class CollisionGeometry:
 
     def add_triangles(self, prepared: PreparedSurface) -> int:
         """A rigid body; equal `prepared` objects share their pool rows."""
-        known = next((rows for rows in self._surfaces if rows[0] is prepared), None)
-        if known is None:
+        rows = next((rows for known, rows in self._surfaces if known is prepared), None)
+        if rows is None:
             tables = self._tables
-            known = prepared, append_triangle_mesh(tables.triangles, prepared.mesh), tables.append_tree(prepared.tree)
-            self._surfaces.append(known)
-        _, mesh, tree = known
+            rows = SurfaceMeshRows(
+                append_triangle_mesh(tables.triangles, prepared.mesh), tables.append_tree(prepared.tree),
+                len(prepared.tree.size),
+            )  # fmt: skip
+            self._surfaces.append((prepared, rows))
+        self._bodies_of[id(prepared)] += 1
         box = prepared.mesh.node_box[0]
         row = self._add_row(
-            TRIANGLES, box, np.zeros(4), 0.5 * float((box[3:] - box[:3]).max()), tree, tree + len(prepared.tree.size),
-            prepared.sampling_gap, mesh,
+            TRIANGLES, box, np.zeros(4), 0.5 * float((box[3:] - box[:3]).max()), rows.tree, rows.tree + rows.entries,
+            prepared.sampling_gap, rows.index,
         )  # fmt: skip
         self._moments.view[row] = prepared.moments
         return row
@@ -229,8 +261,8 @@ class CollisionGeometry:
         at, ascending; planes (k, 4): unit normal from the edge's first node to its second, offset [m].
         """
         k = int(self._tables.fragment["mesh"].view[row])
-        rows = self._meshes[k]
-        self._own_body_rows(row, rows)
+        prepared, rows = self._meshes[k]
+        self._own_body_rows(row, prepared, rows)
         node_shift = int(self._tables.fragment["node_shift"].view[row])
         tet_shift = int(self._tables.fragment["tet_shift"].view[row])
         edge_shift = int(self._tables.fragment["edge_shift"].view[row])
@@ -243,7 +275,7 @@ class CollisionGeometry:
         self._tables.have_grown()
         pools, end = self.pools, first + count
         labels = pools.body.node_fragment
-        tet_count = len(rows.prepared.mesh.tetrahedra)
+        tet_count = len(prepared.mesh.tetrahedra)
         # node_tets_begin has one row more than nodes in each mesh before this one
         labels[nodes + (rows.node + node_shift)] = first + parts
         touched_tetrahedra.place_crossings(pools.mesh, pools.body, edge_shift, edges + rows.edge, first_plane)
@@ -257,12 +289,12 @@ class CollisionGeometry:
         reaches = boxes[first:end].copy()
         self._rebuild_surfaces(node_shift, tet_shift, edge_shift, touched, first, end, reaches)
         self._mark_cells(row, first, end, reaches)
-        self._give_trees(row, rows, nodes, parts, edges, first, count)
+        self._give_trees(row, prepared.mesh, rows, nodes, parts, edges, first, count)
         self._choose_seeds(row, rows)
         self._tables.have_grown()
         if self._field == AVERAGED:
             update_averaged_field(
-                self.pools, rows.prepared, rows.node, node_shift, edge_shift, touched, first, end, first_plane
+                self.pools, prepared, rows.node, node_shift, edge_shift, touched, first, end, first_plane
             )
         return first
 
@@ -290,9 +322,9 @@ class CollisionGeometry:
         begin += sorted_corners.advance(found)
         self._tables.fragment["corners"].view[first:end] = np.column_stack((begin[:-1], begin[1:]))
 
-    def _give_trees(self, row, rows, nodes, parts, edges, first, count) -> None:
+    def _give_trees(self, row, mesh, rows, nodes, parts, edges, first, count) -> None:
         """Trees of fragments first .. first + count - 1, into which `row` broke."""
-        mesh, edge_shift = rows.prepared.mesh, self._tables.fragment["edge_shift"].view[row]
+        edge_shift = self._tables.fragment["edge_shift"].view[row]
         own = slice(rows.edge + edge_shift, rows.edge + edge_shift + len(mesh.edges))
         share = self.pools.body.edge_share[own]
         part_of_node = np.full(len(mesh.nodes), -1, dtype=np.int32)
@@ -315,7 +347,7 @@ class CollisionGeometry:
         tables, fragment = self._tables, self._tables.fragment
         keys, ranges, edges = choose_seeds(
             self.pools.mesh, self.pools.body, fragment["node_shift"].view[row], fragment["edge_shift"].view[row],
-            rows.edge, rows.edge + len(rows.prepared.mesh.edges), tables.seeds["edges"].used,
+            rows.edge, rows.edge + rows.counts[2], tables.seeds["edges"].used,
         )  # fmt: skip
         begin = tables.seeds["keys"].append(keys)
         tables.seeds["ranges"].append(ranges)
@@ -338,13 +370,13 @@ class CollisionGeometry:
         for row in cells:
             fill_pyramid(row, occupancy)
 
-    def _own_body_rows(self, row: int, rows: _MeshRows) -> None:
+    def _own_body_rows(self, row: int, prepared: PreparedMesh, rows: MeshRows) -> None:
         """A body that breaks for the first time gets labels, cuts and planes of its own."""
         if self._tables.fragment["node_shift"].view[row] != NEVER_BROKEN:
             return
-        mesh = rows.prepared.mesh
+        mesh = prepared.mesh
         if self._field == AVERAGED:
-            interior = self._interior_field(rows)
+            interior = self._interior_field(prepared, rows)
             self._tables.body["node_field"].append(interior.node_field)
         node = self._tables.body["node_fragment"].fill(len(mesh.nodes), row)
         edge = self._tables.body["edge_plane"].fill(len(mesh.edges), -1)
@@ -357,11 +389,11 @@ class CollisionGeometry:
         self._tables.fragment["tet_shift"].view[row] = tet - rows.tet
         self._tables.fragment["edge_shift"].view[row] = edge - rows.edge
 
-    def _interior_field(self, rows: _MeshRows) -> InteriorField:
+    def _interior_field(self, prepared: PreparedMesh, rows: MeshRows) -> InteriorField:
         """The averaged field of the whole body; its grid goes into the pools with the first body of the mesh."""
-        if not rows.prepared.interior:
-            rows.prepared.interior.append(make_interior_field(rows.prepared.mesh))
-        interior = rows.prepared.interior[0]
+        if not prepared.interior:
+            prepared.interior.append(make_interior_field(prepared.mesh))
+        interior = prepared.interior[0]
         if self._tables.mesh["depth_grid_dims"].view[rows.index, 0] == 0:
             self._tables.mesh["depth_grid"].view[rows.index] = np.append(interior.origin, interior.cell)
             first = self._tables.mesh["grid_depth"].append(interior.depth)
@@ -382,10 +414,10 @@ class CollisionGeometry:
         self._tables.have_grown()
         return self._gaps.append(np.array([gap]))
 
-    def _mesh_rows(self, prepared: PreparedMesh) -> _MeshRows:
-        for known in self._meshes:
-            if known.prepared is prepared:
-                return known
+    def _mesh_rows(self, prepared: PreparedMesh) -> MeshRows:
+        for known, rows in self._meshes:
+            if known is prepared:
+                return rows
         mesh, tables = prepared.mesh, self._tables
         index, node, tet, edge = tables.append_mesh(mesh)
         (cells,), words = cells_of_boxes(
@@ -395,7 +427,8 @@ class CollisionGeometry:
         self._tables.have_grown()
         mark_all(self.pools.mesh, index, cells, self._tables.occupancy.view)
         fill_pyramid(cells, self._tables.occupancy.view)
-        rows = _MeshRows(index, node, tet, edge, self._tables.append_tree(prepared.tree), cells, prepared)
-        self._meshes.append(rows)
+        counts = len(mesh.nodes), len(mesh.tetrahedra), len(mesh.edges), len(prepared.tree.size)
+        rows = MeshRows(index, node, tet, edge, self._tables.append_tree(prepared.tree), cells, counts)
+        self._meshes.append((prepared, rows))
         self._tables.have_grown()
         return rows

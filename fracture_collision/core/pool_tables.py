@@ -76,6 +76,12 @@ class PoolTables:
     def have_grown(self) -> None:
         self._pools = None
 
+    @property
+    def bytes_used(self) -> int:
+        pools = (self.mesh, self.body, self.fragment, self.tree, self.triangles, self.seeds)
+        columns = [column for pool in pools for column in pool.values()]
+        return sum(column.used * column.row_bytes for column in (*columns, self.occupancy))
+
     def append_tree(self, tree: SphereTree) -> int:
         """Append a tree, or several one behind the other; returns the row of the first root."""
         count = len(tree.size)

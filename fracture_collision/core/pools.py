@@ -1,8 +1,9 @@
 """The arrays every kernel reads: all meshes, bodies, fragments, polygons and trees, concatenated.
 
 One flat array a quantity, whatever the number of bodies, so that a kernel gets everything in one tuple and equal
-geometries share one preprocess. Rows are only appended; a retired fragment's tree stays as garbage until the world is
-rebuilt. `GrowableArray` owns the memory (pool_tables.py holds one a column), the NamedTuples are views for the kernels.
+geometries share one preprocess. Rows are only appended; a retired fragment's tree stays as garbage until the pools are
+compacted (pool_compaction.py) or the world is rebuilt. `GrowableArray` owns the memory (pool_tables.py holds one a
+column), the NamedTuples are views for the kernels.
 """
 
 from __future__ import annotations
@@ -51,6 +52,20 @@ class GrowableArray:
         """Returns the index of the first."""
         self.used += count
         return self.used - count
+
+    def keep(self, stays: np.ndarray) -> None:
+        """Only the rows where the mask `stays` (used,) is true."""
+        if not stays.all():
+            self.replace(self.view[stays])
+
+    def replace(self, rows: np.ndarray) -> None:
+        """All rows by others; the memory of before is nobody's."""
+        self._buffer = np.ascontiguousarray(rows, dtype=self._buffer.dtype)
+        self.used = len(rows)
+
+    @property
+    def row_bytes(self) -> int:
+        return self._buffer.dtype.itemsize * int(np.prod(self._buffer.shape[1:], dtype=np.int64))
 
     @property
     def view(self) -> np.ndarray:

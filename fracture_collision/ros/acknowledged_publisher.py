@@ -22,14 +22,17 @@ from fracture_collision.ros.message_origin import participant_of
 from fracture_collision.ros.neighbours import Neighbours, is_nameless
 from fracture_collision.ros.qos import Topic
 
-# [s] A subscriber that stalls longer than this (stopped in a debugger, or on another machine that has gone) is left
-# behind rather than holding up the run. Until it has caught up no message waits longer for it, nor for those beside it
-# who cannot be told from it, than twice as long as an acknowledgement takes. One of this machine that was killed holds
-# up nothing (neighbours.py). Shorter leases were tried: with 5 s the living lost sight of each other on a busy machine,
-# and not all found back.
+# [s] A subscriber that stalls longer than this (on another machine that has gone, say) is left behind rather than
+# holding up the run. One of this machine that was killed holds up nothing (neighbours.py). Shorter leases were tried:
+# with 5 s the living lost sight of each other on a busy machine, and not all found back.
 PATIENCE = 2.0
+# [s] Likewise one of a process of this machine that is stopped, by SIGSTOP or a debugger: twice as long as two
+# acknowledgements of those beside it take, who cannot be told from it.
+PATIENCE_WITH_THE_STOPPED = 0.02
+# [s] Since the last message. Until it has caught up that long is left to those beside it; steps that take longer do not
+# wait at all.
 PATIENCE_WITH_THE_SLOW = 0.01
-LOOK_INTERVAL = 0.05  # [s] between two looks at whether somebody has died
+LOOK_INTERVAL = 0.05  # [s] between two looks at whether somebody has died or is stopped
 
 
 class AcknowledgedPublisher:
@@ -47,6 +50,7 @@ class AcknowledgedPublisher:
         self._publisher = node.create_publisher(topic.message_class, topic.name, topic.qos)
         self._subscribers: int | None = None  # when it was last asked who they are; None: not all had a name then
         self._known_listeners: frozenset[bytes] = frozenset()
+        self._published_at = 0.0  # [s] of time.monotonic(): the last message
         self.overtaken = 0  # messages that the next one followed before all had acknowledged them
 
     @property
@@ -65,18 +69,25 @@ class AcknowledgedPublisher:
     def publish(self, message: Any) -> None:
         self.settle()
         self._publisher.publish(message)
+        self._published_at = time.monotonic()
 
     def publish_again(self, message: Any) -> None:
         """The last message once more, for somebody who was not there: nothing is overwritten that was not the same."""
         self._publisher.publish(message)
 
     def flush(self) -> bool:
-        """Waits until everybody has the last message; needed before the publisher goes. False: not all, in time."""
+        """Waits until everybody has the last message; needed before the publisher goes. False: not all, in time.
+
+        The wait is at most PATIENCE, once; LOOK_INTERVAL where the one that lags behind is stopped; and until it has
+        caught up, no longer than to PATIENCE_WITH_THE_SLOW after the last message.
+        """
         slow, name, listeners = self._neighbours.slow, self._topic.name, self._listeners()
         are_slow = any(not listeners.isdisjoint(some) for some in slow.values())
-        deadline = time.monotonic() + (PATIENCE_WITH_THE_SLOW if are_slow else PATIENCE)
-        while not self._publisher.wait_for_all_acked(Duration(seconds=min(LOOK_INTERVAL, _left(deadline)))):
-            if _left(deadline) == 0.0:
+        began = time.monotonic()
+        deadline = self._published_at + PATIENCE_WITH_THE_SLOW if are_slow else began + PATIENCE
+        pause = PATIENCE_WITH_THE_STOPPED if self._neighbours.are_some_stopped(listeners) else LOOK_INTERVAL
+        while not self._publisher.wait_for_all_acked(Duration(seconds=min(pause, _left(deadline)))):
+            if _left(deadline) == 0.0 or self._neighbours.are_some_stopped(listeners):
                 break
             self._neighbours.look()
         else:

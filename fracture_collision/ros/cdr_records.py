@@ -11,7 +11,10 @@ from functools import cache
 from typing import Any, NamedTuple
 
 from fracture_collision.cdr import Codec, Heading, Layout, Received
+from fracture_collision.msg import FractureEvent
 from fracture_collision.ros.conversion import message_class_of, record_class_of
+
+_LEADING_BYTES = 4096  # of an event: header with the name of a frame, run_id and sequence
 
 
 def serialize_record(record: NamedTuple, heading: Heading, run_id: int) -> bytes:
@@ -24,6 +27,23 @@ def serialize_record(record: NamedTuple, heading: Heading, run_id: int) -> bytes
 def deserialize_record(data: bytes, message_class: Any) -> Received:
     """The record, heading and run of a serialized message, of any of msg/. Raises as Codec.read does."""
     return _codec(message_class).read(data)
+
+
+class EventPlace(NamedTuple):
+    """The first fields of a FractureEvent, without header and run_id."""
+
+    sequence: int
+
+
+def place_of_event(data: bytes) -> Received | None:
+    """Of a serialized FractureEvent that is too long or damaged farther on: its run and an EventPlace, if these can be
+    read.
+    """
+    codec = Codec(EventPlace, layout_of(FractureEvent)[:3], lambda kind: layout_of(nested_class(kind)))
+    try:
+        return codec.read(data[:_LEADING_BYTES])
+    except ValueError:
+        return None
 
 
 def layout_of(message_class: Any) -> Layout:

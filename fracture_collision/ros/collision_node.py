@@ -32,7 +32,7 @@ from fracture_collision.world import InvalidMessage, Settings
 from fracture_collision.world.warm_up import cache_is_cold, compile_kernels
 
 # [s] States were held for so long: bodies and events are asked for again. They are latched, and come by themselves; but
-# discovery now and then leaves a reader out that came while others were killed.
+# discovery now and then leaves a reader out that came while others were killed. After the last pause again and again.
 LOG_PAUSES = (2, 4, 8, 16, 32, 64, 128)
 
 
@@ -66,6 +66,7 @@ class CollisionNode(Node):
             },
             self._note,
             self._forget_run,
+            self._on_unreadable_event,
         )
         self._answers = Answers(self, self._neighbours)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
@@ -116,15 +117,29 @@ class CollisionNode(Node):
             self._start_run(message.run_id)
         self._note(*self._run.add_body(message.record))
         self._answers.add_body(self._run, message.record)
-        self._answer_held()
+        self._go_on(self._run)
 
     def _on_fracture(self, message: Received) -> None:
-        run = self._run
-        if run is None or message.run_id != run.run_id:
-            if self._next_run is None or message.run_id != self._next_run.run_id:
-                self._next_run = CollisionRun(message.run_id, self._settings)
-            run = self._next_run
+        run = self._run_of_event(message.run_id)
         self._note(*run.add_fracture(message.record))
+        self._go_on(run)
+
+    def _on_unreadable_event(self, run_id: int, sequence: int, reason: str) -> None:
+        run = self._run_of_event(run_id)
+        run.reject_fracture(sequence, reason)
+        self._go_on(run)
+
+    def _run_of_event(self, run_id: int) -> CollisionRun:
+        if self._run is not None and run_id == self._run.run_id:
+            return self._run
+        if self._next_run is None or run_id != self._next_run.run_id:
+            self._next_run = CollisionRun(run_id, self._settings)
+        return self._next_run
+
+    def _go_on(self, run: CollisionRun) -> None:
+        """Something has come."""
+        if run.wants_log():
+            self._incoming.ask_for_log()
         self._answer_held()
 
     def _on_states(self, message: Received) -> None:
@@ -160,6 +175,8 @@ class CollisionNode(Node):
             for name, value in settings._asdict().items()
             if value != getattr(former, name)
         ]
+        if any(run is not None and run.rejected_event for run in (self._run, self._next_run)):
+            self._incoming.ask_for_log()  # it may have been a limit that rejected it
         self._settings_since = self._answers.last
         self.get_logger().info(f"settings changed after {self._answers.last}: {', '.join(changes)}")
         self._publish_diagnostics()
@@ -187,11 +204,20 @@ class CollisionNode(Node):
 
     def _every_second(self) -> None:
         self._seconds_held = self._seconds_held + 1 if self._held is not None else 0
-        if self._seconds_held in LOG_PAUSES:
-            self.get_logger().warning("states are held: what they speak of has not all come; asking for it again")
+        if is_time_for_log(self._seconds_held):
+            self.get_logger().warning(f"{self._said_of_held()}; asking for bodies and events again")
             self._incoming.ask_for_log()
         self._incoming.look_around()
         self._publish_diagnostics()
+
+    def _said_of_held(self) -> str:
+        """Of states that are held, what they wait for."""
+        _, run_id, states = self._held
+        if self._run is None or self._run.run_id != run_id:
+            reason = "no body of this run has arrived"
+        else:
+            reason = self._run.what_states_wait_for()
+        return f"states of run {run_id}, step {states.step}, are held: {reason}"
 
     def _publish_diagnostics(self) -> None:
         run, incoming = self._run, self._incoming
@@ -202,7 +228,7 @@ class CollisionNode(Node):
             "slow subscribers": self._neighbours.said_of_the_slow(),
             "messages overtaken before all had them": self._answers.overtaken,
             "states dropped for newer ones": incoming.dropped_states + self._replaced_states,
-            "events held for a body": sum(one.held_event_count for one in (run, self._next_run) if one is not None),
+            "events held": sum(one.held_event_count for one in (run, self._next_run) if one is not None),
         }
         if run is not None:
             values |= {
@@ -213,13 +239,13 @@ class CollisionNode(Node):
         message = self._phase
         if self._neighbours.slow:
             message += "; some subscribers are slow and may miss messages"
+        rejected = run.rejected_event if run is not None else ""
+        if rejected:
+            message = rejected
         if self._held is not None:
-            _, run_id, states = self._held
-            message = (
-                f"states of run {run_id}, step {states.step}, are held: their bodies, or the events up to"
-                f" {states.fracture_sequence}, have not all arrived"
-            )
-        level = DiagnosticStatus.WARN if self._held is not None or self._neighbours.slow else DiagnosticStatus.OK
+            message = self._said_of_held()
+        is_fine = self._held is None and not self._neighbours.slow and not rejected
+        level = DiagnosticStatus.OK if is_fine else DiagnosticStatus.WARN
         self._diagnostics.publish(
             diagnostic_array(
                 self,
@@ -228,6 +254,11 @@ class CollisionNode(Node):
                 settings_status(self._settings, self._settings_since),
             )
         )
+
+
+def is_time_for_log(seconds_held: int) -> bool:
+    """Whether bodies and events are asked for again, after states were held for so long."""
+    return seconds_held in LOG_PAUSES or (seconds_held > LOG_PAUSES[-1] and seconds_held % LOG_PAUSES[-1] == 0)
 
 
 def _work(node: CollisionNode) -> None:

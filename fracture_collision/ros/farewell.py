@@ -30,7 +30,7 @@ def say_farewell_of(participant: bytes, domain_id: int) -> None:
     """`participant`: the 12 bytes that its GUID begins with. Takes effect a moment later, in threads of DDS."""
     datagram = farewell(participant)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as speaker:
-        for address in _own_metatraffic(domain_id):
+        for address in own_metatraffic(domain_id):
             speaker.sendto(datagram, address)
 
 
@@ -48,7 +48,7 @@ def participants_here(domain_id: int) -> int:
     return len({port for _, port, _ in _metatraffic(domain_id)})
 
 
-def _own_metatraffic(domain_id: int) -> list[tuple[str, int]]:
+def own_metatraffic(domain_id: int) -> list[tuple[str, int]]:
     """Where participants of this process hear of others."""
     inodes = set()
     for file in Path("/proc/self/fd").iterdir():

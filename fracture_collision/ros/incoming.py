@@ -10,7 +10,7 @@ from rclpy.subscription import Subscription
 
 from fracture_collision.cdr import Received
 from fracture_collision.ros import qos
-from fracture_collision.ros.cdr_records import deserialize_record
+from fracture_collision.ros.cdr_records import deserialize_record, place_of_event
 from fracture_collision.ros.collision_run import Refusal
 from fracture_collision.ros.message_origin import Origin, participant_of
 from fracture_collision.ros.neighbours import Neighbours
@@ -35,9 +35,10 @@ class Incoming:
         handlers: Mapping[str, Callable[[Received], None]],
         refuse: Callable[[Refusal], None],
         begin_anew: Callable[[], None],
+        reject_event: Callable[[int, int, str], None],
     ) -> None:
         """`largest_message`: [bytes]. `handlers`: by the topic's name. `begin_anew`: what is known of earlier runs
-        shall be forgotten.
+        shall be forgotten. `reject_event`: of this run, this sequence cannot be read, for this reason.
         """
         self._node = node
         self._neighbours = neighbours
@@ -45,6 +46,7 @@ class Incoming:
         self._handlers = handlers
         self._refuse = refuse
         self._begin_anew = begin_anew
+        self._reject_event = reject_event
         self._guard = RunGuard()
         self._run_id: int | None = None  # of the last message that was let through
         self._subscriptions: dict[str, Subscription] = {}
@@ -106,14 +108,21 @@ class Incoming:
         limit = self._largest_message()
         if len(data) > limit:
             reason = f"{len(data)} bytes, more than the parameter max_message_bytes, {limit}"
-            self._refuse(Refusal(topic.name, "limit_exceeded", reason))
+            self._refuse_unread(topic, data, origin, "limit_exceeded", reason)
             return
         try:
             received = deserialize_record(data, topic.message_class)
         except ValueError as error:
-            self._refuse(Refusal(topic.name, "malformed", str(error)))
+            self._refuse_unread(topic, data, origin, "malformed", str(error))
             return
         self._let_through(topic, origin, received)
+
+    def _refuse_unread(self, topic: qos.Topic, data: bytes, origin: Origin, kind: str, reason: str) -> None:
+        """The events behind one that cannot be read, and the states that need it, shall know of it."""
+        self._refuse(Refusal(topic.name, kind, reason))
+        place = place_of_event(data) if topic is qos.FRACTURE_EVENTS else None
+        if place is not None and self._is_followed(topic, origin.participant, place.run_id):
+            self._reject_event(place.run_id, place.record.sequence, reason)
 
     def _let_through(self, topic: qos.Topic, origin: Origin, received: Received) -> None:
         if not self._is_followed(topic, origin.participant, received.run_id):

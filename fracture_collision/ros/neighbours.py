@@ -94,6 +94,11 @@ class Neighbours:
         state = ", stopped" if process is not None and is_stopped(process) else ""
         return f"{self._names.get(participant, 'a node')} [{participant[4:].hex()}]{state}"
 
+    def are_some_stopped(self, participants: Iterable[bytes]) -> bool:
+        """Of processes of this machine that are known."""
+        processes = (self._processes.get(participant) for participant in participants)
+        return any(process is not None and is_stopped(process) for process in processes)
+
     def names(self, participants: Iterable[bytes]) -> str:
         return ", ".join(sorted(map(self.name, participants))) or "nobody"
 

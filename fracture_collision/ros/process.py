@@ -7,25 +7,36 @@ So a handler that raises nothing stands there instead, and nodes end where they 
 
 from __future__ import annotations
 
+import faulthandler
 import inspect
 import os
 import signal
+import socket
 import sys
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 
 import rclpy
+from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.executors import ExternalShutdownException
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 
+from fracture_collision.ros.own_ports import fault_of_own_ports
 from fracture_collision.ros.parameters import warn_of_unknown
 from fracture_collision.ros.shared_memory import remove_left_behind
 from fracture_collision.ros.successor_ports import ports_of_the_dead_held
-from fracture_collision.ros.this_machine import keep_to_this_machine
+from fracture_collision.ros.this_machine import has_known_transports, keep_to_this_machine
+
+# [s] From SIGINT or SIGTERM, or from where the node's work is over, to the end of its process, whatever DDS does.
+LONGEST_END = 10.0
+PORTS_INTERVAL = 1.0  # [s] between two looks at the node's ports
+# Looks in a row that find a fault: Fast DDS itself opens a port anew now and then.
+FAULTY_LOOKS = 3
 
 
 class Fatal(RuntimeError):
@@ -70,17 +81,63 @@ def _help(make_node: Callable[[], Node]) -> str:
     return "\n\n".join(lines)
 
 
+def _end_in_time() -> None:
+    """The process ends with status 1 in LONGEST_END if it has not ended before, and says where each thread was. Takes
+    no part of Python to happen: a call into DDS may not come back.
+    """
+    faulthandler.dump_traceback_later(LONGEST_END, exit=True)
+
+
+def _watch_signals() -> None:
+    """Calls `_end_in_time` on SIGINT and SIGTERM, also while the main thread is in a call that does not come back: then
+    Python's own handlers are not called.
+    """
+    heard, told = socket.socketpair()
+    told.setblocking(False)
+    signal.set_wakeup_fd(told.fileno(), warn_on_full_buffer=False)
+
+    def watch() -> None:
+        with told:  # which has to live as long
+            while not set(heard.recv(64)) & {signal.SIGINT, signal.SIGTERM}:
+                pass
+            _end_in_time()
+            threading.Event().wait()
+
+    threading.Thread(target=watch, daemon=True, name="signals").start()
+
+
+def _watch_ports(node: Node) -> None:
+    """Raises Fatal where the node's ports do not work; later, while it spins, from one of its timers."""
+    if not has_known_transports(os.environ):
+        return
+    domain_id = node.context.get_domain_id()
+    if fault := fault_of_own_ports(domain_id):
+        raise Fatal(f"it would receive nothing: {fault}")
+    faults = 0
+
+    def look() -> None:
+        nonlocal faults
+        fault = fault_of_own_ports(domain_id)
+        faults = faults + 1 if fault else 0
+        if faults >= FAULTY_LOOKS:
+            raise Fatal(f"it receives nothing any more: {fault}")
+
+    node.create_timer(PORTS_INTERVAL, look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+
 def run_node(make_node: Callable[[], Node], work: Callable[[Node], None]) -> int:
     """Runs `work` on the node that the class `make_node` makes; returns the process's exit status. Where the arguments
     ask for help it prints the docstrings of module and class, and makes none.
 
-    SIGINT and SIGTERM end it cleanly, with status 0: that is how nodes are told to go.
+    SIGINT and SIGTERM end it cleanly, with status 0: that is how nodes are told to go. A process that has not ended
+    LONGEST_END later ends with status 1, as does one whose ports do not work.
     """
     if _asks_for_help(sys.argv[1:]):
         print(_help(make_node))
         return 0
     for order in (signal.SIGINT, signal.SIGTERM):
         signal.signal(order, _on_signal)
+    _watch_signals()
     remove_left_behind()  # of one that was killed, and that this one perhaps takes the place of
     keep_to_this_machine(os.environ)
     rclpy.init()
@@ -88,6 +145,7 @@ def run_node(make_node: Callable[[], Node], work: Callable[[Node], None]) -> int
     try:
         with ports_of_the_dead_held(rclpy.get_default_context().get_domain_id()):
             node = make_node()
+        _watch_ports(node)
         warn_of_unknown(node)
         work(node)
         return 0
@@ -101,6 +159,7 @@ def run_node(make_node: Callable[[], Node], work: Callable[[Node], None]) -> int
         print(f"{node.get_name() if node else 'node'}: {error}", file=sys.stderr)
         return 1
     finally:
+        _end_in_time()
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()

@@ -4,60 +4,109 @@ A participant has a segment, and ports that it listens at, as files with a lock 
 Who is killed cannot remove them; and a port whose other users outlive it stays even where nobody was killed. Fast DDS
 sweeps up only when told to (`fastdds shm clean`, which knows the files with a lock), and whoever runs a service for
 weeks would have to know of that.
+
+A segment's name is random and used once. A port's is its number: whoever starts next opens the same files, and what is
+removed under it leaves it deaf. Fast DDS opens ports under a mutex of theirs, a POSIX semaphore, which is taken here
+too; so no port is opened while it is judged and removed. The mutex itself (32 bytes) stays: who waits for one that is
+removed is not kept from who makes the next.
 """
 
 from __future__ import annotations
 
+import ctypes
 import fcntl
+import mmap
 import os
 import re
 import time
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 FOLDER = Path("/dev/shm")
 # A file that is younger may be one whose maker has not locked it yet.
 YOUNG = 1.0  # [s]
 
-_FILE = re.compile(r"(?:sem\.)?(fastrtps_(?:[0-9a-f]{16}|port\d+))(?:_[es]l|_mutex)?")
+_FILE = re.compile(r"(fastrtps_(?:[0-9a-f]{16}|port\d+))(?:_[es]l)?")
 _LOCKS = ("_el", "_sl")  # of who listens at a port alone, and with others
 _PORT = "fastrtps_port"
+_LIBC = ctypes.CDLL(None, use_errno=True)
 
 
 def remove_left_behind(folder: Path = FOLDER) -> int:
-    """Removes what `left_behind` finds; returns how many files. What the system does not let us remove stays."""
-    removed = 0
-    for file in sorted(left_behind(folder)):
-        try:
-            file.unlink(missing_ok=True)
-        except OSError:
-            continue
-        removed += 1
-    return removed
+    """Removes what nobody uses; returns how many files. What the system does not let us remove stays."""
+    return sum(_remove(folder, name) for name in sorted(_unused(folder)))
 
 
 def left_behind(folder: Path = FOLDER) -> set[Path]:
-    """Files of our own, of segments and ports, that no process of ours has mapped and whose lock nobody holds.
+    """Files of our own, of segments and ports, that no process of ours has mapped and no process that we can see has
+    locked.
 
     As long as somebody has a dead one's port mapped it must stay: Fast DDS tells by it that the port is dead, and sends
     to the next one of that number.
     """
-    groups = _groups(folder)
+    return {file for files in _unused(folder).values() for file in files}
+
+
+def _unused(folder: Path) -> dict[str, list[Path]]:
+    """Segments and ports by name. Tries no lock: to try one is to hold it for a moment, in which others fail."""
     locked = _locked_inodes()
-    suspects = {name: files for name, files in groups.items() if _seems_unused(files, locked)}
+    suspects = {name: files for name, files in _groups(folder).items() if _seems_unused(files, locked)}
     if suspects:
         for mapped in _mapped(folder):
             if (name := _FILE.fullmatch(mapped)) is not None:
                 suspects.pop(name[1], None)
-    # At last, as to try a lock is to hold it for a moment: a participant that opens the file then would fail, and be
-    # deaf. Who takes the port of one that was killed opens it while others have it mapped still.
-    return {
-        file
-        for files in suspects.values()
-        if not any(_is_held(each) for each in files if each.name.endswith(_LOCKS))
-        for file in files
-    }
+    return suspects
+
+
+def _remove(folder: Path, name: str) -> int:
+    """Removes a segment or port if it is still unused, while nobody can open it; returns how many files."""
+    if not name.startswith(_PORT):
+        return _remove_unlocked(folder, name)
+    with _port_mutex(folder, name) as is_ours:
+        # another may have opened it since it was judged
+        return _remove_unlocked(folder, name) if is_ours and name in _unused(folder) else 0
+
+
+def _remove_unlocked(folder: Path, name: str) -> int:
+    """Holds its locks meanwhile. They may be held by a process that we cannot see, of another container."""
+    removed, held = 0, []
+    try:
+        for lock in (folder / f"{name}{ending}" for ending in _LOCKS):
+            with suppress(FileNotFoundError):
+                held.append(lock.open("rb"))
+                fcntl.flock(held[-1], fcntl.LOCK_EX | fcntl.LOCK_NB)
+        for ending in ("", *_LOCKS):
+            with suppress(FileNotFoundError):
+                (folder / f"{name}{ending}").unlink()
+                removed += 1
+    except OSError:
+        pass  # it is held, or not ours
+    finally:
+        for file in held:
+            file.close()
+    return removed
+
+
+@contextmanager
+def _port_mutex(folder: Path, name: str) -> Iterator[bool]:
+    """Holds the mutex under which Fast DDS opens a port; yields whether: not where another has it, or it is not there.
+    """
+    try:
+        with (folder / f"sem.{name}_mutex").open("r+b") as file:
+            memory = mmap.mmap(file.fileno(), 0)
+    except (OSError, ValueError):
+        yield False
+        return
+    semaphore = ctypes.c_char.from_buffer(memory)
+    is_ours = _LIBC.sem_trywait(ctypes.byref(semaphore)) == 0
+    try:
+        yield is_ours
+    finally:
+        if is_ours:
+            _LIBC.sem_post(ctypes.byref(semaphore))
+        del semaphore
+        memory.close()
 
 
 def dead_ports(folder: Path = FOLDER) -> list[int]:
@@ -98,16 +147,6 @@ def _locked_inodes() -> set[int]:
     except OSError:
         return set()
     return {int(field.rpartition(":")[2]) for line in lines for field in line.split() if field.count(":") == 2}
-
-
-def _is_held(lock: Path) -> bool:
-    """Also by a process that we cannot see, of another container."""
-    try:
-        with lock.open("rb") as file:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:  # it is held, or has gone in the meantime
-        return True
-    return False
 
 
 def _mapped(folder: Path) -> Iterator[str]:

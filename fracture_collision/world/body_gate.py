@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -72,20 +72,29 @@ class BodyFields(NamedTuple):
 
 
 class MeshStore:
-    """Prepared meshes by content, so that equal geometries are prepared once in a run."""
+    """Prepared meshes by content, so that equal geometries are prepared once in a run. Counts the bodies of each."""
 
     def __init__(self) -> None:
         self._known: dict[bytes, PreparedMesh | PreparedSurface] = {}
+        self._uses: dict[int, tuple[bytes, int]] = {}  # id of a prepared mesh -> its key, how many bodies have it
 
     def prepared(self, key: bytes, prepare: Callable[[], PreparedMesh | PreparedSurface]):
+        """For one more body."""
         if key not in self._known:
             self._known[key] = prepare()
-        return self._known[key]
+        shape = self._known[key]
+        self._uses[id(shape)] = key, self._uses.get(id(shape), (key, 0))[1] + 1
+        return shape
 
-    def keep_only(self, bodies: Iterable[CheckedBody]) -> None:
-        """Forget what none of `bodies` uses."""
-        used = {id(shape) for body in bodies for shape in (body.mesh, body.surface)}
-        self._known = {key: shape for key, shape in self._known.items() if id(shape) in used}
+    def release(self, shape: PreparedMesh | PreparedSurface | None) -> None:
+        """A body of it is gone; the last one takes it along."""
+        if shape is None:
+            return
+        key, uses = self._uses.pop(id(shape))
+        if uses > 1:
+            self._uses[id(shape)] = key, uses - 1
+        else:
+            del self._known[key]
 
 
 def read_body(body: CollisionBody) -> BodyFields:

@@ -25,7 +25,7 @@ from fracture_collision.records import (
 )
 from fracture_collision.world.checks import identifier, refuse
 from fracture_collision.world.contact_ids import contact_ids
-from fracture_collision.world.errors import StatesAhead
+from fracture_collision.world.errors import Rejection, StatesAhead
 from fracture_collision.world.fragment_mesh import fragment_mesh
 from fracture_collision.world.ledger import Ledger
 from fracture_collision.world.registry import Registry
@@ -57,11 +57,11 @@ class CollisionWorld:
         check_settings(self.settings)
         self._ledger = Ledger(self.settings)
         self._registry = Registry(self.settings)
-        self._built_for = 0, geometry_settings(self.settings)
+        self._built_for = geometry_settings(self.settings)
         self._crew = _crew_of(self.settings)
         self._scratch: Scratch | None = None
         # of the last answer, with what they hold for; they make the next one quicker, never different
-        self._lists, self._lists_of = NO_LISTS, (self._registry, self.settings.detection_tolerance)
+        self._lists, self._lists_of = NO_LISTS, self._what_lists_hold_for()
         self.last_timings: dict[str, float] = {"update": 0.0, "broad_phase": 0.0, "narrow_phase": 0.0}  # [s]
         self.last_visits = 0  # tree nodes tested by the last answer
         self.last_pairs = 0  # of fragments, that its broad phase found
@@ -71,6 +71,19 @@ class CollisionWorld:
 
     def add_fracture(self, event: FractureEvent) -> None:
         self._ledger.add_fracture(event)
+
+    @property
+    def rejected_event(self) -> Rejection | None:
+        """Of the event that is due: it was refused, and states that need it are until a corrected one is accepted."""
+        return self._ledger.rejected
+
+    def reject_fracture(self, sequence: int, reason: str) -> None:
+        """Event `sequence` arrived as something that cannot be read; without effect where it is not due."""
+        self._ledger.reject(sequence, reason)
+
+    def lacks(self, ahead: StatesAhead) -> bool:
+        """Whether states that raised `ahead` would raise it again. Amortized O(1) per missing fragment."""
+        return self._ledger.lacks(ahead)
 
     def change_settings(self, settings: Settings) -> None:
         """From now on as if the world had been made with `settings`: what is known stays, and the answers are those of
@@ -89,7 +102,8 @@ class CollisionWorld:
     def contacts(self, states: FragmentStates) -> ContactConstraintArray:
         """All contacts of the fragments that `states` names, and of the static ones, at its registry.
 
-        Raises StatesAhead for states of an event or a body that has not arrived yet.
+        Raises StatesAhead for states of an event or a body that has not arrived yet, and InvalidMessage with its reason
+        for those of an event that was rejected (`rejected_event`).
         """
         started = perf_counter()
         checked, moving = self._bring_to(states)
@@ -106,7 +120,7 @@ class CollisionWorld:
             boxes, pools.fragment.kind[rows], pools.fragment.shape[rows], rotations, positions, here.is_static
         )
         paired = perf_counter()
-        holds_for = self._registry, self.settings.detection_tolerance
+        holds_for = self._what_lists_hold_for()
         if self._lists_of != holds_for:
             self._lists, self._lists_of = NO_LISTS, holds_for
         budget = max(self.settings.visit_budget // len(pairs), 1) if self.settings.visit_budget and len(pairs) else 0
@@ -148,39 +162,46 @@ class CollisionWorld:
     def _bring_to(self, states: FragmentStates) -> tuple[CheckedStates, np.ndarray]:
         """The states checked, the registry brought to theirs; and which of its living fragments they name."""
         checked = check_states(states)
-        if checked.fracture_sequence > len(self._ledger.events):
-            raise StatesAhead(
-                "sequence_gap",
-                f"fracture_sequence: {checked.fracture_sequence}, but only {len(self._ledger.events)} events are known",
-            )
+        self._ledger.require_events(checked.fracture_sequence)
         if checked.fracture_sequence != self._registry.sequence:
             # what is refused must not move the registry
             self._ledger.require_living(checked.fragment_ids, checked.fracture_sequence)
         self._advance(checked.fracture_sequence)
-        return checked, self._find(checked, self._registry.lookup()[0])
+        return checked, self._find(checked, self._registry.living().ids)
 
     def _place(self, checked: CheckedStates, moving: np.ndarray) -> Present:
-        ids, rows, is_static, friction, restitution = self._registry.lookup()
+        living = self._registry.living()
+        ids, is_static = living.ids, living.is_static
         taking_part = is_static.copy()
         taking_part[moving] = True
         chosen = np.flatnonzero(taking_part)
         positions, orientations = np.zeros((len(ids), 3)), np.tile(np.array([0.0, 0.0, 0.0, 1.0]), (len(ids), 1))
         positions[moving], orientations[moving] = checked.positions, checked.orientations
         return Present(
-            ids[chosen], rows[chosen], positions[chosen], rotation_matrices(orientations[chosen]), is_static[chosen],
-            friction[chosen], restitution[chosen],
+            ids[chosen], living.rows[chosen], positions[chosen], rotation_matrices(orientations[chosen]),
+            is_static[chosen], living.friction[chosen], living.restitution[chosen],
         )  # fmt: skip
 
     def _advance(self, sequence: int) -> None:
-        """Bring the registry to `sequence` events, from the log's beginning if it has gone farther."""
-        built_for = self._ledger.removals, geometry_settings(self.settings)
+        """Bring the registry to `sequence` events, from the log's beginning if it has gone farther, and to the bodies
+        that are there now: removing one replays nothing.
+        """
+        built_for = geometry_settings(self.settings)
+        gone, added = self._ledger.take_changes()
         if sequence < self._registry.sequence or self._built_for != built_for:
-            self._registry, self._built_for = Registry(self.settings), built_for
-        for body_id, body in self._ledger.bodies.items():
-            if not self._registry.has_body(body_id):
-                self._registry.add_body(body)
+            self._registry = Registry(self.settings)
+            gone, added = [], list(self._ledger.bodies.values())
+        self._built_for = None  # what fails half-way is rebuilt
+        for body_id in gone:
+            self._registry.remove_body(body_id)
+        for body in added:
+            self._registry.add_body(body)
         while self._registry.sequence < sequence:
             self._registry.apply(self._ledger.events[self._registry.sequence])
+        self._built_for = built_for
+
+    def _what_lists_hold_for(self) -> tuple[Registry, int, float]:
+        return self._registry, self._registry.renumbered, self.settings.detection_tolerance
 
     def _find(self, states: CheckedStates, ids: np.ndarray) -> np.ndarray:
         """Indices into `ids` of the fragments that the states name."""

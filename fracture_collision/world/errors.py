@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 
 class InvalidMessage(ValueError):
     """A message breaks a rule of the protocol; it was refused whole and changed nothing.
@@ -16,4 +18,26 @@ class InvalidMessage(ValueError):
 
 
 class StatesAhead(InvalidMessage):
-    """States that speak of an event or a body that has not arrived yet: to be held, not dropped."""
+    """States that speak of an event or a body that has not arrived yet: to be held, not dropped.
+
+    `fracture_sequence`: how many events they need. `fragment_ids`: those of theirs that no known body or event has
+    made, ascending; not listed while events are missing.
+    """
+
+    def __init__(self, kind: str, text: str, fracture_sequence: int, fragment_ids: list[int] | None = None) -> None:
+        super().__init__(kind, text)
+        self.fracture_sequence = fracture_sequence
+        self.fragment_ids = fragment_ids or []
+
+
+class Rejection(NamedTuple):
+    """The next fracture event arrived and was refused; another of the same sequence is accepted at any time."""
+
+    sequence: int
+    reason: str
+
+    def __str__(self) -> str:
+        return (
+            f"event {self.sequence} was rejected: {self.reason}; a corrected event with sequence {self.sequence} is"
+            " awaited"
+        )

@@ -122,6 +122,12 @@ def fracture_of_removed_body(fields: FractureFields) -> CheckedFracture:
     )
 
 
+def without_content(event: CheckedFracture) -> CheckedFracture:
+    """Likewise of an event that was accepted before its body was removed."""
+    none = np.zeros(0, np.int32)
+    return event._replace(nodes=none, parts=none, edges=none, planes=np.zeros((0, 4)))
+
+
 def _labels(fields: FractureFields, mesh: TetMesh, node_fragment: np.ndarray) -> np.ndarray:
     """The part of each mesh node (n,) int32, -1: of another fragment."""
     nodes = indices("nodes", fields.nodes, 0, len(mesh.nodes), "mesh nodes")

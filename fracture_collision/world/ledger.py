@@ -1,6 +1,7 @@
 """The log of one run, checked at the gate: bodies, events, and who owns which node after the last event.
 
-What is in the ledger is true and applies cleanly; the registry (registry.py) replays any prefix of it.
+What is in the ledger is true and applies cleanly; the registry (registry.py) replays any prefix of it. The ledger also
+keeps why the next event was refused, as no later one can be applied before a corrected one has arrived.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from fracture_collision.core.collision_geometry import CollisionGeometry
 from fracture_collision.records import ADD, REMOVE, CollisionBody, FractureEvent
 from fracture_collision.world.body_gate import CheckedBody, MeshStore, check_body, read_body
 from fracture_collision.world.checks import identifier, refuse
-from fracture_collision.world.errors import StatesAhead
+from fracture_collision.world.errors import InvalidMessage, Rejection, StatesAhead
 from fracture_collision.world.fracture_gate import (
     CheckedFracture,
     apply_fracture,
@@ -19,6 +20,7 @@ from fracture_collision.world.fracture_gate import (
     fracture_of_removed_body,
     read_fracture,
     refuse_without_volume,
+    without_content,
 )
 from fracture_collision.world.settings import Settings
 
@@ -40,7 +42,10 @@ class Ledger:
         self._broke: dict[int, int] = {}  # fragment id -> sequence of the event that retired it
         self.bodies: dict[int, CheckedBody] = {}
         self.events: list[CheckedFracture] = []
-        self.removals = 0
+        self._events_of: dict[int, list[int]] = {}  # body id -> indices of its events
+        self.rejected: Rejection | None = None  # why the event that is due was refused, until it is accepted
+        self._added: dict[int, CheckedBody] = {}  # bodies that came since the last `take_changes`
+        self._gone: list[int] = []  # ids of bodies that were removed since, and were there before
 
     def change_limits(self, settings: Settings) -> None:
         """Limits of what comes from now on; what is there already stays."""
@@ -66,7 +71,7 @@ class Ledger:
             refuse("limit_exceeded", f"body_id: the limit of {self._settings.max_bodies} bodies is reached")
         self._check_new_fragments("fragment_id", [fields.fragment_id])
         checked = check_body(fields, self._store, self._room_for_nodes)
-        self.bodies[checked.body_id] = checked
+        self.bodies[checked.body_id] = self._added[checked.body_id] = checked
         self._owner[checked.fragment_id] = checked.body_id
         self._born[checked.fragment_id] = 0
         self._nodes[checked.body_id] = len(fields.vertices)
@@ -75,7 +80,26 @@ class Ledger:
             self._labels[checked.body_id] = np.full(len(fields.vertices), checked.fragment_id, dtype=np.int64)
             self._pinched[checked.body_id] = np.zeros(len(fields.vertices), np.uint8)
 
+    def take_changes(self) -> tuple[list[int], list[CheckedBody]]:
+        """Ids of bodies that were removed since the last call, and bodies that came since, in their order."""
+        gone, added = self._gone, list(self._added.values())
+        self._gone, self._added = [], {}
+        return gone, added
+
     def add_fracture(self, event: FractureEvent) -> None:
+        try:
+            self._add_fracture(event)
+        except InvalidMessage as error:
+            if isinstance(event.sequence, int | np.integer):
+                self.reject(int(event.sequence), str(error))
+            raise
+
+    def reject(self, sequence: int, reason: str) -> None:
+        """Event `sequence` arrived and cannot be accepted. Without effect where it is not the one that is due."""
+        if sequence == len(self.events) + 1:
+            self.rejected = Rejection(sequence, reason)
+
+    def _add_fracture(self, event: FractureEvent) -> None:
         fields = read_fracture(event)
         sequence, fragment_id = fields.sequence, fields.fragment_id
         if 1 <= sequence <= len(self.events):
@@ -105,6 +129,8 @@ class Ledger:
                 self._have_volume(body, checked, doubtful)
             labels[checked.nodes] = checked.new_fragment_ids[checked.parts]
             self._pinched[body.body_id] = pinched
+        self.rejected = None
+        self._events_of.setdefault(fields.body_id, []).append(len(self.events))
         self.events.append(checked)
         self._broke[fragment_id] = sequence
         for new_id in new_ids:
@@ -115,7 +141,8 @@ class Ledger:
         """Refuse the fracture if one of the `doubtful` new fragments has no volume: tried on a geometry of its own."""
         geometry = CollisionGeometry()
         row = {body.fragment_id: geometry.add_tetrahedra(body.mesh)}
-        for event in [e for e in self.events if e.body_id == body.body_id] + [checked]:
+        earlier = [self.events[i] for i in self._events_of.get(body.body_id, ())]
+        for event in [*earlier, checked]:
             first = apply_fracture(geometry, row[event.fragment_id], event)
             row.update((new_id, first + i) for i, new_id in enumerate(event.new_fragment_ids.tolist()))
         least = LEAST_VOLUME * body.mesh.mesh.moments[:, 0].min()
@@ -123,15 +150,40 @@ class Ledger:
             if not geometry.volume(row[new_id]) > least:
                 refuse_without_volume(new_id)
 
+    def require_events(self, sequence: int) -> None:
+        """Raise unless `sequence` events are known: InvalidMessage if the next was rejected, else StatesAhead."""
+        known = len(self.events)
+        if sequence <= known:
+            return
+        if self.rejected is not None:
+            refuse("event_rejected", f"fracture_sequence: {sequence}, but {self.rejected}")
+        raise StatesAhead(
+            "sequence_gap", f"fracture_sequence: {sequence}, but only {known} events are known", sequence
+        )
+
     def require_living(self, fragment_ids: np.ndarray, sequence: int) -> None:
-        """Raise unless all live after `sequence` events: StatesAhead for one not known yet, else InvalidMessage."""
+        """Raise unless all live after `sequence` events: InvalidMessage for one that never will, else StatesAhead."""
+        unknown = []
         for fragment_id in fragment_ids.tolist():
             if fragment_id not in self._owner:
-                raise StatesAhead("unknown_id", f"fragment_ids: no fragment {fragment_id} is known yet")
+                unknown.append(fragment_id)
+                continue
             if self._owner[fragment_id] not in self.bodies:
                 refuse("retired_id", f"fragment_ids: the body of fragment {fragment_id} was removed")
             if not self._born[fragment_id] <= sequence < self._broke.get(fragment_id, sequence + 1):
                 refuse("retired_id", f"fragment_ids: fragment {fragment_id} does not live after {sequence} events")
+        if unknown:
+            raise StatesAhead(
+                "unknown_id", f"fragment_ids: no fragment {unknown[0]} is known yet", sequence, sorted(unknown)
+            )
+
+    def lacks(self, ahead: StatesAhead) -> bool:
+        """Whether something that the states of `ahead` need is missing still; amortized O(1) per missing fragment."""
+        if ahead.fracture_sequence > len(self.events):
+            return self.rejected is None
+        while ahead.fragment_ids and ahead.fragment_ids[-1] in self._owner:
+            ahead.fragment_ids.pop()
+        return bool(ahead.fragment_ids)
 
     def _check_new_fragments(self, name: str, fragment_ids: list[int]) -> None:
         if len(self._owner) + len(fragment_ids) > self._settings.max_fragments:
@@ -145,9 +197,13 @@ class Ledger:
             return
         if body_id not in self.bodies:
             refuse("unknown_id", f"body_id: no body {body_id} to remove")
-        self._removed[body_id] = self.bodies.pop(body_id).digest
+        body = self.bodies.pop(body_id)
+        self._removed[body_id] = body.digest
         self._labels.pop(body_id, None)
         self._pinched.pop(body_id, None)
         self._room_for_nodes += self._nodes.pop(body_id)
-        self._store.keep_only(self.bodies.values())
-        self.removals += 1
+        self._store.release(body.mesh or body.surface)
+        for i in self._events_of.pop(body_id, ()):
+            self.events[i] = without_content(self.events[i])
+        if self._added.pop(body_id, None) is None:
+            self._gone.append(body_id)

@@ -6,11 +6,12 @@ import hashlib
 
 import numpy as np
 
-from fracture_collision.core.collision_geometry import CollisionGeometry, MassProperties
+from fracture_collision.core.collision_geometry import CollisionGeometry
 from fracture_collision.core.pools import ALTERNATING, AVERAGED, EXACT, FACING, NEAREST, QUEUE
 from fracture_collision.records import FragmentRegistry
 from fracture_collision.world.body_gate import CheckedBody
 from fracture_collision.world.fracture_gate import CheckedFracture, apply_fracture
+from fracture_collision.world.living_fragments import Columns, LivingFragments
 from fracture_collision.world.settings import FIELDS, NORMALS, TRAVERSALS, Settings
 
 # How core calls what the settings name; a tree's name is its own.
@@ -20,18 +21,18 @@ _TRAVERSAL = dict(zip(TRAVERSALS, (ALTERNATING, QUEUE), strict=True))
 
 
 class Registry:
+    """Bodies come and go, events are applied in their order; what a body leaves behind costs what it had."""
+
     def __init__(self, settings: Settings) -> None:
         self.geometry = CollisionGeometry(
             settings.tree, _TRAVERSAL[settings.traversal], _FIELD[settings.field], _NORMALS[settings.normals]
         )
         self.sequence = 0
+        self.renumbered = 0  # how often the rows of all fragments have changed
         self._bodies: dict[int, CheckedBody] = {}
         self._chain = hashlib.sha256().digest()
-        self._row: dict[int, int] = {}  # living fragment id -> row
-        self._body_of: dict[int, int] = {}
-        self._parent: dict[int, int] = {}
-        self._mass: dict[int, MassProperties] = {}
-        self._lookup: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None = None
+        self._living = LivingFragments()
+        self._fragments_of: dict[int, set[int]] = {}  # body id -> its living fragments
 
     def add_body(self, body: CheckedBody) -> None:
         if body.mesh is not None:
@@ -45,37 +46,36 @@ class Registry:
         else:
             row = self.geometry.add_sphere(body.sphere)
         self._bodies[body.body_id] = body
-        self._add_fragment(body.fragment_id, body.body_id, body.fragment_id, row)
+        self._fragments_of[body.body_id] = set()
+        self._add_fragment(body.fragment_id, body, body.fragment_id, row)
 
-    def has_body(self, body_id: int) -> bool:
-        return body_id in self._bodies
+    def remove_body(self, body_id: int) -> None:
+        """Nothing is replayed: the others stay as they are, and memory is reclaimed once half of it is garbage."""
+        del self._bodies[body_id]
+        rows = [self._living.remove(fragment_id) for fragment_id in self._fragments_of.pop(body_id)]
+        self.geometry.retire_body(np.array(sorted(rows)))
+        if self.geometry.is_mostly_garbage():
+            self._living.renumber(self.geometry.keep_only(self._living.columns().rows))
+            self.renumbered += 1
 
     def apply(self, event: CheckedFracture) -> None:
         """The next event of the log; one of a removed body only counts."""
         self.sequence += 1
         self._chain = hashlib.sha256(self._chain + event.digest).digest()
-        if event.body_id not in self._bodies:
+        body = self._bodies.get(event.body_id)
+        if body is None:
             return
-        first = apply_fracture(self.geometry, self._row.pop(event.fragment_id), event)
+        self._fragments_of[body.body_id].remove(event.fragment_id)
+        first = apply_fracture(self.geometry, self._living.remove(event.fragment_id), event)
         for i, new_id in enumerate(event.new_fragment_ids.tolist()):
-            self._add_fragment(new_id, event.body_id, event.fragment_id, first + i)
+            self._add_fragment(new_id, body, event.fragment_id, first + i)
 
-    def lookup(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Living fragments by ascending id: ids, rows, whether static, friction, restitution."""
-        if self._lookup is None:
-            ids = np.array(sorted(self._row), dtype=np.int64)
-            bodies = [self._bodies[self._body_of[f]] for f in ids.tolist()]
-            self._lookup = (
-                ids,
-                np.array([self._row[f] for f in ids.tolist()], dtype=np.int64),
-                np.array([b.is_static for b in bodies], dtype=np.bool_),
-                np.array([b.friction for b in bodies], dtype=np.float64),
-                np.array([b.restitution for b in bodies], dtype=np.float64),
-            )
-        return self._lookup
+    def living(self) -> Columns:
+        """Living fragments by ascending id."""
+        return self._living.columns()
 
     def row_of(self, fragment_id: int) -> int | None:
-        return self._row.get(fragment_id)
+        return self._living.row_of(fragment_id)
 
     def digest(self) -> str:
         """SHA-256 over the bodies, by id, and the chain of events; the order in which bodies came does not matter."""
@@ -85,31 +85,30 @@ class Registry:
         return whole.hexdigest()
 
     def record(self) -> FragmentRegistry:
-        ids = sorted(self._row)
-        masses = self._masses_of(ids)
-        count = len(ids)
+        living = self._living.columns()
+        masses = self._masses(living)
         return FragmentRegistry(
             fracture_sequence=self.sequence,
-            fragment_ids=np.array(ids, dtype=np.uint32),
-            body_ids=np.array([self._body_of[f] for f in ids], dtype=np.uint32),
-            parent_ids=np.array([self._parent[f] for f in ids], dtype=np.uint32),
-            masses=np.array([m.mass for m in masses]),
-            centers_of_mass=np.array([m.center for m in masses]).reshape(3 * count),
-            inertias=np.array([m.inertia for m in masses]).reshape(6 * count),
-            sampling_gaps=np.array([self.geometry.sampling_gap(self._row[f]) for f in ids]),
+            fragment_ids=living.ids.astype(np.uint32),
+            body_ids=living.bodies.astype(np.uint32),
+            parent_ids=living.parents.astype(np.uint32),
+            masses=masses[:, 0].copy(),
+            centers_of_mass=masses[:, 1:4].ravel(),
+            inertias=masses[:, 4:].ravel(),
+            sampling_gaps=self.geometry.sampling_gaps(living.rows),
             digest=self.digest(),
         )
 
-    def _masses_of(self, fragment_ids: list[int]) -> list[MassProperties]:
-        new = [f for f in fragment_ids if f not in self._mass]
-        if new:
-            densities = np.array([self._bodies[self._body_of[f]].density for f in new])
-            rows = np.array([self._row[f] for f in new])
-            self._mass.update(zip(new, self.geometry.mass_properties(rows, densities), strict=True))
-        return [self._mass[f] for f in fragment_ids]
+    def _masses(self, living: Columns) -> np.ndarray:
+        """(n, MASS_VALUES) of all, those that are new among them."""
+        new = np.flatnonzero(np.isnan(living.masses[:, 0]))
+        if len(new):
+            for i, one in zip(new, self.geometry.mass_properties(living.rows[new], living.density[new]), strict=True):
+                living.masses[i] = one.mass, *one.center, *one.inertia
+        return living.masses
 
-    def _add_fragment(self, fragment_id: int, body_id: int, parent_id: int, row: int) -> None:
-        self._row[fragment_id] = row
-        self._body_of[fragment_id] = body_id
-        self._parent[fragment_id] = parent_id
-        self._lookup = None
+    def _add_fragment(self, fragment_id: int, body: CheckedBody, parent_id: int, row: int) -> None:
+        self._fragments_of[body.body_id].add(fragment_id)
+        self._living.add(
+            fragment_id, row, body.body_id, parent_id, body.is_static, body.friction, body.restitution, body.density
+        )

@@ -1,0 +1,189 @@
+"""Service and recorder killed at the worst moments: while they start, at fractures, both at once.
+
+Counted is who does not come back: a node that is up and receives nothing (deaf), and one that does not end when told to
+(hung). What the runs say is compared elsewhere (trials.py).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from campaigns.kills.stage import (
+    READY,
+    Stage,
+    answers_awaited,
+    await_step,
+    await_that,
+    fault_at_end,
+    stage,
+    steps_told,
+)
+from fracture_collision.ros.node_process import NodeProcess
+from fracture_collision.ros.participant_process import age_of
+from fracture_collision.ros.process import LONGEST_END
+
+Progress = Callable[[str], None]
+DEAF_AFTER = 30.0  # [s] from a node's start, on a machine that is busy with other things
+LONGEST_WAIT = 1.0  # [s] between two kills
+LONGEST_START = 1.3  # [s] in which one that starts is killed: about as long as a start takes
+LONGEST_QUIET = 5.0  # [s] without a fracture: it is killed all the same
+MOST_RUNS = 200
+SERVICE, RECORDER = "service", "recorder"
+VICTIMS = ((SERVICE,), (RECORDER,), (SERVICE, RECORDER))
+MOMENTS = ("any", "fracture", "start")
+
+
+class Answered(NamedTuple):
+    """One kill of the service, or of both, after which the simulator had an answer it had asked for again."""
+
+    victims: tuple[str, ...]
+    moment: str
+    seconds: float  # from the new service's process being started
+
+
+class Mixed(NamedTuple):
+    kills: int
+    returns: list[Answered]
+    deaf: list[str]  # in words
+    faults: list[str]  # nodes that ended by themselves, or not well, in words
+    longest_end: float  # [s] from SIGINT to a node's end
+
+
+class _Trial:
+    """A scene with its three nodes."""
+
+    def __init__(self, nodes: Stage, folder: Path, scene: str) -> None:
+        self._nodes, self._folder = nodes, folder
+        self._bags = 0
+        self.node = {name: self._start(name) for name in (RECORDER, SERVICE)}
+        self.simulator = nodes.start("simulator_node", scene=scene, wait_for_subscribers=2, progress=True)
+
+    def _start(self, name: str) -> NodeProcess:
+        if name == SERVICE:
+            return self._nodes.start("collision_node", threads=1)
+        self._bags += 1
+        folder = self._folder / f"bag_{self._bags}"
+        return self._nodes.start("recorder_node", folder=str(folder), progress=True)
+
+    def kill(self, *names: str) -> int:
+        """All at once, and others in their place. Returns how many were alive."""
+        alive = [name for name in names if self.node[name].exit_status() is None]
+        for name in alive:
+            self.node[name].send_signal(signal.SIGKILL)
+        for name in names:
+            self.node[name].wait(60.0)
+            self._nodes.forget(self.node[name])
+        for name in names:
+            self.node[name] = self._start(name)
+        return len(alive)
+
+    @property
+    def is_over(self) -> bool:
+        return self.simulator.exit_status() is not None
+
+    def fragments(self) -> int:
+        """As the simulator told last."""
+        told = self.simulator.log_text().rpartition('"fragments": ')[2]
+        return int(told.partition("}")[0]) if told.partition("}")[0].isdigit() else 0
+
+    def await_moment(self, moment: str, seconds: float) -> None:
+        count, began = self.fragments(), time.monotonic()
+        longest = LONGEST_QUIET if moment == "fracture" else seconds
+
+        def has_come() -> bool:
+            broke = moment == "fracture" and self.fragments() > count
+            return broke or self.is_over or time.monotonic() > began + longest
+
+        await_that(has_come, "a moment")
+
+    def hears(self, name: str) -> bool:
+        """Whether a node that has been started received something."""
+        text = self.node[name].log_text()
+        if name == SERVICE:
+            return READY in text and "run " in text
+        lines = [line for line in text.splitlines() if line.startswith("{") and line.endswith("}")]
+        counts = json.loads(lines[-1]) if lines else {}
+        return counts.get("fragment_states", 0) > 0 and counts.get("contact_constraints", 0) > 0
+
+    def await_all_up(self) -> None:
+        """Orders to end that come earlier are another trial's (trials.orders_of_ending)."""
+        bag = self._folder / f"bag_{self._bags}"
+        recorder, service = self.node[RECORDER], self.node[SERVICE]
+        await_that(lambda: bag.exists() or recorder.exit_status() is not None, "a recorder that is up")
+        await_that(lambda: READY in service.log_text() or service.exit_status() is not None, "a service that is up")
+
+    def come_back(self, names: tuple[str, ...], step: int) -> str:
+        """Waits for it; what is wrong, in words."""
+        began = time.monotonic()
+
+        def is_settled() -> bool:
+            ended = any(self.node[name].exit_status() is not None for name in names)
+            all_hear = all(self.hears(name) for name in names) and steps_told(self.simulator) > step
+            return all_hear or ended or self.is_over or time.monotonic() > began + DEAF_AFTER
+
+        await_that(is_settled, "their return")
+        if self.is_over or (all(self.hears(name) for name in names) and steps_told(self.simulator) > step):
+            return ""
+        logs = "\n".join(f"{name}: {self.node[name].log_text()[-1000:]}" for name in names)
+        return f"{' and '.join(names)}, after step {step}:\n{logs}"
+
+
+def kill_mixed(folder: Path, scene: str, times: int, seed: int, progress: Progress) -> Mixed:
+    """`times`: SIGKILLs, in as many runs as they take."""
+    random = np.random.default_rng(seed)
+    kills, longest_end = 0, 0.0
+    returns: list[Answered] = []
+    deaf: list[str] = []
+    faults: list[str] = []
+    for run in range(MOST_RUNS):
+        own = folder / f"mixed_{run}"
+        with stage(own) as nodes:
+            trial = _Trial(nodes, own, scene)
+            await_step(trial.simulator, 0, *trial.node.values())
+            while kills < times and not trial.is_over:
+                progress(f"run {run + 1}: {kills} of {times} kills of service and recorder")
+                victims, moment = VICTIMS[random.integers(3)], MOMENTS[random.integers(3)]
+                trial.await_moment(moment, random.uniform(0.0, LONGEST_WAIT))
+                if trial.is_over:
+                    break
+                step = steps_told(trial.simulator)
+                kills += trial.kill(*victims)
+                if moment == "start":
+                    trial.await_moment("any", random.uniform(0.0, LONGEST_START))
+                    kills += trial.kill(*victims)
+                awaited = len(answers_awaited(trial.simulator))
+                started = time.time() - age_of(trial.node[SERVICE].pid)
+                if fault := trial.come_back(victims, step):
+                    ended = [name for name in victims if trial.node[name].exit_status() is not None]
+                    (faults if ended else deaf).append(f"{moment}: {fault}")
+                    break
+                came = answers_awaited(trial.simulator)[awaited:]
+                if SERVICE in victims and came:
+                    returns.append(Answered(victims, moment, came[0] - started))
+            trial.await_all_up()
+            for node in (trial.simulator, *trial.node.values()):
+                began = time.monotonic()
+                if fault := fault_at_end(node, node.stop(patience=2.0 * LONGEST_END)):
+                    faults.append(fault)
+                longest_end = max(longest_end, time.monotonic() - began)
+        if kills >= times or deaf:
+            break
+    return Mixed(kills, returns, deaf, faults, longest_end)
+
+
+def medians(returns: list[Answered]) -> dict[str, tuple[int, float, float]]:
+    """How many, median and worst [s], by who was killed."""
+    found = {}
+    for victims in VICTIMS:
+        seconds = [each.seconds for each in returns if each.victims == victims and math.isfinite(each.seconds)]
+        if seconds:
+            found[" and ".join(victims)] = len(seconds), float(np.median(seconds)), max(seconds)
+    return found
