@@ -117,7 +117,7 @@ def test_the_next_one_listens_at_other_ports_than_those_that_others_still_write_
     dead, just_dead, replaced, alive, unmapped, never_read, elsewhere = (
         first + 11, first + 13, first + 15, first + 17, first + 19, first + 21, first + PORTS_A_DOMAIN + 11
     )  # fmt: skip
-    flow = FIRST_OF_FLOWS + 3
+    flow = PORT_BASE - 1  # the highest, which nodes that run beside do not get to
     for port in (dead, just_dead, replaced, alive, unmapped, never_read, elsewhere, flow):
         made(tmp_path, f"fastrtps_port{port}", f"fastrtps_port{port}_el", age=0.0 if port == just_dead else OLD)
     (tmp_path / f"fastrtps_port{never_read}_el").unlink()
