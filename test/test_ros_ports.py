@@ -21,7 +21,7 @@ from fracture_collision.ros import shared_memory
 from fracture_collision.ros.farewell import PORT_BASE, PORTS_A_DOMAIN
 from fracture_collision.ros.node_process import free_domain_id
 from fracture_collision.ros.shared_memory import FOLDER, YOUNG, left_behind, orphaned_ports, remove_left_behind
-from fracture_collision.ros.successor_ports import FIRST_OF_FLOWS, orphaned_ports_held
+from fracture_collision.ros.successor_ports import orphaned_ports_held
 
 OLD = 2.0 * YOUNG
 FREE, TAKEN = b"\1" + bytes(31), bytes(32)  # a POSIX semaphore of glibc, of value 1 and 0
