@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import fcntl
-import os
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -18,10 +15,7 @@ from campaigns.kills.stage import Digests, await_that, litter, stage
 from campaigns.kills.trials import kill_listeners, kill_services, kill_simulators, orders_of_ending, undisturbed
 from campaigns.soak import Cycle, growth, soak
 from fracture_collision.bag.reader import message_counts
-from fracture_collision.ros.farewell import PORT_BASE, PORTS_A_DOMAIN
-from fracture_collision.ros.node_process import free_domain_id
-from fracture_collision.ros.shared_memory import YOUNG, dead_ports
-from fracture_collision.ros.successor_ports import ports_of_the_dead_held
+from fracture_collision.ros.shared_memory import YOUNG
 
 SCENE, STEPS = "pane", 60
 LONG_SCENE = "plates"  # seconds in which to kill
@@ -89,29 +83,6 @@ def test_the_simulator_says_that_it_waits_and_that_it_goes_on(tmp_path: Path, re
     (log,) = (tmp_path / "run_0").glob("simulator_node_*.log")
     words = log.read_text()
     assert "asking again" in words and "going on" in words
-
-
-def test_the_next_one_listens_at_other_ports(tmp_path: Path) -> None:
-    """Than those that were killed last: whoever has their ports mapped goes on writing there."""
-    domain_id = free_domain_id()
-    first = PORT_BASE + PORTS_A_DOMAIN * domain_id
-    dead, alive, elsewhere = [first + 11, first + 13, first + 15], first + 17, first + PORTS_A_DOMAIN + 11
-    for age, port in enumerate((*dead, alive, elsewhere)):
-        made = time.time() - (2.0 + age) * YOUNG
-        for name in (f"fastrtps_port{port}", f"fastrtps_port{port}_el"):
-            (tmp_path / name).write_bytes(bytes(64))
-            os.utime(tmp_path / name, (made, made))
-    # of a port with many listeners there is none to take the place of
-    (tmp_path / f"fastrtps_port{first + 1}").write_bytes(bytes(64))
-    with (tmp_path / f"fastrtps_port{alive}_el").open("rb") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        assert dead_ports(tmp_path) == [*dead, elsewhere]
-        with ports_of_the_dead_held(domain_id, tmp_path) as held:
-            assert held == [first + 10, first + 11, first + 12, first + 13]
-            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other, pytest.raises(OSError):
-                other.bind(("127.0.0.1", dead[0]))
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
-        other.bind(("127.0.0.1", dead[0]))
 
 
 def test_a_killed_node_leaves_nothing(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import fcntl
 import mmap
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -18,7 +19,9 @@ import pytest
 from campaigns.kills.stage import await_ready, stage
 from fracture_collision.ros import shared_memory
 from fracture_collision.ros.farewell import PORT_BASE, PORTS_A_DOMAIN
-from fracture_collision.ros.shared_memory import FOLDER, YOUNG, left_behind, remove_left_behind
+from fracture_collision.ros.node_process import free_domain_id
+from fracture_collision.ros.shared_memory import FOLDER, YOUNG, left_behind, orphaned_ports, remove_left_behind
+from fracture_collision.ros.successor_ports import orphaned_ports_held
 
 OLD = 2.0 * YOUNG
 FREE, TAKEN = b"\1" + bytes(31), bytes(32)  # a POSIX semaphore of glibc, of value 1 and 0
@@ -106,6 +109,37 @@ def test_to_judge_tries_no_lock(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     made(tmp_path, "fastrtps_port7425", "fastrtps_port7425_el")
     monkeypatch.setattr(shared_memory.fcntl, "flock", lambda *_: pytest.fail("a lock was tried"))
     assert len(left_behind(tmp_path)) == 2
+
+
+def test_the_next_one_listens_at_other_ports_than_those_that_others_still_write_to(tmp_path: Path) -> None:
+    domain_id = free_domain_id()
+    first = PORT_BASE + PORTS_A_DOMAIN * domain_id
+    dead, just_dead, replaced, alive, unmapped, never_read, elsewhere = (
+        first + 11, first + 13, first + 15, first + 17, first + 19, first + 21, first + PORTS_A_DOMAIN + 11
+    )  # fmt: skip
+    flow = PORT_BASE - 1  # the highest, which nodes that run beside do not get to
+    for port in (dead, just_dead, replaced, alive, unmapped, never_read, elsewhere, flow):
+        made(tmp_path, f"fastrtps_port{port}", f"fastrtps_port{port}_el", age=0.0 if port == just_dead else OLD)
+    (tmp_path / f"fastrtps_port{never_read}_el").unlink()
+    with ExitStack() as stack:
+        for port in (dead, just_dead, replaced, alive, never_read, elsewhere, flow):
+            file = stack.enter_context((tmp_path / f"fastrtps_port{port}").open("rb"))
+            stack.enter_context(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
+        for port in (replaced, alive):  # by who listens there now
+            name = f"fastrtps_port{port}"
+            if port == replaced:
+                (tmp_path / name).unlink()
+                made(tmp_path, name)
+            fcntl.flock(stack.enter_context((tmp_path / f"{name}_el").open("rb")), fcntl.LOCK_EX)
+        orphans = [dead, just_dead, replaced, elsewhere]
+        assert orphaned_ports(tmp_path) == {*orphans, flow}
+        with orphaned_ports_held(domain_id, tmp_path) as held:
+            assert held == [*(each for port in orphans[:3] for each in (port - 1, port)), flow]
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other, pytest.raises(OSError):
+                other.bind(("127.0.0.1", dead))
+    assert orphaned_ports(tmp_path) == set()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", dead))
 
 
 @contextmanager

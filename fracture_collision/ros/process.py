@@ -29,7 +29,7 @@ from rclpy.node import Node
 from fracture_collision.ros.own_ports import fault_of_own_ports
 from fracture_collision.ros.parameters import warn_of_unknown
 from fracture_collision.ros.shared_memory import remove_left_behind
-from fracture_collision.ros.successor_ports import ports_of_the_dead_held
+from fracture_collision.ros.successor_ports import orphaned_ports_held
 from fracture_collision.ros.this_machine import has_known_transports, keep_to_this_machine
 
 # [s] From SIGINT or SIGTERM, or from where the node's work is over, to the end of its process, whatever DDS does.
@@ -143,7 +143,7 @@ def run_node(make_node: Callable[[], Node], work: Callable[[Node], None]) -> int
     rclpy.init()
     node = None
     try:
-        with ports_of_the_dead_held(rclpy.get_default_context().get_domain_id()):
+        with orphaned_ports_held(rclpy.get_default_context().get_domain_id()):
             node = make_node()
         _watch_ports(node)
         warn_of_unknown(node)

@@ -109,16 +109,24 @@ def _port_mutex(folder: Path, name: str) -> Iterator[bool]:
         memory.close()
 
 
-def dead_ports(folder: Path = FOLDER) -> list[int]:
-    """Numbers of our ports that nobody listens at any more, the last one made first. Others may have them mapped."""
+def orphaned_ports(folder: Path = FOLDER) -> set[int]:
+    """Numbers of ports that some process has mapped and will write to although nobody listens there any more.
+
+    Either the listener died, and who opens the port next makes a new file of its name; or somebody has done so already.
+    In both cases the others go on with the old file until they notice, usually within two seconds. They never do if the
+    listener died while it took a message.
+    """
     locked = _locked_inodes()
-    made: dict[int, float] = {}
-    for name, files in _groups(folder).items():
-        lock = folder / f"{name}_el"
-        if name.startswith(_PORT) and lock in files and _seems_unused(files, locked):
-            with suppress(OSError):  # it has gone in the meantime
-                made[int(name.removeprefix(_PORT))] = lock.stat().st_mtime
-    return sorted(made, key=made.__getitem__, reverse=True)
+    found = set()
+    for mapped in set(_mapped(folder)):
+        name, _, removed = mapped.partition(" ")
+        if not re.fullmatch(_PORT + r"\d+", name):
+            continue
+        with suppress(FileNotFoundError):
+            # where there is no lock, a port is opened as it is
+            if removed or (folder / f"{name}_el").stat().st_ino not in locked:
+                found.add(int(name.removeprefix(_PORT)))
+    return found
 
 
 def _groups(folder: Path) -> dict[str, list[Path]]:
@@ -150,13 +158,15 @@ def _locked_inodes() -> set[int]:
 
 
 def _mapped(folder: Path) -> Iterator[str]:
-    """Names of the folder's files that processes which we may look into have in their memory."""
+    """Names of the folder's files that processes which we may look into have in their memory, with " (deleted)" behind
+    those of files that were removed.
+    """
     for maps in Path("/proc").glob("[0-9]*/maps"):
         try:
             lines = maps.read_text().splitlines()
         except OSError:
             continue
         for line in lines:
-            path = line.rpartition(" ")[2]
-            if path.startswith(f"{folder}/"):
-                yield path[len(str(folder)) + 1 :]
+            at = line.find(f"{folder}/")
+            if at >= 0:
+                yield line[at + len(str(folder)) + 1 :]
