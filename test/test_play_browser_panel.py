@@ -16,6 +16,7 @@ from rclpy.parameter_client import AsyncParameterClient
 from sensor_msgs.msg import JointState
 
 from fracture_collision.cli.commands import main
+from fracture_collision.cli.replay import INCOMPLETE
 from fracture_collision.ros import qos
 from fracture_collision.viewer.recorded_run import read_run
 
@@ -85,7 +86,9 @@ def test_what_is_recorded_opens_and_replays(scene: LivePage, page: Any, folder: 
     assert run.states[-1].fracture_sequence >= broken > 0
     assert set(run.states[-1].fragment_ids) <= run.body_of.keys()
     done = CliRunner().invoke(main, ["replay", str(bag)])
-    assert done.exit_code == 0 and "answers are those recorded, byte for byte" in done.output, done.output
+    # The recording begins and ends between a question and its answer, and a busy recorder may miss one (INCOMPLETE).
+    assert done.exit_code in (0, INCOMPLETE), done.output
+    assert "answers are those recorded, byte for byte" in done.output, done.output
     # another one beside it
     page.get_by_label("record").check()
     until(lambda: (folder / "bag_2" / "metadata.yaml").exists(), bool)
