@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from contact_truth import sample_ids
 from fractured_worlds import fractured_world
+from oracles.convex_cells import distances_to_triangles, nearest_on_triangles
 from oracles.fragmented_body import ALL_KINDS
 from rigid_shapes import (
     RigidShape,
@@ -185,28 +186,31 @@ def test_masses_are_trimeshs(shape: RigidShape) -> None:
 
 
 def test_a_sphere_touches_where_brute_force_says(shape: RigidShape) -> None:
-    ball_body = CollisionBody(2, 2, primitive=SolidPrimitive(SPHERE, (0.2,)))
-    world = _world_of(shape, ball_body)
+    """The deepest contact whose own point is on the sphere; test_sphere_contacts.py has the others."""
+    world = _world_of(shape, CollisionBody(2, 2, primitive=SolidPrimitive(SPHERE, (0.2,))))
     random = np.random.default_rng(6)
-    touching = 0
+    touching, place = 0, np.array([0.5, 0.1, -0.3])
     for _ in range(40):
-        center = random.uniform(-1.2, 1.2, 3)
-        turn = Rotation.random(random_state=random)
+        center, turn = random.uniform(-1.2, 1.2, 3), Rotation.random(random_state=random)
         states = FragmentStates(
-            1,
-            0,
-            np.array([1, 2]),
-            np.concatenate([[0.5, 0.1, -0.3], center]),
-            np.concatenate([turn.as_quat(), IN_PLACE]),
+            1, 0, np.array([1, 2]), np.concatenate([place, center]), np.concatenate([turn.as_quat(), IN_PLACE])
         )
         answer = world.contacts(states)
-        distance = true_distance(shape, turn.inv().apply(center - [0.5, 0.1, -0.3])[None])[0]
-        own = answer.gaps[answer.contact_ids == sample_ids(2, 1, np.array([-1]))]
-        near = world.settings.detection_tolerance * 0.2
-        assert len(own) == (1 if distance - 0.2 <= near else 0)
-        if len(own):
-            assert own[0] == pytest.approx(distance - 0.2, abs=1e-12)
-            touching += 1
+        in_body = turn.inv().apply(center - place)
+        distance, nearest = nearest_on_triangles(in_body[None], shape.corners)
+        gap = true_distance(shape, in_body[None])[0] - 0.2
+        own, its = answer.points_b.reshape(-1, 3), answer.points_a.reshape(-1, 3)
+        on_sphere = np.abs(np.linalg.norm(own - center, axis=1) - 0.2) < 1e-12
+        if gap > world.settings.detection_tolerance * 0.2:
+            assert not len(answer.gaps)
+            continue
+        deepest = np.flatnonzero(on_sphere)[np.argmin(answer.gaps[on_sphere])]
+        assert answer.gaps[deepest] == pytest.approx(gap, abs=1e-12)
+        assert np.linalg.norm(its[deepest] - center) == pytest.approx(distance[0], abs=1e-12)
+        assert true_distance(shape, turn.inv().apply(its[deepest] - place)[None])[0] == pytest.approx(0.0, abs=1e-12)
+        if np.count_nonzero(np.abs(distances_to_triangles(in_body, shape.corners)[0] - distance[0]) < 1e-6) == 1:
+            assert np.allclose(its[deepest], turn.apply(nearest[0]) + place, atol=1e-12)
+        touching += 1
     assert touching >= 5
 
 

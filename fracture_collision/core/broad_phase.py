@@ -34,8 +34,11 @@ def _reaches_plane(shape, rotation, position, box):
 
 
 @kernel
-def overlapping_pairs(boxes, kinds, shapes, rotations, positions, is_static):
-    """Pairs (p, 2) of indices i < j, ascending, whose boxes overlap; never two static ones, never two planes."""
+def overlapping_pairs(boxes, kinds, shapes, rotations, positions, is_static, most):
+    """Pairs (p, 2) of indices i < j, ascending, whose boxes overlap; never two static ones, never two planes.
+
+    If there are more than `most`, some most + 1 of them: the search ends there.
+    """
     n = len(boxes)
     bounded = np.flatnonzero(kinds != PLANE)
     found = np.empty((64, 2), dtype=np.int64)
@@ -66,6 +69,8 @@ def overlapping_pairs(boxes, kinds, shapes, rotations, positions, is_static):
                 found = np.concatenate((found, np.empty_like(found)))
             found[used, 0], found[used, 1] = min(i, j), max(i, j)
             used += 1
+            if used > most:
+                return found[:used]
     for i in range(n):
         if kinds[i] != PLANE:
             continue
@@ -77,5 +82,7 @@ def overlapping_pairs(boxes, kinds, shapes, rotations, positions, is_static):
                     found = np.concatenate((found, np.empty_like(found)))
                 found[used, 0], found[used, 1] = min(i, j), max(i, j)
                 used += 1
+                if used > most:
+                    return found[:used]
     keys = found[:used, 0] * n + found[:used, 1]
     return found[:used][np.argsort(keys, kind="mergesort")]

@@ -43,7 +43,7 @@ from fracture_collision.core.pools import (
     GrowableArray,
     Pools,
 )
-from fracture_collision.core.primitives import box_edge_points
+from fracture_collision.core.primitives import box_edge_points, box_sampling_gap
 from fracture_collision.core.sphere_tree import SphereTree, build_sphere_tree
 from fracture_collision.core.surface_rows import SurfaceRows
 from fracture_collision.core.tet_mesh import TetMesh
@@ -201,6 +201,7 @@ class CollisionGeometry:
         return self._add_row(PLANE, box, np.append(normal, offset), np.inf, 0, 0, 0.0)
 
     def add_sphere(self, radius: float) -> int:
+        """Its surface is searched as a whole (sphere_contacts.py), so nothing lies between samples."""
         box = np.array([-radius] * 3 + [radius] * 3)
         return self._add_row(SPHERE, box, np.array([radius, 0.0, 0.0, 0.0]), radius, 0, 0, 0.0)
 
@@ -208,8 +209,6 @@ class CollisionGeometry:
         """`half` (3,) [m] half edge lengths."""
         points = box_edge_points(half)
         begin = self._tables.append_tree(build_sphere_tree(points, np.ones(len(points), np.uint8)))
-        # the point of a face farthest from its edges
-        gap = float(np.sort(half)[1])
         return self._add_row(
             BOX,
             np.concatenate([-half, half]),
@@ -217,7 +216,7 @@ class CollisionGeometry:
             float(half.max()),
             begin,
             self._tables.tree["entries"].used,
-            gap,
+            box_sampling_gap(half),
         )
 
     def add_tetrahedra(self, prepared: PreparedMesh) -> int:

@@ -14,7 +14,7 @@ from fracture_collision.core.closest_point import triangle_normal
 from fracture_collision.core.compiled import inlined_kernel, query_kernel
 from fracture_collision.core.crack_normal import FARTHER, turn_to_crack
 from fracture_collision.core.flood import NO_SOURCE, TOWARD, nearest_from_inside, nearest_from_outside, source_normal
-from fracture_collision.core.kinds import BOX, TETRAHEDRA, TRIANGLES
+from fracture_collision.core.kinds import BOX, SPHERE, TETRAHEDRA, TRIANGLES
 from fracture_collision.core.known_samples import ID_AT, ID_SAMPLE, ID_SIDE, ID_SOURCE, ID_TETRAHEDRON, share_a_body
 from fracture_collision.core.point_location import holds_fragment, tetrahedron_at
 from fracture_collision.core.rotations import rotated, to_other
@@ -42,7 +42,7 @@ def turn_contacts(pools, a, b, rotation, translation, near, contacts, ids, count
         if one_body:
             source, where, at = ids[c, ID_SOURCE], ids[c, ID_TETRAHEDRON], ids[c, ID_AT]
             turn_to_crack(pools, f, own, near, contacts[c], source, where, at, scratch, thread)
-        elif sample >= 0 and pools.fragment.kind[f] in (BOX, TETRAHEDRA, TRIANGLES):
+        elif pools.fragment.kind[own] != SPHERE and pools.fragment.kind[f] in (BOX, TETRAHEDRA, TRIANGLES):
             _turn_to_facing(pools, f, own, sample, side, rotation, translation, near, contacts[c], scratch, thread)
 
 

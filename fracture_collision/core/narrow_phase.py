@@ -11,6 +11,7 @@ import numpy as np
 
 from fracture_collision.core.compiled import inlined_kernel, kernel, threaded_kernel
 from fracture_collision.core.crew import Crew
+from fracture_collision.core.crowds import UNSEARCHED, UNSHARED, most_visits, visit_shares
 from fracture_collision.core.facing_normal import turn_contacts
 from fracture_collision.core.known_samples import ID_SAMPLE, ID_SIDE, query_listed, rounding_slack
 from fracture_collision.core.neighbour_lists import (
@@ -30,24 +31,37 @@ from fracture_collision.core.neighbour_lists import (
     pair_keys,
 )
 from fracture_collision.core.pools import FACING
-from fracture_collision.core.traversal import query_pair
+from fracture_collision.core.traversal import BY_FURTHER, BY_LIMIT, depth_limit, query_pair
 
 # Contacts a pair gets room for at first, on average and at least for a thread's share of pairs; those that find none
-# left are asked again. Memory that nobody writes to costs nothing.
+# left are searched again. Memory that nobody writes to costs nothing.
 FIRST_ROOM = 64
 LEAST_ROOM = 1 << 15
+UNLIMITED = 1 << 60
+
+
+class WorkLimits(NamedTuple):
+    """What all pairs of a step may cost. Each pair's share depends on numbers of pairs, trees and contacts alone."""
+
+    visits: int = UNLIMITED  # of pairs that coincide, and 25 times as many of others: crowds.visit_shares
+    further_visits: int = UNLIMITED  # those of pairs that have the contacts wanted; see query_pairs
+    contacts_per_pair: int = UNLIMITED
+    contacts: int = UNLIMITED
+
+
+NO_LIMITS = WorkLimits()
 
 
 class PairContacts(NamedTuple):
     counts: np.ndarray  # (p,) int64
     bounds: np.ndarray  # (p,) float64 [m], missed depth bound
     visits: np.ndarray  # (p,) int64, tree nodes tested
-    exhausted: np.ndarray  # (p,) uint8, 1: cut short by the budget
+    exhausted: np.ndarray  # (p,) uint8, not 0: cut short by a limit
     points_a: np.ndarray  # (N, 3) float64 [m], world
     points_b: np.ndarray  # (N, 3) float64 [m], world
     normals: np.ndarray  # (N, 3) float64, from a to b
     gaps: np.ndarray  # (N,) float64 [m]
-    samples: np.ndarray  # (N, 2) int64: side whose sample it is (0: a), sample index (-1: a sphere's own)
+    samples: np.ndarray  # (N, 2) int64: side whose sample it is (0: a), sample index, see query_pair
 
 
 @kernel
@@ -85,13 +99,15 @@ def relative_pose(rotation_from, position_from, rotation_to, position_to, rotati
 
 @threaded_kernel
 def _query_share(
-    pools, rows, rotations, positions, pairs, todo, wanted, epsilon, near, budget,
+    pools, rows, rotations, positions, pairs, todo, is_first, wanted, epsilon, near, shares, further, limit,
     contacts, ids, begin, counts, bounds, visits, exhausted, before, matched, lists, slots, scratch, threads, thread,
 ):  # fmt: skip
     """Every `threads`-th pair of `todo`, from `thread` on.
 
-    Their contacts go one behind the other into contacts[thread], from row begin[pair] on; -1: there was no room left.
-    before, lists: NeighbourLists of the last step and of this one; matched, slots: a pair's place in them (-1: none).
+    limit: see query_pair; shares, further (p,): visits of each pair, likewise. Their contacts go one behind the other
+    into contacts[thread], from row begin[pair] on; -1: there was no room left. before, lists: NeighbourLists of the
+    last step and of this one; matched, slots: a pair's place in them (-1: none); only the first search of a pair uses
+    them.
     """
     rotation, translation = scratch.rotation[thread], scratch.translation[thread]
     used, room = 0, contacts.shape[1]
@@ -102,8 +118,12 @@ def _query_share(
         relative_pose(rotations[i], positions[i], rotations[j], positions[j], rotation[0], translation[0])
         relative_pose(rotations[j], positions[j], rotations[i], positions[i], rotation[1], translation[1])
         radius = min(pools.fragment.radius[a], pools.fragment.radius[b])
+        if shares[p] == UNSEARCHED:
+            bounds[p] = max(depth_limit(pools, a), depth_limit(pools, b))
+            begin[p], counts[p], visits[p], exhausted[p] = used, 0, 0, BY_LIMIT
+            continue
         out, out_ids = contacts[thread, used:], ids[thread, used:]
-        slot, last = slots[p], matched[p]
+        slot, last = (slots[p], matched[p]) if is_first else (-1, -1)
         found, reach = -1, 0.0
         if slot >= 0:
             keep_pose(rotation, translation, lists.poses[slot])
@@ -124,7 +144,7 @@ def _query_share(
         if reach > 0.0:
             found, bounds[p], visits[p], exhausted[p], n = query_pair(
                 pools, a, b, rotation, translation, wanted, epsilon * radius, near * radius, reach, 0,
-                out, out_ids, room - used, lists.samples[slot], scratch, thread,
+                further[p], limit, out, out_ids, room - used, lists.samples[slot], scratch, thread,
             )  # fmt: skip
             lists.counts[slot] = FULL
             if found >= wanted:
@@ -134,8 +154,8 @@ def _query_share(
                 keep_pose(rotation, translation, lists.listed_at[slot])
         if found < 0:
             found, bounds[p], visits[p], exhausted[p], _ = query_pair(
-                pools, a, b, rotation, translation, wanted, epsilon * radius, near * radius, 0.0, budget,
-                out, out_ids, room - used, scratch.queue[thread, 0, :0], scratch, thread,
+                pools, a, b, rotation, translation, wanted, epsilon * radius, near * radius, 0.0, shares[p],
+                further[p], limit, out, out_ids, room - used, scratch.queue[thread, 0, :0], scratch, thread,
             )  # fmt: skip
             if slot >= 0:
                 lists.counts[slot] = FULL if found >= wanted else NOT_LISTED
@@ -187,37 +207,70 @@ def _gather(
 
 def query_pairs(
     pools, rows, rotations, positions, pairs, wanted, epsilon, near, budget, scratch, crew: Crew,
-    before: NeighbourLists | None = None,
+    before: NeighbourLists | None = None, limits: WorkLimits = NO_LIMITS, is_coincident: np.ndarray | None = None,
 ) -> tuple[PairContacts, NeighbourLists]:  # fmt: skip
     """Contacts of `pairs` (p, 2) of indices into `rows` (n,), with poses rotations (n, 3, 3), positions (n, 3) [m].
 
     wanted: m of section 5.2; epsilon, near: shares of the smaller R of the two bodies; budget: visits a pair, 0: none.
     before: the lists that the last answer from these pools came with, to be quicker where little has moved; with a
     budget, or with None, none are used and none are made. What is answered does not depend on them, but for `visits`.
+
+    limits: half of the further visits are shared evenly by all pairs, the other half by those whose share was too
+    small. Of too many contacts, the pairs that have most lose their shallowest, so that none keeps more than some
+    number. is_coincident (p,) bool: see crowds.visit_shares, which a budget takes the place of. No share depends on
+    lists: a pair that a list answers has fewer contacts than wanted, and none is kept that a limit might cut short.
     """
     p = len(pairs)
     matched, slots = np.full(p, -1), np.full(p, -1)
     lists = NO_LISTS
+    shares = np.full(p, budget)
+    if not budget and is_coincident is not None:
+        shares = visit_shares(pools, rows, pairs, is_coincident, limits.visits)
     if before is not None and not budget:
         keys = pair_keys(rows, pairs)
         order = np.argsort(keys, kind="stable")
         lists, matched = make_lists(keys[order]), match(before, keys)
         slots[order] = np.arange(p)
+        is_limited = (shares != UNSHARED) & (shares < most_visits(pools, rows, pairs))
+        matched[is_limited], slots[is_limited] = -1, -1
     before = NO_LISTS if before is None else before
     counts, visits = np.zeros(p, np.int64), np.zeros(p, np.int64)
     bounds, exhausted = np.zeros(p), np.zeros(p, np.uint8)
-    todo, room = np.arange(p), max(LEAST_ROOM, FIRST_ROOM * p // crew.threads)
+    further = np.full(p, limits.further_visits // (2 * max(p, 1)))
     passes = []
-    while len(todo):
+
+    def search(todo: np.ndarray, limit: int, room: int) -> np.ndarray:
+        """Search the pairs `todo`, with `room` contacts a thread; returns those that there was no room for."""
         contacts, ids = np.empty((crew.threads, room, 10)), np.empty((crew.threads, room, 5), np.int64)
         begin = np.empty(p, np.int64)
         crew.share(
-            _query_share, pools, rows, rotations, positions, pairs, todo, wanted, epsilon, near, budget,
-            contacts, ids, begin, counts, bounds, visits, exhausted, before, matched, lists, slots, scratch,
+            _query_share, pools, rows, rotations, positions, pairs, todo, not passes, wanted, epsilon, near, shares,
+            further, limit, contacts, ids, begin, counts, bounds, visits, exhausted, before, matched, lists, slots,
+            scratch,
         )  # fmt: skip
+        for earlier in passes:
+            earlier[-1][todo] = -1
         passes.append((todo, contacts, ids, begin))
-        todo = todo[begin[todo] < 0]
-        room = max((int(counts[todo[t :: crew.threads]].sum()) for t in range(crew.threads)), default=0)
+        return todo[begin[todo] < 0]
+
+    def first_room(count: int) -> int:
+        return max(LEAST_ROOM, min(FIRST_ROOM * count, limits.contacts) // crew.threads)
+
+    if p:
+        search(np.arange(p), limits.contacts_per_pair, first_room(p))
+    cut = np.flatnonzero(exhausted == BY_FURTHER)
+    if len(cut) and limits.further_visits // (2 * len(cut)) > further[0]:
+        further[cut] = limits.further_visits // (2 * len(cut))
+        search(cut, limits.contacts_per_pair, first_room(len(cut)))
+    level = _level(counts, limits.contacts)
+    is_stored = np.zeros(p, bool)
+    for todo, _, _, begin in passes:
+        is_stored[todo] |= begin[todo] >= 0
+    todo = np.flatnonzero(~is_stored | (counts > level))
+    while len(todo):
+        needed = np.minimum(counts[todo], level)
+        room = max(int(needed[t :: crew.threads].sum()) for t in range(crew.threads))
+        todo = search(todo, min(level, limits.contacts_per_pair), room)
     offsets = np.concatenate([[0], np.cumsum(counts)])
     total = int(offsets[-1])
     points_a, points_b, normals = np.empty((total, 3)), np.empty((total, 3)), np.empty((total, 3))
@@ -228,3 +281,13 @@ def query_pairs(
             points_a, points_b, normals, gaps, samples,
         )  # fmt: skip
     return PairContacts(counts, bounds, visits, exhausted, points_a, points_b, normals, gaps, samples), lists
+
+
+def _level(counts: np.ndarray, most: int) -> int:
+    """The largest number so that pairs which keep no more than that of their `counts` (p,) keep `most` together."""
+    if int(counts.sum()) <= most:
+        return int(counts.max(initial=0))
+    ordered = np.sort(counts)
+    fewer = np.cumsum(ordered) - ordered
+    levels = (most - fewer) // np.arange(len(counts), 0, -1)
+    return int(levels[np.argmax(levels < ordered)])

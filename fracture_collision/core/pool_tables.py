@@ -33,7 +33,7 @@ class PoolTables:
         self.mesh = _table(
             nodes=(3, f8), tetrahedra=(4, i4), neighbours=(4, i4), tetrahedron_edges=(6, i4), edges=(2, i4),
             edge_tets=(0, i4), boxes=(6, f4), barycentric=(12, f8), moments=(10, f8), on_surface=(0, u1),
-            node_normals=(3, f8), node_tets_begin=(0, i4), node_tets=(0, i4), first=(3, i4), grid=(4, f8),
+            node_normals=(3, f8), node_tets_begin=(0, i4), node_tets=(0, i4), first=(4, i4), grid=(4, f8),
             grid_dims=(4, i4), cell_begin=(0, i4), cell_tets=(0, i4), cell_parts=(0, u8), depth_grid=(4, f8),
             depth_grid_dims=(4, i4), grid_depth=(0, f8),
         )  # fmt: skip
@@ -110,7 +110,7 @@ class PoolTables:
             if shift:
                 rows = np.where(rows < 0, -1, rows + shift)
             table[name].share(rows)
-        table["first"].append(np.array([[node, edge, len(mesh.nodes)]], np.int32))
+        table["first"].append(np.array([[node, edge, len(mesh.nodes), tet]], np.int32))
         table["grid"].append(np.append(mesh.grid_origin, mesh.grid_cell)[None])
         table["grid_dims"].append(np.append(mesh.grid_dims, first_cell)[None])
         table["depth_grid"].append(np.zeros((1, 4)))

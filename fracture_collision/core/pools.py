@@ -88,7 +88,7 @@ class MeshPool(NamedTuple):
     node_normals: np.ndarray  # (N, 3) float64 unit, outward, of the old surface; zero inside
     node_tets_begin: np.ndarray  # (N + meshes,) int32; mesh k's rows start at first node + k
     node_tets: np.ndarray  # (4M,) int32
-    first: np.ndarray  # (meshes, 3) int32: first node, first edge, number of nodes
+    first: np.ndarray  # (meshes, 4) int32: first node, first edge, number of nodes, first tetrahedron
     grid: np.ndarray  # (meshes, 4) float64: origin [m], cell [m]
     grid_dims: np.ndarray  # (meshes, 4) int32: cells along x, y, z; first entry in cell_begin
     cell_begin: np.ndarray  # int32, cells + 1 a mesh

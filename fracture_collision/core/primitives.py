@@ -48,14 +48,32 @@ def _box_distance(half, x, y, z):
     return d, sx * ox / d, sy * oy / d, sz * oz / d
 
 
+def _pieces_of_edges(half: np.ndarray) -> list[int]:
+    """In how many equal pieces the samples divide the edges along each axis of a box of half edges (3,) [m]."""
+    step = 2.0 * float(half.max()) * BOX_EDGE_SPACING
+    return [max(int(np.ceil(2.0 * h / step - 1e-9)), 1) for h in half.tolist()]
+
+
 def box_edge_points(half: np.ndarray) -> np.ndarray:
     """Corners and evenly spaced points of the twelve edges, (n, 3) [m], no point twice."""
-    step = 2.0 * float(half.max()) * BOX_EDGE_SPACING
     points = [np.array([x, y, z]) * half for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
-    for axis in range(3):
-        pieces = max(int(np.ceil(2.0 * half[axis] / step - 1e-9)), 1)
+    for axis, pieces in enumerate(_pieces_of_edges(half)):
         for t in np.linspace(-1.0, 1.0, pieces + 1)[1:-1]:
             for u in (-1, 1):
                 for v in (-1, 1):
                     points.append(np.insert(np.array([u, v], float), axis, t) * half)
     return np.ascontiguousarray(points)
+
+
+def box_sampling_gap(half: np.ndarray) -> float:
+    """[m] no point of the surface is farther from one of box_edge_points(half), hardly less.
+
+    From a point of a face with half edges a and b it is at most a to an edge of length 2 b, and along that edge at most
+    half the spacing of its samples to the nearest of them; likewise the other way round.
+    """
+    spacing = [h / pieces for h, pieces in zip(half.tolist(), _pieces_of_edges(half), strict=True)]  # half of it
+    farthest = 0.0
+    for i, j in ((0, 1), (1, 2), (2, 0)):
+        a, b = float(half[i]), float(half[j])
+        farthest = max(farthest, min(a * a + spacing[j] * spacing[j], b * b + spacing[i] * spacing[i]))
+    return math.sqrt(farthest)

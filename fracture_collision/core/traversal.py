@@ -17,16 +17,13 @@ import math
 import numpy as np
 
 from fracture_collision.core.compiled import inlined_kernel, query_kernel
-from fracture_collision.core.elementary_queries import INSIDE, OUTSIDE, least_distance, probe, sphere_test
-from fracture_collision.core.flood import NO_SOURCE
+from fracture_collision.core.deepest_contacts import keep_if_deeper, make_heap, sort_heap, swap_contacts
+from fracture_collision.core.elementary_queries import INSIDE, OUTSIDE, least_distance, sphere_test
 from fracture_collision.core.hull_separation import hull_of, parting_plane
 from fracture_collision.core.kinds import PLANE, SPHERE, TRIANGLES
 from fracture_collision.core.known_samples import (
-    ID_AT,
     ID_SAMPLE,
     ID_SIDE,
-    ID_SOURCE,
-    ID_TETRAHEDRON,
     ask_sample,
     home_tetrahedron,
     moved_since,
@@ -39,6 +36,7 @@ from fracture_collision.core.neighbour_lists import displacement, spin
 from fracture_collision.core.oriented_boxes import boxes_apart
 from fracture_collision.core.pools import NONE_BELOW, OWN_SAMPLE, QUEUE, SAMPLE, SIZE, SURFACE
 from fracture_collision.core.rotations import rotated, to_other
+from fracture_collision.core.sphere_contacts import sphere_contacts
 
 # columns of scratch.node_int
 ENTRY, SIDE, NEXT_CHILD, STATUS = 0, 1, 2, 3
@@ -47,33 +45,21 @@ DEPTH = 3
 UNTESTED = -1
 UNTURNED = np.eye(3).ravel()
 NO_PLANE = (0.0, 0.0, 0.0, 0.0)
+# How a search ended: all that counts was found; a limit on visits, or on contacts, cut it short; or that on the visits
+# that come once a pair has the contacts wanted did.
+COMPLETE, BY_LIMIT, BY_FURTHER = 0, 1, 2
+# Triangles that a sphere's contacts may be on, however little is left for further visits.
+LEAST_WITHIN = 32
 UNKNOWN = 3  # beside INSIDE, NEAR, OUTSIDE: not asked, for no depth that it can have would count
 # Poses of neighbour_lists.keep_pose: two fragments of one body, where they were made.
 IN_PLACE = np.tile(np.append(UNTURNED, np.zeros(3)), (2, 1))
 
 
 @inlined_kernel
-def _depth_limit(pools, f):
+def depth_limit(pools, f):
     """No point of fragment f is deeper than half its box's shortest side [m]."""
     b = pools.fragment.box[f]
     return 0.5 * min(b[3] - b[0], b[4] - b[1], b[5] - b[2])
-
-
-@inlined_kernel
-def sphere_contact(pools, ball, other, x, y, z, near, contacts, ids, count, side, scratch, thread):
-    """The one contact of an analytic sphere, centre (x, y, z) in the other's frame: its deepest point."""
-    radius = pools.fragment.shape[ball, 0]
-    status, d, nx, ny, nz, qx, qy, qz = probe(pools, other, x, y, z, radius + near, math.inf, scratch, thread)
-    if status == OUTSIDE or d - radius > near:
-        return count
-    row = contacts[count]
-    row[0], row[1], row[2] = x - radius * nx, y - radius * ny, z - radius * nz
-    row[3], row[4], row[5] = qx, qy, qz
-    row[6], row[7], row[8] = nx, ny, nz
-    row[9] = d - radius
-    ids[count, ID_SIDE], ids[count, ID_SAMPLE] = side, -1
-    ids[count, ID_SOURCE], ids[count, ID_TETRAHEDRON], ids[count, ID_AT] = NO_SOURCE, -1, -1
-    return count + 1
 
 
 @inlined_kernel
@@ -103,20 +89,22 @@ def _most_depth(pools, other, x, y, z, plane):
 
 @query_kernel
 def query_pair(
-    pools, a, b, rotation, translation, wanted, epsilon, near, reach, budget,
+    pools, a, b, rotation, translation, wanted, epsilon, near, reach, budget, further, limit,
     contacts, ids, capacity, listed, scratch, thread,
 ):  # fmt: skip
     """All contacts of fragments `a` and `b`.
 
     rotation (2, 3, 3), translation (2, 3): [0] from a's body frame to b's, [1] back. `wanted` m, `epsilon` and `near`
-    [m], `budget` visits (0: none). `reach` [m], 0: none: the samples that are no farther than near + reach are put into
-    `listed` (room,), and the search is given up once there are as many contacts as wanted.
+    [m], `budget` visits (0: none), `further` visits once there are m contacts; the `limit` deepest contacts are kept.
+    `reach` [m], 0: none: the samples that are no farther than near + reach are put into `listed` (room,), and the
+    search is given up once there are as many contacts as wanted.
 
     Fills contacts (capacity, 10): sample point, witness on the other, the other's outward normal, all in the other's
-    frame, gap [m]; ids (capacity, 5): side (0: a's sample in b), sample (-1: a sphere's own), source and tetrahedron of
-    the witness, tetrahedron of the sample (bounded_probe). Returns (contacts found, missed depth bound [m], visits,
-    exhausted, samples near); more found than `capacity` or near than there is room for means: call again with room, or
-    do without. Fewer contacts than wanted come by side and sample.
+    frame, gap [m]; ids (capacity, 5): side (0: a's sample in b), sample (of a sphere: sphere_contacts.py), source and
+    tetrahedron of the witness, tetrahedron of the sample (bounded_probe). Returns (contacts, missed depth bound [m],
+    visits, one of COMPLETE, BY_LIMIT, BY_FURTHER, samples near); more contacts than `capacity` or near than there is
+    room for means: call again with room, or do without. Fewer contacts than wanted come by side and sample, those that
+    are left of more than `limit` by depth, others in the order of the search.
 
     The queues hold rows of node_int and node_float, one a node that was reached. A child whose sphere keeps out of
     reach of the other counts as visited but takes no row.
@@ -134,16 +122,17 @@ def query_pair(
     bounded = fragment.kind[a] != PLANE and fragment.kind[b] != PLANE
     within, samples = near + reach, 0
     if bounded and boxes_apart(fragment.box[a], fragment.box[b], rotation[0], translation[0], within + slack):
-        return 0, slack, 0, False, 0
+        return 0, slack, 0, COMPLETE, 0
     visits, apart = 0, math.inf
     if one_body:
         apart = displacement(pools, a, b, rotation, translation, IN_PLACE)
         if apart <= epsilon:
             count, visits = query_seeds(
-                pools, a, b, rotation, translation, wanted, near, budget, contacts, ids, capacity, scratch, thread
-            )
-            if count == wanted or (budget and visits >= budget):
-                return count, apart + slack, visits, count < wanted, 0
+                pools, a, b, rotation, translation, min(wanted, limit), near, budget, contacts, ids, capacity,
+                scratch, thread,
+            )  # fmt: skip
+            if count == min(wanted, limit) or (budget and visits >= budget):
+                return count, apart + slack, visits, COMPLETE if count == wanted else BY_LIMIT, 0
     beyond_b, beyond_a = NO_PLANE, NO_PLANE
     if apart > within and _has_hull(fragment.kind[a]) and _has_hull(fragment.kind[b]):
         way = _way_between(fragment.box[a], fragment.box[b], rotation[0], translation[0])
@@ -151,25 +140,30 @@ def query_pair(
             hull_of(pools, a), hull_of(pools, b), way, rotation, translation, within + slack
         )
         if low - high > within + slack:
-            return 0, slack, visits, False, 0
+            return 0, slack, visits, COMPLETE, 0
         t = translation[0]
         beyond_b = x, y, z, high + slack
         x, y, z = rotated(rotation[1], -x, -y, -z)
         beyond_a = x, y, z, beyond_b[0] * t[0] + beyond_b[1] * t[1] + beyond_b[2] * t[2] - low + slack
     node, node_point = scratch.node_int[thread], scratch.node_float[thread]
     queue = scratch.queue[thread]
+    spare, spare_ids = scratch.row[thread], scratch.row_ids[thread]
     current, following = 0, 1
     nodes, size = 0, 0
     count = 0
-    bound = 0.0
+    bound = dropped = 0.0
+    deeper_by = 0.0  # than its contact says a sample may be: not with the exact field
+    exhausted = COMPLETE
     for side in range(2):
         own, other = (a, b) if side == 0 else (b, a)
         if fragment.kind[own] == SPHERE:
             if side == 0 or fragment.kind[other] != SPHERE:
                 p = translation[side]
-                count = sphere_contact(
-                    pools, own, other, p[0], p[1], p[2], near, contacts, ids, count, side, scratch, thread
-                )
+                count, bound, left_out = sphere_contacts(
+                    pools, own, other, p[0], p[1], p[2], near, wanted, epsilon, max(further, LEAST_WITHIN), limit,
+                    contacts, ids, side, scratch, thread,
+                )  # fmt: skip
+                exhausted = BY_LIMIT if left_out else COMPLETE
         elif fragment.tree_end[own] > fragment.tree_begin[own]:
             root = fragment.tree_begin[own]
             c = tree.spheres[root]
@@ -180,11 +174,16 @@ def query_pair(
             nodes += 1
             size += 1
     m = max(wanted, count)
-    exhausted = False
-    while size and not exhausted and (reach == 0.0 or count < m):
+    cut = COMPLETE
+    while size and cut == COMPLETE and (reach == 0.0 or count < m):
         next_size = 0
         head = 0
         while head < size:
+            if count >= wanted:
+                if further <= 0:
+                    cut = BY_FURTHER
+                    break
+                further -= 1
             k = queue[current, head]
             entry, side = node[k, ENTRY], node[k, SIDE]
             other = b if side == 0 else a
@@ -195,7 +194,7 @@ def query_pair(
                 radius = tree.spheres[entry, 3]
                 moved = moved_since(tree.spheres[entry], x, y, z) if one_body else math.inf
                 if budget and visits >= budget:
-                    exhausted = True
+                    cut = BY_LIMIT
                     break
                 visits += 1
                 status = node[k, STATUS]
@@ -203,7 +202,7 @@ def query_pair(
                     status = OUTSIDE
                     if tree.entries[entry, SURFACE] != OWN_SAMPLE:
                         # an interior node is no contact, and whether it is inside would cull nothing
-                        node_point[k, DEPTH] = min(node_point[k, DEPTH], _depth_limit(pools, other))
+                        node_point[k, DEPTH] = min(node_point[k, DEPTH], depth_limit(pools, other))
                     elif moved <= epsilon and count >= m:
                         status = UNKNOWN
                         node_point[k, DEPTH] = min(node_point[k, DEPTH], moved)
@@ -227,13 +226,21 @@ def query_pair(
                         status, most = answer[0], answer[8]
                         if status != OUTSIDE:
                             if full or -answer[1] > epsilon:
-                                if count < capacity:
+                                if count < min(capacity, limit):
                                     put_contact(contacts, ids, count, side, sample, x, y, z, answer)
+                                elif capacity >= limit:
+                                    if count == limit:
+                                        make_heap(contacts, ids, limit)
+                                    put_contact(spare, spare_ids, 0, side, sample, x, y, z, answer)
+                                    dropped = max(
+                                        dropped, keep_if_deeper(contacts, ids, limit, spare[0], spare_ids[0])
+                                    )
+                                deeper_by = max(deeper_by, most + answer[1])
                                 count += 1
                                 m = max(m, count)
                             else:
                                 bound = max(bound, most)
-                        node_point[k, DEPTH] = min(most, _depth_limit(pools, other))
+                        node_point[k, DEPTH] = min(most, depth_limit(pools, other))
                     node[k, STATUS] = status
                 head += 1
                 if end == entry + 1:
@@ -291,12 +298,17 @@ def query_pair(
             queue[following, next_size] = nodes
             nodes += 1
             next_size += 1
-        if exhausted:
+        if cut != COMPLETE:
+            exhausted = cut
             rest = one_body, turned, a, b
             bound = max(bound, _bound_of_rest(pools, rest, node, node_point, queue, current, head, size))
             bound = max(bound, _bound_of_rest(pools, rest, node, node_point, queue, following, 0, next_size))
         current, following = following, current
         size = next_size
+    if count > limit:
+        if capacity >= limit:
+            sort_heap(contacts, ids, limit)
+        return limit, max(bound, dropped + deeper_by) + slack, visits, max(exhausted, BY_LIMIT), samples
     if count < m:
         _sort_contacts(contacts, ids, min(count, capacity))
         _sort_samples(tree, listed, min(samples, len(listed)))
@@ -309,10 +321,7 @@ def _sort_contacts(contacts, ids, count):
     for i in range(1, count):
         k = i
         while k > 0 and (ids[k - 1, ID_SIDE], ids[k - 1, ID_SAMPLE]) > (ids[k, ID_SIDE], ids[k, ID_SAMPLE]):
-            for c in range(contacts.shape[1]):
-                contacts[k - 1, c], contacts[k, c] = contacts[k, c], contacts[k - 1, c]
-            for c in range(ids.shape[1]):
-                ids[k - 1, c], ids[k, c] = ids[k, c], ids[k - 1, c]
+            swap_contacts(contacts, ids, k - 1, k)
             k -= 1
 
 
@@ -346,5 +355,5 @@ def _bound_of_rest(pools, pair, node, node_point, queue, which, begin, end):
         depth = p[DEPTH] + sphere[3]
         if one_body:
             depth = min(depth, moved_since(sphere, p[0], p[1], p[2]) + turned * sphere[3])
-        bound = max(bound, min(depth, _depth_limit(pools, other)))
+        bound = max(bound, min(depth, depth_limit(pools, other)))
     return bound

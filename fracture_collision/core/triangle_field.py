@@ -50,7 +50,7 @@ def build_triangle_mesh(vertices: np.ndarray, triangles: np.ndarray) -> Triangle
     corners = vertices[triangles]
     lower, upper = corners.min(axis=1), corners.max(axis=1)
     boxes = np.ascontiguousarray(np.concatenate([lower, upper], axis=1))
-    order, node_box, node_skip, node_first, node_count = _build_hierarchy(boxes, 0.5 * (lower + upper))
+    order, node_box, node_skip, node_first, node_count = build_hierarchy(boxes, 0.5 * (lower + upper))
     pseudonormals, features = _pseudonormals(vertices, triangles)
     return TriangleMesh(
         np.ascontiguousarray(corners[order].reshape(-1, 9)), np.ascontiguousarray(features[order]), pseudonormals,
@@ -95,8 +95,12 @@ def _pseudonormals(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndar
 
 
 @kernel
-def _build_hierarchy(boxes, centers):
-    """Halve the triangles at the median of the widest axis of their centres; ties keep their order."""
+def build_hierarchy(boxes, centers):
+    """Halve the triangles at the median of the widest axis of their centres; ties keep their order.
+
+    boxes (t, 6) [m] and centers (t, 3) [m] of the triangles. Returns (order (t,) of the triangles in the leaves, then
+    node_box, node_skip, node_first and node_count as in TriangleMesh).
+    """
     n = len(boxes)
     order = np.arange(n).astype(np.int32)
     capacity = 2 * n

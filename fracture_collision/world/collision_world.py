@@ -11,7 +11,8 @@ import numpy as np
 from fracture_collision.core.broad_phase import overlapping_pairs, world_boxes
 from fracture_collision.core.collision_geometry import CollisionGeometry
 from fracture_collision.core.crew import Crew
-from fracture_collision.core.narrow_phase import PairContacts, query_pairs, rotation_matrices
+from fracture_collision.core.crowds import coincident
+from fracture_collision.core.narrow_phase import PairContacts, WorkLimits, query_pairs, rotation_matrices
 from fracture_collision.core.neighbour_lists import NO_LISTS
 from fracture_collision.core.scratch import Scratch, make_scratch
 from fracture_collision.records import (
@@ -117,8 +118,14 @@ class CollisionWorld:
         boxes = np.empty((len(rows), 6))
         world_boxes(pools.fragment.box, rows, rotations, positions, margins, boxes)
         pairs = overlapping_pairs(
-            boxes, pools.fragment.kind[rows], pools.fragment.shape[rows], rotations, positions, here.is_static
-        )
+            boxes, pools.fragment.kind[rows], pools.fragment.shape[rows], rotations, positions, here.is_static,
+            self.settings.max_pairs,
+        )  # fmt: skip
+        if len(pairs) > self.settings.max_pairs:
+            refuse(
+                "limit_exceeded",
+                f"positions: the boxes of more than {self.settings.max_pairs} pairs of fragments overlap (max_pairs)",
+            )
         paired = perf_counter()
         holds_for = self._what_lists_hold_for()
         if self._lists_of != holds_for:
@@ -128,6 +135,7 @@ class CollisionWorld:
             pools, rows, rotations, positions, pairs, self.settings.contacts_per_pair,
             self.settings.penetration_tolerance, self.settings.detection_tolerance, budget,
             self._sized_scratch(rows), self._crew, self._lists if self.settings.neighbour_lists else None,
+            _work_limits(self.settings), coincident(boxes, pairs),
         )  # fmt: skip
         answer = self._answer(checked, here, radius, pairs, found)
         self.last_visits, self.last_pairs = int(found.visits.sum()), len(pairs)
@@ -248,6 +256,13 @@ class CollisionWorld:
             gaps=found.gaps,
             contact_ids=keys,
         )
+
+
+def _work_limits(settings: Settings) -> WorkLimits:
+    return WorkLimits(
+        settings.max_visits, settings.max_further_visits,
+        max(settings.max_contacts_per_pair, settings.contacts_per_pair), settings.max_contacts,
+    )  # fmt: skip
 
 
 def _crew_of(settings: Settings) -> Crew:

@@ -72,7 +72,10 @@ def asked_with(world: CollisionWorld, states: FragmentStates, **settings: Any) -
 
 def every_contact(world: CollisionWorld, states: FragmentStates) -> ContactConstraintArray:
     """The contacts at `states` if each pair had room for all: what self-adapting selection (5.2) chooses from."""
-    return asked_with(world, states, contacts_per_pair=EVERY_CONTACT, visit_budget=0)
+    return asked_with(
+        world, states, contacts_per_pair=EVERY_CONTACT, visit_budget=0, max_visits=EVERY_CONTACT,
+        max_further_visits=EVERY_CONTACT, max_contacts=EVERY_CONTACT,
+    )  # fmt: skip
 
 
 def errors_of(

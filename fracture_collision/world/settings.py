@@ -38,6 +38,14 @@ class Settings(NamedTuple):
     threads: int = 0
     # Tree nodes a step may test, shared evenly by its pairs; 0: no limit. The bound says what a limit left out.
     visit_budget: int = 0
+    # Limits on the work for one answer. What they leave out is in missed_depth_bound, with BUDGET_EXHAUSTED, but for
+    # max_pairs: states of which more pairs of boxes overlap are refused in words. They are far beyond what bodies that
+    # push each other apart come to; bodies at one place would else have contacts by the million.
+    max_pairs: int = 100_000  # pairs of fragments whose boxes overlap
+    max_visits: int = 4_000_000  # tree nodes of pairs whose boxes coincide, in all; of the others, 25 times as many
+    max_further_visits: int = 2_000_000  # tree nodes of pairs that have contacts_per_pair contacts, for deeper ones
+    max_contacts_per_pair: int = 1_000  # the deepest; never fewer than contacts_per_pair
+    max_contacts: int = 200_000  # in one answer; pairs that have most lose their shallowest
     # Limits: a message beyond them is refused in words.
     max_bodies: int = 10_000
     max_nodes: int = 2_000_000  # tetrahedral-mesh and surface vertices of all bodies together
@@ -66,6 +74,6 @@ def check_settings(settings: Settings) -> None:
     for name in ("penetration_tolerance", "detection_tolerance"):
         if not 0.0 <= getattr(settings, name) <= 1.0:
             raise ValueError(f"{name}: {getattr(settings, name)} is not in [0, 1]")
-    for name in ("threads", "visit_budget", "max_bodies", "max_nodes", "max_fragments", "max_message_bytes"):
+    for name in ("threads", *(field for field in Settings._fields if field.startswith("max_")), "visit_budget"):
         if getattr(settings, name) < 0:
             raise ValueError(f"{name}: {getattr(settings, name)} is negative")

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from fracture_collision.core.connected_pieces import joined
-from fracture_collision.portable_math import arctangent2, dots, lengths
+from fracture_collision.core.ray_crossings import UNDECIDED, windings_of_others
+from fracture_collision.portable_math import dots, lengths
 from fracture_collision.world.checks import refuse
 
 # Twice the area against the longest side squared: below, rounding decides where the normal points.
@@ -84,17 +85,11 @@ def _one_solid(triangles: np.ndarray, corners: np.ndarray, opposite: np.ndarray)
         refuse("bad_mesh", f"triangles: inside out (volume {volumes.sum():.3g} m3); order them counter-clockwise")
     if len(outer) > 1:
         refuse("bad_mesh", f"triangles: {len(outer)} solids apart; each needs a body of its own")
-    for cavity in np.flatnonzero(volumes <= 0.0):
-        point = corners[np.flatnonzero(piece == cavity)[0], 0]
-        if not 0.5 < _winding_number(point, corners[piece != cavity]) < 1.5:
-            first = np.flatnonzero(piece == cavity)[0]
-            refuse("bad_mesh", f"triangles: the piece with triangle {first} is inside out and no cavity of the solid")
-
-
-def _winding_number(point: np.ndarray, corners: np.ndarray) -> float:
-    """How often closed triangles (t, 3, 3) wind around a point: A. van Oosterom, J. Strackee, 1983."""
-    a, b, c = (corners[:, i] - point for i in range(3))
-    la, lb, lc = (lengths(v) for v in (a, b, c))
-    triple = dots(a, np.cross(b, c))
-    angles = [dots(u, v) * w for u, v, w in ((a, b, lc), (b, c, la), (c, a, lb))]
-    return float(2.0 * arctangent2(triple, la * lb * lc + angles[0] + angles[1] + angles[2]).sum() / (4.0 * np.pi))
+    cavities = np.flatnonzero(volumes <= 0.0)
+    _, first = np.unique(piece, return_index=True)
+    first = first[cavities]
+    windings = windings_of_others(corners, piece, corners[first, 0], cavities)
+    if (windings != 1).any():
+        wrong = int(np.argmax(windings != 1))
+        where = "touches another piece" if windings[wrong] == UNDECIDED else "is inside out and no cavity of the solid"
+        refuse("bad_mesh", f"triangles: the piece with triangle {first[wrong]} {where}")
