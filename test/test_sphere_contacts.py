@@ -224,6 +224,20 @@ def test_within_a_hollow_sphere_the_bound_says_what_is_left() -> None:
     assert len(most.gaps) == 20 and most.status == BUDGET_EXHAUSTED
 
 
+@pytest.mark.parametrize("visits", [2, 100, 400])
+def test_the_bound_holds_where_few_triangles_are_looked_at(visits: int) -> None:
+    shape, radius, center = boundary_of(shell(1.0, 0.8, 0.25)), 0.79, np.array([0.03, 0.05, -0.04])
+    answer = answer_at(world_of(shape, radius, max_further_visits=visits), center)
+    found = places_of(answer, center, radius)
+    truth = true_places(shape.corners, lambda x: true_distance(shape, x) < 0.0, center, radius * 1.002)
+    apart = np.linalg.norm(truth[:, None] - found, axis=2).min(axis=1)
+    depth = radius - np.linalg.norm(truth - center, axis=1)
+    assert answer.status == BUDGET_EXHAUSTED
+    assert 1 <= len(found) < len(truth)
+    assert apart[np.argmax(depth)] < 1e-6
+    assert depth[apart > 1e-6].max() <= answer.missed_depth_bound[0]
+
+
 def test_ids_stay_with_the_face() -> None:
     """Whichever of wall and floor is deeper, and whatever else is touched."""
     world, ids = world_of(room(), 0.5), []

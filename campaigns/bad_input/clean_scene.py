@@ -12,6 +12,9 @@ REMOVED = 5
 # 53 nodes are in use; two more bodies of 45 fit, a larger one does not. 7 fragments were made.
 SETTINGS = Settings(threads=1, max_nodes=160, max_fragments=40)
 FULL = SETTINGS._replace(max_bodies=4)  # not one body more
+# Its four fragments and the plane can be one pair more.
+SPARSE = SETTINGS._replace(max_pairs=9)
+AT_ONE_PLACE = REFERENCE._replace(positions=np.tile([0.0, 0.0, -0.2], len(REFERENCE.fragment_ids)))
 
 # (topic, record), in order; what they make answers REFERENCE
 CLEAN = (
@@ -28,4 +31,6 @@ ENDING = (
     ("fragment_states", REFERENCE._replace(step=12)),
 )
 
-__all__ = ["CLEAN", "ENDING", "FULL", "REFERENCE", "REMOVED", "SETTINGS", "record_bytes"]
+__all__ = [
+    "AT_ONE_PLACE", "CLEAN", "ENDING", "FULL", "REFERENCE", "REMOVED", "SETTINGS", "SPARSE", "record_bytes",
+]  # fmt: skip

@@ -13,7 +13,7 @@ from broken_rules import BODIES, EVENTS, STATES
 from gate_world import observed
 
 from campaigns.bad_input.body_mutations import BODY_MUTATIONS, SHAPES
-from campaigns.bad_input.clean_scene import FULL, REFERENCE, REMOVED, SETTINGS
+from campaigns.bad_input.clean_scene import AT_ONE_PLACE, FULL, REFERENCE, REMOVED, SETTINGS, SPARSE
 from campaigns.bad_input.doors import DOORS, HELD, MESSAGE_CLASSES, REFUSED, TAKEN, Verdict, ending, unsound
 from campaigns.bad_input.event_mutations import EVENT_MUTATIONS
 from campaigns.bad_input.mutations import ANY_KIND, Mutation, Pick
@@ -45,7 +45,7 @@ class Case(NamedTuple):
 
 
 def fixed_cases() -> Iterator[Case]:
-    """Those that leave nothing to pick: the rules, a world without room for a body, meshes of what does not live."""
+    """Those that leave nothing to pick: the rules, worlds without room for more, meshes of what does not live."""
     for topic, rules in RULES.items():
         for rule, (record, kind, _) in rules.items():
             yield Case(topic, f"rule: {rule}", record, frozenset({kind}), SHAPE_PARTS.union(record._fields))
@@ -54,6 +54,10 @@ def fixed_cases() -> Iterator[Case]:
             "bodies", "one body too many", shape, frozenset({"limit_exceeded"}), frozenset({"body_id"}),
             on_the_wire=True, settings=FULL,
         )  # fmt: skip
+    yield Case(
+        "fragment_states", "all at one place", AT_ONE_PLACE, frozenset({"limit_exceeded"}), frozenset({"positions"}),
+        on_the_wire=True, settings=SPARSE,
+    )  # fmt: skip
     for kind, fragment_ids in (
         ("unknown_id", (0, 1, REMOVED, 12)), ("out_of_range", (2**32, -1)), ("wrong_type", (0.5, None, "1", [1])),
     ):  # fmt: skip

@@ -8,8 +8,10 @@ import numpy as np
 
 from fracture_collision.core.triangle_field import STACK
 
-# Triangles of another's surface within a sphere's reach that are looked at, and of those at one point of it.
-MOST_WITHIN = 2048
+# Triangles of another's surface within a sphere's reach that are looked at, places among them where it touches, and
+# triangles at one point.
+MOST_WITHIN = 8192
+MOST_PLACES = 1024
 MOST_TOUCHING = 256
 # A tetrahedron has at most three planes that part fragments behind each face.
 ROOTS = 12
@@ -32,8 +34,8 @@ class Scratch(NamedTuple):
     stack: np.ndarray  # (threads, STACK) int32: a descent through a triangle hierarchy
     within: np.ndarray  # (threads, MOST_WITHIN) int64: triangles within a sphere's reach (sphere_contacts.py)
     touching: np.ndarray  # (threads, MOST_TOUCHING) int64: those at one point
-    row: np.ndarray  # (threads, MOST_WITHIN + 1, 10) float64: contacts that are not chosen yet, traversal.query_pair
-    row_ids: np.ndarray  # (threads, MOST_WITHIN + 1, 5) int64
+    row: np.ndarray  # (threads, MOST_PLACES, 10) float64: contacts that are not chosen yet, traversal.query_pair
+    row_ids: np.ndarray  # (threads, MOST_PLACES, 5) int64
 
 
 def make_scratch(threads: int, tetrahedra: int, nodes: int) -> Scratch:
@@ -55,6 +57,6 @@ def make_scratch(threads: int, tetrahedra: int, nodes: int) -> Scratch:
         stack=np.zeros((threads, STACK), dtype=np.int32),
         within=np.zeros((threads, MOST_WITHIN), dtype=np.int64),
         touching=np.zeros((threads, MOST_TOUCHING), dtype=np.int64),
-        row=np.zeros((threads, MOST_WITHIN + 1, 10)),
-        row_ids=np.zeros((threads, MOST_WITHIN + 1, 5), dtype=np.int64),
+        row=np.zeros((threads, MOST_PLACES, 10)),
+        row_ids=np.zeros((threads, MOST_PLACES, 5), dtype=np.int64),
     )

@@ -94,7 +94,12 @@ def sphere_contacts(
             cut = bound > epsilon
         for k in range(count):
             is_place, e, mx, my, mz, px, py, pz = _place_of(pools, other, within[k], x, y, z, touching, scratch, thread)
-            if is_place and not _is_listed(rows, found, px, py, pz, ONE_PLACE * size):
+            if not is_place or _is_listed(rows, found, px, py, pz, ONE_PLACE * size):
+                continue
+            if found == len(rows):
+                bound = max(bound, radius - e)
+                cut = bound > epsilon
+            else:
                 sample = _number(pools, other, within[k])
                 _put(rows, row_ids, found, side, sample, x, y, z, radius, e, mx, my, mz, px, py, pz)
                 found += 1
