@@ -256,7 +256,11 @@ def _compact_meshes(tables: PoolTables, meshes: list[MeshRows]) -> _MeshMoves:
     ):  # fmt: skip
         table[name].replace(of.of(table[name].view))
     first = table["first"].view
-    table["first"].replace(np.column_stack([moves.nodes.of(first[:, 0]), moves.edges.of(first[:, 1]), first[:, 2]]))
+    table["first"].replace(
+        np.column_stack(
+            [moves.nodes.of(first[:, 0]), moves.edges.of(first[:, 1]), first[:, 2], moves.tetrahedra.of(first[:, 3])]
+        )
+    )
     for name, of in (("grid_dims", cell_begin), ("depth_grid_dims", depth)):
         dims = table[name].view
         table[name].replace(np.column_stack([dims[:, :3], of.of(dims[:, 3])]))

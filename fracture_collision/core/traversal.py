@@ -179,6 +179,9 @@ def query_pair(
         next_size = 0
         head = 0
         while head < size:
+            if budget and visits >= budget:
+                cut = BY_LIMIT
+                break
             if count >= wanted:
                 if further <= 0:
                     cut = BY_FURTHER
@@ -193,9 +196,6 @@ def query_pair(
                 # first time on this level: test
                 radius = tree.spheres[entry, 3]
                 moved = moved_since(tree.spheres[entry], x, y, z) if one_body else math.inf
-                if budget and visits >= budget:
-                    cut = BY_LIMIT
-                    break
                 visits += 1
                 status = node[k, STATUS]
                 if status == UNTESTED:

@@ -105,11 +105,18 @@ def turned_back(quaternion: np.ndarray, vector: np.ndarray) -> np.ndarray:
 
 
 def from_euler_angles(angles: np.ndarray) -> np.ndarray:
-    """The quaternion (4,) of rotations about the fixed x, y and z axes, in this order, by angles (3,) [rad]."""
-    about = np.zeros((3, 1, 4))
-    for axis in range(3):
-        about[axis, 0, axis], about[axis, 0, 3] = sine(0.5 * angles[axis]), cosine(0.5 * angles[axis])
-    return quaternion_products(about[2], quaternion_products(about[1], about[0]))[0]
+    """The quaternion (4,) of rotations about the fixed x, y and z axes, in this order, by angles (3,) [rad].
+
+    Not compiled: scenes are read with it, before kernels are loaded.
+    """
+    sx, sy, sz = sine(0.5 * np.asarray(angles)).tolist()
+    cx, cy, cz = cosine(0.5 * np.asarray(angles)).tolist()
+    return np.array(
+        [
+            sx * cy * cz - cx * sy * sz, cx * sy * cz + sx * cy * sz, cx * cy * sz - sx * sy * cz,
+            cx * cy * cz + sx * sy * sz,
+        ]
+    )  # fmt: skip
 
 
 def random_quaternion(generator: np.random.Generator) -> np.ndarray:
