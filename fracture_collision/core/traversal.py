@@ -179,7 +179,8 @@ def query_pair(
         next_size = 0
         head = 0
         while head < size:
-            if budget and visits >= budget:
+            # a node that is tested and its first child that keeps out of reach are two visits
+            if budget and visits + 2 > max(budget, 2):
                 cut = BY_LIMIT
                 break
             if count >= wanted:
