@@ -3,6 +3,7 @@
 For all bodies at rest together: are there contact forces, each within its friction cone, whose sum and moment on each
 body balance its weight? A pair resists rolling by torques of up to its rolling arm times its normal force. Each body is
 granted TOLERANCE of its weight, and of its weight times its size as a moment; what is missing beyond that is minimised.
+What only hangs by an edge of a standing box counts for nothing (HOOK).
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import linprog
 from scipy.sparse import coo_array
+from scipy.spatial.transform import Rotation
 
 from fracture_collision.world.inspection import asked_with
 
@@ -19,6 +21,10 @@ TOLERANCE = 0.05  # of the weight
 FACETS = 12  # of a friction cone
 SPEED_AT_REST = 2e-3  # [m/s] of any point of the body
 ROOM = 4096  # contacts a pair: all within the detection tolerance
+# [m] A sample on one face of a box and so little behind another would be free if it were moved by that. A true support,
+# but one that nobody can see: what hangs by it seems to float.
+HOOK = 2e-4
+ON_FACE = 1e-9
 
 
 class Support(NamedTuple):
@@ -33,8 +39,10 @@ class Support(NamedTuple):
 def support_of(run, scene) -> Support:
     """Of a Lockstep run as it stands."""
     states = run.states()
-    contacts = asked_with(run.world, states, contacts_per_pair=ROOM)
     registry = run.world.fragments()
+    contacts = _without_hooks(
+        asked_with(run.world, states, contacts_per_pair=ROOM), _standing_boxes(run.simulation, registry)
+    )
     bodies = run.simulation._engine.states()
     rolling = {body_id: body.material.rolling_arm for body_id, body in run.simulation._cast.body_of.items()}
     of = dict(zip(registry.fragment_ids.tolist(), registry.body_ids.tolist(), strict=True))
@@ -50,6 +58,40 @@ def support_of(run, scene) -> Support:
         return Support(bodies.fragment_ids[resting], np.zeros(len(resting)))
     arm_of = {f: rolling[of[f]] for f in of}
     return _solve(contacts, resting, row_of, bodies, gravity, weight, size, arm_of)
+
+
+def _standing_boxes(simulation, registry):
+    """[(fragment id, half edges (3,), position (3,), orientation (3, 3))]"""
+    bodies = {int(fragment): simulation._cast.body_of.get(int(body)) for fragment, body in
+              zip(registry.fragment_ids, registry.body_ids, strict=True)}  # fmt: skip
+    return [
+        (fragment, 0.5 * np.array(body.shape.size), body.position, Rotation.from_quat(body.orientation).as_matrix())
+        for fragment, body in bodies.items()
+        if body is not None and body.is_static and body.shape.kind == "box"
+    ]
+
+
+def _without_hooks(contacts, boxes):
+    begin = contacts.pair_begin.astype(int)
+    kept = np.ones(len(contacts.gaps), bool)
+    normals = contacts.normals.reshape(-1, 3)
+    for fragment, half, position, rotation in boxes:
+        for fragments, samples in (
+            (contacts.fragment_a, contacts.points_b), (contacts.fragment_b, contacts.points_a),
+        ):  # fmt: skip
+            mine = np.flatnonzero(np.repeat(fragments == fragment, np.diff(begin)))
+            normal = np.abs(normals[mine] @ rotation)
+            face = normal.argmax(axis=1)[:, None]
+            behind = half - np.abs((samples.reshape(-1, 3)[mine] - position) @ rotation)
+            np.put_along_axis(behind, face, np.inf, axis=1)
+            of_face = np.take_along_axis(normal, face, axis=1)[:, 0] > 1.0 - ON_FACE
+            kept[mine[of_face & (behind.min(axis=1) < HOOK)]] = False
+    three = np.repeat(kept, 3)
+    return contacts._replace(
+        pair_begin=np.concatenate(([0], np.cumsum(kept)))[begin], contact_ids=contacts.contact_ids[kept],
+        points_a=contacts.points_a[three], points_b=contacts.points_b[three], normals=contacts.normals[three],
+        gaps=contacts.gaps[kept],
+    )  # fmt: skip
 
 
 def _solve(contacts, resting, row_of, bodies, gravity, weight, size, arm_of):

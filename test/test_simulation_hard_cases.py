@@ -140,23 +140,25 @@ def stack(count: int, askew: float = 1.0):
 @pytest.mark.parametrize("askew", [1.0, 0.0], ids=["askew", "flush"])
 def test_a_stack_of_ten_bricks_stands(duration, askew):
     """None moves by more than 10 um from one second on, nor by more than the 2 mm it was laid too high; none sinks
-    deeper than 0.2 % R (0.2 mm), the service's own tolerance; at the end none moves faster than 1 um/s."""
+    deeper than 0.2 % R (0.2 mm), the service's own tolerance, nor at all from one second on; at the end none moves
+    faster than 1 um/s."""
     track = run(stack(10, askew), duration)
     assert track.displacement(since=400) < 1e-5
     assert track.displacement() < 2.5e-3
     assert track.gap.min() > -2e-4
+    assert track.gap[400:].min() > -1e-6
     assert track.speed[-1] < 1e-6
 
 
 @quick_and_slow
 def test_a_wall_of_32_bricks_stands(duration):
-    """As the stack, but where it lands: seven courses at once, up to 0.35 % R deep (R of a whole brick)."""
+    """As the stack, but where it lands: seven courses at once, up to 0.4 % R deep (R of a whole brick)."""
     track = run(load_scene("wall"), duration)
     assert len(track.states[0].fragment_ids) == 32
     assert track.displacement(since=400) < 1e-5
     assert track.displacement() < 2.5e-3
-    assert track.gap.min() > -3.5e-4
-    assert track.gap[400:].min() > -2e-4
+    assert track.gap.min() > -4e-4
+    assert track.gap[400:].min() > -1e-6
     assert track.speed[-1] < 1e-6
 
 
@@ -164,7 +166,7 @@ def test_a_wall_of_32_bricks_stands(duration):
 @pytest.mark.parametrize("ratio", [1000.0, 0.001])
 def test_a_heavy_brick_on_a_light_one(duration, ratio):
     """1000 times as heavy on what bears it, and the other way round: it sinks no deeper than 0.3 % R when it lands and
-    0.15 % R (the slop of 0.1 mm, and half) from one second on; nothing moves by more than 10 um then."""
+    not at all from one second on; nothing moves by more than 10 um then."""
     light, heavy = {**CLAY, "density": 20.0}, {**CLAY, "density": 20.0 * max(ratio, 1.0 / ratio)}
     below, above = ("light", "heavy") if ratio > 1.0 else ("heavy", "light")
     # As high as it must be to weigh 1000 times as much at 1000 times the density.
@@ -176,7 +178,7 @@ def test_a_heavy_brick_on_a_light_one(duration, ratio):
     masses = track.registry.masses[1:]
     assert masses[1] / masses[0] == pytest.approx(ratio)
     assert track.gap.min() > -3e-4
-    assert track.gap[400:].min() > -1.5e-4
+    assert track.gap[400:].min() > -1e-6
     assert track.displacement(since=400) < 1e-5
     assert track.displacement() < 1e-3
 
@@ -192,7 +194,7 @@ def test_a_heavy_brick_flush_on_a_light_one(duration):
     ]
     track = run(make_scene(bricks, clay), duration, lift=DRIFT_LIFT_TUMBLING)
     assert track.gap.min() > -3.5e-4
-    assert track.gap[400:].min() > -1.5e-4
+    assert track.gap[400:].min() > -1e-6
     assert track.displacement(since=400) < 1e-5
     assert track.displacement() < 1e-3
 
@@ -272,10 +274,10 @@ RIM_RADIUS = 0.125
 def test_a_plate_rolls_on_its_rim(time_step):
     """Glondu 2014, Fig. 5: at most 6 contacts. In one second from 0.9 m/s, at 1 ms a step:
 
-    It never jumps nor sinks: its lowest corner stays within 10 um of the ground (0.008 % R). It loses kinetic energy
-    as a rimless wheel of 120 corners does, ((I + m r^2 cos a) / (I + m r^2))^2 a corner (McGeer, "Passive dynamic
-    walking", 1990), up to a fifth more or less for corners that land within a step. It does not slip: as it turns, so
-    it advances, to 2 %.
+    It never jumps nor sinks: its lowest corner stays within 10 um (0.008 % R) of the height at which bodies rest. It
+    loses kinetic energy as a rimless wheel of 120 corners does, ((I + m r^2 cos a) / (I + m r^2))^2 a corner (McGeer,
+    "Passive dynamic walking", 1990), up to a fifth more or less for corners that land within a step. It does not slip:
+    as it turns, so it advances, to 2 %.
     """
     scene = load_scene("rolling_plate")
     track = run(scene._replace(time_step=time_step), 1.0)
@@ -285,7 +287,7 @@ def test_a_plate_rolls_on_its_rim(time_step):
         for states in track.states
     ]
     lowest = np.array([(turn.apply(vertices) + position)[:, 2].min() for turn, position, _ in poses])
-    assert np.abs(lowest).max() < 1e-5
+    assert np.abs(lowest - scene.solver.rest_gap).max() < 1e-5
     assert track.contacts.max() <= 6
     assert track.contacts.min() >= 1
 

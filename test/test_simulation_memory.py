@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from fracture_collision.records import ContactConstraintArray, FragmentStates
 from fracture_collision.simulation.contact_memory import NOTHING, with_remembered
+from fracture_collision.simulation.rest_gaps import rest_gaps_of
 
 REACH = 2.5e-4
 
@@ -108,3 +109,16 @@ def test_what_pushes_as_nothing_else_of_the_pair_does_is_forgotten():
     leaning = np.array([np.sin(0.4), 0.0, np.cos(0.4)])
     kept, _ = with_remembered(contacts_of((3, 8, [(4, point, point, leaning)])), states, memory, REACH)
     assert kept.contact_ids.tolist() == [4, 1]
+
+
+def test_fragments_of_one_body_rest_in_contact_until_they_have_moved():
+    """Fragments 3 and 4 are of one body, 8 is of another; 4 has turned about the first of its contacts with 3."""
+    turn = Rotation.from_euler("z", 0.01)
+    near, far = np.array([0.1, 0.0, 0.0]), np.array([0.3, 0.0, 0.0])
+    moved = near - turn.apply(near)  # leaves the near point where it was
+    contacts = contacts_of((3, 4, [(1, near, near, UP), (2, far, far, UP)]), (3, 8, [(3, near, near, UP)]))
+    states = states_of({3: STILL, 4: (moved, turn), 8: STILL})
+    _, memory = with_remembered(contacts, states, NOTHING, REACH)
+    assert rest_gaps_of(memory, np.array([True, False]), 1e-4).tolist() == [0.0, 1e-4, 1e-4]
+    assert rest_gaps_of(memory, np.array([False, False]), 1e-4).tolist() == [1e-4] * 3
+    assert rest_gaps_of(NOTHING, np.zeros(0, bool), 1e-4).tolist() == []

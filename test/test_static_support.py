@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from static_support import support_of
 
 from fracture_collision.lockstep import Lockstep
@@ -62,6 +63,37 @@ def stand(support=True, wall=True):
         },
         "stand",
     )  # fmt: skip
+
+
+def hooked():
+    """A slab with samples 30 um below the upper edge of a leaning box and 40 um inside its front: too little to see."""
+    lean = [-15.0, 0.0, 0.0]
+    place = Rotation.from_euler("xyz", lean, degrees=True).apply([0.0, -0.11 + 4e-5, 0.1 - 3e-5])
+    stone = {"density": 2400.0, "friction": 0.3}
+    return parse_scene(
+        {
+            "time_step": TIME_STEP, "duration": 1.0, "materials": {"stone": stone},
+            "bodies": [
+                {"name": "rack", "material": "stone", "static": True, "shape": {"box": {"size": [0.4, 0.2, 0.2]}},
+                 "rotation": lean},
+                {"name": "slab", "material": "stone", "position": place.tolist(), "rotation": lean,
+                 "shape": {"brick": {"size_xyz": [0.1, 0.02, 0.08], "edge_length": 0.02}}},
+            ],
+        },
+        "hooked",
+    )  # fmt: skip
+
+
+def test_a_slab_that_an_edge_holds_by_less_than_the_eye_sees_falls():
+    scene = hooked()
+    in_contact = scene.solver._replace(rest_gap=0.0, rest_slop=1e-4)
+    for solver, floats in ((scene.solver, False), (in_contact, True)):
+        with Lockstep(scene._replace(solver=solver), Settings(threads=1)) as run:
+            for _ in range(100):
+                run.step()
+            states = run.simulation._engine.states()
+            assert support_of(run, scene).unsupported == ([2] if floats else [])
+            assert (states.linear[0, 2] < -1.5) != floats, states.linear
 
 
 def test_a_body_falls_within_two_steps_when_its_support_is_removed():

@@ -14,6 +14,7 @@ from fracture_collision.simulation.scene import SceneBody
 
 class Traits(NamedTuple):
     fragment_ids: np.ndarray  # (n,) uint32, in the engine's order
+    body_ids: np.ndarray  # (n + 1,) int64; the last, -1, for what cannot move
     rolling_arms: np.ndarray  # (n + 1,) [m]; the last, 0, for what cannot move
     strengths: np.ndarray  # (n,) [N s]; inf where it does not break
 
@@ -28,9 +29,9 @@ def traits_of(
     """Of the bodies in `states`; the rest as the simulation keeps it: `body_ids` of fragments, `breakable` by body id,
     `held_together`: fragments that do not break.
     """
+    numbers = np.array([*(body_ids[fragment] for fragment in states.fragment_ids.tolist()), -1], dtype=np.int64)
     arms, strengths = np.zeros(len(states.masses) + 1), np.full(len(states.masses), np.inf)
-    for i, fragment_id in enumerate(states.fragment_ids.tolist()):
-        body_id = body_ids[fragment_id]
+    for i, (fragment_id, body_id) in enumerate(zip(states.fragment_ids.tolist(), numbers.tolist(), strict=False)):
         material, mesh = bodies[body_id].material, breakable.get(body_id)
         fracture, arms[i] = material.fracture, material.rolling_arm
         if (
@@ -41,4 +42,4 @@ def traits_of(
             and mesh.node_count(fragment_id) >= 2 * fracture.pattern.minimum_nodes
         ):
             strengths[i] = fracture.strength
-    return Traits(states.fragment_ids, arms, strengths)
+    return Traits(states.fragment_ids, numbers, arms, strengths)

@@ -18,7 +18,7 @@ from fracture_collision.simulation.contact_rows import RECORD, TANGENT1, TANGENT
 from fracture_collision.simulation.contact_step import drift_velocities, new_velocities
 from fracture_collision.simulation.small_matrices import invert_symmetric
 
-# A penetration of this many slops is more than a contact at rest ever has.
+# A penetration of this many gaps at rest is more than a contact at rest ever has.
 DEEP = 5.0
 
 
@@ -43,7 +43,8 @@ class Contacts(NamedTuple):
     rolling_arm: np.ndarray  # (p,) [m]
     points: np.ndarray  # (N, 3) [m], midway between the witnesses
     normals: np.ndarray  # (N, 3)
-    gaps: np.ndarray  # (N,) [m]
+    gaps: np.ndarray  # (N,) [m], negative inside
+    rest_gaps: np.ndarray  # (N,) [m]
     impulse_limits: np.ndarray  # (N,) [N s]
 
 
@@ -206,12 +207,13 @@ def _rows_of_island(members, pairs, local, bodies, contacts, settings):
             fill_record(
                 records[c], contacts.points[source], contacts.normals[source], center_a, center_b, inverse_mass, ia, ib
             )
-            restitution[c], gaps[c] = contacts.restitution[pair], contacts.gaps[source]
+            restitution[c] = contacts.restitution[pair]
+            gaps[c] = contacts.gaps[source] - contacts.rest_gaps[source]
             limits[c] = contacts.impulse_limits[source]
         both_move = a < local.size and b < local.size
         _mark_against_parting(
-            records[begin[k] : begin[k + 1]], gaps[begin[k] : begin[k + 1]], both_move, center_a, center_b,
-            DEEP * settings.penetration_slop, against[begin[k] : begin[k + 1]],
+            records[begin[k] : begin[k + 1]], contacts.gaps[first : contacts.begin[pair + 1]], both_move, center_a,
+            center_b, DEEP * settings.rest_gap, against[begin[k] : begin[k + 1]],
         )  # fmt: skip
     rows = Rows(
         begin, body_a, body_b, masses, inertias, inverse_masses, inverse_inertias, records, rolling_masses

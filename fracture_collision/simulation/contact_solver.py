@@ -21,7 +21,7 @@ Symbols, for contact c between bodies a and b
   J_d         row of direction d: J_d u = d . (v_b + w_b x r_b - v_a - w_a x r_a)
   M           masses and inertias; W = M^-1
   lambda      impulse along n [N s], >= 0;  beta the two friction impulses
-  g           gap [m], negative inside; h the time step [s]; mu Coulomb's coefficient; e restitution
+  g           gap beyond the gap at rest [m] (`rest_gaps`); h the time step [s]; mu Coulomb's coefficient; e restitution
 
   (1) u = u* + W sum_c (J_n^T lambda + J_t^T beta)                               [A, 2.11]
   (2) 0 <= lambda  _|_  J_n u + max(g, 0) / h >= 0      an open gap may close within the step, no further
@@ -53,7 +53,8 @@ class SolverSettings(NamedTuple):
     restitution_iterations: int = 8  # further ones with (4), at most
     drift_iterations: int = 8  # of (6), likewise
     restitution_speed: float = 0.2  # v_e [m/s]
-    penetration_slop: float = 1.0e-4  # [m]
+    rest_gap: float = 1.0e-4  # [m] see rest_gaps
+    rest_slop: float = 8.0e-5  # [m] by which a gap may fall short of that at rest
     drift_fraction: float = 0.2  # f, the share of the penetration taken out in one step
     drift_speed: float = 0.3  # v_max [m/s]
     memory_reach: float = 2.5e-4  # [m] see contact_memory
@@ -75,6 +76,7 @@ class BodyPairs(NamedTuple):
     body_a: np.ndarray  # (p,) int64
     body_b: np.ndarray  # (p,) int64
     rolling_arm: np.ndarray  # (p,) rho [m]
+    rest_gaps: np.ndarray  # (N,) [m] of each contact: what g counts from
 
 
 class WarmStart(NamedTuple):
@@ -127,7 +129,7 @@ def solve_contacts(
     listed = Contacts(
         begin, pairs.body_a, pairs.body_b, contacts.friction, contacts.restitution, pairs.rolling_arm,
         0.5 * (contacts.points_a + contacts.points_b).reshape(-1, 3), contacts.normals.reshape(-1, 3), contacts.gaps,
-        np.full(count, np.inf) if impulse_limits is None else impulse_limits,
+        pairs.rest_gaps, np.full(count, np.inf) if impulse_limits is None else impulse_limits,
     )  # fmt: skip
     if unlimited is None:
         result = Result(bodies.free_velocities.copy(), np.zeros((body_count, 6)), np.zeros(count), impulses, rolling)

@@ -60,7 +60,7 @@ def new_velocities(rows, surfaces, before, free, gaps, restitution, impulses, ro
 def drift_velocities(rows, gaps, before, after, against, settings, time_step):
     """u_d by (6), with u(t) and u(t + h); contacts in `against` are left out."""
     u = np.zeros_like(before)
-    slop = settings.penetration_slop
+    slop = settings.rest_slop
     if gaps.min() >= -slop:
         return u
     approach, targets = np.empty(gaps.size), np.empty(gaps.size)
@@ -69,7 +69,7 @@ def drift_velocities(rows, gaps, before, after, against, settings, time_step):
     limits = np.full(gaps.size, np.inf)
     for c in range(gaps.size):
         depth = -gaps[c] - slop
-        # What the velocities do to a gap counts; one that is not too deep may still close, up to the slop.
+        # What the velocities do to a gap counts; one that is not too small may still close, up to the slop.
         if depth > 0.0:
             push = min(settings.drift_fraction * depth / time_step, settings.drift_speed)
             # What came in with the last step leaves with the next: when a plate breaks, the ball is at its surface.

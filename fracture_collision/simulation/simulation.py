@@ -46,6 +46,7 @@ from fracture_collision.simulation.contact_solver import (
 from fracture_collision.simulation.drag import Drag
 from fracture_collision.simulation.engine import BodyStates, Engine, FrameState
 from fracture_collision.simulation.free_motion import free_velocities
+from fracture_collision.simulation.rest_gaps import rest_gaps_of
 from fracture_collision.simulation.rigid_body_world import RigidBodyWorld
 from fracture_collision.simulation.rotations import turned_back
 from fracture_collision.simulation.scene import Scene, SceneBody
@@ -262,7 +263,8 @@ class Simulation:
 
     def _body_pairs(self, contacts: ContactConstraintArray, states: BodyStates) -> BodyPairs:
         immovable = len(states.fragment_ids)
-        ids, arms_of = np.append(states.fragment_ids, 0), self._traits(states).rolling_arms
+        traits = self._traits(states)
+        ids, arms_of, bodies_of = np.append(states.fragment_ids, 0), traits.rolling_arms, traits.body_ids
 
         def rows_and_arms(fragments: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             rows = np.searchsorted(states.fragment_ids, fragments)
@@ -275,7 +277,9 @@ class Simulation:
             return rows.astype(np.int64), arms
 
         (a, arms_a), (b, arms_b) = rows_and_arms(contacts.fragment_a), rows_and_arms(contacts.fragment_b)
-        return BodyPairs(a, b, np.maximum(arms_a, arms_b))
+        one_body = (bodies_of[a] == bodies_of[b]) & (a < immovable)
+        rest_gaps = rest_gaps_of(self._memory, one_body, self._scene.solver.rest_gap)
+        return BodyPairs(a, b, np.maximum(arms_a, arms_b), rest_gaps)
 
     def _solve(
         self, bodies: RigidBodies, contacts: ContactConstraintArray, pairs: BodyPairs, strengths: np.ndarray
