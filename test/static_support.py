@@ -3,7 +3,7 @@
 For all bodies at rest together: are there contact forces, each within its friction cone, whose sum and moment on each
 body balance its weight? A pair resists rolling by torques of up to its rolling arm times its normal force. Each body is
 granted TOLERANCE of its weight, and of its weight times its size as a moment; what is missing beyond that is minimised.
-What only hangs by an edge of a standing box counts for nothing (HOOK).
+What only hangs by an edge of a standing box (HOOK) may count for nothing.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ class Support(NamedTuple):
         return self.fragment_ids[self.missing > 1e-6].tolist()
 
 
-def support_of(run, scene) -> Support:
-    """Of a Lockstep run as it stands."""
+def support_of(run, scene, hooks: bool = True) -> Support:
+    """Of a Lockstep run as it stands; `hooks`: whether what only hangs by an edge is supported."""
     states = run.states()
     registry = run.world.fragments()
-    contacts = _without_hooks(
-        asked_with(run.world, states, contacts_per_pair=ROOM), _standing_boxes(run.simulation, registry)
-    )
+    contacts = asked_with(run.world, states, contacts_per_pair=ROOM)
+    if not hooks:
+        contacts = _without_hooks(contacts, _standing_boxes(run.simulation, registry))
     bodies = run.simulation._engine.states()
     rolling = {body_id: body.material.rolling_arm for body_id, body in run.simulation._cast.body_of.items()}
     of = dict(zip(registry.fragment_ids.tolist(), registry.body_ids.tolist(), strict=True))
