@@ -187,6 +187,9 @@ class Browser:
         self._count, self._asked = self.drawn(), time.time()
         return Pictures(self._asked - asked, self._count - before, 0.0)
 
+    def tick(self, label: str) -> None:
+        self._page.get_by_label(label).check()
+
     def save_picture(self, path: Path) -> None:
         """When all is there that has come, without notices."""
         self._page.add_style_tag(content=".mantine-Notification-root { display: none }")

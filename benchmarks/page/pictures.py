@@ -1,4 +1,7 @@
-"""`python -m benchmarks.page.pictures`: docs/play.png and docs/play_arm.png, live scenes as a browser shows them."""
+"""`python -m benchmarks.page.pictures`: docs/play.png, docs/play_arm.png and docs/page.png, as a browser shows them.
+
+Two live scenes, and the golden bag of plates as `fracture-collision view` plays it.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +12,11 @@ import numpy as np
 
 from benchmarks.page.lookers import browser
 from benchmarks.page.person import PLATES, Person, scene_played, throw_at
+from fracture_collision.run_meshes import read_run_with_meshes
+from fracture_collision.viewer.bag_player import BagPlayer
 
-DOCS = Path(__file__).resolve().parents[2] / "docs"
+ROOT = Path(__file__).resolve().parents[2]
+DOCS = ROOT / "docs"
 SWING = np.radians([-75.0, 60.0, 0.0, -80.0, 0.0, -50.0, 0.0])  # as config/scenes/vase.yaml has it
 FLIGHT = 0.3  # [s]
 THROUGH = np.radians(20.0)  # the vase stands at 0
@@ -40,6 +46,18 @@ def take(scene: str, act: Callable[[Person], None], file: Path) -> None:
             seen.save_picture(file)
 
 
+def take_recorded(bag: Path, moment: float, ticked: tuple[str, ...], file: Path) -> None:
+    """At `moment` [s], with these boxes ticked."""
+    with BagPlayer(read_run_with_meshes(bag)) as player, browser(player.page.address) as seen:
+        player.play(False)
+        for label in ticked:
+            seen.tick(label)
+        player.seek(moment)
+        player.advance()
+        seen.save_picture(file)
+
+
 if __name__ == "__main__":
     take("plates", smash_plates, DOCS / "play.png")
     take("vase", hit_vase, DOCS / "play_arm.png")
+    take_recorded(ROOT / "bags" / "plates", 0.55, ("contact points", "contact normals"), DOCS / "page.png")
