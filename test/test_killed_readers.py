@@ -1,0 +1,85 @@
+"""A writer serves those that come although many of its readers were killed while they read."""
+
+from __future__ import annotations
+
+import selectors
+import subprocess
+import sys
+import time
+
+import pytest
+
+from fracture_collision.ros.node_process import free_domain_id
+
+KILLS = 60  # with Fast DDS's own segment of 512 kB the reader after 25 to 30 kills got nothing that is large
+PATIENCE = 20.0  # [s] on a machine that is busy with other things
+LATCHED = 6
+WRITER = """
+import sys, time, array
+from std_msgs.msg import UInt8MultiArray
+from fracture_collision.ros import qos
+from fracture_collision.ros.own_context import own_context
+import rclpy
+node = rclpy.create_node("writer", context=own_context(int(sys.argv[1])))
+large = node.create_publisher(UInt8MultiArray, "large", qos.LATCHED)
+small = node.create_publisher(UInt8MultiArray, "small", qos.EACH_STEP)
+for _ in range(int(sys.argv[2])):
+    large.publish(UInt8MultiArray(data=array.array("B", bytes(150_000))))
+print("there", flush=True)
+message = UInt8MultiArray(data=array.array("B", bytes(60_000)))
+while True:
+    small.publish(message)
+    time.sleep(0.001)
+"""
+READER = """
+import sys
+from std_msgs.msg import UInt8MultiArray
+from fracture_collision.ros import qos
+from fracture_collision.ros.own_context import own_context
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+context = own_context(int(sys.argv[1]))
+node = rclpy.create_node("reader", context=context)
+seen = []
+def take(message):
+    seen.append(message)
+    if len(seen) == int(sys.argv[2]):
+        print("all", flush=True)
+node.create_subscription(UInt8MultiArray, "large", take, qos.LATCHED, raw=True)
+node.create_subscription(UInt8MultiArray, "small", lambda _: None, qos.EACH_STEP, raw=True)
+executor = SingleThreadedExecutor(context=context)
+executor.add_node(node)
+executor.spin()
+"""
+
+
+def said(program: subprocess.Popen[str]) -> str:
+    with selectors.DefaultSelector() as selector:
+        selector.register(program.stdout, selectors.EVENT_READ)
+        return program.stdout.readline() if selector.select(PATIENCE) else ""
+
+
+@pytest.mark.slow
+def test_a_writer_outlives_its_readers() -> None:
+    """Each is killed some milliseconds after it got all that is latched, while messages pour in."""
+    domain = str(free_domain_id())
+
+    def started(program: str) -> subprocess.Popen[str]:
+        return subprocess.Popen(
+            [sys.executable, "-c", program, domain, str(LATCHED)], stdout=subprocess.PIPE, text=True
+        )
+
+    writer = started(WRITER)
+    try:
+        assert said(writer) == "there\n"
+        for kill in range(KILLS):
+            reader = started(READER)
+            try:
+                assert said(reader) == "all\n", f"the reader after {kill} kills"
+                time.sleep(0.001 * (kill % 20))  # another instant each time
+            finally:
+                reader.kill()
+                reader.wait()
+    finally:
+        writer.kill()
+        writer.wait()
