@@ -69,17 +69,15 @@ def test_a_writer_outlives_its_readers() -> None:
             [sys.executable, "-c", program, domain, str(LATCHED)], stdout=subprocess.PIPE, text=True
         )
 
-    writer = started(WRITER)
-    try:
-        assert said(writer) == "there\n"
-        for kill in range(KILLS):
-            reader = started(READER)
-            try:
-                assert said(reader) == "all\n", f"the reader after {kill} kills"
-                time.sleep(0.001 * (kill % 20))  # another instant each time
-            finally:
-                reader.kill()
-                reader.wait()
-    finally:
-        writer.kill()
-        writer.wait()
+    with started(WRITER) as writer:
+        try:
+            assert said(writer) == "there\n"
+            for kill in range(KILLS):
+                with started(READER) as reader:
+                    try:
+                        assert said(reader) == "all\n", f"the reader after {kill} kills"
+                        time.sleep(0.001 * (kill % 20))  # another instant each time
+                    finally:
+                        reader.kill()
+        finally:
+            writer.kill()
