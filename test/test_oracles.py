@@ -31,6 +31,7 @@ def disagreeing(
     return disagreeing_event(body, fragment_id, seeds, first_new_id, sequence, 0.5, random)
 
 
+ROUNDING = 1e-16  # [m] of distances in bodies of some 10 cm: BLAS kernels differ by 3e-18
 EVENTS = {"flat": voronoi_event, "curved": curved_event, "disagreeing": disagreeing}
 every_case = pytest.mark.parametrize(("shape", "crack"), [(s, c) for s in BODIES for c in EVENTS])
 
@@ -224,7 +225,7 @@ def test_depth_against_many_samples_of_the_owner_function(shape: str, crack: str
         assert np.any(body.owner(spread) != f)
         for other in set(body.fragment_ids) - {f}:
             assert body.depth(other, x[None])[0][0] == 0.0
-            assert body.distance_outside(other, x[None])[0][0] >= depth[0] * (1.0 - 1e-12)
+            assert body.distance_outside(other, x[None])[0][0] >= depth[0] * (1.0 - 1e-12) - ROUNDING
 
 
 @pytest.mark.parametrize("shape", BODIES)
