@@ -61,7 +61,7 @@ def test_who_is_killed_beside_a_recorder_holds_nothing_up(stage: StageWithClient
         service = stage.start("collision_node", threads=1)
     await_end(simulator, recorder, service)
     steps = steps_told(simulator)
-    await_recording(recorder, steps, service)
+    await_recording(recorder, simulator, service)
     for node in (simulator, recorder, service):
         must_end(node)
         assert "did not acknowledge" not in node.log_text()

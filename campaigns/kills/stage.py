@@ -158,23 +158,33 @@ def answers_awaited(simulator: NodeProcess) -> list[float]:
     return [float(told) for told in _GOES_ON.findall(simulator.log_text())]
 
 
-def await_recording(recorder: NodeProcess, steps: int, *alive: NodeProcess, may_lack: int = 0) -> float:
-    """[s] until it has as many states and contacts, and a registry; needs its parameter `progress`. With `may_lack`
-    contacts fewer it is done too, once no more have come for a while.
+def await_recording(
+    recorder: NodeProcess, simulator: NodeProcess, *alive: NodeProcess, may_lack: int = 0
+) -> float:
+    """[s] until it has states and contacts of every step that the simulator told of, and a registry; both need their
+    parameter `progress`. With `may_lack` contacts fewer it is done too, once no more have come for a while.
     """
+    steps = steps_told(simulator)
     most, since = 0, time.monotonic()
+
+    def counts() -> dict[str, int]:
+        lines = [line for line in recorder.log_text().splitlines() if line.startswith("{") and line.endswith("}")]
+        return json.loads(lines[-1]) if lines else {}
 
     def is_there() -> bool:
         nonlocal most, since
-        lines = [line for line in recorder.log_text().splitlines() if line.startswith("{") and line.endswith("}")]
-        counts = json.loads(lines[-1]) if lines else {}
-        states, contacts = (counts.get(topic, 0) for topic in ("fragment_states", "contact_constraints"))
+        told = counts()
+        states, contacts = (told.get(topic, 0) for topic in ("fragment_states", "contact_constraints"))
         if contacts > most:
             most, since = contacts, time.monotonic()
         is_settled = contacts >= steps - may_lack and time.monotonic() > since + SETTLED
-        return counts.get("fragments", 0) > 0 and states >= steps and (contacts >= steps or is_settled)
+        return told.get("fragments", 0) > 0 and states >= steps and (contacts >= steps or is_settled)
 
-    return await_that(is_there, f"a recording of {steps} steps", recorder, *alive)
+    try:
+        return await_that(is_there, f"a recording of {steps} steps", recorder, *alive)
+    except RuntimeError as error:
+        logs = "\n".join(f"{node.name}:\n{node.log_text()[-3000:]}" for node in (recorder, simulator, *alive))
+        raise RuntimeError(f"{error}; recorded: {counts()}\n{logs}") from error
 
 
 def must_end(node: NodeProcess) -> None:

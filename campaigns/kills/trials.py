@@ -176,6 +176,6 @@ def _ends_before(simulator: NodeProcess, seconds: float, *alive: NodeProcess) ->
 def _end(simulator: NodeProcess, recorder: NodeProcess, service: NodeProcess, may_lack: int = 0) -> None:
     """Waits for the scene's end, then ends the others."""
     await_end(simulator, recorder, service)
-    await_recording(recorder, steps_told(simulator), service, may_lack=may_lack)
+    await_recording(recorder, simulator, service, may_lack=may_lack)
     for node in (simulator, recorder, service):
         must_end(node)

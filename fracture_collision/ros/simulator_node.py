@@ -62,7 +62,8 @@ class SimulatorNode(Node):
         self._run_id = run_id or derived_run_id(scene.name, scene.seed if seed < 0 else seed)
 
         self._bodies, self._events = self._open_log()
-        self._states = AcknowledgedPublisher(self, qos.FRAGMENT_STATES, "collision_node", Neighbours(self))
+        self._neighbours = Neighbours(self)
+        self._states = AcknowledgedPublisher(self, qos.FRAGMENT_STATES, "collision_node", self._neighbours)
         self._contacts_topic = self.resolve_topic_name(qos.CONTACT_CONSTRAINTS.name)  # it may be remapped
         for topic, callback, raw in (
             (qos.CONTACT_CONSTRAINTS, self._on_contacts, True),
@@ -119,13 +120,20 @@ class SimulatorNode(Node):
         return self._simulation.finish_step(self._contacts, self._registry), *times
 
     def _await_subscribers(self, executor: PromptExecutor) -> None:
-        """A recorder that starts with the simulator must not miss the first steps."""
+        """A recorder that starts with the simulator must not miss the first steps. Enough others may be known before it
+        is: so all who are on this machine by then are waited for.
+        """
+        if self._subscribers == 0:
+            return
         started, said = time.monotonic(), 0.0
+        self._neighbours.are_all_known()  # if so, it matters since when
         while min(self._states.subscriber_count, self.count_subscribers(self._contacts_topic)) < self._subscribers:
             executor.spin_once(timeout_sec=0.02)
             if time.monotonic() - started > said + 5.0:
                 said += 5.0
                 self.get_logger().info("waiting for the collision service (and recorders) to appear")
+        if not self._neighbours.await_all():
+            self.get_logger().info("not all DDS participants of this machine are known; going on")
 
     def _announce(self, bodies: list, events: list) -> None:
         stamp = heading(self._simulation.time)
