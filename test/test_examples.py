@@ -26,12 +26,18 @@ def test_the_readme_shows_the_subscriber_as_it_is() -> None:
 def test_the_subscriber_ends_without_a_traceback(tmp_path: Path, order: signal.Signals) -> None:
     stage = StageWithClients(tmp_path)
     command = [sys.executable, str(EXAMPLES / "deepest_contact.py")]
-    listener = subprocess.Popen(command, env=loopback_environment(stage.domain_id), stderr=subprocess.PIPE, text=True)
+    # with the faulthandler one that hangs says where, on SIGABRT
+    environment = {**loopback_environment(stage.domain_id), "PYTHONFAULTHANDLER": "1"}
+    listener = subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True)
     try:
         client = stage.client()
         client.spin_until(lambda: client.node.count_subscribers("contact_constraints") == 2, "the listener")
         listener.send_signal(order)
-        _, said = listener.communicate(timeout=PATIENCE)
+        try:
+            _, said = listener.communicate(timeout=PATIENCE)
+        except subprocess.TimeoutExpired:
+            listener.send_signal(signal.SIGABRT)
+            _, said = listener.communicate(timeout=PATIENCE)
         assert listener.returncode == 0 and "Traceback" not in said, said
     finally:
         listener.kill()

@@ -43,6 +43,13 @@ def cost(client: ServiceClient) -> float:
     return min(seconds)
 
 
+def visits_told(client: ServiceClient) -> int:
+    """Of the last answer, once the service has told of all."""
+    client.spin_until(lambda: int(client.details[ANSWERS]["answers"]) == len(client.answers), "its word on them")
+    told = next(value for key, value in client.details[ANSWERS].items() if key.startswith("tree nodes visited"))
+    return int(told.split(", ")[-1].split()[0])
+
+
 def test_a_flood_of_states(stage: StageWithClients) -> None:
     client = service_with_two_balls(stage)
     least = cost(client)
@@ -87,20 +94,15 @@ def test_a_flood_of_states(stage: StageWithClients) -> None:
 def test_a_visit_budget_keeps_the_cost_and_says_what_it_left_out(stage: StageWithClients) -> None:
     client = service_with_two_balls(stage)
     whole = client.ask(STATES, RUN)
-    seconds = cost(client)
     assert whole.status == 0
-    visits, bounds, costs = [], [], []
+    assert visits_told(client) > 800
+    bounds = []
     for budget in (400, 100):
         assert client.set_parameters(visit_budget=budget) == [""]
         answer = client.ask(STATES, RUN)
         assert answer.status == BUDGET_EXHAUSTED
-        costs.append(cost(client))
         bounds.append(answer.missed_depth_bound.max())
-        client.spin_until(lambda: int(client.details[ANSWERS]["answers"]) == len(client.answers), "its word on them")
-        told = next(value for key, value in client.details[ANSWERS].items() if key.startswith("tree nodes visited"))
-        visits.append(int(told.split(", ")[-1].split()[0]))
-        assert visits[-1] <= budget
+        assert visits_told(client) <= budget
     assert bounds[1] >= bounds[0] > 2.0 * whole.missed_depth_bound.max()
-    assert costs[1] < 0.7 * seconds
     assert client.set_parameters(visit_budget=0) == [""]
     assert client.ask(STATES, RUN).status == 0
