@@ -91,9 +91,19 @@ def removal(quick: bool, progress: Progress) -> Tables:
     return {"removal": [row]}, [Asked(f"REMOVE after {row.events} events, median [ms]", row.remove_median, 2.0)]
 
 
+def crowds(quick: bool, progress: Progress) -> Tables:
+    from benchmarks.scaling.crowds import CLOSE, CROWDS, measure_crowds
+
+    rows = measure_crowds(CROWDS[:2] if quick else CROWDS, progress)
+    return {"crowds": rows}, [
+        Asked("crowds at one place, slowest [s]", max(row.seconds for row in rows if row.spread <= CLOSE), 2.0),
+        Asked("crowds, peak of a whole process [MB]", max(row.peak for row in rows), 500.0),
+    ]
+
+
 MEASURES = {
     "growth": growth, "threads": threads, "memory": memory, "updates": updates, "visits": visits,
-    "limits": limits, "removal": removal, "round_trips": round_trips,
+    "limits": limits, "removal": removal, "crowds": crowds, "round_trips": round_trips,
 }  # fmt: skip
 
 
@@ -112,7 +122,7 @@ def main(names: tuple[str, ...], quick: bool, path: Path | None) -> None:
     growth: time over close pairs of piles. threads: two against one. memory: of a body, and of one more. updates:
     breaking one of many against one alone. visits: where a query's time goes, and what a visit cannot do without.
     limits: what the aims against other libraries leave room for, by docs/peers.csv and this machine. removal: REMOVE
-    after many events. round_trips: what ROS adds to an answer; needs ROS 2.
+    after many events. crowds: many bodies at one place. round_trips: what ROS adds to an answer; needs ROS 2.
     """
     from rich.console import Console
 
