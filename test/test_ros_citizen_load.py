@@ -76,19 +76,17 @@ def test_a_flood_of_states(stage: StageWithClients) -> None:
 
     client.spin_until(all_counted, f"{sent} sent = {answered} answered + {sent - answered} dropped")
 
-    # Each answer is to states that were the newest when its computation began: what was published next was too late for
-    # it. On a machine that does other things, too, most of them.
+    # Each answer is to states that were the newest when its computation began: while they waited came the answer to
+    # those before them, and perhaps one that was on its way; a queue would have brought one after the other.
     steps = list(came)
     assert steps == sorted(steps)
-    latency = np.array([came[step] - published[step] for step in steps])
-    age = np.array([came[step] - published[step + 1] for step in steps if step + 1 in published])
-    gaps = np.diff([came[step] for step in steps])
-    assert np.median(latency) < 3.0 * least + 0.02, (np.median(latency), least)
-    assert np.quantile(latency, 0.9) < 6.0 * least + 0.05, (latency, least)
-    assert np.median(age - np.median(gaps)) < 0.01, (age, gaps)
-    # It does not grow: the last are no later than the first.
-    third = len(latency) // 3
-    assert np.median(latency[-third:]) < 2.0 * np.median(latency[:third]) + 0.02
+    waited_for = [sum(published[step] < came[other] < came[step] for other in steps) for step in steps]
+    assert max(waited_for) <= 3, waited_for
+    latency = 1e3 * np.array([came[step] - published[step] for step in steps])
+    print(  # for docs/reliability.md
+        f"{sent} sent, {answered} answered, {sent - answered} dropped; answered {np.median(latency):.0f} ms after they"
+        f" were sent (median; {latency.max():.0f} worst); least round trip {1e3 * least:.1f} ms"
+    )
 
 
 def test_a_visit_budget_keeps_the_cost_and_says_what_it_left_out(stage: StageWithClients) -> None:
