@@ -1,4 +1,4 @@
-"""Neighbour lists make steps quicker and never different: the same bytes with and without them."""
+"""What is remembered from step to step makes the next one quicker and never different: the same bytes without it."""
 
 from __future__ import annotations
 
@@ -6,8 +6,13 @@ import numpy as np
 import pytest
 from fractured_worlds import FracturedWorld, fractured_world, with_settings
 from hard_worlds import tetrahedral_body
+from numba import njit
+from scipy.optimize import lsq_linear
+from scipy.spatial.transform import Rotation
 
-from fracture_collision.core.neighbour_lists import NO_LISTS, displacement
+from fracture_collision.core.narrow_phase import NOTHING_REMEMBERED
+from fracture_collision.core.neighbour_lists import NO_LISTS, displacement, with_pairs
+from fracture_collision.core.oriented_boxes import box_clearance
 from fracture_collision.geometry.generators import ball, brick, shell
 from fracture_collision.records import BOX, CollisionBody, ContactConstraintArray, FragmentStates, SolidPrimitive
 from fracture_collision.world import CollisionWorld, Settings
@@ -61,18 +66,27 @@ def test_same_answers(shape, contacts_per_pair) -> None:
     positions = random.uniform(-0.01, 0.01, (n, 3))
     positions[-2:] = (0.0, 0.0, 1.24), (1.38, 0.0, 0.0)
     quaternions = random_turns(random, n, 0.01)
-    visits, listed = np.zeros(2), 0
+    visits, listed, kept = np.zeros(2), 0, 0
     for step in range(1, 41):
         size = JUMP if step % 17 == 0 else 0.0 if step % 5 == 0 else WALK
-        positions += random.uniform(-size, size, (n, 3))
-        quaternions = turned(quaternions, random_turns(random, n, size))
+        # some stay where they are, and pairs of these have the contacts that they had
+        move = np.flatnonzero(random.random(n) < (1.0 if step % 3 else 0.4))
+        positions[move] += random.uniform(-size, size, (len(move), 3))
+        if size:
+            quaternions[move] = turned(quaternions[move], random_turns(random, len(move), size))
         states = FragmentStates(step, case.generations, ids, positions.ravel(), quaternions.ravel())
         answers = [world.contacts(states) for world in worlds]
         assert_same(*answers)
         visits += [world.last_visits for world in worlds]
-        listed = max(listed, int((worlds[0]._lists.counts >= 0).sum()))
-        assert worlds[1]._lists is NO_LISTS
-    assert listed > 10
+        lists, answer = worlds[0]._remembered
+        listed = max(listed, int((lists.counts > 0).sum()))
+        kept = max(kept, int((answer.pair_of_slot >= 0).sum()))
+        assert worlds[1]._remembered is NOTHING_REMEMBERED
+        if step % 7 == 0:
+            for field in answers[0]:  # who got an answer may do with it what they like
+                if isinstance(field, np.ndarray):
+                    field[:] = 7
+    assert listed > 10 and kept > 10
     assert visits[0] < visits[1]
 
 
@@ -99,7 +113,44 @@ def test_a_visit_budget_is_spent_on_searches() -> None:
     world = with_settings(case, LISTED._replace(visit_budget=2000))
     answers = [world.contacts(case.states(0.005)) for _ in range(4)]
     assert_same(answers[0], answers[-1])
-    assert world._lists is NO_LISTS
+    assert world._remembered is NOTHING_REMEMBERED
+
+
+def test_a_pair_keeps_its_slot_and_shares_it_with_nobody() -> None:
+    random = np.random.default_rng(3)
+    lists, slot_of = NO_LISTS, {}
+    for _ in range(60):
+        keys = random.permutation(200)[: random.integers(0, 150)].astype(np.int64)
+        lists, slots, known = with_pairs(lists, keys)
+        assert len(set(slots.tolist())) == len(keys) <= len(lists.counts)
+        assert known.tolist() == [key in slot_of for key in keys.tolist()]
+        assert all(slot_of.get(key, slot) == slot for key, slot in zip(keys.tolist(), slots.tolist(), strict=True))
+        slot_of = dict(zip(keys.tolist(), slots.tolist(), strict=True))
+
+
+def test_boxes_are_no_nearer_than_their_clearance() -> None:
+    """Against the distance itself, by least squares over both boxes."""
+    random = np.random.default_rng(4)
+    apart = 0
+    for _ in range(400):
+        low = random.uniform(-1.0, 0.0, (2, 3))
+        boxes = np.hstack([low, low + random.uniform(0.05, 1.0, (2, 3))])
+        rotation, translation = Rotation.random(random_state=random).as_matrix(), random.uniform(-1.5, 1.5, 3)
+        nearest = lsq_linear(
+            np.hstack([rotation, -np.eye(3)]), -translation, (boxes[:, :3].ravel(), boxes[:, 3:].ravel()), tol=1e-14
+        )
+        distance = np.sqrt(2.0 * nearest.cost)
+        asked = random.choice([0.0, 0.1])
+        clearance = clearance_of(boxes[0], boxes[1], rotation, translation, asked)
+        assert clearance <= distance * (1.0 + 1e-6) + 1e-7
+        assert clearance == 0.0 or clearance > asked
+        apart += clearance > 0.0
+    assert 100 < apart < 390
+
+
+@njit
+def clearance_of(box_a, box_b, rotation, translation, distance):
+    return box_clearance(box_a, box_b, rotation, translation, distance)
 
 
 def test_no_point_moves_farther_than_its_bound() -> None:

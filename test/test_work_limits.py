@@ -60,7 +60,8 @@ def test_shares_do_not_depend_on_threads_lists_or_earlier_steps(kind: str) -> No
     for threads, lists in ((1, True), (2, True), (5, False)):
         world, states = crowd(kind, 40, 0.4, threads=threads, neighbour_lists=lists, **limits)
         moved = states._replace(positions=states.positions + 1e-5)
-        for step in (states, moved, states, moved):
+        half = states._replace(positions=np.append(moved.positions[:60], states.positions[60:]))
+        for step in (states, half, moved, states, half):
             answer = world.contacts(step)
         answers.append(bytes_of(answer))
     assert answer.status == BUDGET_EXHAUSTED and len(answer.gaps) > 1000

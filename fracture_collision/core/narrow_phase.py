@@ -13,6 +13,15 @@ from fracture_collision.core.compiled import inlined_kernel, kernel, threaded_ke
 from fracture_collision.core.crew import Crew
 from fracture_collision.core.crowds import UNSEARCHED, UNSHARED, most_visits, visit_shares
 from fracture_collision.core.facing_normal import turn_contacts
+from fracture_collision.core.kept_answer import (
+    NOTHING_KEPT,
+    KeptAnswer,
+    PairContacts,
+    gather_kept,
+    keep,
+    pairs_in_place,
+    pose_bits,
+)
 from fracture_collision.core.known_samples import ID_SAMPLE, ID_SIDE, query_listed, rounding_slack
 from fracture_collision.core.neighbour_lists import (
     FULL,
@@ -24,11 +33,9 @@ from fracture_collision.core.neighbour_lists import (
     NeighbourLists,
     can_be_listed,
     displacement,
-    keep_list,
     keep_pose,
-    make_lists,
-    match,
     pair_keys,
+    with_pairs,
 )
 from fracture_collision.core.pools import FACING
 from fracture_collision.core.traversal import BY_FURTHER, BY_LIMIT, depth_limit, query_pair
@@ -52,16 +59,14 @@ class WorkLimits(NamedTuple):
 NO_LIMITS = WorkLimits()
 
 
-class PairContacts(NamedTuple):
-    counts: np.ndarray  # (p,) int64
-    bounds: np.ndarray  # (p,) float64 [m], missed depth bound
-    visits: np.ndarray  # (p,) int64, tree nodes tested
-    exhausted: np.ndarray  # (p,) uint8, not 0: cut short by a limit
-    points_a: np.ndarray  # (N, 3) float64 [m], world
-    points_b: np.ndarray  # (N, 3) float64 [m], world
-    normals: np.ndarray  # (N, 3) float64, from a to b
-    gaps: np.ndarray  # (N,) float64 [m]
-    samples: np.ndarray  # (N, 2) int64: side whose sample it is (0: a), sample index, see query_pair
+class Remembered(NamedTuple):
+    """From the last step: makes the next one quicker, never different."""
+
+    lists: NeighbourLists
+    answer: KeptAnswer
+
+
+NOTHING_REMEMBERED = Remembered(NO_LISTS, NOTHING_KEPT)
 
 
 @kernel
@@ -100,14 +105,14 @@ def relative_pose(rotation_from, position_from, rotation_to, position_to, rotati
 @threaded_kernel
 def _query_share(
     pools, rows, rotations, positions, pairs, todo, is_first, wanted, epsilon, near, shares, further, limit,
-    contacts, ids, begin, counts, bounds, visits, exhausted, before, matched, lists, slots, scratch, threads, thread,
+    contacts, ids, begin, counts, bounds, visits, exhausted, lists, slots, known, scratch, threads, thread,
 ):  # fmt: skip
     """Every `threads`-th pair of `todo`, from `thread` on.
 
     limit: see query_pair; shares, further (p,): visits of each pair, likewise. Their contacts go one behind the other
-    into contacts[thread], from row begin[pair] on; -1: there was no room left. before, lists: NeighbourLists of the
-    last step and of this one; matched, slots: a pair's place in them (-1: none); only the first search of a pair uses
-    them.
+    into contacts[thread], from row begin[pair] on; -1: there was no room left. lists: NeighbourLists; slots (p,): a
+    pair's place in them, -1: none; known (p,): whether it was there at the last step. Only the first search of a pair
+    uses them.
     """
     rotation, translation = scratch.rotation[thread], scratch.translation[thread]
     used, room = 0, contacts.shape[1]
@@ -123,26 +128,25 @@ def _query_share(
             begin[p], counts[p], visits[p], exhausted[p] = used, 0, 0, BY_LIMIT
             continue
         out, out_ids = contacts[thread, used:], ids[thread, used:]
-        slot, last = (slots[p], matched[p]) if is_first else (-1, -1)
-        found, reach = -1, 0.0
-        if slot >= 0:
-            keep_pose(rotation, translation, lists.poses[slot])
-        if last >= 0 and before.counts[last] >= 0:
-            listed_at, n = before.listed_at[last], before.counts[last]
-            rounding = 2.0 * rounding_slack(pools, a, b, translation)
-            if displacement(pools, a, b, rotation, translation, listed_at) + rounding < REACH * radius:
+        slot = slots[p] if is_first else -1
+        found, reach, clearance = -1, 0.0, 0.0
+        if slot >= 0 and known[p]:
+            n, rounding = lists.counts[slot], 2.0 * rounding_slack(pools, a, b, translation)
+            moved = displacement(pools, a, b, rotation, translation, lists.listed_at[slot]) if n >= 0 else 0.0
+            if n >= 0 and moved + rounding < lists.reach[slot]:
                 found, bounds[p], visits[p], exhausted[p] = query_listed(
-                    pools, a, b, rotation, translation, wanted, near * radius, before.samples[last, :n],
+                    pools, a, b, rotation, translation, wanted, near * radius, lists.samples[slot, :n],
                     out, out_ids, room - used, scratch, thread,
                 )  # fmt: skip
-                keep_list(before, last, lists, slot)
-        if (
-            found < 0 and last >= 0 and before.counts[last] != FULL and can_be_listed(pools, a, b)
-            and displacement(pools, a, b, rotation, translation, before.poses[last]) < SLOW * REACH * radius
-        ):  # fmt: skip
-            reach = REACH * radius
+            if (
+                found < 0 and n != FULL and can_be_listed(pools, a, b)
+                and displacement(pools, a, b, rotation, translation, lists.poses[slot]) < SLOW * REACH * radius
+            ):  # fmt: skip
+                reach = REACH * radius
+        if slot >= 0:
+            keep_pose(rotation, translation, lists.poses[slot])
         if reach > 0.0:
-            found, bounds[p], visits[p], exhausted[p], n = query_pair(
+            found, bounds[p], visits[p], exhausted[p], n, clearance = query_pair(
                 pools, a, b, rotation, translation, wanted, epsilon * radius, near * radius, reach, 0,
                 further[p], limit, out, out_ids, room - used, lists.samples[slot], scratch, thread,
             )  # fmt: skip
@@ -150,15 +154,18 @@ def _query_share(
             if found >= wanted:
                 found = -1
             elif n <= MOST_LISTED:
-                lists.counts[slot] = n
+                lists.counts[slot], lists.reach[slot] = n, max(reach, clearance)
                 keep_pose(rotation, translation, lists.listed_at[slot])
         if found < 0:
-            found, bounds[p], visits[p], exhausted[p], _ = query_pair(
+            found, bounds[p], visits[p], exhausted[p], _, clearance = query_pair(
                 pools, a, b, rotation, translation, wanted, epsilon * radius, near * radius, 0.0, shares[p],
                 further[p], limit, out, out_ids, room - used, scratch.queue[thread, 0, :0], scratch, thread,
             )  # fmt: skip
             if slot >= 0:
                 lists.counts[slot] = FULL if found >= wanted else NOT_LISTED
+                if clearance > 0.0:
+                    lists.counts[slot], lists.reach[slot] = 0, clearance
+                    keep_pose(rotation, translation, lists.listed_at[slot])
         counts[p] = found
         begin[p] = used
         if counts[p] > room - used:
@@ -207,13 +214,15 @@ def _gather(
 
 def query_pairs(
     pools, rows, rotations, positions, pairs, wanted, epsilon, near, budget, scratch, crew: Crew,
-    before: NeighbourLists | None = None, limits: WorkLimits = NO_LIMITS, is_coincident: np.ndarray | None = None,
-) -> tuple[PairContacts, NeighbourLists]:  # fmt: skip
+    before: Remembered | None = None, stamp: int = 0, limits: WorkLimits = NO_LIMITS,
+    is_coincident: np.ndarray | None = None,
+) -> tuple[PairContacts, Remembered]:  # fmt: skip
     """Contacts of `pairs` (p, 2) of indices into `rows` (n,), with poses rotations (n, 3, 3), positions (n, 3) [m].
 
     wanted: m of section 5.2; epsilon, near: shares of the smaller R of the two bodies; budget: visits a pair, 0: none.
-    before: the lists that the last answer from these pools came with, to be quicker where little has moved; with a
-    budget, or with None, none are used and none are made. What is answered does not depend on them, but for `visits`.
+    before: what came with the last answer from these pools, to be quicker where little has moved; it is used up. With a
+    budget, or with None, nothing is used and nothing remembered. What is answered does not depend on it, but for
+    `visits`. stamp: another after any change of the pools.
 
     limits: half of the further visits are shared evenly by all pairs, the other half by those whose share was too
     small. Of too many contacts, the pairs that have most lose their shallowest, so that none keeps more than some
@@ -221,23 +230,26 @@ def query_pairs(
     lists: a pair that a list answers has fewer contacts than wanted, and none is kept that a limit might cut short.
     """
     p = len(pairs)
-    matched, slots = np.full(p, -1), np.full(p, -1)
+    slots, known, stands_at = np.full(p, -1), np.zeros(p, np.bool_), np.full(p, -1)
     lists = NO_LISTS
     shares = np.full(p, budget)
     if not budget and is_coincident is not None:
         shares = visit_shares(pools, rows, pairs, is_coincident, limits.visits)
     if before is not None and not budget:
-        keys = pair_keys(rows, pairs)
-        order = np.argsort(keys, kind="stable")
-        lists, matched = make_lists(keys[order]), match(before, keys)
-        slots[order] = np.arange(p)
+        lists, slots, known = with_pairs(before.lists, pair_keys(rows, pairs))
         is_limited = (shares != UNSHARED) & (shares < most_visits(pools, rows, pairs))
-        matched[is_limited], slots[is_limited] = -1, -1
-    before = NO_LISTS if before is None else before
+        slots[is_limited] = -1
     counts, visits = np.zeros(p, np.int64), np.zeros(p, np.int64)
     bounds, exhausted = np.zeros(p), np.zeros(p, np.uint8)
-    further = np.full(p, limits.further_visits // (2 * max(p, 1)))
+    share = limits.further_visits // (2 * max(p, 1))
+    further = np.full(p, share)
     passes = []
+    poses = pose_bits(rotations, positions)
+    if before is not None and before.answer.stamp == stamp and not budget:
+        kept = before.answer
+        stands_at = pairs_in_place(kept, pools.fragment.kind, rows, poses, pairs, slots, known, further)
+        stay = np.flatnonzero(stands_at >= 0)
+        counts[stay], bounds[stay] = kept.contacts.counts[stands_at[stay]], kept.contacts.bounds[stands_at[stay]]
 
     def search(todo: np.ndarray, limit: int, room: int) -> np.ndarray:
         """Search the pairs `todo`, with `room` contacts a thread; returns those that there was no room for."""
@@ -245,8 +257,7 @@ def query_pairs(
         begin = np.empty(p, np.int64)
         crew.share(
             _query_share, pools, rows, rotations, positions, pairs, todo, not passes, wanted, epsilon, near, shares,
-            further, limit, contacts, ids, begin, counts, bounds, visits, exhausted, before, matched, lists, slots,
-            scratch,
+            further, limit, contacts, ids, begin, counts, bounds, visits, exhausted, lists, slots, known, scratch,
         )  # fmt: skip
         for earlier in passes:
             earlier[-1][todo] = -1
@@ -256,20 +267,22 @@ def query_pairs(
     def first_room(count: int) -> int:
         return max(LEAST_ROOM, min(FIRST_ROOM * count, limits.contacts) // crew.threads)
 
-    if p:
-        search(np.arange(p), limits.contacts_per_pair, first_room(p))
+    moved = np.flatnonzero(stands_at < 0)
+    if len(moved):
+        search(moved, limits.contacts_per_pair, first_room(len(moved)))
     cut = np.flatnonzero(exhausted == BY_FURTHER)
     if len(cut) and limits.further_visits // (2 * len(cut)) > further[0]:
         further[cut] = limits.further_visits // (2 * len(cut))
         search(cut, limits.contacts_per_pair, first_room(len(cut)))
     level = _level(counts, limits.contacts)
-    is_stored = np.zeros(p, bool)
+    is_stored = stands_at >= 0
     for todo, _, _, begin in passes:
         is_stored[todo] |= begin[todo] >= 0
     todo = np.flatnonzero(~is_stored | (counts > level))
     while len(todo):
         needed = np.minimum(counts[todo], level)
         room = max(int(needed[t :: crew.threads].sum()) for t in range(crew.threads))
+        stands_at[todo] = -1
         todo = search(todo, min(level, limits.contacts_per_pair), room)
     offsets = np.concatenate([[0], np.cumsum(counts)])
     total = int(offsets[-1])
@@ -280,7 +293,16 @@ def query_pairs(
             pairs, rotations, positions, todo, contacts, ids, begin, counts, offsets,
             points_a, points_b, normals, gaps, samples,
         )  # fmt: skip
-    return PairContacts(counts, bounds, visits, exhausted, points_a, points_b, normals, gaps, samples), lists
+    found = PairContacts(counts, bounds, visits, exhausted, points_a, points_b, normals, gaps, samples)
+    if lists is NO_LISTS:
+        return found, NOTHING_REMEMBERED
+    searched = np.where(counts >= wanted, visits, 0)
+    gather_kept(before.answer, stands_at, offsets, points_a, points_b, normals, gaps, samples)
+    stay = np.flatnonzero(stands_at >= 0)
+    searched[stay] = before.answer.searched[stands_at[stay]]
+    slots[cut] = -1  # what others leave to them may be less next time
+    answer = keep(stamp, rows, poses, slots, len(lists.counts), searched, share, offsets, found)
+    return found, Remembered(lists, answer)
 
 
 def _level(counts: np.ndarray, most: int) -> int:

@@ -1,9 +1,13 @@
-"""Which samples of a pair may touch, remembered while the two hardly move against each other (Verlet 1967).
+"""What is remembered of pairs from step to step, so that those which hardly move against each other cost little.
 
-A search that is done with `reach` to spare lists all samples within the detection tolerance and `reach` of the other
-fragment. As long as no sample has moved farther against the other than `reach`, those that are within the tolerance
-are among them, and asking them gives what the search would give: same contacts, same bytes. It is done for pairs with
-fewer than the contacts wanted; of others a search takes some and leaves some, and what it takes depends on its way.
+Which samples of a pair may touch (Verlet 1967): a search that is done with `reach` to spare lists all samples within
+the detection tolerance and `reach` of the other fragment. As long as no sample has moved farther against the other than
+`reach`, those that are within the tolerance are among them, and asking them gives what the search would give: same
+contacts, same bytes. It is done for pairs with fewer than the contacts wanted; of others a search takes some and leaves
+some, and what it takes depends on its way.
+
+How far apart a pair is: where a search found it parted, by its boxes or a plane, its list is empty, and holds until the
+two have moved by their clearance.
 """
 
 from __future__ import annotations
@@ -13,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.core.compiled import inlined_kernel
+from fracture_collision.core.compiled import inlined_kernel, kernel
 from fracture_collision.core.kinds import PLANE, SPHERE
 
 # Samples a list has room for.
@@ -25,25 +29,31 @@ SLOW = 0.25
 # Values of `counts` without a list.
 NOT_LISTED = -1  # the pair moves too fast
 FULL = -2  # as many contacts as were wanted, or more samples near than MOST_LISTED: no list is tried at the next step
+# Room for so many pairs at first.
+LEAST_ROOM = 64
 
 
 class NeighbourLists(NamedTuple):
-    """Of the pairs of a step, in ascending order of `keys`."""
+    """Columns have a row for each slot; a pair keeps its slot for as long as its boxes meet."""
 
-    keys: np.ndarray  # (p,) int64: of each pair of rows of FragmentPool, pair_keys
-    poses: np.ndarray  # (p, 2, 12) float64: rotation (9), translation (3) [m] from a's frame to b's, and back
-    listed_at: np.ndarray  # (p, 2, 12) float64: likewise when the list was made
-    counts: np.ndarray  # (p,) int32: listed samples, NOT_LISTED or FULL
-    samples: np.ndarray  # (p, MOST_LISTED) int32: 2 (row of TreePool) + side, ascending by side and sample
+    keys: np.ndarray  # (p,) int64, ascending: of the pairs of the last step, pair_keys
+    slots: np.ndarray  # (p,) int64: theirs
+    poses: np.ndarray  # (room, 2, 12) float64: rotation (9), translation (3) [m] from a's frame to b's, and back
+    listed_at: np.ndarray  # (room, 2, 12) float64: likewise when the list was made
+    reach: np.ndarray  # (room,) float64 [m]: for how much motion since then it holds
+    counts: np.ndarray  # (room,) int32: listed samples, NOT_LISTED or FULL
+    samples: np.ndarray  # (room, MOST_LISTED) int32: 2 (row of TreePool) + side, ascending by side and sample
 
 
-def make_lists(keys: np.ndarray) -> NeighbourLists:
-    """Room for pairs with ascending `keys` (p,)."""
-    p = len(keys)
+def _make_lists(room: int) -> NeighbourLists:
+    nobody = np.empty(0, np.int64)
     return NeighbourLists(
-        keys, np.empty((p, 2, 12)), np.empty((p, 2, 12)), np.full(p, NOT_LISTED, np.int32),
-        np.empty((p, MOST_LISTED), np.int32),
+        nobody, nobody, np.empty((room, 2, 12)), np.empty((room, 2, 12)), np.empty(room),
+        np.full(room, NOT_LISTED, np.int32), np.empty((room, MOST_LISTED), np.int32),
     )  # fmt: skip
+
+
+NO_LISTS = _make_lists(0)
 
 
 def pair_keys(rows: np.ndarray, pairs: np.ndarray) -> np.ndarray:
@@ -51,15 +61,46 @@ def pair_keys(rows: np.ndarray, pairs: np.ndarray) -> np.ndarray:
     return (rows[pairs[:, 0]].astype(np.int64) << 32) | rows[pairs[:, 1]].astype(np.int64)
 
 
-def match(lists: NeighbourLists, keys: np.ndarray) -> np.ndarray:
-    """Where each of `keys` stands in `lists`, -1: nowhere."""
-    if not len(lists.keys):
-        return np.full(len(keys), -1)
-    at = np.minimum(np.searchsorted(lists.keys, keys), len(lists.keys) - 1)
-    return np.where(lists.keys[at] == keys, at, -1)
+def with_pairs(before: NeighbourLists, keys: np.ndarray) -> tuple[NeighbourLists, np.ndarray, np.ndarray]:
+    """The lists of a step whose pairs have `keys` (p,), with the slot of each (p,), and whether it had it before (p,).
+
+    `before` is not to be used any more: columns are shared.
+    """
+    order = np.argsort(keys, kind="stable")
+    ordered = keys[order]
+    room = len(before.counts)
+    if room < len(keys):
+        columns = _make_lists(max(len(keys) + len(keys) // 2, LEAST_ROOM))
+        for old, new in zip(before[2:], columns[2:], strict=True):
+            new[:room] = old
+        before = columns._replace(keys=before.keys, slots=before.slots)
+    slots, known = _take_slots(before.keys, before.slots, ordered, len(before.counts))
+    before.counts[slots[~known]] = NOT_LISTED
+    of_pairs, were_known = np.empty_like(slots), np.empty_like(known)
+    of_pairs[order], were_known[order] = slots, known
+    return before._replace(keys=ordered, slots=slots), of_pairs, were_known
 
 
-NO_LISTS = make_lists(np.empty(0, np.int64))
+@kernel
+def _take_slots(known_keys, known_slots, keys, room):
+    """Slots (p,) of ascending `keys`, those that they had or free ones, and which they had (p,)."""
+    slots, known = np.empty(len(keys), np.int64), np.zeros(len(keys), np.bool_)
+    is_taken = np.zeros(room, np.bool_)
+    i = 0
+    for k in range(len(keys)):
+        while i < len(known_keys) and known_keys[i] < keys[k]:
+            i += 1
+        if i < len(known_keys) and known_keys[i] == keys[k]:
+            slots[k], known[k] = known_slots[i], True
+            is_taken[slots[k]] = True
+    free = 0
+    for k in range(len(keys)):
+        if not known[k]:
+            while is_taken[free]:
+                free += 1
+            slots[k] = free
+            free += 1
+    return slots, known
 
 
 @inlined_kernel
@@ -76,17 +117,6 @@ def keep_pose(rotation, translation, out):
             for j in range(3):
                 out[side, 3 * i + j] = rotation[side, i, j]
             out[side, 9 + i] = translation[side, i]
-
-
-@inlined_kernel
-def keep_list(before, last, lists, slot):
-    """Take the list of pair `last` over into the next step's."""
-    lists.counts[slot] = before.counts[last]
-    for side in range(2):
-        for i in range(12):
-            lists.listed_at[slot, side, i] = before.listed_at[last, side, i]
-    for i in range(before.counts[last]):
-        lists.samples[slot, i] = before.samples[last, i]
 
 
 @inlined_kernel

@@ -14,30 +14,35 @@ PARALLEL = 1e-6
 
 
 @inlined_kernel
-def boxes_apart(box_a, box_b, rotation, translation, distance):
-    """Whether two boxes (6,) in their own frames are more than `distance` [m] apart along one of the 15 candidate axes.
+def box_clearance(box_a, box_b, rotation, translation, distance):
+    """How far two boxes (6,) in their own frames are apart, at least [m]: along one of the 15 candidate axes, or, where
+    they are no more than `distance` [m] apart along any of them, 0.
 
-    rotation (3, 3), translation (3,): from a's frame to b's. Axes without length are left out, so a box may be called
-    near that is not, never the other way round.
+    rotation (3, 3), translation (3,): from a's frame to b's. The farthest of b's axes, or of a's, is taken, else the
+    first of the others. Axes without length are left out, so boxes may be called near that are not, never the other
+    way round.
     """
+    clearance = 0.0
     for i in range(3):
         # along b's axis i
         center = translation[i] - 0.5 * (box_b[i] + box_b[i + 3])
-        reach = 0.5 * (box_b[i + 3] - box_b[i]) + distance
+        reach = 0.5 * (box_b[i + 3] - box_b[i])
         for j in range(3):
             center += rotation[i, j] * 0.5 * (box_a[j] + box_a[j + 3])
             reach += abs(rotation[i, j]) * 0.5 * (box_a[j + 3] - box_a[j])
-        if abs(center) > reach:
-            return True
+        clearance = max(clearance, abs(center) - reach)
+    if clearance > distance:
+        return clearance
     for j in range(3):
         # along a's axis j
         center = 0.5 * (box_a[j] + box_a[j + 3])
-        reach = 0.5 * (box_a[j + 3] - box_a[j]) + distance
+        reach = 0.5 * (box_a[j + 3] - box_a[j])
         for i in range(3):
             center += rotation[i, j] * (translation[i] - 0.5 * (box_b[i] + box_b[i + 3]))
             reach += abs(rotation[i, j]) * 0.5 * (box_b[i + 3] - box_b[i])
-        if abs(center) > reach:
-            return True
+        clearance = max(clearance, abs(center) - reach)
+    if clearance > distance:
+        return clearance
     for i in range(3):
         i1, i2 = (i + 1) % 3, (i + 2) % 3
         for j in range(3):
@@ -53,6 +58,6 @@ def boxes_apart(box_a, box_b, rotation, translation, distance):
                 along = n1 * rotation[i1, q] + n2 * rotation[i2, q]
                 center += along * 0.5 * (box_a[q] + box_a[q + 3])
                 reach += abs(along) * 0.5 * (box_a[q + 3] - box_a[q])
-            if abs(center) > reach + distance * length:
-                return True
-    return False
+            if abs(center) - reach > distance * length:
+                return (abs(center) - reach) / length
+    return 0.0

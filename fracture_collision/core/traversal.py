@@ -33,7 +33,7 @@ from fracture_collision.core.known_samples import (
     share_a_body,
 )
 from fracture_collision.core.neighbour_lists import displacement, spin
-from fracture_collision.core.oriented_boxes import boxes_apart
+from fracture_collision.core.oriented_boxes import box_clearance
 from fracture_collision.core.pools import NONE_BELOW, OWN_SAMPLE, QUEUE, SAMPLE, SIZE, SURFACE
 from fracture_collision.core.rotations import rotated, to_other
 from fracture_collision.core.sphere_contacts import sphere_contacts
@@ -102,9 +102,10 @@ def query_pair(
     Fills contacts (capacity, 10): sample point, witness on the other, the other's outward normal, all in the other's
     frame, gap [m]; ids (capacity, 5): side (0: a's sample in b), sample (of a sphere: sphere_contacts.py), source and
     tetrahedron of the witness, tetrahedron of the sample (bounded_probe). Returns (contacts, missed depth bound [m],
-    visits, one of COMPLETE, BY_LIMIT, BY_FURTHER, samples near); more contacts than `capacity` or near than there is
-    room for means: call again with room, or do without. Fewer contacts than wanted come by side and sample, those that
-    are left of more than `limit` by depth, others in the order of the search.
+    visits, one of COMPLETE, BY_LIMIT, BY_FURTHER, samples near, clearance [m]); more contacts than `capacity` or near
+    than there is room for means: call again with room, or do without. Fewer contacts than wanted come by side and
+    sample, those that are left of more than `limit` by depth, others in the order of the search. The clearance: so much
+    more than `near` the two are apart, at least and beyond rounding; 0: it is not known.
 
     The queues hold rows of node_int and node_float, one a node that was reached. A child whose sphere keeps out of
     reach of the other counts as visited but takes no row.
@@ -121,8 +122,10 @@ def query_pair(
     turned = spin(rotation[0], UNTURNED) if one_body else 0.0
     bounded = fragment.kind[a] != PLANE and fragment.kind[b] != PLANE
     within, samples = near + reach, 0
-    if bounded and boxes_apart(fragment.box[a], fragment.box[b], rotation[0], translation[0], within + slack):
-        return 0, slack, 0, COMPLETE, 0
+    if bounded:
+        parted = box_clearance(fragment.box[a], fragment.box[b], rotation[0], translation[0], within + slack)
+        if parted > within + slack:
+            return 0, slack, 0, COMPLETE, 0, parted - near - slack
     visits, apart = 0, math.inf
     if one_body:
         apart = displacement(pools, a, b, rotation, translation, IN_PLACE)
@@ -132,7 +135,7 @@ def query_pair(
                 scratch, thread,
             )  # fmt: skip
             if count == min(wanted, limit) or (budget and visits >= budget):
-                return count, apart + slack, visits, COMPLETE if count == wanted else BY_LIMIT, 0
+                return count, apart + slack, visits, COMPLETE if count == wanted else BY_LIMIT, 0, 0.0
     beyond_b, beyond_a = NO_PLANE, NO_PLANE
     if apart > within and _has_hull(fragment.kind[a]) and _has_hull(fragment.kind[b]):
         way = _way_between(fragment.box[a], fragment.box[b], rotation[0], translation[0])
@@ -140,7 +143,7 @@ def query_pair(
             hull_of(pools, a), hull_of(pools, b), way, rotation, translation, within + slack
         )
         if low - high > within + slack:
-            return 0, slack, visits, COMPLETE, 0
+            return 0, slack, visits, COMPLETE, 0, low - high - near - slack
         t = translation[0]
         beyond_b = x, y, z, high + slack
         x, y, z = rotated(rotation[1], -x, -y, -z)
@@ -309,11 +312,11 @@ def query_pair(
     if count > limit:
         if capacity >= limit:
             sort_heap(contacts, ids, limit)
-        return limit, max(bound, dropped + deeper_by) + slack, visits, max(exhausted, BY_LIMIT), samples
+        return limit, max(bound, dropped + deeper_by) + slack, visits, max(exhausted, BY_LIMIT), samples, 0.0
     if count < m:
         _sort_contacts(contacts, ids, min(count, capacity))
         _sort_samples(tree, listed, min(samples, len(listed)))
-    return count, bound + slack, visits, exhausted, samples
+    return count, bound + slack, visits, exhausted, samples, 0.0
 
 
 @inlined_kernel

@@ -29,7 +29,7 @@ _DESCRIPTIONS: dict[str, tuple[str, Range | None]] = {
     "tree": ("trees of new fragments: 'restructured' (Glondu 2014, 6.2), 'plain' (its [27]) or 'rebuilt'", None),
     "normals": ("which surface a normal is of: one 'facing' the sample, or the 'nearest' (Glondu 2014, 4.4)", None),
     "traversal": ("order of visits: 'alternating' between parents (Glondu 2014, 5.3) or 'queue' (its [27])", None),
-    "neighbour_lists": ("remember which samples of slow pairs are near; the answer does not depend on it", None),
+    "neighbour_lists": ("remember what is near and what has not moved; the answer does not depend on it", None),
     "threads": ("threads of the narrow phase; 0: one for each core. The answer does not depend on it", Range(0, 256)),
     "visit_budget": ("sphere tree nodes that a step may visit; 0: no limit", Range(0, 2**40)),
     "max_pairs": ("states of which more pairs of boxes overlap are refused", Range(1, 2**31)),

@@ -29,12 +29,14 @@ class Registry:
         )
         self.sequence = 0
         self.renumbered = 0  # how often the rows of all fragments have changed
+        self.changes = 0  # how often anything has
         self._bodies: dict[int, CheckedBody] = {}
         self._chain = hashlib.sha256().digest()
         self._living = LivingFragments()
         self._fragments_of: dict[int, set[int]] = {}  # body id -> its living fragments
 
     def add_body(self, body: CheckedBody) -> None:
+        self.changes += 1
         if body.mesh is not None:
             row = self.geometry.add_tetrahedra(body.mesh)
         elif body.surface is not None:
@@ -51,6 +53,7 @@ class Registry:
 
     def remove_body(self, body_id: int) -> None:
         """Nothing is replayed: the others stay as they are, and memory is reclaimed once half of it is garbage."""
+        self.changes += 1
         del self._bodies[body_id]
         rows = [self._living.remove(fragment_id) for fragment_id in self._fragments_of.pop(body_id)]
         self.geometry.retire_body(np.array(sorted(rows)))
@@ -60,6 +63,7 @@ class Registry:
 
     def apply(self, event: CheckedFracture) -> None:
         """The next event of the log; one of a removed body only counts."""
+        self.changes += 1
         self.sequence += 1
         self._chain = hashlib.sha256(self._chain + event.digest).digest()
         body = self._bodies.get(event.body_id)

@@ -31,8 +31,9 @@ class Settings(NamedTuple):
     tree: str = "restructured"
     # `alternating`: children of different parents first (5.3); `queue`: a parent's children in a row, as in [27].
     traversal: str = "alternating"
-    # Whether to remember, from one step to the next, which samples of slow pairs are near (core/neighbour_lists.py).
-    # The answer does not depend on it; without, every step costs what the first one does.
+    # Whether to remember, from one step to the next, which samples of slow pairs are near, how far others are apart and
+    # what contacts those have that do not move (core/neighbour_lists.py, kept_answer.py). The answer does not depend
+    # on it; without, every step costs what the first one does.
     neighbour_lists: bool = True
     # Threads of the narrow phase; 0: all cores. The answer does not depend on it.
     threads: int = 0

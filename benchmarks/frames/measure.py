@@ -1,0 +1,103 @@
+"""Times of each step of a recorded scene: ours, and a peer's that is told the same."""
+
+from __future__ import annotations
+
+import gc
+import hashlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from time import perf_counter
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.frames.recording import Recording, Step
+from fracture_collision.world import CollisionWorld, Settings
+
+BUSY = 10  # fragments that move: much does
+MILLI = 1e3
+
+
+class Times(NamedTuple):
+    """Of each of n steps [ms]."""
+
+    query: np.ndarray  # (n,) all of contacts() but updates, or the peer's own step
+    update: np.ndarray  # (n,) at fractures; elsewhere 0
+    again: np.ndarray  # (n,) the same states asked again; nan: not measured
+    digest: str  # of all answers; "" of a peer
+
+
+def ours(recording: Recording, settings: Settings, again: bool = False) -> Times:
+    """The whole of `contacts`, with `again` twice a step."""
+    world, sha = CollisionWorld(settings), hashlib.sha256()
+    query, update, repeated = [], [], []
+    with _uncollected():
+        for step in recording.steps:
+            told = _tell(world, step)
+            started = perf_counter()
+            answer = world.contacts(step.states)
+            seconds = perf_counter() - started
+            changed = world.last_timings["update"] if step.bodies or step.events else 0.0
+            query.append(seconds - changed)
+            started = perf_counter()
+            if step.events:
+                world.fragments()
+            update.append(told + changed + perf_counter() - started if step.events else 0.0)
+            for field in answer:
+                sha.update(np.asarray(field).tobytes())
+            if again:
+                started = perf_counter()
+                world.contacts(step.states)
+                repeated.append(perf_counter() - started)
+    unknown = np.full(len(query), np.nan)
+    return Times(
+        MILLI * np.array(query), MILLI * np.array(update), MILLI * np.array(repeated) if again else unknown,
+        sha.hexdigest(),
+    )  # fmt: skip
+
+
+def peers(recording: Recording, make: Callable) -> Times:
+    """`make()`: something like rapier_hulls.RapierHulls."""
+    world, peer = CollisionWorld(Settings(threads=1)), make()
+    query, update = [], []
+    with _uncollected():
+        for step in recording.steps:
+            _tell(world, step)
+            peer.tell(step.bodies)
+            changed = 0.0
+            if step.bodies or step.events or not query:
+                changed = peer.follow(world, world.present(step.states).ids.tolist())
+            update.append(changed if step.events else 0.0)
+            query.append(peer.step(step.states))
+    return Times(MILLI * np.array(query), MILLI * np.array(update), np.full(len(query), np.nan), "")
+
+
+def is_busy(recording: Recording) -> np.ndarray:
+    """Steps in which much moves (n,) bool."""
+    return np.array([step.moving >= BUSY for step in recording.steps])
+
+
+def after_last_fracture(recording: Recording) -> np.ndarray:
+    """(n,) bool"""
+    broke = np.array([bool(step.events) for step in recording.steps])
+    return np.arange(len(broke)) > (np.flatnonzero(broke)[-1] if broke.any() else -1)
+
+
+def _tell(world: CollisionWorld, step: Step) -> float:
+    started = perf_counter()
+    for body in step.bodies:
+        world.add_body(body)
+    for event in step.events:
+        world.add_fracture(event)
+    return perf_counter() - started
+
+
+@contextmanager
+def _uncollected() -> Iterator[None]:
+    """No garbage collection in the middle of a step."""
+    gc.collect()
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()

@@ -1,0 +1,110 @@
+"""The last answer, kept for pairs of which neither fragment has moved since: theirs is the same, to the last bit."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fracture_collision.core.compiled import kernel
+from fracture_collision.core.kinds import SPHERE
+
+
+class PairContacts(NamedTuple):
+    """Of p pairs with N contacts together, those of each pair in one piece."""
+
+    counts: np.ndarray  # (p,) int64
+    bounds: np.ndarray  # (p,) float64 [m], missed depth bound
+    visits: np.ndarray  # (p,) int64, tree nodes tested
+    exhausted: np.ndarray  # (p,) uint8, not 0: cut short by a limit
+    points_a: np.ndarray  # (N, 3) float64 [m], world
+    points_b: np.ndarray  # (N, 3) float64 [m], world
+    normals: np.ndarray  # (N, 3) float64, from a to b
+    gaps: np.ndarray  # (N,) float64 [m]
+    samples: np.ndarray  # (N, 2) int64: side whose sample it is (0: a), sample index, see query_pair
+
+
+class KeptAnswer(NamedTuple):
+    stamp: int  # of the geometry that was asked: after any change of it nothing holds
+    index_of_row: np.ndarray  # (r,) int64: which of `poses` is a row of FragmentPool's, -1: none
+    poses: np.ndarray  # (n, 12) uint64: the bits of rotations and positions in the world
+    pair_of_slot: np.ndarray  # (s,) int64: where a pair with this slot of NeighbourLists stands in `contacts`, or -1
+    searched: np.ndarray  # (p,) int64: visits that came with the contacts wanted, whenever that was
+    further: int  # visits that each pair might take beyond the contacts wanted
+    offsets: np.ndarray  # (p + 1,) int64, of each pair's contacts
+    contacts: PairContacts
+
+
+_NOBODY = np.zeros(0, np.int64)
+NOTHING_KEPT = KeptAnswer(
+    -1, _NOBODY, np.zeros((0, 12), np.uint64), _NOBODY, _NOBODY, 0, _NOBODY,
+    PairContacts(
+        _NOBODY, np.zeros(0), _NOBODY, np.zeros(0, np.uint8), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)),
+        np.zeros(0), np.zeros((0, 2), np.int64),
+    ),
+)  # fmt: skip
+
+
+def keep(
+    stamp: int, rows: np.ndarray, poses: np.ndarray, slots: np.ndarray, room: int, searched: np.ndarray, further: int,
+    offsets: np.ndarray, contacts: PairContacts,
+) -> KeptAnswer:  # fmt: skip
+    """`slots` (p,), -1: not to be kept; `room` slots in all. Keeps copies: an answer is its receiver's, to change."""
+    index_of_row = np.full(int(rows.max(initial=-1)) + 1, -1)
+    index_of_row[rows] = np.arange(len(rows))
+    pair_of_slot = np.full(room, -1)
+    complete = np.flatnonzero((slots >= 0) & (contacts.exhausted == 0))
+    pair_of_slot[slots[complete]] = complete
+    copies = PairContacts(*[column.copy() for column in contacts])
+    return KeptAnswer(stamp, index_of_row, poses, pair_of_slot, searched, further, offsets, copies)
+
+
+def pose_bits(rotations: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    """(n, 12) uint64 of poses (n, 3, 3), (n, 3)."""
+    return np.hstack((rotations.reshape(-1, 9), positions)).view(np.uint64)
+
+
+@kernel
+def pairs_in_place(kept, kinds, rows, poses, pairs, slots, known, further):
+    """Where each of `pairs` (p, 2) of indices into `rows` stands in `kept`, -1: not, or the answer may be another.
+
+    poses (n, 12): pose_bits; slots, known (p,): of with_pairs; further (p,): visits that each may take beyond the
+    contacts wanted. A node that is met once these are there is taken up twice at most for each visit.
+    """
+    has_moved = np.ones(len(rows), np.bool_)
+    for i in range(len(rows)):
+        before = kept.index_of_row[rows[i]] if rows[i] < len(kept.index_of_row) else -1
+        if before >= 0:
+            has_moved[i] = False
+            for k in range(12):
+                if kept.poses[before, k] != poses[i, k]:
+                    has_moved[i] = True
+    stands_at = np.full(len(pairs), -1)
+    for p in range(len(pairs)):
+        i, j = pairs[p, 0], pairs[p, 1]
+        if slots[p] < 0 or not known[p] or slots[p] >= len(kept.pair_of_slot) or has_moved[i] or has_moved[j]:
+            continue
+        q = kept.pair_of_slot[slots[p]]
+        if q < 0:
+            continue
+        of_sphere = kinds[rows[i]] == SPHERE or kinds[rows[j]] == SPHERE
+        if further[p] >= kept.further or (not of_sphere and 2 * kept.searched[q] + 2 <= further[p]):
+            stands_at[p] = q
+    return stands_at
+
+
+@kernel
+def gather_kept(kept, stands_at, offsets, points_a, points_b, normals, gaps, samples):
+    """The contacts of the pairs that stand in `kept`, from offsets[p] on."""
+    old = kept.contacts
+    for p in range(len(stands_at)):
+        q = stands_at[p]
+        if q < 0:
+            continue
+        for c in range(offsets[p + 1] - offsets[p]):
+            o, k = offsets[p] + c, kept.offsets[q] + c
+            for d in range(3):
+                points_a[o, d], points_b[o, d] = old.points_a[k, d], old.points_b[k, d]
+                normals[o, d] = old.normals[k, d]
+            gaps[o] = old.gaps[k]
+            samples[o, 0], samples[o, 1] = old.samples[k, 0], old.samples[k, 1]
