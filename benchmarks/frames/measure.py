@@ -64,9 +64,7 @@ def peers(recording: Recording, make: Callable) -> Times:
         for step in recording.steps:
             _tell(world, step)
             peer.tell(step.bodies)
-            changed = 0.0
-            if step.bodies or step.events or not query:
-                changed = peer.follow(world, world.present(step.states).ids.tolist())
+            changed = peer.follow(world, world.present(step.states).ids.tolist())
             update.append(changed if step.events else 0.0)
             query.append(peer.step(step.states))
     return Times(MILLI * np.array(query), MILLI * np.array(update), np.full(len(query), np.nan), "")
