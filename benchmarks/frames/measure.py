@@ -75,12 +75,6 @@ def is_busy(recording: Recording) -> np.ndarray:
     return np.array([step.moving >= BUSY for step in recording.steps])
 
 
-def after_last_fracture(recording: Recording) -> np.ndarray:
-    """(n,) bool"""
-    broke = np.array([bool(step.events) for step in recording.steps])
-    return np.arange(len(broke)) > (np.flatnonzero(broke)[-1] if broke.any() else -1)
-
-
 def _tell(world: CollisionWorld, step: Step) -> float:
     started = perf_counter()
     for body in step.bodies:

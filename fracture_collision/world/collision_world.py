@@ -13,7 +13,13 @@ from fracture_collision.core.collision_geometry import CollisionGeometry
 from fracture_collision.core.crew import Crew
 from fracture_collision.core.crowds import coincident
 from fracture_collision.core.kept_answer import PairContacts
-from fracture_collision.core.narrow_phase import NOTHING_REMEMBERED, WorkLimits, query_pairs, rotation_matrices
+from fracture_collision.core.narrow_phase import (
+    NOTHING_REMEMBERED,
+    Remembered,
+    WorkLimits,
+    query_pairs,
+    rotation_matrices,
+)
 from fracture_collision.core.scratch import Scratch, make_scratch
 from fracture_collision.records import (
     BUDGET_EXHAUSTED,
@@ -51,11 +57,12 @@ class _Answered(NamedTuple):
 
     registry: Registry | None
     changes: int
+    settings: Settings | None
     asked: tuple[np.ndarray, ...]  # bits of ids, positions and orientations
     answer: ContactConstraintArray | None
 
 
-_NOTHING_ANSWERED = _Answered(None, 0, (), None)
+_NOTHING_ANSWERED = _Answered(None, 0, None, (), None)
 
 
 class CollisionWorld:
@@ -123,7 +130,7 @@ class CollisionWorld:
         checked, moving = self._bring_to(states)
         updated = perf_counter()
         asked = tuple(column.view(np.uint64) for column in checked[2:])
-        if (again := self._answer_again(checked, asked)) is not None:
+        if self.settings.neighbour_lists and (again := self._answer_again(checked, asked)) is not None:
             self.last_visits = 0
             self.last_timings = {"update": updated - started, "broad_phase": 0.0, "narrow_phase": 0.0}
             return again
@@ -145,21 +152,18 @@ class CollisionWorld:
                 f"positions: the boxes of more than {self.settings.max_pairs} pairs of fragments overlap (max_pairs)",
             )
         paired = perf_counter()
-        holds_for = self._what_is_remembered_of()
-        if self._remembered_of != holds_for:
-            self._remembered, self._remembered_of = NOTHING_REMEMBERED, holds_for
+        remembered = self._take_remembered() if self.settings.neighbour_lists else None
         budget = max(self.settings.visit_budget // len(pairs), 1) if self.settings.visit_budget and len(pairs) else 0
-        # it is used up, also by an answer that is broken off
-        remembered, self._remembered = self._remembered, NOTHING_REMEMBERED
-        found, self._remembered = query_pairs(
+        found, now_remembered = query_pairs(
             pools, rows, rotations, positions, pairs, self.settings.contacts_per_pair,
             self.settings.penetration_tolerance, self.settings.detection_tolerance, budget,
-            self._sized_scratch(rows), self._crew, remembered if self.settings.neighbour_lists else None,
-            self._registry.changes, _work_limits(self.settings), coincident(boxes, pairs),
+            self._sized_scratch(rows), self._crew, remembered, self._registry.changes,
+            _work_limits(self.settings), coincident(boxes, pairs),
         )  # fmt: skip
         answer = self._answer(checked, here, radius, pairs, found)
-        if self.settings.neighbour_lists:
-            self._answered = _Answered(self._registry, self._registry.changes, asked, _copy_of(answer))
+        if remembered is not None:
+            self._remembered = now_remembered
+            self._answered = _Answered(*self._asked_of(), asked, _copy_of(answer))
         self.last_visits, self.last_pairs = int(found.visits.sum()), len(pairs)
         self.last_timings = {
             "update": updated - started, "broad_phase": paired - updated, "narrow_phase": perf_counter() - paired,
@@ -235,14 +239,24 @@ class CollisionWorld:
     ) -> ContactConstraintArray | None:
         """To states that say the same as those before; None: to others."""
         last = self._answered
-        if last.registry is not self._registry or last.changes != self._registry.changes:
+        if last[:3] != self._asked_of():
             return None
         if not all(np.array_equal(before, now) for before, now in zip(last.asked, asked, strict=True)):
             return None
         return _copy_of(last.answer)._replace(step=checked.step)
 
-    def _what_is_remembered_of(self) -> tuple[Registry, int, float]:
-        return self._registry, self._registry.renumbered, self.settings.detection_tolerance
+    def _asked_of(self) -> tuple[Registry, int, Settings]:
+        return self._registry, self._registry.changes, self.settings
+
+    def _take_remembered(self) -> Remembered:
+        """It is used up, also by an answer that is broken off."""
+        holds_for = self._what_is_remembered_of()
+        remembered = self._remembered if self._remembered_of == holds_for else NOTHING_REMEMBERED
+        self._remembered, self._remembered_of = NOTHING_REMEMBERED, holds_for
+        return remembered
+
+    def _what_is_remembered_of(self) -> tuple[Registry, int, Settings]:
+        return self._registry, self._registry.renumbered, self.settings
 
     def _find(self, states: CheckedStates, ids: np.ndarray) -> np.ndarray:
         """Indices into `ids` of the fragments that the states name."""

@@ -61,9 +61,11 @@ class AnswerErrors(NamedTuple):
 
 
 def asked_with(world: CollisionWorld, states: FragmentStates, **settings: Any) -> ContactConstraintArray:
-    """The contacts at `states` that a world with other `settings` would answer; this one keeps its own."""
+    """The contacts at `states` that a world with other `settings` would answer; this one keeps its own, and what it
+    remembers.
+    """
     chosen = world.settings
-    world.settings = chosen._replace(**settings)
+    world.settings = chosen._replace(**settings | {"neighbour_lists": False})
     try:
         return world.contacts(states)
     finally:
