@@ -56,7 +56,8 @@ def measure(scene: str, runs: int) -> Row:
     return Row(
         scene, len(recording.steps), own.query.mean(), float(np.median(own.query)), own.query.max(),
         rapier.query.mean(), rapier.query.max(), own.query.mean() / rapier.query.mean(),
-        own.query[busy].mean() / rapier.query[busy].mean() if busy.any() else float("nan"), own.query.max() / rapier.query.max(),
+        own.query[busy].mean() / rapier.query[busy].mean() if busy.any() else float("nan"),
+        own.query.max() / rapier.query.max(),
         own.query[-50:].mean(), float(np.mean(again.again)), update, rapier_update, own.digest[:12],
     )  # fmt: skip
 
