@@ -81,7 +81,8 @@ def _plot(angles: dict[tuple[str, bool], tuple[np.ndarray, np.ndarray]]) -> None
 
 
 def _row(broken: BrokenBody) -> tuple[list[str], tuple[np.ndarray, np.ndarray]]:
-    worlds = [world_of(broken, Settings(threads=1, normals=normals)) for normals in ("nearest", "facing")]
+    settings = Settings(threads=1, selection="complete")
+    worlds = [world_of(broken, settings._replace(normals=normals)) for normals in ("nearest", "facing")]
     frames = [jittered(broken, worlds[0], 0.01, 1.0, seed) for seed in range(FRAMES)]
     at_rest = [jittered(broken, worlds[0], 0.0, 0.0, 0)]
     nearest, crack = (measure(broken, world, frames, DEEPER) for world in worlds)

@@ -18,14 +18,17 @@ from fracture_collision.geometry.generators import TetGeometry
 from fracture_collision.records import BUDGET_EXHAUSTED
 from fracture_collision.world import Settings
 
+COMPLETE = Settings(threads=1, selection="complete")
 SETTINGS = (
+    COMPLETE,
+    COMPLETE._replace(visit_budget=1_000),
+    COMPLETE._replace(contacts_per_pair=1, penetration_tolerance=0.02),
+    COMPLETE._replace(visit_budget=5_000, contacts_per_pair=4),
+    COMPLETE._replace(contacts_per_pair=32, penetration_tolerance=0.0, detection_tolerance=0.01),
+    COMPLETE._replace(visit_budget=25_000, penetration_tolerance=0.01),
+    COMPLETE._replace(contacts_per_pair=4, penetration_tolerance=0.0005, detection_tolerance=0.0),
     Settings(threads=1),
-    Settings(threads=1, visit_budget=1_000),
-    Settings(threads=1, contacts_per_pair=1, penetration_tolerance=0.02),
-    Settings(threads=1, visit_budget=5_000, contacts_per_pair=4),
-    Settings(threads=1, contacts_per_pair=32, penetration_tolerance=0.0, detection_tolerance=0.01),
-    Settings(threads=1, visit_budget=25_000, penetration_tolerance=0.01),
-    Settings(threads=1, contacts_per_pair=4, penetration_tolerance=0.0005, detection_tolerance=0.0),
+    Settings(threads=1, contacts_per_pair=3, deep_contacts_per_pair=5, penetration_tolerance=0.01),
 )
 SPREADS = (0.15, 0.3, 0.5)  # [R] deviation of the fragments' middles from a common point
 

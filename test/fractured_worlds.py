@@ -14,7 +14,7 @@ from fracture_collision.records import CollisionBody, FractureEvent, FragmentSta
 from fracture_collision.world import CollisionWorld, Settings
 
 DENSITY = 2500.0
-SETTINGS = Settings(threads=1)
+SETTINGS = Settings(threads=1, selection="complete")
 
 
 class FracturedWorld(NamedTuple):

@@ -14,7 +14,7 @@ from fracture_collision.geometry.concave_shapes import torus
 from fracture_collision.geometry.generators import ball, brick, plate, shell
 from fracture_collision.world import Settings
 
-SETTINGS = Settings(threads=1)
+SETTINGS = Settings(threads=1, selection="complete")
 SAME = 1e-9
 BODIES = {
     "ball": lambda: ball(1.0, 0.2),

@@ -30,7 +30,7 @@ from fracture_collision.records import SPHERE, CollisionBody, FragmentStates, So
 from fracture_collision.world import CollisionWorld, Settings
 
 SHAPES = {"torus": torus, "l_block": l_block, "cube": cube, "noisy_ball": noisy_ball, "hollow_box": hollow_box}
-SETTINGS = Settings(threads=1)
+SETTINGS = Settings(threads=1, selection="complete")
 STACK_SPACE = np.empty(STACK, np.int32)
 IN_PLACE = np.array([0.0, 0.0, 0.0, 1.0])
 

@@ -24,7 +24,7 @@ class Ours(Method):
     def __init__(self, name: str, is_quick: bool = True, **settings) -> None:
         self.name, self.is_quick = name, is_quick
         # frames are asked about several times: each time as if all had moved
-        self._settings = Settings(threads=1, neighbour_lists=False)._replace(**settings)
+        self._settings = Settings(threads=1, neighbour_lists=False, selection="complete")._replace(**settings)
 
     def prepare(self, world: World) -> CollisionWorld:
         """The whole body, asked about once."""

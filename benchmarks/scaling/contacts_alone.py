@@ -11,15 +11,16 @@ import numpy as np
 from fracture_collision.core.compiled import threaded_kernel
 from fracture_collision.core.crew import Crew
 from fracture_collision.core.facing_normal import turn_contacts
-from fracture_collision.core.known_samples import query_listed
+from fracture_collision.core.known_samples import rounding_slack
 from fracture_collision.core.narrow_phase import PairContacts, query_pairs, relative_pose
 from fracture_collision.core.pools import OWN_SAMPLE, SAMPLE, SURFACE, Pools
+from fracture_collision.core.sample_search import ENTRY, SIDE, put_chosen
 from fracture_collision.core.scratch import make_scratch
 from fracture_collision.records import ContactConstraintArray, FragmentStates
 from fracture_collision.world import CollisionWorld
+from fracture_collision.world.settings import most_listed
 
 ROUNDS = 9
-UNWANTED = np.iinfo(np.int64).max  # contacts a pair: never enough
 
 
 def contacts_alone(service: CollisionWorld, states: FragmentStates, answer: ContactConstraintArray) -> float:
@@ -32,8 +33,8 @@ def contacts_alone(service: CollisionWorld, states: FragmentStates, answer: Cont
     scratch = make_scratch(1, len(pools.mesh.tetrahedra), nodes)
     placed = pools, here.rows, here.rotations, here.positions, pairs
     found, _ = query_pairs(
-        *placed, settings.contacts_per_pair, settings.penetration_tolerance, settings.detection_tolerance, 0, scratch,
-        Crew(1),
+        *placed, settings.contacts_per_pair, most_listed(settings), settings.penetration_tolerance,
+        settings.detection_tolerance, 0, scratch, Crew(1),
     )  # fmt: skip
     begin = np.concatenate(([0], np.cumsum(found.counts)))
     listed = _entries(pools, here.rows, pairs, found)
@@ -80,10 +81,11 @@ def _ask(pools, rows, rotations, positions, pairs, begin, listed, near, contacts
         relative_pose(rotations[j], positions[j], rotations[i], positions[i], rotation[1], translation[1])
         within = near * min(pools.fragment.radius[a], pools.fragment.radius[b])
         out, out_ids = contacts[first:last], ids[first:last]
-        count, _, _, _ = query_listed(
-            pools, a, b, rotation, translation, UNWANTED, within, listed[first:last], out, out_ids, last - first,
-            scratch, 0,
-        )  # fmt: skip
+        count = last - first
+        for k in range(count):
+            scratch.node_int[0, k, ENTRY], scratch.node_int[0, k, SIDE] = listed[first + k] >> 1, listed[first + k] & 1
+        slack = rounding_slack(pools, a, b, translation)
+        put_chosen(pools, a, b, rotation, translation, within, slack, out, out_ids, count, scratch, 0)
         turn_contacts(pools, a, b, rotation, translation, within, out, out_ids, count, scratch, 0)
         total += count
     return total

@@ -15,7 +15,7 @@ from benchmarks.scaling.piles import Pile, make_pile, world_of
 from fracture_collision.world import CollisionWorld, Settings
 
 # Piles are asked about again and again without moving: each time as if they had.
-SEARCHED = Settings(threads=1, neighbour_lists=False)
+SEARCHED = Settings(threads=1, neighbour_lists=False, selection="complete")
 
 Progress = Callable[[str], None]
 

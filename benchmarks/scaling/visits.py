@@ -91,7 +91,7 @@ def measure_visits(
     for name in names:
         progress(f"visits: {name}")
         world = make_world(name)
-        service = CollisionWorld(Settings(threads=1, neighbour_lists=False))
+        service = CollisionWorld(Settings(threads=1, neighbour_lists=False, selection="complete"))
         service.add_body(world.body)
         service.add_fracture(world.event)
         service.contacts(empty_states(1))

@@ -25,6 +25,7 @@ from fracture_collision.core.occupancy import cells_of_boxes, fill_pyramid, mark
 from fracture_collision.core.pool_compaction import (
     MeshRows,
     SurfaceMeshRows,
+    TreeRows,
     bytes_of_fragments,
     bytes_of_mesh,
     compact,
@@ -52,6 +53,7 @@ from fracture_collision.portable_math import lengths
 
 # [bytes] Less is not worth a compaction.
 LEAST_GARBAGE = 1 << 20
+NO_TREE = TreeRows(0, 0, 0, 0, np.zeros(4))
 
 
 class MassProperties(NamedTuple):
@@ -198,25 +200,19 @@ class CollisionGeometry:
     def add_plane(self, normal: np.ndarray, offset: float) -> int:
         """Half-space normal . x <= offset; `normal` unit."""
         box = np.array([-np.inf] * 3 + [np.inf] * 3)
-        return self._add_row(PLANE, box, np.append(normal, offset), np.inf, 0, 0, 0.0)
+        return self._add_row(PLANE, box, np.append(normal, offset), np.inf, NO_TREE, 0.0)
 
     def add_sphere(self, radius: float) -> int:
         """Its surface is searched as a whole (sphere_contacts.py), so nothing lies between samples."""
         box = np.array([-radius] * 3 + [radius] * 3)
-        return self._add_row(SPHERE, box, np.array([radius, 0.0, 0.0, 0.0]), radius, 0, 0, 0.0)
+        return self._add_row(SPHERE, box, np.array([radius, 0.0, 0.0, 0.0]), radius, NO_TREE, 0.0)
 
     def add_box(self, half: np.ndarray) -> int:
         """`half` (3,) [m] half edge lengths."""
         points = box_edge_points(half)
-        begin = self._tables.append_tree(build_sphere_tree(points, np.ones(len(points), np.uint8)))
+        own = self._append_tree(build_sphere_tree(points, np.ones(len(points), np.uint8)))
         return self._add_row(
-            BOX,
-            np.concatenate([-half, half]),
-            np.append(half, 0.0),
-            float(half.max()),
-            begin,
-            self._tables.tree["entries"].used,
-            box_sampling_gap(half),
+            BOX, np.concatenate([-half, half]), np.append(half, 0.0), float(half.max()), own, box_sampling_gap(half)
         )
 
     def add_tetrahedra(self, prepared: PreparedMesh) -> int:
@@ -225,8 +221,8 @@ class CollisionGeometry:
         self._bodies_of[id(prepared)] += 1
         mesh = prepared.mesh
         row = self._add_row(
-            TETRAHEDRA, mesh.box, np.zeros(4), 0.5 * float((mesh.box[3:] - mesh.box[:3]).max()),
-            rows.tree, rows.tree + len(prepared.tree.size), mesh.sampling_gap, rows.index, rows.cells,
+            TETRAHEDRA, mesh.box, np.zeros(4), 0.5 * float((mesh.box[3:] - mesh.box[:3]).max()), rows.tree,
+            mesh.sampling_gap, rows.index, rows.cells,
         )  # fmt: skip
         # summed one by one, as a fracture sums what is left, so that parts add up to the whole
         self._moments.view[row] = mesh.moments.sum(axis=0)
@@ -238,15 +234,14 @@ class CollisionGeometry:
         if rows is None:
             tables = self._tables
             rows = SurfaceMeshRows(
-                append_triangle_mesh(tables.triangles, prepared.mesh), tables.append_tree(prepared.tree),
-                len(prepared.tree.size),
-            )  # fmt: skip
+                append_triangle_mesh(tables.triangles, prepared.mesh), self._append_tree(prepared.tree)
+            )
             self._surfaces.append((prepared, rows))
         self._bodies_of[id(prepared)] += 1
         box = prepared.mesh.node_box[0]
         row = self._add_row(
-            TRIANGLES, box, np.zeros(4), 0.5 * float((box[3:] - box[:3]).max()), rows.tree, rows.tree + rows.entries,
-            prepared.sampling_gap, rows.index,
+            TRIANGLES, box, np.zeros(4), 0.5 * float((box[3:] - box[:3]).max()), rows.tree, prepared.sampling_gap,
+            rows.index,
         )  # fmt: skip
         self._moments.view[row] = prepared.moments
         return row
@@ -338,8 +333,11 @@ class CollisionGeometry:
             begin = split_trees(
                 self._tables.tree, old, mesh, part_of_node, edges, share, count, self._tree_kind == RESTRUCTURED
             )
-        self._tables.fragment["tree_begin"].view[first : first + count] = begin[:-1]
-        self._tables.fragment["tree_end"].view[first : first + count] = begin[1:]
+        leaves, middles = self._tables.append_leaves(begin)
+        for name, rows_of in (("tree", begin), ("leaf", leaves)):
+            self._tables.fragment[f"{name}_begin"].view[first : first + count] = rows_of[:-1]
+            self._tables.fragment[f"{name}_end"].view[first : first + count] = rows_of[1:]
+        self._tables.fragment["middle"].view[first : first + count] = middles
 
     def _choose_seeds(self, row, rows) -> None:
         """Anew for the whole body that fragment `row` is of: a neighbour's crack has fallen to its parts."""
@@ -400,10 +398,16 @@ class CollisionGeometry:
             self._tables.have_grown()
         return interior
 
-    def _add_row(self, kind, box, shape, radius, tree_begin, tree_end, gap, mesh=-1, cells=None) -> int:
+    def _append_tree(self, tree: SphereTree) -> TreeRows:
+        begin = self._tables.append_tree(tree)
+        leaves, middles = self._tables.append_leaves(np.array([begin, begin + len(tree.size)]))
+        return TreeRows(begin, begin + len(tree.size), int(leaves[0]), int(leaves[1]), middles[0])
+
+    def _add_row(self, kind, box, shape, radius, tree, gap, mesh=-1, cells=None) -> int:
         values = dict(
             kind=kind, mesh=mesh, node_shift=NEVER_BROKEN, tet_shift=NEVER_BROKEN, edge_shift=NEVER_BROKEN, box=box,
-            shape=shape, radius=radius, tree_begin=tree_begin, tree_end=tree_end,
+            shape=shape, radius=radius, tree_begin=tree.begin, tree_end=tree.end, leaf_begin=tree.leaf_begin,
+            leaf_end=tree.leaf_end, middle=tree.middle,
             cells=np.zeros(7, np.int32) if cells is None else cells, corners=np.zeros(2, np.int32),
             seeds=np.zeros(2, np.int32),
         )  # fmt: skip
@@ -426,8 +430,8 @@ class CollisionGeometry:
         self._tables.have_grown()
         mark_all(self.pools.mesh, index, cells, self._tables.occupancy.view)
         fill_pyramid(cells, self._tables.occupancy.view)
-        counts = len(mesh.nodes), len(mesh.tetrahedra), len(mesh.edges), len(prepared.tree.size)
-        rows = MeshRows(index, node, tet, edge, self._tables.append_tree(prepared.tree), cells, counts)
+        counts = len(mesh.nodes), len(mesh.tetrahedra), len(mesh.edges)
+        rows = MeshRows(index, node, tet, edge, self._append_tree(prepared.tree), cells, counts)
         self._meshes.append((prepared, rows))
         self._tables.have_grown()
         return rows

@@ -1,4 +1,4 @@
-"""Rows of contacts by depth: sorted, or no more than so many kept and the deepest of them.
+"""Rows of contacts in order: by sample, or by depth, and no more than so many kept, the deepest of them.
 
 The first rows form a heap whose root comes last in the order; ties go by side and sample, so that what is kept and how
 it is sorted depends on the contacts alone.
@@ -69,3 +69,13 @@ def sort_heap(contacts, ids, count):
     for end in range(count - 1, 0, -1):
         swap_contacts(contacts, ids, 0, end)
         _sift(contacts, ids, 0, end)
+
+
+@inlined_kernel
+def sort_by_sample(contacts, ids, count):
+    """By side and sample; few."""
+    for i in range(1, count):
+        k = i
+        while k > 0 and (ids[k - 1, ID_SIDE], ids[k - 1, ID_SAMPLE]) > (ids[k, ID_SIDE], ids[k, ID_SAMPLE]):
+            swap_contacts(contacts, ids, k - 1, k)
+            k -= 1

@@ -236,6 +236,8 @@ def nearest_from_outside(pools, f, at, x, y, z, limit, only, scratch, thread):
     visited = scratch.visited[thread]
     best = nothing_within(limit)
     if at >= 0:
+        if _is_clear_within(pools, f, at, x, y, z, limit):
+            return best
         best, complete = _nearest_around(pools, f, at, x, y, z, only, scratch, thread, best)
         if complete:
             return best
@@ -272,6 +274,32 @@ def nearest_from_outside(pools, f, at, x, y, z, limit, only, scratch, thread):
                     if not _region_is_farther(pools, f, t, x, y, z, best[0]):
                         best = nearest_in_tetrahedron(pools, f, t, x, y, z, only, best)
     return best
+
+
+@inlined_kernel
+def _is_clear_within(pools, f, t, x, y, z, limit):
+    """Whether nothing of f is within `limit` [m] of a point of tetrahedron `t` that is not of f, and no need to look
+    beyond `t` to see it: most points that are asked are so.
+    """
+    body, tet_shift, d2 = pools.body, pools.fragment.tet_shift[f], limit * limit
+    if tet_shift == NEVER_BROKEN:
+        return False
+    alone = body.tet_fragment[t + tet_shift]
+    if alone == f:
+        return False
+    if alone < 0:
+        limit += HEIGHT_ROUNDING * pools.fragment.radius[f]
+        row = body.cut_begin[t + tet_shift]
+        end = row + (1 if alone == PARTED else body.cut_count[t + tet_shift])
+        while row < end and body.kind[row] < OLD_FACE:
+            of_f = body.front[row] == f or body.back[row] == f
+            if of_f and not abs(height(body, row, x, y, z)) > limit:
+                return False
+            row += 1
+    return (
+        _face_is_farther(pools.mesh, t, 0, x, y, z, d2) and _face_is_farther(pools.mesh, t, 1, x, y, z, d2)
+        and _face_is_farther(pools.mesh, t, 2, x, y, z, d2) and _face_is_farther(pools.mesh, t, 3, x, y, z, d2)
+    )  # fmt: skip
 
 
 @inlined_kernel

@@ -139,14 +139,14 @@ def parting_plane(a, b, way, rotation, translation, distance):
             k0, k1, k2 = new, new, new
             vx, vy, vz = new
             continue
-        if length - along <= SETTLED * length or _encloses_origin(new, k0, k1, k2):
+        if length - along <= SETTLED * length or encloses_origin(new, k0, k1, k2):
             break
-        least, vx, vy, vz, _ = _nearest_to_origin(new, k0, k1)
+        least, vx, vy, vz, _ = nearest_to_origin(new, k0, k1)
         dropped = 2
-        nearer, x, y, z, _ = _nearest_to_origin(new, k1, k2)
+        nearer, x, y, z, _ = nearest_to_origin(new, k1, k2)
         if nearer < least:
             least, vx, vy, vz, dropped = nearer, x, y, z, 0
-        nearer, x, y, z, _ = _nearest_to_origin(new, k0, k2)
+        nearer, x, y, z, _ = nearest_to_origin(new, k0, k2)
         if nearer < least:
             least, vx, vy, vz, dropped = nearer, x, y, z, 1
         if dropped == 0:
@@ -165,8 +165,8 @@ def parting_plane(a, b, way, rotation, translation, distance):
 def _extents(a, b, n, at_a, at_b, rotation, translation):
     """The lowest of a and the highest of b along n, corners too; at_a, at_b: rows of such points of their trees."""
     own = rotated(rotation[1], n[0], n[1], n[2])
-    low = _lowest_corner(a.corners, own, _dot(own, a.spheres[at_a])) + _dot(n, translation[0])
-    high = -_lowest_corner(b.corners, (-n[0], -n[1], -n[2]), -_dot(n, b.spheres[at_b]))
+    low = lowest_corner(a.corners, own, _dot(own, a.spheres[at_a])) + _dot(n, translation[0])
+    high = -lowest_corner(b.corners, (-n[0], -n[1], -n[2]), -_dot(n, b.spheres[at_b]))
     return low, high
 
 
@@ -199,7 +199,7 @@ def _lowest(hull, n, hint):
 
 
 @inlined_kernel
-def _lowest_corner(corners, n, lowest):
+def lowest_corner(corners, n, lowest):
     """How low along n the lowest of `corners` is, or `lowest`."""
     for i in range(len(corners)):
         lowest = min(lowest, _dot(n, corners[i]))
@@ -214,12 +214,12 @@ def _difference(rotation, translation, p, q):
 
 
 @inlined_kernel
-def _nearest_to_origin(a, b, c):
+def nearest_to_origin(a, b, c):
     return closest_on_triangle(0.0, 0.0, 0.0, a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2])
 
 
 @inlined_kernel
-def _encloses_origin(new, k0, k1, k2):
+def encloses_origin(new, k0, k1, k2):
     """Whether the tetrahedron does, seen from its newest corner: behind the face without that the origin is not."""
     return (
         _same_side(new, k0, k1, k2) and _same_side(new, k1, k2, k0) and _same_side(new, k2, k0, k1)

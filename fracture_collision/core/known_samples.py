@@ -1,4 +1,4 @@
-"""Contacts of samples that are known before any search: those of a neighbour list, those of a crack."""
+"""Contacts of samples that are known before any search, those of a crack; and what a sample's contact is told by."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from fracture_collision.core.crack_seeds import find_seeds
 from fracture_collision.core.cut_tetrahedron import point_on_edge
 from fracture_collision.core.elementary_queries import INSIDE, OUTSIDE, bounded_probe
 from fracture_collision.core.kinds import PLANE, TETRAHEDRA
-from fracture_collision.core.pools import NEVER_BROKEN, SAMPLE
+from fracture_collision.core.pools import NEVER_BROKEN
 from fracture_collision.core.rotations import to_other
 
 # Rounding must not make a bound lie: this share of the smaller R, and of all coordinates that a depth is made from.
@@ -91,31 +91,6 @@ def ask_sample(pools, other, x, y, z, near, deep, start, asked, scratch, thread)
     if answer[0] == INSIDE and answer[1] == -math.inf:
         answer = bounded_probe(pools, other, x, y, z, near, math.inf, start, True, scratch, thread)
     return answer
-
-
-@query_kernel
-def query_listed(pools, a, b, rotation, translation, wanted, near, listed, contacts, ids, capacity, scratch, thread):
-    """query_pair of a pair of which `listed` (n,) are all samples that can be near (neighbour_lists.py).
-
-    Returns the same, exhausted False; -1 contacts: as many as wanted or than there is room for, so a search must say.
-    """
-    tree, count = pools.tree, 0
-    slack, one_body = rounding_slack(pools, a, b, translation), share_a_body(pools, a, b)
-    for k in range(len(listed)):
-        entry, side = listed[k] >> 1, listed[k] & 1
-        other = b if side == 0 else a
-        c, sample = tree.spheres[entry], tree.entries[entry, SAMPLE]
-        x, y, z = to_other(rotation[side], translation[side], c[0], c[1], c[2])
-        start = home_tetrahedron(pools, other, sample) if one_body else -1
-        deep = moved_since(c, x, y, z) + slack if one_body else math.inf
-        answer = ask_sample(pools, other, x, y, z, near, deep, start, False, scratch, thread)
-        if answer[0] == OUTSIDE:
-            continue
-        if count + 1 >= wanted or count == capacity:
-            return -1, slack, k + 1, False
-        put_contact(contacts, ids, count, side, sample, x, y, z, answer)
-        count += 1
-    return count, slack, len(listed), False
 
 
 @query_kernel

@@ -22,23 +22,23 @@ from fracture_collision.core.kept_answer import (
     pairs_in_place,
     pose_bits,
 )
-from fracture_collision.core.known_samples import ID_SAMPLE, ID_SIDE, query_listed, rounding_slack
+from fracture_collision.core.known_samples import ID_SAMPLE, ID_SIDE, rounding_slack
 from fracture_collision.core.neighbour_lists import (
+    FAST,
     FULL,
     MOST_LISTED,
     NO_LISTS,
     NOT_LISTED,
-    REACH,
-    SLOW,
     NeighbourLists,
-    can_be_listed,
     displacement,
     keep_pose,
     pair_keys,
+    reach_of,
     with_pairs,
 )
 from fracture_collision.core.pools import FACING
-from fracture_collision.core.traversal import BY_FURTHER, BY_LIMIT, depth_limit, query_pair
+from fracture_collision.core.sample_search import Rule, begins_with_seeds, may_search, query_listed, search_samples
+from fracture_collision.core.traversal import BY_FURTHER, BY_LIMIT, COMPLETE, depth_limit, query_pair
 
 # Contacts a pair gets room for at first, on average and at least for a thread's share of pairs; those that find none
 # left are searched again. Memory that nobody writes to costs nothing.
@@ -104,7 +104,7 @@ def relative_pose(rotation_from, position_from, rotation_to, position_to, rotati
 
 @threaded_kernel
 def _query_share(
-    pools, rows, rotations, positions, pairs, todo, is_first, wanted, epsilon, near, shares, further, limit,
+    pools, rows, rotations, positions, pairs, todo, is_first, wanted, most, epsilon, near, shares, further, limit,
     contacts, ids, begin, counts, bounds, visits, exhausted, lists, slots, known, scratch, threads, thread,
 ):  # fmt: skip
     """Every `threads`-th pair of `todo`, from `thread` on.
@@ -129,42 +129,56 @@ def _query_share(
             continue
         out, out_ids = contacts[thread, used:], ids[thread, used:]
         slot = slots[p] if is_first else -1
-        found, reach, clearance = -1, 0.0, 0.0
+        # the paper's rule with nothing remembered is the paper's algorithm
+        is_quick = shares[p] == UNSHARED and limit >= wanted and may_search(pools, a, b) and (most > 0 or slot >= 0)
+        rule = Rule(wanted, min(most, limit), epsilon * radius, near * radius)
+        found, moves = -1, FAST * radius
         if slot >= 0 and known[p]:
             n, rounding = lists.counts[slot], 2.0 * rounding_slack(pools, a, b, translation)
-            moved = displacement(pools, a, b, rotation, translation, lists.listed_at[slot]) if n >= 0 else 0.0
-            if n >= 0 and moved + rounding < lists.reach[slot]:
-                found, bounds[p], visits[p], exhausted[p] = query_listed(
-                    pools, a, b, rotation, translation, wanted, near * radius, lists.samples[slot, :n],
-                    out, out_ids, room - used, scratch, thread,
-                )  # fmt: skip
-            if (
-                found < 0 and n != FULL and can_be_listed(pools, a, b)
-                and displacement(pools, a, b, rotation, translation, lists.poses[slot]) < SLOW * REACH * radius
-            ):  # fmt: skip
-                reach = REACH * radius
+            moves = displacement(pools, a, b, rotation, translation, lists.poses[slot]) + rounding
+            if n >= 0:
+                moved = displacement(pools, a, b, rotation, translation, lists.listed_at[slot])
+                lists.travelled[slot] += moves
+                if moved + rounding < lists.reach[slot] and not (
+                    n > 0 and most > 0 and begins_with_seeds(pools, a, b, rotation, translation, rule)
+                ):
+                    ahead = min(reach_of(moves, radius)[1], lists.reach[slot] - moved)
+                    found, bounds[p], visits[p] = query_listed(
+                        pools, a, b, rotation, translation, rule, ahead, lists.travelled[slot],
+                        lists.samples[slot, :n], lists.until[slot], out, out_ids, room - used, scratch, thread,
+                    )  # fmt: skip
+                    exhausted[p] = BY_LIMIT if found == limit < most else COMPLETE
+            is_quick = is_quick and n != FULL
         if slot >= 0:
             keep_pose(rotation, translation, lists.poses[slot])
-        if reach > 0.0:
-            found, bounds[p], visits[p], exhausted[p], n, clearance = query_pair(
-                pools, a, b, rotation, translation, wanted, epsilon * radius, near * radius, reach, 0,
-                further[p], limit, out, out_ids, room - used, lists.samples[slot], scratch, thread,
+        if found < 0 and is_quick:
+            samples, until = scratch.queue[thread, 0, :0], scratch.spread[thread, 0, :0]
+            toward, reach, ahead = scratch.toward[thread], 0.0, 0.0
+            if slot >= 0:
+                samples, until, toward = lists.samples[slot], lists.until[slot], lists.toward[slot]
+                reach, ahead = reach_of(moves, radius)
+            else:
+                toward[0] = toward[1] = toward[2] = 0.0
+            found, bounds[p], visits[p], listed, clearance = search_samples(
+                pools, a, b, rotation, translation, rule, reach, ahead, out, out_ids, room - used,
+                samples, until, toward, scratch, thread,
             )  # fmt: skip
-            lists.counts[slot] = FULL
-            if found >= wanted:
-                found = -1
-            elif n <= MOST_LISTED:
-                lists.counts[slot], lists.reach[slot] = n, max(reach, clearance)
-                keep_pose(rotation, translation, lists.listed_at[slot])
+            exhausted[p] = BY_LIMIT if found == limit < most else COMPLETE
+            if slot >= 0:
+                lists.counts[slot] = NOT_LISTED if found >= 0 else FULL
+                if found >= 0 and listed <= MOST_LISTED and max(reach, clearance) > 0.0:
+                    lists.counts[slot], lists.reach[slot] = listed, max(reach, clearance)
+                    lists.travelled[slot] = 0.0
+                    keep_pose(rotation, translation, lists.listed_at[slot])
         if found < 0:
-            found, bounds[p], visits[p], exhausted[p], _, clearance = query_pair(
-                pools, a, b, rotation, translation, wanted, epsilon * radius, near * radius, 0.0, shares[p],
-                further[p], limit, out, out_ids, room - used, scratch.queue[thread, 0, :0], scratch, thread,
+            found, bounds[p], visits[p], exhausted[p], clearance = query_pair(
+                pools, a, b, rotation, translation, wanted, epsilon * radius, near * radius, shares[p],
+                further[p], limit, out, out_ids, room - used, scratch, thread,
             )  # fmt: skip
             if slot >= 0:
                 lists.counts[slot] = FULL if found >= wanted else NOT_LISTED
                 if clearance > 0.0:
-                    lists.counts[slot], lists.reach[slot] = 0, clearance
+                    lists.counts[slot], lists.reach[slot], lists.travelled[slot] = 0, clearance, 0.0
                     keep_pose(rotation, translation, lists.listed_at[slot])
         counts[p] = found
         begin[p] = used
@@ -213,16 +227,17 @@ def _gather(
 
 
 def query_pairs(
-    pools, rows, rotations, positions, pairs, wanted, epsilon, near, budget, scratch, crew: Crew,
+    pools, rows, rotations, positions, pairs, wanted, most, epsilon, near, budget, scratch, crew: Crew,
     before: Remembered | None = None, stamp: int = 0, limits: WorkLimits = NO_LIMITS,
     is_coincident: np.ndarray | None = None,
 ) -> tuple[PairContacts, Remembered]:  # fmt: skip
     """Contacts of `pairs` (p, 2) of indices into `rows` (n,), with poses rotations (n, 3, 3), positions (n, 3) [m].
 
-    wanted: m of section 5.2; epsilon, near: shares of the smaller R of the two bodies; budget: visits a pair, 0: none.
-    before: what came with the last answer from these pools, to be quicker where little has moved; it is used up. With a
-    budget, or with None, nothing is used and nothing remembered. What is answered does not depend on it, but for
-    `visits`. stamp: another after any change of the pools.
+    wanted: m of section 5.2; most: see sample_search.Rule; epsilon, near: shares of the smaller R of the two bodies;
+    budget: visits a pair, 0: none. before: what came with the last answer from these pools, to be quicker where little
+    has moved; it is used up. With a budget, or with None, nothing is used and nothing remembered. What is answered does
+    not depend on it, but for `visits`. stamp: another after any change of the pools. A pair whose visits are limited is
+    searched by the paper's rule.
 
     limits: half of the further visits are shared evenly by all pairs, the other half by those whose share was too
     small. Of too many contacts, the pairs that have most lose their shallowest, so that none keeps more than some
@@ -256,8 +271,9 @@ def query_pairs(
         contacts, ids = np.empty((crew.threads, room, 10)), np.empty((crew.threads, room, 5), np.int64)
         begin = np.empty(p, np.int64)
         crew.share(
-            _query_share, pools, rows, rotations, positions, pairs, todo, not passes, wanted, epsilon, near, shares,
-            further, limit, contacts, ids, begin, counts, bounds, visits, exhausted, lists, slots, known, scratch,
+            _query_share, pools, rows, rotations, positions, pairs, todo, not passes, wanted, most, epsilon, near,
+            shares, further, limit, contacts, ids, begin, counts, bounds, visits, exhausted, lists, slots, known,
+            scratch,
         )  # fmt: skip
         for earlier in passes:
             earlier[-1][todo] = -1

@@ -1,10 +1,11 @@
 """What is remembered of pairs from step to step, so that those which hardly move against each other cost little.
 
-Which samples of a pair may touch (Verlet 1967): a search that is done with `reach` to spare lists all samples within
-the detection tolerance and `reach` of the other fragment. As long as no sample has moved farther against the other than
-`reach`, those that are within the tolerance are among them, and asking them gives what the search would give: same
-contacts, same bytes. It is done for pairs with fewer than the contacts wanted; of others a search takes some and leaves
-some, and what it takes depends on its way.
+Which samples of a pair may touch (Verlet 1967): a search that is done with `reach` to spare lists all samples that may
+be within the detection tolerance and `reach` of the other fragment. As long as no sample has moved farther against the
+other than `reach`, those that are within the tolerance are among them. Of each that was asked and is not near it is
+known how far the pair has to travel before it can be, and until then it is not asked again. What is left to ask gives
+what the search would give: same contacts, same bytes. It is done for pairs with fewer than the contacts wanted; of
+others a search takes some and leaves some, and what it takes depends on its way.
 
 How far apart a pair is: where a search found it parted, by its boxes or a plane, its list is empty, and holds until the
 two have moved by their clearance.
@@ -18,17 +19,22 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.core.compiled import inlined_kernel, kernel
-from fracture_collision.core.kinds import PLANE, SPHERE
+from fracture_collision.core.kinds import PLANE
 
 # Samples a list has room for.
 MOST_LISTED = 256
-# How far beyond the tolerance a list reaches, as a share of the smaller R: more lasts longer and lists more.
-REACH = 0.005
-# A list is made once a pair moves by less than this share of `reach` a step, so that it lasts a few steps.
-SLOW = 0.25
+# A list is made of pairs that move by less than this share of the smaller R in a step.
+FAST = 0.003
+# How far beyond the tolerance it reaches: as far as the pair moves in so many steps, within these shares of R. More
+# lasts longer and lists more.
+LASTS, LEAST_REACH, MOST_REACH = 4.0, 0.005, 0.02
+# How far beyond the tolerance a listed sample's distance is looked for, in steps likewise: more is asked less often.
+AHEAD = 2.0
 # Values of `counts` without a list.
 NOT_LISTED = -1  # the pair moves too fast
 FULL = -2  # as many contacts as were wanted, or more samples near than MOST_LISTED: no list is tried at the next step
+# Value of `until`: it was near when it was asked last.
+NEAR_LAST = -1.0
 # Room for so many pairs at first.
 LEAST_ROOM = 64
 
@@ -41,15 +47,19 @@ class NeighbourLists(NamedTuple):
     poses: np.ndarray  # (room, 2, 12) float64: rotation (9), translation (3) [m] from a's frame to b's, and back
     listed_at: np.ndarray  # (room, 2, 12) float64: likewise when the list was made
     reach: np.ndarray  # (room,) float64 [m]: for how much motion since then it holds
+    travelled: np.ndarray  # (room,) float64 [m]: by how much the pair has moved from step to step since then, in all
     counts: np.ndarray  # (room,) int32: listed samples, NOT_LISTED or FULL
-    samples: np.ndarray  # (room, MOST_LISTED) int32: 2 (row of TreePool) + side, ascending by side and sample
+    samples: np.ndarray  # (room, MOST_LISTED) int32: 2 (row of TreePool) + side
+    until: np.ndarray  # (room, MOST_LISTED) float64 [m]: how far they travel before it can be near, or NEAR_LAST
+    toward: np.ndarray  # (room, 3) float64: in b's frame, along which the two lay farthest apart; zeros: nobody knows
 
 
 def _make_lists(room: int) -> NeighbourLists:
     nobody = np.empty(0, np.int64)
     return NeighbourLists(
-        nobody, nobody, np.empty((room, 2, 12)), np.empty((room, 2, 12)), np.empty(room),
-        np.full(room, NOT_LISTED, np.int32), np.empty((room, MOST_LISTED), np.int32),
+        nobody, nobody, np.zeros((room, 2, 12)), np.zeros((room, 2, 12)), np.zeros(room), np.zeros(room),
+        np.full(room, NOT_LISTED, np.int32), np.empty((room, MOST_LISTED), np.int32), np.empty((room, MOST_LISTED)),
+        np.zeros((room, 3)),
     )  # fmt: skip
 
 
@@ -75,7 +85,7 @@ def with_pairs(before: NeighbourLists, keys: np.ndarray) -> tuple[NeighbourLists
             new[:room] = old
         before = columns._replace(keys=before.keys, slots=before.slots)
     slots, known = _take_slots(before.keys, before.slots, ordered, len(before.counts))
-    before.counts[slots[~known]] = NOT_LISTED
+    before.counts[slots[~known]], before.toward[slots[~known]] = NOT_LISTED, 0.0
     of_pairs, were_known = np.empty_like(slots), np.empty_like(known)
     of_pairs[order], were_known[order] = slots, known
     return before._replace(keys=ordered, slots=slots), of_pairs, were_known
@@ -104,9 +114,14 @@ def _take_slots(known_keys, known_slots, keys, room):
 
 
 @inlined_kernel
-def can_be_listed(pools, a, b):
-    """Whether all contacts of a pair are samples."""
-    return pools.fragment.kind[a] != SPHERE and pools.fragment.kind[b] != SPHERE
+def reach_of(moves, radius):
+    """(reach of a list, how far ahead a sample is looked for) [m] for a pair that moves by `moves` [m] a step; 0, 0: it
+    is not to be listed. radius [m]: the smaller R.
+    """
+    if moves >= FAST * radius:
+        return 0.0, 0.0
+    reach = min(max(LASTS * moves, LEAST_REACH * radius), MOST_REACH * radius)
+    return reach, min(max(AHEAD * moves, LEAST_REACH * radius), reach)
 
 
 @inlined_kernel

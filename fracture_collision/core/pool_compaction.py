@@ -26,6 +26,16 @@ _MOMENTS_AND_GAP = 88  # [bytes] of a fragment beside those in its table
 _OF_POLYGONS = ("triangles", "faces", "front", "back", "kind")
 
 
+class TreeRows(NamedTuple):
+    """Where a tree is in the pools, and its samples as leaves."""
+
+    begin: int
+    end: int
+    leaf_begin: int
+    leaf_end: int
+    middle: np.ndarray  # (4,) see sample_leaves.Leaves
+
+
 class MeshRows(NamedTuple):
     """Where a tetrahedral mesh is in the pools."""
 
@@ -33,17 +43,16 @@ class MeshRows(NamedTuple):
     node: int
     tet: int
     edge: int
-    tree: int
+    tree: TreeRows
     cells: np.ndarray
-    counts: tuple[int, int, int, int]  # nodes, tetrahedra, edges, entries of its tree
+    counts: tuple[int, int, int]  # nodes, tetrahedra, edges
 
 
 class SurfaceMeshRows(NamedTuple):
     """Where the mesh of a rigid body of triangles is."""
 
     index: int
-    tree: int
-    entries: int
+    tree: TreeRows
 
 
 def bytes_of_fragments(tables: PoolTables, rows: np.ndarray, mesh: MeshRows | None, has_own_tree: bool) -> int:
@@ -57,11 +66,12 @@ def bytes_of_fragments(tables: PoolTables, rows: np.ndarray, mesh: MeshRows | No
     row = int(rows[0])
     is_broken = fragment["node_shift"].view[row] != NEVER_BROKEN
     if is_broken or (mesh is None and has_own_tree):
-        entries = fragment["tree_end"].view[rows].astype(np.int64) - fragment["tree_begin"].view[rows]
-        total += int(entries.sum()) * sum(column.row_bytes for column in tables.tree.values())
+        for name, table in (("tree", tables.tree), ("leaf", tables.samples)):
+            count = fragment[f"{name}_end"].view[rows].astype(np.int64) - fragment[f"{name}_begin"].view[rows]
+            total += int(count.sum()) * sum(column.row_bytes for column in table.values())
     if mesh is None or not is_broken:
         return total
-    nodes, tets, edges, _ = mesh.counts
+    nodes, tets, edges = mesh.counts
     body = tables.body
     for names, count in ((("node_fragment",), nodes), (_OF_BODY_TETRAHEDRA, tets), (_OF_BODY_EDGES, edges)):
         total += count * sum(body[name].row_bytes for name in names)
@@ -124,7 +134,7 @@ def compact(
     moved = _moves(stays)
     bodies = _one_row_of_each_broken_body(tables, rows)
 
-    tree = _tree_moves(tables, rows, meshes, surfaces)
+    trees, leaves = _tree_moves(tables, rows, [each.tree for each in (*meshes, *surfaces)])
     words = _word_moves(tables, rows, meshes)
     mesh_moves = _compact_meshes(tables, meshes)
     # the seeds' edges are rows of the mesh pool
@@ -135,12 +145,12 @@ def compact(
         each._replace(
             index=int(mesh_moves.meshes.of(each.index)), node=int(mesh_moves.nodes.of(each.node)),
             tet=int(mesh_moves.tetrahedra.of(each.tet)), edge=int(mesh_moves.edges.of(each.edge)),
-            tree=int(tree.of(each.tree)), cells=_moved_cells(each.cells[None], words)[0],
+            tree=_moved_tree(each.tree, trees, leaves), cells=_moved_cells(each.cells[None], words)[0],
         )  # fmt: skip
         for each in meshes
     ]
     new_surfaces = [
-        SurfaceMeshRows(int(triangles.of(each.index)), int(tree.of(each.tree)), each.entries) for each in surfaces
+        SurfaceMeshRows(int(triangles.of(each.index)), _moved_tree(each.tree, trees, leaves)) for each in surfaces
     ]
 
     old_first = {each.index: (each.node, each.tet, each.edge) for each in meshes}
@@ -157,12 +167,13 @@ def compact(
         fragment[name].view[is_broken] = body[at].of(shift + old) - new
     fragment["mesh"].view[kind == TETRAHEDRA] = mesh_moves.meshes.of(mesh[kind == TETRAHEDRA])
     fragment["mesh"].view[kind == TRIANGLES] = triangles.of(mesh[kind == TRIANGLES])
-    for name in ("tree_begin", "tree_end"):
-        fragment[name].replace(tree.of(fragment[name].view))
+    for name, of in (("tree_begin", trees), ("tree_end", trees), ("leaf_begin", leaves), ("leaf_end", leaves)):
+        fragment[name].replace(of.of(fragment[name].view))
     fragment["cells"].replace(_moved_cells(fragment["cells"].view, words))
     fragment["corners"].replace(body[3].of(fragment["corners"].view))
     fragment["seeds"].replace(seeds.of(fragment["seeds"].view))
-    tree.keep(tables.tree, *tables.tree)
+    trees.keep(tables.tree, *tables.tree)
+    leaves.keep(tables.samples, *tables.samples)
     tables.occupancy.keep(words.stays)
     tables.have_grown()
     return (
@@ -180,16 +191,21 @@ def _one_row_of_each_broken_body(tables: PoolTables, rows: np.ndarray) -> np.nda
     return rows[broken[first]]
 
 
-def _tree_moves(
-    tables: PoolTables, rows: np.ndarray, meshes: list[MeshRows], surfaces: list[SurfaceMeshRows]
-) -> Moves:
-    """Trees of the fragments, and of whole meshes, which another body of theirs would have."""
-    begins = [*tables.fragment["tree_begin"].view[rows], *(m.tree for m in meshes), *(s.tree for s in surfaces)]
-    ends = [
-        *tables.fragment["tree_end"].view[rows], *(m.tree + m.counts[3] for m in meshes),
-        *(s.tree + s.entries for s in surfaces),
-    ]  # fmt: skip
-    return moves_of_ranges(tables.tree["spheres"].used, np.array(begins, np.int64), np.array(ends, np.int64))
+def _tree_moves(tables: PoolTables, rows: np.ndarray, shared: list[TreeRows]) -> tuple[Moves, Moves]:
+    """Trees of the fragments, and of whole meshes, which another body of theirs would have; and their leaves."""
+    own = [tables.fragment[name].view[rows] for name in ("tree_begin", "tree_end", "leaf_begin", "leaf_end")]
+    ends = [np.concatenate([column, [tree[k] for tree in shared]]).astype(np.int64) for k, column in enumerate(own)]
+    return (
+        moves_of_ranges(tables.tree["spheres"].used, ends[0], ends[1]),
+        moves_of_ranges(tables.samples["entries"].used, ends[2], ends[3]),
+    )
+
+
+def _moved_tree(tree: TreeRows, trees: Moves, leaves: Moves) -> TreeRows:
+    return TreeRows(
+        int(trees.of(tree.begin)), int(trees.of(tree.end)), int(leaves.of(tree.leaf_begin)),
+        int(leaves.of(tree.leaf_end)), tree.middle,
+    )  # fmt: skip
 
 
 def _word_moves(tables: PoolTables, rows: np.ndarray, meshes: list[MeshRows]) -> Moves:
@@ -214,7 +230,7 @@ class _MeshMoves(NamedTuple):
 def _compact_meshes(tables: PoolTables, meshes: list[MeshRows]) -> _MeshMoves:
     table = tables.mesh
     index = np.array([m.index for m in meshes], np.int64)
-    counts = np.array([m.counts for m in meshes], np.int64).reshape(-1, 4)
+    counts = np.array([m.counts for m in meshes], np.int64).reshape(-1, 3)
     node, tet, edge = (np.array([getattr(m, n) for m in meshes], np.int64) for n in ("node", "tet", "edge"))
     moves = _MeshMoves(
         moves_of_ranges(table["grid"].used, index, index + 1),

@@ -6,6 +6,8 @@ import numpy as np
 
 from fracture_collision.core.crack_seeds import SeedPool
 from fracture_collision.core.pools import (
+    LEAF,
+    LEAF_VALUES,
     SAMPLE,
     SIZE,
     SURFACE,
@@ -14,9 +16,11 @@ from fracture_collision.core.pools import (
     GrowableArray,
     MeshPool,
     Pools,
+    SamplePool,
     TreePool,
     TriangleMeshPool,
 )
+from fracture_collision.core.sample_leaves import count_leaves, fill_leaves
 from fracture_collision.core.sphere_tree import SphereTree, surface_marks
 from fracture_collision.core.tet_mesh import TetMesh
 
@@ -45,9 +49,10 @@ class PoolTables:
         self.fragment = _table(
             kind=(0, i4), mesh=(0, i4), node_shift=(0, i4), tet_shift=(0, i4), edge_shift=(0, i4), box=(6, f8),
             shape=(4, f8), radius=(0, f8), tree_begin=(0, i4), tree_end=(0, i4), cells=(7, i4), corners=(2, i4),
-            seeds=(2, i4),
+            seeds=(2, i4), leaf_begin=(0, i4), leaf_end=(0, i4), middle=(4, f8),
         )  # fmt: skip
         self.tree = _table(spheres=(4, f8), entries=(3, i4))
+        self.samples = _table(values=(LEAF_VALUES, f4), entries=(LEAF, i4))
         self.triangles = _table(
             corners=(9, f8), features=(6, i4), pseudonormals=(3, f8), node_box=(6, f8), node_skip=(0, i4),
             node_first=(0, i4), node_count=(0, i4), node_range=(2, i4), triangle_range=(2, i4),
@@ -66,6 +71,7 @@ class PoolTables:
                 BodyPool(**{k: a.view for k, a in self.body.items()}),
                 FragmentPool(**{k: a.view for k, a in self.fragment.items()}),
                 TreePool(**{k: a.view for k, a in self.tree.items()}),
+                SamplePool(**{k: a.view.reshape(-1) for k, a in self.samples.items()}),
                 self.occupancy.view,
                 TriangleMeshPool(**{k: a.view for k, a in self.triangles.items()}),
                 SeedPool(**{k: a.view for k, a in self.seeds.items()}),
@@ -78,7 +84,7 @@ class PoolTables:
 
     @property
     def bytes_used(self) -> int:
-        pools = (self.mesh, self.body, self.fragment, self.tree, self.triangles, self.seeds)
+        pools = (self.mesh, self.body, self.fragment, self.tree, self.samples, self.triangles, self.seeds)
         columns = [column for pool in pools for column in pool.values()]
         return sum(column.used * column.row_bytes for column in (*columns, self.occupancy))
 
@@ -92,6 +98,20 @@ class PoolTables:
         begin = self.tree["spheres"].advance(count)
         self.tree["entries"].advance(count)
         return begin
+
+    def append_leaves(self, begins: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The samples of trees one behind the other, rows begins[i] .. begins[i + 1] - 1 of the pool, as leaves.
+
+        begins (n + 1,). Returns where the leaves of each begin, (n + 1,), and their middles (n, 4).
+        """
+        spheres, entries = self.tree["spheres"].view, self.tree["entries"].view
+        counts, middles = count_leaves(entries, begins), np.empty((len(begins) - 1, 4))
+        total = int(counts.sum())
+        columns = self.samples["values"].reserve(total), self.samples["entries"].reserve(total)
+        fill_leaves(spheres, entries, begins, counts, *columns, middles)
+        first = self.samples["values"].advance(total)
+        self.samples["entries"].advance(total)
+        return first + np.concatenate([[0], np.cumsum(counts)]), middles
 
     def append_mesh(self, mesh: TetMesh) -> tuple[int, int, int, int]:
         """Returns its row in `grid`, and its first node, tetrahedron and edge."""

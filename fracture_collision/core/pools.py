@@ -137,6 +137,9 @@ class FragmentPool(NamedTuple):
     cells: np.ndarray  # (F, 7) int32: first cell x y z, cells x y z, first word of `occupancy`
     corners: np.ndarray  # (F, 2) int32: first row of BodyPool.corners, row behind the last
     seeds: np.ndarray  # (F, 2) int32: first row of SeedPool.keys of its body, row behind the last
+    leaf_begin: np.ndarray  # int32 first leaf of SamplePool
+    leaf_end: np.ndarray  # int32
+    middle: np.ndarray  # (F, 4) float64 [m], see sample_leaves.Leaves
 
 
 class TriangleMeshPool(NamedTuple):
@@ -169,11 +172,28 @@ OWN_SAMPLE = 1
 NONE_BELOW = -1
 
 
+class SamplePool(NamedTuple):
+    """Leaves of samples (sample_leaves.py), those of a fragment together."""
+
+    values: np.ndarray  # (LEAF_VALUES L,) float32 [m]
+    entries: np.ndarray  # (LEAF L,) int32
+
+
+# Samples of a leaf: as many as a processor's instruction takes in single precision. Of each leaf there are six numbers
+# of its box, and three of each sample.
+LEAF = 8
+LEAF_VALUES = 6 + 3 * LEAF
+# What is computed from these numbers along a unit vector is wrong by no more than this share of the sides of the box of
+# all: they are rounded to 2^-25 of its sides, and so is each of the five operations and the vector's parts.
+SAMPLE_ROUNDING = 1e-6
+
+
 class Pools(NamedTuple):
     mesh: MeshPool
     body: BodyPool
     fragment: FragmentPool
     tree: TreePool
+    samples: SamplePool
     occupancy: np.ndarray  # uint64, multi-level grids (occupancy.py)
     triangles: TriangleMeshPool
     seeds: SeedPool  # crack_seeds.py

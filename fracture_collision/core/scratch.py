@@ -28,9 +28,13 @@ class Scratch(NamedTuple):
     node_int: np.ndarray  # (threads, nodes, 4) int32: entry, side, next child, status
     node_float: np.ndarray  # (threads, nodes, 4) float64: point in the other's frame [m], depth bound [m]
     queue: np.ndarray  # (threads, 2, 2 nodes) int32: rows of the two above
+    spread: np.ndarray  # (threads, 2, nodes) float64 [m2], [m]: see sample_search
+    along: np.ndarray  # (threads, nodes) float32: of leaves of samples, how far they reach [m]
+    planes: np.ndarray  # (threads, 8 and apart, 4) float32: half-spaces
     rotation: np.ndarray  # (threads, 2 and apart, 3, 3) float64: a pair's relative poses
     translation: np.ndarray  # (threads, 2 and apart, 3) float64 [m]
     point: np.ndarray  # (threads, 3 and apart) float64 [m]
+    toward: np.ndarray  # (threads, 3 and apart) float64: a direction
     stack: np.ndarray  # (threads, STACK) int32: a descent through a triangle hierarchy
     within: np.ndarray  # (threads, MOST_WITHIN) int64: triangles within a sphere's reach (sphere_contacts.py)
     touching: np.ndarray  # (threads, MOST_TOUCHING) int64: those at one point
@@ -51,9 +55,13 @@ def make_scratch(threads: int, tetrahedra: int, nodes: int) -> Scratch:
         node_int=np.zeros((threads, nodes, 4), dtype=np.int32),
         node_float=np.zeros((threads, nodes, 4)),
         queue=np.zeros((threads, 2, 2 * nodes), dtype=np.int32),
+        spread=np.zeros((threads, 2, nodes)),
+        along=np.zeros((threads, nodes), dtype=np.float32),
+        planes=np.zeros((threads, 16, 4), dtype=np.float32),
         rotation=np.zeros((threads, 4, 3, 3)),
         translation=np.zeros((threads, 8, 3)),
         point=np.zeros((threads, 24)),
+        toward=np.zeros((threads, 24)),
         stack=np.zeros((threads, STACK), dtype=np.int32),
         within=np.zeros((threads, MOST_WITHIN), dtype=np.int64),
         touching=np.zeros((threads, MOST_TOUCHING), dtype=np.int64),

@@ -17,13 +17,11 @@ import math
 import numpy as np
 
 from fracture_collision.core.compiled import inlined_kernel, query_kernel
-from fracture_collision.core.deepest_contacts import keep_if_deeper, make_heap, sort_heap, swap_contacts
+from fracture_collision.core.deepest_contacts import keep_if_deeper, make_heap, sort_by_sample, sort_heap
 from fracture_collision.core.elementary_queries import INSIDE, OUTSIDE, least_distance, sphere_test
 from fracture_collision.core.hull_separation import hull_of, parting_plane
 from fracture_collision.core.kinds import PLANE, SPHERE, TRIANGLES
 from fracture_collision.core.known_samples import (
-    ID_SAMPLE,
-    ID_SIDE,
     ask_sample,
     home_tetrahedron,
     moved_since,
@@ -69,7 +67,7 @@ def _has_hull(kind):
 
 
 @inlined_kernel
-def _way_between(box_a, box_b, rotation, translation):
+def way_between(box_a, box_b, rotation, translation):
     """From the middle of b's box to that of a's, in b's frame; rotation, translation: from a's frame to b's."""
     x, y, z = to_other(
         rotation, translation, 0.5 * (box_a[0] + box_a[3]), 0.5 * (box_a[1] + box_a[4]), 0.5 * (box_a[2] + box_a[5])
@@ -78,7 +76,7 @@ def _way_between(box_a, box_b, rotation, translation):
 
 
 @inlined_kernel
-def _most_depth(pools, other, x, y, z, plane):
+def most_depth(pools, other, x, y, z, plane):
     """An upper bound [m] of a point's depth in `other`, as cheap as it gets; `other` is behind `plane`: a unit normal
     and an offset [m].
     """
@@ -89,23 +87,21 @@ def _most_depth(pools, other, x, y, z, plane):
 
 @query_kernel
 def query_pair(
-    pools, a, b, rotation, translation, wanted, epsilon, near, reach, budget, further, limit,
-    contacts, ids, capacity, listed, scratch, thread,
+    pools, a, b, rotation, translation, wanted, epsilon, near, budget, further, limit, contacts, ids, capacity,
+    scratch, thread,
 ):  # fmt: skip
     """All contacts of fragments `a` and `b`.
 
     rotation (2, 3, 3), translation (2, 3): [0] from a's body frame to b's, [1] back. `wanted` m, `epsilon` and `near`
     [m], `budget` visits (0: none), `further` visits once there are m contacts; the `limit` deepest contacts are kept.
-    `reach` [m], 0: none: the samples that are no farther than near + reach are put into `listed` (room,), and the
-    search is given up once there are as many contacts as wanted.
 
     Fills contacts (capacity, 10): sample point, witness on the other, the other's outward normal, all in the other's
     frame, gap [m]; ids (capacity, 5): side (0: a's sample in b), sample (of a sphere: sphere_contacts.py), source and
     tetrahedron of the witness, tetrahedron of the sample (bounded_probe). Returns (contacts, missed depth bound [m],
-    visits, one of COMPLETE, BY_LIMIT, BY_FURTHER, samples near, clearance [m]); more contacts than `capacity` or near
-    than there is room for means: call again with room, or do without. Fewer contacts than wanted come by side and
-    sample, those that are left of more than `limit` by depth, others in the order of the search. The clearance: so much
-    more than `near` the two are apart, at least and beyond rounding; 0: it is not known.
+    visits, one of COMPLETE, BY_LIMIT, BY_FURTHER, clearance [m]); more contacts than `capacity` means: call again with
+    room. Fewer contacts than wanted come by side and sample, those that are left of more than `limit` by depth, others
+    in the order of the search. The clearance: so much more than `near` the two are apart, at least and beyond rounding;
+    0: it is not known.
 
     The queues hold rows of node_int and node_float, one a node that was reached. A child whose sphere keeps out of
     reach of the other counts as visited but takes no row.
@@ -121,11 +117,10 @@ def query_pair(
     one_body = share_a_body(pools, a, b)
     turned = spin(rotation[0], UNTURNED) if one_body else 0.0
     bounded = fragment.kind[a] != PLANE and fragment.kind[b] != PLANE
-    within, samples = near + reach, 0
     if bounded:
-        parted = box_clearance(fragment.box[a], fragment.box[b], rotation[0], translation[0], within + slack)
-        if parted > within + slack:
-            return 0, slack, 0, COMPLETE, 0, parted - near - slack
+        parted = box_clearance(fragment.box[a], fragment.box[b], rotation[0], translation[0], near + slack)
+        if parted > near + slack:
+            return 0, slack, 0, COMPLETE, parted - near - slack
     visits, apart = 0, math.inf
     if one_body:
         apart = displacement(pools, a, b, rotation, translation, IN_PLACE)
@@ -135,15 +130,15 @@ def query_pair(
                 scratch, thread,
             )  # fmt: skip
             if count == min(wanted, limit) or (budget and visits >= budget):
-                return count, apart + slack, visits, COMPLETE if count == wanted else BY_LIMIT, 0, 0.0
+                return count, apart + slack, visits, COMPLETE if count == wanted else BY_LIMIT, 0.0
     beyond_b, beyond_a = NO_PLANE, NO_PLANE
-    if apart > within and _has_hull(fragment.kind[a]) and _has_hull(fragment.kind[b]):
-        way = _way_between(fragment.box[a], fragment.box[b], rotation[0], translation[0])
+    if apart > near and _has_hull(fragment.kind[a]) and _has_hull(fragment.kind[b]):
+        way = way_between(fragment.box[a], fragment.box[b], rotation[0], translation[0])
         x, y, z, low, high = parting_plane(
-            hull_of(pools, a), hull_of(pools, b), way, rotation, translation, within + slack
+            hull_of(pools, a), hull_of(pools, b), way, rotation, translation, near + slack
         )
-        if low - high > within + slack:
-            return 0, slack, visits, COMPLETE, 0, low - high - near - slack
+        if low - high > near + slack:
+            return 0, slack, visits, COMPLETE, low - high - near - slack
         t = translation[0]
         beyond_b = x, y, z, high + slack
         x, y, z = rotated(rotation[1], -x, -y, -z)
@@ -171,14 +166,14 @@ def query_pair(
             root = fragment.tree_begin[own]
             c = tree.spheres[root]
             x, y, z = to_other(rotation[side], translation[side], c[0], c[1], c[2])
-            depth = _most_depth(pools, other, x, y, z, beyond_b if side == 0 else beyond_a)
+            depth = most_depth(pools, other, x, y, z, beyond_b if side == 0 else beyond_a)
             _reach_node(node, node_point, nodes, root, side, UNTESTED, x, y, z, depth)
             queue[current, size] = nodes
             nodes += 1
             size += 1
     m = max(wanted, count)
     cut = COMPLETE
-    while size and cut == COMPLETE and (reach == 0.0 or count < m):
+    while size and cut == COMPLETE:
         next_size = 0
         head = 0
         while head < size:
@@ -211,22 +206,15 @@ def query_pair(
                         status = UNKNOWN
                         node_point[k, DEPTH] = min(node_point[k, DEPTH], moved)
                         bound = max(bound, node_point[k, DEPTH])
-                    elif -node_point[k, DEPTH] <= within:
+                    elif -node_point[k, DEPTH] <= near:
                         full, leaf = count < m, end == entry + 1
                         sample = tree.entries[entry, SAMPLE]
-                        if reach > 0.0 and (
-                            leaf or sphere_test(pools, other, -node_point[k, DEPTH], x, y, z, within, scratch, thread)
-                        ):
-                            if samples < len(listed):
-                                listed[samples] = 2 * entry + side
-                            samples += 1
                         start = home_tetrahedron(pools, other, sample) if one_body else -1
                         # one body: what it has moved is all there is to search, and found at once
                         deep = moved + slack if one_body else math.inf if full else epsilon
-                        asked = leaf and reach == 0.0
                         # once there are m, what is outside counts no more, however near, but for what is below it
                         outside = 0.0 if leaf and not full else near
-                        answer = ask_sample(pools, other, x, y, z, outside, deep, start, asked, scratch, thread)
+                        answer = ask_sample(pools, other, x, y, z, outside, deep, start, leaf, scratch, thread)
                         status, most = answer[0], answer[8]
                         if status != OUTSIDE:
                             if full or -answer[1] > epsilon:
@@ -250,7 +238,7 @@ def query_pair(
                 if end == entry + 1:
                     continue
                 depth = node_point[k, DEPTH]
-                least = -within if count < m else epsilon
+                least = -near if count < m else epsilon
                 moved = moved + turned * radius if count >= m else math.inf
                 if status == INSIDE:
                     enter = depth + radius > least
@@ -291,10 +279,10 @@ def query_pair(
                 status, depth = node[k, STATUS], node_point[k, DEPTH]
             else:
                 x, y, z = to_other(rotation[side], translation[side], c[0], c[1], c[2])
-                depth = _most_depth(pools, other, x, y, z, beyond_b if side == 0 else beyond_a)
+                depth = most_depth(pools, other, x, y, z, beyond_b if side == 0 else beyond_a)
             # of a rigid mesh a lone sample's test is all that its probe does
             asked = status != INSIDE and (child_size > 1 or fragment.kind[other] != TRIANGLES)
-            around = c[3] + within if count < m else c[3]  # from m on only what is inside counts
+            around = c[3] + near if count < m else c[3]  # from m on only what is inside counts
             if asked and not sphere_test(pools, other, -depth, x, y, z, around, scratch, thread):
                 visits += 1
                 continue
@@ -312,33 +300,10 @@ def query_pair(
     if count > limit:
         if capacity >= limit:
             sort_heap(contacts, ids, limit)
-        return limit, max(bound, dropped + deeper_by) + slack, visits, max(exhausted, BY_LIMIT), samples, 0.0
+        return limit, max(bound, dropped + deeper_by) + slack, visits, max(exhausted, BY_LIMIT), 0.0
     if count < m:
-        _sort_contacts(contacts, ids, min(count, capacity))
-        _sort_samples(tree, listed, min(samples, len(listed)))
-    return count, bound + slack, visits, exhausted, samples, 0.0
-
-
-@inlined_kernel
-def _sort_contacts(contacts, ids, count):
-    """By side and sample; few."""
-    for i in range(1, count):
-        k = i
-        while k > 0 and (ids[k - 1, ID_SIDE], ids[k - 1, ID_SAMPLE]) > (ids[k, ID_SIDE], ids[k, ID_SAMPLE]):
-            swap_contacts(contacts, ids, k - 1, k)
-            k -= 1
-
-
-@inlined_kernel
-def _sort_samples(tree, listed, count):
-    """Listed samples likewise."""
-    for i in range(1, count):
-        k, item = i, listed[i]
-        key = item & 1, tree.entries[item >> 1, SAMPLE]
-        while k > 0 and (listed[k - 1] & 1, tree.entries[listed[k - 1] >> 1, SAMPLE]) > key:
-            listed[k] = listed[k - 1]
-            k -= 1
-        listed[k] = item
+        sort_by_sample(contacts, ids, min(count, capacity))
+    return count, bound + slack, visits, exhausted, 0.0
 
 
 @inlined_kernel

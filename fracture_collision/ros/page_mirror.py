@@ -36,7 +36,9 @@ BUSY_SHARE = 0.5  # of the time that it may work: the service needs the processo
 REMEMBERED = 4  # states whose answers may still come
 ENDING = 2.0  # [s] that a look may take when the page ends
 # What an answer depends on, and the truth has its own of.
-ANSWER_SETTINGS = ("contacts_per_pair", "penetration_tolerance", "visit_budget", "field")
+ANSWER_SETTINGS = (
+    "contacts_per_pair", "selection", "deep_contacts_per_pair", "penetration_tolerance", "visit_budget", "field",
+)  # fmt: skip
 
 
 class _Job(NamedTuple):

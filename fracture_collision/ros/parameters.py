@@ -23,6 +23,8 @@ class Range(NamedTuple):
 # name: (what `ros2 param describe` says, range of numbers)
 _DESCRIPTIONS: dict[str, tuple[str, Range | None]] = {
     "contacts_per_pair": ("contacts of a pair before only those deeper than the tolerance count", Range(1, 1024)),
+    "selection": ("which contacts of many: 'sufficient', spread over all, or 'complete' (Glondu 2014, 5.2)", None),
+    "deep_contacts_per_pair": ("contacts of a pair of which more than its share are deep", Range(1, 1024)),
     "penetration_tolerance": ("penetrations up to this may stay unlisted, as a share of the bodies' R", Range(0, 0.1)),
     "detection_tolerance": ("surfaces this far apart are listed already, as a share of the bodies' R", Range(0, 0.1)),
     "field": ("depth inside a fragment: 'exact' (local flood) or 'averaged' (Glondu 2014, eq. 1-2)", None),

@@ -127,16 +127,19 @@ def _sorted_by(labels, label_count):
 
 
 @njit(cache=True)
-def solve_islands(islands, bodies, contacts, settings, time_step, only_limited, result):
+def solve_islands(islands, bodies, contacts, settings, time_step, only_limited, asleep, result):
     """One step of all bodies that touch something; writes `result`, where all others have u* and no drift.
 
     With `only_limited`, of those islands in which an impulse is limited; `result` holds all others' already, and every
-    drift: what parts bodies is not limited by what they can bear.
+    drift: what parts bodies is not limited by what they can bear. asleep (n,): whose island stays where it is.
     """
     local = np.empty(bodies.masses.size, np.int64)
     for i in range(islands.pair_begin.size - 1):
         members = islands.bodies[islands.body_begin[i] : islands.body_begin[i + 1]]
         pairs = islands.pairs[islands.pair_begin[i] : islands.pair_begin[i + 1]]
+        if asleep[members[0]]:
+            result.velocities[members] = 0.0
+            continue
         if only_limited and not _is_limited(pairs, contacts):
             continue
         for k in range(members.size):

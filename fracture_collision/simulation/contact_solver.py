@@ -58,6 +58,8 @@ class SolverSettings(NamedTuple):
     drift_fraction: float = 0.2  # f, the share of the penetration taken out in one step
     drift_speed: float = 0.3  # v_max [m/s]
     memory_reach: float = 2.5e-4  # [m] see contact_memory
+    sleep_speed: float = 1.0e-3  # [m/s] see sleep
+    sleep_time: float = 0.25  # [s] likewise; 0: nobody sleeps
 
 
 class RigidBodies(NamedTuple):
@@ -112,12 +114,14 @@ def solve_contacts(
     time_step: float,
     impulse_limits: np.ndarray | None = None,
     unlimited: Solution | None = None,
+    asleep: np.ndarray | None = None,
 ) -> Solution:
     """Velocities after one step of `time_step` [s] that respect the contacts.
 
     Contacts are visited in the order they come in, so equal input gives equal bytes. `impulse_limits` (N,) [N s] caps
     lambda of each contact: what a material can transmit before it breaks; such contacts do not bounce. `unlimited` is
-    then what the same step comes to without limits: what they do not concern keeps it.
+    then what the same step comes to without limits: what they do not concern keeps it. Bodies that are `asleep` (n,),
+    none or all of an island, stay where they are, and their contacts keep the impulses that they had.
     """
     count, body_count = len(contacts.gaps), len(bodies.masses)
     begin = contacts.pair_begin.astype(np.int64)
@@ -137,7 +141,9 @@ def solve_contacts(
         known = (unlimited.velocities, unlimited.drift, unlimited.normal_impulses)
         result = Result(*[values.copy() for values in known], impulses, rolling)
     islands = islands_of(begin, pairs.body_a, pairs.body_b, body_count)
-    solve_islands(islands, Bodies(*bodies), listed, settings, time_step, unlimited is not None, result)
+    if asleep is None:
+        asleep = np.zeros(body_count, bool)
+    solve_islands(islands, Bodies(*bodies), listed, settings, time_step, unlimited is not None, asleep, result)
     carried = WarmStart(contacts.fragment_a, contacts.fragment_b, begin, contacts.contact_ids, impulses, rolling)
     return Solution(result.velocities, result.drift, result.normal_impulses, carried)
 

@@ -28,7 +28,7 @@ from fracture_collision.records import (
     FragmentRegistry,
     FragmentStates,
 )
-from fracture_collision.simulation import contact_memory
+from fracture_collision.simulation import contact_memory, sleep
 from fracture_collision.simulation.arm import PARTS
 from fracture_collision.simulation.arm_control import ArmControl
 from fracture_collision.simulation.body_traits import Traits, traits_of
@@ -103,6 +103,7 @@ class Simulation:
         self._known_traits: Traits | None = None
         self._warm_start = NO_WARM_START
         self._memory = contact_memory.NOTHING
+        self._rest = sleep.NOBODY
         self._asked: FragmentStates | None = None
         names = {i: body.name for i, body in self._cast.body_of.items()}
         self.drag = Drag(scene.hand, names, self._cast.body_id_of, self._cast.breakable)
@@ -176,17 +177,23 @@ class Simulation:
         if self.arm is not None:
             contacts = self.arm.without_own(contacts)
         deepest_gap = float(contacts.gaps.min(initial=0.0))
+        touched = self._memory.fragment_a, self._memory.fragment_b
         contacts, self._memory = with_remembered(
             contacts, self._asked, self._memory, self._scene.solver.memory_reach
         )
         pairs = self._body_pairs(contacts, states)
         pushes, hand_energy = self._pushed(states)
         bodies = self._rigid_bodies(states, pushes)
-        solution, overloaded = self._solve(bodies, contacts, pairs, self._traits(states).strengths)
+        rest = sleep.roused(self._rest, states.fragment_ids, touched, pushes.any(axis=1))
+        rest = sleep.settled(rest, self._memory.pair_begin, pairs.body_a, pairs.body_b, self._scene.solver.sleep_time)
+        solution, overloaded = self._solve(bodies, contacts, pairs, self._traits(states).strengths, rest.asleep)
         solver_seconds = time.perf_counter() - started
         v, drift = solution.velocities, solution.drift
         self._engine.advance(v[:, :3], v[:, 3:], drift[:, :3], drift[:, 3:])
         self._warm_start = solution.warm_start
+        self._rest = sleep.after_step(
+            rest, states.masses, states.inertias, v, self._scene.solver.sleep_speed, self._scene.time_step
+        )
         self._step += 1
 
         moved = self._engine.states()
@@ -282,11 +289,12 @@ class Simulation:
         return BodyPairs(a, b, np.maximum(arms_a, arms_b), rest_gaps)
 
     def _solve(
-        self, bodies: RigidBodies, contacts: ContactConstraintArray, pairs: BodyPairs, strengths: np.ndarray
-    ) -> tuple[Solution, np.ndarray]:
-        """Velocities, and the rows of the bodies that break. `strengths` (n,) [N s] of the bodies."""
+        self, bodies: RigidBodies, contacts: ContactConstraintArray, pairs: BodyPairs, strengths: np.ndarray,
+        asleep: np.ndarray,
+    ) -> tuple[Solution, np.ndarray]:  # fmt: skip
+        """Velocities, and the rows of the bodies that break. `strengths` (n,) [N s] of the bodies, `asleep` (n,)."""
         settings, time_step = self._scene.solver, self._scene.time_step
-        solution = solve_contacts(bodies, contacts, pairs, self._warm_start, settings, time_step)
+        solution = solve_contacts(bodies, contacts, pairs, self._warm_start, settings, time_step, asleep=asleep)
         count = len(bodies.masses)
         loads = normal_impulse_sums(solution, contacts, pairs, count)
         overloaded = np.flatnonzero(loads > strengths)
@@ -296,7 +304,7 @@ class Simulation:
             share = np.repeat(np.minimum(share[pairs.body_a], share[pairs.body_b]), np.diff(contacts.pair_begin))
             limits = np.where(share < 1.0, share * solution.normal_impulses, np.inf)
             capped = solve_contacts(
-                bodies, contacts, pairs, solution.warm_start, settings, time_step, limits, solution
+                bodies, contacts, pairs, solution.warm_start, settings, time_step, limits, solution, asleep
             )
             # Nobody enters what breaks before it has broken: in this step poses move as if it held. And where it broke
             # is told by the impulses that broke it.

@@ -36,7 +36,7 @@ from fracture_collision.world.errors import Rejection, StatesAhead
 from fracture_collision.world.fragment_mesh import fragment_mesh
 from fracture_collision.world.ledger import Ledger
 from fracture_collision.world.registry import Registry
-from fracture_collision.world.settings import Settings, check_settings, geometry_settings
+from fracture_collision.world.settings import Settings, check_settings, geometry_settings, most_listed
 from fracture_collision.world.states_gate import CheckedStates, check_states
 
 
@@ -155,7 +155,7 @@ class CollisionWorld:
         remembered = self._take_remembered() if self.settings.neighbour_lists else None
         budget = max(self.settings.visit_budget // len(pairs), 1) if self.settings.visit_budget and len(pairs) else 0
         found, now_remembered = query_pairs(
-            pools, rows, rotations, positions, pairs, self.settings.contacts_per_pair,
+            pools, rows, rotations, positions, pairs, self.settings.contacts_per_pair, most_listed(self.settings),
             self.settings.penetration_tolerance, self.settings.detection_tolerance, budget,
             self._sized_scratch(rows), self._crew, remembered, self._registry.changes,
             _work_limits(self.settings), coincident(boxes, pairs),

@@ -13,6 +13,13 @@ class Settings(NamedTuple):
     # m of Glondu 2014, 5.2: contacts a pair gets before only those deeper than epsilon count. Six constraints lock a
     # rigid body; beyond eight the paper saw no better contact (Fig. 16).
     contacts_per_pair: int = 8
+    # Which contacts of a pair are listed where more samples are near. `sufficient`: contacts_per_pair that are spread
+    # over all of them; all that are deeper than the penetration tolerance, but of more than contacts_per_pair the
+    # deepest and others spread over them, up to deep_contacts_per_pair. It depends on the samples' depths and positions
+    # alone. `complete`: the paper's rule, the first that are found, and then all that are deeper than the tolerance;
+    # without neighbour_lists by the paper's algorithm alone. A visit_budget goes by the paper's rule too.
+    selection: str = "sufficient"
+    deep_contacts_per_pair: int = 16
     # epsilon of 5.2, as a share of R (the smaller of the two bodies' half longest side): penetrations up to this may
     # stay unlisted once a pair has its contacts.
     penetration_tolerance: float = 0.002
@@ -55,6 +62,7 @@ class Settings(NamedTuple):
 
 
 FIELDS = ("exact", "averaged")
+SELECTIONS = ("sufficient", "complete")
 NORMALS = ("facing", "nearest")
 TREES = ("restructured", "plain", "rebuilt")
 TRAVERSALS = ("alternating", "queue")
@@ -65,13 +73,23 @@ def geometry_settings(settings: Settings) -> tuple[str, ...]:
     return settings.field, settings.normals, settings.tree, settings.traversal
 
 
+def most_listed(settings: Settings) -> int:
+    """Contacts that `sufficient` lists of a pair at most; 0: it is not the rule."""
+    if settings.selection == "complete":
+        return 0
+    return max(settings.contacts_per_pair, settings.deep_contacts_per_pair)
+
+
 def check_settings(settings: Settings) -> None:
     """Raise ValueError, naming the field, unless every setting is one the service can work with."""
-    for name, choices in (("field", FIELDS), ("normals", NORMALS), ("tree", TREES), ("traversal", TRAVERSALS)):
+    for name, choices in (
+        ("field", FIELDS), ("normals", NORMALS), ("tree", TREES), ("traversal", TRAVERSALS), ("selection", SELECTIONS),
+    ):  # fmt: skip
         if getattr(settings, name) not in choices:
             raise ValueError(f"{name}: {getattr(settings, name)!r} is none of {', '.join(choices)}")
-    if settings.contacts_per_pair < 1:
-        raise ValueError(f"contacts_per_pair: {settings.contacts_per_pair} is not at least 1")
+    for name in ("contacts_per_pair", "deep_contacts_per_pair"):
+        if getattr(settings, name) < 1:
+            raise ValueError(f"{name}: {getattr(settings, name)} is not at least 1")
     for name in ("penetration_tolerance", "detection_tolerance"):
         if not 0.0 <= getattr(settings, name) <= 1.0:
             raise ValueError(f"{name}: {getattr(settings, name)} is not in [0, 1]")
