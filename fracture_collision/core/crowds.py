@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from fracture_collision.core.compiled import kernel
 from fracture_collision.core.crack_seeds import MOST_SEEDS
 from fracture_collision.core.kinds import SPHERE, TETRAHEDRA, TRIANGLES
 from fracture_collision.core.pools import Pools
@@ -26,14 +27,17 @@ LEAST_VISITS = 16
 APART = 25
 
 
-def coincident(boxes: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+@kernel
+def coincident(boxes, pairs):
     """Which of `pairs` (p, 2) mostly coincide, (p,) bool; boxes (n, 6) [m] in the world, those of planes unbounded."""
-    a, b = boxes[pairs[:, 0]], boxes[pairs[:, 1]]
-    overlap = np.minimum(a[:, 3:], b[:, 3:]) - np.maximum(a[:, :3], b[:, :3])
-    sides = np.maximum(a[:, 3:] - a[:, :3], b[:, 3:] - b[:, :3])
-    with np.errstate(invalid="ignore", over="ignore"):
-        shares = np.maximum(overlap, 0.0) / sides
-    return shares[:, 0] * shares[:, 1] * shares[:, 2] > COINCIDENT
+    mostly = np.zeros(len(pairs), np.bool_)
+    for p in range(len(pairs)):
+        a, b, share = boxes[pairs[p, 0]], boxes[pairs[p, 1]], 1.0
+        for d in range(3):
+            overlap = min(a[d + 3], b[d + 3]) - max(a[d], b[d])
+            share *= max(overlap, 0.0) / max(a[d + 3] - a[d], b[d + 3] - b[d])
+        mostly[p] = share > COINCIDENT
+    return mostly
 
 
 def most_visits(pools: Pools, rows: np.ndarray, pairs: np.ndarray) -> np.ndarray:

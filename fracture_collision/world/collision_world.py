@@ -267,9 +267,10 @@ class CollisionWorld:
         return at
 
     def _sized_scratch(self, rows: np.ndarray) -> Scratch:
-        entries = [self._registry.geometry.tree_entries(row) for row in rows.tolist()]
-        nodes = 2 * max(entries, default=0) + 2  # both trees of a pair
-        tets = len(self._registry.geometry.pools.mesh.tetrahedra)
+        pools = self._registry.geometry.pools
+        entries = pools.fragment.tree_end[rows] - pools.fragment.tree_begin[rows]
+        nodes = 2 * int(entries.max(initial=0)) + 2  # both trees of a pair
+        tets = len(pools.mesh.tetrahedra)
         s = self._scratch
         if s is None or s.visited.shape[1] < tets or s.node_int.shape[1] < nodes:
             self._scratch = make_scratch(self._crew.threads, tets, nodes)
