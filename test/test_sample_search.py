@@ -9,8 +9,9 @@ import pytest
 from fractured_worlds import fractured_world, with_settings
 from hard_worlds import tetrahedral_body
 
+from fracture_collision.core.body_validator import validate_body
 from fracture_collision.core.narrow_phase import query_pairs
-from fracture_collision.core.pools import LEAF, LEAF_VALUES, OWN_SAMPLE, SIZE, SURFACE
+from fracture_collision.core.pools import LEAF, LEAF_VALUES
 from fracture_collision.geometry.generators import ball, brick, shell
 from fracture_collision.records import BOX, CollisionBody, FragmentStates, SolidPrimitive
 from fracture_collision.world import CollisionWorld, Settings, collision_world
@@ -158,21 +159,15 @@ def test_what_rests_keeps_its_contacts() -> None:
 
 def test_leaves_hold_every_sample_once() -> None:
     case = fractured_world(*SHAPES["shell"][:1], 9, generations=2, curved=True)
+    rows = [case.row(fragment_id) for fragment_id in case.oracle.fragment_ids]
+    validate_body(case.geometry, rows)
     pools = case.geometry.pools
-    for fragment_id in case.oracle.fragment_ids:
-        row = case.row(fragment_id)
-        begin, end = pools.fragment.leaf_begin[row], pools.fragment.leaf_end[row]
-        tree = slice(pools.fragment.tree_begin[row], pools.fragment.tree_end[row])
-        entries = pools.tree.entries[tree]
-        samples = np.flatnonzero((entries[:, SIZE] == 1) & (entries[:, SURFACE] == OWN_SAMPLE))
-        own = pools.samples.entries[LEAF * begin : LEAF * end]
-        assert np.array_equal(np.sort(own[own >= 0]), samples)
-        assert end - begin == -(-len(samples) // LEAF)
-        n, middle = end - begin, pools.fragment.middle[row]
-        values = pools.samples.values[LEAF_VALUES * begin : LEAF_VALUES * end].astype(float)
-        points = values[6 * n :].reshape(3, -1).T + middle[:3]
-        exact = pools.tree.spheres[tree][own, :3]
-        assert abs(points - exact)[own >= 0].max() <= 0.1 * middle[3]
-        low, high = values[: 3 * n].reshape(3, n).T, values[3 * n : 6 * n].reshape(3, n).T
-        inside = points.reshape(n, LEAF, 3) - middle[:3]
-        assert (low[:, None] <= inside + 1e-12).all() and (inside <= high[:, None] + 1e-12).all()
+    leaf = int(pools.fragment.leaf_begin[rows[-1]])
+    for values, at, words in (
+        (pools.samples.entries, LEAF * leaf, "every sample once"), (pools.samples.values, LEAF_VALUES * leaf, "box"),
+    ):  # fmt: skip
+        kept = values[at]
+        values[at] = pools.samples.entries[at + 1] if values is pools.samples.entries else 1.0
+        with pytest.raises(AssertionError, match=words):
+            validate_body(case.geometry, rows)
+        values[at] = kept

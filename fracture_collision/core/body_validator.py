@@ -9,7 +9,8 @@ import numpy as np
 from fracture_collision.core.collision_geometry import CollisionGeometry
 from fracture_collision.core.crack_seeds import MOST_SEEDS
 from fracture_collision.core.occupancy import sphere_may_touch
-from fracture_collision.core.pools import OLD_FACE, Pools
+from fracture_collision.core.pools import LEAF, OLD_FACE, OWN_SAMPLE, SIZE, SURFACE, Pools
+from fracture_collision.core.sample_leaves import leaves_of
 from fracture_collision.core.surface_triangles import surface_triangles
 
 # Rounding, as a share of lengths, areas and volumes of the body.
@@ -22,8 +23,8 @@ def validate_body(geometry: CollisionGeometry, rows: Sequence[int]) -> None:
     """Raise AssertionError unless all that is stored of one fractured body agrees; `rows`: its living fragments.
 
     Labels, cuts and polygons are consistent; each fragment's surface is closed, oriented outward, encloses the
-    fragment's volume and lies in its box and cells and in the hull of its samples and corners; the volumes add up to
-    the body's.
+    fragment's volume and lies in its box and cells and in the hull of its samples and corners; its leaves hold every
+    sample once; the volumes add up to the body's.
     """
     pools = geometry.pools
     tets = np.array(geometry.tet_range(rows[0]))
@@ -31,6 +32,8 @@ def validate_body(geometry: CollisionGeometry, rows: Sequence[int]) -> None:
     _validate_seeds(pools, rows, tets)
     _validate_polygons(pools, rows, tets)
     radius = float(pools.fragment.radius[rows[0]])
+    for row in rows:
+        _validate_leaves(pools, row)
     volumes = [_validate_surface(geometry, row, radius) for row in rows]
     whole = pools.mesh.moments[tets, 0].sum()
     assert abs(sum(volumes) - whole) <= ROUNDING * whole, f"volumes add up to {sum(volumes)}, the body has {whole}"
@@ -54,6 +57,23 @@ def _validate_labels(pools: Pools, rows: Sequence[int], tets: np.ndarray) -> Non
     assert np.array_equal(planes >= 0, is_cut), "an edge is cut if and only if its ends differ"
     shares = body.edge_share[edges + fragment.edge_shift[rows[0]]][is_cut]
     assert (shares >= 0.0).all() and (shares <= 1.0).all(), "a crossing has left its edge"
+
+
+def _validate_leaves(pools: Pools, row: int) -> None:
+    fragment, leaves = pools.fragment, leaves_of.py_func(pools, row)
+    tree = slice(fragment.tree_begin[row], fragment.tree_end[row])
+    entries = pools.tree.entries[tree]
+    samples = np.flatnonzero((entries[:, SIZE] == 1) & (entries[:, SURFACE] == OWN_SAMPLE))
+    is_sample, n = leaves.entries >= 0, len(leaves.entries) // LEAF
+    assert np.array_equal(np.sort(leaves.entries[is_sample]), samples), "the leaves do not hold every sample once"
+    assert n == -(-len(samples) // LEAF), "there are more leaves than samples fill"
+    values = leaves.values.astype(np.float64)
+    low, high = values[: 3 * n].reshape(3, n).T, values[3 * n : 6 * n].reshape(3, n).T
+    points = values[6 * n :].reshape(3, -1).T
+    exact = pools.tree.spheres[tree][leaves.entries, :3] - leaves.middle[:3]
+    assert (np.abs(points - exact)[is_sample] <= 0.1 * leaves.middle[3]).all(), "a leaf has a sample elsewhere"
+    inside = points.reshape(n, LEAF, 3)
+    assert ((low[:, None] <= inside) & (inside <= high[:, None])).all(), "a leaf's box does not hold its samples"
 
 
 def _validate_seeds(pools: Pools, rows: Sequence[int], tets: np.ndarray) -> None:
