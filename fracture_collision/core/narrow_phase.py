@@ -109,10 +109,10 @@ def _query_share(
 ):  # fmt: skip
     """Every `threads`-th pair of `todo`, from `thread` on.
 
-    limit: see query_pair; shares, further (p,): visits of each pair, likewise. Their contacts go one behind the other
-    into contacts[thread], from row begin[pair] on; -1: there was no room left. lists: NeighbourLists; slots (p,): a
-    pair's place in them, -1: none; known (p,): whether it was there at the last step. Only the first search of a pair
-    uses them.
+    most: see sample_search.Rule; limit: see query_pair; shares, further (p,): visits of each pair, likewise. Their
+    contacts go one behind the other into contacts[thread], from row begin[pair] on; -1: there was no room left. lists:
+    NeighbourLists; slots (p,): a pair's place in them, -1: none; known (p,): whether it was there at the last step.
+    Only the first search of a pair uses them.
     """
     rotation, translation = scratch.rotation[thread], scratch.translation[thread]
     used, room = 0, contacts.shape[1]

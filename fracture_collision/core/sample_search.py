@@ -57,7 +57,7 @@ EQUAL = 1.0 - 1e-3
 
 
 class Rule(NamedTuple):
-    """Which of a pair's contacts are listed (Glondu 2014, section 5.2, and `chosen_contacts`)."""
+    """Which of a pair's contacts are listed (Glondu 2014, section 5.2, and `_choose`)."""
 
     wanted: int  # m
     most: int  # that are listed where more than m are deeper than epsilon; 0: the paper's rule
@@ -193,7 +193,7 @@ def query_listed(
     travelled as far as `until` (n,) [m] says; they have by `travelled` [m] (neighbour_lists.py).
 
     Where a sample is no nearer than the detection tolerance, it is looked for `ahead` [m] farther, and `until` is
-    raised. Returns (contacts, missed depth bound [m], visits).
+    raised. Returns (contacts, missed depth bound [m], visits), -1 contacts as search_samples does.
     """
     tree, count, visits, near = pools.tree, 0, 0, rule.near
     slack, one_body = rounding_slack(pools, a, b, translation), share_a_body(pools, a, b)
@@ -256,7 +256,7 @@ def _find_deepest(pools, a, b, rotation, translation, rule, slack, count, scratc
     """Where more of `count` samples than wanted are deeper than epsilon, find out how deep those are that may be the
     deepest; of the others it is known how deep they are at most.
 
-    Whoever is `n . x` along a direction is no deeper than the way from there to the other's farthest point along it.
+    What is at n . x along a direction n is no deeper than the way from there to the other's farthest point along it.
     The way out for a deep sample is a good direction for those beside it.
     """
     point, spread, node = scratch.node_float[thread], scratch.spread[thread], scratch.node_int[thread]
