@@ -18,7 +18,7 @@ from rigid_shapes import RigidShape, cube, l_block, noisy_ball, torus, true_dist
 from fracture_collision.core.collision_geometry import CollisionGeometry, prepare_surface  # noqa: E402
 from fracture_collision.core.elementary_queries import INSIDE, OUTSIDE, probe  # noqa: E402
 from fracture_collision.core.point_location import owner_in_tetrahedron  # noqa: E402
-from fracture_collision.core.pools import PARTED  # noqa: E402
+from fracture_collision.core.pools import OWNER, PARTED  # noqa: E402
 from fracture_collision.core.scratch import make_scratch  # noqa: E402
 from fracture_collision.core.surface_triangles import surface_triangles  # noqa: E402
 from fracture_collision.geometry.generators import TetGeometry, ball, bowl, brick, plate, shell  # noqa: E402
@@ -126,7 +126,7 @@ def _field(case: FracturedWorld, radius: float) -> tuple[int, float]:
 
 def _parted(case: FracturedWorld) -> float:
     pools, row = case.geometry.pools, case.row(case.oracle.fragment_ids[0])
-    owners = pools.body.tet_fragment[np.array(case.geometry.tet_range(row)) + pools.fragment.tet_shift[row]]
+    owners = pools.body.regions[np.array(case.geometry.tet_range(row)) + pools.fragment.tet_shift[row], OWNER]
     return float((owners == PARTED).sum() / (owners < 0).sum())
 
 

@@ -12,7 +12,7 @@ from oracles.fragmented_body import ALL_KINDS, FragmentedBody
 from scipy.interpolate import RegularGridInterpolator
 
 from fracture_collision.core.elementary_queries import INSIDE, bounded_probe, probe
-from fracture_collision.core.pools import EXACT
+from fracture_collision.core.pools import EXACT, OWNER
 from fracture_collision.core.scratch import make_scratch
 from fracture_collision.geometry.generators import TetGeometry, ball, bowl, brick, plate, shell
 from fracture_collision.records import BUDGET_EXHAUSTED, CollisionBody, FragmentStates
@@ -159,7 +159,7 @@ def test_depth_is_eq_1_local_surfaces_and_the_grids_cap(case: FracturedWorld) ->
             if np.linalg.norm(gradient) > 1e-3 * step:
                 assert normal @ gradient / np.linalg.norm(gradient) < -0.999
         elif limit > depth + 1e-9:
-            cut += int(case.geometry.pools.body.tet_fragment[t] < 0)
+            cut += int(case.geometry.pools.body.regions[t, OWNER] < 0)
             assert np.abs(normal - direction).max() <= 1e-6
     assert capped > 5 and cut > 5
 

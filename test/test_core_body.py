@@ -10,6 +10,7 @@ from oracles.fracture_patterns import disagreeing_event, voronoi_event
 from oracles.fragmented_body import FragmentedBody
 
 from fracture_collision.core.body_validator import validate_body
+from fracture_collision.core.pools import FANNED, FRONT, LABELS, OWNER, PARTED, PLANE
 from fracture_collision.geometry.generators import TetGeometry, ball, brick, plate
 from fracture_collision.records import CollisionBody, FragmentStates
 from fracture_collision.world import CollisionWorld, Settings
@@ -78,7 +79,10 @@ def test_a_thousand_bodies_are_valid_after_every_event(
         ("not closed", "triangles", lambda a: a.__setitem__((0, slice(0, 3)), a[0, 3:6])),
         ("beside its plane", "faces", lambda a: a.__setitem__((0, 3), a[0, 3] + 0.1)),
         ("a retired owner", "front", lambda a: a.__setitem__(0, 0)),
-        ("owner has no node of it", "tet_fragment", lambda a: a.__setitem__(0, 99)),
+        ("owner has no node of it", "regions", lambda a: a.__setitem__((0, 0), 99)),
+        ("front is not that of", "regions", lambda a: a.__setitem__((a[:, OWNER] == PARTED, FRONT), 0)),
+        ("labels of a tetrahedron", "regions", lambda a: a.__setitem__((a[:, OWNER] == FANNED, LABELS), 0)),
+        ("a plane turned", "regions", lambda a: a.__setitem__((a[:, OWNER] == PARTED, PLANE), 0)),
         ("if and only if its ends differ", "edge_plane", lambda a: a.fill(-1)),
     ],
 )

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from fracture_collision.core import touched_tetrahedra
 from fracture_collision.core.connected_pieces import connected_pieces
 from fracture_collision.core.cut_tetrahedron import CUT, DIVIDED
-from fracture_collision.core.pools import FANNED, OLD_FACE, PARTED
+from fracture_collision.core.pools import FANNED, OLD_FACE, OWNER, PARTED, ROW
 from fracture_collision.geometry.generators import ball, brick, plate, shell
 from fracture_collision.records import ContactConstraintArray, FragmentStates
 from fracture_collision.world.fracture_match import first_split
@@ -55,8 +55,8 @@ def test_one_plane_parts_as_a_fan_does(pair) -> None:
         else:
             assert np.array_equal(own, other)
     a, b = quick.geometry.pools, general.geometry.pools
-    assert (a.body.tet_fragment == PARTED).any() and (a.body.tet_fragment == FANNED).any()
-    assert not (b.body.tet_fragment == PARTED).any()
+    assert (a.body.regions[:, OWNER] == PARTED).any() and (a.body.regions[:, OWNER] == FANNED).any()
+    assert not (b.body.regions[:, OWNER] == PARTED).any()
     np.testing.assert_allclose(a.fragment.box[rows], b.fragment.box[rows], rtol=0.0, atol=1e-12)
     assert np.array_equal(a.fragment.cells[rows], b.fragment.cells[rows])
     assert np.array_equal(a.occupancy, b.occupancy)
@@ -71,7 +71,7 @@ def _areas(case: FracturedWorld, rows: list[int]) -> dict[tuple[int, int, int, i
     body, shift = case.geometry.pools.body, case.geometry.pools.fragment.tet_shift[rows[0]]
     areas: dict[tuple[int, int, int, int], float] = defaultdict(float)
     for t in case.geometry.tet_range(rows[0]):
-        begin = body.cut_begin[t + shift]
+        begin = body.regions[t + shift, ROW]
         for i in range(begin, begin + body.cut_count[t + shift]):
             p, q, r = body.triangles[i].reshape(3, 3)
             face = max(int(body.kind[i]) - OLD_FACE, -1)

@@ -21,6 +21,7 @@ from fracture_collision.core.flood import (
     nothing_within,
     outward_direction,
 )
+from fracture_collision.core.pools import OWNER
 
 
 @inlined_kernel
@@ -89,7 +90,7 @@ def averaged_penetration(pools, f, t, x, y, z):
         nx, ny, nz = nx + weight * row[1], ny + weight * row[2], nz + weight * row[3]
         total += weight
     most = math.sqrt(most2)
-    if best[5] != NO_SOURCE and body.tet_fragment[t + pools.fragment.tet_shift[f]] < 0:
+    if best[5] != NO_SOURCE and body.regions[t + pools.fragment.tet_shift[f], OWNER] < 0:
         d = math.sqrt(best[0])
         nx, ny, nz = outward_direction(pools, f, x, y, z, best, True)
     else:

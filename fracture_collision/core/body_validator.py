@@ -9,7 +9,22 @@ import numpy as np
 from fracture_collision.core.collision_geometry import CollisionGeometry
 from fracture_collision.core.crack_seeds import MOST_SEEDS
 from fracture_collision.core.occupancy import sphere_may_touch
-from fracture_collision.core.pools import LEAF, OLD_FACE, OWN_SAMPLE, SIZE, SURFACE, Pools
+from fracture_collision.core.pools import (
+    BACK,
+    FANNED,
+    FRONT,
+    LABELS,
+    LEAF,
+    OLD_FACE,
+    OWN_SAMPLE,
+    OWNER,
+    PARTED,
+    PLANE,
+    ROW,
+    SIZE,
+    SURFACE,
+    Pools,
+)
 from fracture_collision.core.sample_leaves import leaves_of
 from fracture_collision.core.surface_triangles import surface_triangles
 
@@ -17,6 +32,8 @@ from fracture_collision.core.surface_triangles import surface_triangles
 ROUNDING = 1e-9
 # The plane of a thinner triangle (twice its area over its longest side squared) is anybody's guess; its rim is not.
 THIN = 1e-6
+# Rounding of single precision.
+SINGLE = 1e-6
 
 
 def validate_body(geometry: CollisionGeometry, rows: Sequence[int]) -> None:
@@ -31,6 +48,7 @@ def validate_body(geometry: CollisionGeometry, rows: Sequence[int]) -> None:
     _validate_labels(pools, rows, tets)
     _validate_seeds(pools, rows, tets)
     _validate_polygons(pools, rows, tets)
+    _validate_regions(pools, rows, tets)
     radius = float(pools.fragment.radius[rows[0]])
     for row in rows:
         _validate_leaves(pools, row)
@@ -44,7 +62,7 @@ def _validate_labels(pools: Pools, rows: Sequence[int], tets: np.ndarray) -> Non
     shift = int(fragment.node_shift[rows[0]])
     labels = body.node_fragment[mesh.tetrahedra[tets] + shift]
     assert set(np.unique(labels).tolist()) == set(rows), "the labels of the nodes are not the living fragments"
-    stored = body.tet_fragment[tets + fragment.tet_shift[rows[0]]]
+    stored = body.regions[tets + fragment.tet_shift[rows[0]], OWNER]
     alone = (labels == labels[:, :1]).all(axis=1)
     assert np.array_equal(stored[alone], labels[alone, 0]), "a tetrahedron's owner is not that of its nodes"
     is_shared = stored < 0
@@ -93,18 +111,37 @@ def _validate_seeds(pools: Pools, rows: Sequence[int], tets: np.ndarray) -> None
         assert len(np.unique(own)) == len(own) and np.isin(own, shared).all(), "a seed twice, or of another pair"
 
 
+def _validate_regions(pools: Pools, rows: Sequence[int], tets: np.ndarray) -> None:
+    """What is written beside the owner of tetrahedra that several fragments share, against where it is from."""
+    mesh, body, fragment = pools.mesh, pools.body, pools.fragment
+    own = tets + fragment.tet_shift[rows[0]]
+    labels = body.node_fragment[mesh.tetrahedra[tets] + fragment.node_shift[rows[0]]]
+    is_fanned, is_parted = body.regions[own, OWNER] == FANNED, body.regions[own, OWNER] == PARTED
+    of_nodes = body.regions[own[is_fanned], LABELS : LABELS + 4]
+    assert np.array_equal(of_nodes, labels[is_fanned]), "labels of a tetrahedron are not those of its nodes"
+    regions, first = body.regions[own[is_parted]], body.regions[own[is_parted], ROW]
+    assert np.array_equal(regions[:, FRONT], body.front[first]), "a tetrahedron's front is not that of its polygons"
+    assert np.array_equal(regions[:, BACK], body.back[first]), "a tetrahedron's back is not that of its polygons"
+    grid = mesh.grid[fragment.mesh[rows[0]]]
+    planes, faces = body.region_planes[own[is_parted], PLANE:].astype(float), body.faces[first]
+    offsets = faces[:, 3] - faces[:, :3] @ grid[:3]
+    room = SINGLE * (fragment.radius[rows[0]] + grid[3])
+    assert np.allclose(planes[:, :3], faces[:, :3], rtol=0.0, atol=SINGLE, equal_nan=True), "a plane turned"
+    assert np.allclose(planes[:, 3], offsets, rtol=0.0, atol=room, equal_nan=True), "a plane off that of its polygons"
+
+
 def _validate_polygons(pools: Pools, rows: Sequence[int], tets: np.ndarray) -> None:
     body = pools.body
     shift = pools.fragment.tet_shift[rows[0]]
     living = np.array([*rows, -1])
     for t in tets.tolist():
-        begin, count = int(body.cut_begin[t + shift]), int(body.cut_count[t + shift])
+        begin, count = int(body.regions[t + shift, ROW]), int(body.cut_count[t + shift])
         part = slice(begin, begin + count)
         kinds, fronts, backs = body.kind[part].astype(int), body.front[part], body.back[part]
         assert (np.diff(kinds) >= 0).all(), f"tetrahedron {t}: kinds do not ascend"
         assert np.isin(fronts, living[:-1]).all() and np.isin(backs, living).all(), f"tetrahedron {t}: a retired owner"
         assert (fronts != backs).all(), f"tetrahedron {t}: a polygon between a fragment and itself"
-        assert count == 0 or body.tet_fragment[t + shift] < 0, f"tetrahedron {t}: polygons of one fragment alone"
+        assert count == 0 or body.regions[t + shift, OWNER] < 0, f"tetrahedron {t}: polygons of one fragment alone"
         assert ((kinds < OLD_FACE) == (backs >= 0)).all(), f"tetrahedron {t}: a kind that its owners do not have"
         corners = body.triangles[part].reshape(-1, 3, 3)
         sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)

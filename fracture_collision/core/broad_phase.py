@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fracture_collision.core.compiled import kernel
+from fracture_collision.core.crowds import coincident
 from fracture_collision.core.kinds import PLANE
 
 
@@ -86,3 +87,18 @@ def overlapping_pairs(boxes, kinds, shapes, rotations, positions, is_static, mos
                     return found[:used]
     keys = found[:used, 0] * n + found[:used, 1]
     return found[:used][np.argsort(keys, kind="mergesort")]
+
+
+@kernel
+def pairs_within_reach(fragment, rows, rotations, positions, is_static, tolerance, most):
+    """Of fragments `rows` (n,) of a FragmentPool with poses (n, 3, 3), (n, 3): their R (n,) [m]; the pairs that may be
+    within `tolerance` (a share of the smaller R) of each other, see overlapping_pairs; and which of these coincide.
+    """
+    radius, boxes = fragment.radius[rows], np.empty((len(rows), 6))
+    # two boxes grown by half the tolerance each meet whenever their fragments come within it
+    margins = np.where(np.isfinite(radius), tolerance * radius, 0.0)
+    world_boxes(fragment.box, rows, rotations, positions, margins, boxes)
+    pairs = overlapping_pairs(
+        boxes, fragment.kind[rows], fragment.shape[rows], rotations, positions, is_static, most
+    )
+    return radius, pairs, coincident(boxes, pairs)

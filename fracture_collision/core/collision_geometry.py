@@ -38,6 +38,8 @@ from fracture_collision.core.pools import (
     FACING,
     NEVER_BROKEN,
     OWN_SAMPLE,
+    OWNER,
+    REGION,
     SAMPLE,
     SIZE,
     SURFACE,
@@ -281,7 +283,7 @@ class CollisionGeometry:
         boxes[first:end] = np.repeat([np.inf, -np.inf], 3)
         touched_tetrahedra.boxes_of_nodes(pools.mesh, pools.body, node_shift, nodes + rows.node, boxes)
         reaches = boxes[first:end].copy()
-        self._rebuild_surfaces(node_shift, tet_shift, edge_shift, touched, first, end, reaches)
+        self._rebuild_surfaces(node_shift, tet_shift, edge_shift, k, touched, first, end, reaches)
         self._mark_cells(row, first, end, reaches)
         self._give_trees(row, prepared.mesh, rows, nodes, parts, edges, first, count)
         self._choose_seeds(row, rows)
@@ -292,13 +294,13 @@ class CollisionGeometry:
             )
         return first
 
-    def _rebuild_surfaces(self, node_shift, tet_shift, edge_shift, touched, first, end, reaches) -> None:
+    def _rebuild_surfaces(self, node_shift, tet_shift, edge_shift, k, touched, first, end, reaches) -> None:
         """Polygons in the tetrahedra that a fracture touched; moments, boxes and gaps of their fragments."""
         pools, moments, gaps = self.pools, self._moments.view, self._gaps.view
         columns = {name: self._tables.body[name] for name in SurfaceRows._fields}
         room = SurfaceRows(**{name: column.reserve(touched.room) for name, column in columns.items()})
         written = fracture_update.rebuild_parted(
-            pools.mesh, pools.body, node_shift, tet_shift, edge_shift, touched, first, end, columns["front"].used,
+            pools.mesh, pools.body, node_shift, tet_shift, edge_shift, k, touched, first, end, columns["front"].used,
             room, moments, pools.fragment.box, reaches, gaps, self._scratch,
         )  # fmt: skip
         room = SurfaceRows(*(column[written:] for column in room))
@@ -379,8 +381,9 @@ class CollisionGeometry:
         edge = self._tables.body["edge_plane"].fill(len(mesh.edges), -1)
         self._tables.body["edge_event"].fill(len(mesh.edges), 0)
         self._tables.body["edge_share"].fill(len(mesh.edges), 0.0)
-        tet = self._tables.body["tet_fragment"].fill(len(mesh.tetrahedra), row)
-        self._tables.body["cut_begin"].fill(len(mesh.tetrahedra), 0)
+        whole = np.zeros(REGION, np.int32)
+        whole[OWNER] = row
+        tet = self._tables.body["regions"].fill(len(mesh.tetrahedra), whole)
         self._tables.body["cut_count"].fill(len(mesh.tetrahedra), 0)
         self._tables.fragment["node_shift"].view[row] = node - rows.node
         self._tables.fragment["tet_shift"].view[row] = tet - rows.tet

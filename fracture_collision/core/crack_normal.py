@@ -19,7 +19,7 @@ from fracture_collision.core.flood import (
     source_normal,
 )
 from fracture_collision.core.point_location import height, owner_in_cut
-from fracture_collision.core.pools import OLD_FACE, PARTED
+from fracture_collision.core.pools import OLD_FACE, OWNER, PARTED, ROW
 
 # The shared crack is taken while it is no more than this share of R farther than the nearest surface.
 FARTHER = 0.03
@@ -143,7 +143,7 @@ def way_through(pools, f, t, x, y, z, nx, ny, nz, limit, leaves, scratch, thread
                     out, face = end, corner
         if face < 0:
             return math.inf
-        alone = body.tet_fragment[t + tet_shift]
+        alone = body.regions[t + tet_shift, OWNER]
         if alone < 0:
             share = _share_of_segment(
                 pools, f, t, leaves, x + s * nx, y + s * ny, z + s * nz, x + out * nx, y + out * ny, z + out * nz,
@@ -180,8 +180,8 @@ def _share_of_segment(pools, f, t, leaves, x0, y0, z0, x1, y1, z1, roots):
     Between two neighbouring roots of the planes that part fragments there the owner stays. `roots` (ROOTS,): room.
     """
     body = pools.body
-    begin, used = body.cut_begin[t + pools.fragment.tet_shift[f]], 0
-    if body.tet_fragment[t + pools.fragment.tet_shift[f]] == PARTED:
+    begin, used = body.regions[t + pools.fragment.tet_shift[f], ROW], 0
+    if body.regions[t + pools.fragment.tet_shift[f], OWNER] == PARTED:
         return _share_by_plane(body, begin, f, leaves, x0, y0, z0, x1, y1, z1)
     for i in range(begin, begin + body.cut_count[t + pools.fragment.tet_shift[f]]):
         if body.kind[i] >= OLD_FACE:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fracture_collision.core.compiled import kernel
+from fracture_collision.core.compiled import inlined_kernel, kernel
 from fracture_collision.core.crack_seeds import MOST_SEEDS
 from fracture_collision.core.kinds import SPHERE, TETRAHEDRA, TRIANGLES
 from fracture_collision.core.pools import Pools
@@ -20,7 +20,7 @@ UNSEARCHED = -1
 # Boxes coincide if their overlap has this share of the larger volume.
 COINCIDENT = 0.5
 # What a visit costs more than one whose sample is asked of a closed form, measured where surfaces all but coincide.
-COST = {TETRAHEDRA: 10, TRIANGLES: 40}
+COST_TETRAHEDRA, COST_TRIANGLES = 10, 40
 # Visits that may find a few contacts; with fewer a search is in vain.
 LEAST_VISITS = 16
 # How many times as much pairs that do not coincide may cost.
@@ -46,6 +46,26 @@ def most_visits(pools: Pools, rows: np.ndarray, pairs: np.ndarray) -> np.ndarray
     return entries[pairs[:, 0]] + entries[pairs[:, 1]] + MOST_SEEDS
 
 
+@kernel
+def _most_together(kinds, tree_begin, tree_end, rows, pairs, is_coincident):
+    """What all pairs that coincide, and all others, cost at most, in visits of a closed form."""
+    coincide = apart = 0
+    for p in range(len(pairs)):
+        a, b = rows[pairs[p, 0]], rows[pairs[p, 1]]
+        most = np.int64(tree_end[a]) - tree_begin[a] + tree_end[b] - tree_begin[b] + MOST_SEEDS
+        most *= max(_cost(kinds[a]), _cost(kinds[b]))
+        if is_coincident[p]:
+            coincide += most
+        else:
+            apart += most
+    return coincide, apart
+
+
+@inlined_kernel
+def _cost(kind):
+    return COST_TETRAHEDRA if kind == TETRAHEDRA else COST_TRIANGLES if kind == TRIANGLES else 1
+
+
 def visit_shares(
     pools: Pools, rows: np.ndarray, pairs: np.ndarray, is_coincident: np.ndarray, visits: int
 ) -> np.ndarray:
@@ -53,12 +73,15 @@ def visit_shares(
 
     `visits`: of all that coincide together, in visits of a closed form.
     """
+    fragment = pools.fragment
+    together = _most_together(fragment.kind, fragment.tree_begin, fragment.tree_end, rows, pairs, is_coincident)
+    if together[0] <= visits and together[1] <= APART * visits:
+        return np.zeros(len(pairs), np.int64)
     most = most_visits(pools, rows, pairs)
-    kinds = pools.fragment.kind[rows]
-    cost_of_kind = np.ones(max(TETRAHEDRA, TRIANGLES, int(kinds.max(initial=0))) + 1, np.int64)
-    cost_of_kind[list(COST)] = list(COST.values())
+    kinds = fragment.kind[rows]
     ends = kinds[pairs]
-    cost = cost_of_kind[ends].max(axis=1, initial=1)
+    cost_of_ends = np.where(ends == TETRAHEDRA, COST_TETRAHEDRA, np.where(ends == TRIANGLES, COST_TRIANGLES, 1))
+    cost = cost_of_ends.max(axis=1, initial=1)
     least = np.full(len(pairs), LEAST_VISITS)
     # the centre of a sphere may be as far from all of a surface as can be
     alone = (ends == SPHERE).any(axis=1) & (cost > 1)

@@ -25,7 +25,7 @@ from fracture_collision.core.compiled import inlined_kernel
 from fracture_collision.core.cut_tetrahedron import FACE_VERTICES
 from fracture_collision.core.occupancy import ROUNDING, parts_within
 from fracture_collision.core.point_location import height, holds_fragment
-from fracture_collision.core.pools import NEVER_BROKEN, OLD_FACE, PARTED
+from fracture_collision.core.pools import NEVER_BROKEN, OLD_FACE, OWNER, PARTED, ROW
 
 # Which surface triangle a closest point lies on: a row of body.triangles, or -1 - (4 tetrahedron + face) of the old
 # surface.
@@ -102,7 +102,7 @@ def nearest_in_tetrahedron(pools, f, t, x, y, z, only, best):
     d2, qx, qy, qz, feature, source, where = best
     mesh, body = pools.mesh, pools.body
     shift = pools.fragment.tet_shift[f]
-    if behind < 0 and (shift == NEVER_BROKEN or body.tet_fragment[t + shift] >= 0):
+    if behind < 0 and (shift == NEVER_BROKEN or body.regions[t + shift, OWNER] >= 0):
         for face in range(4):
             if mesh.neighbours[t, face] >= 0 or _face_is_farther(mesh, t, face, x, y, z, d2):
                 continue
@@ -118,7 +118,7 @@ def nearest_in_tetrahedron(pools, f, t, x, y, z, only, best):
                 d2, qx, qy, qz, feature, source, where = e2, ex, ey, ez, rim, -1 - (4 * t + face), t
     if shift == NEVER_BROKEN:
         return d2, qx, qy, qz, feature, source, where
-    begin = body.cut_begin[t + shift]
+    begin = body.regions[t + shift, ROW]
     face, farther = -1, False
     for i in range(begin, begin + body.cut_count[t + shift]):
         kind = body.kind[i]
@@ -233,7 +233,6 @@ def nearest_from_outside(pools, f, at, x, y, z, limit, only, scratch, thread):
     `at`: the tetrahedron that holds the point, -1 outside the body. `only` and answer as in nearest_from_inside.
     """
     mesh = pools.mesh
-    visited = scratch.visited[thread]
     best = nothing_within(limit)
     if at >= 0:
         if _is_clear_within(pools, f, at, x, y, z, limit):
@@ -241,8 +240,26 @@ def nearest_from_outside(pools, f, at, x, y, z, limit, only, scratch, thread):
         best, complete = _nearest_around(pools, f, at, x, y, z, only, scratch, thread, best)
         if complete:
             return best
-    k = pools.fragment.mesh[f]
-    stamp = next_stamp(scratch, thread)
+    near = scratch.heap_tet[thread]
+    for k in range(tetrahedra_near(pools, f, x, y, z, limit, scratch, thread)):
+        t = near[k]
+        if box_distance_squared(x, y, z, mesh.boxes[t]) >= best[0]:
+            continue
+        if least_distance_squared(mesh, t, x, y, z) >= best[0]:
+            continue
+        if not _region_is_farther(pools, f, t, x, y, z, best[0]):
+            best = nearest_in_tetrahedron(pools, f, t, x, y, z, only, best)
+    return best
+
+
+@inlined_kernel
+def tetrahedra_near(pools, f, x, y, z, limit, scratch, thread):
+    """Put those that hold some of f and may be within `limit` [m] of a point into scratch.heap_tet; returns how many.
+
+    None is left out: the parts of the location grid's cells tell.
+    """
+    mesh, k = pools.mesh, pools.fragment.mesh[f]
+    near, visited, stamp, count = scratch.heap_tet[thread], scratch.visited[thread], next_stamp(scratch, thread), 0
     nx, ny, nz, first = mesh.grid_dims[k]
     cells = pools.fragment.cells[f]
     per_cell = 1.0 / mesh.grid[k, 3]
@@ -264,16 +281,12 @@ def nearest_from_outside(pools, f, at, x, y, z, limit, only, scratch, thread):
                 c = first + (i * ny + j) * nz + l
                 for e in range(mesh.cell_begin[c], mesh.cell_begin[c + 1]):
                     t = mesh.cell_tets[e]
-                    if not mesh.cell_parts[e] & within or visited[t] == stamp:
-                        continue
-                    visited[t] = stamp
-                    if box_distance_squared(x, y, z, mesh.boxes[t]) >= best[0] or not holds_fragment(pools, f, t):
-                        continue
-                    if least_distance_squared(mesh, t, x, y, z) >= best[0]:
-                        continue
-                    if not _region_is_farther(pools, f, t, x, y, z, best[0]):
-                        best = nearest_in_tetrahedron(pools, f, t, x, y, z, only, best)
-    return best
+                    if mesh.cell_parts[e] & within and visited[t] != stamp:
+                        visited[t] = stamp
+                        if holds_fragment(pools, f, t):
+                            near[count] = t
+                            count += 1
+    return count
 
 
 @inlined_kernel
@@ -284,12 +297,12 @@ def _is_clear_within(pools, f, t, x, y, z, limit):
     body, tet_shift, d2 = pools.body, pools.fragment.tet_shift[f], limit * limit
     if tet_shift == NEVER_BROKEN:
         return False
-    alone = body.tet_fragment[t + tet_shift]
+    alone = body.regions[t + tet_shift, OWNER]
     if alone == f:
         return False
     if alone < 0:
         limit += HEIGHT_ROUNDING * pools.fragment.radius[f]
-        row = body.cut_begin[t + tet_shift]
+        row = body.regions[t + tet_shift, ROW]
         end = row + (1 if alone == PARTED else body.cut_count[t + tet_shift])
         while row < end and body.kind[row] < OLD_FACE:
             of_f = body.front[row] == f or body.back[row] == f
@@ -306,9 +319,9 @@ def _is_clear_within(pools, f, t, x, y, z, limit):
 def _region_is_farther(pools, f, t, x, y, z, d2):
     """Whether f's region of tetrahedron `t` is certainly farther than sqrt(d2) [m]: one plane parts it, and is."""
     body, tet_shift = pools.body, pools.fragment.tet_shift[f]
-    if tet_shift == NEVER_BROKEN or body.tet_fragment[t + tet_shift] != PARTED:
+    if tet_shift == NEVER_BROKEN or body.regions[t + tet_shift, OWNER] != PARTED:
         return False
-    row = body.cut_begin[t + tet_shift]
+    row = body.regions[t + tet_shift, ROW]
     above = height(body, row, x, y, z)
     if body.front[row] != f:
         above = -above

@@ -45,7 +45,7 @@ from fracture_collision.core.cut_tetrahedron import (
 )
 from fracture_collision.core.hull_separation import add_corners
 from fracture_collision.core.moments import add_row, tetrahedron_terms
-from fracture_collision.core.pools import FANNED, OLD_FACE, PARTED
+from fracture_collision.core.pools import BACK, FANNED, FRONT, LABELS, OLD_FACE, OWNER, PARTED, PLANE, ROW
 from fracture_collision.core.surface_rows import (
     gap_of_triangle,
     grow_by_box,
@@ -58,14 +58,14 @@ from fracture_collision.core.surface_rows import (
 
 @query_kernel
 def rebuild_parted(
-    mesh, body, node_shift, tet_shift, edge_shift, touched, low, high, first_polygon, out, moments, boxes, reaches,
+    mesh, body, node_shift, tet_shift, edge_shift, k, touched, low, high, first_polygon, out, moments, boxes, reaches,
     gaps, work,
 ):  # fmt: skip
     """Polygons of the tetrahedra in touched.cut that one plane parts; of the others that are CUT it says that they are
     DIVIDED.
 
     touched: of the nodes of fragments low .. high - 1. Labels, planes and crossings in `body` are those after the
-    fracture. Writes body.tet_fragment, cut_begin and cut_count (rows of `out` count from `first_polygon` on); adds to
+    fracture. Writes body.regions and cut_count (rows of `out` count from `first_polygon` on; mesh `k`); adds to
     the new fragments' `moments` (F, 10); grows `boxes` (F, 6), `gaps` (F,), and `reaches` (high - low, 6): the boxes of
     all cut tetrahedra that hold a new fragment. Returns how many rows of `out` it wrote.
     """
@@ -87,10 +87,11 @@ def rebuild_parted(
         )
         smaller = _add_sides(mesh, t, work, side, first, second, low, high, moments)
         # a section that is rounding alone leaves the smaller part nothing
-        body.tet_fragment[t + tet_shift] = PARTED if written > begin else second if smaller == 0 else first
+        body.regions[t + tet_shift, OWNER] = PARTED if written > begin else second if smaller == 0 else first
         if written > begin:
+            _put_plane(mesh.grid[k], out, begin, body.regions[t + tet_shift], body.region_planes[t + tet_shift])
             written = _write_old_faces(mesh, t, work, PATTERN_OF_SIDE[side], out, written, gaps)
-        body.cut_begin[t + tet_shift], body.cut_count[t + tet_shift] = first_polygon + begin, written - begin
+        body.regions[t + tet_shift, ROW], body.cut_count[t + tet_shift] = first_polygon + begin, written - begin
     return written
 
 
@@ -119,9 +120,20 @@ def rebuild_fanned(
         written = _write_fan(work, pattern, out, written, boxes, gaps)
         written = _write_old_faces(mesh, t, work, pattern, out, written, gaps)
         found = add_corners(mesh, t, work, pattern, oldest == newest, low, high, owners, corners, found)
-        body.tet_fragment[t + tet_shift] = FANNED
-        body.cut_begin[t + tet_shift], body.cut_count[t + tet_shift] = first_polygon + begin, written - begin
+        body.regions[t + tet_shift, OWNER] = FANNED
+        body.regions[t + tet_shift, ROW], body.cut_count[t + tet_shift] = first_polygon + begin, written - begin
+        for i in range(4):
+            body.regions[t + tet_shift, LABELS + i] = work.labels[i]
     return written, found
+
+
+@inlined_kernel
+def _put_plane(grid, out, row, region, plane):
+    """What parts a tetrahedron, a row of `out`, into its own row."""
+    region[FRONT], region[BACK] = out.front[row], out.back[row]
+    p = out.faces[row]
+    plane[PLANE], plane[PLANE + 1], plane[PLANE + 2] = p[0], p[1], p[2]
+    plane[PLANE + 3] = p[3] - (p[0] * grid[0] + p[1] * grid[1] + p[2] * grid[2])
 
 
 @inlined_kernel

@@ -45,18 +45,25 @@ NOTHING_KEPT = KeptAnswer(
 )  # fmt: skip
 
 
+@kernel
+def _keep(rows, slots, room, exhausted):
+    """index_of_row and pair_of_slot of KeptAnswer."""
+    index_of_row, pair_of_slot = np.full(rows.max() + 1 if len(rows) else 0, -1), np.full(room, -1)
+    for i in range(len(rows)):
+        index_of_row[rows[i]] = i
+    for p in range(len(slots)):
+        if slots[p] >= 0 and exhausted[p] == 0:
+            pair_of_slot[slots[p]] = p
+    return index_of_row, pair_of_slot
+
+
 def keep(
     stamp: int, rows: np.ndarray, poses: np.ndarray, slots: np.ndarray, room: int, searched: np.ndarray, further: int,
     offsets: np.ndarray, contacts: PairContacts,
 ) -> KeptAnswer:  # fmt: skip
-    """`slots` (p,), -1: not to be kept; `room` slots in all. Keeps copies: an answer is its receiver's, to change."""
-    index_of_row = np.full(int(rows.max(initial=-1)) + 1, -1)
-    index_of_row[rows] = np.arange(len(rows))
-    pair_of_slot = np.full(room, -1)
-    complete = np.flatnonzero((slots >= 0) & (contacts.exhausted == 0))
-    pair_of_slot[slots[complete]] = complete
-    copies = PairContacts(*[column.copy() for column in contacts])
-    return KeptAnswer(stamp, index_of_row, poses, pair_of_slot, searched, further, offsets, copies)
+    """`slots` (p,), -1: not to be kept; `room` slots in all. `contacts` are not to be changed any more."""
+    index_of_row, pair_of_slot = _keep(rows, slots, room, contacts.exhausted)
+    return KeptAnswer(stamp, index_of_row, poses, pair_of_slot, searched, further, offsets, contacts)
 
 
 def pose_bits(rotations: np.ndarray, positions: np.ndarray) -> np.ndarray:
@@ -65,11 +72,12 @@ def pose_bits(rotations: np.ndarray, positions: np.ndarray) -> np.ndarray:
 
 
 @kernel
-def pairs_in_place(kept, kinds, rows, poses, pairs, slots, known, further):
-    """Where each of `pairs` (p, 2) of indices into `rows` stands in `kept`, -1: not, or the answer may be another.
+def pairs_in_place(kept, kinds, rows, poses, pairs, slots, known, further, counts, bounds):
+    """Where each of `pairs` (p, 2) of indices into `rows` stands in `kept`, -1: not, or the answer may be another; and
+    which do not (m,). Of those that do, `counts` and `bounds` (p,) are written.
 
-    poses (n, 12): pose_bits; slots, known (p,): of with_pairs; further (p,): visits that each may take beyond the
-    contacts wanted. A node that is met once these are there is taken up twice at most for each visit.
+    poses (n, 12): pose_bits; slots, known (p,): of with_pairs; further: visits that each may take beyond the contacts
+    wanted. A node that is met once these are there is taken up twice at most for each visit.
     """
     has_moved = np.ones(len(rows), np.bool_)
     for i in range(len(rows)):
@@ -88,19 +96,20 @@ def pairs_in_place(kept, kinds, rows, poses, pairs, slots, known, further):
         if q < 0:
             continue
         of_sphere = kinds[rows[i]] == SPHERE or kinds[rows[j]] == SPHERE
-        if further[p] >= kept.further or (not of_sphere and 2 * kept.searched[q] + 2 <= further[p]):
-            stands_at[p] = q
-    return stands_at
+        if further >= kept.further or (not of_sphere and 2 * kept.searched[q] + 2 <= further):
+            stands_at[p], counts[p], bounds[p] = q, kept.contacts.counts[q], kept.contacts.bounds[q]
+    return stands_at, np.flatnonzero(stands_at < 0)
 
 
 @kernel
-def gather_kept(kept, stands_at, offsets, points_a, points_b, normals, gaps, samples):
-    """The contacts of the pairs that stand in `kept`, from offsets[p] on."""
+def gather_kept(kept, stands_at, offsets, points_a, points_b, normals, gaps, samples, searched):
+    """The contacts of the pairs that stand in `kept`, from offsets[p] on, and their `searched` (p,)."""
     old = kept.contacts
     for p in range(len(stands_at)):
         q = stands_at[p]
         if q < 0:
             continue
+        searched[p] = kept.searched[q]
         for c in range(offsets[p + 1] - offsets[p]):
             o, k = offsets[p] + c, kept.offsets[q] + c
             for d in range(3):

@@ -45,6 +45,7 @@ from fracture_collision.core.traversal import BY_FURTHER, BY_LIMIT, COMPLETE, de
 FIRST_ROOM = 64
 LEAST_ROOM = 1 << 15
 UNLIMITED = 1 << 60
+_NONE = np.zeros(0, np.int64)
 
 
 class WorkLimits(NamedTuple):
@@ -69,23 +70,19 @@ class Remembered(NamedTuple):
 NOTHING_REMEMBERED = Remembered(NO_LISTS, NOTHING_KEPT)
 
 
-@kernel
-def rotation_matrices(quaternions):
-    """Unit quaternions (n, 4) x y z w to rotations (n, 3, 3)."""
-    out = np.empty((len(quaternions), 3, 3))
-    for i in range(len(quaternions)):
-        x, y, z, w = quaternions[i]
-        s = 2.0 / (x * x + y * y + z * z + w * w)
-        out[i, 0, 0] = 1.0 - s * (y * y + z * z)
-        out[i, 0, 1] = s * (x * y - z * w)
-        out[i, 0, 2] = s * (x * z + y * w)
-        out[i, 1, 0] = s * (x * y + z * w)
-        out[i, 1, 1] = 1.0 - s * (x * x + z * z)
-        out[i, 1, 2] = s * (y * z - x * w)
-        out[i, 2, 0] = s * (x * z - y * w)
-        out[i, 2, 1] = s * (y * z + x * w)
-        out[i, 2, 2] = 1.0 - s * (x * x + y * y)
-    return out
+@inlined_kernel
+def put_rotation(x, y, z, w, out):
+    """The rotation (3, 3) of a unit quaternion, up to its length."""
+    s = 2.0 / (x * x + y * y + z * z + w * w)
+    out[0, 0] = 1.0 - s * (y * y + z * z)
+    out[0, 1] = s * (x * y - z * w)
+    out[0, 2] = s * (x * z + y * w)
+    out[1, 0] = s * (x * y + z * w)
+    out[1, 1] = 1.0 - s * (x * x + z * z)
+    out[1, 2] = s * (y * z - x * w)
+    out[2, 0] = s * (x * z - y * w)
+    out[2, 1] = s * (y * z + x * w)
+    out[2, 2] = 1.0 - s * (x * x + y * y)
 
 
 @inlined_kernel
@@ -138,37 +135,35 @@ def _query_share(
             moves = displacement(pools, a, b, rotation, translation, lists.poses[slot]) + rounding
             if n >= 0:
                 moved = displacement(pools, a, b, rotation, translation, lists.listed_at[slot])
-                lists.travelled[slot] += moves
                 if moved + rounding < lists.reach[slot] and not (
                     n > 0 and most > 0 and begins_with_seeds(pools, a, b, rotation, translation, rule)
                 ):
                     ahead = min(reach_of(moves, radius)[1], lists.reach[slot] - moved)
                     found, bounds[p], visits[p] = query_listed(
-                        pools, a, b, rotation, translation, rule, ahead, lists.travelled[slot],
-                        lists.samples[slot, :n], lists.until[slot], out, out_ids, room - used, scratch, thread,
+                        pools, a, b, rotation, translation, rule, ahead, lists.listed[slot, :n],
+                        lists.places[slot, :n], out, out_ids, room - used, scratch, thread,
                     )  # fmt: skip
                     exhausted[p] = BY_LIMIT if found == limit < most else COMPLETE
             is_quick = is_quick and n != FULL
         if slot >= 0:
             keep_pose(rotation, translation, lists.poses[slot])
         if found < 0 and is_quick:
-            samples, until = scratch.queue[thread, 0, :0], scratch.spread[thread, 0, :0]
+            listed, places = scratch.none_listed, scratch.no_places
             toward, reach, ahead = scratch.toward[thread], 0.0, 0.0
             if slot >= 0:
-                samples, until, toward = lists.samples[slot], lists.until[slot], lists.toward[slot]
+                listed, places, toward = lists.listed[slot], lists.places[slot], lists.toward[slot]
                 reach, ahead = reach_of(moves, radius)
             else:
                 toward[0] = toward[1] = toward[2] = 0.0
-            found, bounds[p], visits[p], listed, clearance = search_samples(
+            found, bounds[p], visits[p], samples, clearance = search_samples(
                 pools, a, b, rotation, translation, rule, reach, ahead, out, out_ids, room - used,
-                samples, until, toward, scratch, thread,
+                listed, places, toward, scratch, thread,
             )  # fmt: skip
             exhausted[p] = BY_LIMIT if found == limit < most else COMPLETE
             if slot >= 0:
                 lists.counts[slot] = NOT_LISTED if found >= 0 else FULL
-                if found >= 0 and listed <= MOST_LISTED and max(reach, clearance) > 0.0:
-                    lists.counts[slot], lists.reach[slot] = listed, max(reach, clearance)
-                    lists.travelled[slot] = 0.0
+                if found >= 0 and samples <= MOST_LISTED and max(reach, clearance) > 0.0:
+                    lists.counts[slot], lists.reach[slot] = samples, max(reach, clearance)
                     keep_pose(rotation, translation, lists.listed_at[slot])
         if found < 0:
             found, bounds[p], visits[p], exhausted[p], clearance = query_pair(
@@ -178,7 +173,7 @@ def _query_share(
             if slot >= 0:
                 lists.counts[slot] = FULL if found >= wanted else NOT_LISTED
                 if clearance > 0.0:
-                    lists.counts[slot], lists.reach[slot], lists.travelled[slot] = 0, clearance, 0.0
+                    lists.counts[slot], lists.reach[slot] = 0, clearance
                     keep_pose(rotation, translation, lists.listed_at[slot])
         counts[p] = found
         begin[p] = used
@@ -236,8 +231,8 @@ def query_pairs(
     wanted: m of section 5.2; most: see sample_search.Rule; epsilon, near: shares of the smaller R of the two bodies;
     budget: visits a pair, 0: none. before: what came with the last answer from these pools, to be quicker where little
     has moved; it is used up. With a budget, or with None, nothing is used and nothing remembered. What is answered does
-    not depend on it, but for `visits`. stamp: another after any change of the pools. A pair whose visits are limited is
-    searched by the paper's rule.
+    not depend on it, but for `visits`, and must not be changed where it is remembered. stamp: another after any change
+    of the pools. A pair whose visits are limited is searched by the paper's rule.
 
     limits: half of the further visits are shared evenly by all pairs, the other half by those whose share was too
     small. Of too many contacts, the pairs that have most lose their shallowest, so that none keeps more than some
@@ -246,25 +241,24 @@ def query_pairs(
     """
     p = len(pairs)
     slots, known, stands_at = np.full(p, -1), np.zeros(p, np.bool_), np.full(p, -1)
-    lists = NO_LISTS
+    lists, moved = NO_LISTS, np.arange(p)
     shares = np.full(p, budget)
     if not budget and is_coincident is not None:
         shares = visit_shares(pools, rows, pairs, is_coincident, limits.visits)
     if before is not None and not budget:
         lists, slots, known = with_pairs(before.lists, pair_keys(rows, pairs))
-        is_limited = (shares != UNSHARED) & (shares < most_visits(pools, rows, pairs))
-        slots[is_limited] = -1
+        if shares.any():
+            slots[(shares != UNSHARED) & (shares < most_visits(pools, rows, pairs))] = -1
     counts, visits = np.zeros(p, np.int64), np.zeros(p, np.int64)
     bounds, exhausted = np.zeros(p), np.zeros(p, np.uint8)
     share = limits.further_visits // (2 * max(p, 1))
     further = np.full(p, share)
     passes = []
     poses = pose_bits(rotations, positions)
-    if before is not None and before.answer.stamp == stamp and not budget:
-        kept = before.answer
-        stands_at = pairs_in_place(kept, pools.fragment.kind, rows, poses, pairs, slots, known, further)
-        stay = np.flatnonzero(stands_at >= 0)
-        counts[stay], bounds[stay] = kept.contacts.counts[stands_at[stay]], kept.contacts.bounds[stands_at[stay]]
+    if lists is not NO_LISTS and before.answer.stamp == stamp:
+        stands_at, moved = pairs_in_place(
+            before.answer, pools.fragment.kind, rows, poses, pairs, slots, known, share, counts, bounds
+        )
 
     def search(todo: np.ndarray, limit: int, room: int) -> np.ndarray:
         """Search the pairs `todo`, with `room` contacts a thread; returns those that there was no room for."""
@@ -283,24 +277,26 @@ def query_pairs(
     def first_room(count: int) -> int:
         return max(LEAST_ROOM, min(FIRST_ROOM * count, limits.contacts) // crew.threads)
 
-    moved = np.flatnonzero(stands_at < 0)
     if len(moved):
         search(moved, limits.contacts_per_pair, first_room(len(moved)))
-    cut = np.flatnonzero(exhausted == BY_FURTHER)
-    if len(cut) and limits.further_visits // (2 * len(cut)) > further[0]:
-        further[cut] = limits.further_visits // (2 * len(cut))
-        search(cut, limits.contacts_per_pair, first_room(len(cut)))
-    level = _level(counts, limits.contacts)
-    is_stored = stands_at >= 0
-    for todo, _, _, begin in passes:
-        is_stored[todo] |= begin[todo] >= 0
-    todo = np.flatnonzero(~is_stored | (counts > level))
-    while len(todo):
-        needed = np.minimum(counts[todo], level)
-        room = max(int(needed[t :: crew.threads].sum()) for t in range(crew.threads))
-        stands_at[todo] = -1
-        todo = search(todo, min(level, limits.contacts_per_pair), room)
-    offsets = np.concatenate([[0], np.cumsum(counts)])
+    cuts, total, unstored = _tally(counts, exhausted, moved, passes[0][-1] if passes else counts)
+    cut = np.flatnonzero(exhausted == BY_FURTHER) if cuts else _NONE
+    if cuts or unstored or total > limits.contacts:
+        if cuts and limits.further_visits // (2 * cuts) > share:
+            further[cut] = limits.further_visits // (2 * cuts)
+            search(cut, limits.contacts_per_pair, first_room(cuts))
+        level = _level(counts, limits.contacts)
+        is_stored = stands_at >= 0
+        for todo, _, _, begin in passes:
+            is_stored[todo] |= begin[todo] >= 0
+        todo = np.flatnonzero(~is_stored | (counts > level))
+        while len(todo):
+            needed = np.minimum(counts[todo], level)
+            room = max(int(needed[t :: crew.threads].sum()) for t in range(crew.threads))
+            stands_at[todo] = -1
+            todo = search(todo, min(level, limits.contacts_per_pair), room)
+    offsets = np.zeros(p + 1, np.int64)
+    np.cumsum(counts, out=offsets[1:])
     total = int(offsets[-1])
     points_a, points_b, normals = np.empty((total, 3)), np.empty((total, 3)), np.empty((total, 3))
     gaps, samples = np.empty(total), np.empty((total, 2), np.int64)
@@ -312,13 +308,24 @@ def query_pairs(
     found = PairContacts(counts, bounds, visits, exhausted, points_a, points_b, normals, gaps, samples)
     if lists is NO_LISTS:
         return found, NOTHING_REMEMBERED
-    searched = np.where(counts >= wanted, visits, 0)
-    gather_kept(before.answer, stands_at, offsets, points_a, points_b, normals, gaps, samples)
-    stay = np.flatnonzero(stands_at >= 0)
-    searched[stay] = before.answer.searched[stands_at[stay]]
-    slots[cut] = -1  # what others leave to them may be less next time
+    searched = visits * (counts >= wanted)
+    gather_kept(before.answer, stands_at, offsets, points_a, points_b, normals, gaps, samples, searched)
+    if cuts:
+        slots[cut] = -1  # what others leave to them may be less next time
     answer = keep(stamp, rows, poses, slots, len(lists.counts), searched, share, offsets, found)
     return found, Remembered(lists, answer)
+
+
+@kernel
+def _tally(counts, exhausted, searched, begin):
+    """Of pairs: how many are BY_FURTHER, how many contacts they have, how many of those `searched` found no room."""
+    cuts = total = unstored = 0
+    for p in range(len(counts)):
+        total += counts[p]
+        cuts += exhausted[p] == BY_FURTHER
+    for p in searched:
+        unstored += begin[p] < 0
+    return cuts, total, unstored
 
 
 def _level(counts: np.ndarray, most: int) -> int:

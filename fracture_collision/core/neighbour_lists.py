@@ -3,9 +3,9 @@
 Which samples of a pair may touch (Verlet 1967): a search that is done with `reach` to spare lists all samples that may
 be within the detection tolerance and `reach` of the other fragment. As long as no sample has moved farther against the
 other than `reach`, those that are within the tolerance are among them. Of each that was asked and is not near it is
-known how far the pair has to travel before it can be, and until then it is not asked again. What is left to ask gives
-what the search would give: same contacts, same bytes. It is done for pairs with fewer than the contacts wanted; of
-others a search takes some and leaves some, and what it takes depends on its way.
+known how far it has to move before it can be, and until then it is not asked again. What is left to ask gives what the
+search would give: same contacts, same bytes. By the paper's rule it is done for pairs with fewer than the contacts
+wanted; of others a search takes some and leaves some, and what it takes depends on its way.
 
 How far apart a pair is: where a search found it parted, by its boxes or a plane, its list is empty, and holds until the
 two have moved by their clearance.
@@ -20,6 +20,7 @@ import numpy as np
 
 from fracture_collision.core.compiled import inlined_kernel, kernel
 from fracture_collision.core.kinds import PLANE
+from fracture_collision.core.rotations import to_other
 
 # Samples a list has room for.
 MOST_LISTED = 256
@@ -33,8 +34,15 @@ AHEAD = 2.0
 # Values of `counts` without a list.
 NOT_LISTED = -1  # the pair moves too fast
 FULL = -2  # as many contacts as were wanted, or more samples near than MOST_LISTED: no list is tried at the next step
-# Value of `until`: it was near when it was asked last.
+# Columns of `listed`: 2 (row of TreePool) + side; a tetrahedron of the other near it, -1: none is known.
+WHO, WHERE = 0, 1
+# Columns of `places`: where a sample is from the middle of its fragment's leaves, and where it was from the other's,
+# in the other's frame, when it was asked last [m], three each; how far it moves from there before it can be near [m].
+OWN, SEEN, UNTIL, PLACE = 0, 3, 6, 7
+# Value of UNTIL: it was near.
 NEAR_LAST = -1.0
+# What single precision may do to a distance between places, as a share of their sizes.
+PLACE_ROUNDING = 1e-6
 # Room for so many pairs at first.
 LEAST_ROOM = 64
 
@@ -47,28 +55,31 @@ class NeighbourLists(NamedTuple):
     poses: np.ndarray  # (room, 2, 12) float64: rotation (9), translation (3) [m] from a's frame to b's, and back
     listed_at: np.ndarray  # (room, 2, 12) float64: likewise when the list was made
     reach: np.ndarray  # (room,) float64 [m]: for how much motion since then it holds
-    travelled: np.ndarray  # (room,) float64 [m]: by how much the pair has moved from step to step since then, in all
     counts: np.ndarray  # (room,) int32: listed samples, NOT_LISTED or FULL
-    samples: np.ndarray  # (room, MOST_LISTED) int32: 2 (row of TreePool) + side
-    until: np.ndarray  # (room, MOST_LISTED) float64 [m]: how far they travel before it can be near, or NEAR_LAST
+    listed: np.ndarray  # (room, MOST_LISTED, 2) int32: WHO, WHERE
+    places: np.ndarray  # (room, MOST_LISTED, PLACE) float32 [m]
     toward: np.ndarray  # (room, 3) float64: in b's frame, along which the two lay farthest apart; zeros: nobody knows
 
 
 def _make_lists(room: int) -> NeighbourLists:
     nobody = np.empty(0, np.int64)
     return NeighbourLists(
-        nobody, nobody, np.zeros((room, 2, 12)), np.zeros((room, 2, 12)), np.zeros(room), np.zeros(room),
-        np.full(room, NOT_LISTED, np.int32), np.empty((room, MOST_LISTED), np.int32), np.empty((room, MOST_LISTED)),
-        np.zeros((room, 3)),
+        nobody, nobody, np.zeros((room, 2, 12)), np.zeros((room, 2, 12)), np.zeros(room),
+        np.full(room, NOT_LISTED, np.int32), np.empty((room, MOST_LISTED, 2), np.int32),
+        np.empty((room, MOST_LISTED, PLACE), np.float32), np.zeros((room, 3)),
     )  # fmt: skip
 
 
 NO_LISTS = _make_lists(0)
 
 
-def pair_keys(rows: np.ndarray, pairs: np.ndarray) -> np.ndarray:
-    """Keys (p,) int64 of `pairs` (p, 2) of indices into `rows`."""
-    return (rows[pairs[:, 0]].astype(np.int64) << 32) | rows[pairs[:, 1]].astype(np.int64)
+@kernel
+def pair_keys(rows, pairs):
+    """Keys (p,) int64 of `pairs` (p, 2) of indices into `rows` (n,) int64."""
+    keys = np.empty(len(pairs), np.int64)
+    for p in range(len(pairs)):
+        keys[p] = (rows[pairs[p, 0]] << 32) | rows[pairs[p, 1]]
+    return keys
 
 
 def with_pairs(before: NeighbourLists, keys: np.ndarray) -> tuple[NeighbourLists, np.ndarray, np.ndarray]:
@@ -76,41 +87,46 @@ def with_pairs(before: NeighbourLists, keys: np.ndarray) -> tuple[NeighbourLists
 
     `before` is not to be used any more: columns are shared.
     """
-    order = np.argsort(keys, kind="stable")
-    ordered = keys[order]
     room = len(before.counts)
     if room < len(keys):
         columns = _make_lists(max(len(keys) + len(keys) // 2, LEAST_ROOM))
         for old, new in zip(before[2:], columns[2:], strict=True):
             new[:room] = old
         before = columns._replace(keys=before.keys, slots=before.slots)
-    slots, known = _take_slots(before.keys, before.slots, ordered, len(before.counts))
-    before.counts[slots[~known]], before.toward[slots[~known]] = NOT_LISTED, 0.0
-    of_pairs, were_known = np.empty_like(slots), np.empty_like(known)
-    of_pairs[order], were_known[order] = slots, known
-    return before._replace(keys=ordered, slots=slots), of_pairs, were_known
+    ordered, ordered_slots, slots, known = _take_slots(
+        before.keys, before.slots, keys, before.counts, before.toward
+    )
+    return before._replace(keys=ordered, slots=ordered_slots), slots, known
 
 
 @kernel
-def _take_slots(known_keys, known_slots, keys, room):
-    """Slots (p,) of ascending `keys`, those that they had or free ones, and which they had (p,)."""
+def _take_slots(known_keys, known_slots, keys, counts, toward):
+    """Slots (p,) of `keys`, those that they had or free ones, and which they had (p,); before them the keys, ascending,
+    and theirs. What a slot had of another pair is gone.
+    """
+    order = np.arange(len(keys))
+    for k in range(1, len(keys)):
+        if keys[k] < keys[k - 1]:
+            order = np.argsort(keys, kind="mergesort")
+            break
     slots, known = np.empty(len(keys), np.int64), np.zeros(len(keys), np.bool_)
-    is_taken = np.zeros(room, np.bool_)
+    is_taken = np.zeros(len(counts), np.bool_)
     i = 0
-    for k in range(len(keys)):
+    for k in order:
         while i < len(known_keys) and known_keys[i] < keys[k]:
             i += 1
         if i < len(known_keys) and known_keys[i] == keys[k]:
             slots[k], known[k] = known_slots[i], True
             is_taken[slots[k]] = True
     free = 0
-    for k in range(len(keys)):
+    for k in order:
         if not known[k]:
             while is_taken[free]:
                 free += 1
             slots[k] = free
+            counts[free], toward[free] = NOT_LISTED, 0.0
             free += 1
-    return slots, known
+    return keys[order], slots[order], slots, known
 
 
 @inlined_kernel
@@ -122,6 +138,46 @@ def reach_of(moves, radius):
         return 0.0, 0.0
     reach = min(max(LASTS * moves, LEAST_REACH * radius), MOST_REACH * radius)
     return reach, min(max(AHEAD * moves, LEAST_REACH * radius), reach)
+
+
+@inlined_kernel
+def frame_between(own, other, rotation, translation):
+    """How a place from own's middle (4,) comes to be one from the other's, in the other's frame: an offset (x, y, z)
+    float32, and what rounding may do to the distance of two such places [m]. own, other: of Leaves.
+    """
+    x, y, z = to_other(rotation, translation, own[0], own[1], own[2])
+    x, y, z = x - other[0], y - other[1], z - other[2]
+    rounding = own[3] + PLACE_ROUNDING * (abs(x) + abs(y) + abs(z))
+    return np.float32(x), np.float32(y), np.float32(z), np.float32(rounding)
+
+
+@inlined_kernel
+def place_of(row, rotation, frame):
+    """Where the sample of a row of `places` is from the other's middle: (x, y, z) float32 [m]."""
+    x, y, z = row[OWN], row[OWN + 1], row[OWN + 2]
+    return (
+        np.float32(rotation[0, 0]) * x + np.float32(rotation[0, 1]) * y + np.float32(rotation[0, 2]) * z + frame[0],
+        np.float32(rotation[1, 0]) * x + np.float32(rotation[1, 1]) * y + np.float32(rotation[1, 2]) * z + frame[1],
+        np.float32(rotation[2, 0]) * x + np.float32(rotation[2, 1]) * y + np.float32(rotation[2, 2]) * z + frame[2],
+    )
+
+
+@inlined_kernel
+def see(row, rotation, frame, distance, near):
+    """Note that the sample of a row of `places` is `distance` [m] from the other, near at `near`, or NEAR_LAST."""
+    row[SEEN], row[SEEN + 1], row[SEEN + 2] = place_of(row, rotation, frame)
+    row[UNTIL] = NEAR_LAST if distance == NEAR_LAST else max(np.float32(distance - near) - frame[3], np.float32(0.0))
+
+
+@inlined_kernel
+def may_be_near(row, rotation, frame):
+    """Whether it may be so by now."""
+    left = row[UNTIL] - frame[3]
+    if left <= 0.0:
+        return True
+    x, y, z = place_of(row, rotation, frame)
+    x, y, z = x - row[SEEN], y - row[SEEN + 1], z - row[SEEN + 2]
+    return x * x + y * y + z * z >= left * left
 
 
 @inlined_kernel

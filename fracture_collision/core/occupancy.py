@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from fracture_collision.core.compiled import inlined_kernel, query_kernel
-from fracture_collision.core.pools import PARTED
+from fracture_collision.core.pools import BACK, FRONT, LABELS, OWNER, PARTED
 from fracture_collision.core.tet_mesh import PARTS
 
 # Cells that a sphere's diameter may span at the level that is asked: more of them cost loads, fewer cull less.
@@ -79,7 +79,7 @@ def mark_cells(pools, parent, low, high, cells, occupancy, words, holders):
     does.
     """
     mesh, body = pools.mesh, pools.body
-    node_shift, tet_shift = pools.fragment.node_shift[parent], pools.fragment.tet_shift[parent]
+    tet_shift = pools.fragment.tet_shift[parent]
     ny, nz, first = mesh.grid_dims[pools.fragment.mesh[parent], 1:]
     x0, y0, z0, nx, my, mz, at = pools.fragment.cells[parent]
     for i in range(x0, x0 + nx):
@@ -90,10 +90,10 @@ def mark_cells(pools, parent, low, high, cells, occupancy, words, holders):
                 if begin == end:
                     continue
                 # most cells go from the parent to one fragment as they are
-                heir = body.tet_fragment[mesh.cell_tets[begin] + tet_shift]
+                heir = body.regions[mesh.cell_tets[begin] + tet_shift, OWNER]
                 if low <= heir < high:
                     e = begin + 1
-                    while e < end and body.tet_fragment[mesh.cell_tets[e] + tet_shift] == heir:
+                    while e < end and body.regions[mesh.cell_tets[e] + tet_shift, OWNER] == heir:
                         e += 1
                     if e == end:
                         word = pools.occupancy[at + ((i - x0) * my + (j - y0)) * mz + (l - z0)]
@@ -102,16 +102,16 @@ def mark_cells(pools, parent, low, high, cells, occupancy, words, holders):
                 used = 0
                 for e in range(begin, end):
                     t, parts = mesh.cell_tets[e], mesh.cell_parts[e]
-                    alone = body.tet_fragment[t + tet_shift]
+                    alone = body.regions[t + tet_shift, OWNER]
                     if alone >= 0:
                         used = _hold(alone, low, high, parts, words, holders, used)
                     elif alone == PARTED:
-                        row = body.cut_begin[t + tet_shift]
-                        used = _hold(body.front[row], low, high, parts, words, holders, used)
-                        used = _hold(body.back[row], low, high, parts, words, holders, used)
+                        region = body.regions[t + tet_shift]
+                        used = _hold(region[FRONT], low, high, parts, words, holders, used)
+                        used = _hold(region[BACK], low, high, parts, words, holders, used)
                     else:
                         for corner in range(4):
-                            label = body.node_fragment[mesh.tetrahedra[t, corner] + node_shift]
+                            label = body.regions[t + tet_shift, LABELS + corner]
                             used = _hold(label, low, high, parts, words, holders, used)
                 for k in range(used):
                     f = holders[k]

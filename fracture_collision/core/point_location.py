@@ -12,7 +12,7 @@ import numpy as np
 from fracture_collision.core.compiled import inlined_kernel
 from fracture_collision.core.cut_tetrahedron import ON_FACE
 from fracture_collision.core.occupancy import part_at
-from fracture_collision.core.pools import NEVER_BROKEN, PARTED
+from fracture_collision.core.pools import BACK, FRONT, LABELS, NEVER_BROKEN, OWNER, PARTED, ROW
 
 # A point of a shared face belongs to the first of its tetrahedra; rounding must not lose it between them.
 WEIGHT_TOLERANCE = -1e-12
@@ -83,7 +83,7 @@ def owner_in_tetrahedron(pools, f, t, x, y, z):
     tet_shift = pools.fragment.tet_shift[f]
     if tet_shift == NEVER_BROKEN:
         return f
-    alone = pools.body.tet_fragment[t + tet_shift]
+    alone = pools.body.regions[t + tet_shift, OWNER]
     if alone >= 0:
         return alone
     return owner_in_cut(pools, f, t, x, y, z)
@@ -93,9 +93,10 @@ def owner_in_tetrahedron(pools, f, t, x, y, z):
 def owner_in_cut(pools, f, t, x, y, z):
     """The same for a tetrahedron that several fragments share (cut_tetrahedron.py)."""
     body = pools.body
-    first = body.cut_begin[t + pools.fragment.tet_shift[f]]
-    if body.tet_fragment[t + pools.fragment.tet_shift[f]] == PARTED:
-        return _side(body, first, x, y, z)
+    first = body.regions[t + pools.fragment.tet_shift[f], ROW]
+    if body.regions[t + pools.fragment.tet_shift[f], OWNER] == PARTED:
+        region = body.regions[t + pools.fragment.tet_shift[f]]
+        return region[FRONT] if height(body, first, x, y, z) <= 0.0 else region[BACK]
     return _owner_about_hub(pools, f, t, first, x, y, z)
 
 
@@ -160,10 +161,14 @@ def holds_fragment(pools, f, t):
     tet_shift = pools.fragment.tet_shift[f]
     if tet_shift == NEVER_BROKEN:
         return True
-    alone = pools.body.tet_fragment[t + tet_shift]
-    if alone >= 0:
-        return alone == f
-    shift = pools.fragment.node_shift[f]
-    v = pools.mesh.tetrahedra[t]
-    label = pools.body.node_fragment
-    return label[v[0] + shift] == f or label[v[1] + shift] == f or label[v[2] + shift] == f or label[v[3] + shift] == f
+    return region_holds(pools.body.regions[t + tet_shift], f)
+
+
+@inlined_kernel
+def region_holds(region, f):
+    """The same, of a row of BodyPool.regions."""
+    if region[OWNER] >= 0:
+        return region[OWNER] == f
+    if region[OWNER] == PARTED:
+        return region[FRONT] == f or region[BACK] == f
+    return region[LABELS] == f or region[LABELS + 1] == f or region[LABELS + 2] == f or region[LABELS + 3] == f

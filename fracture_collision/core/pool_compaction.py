@@ -13,15 +13,26 @@ import numpy as np
 from fracture_collision.core.kinds import TETRAHEDRA, TRIANGLES
 from fracture_collision.core.occupancy import pyramid_words
 from fracture_collision.core.pool_tables import PoolTables
-from fracture_collision.core.pools import NEVER_BROKEN, GrowableArray
+from fracture_collision.core.pools import (
+    BACK,
+    FANNED,
+    FRONT,
+    LABELS,
+    NEVER_BROKEN,
+    OWNER,
+    PARTED,
+    REGION,
+    ROW,
+    GrowableArray,
+)
 
 _ON_NODES = ("nodes", "on_surface", "node_normals")
-_ON_TETRAHEDRA = ("tetrahedra", "neighbours", "tetrahedron_edges", "boxes", "barycentric", "moments")
+_ON_TETRAHEDRA = ("tetrahedra", "neighbours", "tetrahedron_edges", "boxes", "barycentric", "walls", "moments")
 _ON_EDGES = ("edges", "edge_tets")
 _ON_CELLS = ("cell_tets", "cell_parts")
 _ON_MESHES = ("first", "grid", "grid_dims", "depth_grid", "depth_grid_dims")
 _OF_BODY_EDGES = ("edge_plane", "edge_event", "edge_share")
-_OF_BODY_TETRAHEDRA = ("tet_fragment", "cut_begin", "cut_count")
+_OF_BODY_TETRAHEDRA = ("regions", "cut_count")
 _MOMENTS_AND_GAP = 88  # [bytes] of a fragment beside those in its table
 _OF_POLYGONS = ("triangles", "faces", "front", "back", "kind")
 
@@ -306,7 +317,7 @@ def _compact_bodies(
     of_meshes = [meshes[k] for k in fragment["mesh"].view[bodies].tolist()]
     moves = []
     for shift, first, at, name in (
-        ("node_shift", "node", 0, "node_fragment"), ("tet_shift", "tet", 1, "tet_fragment"),
+        ("node_shift", "node", 0, "node_fragment"), ("tet_shift", "tet", 1, "regions"),
         ("edge_shift", "edge", 2, "edge_plane"),
     ):  # fmt: skip
         begin = fragment[shift].view[bodies] + np.array([getattr(m, first) for m in of_meshes], np.int64)
@@ -321,7 +332,8 @@ def _compact_bodies(
     tetrahedra.keep(body, *_OF_BODY_TETRAHEDRA)
     edges.keep(body, *_OF_BODY_EDGES)
     corners.keep(body, "corners")
-    begin, count = body["cut_begin"].view.astype(np.int64), body["cut_count"].view
+    regions, count = body["regions"].view, body["cut_count"].view
+    begin = regions[:, ROW].astype(np.int64)
     has = count > 0
     polygons = moves_of_ranges(body["triangles"].used, begin[has], begin[has] + count[has])
     is_cut = body["edge_plane"].view >= 0
@@ -331,12 +343,16 @@ def _compact_bodies(
     polygons.keep(body, *_OF_POLYGONS)
     planes.keep(body, "planes")
     for name, of in (
-        ("node_fragment", moved), ("tet_fragment", moved), ("front", moved), ("back", moved), ("edge_plane", planes),
+        ("node_fragment", moved), ("front", moved), ("back", moved), ("edge_plane", planes),
     ):  # fmt: skip
         body[name].replace(of.of(body[name].view))
     # of what is not cut they say nothing
     body["edge_event"].replace(np.where(is_cut, planes.of(body["edge_event"].view), 0))
-    body["cut_begin"].replace(np.where(has, polygons.of(begin), 0))
+    regions[:, ROW] = np.where(has, polygons.of(begin), 0)
+    is_parted, is_fanned = regions[:, OWNER] == PARTED, regions[:, OWNER] == FANNED
+    regions[:, OWNER] = moved.of(regions[:, OWNER])
+    regions[is_parted, FRONT : BACK + 1] = moved.of(regions[is_parted, FRONT : BACK + 1])
+    regions[is_fanned, LABELS:REGION] = moved.of(regions[is_fanned, LABELS:REGION])
     return nodes, tetrahedra, edges, corners
 
 

@@ -8,6 +8,7 @@ from fracture_collision.core.crack_seeds import SeedPool
 from fracture_collision.core.pools import (
     LEAF,
     LEAF_VALUES,
+    REGION,
     SAMPLE,
     SIZE,
     SURFACE,
@@ -36,14 +37,14 @@ class PoolTables:
         f8, f4, i4, u1, u8 = np.float64, np.float32, np.int32, np.uint8, np.uint64
         self.mesh = _table(
             nodes=(3, f8), tetrahedra=(4, i4), neighbours=(4, i4), tetrahedron_edges=(6, i4), edges=(2, i4),
-            edge_tets=(0, i4), boxes=(6, f4), barycentric=(12, f8), moments=(10, f8), on_surface=(0, u1),
-            node_normals=(3, f8), node_tets_begin=(0, i4), node_tets=(0, i4), first=(4, i4), grid=(4, f8),
-            grid_dims=(4, i4), cell_begin=(0, i4), cell_tets=(0, i4), cell_parts=(0, u8), depth_grid=(4, f8),
-            depth_grid_dims=(4, i4), grid_depth=(0, f8),
+            edge_tets=(0, i4), boxes=(6, f4), barycentric=(12, f8), walls=(16, f4), moments=(10, f8),
+            on_surface=(0, u1), node_normals=(3, f8), node_tets_begin=(0, i4), node_tets=(0, i4), first=(4, i4),
+            grid=(4, f8), grid_dims=(4, i4), cell_begin=(0, i4), cell_tets=(0, i4), cell_parts=(0, u8),
+            depth_grid=(4, f8), depth_grid_dims=(4, i4), grid_depth=(0, f8),
         )  # fmt: skip
         self.body = _table(
-            node_fragment=(0, i4), edge_plane=(0, i4), edge_event=(0, i4), edge_share=(0, f8), tet_fragment=(0, i4),
-            cut_begin=(0, i4), cut_count=(0, i4), planes=(4, f8), triangles=(9, f8), faces=(4, f8),
+            node_fragment=(0, i4), edge_plane=(0, i4), edge_event=(0, i4), edge_share=(0, f8), regions=(REGION, i4),
+            cut_count=(0, i4), planes=(4, f8), triangles=(9, f8), faces=(4, f8),
             front=(0, i4), back=(0, i4), corners=(3, f8), kind=(0, u1), node_field=(7, f8),
         )  # fmt: skip
         self.fragment = _table(
@@ -66,9 +67,10 @@ class PoolTables:
     @property
     def pools(self) -> Pools:
         if self._pools is None:
+            regions = self.body["regions"].view
             self._pools = Pools(
                 MeshPool(**{k: a.view for k, a in self.mesh.items()}),
-                BodyPool(**{k: a.view for k, a in self.body.items()}),
+                BodyPool(**{k: a.view for k, a in self.body.items()}, region_planes=regions.view(np.float32)),
                 FragmentPool(**{k: a.view for k, a in self.fragment.items()}),
                 TreePool(**{k: a.view for k, a in self.tree.items()}),
                 SamplePool(**{k: a.view.reshape(-1) for k, a in self.samples.items()}),
@@ -122,7 +124,7 @@ class PoolTables:
         # half the memory of a world with one mesh.
         for name, shift in (
             ("nodes", 0), ("tetrahedra", node), ("neighbours", tet), ("tetrahedron_edges", edge), ("edges", node),
-            ("edge_tets", tet), ("boxes", 0), ("barycentric", 0), ("moments", 0), ("on_surface", 0),
+            ("edge_tets", tet), ("boxes", 0), ("barycentric", 0), ("walls", 0), ("moments", 0), ("on_surface", 0),
             ("node_normals", 0), ("node_tets_begin", table["node_tets"].used), ("node_tets", tet),
             ("cell_begin", table["cell_tets"].used), ("cell_tets", tet), ("cell_parts", 0),
         ):  # fmt: skip

@@ -83,6 +83,7 @@ class MeshPool(NamedTuple):
     edge_tets: np.ndarray  # (E,) int32, a tetrahedron at each edge
     boxes: np.ndarray  # (M, 6) float32 [m], rounded outwards
     barycentric: np.ndarray  # (M, 12) float64
+    walls: np.ndarray  # (M, 16) float32
     moments: np.ndarray  # (M, 10) float64
     on_surface: np.ndarray  # (N,) uint8
     node_normals: np.ndarray  # (N, 3) float64 unit, outward, of the old surface; zero inside
@@ -107,9 +108,9 @@ class BodyPool(NamedTuple):
     edge_plane: np.ndarray  # int32 row of `planes`, -1: not cut
     edge_event: np.ndarray  # int32 first row of `planes` of the fracture that cut it: grows from event to event
     edge_share: np.ndarray  # float64: where a cut edge is crossed, in parts of it from its first node
-    tet_fragment: np.ndarray  # int32 fragment row of a tetrahedron that one fragment has alone, else PARTED or FANNED
-    cut_begin: np.ndarray  # int32 per tetrahedron: first row of its polygons; none if a fragment has it alone
-    cut_count: np.ndarray  # int32
+    regions: np.ndarray  # (., REGION) int32, per tetrahedron, whose it is: OWNER and what follows, half a cache line
+    region_planes: np.ndarray  # (., REGION) float32: the same memory, of which PLANE is single precision
+    cut_count: np.ndarray  # int32 per tetrahedron: its polygons
     planes: np.ndarray  # (P, 4) float64, unit normal from the edge's first node to its second, offset [m]
     triangles: np.ndarray  # (T, 9) float64 [m] corners, right-handed about the outward normal of `front`
     faces: np.ndarray  # (T, 4) float64 their planes: that normal, unit, and offset [m]
@@ -127,7 +128,7 @@ class FragmentPool(NamedTuple):
     kind: np.ndarray  # int32, kinds.py
     mesh: np.ndarray  # int32 row of grid or, for TRIANGLES, of node_range; -1 without mesh
     node_shift: np.ndarray  # int32: mesh node + shift = row of node_fragment; NEVER_BROKEN for a whole body
-    tet_shift: np.ndarray  # int32 likewise for tet_fragment, cut_begin, cut_count
+    tet_shift: np.ndarray  # int32 likewise for regions, cut_count
     edge_shift: np.ndarray  # int32 likewise for edge_plane
     box: np.ndarray  # (F, 6) float64 [m], body frame
     shape: np.ndarray  # (F, 4) float64: plane (n, offset), sphere (radius), box (half edges) [m]
@@ -215,8 +216,15 @@ AVERAGED = 1
 NEAREST = 0
 FACING = 1
 
-# BodyPool.tet_fragment of tetrahedra that several fragments share (cut_tetrahedron.py): by one plane, that of all their
-# rows between fragments; or about a hub, the first corner of these rows, which stand in the order of their faces.
+# Columns of BodyPool.regions.
+OWNER = 0  # fragment row of a tetrahedron that one fragment has alone, else PARTED or FANNED
+ROW = 1  # of one that is shared: the first row of its polygons
+FRONT, BACK = 2, 3  # of one that is PARTED: fragment rows
+PLANE = 4  # likewise, four: the normal out of FRONT and the offset [m] from the grid's corner
+LABELS = 4  # of one that is FANNED, four: fragment rows of its nodes
+REGION = 8
+# OWNER of tetrahedra that several fragments share (cut_tetrahedron.py): by one plane, that of all their rows between
+# fragments; or about a hub, the first corner of these rows, which stand in the order of their faces.
 PARTED = -1
 FANNED = -2
 # BodyPool.kind of a piece of face k of a tetrahedron is OLD_FACE + k; kinds below are of what parts two fragments.

@@ -14,10 +14,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fracture_collision.core.clearance import clearance, may_be_clear
 from fracture_collision.core.compiled import inlined_kernel, query_kernel
 from fracture_collision.core.crack_seeds import find_seeds
 from fracture_collision.core.deepest_contacts import sort_by_sample
-from fracture_collision.core.elementary_queries import INSIDE, OUTSIDE, bounded_probe, sphere_test
+from fracture_collision.core.elementary_queries import INSIDE, NEAR, OUTSIDE, bounded_probe, sphere_test
 from fracture_collision.core.hull_separation import (
     MOST_STEPS,
     SETTLED,
@@ -35,7 +36,18 @@ from fracture_collision.core.known_samples import (
     rounding_slack,
     share_a_body,
 )
-from fracture_collision.core.neighbour_lists import MOST_LISTED, NEAR_LAST, displacement
+from fracture_collision.core.neighbour_lists import (
+    MOST_LISTED,
+    NEAR_LAST,
+    OWN,
+    UNTIL,
+    WHERE,
+    WHO,
+    displacement,
+    frame_between,
+    may_be_near,
+    see,
+)
 from fracture_collision.core.oriented_boxes import box_clearance
 from fracture_collision.core.pools import LEAF, SAMPLE
 from fracture_collision.core.rotations import rotated, to_other
@@ -49,7 +61,7 @@ from fracture_collision.core.sample_leaves import (
 from fracture_collision.core.traversal import IN_PLACE, NO_PLANE, most_depth, way_between
 
 # Columns of scratch.node_int, node_float and spread, of the samples that are to choose from.
-ENTRY, SIDE, NUMBER = 0, 1, 2
+ENTRY, SIDE, NUMBER, ANSWER = 0, 1, 2, 3
 DISTANCE = 3
 FAR, MOST_DEPTH = 0, 1
 # What comes to this share of the best is as good to `_choose`.
@@ -84,13 +96,14 @@ def begins_with_seeds(pools, a, b, rotation, translation, rule):
 
 @query_kernel
 def search_samples(
-    pools, a, b, rotation, translation, rule, reach, ahead, contacts, ids, capacity, listed, until, toward, scratch,
+    pools, a, b, rotation, translation, rule, reach, ahead, contacts, ids, capacity, listed, places, toward, scratch,
     thread,
 ):  # fmt: skip
     """All contacts of fragments `a` and `b`, no spheres, by a Rule; poses, contacts, ids and capacity as query_pair.
 
-    `reach` [m], 0: none: samples that may be no farther than near + reach are put into `listed` (room,), and `until`
-    (room,) has how far each must come at least before it is near; it is looked for no more than `ahead` [m] farther.
+    `reach` [m], 0: none: samples that may be no farther than near + reach are put into `listed` (room, 2) and `places`
+    (room, PLACE), see neighbour_lists.py, those of a before those of b; how far each is looked for no more than `ahead`
+    [m] farther.
     toward (3,): a direction in b's frame along which the two may lie apart, zeros if none is known; replaced by the one
     that was found.
 
@@ -143,6 +156,8 @@ def search_samples(
         first, middle = fragment.tree_begin[own], scratch.point[thread]
         m = mine.middle
         middle[0], middle[1], middle[2] = to_other(rotation[side], translation[side], m[0], m[1], m[2])
+        at, may_be = -1, may_be_clear(pools, other)
+        frame = frame_between(m, leaves[1 - side].middle, rotation[side], translation[side])
         for leaf in range(n):
             if worst[leaf] > np.float32(0.0):
                 continue
@@ -162,22 +177,35 @@ def search_samples(
                     continue
                 visits += 1
                 entry = first + mine.entries[k]
-                c, sample = tree.spheres[entry], tree.entries[entry, SAMPLE]
-                x, y, z = to_other(rotation[side], translation[side], c[0], c[1], c[2])
-                start = home_tetrahedron(pools, other, sample) if one_body else -1
-                deep = moved_since(c, x, y, z) + slack if one_body else math.inf
-                answer = _ask(pools, other, x, y, z, near + ahead, deep, rule, start, True, scratch, thread)
-                is_near = answer[0] == INSIDE or (answer[0] != OUTSIDE and answer[1] <= near)
+                distance, is_near = 0.0, False
+                if -depth > near + ahead:
+                    distance = -depth
+                elif may_be:
+                    distance, at = clearance(
+                        pools, other, at, x, y, z, near + ahead, slack + mine.middle[3], scratch, thread
+                    )
+                if distance == 0.0:
+                    c, sample = tree.spheres[entry], tree.entries[entry, SAMPLE]
+                    x, y, z = to_other(rotation[side], translation[side], c[0], c[1], c[2])
+                    deep = moved_since(c, x, y, z) + slack if one_body else math.inf
+                    start = home_tetrahedron(pools, other, sample) if one_body else -1
+                    answer = _ask(pools, other, x, y, z, near + ahead, deep, rule, start, True, scratch, thread)
+                    distance = answer[1]
+                    is_near = answer[0] == INSIDE or (answer[0] != OUTSIDE and distance <= near)
                 if reach > 0.0:
                     if samples < len(listed):
-                        listed[samples] = 2 * entry + side
-                        until[samples] = NEAR_LAST if is_near else max(answer[1] - near - 4.0 * slack, 0.0)
+                        listed[samples, WHO], listed[samples, WHERE] = 2 * entry + side, at
+                        place = places[samples]
+                        place[OWN], place[OWN + 1], place[OWN + 2] = sample_about_middle(mine, k)
+                        seen = NEAR_LAST if is_near else distance - 4.0 * slack
+                        see(place, rotation[side], frame, seen, near)
                     samples += 1
                 if is_near:
                     if rule.most == 0 and count + 1 >= rule.wanted:
                         return -1, slack, visits, samples, 0.0
                     ceiling = min(deep, _way_out_of_box(fragment.box[other], x, y, z) + slack)
                     _keep(entry, side, sample, x, y, z, c, answer, ceiling, count, scratch, thread)
+                    _keep_answer(rule, near + ahead, answer, count, side, sample, x, y, z, scratch, thread)
                     count += 1
     _find_deepest(pools, a, b, rotation, translation, rule, slack, count, scratch, thread)
     chosen, bound = _choose(rule, count, scratch, thread)
@@ -187,36 +215,51 @@ def search_samples(
 
 @query_kernel
 def query_listed(
-    pools, a, b, rotation, translation, rule, ahead, travelled, listed, until, contacts, ids, capacity, scratch, thread,
+    pools, a, b, rotation, translation, rule, ahead, listed, places, contacts, ids, capacity, scratch, thread,
 ):  # fmt: skip
-    """search_samples of a pair of which `listed` (n,) are all samples that can be near, none before the two have
-    travelled as far as `until` (n,) [m] says; they have by `travelled` [m] (neighbour_lists.py).
+    """search_samples of a pair of which `listed` and `places` (n, .) are all samples that can be near.
 
-    Where a sample is no nearer than the detection tolerance, it is looked for `ahead` [m] farther, and `until` is
-    raised. Returns (contacts, missed depth bound [m], visits), -1 contacts as search_samples does.
+    Where one is no nearer than the detection tolerance, it is looked for `ahead` [m] farther, and what is noted of it
+    is renewed. Returns (contacts, missed depth bound [m], visits), -1 contacts as search_samples does.
     """
     tree, count, visits, near = pools.tree, 0, 0, rule.near
+    middles = pools.fragment.middle
     slack, one_body = rounding_slack(pools, a, b, translation), share_a_body(pools, a, b)
+    side, other = 0, b
+    frame = frame_between(middles[a], middles[b], rotation[0], translation[0])
     for i in range(len(listed)):
-        if until[i] > travelled:
+        if listed[i, WHO] & 1 != side:
+            side, other = 1, a
+            frame = frame_between(middles[b], middles[a], rotation[1], translation[1])
+        if not may_be_near(places[i], rotation[side], frame):
             continue
         visits += 1
-        entry, side = listed[i] >> 1, listed[i] & 1
-        other = b if side == 0 else a
-        c, sample = tree.spheres[entry], tree.entries[entry, SAMPLE]
+        entry = listed[i, WHO] >> 1
+        c = tree.spheres[entry]
         x, y, z = to_other(rotation[side], translation[side], c[0], c[1], c[2])
+        looked = near
+        if places[i, UNTIL] != NEAR_LAST:
+            looked = near + ahead
+            if may_be_clear(pools, other):
+                distance, listed[i, WHERE] = clearance(
+                    pools, other, listed[i, WHERE], x, y, z, looked, slack, scratch, thread
+                )
+                if distance > 0.0:
+                    see(places[i], rotation[side], frame, distance - 4.0 * slack, near)
+                    continue
+        sample = tree.entries[entry, SAMPLE]
         start = home_tetrahedron(pools, other, sample) if one_body else -1
         deep = moved_since(c, x, y, z) + slack if one_body else math.inf
-        looked = near if until[i] == NEAR_LAST else near + ahead
         answer = _ask(pools, other, x, y, z, looked, deep, rule, start, False, scratch, thread)
         if answer[0] != INSIDE and (answer[0] == OUTSIDE or answer[1] > near):
-            until[i] = travelled + max(answer[1] - near - 4.0 * slack, 0.0)
+            see(places[i], rotation[side], frame, answer[1] - 4.0 * slack, near)
             continue
-        until[i] = NEAR_LAST
+        places[i, UNTIL] = NEAR_LAST
         if rule.most == 0 and count + 1 >= rule.wanted:
             return -1, slack, visits
         ceiling = min(deep, _way_out_of_box(pools.fragment.box[other], x, y, z) + slack)
         _keep(entry, side, sample, x, y, z, c, answer, ceiling, count, scratch, thread)
+        _keep_answer(rule, looked, answer, count, side, sample, x, y, z, scratch, thread)
         count += 1
     _find_deepest(pools, a, b, rotation, translation, rule, slack, count, scratch, thread)
     chosen, bound = _choose(rule, count, scratch, thread)
@@ -252,6 +295,17 @@ def _keep(entry, side, sample, x, y, z, own, answer, ceiling, k, scratch, thread
 
 
 @inlined_kernel
+def _keep_answer(rule, looked, answer, k, side, sample, x, y, z, scratch, thread):
+    """Keep the answer of the k-th too, unless put_chosen might get another: of a point that was looked for farther than
+    the tolerance, or not as deep as it may be, another of surfaces that are equally near.
+    """
+    is_final = (answer[0] == NEAR and looked == rule.near) or (answer[0] == INSIDE and rule.most == 0)
+    scratch.node_int[thread, k, ANSWER] = k if is_final else -1
+    if is_final:
+        put_contact(scratch.kept[thread], scratch.kept_ids[thread], k, side, sample, x, y, z, answer)
+
+
+@inlined_kernel
 def _find_deepest(pools, a, b, rotation, translation, rule, slack, count, scratch, thread):
     """Where more of `count` samples than wanted are deeper than epsilon, find out how deep those are that may be the
     deepest; of the others it is known how deep they are at most.
@@ -284,6 +338,8 @@ def _find_deepest(pools, a, b, rotation, translation, rule, slack, count, scratc
         deep_at_most = moved_since(c, x, y, z) + slack if one_body else math.inf
         answer = ask_sample(pools, other, x, y, z, rule.near, deep_at_most, start, True, scratch, thread)
         point[at, DISTANCE], spread[MOST_DEPTH, at] = answer[1], answer[8]
+        node[at, ANSWER] = at
+        put_contact(scratch.kept[thread], scratch.kept_ids[thread], at, side, sample, x, y, z, answer)
         deepest = max(deepest, -answer[1])
         n, leaves = (answer[2], answer[3], answer[4]), leaves_of(pools, other)
         m = leaves.middle
@@ -376,7 +432,7 @@ def _is_before(scratch, thread, i, j):
 @inlined_kernel
 def _swap(scratch, thread, i, j):
     node, point, spread = scratch.node_int[thread], scratch.node_float[thread], scratch.spread[thread]
-    for c in range(3):
+    for c in range(4):
         node[i, c], node[j, c] = node[j, c], node[i, c]
     for c in range(4):
         point[i, c], point[j, c] = point[j, c], point[i, c]
@@ -388,10 +444,17 @@ def _swap(scratch, thread, i, j):
 def put_chosen(pools, a, b, rotation, translation, near, slack, contacts, ids, count, scratch, thread):
     """The first `count` of the samples kept, as contacts by side and sample.
 
-    Each is asked as query_pair would ask it: of surfaces that are equally near it finds the same.
+    Each is asked, or was, as query_pair would ask it: of surfaces that are equally near it finds the same.
     """
     one_body = share_a_body(pools, a, b)
     for k in range(count):
+        kept = scratch.node_int[thread, k, ANSWER]
+        if kept >= 0:
+            for i in range(contacts.shape[1]):
+                contacts[k, i] = scratch.kept[thread, kept, i]
+            for i in range(ids.shape[1]):
+                ids[k, i] = scratch.kept_ids[thread, kept, i]
+            continue
         entry, side = scratch.node_int[thread, k, ENTRY], scratch.node_int[thread, k, SIDE]
         other = b if side == 0 else a
         c, sample = pools.tree.spheres[entry], pools.tree.entries[entry, SAMPLE]

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fracture_collision.core.neighbour_lists import PLACE
 from fracture_collision.core.triangle_field import STACK
 
 # Triangles of another's surface within a sphere's reach that are looked at, places among them where it touches, and
@@ -40,6 +41,10 @@ class Scratch(NamedTuple):
     touching: np.ndarray  # (threads, MOST_TOUCHING) int64: those at one point
     row: np.ndarray  # (threads, MOST_PLACES, 10) float64: contacts that are not chosen yet, traversal.query_pair
     row_ids: np.ndarray  # (threads, MOST_PLACES, 5) int64
+    kept: np.ndarray  # (threads, nodes, 10) float64: likewise of samples that are to choose from, sample_search.py
+    kept_ids: np.ndarray  # (threads, nodes, 5) int64
+    none_listed: np.ndarray  # (0, 2) int32, and (0, PLACE) float32: for those who list nothing (neighbour_lists.py)
+    no_places: np.ndarray
 
 
 def make_scratch(threads: int, tetrahedra: int, nodes: int) -> Scratch:
@@ -67,4 +72,8 @@ def make_scratch(threads: int, tetrahedra: int, nodes: int) -> Scratch:
         touching=np.zeros((threads, MOST_TOUCHING), dtype=np.int64),
         row=np.zeros((threads, MOST_PLACES, 10)),
         row_ids=np.zeros((threads, MOST_PLACES, 5), dtype=np.int64),
+        kept=np.zeros((threads, nodes, 10)),
+        kept_ids=np.zeros((threads, nodes, 5), dtype=np.int64),
+        none_listed=np.zeros((0, 2), dtype=np.int32),
+        no_places=np.zeros((0, PLACE), dtype=np.float32),
     )

@@ -31,7 +31,7 @@ from fracture_collision.core.kinds import TETRAHEDRA, TRIANGLES
 from fracture_collision.core.known_samples import ID_AT, ID_SAMPLE, ID_SIDE, ID_SOURCE, ID_TETRAHEDRON
 from fracture_collision.core.occupancy import ROUNDING, parts_within
 from fracture_collision.core.point_location import holds_fragment
-from fracture_collision.core.pools import NEVER_BROKEN
+from fracture_collision.core.pools import NEVER_BROKEN, OWNER, ROW
 from fracture_collision.core.triangle_field import triangle_distance
 
 # Sample number of a sphere's contact that no triangle stands for.
@@ -230,7 +230,7 @@ def _triangle(pools, f, code):
         a, b, c = n[v[FACE_VERTICES[place, 0]]], n[v[FACE_VERTICES[place, 1]]], n[v[FACE_VERTICES[place, 2]]]
         nx, ny, nz = triangle_normal(a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2])
         return (a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2]), nx, ny, nz
-    i = pools.body.cut_begin[t + pools.fragment.tet_shift[f]] + place - 4
+    i = pools.body.regions[t + pools.fragment.tet_shift[f], ROW] + place - 4
     c, p = pools.body.triangles[i], pools.body.faces[i]
     sign = 1.0 if pools.body.front[i] == f else -1.0
     return (c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8]), sign * p[0], sign * p[1], sign * p[2]
@@ -298,13 +298,13 @@ def _note(pools, f, code, x, y, z, r, found, count):
 @inlined_kernel
 def _note_tetrahedron(pools, f, t, x, y, z, r, found, count):
     mesh, body, shift = pools.mesh, pools.body, pools.fragment.tet_shift[f]
-    if shift == NEVER_BROKEN or body.tet_fragment[t + shift] >= 0:
+    if shift == NEVER_BROKEN or body.regions[t + shift, OWNER] >= 0:
         for face in range(4):
             if mesh.neighbours[t, face] < 0:
                 count = _note(pools, f, ROWS_EACH * t + face, x, y, z, r, found, count)
     if shift == NEVER_BROKEN:
         return count
-    begin = body.cut_begin[t + shift]
+    begin = body.regions[t + shift, ROW]
     for i in range(begin, begin + body.cut_count[t + shift]):
         if body.front[i] == f or body.back[i] == f:
             count = _note(pools, f, ROWS_EACH * t + 4 + i - begin, x, y, z, r, found, count)

@@ -9,7 +9,7 @@ import numpy as np
 from fracture_collision.core.compiled import kernel
 from fracture_collision.core.cut_tetrahedron import FACE_VERTICES
 from fracture_collision.core.point_location import holds_fragment
-from fracture_collision.core.pools import NEVER_BROKEN, Pools
+from fracture_collision.core.pools import NEVER_BROKEN, OWNER, ROW, Pools
 
 # Triangles that a fragment gets room for at first; one that has more is looked through again.
 FIRST_ROOM = 4096
@@ -24,7 +24,7 @@ def _collect(pools, f, first_tet, last_tet, out, crack):
     for t in range(first_tet, last_tet):
         if not holds_fragment(pools, f, t):
             continue
-        if shift == NEVER_BROKEN or body.tet_fragment[t + shift] >= 0:
+        if shift == NEVER_BROKEN or body.regions[t + shift, OWNER] >= 0:
             for face in range(4):
                 if mesh.neighbours[t, face] < 0:
                     if used < len(out):
@@ -34,7 +34,7 @@ def _collect(pools, f, first_tet, last_tet, out, crack):
                     used += 1
         if shift == NEVER_BROKEN:
             continue
-        begin = body.cut_begin[t + shift]
+        begin = body.regions[t + shift, ROW]
         for i in range(begin, begin + body.cut_count[t + shift]):
             # a triangle without a plane is rounding
             if (body.front[i] != f and body.back[i] != f) or math.isnan(body.faces[i, 3]):

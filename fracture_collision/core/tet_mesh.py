@@ -40,6 +40,7 @@ class TetMesh(NamedTuple):
     edge_tets: np.ndarray  # (e,) int32, a tetrahedron at each edge
     boxes: np.ndarray  # (m, 6) float32 [m], lower and upper corner, rounded outwards
     barycentric: np.ndarray  # (m, 12) float64, rows (gx, gy, gz, c) of vertices 1, 2, 3: weight = g . x + c
+    walls: np.ndarray  # (m, 16) float32: n_x, n_y, n_z and offsets [m] of faces 0 .. 3 from the grid's corner, outwards
     moments: np.ndarray  # (m, 10) float64, see moments.py
     on_surface: np.ndarray  # (n,) uint8, 1: vertex of the old surface
     node_normals: np.ndarray  # (n, 3) float64 unit, outward, of the old surface; zero inside
@@ -91,6 +92,7 @@ def build_tet_mesh(nodes: np.ndarray, tetrahedra: np.ndarray) -> TetMesh:
         edge_tets=edge_tets,
         boxes=_rounded_outwards(boxes),
         barycentric=barycentric,
+        walls=_walls(barycentric, origin),
         moments=tetrahedron_moments(corners),
         on_surface=on_surface,
         node_normals=vertex_normals(nodes, surface),
@@ -156,6 +158,18 @@ def _barycentric_rows(corners: np.ndarray) -> np.ndarray:
     rows[:, :, :3] = gradients
     rows[:, :, 3] = -images(gradients, corners[:, 0])
     return np.ascontiguousarray(rows.reshape(-1, 12))
+
+
+def _walls(barycentric: np.ndarray, origin: np.ndarray) -> np.ndarray:
+    """The planes of the faces, n . (x - origin) <= offset within, as rows (m, 16) float32; see TetMesh.walls."""
+    rows = barycentric.reshape(-1, 3, 4)
+    gradients = np.concatenate((-rows[:, :, :3].sum(axis=1, keepdims=True), rows[:, :, :3]), axis=1)
+    weights = images(gradients, np.broadcast_to(origin, (len(rows), 3)))
+    weights[:, 0] += 1.0
+    weights += np.concatenate((-rows[:, :, 3].sum(axis=1, keepdims=True), rows[:, :, 3]), axis=1)
+    length = lengths(gradients)
+    planes = np.concatenate((-gradients / length[:, :, None], (weights / length)[:, :, None]), axis=2)
+    return np.ascontiguousarray(np.moveaxis(planes, 1, 2).reshape(-1, 16), dtype=np.float32)
 
 
 @kernel

@@ -10,6 +10,7 @@ from fracture_collision.core.compiled import inlined_kernel, query_kernel
 from fracture_collision.core.cut_patterns import FAN_COUNT, GROUPS, PATTERN_OF_CUTS, PIECE_COUNT
 from fracture_collision.core.cut_tetrahedron import CUT, DIVIDED, FACE_VERTICES, LONE, crossing_share
 from fracture_collision.core.moments import add_row
+from fracture_collision.core.pools import OWNER
 from fracture_collision.core.surface_rows import gap_of_triangle, grow, measure_triangle
 
 
@@ -89,7 +90,7 @@ def _sort_in(mesh, body, node_shift, tet_shift, t, first_fragment, moments, gaps
     n = mesh.neighbours[t]
     outer = n[0] < 0 or n[1] < 0 or n[2] < 0 or n[3] < 0
     if low == high:
-        body.tet_fragment[t + tet_shift], body.cut_count[t + tet_shift] = a, 0
+        body.regions[t + tet_shift, OWNER], body.cut_count[t + tet_shift] = a, 0
         m = mesh.moments[t]
         add_row(moments[a], m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8], m[9])
         if outer:

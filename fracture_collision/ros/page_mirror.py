@@ -21,7 +21,6 @@ from fracture_collision.ros.conversion import to_record
 from fracture_collision.viewer.page_events import InsideWanted, PlaneWanted
 from fracture_collision.viewer.page_inside import InsideFigures, InsideView, PlanePicture, Spheres
 from fracture_collision.world import CollisionWorld, InvalidMessage, Settings, StatesAhead
-from fracture_collision.world.collision_world import Present
 from fracture_collision.world.inspection import (
     asked_with,
     errors_of,
@@ -30,6 +29,7 @@ from fracture_collision.world.inspection import (
     reach_along,
     spheres_of_level,
 )
+from fracture_collision.world.present import Present
 
 INTERVAL = 0.2  # [s] between two looks, at least
 BUSY_SHARE = 0.5  # of the time that it may work: the service needs the processor too

@@ -8,21 +8,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.core.broad_phase import overlapping_pairs, world_boxes
+from fracture_collision.core.broad_phase import pairs_within_reach
 from fracture_collision.core.collision_geometry import CollisionGeometry
 from fracture_collision.core.crew import Crew
-from fracture_collision.core.crowds import coincident
-from fracture_collision.core.kept_answer import PairContacts
 from fracture_collision.core.narrow_phase import (
     NOTHING_REMEMBERED,
     Remembered,
     WorkLimits,
     query_pairs,
-    rotation_matrices,
 )
 from fracture_collision.core.scratch import Scratch, make_scratch
 from fracture_collision.records import (
-    BUDGET_EXHAUSTED,
     CollisionBody,
     ContactConstraintArray,
     FractureEvent,
@@ -31,25 +27,14 @@ from fracture_collision.records import (
     FragmentStates,
 )
 from fracture_collision.world.checks import identifier, refuse
-from fracture_collision.world.contact_ids import contact_ids
+from fracture_collision.world.contact_answer import contact_answer
 from fracture_collision.world.errors import Rejection, StatesAhead
 from fracture_collision.world.fragment_mesh import fragment_mesh
 from fracture_collision.world.ledger import Ledger
+from fracture_collision.world.present import Present, find_fragments, take_places
 from fracture_collision.world.registry import Registry
 from fracture_collision.world.settings import Settings, check_settings, geometry_settings, most_listed
 from fracture_collision.world.states_gate import CheckedStates, check_states
-
-
-class Present(NamedTuple):
-    """The n fragments that take part in a step, by ascending id: those that the states name, and the static ones."""
-
-    ids: np.ndarray  # (n,) int64
-    rows: np.ndarray  # (n,) int64, in the pools
-    positions: np.ndarray  # (n, 3) [m] of the body frame, in the world
-    rotations: np.ndarray  # (n, 3, 3) body frame to world
-    is_static: np.ndarray  # (n,) bool
-    friction: np.ndarray  # (n,)
-    restitution: np.ndarray  # (n,)
 
 
 class _Answered(NamedTuple):
@@ -134,16 +119,11 @@ class CollisionWorld:
             self.last_visits = 0
             self.last_timings = {"update": updated - started, "broad_phase": 0.0, "narrow_phase": 0.0}
             return again
-        here = self._place(checked, moving)
+        here = take_places(checked, self._registry.living(), moving)
         rows, positions, rotations = here.rows, here.positions, here.rotations
         pools = self._registry.geometry.pools
-        radius = pools.fragment.radius[rows]
-        # two boxes grown by half the tolerance each meet whenever their fragments come within it
-        margins = np.where(np.isfinite(radius), self.settings.detection_tolerance * radius, 0.0)
-        boxes = np.empty((len(rows), 6))
-        world_boxes(pools.fragment.box, rows, rotations, positions, margins, boxes)
-        pairs = overlapping_pairs(
-            boxes, pools.fragment.kind[rows], pools.fragment.shape[rows], rotations, positions, here.is_static,
+        radius, pairs, is_coincident = pairs_within_reach(
+            pools.fragment, rows, rotations, positions, here.is_static, self.settings.detection_tolerance,
             self.settings.max_pairs,
         )  # fmt: skip
         if len(pairs) > self.settings.max_pairs:
@@ -158,12 +138,13 @@ class CollisionWorld:
             pools, rows, rotations, positions, pairs, self.settings.contacts_per_pair, most_listed(self.settings),
             self.settings.penetration_tolerance, self.settings.detection_tolerance, budget,
             self._sized_scratch(rows), self._crew, remembered, self._registry.changes,
-            _work_limits(self.settings), coincident(boxes, pairs),
+            _work_limits(self.settings), is_coincident,
         )  # fmt: skip
-        answer = self._answer(checked, here, radius, pairs, found)
+        answer = contact_answer(checked, here, radius, pairs, found, self.settings.penetration_tolerance)
         if remembered is not None:
             self._remembered = now_remembered
-            self._answered = _Answered(*self._asked_of(), asked, _copy_of(answer))
+            self._answered = _Answered(*self._asked_of(), asked, answer)
+            answer = _copy_of(answer)
         self.last_visits, self.last_pairs = int(found.visits.sum()), len(pairs)
         self.last_timings = {
             "update": updated - started, "broad_phase": paired - updated, "narrow_phase": perf_counter() - paired,
@@ -177,7 +158,8 @@ class CollisionWorld:
 
     def present(self, states: FragmentStates) -> Present:
         """Who takes part at `states`, and where. Raises as `contacts` does."""
-        return self._place(*self._bring_to(states))
+        checked, moving = self._bring_to(states)
+        return take_places(checked, self._registry.living(), moving)
 
     def fragments(self) -> FragmentRegistry:
         """The registry that the last states belonged to; bodies that arrived since are in it."""
@@ -202,19 +184,6 @@ class CollisionWorld:
             self._ledger.require_living(checked.fragment_ids, checked.fracture_sequence)
         self._advance(checked.fracture_sequence)
         return checked, self._find(checked, self._registry.living().ids)
-
-    def _place(self, checked: CheckedStates, moving: np.ndarray) -> Present:
-        living = self._registry.living()
-        ids, is_static = living.ids, living.is_static
-        taking_part = is_static.copy()
-        taking_part[moving] = True
-        chosen = np.flatnonzero(taking_part)
-        positions, orientations = np.zeros((len(ids), 3)), np.tile(np.array([0.0, 0.0, 0.0, 1.0]), (len(ids), 1))
-        positions[moving], orientations[moving] = checked.positions, checked.orientations
-        return Present(
-            ids[chosen], living.rows[chosen], positions[chosen], rotation_matrices(orientations[chosen]),
-            is_static[chosen], living.friction[chosen], living.restitution[chosen],
-        )  # fmt: skip
 
     def _advance(self, sequence: int) -> None:
         """Bring the registry to `sequence` events, from the log's beginning if it has gone farther, and to the bodies
@@ -260,11 +229,10 @@ class CollisionWorld:
 
     def _find(self, states: CheckedStates, ids: np.ndarray) -> np.ndarray:
         """Indices into `ids` of the fragments that the states name."""
-        at = np.minimum(np.searchsorted(ids, states.fragment_ids), max(len(ids) - 1, 0))
-        known = ids[at] == states.fragment_ids if len(ids) else np.zeros(len(states.fragment_ids), bool)
-        if not known.all():
+        found = find_fragments(ids, states.fragment_ids)
+        if found.min(initial=0) < 0:
             self._ledger.require_living(states.fragment_ids, states.fracture_sequence)
-        return at
+        return found
 
     def _sized_scratch(self, rows: np.ndarray) -> Scratch:
         pools = self._registry.geometry.pools
@@ -275,35 +243,6 @@ class CollisionWorld:
         if s is None or s.visited.shape[1] < tets or s.node_int.shape[1] < nodes:
             self._scratch = make_scratch(self._crew.threads, tets, nodes)
         return self._scratch
-
-    def _answer(self, states, here: Present, radius, pairs, found: PairContacts) -> ContactConstraintArray:
-        ids, friction, restitution = here.ids, here.friction, here.restitution
-        a, b = pairs[:, 0], pairs[:, 1]
-        epsilon = self.settings.penetration_tolerance * np.minimum(radius[a], radius[b])
-        listed = (found.counts > 0) | (found.bounds > epsilon)
-        counts = found.counts[listed]
-        owner_pair = np.repeat(np.arange(len(pairs)), found.counts)
-        first, second = ids[a[owner_pair]], ids[b[owner_pair]]
-        from_a = found.samples[:, 0] == 0
-        keys = np.empty(len(found.gaps), dtype=np.uint64)
-        contact_ids(np.where(from_a, first, second), np.where(from_a, second, first), found.samples[:, 1].copy(), keys)
-        a, b = a[listed], b[listed]
-        return ContactConstraintArray(
-            step=states.step,
-            fracture_sequence=states.fracture_sequence,
-            status=BUDGET_EXHAUSTED if found.exhausted.any() else 0,
-            fragment_a=ids[a].astype(np.uint32),
-            fragment_b=ids[b].astype(np.uint32),
-            pair_begin=np.concatenate([[0], np.cumsum(counts)]).astype(np.uint32),
-            missed_depth_bound=np.ascontiguousarray(found.bounds[listed]),
-            friction=np.sqrt(friction[a] * friction[b]),
-            restitution=np.maximum(restitution[a], restitution[b]),
-            points_a=found.points_a.ravel(),
-            points_b=found.points_b.ravel(),
-            normals=found.normals.ravel(),
-            gaps=found.gaps,
-            contact_ids=keys,
-        )
 
 
 def _copy_of(answer: ContactConstraintArray) -> ContactConstraintArray:

@@ -17,7 +17,8 @@ from fracture_collision.core.pools import Pools
 from fracture_collision.core.scratch import make_scratch
 from fracture_collision.portable_math import products
 from fracture_collision.records import ContactConstraintArray, FragmentStates
-from fracture_collision.world.collision_world import CollisionWorld, Present
+from fracture_collision.world.collision_world import CollisionWorld
+from fracture_collision.world.present import Present
 
 # Contacts a pair, when all of them are wanted.
 EVERY_CONTACT = 1 << 30

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fracture_collision.core.compiled import kernel
 from fracture_collision.portable_math import lengths
 from fracture_collision.records import FragmentStates
 from fracture_collision.world.checks import (
@@ -20,6 +21,7 @@ from fracture_collision.world.checks import (
 )
 
 QUATERNION_TOLERANCE = 1e-6
+_TYPES = (np.dtype(np.uint32), *[np.dtype(np.float64)] * 4)  # of fragment_ids and the columns behind them
 
 
 class CheckedStates(NamedTuple):
@@ -32,6 +34,56 @@ class CheckedStates(NamedTuple):
 
 def check_states(states: FragmentStates) -> CheckedStates:
     """Raise InvalidMessage unless sizes and numbers of `states` keep the rules; ids are the caller's to look up."""
+    return _as_they_are(states) or _put_in_order(states)
+
+
+def _as_they_are(states: FragmentStates) -> CheckedStates | None:
+    """Of states that keep every rule and are in order, as most are; None: somebody has to look closer."""
+    for column, dtype in zip(states[2:], _TYPES, strict=True):
+        if type(column) is not np.ndarray or column.dtype != dtype or column.ndim != 1 or not column.flags.c_contiguous:
+            return None
+    step = identifier("step", states.step, UINT64_MAX)
+    sequence = identifier("fracture_sequence", states.fracture_sequence, UINT64_MAX)
+    n = len(states.fragment_ids)
+    ids, positions, orientations = np.empty(n, np.int64), np.empty((n, 3)), np.empty((n, 4))
+    if not _copy_if_sound(*states[2:], LARGEST_LENGTH, QUATERNION_TOLERANCE, ids, positions, orientations):
+        return None
+    return CheckedStates(step, sequence, ids, positions, orientations)
+
+
+@kernel
+def _copy_if_sound(
+    given_ids, given_positions, given_orientations, linear, angular, largest, tolerance, ids, positions, orientations
+):
+    """Whether all is as it should be; then it is copied."""
+    n = len(ids)
+    if len(given_positions) != 3 * n or len(given_orientations) != 4 * n:
+        return False
+    for velocities in (linear, angular):
+        if len(velocities) != 0 and len(velocities) != 3 * n:
+            return False
+        for v in velocities:
+            if not np.isfinite(v):
+                return False
+    for i in range(n):
+        ids[i] = given_ids[i]
+        if i > 0 and ids[i] <= ids[i - 1]:
+            return False
+        for d in range(3):
+            positions[i, d] = given_positions[3 * i + d]
+            if not abs(positions[i, d]) <= largest:
+                return False
+        squares = 0.0
+        for d in range(4):
+            v = given_orientations[4 * i + d]
+            orientations[i, d] = v
+            squares += v * v
+        if not abs(np.sqrt(squares) - 1.0) <= tolerance:
+            return False
+    return True
+
+
+def _put_in_order(states: FragmentStates) -> CheckedStates:
     step = identifier("step", states.step, UINT64_MAX)
     sequence = identifier("fracture_sequence", states.fracture_sequence, UINT64_MAX)
     ids = indices("fragment_ids", states.fragment_ids)

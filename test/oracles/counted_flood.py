@@ -15,7 +15,7 @@ from fracture_collision.core.closest_point import closest_on_triangle
 from fracture_collision.core.cut_tetrahedron import FACE_VERTICES
 from fracture_collision.core.flood import least_distance_squared, may_leave_over
 from fracture_collision.core.point_location import holds_fragment
-from fracture_collision.core.pools import OLD_FACE, Pools
+from fracture_collision.core.pools import OLD_FACE, OWNER, ROW, Pools
 
 
 def count_floods(
@@ -51,14 +51,14 @@ def _counted_flood(pools, f, start, x, y, z, limit):
     while len(queue) and queue[0][0] < best:
         t = heapq.heappop(queue)[1]
         taken += 1
-        if body.tet_fragment[t + shift] >= 0:
+        if body.regions[t + shift, OWNER] >= 0:
             for face in range(4):
                 if mesh.neighbours[t, face] < 0 and _height_squared(mesh, t, face, x, y, z) <= best:
                     c = mesh.nodes[mesh.tetrahedra[t][FACE_VERTICES[face]]].ravel()
                     best = min(best, _to_triangle(x, y, z, c))
                     measured += 1
         face, farther = -1, False
-        for i in range(body.cut_begin[t + shift], body.cut_begin[t + shift] + body.cut_count[t + shift]):
+        for i in range(body.regions[t + shift, ROW], body.regions[t + shift, ROW] + body.cut_count[t + shift]):
             if body.front[i] != f and body.back[i] != f:
                 continue
             if body.kind[i] >= OLD_FACE:

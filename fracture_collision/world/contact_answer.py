@@ -1,0 +1,72 @@
+"""From the contacts of pairs to the message."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fracture_collision.core.compiled import kernel
+from fracture_collision.core.kept_answer import PairContacts
+from fracture_collision.records import BUDGET_EXHAUSTED, ContactConstraintArray
+from fracture_collision.world.contact_ids import contact_ids
+from fracture_collision.world.present import Present
+from fracture_collision.world.states_gate import CheckedStates
+
+
+def contact_answer(
+    checked: CheckedStates, here: Present, radius: np.ndarray, pairs: np.ndarray, found: PairContacts, tolerance: float
+) -> ContactConstraintArray:
+    """Lists the pairs (p, 2) of indices into `here` that have contacts, or a missed depth bound beyond `tolerance`, a
+    share of the smaller of their `radius` (n,) [m]. Its arrays of contacts are those of `found`.
+    """
+    a, b, begin, bounds, friction, restitution, keys, exhausted = _list_pairs(
+        here.ids, here.friction, here.restitution, radius, pairs, found.counts, found.bounds, found.exhausted,
+        found.samples, tolerance,
+    )  # fmt: skip
+    return ContactConstraintArray(
+        step=checked.step,
+        fracture_sequence=checked.fracture_sequence,
+        status=BUDGET_EXHAUSTED if exhausted else 0,
+        fragment_a=a,
+        fragment_b=b,
+        pair_begin=begin,
+        missed_depth_bound=bounds,
+        friction=friction,
+        restitution=restitution,
+        points_a=found.points_a.ravel(),
+        points_b=found.points_b.ravel(),
+        normals=found.normals.ravel(),
+        gaps=found.gaps,
+        contact_ids=keys,
+    )
+
+
+@kernel
+def _list_pairs(ids, friction, restitution, radius, pairs, counts, bounds, exhausted, samples, tolerance):
+    n, exhausted_any = 0, False
+    is_listed = np.empty(len(pairs), np.bool_)
+    for p in range(len(pairs)):
+        epsilon = tolerance * min(radius[pairs[p, 0]], radius[pairs[p, 1]])
+        is_listed[p] = counts[p] > 0 or bounds[p] > epsilon
+        n += is_listed[p]
+        exhausted_any |= exhausted[p] != 0
+    a, b, begin = np.empty(n, np.uint32), np.empty(n, np.uint32), np.zeros(n + 1, np.uint32)
+    missed, of_friction, of_restitution = np.empty(n), np.empty(n), np.empty(n)
+    own, other, numbers = np.empty((3, len(samples)), np.int64)
+    k = contact = 0
+    for p in range(len(pairs)):
+        if not is_listed[p]:
+            continue
+        i, j = pairs[p, 0], pairs[p, 1]
+        a[k], b[k], missed[k] = ids[i], ids[j], bounds[p]
+        of_friction[k] = np.sqrt(friction[i] * friction[j])
+        of_restitution[k] = max(restitution[i], restitution[j])
+        for _ in range(counts[p]):
+            from_a = samples[contact, 0] == 0
+            own[contact], other[contact] = (ids[i], ids[j]) if from_a else (ids[j], ids[i])
+            numbers[contact] = samples[contact, 1]
+            contact += 1
+        k += 1
+        begin[k] = contact
+    keys = np.empty(len(samples), np.uint64)
+    contact_ids(own, other, numbers, keys)
+    return a, b, begin, missed, of_friction, of_restitution, keys, exhausted_any

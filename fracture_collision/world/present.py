@@ -1,0 +1,64 @@
+"""Who takes part in a step, and where: those that its states name, and the static ones."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fracture_collision.core.compiled import kernel
+from fracture_collision.core.narrow_phase import put_rotation
+from fracture_collision.world.living_fragments import Columns
+from fracture_collision.world.states_gate import CheckedStates
+
+
+class Present(NamedTuple):
+    """The n fragments that take part in a step, by ascending id: those that the states name, and the static ones."""
+
+    ids: np.ndarray  # (n,) int64
+    rows: np.ndarray  # (n,) int64, in the pools
+    positions: np.ndarray  # (n, 3) [m] of the body frame, in the world
+    rotations: np.ndarray  # (n, 3, 3) body frame to world
+    is_static: np.ndarray  # (n,) bool
+    friction: np.ndarray  # (n,)
+    restitution: np.ndarray  # (n,)
+
+
+def take_places(checked: CheckedStates, living: Columns, named: np.ndarray) -> Present:
+    """`named` (n,): which of the living the states name, in their order."""
+    return Present(
+        *_take_places(
+            living.ids, living.rows, living.is_static, living.friction, living.restitution, named, checked.positions,
+            checked.orientations,
+        )  # fmt: skip
+    )
+
+
+@kernel
+def _take_places(ids, rows, is_static, friction, restitution, named, positions, orientations):
+    stands_at = np.full(len(ids), -1)
+    for k in range(len(named)):
+        stands_at[named[k]] = k
+    chosen = np.flatnonzero(is_static | (stands_at >= 0))
+    n = len(chosen)
+    placed, rotations = np.zeros((n, 3)), np.empty((n, 3, 3))
+    for i in range(n):
+        k = stands_at[chosen[i]]
+        x, y, z, w = 0.0, 0.0, 0.0, 1.0
+        if k >= 0:
+            placed[i, 0], placed[i, 1], placed[i, 2] = positions[k, 0], positions[k, 1], positions[k, 2]
+            x, y, z, w = orientations[k, 0], orientations[k, 1], orientations[k, 2], orientations[k, 3]
+        put_rotation(x, y, z, w, rotations[i])
+    return ids[chosen], rows[chosen], placed, rotations, is_static[chosen], friction[chosen], restitution[chosen]
+
+
+@kernel
+def find_fragments(ids, wanted):
+    """Indices (n,) into ascending `ids` of ascending `wanted`, -1: not there."""
+    found, k = np.full(len(wanted), -1), 0
+    for i in range(len(wanted)):
+        while k < len(ids) and ids[k] < wanted[i]:
+            k += 1
+        if k < len(ids) and ids[k] == wanted[i]:
+            found[i] = k
+    return found

@@ -1,0 +1,52 @@
+"""What is said to be far from a fragment in single precision is: against the exact field, everywhere about it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from fractured_worlds import fractured_world
+
+from fracture_collision.core.clearance import clearance, may_be_clear
+from fracture_collision.core.elementary_queries import INSIDE, probe
+from fracture_collision.core.scratch import make_scratch
+from fracture_collision.geometry.generators import ball, brick, shell
+
+SHAPES = {
+    "ball": (ball(1.0, 0.35), False),
+    "curved ball": (ball(1.0, 0.3), True),
+    "shell": (shell(1.0, 0.8, 0.5), True),
+    "brick": (brick((1.0, 0.8, 0.5), 0.2), False),
+}
+WITHIN, ROUNDING = 0.03, 1e-9  # [m]
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_what_is_said_to_be_far_is(shape: str) -> None:
+    body, is_curved = SHAPES[shape]
+    case = fractured_world(body, 4, generations=2, curved=is_curved)
+    pools, random = case.geometry.pools, np.random.default_rng(5)
+    scratch = make_scratch(1, len(pools.mesh.tetrahedra), 1)
+    far = said = 0
+    for f in map(case.row, case.oracle.fragment_ids):
+        assert may_be_clear(pools, f)
+        box, last = pools.fragment.box[f], -1
+        nodes = pools.mesh.nodes[random.integers(0, len(pools.mesh.nodes), 100)]  # ties: on walls, on the old surface
+        anywhere = random.uniform(box[:3] - 0.1, box[3:] + 0.1, (500, 3))
+        for point in np.vstack([anywhere, nodes]):
+            least, last = clearance(pools, f, last, *point, WITHIN, ROUNDING, scratch, 0)
+            status, distance = probe(pools, f, *point, 10.0, np.inf, scratch, 0)[:2]
+            assert least == 0.0 or (status != INSIDE and WITHIN <= least <= distance)
+            far += status != INSIDE and distance > 1.1 * WITHIN
+            said += least > 0.0
+    assert said > 0.7 * far > 0.0
+
+
+def test_no_answer_is_better_than_one_about_a_point_that_is_not_known_well() -> None:
+    case = fractured_world(SHAPES["ball"][0], 4)
+    pools, f = case.geometry.pools, case.row(case.oracle.fragment_ids[0])
+    scratch = make_scratch(1, len(pools.mesh.tetrahedra), 1)
+    points = np.random.default_rng(6).normal(size=(200, 3)) * 0.5
+    told = [clearance(pools, f, -1, *p, WITHIN, rounding, scratch, 0)[0] for rounding in (1e-9, 0.05) for p in points]
+    exact, vague = np.array(told).reshape(2, -1)
+    assert (vague > 0.0).sum() < (exact > 0.0).sum()
+    assert (exact[vague > 0.0] > 0.0).all() and (vague <= exact).all()
