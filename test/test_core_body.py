@@ -78,7 +78,7 @@ def test_a_thousand_bodies_are_valid_after_every_event(
     [
         ("not closed", "triangles", lambda a: a.__setitem__((0, slice(0, 3)), a[0, 3:6])),
         ("beside its plane", "faces", lambda a: a.__setitem__((0, 3), a[0, 3] + 0.1)),
-        ("a retired owner", "front", lambda a: a.__setitem__(0, 0)),
+        ("a retired owner", "sides", lambda a: a.__setitem__((0, 0), 0)),
         ("owner has no node of it", "regions", lambda a: a.__setitem__((0, 0), 99)),
         ("front is not that of", "regions", lambda a: a.__setitem__((a[:, OWNER] == PARTED, FRONT), 0)),
         ("labels of a tetrahedron", "regions", lambda a: a.__setitem__((a[:, OWNER] == FANNED, LABELS), 0)),

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from fracture_collision.core import touched_tetrahedra
 from fracture_collision.core.connected_pieces import connected_pieces
 from fracture_collision.core.cut_tetrahedron import CUT, DIVIDED
-from fracture_collision.core.pools import FANNED, OLD_FACE, OWNER, PARTED, ROW
+from fracture_collision.core.pools import BACK_SIDE, FANNED, FRONT_SIDE, KIND, OLD_FACE, OWNER, PARTED, ROW
 from fracture_collision.geometry.generators import ball, brick, plate, shell
 from fracture_collision.records import ContactConstraintArray, FragmentStates
 from fracture_collision.world.fracture_match import first_split
@@ -74,8 +74,8 @@ def _areas(case: FracturedWorld, rows: list[int]) -> dict[tuple[int, int, int, i
         begin = body.regions[t + shift, ROW]
         for i in range(begin, begin + body.cut_count[t + shift]):
             p, q, r = body.triangles[i].reshape(3, 3)
-            face = max(int(body.kind[i]) - OLD_FACE, -1)
-            sides = sorted((int(body.front[i]), int(body.back[i])))
+            face = max(int(body.sides[i, KIND]) - OLD_FACE, -1)
+            sides = sorted((int(body.sides[i, FRONT_SIDE]), int(body.sides[i, BACK_SIDE])))
             areas[(t, face, sides[0], sides[1])] += 0.5 * float(np.linalg.norm(np.cross(q - p, r - p)))
     return areas
 

@@ -61,7 +61,7 @@ def found_by(world: CollisionWorld, states: FragmentStates, monkeypatch: pytest.
 
 
 def by_the_rule(every: Found, wanted: int, most: int, epsilon: float, near: float) -> set[tuple[int, int]]:
-    """The slow twin of sample_search._choose: sides and samples of those of `every` that are listed."""
+    """The slow twin of contact_choice.choose: sides and samples of those of `every` that are listed."""
     order = np.lexsort((every.samples[:, 1], every.samples[:, 0]))
     samples, points, gaps = every.samples[order], every.points[order], every.gaps[order]
     deep = gaps < -epsilon

@@ -9,12 +9,12 @@ from time import perf_counter
 import numpy as np
 
 from fracture_collision.core.compiled import threaded_kernel
+from fracture_collision.core.contact_choice import ANSWER, ENTRY, SIDE, put_chosen
 from fracture_collision.core.crew import Crew
 from fracture_collision.core.facing_normal import turn_contacts
 from fracture_collision.core.known_samples import rounding_slack
 from fracture_collision.core.narrow_phase import PairContacts, query_pairs, relative_pose
 from fracture_collision.core.pools import OWN_SAMPLE, SAMPLE, SURFACE, Pools
-from fracture_collision.core.sample_search import ENTRY, SIDE, put_chosen
 from fracture_collision.core.scratch import make_scratch
 from fracture_collision.records import ContactConstraintArray, FragmentStates
 from fracture_collision.world import CollisionWorld
@@ -84,6 +84,7 @@ def _ask(pools, rows, rotations, positions, pairs, begin, listed, near, contacts
         count = last - first
         for k in range(count):
             scratch.node_int[0, k, ENTRY], scratch.node_int[0, k, SIDE] = listed[first + k] >> 1, listed[first + k] & 1
+            scratch.node_int[0, k, ANSWER] = -1
         slack = rounding_slack(pools, a, b, translation)
         put_chosen(pools, a, b, rotation, translation, within, slack, out, out_ids, count, scratch, 0)
         turn_contacts(pools, a, b, rotation, translation, within, out, out_ids, count, scratch, 0)

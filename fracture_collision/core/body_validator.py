@@ -11,8 +11,10 @@ from fracture_collision.core.crack_seeds import MOST_SEEDS
 from fracture_collision.core.occupancy import sphere_may_touch
 from fracture_collision.core.pools import (
     BACK,
+    BACK_SIDE,
     FANNED,
     FRONT,
+    FRONT_SIDE,
     LABELS,
     LEAF,
     OLD_FACE,
@@ -120,8 +122,9 @@ def _validate_regions(pools: Pools, rows: Sequence[int], tets: np.ndarray) -> No
     of_nodes = body.regions[own[is_fanned], LABELS : LABELS + 4]
     assert np.array_equal(of_nodes, labels[is_fanned]), "labels of a tetrahedron are not those of its nodes"
     regions, first = body.regions[own[is_parted]], body.regions[own[is_parted], ROW]
-    assert np.array_equal(regions[:, FRONT], body.front[first]), "a tetrahedron's front is not that of its polygons"
-    assert np.array_equal(regions[:, BACK], body.back[first]), "a tetrahedron's back is not that of its polygons"
+    sides = body.sides[first]
+    assert np.array_equal(regions[:, FRONT], sides[:, FRONT_SIDE]), "a tetrahedron's front is not that of its polygons"
+    assert np.array_equal(regions[:, BACK], sides[:, BACK_SIDE]), "a tetrahedron's back is not that of its polygons"
     grid = mesh.grid[fragment.mesh[rows[0]]]
     planes, faces = body.region_planes[own[is_parted], PLANE:].astype(float), body.faces[first]
     offsets = faces[:, 3] - faces[:, :3] @ grid[:3]
@@ -137,7 +140,7 @@ def _validate_polygons(pools: Pools, rows: Sequence[int], tets: np.ndarray) -> N
     for t in tets.tolist():
         begin, count = int(body.regions[t + shift, ROW]), int(body.cut_count[t + shift])
         part = slice(begin, begin + count)
-        kinds, fronts, backs = body.kind[part].astype(int), body.front[part], body.back[part]
+        fronts, backs, kinds = body.sides[part].T
         assert (np.diff(kinds) >= 0).all(), f"tetrahedron {t}: kinds do not ascend"
         assert np.isin(fronts, living[:-1]).all() and np.isin(backs, living).all(), f"tetrahedron {t}: a retired owner"
         assert (fronts != backs).all(), f"tetrahedron {t}: a polygon between a fragment and itself"

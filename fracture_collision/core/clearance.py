@@ -13,7 +13,18 @@ from fracture_collision.core.compiled import inlined_kernel
 from fracture_collision.core.flood import tetrahedra_near
 from fracture_collision.core.kinds import TETRAHEDRA
 from fracture_collision.core.point_location import height, owner_in_cut, region_holds, tetrahedron_at
-from fracture_collision.core.pools import FRONT, NEVER_BROKEN, OLD_FACE, OWNER, PARTED, PLANE, ROW
+from fracture_collision.core.pools import (
+    BACK_SIDE,
+    FRONT,
+    FRONT_SIDE,
+    KIND,
+    NEVER_BROKEN,
+    OLD_FACE,
+    OWNER,
+    PARTED,
+    PLANE,
+    ROW,
+)
 
 # What single precision may do to a point's height above a wall, as a share of R: no point of the mesh is farther than
 # 6 R from the grid's corner, and each of its coordinates, the wall's numbers and the seven operations is rounded to
@@ -162,8 +173,8 @@ def _least_way(pools, f, t, holds_point, x, y, z, px, py, pz):
         return abs(above) if not holds_point else above if region[FRONT] == f else -above
     row, least = region[ROW], np.inf
     end = row + body.cut_count[tet]
-    while row < end and body.kind[row] < OLD_FACE:
-        if body.front[row] == f or body.back[row] == f:
+    while row < end and body.sides[row, KIND] < OLD_FACE:
+        if body.sides[row, FRONT_SIDE] == f or body.sides[row, BACK_SIDE] == f:
             away = abs(height(body, row, x, y, z))
             least = away if away < least else least if away >= least else 0.0  # 0: it has no plane
         row += 1

@@ -300,7 +300,7 @@ class CollisionGeometry:
         columns = {name: self._tables.body[name] for name in SurfaceRows._fields}
         room = SurfaceRows(**{name: column.reserve(touched.room) for name, column in columns.items()})
         written = fracture_update.rebuild_parted(
-            pools.mesh, pools.body, node_shift, tet_shift, edge_shift, k, touched, first, end, columns["front"].used,
+            pools.mesh, pools.body, node_shift, tet_shift, edge_shift, k, touched, first, end, columns["sides"].used,
             room, moments, pools.fragment.box, reaches, gaps, self._scratch,
         )  # fmt: skip
         room = SurfaceRows(*(column[written:] for column in room))
@@ -308,7 +308,7 @@ class CollisionGeometry:
         owners, corners = np.empty(most, np.int32), np.empty((most, 3))
         more, found = fracture_update.rebuild_fanned(
             pools.mesh, pools.body, node_shift, tet_shift, edge_shift, touched, first, end,
-            columns["front"].used + written, room, moments, pools.fragment.box, reaches, gaps, owners, corners,
+            columns["sides"].used + written, room, moments, pools.fragment.box, reaches, gaps, owners, corners,
             self._scratch,
         )  # fmt: skip
         for column in columns.values():

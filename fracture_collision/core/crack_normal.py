@@ -19,7 +19,7 @@ from fracture_collision.core.flood import (
     source_normal,
 )
 from fracture_collision.core.point_location import height, owner_in_cut
-from fracture_collision.core.pools import OLD_FACE, OWNER, PARTED, ROW
+from fracture_collision.core.pools import BACK_SIDE, FRONT_SIDE, KIND, OLD_FACE, OWNER, PARTED, ROW
 
 # The shared crack is taken while it is no more than this share of R farther than the nearest surface.
 FARTHER = 0.03
@@ -77,7 +77,7 @@ def _parts(pools, f, g, source):
     """Whether the surface triangle `source` is of the crack between two fragments."""
     if source < 0 or source == NO_SOURCE:
         return False
-    front, back = pools.body.front[source], pools.body.back[source]
+    front, back = pools.body.sides[source, FRONT_SIDE], pools.body.sides[source, BACK_SIDE]
     return (front == f and back == g) or (front == g and back == f)
 
 
@@ -162,9 +162,8 @@ def way_through(pools, f, t, x, y, z, nx, ny, nz, limit, leaves, scratch, thread
 def _share_by_plane(body, row, f, leaves, x0, y0, z0, x1, y1, z1):
     """_share_of_segment where a single plane, that of `row`, parts two fragments."""
     at_start, at_end = height(body, row, x0, y0, z0), height(body, row, x1, y1, z1)
-    before, after = (body.back[row] if at_start > 0.0 else body.front[row]), body.front[row]
-    if at_end > 0.0:
-        after = body.back[row]
+    front, back = body.sides[row, FRONT_SIDE], body.sides[row, BACK_SIDE]
+    before, after = back if at_start > 0.0 else front, back if at_end > 0.0 else front
     root = 1.0
     if (at_start > 0.0) != (at_end > 0.0):
         root = min(max(at_start / (at_start - at_end), 0.0), 1.0)
@@ -184,7 +183,7 @@ def _share_of_segment(pools, f, t, leaves, x0, y0, z0, x1, y1, z1, roots):
     if body.regions[t + pools.fragment.tet_shift[f], OWNER] == PARTED:
         return _share_by_plane(body, begin, f, leaves, x0, y0, z0, x1, y1, z1)
     for i in range(begin, begin + body.cut_count[t + pools.fragment.tet_shift[f]]):
-        if body.kind[i] >= OLD_FACE:
+        if body.sides[i, KIND] >= OLD_FACE:
             break
         at_start, at_end = height(body, i, x0, y0, z0), height(body, i, x1, y1, z1)
         if (at_start > 0.0) != (at_end > 0.0):

@@ -25,7 +25,7 @@ from fracture_collision.core.compiled import inlined_kernel
 from fracture_collision.core.cut_tetrahedron import FACE_VERTICES
 from fracture_collision.core.occupancy import ROUNDING, parts_within
 from fracture_collision.core.point_location import height, holds_fragment
-from fracture_collision.core.pools import NEVER_BROKEN, OLD_FACE, OWNER, PARTED, ROW
+from fracture_collision.core.pools import BACK_SIDE, FRONT_SIDE, KIND, NEVER_BROKEN, OLD_FACE, OWNER, PARTED, ROW
 
 # Which surface triangle a closest point lies on: a row of body.triangles, or -1 - (4 tetrahedron + face) of the old
 # surface.
@@ -121,8 +121,8 @@ def nearest_in_tetrahedron(pools, f, t, x, y, z, only, best):
     begin = body.regions[t + shift, ROW]
     face, farther = -1, False
     for i in range(begin, begin + body.cut_count[t + shift]):
-        kind = body.kind[i]
-        front, back = body.front[i], body.back[i]
+        kind = body.sides[i, KIND]
+        front, back = body.sides[i, FRONT_SIDE], body.sides[i, BACK_SIDE]
         sign = 1.0
         if front != f:
             if back != f:
@@ -304,8 +304,8 @@ def _is_clear_within(pools, f, t, x, y, z, limit):
         limit += HEIGHT_ROUNDING * pools.fragment.radius[f]
         row = body.regions[t + tet_shift, ROW]
         end = row + (1 if alone == PARTED else body.cut_count[t + tet_shift])
-        while row < end and body.kind[row] < OLD_FACE:
-            of_f = body.front[row] == f or body.back[row] == f
+        while row < end and body.sides[row, KIND] < OLD_FACE:
+            of_f = body.sides[row, FRONT_SIDE] == f or body.sides[row, BACK_SIDE] == f
             if of_f and not abs(height(body, row, x, y, z)) > limit:
                 return False
             row += 1
@@ -323,7 +323,7 @@ def _region_is_farther(pools, f, t, x, y, z, d2):
         return False
     row = body.regions[t + tet_shift, ROW]
     above = height(body, row, x, y, z)
-    if body.front[row] != f:
+    if body.sides[row, FRONT_SIDE] != f:
         above = -above
     above -= HEIGHT_ROUNDING * pools.fragment.radius[f]
     return above > 0.0 and above * above > d2
@@ -368,7 +368,7 @@ def source_normal(pools, f, source):
         c = pools.mesh.nodes[v[FACE_VERTICES[face, 2]]]
         return triangle_normal(a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2])
     p = pools.body.faces[source]
-    if pools.body.front[source] == f:
+    if pools.body.sides[source, FRONT_SIDE] == f:
         return p[0], p[1], p[2]
     return -p[0], -p[1], -p[2]
 

@@ -45,7 +45,19 @@ from fracture_collision.core.cut_tetrahedron import (
 )
 from fracture_collision.core.hull_separation import add_corners
 from fracture_collision.core.moments import add_row, tetrahedron_terms
-from fracture_collision.core.pools import BACK, FANNED, FRONT, LABELS, OLD_FACE, OWNER, PARTED, PLANE, ROW
+from fracture_collision.core.pools import (
+    BACK,
+    BACK_SIDE,
+    FANNED,
+    FRONT,
+    FRONT_SIDE,
+    LABELS,
+    OLD_FACE,
+    OWNER,
+    PARTED,
+    PLANE,
+    ROW,
+)
 from fracture_collision.core.surface_rows import (
     gap_of_triangle,
     grow_by_box,
@@ -130,7 +142,7 @@ def rebuild_fanned(
 @inlined_kernel
 def _put_plane(grid, out, row, region, plane):
     """What parts a tetrahedron, a row of `out`, into its own row."""
-    region[FRONT], region[BACK] = out.front[row], out.back[row]
+    region[FRONT], region[BACK] = out.sides[row, FRONT_SIDE], out.sides[row, BACK_SIDE]
     p = out.faces[row]
     plane[PLANE], plane[PLANE + 1], plane[PLANE + 2] = p[0], p[1], p[2]
     plane[PLANE + 3] = p[3] - (p[0] * grid[0] + p[1] * grid[1] + p[2] * grid[2])

@@ -141,20 +141,7 @@ def parting_plane(a, b, way, rotation, translation, distance):
             continue
         if length - along <= SETTLED * length or encloses_origin(new, k0, k1, k2):
             break
-        least, vx, vy, vz, _ = nearest_to_origin(new, k0, k1)
-        dropped = 2
-        nearer, x, y, z, _ = nearest_to_origin(new, k1, k2)
-        if nearer < least:
-            least, vx, vy, vz, dropped = nearer, x, y, z, 0
-        nearer, x, y, z, _ = nearest_to_origin(new, k0, k2)
-        if nearer < least:
-            least, vx, vy, vz, dropped = nearer, x, y, z, 1
-        if dropped == 0:
-            k0 = new
-        elif dropped == 1:
-            k1 = new
-        else:
-            k2 = new
+        (vx, vy, vz), k0, k1, k2 = next_simplex(new, k0, k1, k2)
     if best == -math.inf:
         return 0.0, 0.0, 0.0, 0.0, 0.0
     low, high = _extents(a, b, found, best_a, best_b, rotation, translation)
@@ -214,7 +201,27 @@ def _difference(rotation, translation, p, q):
 
 
 @inlined_kernel
-def nearest_to_origin(a, b, c):
+def next_simplex(new, k0, k1, k2):
+    """Of the triangles of `new` and two of the other three corners the one that is nearest to the origin: its nearest
+    point, and its corners.
+    """
+    least, x, y, z, _ = _nearest_to_origin(new, k0, k1)
+    v, dropped = (x, y, z), 2
+    nearer, x, y, z, _ = _nearest_to_origin(new, k1, k2)
+    if nearer < least:
+        least, v, dropped = nearer, (x, y, z), 0
+    nearer, x, y, z, _ = _nearest_to_origin(new, k0, k2)
+    if nearer < least:
+        v, dropped = (x, y, z), 1
+    if dropped == 0:
+        return v, new, k1, k2
+    if dropped == 1:
+        return v, k0, new, k2
+    return v, k0, k1, new
+
+
+@inlined_kernel
+def _nearest_to_origin(a, b, c):
     return closest_on_triangle(0.0, 0.0, 0.0, a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2])
 
 

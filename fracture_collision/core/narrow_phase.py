@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.core.compiled import inlined_kernel, kernel, threaded_kernel
+from fracture_collision.core.contact_choice import Rule
 from fracture_collision.core.crew import Crew
 from fracture_collision.core.crowds import UNSEARCHED, UNSHARED, most_visits, visit_shares
 from fracture_collision.core.facing_normal import turn_contacts
@@ -37,7 +38,7 @@ from fracture_collision.core.neighbour_lists import (
     with_pairs,
 )
 from fracture_collision.core.pools import FACING
-from fracture_collision.core.sample_search import Rule, begins_with_seeds, may_search, query_listed, search_samples
+from fracture_collision.core.sample_search import begins_with_seeds, may_search, query_listed, search_samples
 from fracture_collision.core.traversal import BY_FURTHER, BY_LIMIT, COMPLETE, depth_limit, query_pair
 
 # Contacts a pair gets room for at first, on average and at least for a thread's share of pairs; those that find none

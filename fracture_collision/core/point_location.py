@@ -12,7 +12,18 @@ import numpy as np
 from fracture_collision.core.compiled import inlined_kernel
 from fracture_collision.core.cut_tetrahedron import ON_FACE
 from fracture_collision.core.occupancy import part_at
-from fracture_collision.core.pools import BACK, FRONT, LABELS, NEVER_BROKEN, OWNER, PARTED, ROW
+from fracture_collision.core.pools import (
+    BACK,
+    BACK_SIDE,
+    FRONT,
+    FRONT_SIDE,
+    KIND,
+    LABELS,
+    NEVER_BROKEN,
+    OWNER,
+    PARTED,
+    ROW,
+)
 
 # A point of a shared face belongs to the first of its tetrahedra; rounding must not lose it between them.
 WEIGHT_TOLERANCE = -1e-12
@@ -109,7 +120,7 @@ def height(body, row, x, y, z):
 
 @inlined_kernel
 def _side(body, row, x, y, z):
-    return body.front[row] if height(body, row, x, y, z) <= 0.0 else body.back[row]
+    return body.sides[row, FRONT_SIDE] if height(body, row, x, y, z) <= 0.0 else body.sides[row, BACK_SIDE]
 
 
 @inlined_kernel
@@ -132,19 +143,19 @@ def _owner_about_hub(pools, f, t, first, x, y, z):
             face, least = k + 1 if k < 3 else 0, weight / of_hub
     last = first + body.cut_count[t + pools.fragment.tet_shift[f]]
     row = first
-    while row < last and body.kind[row] < face:
+    while row < last and body.sides[row, KIND] < face:
         row += 1
-    if row == last or body.kind[row] != face:
+    if row == last or body.sides[row, KIND] != face:
         return body.node_fragment[mesh.tetrahedra[t, (face + 1) % 4] + pools.fragment.node_shift[f]]
-    if row + 1 == last or body.kind[row + 1] != face:
+    if row + 1 == last or body.sides[row + 1, KIND] != face:
         return _side(body, row, x, y, z)
     # three fragments about the face point, none over more than half a turn: each has what is behind the half-plane at
     # its end and beyond the one at its beginning; on the border of two, where rounding decides, whichever lacks less
     first, second, third = height(body, row, x, y, z), height(body, row + 1, x, y, z), height(body, row + 2, x, y, z)
     lacks, of_second, of_third = _larger(first, -third), _larger(second, -first), _larger(third, -second)
     if of_third < lacks and of_third < of_second:
-        return body.front[row + 2]
-    return body.front[row] if lacks <= of_second else body.front[row + 1]
+        return body.sides[row + 2, FRONT_SIDE]
+    return body.sides[row, FRONT_SIDE] if lacks <= of_second else body.sides[row + 1, FRONT_SIDE]
 
 
 @inlined_kernel

@@ -15,6 +15,7 @@ from fracture_collision.core.occupancy import pyramid_words
 from fracture_collision.core.pool_tables import PoolTables
 from fracture_collision.core.pools import (
     BACK,
+    BACK_SIDE,
     FANNED,
     FRONT,
     LABELS,
@@ -34,7 +35,7 @@ _ON_MESHES = ("first", "grid", "grid_dims", "depth_grid", "depth_grid_dims")
 _OF_BODY_EDGES = ("edge_plane", "edge_event", "edge_share")
 _OF_BODY_TETRAHEDRA = ("regions", "cut_count")
 _MOMENTS_AND_GAP = 88  # [bytes] of a fragment beside those in its table
-_OF_POLYGONS = ("triangles", "faces", "front", "back", "kind")
+_OF_POLYGONS = ("triangles", "faces", "sides")
 
 
 class TreeRows(NamedTuple):
@@ -343,11 +344,13 @@ def _compact_bodies(
     polygons.keep(body, *_OF_POLYGONS)
     planes.keep(body, "planes")
     for name, of in (
-        ("node_fragment", moved), ("front", moved), ("back", moved), ("edge_plane", planes),
+        ("node_fragment", moved), ("edge_plane", planes),
     ):  # fmt: skip
         body[name].replace(of.of(body[name].view))
     # of what is not cut they say nothing
     body["edge_event"].replace(np.where(is_cut, planes.of(body["edge_event"].view), 0))
+    sides = body["sides"].view
+    sides[:, : BACK_SIDE + 1] = moved.of(sides[:, : BACK_SIDE + 1])
     regions[:, ROW] = np.where(has, polygons.of(begin), 0)
     is_parted, is_fanned = regions[:, OWNER] == PARTED, regions[:, OWNER] == FANNED
     regions[:, OWNER] = moved.of(regions[:, OWNER])

@@ -45,7 +45,7 @@ class PoolTables:
         self.body = _table(
             node_fragment=(0, i4), edge_plane=(0, i4), edge_event=(0, i4), edge_share=(0, f8), regions=(REGION, i4),
             cut_count=(0, i4), planes=(4, f8), triangles=(9, f8), faces=(4, f8),
-            front=(0, i4), back=(0, i4), corners=(3, f8), kind=(0, u1), node_field=(7, f8),
+            sides=(3, i4), corners=(3, f8), node_field=(7, f8),
         )  # fmt: skip
         self.fragment = _table(
             kind=(0, i4), mesh=(0, i4), node_shift=(0, i4), tet_shift=(0, i4), edge_shift=(0, i4), box=(6, f8),

@@ -114,10 +114,8 @@ class BodyPool(NamedTuple):
     planes: np.ndarray  # (P, 4) float64, unit normal from the edge's first node to its second, offset [m]
     triangles: np.ndarray  # (T, 9) float64 [m] corners, right-handed about the outward normal of `front`
     faces: np.ndarray  # (T, 4) float64 their planes: that normal, unit, and offset [m]
-    front: np.ndarray  # int32 fragment row
-    back: np.ndarray  # int32 fragment row, -1: nothing
+    sides: np.ndarray  # (T, 3) int32 FRONT_SIDE, BACK_SIDE, KIND
     corners: np.ndarray  # (C, 3) float64 [m] what may stick out of the hull of a fragment's samples, hull_separation.py
-    kind: np.ndarray  # uint8: below OLD_FACE of what parts two fragments, the face it is behind; OLD_FACE + that face
     # the averaged field, rows as node_fragment; none under the exact one
     node_field: np.ndarray  # (., 7) float64: d [m] and unit n of Glondu 2014, eq. 1-2; a point [m] certainly not inside
 
@@ -227,6 +225,8 @@ REGION = 8
 # fragments; or about a hub, the first corner of these rows, which stand in the order of their faces.
 PARTED = -1
 FANNED = -2
-# BodyPool.kind of a piece of face k of a tetrahedron is OLD_FACE + k; kinds below are of what parts two fragments.
+# Columns of BodyPool.sides: fragment rows, the second -1 where there is nothing; of a piece of face k of a tetrahedron
+# OLD_FACE + k, and of what parts two fragments the face that it is behind.
+FRONT_SIDE, BACK_SIDE, KIND = 0, 1, 2
 OLD_FACE = 4
 NEVER_BROKEN = np.iinfo(np.int32).min

@@ -8,6 +8,7 @@ half-spaces, and how far they reach along a direction. What they answer is culle
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -203,6 +204,35 @@ def farthest_sample(leaves, direction, bounds):
             if along > best:
                 at, best = k, along
     return at, best
+
+
+@inlined_kernel
+def nearest_sample(leaves, x, y, z, bounds):
+    """How far [m] the nearest sample is from a point, from the leaves' middle, no less than it is; infinity: there is
+    none. `bounds` (n,) float32: room.
+    """
+    n = len(leaves.entries) // LEAF
+    values = leaves.values
+    px, py, pz, zero = np.float32(x), np.float32(y), np.float32(z), np.float32(0.0)
+    for k in range(n):
+        dx = max(values[k] - px, px - values[3 * n + k], zero)
+        dy = max(values[n + k] - py, py - values[4 * n + k], zero)
+        dz = max(values[2 * n + k] - pz, pz - values[5 * n + k], zero)
+        bounds[k] = dx * dx + dy * dy + dz * dz
+    first = 0
+    for k in range(1, n):
+        if bounds[k] < bounds[first]:
+            first = k
+    least = np.float32(np.inf)
+    for turn in range(-1, n):
+        leaf = turn if turn >= 0 else first
+        if n == 0 or not bounds[leaf] < least or leaf == turn == first:
+            continue
+        for k in range(LEAF * leaf, LEAF * leaf + LEAF):
+            dx, dy, dz = values[6 * n + k] - px, values[(6 + LEAF) * n + k] - py, values[(6 + 2 * LEAF) * n + k] - pz
+            least = min(least, dx * dx + dy * dy + dz * dz)
+    # single precision takes of each coordinate what it takes of one along a unit
+    return math.sqrt(np.float64(least)) * (1.0 + SAMPLE_ROUNDING) + leaves.middle[3]
 
 
 @inlined_kernel

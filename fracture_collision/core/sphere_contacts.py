@@ -31,7 +31,7 @@ from fracture_collision.core.kinds import TETRAHEDRA, TRIANGLES
 from fracture_collision.core.known_samples import ID_AT, ID_SAMPLE, ID_SIDE, ID_SOURCE, ID_TETRAHEDRON
 from fracture_collision.core.occupancy import ROUNDING, parts_within
 from fracture_collision.core.point_location import holds_fragment
-from fracture_collision.core.pools import NEVER_BROKEN, OWNER, ROW
+from fracture_collision.core.pools import BACK_SIDE, FRONT_SIDE, NEVER_BROKEN, OWNER, ROW
 from fracture_collision.core.triangle_field import triangle_distance
 
 # Sample number of a sphere's contact that no triangle stands for.
@@ -232,7 +232,7 @@ def _triangle(pools, f, code):
         return (a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2]), nx, ny, nz
     i = pools.body.regions[t + pools.fragment.tet_shift[f], ROW] + place - 4
     c, p = pools.body.triangles[i], pools.body.faces[i]
-    sign = 1.0 if pools.body.front[i] == f else -1.0
+    sign = 1.0 if pools.body.sides[i, FRONT_SIDE] == f else -1.0
     return (c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8]), sign * p[0], sign * p[1], sign * p[2]
 
 
@@ -306,6 +306,6 @@ def _note_tetrahedron(pools, f, t, x, y, z, r, found, count):
         return count
     begin = body.regions[t + shift, ROW]
     for i in range(begin, begin + body.cut_count[t + shift]):
-        if body.front[i] == f or body.back[i] == f:
+        if body.sides[i, FRONT_SIDE] == f or body.sides[i, BACK_SIDE] == f:
             count = _note(pools, f, ROWS_EACH * t + 4 + i - begin, x, y, z, r, found, count)
     return count

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.core.compiled import inlined_kernel
+from fracture_collision.core.pools import BACK_SIDE, FRONT_SIDE, KIND
 
 # A triangle thinner than this (area against its longest side squared) is rounding; others hold its rim.
 RESIDUE = 1e-13
@@ -18,9 +19,7 @@ class SurfaceRows(NamedTuple):
 
     triangles: np.ndarray
     faces: np.ndarray
-    front: np.ndarray
-    back: np.ndarray
-    kind: np.ndarray
+    sides: np.ndarray
 
 
 @inlined_kernel
@@ -75,7 +74,8 @@ def write_row(a, b, c, nx, ny, nz, offset, front, back, kind, out, at):
     triangle[3], triangle[4], triangle[5] = b[0], b[1], b[2]
     triangle[6], triangle[7], triangle[8] = c[0], c[1], c[2]
     plane[0], plane[1], plane[2], plane[3] = nx, ny, nz, offset
-    out.front[at], out.back[at], out.kind[at] = front, back, kind
+    sides = out.sides[at]
+    sides[FRONT_SIDE], sides[BACK_SIDE], sides[KIND] = front, back, kind
 
 
 @inlined_kernel

@@ -9,7 +9,7 @@ import numpy as np
 from fracture_collision.core.compiled import kernel
 from fracture_collision.core.cut_tetrahedron import FACE_VERTICES
 from fracture_collision.core.point_location import holds_fragment
-from fracture_collision.core.pools import NEVER_BROKEN, OWNER, ROW, Pools
+from fracture_collision.core.pools import BACK_SIDE, FRONT_SIDE, NEVER_BROKEN, OWNER, ROW, Pools
 
 # Triangles that a fragment gets room for at first; one that has more is looked through again.
 FIRST_ROOM = 4096
@@ -37,14 +37,14 @@ def _collect(pools, f, first_tet, last_tet, out, crack):
         begin = body.regions[t + shift, ROW]
         for i in range(begin, begin + body.cut_count[t + shift]):
             # a triangle without a plane is rounding
-            if (body.front[i] != f and body.back[i] != f) or math.isnan(body.faces[i, 3]):
+            if (body.sides[i, FRONT_SIDE] != f and body.sides[i, BACK_SIDE] != f) or math.isnan(body.faces[i, 3]):
                 continue
             if used < len(out):
                 out[used] = body.triangles[i]
-                if body.front[i] != f:
+                if body.sides[i, FRONT_SIDE] != f:
                     out[used, 3:6] = body.triangles[i, 6:9]
                     out[used, 6:9] = body.triangles[i, 3:6]
-                crack[used] = 0 if body.back[i] < 0 else 1
+                crack[used] = 0 if body.sides[i, BACK_SIDE] < 0 else 1
             used += 1
     return used
 

@@ -15,7 +15,7 @@ from fracture_collision.core.closest_point import closest_on_triangle
 from fracture_collision.core.cut_tetrahedron import FACE_VERTICES
 from fracture_collision.core.flood import least_distance_squared, may_leave_over
 from fracture_collision.core.point_location import holds_fragment
-from fracture_collision.core.pools import OLD_FACE, OWNER, ROW, Pools
+from fracture_collision.core.pools import BACK_SIDE, FRONT_SIDE, KIND, OLD_FACE, OWNER, ROW, Pools
 
 
 def count_floods(
@@ -59,11 +59,11 @@ def _counted_flood(pools, f, start, x, y, z, limit):
                     measured += 1
         face, farther = -1, False
         for i in range(body.regions[t + shift, ROW], body.regions[t + shift, ROW] + body.cut_count[t + shift]):
-            if body.front[i] != f and body.back[i] != f:
+            if body.sides[i, FRONT_SIDE] != f and body.sides[i, BACK_SIDE] != f:
                 continue
-            if body.kind[i] >= OLD_FACE:
-                if body.kind[i] != face:
-                    face = body.kind[i]
+            if body.sides[i, KIND] >= OLD_FACE:
+                if body.sides[i, KIND] != face:
+                    face = body.sides[i, KIND]
                     farther = _height_squared(mesh, t, face - OLD_FACE, x, y, z) > best
                 if farther:
                     continue
