@@ -83,9 +83,10 @@ $(STAMPS)/environment: requirements/pins.txt
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --requirement requirements/pins.txt
 	@mkdir -p $(STAMPS) && touch $@
 
-$(STAMPS)/peers: requirements/peers.txt $(STAMPS)/environment
+$(STAMPS)/peers: requirements/peers.txt requirements/peers_alone.txt $(STAMPS)/environment
 	@echo "== .venv: the libraries to compare with (about a minute)"
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --requirement requirements/peers.txt
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --requirement requirements/peers_alone.txt
 	@touch $@
 
 $(STAMPS)/fuzz: requirements/fuzz.txt $(STAMPS)/environment

@@ -2,18 +2,30 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import click
 import numpy as np
 
+if TYPE_CHECKING:
+    from benchmarks.frames.measure import Times
+    from benchmarks.frames.peer import Peer
+
 SCENES = ("plates", "plates@0.25", "bricks", "bricks@0.25", "drop_bunnies", "drop_bunnies@0.25")
+RAPIER = "rapier"
+PEERS = {  # module and class of each
+    RAPIER: "rapier_hulls:RapierHulls", "mujoco": "mujoco_hulls:MujocoHulls", "box3d": "box3d_hulls:Box3dHulls",
+    "physx": "physx_hulls:PhysxHulls",
+}  # fmt: skip
 WIDTH = 220  # columns of a table that no terminal's width was asked for
 
 
 class Row(NamedTuple):
-    """Milliseconds a step, one core; ratios of ours to rapier's hulls. Each step's least of several runs."""
+    """Milliseconds a step, one core; ratios of ours to rapier's hulls. Each step's least of several runs; of rapier
+    nan: not measured.
+    """
 
     scene: str
     steps: int
@@ -32,43 +44,104 @@ class Row(NamedTuple):
     digest: str  # of all our answers
 
 
-def measure(scene: str, runs: int) -> Row:
-    from benchmarks.frames.measure import Times, is_busy, ours, peers
-    from benchmarks.frames.rapier_hulls import RapierHulls
+class Beside(NamedTuple):
+    """Milliseconds a step, one core; ratios of ours to a peer's, over the same steps. Each step's least of several
+    runs.
+    """
+
+    scene: str
+    peer: str
+    steps: str  # ALL or LAST
+    count: int  # of these steps
+    mean: float
+    worst: float
+    peer_mean: float
+    peer_worst: float
+    mean_ratio: float
+    busy_ratio: float  # means while much moves
+    worst_ratio: float
+
+
+ALL, LAST = "all", "after the last fracture"
+
+
+def measure(scene: str, runs: int, peers: dict[str, type[Peer]]) -> tuple[Row, list[Beside]]:
+    """Ours beside rapier, and beside each of `peers`, rapier too."""
+    from benchmarks.frames.measure import at_last_registry, is_busy, ours, times_of
     from benchmarks.frames.recording import record
     from fracture_collision.world import Settings
 
     recording, settings = record(scene), Settings(threads=1)
     ours(recording, settings)  # brings kernels into memory
-
-    def least(all_times: list[Times]) -> Times:
-        columns = (np.min([times[k] for times in all_times], axis=0) for k in range(3))
-        return Times(*columns, all_times[0].digest)
-
     # turn by turn, as a machine is not equally quick all the time
-    both = [(ours(recording, settings), peers(recording, RapierHulls)) for _ in range(runs)]
-    own, rapier = least([a for a, _ in both]), least([b for _, b in both])
+    rounds = [
+        (ours(recording, settings), [times_of(recording, make) for make in peers.values()]) for _ in range(runs)
+    ]  # fmt: skip
+    own = _least([a for a, _ in rounds])
+    theirs = {name: _least([times[k] for _, times in rounds]) for k, name in enumerate(peers)}
     again = ours(recording, settings, again=True)
     if again.digest != own.digest:
         raise RuntimeError(f"{scene}: other answers where each is asked twice")
-    busy, broke = is_busy(recording), own.update > 0.0
-    update, rapier_update = (float(np.median(t.update[broke])) if broke.any() else 0.0 for t in (own, rapier))
+    busy, every, last = is_busy(recording), np.ones(len(recording.steps), bool), at_last_registry(recording)
+    besides = []
+    for name, times in theirs.items():
+        spans = {LAST: last} if peers[name].last_registry_only else {ALL: every, LAST: last}
+        besides += [_beside(scene, name, span, own, times, chosen, busy) for span, chosen in spans.items()]
+    return _row(scene, own, theirs.get(RAPIER), again, busy), besides
+
+
+def _least(all_times: list[Times]) -> Times:
+    columns = (np.min([times[k] for times in all_times], axis=0) for k in range(3))
+    return type(all_times[0])(*columns, all_times[0].digest)
+
+
+def _row(scene: str, own: Times, rapier: Times | None, again: Times, busy: np.ndarray) -> Row:
+    broke = own.update > 0.0
+    query, updates = (rapier.query, rapier.update) if rapier else 2 * [np.full(len(own.query), np.nan)]
+    update, rapier_update = (float(np.median(t[broke])) if broke.any() else 0.0 for t in (own.update, updates))
     return Row(
-        scene, len(recording.steps), own.query.mean(), float(np.median(own.query)), own.query.max(),
-        rapier.query.mean(), rapier.query.max(), own.query.mean() / rapier.query.mean(),
-        own.query[busy].mean() / rapier.query[busy].mean() if busy.any() else float("nan"),
-        own.query.max() / rapier.query.max(),
-        own.query[-50:].mean(), float(np.mean(again.again)), update, rapier_update, own.digest[:12],
+        scene, len(own.query), own.query.mean(), float(np.median(own.query)), own.query.max(),
+        query.mean(), query.max(), own.query.mean() / query.mean(), _mean_ratio(own.query, query, busy),
+        own.query.max() / query.max(), own.query[-50:].mean(), float(np.mean(again.again)), update, rapier_update,
+        own.digest[:12],
     )  # fmt: skip
+
+
+def _beside(
+    scene: str, peer: str, span: str, own: Times, times: Times, chosen: np.ndarray, busy: np.ndarray
+) -> Beside:  # fmt: skip
+    """`chosen`, `busy` (n,) bool, of all steps."""
+    mine, its = own.query[chosen], times.query[chosen]
+    return Beside(
+        scene, peer, span, int(chosen.sum()), mine.mean(), mine.max(), its.mean(), its.max(),
+        mine.mean() / its.mean(), _mean_ratio(own.query, times.query, chosen & busy), mine.max() / its.max(),
+    )  # fmt: skip
+
+
+def _mean_ratio(own: np.ndarray, its: np.ndarray, chosen: np.ndarray) -> float:
+    return own[chosen].mean() / its[chosen].mean() if chosen.any() else float("nan")
+
+
+def load(name: str) -> type[Peer]:
+    """The class of a peer; a ClickException where its library is missing."""
+    module, _, kind = PEERS[name].partition(":")
+    try:
+        return getattr(import_module(f"benchmarks.frames.{module}"), kind)
+    except ImportError as error:
+        raise click.ClickException(f"--peers {name}: {error}; `make peers` installs the libraries") from error
 
 
 @click.command(context_settings={"show_default": True})
 @click.argument("scenes", nargs=-1)
 @click.option("--runs", default=3, help="Of which each step's least counts.")
+@click.option("--peers", multiple=True, type=click.Choice(list(PEERS)), default=[RAPIER], help="Several allowed.")
 @click.option("--csv", "path", type=click.Path(path_type=Path, dir_okay=False), help="The table as a file.")
-def main(scenes: tuple[str, ...], runs: int, path: Path | None) -> None:
+def main(scenes: tuple[str, ...], runs: int, peers: tuple[str, ...], path: Path | None) -> None:
     """Ours (all of CollisionWorld.contacts, one thread) beside rapier's hulls (its own step), at the states of SCENES
     (`bricks`, with curved cracks `bricks@0.25`), step by step. Needs the libraries of `make peers`.
+
+    With other peers (`--peers rapier --peers mujoco`) a second table has ours beside each of them. MuJoCo compiles its
+    world anew for each fracture, so it is timed after the last one only.
     """
     from rich.console import Console
 
@@ -77,14 +150,21 @@ def main(scenes: tuple[str, ...], runs: int, path: Path | None) -> None:
     console = Console()
     if not console.is_terminal:
         console = Console(width=WIDTH)
-    rows = []
+    makers = {name: load(name) for name in dict.fromkeys(peers)}
+    rows, besides = [], []
     with Console(stderr=True).status("") as status:
         for scene in scenes or SCENES:
             status.update(f"{scene}: recorded, and asked {runs} times")
-            rows.append(measure(scene, runs))
+            row, others = measure(scene, runs, makers)
+            rows.append(row)
+            besides += others
     print_table("frames of scenes", rows, console)
     if path:
         write_csv("frames", rows, path)
+    if list(makers) != [RAPIER]:
+        print_table("frames of scenes, ours beside each peer", besides, console)
+        if path:
+            write_csv("beside", besides, path)
 
 
 if __name__ == "__main__":

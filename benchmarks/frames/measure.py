@@ -1,16 +1,17 @@
-"""Times of each step of a recorded scene: ours, and a peer's that is told the same."""
+"""Times of each step of a recorded scene: ours, and those of a peer that is told the same."""
 
 from __future__ import annotations
 
 import gc
 import hashlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from time import perf_counter
 from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks.frames.peer import Peer
 from benchmarks.frames.recording import Recording, Step
 from fracture_collision.world import CollisionWorld, Settings
 
@@ -21,7 +22,7 @@ MILLI = 1e3
 class Times(NamedTuple):
     """Of each of n steps [ms]."""
 
-    query: np.ndarray  # (n,) all of contacts() but updates, or the peer's own step
+    query: np.ndarray  # (n,) all of contacts() but updates, or the peer's own step; nan: not measured
     update: np.ndarray  # (n,) at fractures; elsewhere 0
     again: np.ndarray  # (n,) the same states asked again; nan: not measured
     digest: str  # of all answers; "" of a peer
@@ -56,14 +57,16 @@ def ours(recording: Recording, settings: Settings, again: bool = False) -> Times
     )  # fmt: skip
 
 
-def peers(recording: Recording, make: Callable) -> Times:
-    """`make()`: something like rapier_hulls.RapierHulls."""
+def times_of(recording: Recording, make: type[Peer]) -> Times:
     world, peer = CollisionWorld(Settings(threads=1)), make()
-    query, update = [], []
+    first = int(np.argmax(at_last_registry(recording))) if peer.last_registry_only else 0
+    query, update = [np.nan] * first, [0.0] * first
     with _uncollected():
-        for step in recording.steps:
+        for k, step in enumerate(recording.steps):
             _tell(world, step)
             peer.tell(step.bodies)
+            if k < first:
+                continue
             changed = peer.follow(world, world.present(step.states).ids.tolist())
             update.append(changed if step.events else 0.0)
             query.append(peer.step(step.states))
@@ -73,6 +76,12 @@ def peers(recording: Recording, make: Callable) -> Times:
 def is_busy(recording: Recording) -> np.ndarray:
     """Steps in which much moves (n,) bool."""
     return np.array([step.moving >= BUSY for step in recording.steps])
+
+
+def at_last_registry(recording: Recording) -> np.ndarray:
+    """Steps from the last fracture's on (n,) bool; all where nothing breaks."""
+    broke = np.flatnonzero([bool(step.events) for step in recording.steps])
+    return np.arange(len(recording.steps)) >= (broke[-1] if len(broke) else 0)
 
 
 def _tell(world: CollisionWorld, step: Step) -> float:

@@ -1,0 +1,110 @@
+"""What a library is given to be compared: one convex hull for each fragment; boxes, balls and planes as they are."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from enum import Enum, auto
+from time import perf_counter
+
+import numpy as np
+
+from fracture_collision.records import BOX, SPHERE, CollisionBody, FragmentStates
+from fracture_collision.world import CollisionWorld
+
+
+class Shape(Enum):
+    BOX = auto()
+    BALL = auto()
+    PLANE = auto()
+    SURFACE = auto()  # of a rigid body, which need not be convex
+    HULL = auto()
+
+
+def shape_of(whole: CollisionBody | None) -> Shape:
+    """`whole`: the unbroken body that a fragment is, None for a fragment of a broken one."""
+    if whole is None:
+        return Shape.HULL
+    if whole.primitive.type == BOX:
+        return Shape.BOX
+    if whole.primitive.type == SPHERE:
+        return Shape.BALL
+    if np.any(whole.plane):
+        return Shape.PLANE
+    return Shape.SURFACE if len(whole.triangles) and not len(whole.tetrahedra) else Shape.HULL
+
+
+def is_fixed(whole: CollisionBody | None) -> bool:
+    return whole is not None and whole.is_static
+
+
+def normal_and_point(whole: CollisionBody) -> tuple[np.ndarray, np.ndarray]:
+    """Of a plane, in the body frame: its normal (3,), of any length, and its point (3,) [m] next to the origin."""
+    normal = np.asarray(whole.plane[:3], float)
+    return normal, -whole.plane[3] * normal / (normal @ normal)
+
+
+def turn_onto(normal: np.ndarray, axis: int) -> list[float]:
+    """Quaternion (4) x y z w that turns coordinate axis 0, 1 or 2 onto `normal` (3,), of any length."""
+    start, end = np.eye(3)[axis], normal / np.linalg.norm(normal)
+    if start @ end < -0.999999:  # half a turn about another axis
+        return [*np.eye(3)[axis - 1].tolist(), 0.0]
+    quaternion = np.array([*np.cross(start, end), 1.0 + start @ end])
+    return (quaternion / np.linalg.norm(quaternion)).tolist()
+
+
+class Peer(ABC):
+    """One library. A CollisionWorld that receives the same recording tells it which fragments exist."""
+
+    last_registry_only = False  # True: nothing can be added to its world; only states after the last fracture are timed
+
+    def __init__(self) -> None:
+        self._whole: dict[int, CollisionBody] = {}  # bodies by the fragment that they are before they break
+
+    def tell(self, bodies: list[CollisionBody]) -> None:
+        self._whole |= {body.fragment_id: body for body in bodies}
+
+    @abstractmethod
+    def follow(self, world: CollisionWorld, ids: list[int]) -> float:
+        """Makes `ids` the fragments that take part; returns the time [s] that building hulls and worlds took."""
+
+    @abstractmethod
+    def step(self, states: FragmentStates) -> float:
+        """Time [s] of the collision step at `states`."""
+
+
+class GrowingPeer(Peer):
+    """A library that adds bodies to its world and removes them one by one."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._handles: dict[int, object] = {}
+
+    def follow(self, world: CollisionWorld, ids: list[int]) -> float:
+        new = [i for i in ids if i not in self._handles]
+        points = {i: points_of(world, i) for i in new}
+        started = perf_counter()
+        for i in self._handles.keys() - set(ids):
+            self._remove(self._handles.pop(i))
+        for i in new:
+            self._handles[i] = self._add(self._whole.get(i), points[i])
+        return perf_counter() - started
+
+    @abstractmethod
+    def _add(self, whole: CollisionBody | None, points: np.ndarray) -> object:
+        """A handle of the new body. `points` as of points_of."""
+
+    @abstractmethod
+    def _remove(self, handle) -> None: ...
+
+
+def points_of(world: CollisionWorld, fragment_id: int) -> np.ndarray:
+    """Surface points of a fragment (n, 3) float32 [m], body frame."""
+    return world.fragment_mesh(fragment_id).vertices.reshape(-1, 3)
+
+
+def poses_of(states: FragmentStates) -> list[tuple[int, list[float], list[float]]]:
+    """Id, position (3) [m] and quaternion (4) x y z w of each fragment that the states name."""
+    return list(zip(
+        states.fragment_ids.tolist(), states.positions.reshape(-1, 3).tolist(),
+        states.orientations.reshape(-1, 4).tolist(), strict=True,
+    ))  # fmt: skip
