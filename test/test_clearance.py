@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from fractured_worlds import fractured_world
 
-from fracture_collision.core.clearance import clearance, may_be_clear
+from fracture_collision.core.clearance import BEYOND, DEEP, clearance, may_be_clear, side_of_surface
 from fracture_collision.core.elementary_queries import INSIDE, probe
 from fracture_collision.core.scratch import make_scratch
 from fracture_collision.geometry.generators import ball, brick, shell
@@ -17,7 +17,7 @@ SHAPES = {
     "shell": (shell(1.0, 0.8, 0.5), True),
     "brick": (brick((1.0, 0.8, 0.5), 0.2), False),
 }
-WITHIN, ROUNDING = 0.03, 1e-9  # [m]
+WITHIN, ROUNDING, DEPTH = 0.03, 1e-9, 0.005  # [m]
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -39,6 +39,27 @@ def test_what_is_said_to_be_far_is(shape: str) -> None:
             far += status != INSIDE and distance > 1.1 * WITHIN
             said += least > 0.0
     assert said > 0.7 * far > 0.0
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_what_is_said_to_be_inside_or_beyond_is(shape: str) -> None:
+    body, is_curved = SHAPES[shape]
+    case = fractured_world(body, 4, generations=2, curved=is_curved)
+    pools, random = case.geometry.pools, np.random.default_rng(7)
+    scratch = make_scratch(1, len(pools.mesh.tetrahedra), 1)
+    told, counts = 0, np.zeros(2, int)
+    for f in map(case.row, case.oracle.fragment_ids):
+        box, last = pools.fragment.box[f], -1
+        nodes = pools.mesh.nodes[random.integers(0, len(pools.mesh.nodes), 100)]
+        for point in np.vstack([random.uniform(box[:3] - 0.05, box[3:] + 0.05, (500, 3)), nodes]):
+            side, last = side_of_surface(pools, f, last, *point, DEPTH, ROUNDING)
+            status, distance = probe(pools, f, *point, 1.0, np.inf, scratch, 0)[:2]
+            is_inside = status == INSIDE
+            assert side != BEYOND or not is_inside
+            assert side != DEEP or (is_inside and -distance > DEPTH)
+            told += side in (BEYOND, DEEP)
+            counts += side == BEYOND, side == DEEP
+    assert told > 1000 and counts.min() > 20
 
 
 def test_no_answer_is_better_than_one_about_a_point_that_is_not_known_well() -> None:

@@ -134,8 +134,10 @@ def test_lists_those_of_the_rule(shape, jitter, wanted, most, monkeypatch) -> No
             )
             is_listed = (all_near.samples[:, None] == own.samples[None]).all(axis=2).any(axis=1)
             left_out = max(-all_near.gaps[~is_listed].min(initial=0.0), 0.0)
-            # of what is not the deepest it is only known that it is no deeper
-            known = max(left_out, -own.gaps.min(initial=0.0) if left_out > EPSILON * radius else 0.0)
+            # of many deep ones only those that are listed are known, and whether any other is deeper than epsilon
+            known = left_out
+            if (all_near.gaps < -EPSILON * radius).sum() > wanted:
+                known = -own.gaps.min() if left_out > EPSILON * radius else EPSILON * radius
             assert left_out <= own.bound <= known + 1e-9 * radius
             chosen_of_many += len(all_near.gaps) > wanted
     assert chosen_of_many > 10

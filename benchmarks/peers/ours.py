@@ -56,6 +56,7 @@ def methods() -> list[Method]:
     """The defaults, and each setting that trades time for error on its own."""
     return [
         Ours("ours"),
+        Ours("ours, sufficient", selection="sufficient"),
         Ours("ours, nearest normals", normals="nearest"),
         # its first fracture makes the grid of the whole body: half a minute in the ball
         Ours("ours, averaged field", is_quick=False, field="averaged"),

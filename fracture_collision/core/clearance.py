@@ -1,29 +1,33 @@
-"""Whether a point is certainly farther from a fragment than so much: what most samples that are asked need to be told.
+"""Whether a point is certainly farther from a fragment than so much, or certainly inside: what most samples that are
+asked need to be told.
 
-From the tetrahedron that holds the point over all whose walls are within reach. Walls are in single precision, a line
-of the cache for each tetrahedron, so what they say is left room; where it is not certain, somebody else has to be asked
-(elementary_queries.bounded_probe, flood.py).
+From the tetrahedron that holds the point over all whose walls are within reach: the way to a fragment leads over its
+surface. Walls are in single precision, a line of the cache for each tetrahedron, so what they say is left room; where
+it is not certain, somebody else has to be asked (elementary_queries.bounded_probe, flood.py).
 """
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from fracture_collision.core.compiled import inlined_kernel
-from fracture_collision.core.flood import tetrahedra_near
+from fracture_collision.core.flood import (
+    EVERYTHING,
+    NO_SOURCE,
+    nearest_in_tetrahedron,
+    nothing_within,
+    tetrahedra_near,
+)
 from fracture_collision.core.kinds import TETRAHEDRA
-from fracture_collision.core.point_location import height, owner_in_cut, region_holds, tetrahedron_at
+from fracture_collision.core.point_location import owner_in_cut, region_holds, tetrahedron_at
 from fracture_collision.core.pools import (
-    BACK_SIDE,
     FRONT,
-    FRONT_SIDE,
-    KIND,
     NEVER_BROKEN,
-    OLD_FACE,
     OWNER,
     PARTED,
     PLANE,
-    ROW,
 )
 
 # What single precision may do to a point's height above a wall, as a share of R: no point of the mesh is farther than
@@ -35,6 +39,7 @@ MOST_STEPS = 12
 # Tetrahedra around a point that are looked at.
 MOST_AROUND = 16
 CLEAR, NEAR, UNKNOWN = 0, 1, 2
+BEYOND, DEEP = 3, 4
 
 
 @inlined_kernel
@@ -54,17 +59,10 @@ def _heights(walls, t, x, y, z):
 
 
 @inlined_kernel
-def clearance(pools, f, last, x, y, z, within, rounding, scratch, thread):
-    """(how far [m] fragment `f` certainly is from a point at least, 0: perhaps no farther than `within` [m]; a
-    tetrahedron near the point).
-
-    last: a tetrahedron near the point, -1: none is known. f: may_be_clear. rounding [m]: how far the point may be from
-    (x, y, z).
+def _held_by(mesh, k, last, x, y, z, px, py, pz, slack):
+    """(the tetrahedron of mesh `k` that holds a point, -1: none does; how far it is behind its nearest wall, at least
+    [m], but for rounding); last: see `clearance`; (px, py, pz): from the grid's corner.
     """
-    mesh = pools.mesh
-    k = pools.fragment.mesh[f]
-    slack = np.float32(WALL_ROUNDING * pools.fragment.radius[f] + rounding)
-    px, py, pz = np.float32(x - mesh.grid[k, 0]), np.float32(y - mesh.grid[k, 1]), np.float32(z - mesh.grid[k, 2])
     t, steps = last, 0
     while t >= 0:
         h0, h1, h2, h3 = _heights(mesh.walls, t, px, py, pz)
@@ -76,22 +74,38 @@ def clearance(pools, f, last, x, y, z, within, rounding, scratch, thread):
         if h3 > highest:
             highest, face = h3, 3
         if highest <= slack:
-            break
+            return t, -highest
         steps += 1
         t = mesh.neighbours[t, face] if steps < MOST_STEPS else -1
+    t = tetrahedron_at(mesh, k, x, y, z)
+    if t < 0:
+        return t, np.float32(0.0)
+    h0, h1, h2, h3 = _heights(mesh.walls, t, px, py, pz)
+    return t, -max(h0, h1, h2, h3)
+
+
+@inlined_kernel
+def clearance(pools, f, last, x, y, z, within, rounding, scratch, thread):
+    """(how far [m] fragment `f` certainly is from a point at least, 0: perhaps no farther than `within` [m]; a
+    tetrahedron near the point).
+
+    last: a tetrahedron near the point, -1: none is known. f: may_be_clear. rounding [m]: how far the point may be from
+    (x, y, z).
+    """
+    mesh = pools.mesh
+    k = pools.fragment.mesh[f]
+    slack = np.float32(WALL_ROUNDING * pools.fragment.radius[f] + rounding)
+    px, py, pz = np.float32(x - mesh.grid[k, 0]), np.float32(y - mesh.grid[k, 1]), np.float32(z - mesh.grid[k, 2])
+    t, behind = _held_by(mesh, k, last, x, y, z, px, py, pz, slack)
     far = np.float32(within) + slack
     if t < 0:
-        t = tetrahedron_at(mesh, k, x, y, z)
-        if t < 0:
-            clear = _is_clear_of_cells(pools, f, x, y, z, px, py, pz, far, scratch, thread)
-            return (within if clear else 0.0), last
-        h0, h1, h2, h3 = _heights(mesh.walls, t, px, py, pz)
-        highest = max(h0, h1, h2, h3)
-    apart = _least_way(pools, f, t, True, x, y, z, px, py, pz)
-    if highest > -slack or not apart > far:
+        clear = _is_clear_of_cells(pools, f, x, y, z, px, py, pz, far, scratch, thread)
+        return (within if clear else 0.0), last
+    apart = _way_within(pools, f, t, x, y, z, px, py, pz, far, slack)
+    if behind < slack or apart < far:
         return 0.0, t
-    if highest < -far:
-        return np.float64(min(apart, -highest) - slack), t
+    if behind > far:
+        return max(within, np.float64(min(apart, behind) - slack)), t
     around = _around(pools, f, t, x, y, z, px, py, pz, far, scratch.stack[thread])
     if around == UNKNOWN and _is_clear_of_cells(pools, f, x, y, z, px, py, pz, far, scratch, thread):
         around = CLEAR
@@ -99,18 +113,43 @@ def clearance(pools, f, last, x, y, z, within, rounding, scratch, thread):
 
 
 @inlined_kernel
+def side_of_surface(pools, f, last, x, y, z, deep, rounding):
+    """(BEYOND, if a point certainly is not of fragment `f`; DEEP, if it certainly is and nothing else is within `deep`
+    [m] of it; else UNKNOWN; a tetrahedron near the point). As `clearance`.
+    """
+    mesh = pools.mesh
+    k = pools.fragment.mesh[f]
+    slack = np.float32(WALL_ROUNDING * pools.fragment.radius[f] + rounding)
+    px, py, pz = np.float32(x - mesh.grid[k, 0]), np.float32(y - mesh.grid[k, 1]), np.float32(z - mesh.grid[k, 2])
+    t, behind = _held_by(mesh, k, last, x, y, z, px, py, pz, slack)
+    if t < 0 or behind < slack:
+        return UNKNOWN, last
+    tet = t + pools.fragment.tet_shift[f]
+    region = pools.body.regions[tet]
+    if not region_holds(region, f):
+        return BEYOND, t
+    if region[OWNER] == PARTED:
+        above = _above_plane(pools.body.region_planes[tet], px, py, pz)
+        if region[FRONT] == f:
+            above = -above
+        if above < -slack:
+            return BEYOND, t
+        behind = min(behind, above)
+    elif region[OWNER] < 0:
+        return (UNKNOWN if owner_in_cut(pools, f, t, x, y, z) == f else BEYOND), t
+    return (DEEP if behind > np.float32(deep) + slack else UNKNOWN), t
+
+
+@inlined_kernel
 def _is_clear_of_cells(pools, f, x, y, z, px, py, pz, far, scratch, thread):
-    """Whether all that `f` has in the cells about a point, wherever that is, is farther than `far` [m]."""
+    """Whether no surface of `f` in the cells about a point that is not of f, wherever that is, is within `far` [m]."""
     mesh, near = pools.mesh, scratch.heap_tet[thread]
     for k in range(tetrahedra_near(pools, f, x, y, z, np.float64(far), scratch, thread)):
-        h0, h1, h2, h3 = _heights(mesh.walls, near[k], px, py, pz)
+        t = near[k]
+        h0, h1, h2, h3 = _heights(mesh.walls, t, px, py, pz)
         if max(h0, h1, h2, h3) > far:
             continue
-        tet = near[k] + pools.fragment.tet_shift[f]
-        if pools.body.regions[tet, OWNER] != PARTED:
-            return False
-        above = _above_plane(pools.body.region_planes[tet], px, py, pz)
-        if not (above if pools.body.regions[tet, FRONT] == f else -above) > far:
+        if _has_surface_near(pools, f, t, x, y, z, px, py, pz, far):
             return False
     return True
 
@@ -137,7 +176,7 @@ def _around(pools, f, start, x, y, z, px, py, pz, far, reached):
             # beyond one of its walls, and far from that: nothing of it is near, nor of what lies behind
             if max(heights[0], heights[1], heights[2], heights[3]) > far:
                 continue
-            if not _least_way(pools, f, t, False, x, y, z, px, py, pz) > far:
+            if _has_surface_near(pools, f, t, x, y, z, px, py, pz, far):
                 return NEAR
         for face in range(4):
             h = heights[0] if face == 0 else heights[1] if face == 1 else heights[2] if face == 2 else heights[3]
@@ -158,24 +197,40 @@ def _around(pools, f, start, x, y, z, px, py, pz, far, reached):
 
 
 @inlined_kernel
-def _least_way(pools, f, t, holds_point, x, y, z, px, py, pz):
-    """How far [m] what `f` has of tetrahedron `t` is at least, but for rounding, from a point that is not of f; if `t`
-    is said to hold the point, 0 where it may be. (px, py, pz): from the grid's corner.
+def _has_surface_near(pools, f, t, x, y, z, px, py, pz, far):
+    """Whether surface of `f` in tetrahedron `t` may be within `far` [m] of a point that is not of f; (px, py, pz): from
+    the grid's corner.
     """
-    body, tet = pools.body, t + pools.fragment.tet_shift[f]
-    region = body.regions[tet]
+    tet = t + pools.fragment.tet_shift[f]
+    region = pools.body.regions[tet]
+    if not region_holds(region, f):
+        return False
+    if region[OWNER] == PARTED:
+        above = _above_plane(pools.body.region_planes[tet], px, py, pz)
+        if (above if region[FRONT] == f else -above) > far:
+            return False
+    best = nearest_in_tetrahedron(pools, f, t, x, y, z, EVERYTHING, nothing_within(np.float64(far)))
+    return best[5] != NO_SOURCE
+
+
+@inlined_kernel
+def _way_within(pools, f, t, x, y, z, px, py, pz, far, slack):
+    """How far [m] what `f` has of tetrahedron `t` is, at least but for rounding, from a point in it, if that is nearer
+    than `far` [m]; 0 where the point may be of f.
+    """
+    tet = t + pools.fragment.tet_shift[f]
+    region = pools.body.regions[tet]
     if not region_holds(region, f):
         return np.float32(np.inf)
     if region[OWNER] >= 0:
         return np.float32(0.0)
     if region[OWNER] == PARTED:
-        above = _above_plane(body.region_planes[tet], px, py, pz)
-        return abs(above) if not holds_point else above if region[FRONT] == f else -above
-    row, least = region[ROW], np.inf
-    end = row + body.cut_count[tet]
-    while row < end and body.sides[row, KIND] < OLD_FACE:
-        if body.sides[row, FRONT_SIDE] == f or body.sides[row, BACK_SIDE] == f:
-            away = abs(height(body, row, x, y, z))
-            least = away if away < least else least if away >= least else 0.0  # 0: it has no plane
-        row += 1
-    return np.float32(least) if not holds_point or owner_in_cut(pools, f, t, x, y, z) != f else np.float32(0.0)
+        above = _above_plane(pools.body.region_planes[tet], px, py, pz)
+        if region[FRONT] != f:
+            above = -above
+        if above > far or not above > slack:
+            return max(above, np.float32(0.0))
+    elif owner_in_cut(pools, f, t, x, y, z) == f:
+        return np.float32(0.0)
+    best = nearest_in_tetrahedron(pools, f, t, x, y, z, EVERYTHING, nothing_within(np.float64(far)))
+    return far if best[5] == NO_SOURCE else np.float32(math.sqrt(best[0]))

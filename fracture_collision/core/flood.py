@@ -152,7 +152,7 @@ def nearest_in_tetrahedron(pools, f, t, x, y, z, only, best):
 
 
 @inlined_kernel
-def _push(keys, items, count, key, item):
+def push(keys, items, count, key, item):
     i = count
     while i > 0:
         parent = (i - 1) >> 1
@@ -164,7 +164,7 @@ def _push(keys, items, count, key, item):
 
 
 @inlined_kernel
-def _pop(keys, items, count):
+def pop(keys, items, count):
     """Remove the root of a heap of `count`; the caller has read it."""
     last = count - 1
     key, item = keys[last], items[last]
@@ -210,7 +210,7 @@ def nearest_from_inside(pools, f, start, x, y, z, limit, only, scratch, thread):
     count = 1
     while count and keys[0] < best[0]:
         t = items[0]
-        _pop(keys, items, count)
+        pop(keys, items, count)
         count -= 1
         best = nearest_in_tetrahedron(pools, f, t, x, y, z, only, best)
         for face in range(4):
@@ -221,7 +221,7 @@ def nearest_from_inside(pools, f, start, x, y, z, limit, only, scratch, thread):
             if holds_fragment(pools, f, n):
                 key = least_distance_squared(mesh, n, x, y, z)
                 if key < best[0]:
-                    _push(keys, items, count, key, n)
+                    push(keys, items, count, key, n)
                     count += 1
     return best
 

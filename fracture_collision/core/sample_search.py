@@ -12,16 +12,31 @@ import math
 
 import numpy as np
 
-from fracture_collision.core.clearance import clearance, may_be_clear
+from fracture_collision.core.clearance import (
+    BEYOND,
+    DEEP,
+    UNKNOWN,
+    clearance,
+    may_be_clear,
+    side_of_surface,
+)
 from fracture_collision.core.compiled import inlined_kernel, query_kernel
-from fracture_collision.core.contact_choice import choose, find_deepest, keep, put_chosen
+from fracture_collision.core.contact_choice import (
+    UNASKED,
+    choose,
+    is_final,
+    keep,
+    keep_answer,
+    placed,
+    put_chosen,
+    way_out_of_box,
+)
 from fracture_collision.core.crack_seeds import find_seeds
+from fracture_collision.core.deep_choice import choose_deep, may_wait
 from fracture_collision.core.elementary_queries import INSIDE, OUTSIDE, bounded_probe, sphere_test
 from fracture_collision.core.kinds import PLANE, SPHERE
 from fracture_collision.core.known_samples import (
     ask_sample,
-    home_tetrahedron,
-    moved_since,
     query_seeds,
     rounding_slack,
     share_a_body,
@@ -40,7 +55,7 @@ from fracture_collision.core.neighbour_lists import (
     see,
 )
 from fracture_collision.core.oriented_boxes import box_clearance
-from fracture_collision.core.pools import LEAF, SAMPLE
+from fracture_collision.core.pools import LEAF
 from fracture_collision.core.rotations import rotated, to_other
 from fracture_collision.core.sample_leaves import (
     is_beyond,
@@ -84,11 +99,11 @@ def search_samples(
     Returns (contacts, missed depth bound [m], visits, samples near, clearance [m]), as query_pair does, the visits
     counting leaves and samples; -1 contacts: as many as wanted by the paper's rule, so query_pair must say.
     """
-    fragment, tree = pools.fragment, pools.tree
+    fragment = pools.fragment
     slack = rounding_slack(pools, a, b, translation)
     one_body = share_a_body(pools, a, b)
     near = rule.near
-    within, samples, visits, count = near + reach, 0, 0, 0
+    within, samples, visits, count, deep = near + reach, 0, 0, 0, 0
     bounded = fragment.kind[a] != PLANE and fragment.kind[b] != PLANE
     if bounded:
         parted = box_clearance(fragment.box[a], fragment.box[b], rotation[0], translation[0], within + slack)
@@ -151,21 +166,32 @@ def search_samples(
                     continue
                 visits += 1
                 entry = first + mine.entries[k]
-                distance, is_near = 0.0, False
-                if -depth > near + ahead:
+                distance, is_near = 0.0, may_wait(pools, other, rule, deep)
+                if is_near:
+                    where = UNKNOWN
+                    if may_be:
+                        where, at = side_of_surface(
+                            pools, other, at, x, y, z, rule.epsilon, slack + mine.middle[3]
+                        )
+                    if where != BEYOND:
+                        count = _keep_for_later(
+                            pools, rotation, translation, rule, entry, side, other, one_body, slack, where, count,
+                            scratch, thread,
+                        )  # fmt: skip
+                elif -depth > near + ahead:
                     distance = -depth
                 elif may_be:
                     distance, at = clearance(
                         pools, other, at, x, y, z, near + ahead, slack + mine.middle[3], scratch, thread
                     )
-                if distance == 0.0:
-                    c, sample = tree.spheres[entry], tree.entries[entry, SAMPLE]
-                    x, y, z = to_other(rotation[side], translation[side], c[0], c[1], c[2])
-                    deep = moved_since(c, x, y, z) + slack if one_body else math.inf
-                    start = home_tetrahedron(pools, other, sample) if one_body else -1
-                    answer = _ask(pools, other, x, y, z, near + ahead, deep, rule, start, True, scratch, thread)
-                    distance = answer[1]
-                    is_near = answer[0] == INSIDE or (answer[0] != OUTSIDE and distance <= near)
+                if distance == 0.0 and not is_near:
+                    distance, is_near = _ask(
+                        pools, rotation, translation, rule, entry, side, other, one_body, near + ahead, slack, True,
+                        count, scratch, thread,
+                    )  # fmt: skip
+                    count, deep = count + is_near, deep + (distance < -rule.epsilon)
+                    if rule.most == 0 and count == rule.wanted:
+                        return -1, slack, visits, samples, 0.0
                 if reach > 0.0:
                     if samples < len(listed):
                         listed[samples, WHO], listed[samples, WHERE] = 2 * entry + side, at
@@ -174,18 +200,10 @@ def search_samples(
                         seen = NEAR_LAST if is_near else distance - 4.0 * slack
                         see(place, rotation[side], frame, seen, near)
                     samples += 1
-                if is_near:
-                    if rule.most == 0 and count + 1 >= rule.wanted:
-                        return -1, slack, visits, samples, 0.0
-                    ceiling = min(deep, _way_out_of_box(fragment.box[other], x, y, z) + slack)
-                    keep(
-                        rule, near + ahead, entry, side, sample, x, y, z, c, answer, ceiling, count, scratch, thread
-                    )
-                    count += 1
-    find_deepest(pools, a, b, rotation, translation, rule, slack, count, scratch, thread)
-    chosen, bound = choose(rule, count, scratch, thread)
-    put_chosen(pools, a, b, rotation, translation, near, slack, contacts, ids, min(chosen, capacity), scratch, thread)
-    return chosen, bound + slack, visits, samples, 0.0
+    chosen, bound = _choose(
+        pools, a, b, rotation, translation, rule, slack, count, deep, contacts, ids, capacity, scratch, thread
+    )
+    return chosen, bound, visits, samples, 0.0
 
 
 @query_kernel
@@ -197,7 +215,7 @@ def query_listed(
     Where one is no nearer than the detection tolerance, it is looked for `ahead` [m] farther, and what is noted of it
     is renewed. Returns (contacts, missed depth bound [m], visits), -1 contacts as search_samples does.
     """
-    tree, count, visits, near = pools.tree, 0, 0, rule.near
+    tree, count, deep, visits, near = pools.tree, 0, 0, 0, rule.near
     middles = pools.fragment.middle
     slack, one_body = rounding_slack(pools, a, b, translation), share_a_body(pools, a, b)
     side, other = 0, b
@@ -210,46 +228,93 @@ def query_listed(
             continue
         visits += 1
         entry = listed[i, WHO] >> 1
-        c = tree.spheres[entry]
-        x, y, z = to_other(rotation[side], translation[side], c[0], c[1], c[2])
-        looked = near
+        if may_wait(pools, other, rule, deep):
+            places[i, UNTIL] = NEAR_LAST
+            count = _keep_for_later(
+                pools, rotation, translation, rule, entry, side, other, one_body, slack, UNKNOWN, count, scratch,
+                thread,
+            )  # fmt: skip
+            continue
+        looked, distance, is_near = near, 0.0, False
         if places[i, UNTIL] != NEAR_LAST:
             looked = near + ahead
             if may_be_clear(pools, other):
+                c = tree.spheres[entry]
+                x, y, z = to_other(rotation[side], translation[side], c[0], c[1], c[2])
                 distance, listed[i, WHERE] = clearance(
                     pools, other, listed[i, WHERE], x, y, z, looked, slack, scratch, thread
                 )
-                if distance > 0.0:
-                    see(places[i], rotation[side], frame, distance - 4.0 * slack, near)
-                    continue
-        sample = tree.entries[entry, SAMPLE]
-        start = home_tetrahedron(pools, other, sample) if one_body else -1
-        deep = moved_since(c, x, y, z) + slack if one_body else math.inf
-        answer = _ask(pools, other, x, y, z, looked, deep, rule, start, False, scratch, thread)
-        if answer[0] != INSIDE and (answer[0] == OUTSIDE or answer[1] > near):
-            see(places[i], rotation[side], frame, answer[1] - 4.0 * slack, near)
+        if distance == 0.0:
+            distance, is_near = _ask(
+                pools, rotation, translation, rule, entry, side, other, one_body, looked, slack, False, count, scratch,
+                thread,
+            )  # fmt: skip
+        if not is_near:
+            see(places[i], rotation[side], frame, distance - 4.0 * slack, near)
             continue
         places[i, UNTIL] = NEAR_LAST
-        if rule.most == 0 and count + 1 >= rule.wanted:
+        count, deep = count + 1, deep + (distance < -rule.epsilon)
+        if rule.most == 0 and count == rule.wanted:
             return -1, slack, visits
-        ceiling = min(deep, _way_out_of_box(pools.fragment.box[other], x, y, z) + slack)
-        keep(rule, looked, entry, side, sample, x, y, z, c, answer, ceiling, count, scratch, thread)
-        count += 1
-    find_deepest(pools, a, b, rotation, translation, rule, slack, count, scratch, thread)
-    chosen, bound = choose(rule, count, scratch, thread)
-    put_chosen(pools, a, b, rotation, translation, near, slack, contacts, ids, min(chosen, capacity), scratch, thread)
-    return chosen, bound + slack, visits
+    chosen, bound = _choose(
+        pools, a, b, rotation, translation, rule, slack, count, deep, contacts, ids, capacity, scratch, thread
+    )
+    return chosen, bound, visits
 
 
 @inlined_kernel
-def _ask(pools, other, x, y, z, near, deep, rule, start, reached, scratch, thread):
-    """bounded_probe of a sample that may be near; by our rule no deeper than epsilon, how deep it is matters later."""
+def _ask(
+    pools, rotation, translation, rule, entry, side, other, one_body, looked, slack, reached, count, scratch, thread
+):
+    """(how far a sample is from the other [m], to `looked` [m] at least; whether it is within the tolerance: then it is
+    kept as the one to choose from after `count` others).
+
+    By our rule it is looked for no deeper than epsilon, how deep it is matters later: minus infinity.
+    """
+    sample, x, y, z, start, deep = placed(pools, rotation, translation, entry, side, other, one_body, slack)
     if rule.most > 0:
-        return bounded_probe(pools, other, x, y, z, near, min(deep, rule.epsilon), start, reached, scratch, thread)
-    return ask_sample(pools, other, x, y, z, near, deep, start, reached, scratch, thread)
+        answer = bounded_probe(
+            pools, other, x, y, z, looked, min(deep, rule.epsilon), start, reached, scratch, thread
+        )
+    else:
+        answer = ask_sample(pools, other, x, y, z, looked, deep, start, reached, scratch, thread)
+    if answer[0] != INSIDE and (answer[0] == OUTSIDE or answer[1] > rule.near):
+        return answer[1], False
+    most = min(answer[8], deep, way_out_of_box(pools.fragment.box[other], x, y, z) + slack)
+    keep(pools, entry, side, sample, x, y, z, answer[1], most, count, scratch, thread)
+    if is_final(answer, looked, rule):
+        keep_answer(answer, count, sample, x, y, z, scratch, thread)
+    return answer[1], True
 
 
 @inlined_kernel
-def _way_out_of_box(box, x, y, z):
-    """[m] from a point to the nearest side of a box (6,) around it: what is in the box is no deeper."""
-    return min(x - box[0], y - box[1], z - box[2], box[3] - x, box[4] - y, box[5] - z)
+def _keep_for_later(
+    pools, rotation, translation, rule, entry, side, other, one_body, slack, where, count, scratch, thread
+):
+    """Keep a sample as the one to choose from after `count` others, if it may be deeper than epsilon, UNASKED if that
+    is not certain; returns how many there are. where: DEEP or UNKNOWN, see side_of_surface.
+    """
+    sample, x, y, z, _, deep = placed(pools, rotation, translation, entry, side, other, one_body, slack)
+    deep = min(deep, way_out_of_box(pools.fragment.box[other], x, y, z) + slack)
+    if not deep > rule.epsilon:
+        return count
+    distance = -math.inf if where == DEEP else UNASKED
+    keep(pools, entry, side, sample, x, y, z, distance, deep, count, scratch, thread)
+    return count + 1
+
+
+@inlined_kernel
+def _choose(
+    pools, a, b, rotation, translation, rule, slack, count, deep, contacts, ids, capacity, scratch, thread
+):
+    """Put those of `count` samples that are to be listed, of which `deep` are known to be deeper than epsilon; returns
+    (contacts, missed depth bound [m]).
+    """
+    if rule.most > 0 and deep > rule.wanted:
+        chosen, bound = choose_deep(pools, a, b, rotation, translation, rule, slack, count, scratch, thread)
+    else:
+        chosen, bound = choose(rule, count, scratch, thread)
+    put_chosen(
+        pools, a, b, rotation, translation, rule.near, slack, contacts, ids, min(chosen, capacity), scratch, thread
+    )
+    return chosen, bound + slack

@@ -30,6 +30,7 @@ class Scratch(NamedTuple):
     node_float: np.ndarray  # (threads, nodes, 4) float64: point in the other's frame [m], depth bound [m]
     queue: np.ndarray  # (threads, 2, 2 nodes) int32: rows of the two above
     spread: np.ndarray  # (threads, 2, nodes) float64 [m2], [m]: see sample_search
+    ways: np.ndarray  # (threads, 8 and apart, 5) float64: directions out of a fragment, see deep_choice
     along: np.ndarray  # (threads, nodes) float32: of leaves of samples, how far they reach [m]
     planes: np.ndarray  # (threads, 8 and apart, 4) float32: half-spaces
     rotation: np.ndarray  # (threads, 2 and apart, 3, 3) float64: a pair's relative poses
@@ -61,6 +62,7 @@ def make_scratch(threads: int, tetrahedra: int, nodes: int) -> Scratch:
         node_float=np.zeros((threads, nodes, 4)),
         queue=np.zeros((threads, 2, 2 * nodes), dtype=np.int32),
         spread=np.zeros((threads, 2, nodes)),
+        ways=np.zeros((threads, 12, 5)),
         along=np.zeros((threads, nodes), dtype=np.float32),
         planes=np.zeros((threads, 16, 4), dtype=np.float32),
         rotation=np.zeros((threads, 4, 3, 3)),
