@@ -286,7 +286,7 @@ class CollisionGeometry:
         self._rebuild_surfaces(node_shift, tet_shift, edge_shift, k, touched, first, end, reaches)
         self._mark_cells(row, first, end, reaches)
         self._give_trees(row, prepared.mesh, rows, nodes, parts, edges, first, count)
-        self._choose_seeds(row, rows)
+        self._choose_seeds(row, rows, touched, first)
         self._tables.have_grown()
         if self._field == AVERAGED:
             update_averaged_field(
@@ -341,15 +341,20 @@ class CollisionGeometry:
             self._tables.fragment[f"{name}_end"].view[first : first + count] = rows_of[1:]
         self._tables.fragment["middle"].view[first : first + count] = middles
 
-    def _choose_seeds(self, row, rows) -> None:
-        """Anew for the whole body that fragment `row` is of: a neighbour's crack has fallen to its parts."""
+    def _choose_seeds(self, row, rows, touched, first) -> None:
+        """Those of the pairs with a fragment from row `first` on, into which fragment `row` broke."""
         tables, fragment = self._tables, self._tables.fragment
         keys, ranges, edges = choose_seeds(
             self.pools.mesh, self.pools.body, fragment["node_shift"].view[row], fragment["edge_shift"].view[row],
-            rows.edge, rows.edge + rows.counts[2], tables.seeds["edges"].used,
+            rows.edge, rows.edge + rows.counts[2], touched.cut, first, tables.seeds["edges"].used,
         )  # fmt: skip
-        begin = tables.seeds["keys"].append(keys)
-        tables.seeds["ranges"].append(ranges)
+        known = slice(*fragment["seeds"].view[row].tolist())
+        known_keys, known_ranges = tables.seeds["keys"].view[known], tables.seeds["ranges"].view[known]
+        stays = (known_keys >> 32 != row) & (known_keys & 0xFFFFFFFF != row)
+        keys, ranges = np.append(known_keys[stays], keys), np.vstack((known_ranges[stays], ranges))
+        order = np.argsort(keys, kind="stable")
+        begin = tables.seeds["keys"].append(keys[order])
+        tables.seeds["ranges"].append(ranges[order])
         tables.seeds["edges"].append(edges)
         own = np.concatenate([keys >> 32, keys & 0xFFFFFFFF])
         fragment["seeds"].view[own] = begin, begin + len(keys)

@@ -23,7 +23,7 @@ CANDIDATES = 48
 
 class SeedPool(NamedTuple):
     """A body's rows are ascending in their keys; FragmentPool.seeds says which they are. Those of before its last
-    fracture stay as garbage.
+    fracture stay as garbage, and so do the edges of what broke; others' edges are where they were.
     """
 
     keys: np.ndarray  # int64 smaller row of the fragment pool << 32 | larger row
@@ -53,12 +53,15 @@ def find_seeds(fragment, seeds, a, b):
 
 
 @kernel
-def choose_seeds(mesh, body, node_shift, edge_shift, first_edge, last_edge, first_seed):
-    """Rows of SeedPool for one body: mesh edges first_edge .. last_edge - 1, labels and crossings as they are now.
+def choose_seeds(mesh, body, node_shift, edge_shift, first_edge, last_edge, cut_tetrahedra, first_fragment, first_seed):
+    """Rows of SeedPool for the pairs with a fragment from row `first_fragment` on, which share the edges of
+    `cut_tetrahedra` (n,) of a mesh with edges first_edge .. last_edge - 1; labels and crossings as they are now.
 
     Ranges count from `first_seed` on. Returns (keys, ranges, edges).
     """
-    cut, low, high = _cut_edges(mesh, body, node_shift, edge_shift, first_edge, last_edge)
+    cut, low, high = _cut_edges(
+        mesh, body, node_shift, edge_shift, first_edge, last_edge, cut_tetrahedra, first_fragment
+    )
     # by the smaller label and then the larger: sorted by the larger first
     order = _by_label(cut, 1, low, high, _by_label(cut, 2, low, high, np.arange(len(cut))))
     keys, ranges = np.empty(len(cut), np.int64), np.empty((len(cut), 2), np.int32)
@@ -84,18 +87,32 @@ def choose_seeds(mesh, body, node_shift, edge_shift, first_edge, last_edge, firs
 
 
 @kernel
-def _cut_edges(mesh, body, node_shift, edge_shift, first_edge, last_edge):
-    """Cut edges with the smaller and the larger label of their ends (n, 3) int32; least and largest label of all."""
-    cut, count = np.empty((last_edge - first_edge, 3), np.int32), 0
+def _cut_edges(mesh, body, node_shift, edge_shift, first_edge, last_edge, cut_tetrahedra, first_fragment):
+    """Cut edges with the smaller and the larger label of their ends (n, 3) int32, ascending; least and largest label of
+    all.
+    """
+    words = np.zeros((last_edge - first_edge + 63) // 64, np.uint64)  # a bit for each edge: they come several times
+    for t in cut_tetrahedra:
+        for k in range(6):
+            e = mesh.tetrahedron_edges[t, k]
+            if body.edge_plane[e + edge_shift] >= 0:
+                words[(e - first_edge) >> 6] |= np.uint64(1) << np.uint64((e - first_edge) & 63)
+    cut, count = np.empty((min(6 * len(cut_tetrahedra), last_edge - first_edge), 3), np.int32), 0
     low, high = np.iinfo(np.int32).max, -1
-    for e in range(first_edge, last_edge):
-        if body.edge_plane[e + edge_shift] < 0:
+    for w in range(len(words)):
+        if words[w] == 0:
             continue
-        a = body.node_fragment[mesh.edges[e, 0] + node_shift]
-        b = body.node_fragment[mesh.edges[e, 1] + node_shift]
-        cut[count, 0], cut[count, 1], cut[count, 2] = e, min(a, b), max(a, b)
-        low, high = min(low, a, b), max(high, a, b)
-        count += 1
+        for bit in range(64):
+            if not (words[w] >> np.uint64(bit)) & np.uint64(1):
+                continue
+            e = first_edge + 64 * w + bit
+            a = body.node_fragment[mesh.edges[e, 0] + node_shift]
+            b = body.node_fragment[mesh.edges[e, 1] + node_shift]
+            if max(a, b) < first_fragment:
+                continue
+            cut[count, 0], cut[count, 1], cut[count, 2] = e, min(a, b), max(a, b)
+            low, high = min(low, a, b), max(high, a, b)
+            count += 1
     return cut[:count], low, high
 
 

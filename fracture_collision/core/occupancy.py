@@ -87,7 +87,8 @@ def mark_cells(pools, parent, low, high, cells, occupancy, words, holders):
             for l in range(z0, z0 + mz):  # noqa: E741
                 c = first + (i * ny + j) * nz + l
                 begin, end = mesh.cell_begin[c], mesh.cell_begin[c + 1]
-                if begin == end:
+                whole = pools.occupancy[at + ((i - x0) * my + (j - y0)) * mz + (l - z0)]
+                if not whole:
                     continue
                 # most cells go from the parent to one fragment as they are
                 heir = body.regions[mesh.cell_tets[begin] + tet_shift, OWNER]
@@ -96,8 +97,7 @@ def mark_cells(pools, parent, low, high, cells, occupancy, words, holders):
                     while e < end and body.regions[mesh.cell_tets[e] + tet_shift, OWNER] == heir:
                         e += 1
                     if e == end:
-                        word = pools.occupancy[at + ((i - x0) * my + (j - y0)) * mz + (l - z0)]
-                        _mark(cells[heir - low], i, j, l, word, occupancy)
+                        _mark(cells[heir - low], i, j, l, whole, occupancy)
                         continue
                 used = 0
                 for e in range(begin, end):
