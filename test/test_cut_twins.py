@@ -85,12 +85,14 @@ def _areas(case: FracturedWorld, rows: list[int]) -> dict[tuple[int, int, int, i
 def test_split_parts_are_those_that_scipy_finds(nodes: int, edges: int, count: int, seed: int) -> None:
     random = np.random.default_rng(seed)
     ends = np.sort(random.integers(0, nodes, (edges, 2)), axis=1).astype(np.int32)
+    ends = ends[np.argsort(ends[:, 0], kind="stable")]
+    begin = np.searchsorted(ends[:, 0], np.arange(nodes + 1))
     labels = random.integers(-1, count, nodes).astype(np.int32)
     pieces = connected_pieces(ends, labels)
     split = [p for p in range(count) if len(np.unique(pieces[labels == p])) > 1]
     of_ends = labels[ends]
     between = int(((of_ends >= 0).all(axis=1) & (of_ends[:, 0] != of_ends[:, 1])).sum())
-    assert first_split(ends, labels, count) == (split[0] if split else -1, between)
+    assert first_split(ends, begin, labels, count) == (split[0] if split else -1, between)
 
 
 EVERY = SETTINGS._replace(penetration_tolerance=0.0, contacts_per_pair=10**6, normals="nearest")

@@ -150,7 +150,7 @@ def _connected(fields: FractureFields, mesh: TetMesh, part_of_node: np.ndarray) 
     nodes_of = np.bincount(fields.parts, minlength=len(new_ids))
     if not nodes_of.all():
         refuse("empty_fragment", f"node_fragments: fragment {new_ids[np.argmin(nodes_of)]} has no node")
-    split, between = first_split(mesh.edges, part_of_node, len(new_ids))
+    split, between = first_split(mesh.edges, mesh.edges_begin, part_of_node, len(new_ids))
     if split >= 0:
         refuse("disconnected", f"node_fragments: fragment {new_ids[split]} falls into pieces that no edge joins")
     return between

@@ -23,35 +23,39 @@ class CutRecord(NamedTuple):
     pinched: np.ndarray  # (n,) uint8: a plane passes through the node, or next to it
 
 
-def first_split(edges: np.ndarray, part_of_node: np.ndarray, count: int) -> tuple[int, int]:
+def first_split(edges: np.ndarray, edges_begin: np.ndarray, part_of_node: np.ndarray, count: int) -> tuple[int, int]:
     """(the first of parts 0 .. count - 1 whose nodes no path of edges along its own nodes joins, -1 if there is none;
     how many edges join two parts).
 
-    edges (e, 2); part_of_node (n,), -1: of no part.
+    edges (e, 2), edges_begin (n + 1,): as in TetMesh; part_of_node (n,), -1: of no part.
     """
-    return _first_split(edges, part_of_node, np.arange(len(part_of_node), dtype=np.int32), np.zeros(count, np.int64))
+    nodes = np.flatnonzero(part_of_node >= 0)
+    root = np.arange(len(part_of_node), dtype=np.int32)
+    return _first_split(edges, edges_begin, nodes, part_of_node, root, np.zeros(count, np.int64))
 
 
 @query_kernel
-def _first_split(edges, part_of_node, root, pieces):
+def _first_split(edges, edges_begin, nodes, part_of_node, root, pieces):
     """Disjoint sets, each under its smallest node: root (n,), each node's own number; pieces (count,): zeros."""
     between = 0
-    for e in range(len(edges)):
-        a, b = edges[e, 0], edges[e, 1]
-        p, q = part_of_node[a], part_of_node[b]
-        between += (p != q) & (p >= 0) & (q >= 0)
-        # most edges join what is joined already, and known to be
-        if (root[a] == root[b]) | (p != q) | (p < 0):
-            continue
-        while root[a] != a:
-            root[a] = root[root[a]]
-            a = root[a]
-        while root[b] != b:
-            root[b] = root[root[b]]
-            b = root[b]
-        root[max(a, b)] = min(a, b)
-    for n in range(len(part_of_node)):
-        if part_of_node[n] >= 0 and root[n] == n:
+    for n in nodes:
+        p = part_of_node[n]
+        for e in range(edges_begin[n], edges_begin[n + 1]):
+            a, b = edges[e, 0], edges[e, 1]
+            q = part_of_node[b]
+            between += (p != q) & (q >= 0)
+            # most edges join what is joined already, and known to be
+            if (root[a] == root[b]) | (p != q):
+                continue
+            while root[a] != a:
+                root[a] = root[root[a]]
+                a = root[a]
+            while root[b] != b:
+                root[b] = root[root[b]]
+                b = root[b]
+            root[max(a, b)] = min(a, b)
+    for n in nodes:
+        if root[n] == n:
             pieces[part_of_node[n]] += 1
     for p in range(len(pieces)):
         if pieces[p] > 1:
