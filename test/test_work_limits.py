@@ -85,7 +85,7 @@ def test_pairs_without_room_are_searched_again(monkeypatch) -> None:
     "limits",
     [
         {"max_contacts_per_pair": 4}, {"max_contacts": 60}, {"max_contacts": 3}, {"max_further_visits": 30},
-        {"max_visits": 2_000}, {"max_visits": 500},
+        {"max_visits": 500}, {"max_visits": 100},
     ],
     ids=str,
 )  # fmt: skip

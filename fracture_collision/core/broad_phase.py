@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fracture_collision.core.compiled import kernel
-from fracture_collision.core.crowds import coincident
+from fracture_collision.core.crowds import overlaps_of
 from fracture_collision.core.kinds import PLANE
 
 
@@ -92,7 +92,7 @@ def overlapping_pairs(boxes, kinds, shapes, rotations, positions, is_static, mos
 @kernel
 def pairs_within_reach(fragment, rows, rotations, positions, is_static, tolerance, most):
     """Of fragments `rows` (n,) of a FragmentPool with poses (n, 3, 3), (n, 3): their R (n,) [m]; the pairs that may be
-    within `tolerance` (a share of the smaller R) of each other, see overlapping_pairs; and which of these coincide.
+    within `tolerance` (a share of the smaller R) of each other, see overlapping_pairs; and their Overlaps.
     """
     radius, boxes = fragment.radius[rows], np.empty((len(rows), 6))
     # two boxes grown by half the tolerance each meet whenever their fragments come within it
@@ -101,4 +101,4 @@ def pairs_within_reach(fragment, rows, rotations, positions, is_static, toleranc
     pairs = overlapping_pairs(
         boxes, fragment.kind[rows], fragment.shape[rows], rotations, positions, is_static, most
     )
-    return radius, pairs, coincident(boxes, pairs)
+    return radius, pairs, overlaps_of(boxes, pairs)

@@ -2,11 +2,14 @@
 
 A hundred bodies at one place are five thousand pairs, each of which a search has to go through to the last sample. So
 pairs whose boxes mostly coincide share a number of visits, and a pair whose share would not do for a beginning is not
-searched at all. All others share 25 times that number, which they hardly ever reach. What a pair gets depends on
-where the boxes are and on the sizes of the trees, and on nothing that a step may have kept from an earlier one.
+searched at all. All others share 25 times that number, which they hardly ever reach: of these only what lies in the
+other's box is counted, all else is soon left out. What a pair gets depends on where the boxes are and on the sizes of
+the trees, and on nothing that a step may have kept from an earlier one.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,19 +28,31 @@ COST_TETRAHEDRA, COST_TRIANGLES = 10, 40
 LEAST_VISITS = 16
 # How many times as much pairs that do not coincide may cost.
 APART = 25
+# Of the nodes in the other's box a search of a pair that does not coincide asks about so many, all others are beyond a
+# plane between the two.
+ASKED = 0.4
+
+
+class Overlaps(NamedTuple):
+    """Of the boxes of pairs."""
+
+    coincide: np.ndarray  # (p,) bool: mostly
+    shares: np.ndarray  # (p, 2) float64: how much of either's volume is in the other
 
 
 @kernel
-def coincident(boxes, pairs):
-    """Which of `pairs` (p, 2) mostly coincide, (p,) bool; boxes (n, 6) [m] in the world, those of planes unbounded."""
-    mostly = np.zeros(len(pairs), np.bool_)
+def overlaps_of(boxes, pairs):
+    """Overlaps of `pairs` (p, 2) of boxes (n, 6) [m] in the world, those of planes unbounded."""
+    coincide, shares = np.zeros(len(pairs), np.bool_), np.ones((len(pairs), 2))
     for p in range(len(pairs)):
         a, b, share = boxes[pairs[p, 0]], boxes[pairs[p, 1]], 1.0
         for d in range(3):
-            overlap = min(a[d + 3], b[d + 3]) - max(a[d], b[d])
-            share *= max(overlap, 0.0) / max(a[d + 3] - a[d], b[d + 3] - b[d])
-        mostly[p] = share > COINCIDENT
-    return mostly
+            overlap = max(min(a[d + 3], b[d + 3]) - max(a[d], b[d]), 0.0)
+            share *= overlap / max(a[d + 3] - a[d], b[d + 3] - b[d])
+            shares[p, 0] *= overlap / (a[d + 3] - a[d])
+            shares[p, 1] *= overlap / (b[d + 3] - b[d])
+        coincide[p] = share > COINCIDENT
+    return Overlaps(coincide, shares)
 
 
 def most_visits(pools: Pools, rows: np.ndarray, pairs: np.ndarray) -> np.ndarray:
@@ -47,17 +62,20 @@ def most_visits(pools: Pools, rows: np.ndarray, pairs: np.ndarray) -> np.ndarray
 
 
 @kernel
-def _most_together(kinds, tree_begin, tree_end, rows, pairs, is_coincident):
+def _most_together(kinds, tree_begin, tree_end, rows, pairs, overlaps):
     """What all pairs that coincide, and all others, cost at most, in visits of a closed form."""
     coincide = apart = 0
     for p in range(len(pairs)):
         a, b = rows[pairs[p, 0]], rows[pairs[p, 1]]
-        most = np.int64(tree_end[a]) - tree_begin[a] + tree_end[b] - tree_begin[b] + MOST_SEEDS
-        most *= max(_cost(kinds[a]), _cost(kinds[b]))
-        if is_coincident[p]:
-            coincide += most
+        of_a, of_b = tree_end[a] - tree_begin[a], tree_end[b] - tree_begin[b]
+        cost = max(_cost(kinds[a]), _cost(kinds[b]))
+        if overlaps.coincide[p]:
+            coincide += (of_a + of_b + MOST_SEEDS) * cost
         else:
-            apart += most
+            # not a number: a box without an extent
+            x, y = overlaps.shares[p, 0], overlaps.shares[p, 1]
+            within = of_a * (x if x < 1.0 else 1.0) + of_b * (y if y < 1.0 else 1.0)
+            apart += np.int64(ASKED * within) * cost
     return coincide, apart
 
 
@@ -66,29 +84,26 @@ def _cost(kind):
     return COST_TETRAHEDRA if kind == TETRAHEDRA else COST_TRIANGLES if kind == TRIANGLES else 1
 
 
-def visit_shares(
-    pools: Pools, rows: np.ndarray, pairs: np.ndarray, is_coincident: np.ndarray, visits: int
-) -> np.ndarray:
+def visit_shares(pools: Pools, rows: np.ndarray, pairs: np.ndarray, overlaps: Overlaps, visits: int) -> np.ndarray:
     """Visits (p,) int64 that each of `pairs` (p, 2) of indices into `rows` may take, UNSHARED or UNSEARCHED.
 
     `visits`: of all that coincide together, in visits of a closed form.
     """
     fragment = pools.fragment
-    together = _most_together(fragment.kind, fragment.tree_begin, fragment.tree_end, rows, pairs, is_coincident)
-    if together[0] <= visits and together[1] <= APART * visits:
-        return np.zeros(len(pairs), np.int64)
-    most = most_visits(pools, rows, pairs)
-    kinds = fragment.kind[rows]
-    ends = kinds[pairs]
+    most = _most_together(fragment.kind, fragment.tree_begin, fragment.tree_end, rows, pairs, overlaps)
+    limits = visits, APART * visits
+    shares = np.full(len(pairs), UNSHARED)
+    if most[0] <= limits[0] and most[1] <= limits[1]:
+        return shares
+    ends = fragment.kind[rows][pairs]
     cost_of_ends = np.where(ends == TETRAHEDRA, COST_TETRAHEDRA, np.where(ends == TRIANGLES, COST_TRIANGLES, 1))
     cost = cost_of_ends.max(axis=1, initial=1)
     least = np.full(len(pairs), LEAST_VISITS)
     # the centre of a sphere may be as far from all of a surface as can be
     alone = (ends == SPHERE).any(axis=1) & (cost > 1)
-    least[alone] += most[alone]
-    shares = np.full(len(pairs), UNSHARED)
-    for those, together in ((is_coincident, visits), (~is_coincident, APART * visits)):
-        if int((most * cost)[those].sum()) > together:
+    least[alone] += most_visits(pools, rows, pairs)[alone]
+    for those, their_most, together in zip((overlaps.coincide, ~overlaps.coincide), most, limits, strict=True):
+        if their_most > together:
             share = together // (int(np.count_nonzero(those)) * cost[those])
             shares[those] = np.where(share < least[those], UNSEARCHED, share)
     return shares

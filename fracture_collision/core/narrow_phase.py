@@ -12,7 +12,7 @@ import numpy as np
 from fracture_collision.core.compiled import inlined_kernel, kernel, threaded_kernel
 from fracture_collision.core.contact_choice import Rule
 from fracture_collision.core.crew import Crew
-from fracture_collision.core.crowds import UNSEARCHED, UNSHARED, most_visits, visit_shares
+from fracture_collision.core.crowds import UNSEARCHED, UNSHARED, Overlaps, most_visits, visit_shares
 from fracture_collision.core.facing_normal import turn_contacts
 from fracture_collision.core.kept_answer import (
     NOTHING_KEPT,
@@ -225,7 +225,7 @@ def _gather(
 def query_pairs(
     pools, rows, rotations, positions, pairs, wanted, most, epsilon, near, budget, scratch, crew: Crew,
     before: Remembered | None = None, stamp: int = 0, limits: WorkLimits = NO_LIMITS,
-    is_coincident: np.ndarray | None = None,
+    overlaps: Overlaps | None = None,
 ) -> tuple[PairContacts, Remembered]:  # fmt: skip
     """Contacts of `pairs` (p, 2) of indices into `rows` (n,), with poses rotations (n, 3, 3), positions (n, 3) [m].
 
@@ -237,15 +237,15 @@ def query_pairs(
 
     limits: half of the further visits are shared evenly by all pairs, the other half by those whose share was too
     small. Of too many contacts, the pairs that have most lose their shallowest, so that none keeps more than some
-    number. is_coincident (p,) bool: see crowds.visit_shares, which a budget takes the place of. No share depends on
+    number. overlaps: see crowds.visit_shares, which a budget takes the place of. No share depends on
     lists: a pair that a list answers has fewer contacts than wanted, and none is kept that a limit might cut short.
     """
     p = len(pairs)
     slots, known, stands_at = np.full(p, -1), np.zeros(p, np.bool_), np.full(p, -1)
     lists, moved = NO_LISTS, np.arange(p)
     shares = np.full(p, budget)
-    if not budget and is_coincident is not None:
-        shares = visit_shares(pools, rows, pairs, is_coincident, limits.visits)
+    if not budget and overlaps is not None:
+        shares = visit_shares(pools, rows, pairs, overlaps, limits.visits)
     if before is not None and not budget:
         lists, slots, known = with_pairs(before.lists, pair_keys(rows, pairs))
         if shares.any():

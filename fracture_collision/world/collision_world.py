@@ -122,7 +122,7 @@ class CollisionWorld:
         here = take_places(checked, self._registry.living(), moving)
         rows, positions, rotations = here.rows, here.positions, here.rotations
         pools = self._registry.geometry.pools
-        radius, pairs, is_coincident = pairs_within_reach(
+        radius, pairs, overlaps = pairs_within_reach(
             pools.fragment, rows, rotations, positions, here.is_static, self.settings.detection_tolerance,
             self.settings.max_pairs,
         )  # fmt: skip
@@ -138,7 +138,7 @@ class CollisionWorld:
             pools, rows, rotations, positions, pairs, self.settings.contacts_per_pair, most_listed(self.settings),
             self.settings.penetration_tolerance, self.settings.detection_tolerance, budget,
             self._sized_scratch(rows), self._crew, remembered, self._registry.changes,
-            _work_limits(self.settings), is_coincident,
+            _work_limits(self.settings), overlaps,
         )  # fmt: skip
         answer = contact_answer(checked, here, radius, pairs, found, self.settings.penetration_tolerance)
         if remembered is not None:

@@ -50,7 +50,8 @@ class Settings(NamedTuple):
     # max_pairs: states of which more pairs of boxes overlap are refused in words. They are far beyond what bodies that
     # push each other apart come to; bodies at one place would else have contacts by the million.
     max_pairs: int = 100_000  # pairs of fragments whose boxes overlap
-    max_visits: int = 4_000_000  # tree nodes of pairs whose boxes coincide, in all; of the others, 25 times as many
+    # tree nodes of pairs whose boxes coincide, in all; of the others, 25 times as many (core/crowds.py)
+    max_visits: int = 4_000_000
     max_further_visits: int = 2_000_000  # tree nodes of pairs that have contacts_per_pair contacts, for deeper ones
     max_contacts_per_pair: int = 1_000  # the deepest; never fewer than contacts_per_pair
     max_contacts: int = 200_000  # in one answer; pairs that have most lose their shallowest
