@@ -8,7 +8,8 @@ from fractured_worlds import fractured_world
 
 from fracture_collision.core.clearance import BEYOND, DEEP, clearance, may_be_clear, side_of_surface
 from fracture_collision.core.elementary_queries import INSIDE, probe
-from fracture_collision.core.scratch import make_scratch
+from fracture_collision.core.pools import Pools
+from fracture_collision.core.scratch import Scratch, make_scratch
 from fracture_collision.geometry.generators import ball, brick, shell
 
 SHAPES = {
@@ -20,19 +21,29 @@ SHAPES = {
 WITHIN, ROUNDING, DEPTH = 0.03, 1e-9, 0.005  # [m]
 
 
-@pytest.mark.parametrize("shape", SHAPES)
-def test_what_is_said_to_be_far_is(shape: str) -> None:
+def _fragments(shape: str, beside: float, seed: int) -> tuple[Pools, Scratch, list[tuple[int, np.ndarray]]]:
+    """Of a broken body: its pools, scratch, and each fragment's row with points (600, 3) in its box, to `beside` [m]
+    beside it, and on nodes of the mesh (ties: on walls, on the old surface).
+    """
     body, is_curved = SHAPES[shape]
     case = fractured_world(body, 4, generations=2, curved=is_curved)
-    pools, random = case.geometry.pools, np.random.default_rng(5)
-    scratch = make_scratch(1, len(pools.mesh.tetrahedra), 1)
-    far = said = 0
+    pools, random, fragments = case.geometry.pools, np.random.default_rng(seed), []
     for f in map(case.row, case.oracle.fragment_ids):
+        box = pools.fragment.box[f]
+        nodes = pools.mesh.nodes[random.integers(0, len(pools.mesh.nodes), 100)]
+        anywhere = random.uniform(box[:3] - beside, box[3:] + beside, (500, 3))
+        fragments.append((f, np.vstack([anywhere, nodes])))
+    return pools, make_scratch(1, len(pools.mesh.tetrahedra), 1), fragments
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_what_is_said_to_be_far_is(shape: str) -> None:
+    pools, scratch, fragments = _fragments(shape, 0.1, 5)
+    far = said = 0
+    for f, points in fragments:
         assert may_be_clear(pools, f)
-        box, last = pools.fragment.box[f], -1
-        nodes = pools.mesh.nodes[random.integers(0, len(pools.mesh.nodes), 100)]  # ties: on walls, on the old surface
-        anywhere = random.uniform(box[:3] - 0.1, box[3:] + 0.1, (500, 3))
-        for point in np.vstack([anywhere, nodes]):
+        last = -1
+        for point in points:
             least, last = clearance(pools, f, last, *point, WITHIN, ROUNDING, scratch, 0)
             status, distance = probe(pools, f, *point, 10.0, np.inf, scratch, 0)[:2]
             assert least == 0.0 or (status != INSIDE and WITHIN <= least <= distance)
@@ -43,15 +54,11 @@ def test_what_is_said_to_be_far_is(shape: str) -> None:
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_what_is_said_to_be_inside_or_beyond_is(shape: str) -> None:
-    body, is_curved = SHAPES[shape]
-    case = fractured_world(body, 4, generations=2, curved=is_curved)
-    pools, random = case.geometry.pools, np.random.default_rng(7)
-    scratch = make_scratch(1, len(pools.mesh.tetrahedra), 1)
+    pools, scratch, fragments = _fragments(shape, 0.05, 7)
     told, counts = 0, np.zeros(2, int)
-    for f in map(case.row, case.oracle.fragment_ids):
-        box, last = pools.fragment.box[f], -1
-        nodes = pools.mesh.nodes[random.integers(0, len(pools.mesh.nodes), 100)]
-        for point in np.vstack([random.uniform(box[:3] - 0.05, box[3:] + 0.05, (500, 3)), nodes]):
+    for f, points in fragments:
+        last = -1
+        for point in points:
             side, last = side_of_surface(pools, f, last, *point, DEPTH, ROUNDING)
             status, distance = probe(pools, f, *point, 1.0, np.inf, scratch, 0)[:2]
             is_inside = status == INSIDE

@@ -119,13 +119,13 @@ def choose(rule, count, scratch, thread):
         elif pick < 0:
             best = 0.0
             for k in range(chosen, count):
-                best = max(best, worth(rule, point[k, DISTANCE], spread[FAR, k]))
+                best = max(best, _worth(rule, point[k, DISTANCE], spread[FAR, k]))
             for k in range(chosen, count):
-                its = worth(rule, point[k, DISTANCE], spread[FAR, k])
+                its = _worth(rule, point[k, DISTANCE], spread[FAR, k])
                 if its >= EQUAL * best and (pick < 0 or is_before(scratch, thread, k, pick)):
                     pick = k
         swap(scratch, thread, pick, chosen)
-        see_chosen(chosen, count, scratch, thread)
+        _see_chosen(chosen, count, scratch, thread)
     missed = 0.0
     for k in range(rule.wanted, count):
         missed = max(missed, spread[MOST_DEPTH, k])
@@ -133,7 +133,7 @@ def choose(rule, count, scratch, thread):
 
 
 @inlined_kernel
-def see_chosen(chosen, end, scratch, thread):
+def _see_chosen(chosen, end, scratch, thread):
     """How far the samples up to `end` are from those chosen, the last of which is row `chosen`."""
     point, far = scratch.node_float[thread], scratch.spread[thread, FAR]
     x, y, z = point[chosen, 0], point[chosen, 1], point[chosen, 2]
@@ -143,7 +143,7 @@ def see_chosen(chosen, end, scratch, thread):
 
 
 @inlined_kernel
-def worth(rule, distance, far):
+def _worth(rule, distance, far):
     """`far` [m2]: the square of how far a sample is from those chosen; `distance` [m] from the other's surface."""
     return far * (rule.near + min(-distance, rule.epsilon)) ** 2
 

@@ -16,7 +16,6 @@ from fracture_collision.core.contact_choice import (
     EQUAL,
     FAR,
     MOST_DEPTH,
-    NUMBER,
     SIDE,
     UNASKED,
     is_before,
@@ -28,9 +27,8 @@ from fracture_collision.core.elementary_queries import INSIDE, bounded_probe
 from fracture_collision.core.flood import EVERYTHING, nearest_in_tetrahedron, nothing_within, pop, push
 from fracture_collision.core.hull_separation import lowest_corner
 from fracture_collision.core.kinds import TETRAHEDRA, TRIANGLES
-from fracture_collision.core.known_samples import ask_sample, home_tetrahedron, share_a_body
+from fracture_collision.core.known_samples import ask_sample, share_a_body
 from fracture_collision.core.pools import EXACT
-from fracture_collision.core.rotations import to_other
 from fracture_collision.core.sample_leaves import farthest_sample, leaves_of, nearest_sample
 
 # Ways out of deep samples that are kept to bound how deep others are.
@@ -185,16 +183,15 @@ def _find_deepest(pools, a, b, rotation, translation, rule, slack, count, scratc
         waiting -= 1
         side = node[k, SIDE]
         other = b if side == 0 else a
-        x, y, z = point[k, 0], point[k, 1], point[k, 2]
-        if side == 1:
-            x, y, z = to_other(rotation[1], translation[1], x, y, z)
+        sample, x, y, z, start, moved = placed(
+            pools, rotation, translation, node[k, ENTRY], side, other, one_body, slack
+        )
         leaves = leaves_of(pools, other)
         m = leaves.middle
         if key == spread[MOST_DEPTH, k]:  # it came first by what was known of it at the beginning
             deep = key
             if one_body:
-                home = home_tetrahedron(pools, other, node[k, NUMBER])
-                best = nearest_in_tetrahedron(pools, other, home, x, y, z, EVERYTHING, nothing_within(key))
+                best = nearest_in_tetrahedron(pools, other, start, x, y, z, EVERYTHING, nothing_within(key))
                 deep = min(key, math.sqrt(best[0]) + slack)
             if deep == key and key > SAMPLES_HELP * pools.fragment.radius[other]:
                 deep = min(key, nearest_sample(leaves, x - m[0], y - m[1], z - m[2], scratch.along[thread]) + slack)
@@ -207,16 +204,13 @@ def _find_deepest(pools, a, b, rotation, translation, rule, slack, count, scratc
                     push(keys, items, waiting, -deep, k)
                     waiting += 1
                 continue
-        sample, x, y, z, start, deep = placed(
-            pools, rotation, translation, node[k, ENTRY], side, other, one_body, slack
-        )
         # that it is not the deepest is sooner seen than how deep it is
-        answer = bounded_probe(pools, other, x, y, z, 0.0, min(deep, deepest), start, True, scratch, thread)
+        answer = bounded_probe(pools, other, x, y, z, 0.0, min(moved, deepest), start, True, scratch, thread)
         if answer[0] != INSIDE:
             point[k, DISTANCE] = 0.0
             continue
         if answer[1] == -math.inf:
-            answer = ask_sample(pools, other, x, y, z, 0.0, deep, start, True, scratch, thread)
+            answer = ask_sample(pools, other, x, y, z, 0.0, moved, start, True, scratch, thread)
             keep_answer(answer, k, sample, x, y, z, scratch, thread)
         point[k, DISTANCE], spread[MOST_DEPTH, k] = answer[1], answer[8]
         deepest = max(deepest, -answer[1])
