@@ -216,7 +216,7 @@ def _find_deepest(pools, a, b, rotation, translation, rule, slack, count, scratc
         deepest = max(deepest, -answer[1])
         if known < MOST_WAYS:
             n, way = (answer[2], answer[3], answer[4]), ways[known]
-            _, reach = farthest_sample(leaves, n, scratch.along[thread])
+            _, reach = farthest_sample(leaves, n, 0, scratch.along[thread])
             farthest = n[0] * m[0] + n[1] * m[1] + n[2] * m[2] + reach + m[3] + slack
             rows = pools.fragment.corners[other]
             corners = pools.body.corners[rows[0] : rows[1]]

@@ -66,9 +66,16 @@ def keep(
     return KeptAnswer(stamp, index_of_row, poses, pair_of_slot, searched, further, offsets, contacts)
 
 
-def pose_bits(rotations: np.ndarray, positions: np.ndarray) -> np.ndarray:
+@kernel
+def pose_bits(rotations, positions):
     """(n, 12) uint64 of poses (n, 3, 3), (n, 3)."""
-    return np.hstack((rotations.reshape(-1, 9), positions)).view(np.uint64)
+    poses = np.empty((len(positions), 12))
+    for i in range(len(positions)):
+        for d in range(3):
+            for k in range(3):
+                poses[i, 3 * d + k] = rotations[i, d, k]
+            poses[i, 9 + d] = positions[i, d]
+    return poses.view(np.uint64)
 
 
 @kernel

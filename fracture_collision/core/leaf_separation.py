@@ -37,14 +37,15 @@ def parting_plane_of_leaves(pools, a, b, leaves, rotation, translation, distance
         v = way_between(pools.fragment.box[a], pools.fragment.box[b], rotation[0], translation[0])
     k0, k1, k2 = v, v, v
     found, best, best_low, best_high = v, -math.inf, 0.0, 0.0
+    at_a = at_b = 0
     for step in range(MOST_STEPS):
         length = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
         if not length > 0.0:
             break
         n = v[0] / length, v[1] / length, v[2] / length
         own = rotated(rotation[1], -n[0], -n[1], -n[2])
-        at_a, reach_a = farthest_sample(of_a, own, bounds)
-        at_b, reach_b = farthest_sample(of_b, n, bounds)
+        at_a, reach_a = farthest_sample(of_a, own, at_a, bounds)
+        at_b, reach_b = farthest_sample(of_b, n, at_b, bounds)
         low = n[0] * ax + n[1] * ay + n[2] * az - reach_a
         high = n[0] * of_b.middle[0] + n[1] * of_b.middle[1] + n[2] * of_b.middle[2] + reach_b
         along = low - high

@@ -152,32 +152,50 @@ def worst_of_leaves(leaves, planes, used, worst):
     for k in range(n):
         worst[k] = np.float32(-1.0)
     for p in range(used):
-        nx, ny, nz, offset = planes[p, 0], planes[p, 1], planes[p, 2], planes[p, 3]
-        x = values[0:n] if nx > 0.0 else values[3 * n : 4 * n]
-        y = values[n : 2 * n] if ny > 0.0 else values[4 * n : 5 * n]
-        z = values[2 * n : 3 * n] if nz > 0.0 else values[5 * n : 6 * n]
-        for k in range(n):
-            beyond = nx * x[k] + ny * y[k] + nz * z[k] - offset
-            worst[k] = beyond if beyond > worst[k] else worst[k]
+        plane = planes[p]
+        x = values[0:n] if plane[0] > 0.0 else values[3 * n : 4 * n]
+        y = values[n : 2 * n] if plane[1] > 0.0 else values[4 * n : 5 * n]
+        z = values[2 * n : 3 * n] if plane[2] > 0.0 else values[5 * n : 6 * n]
+        _see_beyond(plane, x, y, z, n, worst)
 
 
 @inlined_kernel
-def is_beyond(leaves, at, planes, used):
-    """Whether the sample at a place in `entries` is beyond any of the half-spaces of worst_of_leaves."""
+def _see_beyond(plane, x, y, z, count, worst):
+    nx, ny, nz, offset = plane[0], plane[1], plane[2], plane[3]
+    for k in range(count):
+        beyond = nx * x[k] + ny * y[k] + nz * z[k] - offset
+        worst[k] = beyond if beyond > worst[k] else worst[k]
+
+
+@inlined_kernel
+def worst_of_samples(leaves, planes, used, worst, looked_at, reaching):
+    """Which leaves reach into all half-spaces by worst_of_leaves' `worst`, into `reaching`, and how far each of their
+    samples is beyond the farthest, 0 or less: it is in all, into looked_at[3] (LEAF for each); returns how many leaves.
+    """
     n = len(leaves.entries) // LEAF
-    values = leaves.values
-    x, y, z = values[6 * n + at], values[(6 + LEAF) * n + at], values[(6 + 2 * LEAF) * n + at]
-    p = 0
-    while p < used and planes[p, 0] * x + planes[p, 1] * y + planes[p, 2] * z <= planes[p, 3]:
-        p += 1
-    return p < used
+    values, count = leaves.values, 0
+    for leaf in range(n):
+        if worst[leaf] > np.float32(0.0):
+            continue
+        reaching[count] = leaf
+        for d in range(3):
+            of, to = values[(6 + LEAF * d) * n + LEAF * leaf :], looked_at[d, LEAF * count :]
+            for k in range(LEAF):
+                to[k] = of[k]
+        count += 1
+    beyond = looked_at[3]
+    for k in range(LEAF * count):
+        beyond[k] = np.float32(-1.0)
+    for p in range(used):
+        _see_beyond(planes[p], looked_at[0], looked_at[1], looked_at[2], LEAF * count, beyond)
+    return count
 
 
 @inlined_kernel
-def farthest_sample(leaves, direction, bounds):
+def farthest_sample(leaves, direction, hint, bounds):
     """(place in `entries`, how far along) of the sample farthest along a direction (x, y, z), a unit vector [m].
 
-    From the leaves' middle, in single precision. `bounds` (n,) float32: room.
+    From the leaves' middle, in single precision. hint: a place that may be the one; `bounds` (n,) float32: room.
     """
     n = len(leaves.entries) // LEAF
     values = leaves.values
@@ -187,17 +205,12 @@ def farthest_sample(leaves, direction, bounds):
     z = values[5 * n : 6 * n] if nz > 0.0 else values[2 * n : 3 * n]
     for k in range(n):
         bounds[k] = nx * x[k] + ny * y[k] + nz * z[k]
-    first = 0
-    for k in range(1, n):
-        if bounds[k] > bounds[first]:
-            first = k
-    at, best = LEAF * first, np.float32(-np.inf)
-    leaf = first
-    for turn in range(-1, n):
-        if turn >= 0:
-            leaf = turn
-            if not bounds[leaf] > best or leaf == first:
-                continue
+    at, best = hint, np.float32(-np.inf)
+    if n:
+        best = nx * values[6 * n + at] + ny * values[(6 + LEAF) * n + at] + nz * values[(6 + 2 * LEAF) * n + at]
+    for leaf in range(n):
+        if not bounds[leaf] > best:
+            continue
         for k in range(LEAF * leaf, LEAF * leaf + LEAF):
             px, py, pz = values[6 * n + k], values[(6 + LEAF) * n + k], values[(6 + 2 * LEAF) * n + k]
             along = nx * px + ny * py + nz * pz

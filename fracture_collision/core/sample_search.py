@@ -37,6 +37,7 @@ from fracture_collision.core.elementary_queries import INSIDE, OUTSIDE, bounded_
 from fracture_collision.core.kinds import PLANE, SPHERE
 from fracture_collision.core.known_samples import (
     ask_sample,
+    home_tetrahedron,
     query_seeds,
     rounding_slack,
     share_a_body,
@@ -55,15 +56,22 @@ from fracture_collision.core.neighbour_lists import (
     see,
 )
 from fracture_collision.core.oriented_boxes import box_clearance
-from fracture_collision.core.pools import LEAF
+from fracture_collision.core.pools import LEAF, SAMPLE
+from fracture_collision.core.prefetch import fetch
 from fracture_collision.core.rotations import rotated, to_other
 from fracture_collision.core.sample_leaves import (
-    is_beyond,
     leaves_of,
     sample_about_middle,
     worst_of_leaves,
+    worst_of_samples,
 )
 from fracture_collision.core.traversal import IN_PLACE, NO_PLANE, most_depth
+
+# A sample of a pair that has moved by less than this share of R is looked for from where it was.
+HOME_SHARE = 0.1
+# Columns of scratch.candidate_ids: place among the leaves' entries; of a sample of the same body, a tetrahedron that it
+# was at when that was whole.
+PLACE_OF, HOME = 0, 1
 
 
 @inlined_kernel
@@ -131,7 +139,8 @@ def search_samples(
         beyond_b = x, y, z, high + rounding
         x, y, z = rotated(rotation[1], -x, -y, -z)
         beyond_a = x, y, z, n[0] * t[0] + n[1] * t[1] + n[2] * t[2] - low + rounding
-    worst = scratch.along[thread]
+    worst, is_home = scratch.along[thread], apart < HOME_SHARE * pools.fragment.radius[a]
+    candidates, ids_of = scratch.candidates[thread], scratch.candidate_ids[thread]
     for side in range(2):
         own, other = (a, b) if side == 0 else (b, a)
         mine = leaves[side]
@@ -147,63 +156,100 @@ def search_samples(
         middle[0], middle[1], middle[2] = to_other(rotation[side], translation[side], m[0], m[1], m[2])
         at, may_be = -1, may_be_clear(pools, other)
         frame = frame_between(m, leaves[1 - side].middle, rotation[side], translation[side])
-        for leaf in range(n):
-            if worst[leaf] > np.float32(0.0):
-                continue
-            visits += 1
-            for k in range(LEAF * leaf, LEAF * leaf + LEAF):
-                if mine.entries[k] < 0:
-                    break
-                if is_beyond(mine, k, planes, used):
-                    continue
-                # from single precision first: most samples end here, and the tree's rows are far apart in memory
-                x, y, z = sample_about_middle(mine, k)
-                x, y, z = to_other(rotation[side], middle, x, y, z)
-                depth = most_depth(pools, other, x, y, z, plane) + mine.middle[3]
-                if -depth > within or not sphere_test(
-                    pools, other, -depth, x, y, z, within + mine.middle[3], scratch, thread
-                ):
-                    continue
-                visits += 1
-                entry = first + mine.entries[k]
-                distance, is_near = 0.0, may_wait(pools, other, rule, deep)
-                if is_near:
-                    where = UNKNOWN
-                    if may_be:
-                        where, at = side_of_surface(
-                            pools, other, at, x, y, z, rule.epsilon, slack + mine.middle[3]
-                        )
-                    if where != BEYOND:
-                        count = _keep_for_later(
-                            pools, rotation, translation, rule, entry, side, other, one_body, slack, where, count,
-                            scratch, thread,
-                        )  # fmt: skip
-                elif -depth > near + ahead:
-                    distance = -depth
-                elif may_be:
-                    distance, at = clearance(
-                        pools, other, at, x, y, z, near + ahead, slack + mine.middle[3], scratch, thread
+        reached, asked = _candidates(
+            pools, mine, other, side, rotation, translation, planes, used, plane, within, first, is_home, worst,
+            middle, scratch, thread,
+        )  # fmt: skip
+        visits += reached + asked
+        for turn in range(asked):
+            x, y, z, depth = candidates[turn, 0], candidates[turn, 1], candidates[turn, 2], candidates[turn, 3]
+            k = ids_of[turn, PLACE_OF]
+            if is_home:
+                at = ids_of[turn, HOME]
+            entry = first + mine.entries[k]
+            distance, is_near = 0.0, may_wait(pools, other, rule, deep)
+            if is_near:
+                where = UNKNOWN
+                if may_be:
+                    where, at = side_of_surface(
+                        pools, other, at, x, y, z, rule.epsilon, slack + mine.middle[3]
                     )
-                if distance == 0.0 and not is_near:
-                    distance, is_near = _ask(
-                        pools, rotation, translation, rule, entry, side, other, one_body, near + ahead, slack, True,
-                        count, scratch, thread,
+                if where != BEYOND:
+                    count = _keep_for_later(
+                        pools, rotation, translation, rule, entry, side, other, one_body, slack, where, count,
+                        scratch, thread,
                     )  # fmt: skip
-                    count, deep = count + is_near, deep + (distance < -rule.epsilon)
-                    if rule.most == 0 and count == rule.wanted:
-                        return -1, slack, visits, samples, 0.0
-                if reach > 0.0:
-                    if samples < len(listed):
-                        listed[samples, WHO], listed[samples, WHERE] = 2 * entry + side, at
-                        place = places[samples]
-                        place[OWN], place[OWN + 1], place[OWN + 2] = sample_about_middle(mine, k)
-                        seen = NEAR_LAST if is_near else distance - 4.0 * slack
-                        see(place, rotation[side], frame, seen, near)
-                    samples += 1
+            elif -depth > near + ahead:
+                distance = -depth
+            elif may_be:
+                distance, at = clearance(
+                    pools, other, at, x, y, z, near + ahead, slack + mine.middle[3], scratch, thread
+                )
+            if distance == 0.0 and not is_near:
+                distance, is_near = _ask(
+                    pools, rotation, translation, rule, entry, side, other, one_body, near + ahead, slack, True,
+                    count, scratch, thread,
+                )  # fmt: skip
+                count, deep = count + is_near, deep + (distance < -rule.epsilon)
+                if rule.most == 0 and count == rule.wanted:
+                    return -1, slack, visits, samples, 0.0
+            if reach > 0.0:
+                if samples < len(listed):
+                    listed[samples, WHO], listed[samples, WHERE] = 2 * entry + side, at
+                    place = places[samples]
+                    place[OWN], place[OWN + 1], place[OWN + 2] = sample_about_middle(mine, k)
+                    seen = NEAR_LAST if is_near else distance - 4.0 * slack
+                    see(place, rotation[side], frame, seen, near)
+                samples += 1
     chosen, bound = _choose(
         pools, a, b, rotation, translation, rule, slack, count, deep, contacts, ids, capacity, scratch, thread
     )
     return chosen, bound, visits, samples, 0.0
+
+
+@inlined_kernel
+def _candidates(
+    pools, mine, other, side, rotation, translation, planes, used, plane, within, first, is_home, worst, middle,
+    scratch, thread,
+):  # fmt: skip
+    """Those of the samples `mine` (Leaves) that may be within `within` [m] of `other`, into scratch.candidates (point
+    in the other's frame, depth bound [m]) and scratch.candidate_ids: (leaves looked through, how many).
+
+    is_home: they are not far from where they were when the body was whole.
+    """
+    points, ids = scratch.candidates[thread], scratch.candidate_ids[thread]
+    beyond, reaching, count = scratch.looked_at[thread, 3], scratch.leaves[thread], 0
+    reached = worst_of_samples(mine, planes, used, worst, scratch.looked_at[thread], reaching)
+    for turn in range(reached):
+        for lane in range(LEAF):
+            k = LEAF * reaching[turn] + lane
+            if mine.entries[k] < 0:
+                break
+            if beyond[LEAF * turn + lane] > np.float32(0.0):
+                continue
+            # from single precision first: most samples end here, and the tree's rows are far apart in memory
+            x, y, z = sample_about_middle(mine, k)
+            x, y, z = to_other(rotation[side], middle, x, y, z)
+            depth = most_depth(pools, other, x, y, z, plane) + mine.middle[3]
+            if -depth > within or not sphere_test(
+                pools, other, -depth, x, y, z, within + mine.middle[3], scratch, thread
+            ):
+                continue
+            fetch(pools.tree.spheres, first + mine.entries[k])
+            fetch(pools.tree.entries, first + mine.entries[k])
+            points[count, 0], points[count, 1], points[count, 2], points[count, 3] = x, y, z, depth
+            ids[count, PLACE_OF] = k
+            count += 1
+    if is_home:
+        shift = pools.fragment.tet_shift[other]
+        for k in range(count):
+            sample = pools.tree.entries[first + mine.entries[ids[k, PLACE_OF]], SAMPLE]
+            ids[k, HOME] = home_tetrahedron(pools, other, sample)
+        for k in range(count):
+            fetch(pools.mesh.walls, ids[k, HOME])
+            fetch(pools.mesh.neighbours, ids[k, HOME])
+            fetch(pools.body.regions, ids[k, HOME] + shift)
+    return reached, count
 
 
 @query_kernel

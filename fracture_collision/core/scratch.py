@@ -6,7 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fracture_collision.core.compiled import kernel
 from fracture_collision.core.neighbour_lists import PLACE
+from fracture_collision.core.pools import LEAF, Pools
 from fracture_collision.core.triangle_field import STACK
 
 # Triangles of another's surface within a sphere's reach that are looked at, places among them where it touches, and
@@ -32,6 +34,10 @@ class Scratch(NamedTuple):
     spread: np.ndarray  # (threads, 2, nodes) float64 [m2], [m]: see sample_search
     ways: np.ndarray  # (threads, 8 and apart, 5) float64: directions out of a fragment, see deep_choice
     along: np.ndarray  # (threads, nodes) float32: of leaves of samples, how far they reach [m]
+    looked_at: np.ndarray  # (threads, 4, nodes and a leaf) float32: of samples, where they are and how far beyond [m]
+    leaves: np.ndarray  # (threads, nodes) int32: theirs
+    candidates: np.ndarray  # (threads, nodes, 4) float64 [m]: samples to be asked, see sample_search
+    candidate_ids: np.ndarray  # (threads, nodes, 2) int32: likewise
     planes: np.ndarray  # (threads, 8 and apart, 4) float32: half-spaces
     rotation: np.ndarray  # (threads, 2 and apart, 3, 3) float64: a pair's relative poses
     translation: np.ndarray  # (threads, 2 and apart, 3) float64 [m]
@@ -46,6 +52,23 @@ class Scratch(NamedTuple):
     kept_ids: np.ndarray  # (threads, nodes, 5) int64
     none_listed: np.ndarray  # (0, 2) int32, and (0, PLACE) float32: for those who list nothing (neighbour_lists.py)
     no_places: np.ndarray
+
+
+def scratch_for(pools: Pools, rows: np.ndarray, threads: int, before: Scratch | None) -> Scratch:
+    """`before`, if it has room for all pairs of `rows` (n,), or a new one."""
+    nodes = 2 * _largest_tree(pools.fragment.tree_begin, pools.fragment.tree_end, rows) + 2
+    tetrahedra = len(pools.mesh.tetrahedra)
+    if before is None or before.visited.shape[1] < tetrahedra or before.node_int.shape[1] < nodes:
+        return make_scratch(threads, tetrahedra, nodes)
+    return before
+
+
+@kernel
+def _largest_tree(tree_begin, tree_end, rows):
+    entries = 0
+    for row in rows:
+        entries = max(entries, tree_end[row] - tree_begin[row])
+    return entries
 
 
 def make_scratch(threads: int, tetrahedra: int, nodes: int) -> Scratch:
@@ -64,6 +87,10 @@ def make_scratch(threads: int, tetrahedra: int, nodes: int) -> Scratch:
         spread=np.zeros((threads, 2, nodes)),
         ways=np.zeros((threads, 12, 5)),
         along=np.zeros((threads, nodes), dtype=np.float32),
+        looked_at=np.zeros((threads, 4, nodes + LEAF), dtype=np.float32),
+        leaves=np.zeros((threads, nodes), dtype=np.int32),
+        candidates=np.zeros((threads, nodes, 4)),
+        candidate_ids=np.zeros((threads, nodes, 2), dtype=np.int32),
         planes=np.zeros((threads, 16, 4), dtype=np.float32),
         rotation=np.zeros((threads, 4, 3, 3)),
         translation=np.zeros((threads, 8, 3)),

@@ -17,7 +17,7 @@ from fracture_collision.core.narrow_phase import (
     WorkLimits,
     query_pairs,
 )
-from fracture_collision.core.scratch import Scratch, make_scratch
+from fracture_collision.core.scratch import Scratch, scratch_for
 from fracture_collision.records import (
     CollisionBody,
     ContactConstraintArray,
@@ -43,7 +43,7 @@ class _Answered(NamedTuple):
     registry: Registry | None
     changes: int
     settings: Settings | None
-    asked: tuple[np.ndarray, ...]  # bits of ids, positions and orientations
+    asked: tuple[bytes, ...]  # ids, positions and orientations
     answer: ContactConstraintArray | None
 
 
@@ -114,7 +114,7 @@ class CollisionWorld:
         started = perf_counter()
         checked, moving = self._bring_to(states)
         updated = perf_counter()
-        asked = tuple(column.view(np.uint64) for column in checked[2:])
+        asked = tuple(column.tobytes() for column in checked[2:])
         if self.settings.neighbour_lists and (again := self._answer_again(checked, asked)) is not None:
             self.last_visits = 0
             self.last_timings = {"update": updated - started, "broad_phase": 0.0, "narrow_phase": 0.0}
@@ -122,6 +122,7 @@ class CollisionWorld:
         here = take_places(checked, self._registry.living(), moving)
         rows, positions, rotations = here.rows, here.positions, here.rotations
         pools = self._registry.geometry.pools
+        self._scratch = scratch_for(pools, rows, self._crew.threads, self._scratch)
         radius, pairs, overlaps = pairs_within_reach(
             pools.fragment, rows, rotations, positions, here.is_static, self.settings.detection_tolerance,
             self.settings.max_pairs,
@@ -137,7 +138,7 @@ class CollisionWorld:
         found, now_remembered = query_pairs(
             pools, rows, rotations, positions, pairs, self.settings.contacts_per_pair, most_listed(self.settings),
             self.settings.penetration_tolerance, self.settings.detection_tolerance, budget,
-            self._sized_scratch(rows), self._crew, remembered, self._registry.changes,
+            self._scratch, self._crew, remembered, self._registry.changes,
             _work_limits(self.settings), overlaps,
         )  # fmt: skip
         answer = contact_answer(checked, here, radius, pairs, found, self.settings.penetration_tolerance)
@@ -204,13 +205,11 @@ class CollisionWorld:
         self._built_for = built_for
 
     def _answer_again(
-        self, checked: CheckedStates, asked: tuple[np.ndarray, ...]
+        self, checked: CheckedStates, asked: tuple[bytes, ...]
     ) -> ContactConstraintArray | None:
         """To states that say the same as those before; None: to others."""
         last = self._answered
-        if last[:3] != self._asked_of():
-            return None
-        if not all(np.array_equal(before, now) for before, now in zip(last.asked, asked, strict=True)):
+        if last[:3] != self._asked_of() or last.asked != asked:
             return None
         return _copy_of(last.answer)._replace(step=checked.step)
 
@@ -233,16 +232,6 @@ class CollisionWorld:
         if found.min(initial=0) < 0:
             self._ledger.require_living(states.fragment_ids, states.fracture_sequence)
         return found
-
-    def _sized_scratch(self, rows: np.ndarray) -> Scratch:
-        pools = self._registry.geometry.pools
-        entries = pools.fragment.tree_end[rows] - pools.fragment.tree_begin[rows]
-        nodes = 2 * int(entries.max(initial=0)) + 2  # both trees of a pair
-        tets = len(pools.mesh.tetrahedra)
-        s = self._scratch
-        if s is None or s.visited.shape[1] < tets or s.node_int.shape[1] < nodes:
-            self._scratch = make_scratch(self._crew.threads, tets, nodes)
-        return self._scratch
 
 
 def _copy_of(answer: ContactConstraintArray) -> ContactConstraintArray:
