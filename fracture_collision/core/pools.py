@@ -21,6 +21,7 @@ class GrowableArray:
     def __init__(self, columns: int, dtype: type) -> None:
         self._buffer = np.zeros((16, columns) if columns else 16, dtype=dtype)
         self.used = 0
+        self._view: np.ndarray | None = None  # a fracture asks for all columns' several times
 
     def append(self, rows: np.ndarray) -> int:
         """Copy `rows` to the end; returns the index of the first."""
@@ -36,7 +37,7 @@ class GrowableArray:
         """As append, for rows that nobody will write to: the first are not copied."""
         if self.used or rows.dtype != self._buffer.dtype or not rows.flags.c_contiguous:
             return self.append(rows)
-        self._buffer = rows
+        self._buffer, self._view = rows, None
         return self.advance(len(rows))
 
     def reserve(self, count: int) -> np.ndarray:
@@ -45,12 +46,12 @@ class GrowableArray:
         if end > len(self._buffer):
             grown = np.empty((max(end, 2 * len(self._buffer)), *self._buffer.shape[1:]), dtype=self._buffer.dtype)
             grown[: self.used] = self._buffer[: self.used]
-            self._buffer = grown
+            self._buffer, self._view = grown, None
         return self._buffer[self.used : end]
 
     def advance(self, count: int) -> int:
         """Returns the index of the first."""
-        self.used += count
+        self.used, self._view = self.used + count, None
         return self.used - count
 
     def keep(self, stays: np.ndarray) -> None:
@@ -60,7 +61,7 @@ class GrowableArray:
 
     def replace(self, rows: np.ndarray) -> None:
         """All rows by others; the memory of before is nobody's."""
-        self._buffer = np.ascontiguousarray(rows, dtype=self._buffer.dtype)
+        self._buffer, self._view = np.ascontiguousarray(rows, dtype=self._buffer.dtype), None
         self.used = len(rows)
 
     @property
@@ -69,7 +70,9 @@ class GrowableArray:
 
     @property
     def view(self) -> np.ndarray:
-        return self._buffer[: self.used]
+        if self._view is None:
+            self._view = self._buffer[: self.used]
+        return self._view
 
 
 class MeshPool(NamedTuple):
