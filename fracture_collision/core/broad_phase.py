@@ -1,27 +1,56 @@
-"""Pairs whose world boxes overlap: sort along the axis of the widest spread, sweep, test the other two axes."""
+"""Pairs whose world boxes overlap: sort along the axis of the widest spread, sweep, test the other two axes.
+
+Where little has moved since the last step, only what has is tested, against all.
+"""
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from fracture_collision.core.compiled import kernel
-from fracture_collision.core.crowds import overlaps_of
+from fracture_collision.core.compiled import inlined_kernel, kernel
+from fracture_collision.core.crowds import Overlaps, overlaps_of
 from fracture_collision.core.kinds import PLANE
+
+# All pairs are looked for anew where more than one fragment in so many has moved.
+FEW = 16
+
+
+class Paired(NamedTuple):
+    """The pairs of a step, and what they were found of."""
+
+    rows: np.ndarray  # (n,) int64 of FragmentPool
+    rotations: np.ndarray  # (n, 3, 3)
+    positions: np.ndarray  # (n, 3) [m]
+    boxes: np.ndarray  # (n, 6) [m] in the world, with their margins
+    pairs: np.ndarray  # (p, 2) int64 of indices i < j into `rows`, ascending
+    overlaps: Overlaps  # of the pairs
+
+
+NOTHING_PAIRED = Paired(
+    np.zeros(0, np.int64), np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros((0, 6)), np.zeros((0, 2), np.int64),
+    Overlaps(np.zeros(0, np.bool_), np.zeros((0, 2))),
+)  # fmt: skip
 
 
 @kernel
 def world_boxes(fragment_box, rows, rotations, positions, margins, boxes):
     """World boxes (n, 6) [m] of fragments `rows` with poses (n, 3, 3) and (n, 3), grown by margins (n,)."""
     for i in range(len(rows)):
-        b = fragment_box[rows[i]]
-        for k in range(3):
-            center = positions[i, k]
-            half = margins[i]
-            for j in range(3):
-                center += rotations[i, k, j] * 0.5 * (b[j] + b[j + 3])
-                half += abs(rotations[i, k, j]) * 0.5 * (b[j + 3] - b[j])
-            boxes[i, k] = center - half
-            boxes[i, k + 3] = center + half
+        _put_world_box(fragment_box[rows[i]], rotations[i], positions[i], margins[i], boxes[i])
+
+
+@inlined_kernel
+def _put_world_box(b, rotation, position, margin, box):
+    for k in range(3):
+        center = position[k]
+        half = margin
+        for j in range(3):
+            center += rotation[k, j] * 0.5 * (b[j] + b[j + 3])
+            half += abs(rotation[k, j]) * 0.5 * (b[j + 3] - b[j])
+        box[k] = center - half
+        box[k + 3] = center + half
 
 
 @kernel
@@ -90,15 +119,93 @@ def overlapping_pairs(boxes, kinds, shapes, rotations, positions, is_static, mos
 
 
 @kernel
-def pairs_within_reach(fragment, rows, rotations, positions, is_static, tolerance, most):
-    """Of fragments `rows` (n,) of a FragmentPool with poses (n, 3, 3), (n, 3): their R (n,) [m]; the pairs that may be
-    within `tolerance` (a share of the smaller R) of each other, see overlapping_pairs; and their Overlaps.
+def pairs_within_reach(fragment, rows, rotations, positions, is_static, tolerance, most, before):
+    """Of fragments `rows` (n,) of a FragmentPool with poses (n, 3, 3), (n, 3): their R (n,) [m]; and the Paired, that
+    may be within `tolerance` (a share of the smaller R) of each other, see overlapping_pairs.
+
+    before: the last step's, of the same pool, tolerance and static ones. It makes the answer quicker, never different.
     """
-    radius, boxes = fragment.radius[rows], np.empty((len(rows), 6))
+    radius = fragment.radius[rows]
     # two boxes grown by half the tolerance each meet whenever their fragments come within it
     margins = np.where(np.isfinite(radius), tolerance * radius, 0.0)
-    world_boxes(fragment.box, rows, rotations, positions, margins, boxes)
-    pairs = overlapping_pairs(
-        boxes, fragment.kind[rows], fragment.shape[rows], rotations, positions, is_static, most
-    )
-    return radius, pairs, overlaps_of(boxes, pairs)
+    kinds, shapes = fragment.kind[rows], fragment.shape[rows]
+    has_moved = _that_moved(before, rows, rotations, positions)
+    if FEW * np.count_nonzero(has_moved) > len(rows):
+        boxes = np.empty((len(rows), 6))
+        world_boxes(fragment.box, rows, rotations, positions, margins, boxes)
+        pairs = overlapping_pairs(boxes, kinds, shapes, rotations, positions, is_static, most)
+        return radius, Paired(rows, rotations, positions, boxes, pairs, overlaps_of(boxes, pairs))
+    boxes = before.boxes.copy()
+    for i in np.flatnonzero(has_moved):
+        _put_world_box(fragment.box[rows[i]], rotations[i], positions[i], margins[i], boxes[i])
+    pairs, overlaps = _renewed(before, has_moved, boxes, kinds, shapes, rotations, positions, is_static)
+    return radius, Paired(rows, rotations, positions, boxes, pairs, overlaps)
+
+
+@kernel
+def _that_moved(before, rows, rotations, positions):
+    """Which fragments stand elsewhere than before (n,) bool: all, where they are others."""
+    n = len(rows)
+    if len(before.rows) != n:
+        return np.ones(n, np.bool_)
+    has_moved = np.zeros(n, np.bool_)
+    for i in range(n):
+        if rows[i] != before.rows[i]:
+            return np.ones(n, np.bool_)
+        for d in range(3):
+            has_moved[i] |= positions[i, d] != before.positions[i, d]
+            for k in range(3):
+                has_moved[i] |= rotations[i, d, k] != before.rotations[i, d, k]
+    return has_moved
+
+
+@kernel
+def _renewed(before, has_moved, boxes, kinds, shapes, rotations, positions, is_static):
+    """Pairs and Overlaps of `boxes`: those of `before` that have not moved, and of the others all that meet."""
+    n, used = len(boxes), 0
+    found = np.empty((64, 2), dtype=np.int64)
+    for i in np.flatnonzero(has_moved):
+        for j in range(n):
+            if j == i or (has_moved[j] and j < i):
+                continue
+            if _meet(boxes, kinds, shapes, rotations, positions, is_static, i, j):
+                if used == len(found):
+                    found = np.concatenate((found, np.empty_like(found)))
+                found[used, 0], found[used, 1] = min(i, j), max(i, j)
+                used += 1
+    found = found[:used][np.argsort(found[:used, 0] * n + found[:used, 1], kind="mergesort")]
+    fresh = overlaps_of(boxes, found)
+    total = used
+    for p in range(len(before.pairs)):
+        total += not (has_moved[before.pairs[p, 0]] or has_moved[before.pairs[p, 1]])
+    pairs, coincide, shares = np.empty((total, 2), np.int64), np.empty(total, np.bool_), np.empty((total, 2))
+    p = q = 0
+    for k in range(total):
+        while p < len(before.pairs) and (has_moved[before.pairs[p, 0]] or has_moved[before.pairs[p, 1]]):
+            p += 1
+        of, at, overlaps = before.pairs, p, before.overlaps
+        if p == len(before.pairs) or (
+            q < used and found[q, 0] * n + found[q, 1] < before.pairs[p, 0] * n + before.pairs[p, 1]
+        ):
+            of, at, overlaps = found, q, fresh
+            q += 1
+        else:
+            p += 1
+        pairs[k, 0], pairs[k, 1], coincide[k] = of[at, 0], of[at, 1], overlaps.coincide[at]
+        shares[k, 0], shares[k, 1] = overlaps.shares[at, 0], overlaps.shares[at, 1]
+    return pairs, Overlaps(coincide, shares)
+
+
+@inlined_kernel
+def _meet(boxes, kinds, shapes, rotations, positions, is_static, i, j):
+    """Whether overlapping_pairs would list the two."""
+    if is_static[i] and is_static[j]:
+        return False
+    if kinds[i] == PLANE:
+        return kinds[j] != PLANE and _reaches_plane(shapes[i], rotations[i], positions[i], boxes[j])
+    if kinds[j] == PLANE:
+        return _reaches_plane(shapes[j], rotations[j], positions[j], boxes[i])
+    are_apart = False
+    for d in range(3):
+        are_apart |= boxes[i, d] > boxes[j, d + 3] or boxes[j, d] > boxes[i, d + 3]
+    return not are_apart

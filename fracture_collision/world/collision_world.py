@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.core.broad_phase import pairs_within_reach
+from fracture_collision.core.broad_phase import NOTHING_PAIRED, Paired, pairs_within_reach
 from fracture_collision.core.collision_geometry import CollisionGeometry
 from fracture_collision.core.crew import Crew
 from fracture_collision.core.narrow_phase import (
@@ -67,6 +67,7 @@ class CollisionWorld:
         self._scratch: Scratch | None = None
         # of the last answer, with what it holds for; it makes the next one quicker, never different
         self._remembered, self._remembered_of = NOTHING_REMEMBERED, self._what_is_remembered_of()
+        self._paired, self._paired_of = NOTHING_PAIRED, self._asked_of()
         self._answered = _NOTHING_ANSWERED
         self.last_timings: dict[str, float] = {"update": 0.0, "broad_phase": 0.0, "narrow_phase": 0.0}  # [s]
         self.last_visits = 0  # tree nodes tested by the last answer
@@ -123,32 +124,34 @@ class CollisionWorld:
         rows, positions, rotations = here.rows, here.positions, here.rotations
         pools = self._registry.geometry.pools
         self._scratch = scratch_for(pools, rows, self._crew.threads, self._scratch)
-        radius, pairs, overlaps = pairs_within_reach(
+        radius, paired = pairs_within_reach(
             pools.fragment, rows, rotations, positions, here.is_static, self.settings.detection_tolerance,
-            self.settings.max_pairs,
+            self.settings.max_pairs, self._take_paired(),
         )  # fmt: skip
+        pairs = paired.pairs
         if len(pairs) > self.settings.max_pairs:
             refuse(
                 "limit_exceeded",
                 f"positions: the boxes of more than {self.settings.max_pairs} pairs of fragments overlap (max_pairs)",
             )
-        paired = perf_counter()
+        pairs_found = perf_counter()
         remembered = self._take_remembered() if self.settings.neighbour_lists else None
         budget = max(self.settings.visit_budget // len(pairs), 1) if self.settings.visit_budget and len(pairs) else 0
         found, now_remembered = query_pairs(
             pools, rows, rotations, positions, pairs, self.settings.contacts_per_pair, most_listed(self.settings),
             self.settings.penetration_tolerance, self.settings.detection_tolerance, budget,
             self._scratch, self._crew, remembered, self._registry.changes,
-            _work_limits(self.settings), overlaps,
+            _work_limits(self.settings), paired.overlaps,
         )  # fmt: skip
         answer = contact_answer(checked, here, radius, pairs, found, self.settings.penetration_tolerance)
         if remembered is not None:
-            self._remembered = now_remembered
+            self._remembered, self._paired = now_remembered, paired
             self._answered = _Answered(*self._asked_of(), asked, answer)
             answer = _copy_of(answer)
         self.last_visits, self.last_pairs = int(found.visits.sum()), len(pairs)
         self.last_timings = {
-            "update": updated - started, "broad_phase": paired - updated, "narrow_phase": perf_counter() - paired,
+            "update": updated - started, "broad_phase": pairs_found - updated,
+            "narrow_phase": perf_counter() - pairs_found,
         }  # fmt: skip
         return answer
 
@@ -215,6 +218,13 @@ class CollisionWorld:
 
     def _asked_of(self) -> tuple[Registry, int, Settings]:
         return self._registry, self._registry.changes, self.settings
+
+    def _take_paired(self) -> Paired:
+        """Likewise of the broad phase, that holds for as long as nothing of the registry changes."""
+        holds_for = self._asked_of()
+        paired = self._paired if self._paired_of == holds_for else NOTHING_PAIRED
+        self._paired, self._paired_of = NOTHING_PAIRED, holds_for
+        return paired
 
     def _take_remembered(self) -> Remembered:
         """It is used up, also by an answer that is broken off."""

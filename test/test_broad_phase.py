@@ -1,0 +1,65 @@
+"""The broad phase's quick way, which tests only what has moved, against its slow twin, which has nothing before it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from fracture_collision.core.broad_phase import FEW, NOTHING_PAIRED, pairs_within_reach
+from fracture_collision.core.kinds import PLANE, TETRAHEDRA
+
+TOLERANCE, MOST = 0.01, 1 << 20
+
+
+class Shapes(NamedTuple):
+    """The columns of FragmentPool that a broad phase reads."""
+
+    box: np.ndarray
+    radius: np.ndarray
+    kind: np.ndarray
+    shape: np.ndarray
+
+
+def heap(count: int, random: np.random.Generator) -> tuple[Shapes, np.ndarray]:
+    """Shapes of `count` fragments, two of them planes, and which are static."""
+    half = random.uniform(0.02, 0.2, (count, 3))
+    kind = np.full(count, TETRAHEDRA, np.int32)
+    kind[[1, count - 2]] = PLANE
+    half[kind == PLANE] = np.inf
+    box = np.hstack((-half, half))
+    radius = np.where(kind == PLANE, np.inf, half.max(axis=1))
+    shape = np.zeros((count, 4))
+    shape[1], shape[-2] = [0.0, 0.0, 1.0, 0.2], [0.6, 0.0, 0.8, -0.1]
+    return Shapes(box, radius, kind, shape), (kind == PLANE) | (random.random(count) < 0.1)
+
+
+def poses(count: int, random: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    return Rotation.random(count, random_state=random).as_matrix(), random.uniform(0.0, 1.0, (count, 3))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_pairs_of_what_moved_are_those_of_all(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    count = 60
+    shapes, is_static = heap(count + 5, random)
+    rows = np.sort(random.choice(count + 5, count, replace=False))
+    rotations, positions = poses(count, random)
+    paired, quick = NOTHING_PAIRED, 0
+    for step in range(40):
+        rotations, positions = rotations.copy(), positions.copy()
+        moving = random.choice(count, random.integers(0, 2 * count // FEW), replace=False)
+        rotations[moving], positions[moving] = poses(len(moving), random)
+        if step == 20:  # others take part
+            rows = np.sort(random.choice(count + 5, count, replace=False))
+        told = shapes, rows, rotations, positions, is_static[rows], TOLERANCE, MOST
+        radius, paired = pairs_within_reach(*told, paired)
+        again, fresh = pairs_within_reach(*told, NOTHING_PAIRED)
+        quick += 0 < FEW * len(moving) <= count and step not in (0, 20)
+        np.testing.assert_array_equal(radius, again)
+        for got, wanted in zip((*paired[:-1], *paired.overlaps), (*fresh[:-1], *fresh.overlaps), strict=True):
+            np.testing.assert_array_equal(got, wanted)
+        assert len(paired.pairs) > count
+    assert quick > 5
