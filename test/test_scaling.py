@@ -14,12 +14,14 @@ from scipy.spatial.transform import Rotation
 from benchmarks.peers.report import MUJOCO, RAPIER
 from benchmarks.peers.worlds import EDGES, World, break_body
 from benchmarks.scaling.growth import Exponents, GrowthRow, ThreadsRow, fit_exponents, measure_growth, measure_threads
+from benchmarks.scaling.heaps import FAST, MODERATE, SLOW, HeapRow, measure_heaps
 from benchmarks.scaling.limits import FIRST, LOOSE, TIGHT, UPDATE, Aim, measure_limits
 from benchmarks.scaling.machine import Machine
 from benchmarks.scaling.memory import MemoryRow, measure_memory
 from benchmarks.scaling.piles import copy_of, make_pile, world_of
 from benchmarks.scaling.report import Asked, write_csv
 from benchmarks.scaling.round_trips import RoundTripRow, measure_round_trips
+from benchmarks.scaling.small_updates import SmallUpdateRow, measure_small_updates
 from benchmarks.scaling.updates import UpdateRow, measure_update_of_one
 from benchmarks.scaling.visits import KINDS_OF_VISIT, LISTED, LOCATED, FloorRow, VisitRow, Work, floor_of
 from benchmarks.studies.as_a_whole import SHEETS, scaling_section
@@ -66,7 +68,7 @@ def test_a_known_exponent_is_found() -> None:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> None:
     """Whoever looks at it finds that a second has passed: what is timed takes as long as it is looked at."""
-    for module in ("growth", "updates"):
+    for module in ("growth", "heaps", "small_updates", "updates"):
         monkeypatch.setattr(f"benchmarks.scaling.{module}.perf_counter", count(0.0, 1.0).__next__)
 
 
@@ -93,6 +95,38 @@ def test_breaking_one_of_many(source: World, clock: None) -> None:
     assert alone.whole_over_alone == alone.update_over_alone == 1.0
     for row in rows:
         assert row.check == row.masses == 1e3 and row.whole == pytest.approx(row.check + row.update + row.masses)
+
+
+def test_heaps_at_rest_and_in_slow_motion(source: World, clock: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    poses, ask = [], CollisionWorld.contacts
+
+    def contacts(world: CollisionWorld, states: FragmentStates) -> ContactConstraintArray:
+        poses.append(states.positions.reshape(-1, 3))
+        return ask(world, states)
+
+    monkeypatch.setattr(CollisionWorld, "contacts", contacts)
+    steps, size = 7, 12
+    rows = measure_heaps(source, (size,), steps)
+    assert [(row.fragments, row.moving, row.step) for row in rows] == [
+        (size, 0, 0.0), (size, 1, MODERATE), (size, size, SLOW), (size, size, MODERATE), (size, size, FAST),
+    ]  # fmt: skip
+    own = len(poses[1:]) // len(rows)  # the first call applies the fractures
+    for k, row in enumerate(rows):
+        assert row.contacts > 0 and row.whole == 1e3 and row.microseconds_a_pair == 1e6 / row.close_pairs
+        timed = slice(1 + (k + 1) * own - steps - 1, 1 + (k + 1) * own)
+        moves = np.linalg.norm(np.diff(poses[timed], axis=0), axis=2)  # [m], R is 1 m
+        assert np.all(np.count_nonzero(moves > 1e-12, axis=1) == row.moving), "in every step, none is still at a turn"
+        assert moves.max() == pytest.approx(0.01 * row.step)
+
+
+def test_breaking_a_small_fragment_of_a_large_body(clock: None) -> None:
+    geometry = ball(1.0, 0.15)
+    (row,) = measure_small_updates(geometry, pieces=20, events=3)
+    assert row.nodes == len(geometry.vertices) and 10 < row.fragments <= 20 and row.events == 3
+    mean = row.nodes / row.fragments
+    assert 0.75 * mean < row.broken_nodes < 1.3 * mean and 2.0 <= row.pieces <= 4.0
+    assert row.check == row.masses == 1e3 and row.whole == pytest.approx(row.check + row.update + row.masses)
+    assert row.worst >= row.whole
 
 
 # [ns] of a load, a sum and a wrong guess, each of another order of magnitude.
@@ -167,8 +201,9 @@ def test_round_trips_are_measured_without_and_with_a_recorder(source: World) -> 
 
 def test_the_page_has_a_column_for_what_was_measured(tmp_path: Path) -> None:
     fields = {
-        "growth": GrowthRow, "exponents": Exponents, "threads": ThreadsRow, "memory": MemoryRow, "updates": UpdateRow,
-        "visits": VisitRow, "floors": FloorRow, "round_trips": RoundTripRow,
+        "growth": GrowthRow, "exponents": Exponents, "heaps": HeapRow, "threads": ThreadsRow, "memory": MemoryRow,
+        "updates": UpdateRow, "small_updates": SmallUpdateRow, "visits": VisitRow, "floors": FloorRow,
+        "round_trips": RoundTripRow,
     }  # fmt: skip
     for sheet in SHEETS:
         assert {column.name for column in sheet.columns} <= set(fields[sheet.name]._fields)

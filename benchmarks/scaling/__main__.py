@@ -12,6 +12,7 @@ from benchmarks.scaling.report import Asked, print_asked, print_table, write_csv
 
 SIZES, QUICK_SIZES = (100, 300, 1000, 2000), (100, 300)
 THREADS_PILE, QUICK_THREADS_PILE = 1000, 300
+HEAPS, QUICK_HEAPS = (300, 2000), (300,)
 WIDTH = 220  # columns of a table that no terminal's width was asked for
 
 Tables = tuple[dict[str, Sequence[NamedTuple]], list[Asked]]
@@ -62,6 +63,28 @@ def updates(quick: bool, progress: Progress) -> Tables:
     return {"updates": rows}, [Asked(name, rows[1].whole_over_alone, 1.1)]
 
 
+def small_updates(quick: bool, progress: Progress) -> Tables:
+    from benchmarks.scaling.small_updates import body_of_30000, measure_small_updates
+
+    (row,) = measure_small_updates(body_of_30000(), events=8 if quick else 24, progress=progress)
+    name = f"breaking {row.broken_nodes:.0f} of {row.nodes} nodes, median [ms]"
+    return {"small_updates": [row]}, [Asked(name, row.whole, 0.5)]
+
+
+def heaps(quick: bool, progress: Progress) -> Tables:
+    from benchmarks.scaling.heaps import MODERATE, measure_heaps
+    from benchmarks.scaling.piles import broken_body
+
+    rows = measure_heaps(broken_body(), QUICK_HEAPS if quick else HEAPS, progress=progress)
+    largest = rows[-1].fragments
+    pair = {(row.moving, row.step): row.microseconds_a_pair for row in rows if row.fragments == largest}
+    return {"heaps": rows}, [
+        Asked(f"heap of {largest}, nothing moves, a close pair [us]", pair[0, 0.0], 0.1),
+        Asked(f"heap of {largest}, one fragment moves, a close pair [us]", pair[1, MODERATE], 0.1),
+        Asked(f"heap of {largest}, all move by {MODERATE} % R, a close pair [us]", pair[largest, MODERATE], 3.0),
+    ]
+
+
 def visits(quick: bool, progress: Progress) -> Tables:
     from benchmarks.scaling.visits import WORLDS, measure_visits
 
@@ -102,8 +125,9 @@ def crowds(quick: bool, progress: Progress) -> Tables:
 
 
 MEASURES = {
-    "growth": growth, "threads": threads, "memory": memory, "updates": updates, "visits": visits,
-    "limits": limits, "removal": removal, "crowds": crowds, "round_trips": round_trips,
+    "growth": growth, "heaps": heaps, "threads": threads, "memory": memory, "updates": updates,
+    "small_updates": small_updates, "visits": visits, "limits": limits, "removal": removal, "crowds": crowds,
+    "round_trips": round_trips,
 }  # fmt: skip
 
 
@@ -119,10 +143,11 @@ def measure_all(names: Sequence[str], quick: bool, progress: Progress) -> Iterat
 def main(names: tuple[str, ...], quick: bool, path: Path | None) -> None:
     """How a query grows with a pile and what else is asked of the service as a whole: NAMES, or all.
 
-    growth: time over close pairs of piles. threads: two against one. memory: of a body, and of one more. updates:
-    breaking one of many against one alone. visits: where a query's time goes, and what a visit cannot do without.
-    limits: what the aims against other libraries leave room for, by docs/peers.csv and this machine. removal: REMOVE
-    after many events. crowds: many bodies at one place. round_trips: what ROS adds to an answer; needs ROS 2.
+    growth: time over close pairs of piles. heaps: a step of a pile at rest, and of one that moves slowly. threads: two
+    against one. memory: of a body, and of one more. updates: breaking one of many against one alone. small_updates:
+    breaking 200 of 30,000 nodes. visits: where a query's time goes, and what a visit cannot do without. limits: what
+    the aims against other libraries leave room for, by docs/peers.csv and this machine. removal: REMOVE after many
+    events. crowds: many bodies at one place. round_trips: what ROS adds to an answer; needs ROS 2.
     """
     from rich.console import Console
 
