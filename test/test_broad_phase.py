@@ -2,29 +2,20 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from fracture_collision.core.broad_phase import FEW, NOTHING_PAIRED, pairs_within_reach
 from fracture_collision.core.kinds import PLANE, TETRAHEDRA
+from fracture_collision.core.pool_tables import PoolTables
+from fracture_collision.core.pools import EXACT, FACING, FragmentPool
 
 TOLERANCE, MOST = 0.01, 1 << 20
 
 
-class Shapes(NamedTuple):
-    """The columns of FragmentPool that a broad phase reads."""
-
-    box: np.ndarray
-    radius: np.ndarray
-    kind: np.ndarray
-    shape: np.ndarray
-
-
-def heap(count: int, random: np.random.Generator) -> tuple[Shapes, np.ndarray]:
-    """Shapes of `count` fragments, two of them planes, and which are static."""
+def heap(count: int, random: np.random.Generator) -> tuple[FragmentPool, np.ndarray]:
+    """`count` fragments, two of them planes, with what a broad phase reads of them; and which are static."""
     half = random.uniform(0.02, 0.2, (count, 3))
     kind = np.full(count, TETRAHEDRA, np.int32)
     kind[[1, count - 2]] = PLANE
@@ -33,7 +24,10 @@ def heap(count: int, random: np.random.Generator) -> tuple[Shapes, np.ndarray]:
     radius = np.where(kind == PLANE, np.inf, half.max(axis=1))
     shape = np.zeros((count, 4))
     shape[1], shape[-2] = [0.0, 0.0, 1.0, 0.2], [0.6, 0.0, 0.8, -0.1]
-    return Shapes(box, radius, kind, shape), (kind == PLANE) | (random.random(count) < 0.1)
+    tables = PoolTables(0, EXACT, FACING)
+    for name, rows in (("box", box), ("radius", radius), ("kind", kind), ("shape", shape)):
+        tables.fragment[name].append(rows)
+    return tables.pools.fragment, (kind == PLANE) | (random.random(count) < 0.1)
 
 
 def poses(count: int, random: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:

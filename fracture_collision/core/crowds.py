@@ -90,20 +90,26 @@ def visit_shares(pools: Pools, rows: np.ndarray, pairs: np.ndarray, overlaps: Ov
     `visits`: of all that coincide together, in visits of a closed form.
     """
     fragment = pools.fragment
-    most = _most_together(fragment.kind, fragment.tree_begin, fragment.tree_end, rows, pairs, overlaps)
-    limits = visits, APART * visits
+    return _visit_shares(fragment.kind, fragment.tree_begin, fragment.tree_end, rows, pairs, overlaps, visits)
+
+
+@kernel
+def _visit_shares(kinds, tree_begin, tree_end, rows, pairs, overlaps, visits):
     shares = np.full(len(pairs), UNSHARED)
-    if most[0] <= limits[0] and most[1] <= limits[1]:
-        return shares
-    ends = fragment.kind[rows][pairs]
-    cost_of_ends = np.where(ends == TETRAHEDRA, COST_TETRAHEDRA, np.where(ends == TRIANGLES, COST_TRIANGLES, 1))
-    cost = cost_of_ends.max(axis=1, initial=1)
-    least = np.full(len(pairs), LEAST_VISITS)
-    # the centre of a sphere may be as far from all of a surface as can be
-    alone = (ends == SPHERE).any(axis=1) & (cost > 1)
-    least[alone] += most_visits(pools, rows, pairs)[alone]
-    for those, their_most, together in zip((overlaps.coincide, ~overlaps.coincide), most, limits, strict=True):
-        if their_most > together:
-            share = together // (int(np.count_nonzero(those)) * cost[those])
-            shares[those] = np.where(share < least[those], UNSEARCHED, share)
+    most = _most_together(kinds, tree_begin, tree_end, rows, pairs, overlaps)
+    for do_coincide in (True, False):
+        together = visits if do_coincide else APART * visits
+        if most[0 if do_coincide else 1] <= together:
+            continue
+        count = np.count_nonzero(overlaps.coincide == do_coincide)
+        for p in range(len(pairs)):
+            if overlaps.coincide[p] != do_coincide:
+                continue
+            a, b = rows[pairs[p, 0]], rows[pairs[p, 1]]
+            cost, least = max(_cost(kinds[a]), _cost(kinds[b])), LEAST_VISITS
+            if cost > 1 and (kinds[a] == SPHERE or kinds[b] == SPHERE):
+                # the centre of a sphere may be as far from all of a surface as can be
+                least += tree_end[a] - tree_begin[a] + tree_end[b] - tree_begin[b] + MOST_SEEDS
+            share = together // (count * cost)
+            shares[p] = UNSEARCHED if share < least else share
     return shares

@@ -30,6 +30,7 @@ class KeptAnswer(NamedTuple):
     poses: np.ndarray  # (n, 12) uint64: the bits of rotations and positions in the world
     pair_of_slot: np.ndarray  # (s,) int64: where a pair with this slot of NeighbourLists stands in `contacts`, or -1
     searched: np.ndarray  # (p,) int64: visits that came with the contacts wanted, whenever that was
+    shares: np.ndarray  # (p,) int64: visits that each pair might take, see crowds.visit_shares
     further: int  # visits that each pair might take beyond the contacts wanted
     offsets: np.ndarray  # (p + 1,) int64, of each pair's contacts
     contacts: PairContacts
@@ -37,7 +38,7 @@ class KeptAnswer(NamedTuple):
 
 _NOBODY = np.zeros(0, np.int64)
 NOTHING_KEPT = KeptAnswer(
-    -1, _NOBODY, np.zeros((0, 12), np.uint64), _NOBODY, _NOBODY, 0, _NOBODY,
+    -1, _NOBODY, np.zeros((0, 12), np.uint64), _NOBODY, _NOBODY, _NOBODY, 0, _NOBODY,
     PairContacts(
         _NOBODY, np.zeros(0), _NOBODY, np.zeros(0, np.uint8), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)),
         np.zeros(0), np.zeros((0, 2), np.int64),
@@ -58,12 +59,12 @@ def _keep(rows, slots, room, exhausted):
 
 
 def keep(
-    stamp: int, rows: np.ndarray, poses: np.ndarray, slots: np.ndarray, room: int, searched: np.ndarray, further: int,
-    offsets: np.ndarray, contacts: PairContacts,
+    stamp: int, rows: np.ndarray, poses: np.ndarray, slots: np.ndarray, room: int, searched: np.ndarray,
+    shares: np.ndarray, further: int, offsets: np.ndarray, contacts: PairContacts,
 ) -> KeptAnswer:  # fmt: skip
     """`slots` (p,), -1: not to be kept; `room` slots in all. `contacts` are not to be changed any more."""
     index_of_row, pair_of_slot = _keep(rows, slots, room, contacts.exhausted)
-    return KeptAnswer(stamp, index_of_row, poses, pair_of_slot, searched, further, offsets, contacts)
+    return KeptAnswer(stamp, index_of_row, poses, pair_of_slot, searched, shares, further, offsets, contacts)
 
 
 @kernel
@@ -79,12 +80,12 @@ def pose_bits(rotations, positions):
 
 
 @kernel
-def pairs_in_place(kept, kinds, rows, poses, pairs, slots, known, further, counts, bounds):
+def pairs_in_place(kept, kinds, rows, poses, pairs, slots, known, shares, further, counts, bounds):
     """Where each of `pairs` (p, 2) of indices into `rows` stands in `kept`, -1: not, or the answer may be another; and
     which do not (m,). Of those that do, `counts` and `bounds` (p,) are written.
 
-    poses (n, 12): pose_bits; slots, known (p,): of with_pairs; further: visits that each may take beyond the contacts
-    wanted. A node that is met once these are there is taken up twice at most for each visit.
+    poses (n, 12): pose_bits; slots, known (p,): of with_pairs; shares (p,), further: visits that each may take, and
+    beyond the contacts wanted. A node that is met once these are there is taken up twice at most for each visit.
     """
     has_moved = np.ones(len(rows), np.bool_)
     for i in range(len(rows)):
@@ -100,7 +101,7 @@ def pairs_in_place(kept, kinds, rows, poses, pairs, slots, known, further, count
         if slots[p] < 0 or not known[p] or slots[p] >= len(kept.pair_of_slot) or has_moved[i] or has_moved[j]:
             continue
         q = kept.pair_of_slot[slots[p]]
-        if q < 0:
+        if q < 0 or kept.shares[q] != shares[p]:
             continue
         of_sphere = kinds[rows[i]] == SPHERE or kinds[rows[j]] == SPHERE
         if further >= kept.further or (not of_sphere and 2 * kept.searched[q] + 2 <= further):

@@ -238,18 +238,19 @@ def query_pairs(
     limits: half of the further visits are shared evenly by all pairs, the other half by those whose share was too
     small. Of too many contacts, the pairs that have most lose their shallowest, so that none keeps more than some
     number. overlaps: see crowds.visit_shares, which a budget takes the place of. No share depends on
-    lists: a pair that a list answers has fewer contacts than wanted, and none is kept that a limit might cut short.
+    lists: a pair that a list answers has fewer contacts than wanted, and none is listed that a limit might cut short.
     """
     p = len(pairs)
     slots, known, stands_at = np.full(p, -1), np.zeros(p, np.bool_), np.full(p, -1)
-    lists, moved = NO_LISTS, np.arange(p)
+    lists, listed, moved = NO_LISTS, slots, np.arange(p)
     shares = np.full(p, budget)
     if not budget and overlaps is not None:
         shares = visit_shares(pools, rows, pairs, overlaps, limits.visits)
     if before is not None and not budget:
         lists, slots, known = with_pairs(before.lists, pair_keys(rows, pairs))
+        listed = slots
         if shares.any():
-            slots[(shares != UNSHARED) & (shares < most_visits(pools, rows, pairs))] = -1
+            listed = np.where((shares != UNSHARED) & (shares < most_visits(pools, rows, pairs)), -1, slots)
     counts, visits = np.zeros(p, np.int64), np.zeros(p, np.int64)
     bounds, exhausted = np.zeros(p), np.zeros(p, np.uint8)
     share = limits.further_visits // (2 * max(p, 1))
@@ -258,7 +259,7 @@ def query_pairs(
     poses = pose_bits(rotations, positions)
     if lists is not NO_LISTS and before.answer.stamp == stamp:
         stands_at, moved = pairs_in_place(
-            before.answer, pools.fragment.kind, rows, poses, pairs, slots, known, share, counts, bounds
+            before.answer, pools.fragment.kind, rows, poses, pairs, slots, known, shares, share, counts, bounds
         )
 
     def search(todo: np.ndarray, limit: int, room: int) -> np.ndarray:
@@ -267,7 +268,7 @@ def query_pairs(
         begin = np.empty(p, np.int64)
         crew.share(
             _query_share, pools, rows, rotations, positions, pairs, todo, not passes, wanted, most, epsilon, near,
-            shares, further, limit, contacts, ids, begin, counts, bounds, visits, exhausted, lists, slots, known,
+            shares, further, limit, contacts, ids, begin, counts, bounds, visits, exhausted, lists, listed, known,
             scratch,
         )  # fmt: skip
         for earlier in passes:
@@ -313,7 +314,7 @@ def query_pairs(
     gather_kept(before.answer, stands_at, offsets, points_a, points_b, normals, gaps, samples, searched)
     if cuts:
         slots[cut] = -1  # what others leave to them may be less next time
-    answer = keep(stamp, rows, poses, slots, len(lists.counts), searched, share, offsets, found)
+    answer = keep(stamp, rows, poses, slots, len(lists.counts), searched, shares, share, offsets, found)
     return found, Remembered(lists, answer)
 
 
