@@ -59,7 +59,7 @@ def line(world: str, method: str, time: float, error: float) -> dict[str, str]:
     cells = {
         f"{kind}_{name}": str(value)
         for kind in ("jitter", "pile")
-        for name, value in (("query", time), ("pair_error_mean", error), ("pair_error_max", 5.0 * error))
+        for name, value in (("query", time), ("solver_error_mean", error), ("solver_error_max", 5.0 * error))
     }
     times = {"update": str(10.0 * time), "first_query": str(2.0 * time)}
     return {"world": world, "method": method, "fragments": "20", "cpu": "a processor", "cores": "1", **times, **cells}

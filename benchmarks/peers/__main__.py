@@ -11,7 +11,7 @@ from benchmarks.peers.one_core import pin_to_one_core
 
 QUICK_WORLDS = ("ball8", "shell20w")
 DEFAULT_CSV = Path("out/peers.csv")
-WIDTH = 210  # columns of a table that no terminal's width was asked for
+WIDTH = 240  # columns of a table that no terminal's width was asked for
 
 
 @click.command(context_settings={"show_default": True})

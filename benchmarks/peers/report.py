@@ -29,9 +29,11 @@ of touching, jittered and piled frames, whole calls from Python; native: of the 
 here on jittered frames, lengths in % R. con: contacts a frame. missed: of pairs that penetrate by more than 0.2 % R,
 those without a contact inside; in parentheses of those alone that a sample of the service shows (what lies between its
 samples it cannot see). false: of the pairs that have nothing in common, those reported deeper than 0.2 % R. err, max:
-depth of a pair's deepest contact less the true one. nearest: angle of that contact's normal to the way from the truth's
-deepest vertex to the nearest surface, median and share above 30 degrees; near rims that is a surface beside the crack.
-parting: the same to the way in which the common volume shrinks fastest, one direction a pair (a curved crack has many).
+depth of a pair's deepest contact less the true one. remains, unneeded: true depth left after the smallest translation
+that satisfies a pair's contacts, and the part of this translation without which no more would be left; mean and worst
+of all pairs whose boxes overlap. nearest: angle of the deepest contact's normal to the way from the truth's deepest
+vertex to the nearest surface, median and share above 30 degrees; near rims that is a surface beside the crack. parting:
+the same to the way in which the common volume shrinks fastest, one direction a pair (a curved crack has many).
 off: largest distance of a witness from its surface. p: piled frames. t max: largest depth reported in place.
 Ours works on, and is judged against, the surfaces of its regions; the others get closed meshes ready made, and are
 judged against these: cut by planes where cracks are flat, through the cut edges where they are curved.
@@ -99,8 +101,8 @@ def _table(rows: Sequence[Row]) -> Table:
     table = Table(title=f"{first.world}: {first.fragments} fragments, {sizes}", title_justify="left")
     table.add_column("method", no_wrap=True)
     for title in (
-        "update", "first", "touch", "jitter", "pile", "native", "con", "missed", "false", "err", "max", "nearest",
-        "parting", "off", "p missed", "p false", "t max",
+        "update", "first", "touch", "jitter", "pile", "native", "con", "missed", "false", "err", "max", "remains",
+        "max", "unneeded", "max", "nearest", "parting", "off", "p missed", "p false", "t max",
     ):  # fmt: skip
         table.add_column(title, justify="right", no_wrap=True)
     for row in rows:
@@ -122,6 +124,8 @@ def _cells(row: Row) -> Iterator[str]:
     yield f"{it.missed}/{it.penetrating}{by_samples}"
     yield f"{it.false}/{it.apart}"
     yield from (_percent(it.error_mean), _percent(it.error_max))
+    yield from (_percent(it.remaining_mean), _percent(it.remaining_max))
+    yield from (_percent(it.unnecessary_mean), _percent(it.unnecessary_max))
     yield _angle(it.nearest_median, it.nearest_wrong)
     yield _angle(it.parting_median, it.parting_wrong)
     yield f"{100.0 * it.witness_max:.1g}" if np.isfinite(it.witness_max) else ""

@@ -7,6 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.peers.method import Contacts
+from benchmarks.peers.moved_pairs import Way
+from benchmarks.peers.solver_error import solver_errors, translations
 from benchmarks.peers.truth import PairTruth, Solids
 from benchmarks.peers.worlds import Frame
 
@@ -41,6 +43,13 @@ class Score(NamedTuple):
     # missed counts with its true depth, a false one with the reported depth. Left out: false ones whose edges cross.
     pair_error_mean: float
     pair_error_max: float
+    # [R] of the same pairs, as of `solver_error`: after the least translation that satisfies the contacts reported
+    remaining_mean: float
+    remaining_max: float
+    unnecessary_mean: float
+    unnecessary_max: float
+    solver_error_mean: float  # both together
+    solver_error_max: float
 
 
 class FrameTruth(NamedTuple):
@@ -55,22 +64,28 @@ def score(solids: Solids, truths: list[FrameTruth], answers: list[Contacts]) -> 
     penetrating = missed = samples_penetrating = samples_missed = apart = false = 0
     missed_deepest = 0.0
     errors, sample_errors, pair_errors, nearest, parting, witness = [], [], [], [], [], [np.zeros(0)]
+    ways, true_depths = [], []
     for truth, answer in zip(truths, answers, strict=True):
-        deepest = deepest_contacts(answer)
+        deepest, shifts = deepest_contacts(answer), translations(answer)
         for pair in sorted(truth.near | set(truth.pairs) | set(deepest)):
             true = truth.pairs.get(pair)
             contact = deepest.get(pair)
             depth = float(answer.depths[contact]) if contact is not None else 0.0
+            way = Way(truth.frame, *pair, shifts.get(pair, np.zeros(3)))
             if true is None:
                 # edges may cross where no vertex is inside
                 claimed = depth > TOLERANCE
                 crosses = depth > 0.0 and _edges_cross(solids, truth, pair)
                 if not crosses:
                     pair_errors.append(max(depth, 0.0))
+                    ways.append(way)
+                    true_depths.append(0.0)
                 if not (claimed and crosses):
                     apart, false = apart + 1, false + claimed
                 continue
             pair_errors.append(abs(max(depth, 0.0) - true.depth))
+            ways.append(way)
+            true_depths.append(true.depth)
             if true.sample_depth > TOLERANCE:
                 samples_penetrating += 1
                 if depth > 0.0:
@@ -89,13 +104,14 @@ def score(solids: Solids, truths: list[FrameTruth], answers: list[Contacts]) -> 
                 parting.append(_degrees(normal, true.parting))
         witness.append(_off_surface(solids, truth.frame, answer))
     off = np.concatenate(witness)
+    remaining, unnecessary = solver_errors(solids, ways, np.array(true_depths))
     return Score(
         float(np.mean([len(a.depths) for a in answers])),
         max((float(a.depths.max()) for a in answers if len(a.depths)), default=0.0),
         penetrating, missed, missed_deepest, samples_penetrating, samples_missed, *_mean_max(sample_errors),
         apart, false,
         *_mean_max(errors), *_median_wrong(nearest), *_median_wrong(parting), *_mean_max(off),
-        *_mean_max(pair_errors),
+        *_mean_max(pair_errors), *_mean_max(remaining), *_mean_max(unnecessary), *_mean_max(remaining + unnecessary),
     )  # fmt: skip
 
 

@@ -50,6 +50,11 @@ class Solids:
         parts = [s.vertices for s in surfaces], samples, middles
         self._asked = all_vertices([np.concatenate(points) for points in zip(*parts, strict=True)])
 
+    def points(self, fragment: int) -> np.ndarray:
+        """Its vertices and samples (n, 3) [m], about its centre."""
+        begin = self._asked.begin[fragment]
+        return self._asked.points[begin : begin + self._first_middle[fragment]]
+
     def nearest(self, fragment: int, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Distance (n,) [m] of points about its centre to its surface, and the nearest points (n, 3)."""
         s = self.surfaces[fragment]

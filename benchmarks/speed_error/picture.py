@@ -45,12 +45,13 @@ SETTINGS = {
     "field": ("field", "#E69F00", "P"),
     "tree": ("trees", "#56B4E9", "X"),
 }
-ERROR = "error of a pair's depth [% R]"
+ERROR = "remaining + unnecessary [% R]"
 QUERY, UPDATE = "query of all fragments [ms]", "update at the fracture and first query [ms]"
 MEASURE = (
-    "Depth: that of the deepest vertex of either in the other, which exact distances give by construction; against "
-    "whole surfaces, so that what lies between our samples counts.\nMarker: mean over all pairs whose boxes overlap; "
-    "bar: up to the worst. A missed pair counts with its true depth, a false one with the reported depth.\n"
+    "Error: after the smallest translation that satisfies the contacts reported of a pair, the penetration that "
+    "remains plus the displacement\nthat was unnecessary; by exact distances of whole surfaces, so that what lies "
+    "between our samples counts.\nMarker: mean over all pairs whose boxes overlap; bar: up to the worst. A missed pair "
+    "counts with its true depth, a false one with its whole translation.\n"
     f"Errors below {FLOOR} % R are drawn there. Calls from Python, one core of: "
 )
 

@@ -40,7 +40,7 @@ def points_of(rows: Sequence[Line], world: str, kind: str, times: Sequence[str])
     """Of all methods that answered in `world`: the sum of the columns `times` against errors in frames of `kind`."""
     found = []
     for row in rows:
-        cells = [row[c] for c in (*times, f"{kind}_pair_error_mean", f"{kind}_pair_error_max")]
+        cells = [row[c] for c in (*times, f"{kind}_solver_error_mean", f"{kind}_solver_error_max")]
         if row["world"] == world and all(cells):
             *spent, mean, worst = map(float, cells)
             found.append(Point(row["method"], sum(spent), 100.0 * mean, 100.0 * worst))

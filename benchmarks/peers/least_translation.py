@@ -1,0 +1,74 @@
+"""The smallest translation of one body against another that satisfies the contacts reported between them.
+
+Minimise |d|^2 subject to n_i . d >= depth_i: least distance programming, by its dual, a non-negative least-squares
+problem of four rows (Lawson & Hanson, Solving Least Squares Problems, 1974, chapter 23, "LDP"). d: translation of the
+second body; n_i: unit normals from the first to the second.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.optimize import nnls
+
+SATISFIED = 1e-9  # of the deepest contact: a violation up to this is none
+INCOMPATIBLE = 1e-9  # length of the dual's residual that is taken for zero: no translation satisfies all contacts
+# Of the deepest contact. Contacts that need more face each other within a few degrees, as in a slot; a solver resolves
+# these by turning bodies, or not at all.
+FARTHEST = 20.0
+NEWTON_STEPS, HALVINGS = 50, 30
+
+
+def least_translation(normals: np.ndarray, depths: np.ndarray) -> np.ndarray:
+    """(3,) [m] of the second body. normals (n, 3), unit, from the first; depths (n,) [m], negative: a gap.
+
+    Where no translation up to FARTHEST times the deepest contact satisfies all contacts: that of the least sum of
+    squared violations.
+    """
+    deepest = depths.max(initial=0.0)
+    if deepest <= 0.0:
+        return np.zeros(3)
+    needed = depths / deepest
+    # few of many contacts bind: start with the deepest and add the most violated one until none is
+    rows = [int(np.argmax(needed))]
+    while True:
+        shift = _least_distance(normals[rows], needed[rows])
+        if shift is None or shift @ shift > FARTHEST**2:
+            return deepest * _least_violation(normals, needed)
+        violation = needed - normals @ shift
+        worst = int(np.argmax(violation))
+        if violation[worst] <= SATISFIED or worst in rows:
+            return deepest * shift
+        rows.append(worst)
+
+
+def _least_distance(normals: np.ndarray, needed: np.ndarray) -> np.ndarray | None:
+    """(3,); None if there is none."""
+    system = np.vstack([normals.T, needed])
+    target = np.array([0.0, 0.0, 0.0, 1.0])
+    weights, distance = nnls(system, target)
+    if distance <= INCOMPATIBLE:
+        return None
+    residual = system @ weights - target
+    return -residual[:3] / residual[3]
+
+
+def _least_violation(normals: np.ndarray, needed: np.ndarray) -> np.ndarray:
+    """(3,) least sum of max(0, needed - normals . d)^2, by Newton's method with halved steps: convex, quadratic where
+    the same contacts are violated."""
+    shift = np.zeros(3)
+    violation = np.maximum(needed - normals @ shift, 0.0)
+    for _ in range(NEWTON_STEPS):
+        violated = violation > 0.0
+        step = np.linalg.lstsq(normals[violated], violation[violated], rcond=1e-6)[0]
+        for _ in range(HALVINGS):
+            tried = np.maximum(needed - normals @ (shift + step), 0.0)
+            if tried @ tried < violation @ violation:
+                break
+            step *= 0.5
+        else:
+            break
+        is_small = step @ step < SATISFIED**2
+        shift, violation = shift + step, tried
+        if is_small:
+            break
+    return shift

@@ -1,0 +1,63 @@
+"""True depth of pairs after a translation of one of the two: as of `truth`, for many pairs and shares of their ways."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.peers.boxes import SLACK
+from benchmarks.peers.truth import Solids
+from benchmarks.peers.worlds import Frame
+
+
+class Way(NamedTuple):
+    """A pair, and where the second is moved against the first."""
+
+    frame: Frame
+    first: int
+    second: int
+    shift: np.ndarray  # (3,) [m] world, of the second
+
+
+class MovedPairs:
+    """Points of k pairs, gathered once. Few and large calls: each makes a winding number's tree anew."""
+
+    def __init__(self, solids: Solids, ways: Sequence[Way]) -> None:
+        self._solids = solids
+        self._count = len(ways)
+        self._low = np.array([s.vertices.min(axis=0) - SLACK for s in solids.surfaces])
+        self._high = np.array([s.vertices.max(axis=0) + SLACK for s in solids.surfaces])
+        parts = [self._points_of(k, way, turned) for k, way in enumerate(ways) for turned in (False, True)]
+        empty = np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, int), np.zeros(0, int)
+        columns = [np.concatenate(column) for column in zip(empty, *parts, strict=True)]
+        order = np.argsort(columns[3], kind="stable")
+        self._start, self._along, self._way, self._other = (column[order] for column in columns)
+
+    def _points_of(self, row: int, way: Way, turned: bool) -> tuple[np.ndarray, ...]:
+        """Points (n, 3) [m] of one of the two in the other's frame, their way (n, 3) [m], row (n,) and other (n,)."""
+        own, other = (way.second, way.first) if turned else (way.first, way.second)
+        frame, into = way.frame, way.frame.rotations[other]
+        along = (way.shift if turned else -way.shift) @ into  # the first's points recede as the second moves
+        moved = self._solids.points(own) @ frame.rotations[own].T + frame.positions[own] - frame.positions[other]
+        local = moved @ into
+        low, high = self._low[other] - np.maximum(along, 0.0), self._high[other] - np.minimum(along, 0.0)
+        local = local[np.all((local >= low) & (local <= high), axis=1)]
+        shape = len(local), 3
+        return local, np.broadcast_to(along, shape), np.full(shape[0], row), np.full(shape[0], other)
+
+    def depths(self, shares: np.ndarray) -> np.ndarray:
+        """(k,) [m] after `shares` (k,) of each way; nan: not asked, nan returned."""
+        found = np.where(np.isnan(shares), np.nan, 0.0)
+        share = shares[self._way]
+        points = self._start + share[:, None] * self._along
+        low, high = self._low[self._other], self._high[self._other]
+        rows = np.flatnonzero(np.all((points >= low) & (points <= high), axis=1))  # nan is in no box
+        fragments, begin = np.unique(self._other[rows], return_index=True)
+        for v, of_v in zip(fragments.tolist(), np.split(rows, begin)[1:], strict=True):
+            inside = of_v[self._solids.inside(v, np.ascontiguousarray(points[of_v]))]
+            if len(inside):
+                distance, _ = self._solids.nearest(v, np.ascontiguousarray(points[inside]))
+                np.maximum.at(found, self._way[inside], distance)
+        return found

@@ -1,0 +1,62 @@
+"""The error that matters to a solver: what penetration remains, and what displacement was unnecessary, after the
+smallest translation that satisfies the contacts reported of a pair (`least_translation`)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.peers.least_translation import least_translation
+from benchmarks.peers.method import Contacts
+from benchmarks.peers.moved_pairs import MovedPairs, Way
+from benchmarks.peers.truth import Solids
+
+RESOLVED = 0.0002  # [R] a pair no deeper than this is parted: a tenth of what contacts need not be reported
+HALVINGS = 8  # of a translation, in the search for its necessary share
+
+
+class SolverErrors(NamedTuple):
+    """Of k pairs."""
+
+    remaining: np.ndarray  # (k,) [m] true depth after the whole translation
+    unnecessary: np.ndarray  # (k,) [m] of the translation, beyond the share that parts the pair as well
+
+
+def translations(answer: Contacts) -> dict[tuple[int, int], np.ndarray]:
+    """(smaller, larger fragment) to the least translation (3,) [m] of the larger that satisfies the pair's contacts."""
+    low, high = np.minimum(answer.first, answer.second), np.maximum(answer.first, answer.second)
+    normals = np.where((answer.first > answer.second)[:, None], -answer.normals, answer.normals)
+    order = np.lexsort((high, low))
+    starts = np.flatnonzero((np.diff(low[order]) != 0) | (np.diff(high[order]) != 0)) + 1
+    groups = np.split(order, starts) if len(order) else []
+    return {
+        (int(low[rows[0]]), int(high[rows[0]])): least_translation(normals[rows], answer.depths[rows])
+        for rows in groups
+    }  # fmt: skip
+
+
+def solver_errors(
+    solids: Solids, ways: Sequence[Way], depths: np.ndarray, resolved: float | np.ndarray = RESOLVED
+) -> SolverErrors:
+    """`depths` (k,) [m]: true ones before, 0 of pairs with nothing in common; `resolved` [m], one or (k,).
+
+    Necessary is the smallest share of a translation, to 1 / 2^HALVINGS, after which the pair is no deeper than
+    `resolved` or than after the whole. Of a pair with nothing in common nothing is; a missed one keeps its depth.
+    """
+    lengths = np.array([np.linalg.norm(way.shift) for way in ways])
+    moved = np.flatnonzero(lengths > 0.0)
+    pairs = MovedPairs(solids, [ways[k] for k in moved])
+    remaining = np.array(depths, float)
+    remaining[moved] = pairs.depths(np.ones(len(moved)))
+    enough = np.maximum(remaining, resolved)[moved]
+    least, most = np.zeros(len(moved)), np.where(depths[moved] > enough, 1.0, 0.0)
+    for _ in range(HALVINGS):
+        middle = 0.5 * (least + most)
+        is_open = most > least
+        deep = pairs.depths(np.where(is_open, middle, np.nan)) > enough
+        least, most = np.where(is_open & deep, middle, least), np.where(is_open & ~deep, middle, most)
+    unnecessary = np.zeros(len(ways))
+    unnecessary[moved] = (1.0 - most) * lengths[moved]
+    return SolverErrors(remaining, unnecessary)

@@ -1,0 +1,72 @@
+"""What remains and what was unnecessary after the least translation, with boxes whose depths are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from test_peers import OVERLAP, blocks, judged, one_contact, placed  # noqa: F401 - blocks is a fixture
+
+from benchmarks.peers.method import Contacts, contacts_of, no_contacts
+from benchmarks.peers.moved_pairs import MovedPairs, Way
+from benchmarks.peers.solver_error import HALVINGS, RESOLVED, translations
+from benchmarks.peers.truth import Solids
+
+INTO, APART = (1.0 - OVERLAP, 0.05, 0.05), (1.0 + OVERLAP, 0.0, 0.0)
+X, Y = np.eye(3)[:2]
+
+
+def contacts(normals: list[np.ndarray], depths: list[float]) -> Contacts:
+    count = len(depths)
+    points = np.zeros((count, 3))
+    return contacts_of([0] * count, [1] * count, points, points, normals, depths)
+
+
+def test_depth_after_shares_of_a_way(blocks: Solids) -> None:  # noqa: F811
+    frame = placed(INTO)
+    ways = [Way(frame, 0, 1, OVERLAP * X), Way(frame, 0, 1, -2.0 * OVERLAP * X), Way(frame, 0, 1, OVERLAP * Y)]
+    pairs = MovedPairs(blocks, ways)
+    assert pairs.depths(np.zeros(3)) == pytest.approx(3 * [OVERLAP])
+    assert pairs.depths(np.array([0.25, 0.5, 1.0])) == pytest.approx([0.75 * OVERLAP, 2.0 * OVERLAP, OVERLAP])
+    asked = pairs.depths(np.array([1.0, np.nan, 0.5]))
+    assert asked[0] == pytest.approx(0.0, abs=1e-9) and np.isnan(asked[1]) and asked[2] == pytest.approx(OVERLAP)
+
+
+def test_a_turned_pair_moves_in_the_world(blocks: Solids) -> None:  # noqa: F811
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    frame = placed(INTO)._replace(rotations=np.array([np.eye(3), turn]))
+    pairs = MovedPairs(blocks, [Way(frame, 0, 1, OVERLAP * X), Way(frame, 0, 1, OVERLAP * Y)])
+    assert pairs.depths(np.full(2, 0.5)) == pytest.approx([0.5 * OVERLAP, OVERLAP])
+
+
+@pytest.mark.parametrize(
+    ("second", "answer", "remaining", "unnecessary"),
+    [
+        (INTO, one_contact(OVERLAP), 0.0, RESOLVED),
+        (INTO, contacts([X, X, X], [OVERLAP, 0.5 * OVERLAP, OVERLAP]), 0.0, RESOLVED),  # redundant
+        (INTO, one_contact(3.0 * OVERLAP), 0.0, 2.0 * OVERLAP + RESOLVED),  # too far
+        (INTO, one_contact(0.25 * OVERLAP), 0.75 * OVERLAP, 0.0),  # not far enough
+        (INTO, one_contact(OVERLAP, (0.0, 1.0, 0.0)), OVERLAP, OVERLAP),  # along the face: in vain
+        (INTO, contacts([X, Y], [OVERLAP, OVERLAP]), 0.0, np.sqrt(2.0) * RESOLVED),  # a false one beside the right one
+        (INTO, no_contacts(), OVERLAP, 0.0),  # missed
+        (INTO, one_contact(-0.001), OVERLAP, 0.0),  # a gap is no penetration
+        (APART, no_contacts(), 0.0, 0.0),
+        (APART, one_contact(OVERLAP), 0.0, OVERLAP),  # false
+    ],
+)
+def test_errors_of_a_pair(blocks: Solids, second, answer: Contacts, remaining: float, unnecessary: float) -> None:  # noqa: F811
+    got = judged(blocks, placed(second), answer)
+    step = 3.0 * OVERLAP / 2**HALVINGS
+    assert got.remaining_max == got.remaining_mean == pytest.approx(remaining, abs=1e-9)
+    assert got.unnecessary_max == got.unnecessary_mean == pytest.approx(unnecessary, abs=step)
+    assert got.solver_error_max == pytest.approx(got.remaining_max + got.unnecessary_max)
+
+
+def test_translations_by_pair() -> None:
+    # the second named first, its normal turned with it; another pair in between
+    zero = np.zeros((3, 3))
+    answer = contacts_of([1, 2, 0], [0, 1, 1], zero, zero, [-X, X, Y], [OVERLAP, 2.0 * OVERLAP, 2.0 * OVERLAP])
+    found = translations(answer)
+    assert list(found) == [(0, 1), (1, 2)]
+    np.testing.assert_allclose(found[0, 1], OVERLAP * (X + 2.0 * Y), atol=1e-12)
+    np.testing.assert_allclose(found[1, 2], -2.0 * OVERLAP * X, atol=1e-12)
+    assert translations(no_contacts()) == {}
