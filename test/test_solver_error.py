@@ -23,7 +23,7 @@ def contacts(normals: list[np.ndarray], depths: list[float]) -> Contacts:
 
 def test_depth_after_shares_of_a_way(blocks: Solids) -> None:  # noqa: F811
     frame = placed(INTO)
-    ways = [Way(frame, 0, 1, OVERLAP * X), Way(frame, 0, 1, -2.0 * OVERLAP * X), Way(frame, 0, 1, OVERLAP * Y)]
+    ways = [Way(frame, 0, 1, shift, OVERLAP) for shift in (OVERLAP * X, -2.0 * OVERLAP * X, OVERLAP * Y)]
     pairs = MovedPairs(blocks, ways)
     assert pairs.depths(np.zeros(3)) == pytest.approx(3 * [OVERLAP])
     assert pairs.depths(np.array([0.25, 0.5, 1.0])) == pytest.approx([0.75 * OVERLAP, 2.0 * OVERLAP, OVERLAP])
@@ -34,7 +34,7 @@ def test_depth_after_shares_of_a_way(blocks: Solids) -> None:  # noqa: F811
 def test_a_turned_pair_moves_in_the_world(blocks: Solids) -> None:  # noqa: F811
     turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     frame = placed(INTO)._replace(rotations=np.array([np.eye(3), turn]))
-    pairs = MovedPairs(blocks, [Way(frame, 0, 1, OVERLAP * X), Way(frame, 0, 1, OVERLAP * Y)])
+    pairs = MovedPairs(blocks, [Way(frame, 0, 1, OVERLAP * way, OVERLAP) for way in (X, Y)])
     assert pairs.depths(np.full(2, 0.5)) == pytest.approx([0.5 * OVERLAP, OVERLAP])
 
 

@@ -14,15 +14,16 @@ SATISFIED = 1e-9  # of the deepest contact: a violation up to this is none
 INCOMPATIBLE = 1e-9  # length of the dual's residual that is taken for zero: no translation satisfies all contacts
 # Of the deepest contact. Contacts that need more face each other within a few degrees, as in a slot; a solver resolves
 # these by turning bodies, or not at all.
-FARTHEST = 20.0
+FARTHEST = 10.0
 NEWTON_STEPS, HALVINGS = 50, 30
+DAMPING = 1e-9, 1e4  # from hardly any to next to no translation
 
 
 def least_translation(normals: np.ndarray, depths: np.ndarray) -> np.ndarray:
     """(3,) [m] of the second body. normals (n, 3), unit, from the first; depths (n,) [m], negative: a gap.
 
-    Where no translation up to FARTHEST times the deepest contact satisfies all contacts: that of the least sum of
-    squared violations.
+    Where no translation up to FARTHEST times the deepest contact satisfies all contacts: among these the one of the
+    least sum of squared violations.
     """
     deepest = depths.max(initial=0.0)
     if deepest <= 0.0:
@@ -53,22 +54,38 @@ def _least_distance(normals: np.ndarray, needed: np.ndarray) -> np.ndarray | Non
 
 
 def _least_violation(normals: np.ndarray, needed: np.ndarray) -> np.ndarray:
-    """(3,) least sum of max(0, needed - normals . d)^2, by Newton's method with halved steps: convex, quadratic where
-    the same contacts are violated."""
+    """(3,) no longer than FARTHEST, least sum of max(0, needed - normals . d)^2: by the damping that makes it so
+    short."""
+    low, high = DAMPING
+    shift = _damped(normals, needed, low)
+    if shift @ shift <= FARTHEST**2:
+        return shift
+    for _ in range(HALVINGS):
+        middle = np.sqrt(low * high)
+        shift = _damped(normals, needed, middle)
+        low, high = (middle, high) if shift @ shift > FARTHEST**2 else (low, middle)
+    return _damped(normals, needed, high)
+
+
+def _damped(normals: np.ndarray, needed: np.ndarray, damping: float) -> np.ndarray:
+    """(3,) least sum of squared violations + damping |d|^2, by Newton's method with halved steps: convex, and
+    quadratic where the same contacts are violated."""
     shift = np.zeros(3)
-    violation = np.maximum(needed - normals @ shift, 0.0)
+    violation = np.maximum(needed, 0.0)
     for _ in range(NEWTON_STEPS):
-        violated = violation > 0.0
-        step = np.linalg.lstsq(normals[violated], violation[violated], rcond=1e-6)[0]
+        violated = normals[violation > 0.0]
+        curvature = violated.T @ violated + damping * np.eye(3)
+        step = np.linalg.solve(curvature, violated.T @ violation[violation > 0.0] - damping * shift)
+        if step @ step < SATISFIED**2:
+            break
+        cost = violation @ violation + damping * shift @ shift
         for _ in range(HALVINGS):
-            tried = np.maximum(needed - normals @ (shift + step), 0.0)
-            if tried @ tried < violation @ violation:
+            tried = shift + step
+            violation = np.maximum(needed - normals @ tried, 0.0)
+            if violation @ violation + damping * tried @ tried < cost:
                 break
             step *= 0.5
         else:
             break
-        is_small = step @ step < SATISFIED**2
-        shift, violation = shift + step, tried
-        if is_small:
-            break
+        shift = tried
     return shift

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +19,7 @@ class Way(NamedTuple):
     first: int
     second: int
     shift: np.ndarray  # (3,) [m] world, of the second
+    depth: float  # [m] true one before, 0 if they have nothing in common
 
 
 class MovedPairs:
@@ -26,7 +27,6 @@ class MovedPairs:
 
     def __init__(self, solids: Solids, ways: Sequence[Way]) -> None:
         self._solids = solids
-        self._count = len(ways)
         self._low = np.array([s.vertices.min(axis=0) - SLACK for s in solids.surfaces])
         self._high = np.array([s.vertices.max(axis=0) + SLACK for s in solids.surfaces])
         parts = [self._points_of(k, way, turned) for k, way in enumerate(ways) for turned in (False, True)]
@@ -34,6 +34,7 @@ class MovedPairs:
         columns = [np.concatenate(column) for column in zip(empty, *parts, strict=True)]
         order = np.argsort(columns[3], kind="stable")
         self._start, self._along, self._way, self._other = (column[order] for column in columns)
+        self._keep_points_in_reach(np.array([max(way.depth, np.linalg.norm(way.shift)) for way in ways]))
 
     def _points_of(self, row: int, way: Way, turned: bool) -> tuple[np.ndarray, ...]:
         """Points (n, 3) [m] of one of the two in the other's frame, their way (n, 3) [m], row (n,) and other (n,)."""
@@ -47,17 +48,28 @@ class MovedPairs:
         shape = len(local), 3
         return local, np.broadcast_to(along, shape), np.full(shape[0], row), np.full(shape[0], other)
 
+    def _keep_points_in_reach(self, reach: np.ndarray) -> None:
+        """`reach` (k,) [m] of points that are inside, or come in on their way: as deep, or as far."""
+        keep = np.zeros(len(self._start), bool)
+        for v, rows in self._by_other(np.arange(len(self._start))):
+            distance, _ = self._solids.nearest(v, self._start[rows])
+            keep[rows] = distance <= reach[self._way[rows]] + SLACK
+        columns = self._start, self._along, self._way, self._other
+        self._start, self._along, self._way, self._other = (column[keep] for column in columns)
+
     def depths(self, shares: np.ndarray) -> np.ndarray:
         """(k,) [m] after `shares` (k,) of each way; nan: not asked, nan returned."""
         found = np.where(np.isnan(shares), np.nan, 0.0)
-        share = shares[self._way]
-        points = self._start + share[:, None] * self._along
+        points = self._start + shares[self._way, None] * self._along
         low, high = self._low[self._other], self._high[self._other]
-        rows = np.flatnonzero(np.all((points >= low) & (points <= high), axis=1))  # nan is in no box
-        fragments, begin = np.unique(self._other[rows], return_index=True)
-        for v, of_v in zip(fragments.tolist(), np.split(rows, begin)[1:], strict=True):
-            inside = of_v[self._solids.inside(v, np.ascontiguousarray(points[of_v]))]
+        in_box = np.all((points >= low) & (points <= high), axis=1)  # nan is in no box
+        for v, rows in self._by_other(np.flatnonzero(in_box)):
+            inside = rows[self._solids.inside(v, points[rows])]
             if len(inside):
-                distance, _ = self._solids.nearest(v, np.ascontiguousarray(points[inside]))
-                np.maximum.at(found, self._way[inside], distance)
+                np.maximum.at(found, self._way[inside], self._solids.nearest(v, points[inside])[0])
         return found
+
+    def _by_other(self, rows: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
+        """Each fragment whose surface is asked, and its part of `rows`, which ascend."""
+        others, begin = np.unique(self._other[rows], return_index=True)
+        return zip(others.tolist(), np.split(rows, begin)[1:], strict=True)

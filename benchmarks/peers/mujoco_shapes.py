@@ -57,13 +57,20 @@ class MuJoCo(Method):
         mujoco.mj_comPos(model, data)
         mujoco.mj_collision(model, data)
         native = perf_counter() - started
-        if not data.ncon:
-            return no_contacts(native)
-        contact = data.contact
-        fragments = model.geom_bodyid[contact.geom] - 1
-        return about_middle(
-            fragments[:, 0], fragments[:, 1], contact.pos.copy(), contact.frame[:, :3].copy(), -contact.dist, native
-        )  # fmt: skip
+        return listed_contacts(model, data, np.arange(-1, len(world.fragments)), native)
+
+
+def listed_contacts(
+    model: mujoco.MjModel, data: mujoco.MjData, numbers: np.ndarray, native: float = np.nan
+) -> Contacts:  # fmt: skip
+    """`numbers`: fragments by MuJoCo's body, the first of which is the world."""
+    if not data.ncon:
+        return no_contacts(native)
+    contact = data.contact
+    fragments = numbers[model.geom_bodyid[contact.geom]]
+    return about_middle(
+        fragments[:, 0], fragments[:, 1], contact.pos.copy(), contact.frame[:, :3].copy(), -contact.dist, native
+    )  # fmt: skip
 
 
 def v_hacd(surface: Surface) -> list[Surface]:

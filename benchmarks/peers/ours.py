@@ -9,7 +9,7 @@ import numpy as np
 from benchmarks.peers.method import EXACT, Contacts, Method, contacts_of
 from benchmarks.peers.ours_settings import DEFAULTS, SETTINGS, named
 from benchmarks.peers.worlds import Frame, World, empty_states
-from fracture_collision.records import FragmentStates
+from fracture_collision.records import ContactConstraintArray, FragmentStates
 from fracture_collision.world import CollisionWorld, Settings
 
 
@@ -42,14 +42,18 @@ class Ours(Method):
     def query(self, world: World, state: _State, frame: Frame) -> Contacts:
         states = FragmentStates(1, 1, state.ids, frame.body_positions.ravel(), frame.quaternions.ravel())
         answer = state.service.contacts(states)
-        counts = np.diff(answer.pair_begin.astype(np.int64))
         timings = state.service.last_timings
-        return contacts_of(
-            np.searchsorted(state.ids, np.repeat(answer.fragment_a, counts)),
-            np.searchsorted(state.ids, np.repeat(answer.fragment_b, counts)),
-            answer.points_a, answer.points_b, answer.normals, -answer.gaps,
-            timings["broad_phase"] + timings["narrow_phase"],
-        )  # fmt: skip
+        return listed_contacts(answer, state.ids, timings["broad_phase"] + timings["narrow_phase"])
+
+
+def listed_contacts(answer: ContactConstraintArray, ids: np.ndarray, native: float = np.nan) -> Contacts:
+    """`ids` (n,) ascending: those of the fragments, by number."""
+    counts = np.diff(answer.pair_begin.astype(np.int64))
+    return contacts_of(
+        np.searchsorted(ids, np.repeat(answer.fragment_a, counts)),
+        np.searchsorted(ids, np.repeat(answer.fragment_b, counts)),
+        answer.points_a, answer.points_b, answer.normals, -answer.gaps, native,
+    )  # fmt: skip
 
 
 def methods() -> list[Method]:

@@ -64,23 +64,30 @@ class Rapier(Method):
             TIME_STEP, state.islands, state.broad_phase, state.narrow_phase, state.bodies, state.colliders
         )  # fmt: skip
         native = perf_counter() - started
-        first, second, own, other, normals, depths = [], [], [], [], [], []
-        for pair in state.narrow_phase.contact_pairs():
-            a, b = state.number[pair.collider1], state.number[pair.collider2]
-            for manifold in pair.manifolds:
-                points = manifold.points
-                normal = manifold.data.normal if points else None
-                for point in points:
-                    if point.dist <= 0.0:
-                        first.append(a)
-                        second.append(b)
-                        own.append((point.local_p1.x, point.local_p1.y, point.local_p1.z))
-                        other.append((point.local_p2.x, point.local_p2.y, point.local_p2.z))
-                        normals.append((normal.x, normal.y, normal.z))
-                        depths.append(-point.dist)
-        return contacts_of(
-            first, second, _to_world(frame, first, own), _to_world(frame, second, other), normals, depths, native
-        )  # fmt: skip
+        return touching_contacts(state.narrow_phase, state.number, frame, native)
+
+
+def touching_contacts(
+    narrow_phase: rapier3d.NarrowPhase, number: dict, frame: Frame, native: float = np.nan
+) -> Contacts:  # fmt: skip
+    """Contacts that are no gaps. `number`: collider to fragment."""
+    first, second, own, other, normals, depths = [], [], [], [], [], []
+    for pair in narrow_phase.contact_pairs():
+        a, b = number[pair.collider1], number[pair.collider2]
+        for manifold in pair.manifolds:
+            points = manifold.points
+            normal = manifold.data.normal if points else None
+            for point in points:
+                if point.dist <= 0.0:
+                    first.append(a)
+                    second.append(b)
+                    own.append((point.local_p1.x, point.local_p1.y, point.local_p1.z))
+                    other.append((point.local_p2.x, point.local_p2.y, point.local_p2.z))
+                    normals.append((normal.x, normal.y, normal.z))
+                    depths.append(-point.dist)
+    return contacts_of(
+        first, second, _to_world(frame, first, own), _to_world(frame, second, other), normals, depths, native
+    )  # fmt: skip
 
 
 def _to_world(frame: Frame, fragments: list[int], points: list[tuple]) -> np.ndarray:

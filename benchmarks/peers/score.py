@@ -64,14 +64,14 @@ def score(solids: Solids, truths: list[FrameTruth], answers: list[Contacts]) -> 
     penetrating = missed = samples_penetrating = samples_missed = apart = false = 0
     missed_deepest = 0.0
     errors, sample_errors, pair_errors, nearest, parting, witness = [], [], [], [], [], [np.zeros(0)]
-    ways, true_depths = [], []
+    ways = []
     for truth, answer in zip(truths, answers, strict=True):
         deepest, shifts = deepest_contacts(answer), translations(answer)
         for pair in sorted(truth.near | set(truth.pairs) | set(deepest)):
             true = truth.pairs.get(pair)
             contact = deepest.get(pair)
             depth = float(answer.depths[contact]) if contact is not None else 0.0
-            way = Way(truth.frame, *pair, shifts.get(pair, np.zeros(3)))
+            way = Way(truth.frame, *pair, shifts.get(pair, np.zeros(3)), true.depth if true else 0.0)
             if true is None:
                 # edges may cross where no vertex is inside
                 claimed = depth > TOLERANCE
@@ -79,13 +79,11 @@ def score(solids: Solids, truths: list[FrameTruth], answers: list[Contacts]) -> 
                 if not crosses:
                     pair_errors.append(max(depth, 0.0))
                     ways.append(way)
-                    true_depths.append(0.0)
                 if not (claimed and crosses):
                     apart, false = apart + 1, false + claimed
                 continue
             pair_errors.append(abs(max(depth, 0.0) - true.depth))
             ways.append(way)
-            true_depths.append(true.depth)
             if true.sample_depth > TOLERANCE:
                 samples_penetrating += 1
                 if depth > 0.0:
@@ -104,7 +102,7 @@ def score(solids: Solids, truths: list[FrameTruth], answers: list[Contacts]) -> 
                 parting.append(_degrees(normal, true.parting))
         witness.append(_off_surface(solids, truth.frame, answer))
     off = np.concatenate(witness)
-    remaining, unnecessary = solver_errors(solids, ways, np.array(true_depths))
+    remaining, unnecessary = solver_errors(solids, ways)
     return Score(
         float(np.mean([len(a.depths) for a in answers])),
         max((float(a.depths.max()) for a in answers if len(a.depths)), default=0.0),

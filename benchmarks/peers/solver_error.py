@@ -14,7 +14,7 @@ from benchmarks.peers.moved_pairs import MovedPairs, Way
 from benchmarks.peers.truth import Solids
 
 RESOLVED = 0.0002  # [R] a pair no deeper than this is parted: a tenth of what contacts need not be reported
-HALVINGS = 8  # of a translation, in the search for its necessary share
+HALVINGS = 7  # of a translation, in the search for its necessary share
 
 
 class SolverErrors(NamedTuple):
@@ -38,9 +38,9 @@ def translations(answer: Contacts) -> dict[tuple[int, int], np.ndarray]:
 
 
 def solver_errors(
-    solids: Solids, ways: Sequence[Way], depths: np.ndarray, resolved: float | np.ndarray = RESOLVED
-) -> SolverErrors:
-    """`depths` (k,) [m]: true ones before, 0 of pairs with nothing in common; `resolved` [m], one or (k,).
+    solids: Solids, ways: Sequence[Way], resolved: float | np.ndarray = RESOLVED
+) -> SolverErrors:  # fmt: skip
+    """`resolved` [m], one or (k,).
 
     Necessary is the smallest share of a translation, to 1 / 2^HALVINGS, after which the pair is no deeper than
     `resolved` or than after the whole. Of a pair with nothing in common nothing is; a missed one keeps its depth.
@@ -48,10 +48,11 @@ def solver_errors(
     lengths = np.array([np.linalg.norm(way.shift) for way in ways])
     moved = np.flatnonzero(lengths > 0.0)
     pairs = MovedPairs(solids, [ways[k] for k in moved])
-    remaining = np.array(depths, float)
+    remaining = np.array([way.depth for way in ways])
+    before = remaining[moved]
     remaining[moved] = pairs.depths(np.ones(len(moved)))
     enough = np.maximum(remaining, resolved)[moved]
-    least, most = np.zeros(len(moved)), np.where(depths[moved] > enough, 1.0, 0.0)
+    least, most = np.zeros(len(moved)), np.where(before > enough, 1.0, 0.0)
     for _ in range(HALVINGS):
         middle = 0.5 * (least + most)
         is_open = most > least
