@@ -1,10 +1,11 @@
-"""Whole recorded runs: the same answers, byte for byte, whatever is remembered from step to step."""
+"""Whole recorded runs: the same answers, byte for byte, whatever is remembered from step to step; their errors."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
+from benchmarks.frames.errors import errors_of
 from benchmarks.frames.measure import is_busy, ours
 from benchmarks.frames.recording import record
 from fracture_collision.world import Settings
@@ -27,3 +28,13 @@ def test_answers_of_a_whole_run(scene: str) -> None:
     assert np.array_equal(remembered.update > 0.0, [bool(step.events) for step in recording.steps])
     assert not np.isnan(remembered.again).any() and np.isnan(searched.again).all()
     assert is_busy(recording).any() or scene == "pane"  # which falls apart slowly
+
+
+def test_errors_at_steps_of_a_run() -> None:
+    recording = record("pane@0.25")
+    (own,) = errors_of(recording, REMEMBERED, {}, count=2)
+    assert (own.scene, own.method, own.steps) == ("pane@0.25", "ours", 2)
+    assert own.pairs >= own.penetrating + own.apart and own.apart > 0
+    assert own.missed == own.false == 0
+    assert 0.0 <= own.remaining_mean <= own.remaining_worst < 1.0 and 0.0 <= own.unnecessary_mean < 1.0
+    assert own == errors_of(recording, SEARCHED, {}, count=2)[0]

@@ -34,7 +34,7 @@ def ours(recording: Recording, settings: Settings, again: bool = False) -> Times
     query, update, repeated = [], [], []
     with _uncollected():
         for step in recording.steps:
-            told = _tell(world, step)
+            told = tell(world, step)
             started = perf_counter()
             answer = world.contacts(step.states)
             seconds = perf_counter() - started
@@ -63,7 +63,7 @@ def times_of(recording: Recording, make: type[Peer]) -> Times:
     query, update = [np.nan] * first, [0.0] * first
     with _uncollected():
         for k, step in enumerate(recording.steps):
-            _tell(world, step)
+            tell(world, step)
             peer.tell(step.bodies)
             if k < first:
                 continue
@@ -84,7 +84,7 @@ def at_last_registry(recording: Recording) -> np.ndarray:
     return np.arange(len(recording.steps)) >= (broke[-1] if len(broke) else 0)
 
 
-def _tell(world: CollisionWorld, step: Step) -> float:
+def tell(world: CollisionWorld, step: Step) -> float:
     started = perf_counter()
     for body in step.bodies:
         world.add_body(body)

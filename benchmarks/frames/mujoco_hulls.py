@@ -7,9 +7,11 @@ from time import perf_counter
 import mujoco
 import numpy as np
 
-from benchmarks.frames.peer import Peer, Shape, is_fixed, normal_and_point, points_of, shape_of
-from benchmarks.peers.mujoco_shapes import MEMORY
-from fracture_collision.records import BOX, SPHERE, CollisionBody, FragmentStates
+from benchmarks.frames.peer import Peer, Shape, is_fixed, normal_and_point, points_of, radius_of, shape_of
+from benchmarks.peers.method import Contacts
+from benchmarks.peers.mujoco_shapes import MEMORY, listed_contacts
+from benchmarks.peers.worlds import Frame
+from fracture_collision.records import CollisionBody, FragmentStates
 from fracture_collision.world import CollisionWorld, Settings
 
 
@@ -20,7 +22,7 @@ class MujocoHulls(Peer):
     as bodies rest a little apart.
     """
 
-    last_registry_only = True
+    last_registry_only, lists_contacts = True, True
 
     def __init__(self) -> None:
         super().__init__()
@@ -72,25 +74,21 @@ class MujocoHulls(Peer):
         mujoco.mj_collision(self._model, self._data)
         return perf_counter() - started
 
+    def contacts(self, ids: np.ndarray, frame: Frame) -> Contacts:
+        # bodies were added in the order of their ids, after the world
+        numbers = np.searchsorted(ids, [0, *self._ids])
+        return listed_contacts(self._model, self._data, numbers)
+
     def _margins(self, world: CollisionWorld) -> dict[int, float]:
         """Of each fragment [m]. MuJoCo adds those of a pair; ours lists gaps up to `detection_tolerance` times the
         smaller R of a pair, so what never moves gets the largest margin of what does.
         """
         half = 0.5 * Settings().detection_tolerance
-        of_bodies = {whole.body_id: half * _radius(whole) for whole in self._whole.values() if not whole.is_static}
+        of_bodies = {whole.body_id: half * radius_of(whole) for whole in self._whole.values() if not whole.is_static}
         largest = max(of_bodies.values(), default=0.0)
         registry = world.fragments()
         pairs = zip(registry.fragment_ids.tolist(), registry.body_ids.tolist(), strict=True)
         return {fragment: of_bodies.get(body, largest) for fragment, body in pairs}
-
-
-def _radius(whole: CollisionBody) -> float:
-    """R [m]: half the longest side of a body's box."""
-    if whole.primitive.type == BOX:
-        return 0.5 * max(whole.primitive.dimensions)
-    if whole.primitive.type == SPHERE:
-        return whole.primitive.dimensions[0]
-    return 0.5 * float(np.ptp(np.reshape(whole.vertices, (-1, 3)), axis=0).max())
 
 
 def _shape(spec, geom, fragment_id: int, whole: CollisionBody | None, points: np.ndarray) -> None:

@@ -5,11 +5,16 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from enum import Enum, auto
 from time import perf_counter
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fracture_collision.records import BOX, SPHERE, CollisionBody, FragmentStates
 from fracture_collision.world import CollisionWorld
+
+if TYPE_CHECKING:
+    from benchmarks.peers.method import Contacts
+    from benchmarks.peers.worlds import Frame
 
 
 class Shape(Enum):
@@ -37,6 +42,18 @@ def is_fixed(whole: CollisionBody | None) -> bool:
     return whole is not None and whole.is_static
 
 
+def radius_of(whole: CollisionBody) -> float:
+    """R [m]: half the longest side of a body's box; of a plane without end."""
+    match shape_of(whole):
+        case Shape.BOX:
+            return 0.5 * max(whole.primitive.dimensions)
+        case Shape.BALL:
+            return whole.primitive.dimensions[0]
+        case Shape.PLANE:
+            return np.inf
+    return 0.5 * float(np.ptp(np.reshape(whole.vertices, (-1, 3)), axis=0).max())
+
+
 def normal_and_point(whole: CollisionBody) -> tuple[np.ndarray, np.ndarray]:
     """Of a plane, in the body frame: its normal (3,), of any length, and its point (3,) [m] next to the origin."""
     normal = np.asarray(whole.plane[:3], float)
@@ -55,6 +72,7 @@ def turn_onto(normal: np.ndarray, axis: int) -> list[float]:
 class Peer(ABC):
     """One library. A CollisionWorld that receives the same recording tells it which fragments exist."""
 
+    lists_contacts = False  # True: `contacts` is there
     last_registry_only = False  # True: nothing can be added to its world; only states after the last fracture are timed
 
     def __init__(self) -> None:
@@ -70,6 +88,10 @@ class Peer(ABC):
     @abstractmethod
     def step(self, states: FragmentStates) -> float:
         """Time [s] of the collision step at `states`."""
+
+    def contacts(self, ids: np.ndarray, frame: Frame) -> Contacts:
+        """What the last step found, at `frame`; fragments are numbered as in `ids`, ascending, those of `follow`."""
+        raise NotImplementedError
 
 
 class GrowingPeer(Peer):

@@ -8,12 +8,17 @@ import numpy as np
 import rapier3d
 
 from benchmarks.frames.peer import GrowingPeer, Shape, is_fixed, normal_and_point, poses_of, shape_of
+from benchmarks.peers.method import Contacts
+from benchmarks.peers.rapier import touching_contacts
+from benchmarks.peers.worlds import Frame
 from fracture_collision.records import CollisionBody, FragmentStates
 
 PREDICTION = 0.0025  # [m] by which the pipeline inflates bounding boxes when it looks for pairs
 
 
 class RapierHulls(GrowingPeer):
+    lists_contacts = True
+
     def __init__(self) -> None:
         super().__init__()
         self._bodies, self._colliders = rapier3d.RigidBodySet(), rapier3d.ColliderSet()
@@ -31,6 +36,11 @@ class RapierHulls(GrowingPeer):
             PREDICTION, self._islands, self._broad_phase, self._narrow_phase, self._bodies, self._colliders
         )
         return perf_counter() - started
+
+    def contacts(self, ids: np.ndarray, frame: Frame) -> Contacts:
+        bodies = (self._bodies[self._handles[i]] for i in ids.tolist())
+        number = {body.colliders[0]: k for k, body in enumerate(bodies)}
+        return touching_contacts(self._narrow_phase, number, frame)
 
     def _add(self, whole: CollisionBody | None, points: np.ndarray) -> object:
         body = rapier3d.RigidBody.fixed() if is_fixed(whole) else rapier3d.RigidBody.dynamic()

@@ -9,6 +9,7 @@ SETTINGS = {
     "contacts_per_pair": (1, 2, 4, 32, EVERY_CONTACT),
     "penetration_tolerance": (0.01, 0.02, 0.05),
     "visit_budget": (5_000, 10_000, 20_000, 30_000),
+    "selection": ("sufficient",),  # the service's default; `ours` lists by the paper's rule, `complete`
     "normals": ("nearest",),
     "field": ("averaged",),
     "tree": ("rebuilt",),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -59,6 +60,27 @@ class FrameTruth(NamedTuple):
     crossing: dict[tuple[int, int], bool]  # of pairs asked about before: whether edges cross, which takes long to say
 
 
+class JudgedPair(NamedTuple):
+    """A pair whose boxes overlap, that overlaps, or that is reported."""
+
+    pair: tuple[int, int]
+    true: PairTruth | None  # None: neither has a vertex in the other
+    contact: int | None  # row of its deepest contact
+    depth: float  # [m] of that, negative: a gap; 0 if none is reported
+    crosses: bool  # reported, and though neither has a vertex in the other, edges cross: what is true is not known
+    way: Way  # where a solver would move it
+
+
+def judged_pairs(solids: Solids, truth: FrameTruth, answer: Contacts) -> Iterator[JudgedPair]:
+    deepest, shifts = deepest_contacts(answer), translations(answer)
+    for pair in sorted(truth.near | set(truth.pairs) | set(deepest)):
+        true, contact = truth.pairs.get(pair), deepest.get(pair)
+        depth = float(answer.depths[contact]) if contact is not None else 0.0
+        crosses = true is None and depth > 0.0 and _edges_cross(solids, truth, pair)
+        way = Way(truth.frame, *pair, shifts.get(pair, np.zeros(3)), true.depth if true else 0.0)
+        yield JudgedPair(pair, true, contact, depth, crosses, way)
+
+
 def score(solids: Solids, truths: list[FrameTruth], answers: list[Contacts]) -> Score:
     """`truths` and `answers` frame by frame."""
     penetrating = missed = samples_penetrating = samples_missed = apart = false = 0
@@ -66,24 +88,15 @@ def score(solids: Solids, truths: list[FrameTruth], answers: list[Contacts]) -> 
     errors, sample_errors, pair_errors, nearest, parting, witness = [], [], [], [], [], [np.zeros(0)]
     ways = []
     for truth, answer in zip(truths, answers, strict=True):
-        deepest, shifts = deepest_contacts(answer), translations(answer)
-        for pair in sorted(truth.near | set(truth.pairs) | set(deepest)):
-            true = truth.pairs.get(pair)
-            contact = deepest.get(pair)
-            depth = float(answer.depths[contact]) if contact is not None else 0.0
-            way = Way(truth.frame, *pair, shifts.get(pair, np.zeros(3)), true.depth if true else 0.0)
+        for pair, true, contact, depth, crosses, way in judged_pairs(solids, truth, answer):
+            if not crosses:
+                pair_errors.append(abs(max(depth, 0.0) - way.depth))
+                ways.append(way)
             if true is None:
-                # edges may cross where no vertex is inside
                 claimed = depth > TOLERANCE
-                crosses = depth > 0.0 and _edges_cross(solids, truth, pair)
-                if not crosses:
-                    pair_errors.append(max(depth, 0.0))
-                    ways.append(way)
                 if not (claimed and crosses):
                     apart, false = apart + 1, false + claimed
                 continue
-            pair_errors.append(abs(max(depth, 0.0) - true.depth))
-            ways.append(way)
             if true.sample_depth > TOLERANCE:
                 samples_penetrating += 1
                 if depth > 0.0:
@@ -106,10 +119,10 @@ def score(solids: Solids, truths: list[FrameTruth], answers: list[Contacts]) -> 
     return Score(
         float(np.mean([len(a.depths) for a in answers])),
         max((float(a.depths.max()) for a in answers if len(a.depths)), default=0.0),
-        penetrating, missed, missed_deepest, samples_penetrating, samples_missed, *_mean_max(sample_errors),
+        penetrating, missed, missed_deepest, samples_penetrating, samples_missed, *mean_max(sample_errors),
         apart, false,
-        *_mean_max(errors), *_median_wrong(nearest), *_median_wrong(parting), *_mean_max(off),
-        *_mean_max(pair_errors), *_mean_max(remaining), *_mean_max(unnecessary), *_mean_max(remaining + unnecessary),
+        *mean_max(errors), *_median_wrong(nearest), *_median_wrong(parting), *mean_max(off),
+        *mean_max(pair_errors), *mean_max(remaining), *mean_max(unnecessary), *mean_max(remaining + unnecessary),
     )  # fmt: skip
 
 
@@ -142,7 +155,8 @@ def _off_surface(solids: Solids, frame: Frame, answer: Contacts) -> np.ndarray:
     return np.concatenate(distances)
 
 
-def _mean_max(values) -> tuple[float, float]:
+def mean_max(values) -> tuple[float, float]:
+    """nan of none."""
     return (float(np.mean(values)), float(np.max(values))) if len(values) else (np.nan, np.nan)
 
 

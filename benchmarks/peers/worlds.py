@@ -156,7 +156,7 @@ def _meshes(
 
 
 def _fragment(case: FracturedWorld, fragment_id: int, mesh: tuple[np.ndarray, np.ndarray]) -> Fragment:
-    exact = _published(case.world, fragment_id)
+    exact = published_surface(case.world, fragment_id)
     centre = 0.5 * (mesh[0].min(axis=0) + mesh[0].max(axis=0))
     return Fragment(
         fragment_id, centre, Surface(exact.vertices - centre, exact.triangles),
@@ -165,7 +165,7 @@ def _fragment(case: FracturedWorld, fragment_id: int, mesh: tuple[np.ndarray, np
     )  # fmt: skip
 
 
-def _published(service: CollisionWorld, fragment_id: int) -> Surface:
+def published_surface(service: CollisionWorld, fragment_id: int) -> Surface:
     """What viewers get, less triangles whose corners single precision has made one.
 
     Closed as a chain (each edge is covered as often one way as the other), but pieces of it may end at the middle of

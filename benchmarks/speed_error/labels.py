@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from matplotlib.text import Annotation, Text
 from matplotlib.transforms import Bbox
@@ -19,7 +20,8 @@ RINGS, DIRECTIONS = (16.0, 24.0, 34.0, 46.0), 16
 TURNS = np.linspace(0.0, 2.0 * np.pi, DIRECTIONS, endpoint=False) + np.pi / DIRECTIONS
 PLACES = (*BESIDE, *((r * np.cos(a), 0.8 * r * np.sin(a)) for r in RINGS for a in TURNS))
 STEP = 0.05  # what going one on in PLACES costs
-OVER_WORDS, OVER_POINT, OUTSIDE = 30.0, 3.0, 100.0  # what covering them costs
+OVER_WORDS, OVER_POINT, OVER_LINE, OUTSIDE = 30.0, 3.0, 0.3, 100.0  # what covering them costs; of a line, each SPACING
+SPACING = 4.0  # [pixels]
 
 
 class Label(NamedTuple):
@@ -40,6 +42,7 @@ def place_labels(figure: Figure, labels: Sequence[Label], size: float) -> None:
             taken.append(axes.get_legend().get_window_extent(renderer))
         taken += [text.get_window_extent(renderer) for text in axes.texts]
     points = np.array([label.axes.transData.transform((label.x, label.y)) for label in labels]).reshape(-1, 2)
+    lines = np.concatenate([np.zeros((0, 2)), *(_along(line) for axes in figure.axes for line in axes.lines)])
     for label in sorted(labels, key=lambda label: not label.needed):
         if not label.words:
             continue
@@ -49,8 +52,8 @@ def place_labels(figure: Figure, labels: Sequence[Label], size: float) -> None:
             text.update_positions(renderer)
             box = Text.get_window_extent(text, renderer).padded(1.0)  # an annotation's own has its line in it
             cost = STEP * rank + OVER_WORDS * sum(box.overlaps(other) for other in taken)
-            inside = np.all((points > box.min) & (points < box.max), axis=1)
-            cost += OVER_POINT * int(inside.sum()) + OUTSIDE * (not _holds(label.axes.get_window_extent(), box))
+            cost += OVER_POINT * _count(points, box) + OVER_LINE * _count(lines, box)
+            cost += OUTSIDE * (not _holds(label.axes.get_window_extent(), box))
             if cost < least:
                 if best is not None:
                     best[0].remove()
@@ -72,6 +75,20 @@ def _write(label: Label, place: tuple[float, float], size: float) -> Annotation:
         arrowprops={"arrowstyle": "-", "lw": 0.4, "color": label.color, "shrinkA": 0, "shrinkB": 2} if far else None,
         path_effects=[withStroke(linewidth=1.5, foreground="white")], zorder=7,
     )  # fmt: skip
+
+
+def _along(line: Line2D) -> np.ndarray:
+    """Points (n, 2) on a drawn line [pixels], SPACING apart."""
+    ends = line.get_transform().transform(line.get_path().vertices)
+    if line.get_linestyle() == "None" or len(ends) < 2:
+        return ends
+    lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(ends, axis=0), axis=1))])
+    at = np.arange(0.0, lengths[-1], SPACING)
+    return np.column_stack([np.interp(at, lengths, ends[:, k]) for k in range(2)])
+
+
+def _count(points: np.ndarray, box: Bbox) -> int:
+    return int(np.all((points > box.min) & (points < box.max), axis=1).sum())
 
 
 def _holds(outer: Bbox, inner: Bbox) -> bool:

@@ -26,6 +26,7 @@ from benchmarks.speed_error.points import (
 )
 
 DPI = 150
+LEGEND = {"fontsize": 7, "title_fontsize": 7, "frameon": False}
 FLOOR = 0.001  # [% R] errors below are drawn here
 # Okabe and Ito's colours, which the colour-blind tell apart; the markers say the same again.
 OURS = "#0072B2"
@@ -41,10 +42,12 @@ SETTINGS = {
     "penetration_tolerance": ("penetration tolerance, % R", "#D55E00", "s"),
     "visit_budget": ("visits a step", "#009E73", "^"),
     RESOLUTION: ("resolution (surface frequency)", "#000000", "D"),
+    "selection": ("selection", "#8C564B", "h"),
     "normals": ("normals", "#CC79A7", "v"),
     "field": ("field", "#E69F00", "P"),
     "tree": ("trees", "#56B4E9", "X"),
 }
+NOTHING = {"color": "#777777", "lw": 0.9, "ls": ":"}  # where no contact is reported
 ERROR = "remaining + unnecessary [% R]"
 QUERY, UPDATE = "query of all fragments [ms]", "update at the fracture and first query [ms]"
 MEASURE = (
@@ -75,8 +78,9 @@ def draw(rows: Sequence[Line], png: Path) -> None:
             axes.set_xlabel(QUERY, fontsize=8)
     for row in (grid[0], grid[3]):
         _same_limits(row)
-    grid[0][0].legend(handles=_family_handles(), fontsize=7, loc="lower left", framealpha=0.9)
-    grid[2][0].legend(handles=_setting_handles(), fontsize=7, loc="lower left", framealpha=0.9)
+    # above the panels, where they cover nothing; the taller one makes room for both
+    figure.legend(handles=_family_handles(), title="methods", loc="upper left", ncols=2, **LEGEND)
+    figure.legend(handles=_setting_handles(), title="our settings", loc="outside upper right", ncols=2, **LEGEND)
     _finish(figure, rows, labels, png)
 
 
@@ -90,7 +94,7 @@ def draw_update(rows: Sequence[Line], png: Path) -> None:
         axes.set_title(title, fontsize=9)
         axes.set_xlabel(UPDATE, fontsize=8)
     _same_limits(grid[0])
-    grid[0][0].legend(handles=_family_handles(), fontsize=7, loc="lower left", framealpha=0.9)
+    figure.legend(handles=_family_handles(), loc="outside upper center", ncols=4, **LEGEND)
     _finish(figure, rows, labels, png)
 
 
@@ -132,9 +136,7 @@ def _all_methods(axes: Axes, points: Sequence[Point]) -> list[Label]:
     labels = []
     for point in points:
         if point.method == SILENT:
-            axes.axhline(point.mean, color="#777777", lw=0.8, ls=":", zorder=1)
-            axes.text(0.99, point.mean, "no contact reported", fontsize=6.5, color="#555555", ha="right", va="bottom",
-                      transform=axes.get_yaxis_transform())  # fmt: skip
+            axes.axhline(point.mean, **NOTHING, zorder=1)
         if is_ours(point) or point.method == SILENT:
             continue
         color, marker = STYLES[family(point)]
@@ -197,7 +199,8 @@ def _same_limits(row: Sequence[Axes]) -> None:
 
 def _family_handles() -> list[Line2D]:
     ours = Line2D([], [], color=OURS, marker="*", ms=10, lw=0.8, label="ours, every setting")
-    return [ours, *(Line2D([], [], color=c, marker=m, ls="", label=name) for name, (c, m) in STYLES.items())]
+    families = [Line2D([], [], color=c, marker=m, ls="", label=name) for name, (c, m) in STYLES.items()]
+    return [ours, *families, Line2D([], [], **NOTHING, label="no contact reported")]
 
 
 def _setting_handles() -> list[Line2D]:
