@@ -35,6 +35,6 @@ def test_errors_at_steps_of_a_run() -> None:
     (own,) = errors_of(recording, REMEMBERED, {}, count=2)
     assert (own.scene, own.method, own.steps) == ("pane@0.25", "ours", 2)
     assert own.pairs >= own.penetrating + own.apart and own.apart > 0
-    assert own.missed == own.false == 0
+    assert own.missed <= own.penetrating and own.false == 0
     assert 0.0 <= own.remaining_mean <= own.remaining_worst < 1.0 and 0.0 <= own.unnecessary_mean < 1.0
     assert own == errors_of(recording, SEARCHED, {}, count=2)[0]
