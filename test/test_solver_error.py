@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from test_peers import OVERLAP, blocks, judged, one_contact, placed  # noqa: F401 - blocks is a fixture
 
+from benchmarks.peers import score as score_module
 from benchmarks.peers.method import Contacts, contacts_of, no_contacts
 from benchmarks.peers.moved_pairs import MovedPairs, Way
+from benchmarks.peers.score import FrameTruth, score
 from benchmarks.peers.solver_error import HALVINGS, RESOLVED, translations
 from benchmarks.peers.truth import Solids
 
@@ -59,6 +61,18 @@ def test_errors_of_a_pair(blocks: Solids, second, answer: Contacts, remaining: f
     assert got.remaining_max == got.remaining_mean == pytest.approx(remaining, abs=1e-9)
     assert got.unnecessary_max == got.unnecessary_mean == pytest.approx(unnecessary, abs=step)
     assert got.solver_error_max == pytest.approx(got.remaining_max + got.unnecessary_max)
+
+
+def test_of_many_pairs_some_are_judged(blocks: Solids, monkeypatch: pytest.MonkeyPatch) -> None:  # noqa: F811
+    frame = placed(INTO)
+    truths = [FrameTruth(frame, blocks.truth(frame), {(0, 1)}, {})] * 4
+    answers = [no_contacts()] * 3 + [one_contact(OVERLAP)]
+    all_of_them = score(blocks, truths, answers)
+    assert all_of_them.remaining_mean == pytest.approx(0.75 * OVERLAP)
+    monkeypatch.setattr(score_module, "SOLVER_PAIRS", 1)
+    one = score(blocks, truths, answers)
+    assert one.remaining_mean == one.remaining_max and one == score(blocks, truths, answers)
+    assert one.pair_error_mean == all_of_them.pair_error_mean
 
 
 def test_translations_by_pair() -> None:

@@ -24,17 +24,18 @@ OURS, RAPIER, MUJOCO = "ours", "rapier hull", "mujoco hull"
 VERTICES, FIELD = ("exact vertices (warp)", "exact vertices (libigl)"), "exact field at nodes (libigl)"
 
 LEGEND = """
-Times in ms, medians: update (event in, ready to answer, masses included), first query after it, then queries
-of touching, jittered and piled frames, whole calls from Python; native: of the jittered one within the library. From
-here on jittered frames, lengths in % R. con: contacts a frame. missed: of pairs that penetrate by more than 0.2 % R,
-those without a contact inside; in parentheses of those alone that a sample of the service shows (what lies between its
+Times in ms, medians: update (event in, ready to answer, masses included), first query after it, then queries of
+touching, jittered and piled frames, whole calls from Python; native: of the jittered one within the library. From here
+on jittered frames, lengths in % R. con: contacts a frame. missed: of pairs that penetrate by more than 0.2 % R, those
+without a contact inside; in parentheses of those alone that a sample of the service shows (what lies between its
 samples it cannot see). false: of the pairs that have nothing in common, those reported deeper than 0.2 % R. err, max:
 depth of a pair's deepest contact less the true one. remains, unneeded: true depth left after the smallest translation
 that satisfies a pair's contacts, and the part of this translation without which no more would be left; mean and worst
-of all pairs whose boxes overlap. nearest: angle of the deepest contact's normal to the way from the truth's deepest
-vertex to the nearest surface, median and share above 30 degrees; near rims that is a surface beside the crack. parting:
-the same to the way in which the common volume shrinks fastest, one direction a pair (a curved crack has many).
-off: largest distance of a witness from its surface. p: piled frames. t max: largest depth reported in place.
+of all pairs whose boxes overlap, or of 1,000 of them drawn at random. nearest: angle of the deepest contact's normal to
+the way from the truth's deepest vertex to the nearest surface, median and share above 30 degrees; near rims that is a
+surface beside the crack. parting: the same to the way in which the common volume shrinks fastest, one direction a pair
+(a curved crack has many). off: largest distance of a witness from its surface. p: piled frames. t max: largest depth
+reported in place.
 Ours works on, and is judged against, the surfaces of its regions; the others get closed meshes ready made, and are
 judged against these: cut by planes where cracks are flat, through the cut edges where they are curved.
 """
