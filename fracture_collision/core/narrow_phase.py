@@ -32,6 +32,7 @@ from fracture_collision.core.neighbour_lists import (
     NOT_LISTED,
     NeighbourLists,
     displacement,
+    fetch_slot,
     keep_pose,
     pair_keys,
     reach_of,
@@ -116,6 +117,8 @@ def _query_share(
     used, room = 0, contacts.shape[1]
     for k in range(thread, len(todo), threads):
         p = todo[k]
+        if k + threads < len(todo):
+            fetch_slot(lists, slots[todo[k + threads]])
         i, j = pairs[p, 0], pairs[p, 1]
         a, b = rows[i], rows[j]
         relative_pose(rotations[i], positions[i], rotations[j], positions[j], rotation[0], translation[0])

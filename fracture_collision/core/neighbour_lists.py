@@ -20,6 +20,7 @@ import numpy as np
 
 from fracture_collision.core.compiled import inlined_kernel, kernel
 from fracture_collision.core.kinds import PLANE
+from fracture_collision.core.prefetch import fetch
 from fracture_collision.core.rotations import to_other
 
 # Samples a list has room for.
@@ -138,6 +139,18 @@ def reach_of(moves, radius):
         return 0.0, 0.0
     reach = min(max(LASTS * moves, LEAST_REACH * radius), MOST_REACH * radius)
     return reach, min(max(AHEAD * moves, LEAST_REACH * radius), reach)
+
+
+@inlined_kernel
+def fetch_slot(lists, slot):
+    """Have what the next pair remembers brought near; without effect where it has no slot (-1)."""
+    if slot >= 0:
+        fetch(lists.poses, slot)
+        fetch(lists.listed_at, slot)
+        fetch(lists.listed, slot)
+        fetch(lists.places, slot)
+        fetch(lists.counts, slot)
+        fetch(lists.reach, slot)
 
 
 @inlined_kernel
