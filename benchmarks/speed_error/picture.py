@@ -170,7 +170,7 @@ def _our_settings(worst: Axes, mean: Axes, points: Sequence[Point]) -> list[Labe
             star = {"color": OURS, "ms": 14, "mec": "white", "mew": 0.8, "zorder": 6}
             worst.plot(point.time, _floored(point.worst), "*", **star)
             mean.plot(point.time, _floored(point.mean), "*", **star)
-            labels.insert(0, Label(mean, point.time, _floored(point.mean), "defaults", OURS))
+            labels.insert(0, Label(mean, point.time, _floored(point.mean), "complete", OURS))
     for axes in (worst, mean):
         axes.margins(0.12, 0.2)
         for axis in (axes.xaxis, axes.yaxis):  # less than a decade may be in view

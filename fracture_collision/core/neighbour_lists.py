@@ -91,13 +91,22 @@ def with_pairs(before: NeighbourLists, keys: np.ndarray) -> tuple[NeighbourLists
     room = len(before.counts)
     if room < len(keys):
         columns = _make_lists(max(len(keys) + len(keys) // 2, LEAST_ROOM))
-        for old, new in zip(before[2:], columns[2:], strict=True):
-            new[:room] = old
+        _copy_lists(before, columns)
         before = columns._replace(keys=before.keys, slots=before.slots)
     ordered, ordered_slots, slots, known = _take_slots(
         before.keys, before.slots, keys, before.counts, before.toward
     )
     return before._replace(keys=ordered, slots=ordered_slots), slots, known
+
+
+@kernel
+def _copy_lists(old, new):
+    """Columns into longer ones: of each slot only what is listed, the rest is memory that nobody has written to."""
+    for slot in range(len(old.counts)):
+        new.counts[slot], new.reach[slot], new.toward[slot] = old.counts[slot], old.reach[slot], old.toward[slot]
+        new.poses[slot], new.listed_at[slot] = old.poses[slot], old.listed_at[slot]
+        for k in range(old.counts[slot]):
+            new.listed[slot, k], new.places[slot, k] = old.listed[slot, k], old.places[slot, k]
 
 
 @kernel
