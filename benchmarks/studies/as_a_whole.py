@@ -58,7 +58,8 @@ SHEETS = (
         "Heaps from step to step",
         "The default settings, piles as above. Nothing moves: the last answer is copied. One fragment moves, another in"
         " each step. All move, to and fro, each along a line of its own. Asked of 2,000 fragments: at rest 0.1 µs a"
-        " pair, moving by 0.1 % R a step 3 µs. Other programs ran beside it.",
+        " pair, moving by 0.1 % R a step 3 µs. About half of the time of one that moves is the system's, for memory of"
+        " neighbour lists that is used for the first time.",
         (
             Column("fragments", "fragments", 0), Column("of these move", "moving", 0),
             Column("a step, % R", "step", 2), Column("close pairs", "close_pairs", 0),
@@ -102,8 +103,7 @@ SHEETS = (
         "small_updates",
         "Breaking a small fragment of a large body",
         "Medians over breaks one after the other, each of another fragment. Asked: 0.5 ms for check, update and masses"
-        " together. The worst is the one at which arrays run out of room and are copied to larger ones. Other programs"
-        " ran beside it.",
+        " together. The worst is the one at which arrays run out of room and are copied to larger ones.",
         (
             Column("nodes", "nodes", 0), Column("fragments", "fragments", 0), Column("breaks", "events", 0),
             Column("nodes that break", "broken_nodes", 0), Column("pieces", "pieces", 0),
