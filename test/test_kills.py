@@ -11,11 +11,10 @@ from pathlib import Path
 import pytest
 
 from campaigns.kills.mixed import kill_mixed, medians
-from campaigns.kills.stage import Digests, await_that, litter, stage
+from campaigns.kills.stage import Digests, await_no_litter, await_that, litter, stage
 from campaigns.kills.trials import kill_listeners, kill_services, kill_simulators, orders_of_ending, undisturbed
 from campaigns.soak import Cycle, growth, soak
 from fracture_collision.bag.reader import message_counts
-from fracture_collision.ros.shared_memory import YOUNG
 
 SCENE, STEPS = "pane", 60
 LONG_SCENE = "plates"  # seconds in which to kill
@@ -39,7 +38,7 @@ def test_a_killed_service_comes_back_and_nothing_is_different(tmp_path: Path, re
     before = litter()
     returns, different, lost = kill_services(tmp_path, SCENE, 2, 3, reference, no_progress, SOON)
     assert len(returns) == 2 and different == 0 and lost <= 2
-    assert litter().processes <= before.processes and litter().files <= before.files
+    await_no_litter(before)
 
 
 def test_the_comparison_can_fail(tmp_path: Path, reference: Digests) -> None:
@@ -92,10 +91,8 @@ def test_a_killed_node_leaves_nothing(tmp_path: Path) -> None:
         while not (tmp_path / "bag").exists():
             assert listener.exit_status() is None, listener.log_text()
             time.sleep(0.01)
-        time.sleep(YOUNG)  # what is younger is left to the next who sweeps
         assert listener.stop(patience=5.0, orders=(signal.SIGKILL,)) == -signal.SIGKILL
-    # `stop` has swept; what others beside us left in the meantime they sweep themselves
-    await_that(lambda: litter().files <= before.files, "nothing left behind")
+    await_no_litter(before)
 
 
 def test_a_soak_measures_what_it_says(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from fracture_collision.bag.reader import read_messages, topic_digest
 from fracture_collision.ros.node_process import NodeProcess, free_domain_id
-from fracture_collision.ros.shared_memory import YOUNG, left_behind
+from fracture_collision.ros.shared_memory import YOUNG, left_behind, remove_left_behind
 
 PATIENCE = 300.0  # [s] a node that takes longer hangs
 LOOK = 0.02  # [s] more often would take time from the nodes; what is timed, they tell by their own clocks
@@ -208,6 +208,20 @@ def litter() -> Litter:
     """What is left."""
     time.sleep(1.5 * YOUNG)  # what has just been left is taken for new
     return Litter(frozenset(left_behind()), frozenset(_orphans()))
+
+
+def await_no_litter(before: Litter) -> None:
+    """Waits until nothing is left but what was there before, sweeping as the next node to start would: the last one's
+    sweep spares what was young, and others who end nodes beside us leave such files too. Raises RuntimeError if
+    something stays.
+    """
+
+    def is_clean() -> bool:
+        remove_left_behind()
+        left = litter()
+        return left.files <= before.files and left.processes <= before.processes
+
+    await_that(is_clean, "nothing left behind")
 
 
 def _orphans() -> Iterator[int]:
