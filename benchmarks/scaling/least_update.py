@@ -17,17 +17,16 @@ import numpy as np
 
 from benchmarks.peers.worlds import World, empty_states
 from benchmarks.scaling.growth import SEARCHED
-from fracture_collision.core import collision_geometry, fracture_update
+from fracture_collision.core import collision_geometry
 from fracture_collision.core.compiled import threaded_kernel
 from fracture_collision.core.moments import add_row, tetrahedron_terms
 from fracture_collision.world import CollisionWorld
 
 COLD = 64 << 20  # [bytes] walked through between two passes, more than a core's caches hold
 TRIALS = 9
-# Polygons and masses of the cut tetrahedra, and the fragments' trees: what a query is asked of.
-OUTPUTS = (
-    (fracture_update, "rebuild_parted"), (fracture_update, "rebuild_fanned"), (collision_geometry, "split_trees"),
-)  # fmt: skip
+# Polygons and masses of the cut tetrahedra, corners of their hulls, and the fragments' trees with their leaves: what a
+# query is asked of.
+OUTPUTS = ((collision_geometry, "rebuild_surfaces"), (collision_geometry, "split_trees"))
 
 
 def least_update(world: World) -> tuple[float, str]:
@@ -95,7 +94,7 @@ def least_update(world: World) -> tuple[float, str]:
 
 def update_alone(world: World) -> float:
     """[ms], one thread, median, within real updates: what this program takes for `OUTPUTS`; not for checks and hashes,
-    which tetrahedra are touched, cells, seeds and hulls.
+    which tetrahedra are touched, cells and seeds.
     """
     sums = []
     for _ in range(TRIALS + 1):

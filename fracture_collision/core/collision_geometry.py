@@ -7,12 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.core import fracture_update, touched_tetrahedra
+from fracture_collision.core import touched_tetrahedra
 from fracture_collision.core.crack_seeds import choose_seeds
-from fracture_collision.core.cut_tetrahedron import DIVIDED, make_cut_scratch
+from fracture_collision.core.cut_tetrahedron import make_cut_scratch
+from fracture_collision.core.fracture_update import rebuild_surfaces
 from fracture_collision.core.fragment_trees import REBUILT, RESTRUCTURED, rebuilt_trees, split_trees
 from fracture_collision.core.front_propagation import update_averaged_field
-from fracture_collision.core.hull_separation import CORNERS_EACH, corners_by_fragment
 from fracture_collision.core.interior_field import InteriorField, make_interior_field
 from fracture_collision.core.kinds import BOX, PLANE, SPHERE, TETRAHEDRA, TRIANGLES
 from fracture_collision.core.moments import (
@@ -21,7 +21,7 @@ from fracture_collision.core.moments import (
     sphere_mass_properties,
     surface_moments,
 )
-from fracture_collision.core.occupancy import cells_of_boxes, fill_pyramid, mark_all, mark_cells
+from fracture_collision.core.occupancy import cells_of_boxes, mark_all, mark_fragments
 from fracture_collision.core.pool_compaction import (
     MeshRows,
     SurfaceMeshRows,
@@ -50,6 +50,7 @@ from fracture_collision.core.primitives import box_edge_points, box_sampling_gap
 from fracture_collision.core.sphere_tree import SphereTree, build_sphere_tree
 from fracture_collision.core.surface_rows import SurfaceRows
 from fracture_collision.core.tet_mesh import TetMesh
+from fracture_collision.core.touched_tetrahedra import touched_room
 from fracture_collision.core.triangle_field import TriangleMesh, append_triangle_mesh, build_triangle_mesh
 from fracture_collision.portable_math import lengths
 
@@ -113,7 +114,7 @@ class CollisionGeometry:
         self._tables = PoolTables(traversal, field, normals)
         self._moments = GrowableArray(10, np.float64)
         self._gaps = GrowableArray(0, np.float64)
-        self._scratch = make_cut_scratch()
+        self._scratch, self._room = make_cut_scratch(), touched_room(0)
         self._meshes: list[tuple[PreparedMesh, MeshRows]] = []  # by its row in the pools
         self._surfaces: list[tuple[PreparedSurface, SurfaceMeshRows]] = []
         self._bodies_of: Counter[int] = Counter()  # id of a preprocess -> bodies that have it
@@ -256,123 +257,78 @@ class CollisionGeometry:
         nodes (n,): all its mesh nodes; parts (n,): the part of each, 0 .. count - 1; edges (k,): mesh edges it is cut
         at, ascending; planes (k, 4): unit normal from the edge's first node to its second, offset [m].
         """
-        k = int(self._tables.fragment["mesh"].view[row])
-        prepared, rows = self._meshes[k]
+        tables = self._tables
+        prepared, rows = self._meshes[int(tables.fragment["mesh"].view[row])]
         self._own_body_rows(row, prepared, rows)
-        node_shift = int(self._tables.fragment["node_shift"].view[row])
-        tet_shift = int(self._tables.fragment["tet_shift"].view[row])
-        edge_shift = int(self._tables.fragment["edge_shift"].view[row])
-        first = self._tables.fragment["kind"].used
-        for array in self._tables.fragment.values():
-            array.fill(count, array.view[row].copy())
-        self._moments.fill(count, 0.0)
-        self._gaps.fill(count, 0.0)
-        first_plane = self._tables.body["planes"].append(planes)
-        self._tables.have_grown()
-        pools, end = self.pools, first + count
-        labels = pools.body.node_fragment
-        tet_count = len(prepared.mesh.tetrahedra)
-        # node_tets_begin has one row more than nodes in each mesh before this one
-        labels[nodes + (rows.node + node_shift)] = first + parts
-        touched_tetrahedra.place_crossings(pools.mesh, pools.body, edge_shift, edges + rows.edge, first_plane)
+        for column in (*tables.fragment.values(), self._moments, self._gaps):
+            column.reserve(count)
+            first = column.advance(count)
+        end = first + count
+        first_plane = tables.body["planes"].append(planes)
+        tetrahedra = len(prepared.mesh.tetrahedra)
+        if len(self._room.kinds) < tetrahedra:
+            self._room = touched_room(tetrahedra)
         touched = touched_tetrahedra.find_touched(
-            pools.mesh, pools.body, node_shift, tet_shift, rows.node + k, rows.tet, rows.tet + tet_count, nodes, first,
-            self._moments.view, self._gaps.view,
+            tables.roomy, row, tetrahedra, nodes, parts, edges, first_plane, first, end, self._moments.view,
+            self._gaps.view, self._room,
         )  # fmt: skip
-        boxes = pools.fragment.box
-        boxes[first:end] = np.repeat([np.inf, -np.inf], 3)
-        touched_tetrahedra.boxes_of_nodes(pools.mesh, pools.body, node_shift, nodes + rows.node, boxes)
-        reaches = boxes[first:end].copy()
-        self._rebuild_surfaces(node_shift, tet_shift, edge_shift, k, touched, first, end, reaches)
-        self._mark_cells(row, first, end, reaches)
-        self._give_trees(row, prepared.mesh, rows, nodes, parts, edges, first, count)
+        self._rebuild_surfaces(row, touched, first, end)
+        if self._tree_kind == REBUILT:
+            self._rebuild_trees(row, prepared.mesh, rows, nodes, parts, first, count)
+        else:
+            split_trees(tables, row, edges, first, count, self._tree_kind == RESTRUCTURED)
         self._choose_seeds(row, rows, touched, first)
-        self._tables.have_grown()
         if self._field == AVERAGED:
+            pools = self.pools
             update_averaged_field(
-                self.pools, prepared, rows.node, node_shift, edge_shift, touched, first, end, first_plane
-            )
+                pools, prepared, rows.node, pools.fragment.node_shift[row], pools.fragment.edge_shift[row], touched,
+                first, end, first_plane,
+            )  # fmt: skip
         return first
 
-    def _rebuild_surfaces(self, node_shift, tet_shift, edge_shift, k, touched, first, end, reaches) -> None:
-        """Polygons in the tetrahedra that a fracture touched; moments, boxes and gaps of their fragments."""
-        pools, moments, gaps = self.pools, self._moments.view, self._gaps.view
-        columns = {name: self._tables.body[name] for name in SurfaceRows._fields}
-        room = SurfaceRows(**{name: column.reserve(touched.room) for name, column in columns.items()})
-        written = fracture_update.rebuild_parted(
-            pools.mesh, pools.body, node_shift, tet_shift, edge_shift, k, touched, first, end, columns["sides"].used,
-            room, moments, pools.fragment.box, reaches, gaps, self._scratch,
+    def _rebuild_surfaces(self, row, touched, first, end) -> None:
+        """Polygons in the tetrahedra that a fracture touched; moments, boxes, gaps and cells of their fragments."""
+        tables = self._tables
+        columns = [tables.body[name] for name in SurfaceRows._fields]
+        room, corners = SurfaceRows(*(column.reserve(touched.room) for column in columns)), tables.body["corners"]
+        pools = tables.roomy
+        written, points, words = rebuild_surfaces(
+            pools.mesh, pools.body, pools.fragment, row, touched, first, end, columns[0].used, room, corners.used,
+            tables.occupancy.used, self._moments.view, self._gaps.view, self._scratch,
         )  # fmt: skip
-        room = SurfaceRows(*(column[written:] for column in room))
-        most = CORNERS_EACH * int(np.count_nonzero(touched.kinds == DIVIDED))
-        owners, corners = np.empty(most, np.int32), np.empty((most, 3))
-        more, found = fracture_update.rebuild_fanned(
-            pools.mesh, pools.body, node_shift, tet_shift, edge_shift, touched, first, end,
-            columns["sides"].used + written, room, moments, pools.fragment.box, reaches, gaps, owners, corners,
-            self._scratch,
-        )  # fmt: skip
-        for column in columns.values():
-            column.advance(written + more)
-        sorted_corners = self._tables.body["corners"]
-        begin = corners_by_fragment(owners[:found], corners[:found], first, end, sorted_corners.reserve(found))
-        begin += sorted_corners.advance(found)
-        self._tables.fragment["corners"].view[first:end] = np.column_stack((begin[:-1], begin[1:]))
+        for column in columns:
+            column.advance(written)
+        corners.append(points)
+        tables.occupancy.reserve(words)
+        tables.occupancy.advance(words)
+        mark_fragments(pools.mesh, pools.body, pools.fragment, tables.occupancy.whole, row, first, end)
 
-    def _give_trees(self, row, mesh, rows, nodes, parts, edges, first, count) -> None:
-        """Trees of fragments first .. first + count - 1, into which `row` broke."""
-        edge_shift = self._tables.fragment["edge_shift"].view[row]
-        own = slice(rows.edge + edge_shift, rows.edge + edge_shift + len(mesh.edges))
-        share = self.pools.body.edge_share[own]
+    def _rebuild_trees(self, row, mesh, rows, nodes, parts, first, count) -> None:
+        """REBUILT trees of fragments first .. first + count - 1, into which `row` broke."""
+        tables = self._tables
+        begin = rows.edge + int(tables.fragment["edge_shift"].view[row])
+        own = slice(begin, begin + len(mesh.edges))
         part_of_node = np.full(len(mesh.nodes), -1, dtype=np.int32)
         part_of_node[nodes] = parts
-        if self._tree_kind == REBUILT:
-            sampled = (self.pools.body.edge_plane[own] >= 0)[:, None] & (part_of_node[mesh.edges] >= 0)
-            forest = rebuilt_trees(mesh, part_of_node, share, sampled, count)
-            begin = forest.begin + self._tables.append_tree(forest.trees)
-        else:
-            own = self._tables.fragment
-            old = slice(int(own["tree_begin"].view[row]), int(own["tree_end"].view[row]))
-            begin = split_trees(
-                self._tables.tree, old, mesh, part_of_node, edges, share, count, self._tree_kind == RESTRUCTURED
-            )
-        leaves, middles = self._tables.append_leaves(begin)
-        for name, rows_of in (("tree", begin), ("leaf", leaves)):
-            self._tables.fragment[f"{name}_begin"].view[first : first + count] = rows_of[:-1]
-            self._tables.fragment[f"{name}_end"].view[first : first + count] = rows_of[1:]
-        self._tables.fragment["middle"].view[first : first + count] = middles
+        sampled = (tables.body["edge_plane"].view[own] >= 0)[:, None] & (part_of_node[mesh.edges] >= 0)
+        forest = rebuilt_trees(mesh, part_of_node, tables.body["edge_share"].view[own], sampled, count)
+        begins = forest.begin + tables.append_tree(forest.trees)
+        leaves, middles = tables.append_leaves(begins)
+        for name, rows_of in (("tree", begins), ("leaf", leaves)):
+            tables.fragment[f"{name}_begin"].view[first : first + count] = rows_of[:-1]
+            tables.fragment[f"{name}_end"].view[first : first + count] = rows_of[1:]
+        tables.fragment["middle"].view[first : first + count] = middles
 
     def _choose_seeds(self, row, rows, touched, first) -> None:
-        """Those of the pairs with a fragment from row `first` on, into which fragment `row` broke."""
-        tables, fragment = self._tables, self._tables.fragment
+        """Those of the body's pairs, after fragment `row` broke into those from row `first` on."""
+        seeds, pools = self._tables.seeds, self._tables.roomy
         keys, ranges, edges = choose_seeds(
-            self.pools.mesh, self.pools.body, fragment["node_shift"].view[row], fragment["edge_shift"].view[row],
-            rows.edge, rows.edge + rows.counts[2], touched.cut, first, tables.seeds["edges"].used,
+            pools.mesh, pools.body, pools.fragment, pools.seeds, row, rows.counts[2], touched.cut, first,
+            seeds["keys"].used, seeds["edges"].used,
         )  # fmt: skip
-        known = slice(*fragment["seeds"].view[row].tolist())
-        known_keys, known_ranges = tables.seeds["keys"].view[known], tables.seeds["ranges"].view[known]
-        stays = (known_keys >> 32 != row) & (known_keys & 0xFFFFFFFF != row)
-        keys, ranges = np.append(known_keys[stays], keys), np.vstack((known_ranges[stays], ranges))
-        order = np.argsort(keys, kind="stable")
-        begin = tables.seeds["keys"].append(keys[order])
-        tables.seeds["ranges"].append(ranges[order])
-        tables.seeds["edges"].append(edges)
-        own = np.concatenate([keys >> 32, keys & 0xFFFFFFFF])
-        fragment["seeds"].view[own] = begin, begin + len(keys)
-
-    def _mark_cells(self, parent, first, end, reaches) -> None:
-        k = int(self._tables.fragment["mesh"].view[parent])
-        grid, dims = self._tables.mesh["grid"].view[k], self._tables.mesh["grid_dims"].view[k, :3]
-        cells, words = cells_of_boxes(reaches, grid[:3], grid[3], dims, self._tables.occupancy.used)
-        self._tables.occupancy.fill(words, 0)
-        self._tables.have_grown()  # the rows of the cut tetrahedra too
-        occupancy = self._tables.occupancy.view
-        count = end - first
-        mark_cells(
-            self.pools, parent, first, end, cells, occupancy, np.zeros(count, np.uint64), np.empty(count, np.int32)
-        )
-        self._tables.fragment["cells"].view[first:end] = cells
-        for row in cells:
-            fill_pyramid(row, occupancy)
+        seeds["keys"].append(keys)
+        seeds["ranges"].append(ranges)
+        seeds["edges"].append(edges)
 
     def _own_body_rows(self, row: int, prepared: PreparedMesh, rows: MeshRows) -> None:
         """A body that breaks for the first time gets labels, cuts and planes of its own."""
@@ -403,7 +359,6 @@ class CollisionGeometry:
             self._tables.mesh["depth_grid"].view[rows.index] = np.append(interior.origin, interior.cell)
             first = self._tables.mesh["grid_depth"].append(interior.depth)
             self._tables.mesh["depth_grid_dims"].view[rows.index] = np.append(interior.dims, first)
-            self._tables.have_grown()
         return interior
 
     def _append_tree(self, tree: SphereTree) -> TreeRows:
@@ -422,7 +377,6 @@ class CollisionGeometry:
         for name, value in values.items():
             self._tables.fragment[name].append(np.asarray(value)[None])
         self._moments.append(np.zeros((1, 10)))
-        self._tables.have_grown()
         return self._gaps.append(np.array([gap]))
 
     def _mesh_rows(self, prepared: PreparedMesh) -> MeshRows:
@@ -431,15 +385,12 @@ class CollisionGeometry:
                 return rows
         mesh, tables = prepared.mesh, self._tables
         index, node, tet, edge = tables.append_mesh(mesh)
-        (cells,), words = cells_of_boxes(
-            mesh.box[None], mesh.grid_origin, mesh.grid_cell, mesh.grid_dims, self._tables.occupancy.used
-        )
-        self._tables.occupancy.fill(words, 0)
-        self._tables.have_grown()
-        mark_all(self.pools.mesh, index, cells, self._tables.occupancy.view)
-        fill_pyramid(cells, self._tables.occupancy.view)
+        cells = np.zeros((1, 7), np.int32)
+        grid, dims = (tables.mesh[name].view[index] for name in ("grid", "grid_dims"))
+        words = cells_of_boxes(mesh.box[None], grid, dims, tables.occupancy.used, cells)
+        tables.occupancy.fill(words, 0)
+        mark_all(self.pools.mesh, index, cells[0], tables.occupancy.view)
         counts = len(mesh.nodes), len(mesh.tetrahedra), len(mesh.edges)
-        rows = MeshRows(index, node, tet, edge, self._append_tree(prepared.tree), cells, counts)
+        rows = MeshRows(index, node, tet, edge, self._append_tree(prepared.tree), cells[0], counts)
         self._meshes.append((prepared, rows))
-        self._tables.have_grown()
         return rows

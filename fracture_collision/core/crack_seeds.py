@@ -53,12 +53,41 @@ def find_seeds(fragment, seeds, a, b):
 
 
 @kernel
-def choose_seeds(mesh, body, node_shift, edge_shift, first_edge, last_edge, cut_tetrahedra, first_fragment, first_seed):
-    """Rows of SeedPool for the pairs with a fragment from row `first_fragment` on, which share the edges of
-    `cut_tetrahedra` (n,) of a mesh with edges first_edge .. last_edge - 1; labels and crossings as they are now.
+def choose_seeds(mesh, body, fragment, seeds, parent, edges, cut_tetrahedra, first_fragment, first_key, first_seed):
+    """The body's rows of SeedPool, from `first_key` and `first_seed` on, after `parent` broke into the fragments from
+    row `first_fragment` on: those of pairs without it, and of the pairs that share edges of `cut_tetrahedra` (n,).
 
-    Ranges count from `first_seed` on. Returns (keys, ranges, edges).
+    edges: how many the mesh has; labels and crossings as they are now. Writes FragmentPool.seeds of all that have rows.
+    Returns (keys, ranges, edges).
     """
+    first_edge = mesh.first[fragment.mesh[parent], 1]
+    new_keys, new_ranges, chosen = _choose_seeds(
+        mesh, body, fragment.node_shift[parent], fragment.edge_shift[parent], first_edge, first_edge + edges,
+        cut_tetrahedra, first_fragment, first_seed,
+    )  # fmt: skip
+    begin, end = fragment.seeds[parent, 0], fragment.seeds[parent, 1]
+    room = end - begin + len(new_keys)
+    keys, ranges, used, new = np.empty(room, np.int64), np.empty((room, 2), np.int32), 0, 0
+    for known in range(begin, end + 1):
+        # both ascend
+        while new < len(new_keys) and (known == end or new_keys[new] < seeds.keys[known]):
+            keys[used], ranges[used, 0], ranges[used, 1] = new_keys[new], new_ranges[new, 0], new_ranges[new, 1]
+            used, new = used + 1, new + 1
+        if known < end and seeds.keys[known] >> 32 != parent and seeds.keys[known] & 0xFFFFFFFF != parent:
+            keys[used] = seeds.keys[known]
+            ranges[used, 0], ranges[used, 1] = seeds.ranges[known, 0], seeds.ranges[known, 1]
+            used += 1
+    for i in range(used):
+        for f in (keys[i] >> 32, keys[i] & 0xFFFFFFFF):
+            fragment.seeds[f, 0], fragment.seeds[f, 1] = first_key, first_key + used
+    return keys[:used], ranges[:used], chosen
+
+
+@kernel
+def _choose_seeds(
+    mesh, body, node_shift, edge_shift, first_edge, last_edge, cut_tetrahedra, first_fragment, first_seed
+):  # fmt: skip
+    """Of the new pairs alone. Returns (keys, ascending, ranges, edges)."""
     cut, low, high = _cut_edges(
         mesh, body, node_shift, edge_shift, first_edge, last_edge, cut_tetrahedra, first_fragment
     )
@@ -83,7 +112,7 @@ def choose_seeds(mesh, body, node_shift, edge_shift, first_edge, last_edge, cut_
         ranges[pairs, 0], ranges[pairs, 1] = first_seed + used, first_seed + used + min(count, MOST_SEEDS)
         used = _farthest_first(points, near, chosen, count, edges, used)
         pairs, begin = pairs + 1, end
-    return keys[:pairs].copy(), ranges[:pairs].copy(), edges[:used].copy()
+    return keys[:pairs], ranges[:pairs], edges[:used]
 
 
 @kernel

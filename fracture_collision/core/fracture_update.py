@@ -12,8 +12,10 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from fracture_collision.core.closest_point import triangle_normal
-from fracture_collision.core.compiled import inlined_kernel, query_kernel
+from fracture_collision.core.compiled import inlined_kernel, kernel, query_kernel
 from fracture_collision.core.cut_hub import load_crossings, place_hub
 from fracture_collision.core.cut_patterns import (
     CUT_COUNT,
@@ -43,8 +45,9 @@ from fracture_collision.core.cut_tetrahedron import (
     SINGULAR,
     point_on_edge,
 )
-from fracture_collision.core.hull_separation import add_corners
+from fracture_collision.core.hull_separation import CORNERS_EACH, add_corners, corners_by_fragment
 from fracture_collision.core.moments import add_row, tetrahedron_terms
+from fracture_collision.core.occupancy import cells_of_boxes
 from fracture_collision.core.pools import (
     BACK,
     BACK_SIDE,
@@ -59,6 +62,7 @@ from fracture_collision.core.pools import (
     ROW,
 )
 from fracture_collision.core.surface_rows import (
+    SurfaceRows,
     gap_of_triangle,
     grow_by_box,
     is_residue,
@@ -68,8 +72,44 @@ from fracture_collision.core.surface_rows import (
 )
 
 
+@kernel
+def rebuild_surfaces(
+    mesh, body, fragment, parent, touched, low, high, begin, room, corners, words, moments, gaps, work
+):  # fmt: skip
+    """Surfaces of fragments low .. high - 1, into which `parent` broke: polygons, moments, boxes, gaps, corners, cells.
+
+    touched: of touched_tetrahedra; `begin`: rows that BodyPool's polygons have; `room`: the SurfaceRows behind them, at
+    least touched.room; `corners`, `words`: how many rows BodyPool.corners, and how many words the occupancy has.
+
+    Returns (rows written, corners (c, 3) to append, words to append).
+    """
+    k = fragment.mesh[parent]
+    shifts = fragment.node_shift[parent], fragment.tet_shift[parent], fragment.edge_shift[parent]
+    boxes = fragment.box
+    reaches = boxes[low:high].copy()
+    parted = _rebuild_parted(
+        mesh, body, shifts[0], shifts[1], shifts[2], k, touched, low, high, begin, room, moments, boxes, reaches, gaps,
+        work,
+    )  # fmt: skip
+    most = 0
+    for t in touched.cut:
+        most += touched.kinds[t - touched.first] == DIVIDED
+    owners, points = np.empty(CORNERS_EACH * most, np.int32), np.empty((CORNERS_EACH * most, 3))
+    rest = SurfaceRows(room.triangles[parted:], room.faces[parted:], room.sides[parted:])
+    fanned, found = _rebuild_fanned(
+        mesh, body, shifts[0], shifts[1], shifts[2], touched, low, high, begin + parted, rest, moments, boxes, reaches,
+        gaps, owners, points, work,
+    )  # fmt: skip
+    ordered = np.empty((found, 3))
+    begins = corners_by_fragment(owners[:found], points[:found], low, high, ordered)
+    for f in range(low, high):
+        fragment.corners[f, 0], fragment.corners[f, 1] = corners + begins[f - low], corners + begins[f - low + 1]
+    more = cells_of_boxes(reaches, mesh.grid[k], mesh.grid_dims[k], words, fragment.cells[low:high])
+    return parted + fanned, ordered, more
+
+
 @query_kernel
-def rebuild_parted(
+def _rebuild_parted(
     mesh, body, node_shift, tet_shift, edge_shift, k, touched, low, high, first_polygon, out, moments, boxes, reaches,
     gaps, work,
 ):  # fmt: skip
@@ -108,7 +148,7 @@ def rebuild_parted(
 
 
 @query_kernel
-def rebuild_fanned(
+def _rebuild_fanned(
     mesh, body, node_shift, tet_shift, edge_shift, touched, low, high, first_polygon, out, moments, boxes, reaches,
     gaps, owners, corners, work,
 ):  # fmt: skip

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from fracture_collision.core.compiled import inlined_kernel, query_kernel
+from fracture_collision.core.compiled import inlined_kernel, kernel, query_kernel
 from fracture_collision.core.pools import BACK, FRONT, LABELS, OWNER, PARTED
 from fracture_collision.core.tet_mesh import PARTS
 
@@ -61,7 +61,7 @@ def _mark(cells, i, j, k, parts, occupancy):
 
 @query_kernel
 def mark_all(mesh, k, cells, occupancy):
-    """Level 0 of the whole body of mesh `k`; `cells` (7,): see FragmentPool.cells, all of its grid."""
+    """The whole body of mesh `k`; `cells` (7,): see FragmentPool.cells, all of its grid; their words are clear."""
     nx, ny, nz, first = mesh.grid_dims[k]
     for i in range(nx):
         for j in range(ny):
@@ -69,25 +69,35 @@ def mark_all(mesh, k, cells, occupancy):
                 c = first + (i * ny + j) * nz + l
                 for e in range(mesh.cell_begin[c], mesh.cell_begin[c + 1]):
                     _mark(cells, i, j, l, mesh.cell_parts[e], occupancy)
+    _fill_pyramid(cells, occupancy)
+
+
+@kernel
+def mark_fragments(mesh, body, fragment, occupancy, parent, low, high):
+    """Fragments low .. high - 1, into which `parent` broke, in their cells, whatever their words are."""
+    begin, end = fragment.cells[low, 6], fragment.cells[high - 1, 6] + pyramid_words(fragment.cells[high - 1])
+    occupancy[begin:end] = 0
+    cells = fragment.cells[low:high]
+    words, holders = np.zeros(high - low, np.uint64), np.empty(high - low, np.int32)
+    _mark_fragments(mesh, body, fragment, occupancy, parent, low, high, cells, words, holders)
+    for f in range(high - low):
+        _fill_pyramid(cells[f], occupancy)
 
 
 @query_kernel
-def mark_cells(pools, parent, low, high, cells, occupancy, words, holders):
-    """Level 0 of fragments low .. high - 1, into which `parent` broke; `cells` (high - low, 7).
-
-    words (high - low,) uint64, clear, holders (high - low,) int32: working space, what each holds of a cell, and who
-    does.
+def _mark_fragments(mesh, body, fragment, occupancy, parent, low, high, cells, words, holders):
+    """Level 0. words (high - low,) uint64, clear, holders (high - low,) int32: working space, what each holds of a
+    cell, and who does.
     """
-    mesh, body = pools.mesh, pools.body
-    tet_shift = pools.fragment.tet_shift[parent]
-    ny, nz, first = mesh.grid_dims[pools.fragment.mesh[parent], 1:]
-    x0, y0, z0, nx, my, mz, at = pools.fragment.cells[parent]
+    tet_shift = fragment.tet_shift[parent]
+    ny, nz, first = mesh.grid_dims[fragment.mesh[parent], 1:]
+    x0, y0, z0, nx, my, mz, at = fragment.cells[parent]
     for i in range(x0, x0 + nx):
         for j in range(y0, y0 + my):
             for l in range(z0, z0 + mz):  # noqa: E741
                 c = first + (i * ny + j) * nz + l
                 begin, end = mesh.cell_begin[c], mesh.cell_begin[c + 1]
-                whole = pools.occupancy[at + ((i - x0) * my + (j - y0)) * mz + (l - z0)]
+                whole = occupancy[at + ((i - x0) * my + (j - y0)) * mz + (l - z0)]
                 if not whole:
                     continue
                 # most cells go from the parent to one fragment as they are
@@ -145,7 +155,7 @@ def pyramid_words(cells):
 
 
 @query_kernel
-def fill_pyramid(cells, occupancy):
+def _fill_pyramid(cells, occupancy):
     """Levels above 0, bottom-up by OR."""
     x0, y0, z0 = cells[0], cells[1], cells[2]
     nx, ny, nz = cells[3], cells[4], cells[5]
@@ -220,15 +230,17 @@ def sphere_may_touch(pools, f, x, y, z, r):
     return False
 
 
-def cells_of_boxes(
-    boxes: np.ndarray, origin: np.ndarray, cell: float, dims: np.ndarray, first_word: int
-) -> tuple[np.ndarray, int]:
-    """The cells rows (n, 7) of fragments with bounding boxes (n, 6) [m] in a location grid, one's words behind the
-    other's from `first_word` on, and how many words they have together.
+@query_kernel
+def cells_of_boxes(boxes, grid, dims, first_word, cells):
+    """The cells (n, 7), see FragmentPool.cells, of fragments with bounding boxes (n, 6) [m] in a location grid, rows of
+    MeshPool.grid and grid_dims; one's words behind the other's from `first_word` on. Returns how many they have.
     """
-    lower = np.clip(np.floor((boxes[:, :3] - origin) / cell), 0, dims - 1).astype(np.int32)
-    upper = np.clip(np.floor((boxes[:, 3:] - origin) / cell), 0, dims - 1).astype(np.int32)
-    cells = np.concatenate([lower, upper - lower + 1, np.zeros((len(boxes), 1), np.int32)], axis=1)
-    end = first_word + np.cumsum([pyramid_words(row) for row in cells])
-    cells[1:, 6], cells[:1, 6] = end[:-1], first_word
-    return cells, int(end[-1]) - first_word
+    end = first_word
+    for i in range(len(boxes)):
+        for d in range(3):
+            lower = int(min(max(math.floor((boxes[i, d] - grid[d]) / grid[3]), 0.0), dims[d] - 1.0))
+            upper = int(min(max(math.floor((boxes[i, 3 + d] - grid[d]) / grid[3]), 0.0), dims[d] - 1.0))
+            cells[i, d], cells[i, 3 + d] = lower, upper - lower + 1
+        cells[i, 6] = end
+        end += pyramid_words(cells[i])
+    return end - first_word

@@ -187,7 +187,6 @@ def compact(
     trees.keep(tables.tree, *tables.tree)
     leaves.keep(tables.samples, *tables.samples)
     tables.occupancy.keep(words.stays)
-    tables.have_grown()
     return (
         moved,
         [(each.index, new) for each, new in zip(meshes, new_meshes, strict=True)],

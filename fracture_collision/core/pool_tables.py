@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from fracture_collision.core.crack_seeds import SeedPool
@@ -26,63 +28,75 @@ from fracture_collision.core.sphere_tree import SphereTree, surface_marks
 from fracture_collision.core.tet_mesh import TetMesh
 
 
-def _table(**columns: tuple[int, type]) -> dict[str, GrowableArray]:
-    return {name: GrowableArray(width, dtype) for name, (width, dtype) in columns.items()}
-
-
 class PoolTables:
-    """Columns of each pool by name, growing at their ends; after an append, `have_grown` renews what `pools` shows."""
+    """Columns of each pool by name, growing at their ends."""
 
     def __init__(self, traversal: int, field: int, normals: int) -> None:
         f8, f4, i4, u1, u8 = np.float64, np.float32, np.int32, np.uint8, np.uint64
-        self.mesh = _table(
+        self.mesh = self._table(
             nodes=(3, f8), tetrahedra=(4, i4), neighbours=(4, i4), tetrahedron_edges=(6, i4), edges=(2, i4),
             edge_tets=(0, i4), boxes=(6, f4), barycentric=(12, f8), walls=(16, f4), moments=(10, f8),
             on_surface=(0, u1), node_normals=(3, f8), node_tets_begin=(0, i4), node_tets=(0, i4), first=(4, i4),
             grid=(4, f8), grid_dims=(4, i4), cell_begin=(0, i4), cell_tets=(0, i4), cell_parts=(0, u8),
             depth_grid=(4, f8), depth_grid_dims=(4, i4), grid_depth=(0, f8),
         )  # fmt: skip
-        self.body = _table(
+        self.body = self._table(
             node_fragment=(0, i4), edge_plane=(0, i4), edge_event=(0, i4), edge_share=(0, f8), regions=(REGION, i4),
             cut_count=(0, i4), planes=(4, f8), triangles=(9, f8), faces=(4, f8),
             sides=(3, i4), corners=(3, f8), node_field=(7, f8),
         )  # fmt: skip
-        self.fragment = _table(
+        self.fragment = self._table(
             kind=(0, i4), mesh=(0, i4), node_shift=(0, i4), tet_shift=(0, i4), edge_shift=(0, i4), box=(6, f8),
             shape=(4, f8), radius=(0, f8), tree_begin=(0, i4), tree_end=(0, i4), cells=(7, i4), corners=(2, i4),
             seeds=(2, i4), leaf_begin=(0, i4), leaf_end=(0, i4), middle=(4, f8),
         )  # fmt: skip
-        self.tree = _table(spheres=(4, f8), entries=(3, i4))
-        self.samples = _table(values=(LEAF_VALUES, f4), entries=(LEAF, i4))
-        self.triangles = _table(
+        self.tree = self._table(spheres=(4, f8), entries=(3, i4))
+        self.samples = self._table(values=(LEAF_VALUES, f4), entries=(LEAF, i4))
+        self.triangles = self._table(
             corners=(9, f8), features=(6, i4), pseudonormals=(3, f8), node_box=(6, f8), node_skip=(0, i4),
             node_first=(0, i4), node_count=(0, i4), node_range=(2, i4), triangle_range=(2, i4),
             first_vertex=(0, i4),
         )  # fmt: skip
-        self.seeds = _table(keys=(0, np.int64), ranges=(2, i4), edges=(0, i4))
-        self.occupancy = GrowableArray(0, u8)
+        self.seeds = self._table(keys=(0, np.int64), ranges=(2, i4), edges=(0, i4))
+        self.occupancy = GrowableArray(0, u8, self._changed)
         self._switches = traversal, field, normals
         self._pools: Pools | None = None
+        self._roomy: Pools | None = None
+
+    def _table(self, **columns: tuple[int, type]) -> dict[str, GrowableArray]:
+        return {name: GrowableArray(width, dtype, self._changed) for name, (width, dtype) in columns.items()}
+
+    def _changed(self, moved: bool) -> None:
+        self._pools = None
+        if moved:
+            self._roomy = None
 
     @property
     def pools(self) -> Pools:
         if self._pools is None:
-            regions = self.body["regions"].view
-            self._pools = Pools(
-                MeshPool(**{k: a.view for k, a in self.mesh.items()}),
-                BodyPool(**{k: a.view for k, a in self.body.items()}, region_planes=regions.view(np.float32)),
-                FragmentPool(**{k: a.view for k, a in self.fragment.items()}),
-                TreePool(**{k: a.view for k, a in self.tree.items()}),
-                SamplePool(**{k: a.view.reshape(-1) for k, a in self.samples.items()}),
-                self.occupancy.view,
-                TriangleMeshPool(**{k: a.view for k, a in self.triangles.items()}),
-                SeedPool(**{k: a.view for k, a in self.seeds.items()}),
-                *self._switches,
-            )
+            self._pools = self._pools_of(lambda column: column.view)
         return self._pools
 
-    def have_grown(self) -> None:
-        self._pools = None
+    @property
+    def roomy(self) -> Pools:
+        """`pools` with the room behind each column's rows, for kernels that write there: it stays the same as long as
+        that is enough.
+        """
+        if self._roomy is None:
+            self._roomy = self._pools_of(lambda column: column.whole)
+        return self._roomy
+
+    def _pools_of(self, rows: Callable[[GrowableArray], np.ndarray]) -> Pools:
+        mesh, body, fragment, tree, triangles, seeds = (
+            {name: rows(column) for name, column in pool.items()}
+            for pool in (self.mesh, self.body, self.fragment, self.tree, self.triangles, self.seeds)
+        )
+        samples = {name: rows(column).reshape(-1) for name, column in self.samples.items()}
+        return Pools(
+            MeshPool(**mesh), BodyPool(**body, region_planes=body["regions"].view(np.float32)),
+            FragmentPool(**fragment), TreePool(**tree), SamplePool(**samples), rows(self.occupancy),
+            TriangleMeshPool(**triangles), SeedPool(**seeds), *self._switches,
+        )  # fmt: skip
 
     @property
     def bytes_used(self) -> int:

@@ -8,6 +8,7 @@ column), the NamedTuples are views for the kernels.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -16,12 +17,16 @@ from fracture_collision.core.crack_seeds import SeedPool
 
 
 class GrowableArray:
-    """An array that grows at its end: amortized O(1) a row, `view` contiguous."""
+    """An array that grows at its end: amortized O(1) a row, `view` contiguous.
 
-    def __init__(self, columns: int, dtype: type) -> None:
+    changed: called whenever `view` is another array, with whether `whole` is another, too.
+    """
+
+    def __init__(self, columns: int, dtype: type, changed: Callable[[bool], None] = lambda moved: None) -> None:
         self._buffer = np.zeros((16, columns) if columns else 16, dtype=dtype)
         self.used = 0
         self._view: np.ndarray | None = None  # a fracture asks for all columns' several times
+        self._changed = changed
 
     def append(self, rows: np.ndarray) -> int:
         """Copy `rows` to the end; returns the index of the first."""
@@ -37,7 +42,7 @@ class GrowableArray:
         """As append, for rows that nobody will write to: the first are not copied."""
         if self.used or rows.dtype != self._buffer.dtype or not rows.flags.c_contiguous:
             return self.append(rows)
-        self._buffer, self._view = rows, None
+        self._put(rows)
         return self.advance(len(rows))
 
     def reserve(self, count: int) -> np.ndarray:
@@ -46,12 +51,13 @@ class GrowableArray:
         if end > len(self._buffer):
             grown = np.empty((max(end, 2 * len(self._buffer)), *self._buffer.shape[1:]), dtype=self._buffer.dtype)
             grown[: self.used] = self._buffer[: self.used]
-            self._buffer, self._view = grown, None
+            self._put(grown)
         return self._buffer[self.used : end]
 
     def advance(self, count: int) -> int:
         """Returns the index of the first."""
         self.used, self._view = self.used + count, None
+        self._changed(False)
         return self.used - count
 
     def keep(self, stays: np.ndarray) -> None:
@@ -61,8 +67,12 @@ class GrowableArray:
 
     def replace(self, rows: np.ndarray) -> None:
         """All rows by others; the memory of before is nobody's."""
-        self._buffer, self._view = np.ascontiguousarray(rows, dtype=self._buffer.dtype), None
         self.used = len(rows)
+        self._put(np.ascontiguousarray(rows, dtype=self._buffer.dtype))
+
+    def _put(self, buffer: np.ndarray) -> None:
+        self._buffer, self._view = buffer, None
+        self._changed(True)
 
     @property
     def row_bytes(self) -> int:
@@ -73,6 +83,11 @@ class GrowableArray:
         if self._view is None:
             self._view = self._buffer[: self.used]
         return self._view
+
+    @property
+    def whole(self) -> np.ndarray:
+        """`view` and the room behind it."""
+        return self._buffer
 
 
 class MeshPool(NamedTuple):

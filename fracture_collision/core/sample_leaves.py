@@ -51,6 +51,11 @@ def count_leaves(entries, begins):
     return counts
 
 
+def most_leaves(leaves: int, new_samples: int, fragments: int) -> int:
+    """No more leaves have the fragments into which one with so many broke."""
+    return leaves + new_samples // LEAF + fragments + 1
+
+
 @inlined_kernel
 def _is_sample(entries, i):
     """Each is once a leaf of its tree."""

@@ -161,9 +161,11 @@ def _mapped(folder: Path) -> Iterator[str]:
     """Names of the folder's files that processes which we may look into have in their memory, with " (deleted)" behind
     those of files that were removed.
     """
-    for maps in Path("/proc").glob("[0-9]*/maps"):
+    for process in os.listdir("/proc"):  # a glob would ask of each whether it is still there, and fail where not
+        if not process.isdigit():
+            continue
         try:
-            lines = maps.read_text().splitlines()
+            lines = Path("/proc", process, "maps").read_text().splitlines()
         except OSError:
             continue
         for line in lines:
