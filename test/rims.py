@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +12,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from fracture_collision.geometry.generators import TetGeometry
-from fracture_collision.records import CollisionBody, FractureEvent, FragmentStates
+from fracture_collision.records import CollisionBody, ContactConstraintArray, FractureEvent, FragmentStates
 from fracture_collision.world import CollisionWorld, Settings
 
 AMPLITUDE = 0.15  # of a curved crack's warp, in parts of the body's longest side
@@ -98,20 +99,24 @@ def jittered(broken: BrokenBody, world: CollisionWorld, distance: float, degrees
     return FragmentStates(1, 1, registry.fragment_ids, positions.ravel(), turns.as_quat().ravel())
 
 
-def measure(broken: BrokenBody, world: CollisionWorld, frames: list[FragmentStates], deeper: float) -> RimMeasure:
-    """Over contacts between neighbours deeper than `deeper` (of R; minus infinity: all)."""
+def measure(
+    broken: BrokenBody, world: CollisionWorld, frames: list[FragmentStates], deeper: float,
+    is_counted: Callable[[ContactConstraintArray], np.ndarray] | None = None,
+) -> RimMeasure:  # fmt: skip
+    """Over contacts between neighbours deeper than `deeper` (of R; minus infinity: all), that are counted."""
     opposed, pairs = 0, 0
     normals, truths = [], []
     apart, apart_in_truth = [], []
     for states in frames:
         answer = world.contacts(states)
+        counted = np.full(len(answer.gaps), True) if is_counted is None else is_counted(answer)
         ids = states.fragment_ids.tolist()
         turn = dict(zip(ids, Rotation.from_quat(states.orientations.reshape(-1, 4)), strict=True))
         place = dict(zip(ids, states.positions.reshape(-1, 3), strict=True))
         points = 0.5 * (answer.points_a + answer.points_b).reshape(-1, 3)
         for k, pair in enumerate(zip(answer.fragment_a.tolist(), answer.fragment_b.tolist(), strict=True)):
             rows = np.arange(int(answer.pair_begin[k]), int(answer.pair_begin[k + 1]))
-            rows = rows[answer.gaps[rows] < -0.5 * deeper * broken.longest]
+            rows = rows[counted[rows] & (answer.gaps[rows] < -0.5 * deeper * broken.longest)]
             if pair not in broken.neighbours or not len(rows):
                 continue
             ways = [

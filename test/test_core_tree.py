@@ -7,6 +7,7 @@ import pytest
 from fractured_worlds import SETTINGS, fractured_world
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from oracles.corner_samples import corner_samples
 from oracles.fragmented_body import FragmentedBody
 
 from fracture_collision.core.fragment_trees import REBUILT, TREES
@@ -44,8 +45,11 @@ def test_trees_are_sphere_trees_after_each_of_five_fractures(body, curved: bool,
     at_surface = np.zeros(len(body.vertices), bool)
     at_surface[boundary_triangles(body.tetrahedra)] = True
     edges = oracle.edges.tolist()
+    corners: dict[int, dict[int, np.ndarray]] = {}
     for event in case.messages[1]:
         oracle.apply(event)
+        # what a neighbour's later crack adds to a fragment's border lies in it
+        corners |= {int(new): corner_samples(oracle, int(new)) for new in event.new_fragment_ids}
         nobody = FragmentStates(1, event.sequence, np.zeros(0, int), np.zeros(0), np.zeros(0))
         case.world.contacts(nobody)  # brings the registry there
         for fragment in oracle.fragment_ids:
@@ -57,7 +61,10 @@ def test_trees_are_sphere_trees_after_each_of_five_fractures(body, curved: bool,
             ]
             nodes = np.flatnonzero((oracle.labels == fragment) & (at_surface if kind == REBUILT else True))
             tree = case.geometry.sphere_tree(case.row(fragment))
-            validate_sphere_tree(tree, np.concatenate([nodes, ends]).astype(np.int64))
+            own = corners[fragment]
+            validate_sphere_tree(tree, np.concatenate([nodes, ends, list(own)]).astype(np.int64))
+            for number, point in own.items():
+                assert np.abs(tree.center[tree.sample == number] - point).max() <= 1e-9
             is_node = tree.sample < len(body.vertices)
             assert np.array_equal(tree.center[is_node], body.vertices[tree.sample[is_node]])
             assert np.array_equal(tree.on_surface[is_node] == 1, at_surface[tree.sample[is_node]])

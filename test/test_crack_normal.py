@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from contact_truth import ContactTruth, Poses, pairs_of, sample_ids, surface_samples
@@ -10,9 +12,11 @@ from oracles.brute_force import distances
 from oracles.crack_normal import SharedCrack
 from rims import broken_body, jittered, measure, world_of
 
+from fracture_collision.core.sample_numbers import EDGES, NODES
 from fracture_collision.geometry.concave_shapes import torus
 from fracture_collision.geometry.generators import ball, brick, plate, shell
-from fracture_collision.world import Settings
+from fracture_collision.records import ContactConstraintArray, FragmentStates
+from fracture_collision.world import CollisionWorld, Settings
 
 SETTINGS = Settings(threads=1, selection="complete")
 SAME = 1e-9
@@ -77,16 +81,38 @@ def test_few_point_away_from_the_crack(shape: str, cracks: str) -> None:
     broken = broken_body(BODIES[shape](), 16, cracks == "curved")
     worlds = [world_of(broken, SETTINGS._replace(normals=normals)) for normals in ("nearest", "facing")]
     frames = [jittered(broken, worlds[0], 0.01, 1.0, seed) for seed in range(4)]
-    nearest, crack = (measure(broken, world, frames, SETTINGS.penetration_tolerance) for world in worlds)
+    deeper = SETTINGS.penetration_tolerance
+    is_corner = _corners_of(worlds[1])
+    nearest = measure(broken, worlds[0], frames, deeper)
+    crack = measure(broken, worlds[1], frames, deeper, lambda answer: ~is_corner(answer))
+    corners = measure(broken, worlds[1], frames, deeper, is_corner)
     assert len(crack.angles) > 500
     assert nearest.off > 0.04  # the rims are there
     # where a curved crack bends within a tetrahedron, the planes of its edges are no direction for all of it
     curved = cracks == "curved"
     assert crack.off < (0.06 if curved else 0.01)
     assert crack.opposed < (0.004 if curved else 0.001)
+    # where three cracks meet, each of them is as near
+    assert len(corners.angles) > 500
+    assert corners.off < (0.16 if curved else 0.025)
+    assert corners.opposed < (0.04 if curved else 0.01)
     # half of the pairs turn hardly more than the crack itself does
     assert np.median(crack.apart) <= np.median(crack.apart_in_truth) + (3.0 if curved else 2.0)
     assert np.quantile(crack.apart, 0.95) <= np.quantile(crack.apart_in_truth, 0.95) + (15.0 if curved else 10.0)
+
+
+def _corners_of(world: CollisionWorld) -> Callable[[ContactConstraintArray], np.ndarray]:
+    """Which contacts of its answers are of samples where three cracks and more meet."""
+    mesh, fragments = world.geometry.pools.mesh.first[0], world.fragments().fragment_ids.tolist()
+    count = len(fragments)
+    in_place = FragmentStates(1, 1, np.array(fragments), np.zeros(3 * count), np.tile((0.0, 0.0, 0.0, 1.0), count))
+    rows = world.present(in_place).rows
+    ids = []
+    for own, row in zip(fragments, rows.tolist(), strict=True):
+        samples = world.geometry.sphere_tree(row).sample
+        samples = np.unique(samples[samples >= mesh[NODES] + 2 * mesh[EDGES]])
+        ids += [sample_ids(own, other, samples) for other in fragments if other != own]
+    return lambda answer: np.isin(answer.contact_ids, np.concatenate(ids))
 
 
 def test_fragments_in_place_touch_along_their_cracks() -> None:

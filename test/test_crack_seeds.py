@@ -92,11 +92,13 @@ def test_contacts_are_spread(case: FracturedWorld) -> None:
 
 
 def _seeds_of(world: CollisionWorld, pair: tuple[int, int]) -> np.ndarray:
-    """Crossings (n, 3) [m] of a pair's seeds."""
+    """Crossings (n, 3) [m] of a pair's seeds; two that meet at a corner alone have none."""
     pools, registry = world._registry.geometry.pools, world._registry
     a, b = sorted(registry.row_of(f) for f in pair)
     begin, end = pools.fragment.seeds[a]
     at = begin + np.searchsorted(pools.seeds.keys[begin:end], a << 32 | b)
+    if at == end or pools.seeds.keys[at] != a << 32 | b:
+        return np.empty((0, 3))
     edges = pools.seeds.edges[slice(*pools.seeds.ranges[at])]
     ends = pools.mesh.nodes[pools.mesh.edges[edges]]
     share = pools.body.edge_share[edges + pools.fragment.edge_shift[a]]

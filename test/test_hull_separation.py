@@ -50,8 +50,7 @@ def placed(case: FracturedWorld, random: np.random.Generator) -> Placed:
         corners, _ = surface_triangles(pools, row, case.geometry.tet_range(row))
         vertices.append(corners.reshape(-1, 3))
         tree = slice(pools.fragment.tree_begin[row], pools.fragment.tree_end[row])
-        own = pools.body.corners[slice(*pools.fragment.corners[row])]
-        hulls.append(Hull(pools.tree.spheres[tree], pools.tree.entries[tree], own))
+        hulls.append(Hull(pools.tree.spheres[tree], pools.tree.entries[tree]))
         middles.append(0.5 * (pools.fragment.box[row, :3] + pools.fragment.box[row, 3:]))
     turn = Rotation.random(random_state=random).as_matrix()
     half = [0.5 * np.ptp(v, axis=0).mean() for v in vertices]
@@ -111,8 +110,7 @@ def test_hulls_that_share_a_middle_have_no_plane(case):
     pools = case.geometry.pools
     row = case.row(int(case.oracle.fragment_ids[0]))
     tree = slice(pools.fragment.tree_begin[row], pools.fragment.tree_end[row])
-    corners = pools.body.corners[slice(*pools.fragment.corners[row])]
-    hull = Hull(pools.tree.spheres[tree], pools.tree.entries[tree], corners)
+    hull = Hull(pools.tree.spheres[tree], pools.tree.entries[tree])
     still = np.array([np.eye(3), np.eye(3)]), np.zeros((2, 3))
     for way in ((0.0, 0.0, 0.0), (1e-300, 0.0, 0.0), (0.1, 0.2, 0.3)):
         *_, low, high = parting_plane(hull, hull, way, *still, 0.0)

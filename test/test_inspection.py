@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from contact_truth import BORDER, COARSE_SHAPES, ContactTruth, Poses, check_all_pairs, piled
 from fractured_worlds import fractured_world, with_settings
+from oracles.corner_samples import corner_samples
 
 from fracture_collision.records import BOX, SPHERE, CollisionBody, FragmentStates, SolidPrimitive
 from fracture_collision.world import CollisionWorld, Settings
@@ -31,14 +32,16 @@ def truth(request: pytest.FixtureRequest) -> ContactTruth:
 
 
 def samples_of(truth: ContactTruth, fragment: int) -> np.ndarray:
-    """(n, 3) [m] the oracle's: the fragment's mesh nodes, and where its cut edges are crossed."""
+    """(n, 3) [m] the oracle's: the fragment's mesh nodes, where its cut edges are crossed, and where cracks meet."""
     oracle = truth.case.oracle
     points = list(oracle.vertices[oracle.labels == fragment])
     for ends, plane in oracle.planes.items():
         if fragment in oracle.labels[list(ends)]:
             a, b = oracle.vertices[list(ends)]
             points.append(a + (plane[3] - plane[:3] @ a) / (plane[:3] @ (b - a)) * (b - a))
-    return np.array(points)
+    # a crack of a neighbour's adds corners to the border that this one has
+    known = set(truth.case.geometry.sphere_tree(truth.case.row(fragment)).sample.tolist())
+    return np.array([*points, *(point for k, point in corner_samples(oracle, fragment).items() if k in known)])
 
 
 def within(points: np.ndarray, centres: np.ndarray, radii: np.ndarray) -> np.ndarray:

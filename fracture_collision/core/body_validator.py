@@ -42,7 +42,7 @@ def validate_body(geometry: CollisionGeometry, rows: Sequence[int]) -> None:
     """Raise AssertionError unless all that is stored of one fractured body agrees; `rows`: its living fragments.
 
     Labels, cuts and polygons are consistent; each fragment's surface is closed, oriented outward, encloses the
-    fragment's volume and lies in its box and cells and in the hull of its samples and corners; its leaves hold every
+    fragment's volume and lies in its box and cells and in the hull of its samples; its leaves hold every
     sample once; the volumes add up to the body's.
     """
     pools = geometry.pools
@@ -173,8 +173,7 @@ def _validate_surface(geometry: CollisionGeometry, row: int, radius: float) -> f
     assert inside.all(), f"fragment {row}: surface outside its box"
     fragment, directions = pools.fragment, np.random.default_rng(0).normal(size=(64, 3))
     samples = pools.tree.spheres[fragment.tree_begin[row] : fragment.tree_end[row], :3]
-    spanning = np.vstack([samples, pools.body.corners[slice(*fragment.corners[row])]])
-    reach, spanned = (points @ directions.T).max(axis=0), (spanning @ directions.T).max(axis=0)
+    reach, spanned = (points @ directions.T).max(axis=0), (samples @ directions.T).max(axis=0)
     assert (reach <= spanned + ROUNDING * radius).all(), f"fragment {row}: surface outside the hull of what spans it"
     for x, y, z in points.tolist():
         assert sphere_may_touch(pools, row, x, y, z, ROUNDING * radius), f"fragment {row}: surface outside its cells"

@@ -47,6 +47,7 @@ from fracture_collision.core.pools import (
     Pools,
 )
 from fracture_collision.core.primitives import box_edge_points, box_sampling_gap
+from fracture_collision.core.sample_numbers import NewSamples
 from fracture_collision.core.sphere_tree import SphereTree, build_sphere_tree
 from fracture_collision.core.surface_rows import SurfaceRows
 from fracture_collision.core.tet_mesh import TetMesh
@@ -272,11 +273,11 @@ class CollisionGeometry:
             tables.roomy, row, tetrahedra, nodes, parts, edges, first_plane, first, end, self._moments.view,
             self._gaps.view, self._room,
         )  # fmt: skip
-        self._rebuild_surfaces(row, touched, first, end)
+        corners = self._rebuild_surfaces(row, touched, first, end)
         if self._tree_kind == REBUILT:
-            self._rebuild_trees(row, prepared.mesh, rows, nodes, parts, first, count)
+            self._rebuild_trees(row, prepared.mesh, rows, nodes, parts, corners, first, count)
         else:
-            split_trees(tables, row, edges, first, count, self._tree_kind == RESTRUCTURED)
+            split_trees(tables, row, edges, corners, first, count, self._tree_kind == RESTRUCTURED)
         self._choose_seeds(row, rows, touched, first)
         if self._field == AVERAGED:
             pools = self.pools
@@ -286,24 +287,26 @@ class CollisionGeometry:
             )  # fmt: skip
         return first
 
-    def _rebuild_surfaces(self, row, touched, first, end) -> None:
-        """Polygons in the tetrahedra that a fracture touched; moments, boxes, gaps and cells of their fragments."""
+    def _rebuild_surfaces(self, row, touched, first, end) -> NewSamples:
+        """Polygons in the tetrahedra that a fracture touched; moments, boxes, gaps, cells of their fragments. Returns
+        the samples at their corners.
+        """
         tables = self._tables
         columns = [tables.body[name] for name in SurfaceRows._fields]
-        room, corners = SurfaceRows(*(column.reserve(touched.room) for column in columns)), tables.body["corners"]
+        room = SurfaceRows(*(column.reserve(touched.room) for column in columns))
         pools = tables.roomy
-        written, points, words = rebuild_surfaces(
-            pools.mesh, pools.body, pools.fragment, row, touched, first, end, columns[0].used, room, corners.used,
+        written, corners, words = rebuild_surfaces(
+            pools.mesh, pools.body, pools.fragment, row, touched, first, end, columns[0].used, room,
             tables.occupancy.used, self._moments.view, self._gaps.view, self._scratch,
         )  # fmt: skip
         for column in columns:
             column.advance(written)
-        corners.append(points)
         tables.occupancy.reserve(words)
         tables.occupancy.advance(words)
         mark_fragments(pools.mesh, pools.body, pools.fragment, tables.occupancy.whole, row, first, end)
+        return corners
 
-    def _rebuild_trees(self, row, mesh, rows, nodes, parts, first, count) -> None:
+    def _rebuild_trees(self, row, mesh, rows, nodes, parts, corners, first, count) -> None:
         """REBUILT trees of fragments first .. first + count - 1, into which `row` broke."""
         tables = self._tables
         begin = rows.edge + int(tables.fragment["edge_shift"].view[row])
@@ -311,7 +314,7 @@ class CollisionGeometry:
         part_of_node = np.full(len(mesh.nodes), -1, dtype=np.int32)
         part_of_node[nodes] = parts
         sampled = (tables.body["edge_plane"].view[own] >= 0)[:, None] & (part_of_node[mesh.edges] >= 0)
-        forest = rebuilt_trees(mesh, part_of_node, tables.body["edge_share"].view[own], sampled, count)
+        forest = rebuilt_trees(mesh, part_of_node, tables.body["edge_share"].view[own], sampled, corners, count)
         begins = forest.begin + tables.append_tree(forest.trees)
         leaves, middles = tables.append_leaves(begins)
         for name, rows_of in (("tree", begins), ("leaf", leaves)):
@@ -371,7 +374,7 @@ class CollisionGeometry:
             kind=kind, mesh=mesh, node_shift=NEVER_BROKEN, tet_shift=NEVER_BROKEN, edge_shift=NEVER_BROKEN, box=box,
             shape=shape, radius=radius, tree_begin=tree.begin, tree_end=tree.end, leaf_begin=tree.leaf_begin,
             leaf_end=tree.leaf_end, middle=tree.middle,
-            cells=np.zeros(7, np.int32) if cells is None else cells, corners=np.zeros(2, np.int32),
+            cells=np.zeros(7, np.int32) if cells is None else cells,
             seeds=np.zeros(2, np.int32),
         )  # fmt: skip
         for name, value in values.items():

@@ -26,12 +26,14 @@ FARTHER = 0.03
 # From outside, where nothing farther than the detection tolerance is listed, it is looked for so many times as far.
 TIMES_NEAREST = 3.0
 # It must also be no more than so many times the crack's own distance, and so little of R: else the crack bends here.
-OBLIQUE, LITTLE = 4.0, 1e-4
+# With 1e-4 that little is what resting contacts overlap by, and one of them turned to and fro for ever.
+OBLIQUE, LITTLE = 4.0, 1e-3
 # A ray that meets more tetrahedra on so short a way is lost.
 MOST_TETRAHEDRA = 256
 # Roots as near to each other, in parts of a ray's way through a tetrahedron, are one: between them rounding decides.
 SAME_ROOT = 1e-10
 NOWHERE = -2  # no tetrahedron, nor -1, the outside
+ANYBODY = -1
 
 
 @inlined_kernel
@@ -87,7 +89,7 @@ def crack_direction(pools, f, g, source, t):
 
     The planes at the edges are what the fracture gave; triangles run from crossing to crossing.
     """
-    nx, ny, nz = _sum_of_planes(pools, f, g, t)
+    nx, ny, nz = sum_of_planes(pools, f, g, t)
     length = math.sqrt(nx * nx + ny * ny + nz * nz)
     if length == 0.0:
         return source_normal(pools, f, source)
@@ -95,7 +97,8 @@ def crack_direction(pools, f, g, source, t):
 
 
 @inlined_kernel
-def _sum_of_planes(pools, f, g, t):
+def sum_of_planes(pools, f, g, t):
+    """Of the planes out of fragment `f`, towards fragment `g` or ANYBODY, that cut edges of tetrahedron `t`."""
     mesh, body = pools.mesh, pools.body
     node_shift, edge_shift = pools.fragment.node_shift[f], pools.fragment.edge_shift[f]
     sx = sy = sz = 0.0
@@ -106,7 +109,7 @@ def _sum_of_planes(pools, f, g, t):
             continue
         first = body.node_fragment[mesh.edges[edge, 0] + node_shift]
         second = body.node_fragment[mesh.edges[edge, 1] + node_shift]
-        if (first == f and second == g) or (first == g and second == f):
+        if (first == f and (second == g or g == ANYBODY)) or (second == f and (first == g or g == ANYBODY)):
             sign = 1.0 if first == f else -1.0
             p = body.planes[plane]
             sx, sy, sz = sx + sign * p[0], sy + sign * p[1], sz + sign * p[2]

@@ -25,7 +25,6 @@ from fracture_collision.core.contact_choice import (
 )
 from fracture_collision.core.elementary_queries import INSIDE, bounded_probe
 from fracture_collision.core.flood import EVERYTHING, nearest_in_tetrahedron, nothing_within, pop, push
-from fracture_collision.core.hull_separation import lowest_corner
 from fracture_collision.core.kinds import TETRAHEDRA, TRIANGLES
 from fracture_collision.core.known_samples import ask_sample, share_a_body
 from fracture_collision.core.pools import EXACT
@@ -218,9 +217,6 @@ def _find_deepest(pools, a, b, rotation, translation, rule, slack, count, scratc
             n, way = (answer[2], answer[3], answer[4]), ways[known]
             _, reach = farthest_sample(leaves, n, 0, scratch.along[thread])
             farthest = n[0] * m[0] + n[1] * m[1] + n[2] * m[2] + reach + m[3] + slack
-            rows = pools.fragment.corners[other]
-            corners = pools.body.corners[rows[0] : rows[1]]
-            way[0], way[1], way[2], way[4] = n[0], n[1], n[2], side
-            way[3] = -lowest_corner(corners, (-n[0], -n[1], -n[2]), -farthest)
+            way[0], way[1], way[2], way[3], way[4] = n[0], n[1], n[2], farthest, side
             known += 1
     return deepest

@@ -12,12 +12,13 @@ from __future__ import annotations
 
 from fracture_collision.core.closest_point import triangle_normal
 from fracture_collision.core.compiled import inlined_kernel, query_kernel
-from fracture_collision.core.crack_normal import FARTHER, turn_to_crack
+from fracture_collision.core.crack_normal import ANYBODY, FARTHER, sum_of_planes, turn_to_crack
 from fracture_collision.core.flood import NO_SOURCE, TOWARD, nearest_from_inside, nearest_from_outside, source_normal
 from fracture_collision.core.kinds import BOX, SPHERE, TETRAHEDRA, TRIANGLES
 from fracture_collision.core.known_samples import ID_AT, ID_SAMPLE, ID_SIDE, ID_SOURCE, ID_TETRAHEDRON, share_a_body
 from fracture_collision.core.point_location import holds_fragment, tetrahedron_at
 from fracture_collision.core.rotations import rotated, to_other
+from fracture_collision.core.sample_numbers import FIRST_NODE, edge_of, is_crossing, is_node, tetrahedron_of
 from fracture_collision.core.triangle_field import nearest_triangle
 
 # A normal at less than 75 degrees from the sample's own points the same way.
@@ -87,14 +88,16 @@ def own_normal(pools, f, sample, x, y, z):
     if kind == TRIANGLES:
         n = pools.triangles.pseudonormals[pools.triangles.first_vertex[k] + sample]
         return n[0], n[1], n[2]
-    nodes = pools.mesh.first[k, 2]
-    if sample < nodes:
-        n = pools.mesh.node_normals[pools.mesh.first[k, 0] + sample]
+    first = pools.mesh.first[k]
+    if is_node(first, sample):
+        n = pools.mesh.node_normals[first[FIRST_NODE] + sample]
         return n[0], n[1], n[2]
-    edge = pools.mesh.first[k, 1] + (sample - nodes) // 2
-    p = pools.body.planes[pools.body.edge_plane[edge + pools.fragment.edge_shift[f]]]
-    sign = 1.0 if (sample - nodes) % 2 == 0 else -1.0
-    return sign * p[0], sign * p[1], sign * p[2]
+    if is_crossing(first, sample):
+        edge, side = edge_of(first, sample)
+        p = pools.body.planes[pools.body.edge_plane[edge + pools.fragment.edge_shift[f]]]
+        sign = 1.0 if side == 0 else -1.0
+        return sign * p[0], sign * p[1], sign * p[2]
+    return sum_of_planes(pools, f, ANYBODY, tetrahedron_of(first, sample))
 
 
 @inlined_kernel

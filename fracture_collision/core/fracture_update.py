@@ -12,10 +12,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from fracture_collision.core.closest_point import triangle_normal
 from fracture_collision.core.compiled import inlined_kernel, kernel, query_kernel
+from fracture_collision.core.corner_samples import add_corners, room_for_corners
 from fracture_collision.core.cut_hub import load_crossings, place_hub
 from fracture_collision.core.cut_patterns import (
     CUT_COUNT,
@@ -45,7 +44,6 @@ from fracture_collision.core.cut_tetrahedron import (
     SINGULAR,
     point_on_edge,
 )
-from fracture_collision.core.hull_separation import CORNERS_EACH, add_corners, corners_by_fragment
 from fracture_collision.core.moments import add_row, tetrahedron_terms
 from fracture_collision.core.occupancy import cells_of_boxes
 from fracture_collision.core.pools import (
@@ -61,6 +59,7 @@ from fracture_collision.core.pools import (
     PLANE,
     ROW,
 )
+from fracture_collision.core.sample_numbers import NewSamples
 from fracture_collision.core.surface_rows import (
     SurfaceRows,
     gap_of_triangle,
@@ -74,14 +73,14 @@ from fracture_collision.core.surface_rows import (
 
 @kernel
 def rebuild_surfaces(
-    mesh, body, fragment, parent, touched, low, high, begin, room, corners, words, moments, gaps, work
+    mesh, body, fragment, parent, touched, low, high, begin, room, words, moments, gaps, work
 ):  # fmt: skip
     """Surfaces of fragments low .. high - 1, into which `parent` broke: polygons, moments, boxes, gaps, corners, cells.
 
     touched: of touched_tetrahedra; `begin`: rows that BodyPool's polygons have; `room`: the SurfaceRows behind them, at
-    least touched.room; `corners`, `words`: how many rows BodyPool.corners, and how many words the occupancy has.
+    least touched.room; `words`: how many the occupancy has.
 
-    Returns (rows written, corners (c, 3) to append, words to append).
+    Returns (rows written, NewSamples at corners, words to append).
     """
     k = fragment.mesh[parent]
     shifts = fragment.node_shift[parent], fragment.tet_shift[parent], fragment.edge_shift[parent]
@@ -94,18 +93,15 @@ def rebuild_surfaces(
     most = 0
     for t in touched.cut:
         most += touched.kinds[t - touched.first] == DIVIDED
-    owners, points = np.empty(CORNERS_EACH * most, np.int32), np.empty((CORNERS_EACH * most, 3))
+    new = room_for_corners(most)
     rest = SurfaceRows(room.triangles[parted:], room.faces[parted:], room.sides[parted:])
     fanned, found = _rebuild_fanned(
         mesh, body, shifts[0], shifts[1], shifts[2], touched, low, high, begin + parted, rest, moments, boxes, reaches,
-        gaps, owners, points, work,
+        gaps, mesh.first[k], new, work,
     )  # fmt: skip
-    ordered = np.empty((found, 3))
-    begins = corners_by_fragment(owners[:found], points[:found], low, high, ordered)
-    for f in range(low, high):
-        fragment.corners[f, 0], fragment.corners[f, 1] = corners + begins[f - low], corners + begins[f - low + 1]
+    corners = NewSamples(new.points[:found], new.samples[:found], new.parents[:found], new.parts[:found])
     more = cells_of_boxes(reaches, mesh.grid[k], mesh.grid_dims[k], words, fragment.cells[low:high])
-    return parted + fanned, ordered, more
+    return parted + fanned, corners, more
 
 
 @query_kernel
@@ -150,12 +146,12 @@ def _rebuild_parted(
 @query_kernel
 def _rebuild_fanned(
     mesh, body, node_shift, tet_shift, edge_shift, touched, low, high, first_polygon, out, moments, boxes, reaches,
-    gaps, owners, corners, work,
+    gaps, first, corners, work,
 ):  # fmt: skip
     """The same for tetrahedra that are divided about their hub.
 
-    Their corners go to `corners` (c, 3), whose they are to `owners` (c,) (hull_separation.add_corners). Returns rows of
-    `out` and corners written.
+    Their corners go to `corners`, NewSamples; first (5,): MeshPool.first of the mesh. Returns rows of `out` and corners
+    written.
     """
     written = found = 0
     for t in touched.cut:
@@ -171,7 +167,7 @@ def _rebuild_fanned(
         _add_parts(work, pattern, low, high, moments)
         written = _write_fan(work, pattern, out, written, boxes, gaps)
         written = _write_old_faces(mesh, t, work, pattern, out, written, gaps)
-        found = add_corners(mesh, t, work, pattern, oldest == newest, low, high, owners, corners, found)
+        found = add_corners(mesh, first, t, work, pattern, oldest == newest, low, high, corners, found)
         body.regions[t + tet_shift, OWNER] = FANNED
         body.regions[t + tet_shift, ROW], body.cut_count[t + tet_shift] = first_polygon + begin, written - begin
         for i in range(4):

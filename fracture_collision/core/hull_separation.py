@@ -8,9 +8,7 @@ finds it in a small part of its nodes. How far both fragments reach along the di
 spans them: so it is true however the walk went. A plane that does not part the two still says of most samples that
 they are beyond the other.
 
-A fragment's border is made of triangles between its samples and, where three fragments and more meet, hubs and face
-points (cut_tetrahedron.py): the *corners* that may stick out of the hull of its samples. The hub of a tetrahedron of
-two fragments is the mean of crossings that both have.
+The hull of a fragment's samples holds all of its border (corner_samples.py).
 """
 
 from __future__ import annotations
@@ -21,9 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.core.closest_point import closest_on_triangle
-from fracture_collision.core.compiled import inlined_kernel, kernel, query_kernel
-from fracture_collision.core.cut_patterns import FACE_NODES, GROUP, GROUPS
-from fracture_collision.core.cut_tetrahedron import FACE_POINT, HUB
+from fracture_collision.core.compiled import inlined_kernel, query_kernel
 from fracture_collision.core.pools import SIZE
 from fracture_collision.core.rotations import rotated
 
@@ -34,76 +30,20 @@ MOST_STEPS = 12
 SETTLED = 1e-3
 # Trees of so many entries are looked through: to guess which of their branches can be left takes longer.
 BUNCH = 48
-# A tetrahedron's corners, those that several fragments have counted for each: hub and four face points of three.
-CORNERS_EACH = 16
 
 
 class Hull(NamedTuple):
-    """What spans the hull of a fragment, in its body frame: rows of TreePool, and of BodyPool.corners."""
+    """What spans the hull of a fragment, in its body frame: rows of TreePool."""
 
     spheres: np.ndarray  # (s, 4) float64 [m]
     entries: np.ndarray  # (s, 3) int32
-    corners: np.ndarray  # (c, 3) float64 [m]
 
 
 @inlined_kernel
 def hull_of(pools, f):
     fragment = pools.fragment
     begin, end = fragment.tree_begin[f], fragment.tree_end[f]
-    corners = pools.body.corners[fragment.corners[f, 0] : fragment.corners[f, 1]]
-    return Hull(pools.tree.spheres[begin:end], pools.tree.entries[begin:end], corners)
-
-
-@inlined_kernel
-def add_corners(mesh, t, work, pattern, at_once, low, high, owners, points, used):
-    """Append the corners that fragments low .. high - 1 have in tetrahedron t; returns the row behind the last.
-
-    work, pattern: the tetrahedron as it was divided; at_once: by one fracture. Face points stand in one of the two
-    tetrahedra that share them; the hub of three fragments made at once is between two of them that all three have.
-    """
-    if GROUPS[pattern] < 3:
-        return used
-    for i in range(4):
-        if GROUP[pattern, i] == i and not (at_once and GROUPS[pattern] == 3):
-            used = _append(work.labels[i], work.points[HUB], low, high, owners, points, used)
-    for face in range(4):
-        v = FACE_NODES[pattern, face]
-        a, b, c = GROUP[pattern, v[0]], GROUP[pattern, v[1]], GROUP[pattern, v[2]]
-        if a in (b, c) or b == c or 0 <= mesh.neighbours[t, face] < t:
-            continue
-        for k in range(3):
-            used = _append(work.labels[v[k]], work.points[FACE_POINT + face], low, high, owners, points, used)
-    return used
-
-
-@inlined_kernel
-def _append(label, point, low, high, owners, points, used):
-    if low <= label < high:
-        owners[used] = label
-        for d in range(3):
-            points[used, d] = point[d]
-        return used + 1
-    return used
-
-
-@kernel
-def corners_by_fragment(owners, points, low, high, out):
-    """Sort `points` (c, 3) of fragments `owners` (c,), low .. high - 1, into `out` (c, 3), each fragment's together.
-
-    Returns where each begins, (high - low + 1,).
-    """
-    begin = np.zeros(high - low + 1, np.int64)
-    for owner in owners:
-        begin[owner - low + 1] += 1
-    for k in range(1, len(begin)):
-        begin[k] += begin[k - 1]
-    place = begin.copy()
-    for i in range(len(owners)):
-        k = owners[i] - low
-        for d in range(3):
-            out[place[k], d] = points[i, d]
-        place[k] += 1
-    return begin
+    return Hull(pools.tree.spheres[begin:end], pools.tree.entries[begin:end])
 
 
 @query_kernel
@@ -150,11 +90,9 @@ def parting_plane(a, b, way, rotation, translation, distance):
 
 @inlined_kernel
 def _extents(a, b, n, at_a, at_b, rotation, translation):
-    """The lowest of a and the highest of b along n, corners too; at_a, at_b: rows of such points of their trees."""
+    """The lowest of a and the highest of b along n; at_a, at_b: rows of such points of their trees."""
     own = rotated(rotation[1], n[0], n[1], n[2])
-    low = lowest_corner(a.corners, own, _dot(own, a.spheres[at_a])) + _dot(n, translation[0])
-    high = -lowest_corner(b.corners, (-n[0], -n[1], -n[2]), -_dot(n, b.spheres[at_b]))
-    return low, high
+    return _dot(own, a.spheres[at_a]) + _dot(n, translation[0]), _dot(n, b.spheres[at_b])
 
 
 @inlined_kernel
@@ -183,14 +121,6 @@ def _lowest(hull, n, hint):
                     at, lowest = j, along
             i += size
     return at
-
-
-@inlined_kernel
-def lowest_corner(corners, n, lowest):
-    """How low along n the lowest of `corners` is, or `lowest`."""
-    for i in range(len(corners)):
-        lowest = min(lowest, _dot(n, corners[i]))
-    return lowest
 
 
 @inlined_kernel

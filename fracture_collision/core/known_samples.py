@@ -13,6 +13,14 @@ from fracture_collision.core.elementary_queries import INSIDE, OUTSIDE, bounded_
 from fracture_collision.core.kinds import PLANE, TETRAHEDRA
 from fracture_collision.core.pools import NEVER_BROKEN
 from fracture_collision.core.rotations import to_other
+from fracture_collision.core.sample_numbers import (
+    FIRST_NODE,
+    crossing_number,
+    edge_of,
+    is_crossing,
+    is_node,
+    tetrahedron_of,
+)
 
 # Rounding must not make a bound lie: this share of the smaller R, and of all coordinates that a depth is made from.
 BOUND_SLACK = 1e-12
@@ -45,13 +53,16 @@ def share_a_body(pools, a, b):
 
 @inlined_kernel
 def home_tetrahedron(pools, f, sample):
-    """A tetrahedron at the node or edge of fragment f's mesh that a sample of it is on."""
+    """A tetrahedron of fragment f's mesh that a sample of it is in, or whose node or edge it is on."""
     mesh, k = pools.mesh, pools.fragment.mesh[f]
-    first_node, nodes = mesh.first[k, 0], mesh.first[k, 2]
-    if sample >= nodes:
-        return mesh.edge_tets[mesh.first[k, 1] + (sample - nodes) // 2]
-    # node_tets_begin has one row more than nodes in each mesh before this one
-    return mesh.node_tets[mesh.node_tets_begin[first_node + sample + k]]
+    first = mesh.first[k]
+    if is_node(first, sample):
+        # node_tets_begin has one row more than nodes in each mesh before this one
+        return mesh.node_tets[mesh.node_tets_begin[first[FIRST_NODE] + sample + k]]
+    if is_crossing(first, sample):
+        edge, _ = edge_of(first, sample)
+        return mesh.edge_tets[edge]
+    return tetrahedron_of(first, sample)
 
 
 @inlined_kernel
@@ -107,7 +118,6 @@ def query_seeds(pools, a, b, rotation, translation, wanted, near, most, contacts
         return 0, 0
     count, asked = 0, 0
     point = scratch.point[thread]
-    first_edge, nodes = mesh.first[fragment.mesh[a], 1], mesh.first[fragment.mesh[a], 2]
     for k in range(begin, end):
         if count == wanted or (most and asked == most):
             break
@@ -124,7 +134,7 @@ def query_seeds(pools, a, b, rotation, translation, wanted, near, most, contacts
         if answer[0] == OUTSIDE:
             continue
         if count < capacity:
-            sample = nodes + 2 * (e - first_edge) + end_of_own
+            sample = crossing_number(mesh.first[fragment.mesh[a]], e, end_of_own)
             put_contact(contacts, ids, count, side, sample, x, y, z, answer)
         count += 1
     return count, asked

@@ -11,7 +11,6 @@ from fracture_collision.core.hull_separation import (
     MOST_STEPS,
     SETTLED,
     encloses_origin,
-    lowest_corner,
     next_simplex,
 )
 from fracture_collision.core.kinds import PLANE
@@ -66,13 +65,6 @@ def parting_plane_of_leaves(pools, a, b, leaves, rotation, translation, distance
     toward[0], toward[1], toward[2] = found
     if best == -math.inf:
         return found, -math.inf, math.inf
-    rows, corners = pools.fragment.corners, pools.body.corners
-    corners_a, corners_b = corners[rows[a, 0] : rows[a, 1]], corners[rows[b, 0] : rows[b, 1]]
-    t = translation[0]
-    own = rotated(rotation[1], found[0], found[1], found[2])
-    along_t = found[0] * t[0] + found[1] * t[1] + found[2] * t[2]
-    best_low = lowest_corner(corners_a, own, best_low - along_t) + along_t
-    best_high = -lowest_corner(corners_b, (-found[0], -found[1], -found[2]), -best_high)
     return found, best_low, best_high
 
 

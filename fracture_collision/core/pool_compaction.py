@@ -26,6 +26,7 @@ from fracture_collision.core.pools import (
     ROW,
     GrowableArray,
 )
+from fracture_collision.core.sample_numbers import EDGES, FIRST_EDGE, FIRST_NODE, FIRST_TETRAHEDRON, NODES
 
 _ON_NODES = ("nodes", "on_surface", "node_normals")
 _ON_TETRAHEDRA = ("tetrahedra", "neighbours", "tetrahedron_edges", "boxes", "barycentric", "walls", "moments")
@@ -151,7 +152,7 @@ def compact(
     mesh_moves = _compact_meshes(tables, meshes)
     # the seeds' edges are rows of the mesh pool
     seeds = _compact_seeds(tables, bodies, moved, mesh_moves.edges)
-    body = _compact_bodies(tables, rows, bodies, {each.index: each for each in meshes}, moved)
+    body = _compact_bodies(tables, bodies, {each.index: each for each in meshes}, moved)
     triangles = _compact_triangles(tables, surfaces)
     new_meshes = [
         each._replace(
@@ -182,7 +183,6 @@ def compact(
     for name, of in (("tree_begin", trees), ("tree_end", trees), ("leaf_begin", leaves), ("leaf_end", leaves)):
         fragment[name].replace(of.of(fragment[name].view))
     fragment["cells"].replace(_moved_cells(fragment["cells"].view, words))
-    fragment["corners"].replace(body[3].of(fragment["corners"].view))
     fragment["seeds"].replace(seeds.of(fragment["seeds"].view))
     trees.keep(tables.tree, *tables.tree)
     leaves.keep(tables.samples, *tables.samples)
@@ -285,7 +285,10 @@ def _compact_meshes(tables: PoolTables, meshes: list[MeshRows]) -> _MeshMoves:
     first = table["first"].view
     table["first"].replace(
         np.column_stack(
-            [moves.nodes.of(first[:, 0]), moves.edges.of(first[:, 1]), first[:, 2], moves.tetrahedra.of(first[:, 3])]
+            [
+                moves.nodes.of(first[:, FIRST_NODE]), moves.edges.of(first[:, FIRST_EDGE]), first[:, NODES],
+                moves.tetrahedra.of(first[:, FIRST_TETRAHEDRON]), first[:, EDGES],
+            ]
         )
     )
     for name, of in (("grid_dims", cell_begin), ("depth_grid_dims", depth)):
@@ -310,9 +313,9 @@ def _compact_seeds(tables: PoolTables, bodies: np.ndarray, moved: Moves, mesh_ed
 
 
 def _compact_bodies(
-    tables: PoolTables, rows: np.ndarray, bodies: np.ndarray, meshes: dict[int, MeshRows], moved: Moves
-) -> tuple[Moves, Moves, Moves, Moves]:
-    """Returns where the rows of nodes, tetrahedra, edges and corners went."""
+    tables: PoolTables, bodies: np.ndarray, meshes: dict[int, MeshRows], moved: Moves
+) -> tuple[Moves, Moves, Moves]:
+    """Returns where the rows of nodes, tetrahedra and edges went."""
     body, fragment = tables.body, tables.fragment
     of_meshes = [meshes[k] for k in fragment["mesh"].view[bodies].tolist()]
     moves = []
@@ -324,14 +327,11 @@ def _compact_bodies(
         count = np.array([m.counts[at] for m in of_meshes], np.int64)
         moves.append(moves_of_ranges(body[name].used, begin, begin + count))
     nodes, tetrahedra, edges = moves
-    corner_ranges = fragment["corners"].view[rows]
-    corners = moves_of_ranges(body["corners"].used, corner_ranges[:, 0], corner_ranges[:, 1])
     nodes.keep(body, "node_fragment")
     if body["node_field"].used:
         nodes.keep(body, "node_field")
     tetrahedra.keep(body, *_OF_BODY_TETRAHEDRA)
     edges.keep(body, *_OF_BODY_EDGES)
-    corners.keep(body, "corners")
     regions, count = body["regions"].view, body["cut_count"].view
     begin = regions[:, ROW].astype(np.int64)
     has = count > 0
@@ -355,7 +355,7 @@ def _compact_bodies(
     regions[:, OWNER] = moved.of(regions[:, OWNER])
     regions[is_parted, FRONT : BACK + 1] = moved.of(regions[is_parted, FRONT : BACK + 1])
     regions[is_fanned, LABELS:REGION] = moved.of(regions[is_fanned, LABELS:REGION])
-    return nodes, tetrahedra, edges, corners
+    return nodes, tetrahedra, edges
 
 
 def _compact_triangles(tables: PoolTables, surfaces: list[SurfaceMeshRows]) -> Moves:

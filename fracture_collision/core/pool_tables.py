@@ -36,18 +36,18 @@ class PoolTables:
         self.mesh = self._table(
             nodes=(3, f8), tetrahedra=(4, i4), neighbours=(4, i4), tetrahedron_edges=(6, i4), edges=(2, i4),
             edge_tets=(0, i4), boxes=(6, f4), barycentric=(12, f8), walls=(16, f4), moments=(10, f8),
-            on_surface=(0, u1), node_normals=(3, f8), node_tets_begin=(0, i4), node_tets=(0, i4), first=(4, i4),
+            on_surface=(0, u1), node_normals=(3, f8), node_tets_begin=(0, i4), node_tets=(0, i4), first=(5, i4),
             grid=(4, f8), grid_dims=(4, i4), cell_begin=(0, i4), cell_tets=(0, i4), cell_parts=(0, u8),
             depth_grid=(4, f8), depth_grid_dims=(4, i4), grid_depth=(0, f8),
         )  # fmt: skip
         self.body = self._table(
             node_fragment=(0, i4), edge_plane=(0, i4), edge_event=(0, i4), edge_share=(0, f8), regions=(REGION, i4),
             cut_count=(0, i4), planes=(4, f8), triangles=(9, f8), faces=(4, f8),
-            sides=(3, i4), corners=(3, f8), node_field=(7, f8),
+            sides=(3, i4), node_field=(7, f8),
         )  # fmt: skip
         self.fragment = self._table(
             kind=(0, i4), mesh=(0, i4), node_shift=(0, i4), tet_shift=(0, i4), edge_shift=(0, i4), box=(6, f8),
-            shape=(4, f8), radius=(0, f8), tree_begin=(0, i4), tree_end=(0, i4), cells=(7, i4), corners=(2, i4),
+            shape=(4, f8), radius=(0, f8), tree_begin=(0, i4), tree_end=(0, i4), cells=(7, i4),
             seeds=(2, i4), leaf_begin=(0, i4), leaf_end=(0, i4), middle=(4, f8),
         )  # fmt: skip
         self.tree = self._table(spheres=(4, f8), entries=(3, i4))
@@ -146,7 +146,7 @@ class PoolTables:
             if shift:
                 rows = np.where(rows < 0, -1, rows + shift)
             table[name].share(rows)
-        table["first"].append(np.array([[node, edge, len(mesh.nodes), tet]], np.int32))
+        table["first"].append(np.array([[node, edge, len(mesh.nodes), tet, len(mesh.edges)]], np.int32))
         table["grid"].append(np.append(mesh.grid_origin, mesh.grid_cell)[None])
         table["grid_dims"].append(np.append(mesh.grid_dims, first_cell)[None])
         table["depth_grid"].append(np.zeros((1, 4)))

@@ -107,7 +107,7 @@ class MeshPool(NamedTuple):
     node_normals: np.ndarray  # (N, 3) float64 unit, outward, of the old surface; zero inside
     node_tets_begin: np.ndarray  # (N + meshes,) int32; mesh k's rows start at first node + k
     node_tets: np.ndarray  # (4M,) int32
-    first: np.ndarray  # (meshes, 4) int32: first node, first edge, number of nodes, first tetrahedron
+    first: np.ndarray  # (meshes, 5) int32: first node, first edge, number of nodes, first tetrahedron, number of edges
     grid: np.ndarray  # (meshes, 4) float64: origin [m], cell [m]
     grid_dims: np.ndarray  # (meshes, 4) int32: cells along x, y, z; first entry in cell_begin
     cell_begin: np.ndarray  # int32, cells + 1 a mesh
@@ -133,7 +133,6 @@ class BodyPool(NamedTuple):
     triangles: np.ndarray  # (T, 9) float64 [m] corners, right-handed about the outward normal of `front`
     faces: np.ndarray  # (T, 4) float64 their planes: that normal, unit, and offset [m]
     sides: np.ndarray  # (T, 3) int32 FRONT_SIDE, BACK_SIDE, KIND
-    corners: np.ndarray  # (C, 3) float64 [m] what may stick out of the hull of a fragment's samples, hull_separation.py
     # the averaged field, rows as node_fragment; none under the exact one
     node_field: np.ndarray  # (., 7) float64: d [m] and unit n of Glondu 2014, eq. 1-2; a point [m] certainly not inside
 
@@ -152,7 +151,6 @@ class FragmentPool(NamedTuple):
     tree_begin: np.ndarray  # int32
     tree_end: np.ndarray  # int32
     cells: np.ndarray  # (F, 7) int32: first cell x y z, cells x y z, first word of `occupancy`
-    corners: np.ndarray  # (F, 2) int32: first row of BodyPool.corners, row behind the last
     seeds: np.ndarray  # (F, 2) int32: first row of SeedPool.keys of its body, row behind the last
     leaf_begin: np.ndarray  # int32 first leaf of SamplePool
     leaf_end: np.ndarray  # int32
@@ -183,7 +181,7 @@ class TreePool(NamedTuple):
 
 # Columns of TreePool.entries.
 SIZE = 0  # entries of the subtree with this one
-SAMPLE = 1  # index of the sample point within its body
+SAMPLE = 1  # number of the sample point within its body, sample_numbers.py
 SURFACE = 2  # OWN_SAMPLE if the point samples the fragment's surface, NONE_BELOW if nothing in the subtree does, else 0
 OWN_SAMPLE = 1
 NONE_BELOW = -1

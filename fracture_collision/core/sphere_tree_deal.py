@@ -16,6 +16,7 @@ from fracture_collision.core.pools import SIZE
 
 BATCH = 64  # fragments handled at a time: one bit each of an unsigned 64-bit mask
 UNKNOWN, MIXED = -2, -1
+NOBODYS = -1  # of an entry whose point no fragment keeps
 # The position of a lone bit, by the top six bits of its product with a de Bruijn sequence (Leiserson, Prokop, Randall,
 # "Using de Bruijn Sequences to Index a 1 in a Computer Word", 1998).
 DE_BRUIJN = np.uint64(0x03F79D71B4CB0A89)
@@ -80,8 +81,11 @@ def _find_owners(entries, fragment_of_entry, walk, deal):
     size, parent, owner, first = walk.size, walk.parent, walk.owner, deal.first
     for i in range(len(size)):
         is_leaf = entries[i, SIZE] == 1
-        first[fragment_of_entry[i]] += is_leaf
-        size[i], owner[i] = entries[i, SIZE], fragment_of_entry[i] if is_leaf else UNKNOWN
+        f = fragment_of_entry[i]
+        if is_leaf and f != NOBODYS:
+            first[f] += 1
+        # a point of nobody's makes what holds it mixed
+        size[i], owner[i] = entries[i, SIZE], f if is_leaf else UNKNOWN
     # room for a fragment's leaves and inner nodes, of which there are fewer
     room = 0
     for f in range(len(first)):

@@ -65,8 +65,8 @@ def split_sphere_tree(
     begins (fragments + 1,) int64.
 
     Trees are given as in TreePool: `spheres` (s, 4), `entries` (s, 3); fragment_of_entry (s,) int32: which fragment
-    each entry's point goes to. The new surface points: `points` (q, 3) [m], their `samples`, the samples of the mesh
-    nodes they hang under, `parents`, and their fragments (q,), int32. ordered: keep to the maximum-distance order.
+    each entry's point goes to, or NOBODYS. The new surface points: `points` (q, 3) [m], their `samples`, the mesh nodes
+    they hang under, `parents`, and their fragments (q,), int32. ordered: keep to the maximum-distance order.
     `out_spheres`, `out_entries`: rows_of_split of them.
     """
     deal = deal_tree(entries, fragment_of_entry, fragments)
@@ -84,7 +84,7 @@ def split_sphere_tree(
     new = _New(
         np.empty(q, np.int32), np.empty(q), np.empty(q, np.int32), np.empty(q), np.empty(q), np.empty(q)
     )
-    leaf_of = np.empty(max(entries[:, SAMPLE].max(), parents.max() if len(parents) else 0) + 1, np.int32)
+    leaf_of = np.empty(parents.max() + 1 if len(parents) else 0, np.int32)  # of what new points may hang under
     begin = np.zeros(fragments + 1, np.int64)
     for f in range(fragments):
         kept, size = deal.kept[deal.first[f] : deal.last[f]], deal.size[deal.first[f] : deal.last[f]]
@@ -215,7 +215,8 @@ def _place(size, share, own, points, parents, ordered, leaf_of, new):
     find_parents(size, parent)
     for i in range(len(size)):
         # the last entry with a sample is its leaf
-        leaf_of[sample[i]] = i
+        if sample[i] < len(leaf_of):
+            leaf_of[sample[i]] = i
         share.added[i], farthest[i] = 0, -1.0
     for q in own:
         leaf = leaf_of[parents[q]]
@@ -223,7 +224,8 @@ def _place(size, share, own, points, parents, ordered, leaf_of, new):
         new.entry[q], new.distance[q], farthest[leaf] = leaf, d, max(farthest[leaf], d)
     for i in range(len(size)):
         above = watched[parent[i]] if i else NONE
-        watched[i] = i if size[i] > 1 and spheres[i, 3] <= farthest[leaf_of[sample[i]]] else above
+        is_parent = size[i] > 1 and sample[i] < len(leaf_of)
+        watched[i] = i if is_parent and spheres[i, 3] <= farthest[leaf_of[sample[i]]] else above
     for q in own:
         entry, d = new.entry[q], new.distance[q]
         if ordered:

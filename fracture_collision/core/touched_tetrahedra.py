@@ -64,7 +64,7 @@ def _find_touched(
     mesh, body, fragment, parent, tetrahedra, nodes, parts, edges, first_plane, low, high, moments, gaps, room
 ):
     k = fragment.mesh[parent]
-    first_node, first_edge, _, first_tet = mesh.first[k]
+    first_node, first_edge, _, first_tet, _ = mesh.first[k]
     _inherit(fragment, parent, low, high)
     for f in range(low, high):
         gaps[f] = 0.0

@@ -16,7 +16,7 @@ from oracles.fragmented_body import FragmentedBody, SurfacePolygon
 
 TIMES_NEAREST = 3.0
 FARTHER = 0.03
-OBLIQUE, LITTLE = 4.0, 1e-4
+OBLIQUE, LITTLE = 4.0, 1e-3
 # Two polygons this much of R apart in distance are equally near: rounding may choose either.
 TIE = 1e-9
 
