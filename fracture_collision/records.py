@@ -93,7 +93,7 @@ class ContactConstraintArray(NamedTuple):
     points_a: np.ndarray  # 3N [m], world
     points_b: np.ndarray  # 3N [m], world
     normals: np.ndarray  # 3N, unit, from a to b
-    gaps: np.ndarray  # N [m] = normal . (point_b - point_a); negative: penetration
+    gaps: np.ndarray  # N [m] = normal . (point_b - point_a); negative: penetration; large: a touch to come
     contact_ids: np.ndarray  # uint64
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from fracture_collision.records import FragmentStates
+from fracture_collision.simulation.contact_solver import SolverSettings
 from fracture_collision.simulation.scene import Scene, parse_scene
 from fracture_collision.simulation.simulation import Simulation, StepReport
 from fracture_collision.simulation.sleep import NOBODY, Rest, after_step, roused, settled
@@ -151,14 +152,15 @@ def test_islands_sleep_and_wake_as_one() -> None:
     begin, a, b = np.array([0, 1, 2]), np.array([0, 2]), np.array([1, 4])
     ids = np.arange(10, 14, dtype=np.uint32)
     quiet = np.array([0.3, 0.1, 0.3, 0.3])
-    rest = settled(Rest(ids, quiet, np.zeros(4, bool)), begin, a, b, 0.25)
+    rest = settled(Rest(ids, quiet, np.zeros(4, bool), np.zeros((4, 6))), begin, a, b, 0.25)
     assert rest.asleep.tolist() == [False, False, True, False]
-    rest = settled(Rest(ids, np.full(4, 0.3), np.zeros(4, bool)), begin, a, b, 0.25)
+    rest = settled(Rest(ids, np.full(4, 0.3), np.zeros(4, bool), np.ones((4, 6))), begin, a, b, 0.25)
     assert rest.asleep.tolist() == [True, True, True, False]
     nobody_gone = np.zeros(0, np.uint32), np.zeros(0, np.uint32)
     pushed = np.array([True, False, False, False])
     woken = settled(roused(rest, ids, nobody_gone, pushed), begin, a, b, 0.25)
     assert woken.asleep.tolist() == [False, False, True, False] and woken.quiet[:2].tolist() == [0.0, 0.0]
+    assert not woken.gone[0].any() and woken.gone[2].all()
     # 12 is gone, and 13 lay on it
     rest = rest._replace(asleep=np.ones(4, bool))
     touched = np.array([10, 12], np.uint32), np.array([11, 13], np.uint32)
@@ -168,9 +170,15 @@ def test_islands_sleep_and_wake_as_one() -> None:
 
 
 def test_who_is_quiet() -> None:
-    rest = Rest(np.arange(3, dtype=np.uint32), np.full(3, 0.1), np.zeros(3, bool))
-    velocities = np.zeros((3, 6))
-    velocities[1, 0], velocities[2, 5] = 2e-3, 5.0
-    inertias = np.tile(1e-4 * np.eye(3), (3, 1, 1))
-    after = after_step(rest, np.ones(3), inertias, velocities, 1e-3, 0.0025)
-    assert after.quiet.tolist() == [0.1 + 0.0025, 0.0, 0.0]
+    """At 0.9 and 1.1 mm/s, spinning, trembling at 16 mm/s about one place, and at rest."""
+    n, steps, time_step = 5, 101, 0.0025
+    rest = Rest(np.arange(n, dtype=np.uint32), np.zeros(n), np.zeros(n, bool), np.zeros((n, 6)))
+    inertias = np.tile(1e-4 * np.eye(3), (n, 1, 1))
+    for step in range(steps):
+        moves = np.zeros((n, 6))
+        moves[0, 0], moves[1, 0], moves[2, 5] = 0.9e-3, 1.1e-3, 0.2
+        moves[3, 1] = 16e-3 if step % 2 else -16e-3
+        rest = after_step(rest, np.ones(n), inertias, moves, SolverSettings(), time_step)
+    quiet = rest.quiet >= SolverSettings().sleep_time
+    assert quiet.tolist() == [True, False, False, True, True]
+    assert rest.quiet[4] == pytest.approx(steps * time_step)

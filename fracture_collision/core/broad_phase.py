@@ -12,6 +12,7 @@ import numpy as np
 from fracture_collision.core.compiled import inlined_kernel, kernel
 from fracture_collision.core.crowds import Overlaps, overlaps_of
 from fracture_collision.core.kinds import PLANE
+from fracture_collision.core.motion import NO_MOTION, Motion, sweep_box
 
 # All pairs are looked for anew where more than one fragment in so many has moved.
 FEW = 16
@@ -23,13 +24,15 @@ class Paired(NamedTuple):
     rows: np.ndarray  # (n,) int64 of FragmentPool
     rotations: np.ndarray  # (n, 3, 3)
     positions: np.ndarray  # (n, 3) [m]
-    boxes: np.ndarray  # (n, 6) [m] in the world, with their margins
+    motion: Motion  # of the rows
+    boxes: np.ndarray  # (n, 6) [m] in the world, with their margins, that hold them for as long as it is looked ahead
     pairs: np.ndarray  # (p, 2) int64 of indices i < j into `rows`, ascending
     overlaps: Overlaps  # of the pairs
 
 
 NOTHING_PAIRED = Paired(
-    np.zeros(0, np.int64), np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros((0, 6)), np.zeros((0, 2), np.int64),
+    np.zeros(0, np.int64), np.zeros((0, 3, 3)), np.zeros((0, 3)), NO_MOTION, np.zeros((0, 6)),
+    np.zeros((0, 2), np.int64),
     Overlaps(np.zeros(0, np.bool_), np.zeros((0, 2))),
 )  # fmt: skip
 
@@ -119,9 +122,10 @@ def overlapping_pairs(boxes, kinds, shapes, rotations, positions, is_static, mos
 
 
 @kernel
-def pairs_within_reach(fragment, rows, rotations, positions, is_static, tolerance, most, before):
+def pairs_within_reach(fragment, rows, rotations, positions, motion, is_static, tolerance, most, before):
     """Of fragments `rows` (n,) of a FragmentPool with poses (n, 3, 3), (n, 3): their R (n,) [m]; and the Paired, that
-    may be within `tolerance` (a share of the smaller R) of each other, see overlapping_pairs.
+    may be within `tolerance` (a share of the smaller R) of each other, or come to be by `motion`, see
+    overlapping_pairs.
 
     before: the last step's, of the same pool, tolerance and static ones. It makes the answer quicker, never different.
     """
@@ -129,24 +133,28 @@ def pairs_within_reach(fragment, rows, rotations, positions, is_static, toleranc
     # two boxes grown by half the tolerance each meet whenever their fragments come within it
     margins = np.where(np.isfinite(radius), tolerance * radius, 0.0)
     kinds, shapes = fragment.kind[rows], fragment.shape[rows]
-    has_moved = _that_moved(before, rows, rotations, positions)
+    has_moved = _that_moved(before, rows, rotations, positions, motion)
     if FEW * np.count_nonzero(has_moved) > len(rows):
         boxes = np.empty((len(rows), 6))
         world_boxes(fragment.box, rows, rotations, positions, margins, boxes)
+        for i in range(len(motion.reach)):
+            sweep_box(motion, i, boxes[i])
         pairs = overlapping_pairs(boxes, kinds, shapes, rotations, positions, is_static, most)
-        return radius, Paired(rows, rotations, positions, boxes, pairs, overlaps_of(boxes, pairs))
+        return radius, Paired(rows, rotations, positions, motion, boxes, pairs, overlaps_of(boxes, pairs))
     boxes = before.boxes.copy()
     for i in np.flatnonzero(has_moved):
         _put_world_box(fragment.box[rows[i]], rotations[i], positions[i], margins[i], boxes[i])
+        if motion.time > 0.0:
+            sweep_box(motion, i, boxes[i])
     pairs, overlaps = _renewed(before, has_moved, boxes, kinds, shapes, rotations, positions, is_static)
-    return radius, Paired(rows, rotations, positions, boxes, pairs, overlaps)
+    return radius, Paired(rows, rotations, positions, motion, boxes, pairs, overlaps)
 
 
 @kernel
-def _that_moved(before, rows, rotations, positions):
-    """Which fragments stand elsewhere than before (n,) bool: all, where they are others."""
+def _that_moved(before, rows, rotations, positions, motion):
+    """Which fragments stand elsewhere than before, or move otherwise (n,) bool: all, where they are others."""
     n = len(rows)
-    if len(before.rows) != n:
+    if len(before.rows) != n or before.motion.time != motion.time:
         return np.ones(n, np.bool_)
     has_moved = np.zeros(n, np.bool_)
     for i in range(n):
@@ -156,6 +164,9 @@ def _that_moved(before, rows, rotations, positions):
             has_moved[i] |= positions[i, d] != before.positions[i, d]
             for k in range(3):
                 has_moved[i] |= rotations[i, d, k] != before.rotations[i, d, k]
+            if motion.time > 0.0:
+                has_moved[i] |= motion.linear[i, d] != before.motion.linear[i, d]
+                has_moved[i] |= motion.angular[i, d] != before.motion.angular[i, d]
     return has_moved
 
 

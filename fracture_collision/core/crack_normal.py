@@ -19,7 +19,7 @@ from fracture_collision.core.flood import (
     source_normal,
 )
 from fracture_collision.core.point_location import height, owner_in_cut
-from fracture_collision.core.pools import BACK_SIDE, FRONT_SIDE, KIND, OLD_FACE, OWNER, PARTED, ROW
+from fracture_collision.core.pools import BACK_SIDE, FRONT_SIDE, KIND, NEVER_BROKEN, OLD_FACE, OWNER, PARTED, ROW
 
 # The shared crack is taken while it is no more than this share of R farther than the nearest surface.
 FARTHER = 0.03
@@ -146,7 +146,7 @@ def way_through(pools, f, t, x, y, z, nx, ny, nz, limit, leaves, scratch, thread
                     out, face = end, corner
         if face < 0:
             return math.inf
-        alone = body.regions[t + tet_shift, OWNER]
+        alone = f if tet_shift == NEVER_BROKEN else body.regions[t + tet_shift, OWNER]
         if alone < 0:
             share = _share_of_segment(
                 pools, f, t, leaves, x + s * nx, y + s * ny, z + s * nz, x + out * nx, y + out * ny, z + out * nz,

@@ -14,6 +14,7 @@ from fracture_collision.core.contact_choice import Rule
 from fracture_collision.core.crew import Crew
 from fracture_collision.core.crowds import UNSEARCHED, UNSHARED, Overlaps, most_visits, visit_shares
 from fracture_collision.core.facing_normal import turn_contacts
+from fracture_collision.core.first_touch import add_approaching, bring_back, first_touch, is_about_to_touch
 from fracture_collision.core.kept_answer import (
     NOTHING_KEPT,
     KeptAnswer,
@@ -24,6 +25,7 @@ from fracture_collision.core.kept_answer import (
     pose_bits,
 )
 from fracture_collision.core.known_samples import ID_SAMPLE, ID_SIDE, rounding_slack
+from fracture_collision.core.motion import NO_MOTION, Motion, closing_speed, is_moving
 from fracture_collision.core.neighbour_lists import (
     FAST,
     FULL,
@@ -34,11 +36,13 @@ from fracture_collision.core.neighbour_lists import (
     displacement,
     fetch_slot,
     keep_pose,
+    least_left,
     pair_keys,
     reach_of,
     with_pairs,
 )
 from fracture_collision.core.pools import FACING
+from fracture_collision.core.rotations import relative_pose
 from fracture_collision.core.sample_search import begins_with_seeds, may_search, query_listed, search_samples
 from fracture_collision.core.traversal import BY_FURTHER, BY_LIMIT, COMPLETE, depth_limit, query_pair
 
@@ -87,26 +91,12 @@ def put_rotation(x, y, z, w, out):
     out[2, 2] = 1.0 - s * (x * x + y * y)
 
 
-@inlined_kernel
-def relative_pose(rotation_from, position_from, rotation_to, position_to, rotation, translation):
-    for i in range(3):
-        translation[i] = 0.0
-        for k in range(3):
-            translation[i] += rotation_to[k, i] * (position_from[k] - position_to[k])
-        for j in range(3):
-            rotation[i, j] = (
-                rotation_to[0, i] * rotation_from[0, j]
-                + rotation_to[1, i] * rotation_from[1, j]
-                + rotation_to[2, i] * rotation_from[2, j]
-            )
-
-
 @threaded_kernel
 def _query_share(
-    pools, rows, rotations, positions, pairs, todo, is_first, wanted, most, epsilon, near, shares, further, limit,
-    contacts, ids, begin, counts, bounds, visits, exhausted, lists, slots, known, scratch, threads, thread,
+    pools, rows, rotations, positions, motion, pairs, todo, is_first, wanted, most, epsilon, near, shares, further,
+    limit, contacts, ids, begin, counts, bounds, visits, exhausted, lists, slots, known, scratch, threads, thread,
 ):  # fmt: skip
-    """Every `threads`-th pair of `todo`, from `thread` on.
+    """Every `threads`-th pair of `todo`, from `thread` on. Pairs that are apart now are looked ahead for, by `motion`.
 
     most: see sample_search.Rule; limit: see query_pair; shares, further (p,): visits of each pair, likewise. Their
     contacts go one behind the other into contacts[thread], from row begin[pair] on; -1: there was no room left. lists:
@@ -133,7 +123,7 @@ def _query_share(
         # the paper's rule with nothing remembered is the paper's algorithm
         is_quick = shares[p] == UNSHARED and limit >= wanted and may_search(pools, a, b) and (most > 0 or slot >= 0)
         rule = Rule(wanted, min(most, limit), epsilon * radius, near * radius)
-        found, moves = -1, FAST * radius
+        found, moves, clear = -1, FAST * radius, 0.0
         if slot >= 0 and known[p]:
             n, rounding = lists.counts[slot], 2.0 * rounding_slack(pools, a, b, translation)
             moves = displacement(pools, a, b, rotation, translation, lists.poses[slot]) + rounding
@@ -148,6 +138,12 @@ def _query_share(
                         lists.places[slot, :n], out, out_ids, room - used, scratch, thread,
                     )  # fmt: skip
                     exhausted[p] = BY_LIMIT if found == limit < most else COMPLETE
+                    if motion.time > 0.0 and found == 0:
+                        middles = pools.fragment.middle
+                        left = least_left(
+                            lists.listed[slot], lists.places[slot], n, middles[a], middles[b], rotation, translation
+                        )
+                        clear = min(left, lists.reach[slot] - moved - rounding)
             is_quick = is_quick and n != FULL
         if slot >= 0:
             keep_pose(rotation, translation, lists.poses[slot])
@@ -159,26 +155,43 @@ def _query_share(
                 reach, ahead = reach_of(moves, radius)
             else:
                 toward[0] = toward[1] = toward[2] = 0.0
-            found, bounds[p], visits[p], samples, clearance = search_samples(
+            found, bounds[p], visits[p], samples, clear = search_samples(
                 pools, a, b, rotation, translation, rule, reach, ahead, out, out_ids, room - used,
                 listed, places, toward, scratch, thread,
             )  # fmt: skip
             exhausted[p] = BY_LIMIT if found == limit < most else COMPLETE
             if slot >= 0:
                 lists.counts[slot] = NOT_LISTED if found >= 0 else FULL
-                if found >= 0 and samples <= MOST_LISTED and max(reach, clearance) > 0.0:
-                    lists.counts[slot], lists.reach[slot] = samples, max(reach, clearance)
+                if found >= 0 and samples <= MOST_LISTED and max(reach, clear) > 0.0:
+                    lists.counts[slot], lists.reach[slot] = samples, max(reach, clear)
                     keep_pose(rotation, translation, lists.listed_at[slot])
+                    if motion.time > 0.0 and found == 0:
+                        middles = pools.fragment.middle
+                        left = least_left(listed, places, samples, middles[a], middles[b], rotation, translation)
+                        clear = min(left, lists.reach[slot])
         if found < 0:
-            found, bounds[p], visits[p], exhausted[p], clearance = query_pair(
+            found, bounds[p], visits[p], exhausted[p], clear = query_pair(
                 pools, a, b, rotation, translation, wanted, epsilon * radius, near * radius, shares[p],
                 further[p], limit, out, out_ids, room - used, scratch, thread,
             )  # fmt: skip
             if slot >= 0:
                 lists.counts[slot] = FULL if found >= wanted else NOT_LISTED
-                if clearance > 0.0:
-                    lists.counts[slot], lists.reach[slot] = 0, clearance
+                if clear > 0.0:
+                    lists.counts[slot], lists.reach[slot] = 0, clear
                     keep_pose(rotation, translation, lists.listed_at[slot])
+        moment = 0.0
+        if found == 0 and motion.time > 0.0 and closing_speed(motion, i, j, 0.0, motion.time) * motion.time > clear:
+            # by a search of its own: whatever is remembered, it is the same
+            ahead = Rule(wanted, min(max(most, wanted), limit), rule.epsilon, rule.near)
+            found, moment, more = first_touch(
+                pools, a, b, i, j, rotations, positions, motion, ahead, out, out_ids, room - used, rotation,
+                translation, scratch, thread,
+            )  # fmt: skip
+            visits[p] += more
+            if found < 0:
+                found, exhausted[p] = 0, BY_LIMIT
+                left = motion.time - moment
+                bounds[p] = max(bounds[p], left * closing_speed(motion, i, j, moment, left))
         counts[p] = found
         begin[p] = used
         if counts[p] > room - used:
@@ -188,6 +201,22 @@ def _query_share(
             turn_contacts(
                 pools, a, b, rotation, translation, near * radius, out, out_ids, counts[p], scratch, thread
             )
+        if moment > 0.0:
+            bring_back(
+                rotations, positions, i, j, scratch.world_rotation[thread], rotation, translation, out, out_ids, found
+            )
+            relative_pose(rotations[i], positions[i], rotations[j], positions[j], rotation[0], translation[0])
+            relative_pose(rotations[j], positions[j], rotations[i], positions[i], rotation[1], translation[1])
+        if found > 0 and motion.time > 0.0 and is_about_to_touch(pools, a, b, i, j, motion, moment):
+            count, more = add_approaching(
+                pools, a, b, i, j, motion, rule, out, out_ids, found, limit, room - used, rotation, translation,
+                scratch, thread,
+            )  # fmt: skip
+            visits[p] += more
+            counts[p] = count
+            if count > room - used:
+                begin[p] = -1
+                continue
         used += counts[p]
 
 
@@ -228,7 +257,7 @@ def _gather(
 def query_pairs(
     pools, rows, rotations, positions, pairs, wanted, most, epsilon, near, budget, scratch, crew: Crew,
     before: Remembered | None = None, stamp: int = 0, limits: WorkLimits = NO_LIMITS,
-    overlaps: Overlaps | None = None,
+    overlaps: Overlaps | None = None, motion: Motion = NO_MOTION,
 ) -> tuple[PairContacts, Remembered]:  # fmt: skip
     """Contacts of `pairs` (p, 2) of indices into `rows` (n,), with poses rotations (n, 3, 3), positions (n, 3) [m].
 
@@ -236,7 +265,8 @@ def query_pairs(
     budget: visits a pair, 0: none. before: what came with the last answer from these pools, to be quicker where little
     has moved; it is used up. With a budget, or with None, nothing is used and nothing remembered. What is answered does
     not depend on it, but for `visits`, and must not be changed where it is remembered. stamp: another after any change
-    of the pools. A pair whose visits are limited is searched by the paper's rule.
+    of the pools. A pair whose visits are limited is searched by the paper's rule. motion: of `rows`; what touches now
+    is answered as without.
 
     limits: half of the further visits are shared evenly by all pairs, the other half by those whose share was too
     small. Of too many contacts, the pairs that have most lose their shallowest, so that none keeps more than some
@@ -260,9 +290,13 @@ def query_pairs(
     further = np.full(p, share)
     passes = []
     poses = pose_bits(rotations, positions)
+    is_kept = known
+    if motion.time > 0.0:
+        moves = is_moving(motion)[pairs].any(axis=1)
+        is_kept = known & ~moves
     if lists is not NO_LISTS and before.answer.stamp == stamp:
         stands_at, moved = pairs_in_place(
-            before.answer, pools.fragment.kind, rows, poses, pairs, slots, known, shares, share, counts, bounds
+            before.answer, pools.fragment.kind, rows, poses, pairs, slots, is_kept, shares, share, counts, bounds
         )
 
     def search(todo: np.ndarray, limit: int, room: int) -> np.ndarray:
@@ -270,8 +304,8 @@ def query_pairs(
         contacts, ids = np.empty((crew.threads, room, 10)), np.empty((crew.threads, room, 5), np.int64)
         begin = np.empty(p, np.int64)
         crew.share(
-            _query_share, pools, rows, rotations, positions, pairs, todo, not passes, wanted, most, epsilon, near,
-            shares, further, limit, contacts, ids, begin, counts, bounds, visits, exhausted, lists, listed, known,
+            _query_share, pools, rows, rotations, positions, motion, pairs, todo, not passes, wanted, most, epsilon,
+            near, shares, further, limit, contacts, ids, begin, counts, bounds, visits, exhausted, lists, listed, known,
             scratch,
         )  # fmt: skip
         for earlier in passes:
@@ -317,6 +351,8 @@ def query_pairs(
     gather_kept(before.answer, stands_at, offsets, points_a, points_b, normals, gaps, samples, searched)
     if cuts:
         slots[cut] = -1  # what others leave to them may be less next time
+    if motion.time > 0.0:
+        slots[moves] = -1  # what they will touch is of this step
     answer = keep(stamp, rows, poses, slots, len(lists.counts), searched, shares, share, offsets, found)
     return found, Remembered(lists, answer)
 

@@ -203,6 +203,24 @@ def may_be_near(row, rotation, frame):
 
 
 @inlined_kernel
+def least_left(listed, places, count, middle_a, middle_b, rotation, translation):
+    """How far the listed samples of a pair have still to move, at least, before one of them can be near [m]; infinity:
+    there is none. rotation (2, 3, 3), translation (2, 3): where the two stand now.
+    """
+    left, side = np.float32(np.inf), 0
+    frame = frame_between(middle_a, middle_b, rotation[0], translation[0])
+    for k in range(count):
+        if listed[k, WHO] & 1 != side:
+            side = 1
+            frame = frame_between(middle_b, middle_a, rotation[1], translation[1])
+        row = places[k]
+        x, y, z = place_of(row, rotation[side], frame)
+        x, y, z = x - row[SEEN], y - row[SEEN + 1], z - row[SEEN + 2]
+        left = min(left, row[UNTIL] - frame[3] - np.float32(1.0 + PLACE_ROUNDING) * np.sqrt(x * x + y * y + z * z))
+    return max(np.float64(left), 0.0)
+
+
+@inlined_kernel
 def keep_pose(rotation, translation, out):
     """Relative poses (2, 3, 3), (2, 3) into (2, 12)."""
     for side in range(2):

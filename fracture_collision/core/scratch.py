@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.core.compiled import kernel
-from fracture_collision.core.neighbour_lists import PLACE
+from fracture_collision.core.neighbour_lists import MOST_LISTED, PLACE
 from fracture_collision.core.pools import LEAF, Pools
 from fracture_collision.core.triangle_field import STACK
 
@@ -41,8 +41,13 @@ class Scratch(NamedTuple):
     planes: np.ndarray  # (threads, 8 and apart, 4) float32: half-spaces
     rotation: np.ndarray  # (threads, 2 and apart, 3, 3) float64: a pair's relative poses
     translation: np.ndarray  # (threads, 2 and apart, 3) float64 [m]
+    world_rotation: np.ndarray  # (threads, 2 and apart, 3, 3) float64: a pair's poses in the world at a later moment
+    world_position: np.ndarray  # (threads, 2 and apart, 3) float64 [m]
     point: np.ndarray  # (threads, 3 and apart) float64 [m]
     toward: np.ndarray  # (threads, 3 and apart) float64: a direction
+    ahead_toward: np.ndarray  # (threads, 3 and apart) float64: likewise, of a pair at a later moment
+    ahead_listed: np.ndarray  # (threads, MOST_LISTED, 2) int32: its samples, and
+    ahead_places: np.ndarray  # (threads, MOST_LISTED, PLACE) float32 [m] theirs, see neighbour_lists.py
     stack: np.ndarray  # (threads, STACK) int32: a descent through a triangle hierarchy
     within: np.ndarray  # (threads, MOST_WITHIN) int64: triangles within a sphere's reach (sphere_contacts.py)
     touching: np.ndarray  # (threads, MOST_TOUCHING) int64: those at one point
@@ -94,8 +99,13 @@ def make_scratch(threads: int, tetrahedra: int, nodes: int) -> Scratch:
         planes=np.zeros((threads, 16, 4), dtype=np.float32),
         rotation=np.zeros((threads, 4, 3, 3)),
         translation=np.zeros((threads, 8, 3)),
+        world_rotation=np.zeros((threads, 4, 3, 3)),
+        world_position=np.zeros((threads, 8, 3)),
         point=np.zeros((threads, 24)),
         toward=np.zeros((threads, 24)),
+        ahead_toward=np.zeros((threads, 24)),
+        ahead_listed=np.zeros((threads, MOST_LISTED, 2), dtype=np.int32),
+        ahead_places=np.zeros((threads, MOST_LISTED, PLACE), dtype=np.float32),
         stack=np.zeros((threads, STACK), dtype=np.int32),
         within=np.zeros((threads, MOST_WITHIN), dtype=np.int64),
         touching=np.zeros((threads, MOST_TOUCHING), dtype=np.int64),

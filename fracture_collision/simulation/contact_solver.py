@@ -58,6 +58,7 @@ class SolverSettings(NamedTuple):
     drift_fraction: float = 0.2  # f, the share of the penetration taken out in one step
     drift_speed: float = 0.3  # v_max [m/s]
     memory_reach: float = 2.5e-4  # [m] see contact_memory
+    ahead_gap: float = 5.0e-4  # [m] contacts farther apart lie ahead, see touch_ahead
     sleep_speed: float = 1.0e-3  # [m/s] see sleep
     sleep_time: float = 0.25  # [s] likewise; 0: nobody sleeps
 

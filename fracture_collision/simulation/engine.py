@@ -53,6 +53,12 @@ class BodyStates(NamedTuple):
         )
 
 
+def rows_of(fragments: np.ndarray, ids: np.ndarray) -> np.ndarray:
+    """Where `fragments` (m,) stand in ascending `ids` (n,): (m,) int64; n: not among them."""
+    rows = np.searchsorted(ids, fragments)
+    return np.where(np.append(ids, 0)[rows] == fragments, rows, len(ids)).astype(np.int64)
+
+
 class Engine(Protocol):
     """A world of free rigid bodies without collision shapes."""
 

@@ -44,12 +44,13 @@ from fracture_collision.simulation.contact_solver import (
     solve_contacts,
 )
 from fracture_collision.simulation.drag import Drag
-from fracture_collision.simulation.engine import BodyStates, Engine, FrameState
+from fracture_collision.simulation.engine import BodyStates, Engine, FrameState, rows_of
 from fracture_collision.simulation.free_motion import free_velocities
 from fracture_collision.simulation.rest_gaps import rest_gaps_of
 from fracture_collision.simulation.rigid_body_world import RigidBodyWorld
 from fracture_collision.simulation.rotations import turned_back
 from fracture_collision.simulation.scene import Scene, SceneBody
+from fracture_collision.simulation.touch_ahead import held_back, split_by_gap
 
 
 class StepRequest(NamedTuple):
@@ -177,6 +178,7 @@ class Simulation:
         if self.arm is not None:
             contacts = self.arm.without_own(contacts)
         deepest_gap = float(contacts.gaps.min(initial=0.0))
+        contacts, ahead = split_by_gap(contacts, self._scene.solver.ahead_gap)
         touched = self._memory.fragment_a, self._memory.fragment_b
         contacts, self._memory = with_remembered(
             contacts, self._asked, self._memory, self._scene.solver.memory_reach
@@ -189,17 +191,20 @@ class Simulation:
         solution, overloaded = self._solve(bodies, contacts, pairs, self._traits(states).strengths, rest.asleep)
         solver_seconds = time.perf_counter() - started
         v, drift = solution.velocities, solution.drift
+        v, drift = held_back(
+            states, contacts, pairs, ahead, v, drift, self._scene.gravity, self._scene.solver, self._scene.time_step
+        )
         self._engine.advance(v[:, :3], v[:, 3:], drift[:, :3], drift[:, 3:])
         self._warm_start = solution.warm_start
         self._rest = sleep.after_step(
-            rest, states.masses, states.inertias, v, self._scene.solver.sleep_speed, self._scene.time_step
+            rest, states.masses, states.inertias, v + drift, self._scene.solver, self._scene.time_step
         )
         self._step += 1
 
         moved = self._engine.states()
         velocities = np.hstack((moved.linear, moved.angular))
         energy = kinetic_energy(moved.masses, moved.inertias, velocities)
-        lifted = -float((moved.masses * dots(drift[:, :3], self._scene.gravity)).sum()) * self._scene.time_step
+        lifted = -float((moved.masses * dots(solution.drift[:, :3], self._scene.gravity)).sum()) * self._scene.time_step
         started = time.perf_counter()
         for i in overloaded:
             impact, load = _hardest_hit(i, contacts, pairs, solution)
@@ -271,17 +276,16 @@ class Simulation:
     def _body_pairs(self, contacts: ContactConstraintArray, states: BodyStates) -> BodyPairs:
         immovable = len(states.fragment_ids)
         traits = self._traits(states)
-        ids, arms_of, bodies_of = np.append(states.fragment_ids, 0), traits.rolling_arms, traits.body_ids
+        arms_of, bodies_of = traits.rolling_arms, traits.body_ids
 
         def rows_and_arms(fragments: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            rows = np.searchsorted(states.fragment_ids, fragments)
-            rows = np.where(ids[rows] == fragments, rows, immovable)
+            rows = rows_of(fragments, states.fragment_ids)
             arms = arms_of[rows]
             for fragment in np.unique(fragments[rows == immovable]).tolist():
                 if fragment not in self._cast.body_id_of or not self._cast.scene_body(fragment).is_static:
                     raise ValueError(f"contacts of step {contacts.step}: fragment {fragment} is not in the states")
                 arms[fragments == fragment] = self._cast.scene_body(fragment).material.rolling_arm
-            return rows.astype(np.int64), arms
+            return rows, arms
 
         (a, arms_a), (b, arms_b) = rows_and_arms(contacts.fragment_a), rows_and_arms(contacts.fragment_b)
         one_body = (bodies_of[a] == bodies_of[b]) & (a < immovable)

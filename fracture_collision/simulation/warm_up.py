@@ -45,11 +45,11 @@ def compile_kernels(progress: Callable[[str], None]) -> None:
 
 
 def _touching(step: int) -> ContactConstraintArray:
-    """The ground below the ball, a millimetre deep in it."""
+    """The ground below the ball, a millimetre deep in it, and a touch that lies ahead."""
     return ContactConstraintArray(
-        step, 0, 0, np.array([1], np.uint32), np.array([2], np.uint32), np.array([0, 1], np.uint32), np.zeros(1),
-        np.full(1, 0.5), np.full(1, 0.5), np.zeros(3), np.array([0.0, 0.0, -1e-3]), np.array([0.0, 0.0, 1.0]),
-        np.full(1, -1e-3), np.zeros(1, np.uint64),
+        step, 0, 0, np.array([1], np.uint32), np.array([2], np.uint32), np.array([0, 2], np.uint32), np.zeros(1),
+        np.full(1, 0.5), np.full(1, 0.5), np.zeros(6), np.array([0.0, 0.0, -1e-3, 0.0, 0.0, 5e-3]),
+        np.array([0.0, 0.0, 1.0, 0.0, 0.0, 1.0]), np.array([-1e-3, 5e-3]), np.arange(2, dtype=np.uint64),
     )  # fmt: skip
 
 

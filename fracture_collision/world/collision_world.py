@@ -11,6 +11,7 @@ import numpy as np
 from fracture_collision.core.broad_phase import NOTHING_PAIRED, Paired, pairs_within_reach
 from fracture_collision.core.collision_geometry import CollisionGeometry
 from fracture_collision.core.crew import Crew
+from fracture_collision.core.motion import NO_MOTION, Motion, motion_of
 from fracture_collision.core.narrow_phase import (
     NOTHING_REMEMBERED,
     Remembered,
@@ -36,6 +37,9 @@ from fracture_collision.world.registry import Registry
 from fracture_collision.world.settings import Settings, check_settings, geometry_settings, most_listed
 from fracture_collision.world.states_gate import CheckedStates, check_states
 
+# [m], [rad]: nothing goes or turns farther within the time that is looked ahead.
+FARTHEST_AHEAD = 1e5
+
 
 class _Answered(NamedTuple):
     """What was asked last, of which state of which registry, and the answer."""
@@ -43,7 +47,7 @@ class _Answered(NamedTuple):
     registry: Registry | None
     changes: int
     settings: Settings | None
-    asked: tuple[bytes, ...]  # ids, positions and orientations
+    asked: tuple[bytes, ...]  # ids, positions and orientations; velocities, where it is looked ahead
     answer: ContactConstraintArray | None
 
 
@@ -115,7 +119,7 @@ class CollisionWorld:
         started = perf_counter()
         checked, moving = self._bring_to(states)
         updated = perf_counter()
-        asked = tuple(column.tobytes() for column in checked[2:])
+        asked = tuple(column.tobytes() for column in (checked[2:] if self.settings.lookahead else checked[2:5]))
         if self.settings.neighbour_lists and (again := self._answer_again(checked, asked)) is not None:
             self.last_visits = 0
             self.last_timings = {"update": updated - started, "broad_phase": 0.0, "narrow_phase": 0.0}
@@ -124,8 +128,9 @@ class CollisionWorld:
         rows, positions, rotations = here.rows, here.positions, here.rotations
         pools = self._registry.geometry.pools
         self._scratch = scratch_for(pools, rows, self._crew.threads, self._scratch)
+        motion = self._motion_of(here)
         radius, paired = pairs_within_reach(
-            pools.fragment, rows, rotations, positions, here.is_static, self.settings.detection_tolerance,
+            pools.fragment, rows, rotations, positions, motion, here.is_static, self.settings.detection_tolerance,
             self.settings.max_pairs, self._take_paired(),
         )  # fmt: skip
         pairs = paired.pairs
@@ -141,7 +146,7 @@ class CollisionWorld:
             pools, rows, rotations, positions, pairs, self.settings.contacts_per_pair, most_listed(self.settings),
             self.settings.penetration_tolerance, self.settings.detection_tolerance, budget,
             self._scratch, self._crew, remembered, self._registry.changes,
-            _work_limits(self.settings), paired.overlaps,
+            _work_limits(self.settings), paired.overlaps, motion,
         )  # fmt: skip
         answer = contact_answer(checked, here, radius, pairs, found, self.settings.penetration_tolerance)
         if remembered is not None:
@@ -206,6 +211,21 @@ class CollisionWorld:
         while self._registry.sequence < sequence:
             self._registry.apply(self._ledger.events[self._registry.sequence])
         self._built_for = built_for
+
+    def _motion_of(self, here: Present) -> Motion:
+        """How the fragments `here` move within the time that is looked ahead."""
+        time = self.settings.lookahead
+        if not time:
+            return NO_MOTION
+        for name, velocities in (("linear_velocities", here.linear), ("angular_velocities", here.angular)):
+            if np.abs(velocities).max(initial=0.0) * time > FARTHEST_AHEAD:
+                refuse("out_of_range", f"{name}: beyond {FARTHEST_AHEAD:g} within lookahead = {time:g} s")
+        registry = self._registry
+        centers = registry.centers_of_mass(here.ids)
+        return motion_of(
+            registry.geometry.pools.fragment, here.rows, here.rotations, here.positions, centers, here.linear,
+            here.angular, time,
+        )  # fmt: skip
 
     def _answer_again(
         self, checked: CheckedStates, asked: tuple[bytes, ...]

@@ -19,6 +19,8 @@ class Present(NamedTuple):
     rows: np.ndarray  # (n,) int64, in the pools
     positions: np.ndarray  # (n, 3) [m] of the body frame, in the world
     rotations: np.ndarray  # (n, 3, 3) body frame to world
+    linear: np.ndarray  # (n, 3) [m/s] of the body frame's origin
+    angular: np.ndarray  # (n, 3) [rad/s] world axes
     is_static: np.ndarray  # (n,) bool
     friction: np.ndarray  # (n,)
     restitution: np.ndarray  # (n,)
@@ -29,27 +31,30 @@ def take_places(checked: CheckedStates, living: Columns, named: np.ndarray) -> P
     return Present(
         *_take_places(
             living.ids, living.rows, living.is_static, living.friction, living.restitution, named, checked.positions,
-            checked.orientations,
+            checked.orientations, checked.linear, checked.angular,
         )  # fmt: skip
     )
 
 
 @kernel
-def _take_places(ids, rows, is_static, friction, restitution, named, positions, orientations):
+def _take_places(ids, rows, is_static, friction, restitution, named, positions, orientations, linear, angular):
     stands_at = np.full(len(ids), -1)
     for k in range(len(named)):
         stands_at[named[k]] = k
     chosen = np.flatnonzero(is_static | (stands_at >= 0))
     n = len(chosen)
-    placed, rotations = np.zeros((n, 3)), np.empty((n, 3, 3))
+    placed, rotations, velocities, spins = np.zeros((n, 3)), np.empty((n, 3, 3)), np.zeros((n, 3)), np.zeros((n, 3))
     for i in range(n):
         k = stands_at[chosen[i]]
         x, y, z, w = 0.0, 0.0, 0.0, 1.0
         if k >= 0:
-            placed[i, 0], placed[i, 1], placed[i, 2] = positions[k, 0], positions[k, 1], positions[k, 2]
+            placed[i], velocities[i], spins[i] = positions[k], linear[k], angular[k]
             x, y, z, w = orientations[k, 0], orientations[k, 1], orientations[k, 2], orientations[k, 3]
         put_rotation(x, y, z, w, rotations[i])
-    return ids[chosen], rows[chosen], placed, rotations, is_static[chosen], friction[chosen], restitution[chosen]
+    return (
+        ids[chosen], rows[chosen], placed, rotations, velocities, spins, is_static[chosen], friction[chosen],
+        restitution[chosen],
+    )  # fmt: skip
 
 
 @kernel

@@ -26,6 +26,10 @@ class Settings(NamedTuple):
     # delta of 5.2, as a share of R: contacts this far apart are listed already, so that surfaces about to touch give
     # the solver something to hold and the traversal a reason to end.
     detection_tolerance: float = 0.002
+    # [s] Of pairs that do not touch, contacts that will come about within this time, by the velocities of the states,
+    # are listed too: with positive gaps, so that nothing fast goes through what is thin between two steps. A simulator
+    # sets its time step; 0: what is not near now is not listed.
+    lookahead: float = 0.0
     # `exact`: local flood, no error; `averaged`: the paper's front propagation (eq. 1-2): depths and normals inside a
     # broken body are approximate, the missed depth bound is as certain and looser.
     field: str = "exact"
@@ -62,6 +66,7 @@ class Settings(NamedTuple):
     max_message_bytes: int = 256 * 1024 * 1024  # serialized
 
 
+LONGEST_LOOKAHEAD = 1.0  # [s] a step of that length is none any more
 FIELDS = ("exact", "averaged")
 SELECTIONS = ("sufficient", "complete")
 NORMALS = ("facing", "nearest")
@@ -94,6 +99,8 @@ def check_settings(settings: Settings) -> None:
     for name in ("penetration_tolerance", "detection_tolerance"):
         if not 0.0 <= getattr(settings, name) <= 1.0:
             raise ValueError(f"{name}: {getattr(settings, name)} is not in [0, 1]")
+    if not 0.0 <= settings.lookahead <= LONGEST_LOOKAHEAD:
+        raise ValueError(f"lookahead: {settings.lookahead} s is not in [0, {LONGEST_LOOKAHEAD:g}]")
     for name in ("threads", *(field for field in Settings._fields if field.startswith("max_")), "visit_budget"):
         if getattr(settings, name) < 0:
             raise ValueError(f"{name}: {getattr(settings, name)} is negative")

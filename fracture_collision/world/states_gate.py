@@ -30,6 +30,8 @@ class CheckedStates(NamedTuple):
     fragment_ids: np.ndarray  # (n,) int64, ascending
     positions: np.ndarray  # (n, 3) float64 [m]
     orientations: np.ndarray  # (n, 4) float64, x y z w
+    linear: np.ndarray  # (n, 3) float64 [m/s] of the frame's origin
+    angular: np.ndarray  # (n, 3) float64 [rad/s] world axes
 
 
 def check_states(states: FragmentStates) -> CheckedStates:
@@ -46,25 +48,30 @@ def _as_they_are(states: FragmentStates) -> CheckedStates | None:
     sequence = identifier("fracture_sequence", states.fracture_sequence, UINT64_MAX)
     n = len(states.fragment_ids)
     ids, positions, orientations = np.empty(n, np.int64), np.empty((n, 3)), np.empty((n, 4))
-    if not _copy_if_sound(*states[2:], LARGEST_LENGTH, QUATERNION_TOLERANCE, ids, positions, orientations):
+    linear, angular = np.zeros((n, 3)), np.zeros((n, 3))
+    if not _copy_if_sound(
+        *states[2:], LARGEST_LENGTH, QUATERNION_TOLERANCE, ids, positions, orientations, linear, angular
+    ):
         return None
-    return CheckedStates(step, sequence, ids, positions, orientations)
+    return CheckedStates(step, sequence, ids, positions, orientations, linear, angular)
 
 
 @kernel
 def _copy_if_sound(
-    given_ids, given_positions, given_orientations, linear, angular, largest, tolerance, ids, positions, orientations
-):
-    """Whether all is as it should be; then it is copied."""
+    given_ids, given_positions, given_orientations, given_linear, given_angular, largest, tolerance, ids, positions,
+    orientations, linear, angular,
+):  # fmt: skip
+    """Whether all is as it should be; then it is copied. Velocities that are not given stay as they are."""
     n = len(ids)
     if len(given_positions) != 3 * n or len(given_orientations) != 4 * n:
         return False
-    for velocities in (linear, angular):
-        if len(velocities) != 0 and len(velocities) != 3 * n:
+    for given, velocities in ((given_linear, linear), (given_angular, angular)):
+        if len(given) != 0 and len(given) != 3 * n:
             return False
-        for v in velocities:
-            if not np.isfinite(v):
+        for k in range(len(given)):
+            if not np.isfinite(given[k]):
                 return False
+            velocities[k // 3, k % 3] = given[k]
     for i in range(n):
         ids[i] = given_ids[i]
         if i > 0 and ids[i] <= ids[i - 1]:
@@ -92,10 +99,12 @@ def _put_in_order(states: FragmentStates) -> CheckedStates:
     orientations = floats("orientations", states.orientations, 4)
     same_length("positions", positions, "fragment_ids", len(ids))
     same_length("orientations", orientations, "fragment_ids", len(ids))
+    both = []
     for name in ("linear_velocities", "angular_velocities"):
         velocities = floats(name, getattr(states, name), 3)
         if len(velocities):
             same_length(name, velocities, "fragment_ids", len(ids))
+        both.append(velocities if len(velocities) else np.zeros((len(ids), 3)))
     with np.errstate(over="ignore"):  # infinite is not 1 either
         length = lengths(orientations)
     crooked = np.flatnonzero(~(np.abs(length - 1.0) <= QUATERNION_TOLERANCE))
@@ -103,6 +112,5 @@ def _put_in_order(states: FragmentStates) -> CheckedStates:
         i = crooked[0]
         refuse("not_unit", f"orientations: the quaternion of fragment {ids[i]} has length {length[i]:.9g}, not 1")
     order = np.argsort(ids, kind="stable")
-    return CheckedStates(
-        step, sequence, ids[order], np.ascontiguousarray(positions[order]), np.ascontiguousarray(orientations[order])
-    )
+    columns = (np.ascontiguousarray(column[order]) for column in (positions, orientations, *both))
+    return CheckedStates(step, sequence, ids[order], *columns)

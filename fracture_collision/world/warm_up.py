@@ -44,6 +44,8 @@ def compile_kernels(progress: Callable[[str], None]) -> None:
     world.add_fracture(_flat_crack(geometry, 2, 6, geometry.vertices[:, 0] > 0.1, 1, 0.05, (8, 9)))
     for step in (2, 3, 4):  # searched, listed, asked by the lists
         world.contacts(_states(step, 2, np.array([2, 5, 7, 8, 9])))
+    world.change_settings(world.settings._replace(lookahead=0.01))
+    world.contacts(_states(5, 2, np.array([2, 5, 7, 8, 9])))
     world.fragments()
     world.fragment_mesh(5)
 

@@ -1,0 +1,295 @@
+"""When two fragments that are apart will touch first, moving as their velocities say, and the contacts they have then.
+
+Conservative advancement (Mirtich, "Impulse-based Dynamic Simulation of Rigid Body Systems", 1996): what is so far apart
+cannot touch before it has come that much nearer, so that time is skipped and the distance taken anew, until the two are
+within the detection tolerance or the time ahead is over. The distance is that of the hulls, along the plane that parts
+them, whose way towards each other is bounded along that plane's normal; where the hulls meet, that of the samples. What
+no sample of either meets goes unseen, as it does without any motion.
+
+The contacts found are those of that moment; their points are told where they are now, on either fragment, with the
+normal of that moment, so that the gap is what the points have to go.
+"""
+
+from __future__ import annotations
+
+import math
+
+from fracture_collision.core.compiled import inlined_kernel, query_kernel
+from fracture_collision.core.crack_normal import way_through
+from fracture_collision.core.elementary_queries import INSIDE, NEAR, bounded_probe
+from fracture_collision.core.facing_normal import turn_contacts
+from fracture_collision.core.kinds import BOX, PLANE, SPHERE, TETRAHEDRA, TRIANGLES
+from fracture_collision.core.known_samples import ID_SAMPLE, ID_SIDE, ID_TETRAHEDRON, put_contact, rounding_slack
+from fracture_collision.core.leaf_separation import parting_plane_of_leaves
+from fracture_collision.core.motion import closing_along, closing_speed, put_pose
+from fracture_collision.core.neighbour_lists import MOST_LISTED, MOST_REACH, least_left
+from fracture_collision.core.pools import FACING, SAMPLE
+from fracture_collision.core.rotations import relative_pose, rotated, to_other, turned_back
+from fracture_collision.core.sample_leaves import farthest_sample, leaves_of
+from fracture_collision.core.sample_search import may_search, query_listed, search_samples
+from fracture_collision.core.traversal import query_pair
+
+# Moments at most at which two are looked at. They are spent where one goes along a surface of the other.
+MOST_MOMENTS = 600
+# Where the distance says no more, they come nearer by so many detection tolerances at a time: what was just outside of
+# one is no deeper than half of it then.
+LEAST = 1.5
+UNLIMITED = 1 << 40
+# How far a sample is is looked for up to this share of R, or of the way that is left: what is farther takes longer to
+# say than to ask again. And which samples may be near, up to this share of the way, or MOST_REACH.
+AHEAD, AHEAD_ON_WAY, REACH_ON_WAY = 0.004, 0.05, 0.15
+# Where more than MOST_LISTED are within that, it is made so much less, so often at most.
+NARROWER, NARROWINGS = 0.25, 5
+# Contacts of a pair whose other side is looked for, and how far inside a surface that begins, as a share of R.
+LOOKED_THROUGH, SURELY_INSIDE = 8, 1e-6
+# A pair that will have come so little nearer when it touches, as a share of R, is about to: to a solver it touches.
+ABOUT_TO = 0.1
+# Of a pair that touches, what may come near is looked for within this share of R.
+FARTHEST = 3.0
+
+
+@query_kernel
+def first_touch(
+    pools, a, b, i, j, rotations, positions, motion, rule, contacts, ids, capacity, rotation, translation, scratch,
+    thread,
+):  # fmt: skip
+    """Contacts of fragments a and b, the i-th and j-th of `motion`, at the first moment at which they are near.
+
+    rotations (n, 3, 3), positions (n, 3): poses now. rule, contacts, ids, capacity: see sample_search; rotation
+    (2, 3, 3), translation (2, 3): the relative poses of that moment are left there.
+
+    Returns (contacts, the moment [s], visits); -1 contacts: it is not known whether they touch after that moment.
+    """
+    radius = min(pools.fragment.radius[a], pools.fragment.radius[b])
+    of_world, place = scratch.world_rotation[thread], scratch.world_position[thread]
+    visits, t, listed, lasts = 0, 0.0, -1, 0.0
+    toward = scratch.ahead_toward[thread]
+    toward[0] = toward[1] = toward[2] = 0.0
+    for _ in range(MOST_MOMENTS):
+        put_pose(motion, rotations, positions, i, t, of_world[0], place[0])
+        put_pose(motion, rotations, positions, j, t, of_world[1], place[1])
+        relative_pose(of_world[0], place[0], of_world[1], place[1], rotation[0], translation[0])
+        relative_pose(of_world[1], place[1], of_world[0], place[0], rotation[1], translation[1])
+        left = motion.time - t
+        speed = closing_speed(motion, i, j, t, left)
+        far, step = speed * left, 0.0
+        gap, nx, ny, nz = -math.inf, 0.0, 0.0, 0.0
+        if listed < 0 or lasts <= 0.0:
+            gap, nx, ny, nz = _gap_of_hulls(
+                pools, a, b, rotation, translation, far + rule.near, toward, scratch, thread
+            )
+        if gap > rule.near:
+            x, y, z = rotated(of_world[1], nx, ny, nz)
+            closing = min(closing_along(motion, i, j, t, left, x, y, z), speed)
+            if gap - rule.near > closing * left:
+                return 0, t, visits
+            step, listed = (gap - rule.near) / closing, -1
+        else:
+            found, clear, listed, lasts, more = _near_now(
+                pools, a, b, rotation, translation, rule, far, radius, listed, lasts, contacts, ids, capacity, scratch,
+                thread,
+            )  # fmt: skip
+            visits += more
+            if found != 0:
+                return found, t, visits
+            if clear > far or not left > 0.0:
+                return 0, t, visits
+            step = clear / speed
+        step = min(max(step, LEAST * rule.near / speed), left)
+        lasts -= step * speed
+        t = motion.time if step == left else t + step
+    return -1, t, visits
+
+
+@inlined_kernel
+def _gap_of_hulls(pools, a, b, rotation, translation, enough, toward, scratch, thread):
+    """How far apart the hulls of two fragments are at least [m], `enough` is enough, and the direction from b to a
+    along which they are (x, y, z), in b's frame; minus infinity: spheres are not looked at.
+    """
+    kind_a, kind_b = pools.fragment.kind[a], pools.fragment.kind[b]
+    if kind_a == SPHERE or kind_b == SPHERE:
+        return -math.inf, 0.0, 0.0, 0.0
+    slack = rounding_slack(pools, a, b, translation)
+    if kind_a == PLANE or kind_b == PLANE:
+        plane, other, side = (b, a, 0) if kind_b == PLANE else (a, b, 1)
+        shape, leaves = pools.fragment.shape[plane], leaves_of(pools, other)
+        m = leaves.middle
+        x, y, z = rotated(rotation[1 - side], -shape[0], -shape[1], -shape[2])
+        _, reach = farthest_sample(leaves, (x, y, z), 0, scratch.along[thread])
+        mx, my, mz = to_other(rotation[side], translation[side], m[0], m[1], m[2])
+        gap = shape[0] * mx + shape[1] * my + shape[2] * mz - reach - shape[3] - m[3] - slack
+        if side == 0:
+            return gap, shape[0], shape[1], shape[2]
+        return gap, x, y, z
+    leaves = leaves_of(pools, a), leaves_of(pools, b)
+    if len(leaves[0].entries) == 0 or len(leaves[1].entries) == 0:
+        return -math.inf, 0.0, 0.0, 0.0
+    rounding = slack + leaves[0].middle[3] + leaves[1].middle[3]
+    n, low, high = parting_plane_of_leaves(
+        pools, a, b, leaves, rotation, translation, enough + rounding, toward, scratch, thread
+    )
+    return low - high - rounding, n[0], n[1], n[2]
+
+
+@inlined_kernel
+def _near_now(
+    pools, a, b, rotation, translation, rule, far, radius, count, lasts, contacts, ids, capacity, scratch, thread
+):
+    """Contacts of a pair by a Rule, where it stands; `far` [m] is as far as the two come.
+
+    Of `count` samples it is noted in scratch how far they are (-1: of none, or too many), which are all that can be
+    near for another `lasts` [m]. Returns (contacts, how much farther apart than near they are at least [m], `count` and
+    `lasts` as they are now, visits).
+    """
+    if not may_search(pools, a, b):
+        clear = _clearance_of_sphere(pools, a, b, translation, rule.near, far, scratch, thread)
+        if clear > 0.0:
+            return 0, clear, -1, 0.0, 1
+        found, _, visits, _, clear = query_pair(
+            pools, a, b, rotation, translation, rule.wanted, rule.epsilon, rule.near, 0, UNLIMITED, rule.most, contacts,
+            ids, capacity, scratch, thread,
+        )  # fmt: skip
+        return found, clear, -1, 0.0, visits
+    listed, places, toward = scratch.ahead_listed[thread], scratch.ahead_places[thread], scratch.ahead_toward[thread]
+    ahead = min(far, max(AHEAD * radius, AHEAD_ON_WAY * far))
+    if count >= 0 and lasts > 0.0:
+        found, _, visits = query_listed(
+            pools, a, b, rotation, translation, rule, ahead, listed[:count], places[:count], contacts, ids, capacity,
+            scratch, thread,
+        )  # fmt: skip
+    else:
+        lasts, visits, found = min(far, max(MOST_REACH * radius, REACH_ON_WAY * far)), 0, 0
+        for _ in range(NARROWINGS):
+            found, _, more, count, clear = search_samples(
+                pools, a, b, rotation, translation, rule, lasts, min(ahead, lasts), contacts, ids, capacity, listed,
+                places, toward, scratch, thread,
+            )  # fmt: skip
+            visits += more
+            if count <= MOST_LISTED or found != 0:
+                break
+            lasts *= NARROWER
+        if count > MOST_LISTED:
+            return found, 0.0, -1, 0.0, visits
+        if count == 0:
+            lasts = max(lasts, clear)
+    middles = pools.fragment.middle
+    left = least_left(listed, places, count, middles[a], middles[b], rotation, translation)
+    return found, min(lasts, left), count, lasts, visits
+
+
+@inlined_kernel
+def _clearance_of_sphere(pools, a, b, translation, near, far, scratch, thread):
+    """How much farther than `near` a sphere and another fragment are apart at least [m], up to `far`; 0: no more."""
+    sphere, other, p = (a, b, translation[0]) if pools.fragment.kind[a] == SPHERE else (b, a, translation[1])
+    around = pools.fragment.radius[sphere] + near
+    answer = bounded_probe(
+        pools, other, p[0], p[1], p[2], around + far, 0.0, -1, False, scratch, thread
+    )
+    if answer[0] == INSIDE:
+        return 0.0
+    return max(answer[1] - around, 0.0)
+
+
+@inlined_kernel
+def is_about_to_touch(pools, a, b, i, j, motion, moment):
+    """Whether a pair whose first touch is after `moment` [s] has contacts for add_approaching to go behind."""
+    radius = min(pools.fragment.radius[a], pools.fragment.radius[b])
+    return may_search(pools, a, b) and moment * closing_speed(motion, i, j, 0.0, moment) <= ABOUT_TO * radius
+
+
+@inlined_kernel
+def add_approaching(
+    pools, a, b, i, j, motion, rule, contacts, ids, count, limit, capacity, rotation, translation, scratch, thread
+):  # fmt: skip
+    """Behind the `count` contacts of a pair that touches, or nearly, those of the outermost samples of both, along the
+    26 directions of a cube, that are farther than the detection tolerance and may come near within the time ahead; no
+    more than `limit` in all.
+
+    Where the two go once they have touched is the solver's to say: so these are told by how far they are now, and no
+    farther than FARTHEST. And what goes in by less than half of what is there comes out where it went in: only what is
+    thin is looked after so. rotation (2, 3, 3), translation (2, 3): where the two stand now. Returns (contacts,
+    visits); more contacts than `capacity`: call again with room.
+    """
+    radius = min(pools.fragment.radius[a], pools.fragment.radius[b])
+    far = min(closing_speed(motion, i, j, 0.0, motion.time) * motion.time, FARTHEST * radius)
+    if far <= rule.near or count >= limit:
+        return count, 0
+    if not _is_thin(pools, a, b, 2.0 * far, contacts, ids, count, scratch, thread):
+        return count, 0
+    used, visits = count, 0
+    for side in range(2):
+        own, other = (a, b) if side == 0 else (b, a)
+        leaves, first = leaves_of(pools, own), pools.fragment.tree_begin[own]
+        if len(leaves.entries) == 0:
+            continue
+        for x in (-1.0, 0.0, 1.0):
+            for y in (-1.0, 0.0, 1.0):
+                for z in (-1.0, 0.0, 1.0):
+                    length = math.sqrt(x * x + y * y + z * z)
+                    if length == 0.0 or used >= limit:
+                        continue
+                    at, _ = farthest_sample(leaves, (x / length, y / length, z / length), 0, scratch.along[thread])
+                    entry = first + leaves.entries[at]
+                    sample, is_listed = pools.tree.entries[entry, SAMPLE], False
+                    for c in range(min(used, capacity)):
+                        is_listed |= ids[c, ID_SIDE] == side and ids[c, ID_SAMPLE] == sample
+                    if is_listed:
+                        continue
+                    p, visits = pools.tree.spheres[entry], visits + 1
+                    px, py, pz = to_other(rotation[side], translation[side], p[0], p[1], p[2])
+                    answer = bounded_probe(
+                        pools, other, px, py, pz, rule.near + far, 0.0, -1, False, scratch, thread
+                    )
+                    if answer[0] == NEAR and answer[1] > rule.near:
+                        if used < capacity:
+                            put_contact(contacts, ids, used, side, sample, px, py, pz, answer)
+                        used += 1
+    if pools.normals == FACING:
+        more, more_ids, held = contacts[count:], ids[count:], max(min(used, capacity) - count, 0)
+        turn_contacts(pools, a, b, rotation, translation, rule.near + far, more, more_ids, held, scratch, thread)
+    return used, visits
+
+
+@inlined_kernel
+def _is_thin(pools, a, b, enough, contacts, ids, count, scratch, thread):
+    """Whether one of a pair has less than `enough` [m] behind all of its first contacts, along their normals: at one
+    near a rim any body has.
+    """
+    most_of_a = most_of_b = -1.0  # nothing is known
+    for c in range(min(count, LOOKED_THROUGH)):
+        row, of_b = contacts[c], ids[c, ID_SIDE] == 0
+        other = b if of_b else a
+        kind, t, way = pools.fragment.kind[other], ids[c, ID_TETRAHEDRON], math.inf
+        x, y, z = row[6], row[7], row[8]
+        if kind == TETRAHEDRA and t >= 0:
+            inward = SURELY_INSIDE * pools.fragment.radius[other]
+            way = way_through(
+                pools, other, t, row[3] - inward * x, row[4] - inward * y, row[5] - inward * z, -x, -y, -z, enough,
+                True, scratch, thread,
+            )  # fmt: skip
+        elif kind in (BOX, TRIANGLES):
+            box = pools.fragment.box[other]
+            way = min(box[3] - box[0], box[4] - box[1], box[5] - box[2])
+        if of_b:
+            most_of_b = max(most_of_b, way)
+        else:
+            most_of_a = max(most_of_a, way)
+    return 0.0 <= most_of_a < enough or 0.0 <= most_of_b < enough
+
+
+@inlined_kernel
+def bring_back(rotations, positions, i, j, of_world, rotation, translation, contacts, ids, count):
+    """`count` contacts that the i-th and j-th fragment will have, as rows of query_pair's, in the frames of now.
+
+    of_world (2, 3, 3), rotation (2, 3, 3), translation (2, 3): where the two will be, in the world and to each other.
+    """
+    for c in range(count):
+        side, row = ids[c, ID_SIDE], contacts[c]
+        own, other = (i, j) if side == 0 else (j, i)
+        x, y, z = to_other(rotation[1 - side], translation[1 - side], row[0], row[1], row[2])
+        x, y, z = to_other(rotations[own], positions[own], x, y, z)
+        p, back = positions[other], rotations[other]
+        row[0], row[1], row[2] = turned_back(back, x - p[0], y - p[1], z - p[2])
+        x, y, z = rotated(of_world[1 - side], row[6], row[7], row[8])
+        row[6], row[7], row[8] = turned_back(back, x, y, z)
+        row[9] = row[6] * (row[0] - row[3]) + row[7] * (row[1] - row[4]) + row[8] * (row[2] - row[5])

@@ -1,0 +1,234 @@
+"""Contacts that lie ahead: the slow twin goes the way in small steps and asks at each for what is near then."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from fractured_worlds import FracturedWorld, fractured_world, with_settings
+from hard_worlds import tetrahedral_body
+from scipy.spatial.transform import Rotation
+
+from fracture_collision.geometry.generators import ball, brick, shell
+from fracture_collision.records import (
+    BOX,
+    BUDGET_EXHAUSTED,
+    SPHERE,
+    CollisionBody,
+    ContactConstraintArray,
+    FragmentStates,
+    SolidPrimitive,
+)
+from fracture_collision.world import CollisionWorld, InvalidMessage, Settings
+
+AHEAD = 0.02  # [s]
+SETTINGS = Settings(threads=1, lookahead=AHEAD)
+MOMENTS = 400
+BALL, BLOCK, FLOOR = 3000, 3001, 3002
+
+
+@pytest.fixture(scope="module", params=["ball", "shell, curved"])
+def case(request) -> FracturedWorld:
+    if request.param == "ball":
+        return fractured_world(ball(1.0, 0.35), 5)
+    return fractured_world(shell(1.0, 0.8, 0.35), 5, curved=True)
+
+
+def with_others(case: FracturedWorld, settings: Settings) -> CollisionWorld:
+    world = with_settings(case, settings)
+    world.add_body(CollisionBody(BALL, BALL, primitive=SolidPrimitive(SPHERE, (0.3,)), density=1000.0))
+    world.add_body(CollisionBody(BLOCK, BLOCK, primitive=SolidPrimitive(BOX, (0.5, 0.4, 0.3)), density=1000.0))
+    world.add_body(CollisionBody(FLOOR, FLOOR, plane=np.array([0.0, 0.0, 1.0, 2.5]), is_static=True))
+    return world
+
+
+def thrown(case: FracturedWorld, seed: int, spin: float) -> FragmentStates:
+    """All of it blown apart, with a ball and a block among them, and sent somewhere; 4 to 40 % of R in AHEAD."""
+    random = np.random.default_rng(seed)
+    pieces = case.states(0.0)
+    ids = np.append(pieces.fragment_ids, [BALL, BLOCK]).astype(np.uint32)
+    n = len(ids)
+    centers = np.concatenate([case.world.fragments().centers_of_mass.reshape(-1, 3), np.zeros((2, 3))])
+    known = case.world.fragments().fragment_ids.tolist()
+    centers = np.array([centers[known.index(i)] if i in known else np.zeros(3) for i in ids.tolist()])
+    places = np.concatenate([0.1 * centers[:-2], random.normal(0.0, 1.2, (2, 3))])
+    turns = Rotation.from_rotvec(random.normal(0.0, 0.1, (n, 3)))
+    linear = random.normal(size=(n, 3))
+    linear *= random.uniform(2.0, 20.0, (n, 1)) / np.linalg.norm(linear, axis=1)[:, None]
+    return FragmentStates(
+        pieces.step + seed, pieces.fracture_sequence, ids, places.ravel(), turns.as_quat().ravel(), linear.ravel(),
+        random.normal(0.0, spin, (n, 3)).ravel(),
+    )  # fmt: skip
+
+
+def later(world: CollisionWorld, states: FragmentStates, t: float) -> FragmentStates:
+    """Where all are after `t` [s]: centres of mass straight on, each turning about its own."""
+    registry = world.fragments()
+    centers = dict(zip(registry.fragment_ids.tolist(), registry.centers_of_mass.reshape(-1, 3), strict=True))
+    arms = np.array([centers[i] for i in states.fragment_ids.tolist()])
+    turns = Rotation.from_quat(states.orientations.reshape(-1, 4))
+    spins = states.angular_velocities.reshape(-1, 3)
+    offset = turns.apply(arms)
+    linear = states.linear_velocities.reshape(-1, 3) + np.cross(spins, offset)
+    after = Rotation.from_rotvec(spins * t) * turns
+    places = states.positions.reshape(-1, 3) + offset + t * linear - after.apply(arms)
+    return states._replace(positions=places.ravel(), orientations=after.as_quat().ravel())
+
+
+def rows_of(answer: ContactConstraintArray) -> dict[tuple[int, int], slice]:
+    pairs = zip(answer.fragment_a.tolist(), answer.fragment_b.tolist(), strict=True)
+    begin = answer.pair_begin.tolist()
+    return {pair: slice(begin[k], begin[k + 1]) for k, pair in enumerate(pairs) if begin[k + 1] > begin[k]}
+
+
+@pytest.mark.parametrize("spin", [0.0, 10.0])
+def test_lists_what_the_slow_way_meets(case: FracturedWorld, spin: float) -> None:
+    """A pair that is apart now is listed if it is met on the way, with points that meet when it is."""
+    world, now = with_others(case, SETTINGS), with_others(case, SETTINGS._replace(lookahead=0.0))
+    met = unmet = unfollowed = 0
+    for seed in range(10):
+        states = thrown(case, seed, spin)
+        listed, touching = world.contacts(states), rows_of(now.contacts(states))
+        ahead = {pair: rows for pair, rows in rows_of(listed).items() if pair not in touching}
+        first: dict[tuple[int, int], float] = {}
+        for k in range(1, MOMENTS + 1):
+            t = AHEAD * k / MOMENTS
+            for pair in rows_of(now.contacts(later(now, states, t))):
+                first.setdefault(pair, t)
+        for pair in first.keys() - touching.keys() - ahead.keys():
+            # who was not followed to the end says so
+            assert listed.status == BUDGET_EXHAUSTED and bound_of(listed, pair) > 0.01, (seed, pair, first[pair])
+            unfollowed += 1
+        reach = 2.0 * 0.002 + 0.3 * (20.0 + spin) * AHEAD / MOMENTS
+        for pair, rows in ahead.items():
+            assert pair in first or listed.gaps[rows].min() > 0.0
+            if pair not in first:
+                unmet += 1
+                continue
+            there = _moved_points(now, states, listed, pair, rows, first[pair])
+            assert np.linalg.norm(there[0] - there[1], axis=1).min() < reach
+            assert listed.gaps[rows].max() > 0.0
+            met += 1
+    # what only grazes the tolerance may be met between two moments of one way and not of the other
+    assert met > 10 and unmet <= 1 and unfollowed <= 1
+
+
+def bound_of(answer: ContactConstraintArray, pair: tuple[int, int]) -> float:
+    at = np.flatnonzero((answer.fragment_a == pair[0]) & (answer.fragment_b == pair[1]))
+    return float(answer.missed_depth_bound[at].max(initial=0.0))
+
+
+def _moved_points(world, states, answer, pair, rows, t) -> list[np.ndarray]:
+    """Points of a pair's contacts on a and on b, each carried along with its fragment until `t` [s]."""
+    there, found = later(world, states, t), []
+    for fragment, points in zip(pair, (answer.points_a, answer.points_b), strict=True):
+        p = points.reshape(-1, 3)[rows]
+        k = np.flatnonzero(states.fragment_ids == fragment)
+        if len(k):
+            (turn, place), (later_turn, later_place) = (_pose_of(each, k[0]) for each in (states, there))
+            p = later_turn.apply(turn.inv().apply(p - place)) + later_place
+        found.append(p)
+    return found
+
+
+def _pose_of(states: FragmentStates, k: int) -> tuple[Rotation, np.ndarray]:
+    return Rotation.from_quat(states.orientations.reshape(-1, 4)[k]), states.positions.reshape(-1, 3)[k]
+
+
+def test_gaps_are_along_the_normals(case: FracturedWorld) -> None:
+    answer = with_others(case, SETTINGS).contacts(thrown(case, 1, 10.0))
+    normals = answer.normals.reshape(-1, 3)
+    apart = (answer.points_b - answer.points_a).reshape(-1, 3)
+    assert np.abs((normals * apart).sum(axis=1) - answer.gaps).max() < 1e-12
+    assert np.abs(np.linalg.norm(normals, axis=1) - 1.0).max() < 1e-12
+    assert len(answer.contact_ids) == len(np.unique(answer.contact_ids))
+
+
+def test_what_touches_now_is_told_as_without(case: FracturedWorld) -> None:
+    world, now = with_others(case, SETTINGS), with_others(case, SETTINGS._replace(lookahead=0.0))
+    for seed in range(3):
+        states = thrown(case, seed, 10.0)._replace(positions=case_positions(case, seed))
+        listed, touching = world.contacts(states), now.contacts(states)
+        every = rows_of(listed)
+        assert len(rows_of(touching)) > 3
+        for pair, rows in rows_of(touching).items():
+            count = rows.stop - rows.start
+            mine = slice(every[pair].start, every[pair].start + count)
+            assert np.array_equal(listed.contact_ids[mine], touching.contact_ids[rows])
+            assert np.array_equal(listed.gaps[mine], touching.gaps[rows])
+
+
+def case_positions(case: FracturedWorld, seed: int) -> np.ndarray:
+    """All fragments near where they broke, so that they touch; ball and block far away."""
+    random, n = np.random.default_rng(seed), len(case.states(0.0).fragment_ids)
+    return np.concatenate([random.normal(0.0, 0.01, 3 * n), [9.0, 0.0, 5.0, -9.0, 0.0, 5.0]])
+
+
+def test_the_answer_does_not_depend_on_what_is_remembered(case: FracturedWorld) -> None:
+    """With lists and without, with one thread and with two, in the order of a flight and alone."""
+    worlds = [
+        with_others(case, SETTINGS._replace(neighbour_lists=lists, threads=threads))
+        for lists, threads in ((True, 1), (False, 1), (True, 2))
+    ]
+    states = thrown(case, 2, 10.0)
+    still = states._replace(linear_velocities=np.zeros(0), angular_velocities=np.zeros(0))
+    slow = states._replace(linear_velocities=0.02 * states.linear_velocities, angular_velocities=np.zeros(0))
+    worlds[0].contacts(states)  # brings the registry there
+    flight = [later(worlds[0], states, t)._replace(step=k) for k, t in enumerate(np.linspace(0.0, 2.0 * AHEAD, 9))]
+    flight += [states, still, states, slow, still, still, slow]
+    for k, each in enumerate(flight):
+        answers = [world.contacts(each._replace(step=100 + k)) for world in worlds]
+        for other in answers[1:]:
+            for name, x, y in zip(other._fields, answers[0], other, strict=True):
+                assert np.asarray(x).tobytes() == np.asarray(y).tobytes(), (k, name)
+
+
+def test_two_that_fly_as_one_do_not_meet() -> None:
+    """Two bricks a finger apart tumble about their common centre at 50 rad/s: fast, and never nearer."""
+    world = CollisionWorld(SETTINGS._replace(lookahead=0.02))
+    for i in (1, 2):
+        world.add_body(tetrahedral_body(brick((1.0, 1.0, 0.5), 0.5), i))
+    spin, apart = np.array([0.0, 50.0, 0.0]), np.array([0.0, 0.0, 0.27])
+    linear = np.cross(spin, [-apart, apart])
+    states = FragmentStates(
+        1, 0, np.array([1, 2], np.uint32), np.concatenate([-apart, apart]), np.tile([0.0, 0.0, 0.0, 1.0], 2),
+        linear.ravel(), np.tile(spin, 2),
+    )  # fmt: skip
+    # their centres go straight on, so they part as they turn
+    assert len(world.contacts(states).gaps) == 0
+    towards = states._replace(linear_velocities=(linear + [[0.0, 0.0, 15.0], [0.0, 0.0, 0.0]]).ravel())
+    assert len(world.contacts(towards).gaps) > 0
+
+
+def test_a_fast_ball_is_seen_before_it_is_through() -> None:
+    world = CollisionWorld(SETTINGS)
+    world.add_body(tetrahedral_body(brick((1.0, 1.0, 0.01), 0.2), 1))
+    world.add_body(CollisionBody(2, 2, primitive=SolidPrimitive(SPHERE, (0.05,)), density=1000.0))
+    states = FragmentStates(
+        1, 0, np.array([1, 2], np.uint32), np.array([0.0, 0.0, 0.0, 0.1, 0.1, 1.0]), np.tile([0.0, 0.0, 0.0, 1.0], 2),
+        np.array([0.0, 0.0, 0.0, 0.0, 0.0, -200.0]), np.zeros(6),
+    )  # fmt: skip
+    answer = world.contacts(states)
+    assert answer.fragment_a.tolist() == [1] and answer.fragment_b.tolist() == [2]
+    assert np.allclose(answer.normals.reshape(-1, 3), [0.0, 0.0, 1.0])
+    assert np.allclose(answer.gaps, 1.0 - 0.05 - 0.005, atol=1e-4)
+    beside = states._replace(positions=np.array([0.0, 0.0, 0.0, 0.57, 0.0, 1.0]))
+    assert len(world.contacts(beside).gaps) == 0
+    slower = states._replace(linear_velocities=0.2 * states.linear_velocities)
+    assert len(world.contacts(slower).gaps) == 0
+
+
+def test_nonsense_is_refused() -> None:
+    for wrong in (-1e-3, 1.5, np.nan):
+        with pytest.raises(ValueError, match="lookahead"):
+            CollisionWorld(Settings(lookahead=wrong))
+    world = CollisionWorld(SETTINGS)
+    world.add_body(tetrahedral_body(brick((1.0, 1.0, 0.5), 0.5), 1))
+    states = FragmentStates(
+        1, 0, np.array([1], np.uint32), np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), np.array([1e300, 0.0, 0.0]),
+        np.zeros(3),
+    )  # fmt: skip
+    with pytest.raises(InvalidMessage, match="linear_velocities"):
+        world.contacts(states)
+    with pytest.raises(InvalidMessage, match="angular_velocities"):
+        world.contacts(states._replace(linear_velocities=np.zeros(3), angular_velocities=np.full(3, 1e300)))
+    assert len(world.contacts(states._replace(linear_velocities=np.zeros(3))).gaps) == 0

@@ -1,0 +1,120 @@
+"""What lies ahead holds bodies back: at the touch, not before, not through, and without taking their speed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from benchmarks.tunnelling import TIME_STEP, run_trial, scene_of
+from fracture_collision.lockstep import Lockstep
+from fracture_collision.records import ContactConstraintArray
+from fracture_collision.simulation.scene import parse_scene
+from fracture_collision.simulation.touch_ahead import shares_until_touch, split_by_gap
+from fracture_collision.world import Settings
+
+REST = 1e-4
+
+
+def contacts(gaps: list[list[float]]) -> ContactConstraintArray:
+    """Pairs (1, 2), (1, 3) ... with such gaps along x."""
+    counts, flat = [len(own) for own in gaps], np.array([gap for own in gaps for gap in own])
+    n, zeros = len(flat), np.zeros(len(gaps))
+    points = np.zeros((n, 3))
+    points[:, 0] = flat
+    return ContactConstraintArray(
+        1, 0, 0, np.full(len(gaps), 1, np.uint32), np.arange(2, 2 + len(gaps), dtype=np.uint32),
+        np.concatenate([[0], np.cumsum(counts)]).astype(np.uint32), zeros, zeros, zeros, np.zeros(3 * n),
+        points.ravel(), np.tile([1.0, 0.0, 0.0], n), flat, np.arange(n, dtype=np.uint64),
+    )  # fmt: skip
+
+
+def test_contacts_are_split_by_their_gaps() -> None:
+    listed = contacts([[-1e-3, 0.2, 1e-4], [0.3], [], [0.0]])
+    now, ahead = split_by_gap(listed, 5e-4)
+    assert now.gaps.tolist() == [-1e-3, 1e-4, 0.0] and now.contact_ids.tolist() == [0, 2, 4]
+    assert now.fragment_b.tolist() == [2, 4, 5] and now.pair_begin.tolist() == [0, 2, 2, 3]
+    assert len(now.points_b) == 9 and len(now.missed_depth_bound) == 3
+    assert ahead.fragment_b.tolist() == [2, 3] and ahead.points_b[:, 0].tolist() == [0.2, 0.3]
+    same, none = split_by_gap(now, 5e-4)
+    assert none is None and same is now
+
+
+def shares(rows_a, rows_b, points_a, points_b, normals, centers, velocities) -> np.ndarray:
+    least = np.full(len(rows_a), REST)
+    return shares_until_touch(
+        np.array(rows_a), np.array(rows_b), *(np.array(x, float) for x in (points_a, points_b, normals)), least,
+        np.array(centers, float), np.array(velocities, float), 0.01,
+    )  # fmt: skip
+
+
+def test_a_body_goes_as_far_as_the_touch() -> None:
+    """10 m/s towards what cannot move, 3 cm away, in steps of 10 ms; one that goes away is free."""
+    moves = [[10.0, 0.0, 0.0, 0.0, 0.0, 0.0]]
+    x = [[1.0, 0.0, 0.0]]
+    own = shares([0], [1], [[0.0] * 3], [[0.03, 0.0, 0.0]], x, [[0.0] * 3], moves)
+    assert own == pytest.approx([(0.03 - REST) / 0.1])
+    assert shares([0], [1], [[0.0] * 3], [[0.03, 0.0, 0.0]], x, [[0.0] * 3], [[-10.0, 0, 0, 0, 0, 0]]) == [1.0]
+    assert shares([0], [1], [[0.0] * 3], [[0.2, 0.0, 0.0]], x, [[0.0] * 3], moves) == [1.0]
+
+
+def test_who_waits_is_not_run_through() -> None:
+    """1 would meet 2 late in the step, but 2 waits for a third: both stop."""
+    rows = [0, 1], [1, 2]
+    points = [[[0.0, 0.0, 0.0], [0.9, 0.0, 0.0]], [[0.85, 0.0, 0.0], [0.91, 0.0, 0.0]]]
+    centers, moves = [[0.0] * 3, [0.9, 0.0, 0.0]], [[100.0, 0, 0, 0, 0, 0], [90.0, 0, 0, 0, 0, 0]]
+    alone = shares(rows[0][:1], rows[1][:1], points[0][:1], points[1][:1], [[1.0, 0, 0]], centers, moves)
+    assert alone.tolist() == [1.0, 1.0]
+    held = shares(*rows, *points, [[1.0, 0, 0]] * 2, centers, moves)
+    gap = points[1][0][0] + 0.9 * held[1] - 1.0 * held[0]
+    assert held[1] < 0.02 and gap >= 0.0
+
+
+def test_points_go_round() -> None:
+    """Against ten thousand moments: a point on a body that turns by 4 radians meets what lies on its circle."""
+    random = np.random.default_rng(1)
+    for _ in range(20):
+        spin, move = random.normal(0.0, 250.0, 3), random.normal(0.0, 5.0, 3)
+        point, normal = random.normal(0.0, 0.05, 3), random.normal(size=3)
+        normal /= np.linalg.norm(normal)
+        wall = point + random.uniform(0.01, 0.05) * normal
+        own = shares([0], [1], [point], [wall], [normal], [[0.0] * 3], [[*move, *spin]])[0]
+        moments = np.linspace(0.0, 1.0, 10001)
+        path = Rotation.from_rotvec(0.01 * moments[:, None] * spin).apply(point) + 0.01 * moments[:, None] * move
+        gaps = (wall - path) @ normal
+        met = moments[np.argmax(gaps < REST)] if (gaps < REST).any() else 1.0
+        assert own == pytest.approx(met, abs=2e-4)
+
+
+@pytest.mark.parametrize("speed", [3.0, 30.0, 300.0])
+def test_a_ball_bounces_off_a_thin_wall_with_the_speed_it_came_with(speed: float) -> None:
+    material = {"density": 1000.0, "friction": 0.0, "restitution": 1.0}
+    scene = parse_scene(
+        {
+            "gravity": [0.0, 0.0, 0.0], "time_step": 0.0025, "duration": 0.0025 * (10 + int(0.8 / speed / 0.0025)),
+            "materials": {"steel": material},
+            "bodies": [
+                {"name": "wall", "material": "steel", "static": True, "shape": {"box": {"size": [1.0, 0.005, 1.0]}}},
+                {"name": "ball", "material": "steel", "shape": {"sphere": {"radius": 0.03}},
+                 "position": [0.0, -0.4, 0.0], "linear_velocity": [0.0, speed, 0.0]},
+            ],
+        },
+        "wall",
+    )  # fmt: skip
+    farthest, moments = -1.0, []
+    with Lockstep(scene, Settings(threads=1, lookahead=scene.time_step)) as lockstep:
+        for exchange in lockstep:
+            farthest = max(farthest, float(exchange.states.positions[-2]))
+            moments.append(exchange.report.kinetic_energy)
+        velocity = exchange.states.linear_velocities[-3:]
+    assert -0.0335 < farthest <= -0.0325  # it touches, and goes no farther
+    assert velocity == pytest.approx([0.0, -speed, 0.0], rel=1e-9, abs=1e-9)
+    assert max(moments) <= moments[0] * (1.0 + 1e-12)
+
+
+def test_a_shard_does_not_go_through_a_plate() -> None:
+    scenes = [scene_of(50.0, seed, is_fixed) for seed in range(6) for is_fixed in (True, False)]
+    ahead = [run_trial(scene, TIME_STEP) for scene in scenes]
+    assert not any(trial.is_through for trial in ahead)
+    assert max(trial.energy_gain for trial in ahead) < 1e-12
+    assert sum(run_trial(scene, 0.0).is_through for scene in scenes) > 6
