@@ -14,6 +14,8 @@ SETTINGS = Settings(threads=1, max_nodes=160, max_fragments=40)
 FULL = SETTINGS._replace(max_bodies=4)  # not one body more
 # Its four fragments and the plane can be one pair more.
 SPARSE = SETTINGS._replace(max_pairs=9)
+AHEAD = SETTINGS._replace(lookahead=0.01)
+FAST = REFERENCE._replace(linear_velocities=np.full(3 * len(REFERENCE.fragment_ids), 1e8))
 AT_ONE_PLACE = REFERENCE._replace(positions=np.tile([0.0, 0.0, -0.2], len(REFERENCE.fragment_ids)))
 
 # (topic, record), in order; what they make answers REFERENCE
@@ -32,5 +34,6 @@ ENDING = (
 )
 
 __all__ = [
-    "AT_ONE_PLACE", "CLEAN", "ENDING", "FULL", "REFERENCE", "REMOVED", "SETTINGS", "SPARSE", "record_bytes",
+    "AHEAD", "AT_ONE_PLACE", "CLEAN", "ENDING", "FAST", "FULL", "REFERENCE", "REMOVED", "SETTINGS", "SPARSE",
+    "record_bytes",
 ]  # fmt: skip

@@ -13,7 +13,16 @@ from broken_rules import BODIES, EVENTS, STATES
 from gate_world import observed
 
 from campaigns.bad_input.body_mutations import BODY_MUTATIONS, SHAPES
-from campaigns.bad_input.clean_scene import AT_ONE_PLACE, FULL, REFERENCE, REMOVED, SETTINGS, SPARSE
+from campaigns.bad_input.clean_scene import (
+    AHEAD,
+    AT_ONE_PLACE,
+    FAST,
+    FULL,
+    REFERENCE,
+    REMOVED,
+    SETTINGS,
+    SPARSE,
+)
 from campaigns.bad_input.doors import DOORS, HELD, MESSAGE_CLASSES, REFUSED, TAKEN, Verdict, ending, unsound
 from campaigns.bad_input.event_mutations import EVENT_MUTATIONS
 from campaigns.bad_input.mutations import ANY_KIND, Mutation, Pick
@@ -57,6 +66,10 @@ def fixed_cases() -> Iterator[Case]:
     yield Case(
         "fragment_states", "all at one place", AT_ONE_PLACE, frozenset({"limit_exceeded"}), frozenset({"positions"}),
         on_the_wire=True, settings=SPARSE,
+    )  # fmt: skip
+    yield Case(
+        "fragment_states", "too fast to look ahead", FAST, frozenset({"out_of_range"}),
+        frozenset({"linear_velocities"}), on_the_wire=True, settings=AHEAD,
     )  # fmt: skip
     for kind, fragment_ids in (
         ("unknown_id", (0, 1, REMOVED, 12)), ("out_of_range", (2**32, -1)), ("wrong_type", (0.5, None, "1", [1])),

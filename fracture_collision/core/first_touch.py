@@ -34,6 +34,8 @@ MOST_MOMENTS = 600
 # Where the distance says no more, they come nearer by so many detection tolerances at a time: what was just outside of
 # one is no deeper than half of it then.
 LEAST = 1.5
+# And by no less than this share of R, where there is no such tolerance.
+SHORTEST = 1e-4
 UNLIMITED = 1 << 40
 # How far a sample is is looked for up to this share of R, or of the way that is left: what is farther takes longer to
 # say than to ask again. And which samples may be near, up to this share of the way, or MOST_REACH.
@@ -95,7 +97,9 @@ def first_touch(
             if clear > far or not left > 0.0:
                 return 0, t, visits
             step = clear / speed
-        step = min(max(step, LEAST * rule.near / speed), left)
+        if not speed > 0.0:
+            return 0, t, visits
+        step = min(max(step, max(LEAST * rule.near, SHORTEST * radius) / speed), left)
         lasts -= step * speed
         t = motion.time if step == left else t + step
     return -1, t, visits

@@ -48,7 +48,7 @@ def played(scene: str, seed: int, out: Path, host: str, port: int) -> Iterator[P
     """
     domain_id = default_domain_id()
     try:
-        load_scene(scene)
+        time_step = load_scene(scene).time_step
     except (SceneError, OSError) as error:
         raise PlayFailed(str(error)) from error
     with NewOutputs(out, (LOGS,)) as new, ExitStack() as nodes:
@@ -61,7 +61,8 @@ def played(scene: str, seed: int, out: Path, host: str, port: int) -> Iterator[P
             return node
 
         simulator = start("live_simulator_node", scene=scene, seed=seed, niceness=BEHIND)
-        service = start("collision_node", niceness=BEHIND)
+        # a person throws faster than a scene does
+        service = start("collision_node", niceness=BEHIND, lookahead=time_step)
         page = start("page_node", subprocess.PIPE, host=host, port=port, folder=str(out), scene=scene)
         run = Played(_address(page, (service, simulator)), domain_id, (service, simulator, page))
         new.publish()

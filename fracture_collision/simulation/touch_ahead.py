@@ -18,7 +18,7 @@ import numpy as np
 from numba import njit
 
 from fracture_collision import portable_math
-from fracture_collision.portable_math import lengths
+from fracture_collision.portable_math import dots, lengths
 from fracture_collision.records import ContactConstraintArray
 from fracture_collision.simulation.compiled import uncounted
 from fracture_collision.simulation.contact_solver import BodyPairs, SolverSettings
@@ -74,7 +74,8 @@ def held_back(
     velocities: np.ndarray, drift: np.ndarray, gravity: np.ndarray, settings: SolverSettings, time_step: float,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Velocities and drift (n, 6) with which bodies go no farther than to where they touch. Gravity (3,) [m/s2] acts
-    for as long as they move; what rests on something has its weight borne already.
+    for as long as they move: what it gives beyond would be energy for a height that is not lost. To what touches
+    something it gives at most what that falls by: what rests has its weight borne.
 
     contacts and their pairs: what was solved.
     """
@@ -90,8 +91,12 @@ def held_back(
     shares = shares_until_touch(*held, states.centers, moves, time_step)
     is_free = np.ones(count + 1, bool)
     is_free[pairs.body_a] = is_free[pairs.body_b] = False
+    unspent, falls = (1.0 - shares) * time_step, np.maximum(dots(velocities[:, :3], gravity), 0.0)
+    square = float((gravity * gravity).sum())
+    if square > 0.0:
+        unspent = np.where(is_free[:count], unspent, np.minimum(unspent, falls / square))
     velocities = velocities.copy()
-    velocities[:, :3] -= np.where(is_free[:count], 1.0 - shares, 0.0)[:, None] * time_step * gravity
+    velocities[:, :3] -= unspent[:, None] * gravity
     return velocities, shares[:, None] * moves - velocities
 
 
