@@ -50,10 +50,11 @@ def split_by_gap(
     is_ahead = contacts.gaps > most
     if not is_ahead.any():
         return contacts, None
-    pair = np.repeat(np.arange(len(contacts.fragment_a)), np.diff(contacts.pair_begin.astype(np.int64)))
-    left = np.bincount(pair[~is_ahead], minlength=len(contacts.fragment_a))
+    counts = np.diff(contacts.pair_begin.astype(np.int64))
+    pair = np.repeat(np.arange(len(counts)), counts)
+    left = np.bincount(pair[~is_ahead], minlength=len(counts))
     # a pair that never had contacts stays, it says how much it may have missed
-    stays = (left > 0) | (np.diff(contacts.pair_begin.astype(np.int64)) == 0)
+    stays = (left > 0) | (counts == 0)
     rows = np.repeat(~is_ahead, 3)
     now = contacts._replace(
         fragment_a=contacts.fragment_a[stays], fragment_b=contacts.fragment_b[stays],
