@@ -44,15 +44,31 @@ def turn_contacts(pools, a, b, rotation, translation, near, contacts, ids, count
             source, where, at = ids[c, ID_SOURCE], ids[c, ID_TETRAHEDRON], ids[c, ID_AT]
             turn_to_crack(pools, f, own, near, contacts[c], source, where, at, scratch, thread)
         elif pools.fragment.kind[own] != SPHERE and pools.fragment.kind[f] in (BOX, TETRAHEDRA, TRIANGLES):
-            _turn_to_facing(pools, f, own, sample, side, rotation, translation, near, contacts[c], scratch, thread)
+            row = contacts[c]
+            px, py, pz = to_other(rotation[1 - side], translation[1 - side], row[0], row[1], row[2])
+            ux, uy, uz = own_normal(pools, own, sample, px, py, pz)
+            outward = rotated(rotation[side], ux, uy, uz)
+            _turn_to_facing(pools, f, own, outward, near, row, scratch, thread)
 
 
 @inlined_kernel
-def _turn_to_facing(pools, f, own, sample, side, rotation, translation, near, row, scratch, thread):
+def turn_surface_point(pools, a, b, side, outward, near, row, ids, scratch, thread):
+    """As turn_contacts, of one contact that is no sample's: `outward` (x, y, z) is its own surface's normal, in the
+    other's frame.
+    """
+    f, own = (b, a) if side == 0 else (a, b)
+    if share_a_body(pools, a, b):
+        source, where, at = ids[ID_SOURCE], ids[ID_TETRAHEDRON], ids[ID_AT]
+        turn_to_crack(pools, f, own, near, row, source, where, at, scratch, thread)
+    elif pools.fragment.kind[f] in (BOX, TETRAHEDRA, TRIANGLES):
+        _turn_to_facing(pools, f, own, outward, near, row, scratch, thread)
+
+
+@inlined_kernel
+def _turn_to_facing(pools, f, own, outward, near, row, scratch, thread):
+    """outward (x, y, z): the normal of own's surface in f's frame, not unit; zeros if unknown."""
     x, y, z, d = row[0], row[1], row[2], row[9]
-    px, py, pz = to_other(rotation[1 - side], translation[1 - side], x, y, z)
-    ux, uy, uz = own_normal(pools, own, sample, px, py, pz)
-    ox, oy, oz = rotated(rotation[side], ux, uy, uz)
+    ox, oy, oz = outward
     along = ox * row[6] + oy * row[7] + oz * row[8]
     radius = min(pools.fragment.radius[f], pools.fragment.radius[own])
     slack = ROUNDING * radius
@@ -63,7 +79,7 @@ def _turn_to_facing(pools, f, own, sample, side, rotation, translation, near, ro
             return
         # where the two just touch the direction is a matter of rounding: of surfaces equally near take one that faces
         limit = 2.0 * slack
-    found, qx, qy, qz, nx, ny, nz = _nearest_facing(pools, f, inside, x, y, z, limit, (ox, oy, oz), scratch, thread)
+    found, qx, qy, qz, nx, ny, nz = _nearest_facing(pools, f, inside, x, y, z, limit, outward, scratch, thread)
     if not found:
         return
     gap = nx * (x - qx) + ny * (y - qy) + nz * (z - qz)

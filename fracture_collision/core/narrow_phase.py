@@ -11,6 +11,7 @@ import numpy as np
 
 from fracture_collision.core.compiled import inlined_kernel, kernel, threaded_kernel
 from fracture_collision.core.contact_choice import Rule
+from fracture_collision.core.contact_places import put_in_world
 from fracture_collision.core.crew import Crew
 from fracture_collision.core.crowds import UNSEARCHED, UNSHARED, Overlaps, most_visits, visit_shares
 from fracture_collision.core.facing_normal import turn_contacts
@@ -24,7 +25,7 @@ from fracture_collision.core.kept_answer import (
     pairs_in_place,
     pose_bits,
 )
-from fracture_collision.core.known_samples import ID_SAMPLE, ID_SIDE, rounding_slack
+from fracture_collision.core.known_samples import rounding_slack
 from fracture_collision.core.motion import NO_MOTION, Motion, closing_speed, is_moving
 from fracture_collision.core.neighbour_lists import (
     FAST,
@@ -44,6 +45,7 @@ from fracture_collision.core.neighbour_lists import (
 from fracture_collision.core.pools import FACING
 from fracture_collision.core.rotations import relative_pose
 from fracture_collision.core.sample_search import begins_with_seeds, may_search, query_listed, search_samples
+from fracture_collision.core.surface_pass import Surfaces, judge_pairs
 from fracture_collision.core.traversal import BY_FURTHER, BY_LIMIT, COMPLETE, depth_limit, query_pair
 
 # Contacts a pair gets room for at first, on average and at least for a thread's share of pairs; those that find none
@@ -221,12 +223,6 @@ def _query_share(
 
 
 @kernel
-def _to_world(rotation, position, x, y, z, out):
-    for k in range(3):
-        out[k] = rotation[k, 0] * x + rotation[k, 1] * y + rotation[k, 2] * z + position[k]
-
-
-@kernel
 def _gather(
     pairs, rotations, positions, todo, contacts, ids, begin, counts, offsets, points_a, points_b, normals, gaps, samples
 ):
@@ -234,30 +230,17 @@ def _gather(
         p, thread = todo[k], k % len(contacts)
         if begin[p] < 0:
             continue
-        i, j = pairs[p, 0], pairs[p, 1]
         for c in range(counts[p]):
-            o = offsets[p] + c
-            row = contacts[thread, begin[p] + c]
-            side = ids[thread, begin[p] + c, ID_SIDE]
-            other = j if side == 0 else i
-            r, t = rotations[other], positions[other]
-            own_point, other_point = (points_a[o], points_b[o]) if side == 0 else (points_b[o], points_a[o])
-            _to_world(r, t, row[0], row[1], row[2], own_point)
-            _to_world(r, t, row[3], row[4], row[5], other_point)
-            sign = -1.0 if side == 0 else 1.0
-            gap = 0.0
-            for d in range(3):
-                n = sign * (r[d, 0] * row[6] + r[d, 1] * row[7] + r[d, 2] * row[8])
-                normals[o, d] = n
-                gap += n * (points_b[o, d] - points_a[o, d])
-            gaps[o] = gap
-            samples[o, 0], samples[o, 1] = side, ids[thread, begin[p] + c, ID_SAMPLE]
+            put_in_world(
+                pairs[p], rotations, positions, contacts[thread, begin[p] + c], ids[thread, begin[p] + c],
+                offsets[p] + c, points_a, points_b, normals, gaps, samples,
+            )  # fmt: skip
 
 
 def query_pairs(
     pools, rows, rotations, positions, pairs, wanted, most, epsilon, near, budget, scratch, crew: Crew,
     before: Remembered | None = None, stamp: int = 0, limits: WorkLimits = NO_LIMITS,
-    overlaps: Overlaps | None = None, motion: Motion = NO_MOTION,
+    overlaps: Overlaps | None = None, motion: Motion = NO_MOTION, surfaces: Surfaces | None = None,
 ) -> tuple[PairContacts, Remembered]:  # fmt: skip
     """Contacts of `pairs` (p, 2) of indices into `rows` (n,), with poses rotations (n, 3, 3), positions (n, 3) [m].
 
@@ -266,7 +249,7 @@ def query_pairs(
     has moved; it is used up. With a budget, or with None, nothing is used and nothing remembered. What is answered does
     not depend on it, but for `visits`, and must not be changed where it is remembered. stamp: another after any change
     of the pools. A pair whose visits are limited is searched by the paper's rule. motion: of `rows`; what touches now
-    is answered as without.
+    is answered as without. surfaces: of pairs whose visits are not limited what is between samples is looked for too.
 
     limits: half of the further visits are shared evenly by all pairs, the other half by those whose share was too
     small. Of too many contacts, the pairs that have most lose their shallowest, so that none keeps more than some
@@ -345,10 +328,17 @@ def query_pairs(
             points_a, points_b, normals, gaps, samples,
         )  # fmt: skip
     found = PairContacts(counts, bounds, visits, exhausted, points_a, points_b, normals, gaps, samples)
+    searched = visits * (counts >= wanted)
+    if lists is not NO_LISTS:
+        gather_kept(before.answer, stands_at, offsets, points_a, points_b, normals, gaps, samples, searched)
+    if surfaces is not None:
+        found = judge_pairs(
+            pools, surfaces, rows, rotations, positions, pairs, moved, shares == UNSHARED, epsilon, near, found,
+            offsets, scratch, crew,
+        )  # fmt: skip
+        np.cumsum(found.counts, out=offsets[1:])
     if lists is NO_LISTS:
         return found, NOTHING_REMEMBERED
-    searched = visits * (counts >= wanted)
-    gather_kept(before.answer, stands_at, offsets, points_a, points_b, normals, gaps, samples, searched)
     if cuts:
         slots[cut] = -1  # what others leave to them may be less next time
     if motion.time > 0.0:

@@ -19,6 +19,9 @@ from fracture_collision.core.narrow_phase import (
     query_pairs,
 )
 from fracture_collision.core.scratch import Scratch, scratch_for
+from fracture_collision.core.surface_certificate import make_surface_work
+from fracture_collision.core.surface_elements import ElementTable
+from fracture_collision.core.surface_pass import Surfaces
 from fracture_collision.records import (
     CollisionBody,
     ContactConstraintArray,
@@ -34,7 +37,7 @@ from fracture_collision.world.fragment_mesh import fragment_mesh
 from fracture_collision.world.ledger import Ledger
 from fracture_collision.world.present import Present, find_fragments, take_places
 from fracture_collision.world.registry import Registry
-from fracture_collision.world.settings import Settings, check_settings, geometry_settings, most_listed
+from fracture_collision.world.settings import SEARCHED, Settings, check_settings, geometry_settings, most_listed
 from fracture_collision.world.states_gate import CheckedStates, check_states
 
 # [m], [rad]: nothing goes or turns farther within the time that is looked ahead.
@@ -71,6 +74,7 @@ class CollisionWorld:
         self._scratch: Scratch | None = None
         # of the last answer, with what it holds for; it makes the next one quicker, never different
         self._remembered, self._remembered_of = NOTHING_REMEMBERED, self._what_is_remembered_of()
+        self._surfaces, self._surfaces_of = None, self._what_is_remembered_of()
         self._paired, self._paired_of = NOTHING_PAIRED, self._asked_of()
         self._answered = _NOTHING_ANSWERED
         self.last_timings: dict[str, float] = {"update": 0.0, "broad_phase": 0.0, "narrow_phase": 0.0}  # [s]
@@ -146,7 +150,7 @@ class CollisionWorld:
             pools, rows, rotations, positions, pairs, self.settings.contacts_per_pair, most_listed(self.settings),
             self.settings.penetration_tolerance, self.settings.detection_tolerance, budget,
             self._scratch, self._crew, remembered, self._registry.changes,
-            _work_limits(self.settings), paired.overlaps, motion,
+            _work_limits(self.settings), paired.overlaps, motion, self._surfaces_to_search(),
         )  # fmt: skip
         answer = contact_answer(checked, here, radius, pairs, found, self.settings.penetration_tolerance)
         if remembered is not None:
@@ -252,6 +256,16 @@ class CollisionWorld:
         remembered = self._remembered if self._remembered_of == holds_for else NOTHING_REMEMBERED
         self._remembered, self._remembered_of = NOTHING_REMEMBERED, holds_for
         return remembered
+
+    def _surfaces_to_search(self) -> Surfaces | None:
+        """Elements of surfaces that are made as they are asked for, for as long as rows keep their numbers."""
+        if self.settings.surfaces != SEARCHED:
+            return None
+        holds_for = self._what_is_remembered_of()
+        threads = self._crew.threads
+        if self._surfaces is None or self._surfaces_of != holds_for or len(self._surfaces.work.best) != threads:
+            self._surfaces, self._surfaces_of = Surfaces(ElementTable(), make_surface_work(threads)), holds_for
+        return self._surfaces
 
     def _what_is_remembered_of(self) -> tuple[Registry, int, Settings]:
         return self._registry, self._registry.renumbered, self.settings

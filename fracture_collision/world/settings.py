@@ -37,6 +37,10 @@ class Settings(NamedTuple):
     # faces the sample, where it is near; `nearest`: along the shortest way to any surface, as in the paper, which at
     # rims often points along the surface that parts the two.
     normals: str = "facing"
+    # `sampled`: contacts are sought at samples, and missed_depth_bound holds for these. `searched`: it holds for all
+    # points of both surfaces, and the deepest point between samples, as where edges cross, is listed too. For checking
+    # what samples leave out: it takes 25 to 100 times as long (docs/numerics.md), and needs field `exact`.
+    surfaces: str = "sampled"
     # `restructured`: trees are split, restructured and extended at a fracture (6.2, 6.3); `plain`: as in the paper's
     # earlier version [27], without regard to the maximum-distance order; `rebuilt`: from nothing (Fig. 15).
     tree: str = "restructured"
@@ -70,6 +74,8 @@ LONGEST_LOOKAHEAD = 1.0  # [s] a step of that length is none any more
 FIELDS = ("exact", "averaged")
 SELECTIONS = ("sufficient", "complete")
 NORMALS = ("facing", "nearest")
+SAMPLED, SEARCHED = "sampled", "searched"
+SURFACES = (SAMPLED, SEARCHED)
 TREES = ("restructured", "plain", "rebuilt")
 TRAVERSALS = ("alternating", "queue")
 
@@ -90,9 +96,12 @@ def check_settings(settings: Settings) -> None:
     """Raise ValueError, naming the field, unless every setting is one the service can work with."""
     for name, choices in (
         ("field", FIELDS), ("normals", NORMALS), ("tree", TREES), ("traversal", TRAVERSALS), ("selection", SELECTIONS),
+        ("surfaces", SURFACES),
     ):  # fmt: skip
         if getattr(settings, name) not in choices:
             raise ValueError(f"{name}: {getattr(settings, name)!r} is none of {', '.join(choices)}")
+    if settings.surfaces == SEARCHED and settings.field != "exact":
+        raise ValueError("surfaces: 'searched' needs field 'exact': averaged depths bound nothing between samples")
     for name in ("contacts_per_pair", "deep_contacts_per_pair"):
         if getattr(settings, name) < 1:
             raise ValueError(f"{name}: {getattr(settings, name)} is not at least 1")
