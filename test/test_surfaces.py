@@ -120,7 +120,7 @@ def wandering(case: FracturedWorld, steps: int) -> list[FragmentStates]:
     ]  # fmt: skip
 
 
-def test_what_was_shown_before_changes_no_byte(case: FracturedWorld) -> None:
+def test_neither_memory_nor_threads_change_a_byte(case: FracturedWorld) -> None:
     settings = Settings(threads=1, surfaces="searched")
     remembering = with_settings(case, settings)
     in_threads = with_settings(case, settings._replace(threads=2))

@@ -39,7 +39,7 @@ class Settings(NamedTuple):
     normals: str = "facing"
     # `sampled`: contacts are sought at samples, and missed_depth_bound holds for these. `searched`: it holds for all
     # points of both surfaces, and the deepest point between samples, as where edges cross, is listed too. For checking
-    # what samples leave out: it takes 25 to 100 times as long (docs/numerics.md), and needs field `exact`.
+    # what samples leave out: it takes 30 to 100 times as long (docs/numerics.md), and needs field `exact`.
     surfaces: str = "sampled"
     # `restructured`: trees are split, restructured and extended at a fracture (6.2, 6.3); `plain`: as in the paper's
     # earlier version [27], without regard to the maximum-distance order; `rebuilt`: from nothing (Fig. 15).
