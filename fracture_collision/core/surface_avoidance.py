@@ -79,22 +79,15 @@ def hull_avoids(pools, f, near, points, count, way, x, y, z, r, slack):
         return False
     mesh, body = pools.mesh, pools.body
     shift, k = pools.fragment.tet_shift[f], pools.fragment.mesh[f]
-    # walls and parting planes are about the grid's corner
+    # parting planes are about the grid's corner
     ox, oy, oz = mesh.grid[k, 0], mesh.grid[k, 1], mesh.grid[k, 2]
     lowest = math.inf
     for q in range(count):
         lowest = min(lowest, way[0] * points[q, 0] + way[1] * points[q, 1] + way[2] * points[q, 2])
     for t in near:
-        w, is_beyond = mesh.walls[t], _is_below(mesh, t, way[0], way[1], way[2], lowest - slack)
-        for q in range(4):
-            if is_beyond:
-                break
-            nx, ny, nz = np.float64(w[q]), np.float64(w[4 + q]), np.float64(w[8 + q])
-            offset = np.float64(w[12 + q]) + nx * ox + ny * oy + nz * oz
-            if _is_beyond(points, count, x, y, z, r, nx, ny, nz, offset, slack):
-                is_beyond = True
-                break
-        if is_beyond:
+        if _is_below(mesh, t, way[0], way[1], way[2], lowest - slack):
+            continue
+        if _is_beyond_a_wall(mesh, t, k, points, count, x, y, z, r, slack):
             continue
         if shift == NEVER_BROKEN:
             return False
@@ -127,30 +120,19 @@ def hull_avoids(pools, f, near, points, count, way, x, y, z, r, slack):
 @inlined_kernel
 def triangle_avoids(pools, f, near, p, x, y, z, r, slack, scratch, thread):
     """Likewise whether the triangle p (9,) [m] in f's frame, within `r` [m] of its middle (x, y, z), avoids f."""
-    kind = pools.fragment.kind[f]
+    kind, points = pools.fragment.kind[f], p[:9].reshape(3, 3)
     if kind == BOX:
-        return _avoids_box(pools.fragment.shape[f], p[:9].reshape(3, 3), 3, slack)
+        return _avoids_box(pools.fragment.shape[f], points, 3, slack)
     hx, hy, hz = triangle_normal(p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8])
     if kind == TRIANGLES:
         return _avoids_triangles(pools, f, p, x, y, z, r, slack, hx, hy, hz, scratch, thread)
     mesh, body = pools.mesh, pools.body
     shift, k = pools.fragment.tet_shift[f], pools.fragment.mesh[f]
-    ox, oy, oz = mesh.grid[k, 0], mesh.grid[k, 1], mesh.grid[k, 2]
     is_outside, height = True, hx * x + hy * y + hz * z
     for t in near:
-        w = mesh.walls[t]
-        is_beyond = _is_below(mesh, t, hx, hy, hz, height - slack) or _is_below(
-            mesh, t, -hx, -hy, -hz, -height - slack
-        )
-        for q in range(4):
-            if is_beyond:
-                break
-            nx, ny, nz = np.float64(w[q]), np.float64(w[4 + q]), np.float64(w[8 + q])
-            offset = np.float64(w[12 + q]) + nx * ox + ny * oy + nz * oz
-            if _is_triangle_beyond(p, x, y, z, r, nx, ny, nz, offset, slack):
-                is_beyond = True
-                break
-        if is_beyond:
+        if _is_below(mesh, t, hx, hy, hz, height - slack) or _is_below(mesh, t, -hx, -hy, -hz, -height - slack):
+            continue
+        if _is_beyond_a_wall(mesh, t, k, points, 3, x, y, z, r, slack):
             continue
         if shift == NEVER_BROKEN:
             return False
@@ -165,7 +147,7 @@ def triangle_avoids(pools, f, near, p, x, y, z, r, slack, scratch, thread):
             sign, g = _side_of(body.sides[row], f), body.faces[row]
             if sign != 0.0 and not math.isnan(g[3]):
                 nx, ny, nz, offset = sign * g[0], sign * g[1], sign * g[2], sign * g[3]
-                is_over = _is_triangle_beyond(p, x, y, z, r, nx, ny, nz, offset, slack)
+                is_over = _is_beyond(points, 3, x, y, z, r, nx, ny, nz, offset, slack)
         if is_over:
             continue
         is_outside = False
@@ -173,7 +155,7 @@ def triangle_avoids(pools, f, near, p, x, y, z, r, slack, scratch, thread):
             sign, g = _side_of(body.sides[row], f), body.faces[row]
             if sign == 0.0 or math.isnan(g[3]):
                 continue
-            if _is_triangle_beyond(p, x, y, z, r, sign * g[0], sign * g[1], sign * g[2], sign * g[3], slack):
+            if _is_beyond(points, 3, x, y, z, r, sign * g[0], sign * g[1], sign * g[2], sign * g[3], slack):
                 continue
             if not _is_off(body.triangles[row], p, x, y, z, hx, hy, hz, slack):
                 return False
@@ -181,6 +163,18 @@ def triangle_avoids(pools, f, near, p, x, y, z, r, slack, scratch, thread):
         return True
     t = tetrahedron_at(mesh, k, x, y, z)
     return t < 0 or owner_in_tetrahedron(pools, f, t, x, y, z) != f
+
+
+@inlined_kernel
+def _is_beyond_a_wall(mesh, t, k, points, count, x, y, z, r, slack):
+    """Whether all points are beyond a wall of tetrahedron `t` of mesh `k`; walls are about the grid's corner."""
+    w = mesh.walls[t]
+    for q in range(4):
+        nx, ny, nz = np.float64(w[q]), np.float64(w[4 + q]), np.float64(w[8 + q])
+        offset = np.float64(w[12 + q]) + nx * mesh.grid[k, 0] + ny * mesh.grid[k, 1] + nz * mesh.grid[k, 2]
+        if _is_beyond(points, count, x, y, z, r, nx, ny, nz, offset, slack):
+            return True
+    return False
 
 
 @inlined_kernel
@@ -222,12 +216,6 @@ def _is_beyond(points, count, x, y, z, r, nx, ny, nz, offset, slack):
         least = min(least, nx * points[k, 0] + ny * points[k, 1] + nz * points[k, 2] - offset)
         k += 1
     return least > slack
-
-
-@inlined_kernel
-def _is_triangle_beyond(p, x, y, z, r, nx, ny, nz, offset, slack):
-    above = nx * x + ny * y + nz * z - offset
-    return above > r + slack or (above > 0.0 and _least_of_three(p, nx, ny, nz, offset) > slack)
 
 
 @inlined_kernel

@@ -28,7 +28,7 @@ from fracture_collision.core.surface_avoidance import (
     hull_avoids,
     room_for_rounding,
 )
-from fracture_collision.core.surface_elements import count_triangles, put_triangle
+from fracture_collision.core.surface_elements import MOST_CORNERS, count_triangles, put_triangle
 from fracture_collision.core.surface_search import (
     DEPTH_OF_STACK,
     inward,
@@ -51,7 +51,7 @@ NOBODY = -1
 class SurfaceWork(NamedTuple):
     """Working memory; leading dimension: thread."""
 
-    points: np.ndarray  # (threads, 32, 3) float64 [m]: corners of an element
+    points: np.ndarray  # (threads, MOST_CORNERS, 3) float64 [m]: corners of an element
     stack: np.ndarray  # (threads, DEPTH_OF_STACK, 9) float64 [m]: triangles
     moved: np.ndarray  # (threads, 16) float64 [m]
     triangle: np.ndarray  # (threads, 16) float64 [m]
@@ -61,7 +61,7 @@ class SurfaceWork(NamedTuple):
 
 def make_surface_work(threads: int) -> SurfaceWork:
     return SurfaceWork(
-        np.zeros((threads, 32, 3)), np.zeros((threads, DEPTH_OF_STACK, 9)), np.zeros((threads, 16)),
+        np.zeros((threads, MOST_CORNERS, 3)), np.zeros((threads, DEPTH_OF_STACK, 9)), np.zeros((threads, 16)),
         np.zeros((threads, 16)), np.zeros((threads, 16)), np.zeros((threads, 16)),
     )  # fmt: skip
 

@@ -27,8 +27,8 @@ CORNER_ROUNDING = 2e-7
 _CORNERS_OF_SIDE = np.array([[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]])
 # Elements that a fragment gets room for at first, and corners of each.
 _FIRST_ROOM, _CORNERS_EACH = 1024, 8
-# No tetrahedron has more points (cut_tetrahedron.POINTS).
-_MOST_CORNERS = 24
+# No element has more corners: a tetrahedron has cut_tetrahedron.POINTS.
+MOST_CORNERS = 24
 
 
 class Elements(NamedTuple):
@@ -39,7 +39,6 @@ class Elements(NamedTuple):
     origin: np.ndarray  # (F, 3) float64 [m] in the body frame; what follows is about it
     piece: np.ndarray  # (E,) int32: tetrahedron, triangle (rows of their pools) or side
     spheres: np.ndarray  # (E, 4) float32 [m]: centre and radius of a ball around it
-    normals: np.ndarray  # (E, 3) float32: the sum of its triangles' area vectors, outward, unit
     first: np.ndarray  # (E + 1,) int32: its corners
     corners: np.ndarray  # (C, 3) float32 [m]
 
@@ -51,8 +50,7 @@ class ElementTable:
         self._begin, self._end = np.full(0, -1), np.full(0, -1)
         self._origin = np.zeros((0, 3))
         self._piece, self._spheres = GrowableArray(0, np.int32), GrowableArray(4, np.float32)
-        self._normals, self._corners = GrowableArray(3, np.float32), GrowableArray(3, np.float32)
-        self._first = GrowableArray(0, np.int32)
+        self._first, self._corners = GrowableArray(0, np.int32), GrowableArray(3, np.float32)
         self._first.append(np.zeros(1, np.int32))
 
     def of(self, pools: Pools, rows: np.ndarray) -> Elements:
@@ -66,8 +64,8 @@ class ElementTable:
         for f in rows[self._begin[rows] < 0].tolist():
             self._make(pools, f)
         return Elements(
-            self._begin, self._end, self._origin, self._piece.view, self._spheres.view, self._normals.view,
-            self._first.view, self._corners.view,
+            self._begin, self._end, self._origin, self._piece.view, self._spheres.view, self._first.view,
+            self._corners.view,
         )  # fmt: skip
 
     def _make(self, pools: Pools, f: int) -> None:
@@ -79,44 +77,39 @@ class ElementTable:
         room = _FIRST_ROOM
         while True:
             piece, corners = np.empty(room, np.int32), np.empty((_CORNERS_EACH * room, 3), np.float32)
-            first, normals = np.empty(room, np.int32), np.empty((room, 3), np.float32)
-            spheres = np.empty((room, 4), np.float32)
-            used, points = _elements_of(pools, f, self._origin[f], piece, spheres, normals, first, corners)
+            first, spheres = np.empty(room, np.int32), np.empty((room, 4), np.float32)
+            used, points = _elements_of(pools, f, self._origin[f], piece, spheres, first, corners)
             if used <= room and points <= len(corners):
                 break
             room = max(2 * room, used, points // _CORNERS_EACH + 1)
         self._piece.append(piece[:used])
         self._spheres.append(spheres[:used])
-        self._normals.append(normals[:used])
         self._first.append(first[:used] + np.int32(self._corners.used))
         self._corners.append(corners[:points])
         self._end[f] = self._piece.used
 
 
 @kernel
-def _elements_of(pools, f, origin, piece, spheres, normals, first, corners):
+def _elements_of(pools, f, origin, piece, spheres, first, corners):
     """Write f's elements, where there is room: (how many there are, how many corners they have). first (n,): the row
     behind an element's last corner.
     """
     used, points, kind = 0, 0, pools.fragment.kind[f]
-    work, total = np.empty((_MOST_CORNERS, 3)), np.empty(3)
+    work = np.empty((MOST_CORNERS, 3))
     if kind == BOX:
         half = pools.fragment.shape[f]
         for side in range(6):
             for k in range(4):
                 _put_box_corner(half, _CORNERS_OF_SIDE[side, k], work[k])
-            total[:] = 0.0
-            total[side // 2] = 1.0 if side % 2 else -1.0
-            points = _put(origin, work, 4, total, side, used, points, piece, spheres, normals, first, corners)
+            points = _put(origin, work, 4, side, used, points, piece, spheres, first, corners)
             used += 1
         return used, points
     if kind == TRIANGLES:
         begin, end = pools.triangles.triangle_range[pools.fragment.mesh[f]]
         for t in range(begin, end):
             c = pools.triangles.corners[t]
-            total[:] = 0.0
-            count = _add_triangle(c[0:3], c[3:6], c[6:9], 1.0, work, 0, total)
-            points = _put(origin, work, count, total, t, used, points, piece, spheres, normals, first, corners)
+            count = _add_triangle(c[0:3], c[3:6], c[6:9], work, 0)
+            points = _put(origin, work, count, t, used, points, piece, spheres, first, corners)
             used += 1
         return used, points
     mesh, cells, k = pools.mesh, pools.fragment.cells[f], pools.fragment.mesh[f]
@@ -135,18 +128,15 @@ def _elements_of(pools, f, origin, piece, spheres, normals, first, corners):
                     if is_seen[t - first_tet]:
                         continue
                     is_seen[t - first_tet] = True
-                    total[:] = 0.0
-                    count = _corners_in(pools, f, t, work, total)
+                    count = _corners_in(pools, f, t, work)
                     if count:
-                        points = _put(
-                            origin, work, count, total, t, used, points, piece, spheres, normals, first, corners
-                        )
+                        points = _put(origin, work, count, t, used, points, piece, spheres, first, corners)
                         used += 1
     return used, points
 
 
 @inlined_kernel
-def _corners_in(pools, f, t, work, total):
+def _corners_in(pools, f, t, work):
     """Corners of f's surface in tetrahedron `t`, each once, into `work`; returns how many."""
     mesh, body, shift, count = pools.mesh, pools.body, pools.fragment.tet_shift[f], 0
     alone = f
@@ -159,20 +149,21 @@ def _corners_in(pools, f, t, work, total):
         for face in range(4):
             if mesh.neighbours[t, face] < 0:
                 w = FACE_VERTICES[face]
-                count = _add_triangle(
-                    mesh.nodes[v[w[0]]], mesh.nodes[v[w[1]]], mesh.nodes[v[w[2]]], 1.0, work, count, total
-                )
+                count = _add_triangle(mesh.nodes[v[w[0]]], mesh.nodes[v[w[1]]], mesh.nodes[v[w[2]]], work, count)
     if shift == NEVER_BROKEN:
         return count
     begin = body.regions[t + shift, ROW]
     for i in range(begin, begin + body.cut_count[t + shift]):
-        is_front = body.sides[i, FRONT_SIDE] == f
-        # a triangle without a plane is rounding
-        if not (is_front or body.sides[i, BACK_SIDE] == f) or math.isnan(body.faces[i, 3]):
-            continue
-        c = body.triangles[i]
-        count = _add_triangle(c[0:3], c[3:6], c[6:9], 1.0 if is_front else -1.0, work, count, total)
+        if _has_triangle(body, i, f):
+            c = body.triangles[i]
+            count = _add_triangle(c[0:3], c[3:6], c[6:9], work, count)
     return count
+
+
+@inlined_kernel
+def _has_triangle(body, i, f):
+    """Whether a row of body.triangles is of f's surface; one without a plane is rounding."""
+    return (body.sides[i, FRONT_SIDE] == f or body.sides[i, BACK_SIDE] == f) and not math.isnan(body.faces[i, 3])
 
 
 @inlined_kernel
@@ -211,8 +202,7 @@ def put_triangle(pools, f, piece, k, rotation, translation, out):
         _put_moved(rotation, translation, mesh.nodes[v[w[0]]], mesh.nodes[v[w[1]]], mesh.nodes[v[w[2]]], out)
         return True
     i = body.regions[piece + shift, ROW] + k - 4
-    # a triangle without a plane is rounding
-    if (body.sides[i, FRONT_SIDE] != f and body.sides[i, BACK_SIDE] != f) or math.isnan(body.faces[i, 3]):
+    if not _has_triangle(body, i, f):
         return False
     c = body.triangles[i]
     if body.sides[i, FRONT_SIDE] == f:
@@ -236,16 +226,10 @@ def _put_box_corner(half, bits, out):
 
 
 @inlined_kernel
-def _add_triangle(p, q, r, sign, work, count, total):
+def _add_triangle(p, q, r, work, count):
     count = _add_corner(p, work, count)
     count = _add_corner(q, work, count)
-    count = _add_corner(r, work, count)
-    ux, uy, uz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
-    vx, vy, vz = r[0] - p[0], r[1] - p[1], r[2] - p[2]
-    total[0] += sign * (uy * vz - uz * vy)
-    total[1] += sign * (uz * vx - ux * vz)
-    total[2] += sign * (ux * vy - uy * vx)
-    return count
+    return _add_corner(r, work, count)
 
 
 @inlined_kernel
@@ -258,17 +242,15 @@ def _add_corner(p, work, count):
 
 
 @inlined_kernel
-def _put(origin, work, count, total, number, used, points, piece, spheres, normals, first, corners):
+def _put(origin, work, count, number, used, points, piece, spheres, first, corners):
     """Element `used` from the first `count` rows of `work`, if there is room; returns how many corners all have."""
     if used < len(piece) and points + count <= len(corners):
         piece[used], first[used] = number, points + count
-        square = 0.0
         for d in range(3):
             low = high = work[0, d]
             for k in range(1, count):
                 low, high = min(low, work[k, d]), max(high, work[k, d])
             spheres[used, d] = 0.5 * (low + high) - origin[d]
-            square += total[d] * total[d]
         radius = 0.0
         for k in range(count):
             away = 0.0
@@ -277,6 +259,4 @@ def _put(origin, work, count, total, number, used, points, piece, spheres, norma
                 away += (work[k, d] - origin[d] - np.float64(spheres[used, d])) ** 2
             radius = max(radius, math.sqrt(away))
         spheres[used, 3] = radius * (1.0 + CORNER_ROUNDING)
-        for d in range(3):
-            normals[used, d] = total[d] / math.sqrt(square) if square > 0.0 else 0.0
     return points + count

@@ -1,5 +1,4 @@
-"""The surfaces of all pairs of a step, after their samples: bounds that hold for all of them, contacts in between.
-"""
+"""The surfaces of all pairs of a step, after their samples: bounds that hold for all of them, contacts in between."""
 
 from __future__ import annotations
 
@@ -73,9 +72,7 @@ def judge_pairs(
     total = int(counts.sum())
     points_a, points_b, normals = np.empty((total, 3)), np.empty((total, 3)), np.empty((total, 3))
     gaps, samples = np.empty(total), np.empty((total, 2), np.int64)
-    _insert(
-        pairs, rotations, positions, offsets, found, between, points_a, points_b, normals, gaps, samples
-    )
+    _insert(pairs, rotations, positions, offsets, found, between, points_a, points_b, normals, gaps, samples)
     return PairContacts(counts, bounds, visits, exhausted, points_a, points_b, normals, gaps, samples)
 
 
