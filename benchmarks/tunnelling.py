@@ -1,7 +1,7 @@
 """Does something fast go through something thin? A rotating shard is thrown at a standing plate, without and with
 `lookahead`.
 
-    python -m benchmarks.tunnelling [--trials N] [--csv docs/tunnelling.csv]
+    python -m benchmarks.tunnelling [--trials N] [--surfaces edges] [--csv docs/tunnelling.csv]
     python -m benchmarks.tunnelling --cost plates bricks drop_bunnies@0.25
 
 A shard of 60 x 60 x 4 mm, turned any way and spinning at up to 200 rad/s, is thrown at a plate of 250 x 250 x 6 mm that
@@ -17,26 +17,22 @@ from __future__ import annotations
 import argparse
 import csv
 from pathlib import Path
-from time import perf_counter
 from typing import NamedTuple
 
 import numpy as np
-from rich.console import Console
 from rich.progress import track
-from rich.table import Table
 
-from benchmarks.frames.recording import record
+from benchmarks.setting_cost import cost_in_scene, show
 from fracture_collision.lockstep import Lockstep
 from fracture_collision.simulation.rotations import rotation_matrices
 from fracture_collision.simulation.scene import Scene, load_scene, parse_scene
-from fracture_collision.world import CollisionWorld, Settings
+from fracture_collision.world import Settings
 
 TIME_STEP = 0.0025  # [s]
 PLATE, SHARD = (0.25, 0.006, 0.25), (0.06, 0.06, 0.004)  # [m]
 SPEEDS = (1.0, 10.0, 20.0, 50.0, 100.0, 200.0)  # [m/s]
 MOST_SPIN = 200.0  # [rad/s]
 DEEP = 5e-4  # [m] a penetration that counts
-MANY = 10  # fragments that move: a busy step
 
 
 class Trial(NamedTuple):
@@ -82,10 +78,10 @@ def scene_of(speed: float, seed: int, is_fixed: bool) -> Scene:
     )  # fmt: skip
 
 
-def run_trial(scene: Scene, lookahead: float) -> Trial:
+def run_trial(scene: Scene, lookahead: float, surfaces: str = "sampled") -> Trial:
     energies, deepest, crossed, last = [], 0.0, False, None
     half = 0.5 * np.array(PLATE)
-    with Lockstep(scene, Settings(threads=1, lookahead=lookahead)) as lockstep:
+    with Lockstep(scene, Settings(threads=1, lookahead=lookahead, surfaces=surfaces)) as lockstep:
         for exchange in lockstep:
             energies.append(exchange.report.kinetic_energy)
             deepest = min(deepest, exchange.report.deepest_gap)
@@ -103,11 +99,11 @@ def run_trial(scene: Scene, lookahead: float) -> Trial:
     return Trial(crossed and bool(last[1] > half[1]), 0.0 - deepest, gain)
 
 
-def measure(trials: int) -> list[Row]:
+def measure(trials: int, surfaces: str) -> list[Row]:
     rows = []
     cases = [(speed, fixed, ahead) for speed in SPEEDS for fixed in (True, False) for ahead in (0.0, TIME_STEP)]
     for speed, is_fixed, lookahead in track(cases, "trials"):
-        runs = [run_trial(scene_of(speed, seed, is_fixed), lookahead) for seed in range(trials)]
+        runs = [run_trial(scene_of(speed, seed, is_fixed), lookahead, surfaces) for seed in range(trials)]
         rows.append(
             Row(
                 speed, "fixed" if is_fixed else "free", "a step" if lookahead else "none", trials,
@@ -118,57 +114,23 @@ def measure(trials: int) -> list[Row]:
     return rows
 
 
-class Cost(NamedTuple):
-    scene: str
-    without_ms: float  # mean of a step
-    ahead_ms: float
-    ratio: float
-    busy_ratio: float  # of steps in which MANY fragments and more move
-    worst_ms: float
-    worst_ahead_ms: float
-
-
-def cost_of(name: str) -> Cost:
-    recording, time_step = record(name), load_scene(name.partition("@")[0]).time_step
-    least = {lookahead: np.full(len(recording.steps), np.inf) for lookahead in (0.0, time_step)}
-    for _ in range(3):
-        for lookahead, times in least.items():
-            world = CollisionWorld(Settings(threads=1, lookahead=lookahead))
-            for k, step in enumerate(recording.steps):
-                for body in step.bodies:
-                    world.add_body(body)
-                for event in step.events:
-                    world.add_fracture(event)
-                started = perf_counter()
-                world.contacts(step.states)
-                times[k] = min(times[k], perf_counter() - started - world.last_timings["update"])
-    without, ahead = (1e3 * times for times in least.values())
-    busy = np.array([step.moving >= MANY for step in recording.steps])
-    return Cost(
-        name, without.mean(), ahead.mean(), ahead.mean() / without.mean(), ahead[busy].mean() / without[busy].mean(),
-        without.max(), ahead.max(),
-    )  # fmt: skip
-
-
-def show(title: str, rows: list[NamedTuple]) -> None:
-    table = Table(title=title)
-    for name in rows[0]._fields:
-        table.add_column(name.replace("_", " "), justify="right")
-    for row in rows:
-        table.add_row(*(f"{value:.3g}" if isinstance(value, float) else str(value) for value in row))
-    Console().print(table)
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.tunnelling", description=__doc__.split("\n\n")[0])
     parser.add_argument("--trials", type=int, default=48, help="of each speed, plate and lookahead (48)")
+    parser.add_argument("--surfaces", default="sampled", help="the service's setting (sampled)")
     parser.add_argument("--csv", type=Path, help="file for the rows")
     parser.add_argument("--cost", nargs="+", metavar="SCENE", help="no trials: what looking ahead costs in scenes")
     arguments = parser.parse_args()
     if arguments.cost:
-        show("looking ahead, ms a step", [cost_of(name) for name in track(arguments.cost, "scenes")])
+        show(
+            "without and with lookahead",
+            [
+                cost_in_scene(name, lookahead=load_scene(name.partition("@")[0]).time_step)
+                for name in track(arguments.cost, "scenes")
+            ],
+        )
         return
-    rows = measure(arguments.trials)
+    rows = measure(arguments.trials, arguments.surfaces)
     show("a shard thrown at a plate", rows)
     if arguments.csv:
         with arguments.csv.open("w", newline="") as file:

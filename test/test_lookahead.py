@@ -80,10 +80,11 @@ def rows_of(answer: ContactConstraintArray) -> dict[tuple[int, int], slice]:
     return {pair: slice(begin[k], begin[k + 1]) for k, pair in enumerate(pairs) if begin[k + 1] > begin[k]}
 
 
-@pytest.mark.parametrize("spin", [0.0, 10.0])
-def test_lists_what_the_slow_way_meets(case: FracturedWorld, spin: float) -> None:
+@pytest.mark.parametrize(("spin", "surfaces"), [(0.0, "sampled"), (10.0, "sampled"), (10.0, "edges")])
+def test_lists_what_the_slow_way_meets(case: FracturedWorld, spin: float, surfaces: str) -> None:
     """A pair that is apart now is listed if it is met on the way, with points that meet when it is."""
-    world, now = with_others(case, SETTINGS), with_others(case, SETTINGS._replace(lookahead=0.0))
+    settings = SETTINGS._replace(surfaces=surfaces)
+    world, now = with_others(case, settings), with_others(case, settings._replace(lookahead=0.0))
     met = unmet = unfollowed = 0
     for seed in range(10):
         states = thrown(case, seed, spin)

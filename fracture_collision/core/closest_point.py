@@ -1,6 +1,6 @@
-"""Closest points: on a triangle, of an axis-aligned box.
+"""Closest points: on a triangle, of an axis-aligned box, of two segments.
 
-The triangle follows the Voronoi-region walk of Ericson, Real-Time Collision Detection (2005), section 5.1.5.
+Triangle and segments follow Ericson, Real-Time Collision Detection (2005), sections 5.1.5 and 5.1.9.
 """
 
 from __future__ import annotations
@@ -90,3 +90,21 @@ def triangle_normal(ax, ay, az, bx, by, bz, cx, cy, cz):
     if length == 0.0:
         return 0.0, 0.0, 0.0
     return nx / length, ny / length, nz / length
+
+
+@inlined_kernel
+def segment_distance(r, s):
+    """[m] between two segments, no points: r and s (6, or more), begin and end."""
+    ux, uy, uz = r[3] - r[0], r[4] - r[1], r[5] - r[2]
+    vx, vy, vz = s[3] - s[0], s[4] - s[1], s[5] - s[2]
+    wx, wy, wz = r[0] - s[0], r[1] - s[1], r[2] - s[2]
+    uu, vv, uv = ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz, ux * vx + uy * vy + uz * vz
+    uw, vw = ux * wx + uy * wy + uz * wz, vx * wx + vy * wy + vz * wz
+    n2 = uu * vv - uv * uv
+    k = min(max((uv * vw - uw * vv) / n2, 0.0), 1.0) if n2 > 0.0 else 0.0
+    l = (uv * k + vw) / vv  # noqa: E741
+    if not 0.0 <= l <= 1.0:
+        l = 0.0 if l < 0.0 else 1.0  # noqa: E741
+        k = min(max((uv * l - uw) / uu, 0.0), 1.0)
+    dx, dy, dz = wx + k * ux - l * vx, wy + k * uy - l * vy, wz + k * uz - l * vz
+    return math.sqrt(dx * dx + dy * dy + dz * dz)

@@ -47,6 +47,7 @@ from fracture_collision.core.pools import (
     Pools,
 )
 from fracture_collision.core.primitives import box_edge_points, box_sampling_gap
+from fracture_collision.core.ridges import NO_RIDGES, Ridges, RidgeTable
 from fracture_collision.core.sample_numbers import NewSamples
 from fracture_collision.core.sphere_tree import SphereTree, build_sphere_tree
 from fracture_collision.core.surface_rows import SurfaceRows
@@ -105,16 +106,18 @@ class CollisionGeometry:
     """Owner of the pools. Fragments are addressed by row, in the order in which they were made.
 
     tree: one of fragment_trees.TREES; traversal: one of pools.ALTERNATING, QUEUE; field: one of pools.EXACT, AVERAGED;
-    normals: one of pools.NEAREST, FACING.
+    normals: one of pools.NEAREST, FACING; has_ridges: whether ridges are found.
     """
 
     def __init__(
-        self, tree: str = RESTRUCTURED, traversal: int = ALTERNATING, field: int = EXACT, normals: int = FACING
-    ) -> None:
+        self, tree: str = RESTRUCTURED, traversal: int = ALTERNATING, field: int = EXACT, normals: int = FACING,
+        has_ridges: bool = False,
+    ) -> None:  # fmt: skip
         self._tree_kind, self._field = tree, field
         self._tables = PoolTables(traversal, field, normals)
         self._moments = GrowableArray(10, np.float64)
         self._gaps = GrowableArray(0, np.float64)
+        self._ridges = RidgeTable() if has_ridges else None
         self._scratch, self._room = make_cut_scratch(), touched_room(0)
         self._meshes: list[tuple[PreparedMesh, MeshRows]] = []  # by its row in the pools
         self._surfaces: list[tuple[PreparedSurface, SurfaceMeshRows]] = []
@@ -124,6 +127,11 @@ class CollisionGeometry:
     @property
     def pools(self) -> Pools:
         return self._tables.pools
+
+    @property
+    def ridges(self) -> Ridges:
+        """Of all fragments; nobody's, unless they are found."""
+        return NO_RIDGES if self._ridges is None else self._ridges.view
 
     def sampling_gaps(self, rows: np.ndarray) -> np.ndarray:
         """(n,) [m]: no point of the surfaces of fragments `rows` (n,) is farther from one of their samples."""
@@ -198,6 +206,8 @@ class CollisionGeometry:
         )
         self._meshes = [(self._meshes[old][0], new) for old, new in meshes]
         self._surfaces = [(self._surfaces[old][0], new) for old, new in surfaces]
+        if self._ridges is not None:
+            self._ridges.keep(moved.stays)
         self._garbage = 0
         return moved.position[rows]
 
@@ -285,6 +295,7 @@ class CollisionGeometry:
                 pools, prepared, rows.node, pools.fragment.node_shift[row], pools.fragment.edge_shift[row], touched,
                 first, end, first_plane,
             )  # fmt: skip
+        self._find_ridges(first, end)
         return first
 
     def _rebuild_surfaces(self, row, touched, first, end) -> NewSamples:
@@ -380,7 +391,13 @@ class CollisionGeometry:
         for name, value in values.items():
             self._tables.fragment[name].append(np.asarray(value)[None])
         self._moments.append(np.zeros((1, 10)))
-        return self._gaps.append(np.array([gap]))
+        row = self._gaps.append(np.array([gap]))
+        self._find_ridges(row, row + 1)
+        return row
+
+    def _find_ridges(self, first: int, end: int) -> None:
+        if self._ridges is not None:
+            self._ridges.append(self.pools, first, end)
 
     def _mesh_rows(self, prepared: PreparedMesh) -> MeshRows:
         for known, rows in self._meshes:

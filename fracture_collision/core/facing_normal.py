@@ -17,6 +17,7 @@ from fracture_collision.core.flood import NO_SOURCE, TOWARD, nearest_from_inside
 from fracture_collision.core.kinds import BOX, SPHERE, TETRAHEDRA, TRIANGLES
 from fracture_collision.core.known_samples import ID_AT, ID_SAMPLE, ID_SIDE, ID_SOURCE, ID_TETRAHEDRON, share_a_body
 from fracture_collision.core.point_location import holds_fragment, tetrahedron_at
+from fracture_collision.core.ridge_contacts import is_crossing_of_ridges
 from fracture_collision.core.rotations import rotated, to_other
 from fracture_collision.core.sample_numbers import FIRST_NODE, edge_of, is_crossing, is_node, tetrahedron_of
 from fracture_collision.core.triangle_field import nearest_triangle
@@ -34,11 +35,13 @@ def turn_contacts(pools, a, b, rotation, translation, near, contacts, ids, count
     """Turn the `count` contacts of a pair, as query_pair leaves them, to surfaces that face their samples.
 
     Sets witness, normal and gap in rows of `contacts` (., 10); rotation (2, 3, 3), translation (2, 3): as query_pair's;
-    `near` [m] is the detection tolerance.
+    `near` [m] is the detection tolerance. Where ridges cross they already have the direction across both.
     """
     one_body = share_a_body(pools, a, b)
     for c in range(count):
         side, sample = ids[c, ID_SIDE], ids[c, ID_SAMPLE]
+        if is_crossing_of_ridges(sample):
+            continue
         f, own = (b, a) if side == 0 else (a, b)
         if one_body:
             source, where, at = ids[c, ID_SOURCE], ids[c, ID_TETRAHEDRON], ids[c, ID_AT]

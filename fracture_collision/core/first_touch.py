@@ -22,8 +22,9 @@ from fracture_collision.core.kinds import BOX, PLANE, SPHERE, TETRAHEDRA, TRIANG
 from fracture_collision.core.known_samples import ID_SAMPLE, ID_SIDE, ID_TETRAHEDRON, put_contact, rounding_slack
 from fracture_collision.core.leaf_separation import parting_plane_of_leaves
 from fracture_collision.core.motion import closing_along, closing_speed, put_pose
-from fracture_collision.core.neighbour_lists import MOST_LISTED, MOST_REACH, least_left
+from fracture_collision.core.neighbour_lists import MOST_LISTED, MOST_REACH, MOST_RIDGES, least_left
 from fracture_collision.core.pools import FACING, SAMPLE
+from fracture_collision.core.ridge_contacts import least_apart
 from fracture_collision.core.rotations import relative_pose, rotated, to_other, turned_back
 from fracture_collision.core.sample_leaves import farthest_sample, leaves_of
 from fracture_collision.core.sample_search import may_search, query_listed, search_samples
@@ -52,8 +53,8 @@ FARTHEST = 3.0
 
 @query_kernel
 def first_touch(
-    pools, a, b, i, j, rotations, positions, motion, rule, contacts, ids, capacity, rotation, translation, scratch,
-    thread,
+    pools, edges, a, b, i, j, rotations, positions, motion, rule, contacts, ids, capacity, rotation, translation,
+    scratch, thread,
 ):  # fmt: skip
     """Contacts of fragments a and b, the i-th and j-th of `motion`, at the first moment at which they are near.
 
@@ -64,7 +65,7 @@ def first_touch(
     """
     radius = min(pools.fragment.radius[a], pools.fragment.radius[b])
     of_world, place = scratch.world_rotation[thread], scratch.world_position[thread]
-    visits, t, listed, lasts = 0, 0.0, -1, 0.0
+    visits, t, listed, ridges, lasts = 0, 0.0, -1, 0, 0.0
     toward = scratch.ahead_toward[thread]
     toward[0] = toward[1] = toward[2] = 0.0
     for _ in range(MOST_MOMENTS):
@@ -87,9 +88,9 @@ def first_touch(
                 return 0, t, visits
             step, listed = (gap - rule.near) / closing, -1
         else:
-            found, clear, listed, lasts, more = _near_now(
-                pools, a, b, rotation, translation, rule, far, radius, listed, lasts, contacts, ids, capacity, scratch,
-                thread,
+            found, clear, listed, ridges, lasts, more = _near_now(
+                pools, edges, a, b, rotation, translation, rule, far, radius, listed, ridges, lasts, contacts, ids,
+                capacity, scratch, thread,
             )  # fmt: skip
             visits += more
             if found != 0:
@@ -137,48 +138,50 @@ def _gap_of_hulls(pools, a, b, rotation, translation, enough, toward, scratch, t
 
 @inlined_kernel
 def _near_now(
-    pools, a, b, rotation, translation, rule, far, radius, count, lasts, contacts, ids, capacity, scratch, thread
-):
+    pools, edges, a, b, rotation, translation, rule, far, radius, count, crossings, lasts, contacts, ids, capacity,
+    scratch, thread,
+):  # fmt: skip
     """Contacts of a pair by a Rule, where it stands; `far` [m] is as far as the two come.
 
     Of `count` samples it is noted in scratch how far they are (-1: of none, or too many), which are all that can be
-    near for another `lasts` [m]. Returns (contacts, how much farther apart than near they are at least [m], `count` and
-    `lasts` as they are now, visits).
+    near for another `lasts` [m]; `crossings` pairs of ridges likewise. Returns (contacts, how much farther apart than
+    near they are at least [m], `count`, `crossings` and `lasts` as they are now, visits).
     """
     if not may_search(pools, a, b):
         clear = _clearance_of_sphere(pools, a, b, translation, rule.near, far, scratch, thread)
         if clear > 0.0:
-            return 0, clear, -1, 0.0, 1
+            return 0, clear, -1, 0, 0.0, 1
         found, _, visits, _, clear = query_pair(
             pools, a, b, rotation, translation, rule.wanted, rule.epsilon, rule.near, 0, UNLIMITED, rule.most, contacts,
             ids, capacity, scratch, thread,
         )  # fmt: skip
-        return found, clear, -1, 0.0, visits
+        return found, clear, -1, 0, 0.0, visits
     listed, places, toward = scratch.ahead_listed[thread], scratch.ahead_places[thread], scratch.ahead_toward[thread]
-    ahead = min(far, max(AHEAD * radius, AHEAD_ON_WAY * far))
+    ridges, ahead = scratch.ahead_ridges[thread], min(far, max(AHEAD * radius, AHEAD_ON_WAY * far))
     if count >= 0 and lasts > 0.0:
         found, _, visits = query_listed(
-            pools, a, b, rotation, translation, rule, ahead, listed[:count], places[:count], contacts, ids, capacity,
-            scratch, thread,
+            pools, edges, a, b, rotation, translation, rule, ahead, listed[:count], places[:count], ridges[:crossings],
+            contacts, ids, capacity, scratch, thread,
         )  # fmt: skip
     else:
         lasts, visits, found = min(far, max(MOST_REACH * radius, REACH_ON_WAY * far)), 0, 0
         for _ in range(NARROWINGS):
-            found, _, more, count, clear = search_samples(
-                pools, a, b, rotation, translation, rule, lasts, min(ahead, lasts), contacts, ids, capacity, listed,
-                places, toward, scratch, thread,
+            found, _, more, count, crossings, clear = search_samples(
+                pools, edges, a, b, rotation, translation, rule, lasts, min(ahead, lasts), contacts, ids, capacity,
+                listed, places, ridges, toward, scratch, thread,
             )  # fmt: skip
             visits += more
-            if count <= MOST_LISTED or found != 0:
+            if (count <= MOST_LISTED and crossings <= MOST_RIDGES) or found != 0:
                 break
             lasts *= NARROWER
-        if count > MOST_LISTED:
-            return found, 0.0, -1, 0.0, visits
-        if count == 0:
+        if count > MOST_LISTED or crossings > MOST_RIDGES:
+            return found, 0.0, -1, 0, 0.0, visits
+        if count == 0 and crossings == 0:
             lasts = max(lasts, clear)
     middles = pools.fragment.middle
     left = least_left(listed, places, count, middles[a], middles[b], rotation, translation)
-    return found, min(lasts, left), count, lasts, visits
+    left = min(left, least_apart(edges, a, b, rotation, translation, ridges[:crossings], rule.near, thread))
+    return found, min(lasts, left), count, crossings, lasts, visits
 
 
 @inlined_kernel

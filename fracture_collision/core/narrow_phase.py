@@ -31,6 +31,7 @@ from fracture_collision.core.neighbour_lists import (
     FAST,
     FULL,
     MOST_LISTED,
+    MOST_RIDGES,
     NO_LISTS,
     NOT_LISTED,
     NeighbourLists,
@@ -43,6 +44,7 @@ from fracture_collision.core.neighbour_lists import (
     with_pairs,
 )
 from fracture_collision.core.pools import FACING
+from fracture_collision.core.ridge_contacts import NO_RIDGE_SEARCH, RidgeSearch, least_apart
 from fracture_collision.core.rotations import relative_pose
 from fracture_collision.core.sample_search import begins_with_seeds, may_search, query_listed, search_samples
 from fracture_collision.core.surface_pass import Surfaces, judge_pairs
@@ -95,8 +97,9 @@ def put_rotation(x, y, z, w, out):
 
 @threaded_kernel
 def _query_share(
-    pools, rows, rotations, positions, motion, pairs, todo, is_first, wanted, most, epsilon, near, shares, further,
-    limit, contacts, ids, begin, counts, bounds, visits, exhausted, lists, slots, known, scratch, threads, thread,
+    pools, edges, rows, rotations, positions, motion, pairs, todo, is_first, wanted, most, epsilon, near, shares,
+    further, limit, contacts, ids, begin, counts, bounds, visits, exhausted, lists, slots, known, scratch, threads,
+    thread,
 ):  # fmt: skip
     """Every `threads`-th pair of `todo`, from `thread` on. Pairs that are apart now are looked ahead for, by `motion`.
 
@@ -135,9 +138,10 @@ def _query_share(
                     n > 0 and most > 0 and begins_with_seeds(pools, a, b, rotation, translation, rule)
                 ):
                     ahead = min(reach_of(moves, radius)[1], lists.reach[slot] - moved)
+                    ridges = lists.ridge_pairs[slot, : lists.ridges[slot]]
                     found, bounds[p], visits[p] = query_listed(
-                        pools, a, b, rotation, translation, rule, ahead, lists.listed[slot, :n],
-                        lists.places[slot, :n], out, out_ids, room - used, scratch, thread,
+                        pools, edges, a, b, rotation, translation, rule, ahead, lists.listed[slot, :n],
+                        lists.places[slot, :n], ridges, out, out_ids, room - used, scratch, thread,
                     )  # fmt: skip
                     exhausted[p] = BY_LIMIT if found == limit < most else COMPLETE
                     if motion.time > 0.0 and found == 0:
@@ -145,31 +149,39 @@ def _query_share(
                         left = least_left(
                             lists.listed[slot], lists.places[slot], n, middles[a], middles[b], rotation, translation
                         )
+                        left = min(
+                            left, least_apart(edges, a, b, rotation, translation, ridges, rule.near, thread)
+                        )
                         clear = min(left, lists.reach[slot] - moved - rounding)
             is_quick = is_quick and n != FULL
         if slot >= 0:
             keep_pose(rotation, translation, lists.poses[slot])
         if found < 0 and is_quick:
-            listed, places = scratch.none_listed, scratch.no_places
+            listed, places, ridges = scratch.none_listed, scratch.no_places, scratch.none_listed
             toward, reach, ahead = scratch.toward[thread], 0.0, 0.0
             if slot >= 0:
                 listed, places, toward = lists.listed[slot], lists.places[slot], lists.toward[slot]
+                ridges = lists.ridge_pairs[slot]
                 reach, ahead = reach_of(moves, radius)
             else:
                 toward[0] = toward[1] = toward[2] = 0.0
-            found, bounds[p], visits[p], samples, clear = search_samples(
-                pools, a, b, rotation, translation, rule, reach, ahead, out, out_ids, room - used,
-                listed, places, toward, scratch, thread,
+            found, bounds[p], visits[p], samples, crossings, clear = search_samples(
+                pools, edges, a, b, rotation, translation, rule, reach, ahead, out, out_ids, room - used,
+                listed, places, ridges, toward, scratch, thread,
             )  # fmt: skip
             exhausted[p] = BY_LIMIT if found == limit < most else COMPLETE
             if slot >= 0:
                 lists.counts[slot] = NOT_LISTED if found >= 0 else FULL
-                if found >= 0 and samples <= MOST_LISTED and max(reach, clear) > 0.0:
-                    lists.counts[slot], lists.reach[slot] = samples, max(reach, clear)
+                has_room = samples <= MOST_LISTED and crossings <= MOST_RIDGES
+                if found >= 0 and has_room and max(reach, clear) > 0.0:
+                    lists.counts[slot], lists.ridges[slot] = samples, crossings
+                    lists.reach[slot] = max(reach, clear)
                     keep_pose(rotation, translation, lists.listed_at[slot])
                     if motion.time > 0.0 and found == 0:
                         middles = pools.fragment.middle
                         left = least_left(listed, places, samples, middles[a], middles[b], rotation, translation)
+                        crossing = ridges[:crossings]
+                        left = min(left, least_apart(edges, a, b, rotation, translation, crossing, rule.near, thread))
                         clear = min(left, lists.reach[slot])
         if found < 0:
             found, bounds[p], visits[p], exhausted[p], clear = query_pair(
@@ -179,14 +191,14 @@ def _query_share(
             if slot >= 0:
                 lists.counts[slot] = FULL if found >= wanted else NOT_LISTED
                 if clear > 0.0:
-                    lists.counts[slot], lists.reach[slot] = 0, clear
+                    lists.counts[slot], lists.ridges[slot], lists.reach[slot] = 0, 0, clear
                     keep_pose(rotation, translation, lists.listed_at[slot])
         moment = 0.0
         if found == 0 and motion.time > 0.0 and closing_speed(motion, i, j, 0.0, motion.time) * motion.time > clear:
             # by a search of its own: whatever is remembered, it is the same
             ahead = Rule(wanted, min(max(most, wanted), limit), rule.epsilon, rule.near)
             found, moment, more = first_touch(
-                pools, a, b, i, j, rotations, positions, motion, ahead, out, out_ids, room - used, rotation,
+                pools, edges, a, b, i, j, rotations, positions, motion, ahead, out, out_ids, room - used, rotation,
                 translation, scratch, thread,
             )  # fmt: skip
             visits[p] += more
@@ -241,6 +253,7 @@ def query_pairs(
     pools, rows, rotations, positions, pairs, wanted, most, epsilon, near, budget, scratch, crew: Crew,
     before: Remembered | None = None, stamp: int = 0, limits: WorkLimits = NO_LIMITS,
     overlaps: Overlaps | None = None, motion: Motion = NO_MOTION, surfaces: Surfaces | None = None,
+    edges: RidgeSearch = NO_RIDGE_SEARCH,
 ) -> tuple[PairContacts, Remembered]:  # fmt: skip
     """Contacts of `pairs` (p, 2) of indices into `rows` (n,), with poses rotations (n, 3, 3), positions (n, 3) [m].
 
@@ -250,6 +263,7 @@ def query_pairs(
     not depend on it, but for `visits`, and must not be changed where it is remembered. stamp: another after any change
     of the pools. A pair whose visits are limited is searched by the paper's rule. motion: of `rows`; what touches now
     is answered as without. surfaces: of pairs whose visits are not limited what is between samples is looked for too.
+    edges: ridges of all rows; by our rule their crossings are contacts like those of samples.
 
     limits: half of the further visits are shared evenly by all pairs, the other half by those whose share was too
     small. Of too many contacts, the pairs that have most lose their shallowest, so that none keeps more than some
@@ -287,9 +301,9 @@ def query_pairs(
         contacts, ids = np.empty((crew.threads, room, 10)), np.empty((crew.threads, room, 5), np.int64)
         begin = np.empty(p, np.int64)
         crew.share(
-            _query_share, pools, rows, rotations, positions, motion, pairs, todo, not passes, wanted, most, epsilon,
-            near, shares, further, limit, contacts, ids, begin, counts, bounds, visits, exhausted, lists, listed, known,
-            scratch,
+            _query_share, pools, edges, rows, rotations, positions, motion, pairs, todo, not passes, wanted, most,
+            epsilon, near, shares, further, limit, contacts, ids, begin, counts, bounds, visits, exhausted, lists,
+            listed, known, scratch,
         )  # fmt: skip
         for earlier in passes:
             earlier[-1][todo] = -1

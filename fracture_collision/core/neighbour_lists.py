@@ -23,8 +23,8 @@ from fracture_collision.core.kinds import PLANE
 from fracture_collision.core.prefetch import fetch
 from fracture_collision.core.rotations import to_other
 
-# Samples a list has room for.
-MOST_LISTED = 256
+# Samples a list has room for, and pairs of ridges (ridge_contacts.py).
+MOST_LISTED, MOST_RIDGES = 256, 256
 # A list is made of pairs that move by less than this share of the smaller R in a step.
 FAST = 0.003
 # How far beyond the tolerance it reaches: as far as the pair moves in so many steps, within these shares of R. More
@@ -34,7 +34,7 @@ LASTS, LEAST_REACH, MOST_REACH = 4.0, 0.005, 0.02
 AHEAD = 2.0
 # Values of `counts` without a list.
 NOT_LISTED = -1  # the pair moves too fast
-FULL = -2  # as many contacts as were wanted, or more samples near than MOST_LISTED: no list is tried at the next step
+FULL = -2  # as many contacts as were wanted, or more near than there is room for: no list is tried at the next step
 # Columns of `listed`: 2 (row of TreePool) + side; a tetrahedron of the other near it, -1: none is known.
 WHO, WHERE = 0, 1
 # Columns of `places`: where a sample is from the middle of its fragment's leaves, and where it was from the other's,
@@ -59,6 +59,8 @@ class NeighbourLists(NamedTuple):
     counts: np.ndarray  # (room,) int32: listed samples, NOT_LISTED or FULL
     listed: np.ndarray  # (room, MOST_LISTED, 2) int32: WHO, WHERE
     places: np.ndarray  # (room, MOST_LISTED, PLACE) float32 [m]
+    ridges: np.ndarray  # (room,) int32: listed pairs of ridges
+    ridge_pairs: np.ndarray  # (room, MOST_RIDGES, 2) int32: their numbers, of a and of b
     toward: np.ndarray  # (room, 3) float64: in b's frame, along which the two lay farthest apart; zeros: nobody knows
 
 
@@ -67,7 +69,8 @@ def _make_lists(room: int) -> NeighbourLists:
     return NeighbourLists(
         nobody, nobody, np.zeros((room, 2, 12)), np.zeros((room, 2, 12)), np.zeros(room),
         np.full(room, NOT_LISTED, np.int32), np.empty((room, MOST_LISTED, 2), np.int32),
-        np.empty((room, MOST_LISTED, PLACE), np.float32), np.zeros((room, 3)),
+        np.empty((room, MOST_LISTED, PLACE), np.float32), np.zeros(room, np.int32),
+        np.empty((room, MOST_RIDGES, 2), np.int32), np.zeros((room, 3)),
     )  # fmt: skip
 
 
@@ -107,6 +110,11 @@ def _copy_lists(old, new):
         new.poses[slot], new.listed_at[slot] = old.poses[slot], old.listed_at[slot]
         for k in range(old.counts[slot]):
             new.listed[slot, k], new.places[slot, k] = old.listed[slot, k], old.places[slot, k]
+        if old.counts[slot] < 0:
+            continue
+        new.ridges[slot] = old.ridges[slot]
+        for k in range(old.ridges[slot]):
+            new.ridge_pairs[slot, k] = old.ridge_pairs[slot, k]
 
 
 @kernel

@@ -88,7 +88,7 @@ def fill_leaves(spheres, entries, begins, counts, values, out_entries, middles):
                 middles[f, d] = 0.5 * (low[d] + high[d])
                 middles[f, 3] += SAMPLE_ROUNDING * (high[d] - low[d])
         for k in range(used):
-            places[0, k] = _place_on_curve(spheres[rows[0, k]], low, high)
+            places[0, k] = place_on_curve(spheres[rows[0, k]], low, high)
         _sort_by_place(rows, places, used, buckets)
         n = counts[f]
         flat = values[first : first + n].reshape(LEAF_VALUES * n)
@@ -109,7 +109,7 @@ def fill_leaves(spheres, entries, begins, counts, values, out_entries, middles):
 
 
 @inlined_kernel
-def _place_on_curve(point, low, high):
+def place_on_curve(point, low, high):
     """Where a point of a box is on the curve of Morton (1966): the bits of its three cell numbers in turn."""
     place = np.uint32(0)
     for d in range(3):

@@ -58,6 +58,7 @@ from fracture_collision.core.neighbour_lists import (
 from fracture_collision.core.oriented_boxes import box_clearance
 from fracture_collision.core.pools import LEAF, SAMPLE
 from fracture_collision.core.prefetch import fetch
+from fracture_collision.core.ridge_contacts import add_crossings, add_listed_crossings, have_ridges
 from fracture_collision.core.rotations import rotated, to_other
 from fracture_collision.core.sample_leaves import (
     leaves_of,
@@ -93,19 +94,21 @@ def begins_with_seeds(pools, a, b, rotation, translation, rule):
 
 @query_kernel
 def search_samples(
-    pools, a, b, rotation, translation, rule, reach, ahead, contacts, ids, capacity, listed, places, toward, scratch,
-    thread,
+    pools, edges, a, b, rotation, translation, rule, reach, ahead, contacts, ids, capacity, listed, places, ridges,
+    toward, scratch, thread,
 ):  # fmt: skip
     """All contacts of fragments `a` and `b`, no spheres, by a Rule; poses, contacts, ids and capacity as query_pair.
 
     `reach` [m], 0: none: samples that may be no farther than near + reach are put into `listed` (room, 2) and `places`
     (room, PLACE), see neighbour_lists.py, those of a before those of b; how far each is looked for no more than `ahead`
-    [m] farther.
+    [m] farther. By our rule, crossings of ridges are found too (`edges`: ridge_contacts.RidgeSearch); `ridges`
+    (room, 2): pairs that may cross, likewise.
     toward (3,): a direction in b's frame along which the two may lie apart, zeros if none is known; replaced by the one
     that was found.
 
-    Returns (contacts, missed depth bound [m], visits, samples near, clearance [m]), as query_pair does, the visits
-    counting leaves and samples; -1 contacts: as many as wanted by the paper's rule, so query_pair must say.
+    Returns (contacts, missed depth bound [m], visits, samples near, pairs of ridges likewise, clearance [m]), as
+    query_pair does, the visits counting leaves and samples; -1 contacts: as many as wanted by the paper's rule, so
+    query_pair must say.
     """
     fragment = pools.fragment
     slack = rounding_slack(pools, a, b, translation)
@@ -116,14 +119,14 @@ def search_samples(
     if bounded:
         parted = box_clearance(fragment.box[a], fragment.box[b], rotation[0], translation[0], within + slack)
         if parted > within + slack:
-            return 0, slack, 0, 0, parted - near - slack
+            return 0, slack, 0, 0, 0, parted - near - slack
     apart = displacement(pools, a, b, rotation, translation, IN_PLACE) if one_body else math.inf
     if apart <= rule.epsilon:
         count, visits = query_seeds(
             pools, a, b, rotation, translation, rule.wanted, near, 0, contacts, ids, capacity, scratch, thread
         )
         if count == rule.wanted:
-            return count, apart + slack, visits, MOST_LISTED + 1, 0.0
+            return count, apart + slack, visits, MOST_LISTED + 1, 0, 0.0
         count = 0
     leaves = leaves_of(pools, a), leaves_of(pools, b)
     beyond_b, beyond_a = NO_PLANE, NO_PLANE
@@ -133,7 +136,7 @@ def search_samples(
             pools, a, b, leaves, rotation, translation, within + rounding, toward, scratch, thread
         )
         if low - high > within + rounding:
-            return 0, slack, visits, 0, low - high - near - rounding
+            return 0, slack, visits, 0, 0, low - high - near - rounding
         x, y, z = n
         t = translation[0]
         beyond_b = x, y, z, high + rounding
@@ -192,7 +195,7 @@ def search_samples(
                 )  # fmt: skip
                 count, deep = count + is_near, deep + (distance < -rule.epsilon)
                 if rule.most == 0 and count == rule.wanted:
-                    return -1, slack, visits, samples, 0.0
+                    return -1, slack, visits, samples, 0, 0.0
             if reach > 0.0:
                 if samples < len(listed):
                     listed[samples, WHO], listed[samples, WHERE] = 2 * entry + side, at
@@ -201,10 +204,16 @@ def search_samples(
                     seen = NEAR_LAST if is_near else distance - 4.0 * slack
                     see(place, rotation[side], frame, seen, near)
                 samples += 1
+    crossings = 0
+    if rule.most > 0 and have_ridges(edges, a, b):
+        count, deep, crossings = add_crossings(
+            pools, edges, a, b, rotation, translation, (beyond_b, beyond_a), rule, reach, slack, apart, count, deep,
+            ridges, scratch, thread,
+        )  # fmt: skip
     chosen, bound = _choose(
         pools, a, b, rotation, translation, rule, slack, count, deep, contacts, ids, capacity, scratch, thread
     )
-    return chosen, bound, visits, samples, 0.0
+    return chosen, bound, visits, samples, crossings, 0.0
 
 
 @inlined_kernel
@@ -254,9 +263,11 @@ def _candidates(
 
 @query_kernel
 def query_listed(
-    pools, a, b, rotation, translation, rule, ahead, listed, places, contacts, ids, capacity, scratch, thread,
+    pools, edges, a, b, rotation, translation, rule, ahead, listed, places, ridges, contacts, ids, capacity, scratch,
+    thread,
 ):  # fmt: skip
-    """search_samples of a pair of which `listed` and `places` (n, .) are all samples that can be near.
+    """search_samples of a pair of which `listed` and `places` (n, .) are all samples that can be near, and `ridges`
+    (m, 2) all pairs of ridges that can cross.
 
     Where one is no nearer than the detection tolerance, it is looked for `ahead` [m] farther, and what is noted of it
     is renewed. Returns (contacts, missed depth bound [m], visits), -1 contacts as search_samples does.
@@ -302,6 +313,11 @@ def query_listed(
         count, deep = count + 1, deep + (distance < -rule.epsilon)
         if rule.most == 0 and count == rule.wanted:
             return -1, slack, visits
+    if rule.most > 0 and len(ridges) > 0:
+        apart = displacement(pools, a, b, rotation, translation, IN_PLACE) if one_body else math.inf
+        count, deep = add_listed_crossings(
+            pools, edges, a, b, rotation, translation, rule, slack, apart, ridges, count, deep, scratch, thread
+        )
     chosen, bound = _choose(
         pools, a, b, rotation, translation, rule, slack, count, deep, contacts, ids, capacity, scratch, thread
     )

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.core.compiled import kernel
-from fracture_collision.core.neighbour_lists import MOST_LISTED, PLACE
+from fracture_collision.core.neighbour_lists import MOST_LISTED, MOST_RIDGES, PLACE
 from fracture_collision.core.pools import LEAF, Pools
 from fracture_collision.core.triangle_field import STACK
 
@@ -48,6 +48,7 @@ class Scratch(NamedTuple):
     ahead_toward: np.ndarray  # (threads, 3 and apart) float64: likewise, of a pair at a later moment
     ahead_listed: np.ndarray  # (threads, MOST_LISTED, 2) int32: its samples, and
     ahead_places: np.ndarray  # (threads, MOST_LISTED, PLACE) float32 [m] theirs, see neighbour_lists.py
+    ahead_ridges: np.ndarray  # (threads, MOST_RIDGES, 2) int32: its pairs of ridges, likewise
     stack: np.ndarray  # (threads, STACK) int32: a descent through a triangle hierarchy
     within: np.ndarray  # (threads, MOST_WITHIN) int64: triangles within a sphere's reach (sphere_contacts.py)
     touching: np.ndarray  # (threads, MOST_TOUCHING) int64: those at one point
@@ -59,9 +60,11 @@ class Scratch(NamedTuple):
     no_places: np.ndarray
 
 
-def scratch_for(pools: Pools, rows: np.ndarray, threads: int, before: Scratch | None) -> Scratch:
-    """`before`, if it has room for all pairs of `rows` (n,), or a new one."""
-    nodes = 2 * _largest_tree(pools.fragment.tree_begin, pools.fragment.tree_end, rows) + 2
+def scratch_for(
+    pools: Pools, rows: np.ndarray, threads: int, before: Scratch | None, crossings: int = 0
+) -> Scratch:
+    """`before`, if it has room for all pairs of `rows` (n,), or a new one. crossings: of ridges, of a pair at most."""
+    nodes = 2 * _largest_tree(pools.fragment.tree_begin, pools.fragment.tree_end, rows) + 2 + crossings
     tetrahedra = len(pools.mesh.tetrahedra)
     if before is None or before.visited.shape[1] < tetrahedra or before.node_int.shape[1] < nodes:
         return make_scratch(threads, tetrahedra, nodes)
@@ -106,6 +109,7 @@ def make_scratch(threads: int, tetrahedra: int, nodes: int) -> Scratch:
         ahead_toward=np.zeros((threads, 24)),
         ahead_listed=np.zeros((threads, MOST_LISTED, 2), dtype=np.int32),
         ahead_places=np.zeros((threads, MOST_LISTED, PLACE), dtype=np.float32),
+        ahead_ridges=np.zeros((threads, MOST_RIDGES, 2), dtype=np.int32),
         stack=np.zeros((threads, STACK), dtype=np.int32),
         within=np.zeros((threads, MOST_WITHIN), dtype=np.int64),
         touching=np.zeros((threads, MOST_TOUCHING), dtype=np.int64),

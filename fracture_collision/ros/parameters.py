@@ -29,7 +29,7 @@ _DESCRIPTIONS: dict[str, tuple[str, Range | None]] = {
     "detection_tolerance": ("surfaces this far apart are listed already, as a share of the bodies' R", Range(0, 0.1)),
     "lookahead": ("contacts that will come about within so many seconds are listed too; a step's length", Range(0, 1)),
     "field": ("depth inside a fragment: 'exact' (local flood) or 'averaged' (Glondu 2014, eq. 1-2)", None),
-    "surfaces": ("what the bound holds for: 'sampled', or 'searched' for all of both surfaces (far slower)", None),
+    "surfaces": ("what is asked: 'sampled', 'edges' too, or all, 'searched', which the bound then holds for", None),
     "tree": ("trees of new fragments: 'restructured' (Glondu 2014, 6.2), 'plain' (its [27]) or 'rebuilt'", None),
     "normals": ("which surface a normal is of: one 'facing' the sample, or the 'nearest' (Glondu 2014, 4.4)", None),
     "traversal": ("order of visits: 'alternating' between parents (Glondu 2014, 5.3) or 'queue' (its [27])", None),

@@ -18,6 +18,13 @@ from fracture_collision.core.narrow_phase import (
     WorkLimits,
     query_pairs,
 )
+from fracture_collision.core.ridge_contacts import (
+    MOST_CROSSINGS,
+    NO_RIDGE_SEARCH,
+    RidgeSearch,
+    RidgeWork,
+    make_ridge_work,
+)
 from fracture_collision.core.scratch import Scratch, scratch_for
 from fracture_collision.core.surface_certificate import make_surface_work
 from fracture_collision.core.surface_elements import ElementTable
@@ -37,7 +44,14 @@ from fracture_collision.world.fragment_mesh import fragment_mesh
 from fracture_collision.world.ledger import Ledger
 from fracture_collision.world.present import Present, find_fragments, take_places
 from fracture_collision.world.registry import Registry
-from fracture_collision.world.settings import SEARCHED, Settings, check_settings, geometry_settings, most_listed
+from fracture_collision.world.settings import (
+    SEARCHED,
+    Settings,
+    check_settings,
+    geometry_settings,
+    has_edges,
+    most_listed,
+)
 from fracture_collision.world.states_gate import CheckedStates, check_states
 
 # [m], [rad]: nothing goes or turns farther within the time that is looked ahead.
@@ -75,6 +89,7 @@ class CollisionWorld:
         # of the last answer, with what it holds for; it makes the next one quicker, never different
         self._remembered, self._remembered_of = NOTHING_REMEMBERED, self._what_is_remembered_of()
         self._surfaces, self._surfaces_of = None, self._what_is_remembered_of()
+        self._ridge_work: RidgeWork | None = None
         self._paired, self._paired_of = NOTHING_PAIRED, self._asked_of()
         self._answered = _NOTHING_ANSWERED
         self.last_timings: dict[str, float] = {"update": 0.0, "broad_phase": 0.0, "narrow_phase": 0.0}  # [s]
@@ -131,7 +146,9 @@ class CollisionWorld:
         here = take_places(checked, self._registry.living(), moving)
         rows, positions, rotations = here.rows, here.positions, here.rotations
         pools = self._registry.geometry.pools
-        self._scratch = scratch_for(pools, rows, self._crew.threads, self._scratch)
+        edges = self._edges_to_search(rows)
+        crossings = MOST_CROSSINGS if edges is not NO_RIDGE_SEARCH else 0
+        self._scratch = scratch_for(pools, rows, self._crew.threads, self._scratch, crossings)
         motion = self._motion_of(here)
         radius, paired = pairs_within_reach(
             pools.fragment, rows, rotations, positions, motion, here.is_static, self.settings.detection_tolerance,
@@ -151,6 +168,7 @@ class CollisionWorld:
             self.settings.penetration_tolerance, self.settings.detection_tolerance, budget,
             self._scratch, self._crew, remembered, self._registry.changes,
             _work_limits(self.settings), paired.overlaps, motion, self._surfaces_to_search(),
+            edges,
         )  # fmt: skip
         answer = contact_answer(checked, here, radius, pairs, found, self.settings.penetration_tolerance)
         if remembered is not None:
@@ -256,6 +274,17 @@ class CollisionWorld:
         remembered = self._remembered if self._remembered_of == holds_for else NOTHING_REMEMBERED
         self._remembered, self._remembered_of = NOTHING_REMEMBERED, holds_for
         return remembered
+
+    def _edges_to_search(self, rows: np.ndarray) -> RidgeSearch:
+        """Ridges of all fragments, with room for those of `rows`."""
+        if not has_edges(self.settings):
+            return NO_RIDGE_SEARCH
+        ridges, threads = self._registry.geometry.ridges, self._crew.threads
+        most = int(ridges.count[rows].max(initial=0))
+        work = self._ridge_work
+        if work is None or len(work.worst) != threads or work.worst.shape[1] < most:
+            work = self._ridge_work = make_ridge_work(threads, 2 * most)
+        return RidgeSearch(ridges, work)
 
     def _surfaces_to_search(self) -> Surfaces | None:
         """Elements of surfaces that are made as they are asked for, for as long as rows keep their numbers."""

@@ -12,7 +12,7 @@ from fracture_collision.records import FragmentRegistry
 from fracture_collision.world.body_gate import CheckedBody
 from fracture_collision.world.fracture_gate import CheckedFracture, apply_fracture
 from fracture_collision.world.living_fragments import Columns, LivingFragments
-from fracture_collision.world.settings import FIELDS, NORMALS, TRAVERSALS, Settings
+from fracture_collision.world.settings import FIELDS, NORMALS, TRAVERSALS, Settings, has_edges
 
 # How core calls what the settings name; a tree's name is its own.
 _FIELD = dict(zip(FIELDS, (EXACT, AVERAGED), strict=True))
@@ -25,8 +25,9 @@ class Registry:
 
     def __init__(self, settings: Settings) -> None:
         self.geometry = CollisionGeometry(
-            settings.tree, _TRAVERSAL[settings.traversal], _FIELD[settings.field], _NORMALS[settings.normals]
-        )
+            settings.tree, _TRAVERSAL[settings.traversal], _FIELD[settings.field], _NORMALS[settings.normals],
+            has_edges(settings),
+        )  # fmt: skip
         self.sequence = 0
         self.renumbered = 0  # how often the rows of all fragments have changed
         self.changes = 0  # how often anything has

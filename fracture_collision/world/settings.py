@@ -37,9 +37,10 @@ class Settings(NamedTuple):
     # faces the sample, where it is near; `nearest`: along the shortest way to any surface, as in the paper, which at
     # rims often points along the surface that parts the two.
     normals: str = "facing"
-    # `sampled`: contacts are sought at samples, and missed_depth_bound holds for these. `searched`: it holds for all
-    # points of both surfaces, and the deepest point between samples, as where edges cross, is listed too. For checking
-    # what samples leave out: it takes 30 to 100 times as long (docs/numerics.md), and needs field `exact`.
+    # `sampled`: contacts are sought at samples, and missed_depth_bound holds for these. `edges`: also where edges of
+    # the two cross between their samples, with the normal across both; needs selection `sufficient`, no visit_budget.
+    # `searched`: the bound holds for all points of both surfaces, and what is still deeper between samples is listed.
+    # For checking what samples leave out: it takes 30 to 100 times as long (docs/numerics.md), and needs field `exact`.
     surfaces: str = "sampled"
     # `restructured`: trees are split, restructured and extended at a fracture (6.2, 6.3); `plain`: as in the paper's
     # earlier version [27], without regard to the maximum-distance order; `rebuilt`: from nothing (Fig. 15).
@@ -74,15 +75,20 @@ LONGEST_LOOKAHEAD = 1.0  # [s] a step of that length is none any more
 FIELDS = ("exact", "averaged")
 SELECTIONS = ("sufficient", "complete")
 NORMALS = ("facing", "nearest")
-SAMPLED, SEARCHED = "sampled", "searched"
-SURFACES = (SAMPLED, SEARCHED)
+SAMPLED, EDGES, SEARCHED = "sampled", "edges", "searched"
+SURFACES = (SAMPLED, EDGES, SEARCHED)
 TREES = ("restructured", "plain", "rebuilt")
 TRAVERSALS = ("alternating", "queue")
 
 
-def geometry_settings(settings: Settings) -> tuple[str, ...]:
+def geometry_settings(settings: Settings) -> tuple[str | bool, ...]:
     """What a registry is built by: with another of these, it is built anew from the log."""
-    return settings.field, settings.normals, settings.tree, settings.traversal
+    return settings.field, settings.normals, settings.tree, settings.traversal, has_edges(settings)
+
+
+def has_edges(settings: Settings) -> bool:
+    """Whether edges that cross between samples are contacts; not by the paper's rule."""
+    return settings.surfaces != SAMPLED and settings.selection == "sufficient" and not settings.visit_budget
 
 
 def most_listed(settings: Settings) -> int:
@@ -102,6 +108,8 @@ def check_settings(settings: Settings) -> None:
             raise ValueError(f"{name}: {getattr(settings, name)!r} is none of {', '.join(choices)}")
     if settings.surfaces == SEARCHED and settings.field != "exact":
         raise ValueError("surfaces: 'searched' needs field 'exact': averaged depths bound nothing between samples")
+    if settings.surfaces == EDGES and (settings.selection != "sufficient" or settings.visit_budget):
+        raise ValueError("surfaces: 'edges' needs selection 'sufficient' and no visit_budget: others ask samples alone")
     for name in ("contacts_per_pair", "deep_contacts_per_pair"):
         if getattr(settings, name) < 1:
             raise ValueError(f"{name}: {getattr(settings, name)} is not at least 1")

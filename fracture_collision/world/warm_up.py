@@ -46,8 +46,9 @@ def compile_kernels(progress: Callable[[str], None]) -> None:
         world.contacts(_states(step, 2, np.array([2, 5, 7, 8, 9])))
     world.change_settings(world.settings._replace(lookahead=0.01))
     world.contacts(_states(5, 2, np.array([2, 5, 7, 8, 9])))
-    world.change_settings(world.settings._replace(lookahead=0.0, field="exact", surfaces="searched"))
-    world.contacts(_states(6, 2, np.array([2, 5, 7, 8, 9])))
+    for step, surfaces in ((6, "searched"), (7, "edges")):
+        world.change_settings(world.settings._replace(lookahead=0.0, field="exact", surfaces=surfaces))
+        world.contacts(_states(step, 2, np.array([2, 5, 7, 8, 9])))
     world.fragments()
     world.fragment_mesh(5)
 
