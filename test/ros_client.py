@@ -9,7 +9,7 @@ from typing import Any
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.parameter import Parameter
+from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.parameter_client import AsyncParameterClient
 
 from fracture_collision.records import ContactConstraintArray, FragmentRegistry
@@ -99,22 +99,30 @@ class ServiceClient:
 
     def set_parameters(self, **values: Any) -> list[str]:
         """Of the service: why each was refused, "" where it was not."""
+        wanted = [Parameter(name, value=value) for name, value in values.items()]
+        answer = self._ask_parameters(lambda client: client.set_parameters(wanted))
+        return [result.reason if not result.successful else "" for result in answer.results]
+
+    def parameters(self, *names: str) -> list[Any]:
+        """Values of the service's parameters."""
+        answer = self._ask_parameters(lambda client: client.get_parameters(list(names)))
+        return [parameter_value_to_python(value) for value in answer.values]
+
+    def _ask_parameters(self, ask: Callable[[AsyncParameterClient], Any]) -> Any:
         if self._parameters is None:
             self._parameters = AsyncParameterClient(self.node, "collision_node")
         assert self._parameters.wait_for_services(PATIENCE)
-        wanted = [Parameter(name, value=value) for name, value in values.items()]
         futures: list[Any] = []
 
         def is_answered() -> bool:
             # rmw drops an answer whose reader it has not discovered yet, although it had the question from its writer.
             if time.monotonic() >= began + len(futures) * ASK_AGAIN:
-                futures.append(self._parameters.set_parameters(wanted))
+                futures.append(ask(self._parameters))
             return any(future.done() for future in futures)
 
         began = time.monotonic()
         self.spin_until(is_answered, "an answer of the parameter service")
-        answer = next(future.result() for future in futures if future.done())
-        return [result.reason if not result.successful else "" for result in answer.results]
+        return next(future.result() for future in futures if future.done())
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         self.diagnostics_came.append(time.monotonic())

@@ -246,7 +246,11 @@ def test_ridges_outlast_what_is_dropped_before_them() -> None:
         np.testing.assert_array_equal(of(row), before[row])
 
 
-@pytest.mark.parametrize("other", [{"selection": "complete"}, {"visit_budget": 1000}])
-def test_what_does_not_go_with_it_is_refused_in_words(other: dict) -> None:
-    with pytest.raises(ValueError, match="surfaces: 'edges' needs selection 'sufficient'"):
-        CollisionWorld(EDGES._replace(**other))
+@pytest.mark.parametrize("other", [{"selection": "complete"}, {"visit_budget": 1_000_000}])
+def test_by_the_papers_rule_samples_alone_are_asked(case: FracturedWorld, other: dict) -> None:
+    states = case.states(0.01, 4)
+    worlds = [with_settings(case, EDGES._replace(surfaces=surfaces, **other)) for surfaces in ("edges", "sampled")]
+    assert_same(*(world.contacts(states) for world in worlds))
+    # the registry has the ridges: they are asked for again as soon as the rule is another
+    worlds[0].change_settings(EDGES)
+    assert_same(worlds[0].contacts(states), with_settings(case, EDGES).contacts(states))

@@ -9,6 +9,7 @@ from urllib.parse import urlsplit
 import pytest
 from click.testing import CliRunner
 from page_client import page_client, wait_until
+from ros_client import ServiceClient
 from websockets.exceptions import InvalidStatus
 
 from fracture_collision.cli.commands import main
@@ -78,3 +79,16 @@ def test_a_run_has_logs_of_its_own_alone(out: Path) -> None:
         assert all(node.log.exists() for node in run.nodes)
     assert all("earlier" not in (out / "logs" / log).read_text() for log in NODES)
     assert {each.name for each in out.iterdir()} == {"logs", "bag_1"}
+
+
+def test_the_service_looks_ahead_by_a_step_of_the_scene_that_is_played(out: Path) -> None:
+    with played("pane", -1, out, "127.0.0.1", 0) as run:
+        ears = ServiceClient(run.domain_id)
+        try:
+            assert ears.parameters("lookahead", "surfaces") == [0.0025, "edges"]
+            with page_client(run.address, origin=run.address) as own:
+                own.set("scene", "drop_bunnies")
+                wait_until(lambda: ears.parameters("lookahead", "surfaces") == [0.005, "edges"])
+        finally:
+            ears.close()
+        run.check()

@@ -140,7 +140,7 @@ class LiveSimulatorNode(SimulatorNode):
         self._next_status = now + STATUS_INTERVAL
         status = SimulationStatus(
             header=Header(frame_id="world"), run_id=self._run_id, scene=self._scene.name, paused=self._paused,
-            rate=self._rate, round_trip=round_trip, refused=self._refused,
+            time_step=self._scene.time_step, rate=self._rate, round_trip=round_trip, refused=self._refused,
         )  # fmt: skip
         if len(self._reached) > 1:
             (began, first), (ended, last) = self._reached[0], self._reached[-1]

@@ -59,7 +59,11 @@ ARROWS = {"up": (0.0, 1.0), "down": (0.0, -1.0), "right": (1.0, 0.0), "left": (-
 
 
 class PageNode(Node):
-    """Prints the page's address as a line of JSON. Parameters: `host`, `port`, `scene`, `folder` of recordings."""
+    """Prints the page's address as a line of JSON. Parameters: `host`, `port`, `scene`, `folder` of recordings.
+
+    Has the service look ahead by a step of the scene that is played, whenever that is another: a person throws faster
+    than a scene does.
+    """
 
     def __init__(self) -> None:
         super().__init__("page_node")
@@ -81,6 +85,7 @@ class PageNode(Node):
         self._states: FragmentStates | None = None
         self._early: Received | None = None  # states that came before the first body of their run
         self._status: SimulationStatus | None = None
+        self._ahead = 0.0  # [s] that the service was told to look ahead
         self._held: tuple[int, np.ndarray] | None = None  # fragment and grip in its body frame
         self._stop_timer: Timer | None = None  # of the hammer, after the last arrow key
         self._awaits_joints = False  # of an arm that has come
@@ -197,6 +202,9 @@ class PageNode(Node):
         if self._of_this_run(message.run_id):
             self._status = message
             self._mirror.hear_paused(message.paused)
+            if message.time_step != self._ahead and self._service.services_are_ready():
+                self._ahead = message.time_step
+                self._service.set_parameters([Parameter("lookahead", value=self._ahead)])
             if message.refused and message.refused != self._refused:
                 self.page.notify(message.refused)
             self._refused = message.refused

@@ -12,7 +12,7 @@ from fracture_collision.records import FragmentRegistry
 from fracture_collision.world.body_gate import CheckedBody
 from fracture_collision.world.fracture_gate import CheckedFracture, apply_fracture
 from fracture_collision.world.living_fragments import Columns, LivingFragments
-from fracture_collision.world.settings import FIELDS, NORMALS, TRAVERSALS, Settings, has_edges
+from fracture_collision.world.settings import FIELDS, NORMALS, SAMPLED, TRAVERSALS, Settings
 
 # How core calls what the settings name; a tree's name is its own.
 _FIELD = dict(zip(FIELDS, (EXACT, AVERAGED), strict=True))
@@ -26,7 +26,7 @@ class Registry:
     def __init__(self, settings: Settings) -> None:
         self.geometry = CollisionGeometry(
             settings.tree, _TRAVERSAL[settings.traversal], _FIELD[settings.field], _NORMALS[settings.normals],
-            has_edges(settings),
+            settings.surfaces != SAMPLED,
         )  # fmt: skip
         self.sequence = 0
         self.renumbered = 0  # how often the rows of all fragments have changed
