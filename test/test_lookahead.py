@@ -183,6 +183,19 @@ def test_the_answer_does_not_depend_on_what_is_remembered(case: FracturedWorld) 
                 assert np.asarray(x).tobytes() == np.asarray(y).tobytes(), (k, name)
 
 
+def test_what_turns_above_a_floor_meets_it() -> None:
+    """Its middle stays where it is; seen from it, the floor's far parts come up at any speed."""
+    world = CollisionWorld(SETTINGS._replace(lookahead=0.0025))
+    world.add_body(tetrahedral_body(brick((0.06, 0.06, 0.004), 0.02), 1))
+    world.add_body(CollisionBody(2, 2, plane=np.array([0.0, 0.0, 1.0, 0.0]), is_static=True))
+    states = FragmentStates(
+        1, 0, np.array([1]), np.array([0.0, 0.0, 0.01]), np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3),
+        np.array([150.0, 0.0, 0.0]),
+    )  # fmt: skip
+    answer = world.contacts(states)
+    assert len(answer.gaps) and np.allclose(answer.gaps, 0.008, atol=1e-9)
+
+
 def test_two_that_fly_as_one_do_not_meet() -> None:
     """Two bricks a finger apart tumble about their common centre at 50 rad/s: fast, and never nearer."""
     world = CollisionWorld(SETTINGS._replace(lookahead=0.02))

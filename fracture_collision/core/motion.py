@@ -17,6 +17,8 @@ from fracture_collision.core.compiled import inlined_kernel, kernel
 from fracture_collision.core.kinds import PLANE
 
 _sine_after = inlined_kernel(portable_math.sine_after)
+# [m] how far a plane reaches: seen from what turns, some of it is as fast as anything.
+ENDLESS = 1e30
 
 
 class Motion(NamedTuple):
@@ -26,7 +28,7 @@ class Motion(NamedTuple):
     centers: np.ndarray  # (n, 3) float64 [m] centres of mass now, world
     linear: np.ndarray  # (n, 3) float64 [m/s] theirs
     angular: np.ndarray  # (n, 3) float64 [rad/s] world axes
-    reach: np.ndarray  # (n,) float64 [m] of a fragment about its centre
+    reach: np.ndarray  # (n,) float64 [m] of a fragment about its centre; of a plane ENDLESS
 
 
 NO_MOTION = Motion(0.0, np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
@@ -42,6 +44,7 @@ def motion_of(fragment, rows, rotations, positions, centers, linear, angular, ti
     placed, velocities, spins, reach = positions.copy(), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n)
     for i in range(n):
         if fragment.kind[rows[i]] == PLANE:
+            reach[i] = ENDLESS
             continue
         arm = np.zeros(3)
         box, square = fragment.box[rows[i]], 0.0
