@@ -1,0 +1,326 @@
+"""Within a step: do two bodies that are apart touch, and does the service say so? Against another library's answer.
+
+Something is thrown at something, spinning, from so near that about half of the flights end in a touch within the step.
+`lookahead` is the step. *Missed*: they touch, deeper than epsilon before the step ends, and nothing is listed; *ghost*:
+something is listed, and they come no nearer than one and a half detection tolerances.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.figure import Figure
+from scipy.spatial.transform import Rotation
+
+from benchmarks.studies.pictures import BLUE, RED, finish, new_figure
+from benchmarks.studies.study import Study, Trial
+from benchmarks.studies.table import Row, Table, markdown_table, number
+from fracture_collision.geometry.concave_shapes import l_block
+from fracture_collision.geometry.generators import TetGeometry, ball, brick
+from fracture_collision.geometry.stored_meshes import bunny
+from fracture_collision.geometry.tetrahedra import boundary_triangles
+from fracture_collision.records import BOX, SPHERE, CollisionBody, FragmentStates, SolidPrimitive
+from fracture_collision.world import CollisionWorld, Settings
+
+sys.path.append(str(Path(__file__).resolve().parents[2] / "test"))  # the truth lives with the tests
+
+# [m]
+THROWN: dict[str, Callable[[], TetGeometry]] = {
+    "shard": lambda: brick((0.06, 0.06, 0.004), 0.02),
+    "rod": lambda: brick((0.1, 0.008, 0.008), 0.02),
+    "pane": lambda: brick((0.12, 0.12, 0.006), 0.03),
+    "bunny": lambda: bunny(0.1),
+}
+THROWN_ID, TARGET_ID, HEAP_PIECES = 5000, 1, 6
+TARGETS = ("plate", "rod", "plane", "box", "sphere", "triangles", "heap")
+BOX_SIZE, SPHERE_RADIUS = (0.1, 0.08, 0.06), 0.05  # [m]
+PLANE_SIZE = 4.0  # [m] of what stands for a plane to the other library
+MODES = ("sampled", "edges")
+SPEEDS = (1.0, 5.0, 20.0, 50.0, 100.0, 200.0)  # [m/s]
+STEPS = (0.001, 0.0025, 0.005, 0.01)  # [s]
+MOST_SPIN, SPIN_OF_TARGET, SPEED_OF_TARGET = 200.0, 20.0, 1.0  # [rad/s], [rad/s], [m/s]
+FROM = 0.6  # [m] away is surely apart
+LATEST = 1.8  # [steps] to go straight on before the touch: a good half of the flights touch
+NEAR, EPSILON = 0.002, 0.002  # of the smaller R, as the service's
+GRAZES = 1.5  # detection tolerances: so near is near
+MOMENTS = 200  # at which it is looked how deep two are that touch and are not listed
+MOST_DRAWS = 50
+TOGETHER = 6  # flights of a trial
+
+
+class Size(NamedTuple):
+    flights: int  # of each thing thrown, target and speed
+    thrown: tuple[str, ...] = tuple(THROWN)
+    targets: tuple[str, ...] = TARGETS
+    speeds: tuple[float, ...] = SPEEDS  # [m/s]
+
+
+class Target(NamedTuple):
+    """Bodies that stand or move as one."""
+
+    bodies: list[CollisionBody]
+    events: list[Any]
+    parts: list[tuple[int, np.ndarray, np.ndarray]]  # fragment id, vertices (n, 3) [m], triangles (t, 3)
+    center: np.ndarray  # (3,) [m] of mass
+    low: np.ndarray  # of the box that is aimed at
+    high: np.ndarray
+    radius: float  # [m] R of the service
+
+
+class Flight(NamedTuple):
+    touches: bool
+    is_near: bool  # they come within GRAZES tolerances
+    depth: float  # [R] at most before the step ends, where they touch and one mode lists nothing; else 0
+    listed: tuple[bool, ...]  # of MODES
+
+
+def trials(size: Size) -> list[Trial]:
+    return [
+        trial
+        for thrown in size.thrown
+        for target in size.targets
+        for speed in size.speeds
+        for trial in _trials(size, thrown, target, speed)
+    ]
+
+
+def _trials(size: Size, thrown: str, target: str, speed: float) -> list[Trial]:
+    return [
+        Trial(
+            fly, (thrown, target, speed, first, min(first + TOGETHER, size.flights)),
+            f"{thrown} at {target}, {speed:g} m/s, from flight {first} on", False,
+        )
+        for first in range(0, size.flights, TOGETHER)
+    ]  # fmt: skip
+
+
+def fly(thrown: str, target: str, speed: float, first: int, end: int) -> list[Flight]:
+    """Flights first .. end - 1, that differ in their random numbers."""
+    made, aim = THROWN[thrown](), _target(target)
+    worlds = {mode: _world(made, aim, mode) for mode in MODES}
+    key = [list(THROWN).index(thrown), TARGETS.index(target), int(speed)]
+    return [_one(made, aim, worlds, target, speed, np.random.default_rng([*key, k])) for k in range(first, end)]
+
+
+def _one(
+    made: TetGeometry, aim: Target, worlds: Mapping[str, CollisionWorld], target: str, speed: float, random: Any
+) -> Flight:
+    from benchmarks.studies import flight_truth as truth
+
+    step = float(random.choice(STEPS))
+    surface, origin = boundary_triangles(made.tetrahedra), np.zeros(3)
+    center = _center(made)
+    still = Rotation.identity()
+    parts = [truth.Mover(v, t, aim.center, origin, still, origin, origin) for _, v, t in aim.parts]
+    smaller = min(aim.radius, 0.5 * float(np.ptp(made.vertices, axis=0).max()))
+    for _ in range(MOST_DRAWS):
+        way = random.normal(size=3)
+        way /= np.linalg.norm(way)
+        if target == "plane":
+            way[2] = -abs(way[2])
+        at = random.uniform(aim.low, aim.high)
+        turn = Rotation.random(random_state=int(random.integers(1 << 30)))
+        mover = truth.Mover(made.vertices, surface, center, at - FROM * way - turn.apply(center), turn, way, origin)
+        reaches = min(truth.Flight(mover, part).first_touch(2.0 * FROM) for part in parts)
+        if np.isfinite(reaches):
+            break
+    back = max(random.uniform(0.05, LATEST) * speed * step, 4.0 * NEAR * smaller)
+    spin = random.normal(size=3)
+    spin *= random.uniform(0.0, MOST_SPIN) / np.linalg.norm(spin)
+    place = mover.position + (reaches - back) * way
+    mover = mover._replace(
+        position=place, velocity=speed * way - np.cross(spin, turn.apply(center)), spin=spin,
+    )  # fmt: skip
+    moving = origin, origin
+    if target not in ("plane", "heap") and random.random() < 0.5:
+        moving = tuple(random.uniform(-most, most, 3) for most in (SPEED_OF_TARGET, SPIN_OF_TARGET))
+    parts = [part._replace(velocity=moving[0], spin=moving[1]) for part in parts]
+    flights = [truth.Flight(mover, part) for part in parts]
+    first = min(flight.first_touch(step) for flight in flights)
+    is_near = np.isfinite(first) or any(
+        np.isfinite(flight.first_touch(step, GRAZES * NEAR * smaller)) for flight in flights
+    )
+    listed = tuple(_is_listed(world, aim, mover, moving, step, target) for world in worlds.values())
+    depth = 0.0
+    if np.isfinite(first) and not all(listed):
+        depth = _deepest(mover, parts, first, step) / smaller
+    return Flight(bool(np.isfinite(first)), bool(is_near), depth, listed)
+
+
+def _is_listed(world: CollisionWorld, aim: Target, mover, moving, step: float, target: str) -> bool:
+    world.change_settings(world.settings._replace(lookahead=step))
+    ids, linear, angular = [THROWN_ID], [mover.velocity], [mover.spin]
+    if target != "plane":
+        ids += [fragment for fragment, _, _ in aim.parts]
+        linear += [moving[0]] * len(aim.parts)
+        angular += [moving[1]] * len(aim.parts)
+    n = len(ids)
+    positions, turns = np.zeros((n, 3)), np.tile([0.0, 0.0, 0.0, 1.0], (n, 1))
+    positions[0], turns[0] = mover.position, mover.turn.as_quat()
+    answer = world.contacts(
+        FragmentStates(
+            1, len(aim.events), np.array(ids), positions.ravel(), turns.ravel(), np.ravel(linear), np.ravel(angular)
+        )
+    )
+    rows = [k for k in range(len(answer.fragment_a)) if THROWN_ID in (answer.fragment_a[k], answer.fragment_b[k])]
+    return any(answer.pair_begin[k + 1] > answer.pair_begin[k] for k in rows)
+
+
+def _deepest(mover, parts, first: float, step: float) -> float:
+    """[m] that a point of either surface is in the other at most, from the first touch to the end of the step."""
+    from surface_truth import Solid
+
+    deepest = 0.0
+    for part in parts:
+        for t in np.linspace(first, step, MOMENTS):
+            one, other = mover.at(t)[mover.triangles], part.at(t)[part.triangles]
+            if np.any(one.min((0, 1)) > other.max((0, 1))) or np.any(other.min((0, 1)) > one.max((0, 1))):
+                continue
+            finest = 0.05 * max(float(np.ptp(one.reshape(-1, 3), axis=0).max()), 1e-3)
+            deepest = max(deepest, Solid(other).deepest_of(one, deepest, finest).depth)
+            deepest = max(deepest, Solid(one).deepest_of(other, deepest, finest).depth)
+    return deepest
+
+
+def _center(made: TetGeometry) -> np.ndarray:
+    """Of mass [m]."""
+    corners = made.vertices[made.tetrahedra]
+    sides = corners[:, 1:] - corners[:, :1]
+    volumes = np.abs(np.linalg.det(sides))
+    return (corners.mean(axis=1) * volumes[:, None]).sum(axis=0) / volumes.sum()
+
+
+def _world(made: TetGeometry, aim: Target, mode: str) -> CollisionWorld:
+    world = CollisionWorld(Settings(threads=1, surfaces=mode))
+    world.add_body(_tetrahedral(THROWN_ID, made))
+    for body in aim.bodies:
+        world.add_body(body)
+    for event in aim.events:
+        world.add_fracture(event)
+    return world
+
+
+def _tetrahedral(body_id: int, made: TetGeometry) -> CollisionBody:
+    vertices, tetrahedra = made.vertices.ravel(), made.tetrahedra.ravel()
+    return CollisionBody(body_id, body_id, vertices=vertices, tetrahedra=tetrahedra, density=2400.0)
+
+
+def _target(name: str) -> Target:
+    """One body with the id TARGET_ID, broken or whole."""
+    if name in ("plate", "rod"):
+        made = brick((0.25, 0.25, 0.006), 0.05) if name == "plate" else brick((0.2, 0.01, 0.01), 0.03)
+        return _of_one(_tetrahedral(TARGET_ID, made), made.vertices, boundary_triangles(made.tetrahedra), np.zeros(3))
+    if name == "plane":
+        slab = brick((PLANE_SIZE, PLANE_SIZE, 1.0), PLANE_SIZE)
+        body = CollisionBody(TARGET_ID, TARGET_ID, plane=np.array([0.0, 0.0, 1.0, 0.0]), is_static=True)
+        vertices = slab.vertices - [0.0, 0.0, 0.5]
+        target = _of_one(body, vertices, boundary_triangles(slab.tetrahedra), np.zeros(3))
+        return target._replace(low=np.full(3, -0.05), high=np.full(3, 0.05), radius=np.inf)
+    if name == "box":
+        body = CollisionBody(TARGET_ID, TARGET_ID, primitive=SolidPrimitive(BOX, BOX_SIZE), density=1000.0)
+        made = brick(BOX_SIZE, max(BOX_SIZE))
+        return _of_one(body, made.vertices, boundary_triangles(made.tetrahedra), np.zeros(3))
+    if name == "sphere":
+        body = CollisionBody(TARGET_ID, TARGET_ID, primitive=SolidPrimitive(SPHERE, (SPHERE_RADIUS,)), density=1000.0)
+        made = ball(SPHERE_RADIUS, 0.15 * SPHERE_RADIUS)
+        return _of_one(body, made.vertices, boundary_triangles(made.tetrahedra), np.zeros(3))
+    if name == "triangles":
+        made = l_block((0.1, 0.08, 0.03), (0.06, 0.045), 0.0125)
+        used, triangles = np.unique(boundary_triangles(made.tetrahedra), return_inverse=True)
+        vertices, triangles = made.vertices[used], triangles.reshape(-1, 3)
+        flat = vertices.ravel(), triangles.ravel()
+        body = CollisionBody(TARGET_ID, TARGET_ID, vertices=flat[0], triangles=flat[1], density=1000.0)
+        return _of_one(body, vertices, triangles, _center(made))
+    return _heap()
+
+
+def _of_one(body: CollisionBody, vertices: np.ndarray, triangles: np.ndarray, center: np.ndarray) -> Target:
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    return Target([body], [], [(TARGET_ID, vertices, triangles)], center, low, high, 0.5 * float((high - low).max()))
+
+
+def _heap() -> Target:
+    """A block that has just broken into pieces."""
+    from fractured_worlds import fractured_world
+
+    case = fractured_world(brick(BOX_SIZE, 0.02), HEAP_PIECES)
+    parts = []
+    for fragment in case.oracle.fragment_ids:
+        corners = case.oracle.surface_triangles(fragment)
+        parts.append((fragment, corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3)))
+    half = 0.5 * np.array(BOX_SIZE)
+    return Target(*case.messages, parts, np.zeros(3), -half, half, float(half.max()))
+
+
+def tables(size: Size, results: Mapping[Trial, Any]) -> dict[str, list[Row]]:
+    def rows(names: list[tuple[str, str, float]], head: dict[str, Any]) -> Row:
+        flights = [flight for name in names for trial in _trials(size, *name) for flight in results[trial]]
+        touching = [flight for flight in flights if flight.touches]
+        row = head | {"flights": len(flights), "touch": len(touching)}
+        for k, mode in enumerate(MODES):
+            unlisted = [flight for flight in touching if not flight.listed[k]]
+            row[f"missed_{mode}"] = sum(flight.depth > EPSILON for flight in unlisted)
+            row[f"ghosts_{mode}"] = sum(flight.listed[k] and not flight.is_near for flight in flights)
+            row[f"deepest_{mode}_percent"] = 100.0 * max((flight.depth for flight in unlisted), default=0.0)
+        return row
+
+    by_kind = [
+        rows([(thrown, target, speed) for speed in size.speeds], {"thrown": thrown, "target": target})
+        for thrown in size.thrown
+        for target in size.targets
+    ]
+    by_speed = [
+        rows([(thrown, target, speed) for thrown in size.thrown for target in size.targets], {"speed": speed})
+        for speed in size.speeds
+    ]
+    return {"": by_kind, "speeds": by_speed}
+
+
+def draw(tables: Mapping[str, Table]) -> Figure:
+    table = tables["speeds"]
+    figure, ((missed, ghosts),) = new_figure(1, 2, height=3.2)
+    for axes, what, words in ((missed, "missed", "of those that touch"), (ghosts, "ghosts", "of all")):
+        among = table.column("touch" if what == "missed" else "flights")
+        for mode, colour in zip(MODES, (RED, BLUE), strict=True):
+            share = 100.0 * table.column(f"{what}_{mode}") / np.maximum(among, 1)
+            axes.plot(table.column("speed"), share, "-o", color=colour, markersize=4, linewidth=1.3, label=mode)
+        axes.set_xscale("log")
+        axes.set_ylim(bottom=0.0)
+        finish(axes, f"{what}, {words}", "speed [m/s]", "flights [%]")
+    return figure
+
+
+def section(tables: Mapping[str, Table]) -> str:
+    body = [
+        (
+            f"{row['thrown']} at {row['target']}", str(row["flights"]), str(row["touch"]),
+            *(
+                f"{row[f'missed_{mode}']}, {number(row[f'deepest_{mode}_percent'])} / {row[f'ghosts_{mode}']}"
+                for mode in MODES
+            ),
+        )
+        for row in tables[""].rows
+    ]  # fmt: skip
+    names = ("flights", "touch", *(f"{what}_{mode}" for what in ("missed", "ghosts") for mode in MODES))
+    total = {name: int(tables["speeds"].column(name).sum()) for name in names}
+    speeds = ", ".join(f"{speed:g}" for speed in tables["speeds"].values("speed"))
+    steps = ", ".join(f"{1e3 * step:g}" for step in STEPS)
+    return f"""\
+{total["flights"]} flights of one step of {steps} ms at {speeds} m/s, spinning at up to {MOST_SPIN:g} rad/s, half of the
+targets moving, from so near that {total["touch"]} of them touch within the step, by ipctk's continuous collision
+detection. Missed: they touch, get deeper than 0.2 % of the smaller R before the step ends, and nothing is listed:
+{total["missed_sampled"]} with `surfaces: sampled`, {total["missed_edges"]} with `edges`. Ghost: something is listed,
+and they come no nearer than one and a half detection tolerances: {total["ghosts_sampled"]} and
+{total["ghosts_edges"]}. In the table: missed, the deepest of what touches and is not listed in % R, and behind the
+slash ghosts.
+
+{markdown_table(("", "flights", "touch", "sampled", "edges"), body)}"""
+
+
+STUDY = Study(
+    "flights", "What touches within a step (`lookahead`)", Size(6), Size(60), trials, tables, {"": draw}, section,
+)  # fmt: skip
