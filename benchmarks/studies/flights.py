@@ -322,5 +322,5 @@ slash ghosts.
 
 
 STUDY = Study(
-    "flights", "What touches within a step (`lookahead`)", Size(6), Size(60), trials, tables, {"": draw}, section,
+    "flights", "What touches within a step (`lookahead`)", Size(2), Size(60), trials, tables, {"": draw}, section,
 )  # fmt: skip
