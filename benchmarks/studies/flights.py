@@ -45,7 +45,7 @@ STEPS = (0.001, 0.0025, 0.005, 0.01)  # [s]
 MOST_SPIN, SPIN_OF_TARGET, SPEED_OF_TARGET = 200.0, 20.0, 1.0  # [rad/s], [rad/s], [m/s]
 FROM = 0.6  # [m] away is surely apart
 LATEST = 1.8  # [steps] to go straight on before the touch: a good half of the flights touch
-NEAR, EPSILON = 0.002, 0.002  # of the smaller R, as the service's
+NEAR, EPSILON = Settings().detection_tolerance, Settings().penetration_tolerance  # of the smaller R
 GRAZES = 1.5  # detection tolerances: so near is near
 MOMENTS = 200  # at which it is looked how deep two are that touch and are not listed
 MOST_DRAWS = 50
@@ -128,6 +128,8 @@ def _one(
         reaches = min(truth.Flight(mover, part).first_touch(2.0 * FROM) for part in parts)
         if np.isfinite(reaches):
             break
+    else:
+        raise RuntimeError(f"none of {MOST_DRAWS} throws meets the {target}")
     back = max(random.uniform(0.05, LATEST) * speed * step, 4.0 * NEAR * smaller)
     spin = random.normal(size=3)
     spin *= random.uniform(0.0, MOST_SPIN) / np.linalg.norm(spin)
@@ -211,6 +213,8 @@ def _tetrahedral(body_id: int, made: TetGeometry) -> CollisionBody:
 
 def _target(name: str) -> Target:
     """One body with the id TARGET_ID, broken or whole."""
+    from rigid_shapes import boundary_of
+
     if name in ("plate", "rod"):
         made = brick((0.25, 0.25, 0.006), 0.05) if name == "plate" else brick((0.2, 0.01, 0.01), 0.03)
         return _of_one(_tetrahedral(TARGET_ID, made), made.vertices, boundary_triangles(made.tetrahedra), np.zeros(3))
@@ -230,11 +234,10 @@ def _target(name: str) -> Target:
         return _of_one(body, made.vertices, boundary_triangles(made.tetrahedra), np.zeros(3))
     if name == "triangles":
         made = l_block((0.1, 0.08, 0.03), (0.06, 0.045), 0.0125)
-        used, triangles = np.unique(boundary_triangles(made.tetrahedra), return_inverse=True)
-        vertices, triangles = made.vertices[used], triangles.reshape(-1, 3)
-        flat = vertices.ravel(), triangles.ravel()
+        shape = boundary_of(made)
+        flat = shape.vertices.ravel(), shape.triangles.ravel()
         body = CollisionBody(TARGET_ID, TARGET_ID, vertices=flat[0], triangles=flat[1], density=1000.0)
-        return _of_one(body, vertices, triangles, _center(made))
+        return _of_one(body, shape.vertices, shape.triangles, _center(made))
     return _heap()
 
 

@@ -204,7 +204,7 @@ class PageNode(Node):
             self._mirror.hear_paused(message.paused)
             if message.time_step != self._ahead and self._service.services_are_ready():
                 self._ahead = message.time_step
-                self._service.set_parameters([Parameter("lookahead", value=self._ahead)])
+                self._set_parameters(lookahead=self._ahead)
             if message.refused and message.refused != self._refused:
                 self.page.notify(message.refused)
             self._refused = message.refused
@@ -328,7 +328,11 @@ class PageNode(Node):
 
     def _set_service(self, sliders: ServiceSliders) -> None:
         self._set.append(sliders)
-        parameters = [Parameter(name, value=value) for name, value in sliders._asdict().items()]
+        self._set_parameters(**sliders._asdict())
+
+    def _set_parameters(self, **values: Any) -> None:
+        """Of the service; what it refuses is said."""
+        parameters = [Parameter(name, value=value) for name, value in values.items()]
         self._service.set_parameters(parameters).add_done_callback(self._all_taken)
 
     def _all_taken(self, done: Any) -> bool:
