@@ -48,8 +48,9 @@ class Lockstep:
     def __init__(
         self, scene: Scene, settings: Settings | None = None, seed: int | None = None, engine: Engine | None = None
     ) -> None:
-        self.world = CollisionWorld(Settings() if settings is None else settings)
-        self.simulation = Simulation(scene, seed, engine)
+        settings = Settings() if settings is None else settings
+        self.world = CollisionWorld(settings)
+        self.simulation = Simulation(scene, seed, engine, settings.lookahead > 0.0)
         self._told = 0  # events that the service knows
         for body in self.simulation.start_bodies():
             self.world.add_body(body)

@@ -31,7 +31,7 @@ def test_help_teaches() -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["fig99"], "fig99: none of tables, fig5, fig12, resolution, fig15, fig16, fig17, flights"),
+        (["fig99"], "fig99: none of tables, fig5, fig12, resolution, fig15, fig16, fig17, flights, throws"),
         (["fig16", "fig98", "fig99"], "fig98, fig99: none of"),
         (["--workers", "0"], "--workers"),
         (["--scheduler", "tcp://127.0.0.1:1", "--workers", "2"], "--workers: the scheduler at --scheduler has workers"),

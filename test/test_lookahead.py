@@ -231,6 +231,29 @@ def test_a_fast_ball_is_seen_before_it_is_through() -> None:
     assert len(world.contacts(slower).gaps) == 0
 
 
+def test_what_touches_with_one_end_is_seen_to_hit_with_the_other() -> None:
+    """A rod of 10 cm stands on one end, tilted by 20 degrees, and turns down about that end."""
+    world, now = CollisionWorld(SETTINGS), CollisionWorld(SETTINGS._replace(lookahead=0.0))
+    for each in (world, now):
+        each.add_body(tetrahedral_body(brick((0.5, 0.5, 0.01), 0.1), 1))
+        each.add_body(tetrahedral_body(brick((0.1, 0.008, 0.008), 0.02), 2))
+    turn, end = Rotation.from_rotvec([0.0, -np.radians(20.0), 0.0]), np.array([-0.05, 0.0, -0.004])
+    place = np.array([0.0, 0.0, 0.005 + 1e-5]) - turn.apply(end)  # 0.01 mm above the plate
+    for spin, hits in ((np.radians(40.0) / SETTINGS.lookahead, True), (np.radians(10.0) / SETTINGS.lookahead, False)):
+        w = np.array([0.0, spin, 0.0])
+        states = FragmentStates(
+            1, 0, np.array([1, 2], np.uint32), np.concatenate([np.zeros(3), place]),
+            np.concatenate([[0.0, 0.0, 0.0, 1.0], turn.as_quat()]),
+            np.concatenate([np.zeros(3), np.cross(w, turn.apply(-end))]), np.concatenate([np.zeros(3), w]),
+        )  # fmt: skip
+        listed, touching = world.contacts(states), now.contacts(states)
+        assert 0 < len(touching.gaps) == (listed.gaps < 1e-3).sum()
+        assert np.array_equal(listed.contact_ids[: len(touching.gaps)], touching.contact_ids)
+        # its lower edge at the other end is 0.1 sin 20 above where it hits
+        far = listed.gaps[listed.gaps > 1e-3]
+        assert (len(far) > 0) == hits and (not hits or abs(far.max() - 0.1 * np.sin(np.radians(20.0))) < 2e-3)
+
+
 def test_nonsense_is_refused() -> None:
     for wrong in (-1e-3, 1.5, np.nan):
         with pytest.raises(ValueError, match="lookahead"):

@@ -82,6 +82,20 @@ def test_a_free_tumbling_body_keeps_its_energy_and_flies_its_parabola(world):
     np.testing.assert_allclose(end.centers[0], expected, atol=1e-11)
 
 
+@pytest.mark.parametrize("spin", [10.0, 1e3, 1e4])
+def test_a_body_that_turns_many_times_in_a_step_gains_nothing(spin):
+    """At ten thousand radians a second Newton's method does not converge in one step of the whole."""
+    rng = np.random.default_rng(7)
+    inertias = np.repeat(np.diag([1e-5, 2e-5, 2.9e-5])[None], 200, axis=0)
+    velocities = np.zeros((200, 6))
+    velocities[:, 3:] = spin * rng.normal(size=(200, 3))
+    free = free_velocities(velocities, inertias, np.zeros(3), 0.01)
+    masses = np.ones(1)
+    for before, after in zip(velocities, free, strict=True):
+        energies = [kinetic_energy(masses, inertias[:1], u[None]) for u in (before, after)]
+        assert energies[1] == pytest.approx(energies[0], rel=1e-9)
+
+
 def test_fast_spins_are_not_clamped(world):
     engine = world()
     velocity, spin = np.array([0.0, 300.0, 0.0]), np.array([0.0, 0.0, 250.0])

@@ -10,7 +10,7 @@ from benchmarks.tunnelling import TIME_STEP, run_trial, scene_of
 from fracture_collision.lockstep import Lockstep
 from fracture_collision.records import ContactConstraintArray
 from fracture_collision.simulation.scene import parse_scene
-from fracture_collision.simulation.touch_ahead import shares_until_touch, split_by_gap
+from fracture_collision.simulation.touch_ahead import shares_side_by_side, shares_until_touch, split_by_gap
 from fracture_collision.world import Settings
 
 REST = 1e-4
@@ -40,11 +40,14 @@ def test_contacts_are_split_by_their_gaps() -> None:
     assert none is None and same is now
 
 
-def shares(rows_a, rows_b, points_a, points_b, normals, centers, velocities) -> np.ndarray:
-    least = np.full(len(rows_a), REST)
+def shares(
+    rows_a, rows_b, points_a, points_b, normals, centers, velocities, is_turning=False, is_round=None
+) -> np.ndarray:
+    n, least = len(centers), np.full(len(rows_a), REST)
     return shares_until_touch(
         np.array(rows_a), np.array(rows_b), *(np.array(x, float) for x in (points_a, points_b, normals)), least,
-        np.array(centers, float), np.array(velocities, float), 0.01,
+        np.array(centers, float), np.array(velocities, float), np.ones(n), is_turning,
+        np.zeros(n + 1, bool) if is_round is None else np.array(is_round), 0.01,
     )  # fmt: skip
 
 
@@ -84,6 +87,43 @@ def test_points_go_round() -> None:
         gaps = (wall - path) @ normal
         met = moments[np.argmax(gaps < REST)] if (gaps < REST).any() else 1.0
         assert own == pytest.approx(met, abs=2e-4)
+
+
+@pytest.mark.parametrize("is_round", [True, False])
+def test_a_plane_turns_with_the_body_whose_it_is(is_round: bool) -> None:
+    """A bar turns by half a radian about its middle and takes its face with it, into what is beside that. Where that is
+    a ball the face is the bar's; else it may be of either, and the gap that closes first counts.
+    """
+    centers, moves = [[0.0] * 3, [0.1, 0.06, 0.0]], [[0, 0, 0, 0.0, 0.0, 50.0], [0.0] * 6]
+    at_bar, beside, up = [[0.1, 0.01, 0.0]], [[0.1, 0.04, 0.0]], [[0.0, 1.0, 0.0]]
+    own = shares([0], [1], at_bar, beside, up, centers, moves, True, [False, is_round, False])
+    angles = np.linspace(0.0, 0.5, 100001)
+    point = 0.1 * np.cos(angles) - 0.01 * np.sin(angles), 0.1 * np.sin(angles) + 0.01 * np.cos(angles)
+    gaps = -np.sin(angles) * (0.1 - point[0]) + np.cos(angles) * (0.04 - point[1])
+    if not is_round:
+        gaps = np.minimum(gaps, 0.04 - point[1])
+    assert own == pytest.approx(np.full(2, angles[np.argmax(gaps < REST)] / 0.5), abs=1e-4)
+
+
+def test_what_flies_beside_one_that_is_held_back_does_not_run_into_it() -> None:
+    centers = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.2, 0.0, 0.0], [9.0, 0.0, 0.0], [0.0, 0.1, 0.0]])
+    moves = np.zeros((5, 6))
+    moves[:4, 0] = 20.0  # the last stands still
+    given, reach, spare = np.array([1.0, 0.5, 0.1, 1.0, 1.0]), np.full(5, 0.03), np.full(5, 5e-4)
+    held = shares_side_by_side(given, centers, reach, spare, moves, 0.0025)
+    # each goes 5 cm a step: no two neighbours differ by more than 0.5 mm
+    assert held == pytest.approx([0.12, 0.11, 0.1, 1.0, 1.0], abs=1e-3)
+
+
+def test_bodies_turn_as_the_service_was_told() -> None:
+    """By the spins of the states: a shard's axis goes round by a radian in a step."""
+    with Lockstep(scene_of(10.0, 3, True), Settings(threads=1, lookahead=TIME_STEP)) as lockstep:
+        told = [lockstep.step().states for _ in range(2)]
+        told.append(lockstep.states())
+    turns = [Rotation.from_quat(states.orientations[-4:]) for states in told]
+    gone = (turns[2] * turns[1].inv()).as_rotvec()
+    np.testing.assert_allclose(gone, TIME_STEP * told[1].angular_velocities[-3:], atol=1e-12)
+    assert np.linalg.norm(told[1].angular_velocities[-3:] - told[0].angular_velocities[-3:]) > 0.1
 
 
 @pytest.mark.parametrize("speed", [3.0, 30.0, 300.0])

@@ -20,7 +20,7 @@ pytest.importorskip("distributed")
 from distributed import LocalCluster  # noqa: E402
 
 import benchmarks.studies.cluster as cluster_module  # noqa: E402
-from benchmarks.studies import fig5, fig12, fig15, fig16, fig17, flights, resolution, tables  # noqa: E402
+from benchmarks.studies import fig5, fig12, fig15, fig16, fig17, flights, resolution, tables, throws  # noqa: E402
 from benchmarks.studies.bench import Progress, run_studies  # noqa: E402
 from benchmarks.studies.cluster import cluster, run_trials  # noqa: E402
 from benchmarks.studies.machine import machine, versions  # noqa: E402
@@ -50,6 +50,7 @@ TINY = {
     "fig16": fig16.Size(2, (2, 8), 0.4),
     "fig17": fig17.Size((fig17.NEW,), ("flat",), 0.02, 0.01, 1),
     "flights": flights.Size(2, ("rod",), ("rod", "plane"), (5.0,)),
+    "throws": throws.Size(2, ("shard",), ("fixed plate", "heap"), (50.0,)),
 }
 
 

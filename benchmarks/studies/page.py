@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from textwrap import fill
 
-from benchmarks.studies import fig5, fig12, fig15, fig16, fig17, flights, resolution, tables
+from benchmarks.studies import fig5, fig12, fig15, fig16, fig17, flights, resolution, tables, throws
 from benchmarks.studies.as_a_whole import scaling_section
 from benchmarks.studies.beside_others import limits_section, peers_section, speed_error_section
 from benchmarks.studies.study import Study
@@ -18,7 +18,8 @@ from benchmarks.studies.table import Table, read_table
 PAGE = "benchmarks.md"
 WIDTH = 120
 STUDIES: dict[str, Study] = {
-    module.STUDY.name: module.STUDY for module in (tables, fig5, fig12, resolution, fig15, fig16, fig17, flights)
+    module.STUDY.name: module.STUDY
+    for module in (tables, fig5, fig12, resolution, fig15, fig16, fig17, flights, throws)
 }
 HEAD = """\
 # Benchmarks

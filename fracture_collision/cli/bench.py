@@ -41,12 +41,13 @@ Workers for a scheduler of your own are started in a checkout of the same source
 def bench(
     names: tuple[str, ...], quick: bool, out: Path | None, scheduler: str | None, workers: int | None, drops: int | None
 ) -> None:
-    """Repeat the figures and tables of Glondu et al. 2014, and a study of our own: those named, or all.
+    """Repeat the figures and tables of Glondu et al. 2014, and two studies of our own: those named, or all.
 
-    NAMES are tables, fig5, fig12, resolution (section 7.2), fig15, fig16, fig17 and flights: whether what touches
-    within a step is listed, against another library's continuous collision detection. Each leaves in the folder
-    bench_NAME.csv, with the machine's name and versions at its head, and bench_NAME.png; benchmarks.md is made of all
-    CSV files that lie there. Works in a checkout of the sources only: benchmarks/ is not installed.
+    NAMES are tables, fig5, fig12, resolution (section 7.2), fig15, fig16, fig17, flights: whether what touches within a
+    step is listed, against another library's continuous collision detection; and throws: whether anything fast goes
+    through anything in a simulation that looks a step ahead. Each leaves in the folder bench_NAME.csv, with the
+    machine's name and versions at its head, and bench_NAME.png; benchmarks.md is made of all CSV files that lie there.
+    Works in a checkout of the sources only: benchmarks/ is not installed.
 
     Trials run in processes of their own. What is timed runs alone, one after the other on one worker, while all other
     workers are idle; all else runs side by side. Only times depend on the machine and on the number of workers.

@@ -8,6 +8,9 @@ no sample of either meets goes unseen, as it does without any motion.
 
 The contacts found are those of that moment; their points are told where they are now, on either fragment, with the
 normal of that moment, so that the gap is what the points have to go.
+
+Two that touch already, or will, may touch elsewhere before the time is over: a shard that hits with one corner swings
+round. Of what is fast and thin that is looked for likewise, by what is not near yet.
 """
 
 from __future__ import annotations
@@ -15,23 +18,23 @@ from __future__ import annotations
 import math
 
 from fracture_collision.core.compiled import inlined_kernel, query_kernel
-from fracture_collision.core.crack_normal import way_through
-from fracture_collision.core.elementary_queries import INSIDE, NEAR, bounded_probe
+from fracture_collision.core.elementary_queries import INSIDE, bounded_probe
 from fracture_collision.core.facing_normal import turn_contacts
-from fracture_collision.core.kinds import BOX, PLANE, SPHERE, TETRAHEDRA, TRIANGLES
-from fracture_collision.core.known_samples import ID_SAMPLE, ID_SIDE, ID_TETRAHEDRON, put_contact, rounding_slack
+from fracture_collision.core.kinds import PLANE, SPHERE
+from fracture_collision.core.known_samples import ID_SAMPLE, ID_SIDE, rounding_slack
 from fracture_collision.core.leaf_separation import parting_plane_of_leaves
 from fracture_collision.core.motion import closing_along, closing_speed, put_pose
 from fracture_collision.core.neighbour_lists import MOST_LISTED, MOST_REACH, MOST_RIDGES, least_left
-from fracture_collision.core.pools import FACING, SAMPLE
+from fracture_collision.core.pools import FACING
 from fracture_collision.core.ridge_contacts import least_apart
 from fracture_collision.core.rotations import relative_pose, rotated, to_other, turned_back
 from fracture_collision.core.sample_leaves import farthest_sample, leaves_of
 from fracture_collision.core.sample_search import may_search, query_listed, search_samples
 from fracture_collision.core.traversal import query_pair
 
-# Moments at most at which two are looked at. They are spent where one goes along a surface of the other.
-MOST_MOMENTS = 600
+# Moments at most at which two are looked at. They are spent where one goes along a surface of the other: where they
+# would not do, steps are so long that they do, and it is told how long.
+MOST_MOMENTS = 2400
 # Where the distance says no more, they come nearer by so many detection tolerances at a time: what was just outside of
 # one is no deeper than half of it then.
 LEAST = 1.5
@@ -41,34 +44,45 @@ UNLIMITED = 1 << 40
 # How far a sample is is looked for up to this share of R, or of the way that is left: what is farther takes longer to
 # say than to ask again. And which samples may be near, up to this share of the way, or MOST_REACH.
 AHEAD, AHEAD_ON_WAY, REACH_ON_WAY = 0.004, 0.05, 0.15
+# But no farther than this share of R: then all are near.
+FARTHEST_REACH = 0.2
 # Where more than MOST_LISTED are within that, it is made so much less, so often at most.
 NARROWER, NARROWINGS = 0.25, 5
-# Contacts of a pair whose other side is looked for, and how far inside a surface that begins, as a share of R.
-LOOKED_THROUGH, SURELY_INSIDE = 8, 1e-6
-# A pair that will have come so little nearer when it touches, as a share of R, is about to: to a solver it touches.
+# A pair that comes nearer by no more than this share of what is thinner does not get through it.
+THIN = 0.5
+# A pair with so small a gap, as a share of R, is about to touch: to a solver it touches.
 ABOUT_TO = 0.1
-# Of a pair that touches, what may come near is looked for within this share of R.
-FARTHEST = 3.0
+# Where two touch already, they come nearer by no less than this share of it at a time.
+SHORTEST_OF_THIN = 0.25
 
 
 @query_kernel
 def first_touch(
-    pools, edges, a, b, i, j, rotations, positions, motion, rule, contacts, ids, capacity, rotation, translation,
-    scratch, thread,
+    pools, edges, a, b, i, j, rotations, positions, motion, start, known, rule, contacts, ids, capacity, rotation,
+    translation, scratch, thread,
 ):  # fmt: skip
-    """Contacts of fragments a and b, the i-th and j-th of `motion`, at the first moment at which they are near.
+    """Contacts of fragments a and b, the i-th and j-th of `motion`, at the first moment after `start` [s] at which they
+    are near; told where they are now, behind the `known` ones that contacts and ids have already. Where there are such,
+    it is the first moment of one that is apart now and not among them.
 
     rotations (n, 3, 3), positions (n, 3): poses now. rule, contacts, ids, capacity: see sample_search; rotation
-    (2, 3, 3), translation (2, 3): the relative poses of that moment are left there.
+    (2, 3, 3), translation (2, 3): working space, as the relative poses.
 
-    Returns (contacts, the moment [s], visits); -1 contacts: it is not known whether they touch after that moment.
+    Returns (contacts, the moment [s], visits, how far the two may have come nearer unseen [m]).
     """
     radius = min(pools.fragment.radius[a], pools.fragment.radius[b])
     of_world, place = scratch.world_rotation[thread], scratch.world_position[thread]
-    visits, t, listed, ridges, lasts = 0, 0.0, -1, 0, 0.0
+    visits, t, listed, ridges, lasts, touches, unseen = 0, start, -1, 0, 0.0, known > 0, 0.0
+    out, out_ids, room = contacts[known:], ids[known:], capacity - known
+    shortest = max(LEAST * rule.near, SHORTEST * radius)
+    farthest = FARTHEST_REACH * radius
+    if touches:
+        shortest = max(shortest, SHORTEST_OF_THIN * _thickness(pools, a, b))
+        if shortest > MOST_REACH * radius:
+            farthest = 0.0
     toward = scratch.ahead_toward[thread]
     toward[0] = toward[1] = toward[2] = 0.0
-    for _ in range(MOST_MOMENTS):
+    for moment in range(MOST_MOMENTS):
         put_pose(motion, rotations, positions, i, t, of_world[0], place[0])
         put_pose(motion, rotations, positions, j, t, of_world[1], place[1])
         relative_pose(of_world[0], place[0], of_world[1], place[1], rotation[0], translation[0])
@@ -85,25 +99,79 @@ def first_touch(
             x, y, z = rotated(of_world[1], nx, ny, nz)
             closing = min(closing_along(motion, i, j, t, left, x, y, z), speed)
             if gap - rule.near > closing * left:
-                return 0, t, visits
+                return 0, t, visits, unseen
             step, listed = (gap - rule.near) / closing, -1
         else:
             found, clear, listed, ridges, lasts, more = _near_now(
-                pools, edges, a, b, rotation, translation, rule, far, radius, listed, ridges, lasts, contacts, ids,
-                capacity, scratch, thread,
+                pools, edges, a, b, rotation, translation, rule, far, radius, touches, farthest, listed, ridges, lasts,
+                out, out_ids, room, scratch, thread,
             )  # fmt: skip
             visits += more
-            if found != 0:
-                return found, t, visits
+            if found > room:
+                return found, t, visits, unseen
+            if found > 0:
+                if pools.normals == FACING:
+                    turn_contacts(
+                        pools, a, b, rotation, translation, rule.near, out, out_ids, found, scratch, thread
+                    )
+                _bring_back(rotations, positions, i, j, of_world, rotation, translation, out, out_ids, found)
+                if touches:
+                    found = _keep_new(contacts, ids, known, found, rule.near)
+                if found > 0:
+                    return found, t, visits, unseen
             if clear > far or not left > 0.0:
-                return 0, t, visits
+                return 0, t, visits, unseen
             step = clear / speed
         if not speed > 0.0:
-            return 0, t, visits
-        step = min(max(step, max(LEAST * rule.near, SHORTEST * radius) / speed), left)
+            return 0, t, visits, unseen
+        least = far / (MOST_MOMENTS - moment)
+        if least > max(step * speed, shortest):
+            unseen = max(unseen, least)
+        step = min(max(step, max(shortest, least) / speed), left)
         lasts -= step * speed
         t = motion.time if step == left else t + step
-    return -1, t, visits
+    return 0, t, visits, unseen
+
+
+@inlined_kernel
+def _keep_new(contacts, ids, known, found, near):
+    """Of `found` contacts behind `known` ones those that are apart now and not among these; returns how many."""
+    kept = known
+    for c in range(known, known + found):
+        is_new = contacts[c, 9] > near
+        for k in range(known):
+            is_new &= ids[k, ID_SIDE] != ids[c, ID_SIDE] or ids[k, ID_SAMPLE] != ids[c, ID_SAMPLE]
+        if is_new:
+            for d in range(contacts.shape[1]):
+                contacts[kept, d] = contacts[c, d]
+            for d in range(ids.shape[1]):
+                ids[kept, d] = ids[c, d]
+            kept += 1
+    return kept - known
+
+
+@inlined_kernel
+def may_touch_again(pools, a, b, i, j, motion, contacts, count):
+    """Whether two that touch, or are about to, by their `count` contacts, may be through each other elsewhere before
+    the time is over.
+    """
+    least = ABOUT_TO * min(pools.fragment.radius[a], pools.fragment.radius[b])
+    is_near = False
+    for c in range(count):
+        is_near |= contacts[c, 9] <= least
+    if not is_near:
+        return False
+    return closing_speed(motion, i, j, 0.0, motion.time) * motion.time > THIN * _thickness(pools, a, b)
+
+
+@inlined_kernel
+def _thickness(pools, a, b):
+    """[m] of the thinner one's box."""
+    least = math.inf
+    for f in (a, b):
+        box = pools.fragment.box[f]
+        least = min(least, box[3] - box[0], box[4] - box[1], box[5] - box[2])
+    return least
 
 
 @inlined_kernel
@@ -138,10 +206,11 @@ def _gap_of_hulls(pools, a, b, rotation, translation, enough, toward, scratch, t
 
 @inlined_kernel
 def _near_now(
-    pools, edges, a, b, rotation, translation, rule, far, radius, count, crossings, lasts, contacts, ids, capacity,
-    scratch, thread,
+    pools, edges, a, b, rotation, translation, rule, far, radius, touches, farthest, count, crossings, lasts, contacts,
+    ids, capacity, scratch, thread,
 ):  # fmt: skip
-    """Contacts of a pair by a Rule, where it stands; `far` [m] is as far as the two come.
+    """Contacts of a pair by a Rule, where it stands; `far` [m] is as far as the two come. touches: some is near anyhow,
+    it is what is not that may come near; farthest [m]: up to which that is looked for, 0: it is not.
 
     Of `count` samples it is noted in scratch how far they are (-1: of none, or too many), which are all that can be
     near for another `lasts` [m]; `crossings` pairs of ridges likewise. Returns (contacts, how much farther apart than
@@ -164,23 +233,23 @@ def _near_now(
             contacts, ids, capacity, scratch, thread,
         )  # fmt: skip
     else:
-        lasts, visits, found = min(far, max(MOST_REACH * radius, REACH_ON_WAY * far)), 0, 0
+        lasts, visits, found = min(far, max(MOST_REACH * radius, REACH_ON_WAY * far), farthest), 0, 0
         for _ in range(NARROWINGS):
             found, _, more, count, crossings, clear = search_samples(
                 pools, edges, a, b, rotation, translation, rule, lasts, min(ahead, lasts), contacts, ids, capacity,
                 listed, places, ridges, toward, scratch, thread,
             )  # fmt: skip
             visits += more
-            if (count <= MOST_LISTED and crossings <= MOST_RIDGES) or found != 0:
+            if (count <= MOST_LISTED and crossings <= MOST_RIDGES) or (found != 0 and not touches):
                 break
             lasts *= NARROWER
-        if count > MOST_LISTED or crossings > MOST_RIDGES:
+        if count > MOST_LISTED or crossings > MOST_RIDGES or not lasts > 0.0:
             return found, 0.0, -1, 0, 0.0, visits
         if count == 0 and crossings == 0:
             lasts = max(lasts, clear)
     middles = pools.fragment.middle
-    left = least_left(listed, places, count, middles[a], middles[b], rotation, translation)
-    left = min(left, least_apart(edges, a, b, rotation, translation, ridges[:crossings], rule.near, thread))
+    left = least_left(listed, places, count, middles[a], middles[b], rotation, translation, touches)
+    left = min(left, least_apart(edges, a, b, rotation, translation, ridges[:crossings], rule.near, touches, thread))
     return found, min(lasts, left), count, crossings, lasts, visits
 
 
@@ -198,94 +267,7 @@ def _clearance_of_sphere(pools, a, b, translation, near, far, scratch, thread):
 
 
 @inlined_kernel
-def is_about_to_touch(pools, a, b, i, j, motion, moment):
-    """Whether a pair whose first touch is after `moment` [s] has contacts for add_approaching to go behind."""
-    radius = min(pools.fragment.radius[a], pools.fragment.radius[b])
-    return may_search(pools, a, b) and moment * closing_speed(motion, i, j, 0.0, moment) <= ABOUT_TO * radius
-
-
-@inlined_kernel
-def add_approaching(
-    pools, a, b, i, j, motion, rule, contacts, ids, count, limit, capacity, rotation, translation, scratch, thread
-):  # fmt: skip
-    """Behind the `count` contacts of a pair that touches, or nearly, those of the outermost samples of both, along the
-    26 directions of a cube, that are farther than the detection tolerance and may come near within the time ahead; no
-    more than `limit` in all.
-
-    Where the two go once they have touched is the solver's to say: so these are told by how far they are now, and no
-    farther than FARTHEST. And what goes in by less than half of what is there comes out where it went in: only what is
-    thin is looked after so. rotation (2, 3, 3), translation (2, 3): where the two stand now. Returns (contacts,
-    visits); more contacts than `capacity`: call again with room.
-    """
-    radius = min(pools.fragment.radius[a], pools.fragment.radius[b])
-    far = min(closing_speed(motion, i, j, 0.0, motion.time) * motion.time, FARTHEST * radius)
-    if far <= rule.near or count >= limit:
-        return count, 0
-    if not _is_thin(pools, a, b, 2.0 * far, contacts, ids, count, scratch, thread):
-        return count, 0
-    used, visits = count, 0
-    for side in range(2):
-        own, other = (a, b) if side == 0 else (b, a)
-        leaves, first = leaves_of(pools, own), pools.fragment.tree_begin[own]
-        if len(leaves.entries) == 0:
-            continue
-        for x in (-1.0, 0.0, 1.0):
-            for y in (-1.0, 0.0, 1.0):
-                for z in (-1.0, 0.0, 1.0):
-                    length = math.sqrt(x * x + y * y + z * z)
-                    if length == 0.0 or used >= limit:
-                        continue
-                    at, _ = farthest_sample(leaves, (x / length, y / length, z / length), 0, scratch.along[thread])
-                    entry = first + leaves.entries[at]
-                    sample, is_listed = pools.tree.entries[entry, SAMPLE], False
-                    for c in range(min(used, capacity)):
-                        is_listed |= ids[c, ID_SIDE] == side and ids[c, ID_SAMPLE] == sample
-                    if is_listed:
-                        continue
-                    p, visits = pools.tree.spheres[entry], visits + 1
-                    px, py, pz = to_other(rotation[side], translation[side], p[0], p[1], p[2])
-                    answer = bounded_probe(
-                        pools, other, px, py, pz, rule.near + far, 0.0, -1, False, scratch, thread
-                    )
-                    if answer[0] == NEAR and answer[1] > rule.near:
-                        if used < capacity:
-                            put_contact(contacts, ids, used, side, sample, px, py, pz, answer)
-                        used += 1
-    if pools.normals == FACING:
-        more, more_ids, held = contacts[count:], ids[count:], max(min(used, capacity) - count, 0)
-        turn_contacts(pools, a, b, rotation, translation, rule.near + far, more, more_ids, held, scratch, thread)
-    return used, visits
-
-
-@inlined_kernel
-def _is_thin(pools, a, b, enough, contacts, ids, count, scratch, thread):
-    """Whether one of a pair has less than `enough` [m] behind all of its first contacts, along their normals: at one
-    near a rim any body has.
-    """
-    most_of_a = most_of_b = -1.0  # nothing is known
-    for c in range(min(count, LOOKED_THROUGH)):
-        row, of_b = contacts[c], ids[c, ID_SIDE] == 0
-        other = b if of_b else a
-        kind, t, way = pools.fragment.kind[other], ids[c, ID_TETRAHEDRON], math.inf
-        x, y, z = row[6], row[7], row[8]
-        if kind == TETRAHEDRA and t >= 0:
-            inward = SURELY_INSIDE * pools.fragment.radius[other]
-            way = way_through(
-                pools, other, t, row[3] - inward * x, row[4] - inward * y, row[5] - inward * z, -x, -y, -z, enough,
-                True, scratch, thread,
-            )  # fmt: skip
-        elif kind in (BOX, TRIANGLES):
-            box = pools.fragment.box[other]
-            way = min(box[3] - box[0], box[4] - box[1], box[5] - box[2])
-        if of_b:
-            most_of_b = max(most_of_b, way)
-        else:
-            most_of_a = max(most_of_a, way)
-    return 0.0 <= most_of_a < enough or 0.0 <= most_of_b < enough
-
-
-@inlined_kernel
-def bring_back(rotations, positions, i, j, of_world, rotation, translation, contacts, ids, count):
+def _bring_back(rotations, positions, i, j, of_world, rotation, translation, contacts, ids, count):
     """`count` contacts that the i-th and j-th fragment will have, as rows of query_pair's, in the frames of now.
 
     of_world (2, 3, 3), rotation (2, 3, 3), translation (2, 3): where the two will be, in the world and to each other.

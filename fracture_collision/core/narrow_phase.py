@@ -15,7 +15,7 @@ from fracture_collision.core.contact_places import put_in_world
 from fracture_collision.core.crew import Crew
 from fracture_collision.core.crowds import UNSEARCHED, UNSHARED, Overlaps, most_visits, visit_shares
 from fracture_collision.core.facing_normal import turn_contacts
-from fracture_collision.core.first_touch import add_approaching, bring_back, first_touch, is_about_to_touch
+from fracture_collision.core.first_touch import first_touch, may_touch_again
 from fracture_collision.core.kept_answer import (
     NOTHING_KEPT,
     KeptAnswer,
@@ -147,10 +147,11 @@ def _query_share(
                     if motion.time > 0.0 and found == 0:
                         middles = pools.fragment.middle
                         left = least_left(
-                            lists.listed[slot], lists.places[slot], n, middles[a], middles[b], rotation, translation
-                        )
+                            lists.listed[slot], lists.places[slot], n, middles[a], middles[b], rotation, translation,
+                            False,
+                        )  # fmt: skip
                         left = min(
-                            left, least_apart(edges, a, b, rotation, translation, ridges, rule.near, thread)
+                            left, least_apart(edges, a, b, rotation, translation, ridges, rule.near, False, thread)
                         )
                         clear = min(left, lists.reach[slot] - moved - rounding)
             is_quick = is_quick and n != FULL
@@ -179,9 +180,13 @@ def _query_share(
                     keep_pose(rotation, translation, lists.listed_at[slot])
                     if motion.time > 0.0 and found == 0:
                         middles = pools.fragment.middle
-                        left = least_left(listed, places, samples, middles[a], middles[b], rotation, translation)
+                        left = least_left(
+                            listed, places, samples, middles[a], middles[b], rotation, translation, False
+                        )
                         crossing = ridges[:crossings]
-                        left = min(left, least_apart(edges, a, b, rotation, translation, crossing, rule.near, thread))
+                        left = min(
+                            left, least_apart(edges, a, b, rotation, translation, crossing, rule.near, False, thread)
+                        )
                         clear = min(left, lists.reach[slot])
         if found < 0:
             found, bounds[p], visits[p], exhausted[p], clear = query_pair(
@@ -193,44 +198,31 @@ def _query_share(
                 if clear > 0.0:
                     lists.counts[slot], lists.ridges[slot], lists.reach[slot] = 0, 0, clear
                     keep_pose(rotation, translation, lists.listed_at[slot])
-        moment = 0.0
-        if found == 0 and motion.time > 0.0 and closing_speed(motion, i, j, 0.0, motion.time) * motion.time > clear:
-            # by a search of its own: whatever is remembered, it is the same
-            ahead = Rule(wanted, min(max(most, wanted), limit), rule.epsilon, rule.near)
-            found, moment, more = first_touch(
-                pools, edges, a, b, i, j, rotations, positions, motion, ahead, out, out_ids, room - used, rotation,
-                translation, scratch, thread,
-            )  # fmt: skip
-            visits[p] += more
-            if found < 0:
-                found, exhausted[p] = 0, BY_LIMIT
-                left = motion.time - moment
-                bounds[p] = max(bounds[p], left * closing_speed(motion, i, j, moment, left))
-        counts[p] = found
-        begin[p] = used
-        if counts[p] > room - used:
+        if 0 < found <= room - used and pools.normals == FACING:
+            turn_contacts(pools, a, b, rotation, translation, near * radius, out, out_ids, found, scratch, thread)
+        if motion.time > 0.0:
+            # by searches of their own: whatever is remembered, they are the same
+            moment, ahead = 0.0, Rule(wanted, min(max(most, wanted), limit), rule.epsilon, rule.near)
+            if found == 0 and closing_speed(motion, i, j, 0.0, motion.time) * motion.time > clear:
+                found, moment, more, unseen = first_touch(
+                    pools, edges, a, b, i, j, rotations, positions, motion, 0.0, 0, ahead, out, out_ids, room - used,
+                    rotation, translation, scratch, thread,
+                )  # fmt: skip
+                visits[p] += more
+                if found == 0 and unseen > 0.0:
+                    exhausted[p], bounds[p] = BY_LIMIT, max(bounds[p], unseen)
+            has_room = found <= room - used and found + max(most, wanted) <= limit
+            if found > 0 and has_room and may_touch_again(pools, a, b, i, j, motion, out, found):
+                again, _, more, _ = first_touch(
+                    pools, edges, a, b, i, j, rotations, positions, motion, moment, found, ahead, out, out_ids,
+                    room - used, rotation, translation, scratch, thread,
+                )  # fmt: skip
+                visits[p] += more
+                found += again
+        begin[p], counts[p] = used, found
+        if found > room - used:
             begin[p] = -1
             continue
-        if pools.normals == FACING:
-            turn_contacts(
-                pools, a, b, rotation, translation, near * radius, out, out_ids, counts[p], scratch, thread
-            )
-        if moment > 0.0:
-            bring_back(
-                rotations, positions, i, j, scratch.world_rotation[thread], rotation, translation, out, out_ids, found
-            )
-            relative_pose(rotations[i], positions[i], rotations[j], positions[j], rotation[0], translation[0])
-            relative_pose(rotations[j], positions[j], rotations[i], positions[i], rotation[1], translation[1])
-        if found > 0 and motion.time > 0.0 and is_about_to_touch(pools, a, b, i, j, motion, moment):
-            count, more = add_approaching(
-                pools, a, b, i, j, motion, rule, out, out_ids, found, limit, room - used, rotation, translation,
-                scratch, thread,
-            )  # fmt: skip
-            visits[p] += more
-            counts[p] = count
-            if count > room - used:
-                begin[p] = -1
-                continue
         used += counts[p]
 
 

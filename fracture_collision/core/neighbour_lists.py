@@ -211,9 +211,9 @@ def may_be_near(row, rotation, frame):
 
 
 @inlined_kernel
-def least_left(listed, places, count, middle_a, middle_b, rotation, translation):
+def least_left(listed, places, count, middle_a, middle_b, rotation, translation, of_far):
     """How far the listed samples of a pair have still to move, at least, before one of them can be near [m]; infinity:
-    there is none. rotation (2, 3, 3), translation (2, 3): where the two stand now.
+    there is none. rotation (2, 3, 3), translation (2, 3): where the two stand now; of_far: of those that are not near.
     """
     left, side = np.float32(np.inf), 0
     frame = frame_between(middle_a, middle_b, rotation[0], translation[0])
@@ -222,6 +222,8 @@ def least_left(listed, places, count, middle_a, middle_b, rotation, translation)
             side = 1
             frame = frame_between(middle_b, middle_a, rotation[1], translation[1])
         row = places[k]
+        if of_far and row[UNTIL] == NEAR_LAST:
+            continue
         x, y, z = place_of(row, rotation[side], frame)
         x, y, z = x - row[SEEN], y - row[SEEN + 1], z - row[SEEN + 2]
         left = min(left, row[UNTIL] - frame[3] - np.float32(1.0 + PLACE_ROUNDING) * np.sqrt(x * x + y * y + z * z))

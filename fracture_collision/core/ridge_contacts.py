@@ -193,14 +193,16 @@ def add_listed_crossings(
 
 
 @inlined_kernel
-def least_apart(edges, a, b, rotation, translation, listed, near, thread):
+def least_apart(edges, a, b, rotation, translation, listed, near, of_far, thread):
     """How much farther apart than `near` [m] the ridges of all `listed` pairs (n, 2) are at least [m], no less than 0;
-    infinity: there is none.
+    infinity: there is none. of_far: of those that are not near.
     """
     ridges, row, least = edges.ridges, edges.work.row[thread], math.inf
     for k in range(len(listed)):
         _carry_ends(ridges.rows[ridges.first[a] + listed[k, 0]], rotation[0], translation[0], row)
-        least = min(least, segment_distance(row, ridges.rows[ridges.first[b] + listed[k, 1]]) - near)
+        apart = segment_distance(row, ridges.rows[ridges.first[b] + listed[k, 1]]) - near
+        if apart > 0.0 or not of_far:
+            least = min(least, apart)
     return max(least, 0.0)
 
 

@@ -42,7 +42,7 @@ from fracture_collision.core.traversal import IN_PLACE
 # how deep a point is listed; and how finely is looked. The last two make epsilon together, less room for rounding.
 SHOWN, LISTED, FINEST = 0.6, 0.9, 0.09
 # Points of a pair that are asked at most. Where they do not do, nothing is known but how thick the two are.
-MOST_ASKED = 300_000
+MOST_ASKED = 1_000_000
 # The deepest point of a triangle is looked for to this share of epsilon.
 SHARPEST = 0.05
 NOBODY = -1

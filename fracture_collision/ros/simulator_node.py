@@ -39,13 +39,18 @@ PROGRESS_INTERVAL = 0.1  # [s]
 
 
 class SimulatorNode(Node):
-    """Parameters: `scene`, `seed`, `run_id`, `wait_for_subscribers`, `timing_file`, `progress`. Topics: ros/qos.py."""
+    """Parameters: `scene`, `seed`, `run_id`, `looks_ahead`, `wait_for_subscribers`, `timing_file`, `progress`. Topics:
+    ros/qos.py.
+    """
 
     def __init__(self) -> None:
         super().__init__("simulator_node")
         scene_name = declare_fixed(self, "scene", "plates", "name in config/scenes, or the path of a scene file")
         seed = declare_fixed(self, "seed", -1, "of the fracture patterns; -1: the scene's own", Range(-1, 2**62))
         run_id = declare_fixed(self, "run_id", 0, "of all messages; 0: made from scene and seed", Range(0, 2**62))
+        self._looks_ahead = declare_fixed(
+            self, "looks_ahead", False, "whether the service's `lookahead` is the scene's time step, and not 0"
+        )
         self._subscribers = declare_fixed(
             self, "wait_for_subscribers", 1, "of states and of contacts, before the first step", Range(0, 100)
         )
@@ -102,7 +107,7 @@ class SimulatorNode(Node):
         self._simulation.close()
 
     def _make_simulation(self, scene: Scene, seed: int) -> Simulation:
-        return Simulation(scene, seed)
+        return Simulation(scene, seed, looks_ahead=self._looks_ahead)
 
     def _open_log(self) -> tuple[Publisher, Publisher]:
         """Publishers of bodies and events, on which late joiners find a run from its start."""

@@ -17,6 +17,7 @@ class Traits(NamedTuple):
     body_ids: np.ndarray  # (n + 1,) int64; the last, -1, for what cannot move
     rolling_arms: np.ndarray  # (n + 1,) [m]; the last, 0, for what cannot move
     strengths: np.ndarray  # (n,) [N s]; inf where it does not break
+    is_round: np.ndarray  # (n + 1,) bool: spheres; the last, False, for what cannot move
 
 
 def traits_of(
@@ -31,9 +32,11 @@ def traits_of(
     """
     numbers = np.array([*(body_ids[fragment] for fragment in states.fragment_ids.tolist()), -1], dtype=np.int64)
     arms, strengths = np.zeros(len(states.masses) + 1), np.full(len(states.masses), np.inf)
+    is_round = np.zeros(len(arms), np.bool_)
     for i, (fragment_id, body_id) in enumerate(zip(states.fragment_ids.tolist(), numbers.tolist(), strict=False)):
         material, mesh = bodies[body_id].material, breakable.get(body_id)
         fracture, arms[i] = material.fracture, material.rolling_arm
+        is_round[i] = bodies[body_id].shape.kind == "sphere"
         if (
             fracture is not None
             and mesh is not None
@@ -42,4 +45,4 @@ def traits_of(
             and mesh.node_count(fragment_id) >= 2 * fracture.pattern.minimum_nodes
         ):
             strengths[i] = fracture.strength
-    return Traits(states.fragment_ids, numbers, arms, strengths)
+    return Traits(states.fragment_ids, numbers, arms, strengths, is_round)

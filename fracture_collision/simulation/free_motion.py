@@ -17,8 +17,12 @@ from numba import njit
 from fracture_collision.simulation.compiled import uncounted
 
 NEWTON_STEPS = 12
+# A step in which a body turns by many radians is taken in parts, doubled as long as one does not converge.
+MOST_PARTS = 1024
 # Relative to |I w|; quadratic convergence gets from a thousandth to here in two steps.
 CONVERGED = 1.0e-15
+# Rounding may keep it a little above.
+NEARLY = 1.0e-12
 
 
 @njit(cache=True)
@@ -37,6 +41,22 @@ def free_velocities(velocities, inertias, gravity, time_step):
 
 @uncounted
 def _spin_after(before, inertia, time_step):
+    parts = 1
+    while parts <= MOST_PARTS:
+        spin, has_converged = before, True
+        for _ in range(parts):
+            spin, has_converged = _spin_after_part(spin, inertia, time_step / parts)
+            if not has_converged:
+                break
+        if has_converged:
+            return spin
+        parts *= 2
+    return before
+
+
+@uncounted
+def _spin_after_part(before, inertia, time_step):
+    """(the spin, whether it has converged)"""
     spin = before
     momentum = _times(inertia, before)
     scale = math.sqrt(_dot(momentum, momentum))
@@ -46,8 +66,9 @@ def _spin_after(before, inertia, time_step):
         residual = _sum(
             1.0, _times(inertia, _sum(1.0, spin, -1.0, before)), time_step, _cross(middle, middle_momentum)
         )
-        if math.sqrt(_dot(residual, residual)) <= CONVERGED * scale:
-            break
+        size = math.sqrt(_dot(residual, residual))
+        if size <= CONVERGED * scale:
+            return spin, True
         # Columns of f': what it makes of each axis.
         x = _column(inertia[0], (1.0, 0.0, 0.0), middle, middle_momentum, time_step)
         y = _column(inertia[1], (0.0, 1.0, 0.0), middle, middle_momentum, time_step)
@@ -59,7 +80,7 @@ def _spin_after(before, inertia, time_step):
             spin[1] - _dot(residual, _cross(z, x)) / volume,
             spin[2] - _dot(residual, _cross(x, y)) / volume,
         )
-    return spin
+    return spin, size <= NEARLY * scale
 
 
 @uncounted

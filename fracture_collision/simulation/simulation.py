@@ -52,6 +52,8 @@ from fracture_collision.simulation.rotations import turned_back
 from fracture_collision.simulation.scene import Scene, SceneBody
 from fracture_collision.simulation.touch_ahead import held_back, split_by_gap
 
+_NO_GRAVITY = np.zeros(3)
+
 
 class StepRequest(NamedTuple):
     """What must be published before the answer can come."""
@@ -89,12 +91,16 @@ class Pusher(Protocol):
 class Simulation:
     """A run of one scene. The same scene, seed and answers give the same states, byte for byte.
 
-    `seed` replaces the scene's own where given, `engine` the RigidBodyWorld.
+    `seed` replaces the scene's own where given, `engine` the RigidBodyWorld. looks_ahead: the contacts come from a
+    service that looks a step ahead (its parameter `lookahead`), see touch_ahead.
     """
 
-    def __init__(self, scene: Scene, seed: int | None = None, engine: Engine | None = None) -> None:
+    def __init__(
+        self, scene: Scene, seed: int | None = None, engine: Engine | None = None, looks_ahead: bool = False
+    ) -> None:
         self._scene = scene
         self._seed = scene.seed if seed is None else seed
+        self._looks_ahead = looks_ahead
         self._engine = RigidBodyWorld(scene.time_step) if engine is None else engine
         self._step = 0
         self._sequence = 0
@@ -191,9 +197,11 @@ class Simulation:
         solution, overloaded = self._solve(bodies, contacts, pairs, self._traits(states).strengths, rest.asleep)
         solver_seconds = time.perf_counter() - started
         v, drift = solution.velocities, solution.drift
+        told = _velocities(self._told(states)) if self._looks_ahead else None
         v, drift = held_back(
-            states, contacts, pairs, ahead, v, drift, self._scene.gravity, self._scene.solver, self._scene.time_step
-        )
+            states, contacts, pairs, ahead, told, self._traits(states).is_round, v, drift, self._scene.gravity,
+            self._scene.solver, self._scene.time_step,
+        )  # fmt: skip
         self._engine.advance(v[:, :3], v[:, 3:], drift[:, :3], drift[:, 3:])
         self._warm_start = solution.warm_start
         self._rest = sleep.after_step(
@@ -202,8 +210,7 @@ class Simulation:
         self._step += 1
 
         moved = self._engine.states()
-        velocities = np.hstack((moved.linear, moved.angular))
-        energy = kinetic_energy(moved.masses, moved.inertias, velocities)
+        energy = kinetic_energy(moved.masses, moved.inertias, _velocities(moved))
         lifted = -float((moved.masses * dots(solution.drift[:, :3], self._scene.gravity)).sum()) * self._scene.time_step
         started = time.perf_counter()
         for i in overloaded:
@@ -254,8 +261,15 @@ class Simulation:
             pushes, energy = pushes + more, energy + gain
         return pushes, energy
 
+    def _told(self, states: BodyStates) -> BodyStates:
+        """With the spins that bodies have in the coming step if nothing touches them: what looks ahead by them would
+        else be wrong by the gyroscopic torque, which turns the axis of a fast shard by a radian.
+        """
+        free = free_velocities(_velocities(states), states.inertias, _NO_GRAVITY, self._scene.time_step)
+        return states._replace(angular=np.ascontiguousarray(free[:, 3:]))
+
     def _states(self) -> FragmentStates:
-        moving = self._engine.states()
+        moving = self._told(self._engine.states())
         others = self._cast.static_frames | self._cast.waiting
         ids = np.concatenate((moving.fragment_ids, np.array(list(others), dtype=np.uint32)))
         order = np.argsort(ids, kind="stable")
@@ -269,7 +283,7 @@ class Simulation:
         return FragmentStates(self._step, self._sequence, ids[order], *[column[order].ravel() for column in columns])
 
     def _rigid_bodies(self, states: BodyStates, pushes: np.ndarray) -> RigidBodies:
-        velocities = np.hstack((states.linear, states.angular)) + pushes
+        velocities = _velocities(states) + pushes
         free = free_velocities(velocities, states.inertias, self._scene.gravity, self._scene.time_step)
         return RigidBodies(states.masses, states.inertias, states.centers, velocities, free)
 
@@ -340,6 +354,11 @@ class Simulation:
         self._cast.replace(event, frame, self._engine)
         self.drag.keep_hold(body_id, fragment_id)
         return True
+
+
+def _velocities(states: BodyStates) -> np.ndarray:
+    """(n, 6) [m/s, rad/s]"""
+    return np.hstack((states.linear, states.angular))
 
 
 def _hardest_hit(

@@ -7,6 +7,10 @@ would have met at its beginning (motion clamping, as in Bullet). What they lose 
 
 What touches is kept apart by its velocities, along straight lines. Of a body that turns far in a step the points go
 round: it is held back likewise before one of its contacts has gone deeper by `ahead_gap`.
+
+The service looks ahead by the velocities before a blow. After it bodies go where nobody has looked: so no point of what
+touches goes farther astray in that step than by a fifth of the thinner one's thickness, and in the next one the service
+is asked with the new velocities.
 """
 
 from __future__ import annotations
@@ -26,6 +30,10 @@ from fracture_collision.simulation.engine import BodyStates, rows_of
 
 # [rad] A body that turns farther in a step has contacts that go round.
 FAR_TURN = 0.1
+# A body may go astray by this share of how thin it is, if it were a box; steps of the power method that says it.
+SPARE, POWER_STEPS = 0.2, 30
+# What is held back by less than this share more is not told again.
+ENOUGH = 1.01
 # A path is looked at in so many parts, and so many more for each radian that bodies turn; where it comes too near it is
 # halved so often.
 PARTS, PARTS_A_RADIAN, MOST_PARTS, HALVINGS = 4, 8.0, 1000, 30
@@ -72,24 +80,36 @@ def split_by_gap(
 
 def held_back(
     states: BodyStates, contacts: ContactConstraintArray, pairs: BodyPairs, ahead: TouchesAhead | None,
-    velocities: np.ndarray, drift: np.ndarray, gravity: np.ndarray, settings: SolverSettings, time_step: float,
+    told: np.ndarray | None, is_round: np.ndarray, velocities: np.ndarray, drift: np.ndarray, gravity: np.ndarray,
+    settings: SolverSettings, time_step: float,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Velocities and drift (n, 6) with which bodies go no farther than to where they touch. Gravity (3,) [m/s2] acts
     for as long as they move: what it gives beyond would be energy for a height that is not lost. To what touches
     something it gives at most what that falls by: what rests has its weight borne.
 
-    contacts and their pairs: what was solved.
+    contacts and their pairs: what was solved. told (n, 6): velocities by which the service has looked ahead; None: it
+    does not. is_round (n + 1,): spheres; the last, False, for what cannot move.
     """
     count = len(states.fragment_ids)
-    moves, touching = velocities + drift, _of_fast_spins(contacts, pairs, velocities, settings, time_step)
-    if ahead is None and touching is None:
+    moves, (reach, spare) = velocities + drift, _sizes(states, settings)
+    if told is None:
+        goes_round = _turns_far(pairs, velocities, time_step)
+    else:
+        goes_round = _goes_astray(pairs, velocities, reach, settings.ahead_gap, time_step)
+    touching = _touching(contacts, pairs, goes_round, settings)
+    if ahead is None and touching is None and told is None:
         return velocities, drift
+    most = np.ones(count) if told is None else _shares_as_told(pairs, told, moves, reach, spare, time_step)
     parts = [] if touching is None else [touching]
     if ahead is not None:
         rows = [rows_of(fragments, states.fragment_ids) for fragments in (ahead.fragment_a, ahead.fragment_b)]
         parts.append((*rows, *ahead[2:], np.full(len(rows[0]), settings.rest_gap)))
-    held = [np.concatenate(column) for column in zip(*parts, strict=True)]
-    shares = shares_until_touch(*held, states.centers, moves, time_step)
+    shares = most
+    if parts:
+        held = [np.concatenate(column) for column in zip(*parts, strict=True)]
+        shares = shares_until_touch(*held, states.centers, moves, most, told is not None, is_round, time_step)
+    if told is not None:
+        shares = shares_side_by_side(shares, states.centers, reach, spare, moves, time_step)
     is_free = np.ones(count + 1, bool)
     is_free[pairs.body_a] = is_free[pairs.body_b] = False
     unspent, falls = (1.0 - shares) * time_step, np.maximum(dots(velocities[:, :3], gravity), 0.0)
@@ -101,17 +121,83 @@ def held_back(
     return velocities, shares[:, None] * moves - velocities
 
 
-def _of_fast_spins(
-    contacts: ContactConstraintArray, pairs: BodyPairs, velocities: np.ndarray, settings: SolverSettings,
-    time_step: float,
-) -> tuple[np.ndarray, ...] | None:  # fmt: skip
-    """The contacts of bodies that turn far in a step, as the columns of shares_until_touch; None: there are none."""
+def _sizes(states: BodyStates, settings: SolverSettings) -> tuple[np.ndarray, np.ndarray]:
+    """Of bodies (n,), as if they were boxes: [m] how far they reach about their centres; and by how little they may be
+    astray without getting through anything: no less than `ahead_gap`.
+    """
+    traces = np.trace(states.inertias, axis1=1, axis2=2)
+    # of a box with sides x <= y <= z the largest moment is m (y^2 + z^2) / 12, the trace m (x^2 + y^2 + z^2) / 6
+    thinness = np.maximum(traces - 2.0 * _largest_moments(states.inertias), 0.0)
+    spare = SPARE * np.sqrt(6.0 * thinness / states.masses)
+    return np.sqrt(1.5 * traces / states.masses), np.maximum(spare, settings.ahead_gap)
+
+
+@njit(cache=True)
+def _largest_moments(inertias):
+    """(n,) [kg m2] principal ones of inertias (n, 3, 3), by the power method."""
+    moments = np.zeros(len(inertias))
+    for i in range(len(inertias)):
+        m = inertias[i]
+        k = 0
+        for d in range(1, 3):
+            if m[d, d] > m[k, k]:
+                k = d
+        x, y, z = m[0, k], m[1, k], m[2, k]
+        for _ in range(POWER_STEPS):
+            length = math.sqrt(x * x + y * y + z * z)
+            x, y, z = x / length, y / length, z / length
+            x, y, z = (
+                m[0, 0] * x + m[0, 1] * y + m[0, 2] * z,
+                m[1, 0] * x + m[1, 1] * y + m[1, 2] * z,
+                m[2, 0] * x + m[2, 1] * y + m[2, 2] * z,
+            )
+        moments[i] = math.sqrt(x * x + y * y + z * z)
+    return moments
+
+
+def _shares_as_told(
+    pairs: BodyPairs, told: np.ndarray, moves: np.ndarray, reach: np.ndarray, spare: np.ndarray, time_step: float
+) -> np.ndarray:
+    """Which share of the step each body may move (n,), so that no point of two that touch goes farther astray of where
+    it goes with the velocities `told` than by what either has to `spare` (n,) [m].
+    """
+    change = moves - told
+    astray = np.append(time_step * (lengths(change[:, :3]) + reach * lengths(change[:, 3:])), 0.0)
+    most, spare = astray[pairs.body_a] + astray[pairs.body_b], np.append(spare, np.inf)
+    least = np.minimum(spare[pairs.body_a], spare[pairs.body_b])
+    share = least / np.maximum(most, least)
+    shares = np.ones(len(told) + 1)
+    np.minimum.at(shares, pairs.body_a, share)
+    np.minimum.at(shares, pairs.body_b, share)
+    return shares[:-1]
+
+
+def _turns_far(pairs: BodyPairs, velocities: np.ndarray, time_step: float) -> np.ndarray:
+    """(p,) pairs of which one turns far in a step."""
     turns = np.append(lengths(velocities[:, 3:]) * time_step > FAR_TURN, False)
-    if not turns.any():
+    return turns[pairs.body_a] | turns[pairs.body_b]
+
+
+def _goes_astray(
+    pairs: BodyPairs, velocities: np.ndarray, reach: np.ndarray, most: float, time_step: float
+) -> np.ndarray:
+    """(p,) pairs of which what goes round or slides may be farther than `most` [m] off what its velocity now says."""
+    v = np.vstack((velocities, np.zeros(6)))
+    turns = time_step * lengths(v[:, 3:])
+    turning = turns * np.append(reach, 0.0)
+    a, b = pairs.body_a, pairs.body_b
+    ways = time_step * lengths(v[a, :3] - v[b, :3]) + turning[a] + turning[b]
+    return (turns[a] + turns[b]) * ways > most
+
+
+def _touching(
+    contacts: ContactConstraintArray, pairs: BodyPairs, chosen: np.ndarray, settings: SolverSettings
+) -> tuple[np.ndarray, ...] | None:
+    """The contacts of the `chosen` (p,) pairs, as the columns of shares_until_touch; None: there are none."""
+    if not chosen.any():
         return None
     repeat = np.diff(contacts.pair_begin.astype(np.int64))
-    body_a, body_b = np.repeat(pairs.body_a, repeat), np.repeat(pairs.body_b, repeat)
-    chosen = turns[body_a] | turns[body_b]
+    body_a, body_b, chosen = (np.repeat(column, repeat) for column in (pairs.body_a, pairs.body_b, chosen))
     columns = (contacts.points_a, contacts.points_b, contacts.normals)
     return (
         body_a[chosen], body_b[chosen], *(column.reshape(-1, 3)[chosen] for column in columns),
@@ -120,25 +206,30 @@ def _of_fast_spins(
 
 
 @njit(cache=True)
-def shares_until_touch(body_a, body_b, points_a, points_b, normals, least, centers, velocities, time_step):
-    """Which share of a step of `time_step` [s] each body may move, (n,) in [0, 1], so that no contact's gap closes
-    further than to the `least` (N,) [m].
+def shares_until_touch(
+    body_a, body_b, points_a, points_b, normals, least, centers, velocities, most, is_turning, is_round, time_step
+):
+    """Which share of a step of `time_step` [s] each body may move, (n,) up to the `most` (n,), so that no contact's gap
+    closes further than to the `least` (N,) [m].
 
     body_a, body_b (N,): rows of the bodies of the contacts, n: what cannot move; points_a, points_b, normals (N, 3);
-    centers (n, 3) [m]; velocities (n, 6): v [m/s], w [rad/s] by which they move.
+    centers (n, 3) [m]; velocities (n, 6): v [m/s], w [rad/s] by which they move. is_turning: normals turn with one of
+    the two; is_round (n + 1,): spheres.
     """
     n, h = len(centers), time_step
     shares = np.ones(n + 1)
+    shares[:n] = most
     for c in range(len(body_a)):
         a, b, contact = body_a[c], body_b[c], (points_a[c], points_b[c], normals[c])
+        of, other = _bodies_of_plane(a, b, is_round) if is_turning else (n, n)
         turns = h * (_spin(a, velocities) + _spin(b, velocities))
         before, parts = 0.0, PARTS + int(min(PARTS_A_RADIAN * turns, MOST_PARTS))
         for part in range(1, parts + 1):
             after = part / parts
-            if _gap(a, b, contact, centers, velocities, h * after, h * after) < least[c]:
+            if _gap(a, b, contact, of, other, centers, velocities, h * after, h * after) < least[c]:
                 for _ in range(HALVINGS):
                     middle = 0.5 * (before + after)
-                    if _gap(a, b, contact, centers, velocities, h * middle, h * middle) < least[c]:
+                    if _gap(a, b, contact, of, other, centers, velocities, h * middle, h * middle) < least[c]:
                         after = middle
                     else:
                         before = middle
@@ -155,19 +246,72 @@ def shares_until_touch(body_a, body_b, points_a, points_b, normals, least, cente
             a, b, contact = body_a[c], body_b[c], (points_a[c], points_b[c], normals[c])
             if shares[a] == shares[b] or a == n or b == n:
                 continue
-            if _gap(a, b, contact, centers, velocities, h * shares[a], h * shares[b]) < least[c]:
+            of, other = _bodies_of_plane(a, b, is_round) if is_turning else (n, n)
+            if _gap(a, b, contact, of, other, centers, velocities, h * shares[a], h * shares[b]) < least[c]:
                 shares[a] = shares[b] = min(shares[a], shares[b])
                 changed = True
     return shares[:n]
 
 
+@njit(cache=True)
+def shares_side_by_side(shares, centers, reach, spare, velocities, time_step):
+    """`shares` (n,), less where one moves and may meet another that is held back more: nobody has looked for what flies
+    side by side with that. Then it goes no farther than what either has to `spare` (n,) [m]. centers (n, 3), reach (n,)
+    [m].
+    """
+    n, shares = len(shares), shares.copy()
+    ways = np.empty(n)
+    for i in range(n):
+        u = velocities[i]
+        speed = math.sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
+        ways[i] = time_step * (speed + reach[i] * _spin(i, velocities))
+    changed = True
+    while changed:
+        changed = False
+        for i in range(n):
+            if shares[i] == 1.0:
+                continue
+            for j in range(n):
+                free = min(spare[i], spare[j])
+                if shares[j] * ways[j] <= free or (shares[j] - shares[i]) * ways[i] <= ENOUGH * free:
+                    continue
+                x, y, z = centers[j, 0] - centers[i, 0], centers[j, 1] - centers[i, 1], centers[j, 2] - centers[i, 2]
+                near = reach[i] + reach[j] + ways[i] + ways[j]
+                if x * x + y * y + z * z < near * near:
+                    shares[j], changed = shares[i] + free / ways[i], True
+    return shares
+
+
 @uncounted
-def _gap(a, b, contact, centers, velocities, of_a, of_b):
-    """The gap [m] of a contact (points, normal) once a has moved for `of_a` [s], b for `of_b`."""
+def _bodies_of_plane(a, b, is_round):
+    """Whose surface a contact's plane may be: no sphere's; else of either."""
+    if is_round[a] != is_round[b]:
+        return (b, b) if is_round[a] else (a, a)
+    return a, b
+
+
+@uncounted
+def _gap(a, b, contact, of, other, centers, velocities, time_a, time_b):
+    """The gap [m] of a contact (points, normal) once a has moved for `time_a` [s], b for `time_b`; its plane turns with
+    the body `of` or `other`, whichever makes it less.
+    """
     point_a, point_b, normal = contact
-    xa = _moved(a, point_a, centers, velocities, of_a)
-    xb = _moved(b, point_b, centers, velocities, of_b)
-    return normal[0] * (xb[0] - xa[0]) + normal[1] * (xb[1] - xa[1]) + normal[2] * (xb[2] - xa[2])
+    xa = _moved(a, point_a, centers, velocities, time_a)
+    xb = _moved(b, point_b, centers, velocities, time_b)
+    way = xb[0] - xa[0], xb[1] - xa[1], xb[2] - xa[2]
+    least = _along(normal, of, time_a if of == a else time_b, velocities, way)
+    if other != of:
+        least = min(least, _along(normal, other, time_a if other == a else time_b, velocities, way))
+    return least
+
+
+@uncounted
+def _along(normal, body, t, velocities, way):
+    """`way` along a normal that has turned with a body for `t` [s]."""
+    x, y, z = normal[0], normal[1], normal[2]
+    if body < len(velocities):
+        x, y, z = _turned(velocities[body], t, x, y, z)
+    return x * way[0] + y * way[1] + z * way[2]
 
 
 @uncounted
@@ -182,17 +326,23 @@ def _spin(body, velocities):
 def _moved(body, point, centers, velocities, t):
     if body == len(centers):
         return point[0], point[1], point[2]
-    c, u, spin = centers[body], velocities[body], _spin(body, velocities)
-    x, y, z = point[0] - c[0], point[1] - c[1], point[2] - c[2]
-    if spin * t > 0.0:
-        # Rodrigues' formula
-        kx, ky, kz = u[3] / spin, u[4] / spin, u[5] / spin
-        sine, half = _sine_after(spin * t, 0.0), _sine_after(0.5 * spin * t, 0.0)
-        versine = 2.0 * half * half
-        cx, cy, cz = ky * z - kz * y, kz * x - kx * z, kx * y - ky * x
-        x, y, z = (
-            x + sine * cx + versine * (ky * cz - kz * cy),
-            y + sine * cy + versine * (kz * cx - kx * cz),
-            z + sine * cz + versine * (kx * cy - ky * cx),
-        )
+    c, u = centers[body], velocities[body]
+    x, y, z = _turned(u, t, point[0] - c[0], point[1] - c[1], point[2] - c[2])
     return c[0] + t * u[0] + x, c[1] + t * u[1] + y, c[2] + t * u[2] + z
+
+
+@uncounted
+def _turned(u, t, x, y, z):
+    """(x, y, z) after `t` [s] with the spin of velocities u (6,): Rodrigues' formula."""
+    spin = math.sqrt(u[3] * u[3] + u[4] * u[4] + u[5] * u[5])
+    if not spin * t > 0.0:
+        return x, y, z
+    kx, ky, kz = u[3] / spin, u[4] / spin, u[5] / spin
+    sine, half = _sine_after(spin * t, 0.0), _sine_after(0.5 * spin * t, 0.0)
+    versine = 2.0 * half * half
+    cx, cy, cz = ky * z - kz * y, kz * x - kx * z, kx * y - ky * x
+    return (
+        x + sine * cx + versine * (ky * cz - kz * cy),
+        y + sine * cy + versine * (kz * cx - kx * cz),
+        z + sine * cz + versine * (kx * cy - ky * cx),
+    )

@@ -1,0 +1,360 @@
+"""Between steps: does anything fast go through anything, in a simulation that looks a step ahead?
+
+Something is thrown at something and simulated with `lookahead` at the time step. Judged is the motion within steps, in
+steps so small that nothing moves farther than LEAP of its thickness. *Through*: more than half way through the
+thinner of the two at some moment. *Deep*: deeper than DEEP. The same throw is simulated with nobody told of contacts:
+who passes at more than epsilon there, and does not move so here, has met a *ghost*.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.figure import Figure
+from scipy.spatial.transform import Rotation
+
+from benchmarks.studies.pictures import BLUE, ORANGE, RED, finish, new_figure
+from benchmarks.studies.study import Study, Trial
+from benchmarks.studies.table import Row, Table, markdown_table, number
+from fracture_collision.records import FragmentStates
+from fracture_collision.simulation.engine import BodyStates
+from fracture_collision.simulation.rigid_body_world import RigidBodyWorld
+from fracture_collision.simulation.scene import Scene, parse_scene
+from fracture_collision.simulation.simulation import Simulation
+from fracture_collision.world import CollisionWorld, Settings
+
+# [m]
+SHAPES: dict[str, dict[str, Any]] = {
+    "shard": {"brick": {"size_xyz": (0.06, 0.06, 0.004), "edge_length": 0.02}},
+    "rod": {"brick": {"size_xyz": (0.1, 0.008, 0.008), "edge_length": 0.02}},
+    "pane": {"brick": {"size_xyz": (0.12, 0.12, 0.006), "edge_length": 0.03}},
+    "bunny": {"bunny": {"longest_side": 0.1}},
+    "plate": {"brick": {"size_xyz": (0.25, 0.25, 0.006), "edge_length": 0.05}},
+    "plane": {"plane": {"coefficients": [0.0, 0.0, 1.0, 0.0]}},
+    "box": {"box": {"size": [0.1, 0.08, 0.06]}},
+    "sphere": {"sphere": {"radius": 0.05}},
+    "heap": {"brick": {"size_xyz": (0.1, 0.08, 0.06), "edge_length": 0.02}},
+}
+THROWN = ("shard", "rod", "pane", "bunny")
+TARGETS = ("plate", "fixed plate", "rod", "bunny", "plane", "box", "sphere", "heap")
+# [m] where they are thinnest; of a bunny, its ears; of a heap, what its pieces are like
+THINNEST = {
+    "shard": 0.004, "rod": 0.008, "pane": 0.006, "bunny": 0.01, "plate": 0.006, "plane": np.inf, "box": 0.06,
+    "sphere": 0.1, "heap": 0.02,
+}  # fmt: skip
+SPEEDS = (1.0, 5.0, 20.0, 50.0, 100.0, 200.0)  # [m/s]
+STEPS = (0.001, 0.0025, 0.005, 0.01)  # [s]
+ATTITUDES = ("flat on", "edge on", "turning", "turning")  # of what is thrown; half of the throws spin
+MOST_SPIN, SPIN_OF_TARGET, SPEED_OF_TARGET = 200.0, 20.0, 1.0  # [rad/s], [rad/s], [m/s]
+BESIDE = 0.6  # of the thrown one's reach: so far beside the target's box is aimed, too
+STEPS_AFTER = 12
+OVERLOAD = 2.0  # of the blow that breaks a heap
+LEAP, FINER = 0.25, 25.0  # a small step as a share of what is thinnest; and for ghosts so much smaller
+DEEP = 5e-4  # [m]
+HALF_WAY = 0.9  # of half of what is thinner: no sample is quite in the middle
+SAME = 1e-9  # [m, m/s, rad/s] rounding
+TARGET_ID, THROWN_ID = 1, 2
+TOGETHER = 8  # throws of a trial
+
+
+class Size(NamedTuple):
+    throws: int  # of each thing thrown, target and speed
+    thrown: tuple[str, ...] = THROWN
+    targets: tuple[str, ...] = TARGETS
+    speeds: tuple[float, ...] = SPEEDS  # [m/s]
+
+
+class Throw(NamedTuple):
+    touches: bool  # they come within epsilon of each other, if nobody is told
+    deviates: bool  # what is thrown moves otherwise than so
+    is_ghost: bool
+    is_through: bool
+    deepest: float  # [m] at any moment
+    energy_gain: float  # of any step, as a share of the energy at first
+
+
+class _Engine(RigidBodyWorld):
+    """Keeps how bodies move within each step."""
+
+    def __init__(self, time_step: float) -> None:
+        super().__init__(time_step)
+        self.moves: tuple[BodyStates, np.ndarray, np.ndarray] | None = None
+
+    def advance(self, linear, angular, drift_linear, drift_angular) -> None:
+        self.moves = self.states(), linear + drift_linear, angular + drift_angular
+        super().advance(linear, angular, drift_linear, drift_angular)
+
+
+class _Step(NamedTuple):
+    states: FragmentStates  # at its beginning
+    time: float  # [s] it takes
+    before: BodyStates
+    linear: np.ndarray  # (n, 3) [m/s] by which centres move within it
+    angular: np.ndarray  # (n, 3) [rad/s]
+    energy: float  # [J] after it
+
+
+def trials(size: Size) -> list[Trial]:
+    return [
+        trial
+        for thrown in size.thrown
+        for target in size.targets
+        for speed in size.speeds
+        for trial in _trials(size, thrown, target, speed)
+    ]
+
+
+def _trials(size: Size, thrown: str, target: str, speed: float) -> list[Trial]:
+    return [
+        Trial(
+            throw, (thrown, target, speed, first, min(first + TOGETHER, size.throws)),
+            f"{thrown} thrown at {target}, {speed:g} m/s, from throw {first} on", False,
+        )
+        for first in range(0, size.throws, TOGETHER)
+    ]  # fmt: skip
+
+
+def throw(thrown: str, target: str, speed: float, first: int, end: int) -> list[Throw]:
+    """Throws first .. end - 1, that differ in their random numbers."""
+    key = [THROWN.index(thrown), TARGETS.index(target), int(speed)]
+    return [_one(thrown, target, speed, np.random.default_rng([*key, k])) for k in range(first, end)]
+
+
+def _one(thrown: str, target: str, speed: float, random: np.random.Generator) -> Throw:
+    scene = _scene(thrown, target, speed, random)
+    witness, thinner = _Witness(scene), min(THINNEST[thrown], THINNEST[target.removeprefix("fixed ")])
+    leap = LEAP * thinner
+    free = list(_run(scene, target, witness.world, False))
+    touches = any(True for _ in witness.gaps(free, leap))
+    settings = Settings(threads=1, lookahead=scene.time_step, surfaces="edges")
+    steps = list(_run(scene, target, CollisionWorld(settings), True))
+    deepest = max(0.0, -min(witness.gaps(steps, leap), default=0.0))
+    deviates = any(_differ(*pair) for pair in zip(free, steps, strict=True))
+    is_ghost = deviates and not touches and not any(True for _ in witness.gaps(free, leap / FINER))
+    energies = np.array([step.energy for step in steps])
+    gain = float(np.diff(energies).max(initial=0.0)) / energies[0]
+    return Throw(touches, deviates, is_ghost, deepest > HALF_WAY * 0.5 * thinner, deepest, gain)
+
+
+def _differ(one: _Step, other: _Step) -> bool:
+    """Whether what is thrown is elsewhere, or moves otherwise."""
+    own, its = _motion_of_thrown(one.before), _motion_of_thrown(other.before)
+    return bool(np.abs(own - its).max() > SAME)
+
+
+def _motion_of_thrown(bodies: BodyStates) -> np.ndarray:
+    columns = bodies.frame_positions, bodies.frame_orientations, bodies.linear, bodies.angular
+    return np.hstack(columns)[bodies.fragment_ids == THROWN_ID]
+
+
+def _scene(thrown: str, target: str, speed: float, random: np.random.Generator) -> Scene:
+    """What is thrown flies towards the origin, where the target is."""
+    time_step, attitude = float(random.choice(STEPS)), ATTITUDES[random.integers(len(ATTITUDES))]
+    way = random.normal(size=3)
+    way /= np.linalg.norm(way)
+    if target in ("plane", "plate", "fixed plate"):
+        way[2] = -max(abs(way[2]), 0.2)
+        way /= np.linalg.norm(way)
+    turn, spin = Rotation.random(random_state=int(random.integers(1 << 30))), np.zeros(3)
+    if attitude == "turning":
+        spin = random.normal(size=3)
+        spin *= random.uniform(0.0, MOST_SPIN) / np.linalg.norm(spin)
+    else:
+        flat = Rotation.align_vectors([way], [[0.0, 0.0, 1.0] if attitude == "flat on" else [1.0, 0.0, 0.0]])[0]
+        turn = Rotation.from_rotvec(random.uniform(0.0, 2.0 * np.pi) * way) * flat
+    reach, half = _reach(thrown), _half(target)
+    aim = random.uniform(-1.0, 1.0, 3) * (half + BESIDE * reach)
+    away = reach + float(np.linalg.norm(aim)) + float(np.linalg.norm(half)) + 0.01
+    if target == "plane":
+        away /= abs(way[2])
+    before = away + random.uniform(1.0, 2.0) * speed * time_step  # the spin of the first step is not yet told
+    steps = int(np.ceil(2.0 * before / speed / time_step)) + STEPS_AFTER
+    porcelain = {"density": 2400.0, "friction": 0.5, "restitution": 0.1}
+    brittle = porcelain | {"fracture": {"strength": 1e9, "minimum_mass": 0.02}}
+    body = {"name": "target", "material": "porcelain", "shape": SHAPES[target.removeprefix("fixed ")]}
+    if target in ("plane", "fixed plate"):
+        body["static"] = True
+    elif target == "heap":
+        body["material"] = "brittle"
+    elif random.random() < 0.5:
+        body["linear_velocity"] = random.uniform(-SPEED_OF_TARGET, SPEED_OF_TARGET, 3).tolist()
+        body["angular_velocity"] = random.uniform(-SPIN_OF_TARGET, SPIN_OF_TARGET, 3).tolist()
+    flying = {
+        "name": "thrown", "material": "porcelain", "shape": SHAPES[thrown],
+        "position": (aim - before * way).tolist(), "rotation": turn.as_euler("xyz", degrees=True).tolist(),
+        "linear_velocity": (speed * way).tolist(), "angular_velocity": spin.tolist(),
+    }  # fmt: skip
+    content = {
+        "gravity": [0.0, 0.0, 0.0], "time_step": time_step, "duration": steps * time_step,
+        "materials": {"porcelain": porcelain, "brittle": brittle}, "bodies": [body, flying],
+    }  # fmt: skip
+    return parse_scene(content, "throws")
+
+
+def _reach(thrown: str) -> float:
+    """[m] about its middle, roughly."""
+    size = next(iter(SHAPES[thrown].values()))
+    return 0.5 * float(np.linalg.norm(size.get("size_xyz", (0.1, 0.1, 0.1))))
+
+
+def _half(target: str) -> np.ndarray:
+    """[m] (3,) of the box that is aimed at."""
+    ((kind, size),) = SHAPES[target.removeprefix("fixed ")].items()
+    if kind == "plane":
+        return np.array([0.05, 0.05, 0.0])
+    return 0.5 * np.array(size.get("size_xyz") or size.get("size") or 3 * (2.0 * size.get("radius", 0.05),))
+
+
+_NO_CONTACTS = CollisionWorld(Settings(threads=1)).contacts(
+    FragmentStates(0, 0, np.zeros(0, np.uint32), np.zeros(0), np.zeros(0))
+)  # fmt: skip
+
+
+def _run(scene: Scene, target: str, world: CollisionWorld, is_told: bool) -> Iterator[_Step]:
+    """The scene's steps; whether the simulation is told of the world's contacts. A heap breaks after the first step."""
+    engine = _Engine(scene.time_step)
+    simulation = Simulation(scene, None, engine, looks_ahead=True)
+    for body in simulation.start_bodies():
+        world.add_body(body)
+    while not simulation.finished:
+        request = simulation.begin_step()
+        for event in request.events:
+            world.add_fracture(event)
+        states = request.states
+        if is_told:
+            answer = world.contacts(states)
+        else:
+            world.present(states)
+            answer = _NO_CONTACTS._replace(step=states.step, fracture_sequence=states.fracture_sequence)
+        report = simulation.finish_step(answer, world.fragments())
+        if target == "heap" and states.step == 0:
+            simulation.strike(TARGET_ID, np.zeros(3), OVERLOAD)
+        yield _Step(states, scene.time_step, *engine.moves, report.kinetic_energy)
+    simulation.close()
+
+
+class _Witness:
+    """Is asked at each moment what is near what is thrown; `world` knows what the first run has told it."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.world = CollisionWorld(Settings(threads=1, surfaces="edges"))
+        self._reach = dict.fromkeys((TARGET_ID, THROWN_ID), np.inf)  # [m] about the body frame's origin
+        simulation = Simulation(scene)
+        for body in simulation.start_bodies():
+            if body.vertices.size:
+                self._reach[body.body_id] = float(np.linalg.norm(body.vertices.reshape(-1, 3), axis=1).max())
+            elif body.primitive.dimensions:
+                self._reach[body.body_id] = float(np.linalg.norm(body.primitive.dimensions))
+        simulation.close()
+
+    def gaps(self, steps: list[_Step], leap: float) -> Iterator[float]:
+        """[m] the least one of what is thrown to anything, of each moment at which it is within epsilon of anything; no
+        two moments between which it moves farther than `leap` [m] against anything.
+        """
+        for step in steps:
+            yield from self._gaps_within(step, leap)
+
+    def _gaps_within(self, step: _Step, leap: float) -> Iterator[float]:
+        before, h = step.before, step.time
+        ids = step.states.fragment_ids
+        rows, mine = np.searchsorted(ids, before.fragment_ids), before.fragment_ids == THROWN_ID
+        reach, other_reach = self._reach[THROWN_ID], self._reach[TARGET_ID]
+        v, w, places = step.linear, np.linalg.norm(step.angular, axis=1), before.frame_positions.copy()
+        others = ~mine
+        if mine.all():  # the target stands still, at the origin
+            v, w, places = np.vstack([v, np.zeros(3)]), np.append(w, 0.0), np.vstack([places, np.zeros(3)])
+            mine, others = np.array([True, False]), np.array([False, True])
+        arms, frames = before.frame_positions - before.centers, Rotation.from_quat(before.frame_orientations)
+        arm = float(np.linalg.norm(arms, axis=1).max())
+        turns = (reach + arm) * w[mine] + (0.0 if np.isinf(other_reach) else (other_reach + arm) * w[others])
+        way = h * float((np.linalg.norm(v[others] - v[mine], axis=1) + turns).max())
+        if not self._may_touch(places[mine], places[others], way):
+            return
+        positions, orientations = step.states.positions.reshape(-1, 3), step.states.orientations.reshape(-1, 4)
+        count = int(np.ceil(way / leap)) + 1
+        for t in h * np.arange(count) / count:
+            turn = Rotation.from_rotvec(t * step.angular)
+            places[: len(rows)] = before.centers + t * step.linear + turn.apply(arms)
+            if not self._may_touch(places[mine], places[others], leap):
+                continue
+            positions, orientations = positions.copy(), orientations.copy()
+            positions[rows], orientations[rows] = places[: len(rows)], (turn * frames).as_quat()
+            answer = self.world.contacts(
+                step.states._replace(positions=positions.ravel(), orientations=orientations.ravel())
+            )
+            is_own = (answer.fragment_a == THROWN_ID) | (answer.fragment_b == THROWN_ID)
+            chosen = np.repeat(is_own, np.diff(answer.pair_begin.astype(np.int64)))
+            if chosen.any():
+                yield float(answer.gaps[chosen].min())
+
+    def _may_touch(self, mine: np.ndarray, others: np.ndarray, way: float) -> bool:
+        """By balls about the frames' origins (1, 3), (n, 3); `way` [m] they may still go."""
+        reach, other_reach = self._reach[THROWN_ID], self._reach[TARGET_ID]
+        if np.isinf(other_reach):
+            return bool(mine[0, 2] <= 1.01 * reach + way)
+        return bool(np.linalg.norm(others - mine, axis=1).min() <= 1.01 * (reach + other_reach) + way)
+
+
+def tables(size: Size, results: Mapping[Trial, Any]) -> dict[str, list[Row]]:
+    def row(names: list[tuple[str, str, float]], head: dict[str, Any]) -> Row:
+        throws = [it for name in names for trial in _trials(size, *name) for it in results[trial]]
+        return head | {
+            "throws": len(throws), "touch": sum(it.touches for it in throws),
+            "through": sum(it.is_through for it in throws), "deep": sum(it.deepest > DEEP for it in throws),
+            "deepest_mm": 1e3 * max(it.deepest for it in throws), "ghosts": sum(it.is_ghost for it in throws),
+            "energy_gain": max(it.energy_gain for it in throws),
+        }  # fmt: skip
+
+    by_kind = [
+        row([(thrown, target, speed) for speed in size.speeds], {"thrown": thrown, "target": target})
+        for thrown in size.thrown
+        for target in size.targets
+    ]
+    by_speed = [
+        row([(thrown, target, speed) for thrown in size.thrown for target in size.targets], {"speed": speed})
+        for speed in size.speeds
+    ]
+    return {"": by_kind, "speeds": by_speed}
+
+
+def draw(tables: Mapping[str, Table]) -> Figure:
+    table = tables["speeds"]
+    figure, ((axes,),) = new_figure(1, 1, width=6.0, height=3.2)
+    for what, colour in (("deep", ORANGE), ("through", RED), ("ghosts", BLUE)):
+        among = table.column("throws" if what == "ghosts" else "touch")
+        share = 100.0 * table.column(what) / np.maximum(among, 1)
+        axes.plot(table.column("speed"), share, "-o", color=colour, markersize=4, linewidth=1.3, label=what)
+    axes.set_xscale("log")
+    axes.set_ylim(bottom=0.0)
+    finish(axes, "of the throws that touch; ghosts: of all", "speed [m/s]", "throws [%]")
+    return figure
+
+
+def section(tables: Mapping[str, Table]) -> str:
+    body = [
+        (
+            f"{row['thrown']} at {row['target']}", *(str(row[name]) for name in ("throws", "touch", "through", "deep")),
+            number(row["deepest_mm"]), str(row["ghosts"]),
+        )
+        for row in tables[""].rows
+    ]  # fmt: skip
+    total = {n: int(tables["speeds"].column(n).sum()) for n in ("throws", "touch", "through", "deep", "ghosts")}
+    speeds = ", ".join(f"{speed:g}" for speed in tables["speeds"].values("speed"))
+    steps = ", ".join(f"{1e3 * step:g}" for step in STEPS)
+    gain = float(tables["speeds"].column("energy_gain").max())
+    return f"""\
+{total["throws"]} throws at {speeds} m/s, in steps of {steps} ms, a quarter flat on, a quarter edge on, the others
+spinning at up to {MOST_SPIN:g} rad/s, simulated with `surfaces: edges` and `lookahead` at the step, and judged at
+moments between which nothing moves farther than a quarter of the thinner one's thickness. {total["touch"]} touch.
+Through, that is, more than half way through the thinner one at any moment: {total["through"]}. Deeper than 0.5 mm at
+any moment: {total["deep"]}. Ghosts, that is, held back or turned aside by what they would have passed at more than
+0.2 % R: {total["ghosts"]}. The largest rise of the energy in a step, as a share of the energy at first: {gain:.1g}.
+
+{markdown_table(("", "throws", "touch", "through", "deep", "deepest, mm", "ghosts"), body)}"""
+
+
+STUDY = Study(
+    "throws", "What goes through what between steps", Size(4), Size(53), trials, tables, {"": draw}, section,
+)  # fmt: skip
