@@ -16,6 +16,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
+from benchmarks.studies.against import MOST_SPIN, SPEED_OF_TARGET, SPIN_OF_TARGET, STEPS, Size, tables_of, trials_of
 from benchmarks.studies.pictures import BLUE, RED, finish, new_figure
 from benchmarks.studies.study import Study, Trial
 from benchmarks.studies.table import Row, Table, markdown_table, number
@@ -40,9 +41,6 @@ TARGETS = ("plate", "rod", "plane", "box", "sphere", "triangles", "heap")
 BOX_SIZE, SPHERE_RADIUS = (0.1, 0.08, 0.06), 0.05  # [m]
 PLANE_SIZE = 4.0  # [m] of what stands for a plane to the other library
 MODES = ("sampled", "edges")
-SPEEDS = (1.0, 5.0, 20.0, 50.0, 100.0, 200.0)  # [m/s]
-STEPS = (0.001, 0.0025, 0.005, 0.01)  # [s]
-MOST_SPIN, SPIN_OF_TARGET, SPEED_OF_TARGET = 200.0, 20.0, 1.0  # [rad/s], [rad/s], [m/s]
 FROM = 0.6  # [m] away is surely apart
 LATEST = 1.8  # [steps] to go straight on before the touch: a good half of the flights touch
 NEAR, EPSILON = Settings().detection_tolerance, Settings().penetration_tolerance  # of the smaller R
@@ -50,13 +48,6 @@ GRAZES = 1.5  # detection tolerances: so near is near
 MOMENTS = 200  # at which it is looked how deep two are that touch and are not listed
 MOST_DRAWS = 50
 TOGETHER = 6  # flights of a trial
-
-
-class Size(NamedTuple):
-    flights: int  # of each thing thrown, target and speed
-    thrown: tuple[str, ...] = tuple(THROWN)
-    targets: tuple[str, ...] = TARGETS
-    speeds: tuple[float, ...] = SPEEDS  # [m/s]
 
 
 class Target(NamedTuple):
@@ -79,23 +70,7 @@ class Flight(NamedTuple):
 
 
 def trials(size: Size) -> list[Trial]:
-    return [
-        trial
-        for thrown in size.thrown
-        for target in size.targets
-        for speed in size.speeds
-        for trial in _trials(size, thrown, target, speed)
-    ]
-
-
-def _trials(size: Size, thrown: str, target: str, speed: float) -> list[Trial]:
-    return [
-        Trial(
-            fly, (thrown, target, speed, first, min(first + TOGETHER, size.flights)),
-            f"{thrown} at {target}, {speed:g} m/s, from flight {first} on", False,
-        )
-        for first in range(0, size.flights, TOGETHER)
-    ]  # fmt: skip
+    return trials_of(fly, TOGETHER, size)
 
 
 def fly(thrown: str, target: str, speed: float, first: int, end: int) -> list[Flight]:
@@ -260,27 +235,18 @@ def _heap() -> Target:
 
 
 def tables(size: Size, results: Mapping[Trial, Any]) -> dict[str, list[Row]]:
-    def rows(names: list[tuple[str, str, float]], head: dict[str, Any]) -> Row:
-        flights = [flight for name in names for trial in _trials(size, *name) for flight in results[trial]]
-        touching = [flight for flight in flights if flight.touches]
-        row = head | {"flights": len(flights), "touch": len(touching)}
-        for k, mode in enumerate(MODES):
-            unlisted = [flight for flight in touching if not flight.listed[k]]
-            row[f"missed_{mode}"] = sum(flight.depth > EPSILON for flight in unlisted)
-            row[f"ghosts_{mode}"] = sum(flight.listed[k] and not flight.is_near for flight in flights)
-            row[f"deepest_{mode}_percent"] = 100.0 * max((flight.depth for flight in unlisted), default=0.0)
-        return row
+    return tables_of(fly, TOGETHER, size, results, _row)
 
-    by_kind = [
-        rows([(thrown, target, speed) for speed in size.speeds], {"thrown": thrown, "target": target})
-        for thrown in size.thrown
-        for target in size.targets
-    ]
-    by_speed = [
-        rows([(thrown, target, speed) for thrown in size.thrown for target in size.targets], {"speed": speed})
-        for speed in size.speeds
-    ]
-    return {"": by_kind, "speeds": by_speed}
+
+def _row(flights: list[Flight]) -> Row:
+    touching = [flight for flight in flights if flight.touches]
+    row = {"flights": len(flights), "touch": len(touching)}
+    for k, mode in enumerate(MODES):
+        unlisted = [flight for flight in touching if not flight.listed[k]]
+        row[f"missed_{mode}"] = sum(flight.depth > EPSILON for flight in unlisted)
+        row[f"ghosts_{mode}"] = sum(flight.listed[k] and not flight.is_near for flight in flights)
+        row[f"deepest_{mode}_percent"] = 100.0 * max((flight.depth for flight in unlisted), default=0.0)
+    return row
 
 
 def draw(tables: Mapping[str, Table]) -> Figure:
@@ -325,5 +291,6 @@ slash ghosts.
 
 
 STUDY = Study(
-    "flights", "What touches within a step (`lookahead`)", Size(2), Size(60), trials, tables, {"": draw}, section,
+    "flights", "What touches within a step (`lookahead`)", Size(2, tuple(THROWN), TARGETS),
+    Size(60, tuple(THROWN), TARGETS), trials, tables, {"": draw}, section,
 )  # fmt: skip

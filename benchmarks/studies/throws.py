@@ -15,6 +15,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
+from benchmarks.studies.against import MOST_SPIN, SPEED_OF_TARGET, SPIN_OF_TARGET, STEPS, Size, tables_of, trials_of
 from benchmarks.studies.pictures import BLUE, ORANGE, RED, finish, new_figure
 from benchmarks.studies.study import Study, Trial
 from benchmarks.studies.table import Row, Table, markdown_table, number
@@ -44,10 +45,7 @@ THINNEST = {
     "shard": 0.004, "rod": 0.008, "pane": 0.006, "bunny": 0.01, "plate": 0.006, "plane": np.inf, "box": 0.06,
     "sphere": 0.1, "heap": 0.02,
 }  # fmt: skip
-SPEEDS = (1.0, 5.0, 20.0, 50.0, 100.0, 200.0)  # [m/s]
-STEPS = (0.001, 0.0025, 0.005, 0.01)  # [s]
 ATTITUDES = ("flat on", "edge on", "turning", "turning")  # of what is thrown; half of the throws spin
-MOST_SPIN, SPIN_OF_TARGET, SPEED_OF_TARGET = 200.0, 20.0, 1.0  # [rad/s], [rad/s], [m/s]
 BESIDE = 0.6  # of the thrown one's reach: so far beside the target's box is aimed, too
 STEPS_AFTER = 12
 OVERLOAD = 2.0  # of the blow that breaks a heap
@@ -57,13 +55,6 @@ HALF_WAY = 0.9  # of half of what is thinner: no sample is quite in the middle
 SAME = 1e-9  # [m, m/s, rad/s] rounding
 TARGET_ID, THROWN_ID = 1, 2
 TOGETHER = 8  # throws of a trial
-
-
-class Size(NamedTuple):
-    throws: int  # of each thing thrown, target and speed
-    thrown: tuple[str, ...] = THROWN
-    targets: tuple[str, ...] = TARGETS
-    speeds: tuple[float, ...] = SPEEDS  # [m/s]
 
 
 class Throw(NamedTuple):
@@ -97,23 +88,7 @@ class _Step(NamedTuple):
 
 
 def trials(size: Size) -> list[Trial]:
-    return [
-        trial
-        for thrown in size.thrown
-        for target in size.targets
-        for speed in size.speeds
-        for trial in _trials(size, thrown, target, speed)
-    ]
-
-
-def _trials(size: Size, thrown: str, target: str, speed: float) -> list[Trial]:
-    return [
-        Trial(
-            throw, (thrown, target, speed, first, min(first + TOGETHER, size.throws)),
-            f"{thrown} thrown at {target}, {speed:g} m/s, from throw {first} on", False,
-        )
-        for first in range(0, size.throws, TOGETHER)
-    ]  # fmt: skip
+    return trials_of(throw, TOGETHER, size)
 
 
 def throw(thrown: str, target: str, speed: float, first: int, end: int) -> list[Throw]:
@@ -298,25 +273,16 @@ class _Witness:
 
 
 def tables(size: Size, results: Mapping[Trial, Any]) -> dict[str, list[Row]]:
-    def row(names: list[tuple[str, str, float]], head: dict[str, Any]) -> Row:
-        throws = [it for name in names for trial in _trials(size, *name) for it in results[trial]]
-        return head | {
-            "throws": len(throws), "touch": sum(it.touches for it in throws),
-            "through": sum(it.is_through for it in throws), "deep": sum(it.deepest > DEEP for it in throws),
-            "deepest_mm": 1e3 * max(it.deepest for it in throws), "ghosts": sum(it.is_ghost for it in throws),
-            "energy_gain": max(it.energy_gain for it in throws),
-        }  # fmt: skip
+    return tables_of(throw, TOGETHER, size, results, _row)
 
-    by_kind = [
-        row([(thrown, target, speed) for speed in size.speeds], {"thrown": thrown, "target": target})
-        for thrown in size.thrown
-        for target in size.targets
-    ]
-    by_speed = [
-        row([(thrown, target, speed) for thrown in size.thrown for target in size.targets], {"speed": speed})
-        for speed in size.speeds
-    ]
-    return {"": by_kind, "speeds": by_speed}
+
+def _row(throws: list[Throw]) -> Row:
+    return {
+        "throws": len(throws), "touch": sum(it.touches for it in throws),
+        "through": sum(it.is_through for it in throws), "deep": sum(it.deepest > DEEP for it in throws),
+        "deepest_mm": 1e3 * max(it.deepest for it in throws), "ghosts": sum(it.is_ghost for it in throws),
+        "energy_gain": max(it.energy_gain for it in throws),
+    }  # fmt: skip
 
 
 def draw(tables: Mapping[str, Table]) -> Figure:
@@ -356,5 +322,6 @@ any moment: {total["deep"]}. Ghosts, that is, held back or turned aside by what 
 
 
 STUDY = Study(
-    "throws", "What goes through what between steps", Size(4), Size(53), trials, tables, {"": draw}, section,
+    "throws", "What goes through what between steps", Size(4, THROWN, TARGETS), Size(53, THROWN, TARGETS), trials,
+    tables, {"": draw}, section,
 )  # fmt: skip

@@ -9,8 +9,8 @@ no sample of either meets goes unseen, as it does without any motion.
 The contacts found are those of that moment; their points are told where they are now, on either fragment, with the
 normal of that moment, so that the gap is what the points have to go.
 
-Two that touch already, or will, may touch elsewhere before the time is over: a shard that hits with one corner swings
-round. Of what is fast and thin that is looked for likewise, by what is not near yet.
+Two that touch already, or are about to, may touch elsewhere before the time is over: a shard that hits with one corner
+swings round. Of what is fast and thin that is looked for likewise, by what is not near yet.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ NARROWER, NARROWINGS = 0.25, 5
 THIN = 0.5
 # A pair with so small a gap, as a share of R, is about to touch: to a solver it touches.
 ABOUT_TO = 0.1
-# Where two touch already, they come nearer by no less than this share of it at a time.
+# Where two touch already, they come nearer by no less than this share of the thinner one at a time.
 SHORTEST_OF_THIN = 0.25
 
 

@@ -91,23 +91,23 @@ def held_back(
     does not. is_round (n + 1,): spheres; the last, False, for what cannot move.
     """
     count = len(states.fragment_ids)
-    moves, (reach, spare) = velocities + drift, _sizes(states, settings)
+    moves, shares = velocities + drift, np.ones(count)
     if told is None:
         goes_round = _turns_far(pairs, velocities, time_step)
     else:
+        reach, spare = _sizes(states, settings)
         goes_round = _goes_astray(pairs, velocities, reach, settings.ahead_gap, time_step)
+        shares = _shares_as_told(pairs, told, moves, reach, spare, time_step)
     touching = _touching(contacts, pairs, goes_round, settings)
     if ahead is None and touching is None and told is None:
         return velocities, drift
-    most = np.ones(count) if told is None else _shares_as_told(pairs, told, moves, reach, spare, time_step)
     parts = [] if touching is None else [touching]
     if ahead is not None:
         rows = [rows_of(fragments, states.fragment_ids) for fragments in (ahead.fragment_a, ahead.fragment_b)]
         parts.append((*rows, *ahead[2:], np.full(len(rows[0]), settings.rest_gap)))
-    shares = most
     if parts:
         held = [np.concatenate(column) for column in zip(*parts, strict=True)]
-        shares = shares_until_touch(*held, states.centers, moves, most, told is not None, is_round, time_step)
+        shares = shares_until_touch(*held, states.centers, moves, shares, told is not None, is_round, time_step)
     if told is not None:
         shares = shares_side_by_side(shares, states.centers, reach, spare, moves, time_step)
     is_free = np.ones(count + 1, bool)
@@ -144,14 +144,14 @@ def _largest_moments(inertias):
                 k = d
         x, y, z = m[0, k], m[1, k], m[2, k]
         for _ in range(POWER_STEPS):
-            length = math.sqrt(x * x + y * y + z * z)
+            length = _length(x, y, z)
             x, y, z = x / length, y / length, z / length
             x, y, z = (
                 m[0, 0] * x + m[0, 1] * y + m[0, 2] * z,
                 m[1, 0] * x + m[1, 1] * y + m[1, 2] * z,
                 m[2, 0] * x + m[2, 1] * y + m[2, 2] * z,
             )
-        moments[i] = math.sqrt(x * x + y * y + z * z)
+        moments[i] = _length(x, y, z)
     return moments
 
 
@@ -263,7 +263,7 @@ def shares_side_by_side(shares, centers, reach, spare, velocities, time_step):
     ways = np.empty(n)
     for i in range(n):
         u = velocities[i]
-        speed = math.sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
+        speed = _length(u[0], u[1], u[2])
         ways[i] = time_step * (speed + reach[i] * _spin(i, velocities))
     changed = True
     while changed:
@@ -319,7 +319,12 @@ def _spin(body, velocities):
     if body == len(velocities):
         return 0.0
     u = velocities[body]
-    return math.sqrt(u[3] * u[3] + u[4] * u[4] + u[5] * u[5])
+    return _length(u[3], u[4], u[5])
+
+
+@uncounted
+def _length(x, y, z):
+    return math.sqrt(x * x + y * y + z * z)
 
 
 @uncounted
@@ -334,7 +339,7 @@ def _moved(body, point, centers, velocities, t):
 @uncounted
 def _turned(u, t, x, y, z):
     """(x, y, z) after `t` [s] with the spin of velocities u (6,): Rodrigues' formula."""
-    spin = math.sqrt(u[3] * u[3] + u[4] * u[4] + u[5] * u[5])
+    spin = _length(u[3], u[4], u[5])
     if not spin * t > 0.0:
         return x, y, z
     kx, ky, kz = u[3] / spin, u[4] / spin, u[5] / spin
