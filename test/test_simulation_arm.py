@@ -212,11 +212,12 @@ def test_held_up_it_presses_with_its_force_and_waits() -> None:
 
 
 class Played:
-    """The scene as a person plays it."""
+    """The scene as a person plays it; looks_ahead: by its time step, as `play` does."""
 
-    def __init__(self) -> None:
-        self.live = LiveScene(load_scene("vase"), 1)
-        self._world = CollisionWorld(Settings(threads=1))
+    def __init__(self, looks_ahead: bool) -> None:
+        scene = load_scene("vase")
+        self.live = LiveScene(scene, 1, looks_ahead)
+        self._world = CollisionWorld(Settings(threads=1, lookahead=scene.time_step if looks_ahead else 0.0))
 
     def step(self, count: int) -> tuple[list[int], np.ndarray]:
         """Fragments at each step, and the joints' angles (count, 7)."""
@@ -233,9 +234,9 @@ class Played:
         return fragments, np.array(angles)
 
 
-@pytest.fixture
-def played() -> Iterator[Played]:
-    made = Played()
+@pytest.fixture(params=[True, False], ids=["looking ahead", "not looking ahead"])
+def played(request: pytest.FixtureRequest) -> Iterator[Played]:
+    made = Played(request.param)
     yield made
     made.live.close()
 

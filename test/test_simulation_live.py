@@ -18,11 +18,12 @@ STILL = np.zeros(3)
 
 
 class Run:
-    """Simulator and service of a live scene, in one process."""
+    """Simulator and service of a live scene, in one process; looks_ahead: by the scene's time step, as `play` does."""
 
-    def __init__(self, scene: str = "plates") -> None:
-        self.live = LiveScene(load_scene(scene), 7)
-        self.world = CollisionWorld(Settings())
+    def __init__(self, scene: str = "plates", looks_ahead: bool = True) -> None:
+        parsed = load_scene(scene)
+        self.live = LiveScene(parsed, 7, looks_ahead)
+        self.world = CollisionWorld(Settings(lookahead=parsed.time_step if looks_ahead else 0.0))
         self.requests: list[StepRequest] = []
 
     def step(self, count: int = 1) -> StepReport:
@@ -45,9 +46,9 @@ class Run:
         return [body.body_id for request in self.requests for body in request.bodies if body.operation == operation]
 
 
-@pytest.fixture
-def run() -> Iterator[Run]:
-    made = Run()
+@pytest.fixture(params=[True, False], ids=["looking ahead", "not looking ahead"])
+def run(request: pytest.FixtureRequest) -> Iterator[Run]:
+    made = Run(looks_ahead=request.param)
     yield made
     made.live.close()
 
@@ -121,6 +122,21 @@ def test_a_hammer_goes_where_it_is_told_and_breaks_what_is_there(run: Run) -> No
     there = run.place(hammer)
     assert run.step(50).fragments > 10
     assert np.linalg.norm(run.place(hammer) - there) < 5e-3
+
+
+@pytest.mark.parametrize("offset", [-0.06, 0.0, 0.07])
+def test_a_ball_at_30_metres_a_second_breaks_the_plate_it_hits_and_stops_before_the_wall(offset: float) -> None:
+    run = Run()
+    run.live.throw(Ball(PLATE + [offset, -1.0, 0.0], np.array([0.0, 30.0, 0.0]), 0.04, 2000.0))
+    fragments = run.step().fragments
+    (ball,) = [body_id for body_id in run.announced(ADD) if body_id > 8]
+    for _ in range(400):
+        report = run.step()
+        assert run.place(ball)[1] < 1.0 - 0.04 + 1e-3, "the wall's front is at 1 m"
+        assert run.place(ball)[2] > 0.04 - 1e-3, "the floor"
+    assert report.fragments > fragments + 10
+    assert report.max_speed < 1.0
+    run.live.close()
 
 
 @pytest.mark.parametrize(

@@ -72,7 +72,7 @@ class LiveSimulatorNode(SimulatorNode):
         self.create_service(SetBool, "pause", self._on_pause)
 
     def _make_simulation(self, scene: Scene, seed: int) -> Simulation:
-        self._live, self._scene, self._seed = LiveScene(scene, seed), scene, seed
+        self._live, self._scene, self._seed = LiveScene(scene, seed, self._looks_ahead), scene, seed
         return self._live.simulation
 
     # --- the run ---------------------------------------------------------------------------------------------------

@@ -60,8 +60,8 @@ def played(scene: str, seed: int, out: Path, host: str, port: int) -> Iterator[P
             nodes.callback(node.stop, ENDING)
             return node
 
-        simulator = start("live_simulator_node", scene=scene, seed=seed, niceness=BEHIND)
-        # a person throws faster than a scene does; later on the page sees to it
+        # a person throws faster than a scene does; the service's lookahead is later on the page's to see to
+        simulator = start("live_simulator_node", scene=scene, seed=seed, niceness=BEHIND, looks_ahead=True)
         service = start("collision_node", niceness=BEHIND, lookahead=time_step, surfaces="edges")
         page = start("page_node", subprocess.PIPE, host=host, port=port, folder=str(out), scene=scene)
         run = Played(_address(page, (service, simulator)), domain_id, (service, simulator, page))

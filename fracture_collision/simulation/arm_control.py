@@ -34,7 +34,7 @@ INVERSE = np.array([-1.0, -1.0, -1.0, 1.0])  # of a unit quaternion, coordinate 
 
 
 class ArmControl:
-    """Drives the bodies of an arm in a simulation, a simulation.Pusher; follows the arm's swing until commanded."""
+    """Drives the bodies of an arm in a simulation, a pushes.Pusher; follows the arm's swing until commanded."""
 
     def __init__(self, arm: Arm, fragment_ids: Sequence[int]) -> None:
         """`fragment_ids`: of all PARTS, in their order; none of them breaks."""

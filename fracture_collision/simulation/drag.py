@@ -98,6 +98,8 @@ class Drag:
         if self._grip is None:
             return pushes, 0.0
         i = int(np.searchsorted(states.fragment_ids, self._grip.fragment_id))
+        if i == len(states.fragment_ids) or states.fragment_ids[i] != self._grip.fragment_id:
+            return pushes, 0.0  # what has just broken off comes with the registry
         before = np.concatenate((states.linear[i], states.angular[i]))
         held_at = states.frame_positions[i] + turned_by(states.frame_orientations[i], self._grip.point)
         # The spring reckons with the weight of this step, or what hangs from it would hang too low.

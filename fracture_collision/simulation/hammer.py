@@ -18,7 +18,7 @@ LEAD = 0.15  # [m] the commanded place runs no farther ahead of the hammer: it s
 
 
 class Hammer:
-    """Drives one body of a simulation; a simulation.Pusher."""
+    """Drives one body of a simulation; a pushes.Pusher."""
 
     def __init__(self, fragment_id: int, position: np.ndarray) -> None:
         """`position` (3,) [m]: where it hangs until it is told to go, world."""

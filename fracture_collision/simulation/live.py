@@ -48,12 +48,12 @@ class CommandRefused(ValueError):
 
 
 class LiveScene:
-    """A run of `scene` with a person in it. `simulation` is stepped by whoever owns this."""
+    """A run of `scene` with a person in it. `simulation` is stepped by whoever owns this. looks_ahead: Simulation's."""
 
-    def __init__(self, scene: Scene, seed: int) -> None:
+    def __init__(self, scene: Scene, seed: int, looks_ahead: bool = False) -> None:
         kept = tuple(body for body in scene.bodies if not _is_thrown(body))
         arm = None if scene.arm is None else scene.arm.standing()
-        self.simulation = Simulation(scene._replace(bodies=kept, hand=None, arm=arm), seed)
+        self.simulation = Simulation(scene._replace(bodies=kept, hand=None, arm=arm), seed, None, looks_ahead)
         self._home = _hammer_home(kept)
         self._hammer: Hammer | None = None
         self._balls: deque[int] = deque()

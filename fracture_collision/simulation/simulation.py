@@ -16,7 +16,7 @@ impulse, keeps the rest of its momentum and meets the pieces in the next step.
 from __future__ import annotations
 
 import time
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -46,6 +46,7 @@ from fracture_collision.simulation.contact_solver import (
 from fracture_collision.simulation.drag import Drag
 from fracture_collision.simulation.engine import BodyStates, Engine, FrameState, rows_of
 from fracture_collision.simulation.free_motion import free_velocities
+from fracture_collision.simulation.pushes import Planned, Pusher, Pushes, pushes_of
 from fracture_collision.simulation.rest_gaps import rest_gaps_of
 from fracture_collision.simulation.rigid_body_world import RigidBodyWorld
 from fracture_collision.simulation.rotations import turned_back
@@ -79,15 +80,6 @@ class StepReport(NamedTuple):
     hand_energy: float  # [J] that a hand, an arm put in; negative where they took some out
 
 
-class Pusher(Protocol):
-    """Something outside the scene that acts on what moves in it."""
-
-    def pull(
-        self, states: BodyStates, time: float, time_step: float, gravity: np.ndarray
-    ) -> tuple[np.ndarray, float]:
-        """What it adds in the step at `time` [s]: to all velocities, (n, 6) [m/s, rad/s], and to the energy [J]."""
-
-
 class Simulation:
     """A run of one scene. The same scene, seed and answers give the same states, byte for byte.
 
@@ -112,6 +104,7 @@ class Simulation:
         self._memory = contact_memory.NOTHING
         self._rest = sleep.NOBODY
         self._asked: FragmentStates | None = None
+        self._planned: Planned | None = None  # of this step, where the service is told of pushes beforehand
         names = {i: body.name for i, body in self._cast.body_of.items()}
         self.drag = Drag(scene.hand, names, self._cast.body_id_of, self._cast.breakable)
         self._pushers: list[Pusher] = [self.drag]
@@ -163,6 +156,10 @@ class Simulation:
     def begin_step(self) -> StepRequest:
         """Asks for the contacts at the present time. May be called again while no answer comes: it says the same."""
         self._cast.enter_until(self.time + 1e-9 * self._scene.time_step)
+        # who waits for the registry might be what is pushed
+        if self._looks_ahead and self._planned is None and not self._cast.waiting:
+            states = self._engine.states()
+            self._planned = Planned(states.fragment_ids, self._pushes(states))
         self._asked = self._states()
         return StepRequest(self._asked, self._cast.take_news(), list(self._events))
 
@@ -190,14 +187,15 @@ class Simulation:
             contacts, self._asked, self._memory, self._scene.solver.memory_reach
         )
         pairs = self._body_pairs(contacts, states)
-        pushes, hand_energy = self._pushed(states)
-        bodies = self._rigid_bodies(states, pushes)
-        rest = sleep.roused(self._rest, states.fragment_ids, touched, pushes.any(axis=1))
+        told = _velocities(self._told(states)) if self._looks_ahead else None
+        pushes = self._pushes(states) if self._planned is None else self._planned.of(states.fragment_ids)
+        self._planned = None
+        bodies = self._rigid_bodies(states, pushes.velocities)
+        rest = sleep.roused(self._rest, states.fragment_ids, touched, pushes.velocities.any(axis=1))
         rest = sleep.settled(rest, self._memory.pair_begin, pairs.body_a, pairs.body_b, self._scene.solver.sleep_time)
         solution, overloaded = self._solve(bodies, contacts, pairs, self._traits(states).strengths, rest.asleep)
         solver_seconds = time.perf_counter() - started
         v, drift = solution.velocities, solution.drift
-        told = _velocities(self._told(states)) if self._looks_ahead else None
         v, drift = held_back(
             states, contacts, pairs, ahead, told, self._traits(states).is_round, v, drift, self._scene.gravity,
             self._scene.solver, self._scene.time_step,
@@ -235,7 +233,7 @@ class Simulation:
             max_speed=float(lengths(moved.linear).max(initial=0.0)),
             deepest_gap=deepest_gap,
             events=list(self._events),
-            hand_energy=hand_energy,
+            hand_energy=pushes.energy,
         )
 
     def strike(self, fragment_id: int, point: np.ndarray, overload: float) -> bool:
@@ -253,20 +251,18 @@ class Simulation:
             raise ValueError(f"fragment {fragment_id}, of {body.name!r}, is of a kind that does not break")
         return self._break(fragment_id, states.frame(rows[0]), np.asarray(point, dtype=np.float64), overload)
 
-    def _pushed(self, states: BodyStates) -> tuple[np.ndarray, float]:
-        """What all that push add to velocities and energy."""
-        pushes, energy = np.zeros((len(states.fragment_ids), 6)), 0.0
-        for pusher in self._pushers:
-            more, gain = pusher.pull(states, self.time, self._scene.time_step, self._scene.gravity)
-            pushes, energy = pushes + more, energy + gain
-        return pushes, energy
+    def _pushes(self, states: BodyStates) -> Pushes:
+        return pushes_of(self._pushers, states, self.time, self._scene.time_step, self._scene.gravity)
 
     def _told(self, states: BodyStates) -> BodyStates:
-        """With the spins that bodies have in the coming step if nothing touches them: what looks ahead by them would
-        else be wrong by the gyroscopic torque, which turns the axis of a fast shard by a radian.
+        """With the velocities that bodies have in the coming step if nothing touches them: what looks ahead would else
+        be wrong by what a hand adds, and by the gyroscopic torque, which turns the axis of a fast shard by a radian.
         """
-        free = free_velocities(_velocities(states), states.inertias, _NO_GRAVITY, self._scene.time_step)
-        return states._replace(angular=np.ascontiguousarray(free[:, 3:]))
+        velocities = _velocities(states)
+        if self._planned is not None:
+            velocities = velocities + self._planned.of(states.fragment_ids).velocities
+        free = free_velocities(velocities, states.inertias, _NO_GRAVITY, self._scene.time_step)
+        return states._replace(linear=velocities[:, :3].copy(), angular=free[:, 3:].copy())
 
     def _states(self) -> FragmentStates:
         moving = self._told(self._engine.states())

@@ -15,31 +15,28 @@ is asked with the new velocities.
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
-from fracture_collision import portable_math
 from fracture_collision.portable_math import dots, lengths
 from fracture_collision.records import ContactConstraintArray
 from fracture_collision.simulation.compiled import uncounted
 from fracture_collision.simulation.contact_solver import BodyPairs, SolverSettings
 from fracture_collision.simulation.engine import BodyStates, rows_of
+from fracture_collision.simulation.inertia_boxes import boxes_of
+from fracture_collision.simulation.side_by_side import shares_side_by_side
+from fracture_collision.simulation.straight_motion import length, turned
 
 # [rad] A body that turns farther in a step has contacts that go round.
 FAR_TURN = 0.1
-# A body may go astray by this share of how thin it is, if it were a box; steps of the power method that says it.
-SPARE, POWER_STEPS = 0.2, 30
-# What is held back by less than this share more is not told again.
-ENOUGH = 1.01
+# A body may go astray by this share of how thin it is, if it were a box, but by no more than so many `ahead_gap`: its
+# ears may be thinner.
+SPARE, MOST_SPARE = 0.2, 2.0
 # A path is looked at in so many parts, and so many more for each radian that bodies turn; where it comes too near it is
 # halved so often.
 PARTS, PARTS_A_RADIAN, MOST_PARTS, HALVINGS = 4, 8.0, 1000, 30
-
-_sine_after = njit(cache=True)(portable_math.sine_after)
-
 
 class TouchesAhead(NamedTuple):
     """N contacts that lie ahead."""
@@ -95,7 +92,8 @@ def held_back(
     if told is None:
         goes_round = _turns_far(pairs, velocities, time_step)
     else:
-        reach, spare = _sizes(states, settings)
+        boxes, least = boxes_of(states.masses, states.inertias), settings.ahead_gap
+        reach, spare = boxes.reach(), np.clip(SPARE * boxes.thickness(), least, MOST_SPARE * least)
         goes_round = _goes_astray(pairs, velocities, reach, settings.ahead_gap, time_step)
         shares = _shares_as_told(pairs, told, moves, reach, spare, time_step)
     touching = _touching(contacts, pairs, goes_round, settings)
@@ -109,7 +107,7 @@ def held_back(
         held = [np.concatenate(column) for column in zip(*parts, strict=True)]
         shares = shares_until_touch(*held, states.centers, moves, shares, told is not None, is_round, time_step)
     if told is not None:
-        shares = shares_side_by_side(shares, states.centers, reach, spare, moves, time_step)
+        shares = shares_side_by_side(shares, states.centers, *boxes, spare, moves, time_step)
     is_free = np.ones(count + 1, bool)
     is_free[pairs.body_a] = is_free[pairs.body_b] = False
     unspent, falls = (1.0 - shares) * time_step, np.maximum(dots(velocities[:, :3], gravity), 0.0)
@@ -119,40 +117,6 @@ def held_back(
     velocities = velocities.copy()
     velocities[:, :3] -= unspent[:, None] * gravity
     return velocities, shares[:, None] * moves - velocities
-
-
-def _sizes(states: BodyStates, settings: SolverSettings) -> tuple[np.ndarray, np.ndarray]:
-    """Of bodies (n,), as if they were boxes: [m] how far they reach about their centres; and by how little they may be
-    astray without getting through anything: no less than `ahead_gap`.
-    """
-    traces = np.trace(states.inertias, axis1=1, axis2=2)
-    # of a box with sides x <= y <= z the largest moment is m (y^2 + z^2) / 12, the trace m (x^2 + y^2 + z^2) / 6
-    thinness = np.maximum(traces - 2.0 * _largest_moments(states.inertias), 0.0)
-    spare = SPARE * np.sqrt(6.0 * thinness / states.masses)
-    return np.sqrt(1.5 * traces / states.masses), np.maximum(spare, settings.ahead_gap)
-
-
-@njit(cache=True)
-def _largest_moments(inertias):
-    """(n,) [kg m2] principal ones of inertias (n, 3, 3), by the power method."""
-    moments = np.zeros(len(inertias))
-    for i in range(len(inertias)):
-        m = inertias[i]
-        k = 0
-        for d in range(1, 3):
-            if m[d, d] > m[k, k]:
-                k = d
-        x, y, z = m[0, k], m[1, k], m[2, k]
-        for _ in range(POWER_STEPS):
-            length = _length(x, y, z)
-            x, y, z = x / length, y / length, z / length
-            x, y, z = (
-                m[0, 0] * x + m[0, 1] * y + m[0, 2] * z,
-                m[1, 0] * x + m[1, 1] * y + m[1, 2] * z,
-                m[2, 0] * x + m[2, 1] * y + m[2, 2] * z,
-            )
-        moments[i] = _length(x, y, z)
-    return moments
 
 
 def _shares_as_told(
@@ -253,35 +217,6 @@ def shares_until_touch(
     return shares[:n]
 
 
-@njit(cache=True)
-def shares_side_by_side(shares, centers, reach, spare, velocities, time_step):
-    """`shares` (n,), less where one moves and may meet another that is held back more: nobody has looked for what flies
-    side by side with that. Then it goes no farther than what either has to `spare` (n,) [m]. centers (n, 3), reach (n,)
-    [m].
-    """
-    n, shares = len(shares), shares.copy()
-    ways = np.empty(n)
-    for i in range(n):
-        u = velocities[i]
-        speed = _length(u[0], u[1], u[2])
-        ways[i] = time_step * (speed + reach[i] * _spin(i, velocities))
-    changed = True
-    while changed:
-        changed = False
-        for i in range(n):
-            if shares[i] == 1.0:
-                continue
-            for j in range(n):
-                free = min(spare[i], spare[j])
-                if shares[j] * ways[j] <= free or (shares[j] - shares[i]) * ways[i] <= ENOUGH * free:
-                    continue
-                x, y, z = centers[j, 0] - centers[i, 0], centers[j, 1] - centers[i, 1], centers[j, 2] - centers[i, 2]
-                near = reach[i] + reach[j] + ways[i] + ways[j]
-                if x * x + y * y + z * z < near * near:
-                    shares[j], changed = shares[i] + free / ways[i], True
-    return shares
-
-
 @uncounted
 def _bodies_of_plane(a, b, is_round):
     """Whose surface a contact's plane may be: no sphere's; else of either."""
@@ -310,7 +245,7 @@ def _along(normal, body, t, velocities, way):
     """`way` along a normal that has turned with a body for `t` [s]."""
     x, y, z = normal[0], normal[1], normal[2]
     if body < len(velocities):
-        x, y, z = _turned(velocities[body], t, x, y, z)
+        x, y, z = turned(velocities[body], t, x, y, z)
     return x * way[0] + y * way[1] + z * way[2]
 
 
@@ -319,12 +254,7 @@ def _spin(body, velocities):
     if body == len(velocities):
         return 0.0
     u = velocities[body]
-    return _length(u[3], u[4], u[5])
-
-
-@uncounted
-def _length(x, y, z):
-    return math.sqrt(x * x + y * y + z * z)
+    return length(u[3], u[4], u[5])
 
 
 @uncounted
@@ -332,22 +262,5 @@ def _moved(body, point, centers, velocities, t):
     if body == len(centers):
         return point[0], point[1], point[2]
     c, u = centers[body], velocities[body]
-    x, y, z = _turned(u, t, point[0] - c[0], point[1] - c[1], point[2] - c[2])
+    x, y, z = turned(u, t, point[0] - c[0], point[1] - c[1], point[2] - c[2])
     return c[0] + t * u[0] + x, c[1] + t * u[1] + y, c[2] + t * u[2] + z
-
-
-@uncounted
-def _turned(u, t, x, y, z):
-    """(x, y, z) after `t` [s] with the spin of velocities u (6,): Rodrigues' formula."""
-    spin = _length(u[3], u[4], u[5])
-    if not spin * t > 0.0:
-        return x, y, z
-    kx, ky, kz = u[3] / spin, u[4] / spin, u[5] / spin
-    sine, half = _sine_after(spin * t, 0.0), _sine_after(0.5 * spin * t, 0.0)
-    versine = 2.0 * half * half
-    cx, cy, cz = ky * z - kz * y, kz * x - kx * z, kx * y - ky * x
-    return (
-        x + sine * cx + versine * (ky * cz - kz * cy),
-        y + sine * cy + versine * (kz * cx - kx * cz),
-        z + sine * cz + versine * (kx * cy - ky * cx),
-    )

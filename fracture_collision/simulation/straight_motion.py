@@ -1,0 +1,37 @@
+"""How a body moves within a step: its centre straight on, and it turns about that at an even spin.
+
+Velocities are rows (6,): v [m/s], w [rad/s].
+"""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+from fracture_collision import portable_math
+from fracture_collision.simulation.compiled import uncounted
+
+_sine_after = njit(cache=True)(portable_math.sine_after)
+
+
+@uncounted
+def length(x, y, z):
+    return math.sqrt(x * x + y * y + z * z)
+
+
+@uncounted
+def turned(u, t, x, y, z):
+    """(x, y, z) after `t` [s] with the spin of velocities u: Rodrigues' formula."""
+    spin = length(u[3], u[4], u[5])
+    if not spin * t > 0.0:
+        return x, y, z
+    kx, ky, kz = u[3] / spin, u[4] / spin, u[5] / spin
+    sine, half = _sine_after(spin * t, 0.0), _sine_after(0.5 * spin * t, 0.0)
+    versine = 2.0 * half * half
+    cx, cy, cz = ky * z - kz * y, kz * x - kx * z, kx * y - ky * x
+    return (
+        x + sine * cx + versine * (ky * cz - kz * cy),
+        y + sine * cy + versine * (kz * cx - kx * cz),
+        z + sine * cz + versine * (kx * cy - ky * cx),
+    )
