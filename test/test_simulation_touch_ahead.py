@@ -9,11 +9,13 @@ from scipy.spatial.transform import Rotation
 from benchmarks.tunnelling import TIME_STEP, run_trial, scene_of
 from fracture_collision.lockstep import Lockstep
 from fracture_collision.records import ContactConstraintArray
+from fracture_collision.simulation.inertia_boxes import boxes_of
 from fracture_collision.simulation.scene import parse_scene
-from fracture_collision.simulation.touch_ahead import shares_side_by_side, shares_until_touch, split_by_gap
+from fracture_collision.simulation.side_by_side import shares_side_by_side
+from fracture_collision.simulation.touch_ahead import shares_until_touch, split_by_gap
 from fracture_collision.world import Settings
 
-REST = 1e-4
+REST, SPARE = 1e-4, 5e-4
 
 
 def contacts(gaps: list[list[float]]) -> ContactConstraintArray:
@@ -105,14 +107,52 @@ def test_a_plane_turns_with_the_body_whose_it_is(is_round: bool) -> None:
     assert own == pytest.approx(np.full(2, angles[np.argmax(gaps < REST)] / 0.5), abs=1e-4)
 
 
+def beside(shares: list[float], centers: list[list[float]], moves: np.ndarray) -> np.ndarray:
+    """Cubes of 4 cm, in a step of 2.5 ms."""
+    count = len(shares)
+    axes, halves = np.tile(np.eye(3), (count, 1, 1)), np.full((count, 3), 0.02)
+    spare = np.full(count, SPARE)
+    return shares_side_by_side(np.array(shares), np.array(centers), axes, halves, spare, moves, 0.0025)
+
+
 def test_what_flies_beside_one_that_is_held_back_does_not_run_into_it() -> None:
-    centers = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.2, 0.0, 0.0], [9.0, 0.0, 0.0], [0.0, 0.1, 0.0]])
+    centers = [[0.0, 0.0, 0.0], [0.07, 0.0, 0.0], [0.14, 0.0, 0.0], [9.0, 0.0, 0.0], [0.0, 0.1, 0.0]]
     moves = np.zeros((5, 6))
-    moves[:4, 0] = 20.0  # the last stands still
-    given, reach, spare = np.array([1.0, 0.5, 0.1, 1.0, 1.0]), np.full(5, 0.03), np.full(5, 5e-4)
-    held = shares_side_by_side(given, centers, reach, spare, moves, 0.0025)
-    # each goes 5 cm a step: no two neighbours differ by more than 0.5 mm
-    assert held == pytest.approx([0.12, 0.11, 0.1, 1.0, 1.0], abs=1e-3)
+    moves[:4, 0] = 20.0  # 5 cm a step; the last stands still
+    held = beside([1.0, 0.5, 0.1, 1.0, 1.0], centers, moves)
+    assert held[2:].tolist() == [0.1, 1.0, 1.0] and (held[:2] > 0.2).all()
+    gone = np.linspace(0.0, 1.0, 1001)
+    paths = [at[0] + 0.05 * np.minimum(gone, share) for at, share in zip(centers, held, strict=True)]
+    for behind, before in ((0, 1), (1, 2)):
+        assert (paths[before] - paths[behind]).min() > 0.04 - SPARE
+
+
+def test_what_flies_away_from_one_that_is_held_back_or_past_it_goes_all_its_way() -> None:
+    away, past = np.zeros((2, 6)), np.zeros((2, 6))
+    away[0, 0], away[1, :2] = 20.0, (-20.0, 5.0)
+    past[:, 0] = 20.0
+    assert beside([0.1, 1.0], [[0.041, 0.0, 0.0], [0.0, 0.0, 0.0]], away).tolist() == [0.1, 1.0]
+    assert beside([0.1, 1.0], [[0.1, 0.12, 0.0], [0.0, 0.0, 0.0]], past).tolist() == [0.1, 1.0]
+
+
+def test_boxes_of_inertias_are_the_bodies_own() -> None:
+    """Of boxes of any attitude."""
+    random = np.random.default_rng(5)
+    sides, turns = random.uniform(0.01, 0.2, (20, 3)), Rotation.random(20, random_state=6)
+    sides[:3] = [[0.1, 0.1, 0.1], [0.1, 0.1, 0.004], [0.004, 0.1, 0.1]]
+    turns = Rotation.concatenate([Rotation.identity(3), turns[3:]])
+    masses, squares = 2400.0 * sides.prod(axis=1), sides**2
+    moments = masses[:, None] / 12.0 * (squares.sum(axis=1, keepdims=True) - squares)
+    frames = turns.as_matrix()
+    inertias = np.einsum("nij,nj,nkj->nik", frames, moments, frames)
+    boxes = boxes_of(masses, inertias)
+    np.testing.assert_allclose(np.sort(2.0 * boxes.halves, axis=1), np.sort(sides, axis=1), rtol=1e-9)
+    np.testing.assert_allclose(np.linalg.det(boxes.axes), 1.0, rtol=1e-12)
+    again = np.einsum("nki,nkj->nij", boxes.axes, boxes.axes)
+    np.testing.assert_allclose(again, np.tile(np.eye(3), (20, 1, 1)), atol=1e-14)
+    own = np.einsum("nki,nij,nkj->nk", boxes.axes, inertias, boxes.axes)
+    halves = 0.5 * np.sqrt(np.maximum(6.0 * (moments.sum(axis=1)[:, None] - 2.0 * own) / masses[:, None], 0.0))
+    np.testing.assert_allclose(boxes.halves, halves, rtol=1e-7, atol=1e-9)
 
 
 def test_bodies_turn_as_the_service_was_told() -> None:

@@ -49,11 +49,11 @@ FARTHEST_REACH = 0.2
 # Where more than MOST_LISTED are within that, it is made so much less, so often at most.
 NARROWER, NARROWINGS = 0.25, 5
 # A pair that comes nearer by no more than this share of what is thinner does not get through it.
-THIN = 0.5
+THIN = 0.2
 # A pair with so small a gap, as a share of R, is about to touch: to a solver it touches.
 ABOUT_TO = 0.1
 # Where two touch already, they come nearer by no less than this share of the thinner one at a time.
-SHORTEST_OF_THIN = 0.25
+SHORTEST_OF_THIN = 0.1
 
 
 @query_kernel

@@ -6,14 +6,14 @@ from there: so far as its box says that it comes no nearer, or as it would have 
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numba import njit
 
 from fracture_collision.simulation.compiled import uncounted
 from fracture_collision.simulation.straight_motion import length, turned
 
+# So much larger than the box of its inertia a body may be; a three-sided prism is by 1.8 to one side.
+LARGER = 1.5
 # What is held back by less than this share more is not told again.
 ENOUGH = 1.01
 
@@ -50,8 +50,8 @@ def shares_side_by_side(shares, centers, axes, halves, spare, velocities, time_s
 
 @uncounted
 def _alone(i, j, share, later, centers, axes, halves, free, velocities, time_step):
-    """For which share of the step, up to `later`, body j may go on alone where i has stopped after `share` of it: until
-    their boxes may overlap by more than `free` [m].
+    """For which share of the step, up to `later`, body j may go on alone where i has stopped after `share` of it: as
+    far as balls about them do not meet, or as a side of a box that lies between them says; 0: there is none.
     """
     t, u = share * time_step, velocities[j]
     d = (
@@ -59,12 +59,10 @@ def _alone(i, j, share, later, centers, axes, halves, free, velocities, time_ste
         centers[j, 1] - centers[i, 1] + t * (u[1] - velocities[i, 1]),
         centers[j, 2] - centers[i, 2] + t * (u[2] - velocities[i, 2]),
     )
-    reach = _reach(halves[j])
-    near = _reach(halves[i]) + reach
-    if _least_distance(d, u, later * time_step) > near:
+    reach = LARGER * _reach(halves[j])
+    if _least_distance(d, u, later * time_step) > LARGER * _reach(halves[i]) + reach:
         return later
-    # the side of either box along which the two are farthest apart, of those along which they are apart the best one
-    best, widest = 0.0, -math.inf
+    best = 0.0
     for which in range(2):
         k, other = (i, j) if which == 0 else (j, i)
         for side in range(3):
@@ -73,18 +71,22 @@ def _alone(i, j, share, later, centers, axes, halves, free, velocities, time_ste
             along = x * d[0] + y * d[1] + z * d[2]
             if along < 0.0:
                 x, y, z, along = -x, -y, -z, -along
-            apart = along - halves[k, side] - _half_along(other, axes, halves, velocities, t, x, y, z)
-            turning = length(y * u[5] - z * u[4], z * u[3] - x * u[5], x * u[4] - y * u[3])
-            nearer = turning * reach - (x * u[0] + y * u[1] + z * u[2])
-            alone = later
-            if nearer * later * time_step > free:
-                alone = min(later, (max(apart, 0.0) + free) / (nearer * time_step))
-            if apart >= 0.0 and widest >= 0.0:
-                best = max(best, alone)
-            elif apart > widest:
-                best = alone
-            widest = max(widest, apart)
+            apart = along - LARGER * (halves[k, side] + _half_along(other, axes, halves, velocities, t, x, y, z))
+            if apart >= 0.0:
+                best = max(best, _until(x, y, z, apart + free, u, reach, later, time_step))
     return best
+
+
+@uncounted
+def _until(x, y, z, most, u, reach, later, time_step):
+    """For which share of the step, up to `later`, what moves with velocities u and reaches so far [m] may go until it
+    has come nearer by more than `most` [m] against a unit vector.
+    """
+    turning = length(y * u[5] - z * u[4], z * u[3] - x * u[5], x * u[4] - y * u[3])
+    nearer = turning * reach - (x * u[0] + y * u[1] + z * u[2])
+    if nearer * later * time_step <= most:
+        return later
+    return most / (nearer * time_step)
 
 
 @uncounted

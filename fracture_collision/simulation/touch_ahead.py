@@ -34,6 +34,8 @@ FAR_TURN = 0.1
 # A body may go astray by this share of how thin it is, if it were a box, but by no more than so many `ahead_gap`: its
 # ears may be thinner.
 SPARE, MOST_SPARE = 0.2, 2.0
+# What is deeper than `ahead_gap` goes by no more than this share of that deeper.
+DEEPER = 0.05
 # A path is looked at in so many parts, and so many more for each radian that bodies turn; where it comes too near it is
 # halved so often.
 PARTS, PARTS_A_RADIAN, MOST_PARTS, HALVINGS = 4, 8.0, 1000, 30
@@ -105,6 +107,8 @@ def held_back(
         parts.append((*rows, *ahead[2:], np.full(len(rows[0]), settings.rest_gap)))
     if parts:
         held = [np.concatenate(column) for column in zip(*parts, strict=True)]
+        if told is not None:
+            held = _by_middles_of_spheres(*held, states.centers, is_round)
         shares = shares_until_touch(*held, states.centers, moves, shares, told is not None, is_round, time_step)
     if told is not None:
         shares = shares_side_by_side(shares, states.centers, *boxes, spare, moves, time_step)
@@ -163,10 +167,27 @@ def _touching(
     repeat = np.diff(contacts.pair_begin.astype(np.int64))
     body_a, body_b, chosen = (np.repeat(column, repeat) for column in (pairs.body_a, pairs.body_b, chosen))
     columns = (contacts.points_a, contacts.points_b, contacts.normals)
+    gaps = np.minimum(contacts.gaps[chosen], settings.rest_gap)
+    # what is deep already goes hardly deeper, or it would do so step by step
+    deeper = np.maximum(settings.ahead_gap + np.minimum(gaps - settings.rest_gap, 0.0), DEEPER * settings.ahead_gap)
     return (
-        body_a[chosen], body_b[chosen], *(column.reshape(-1, 3)[chosen] for column in columns),
-        np.minimum(contacts.gaps[chosen], settings.rest_gap) - settings.ahead_gap,
+        body_a[chosen], body_b[chosen], *(column.reshape(-1, 3)[chosen] for column in columns), gaps - deeper,
     )  # fmt: skip
+
+
+def _by_middles_of_spheres(
+    body_a: np.ndarray, body_b: np.ndarray, points_a: np.ndarray, points_b: np.ndarray, normals: np.ndarray,
+    least: np.ndarray, centers: np.ndarray, is_round: np.ndarray,
+) -> tuple[np.ndarray, ...]:  # fmt: skip
+    """The columns of shares_until_touch with spheres as their middles: whichever point of it touches, a sphere stays
+    as far as its radius from what it touches.
+    """
+    points = []
+    for body, at, sign in ((body_a, points_a, 1.0), (body_b, points_b, -1.0)):
+        middles = np.where(is_round[body, None], np.vstack((centers, np.zeros(3)))[body], at)
+        least = least + sign * dots(normals, at - middles)
+        points.append(middles)
+    return body_a, body_b, *points, normals, least
 
 
 @njit(cache=True)
@@ -219,8 +240,10 @@ def shares_until_touch(
 
 @uncounted
 def _bodies_of_plane(a, b, is_round):
-    """Whose surface a contact's plane may be: no sphere's; else of either."""
-    if is_round[a] != is_round[b]:
+    """Whose surface a contact's plane may be: no sphere's, which turns without it; else of either."""
+    if is_round[a] and is_round[b]:
+        return len(is_round) - 1, len(is_round) - 1
+    if is_round[a] or is_round[b]:
         return (b, b) if is_round[a] else (a, a)
     return a, b
 
