@@ -176,6 +176,13 @@ def test_the_answer_does_not_depend_on_what_is_remembered(case: FracturedWorld) 
     worlds[0].contacts(states)  # brings the registry there
     flight = [later(worlds[0], states, t)._replace(step=k) for k, t in enumerate(np.linspace(0.0, 2.0 * AHEAD, 9))]
     flight += [states, still, states, slow, still, still, slow]
+    # in place, where many touch: the answer of the step before may hold, or what touches next is to be looked for
+    places = case_positions(case, 0)
+    creeping = still._replace(linear_velocities=1e-4 * states.linear_velocities)
+    flight += [
+        each._replace(positions=places)
+        for each in (still, creeping, creeping, slow, creeping, states, creeping, states, still, slow, still)
+    ]
     for k, each in enumerate(flight):
         answers = [world.contacts(each._replace(step=100 + k)) for world in worlds]
         for other in answers[1:]:

@@ -24,7 +24,7 @@ from fracture_collision.core.kinds import PLANE, SPHERE
 from fracture_collision.core.known_samples import ID_SAMPLE, ID_SIDE, rounding_slack
 from fracture_collision.core.leaf_separation import parting_plane_of_leaves
 from fracture_collision.core.motion import closing_along, closing_speed, put_pose
-from fracture_collision.core.neighbour_lists import MOST_LISTED, MOST_REACH, MOST_RIDGES, least_left
+from fracture_collision.core.neighbour_lists import MOST_AHEAD, MOST_REACH, least_left
 from fracture_collision.core.pools import FACING
 from fracture_collision.core.ridge_contacts import least_apart
 from fracture_collision.core.rotations import relative_pose, rotated, to_other, turned_back
@@ -46,7 +46,7 @@ UNLIMITED = 1 << 40
 AHEAD, AHEAD_ON_WAY, REACH_ON_WAY = 0.004, 0.05, 0.15
 # But no farther than this share of R: then all are near.
 FARTHEST_REACH = 0.2
-# Where more than MOST_LISTED are within that, it is made so much less, so often at most.
+# Where more than MOST_AHEAD are within that, it is made so much less, so often at most.
 NARROWER, NARROWINGS = 0.25, 5
 # A pair that comes nearer by no more than this share of what is thinner does not get through it.
 THIN = 0.2
@@ -91,7 +91,7 @@ def first_touch(
         speed = closing_speed(motion, i, j, t, left)
         far, step = speed * left, 0.0
         gap, nx, ny, nz = -math.inf, 0.0, 0.0, 0.0
-        if listed < 0 or lasts <= 0.0:
+        if (listed < 0 or lasts <= 0.0) and not (touches and moment == 0):
             gap, nx, ny, nz = _gap_of_hulls(
                 pools, a, b, rotation, translation, far + rule.near, toward, scratch, thread
             )
@@ -159,8 +159,12 @@ def may_touch_again(pools, a, b, i, j, motion, contacts, count):
     is_near = False
     for c in range(count):
         is_near |= contacts[c, 9] <= least
-    if not is_near:
-        return False
+    return is_near and may_get_through(pools, a, b, i, j, motion)
+
+
+@inlined_kernel
+def may_get_through(pools, a, b, i, j, motion):
+    """Whether fragments a and b, the i-th and j-th of `motion`, come nearer by more than a part of the thinner one."""
     return closing_speed(motion, i, j, 0.0, motion.time) * motion.time > THIN * _thickness(pools, a, b)
 
 
@@ -240,10 +244,10 @@ def _near_now(
                 listed, places, ridges, toward, scratch, thread,
             )  # fmt: skip
             visits += more
-            if (count <= MOST_LISTED and crossings <= MOST_RIDGES) or (found != 0 and not touches):
+            if (count <= MOST_AHEAD and crossings <= MOST_AHEAD) or (found != 0 and not touches):
                 break
             lasts *= NARROWER
-        if count > MOST_LISTED or crossings > MOST_RIDGES or not lasts > 0.0:
+        if count > MOST_AHEAD or crossings > MOST_AHEAD or not lasts > 0.0:
             return found, 0.0, -1, 0, 0.0, visits
         if count == 0 and crossings == 0:
             lasts = max(lasts, clear)

@@ -15,7 +15,7 @@ from fracture_collision.core.contact_places import put_in_world
 from fracture_collision.core.crew import Crew
 from fracture_collision.core.crowds import UNSEARCHED, UNSHARED, Overlaps, most_visits, visit_shares
 from fracture_collision.core.facing_normal import turn_contacts
-from fracture_collision.core.first_touch import first_touch, may_touch_again
+from fracture_collision.core.first_touch import first_touch, may_get_through, may_touch_again
 from fracture_collision.core.kept_answer import (
     NOTHING_KEPT,
     KeptAnswer,
@@ -98,15 +98,15 @@ def put_rotation(x, y, z, w, out):
 @threaded_kernel
 def _query_share(
     pools, edges, rows, rotations, positions, motion, pairs, todo, is_first, wanted, most, epsilon, near, shares,
-    further, limit, contacts, ids, begin, counts, bounds, visits, exhausted, lists, slots, known, scratch, threads,
-    thread,
+    further, limit, contacts, ids, begin, counts, bounds, visits, exhausted, is_ahead, lists, slots, known, scratch,
+    threads, thread,
 ):  # fmt: skip
     """Every `threads`-th pair of `todo`, from `thread` on. Pairs that are apart now are looked ahead for, by `motion`.
 
     most: see sample_search.Rule; limit: see query_pair; shares, further (p,): visits of each pair, likewise. Their
     contacts go one behind the other into contacts[thread], from row begin[pair] on; -1: there was no room left. lists:
     NeighbourLists; slots (p,): a pair's place in them, -1: none; known (p,): whether it was there at the last step.
-    Only the first search of a pair uses them.
+    Only the first search of a pair uses them. is_ahead (p,): whether some of its contacts are of a time to come.
     """
     rotation, translation = scratch.rotation[thread], scratch.translation[thread]
     used, room = 0, contacts.shape[1]
@@ -114,7 +114,7 @@ def _query_share(
         p = todo[k]
         if k + threads < len(todo):
             fetch_slot(lists, slots[todo[k + threads]])
-        i, j = pairs[p, 0], pairs[p, 1]
+        i, j, is_ahead[p] = pairs[p, 0], pairs[p, 1], False
         a, b = rows[i], rows[j]
         relative_pose(rotations[i], positions[i], rotations[j], positions[j], rotation[0], translation[0])
         relative_pose(rotations[j], positions[j], rotations[i], positions[i], rotation[1], translation[1])
@@ -209,6 +209,7 @@ def _query_share(
                     rotation, translation, scratch, thread,
                 )  # fmt: skip
                 visits[p] += more
+                is_ahead[p] = found > 0
                 if found == 0 and unseen > 0.0:
                     exhausted[p], bounds[p] = BY_LIMIT, max(bounds[p], unseen)
             has_room = found <= room - used and found + max(most, wanted) <= limit
@@ -218,7 +219,7 @@ def _query_share(
                     room - used, rotation, translation, scratch, thread,
                 )  # fmt: skip
                 visits[p] += more
-                found += again
+                found, is_ahead[p] = found + again, is_ahead[p] or again > 0
         begin[p], counts[p] = used, found
         if found > room - used:
             begin[p] = -1
@@ -274,19 +275,20 @@ def query_pairs(
         if shares.any():
             listed = np.where((shares != UNSHARED) & (shares < most_visits(pools, rows, pairs)), -1, slots)
     counts, visits = np.zeros(p, np.int64), np.zeros(p, np.int64)
-    bounds, exhausted = np.zeros(p), np.zeros(p, np.uint8)
+    bounds, exhausted, is_ahead = np.zeros(p), np.zeros(p, np.uint8), np.zeros(p, np.bool_)
     share = limits.further_visits // (2 * max(p, 1))
     further = np.full(p, share)
     passes = []
     poses = pose_bits(rotations, positions)
-    is_kept = known
+    is_kept, has_contacts = known, is_ahead
     if motion.time > 0.0:
-        moves = is_moving(motion)[pairs].any(axis=1)
-        is_kept = known & ~moves
+        has_contacts, stays = _that_stay(pools, rows, pairs, motion)
+        is_kept = known & stays
     if lists is not NO_LISTS and before.answer.stamp == stamp:
         stands_at, moved = pairs_in_place(
-            before.answer, pools.fragment.kind, rows, poses, pairs, slots, is_kept, shares, share, counts, bounds
-        )
+            before.answer, pools.fragment.kind, rows, poses, pairs, slots, is_kept, has_contacts, shares,
+            share, counts, bounds,
+        )  # fmt: skip
 
     def search(todo: np.ndarray, limit: int, room: int) -> np.ndarray:
         """Search the pairs `todo`, with `room` contacts a thread; returns those that there was no room for."""
@@ -294,8 +296,8 @@ def query_pairs(
         begin = np.empty(p, np.int64)
         crew.share(
             _query_share, pools, edges, rows, rotations, positions, motion, pairs, todo, not passes, wanted, most,
-            epsilon, near, shares, further, limit, contacts, ids, begin, counts, bounds, visits, exhausted, lists,
-            listed, known, scratch,
+            epsilon, near, shares, further, limit, contacts, ids, begin, counts, bounds, visits, exhausted, is_ahead,
+            lists, listed, known, scratch,
         )  # fmt: skip
         for earlier in passes:
             earlier[-1][todo] = -1
@@ -347,10 +349,21 @@ def query_pairs(
         return found, NOTHING_REMEMBERED
     if cuts:
         slots[cut] = -1  # what others leave to them may be less next time
-    if motion.time > 0.0:
-        slots[moves] = -1  # what they will touch is of this step
+    slots[is_ahead] = -1  # what they will touch is of this step
     answer = keep(stamp, rows, poses, slots, len(lists.counts), searched, shares, share, offsets, found)
     return found, Remembered(lists, answer)
+
+
+@kernel
+def _that_stay(pools, rows, pairs, motion):
+    """(which of `pairs` move, (p,); which do not, or so little that what they touch now is all they touch, (p,))"""
+    moves, is_slow = np.zeros(len(pairs), np.bool_), np.ones(len(pairs), np.bool_)
+    is_in_motion = is_moving(motion)
+    for p in range(len(pairs)):
+        i, j = pairs[p, 0], pairs[p, 1]
+        moves[p] = is_in_motion[i] or is_in_motion[j]
+        is_slow[p] = not (moves[p] and may_get_through(pools, rows[i], rows[j], i, j, motion))
+    return moves, is_slow
 
 
 @kernel

@@ -25,6 +25,8 @@ from fracture_collision.core.rotations import to_other
 
 # Samples a list has room for, and pairs of ridges (ridge_contacts.py).
 MOST_LISTED, MOST_RIDGES = 256, 256
+# Likewise of the one pair that a thread looks ahead for (first_touch.py).
+MOST_AHEAD = 4096
 # A list is made of pairs that move by less than this share of the smaller R in a step.
 FAST = 0.003
 # How far beyond the tolerance it reaches: as far as the pair moves in so many steps, within these shares of R. More

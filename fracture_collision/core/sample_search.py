@@ -44,7 +44,6 @@ from fracture_collision.core.known_samples import (
 )
 from fracture_collision.core.leaf_separation import half_spaces, parting_plane_of_leaves
 from fracture_collision.core.neighbour_lists import (
-    MOST_LISTED,
     NEAR_LAST,
     OWN,
     UNTIL,
@@ -126,7 +125,7 @@ def search_samples(
             pools, a, b, rotation, translation, rule.wanted, near, 0, contacts, ids, capacity, scratch, thread
         )
         if count == rule.wanted:
-            return count, apart + slack, visits, MOST_LISTED + 1, 0, 0.0
+            return count, apart + slack, visits, len(listed) + 1, 0, 0.0
         count = 0
     leaves = leaves_of(pools, a), leaves_of(pools, b)
     beyond_b, beyond_a = NO_PLANE, NO_PLANE

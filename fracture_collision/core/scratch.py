@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.core.compiled import kernel
-from fracture_collision.core.neighbour_lists import MOST_LISTED, MOST_RIDGES, PLACE
+from fracture_collision.core.neighbour_lists import MOST_AHEAD, PLACE
 from fracture_collision.core.pools import LEAF, Pools
 from fracture_collision.core.triangle_field import STACK
 
@@ -46,9 +46,9 @@ class Scratch(NamedTuple):
     point: np.ndarray  # (threads, 3 and apart) float64 [m]
     toward: np.ndarray  # (threads, 3 and apart) float64: a direction
     ahead_toward: np.ndarray  # (threads, 3 and apart) float64: likewise, of a pair at a later moment
-    ahead_listed: np.ndarray  # (threads, MOST_LISTED, 2) int32: its samples, and
-    ahead_places: np.ndarray  # (threads, MOST_LISTED, PLACE) float32 [m] theirs, see neighbour_lists.py
-    ahead_ridges: np.ndarray  # (threads, MOST_RIDGES, 2) int32: its pairs of ridges, likewise
+    ahead_listed: np.ndarray  # (threads, MOST_AHEAD, 2) int32: its samples, and
+    ahead_places: np.ndarray  # (threads, MOST_AHEAD, PLACE) float32 [m] theirs, see neighbour_lists.py
+    ahead_ridges: np.ndarray  # (threads, MOST_AHEAD, 2) int32: its pairs of ridges, likewise
     stack: np.ndarray  # (threads, STACK) int32: a descent through a triangle hierarchy
     within: np.ndarray  # (threads, MOST_WITHIN) int64: triangles within a sphere's reach (sphere_contacts.py)
     touching: np.ndarray  # (threads, MOST_TOUCHING) int64: those at one point
@@ -107,9 +107,9 @@ def make_scratch(threads: int, tetrahedra: int, nodes: int) -> Scratch:
         point=np.zeros((threads, 24)),
         toward=np.zeros((threads, 24)),
         ahead_toward=np.zeros((threads, 24)),
-        ahead_listed=np.zeros((threads, MOST_LISTED, 2), dtype=np.int32),
-        ahead_places=np.zeros((threads, MOST_LISTED, PLACE), dtype=np.float32),
-        ahead_ridges=np.zeros((threads, MOST_RIDGES, 2), dtype=np.int32),
+        ahead_listed=np.zeros((threads, MOST_AHEAD, 2), dtype=np.int32),
+        ahead_places=np.zeros((threads, MOST_AHEAD, PLACE), dtype=np.float32),
+        ahead_ridges=np.zeros((threads, MOST_AHEAD, 2), dtype=np.int32),
         stack=np.zeros((threads, STACK), dtype=np.int32),
         within=np.zeros((threads, MOST_WITHIN), dtype=np.int64),
         touching=np.zeros((threads, MOST_TOUCHING), dtype=np.int64),
