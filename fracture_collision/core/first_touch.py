@@ -36,8 +36,8 @@ from fracture_collision.core.traversal import query_pair
 # would not do, steps are so long that they do, and it is told how long.
 MOST_MOMENTS = 2400
 # Where the distance says no more, they come nearer by so many detection tolerances at a time: what was just outside of
-# one is no deeper than half of it then.
-LEAST = 1.5
+# one, and is again, was no deeper than half of it meanwhile.
+LEAST = 3.0
 # And by no less than this share of R, where there is no such tolerance.
 SHORTEST = 1e-4
 UNLIMITED = 1 << 40
@@ -160,6 +160,34 @@ def may_touch_again(pools, a, b, i, j, motion, contacts, count):
     for c in range(count):
         is_near |= contacts[c, 9] <= least
     return is_near and may_get_through(pools, a, b, i, j, motion)
+
+
+@inlined_kernel
+def boxes_stay_apart(pools, a, b, i, j, rotation, translation, rotations, motion, near):
+    """Whether two stay apart by more than `near` [m] along a side of either box; rotation (2, 3, 3), translation
+    (2, 3): their relative poses now; rotations (n, 3, 3): theirs in the world.
+    """
+    if pools.fragment.kind[a] == PLANE or pools.fragment.kind[b] == PLANE:
+        return False
+    near += rounding_slack(pools, a, b, translation)
+    for side in range(2):
+        own, other, k = (a, b, i) if side == 0 else (b, a, j)
+        mine, box, turn, place = pools.fragment.box[own], pools.fragment.box[other], rotation[1 - side], translation
+        for d in range(3):
+            # the other's middle and reach along side d of own box
+            along, reach = place[1 - side, d] - 0.5 * (mine[d] + mine[d + 3]), 0.5 * (mine[d + 3] - mine[d])
+            for q in range(3):
+                along += turn[d, q] * 0.5 * (box[q] + box[q + 3])
+                reach += abs(turn[d, q]) * 0.5 * (box[q + 3] - box[q])
+            gap = abs(along) - reach
+            if not gap > near:
+                continue
+            # from b to a
+            sign = 1.0 if (along < 0.0) == (side == 0) else -1.0
+            x, y, z = sign * rotations[k, 0, d], sign * rotations[k, 1, d], sign * rotations[k, 2, d]
+            if gap - near > closing_along(motion, i, j, 0.0, motion.time, x, y, z) * motion.time:
+                return True
+    return False
 
 
 @inlined_kernel

@@ -102,7 +102,8 @@ def _spin(w):
 @inlined_kernel
 def _seen_from(motion, i, j, t, left):
     """How fragment i moves for one that moves and turns with j, from `t` [s] on for `left` [s]: (velocity of its centre
-    at t (x, y, z); how much more its points have than that; how far that velocity turns in the time), all [m/s].
+    at t (x, y, z); how much more its points have than that, because it turns; and because it goes farther off; how far
+    that velocity turns in the time), all [m/s].
     """
     a, b = motion.linear[i], motion.linear[j]
     wa, wb = motion.angular[i], motion.angular[j]
@@ -115,8 +116,8 @@ def _seen_from(motion, i, j, t, left):
     z = dz - (wb[0] * ry - wb[1] * rx)
     turned = _spin(wb) * left
     turning = math.sqrt((wa[0] - wb[0]) ** 2 + (wa[1] - wb[1]) ** 2 + (wa[2] - wb[2]) ** 2)
-    more = turning * motion.reach[i] + turned * math.sqrt(dx * dx + dy * dy + dz * dz)
-    return x, y, z, more, turned * math.sqrt(x * x + y * y + z * z)
+    farther = turned * math.sqrt(dx * dx + dy * dy + dz * dz)
+    return x, y, z, turning * motion.reach[i], farther, turned * math.sqrt(x * x + y * y + z * z)
 
 
 @inlined_kernel
@@ -125,10 +126,10 @@ def closing_speed(motion, i, j, t, left):
 
     Seen from either no point of the other is faster: two that turn together do not come nearer at all.
     """
-    x, y, z, more, _ = _seen_from(motion, i, j, t, left)
-    speed = math.sqrt(x * x + y * y + z * z) + more
-    x, y, z, more, _ = _seen_from(motion, j, i, t, left)
-    return min(speed, math.sqrt(x * x + y * y + z * z) + more)
+    x, y, z, turning, farther, _ = _seen_from(motion, i, j, t, left)
+    speed = math.sqrt(x * x + y * y + z * z) + turning + farther
+    x, y, z, turning, farther, _ = _seen_from(motion, j, i, t, left)
+    return min(speed, math.sqrt(x * x + y * y + z * z) + turning + farther)
 
 
 @inlined_kernel
@@ -136,10 +137,16 @@ def closing_along(motion, i, j, t, left, x, y, z):
     """Likewise of the two hulls along the unit vector (x, y, z) from j to i, world axes at `t`, that turns with one of
     the two; negative: they part.
     """
-    vx, vy, vz, more, sway = _seen_from(motion, i, j, t, left)
-    closing = more + sway - (x * vx + y * vy + z * vz)
-    vx, vy, vz, more, sway = _seen_from(motion, j, i, t, left)
-    return min(closing, more + sway + (x * vx + y * vy + z * vz))
+    u, w = motion.angular[i], motion.angular[j]
+    wx, wy, wz = u[0] - w[0], u[1] - w[1], u[2] - w[2]
+    cx, cy, cz = y * wz - z * wy, z * wx - x * wz, x * wy - y * wx
+    across = math.sqrt(cx * cx + cy * cy + cz * cz)  # what turns about the vector comes no nearer along it
+    vx, vy, vz, turning, farther, sway = _seen_from(motion, i, j, t, left)
+    turning = min(turning, across * motion.reach[i] + _spin(w) * left * turning)
+    closing = turning + farther + sway - (x * vx + y * vy + z * vz)
+    vx, vy, vz, turning, farther, sway = _seen_from(motion, j, i, t, left)
+    turning = min(turning, across * motion.reach[j] + _spin(u) * left * turning)
+    return min(closing, turning + farther + sway + (x * vx + y * vy + z * vz))
 
 
 @inlined_kernel

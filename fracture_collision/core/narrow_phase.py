@@ -15,7 +15,7 @@ from fracture_collision.core.contact_places import put_in_world
 from fracture_collision.core.crew import Crew
 from fracture_collision.core.crowds import UNSEARCHED, UNSHARED, Overlaps, most_visits, visit_shares
 from fracture_collision.core.facing_normal import turn_contacts
-from fracture_collision.core.first_touch import first_touch, may_get_through, may_touch_again
+from fracture_collision.core.first_touch import boxes_stay_apart, first_touch, may_get_through, may_touch_again
 from fracture_collision.core.kept_answer import (
     NOTHING_KEPT,
     KeptAnswer,
@@ -203,7 +203,10 @@ def _query_share(
         if motion.time > 0.0:
             # by searches of their own: whatever is remembered, they are the same
             moment, ahead = 0.0, Rule(wanted, min(max(most, wanted), limit), rule.epsilon, rule.near)
-            if found == 0 and closing_speed(motion, i, j, 0.0, motion.time) * motion.time > clear:
+            is_clear = found != 0 or closing_speed(motion, i, j, 0.0, motion.time) * motion.time <= clear
+            if not is_clear and not boxes_stay_apart(
+                pools, a, b, i, j, rotation, translation, rotations, motion, rule.near
+            ):
                 found, moment, more, unseen = first_touch(
                     pools, edges, a, b, i, j, rotations, positions, motion, 0.0, 0, ahead, out, out_ids, room - used,
                     rotation, translation, scratch, thread,
