@@ -24,7 +24,7 @@ from fracture_collision.core.kinds import PLANE, SPHERE
 from fracture_collision.core.known_samples import ID_SAMPLE, ID_SIDE, rounding_slack
 from fracture_collision.core.leaf_separation import parting_plane_of_leaves
 from fracture_collision.core.motion import closing_along, closing_speed, put_pose
-from fracture_collision.core.neighbour_lists import MOST_AHEAD, MOST_REACH, least_left
+from fracture_collision.core.neighbour_lists import MOST_AHEAD, MOST_REACH, NEAR_LAST, UNTIL, least_left
 from fracture_collision.core.pools import FACING
 from fracture_collision.core.ridge_contacts import least_apart
 from fracture_collision.core.rotations import relative_pose, rotated, to_other, turned_back
@@ -36,8 +36,8 @@ from fracture_collision.core.traversal import query_pair
 # would not do, steps are so long that they do, and it is told how long.
 MOST_MOMENTS = 2400
 # Where the distance says no more, they come nearer by so many detection tolerances at a time: what was just outside of
-# one, and is again, was no deeper than half of it meanwhile.
-LEAST = 3.0
+# one is no deeper than one then.
+LEAST = 2.0
 # And by no less than this share of R, where there is no such tolerance.
 SHORTEST = 1e-4
 UNLIMITED = 1 << 40
@@ -101,12 +101,16 @@ def first_touch(
             if gap - rule.near > closing * left:
                 return 0, t, visits, unseen
             step, listed = (gap - rule.near) / closing, -1
+        elif touches and moment == 0 and farthest == 0.0:
+            pass  # what is near now is known, and nothing is listed
         else:
             found, clear, listed, ridges, lasts, more = _near_now(
                 pools, edges, a, b, rotation, translation, rule, far, radius, touches, farthest, listed, ridges, lasts,
                 out, out_ids, room, scratch, thread,
             )  # fmt: skip
             visits += more
+            if touches and moment == 0:
+                found = 0  # what is near now is known
             if found > room:
                 return found, t, visits, unseen
             if found > 0:
@@ -151,15 +155,33 @@ def _keep_new(contacts, ids, known, found, near):
 
 
 @inlined_kernel
-def may_touch_again(pools, a, b, i, j, motion, contacts, count):
-    """Whether two that touch, or are about to, by their `count` contacts, may be through each other elsewhere before
-    the time is over.
+def may_touch_again(
+    pools, a, b, i, j, rotation, translation, rotations, motion, moment, contacts, count, scratch, thread
+):
+    """Whether two that touch after `moment` [s], or are about to, by their `count` contacts, may be through each other
+    elsewhere before the time is over. rotation, translation: their relative poses at that moment; rotations (n, 3, 3):
+    theirs in the world now.
     """
     least = ABOUT_TO * min(pools.fragment.radius[a], pools.fragment.radius[b])
-    is_near = False
+    least_gap = math.inf
     for c in range(count):
-        is_near |= contacts[c, 9] <= least
-    return is_near and may_get_through(pools, a, b, i, j, motion)
+        least_gap = min(least_gap, contacts[c, 9])
+    # who is in the other as deep as that already may be anywhere
+    if least_gap > least or -least_gap > THIN * _thickness(pools, a, b) or not may_get_through(
+        pools, a, b, i, j, motion
+    ):
+        return False
+    if moment > 0.0:
+        return True
+    # most slide along what parts them, or part
+    toward = scratch.ahead_toward[thread]
+    toward[0] = toward[1] = toward[2] = 0.0
+    gap, x, y, z = _gap_of_hulls(pools, a, b, rotation, translation, 0.0, toward, scratch, thread)
+    if gap == -math.inf:
+        return True
+    x, y, z = rotated(rotations[j], x, y, z)
+    closing = closing_along(motion, i, j, 0.0, motion.time, x, y, z)
+    return max(closing, 0.0) * motion.time - gap > THIN * _thickness(pools, a, b)
 
 
 @inlined_kernel
@@ -277,12 +299,28 @@ def _near_now(
             lasts *= NARROWER
         if count > MOST_AHEAD or crossings > MOST_AHEAD or not lasts > 0.0:
             return found, 0.0, -1, 0, 0.0, visits
+        if touches:
+            count = _drop_near(listed, places, count)
         if count == 0 and crossings == 0:
             lasts = max(lasts, clear)
     middles = pools.fragment.middle
     left = least_left(listed, places, count, middles[a], middles[b], rotation, translation, touches)
     left = min(left, least_apart(edges, a, b, rotation, translation, ridges[:crossings], rule.near, touches, thread))
     return found, min(lasts, left), count, crossings, lasts, visits
+
+
+@inlined_kernel
+def _drop_near(listed, places, count):
+    """Those of `count` listed samples that were not near stay; returns how many."""
+    kept = 0
+    for k in range(count):
+        if places[k, UNTIL] != NEAR_LAST:
+            for d in range(listed.shape[1]):
+                listed[kept, d] = listed[k, d]
+            for d in range(places.shape[1]):
+                places[kept, d] = places[k, d]
+            kept += 1
+    return kept
 
 
 @inlined_kernel

@@ -80,15 +80,12 @@ def pose_bits(rotations, positions):
 
 
 @kernel
-def pairs_in_place(
-    kept, kinds, rows, poses, pairs, slots, known, has_contacts, shares, further, counts, bounds
-):
+def pairs_in_place(kept, kinds, rows, poses, pairs, slots, known, shares, further, counts, bounds):
     """Where each of `pairs` (p, 2) of indices into `rows` stands in `kept`, -1: not, or the answer may be another; and
     which do not (m,). Of those that do, `counts` and `bounds` (p,) are written.
 
-    poses (n, 12): pose_bits; slots, known (p,): of with_pairs; has_contacts (p,): those whose answer holds if it has
-    any; shares (p,), further: visits that each may take, and beyond the contacts wanted. A node that is met once these
-    are there is taken up twice at most for each visit.
+    poses (n, 12): pose_bits; slots, known (p,): of with_pairs; shares (p,), further: visits that each may take, and
+    beyond the contacts wanted. A node that is met once these are there is taken up twice at most for each visit.
     """
     has_moved = np.ones(len(rows), np.bool_)
     for i in range(len(rows)):
@@ -104,7 +101,7 @@ def pairs_in_place(
         if slots[p] < 0 or not known[p] or slots[p] >= len(kept.pair_of_slot) or has_moved[i] or has_moved[j]:
             continue
         q = kept.pair_of_slot[slots[p]]
-        if q < 0 or kept.shares[q] != shares[p] or (has_contacts[p] and kept.contacts.counts[q] == 0):
+        if q < 0 or kept.shares[q] != shares[p]:
             continue
         of_sphere = kinds[rows[i]] == SPHERE or kinds[rows[j]] == SPHERE
         if further >= kept.further or (not of_sphere and 2 * kept.searched[q] + 2 <= further):

@@ -216,7 +216,9 @@ def _query_share(
                 if found == 0 and unseen > 0.0:
                     exhausted[p], bounds[p] = BY_LIMIT, max(bounds[p], unseen)
             has_room = found <= room - used and found + max(most, wanted) <= limit
-            if found > 0 and has_room and may_touch_again(pools, a, b, i, j, motion, out, found):
+            if found > 0 and has_room and may_touch_again(
+                pools, a, b, i, j, rotation, translation, rotations, motion, moment, out, found, scratch, thread
+            ):
                 again, _, more, _ = first_touch(
                     pools, edges, a, b, i, j, rotations, positions, motion, moment, found, ahead, out, out_ids,
                     room - used, rotation, translation, scratch, thread,
@@ -283,15 +285,12 @@ def query_pairs(
     further = np.full(p, share)
     passes = []
     poses = pose_bits(rotations, positions)
-    is_kept, has_contacts = known, is_ahead
-    if motion.time > 0.0:
-        has_contacts, stays = _that_stay(pools, rows, pairs, motion)
-        is_kept = known & stays
     if lists is not NO_LISTS and before.answer.stamp == stamp:
         stands_at, moved = pairs_in_place(
-            before.answer, pools.fragment.kind, rows, poses, pairs, slots, is_kept, has_contacts, shares,
-            share, counts, bounds,
-        )  # fmt: skip
+            before.answer, pools.fragment.kind, rows, poses, pairs, slots, known, shares, share, counts, bounds
+        )
+        if motion.time > 0.0:
+            moved = _without_those_that_leave(pools, rows, pairs, motion, counts, stands_at)
 
     def search(todo: np.ndarray, limit: int, room: int) -> np.ndarray:
         """Search the pairs `todo`, with `room` contacts a thread; returns those that there was no room for."""
@@ -352,21 +351,25 @@ def query_pairs(
         return found, NOTHING_REMEMBERED
     if cuts:
         slots[cut] = -1  # what others leave to them may be less next time
-    slots[is_ahead] = -1  # what they will touch is of this step
+    if is_ahead.any():
+        slots[is_ahead] = -1  # what they will touch is of this step
     answer = keep(stamp, rows, poses, slots, len(lists.counts), searched, shares, share, offsets, found)
     return found, Remembered(lists, answer)
 
 
 @kernel
-def _that_stay(pools, rows, pairs, motion):
-    """(which of `pairs` move, (p,); which do not, or so little that what they touch now is all they touch, (p,))"""
-    moves, is_slow = np.zeros(len(pairs), np.bool_), np.ones(len(pairs), np.bool_)
+def _without_those_that_leave(pools, rows, pairs, motion, counts, stands_at):
+    """Of pairs in place, see pairs_in_place, those that move stay so only if they touch, and do it so slowly that what
+    they touch now is all they will; returns who is not in place then (m,).
+    """
     is_in_motion = is_moving(motion)
     for p in range(len(pairs)):
         i, j = pairs[p, 0], pairs[p, 1]
-        moves[p] = is_in_motion[i] or is_in_motion[j]
-        is_slow[p] = not (moves[p] and may_get_through(pools, rows[i], rows[j], i, j, motion))
-    return moves, is_slow
+        if stands_at[p] < 0 or not (is_in_motion[i] or is_in_motion[j]):
+            continue
+        if counts[p] == 0 or may_get_through(pools, rows[i], rows[j], i, j, motion):
+            stands_at[p] = -1
+    return np.flatnonzero(stands_at < 0)
 
 
 @kernel

@@ -6,6 +6,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from fracture_collision.portable_math import lengths
 from fracture_collision.simulation.engine import BodyStates
 
 
@@ -23,18 +24,41 @@ class Pushes(NamedTuple):
     energy: float  # [J] likewise
 
 
-class Planned(NamedTuple):
-    """Pushes that were asked for when the step began, of the bodies that moved then."""
+class Changes(NamedTuple):
+    """Of velocities, by fragments."""
 
     fragment_ids: np.ndarray  # (n,) uint32, ascending
-    pushes: Pushes
+    velocities: np.ndarray  # (n, 6) [m/s, rad/s]
 
-    def of(self, fragment_ids: np.ndarray) -> Pushes:
-        """Those of the bodies that move now (m,); who has come since is not pushed in this step."""
+    def of(self, fragment_ids: np.ndarray) -> np.ndarray:
+        """(m, 6), of fragments that are not among these 0."""
         velocities = np.zeros((len(fragment_ids), 6))
-        _, now, then = np.intersect1d(fragment_ids, self.fragment_ids, assume_unique=True, return_indices=True)
-        velocities[now] = self.pushes.velocities[then]
-        return Pushes(velocities, self.pushes.energy)
+        _, own, these = np.intersect1d(fragment_ids, self.fragment_ids, assume_unique=True, return_indices=True)
+        velocities[own] = self.velocities[these]
+        return velocities
+
+
+NO_CHANGES = Changes(np.zeros(0, np.uint32), np.zeros((0, 6)))
+
+
+class Planned(NamedTuple):
+    """What was asked for when the step began, of the bodies that moved then: who comes later is not pushed in it."""
+
+    pushes: Changes
+    energy: float  # [J] that they add
+    expected: Changes  # what is left of the pushes once contacts have taken what they will, as far as anybody knows
+
+
+def planned(fragment_ids: np.ndarray, pushes: Pushes, taken: Changes) -> Planned:
+    """taken: by contacts in the last step. A hammer that presses against a wall is stopped by it as it was then; but
+    from a blow on nothing follows for a hammer that has just met the wall: no more is taken than was pushed.
+    """
+    by_contacts = taken.of(fragment_ids)
+    for part in (slice(0, 3), slice(3, 6)):
+        pushed, lost = lengths(pushes.velocities[:, part]), lengths(by_contacts[:, part])
+        by_contacts[:, part] *= np.minimum(1.0, pushed / np.where(lost > 0.0, lost, 1.0))[:, None]
+    left = Changes(fragment_ids, pushes.velocities + by_contacts)
+    return Planned(Changes(fragment_ids, pushes.velocities), pushes.energy, left)
 
 
 def pushes_of(

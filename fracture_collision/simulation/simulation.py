@@ -46,7 +46,7 @@ from fracture_collision.simulation.contact_solver import (
 from fracture_collision.simulation.drag import Drag
 from fracture_collision.simulation.engine import BodyStates, Engine, FrameState, rows_of
 from fracture_collision.simulation.free_motion import free_velocities
-from fracture_collision.simulation.pushes import Planned, Pusher, Pushes, pushes_of
+from fracture_collision.simulation.pushes import NO_CHANGES, Changes, Planned, Pusher, Pushes, planned, pushes_of
 from fracture_collision.simulation.rest_gaps import rest_gaps_of
 from fracture_collision.simulation.rigid_body_world import RigidBodyWorld
 from fracture_collision.simulation.rotations import turned_back
@@ -105,6 +105,7 @@ class Simulation:
         self._rest = sleep.NOBODY
         self._asked: FragmentStates | None = None
         self._planned: Planned | None = None  # of this step, where the service is told of pushes beforehand
+        self._taken = NO_CHANGES  # by contacts in the last step
         names = {i: body.name for i, body in self._cast.body_of.items()}
         self.drag = Drag(scene.hand, names, self._cast.body_id_of, self._cast.breakable)
         self._pushers: list[Pusher] = [self.drag]
@@ -159,7 +160,7 @@ class Simulation:
         # who waits for the registry might be what is pushed
         if self._looks_ahead and self._planned is None and not self._cast.waiting:
             states = self._engine.states()
-            self._planned = Planned(states.fragment_ids, self._pushes(states))
+            self._planned = planned(states.fragment_ids, self._pushes(states), self._taken)
         self._asked = self._states()
         return StepRequest(self._asked, self._cast.take_news(), list(self._events))
 
@@ -188,13 +189,17 @@ class Simulation:
         )
         pairs = self._body_pairs(contacts, states)
         told = _velocities(self._told(states)) if self._looks_ahead else None
-        pushes = self._pushes(states) if self._planned is None else self._planned.of(states.fragment_ids)
+        if self._planned is None:
+            pushes = self._pushes(states)
+        else:
+            pushes = Pushes(self._planned.pushes.of(states.fragment_ids), self._planned.energy)
         self._planned = None
         bodies = self._rigid_bodies(states, pushes.velocities)
         rest = sleep.roused(self._rest, states.fragment_ids, touched, pushes.velocities.any(axis=1))
         rest = sleep.settled(rest, self._memory.pair_begin, pairs.body_a, pairs.body_b, self._scene.solver.sleep_time)
         solution, overloaded = self._solve(bodies, contacts, pairs, self._traits(states).strengths, rest.asleep)
         solver_seconds = time.perf_counter() - started
+        self._taken = Changes(states.fragment_ids, solution.velocities - bodies.free_velocities)
         v, drift = solution.velocities, solution.drift
         v, drift = held_back(
             states, contacts, pairs, ahead, told, self._traits(states).is_round, v, drift, self._scene.gravity,
@@ -260,7 +265,7 @@ class Simulation:
         """
         velocities = _velocities(states)
         if self._planned is not None:
-            velocities = velocities + self._planned.of(states.fragment_ids).velocities
+            velocities = velocities + self._planned.expected.of(states.fragment_ids)
         free = free_velocities(velocities, states.inertias, _NO_GRAVITY, self._scene.time_step)
         return states._replace(linear=velocities[:, :3].copy(), angular=free[:, 3:].copy())
 

@@ -107,7 +107,10 @@ class Registry:
     def centers_of_mass(self, ids: np.ndarray) -> np.ndarray:
         """Of living fragments `ids` (n,), ascending: (n, 3) [m], body frame."""
         living = self._living.columns()
-        return self._masses(living)[np.searchsorted(living.ids, ids), 1:4]
+        masses = self._masses(living)
+        if len(ids) == len(living.ids):
+            return np.ascontiguousarray(masses[:, 1:4])
+        return masses[np.searchsorted(living.ids, ids), 1:4]
 
     def _masses(self, living: Columns) -> np.ndarray:
         """(n, MASS_VALUES) of all, those that are new among them."""
