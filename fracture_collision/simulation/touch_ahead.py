@@ -95,7 +95,8 @@ def held_back(
         goes_round = _turns_far(pairs, velocities, time_step)
     else:
         boxes, least = boxes_of(states.masses, states.inertias), settings.ahead_gap
-        reach, spare = boxes.reach(), np.clip(SPARE * boxes.thickness(), least, MOST_SPARE * least)
+        spare = np.clip(SPARE * boxes.thickness(), least, MOST_SPARE * least)
+        reach = np.where(is_round[:-1], 0.0, boxes.reach())  # a sphere that turns goes nowhere
         goes_round = _goes_astray(pairs, velocities, reach, settings.ahead_gap, time_step)
         shares = _shares_as_told(pairs, told, moves, reach, spare, time_step)
     touching = _touching(contacts, pairs, goes_round, settings)
