@@ -34,7 +34,7 @@ FAR_TURN = 0.1
 # A body may go astray by this share of how thin it is, if it were a box, but by no more than so many `ahead_gap`: its
 # ears may be thinner.
 SPARE, MOST_SPARE = 0.2, 2.0
-# What is deeper than `ahead_gap` goes by no more than this share of that deeper.
+# What is deeper than `ahead_gap` goes by no more than this share of that deeper, or it would go deep step by step.
 DEEPER = 0.05
 # A path is looked at in so many parts, and so many more for each radian that bodies turn; where it comes too near it is
 # halved so often.
@@ -99,7 +99,7 @@ def held_back(
         reach = np.where(is_round[:-1], 0.0, boxes.reach())  # a sphere that turns goes nowhere
         goes_round = _goes_astray(pairs, velocities, reach, settings.ahead_gap, time_step)
         shares = _shares_as_told(pairs, told, moves, reach, spare, time_step)
-    touching = _touching(contacts, pairs, goes_round, settings)
+    touching = _touching(contacts, pairs, goes_round, settings, DEEPER if told is not None else 1.0)
     if ahead is None and touching is None and told is None:
         return velocities, drift
     parts = [] if touching is None else [touching]
@@ -160,19 +160,22 @@ def _goes_astray(
 
 
 def _touching(
-    contacts: ContactConstraintArray, pairs: BodyPairs, chosen: np.ndarray, settings: SolverSettings
+    contacts: ContactConstraintArray, pairs: BodyPairs, chosen: np.ndarray, settings: SolverSettings, deeper: float
 ) -> tuple[np.ndarray, ...] | None:
-    """The contacts of the `chosen` (p,) pairs, as the columns of shares_until_touch; None: there are none."""
+    """The contacts of the `chosen` (p,) pairs, as the columns of shares_until_touch; None: there are none. deeper: what
+    is as deep as `ahead_gap` goes by no more than this share of that deeper.
+    """
     if not chosen.any():
         return None
     repeat = np.diff(contacts.pair_begin.astype(np.int64))
     body_a, body_b, chosen = (np.repeat(column, repeat) for column in (pairs.body_a, pairs.body_b, chosen))
     columns = (contacts.points_a, contacts.points_b, contacts.normals)
     gaps = np.minimum(contacts.gaps[chosen], settings.rest_gap)
-    # what is deep already goes hardly deeper, or it would do so step by step
-    deeper = np.maximum(settings.ahead_gap + np.minimum(gaps - settings.rest_gap, 0.0), DEEPER * settings.ahead_gap)
+    most = settings.ahead_gap
+    if deeper < 1.0:
+        most = np.maximum(most + gaps - settings.rest_gap, deeper * most)
     return (
-        body_a[chosen], body_b[chosen], *(column.reshape(-1, 3)[chosen] for column in columns), gaps - deeper,
+        body_a[chosen], body_b[chosen], *(column.reshape(-1, 3)[chosen] for column in columns), gaps - most,
     )  # fmt: skip
 
 
