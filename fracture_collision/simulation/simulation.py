@@ -199,7 +199,8 @@ class Simulation:
         rest = sleep.settled(rest, self._memory.pair_begin, pairs.body_a, pairs.body_b, self._scene.solver.sleep_time)
         solution, overloaded = self._solve(bodies, contacts, pairs, self._traits(states).strengths, rest.asleep)
         solver_seconds = time.perf_counter() - started
-        self._taken = Changes(states.fragment_ids, solution.velocities - bodies.free_velocities)
+        if self._looks_ahead:
+            self._taken = Changes(states.fragment_ids, solution.velocities - bodies.free_velocities)
         v, drift = solution.velocities, solution.drift
         v, drift = held_back(
             states, contacts, pairs, ahead, told, self._traits(states).is_round, v, drift, self._scene.gravity,

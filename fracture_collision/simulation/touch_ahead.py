@@ -9,8 +9,8 @@ What touches is kept apart by its velocities, along straight lines. Of a body th
 round: it is held back likewise before one of its contacts has gone deeper by `ahead_gap`.
 
 The service looks ahead by the velocities before a blow. After it bodies go where nobody has looked: so no point of what
-touches goes farther astray in that step than by a fifth of the thinner one's thickness, and in the next one the service
-is asked with the new velocities.
+touches goes farther astray in that step than by a fifth of the thinner one's thickness, or two `ahead_gap`, and in the
+next one the service is asked with the new velocities.
 """
 
 from __future__ import annotations
@@ -171,9 +171,7 @@ def _touching(
     body_a, body_b, chosen = (np.repeat(column, repeat) for column in (pairs.body_a, pairs.body_b, chosen))
     columns = (contacts.points_a, contacts.points_b, contacts.normals)
     gaps = np.minimum(contacts.gaps[chosen], settings.rest_gap)
-    most = settings.ahead_gap
-    if deeper < 1.0:
-        most = np.maximum(most + gaps - settings.rest_gap, deeper * most)
+    most = np.maximum(settings.ahead_gap + (gaps - settings.rest_gap), deeper * settings.ahead_gap)
     return (
         body_a[chosen], body_b[chosen], *(column.reshape(-1, 3)[chosen] for column in columns), gaps - most,
     )  # fmt: skip
