@@ -8,6 +8,7 @@ from fractured_worlds import FracturedWorld, fractured_world, with_settings
 from hard_worlds import tetrahedral_body
 from scipy.spatial.transform import Rotation
 
+from fracture_collision.core import narrow_phase
 from fracture_collision.geometry.generators import ball, brick, shell
 from fracture_collision.records import (
     BOX,
@@ -188,6 +189,17 @@ def test_the_answer_does_not_depend_on_what_is_remembered(case: FracturedWorld) 
         for other in answers[1:]:
             for name, x, y in zip(other._fields, answers[0], other, strict=True):
                 assert np.asarray(x).tobytes() == np.asarray(y).tobytes(), (k, name)
+
+
+def test_the_answer_does_not_depend_on_the_room(case: FracturedWorld, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pairs that find no room left are searched again, and again for what they touch next."""
+    states = thrown(case, 2, 10.0)._replace(positions=case_positions(case, 0))
+    worlds = [with_others(case, SETTINGS._replace(lookahead=0.1 * AHEAD)) for _ in range(2)]
+    enough = worlds[0].contacts(states)
+    monkeypatch.setattr(narrow_phase, "FIRST_ROOM", 1)
+    monkeypatch.setattr(narrow_phase, "LEAST_ROOM", 1)
+    for name, x, y in zip(enough._fields, enough, worlds[1].contacts(states), strict=True):
+        assert np.asarray(x).tobytes() == np.asarray(y).tobytes(), name
 
 
 def test_what_turns_above_a_floor_meets_it() -> None:

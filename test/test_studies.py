@@ -266,3 +266,18 @@ def test_a_timing_worker_that_dies_is_told(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(cluster_module, "LOOK_SECONDS", 0.2)
     with cluster(None, 1) as crew, pytest.raises(StudyError, match="an end: .*(has died|KilledWorker)"):
         run_trials(crew, [Trial(os._exit, (1,), "an end", True)], lambda trial: None)
+
+
+@pytest.mark.parametrize(
+    ("thrown", "target", "speed", "number"),
+    [
+        ("shard", "box", 100.0, 44),  # touches with one end, touches beside it, and comes in with the other
+        ("shard", "box", 20.0, 40),
+        ("pane", "box", 5.0, 12),
+        ("shard", "heap", 100.0, 24),  # a corner, a metre away, in and out of a rim within two moments
+    ],
+)
+def test_what_once_went_through_no_longer_does(thrown: str, target: str, speed: float, number: int) -> None:
+    (one,) = throws.throw(thrown, target, speed, number, number + 1)
+    assert one.touches and not one.is_through and not one.is_ghost
+    assert one.deepest < 1e-3 and one.energy_gain < 1e-9

@@ -1,9 +1,10 @@
 """Between steps: does anything fast go through anything, in a simulation that looks a step ahead?
 
-Something is thrown at something and simulated with `lookahead` at the time step. Judged is the motion within steps, in
-steps so small that nothing moves farther than LEAP of its thickness. *Through*: more than half way through the
-thinner of the two at some moment. *Deep*: deeper than DEEP. The same throw is simulated with nobody told of contacts:
-who passes at more than epsilon there, and does not move so here, has met a *ghost*.
+Something is thrown at something and simulated with `lookahead` at the time step. Judged is the motion within steps,
+what will touch moving until it does, at moments between which nothing moves farther than LEAP of its thickness.
+*Through*: more than half way through the thinner of the two at some moment. *Deep*: deeper than DEEP. The same throw is
+simulated with nobody told of contacts: who passes at more than epsilon there, and does not move so here, has met a
+*ghost*.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from benchmarks.studies.against import MOST_SPIN, SPEED_OF_TARGET, SPIN_OF_TARGE
 from benchmarks.studies.pictures import BLUE, ORANGE, RED, finish, new_figure
 from benchmarks.studies.study import Study, Trial
 from benchmarks.studies.table import Row, Table, markdown_table, number
+from benchmarks.studies.throw_witness import DEEP, TARGET_ID, THROWN_ID, Step, Witness
 from fracture_collision.records import FragmentStates
 from fracture_collision.simulation.engine import BodyStates
 from fracture_collision.simulation.rigid_body_world import RigidBodyWorld
@@ -50,10 +52,9 @@ BESIDE = 0.6  # of the thrown one's reach: so far beside the target's box is aim
 STEPS_AFTER = 12
 OVERLOAD = 2.0  # of the blow that breaks a heap
 LEAP, FINER = 0.25, 25.0  # a small step as a share of what is thinnest; and for ghosts so much smaller
-DEEP = 5e-4  # [m]
 HALF_WAY = 0.9  # of half of what is thinner: no sample is quite in the middle
 SAME = 1e-9  # [m, m/s, rad/s] rounding
-TARGET_ID, THROWN_ID = 1, 2
+TINY = 1e-12  # who moves for less of a step does not move
 TOGETHER = 8  # throws of a trial
 
 
@@ -78,15 +79,6 @@ class _Engine(RigidBodyWorld):
         super().advance(linear, angular, drift_linear, drift_angular)
 
 
-class _Step(NamedTuple):
-    states: FragmentStates  # at its beginning
-    time: float  # [s] it takes
-    before: BodyStates
-    linear: np.ndarray  # (n, 3) [m/s] by which centres move within it
-    angular: np.ndarray  # (n, 3) [rad/s]
-    energy: float  # [J] after it
-
-
 def trials(size: Size) -> list[Trial]:
     return trials_of(throw, TOGETHER, size)
 
@@ -99,7 +91,7 @@ def throw(thrown: str, target: str, speed: float, first: int, end: int) -> list[
 
 def _one(thrown: str, target: str, speed: float, random: np.random.Generator) -> Throw:
     scene = _scene(thrown, target, speed, random)
-    witness, thinner = _Witness(scene), min(THINNEST[thrown], THINNEST[target.removeprefix("fixed ")])
+    witness, thinner = Witness(scene), min(THINNEST[thrown], THINNEST[target.removeprefix("fixed ")])
     leap = LEAP * thinner
     free = list(_run(scene, target, witness.world, False))
     touches = any(True for _ in witness.gaps(free, leap))
@@ -113,7 +105,7 @@ def _one(thrown: str, target: str, speed: float, random: np.random.Generator) ->
     return Throw(touches, deviates, is_ghost, deepest > HALF_WAY * 0.5 * thinner, deepest, gain)
 
 
-def _differ(one: _Step, other: _Step) -> bool:
+def _differ(one: Step, other: Step) -> bool:
     """Whether what is thrown is elsewhere, or moves otherwise."""
     own, its = _motion_of_thrown(one.before), _motion_of_thrown(other.before)
     return bool(np.abs(own - its).max() > SAME)
@@ -187,7 +179,7 @@ _NO_CONTACTS = CollisionWorld(Settings(threads=1)).contacts(
 )  # fmt: skip
 
 
-def _run(scene: Scene, target: str, world: CollisionWorld, is_told: bool) -> Iterator[_Step]:
+def _run(scene: Scene, target: str, world: CollisionWorld, is_told: bool) -> Iterator[Step]:
     """The scene's steps; whether the simulation is told of the world's contacts. A heap breaks after the first step."""
     engine = _Engine(scene.time_step)
     simulation = Simulation(scene, None, engine, looks_ahead=True)
@@ -206,70 +198,10 @@ def _run(scene: Scene, target: str, world: CollisionWorld, is_told: bool) -> Ite
         report = simulation.finish_step(answer, world.fragments())
         if target == "heap" and states.step == 0:
             simulation.strike(TARGET_ID, np.zeros(3), OVERLOAD)
-        yield _Step(states, scene.time_step, *engine.moves, report.kinetic_energy)
+        shares = simulation.shares
+        linear, angular = (moves / np.maximum(shares, TINY)[:, None] for moves in engine.moves[1:])
+        yield Step(states, scene.time_step, engine.moves[0], linear, angular, shares, report.kinetic_energy)
     simulation.close()
-
-
-class _Witness:
-    """Is asked at each moment what is near what is thrown; `world` knows what the first run has told it."""
-
-    def __init__(self, scene: Scene) -> None:
-        self.world = CollisionWorld(Settings(threads=1, surfaces="edges"))
-        self._reach = dict.fromkeys((TARGET_ID, THROWN_ID), np.inf)  # [m] about the body frame's origin
-        simulation = Simulation(scene)
-        for body in simulation.start_bodies():
-            if body.vertices.size:
-                self._reach[body.body_id] = float(np.linalg.norm(body.vertices.reshape(-1, 3), axis=1).max())
-            elif body.primitive.dimensions:
-                self._reach[body.body_id] = float(np.linalg.norm(body.primitive.dimensions))
-        simulation.close()
-
-    def gaps(self, steps: list[_Step], leap: float) -> Iterator[float]:
-        """[m] the least one of what is thrown to anything, of each moment at which it is within epsilon of anything; no
-        two moments between which it moves farther than `leap` [m] against anything.
-        """
-        for step in steps:
-            yield from self._gaps_within(step, leap)
-
-    def _gaps_within(self, step: _Step, leap: float) -> Iterator[float]:
-        before, h = step.before, step.time
-        ids = step.states.fragment_ids
-        rows, mine = np.searchsorted(ids, before.fragment_ids), before.fragment_ids == THROWN_ID
-        reach, other_reach = self._reach[THROWN_ID], self._reach[TARGET_ID]
-        v, w, places = step.linear, np.linalg.norm(step.angular, axis=1), before.frame_positions.copy()
-        others = ~mine
-        if mine.all():  # the target stands still, at the origin
-            v, w, places = np.vstack([v, np.zeros(3)]), np.append(w, 0.0), np.vstack([places, np.zeros(3)])
-            mine, others = np.array([True, False]), np.array([False, True])
-        arms, frames = before.frame_positions - before.centers, Rotation.from_quat(before.frame_orientations)
-        arm = float(np.linalg.norm(arms, axis=1).max())
-        turns = (reach + arm) * w[mine] + (0.0 if np.isinf(other_reach) else (other_reach + arm) * w[others])
-        way = h * float((np.linalg.norm(v[others] - v[mine], axis=1) + turns).max())
-        if not self._may_touch(places[mine], places[others], way):
-            return
-        positions, orientations = step.states.positions.reshape(-1, 3), step.states.orientations.reshape(-1, 4)
-        count = int(np.ceil(way / leap)) + 1
-        for t in h * np.arange(count) / count:
-            turn = Rotation.from_rotvec(t * step.angular)
-            places[: len(rows)] = before.centers + t * step.linear + turn.apply(arms)
-            if not self._may_touch(places[mine], places[others], leap):
-                continue
-            positions, orientations = positions.copy(), orientations.copy()
-            positions[rows], orientations[rows] = places[: len(rows)], (turn * frames).as_quat()
-            answer = self.world.contacts(
-                step.states._replace(positions=positions.ravel(), orientations=orientations.ravel())
-            )
-            is_own = (answer.fragment_a == THROWN_ID) | (answer.fragment_b == THROWN_ID)
-            chosen = np.repeat(is_own, np.diff(answer.pair_begin.astype(np.int64)))
-            if chosen.any():
-                yield float(answer.gaps[chosen].min())
-
-    def _may_touch(self, mine: np.ndarray, others: np.ndarray, way: float) -> bool:
-        """By balls about the frames' origins (1, 3), (n, 3); `way` [m] they may still go."""
-        reach, other_reach = self._reach[THROWN_ID], self._reach[TARGET_ID]
-        if np.isinf(other_reach):
-            return bool(mine[0, 2] <= 1.01 * reach + way)
-        return bool(np.linalg.norm(others - mine, axis=1).min() <= 1.01 * (reach + other_reach) + way)
 
 
 def tables(size: Size, results: Mapping[Trial, Any]) -> dict[str, list[Row]]:

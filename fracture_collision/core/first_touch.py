@@ -10,7 +10,8 @@ The contacts found are those of that moment; their points are told where they ar
 normal of that moment, so that the gap is what the points have to go.
 
 Two that touch already, or are about to, may touch elsewhere before the time is over: a shard that hits with one corner
-swings round. Of what is fast and thin that is looked for likewise, by what is not near yet.
+swings round. Of what is fast and thin that is looked for likewise, by what is not near yet, until a contact that was
+found before would be so deep that nobody goes on there.
 """
 
 from __future__ import annotations
@@ -32,9 +33,9 @@ from fracture_collision.core.sample_leaves import farthest_sample, leaves_of
 from fracture_collision.core.sample_search import may_search, query_listed, search_samples
 from fracture_collision.core.traversal import query_pair
 
-# Moments at most at which two are looked at. They are spent where one goes along a surface of the other: where they
-# would not do, steps are so long that they do, and it is told how long.
-MOST_MOMENTS = 2400
+# Moments at most at which two are looked at. They are spent where one goes along a surface of the other: where the rest
+# of them would not do, behind the first ones, steps are so long that they do, and it is told how long.
+MOST_MOMENTS, FINE_MOMENTS = 2400, 1200
 # Where the distance says no more, they come nearer by so many detection tolerances at a time: what was just outside of
 # one is no deeper than one then.
 LEAST = 2.0
@@ -58,12 +59,13 @@ SHORTEST_OF_THIN = 0.1
 
 @query_kernel
 def first_touch(
-    pools, edges, a, b, i, j, rotations, positions, motion, start, known, rule, contacts, ids, capacity, rotation,
-    translation, scratch, thread,
+    pools, edges, a, b, i, j, rotations, positions, motion, start, known, rule, contacts, ids, capacity, limit,
+    rotation, translation, scratch, thread,
 ):  # fmt: skip
     """Contacts of fragments a and b, the i-th and j-th of `motion`, at the first moment after `start` [s] at which they
     are near; told where they are now, behind the `known` ones that contacts and ids have already. Where there are such,
-    it is the first moment of one that is apart now and not among them.
+    it is all that are apart now and not among them, up to `limit` contacts, from that moment on until those found
+    before, all or only here if it starts now, hold the two.
 
     rotations (n, 3, 3), positions (n, 3): poses now. rule, contacts, ids, capacity: see sample_search; rotation
     (2, 3, 3), translation (2, 3): working space, as the relative poses.
@@ -73,11 +75,13 @@ def first_touch(
     radius = min(pools.fragment.radius[a], pools.fragment.radius[b])
     of_world, place = scratch.world_rotation[thread], scratch.world_position[thread]
     visits, t, listed, ridges, lasts, touches, unseen = 0, start, -1, 0, 0.0, known > 0, 0.0
-    out, out_ids, room = contacts[known:], ids[known:], capacity - known
+    new, held_by = 0, 0 if start > 0.0 else known
     shortest = max(LEAST * rule.near, SHORTEST * radius)
     farthest = FARTHEST_REACH * radius
+    is_round, deep = pools.fragment.kind[a] == SPHERE or pools.fragment.kind[b] == SPHERE, math.inf
     if touches:
-        shortest = max(shortest, SHORTEST_OF_THIN * _thickness(pools, a, b))
+        thickness = _thickness(pools, a, b)
+        shortest, deep = max(shortest, SHORTEST_OF_THIN * thickness), THIN * thickness
         if shortest > MOST_REACH * radius:
             farthest = 0.0
     toward = scratch.ahead_toward[thread]
@@ -99,42 +103,47 @@ def first_touch(
             x, y, z = rotated(of_world[1], nx, ny, nz)
             closing = min(closing_along(motion, i, j, t, left, x, y, z), speed)
             if gap - rule.near > closing * left:
-                return 0, t, visits, unseen
+                return new, t, visits, unseen
             step, listed = (gap - rule.near) / closing, -1
         elif touches and moment == 0 and farthest == 0.0:
             pass  # what is near now is known, and nothing is listed
         else:
             found, clear, listed, ridges, lasts, more = _near_now(
                 pools, edges, a, b, rotation, translation, rule, far, radius, touches, farthest, listed, ridges, lasts,
-                out, out_ids, room, scratch, thread,
+                contacts[known + new :], ids[known + new :], capacity - known - new, scratch, thread,
             )  # fmt: skip
             visits += more
             if touches and moment == 0:
                 found = 0  # what is near now is known
-            if found > room:
-                return found, t, visits, unseen
+            if found > capacity - known - new:
+                return new + found, t, visits, unseen
             if found > 0:
+                out, out_ids = contacts[known + new :], ids[known + new :]
                 if pools.normals == FACING:
                     turn_contacts(
                         pools, a, b, rotation, translation, rule.near, out, out_ids, found, scratch, thread
                     )
                 _bring_back(rotations, positions, i, j, of_world, rotation, translation, out, out_ids, found)
-                if touches:
-                    found = _keep_new(contacts, ids, known, found, rule.near)
-                if found > 0:
+                if not touches:
                     return found, t, visits, unseen
+                new += _keep_new(contacts, ids, known + new, found, rule.near)
+            if new > 0:
+                held = contacts[held_by : known + new], ids[held_by : known + new]
+                gap = _gap_then(*held, i, j, rotations, positions, of_world, place)
+                if is_round or gap < -deep or known + new + max(rule.most, rule.wanted) > limit:
+                    return new, t, visits, unseen
             if clear > far or not left > 0.0:
-                return 0, t, visits, unseen
+                return new, t, visits, unseen
             step = clear / speed
         if not speed > 0.0:
-            return 0, t, visits, unseen
-        least = far / (MOST_MOMENTS - moment)
+            return new, t, visits, unseen
+        least = far / (MOST_MOMENTS - moment) if moment >= FINE_MOMENTS else 0.0
         if least > max(step * speed, shortest):
             unseen = max(unseen, least)
         step = min(max(step, max(shortest, least) / speed), left)
         lasts -= step * speed
         t = motion.time if step == left else t + step
-    return 0, t, visits, unseen
+    return new, t, visits, unseen
 
 
 @inlined_kernel
@@ -152,6 +161,25 @@ def _keep_new(contacts, ids, known, found, near):
                 ids[kept, d] = ids[c, d]
             kept += 1
     return kept - known
+
+
+@inlined_kernel
+def _gap_then(contacts, ids, i, j, rotations, positions, of_world, place):
+    """The least gap [m] of contacts, told where fragments are now, once these are at of_world (2, 3, 3), place (2, 3);
+    each along its normal, that turns with whom the sample is not of.
+    """
+    least = math.inf
+    for c in range(len(contacts)):
+        side, row = ids[c, ID_SIDE], contacts[c]
+        own, other = (i, j) if side == 0 else (j, i)
+        x, y, z = rotated(rotations[other], row[0], row[1], row[2])
+        p, q = positions[own], positions[other]
+        x, y, z = turned_back(rotations[own], x + q[0] - p[0], y + q[1] - p[1], z + q[2] - p[2])
+        x, y, z = rotated(of_world[side], x, y, z)
+        p, q = place[side], place[1 - side]
+        x, y, z = turned_back(of_world[1 - side], x + p[0] - q[0], y + p[1] - q[1], z + p[2] - q[2])
+        least = min(least, row[6] * (x - row[3]) + row[7] * (y - row[4]) + row[8] * (z - row[5]))
+    return least
 
 
 @inlined_kernel

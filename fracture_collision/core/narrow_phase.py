@@ -209,7 +209,7 @@ def _query_share(
             ):
                 found, moment, more, unseen = first_touch(
                     pools, edges, a, b, i, j, rotations, positions, motion, 0.0, 0, ahead, out, out_ids, room - used,
-                    rotation, translation, scratch, thread,
+                    limit, rotation, translation, scratch, thread,
                 )  # fmt: skip
                 visits[p] += more
                 is_ahead[p] = found > 0
@@ -221,7 +221,7 @@ def _query_share(
             ):
                 again, _, more, _ = first_touch(
                     pools, edges, a, b, i, j, rotations, positions, motion, moment, found, ahead, out, out_ids,
-                    room - used, rotation, translation, scratch, thread,
+                    room - used, limit, rotation, translation, scratch, thread,
                 )  # fmt: skip
                 visits[p] += more
                 found, is_ahead[p] = found + again, is_ahead[p] or again > 0
@@ -317,7 +317,8 @@ def query_pairs(
         if cuts and limits.further_visits // (2 * cuts) > share:
             further[cut] = limits.further_visits // (2 * cuts)
             search(cut, limits.contacts_per_pair, first_room(cuts))
-        level = _level(counts, limits.contacts)
+        # where there are not too many, who found no room may have more than is known yet
+        level = _level(counts, limits.contacts) if total > limits.contacts else limits.contacts_per_pair
         is_stored = stands_at >= 0
         for todo, _, _, begin in passes:
             is_stored[todo] |= begin[todo] >= 0

@@ -106,6 +106,7 @@ class Simulation:
         self._asked: FragmentStates | None = None
         self._planned: Planned | None = None  # of this step, where the service is told of pushes beforehand
         self._taken = NO_CHANGES  # by contacts in the last step
+        self.shares = np.ones(0)  # of the last step, after which its bodies stood still: see touch_ahead
         names = {i: body.name for i, body in self._cast.body_of.items()}
         self.drag = Drag(scene.hand, names, self._cast.body_id_of, self._cast.breakable)
         self._pushers: list[Pusher] = [self.drag]
@@ -202,7 +203,7 @@ class Simulation:
         if self._looks_ahead:
             self._taken = Changes(states.fragment_ids, solution.velocities - bodies.free_velocities)
         v, drift = solution.velocities, solution.drift
-        v, drift = held_back(
+        v, drift, self.shares = held_back(
             states, contacts, pairs, ahead, told, self._traits(states).is_round, v, drift, self._scene.gravity,
             self._scene.solver, self._scene.time_step,
         )  # fmt: skip

@@ -50,6 +50,14 @@ class TouchesAhead(NamedTuple):
     normals: np.ndarray  # (N, 3) from a to b, as it will be
 
 
+class HeldBack(NamedTuple):
+    """How n bodies move within a step."""
+
+    velocities: np.ndarray  # (n, 6) [m/s, rad/s] that they keep
+    drift: np.ndarray  # (n, 6) with which they move beside these, in this step only
+    shares: np.ndarray  # (n,) of the step, after which they stand still
+
+
 def split_by_gap(
     contacts: ContactConstraintArray, most: float
 ) -> tuple[ContactConstraintArray, TouchesAhead | None]:
@@ -81,7 +89,7 @@ def held_back(
     states: BodyStates, contacts: ContactConstraintArray, pairs: BodyPairs, ahead: TouchesAhead | None,
     told: np.ndarray | None, is_round: np.ndarray, velocities: np.ndarray, drift: np.ndarray, gravity: np.ndarray,
     settings: SolverSettings, time_step: float,
-) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+) -> HeldBack:  # fmt: skip
     """Velocities and drift (n, 6) with which bodies go no farther than to where they touch. Gravity (3,) [m/s2] acts
     for as long as they move: what it gives beyond would be energy for a height that is not lost. To what touches
     something it gives at most what that falls by: what rests has its weight borne.
@@ -101,7 +109,7 @@ def held_back(
         shares = _shares_as_told(pairs, told, moves, reach, spare, time_step)
     touching = _touching(contacts, pairs, goes_round, settings, DEEPER if told is not None else 1.0)
     if ahead is None and touching is None and told is None:
-        return velocities, drift
+        return HeldBack(velocities, drift, shares)
     parts = [] if touching is None else [touching]
     if ahead is not None:
         rows = [rows_of(fragments, states.fragment_ids) for fragments in (ahead.fragment_a, ahead.fragment_b)]
@@ -121,7 +129,7 @@ def held_back(
         unspent = np.where(is_free[:count], unspent, np.minimum(unspent, falls / square))
     velocities = velocities.copy()
     velocities[:, :3] -= unspent[:, None] * gravity
-    return velocities, shares[:, None] * moves - velocities
+    return HeldBack(velocities, shares[:, None] * moves - velocities, shares)
 
 
 def _shares_as_told(
