@@ -53,6 +53,8 @@ NARROWER, NARROWINGS = 0.25, 5
 THIN = 0.2
 # A pair with so small a gap, as a share of R, is about to touch: to a solver it touches.
 ABOUT_TO = 0.1
+# Where a contact found before would be as deep as this share of R, or as THIN, nobody goes on.
+HELD = 0.03
 # Where two touch already, they come nearer by no less than this share of the thinner one at a time.
 SHORTEST_OF_THIN = 0.1
 
@@ -80,8 +82,8 @@ def first_touch(
     farthest = FARTHEST_REACH * radius
     is_round, deep = pools.fragment.kind[a] == SPHERE or pools.fragment.kind[b] == SPHERE, math.inf
     if touches:
-        thickness = _thickness(pools, a, b)
-        shortest, deep = max(shortest, SHORTEST_OF_THIN * thickness), THIN * thickness
+        thickness = _thickness(pools.fragment.box, a, b)
+        shortest, deep = max(shortest, SHORTEST_OF_THIN * thickness), min(THIN * thickness, HELD * radius)
         if shortest > MOST_REACH * radius:
             farthest = 0.0
     toward = scratch.ahead_toward[thread]
@@ -195,9 +197,8 @@ def may_touch_again(
     for c in range(count):
         least_gap = min(least_gap, contacts[c, 9])
     # who is in the other as deep as that already may be anywhere
-    if least_gap > least or -least_gap > THIN * _thickness(pools, a, b) or not may_get_through(
-        pools, a, b, i, j, motion
-    ):
+    thin = THIN * _thickness(pools.fragment.box, a, b)
+    if least_gap > least or -least_gap > thin or not may_get_through(pools.fragment.box, a, b, i, j, motion):
         return False
     if moment > 0.0:
         return True
@@ -209,7 +210,7 @@ def may_touch_again(
         return True
     x, y, z = rotated(rotations[j], x, y, z)
     closing = closing_along(motion, i, j, 0.0, motion.time, x, y, z)
-    return max(closing, 0.0) * motion.time - gap > THIN * _thickness(pools, a, b)
+    return max(closing, 0.0) * motion.time - gap > thin
 
 
 @inlined_kernel
@@ -241,17 +242,19 @@ def boxes_stay_apart(pools, a, b, i, j, rotation, translation, rotations, motion
 
 
 @inlined_kernel
-def may_get_through(pools, a, b, i, j, motion):
-    """Whether fragments a and b, the i-th and j-th of `motion`, come nearer by more than a part of the thinner one."""
-    return closing_speed(motion, i, j, 0.0, motion.time) * motion.time > THIN * _thickness(pools, a, b)
+def may_get_through(boxes, a, b, i, j, motion):
+    """Whether fragments a and b, the i-th and j-th of `motion`, come nearer by more than a part of the thinner one;
+    boxes (F, 6) [m]: of all.
+    """
+    return closing_speed(motion, i, j, 0.0, motion.time) * motion.time > THIN * _thickness(boxes, a, b)
 
 
 @inlined_kernel
-def _thickness(pools, a, b):
+def _thickness(boxes, a, b):
     """[m] of the thinner one's box."""
     least = math.inf
     for f in (a, b):
-        box = pools.fragment.box[f]
+        box = boxes[f]
         least = min(least, box[3] - box[0], box[4] - box[1], box[5] - box[2])
     return least
 

@@ -35,19 +35,19 @@ NO_MOTION = Motion(0.0, np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)), np
 
 
 @kernel
-def motion_of(fragment, rows, rotations, positions, centers, linear, angular, time):
-    """The Motion of fragments `rows` (n,) of a FragmentPool with poses (n, 3, 3), (n, 3) for `time` [s]; centers (n, 3)
-    [m]: of mass, in body frames; linear, angular (n, 3): velocities of the frames' origins [m/s], and spins [rad/s].
-    Planes stand still.
+def motion_of(kinds, boxes, rows, rotations, positions, centers, linear, angular, time):
+    """The Motion of fragments `rows` (n,), with kinds and boxes (F,), (F, 6) of a FragmentPool and poses (n, 3, 3),
+    (n, 3), for `time` [s]; centers (n, 3) [m]: of mass, in body frames; linear, angular (n, 3): velocities of the
+    frames' origins [m/s], and spins [rad/s]. Planes stand still.
     """
     n = len(rows)
     placed, velocities, spins, reach = positions.copy(), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n)
     for i in range(n):
-        if fragment.kind[rows[i]] == PLANE:
+        if kinds[rows[i]] == PLANE:
             reach[i] = ENDLESS
             continue
         arm = np.zeros(3)
-        box, square = fragment.box[rows[i]], 0.0
+        box, square = boxes[rows[i]], 0.0
         for k in range(3):
             for j in range(3):
                 arm[k] += rotations[i, k, j] * centers[i, j]
@@ -58,6 +58,16 @@ def motion_of(fragment, rows, rotations, positions, centers, linear, angular, ti
             placed[i, k], velocities[i, k], spins[i, k] = positions[i, k] + arm[k], linear[i, k] + turn[k], w[k]
         reach[i] = math.sqrt(square)
     return Motion(time, placed, velocities, spins, reach)
+
+
+@kernel
+def fastest(velocities):
+    """The largest absolute value of velocities (n, 3)."""
+    most = 0.0
+    for i in range(len(velocities)):
+        for d in range(3):
+            most = max(most, abs(velocities[i, d]))
+    return most
 
 
 @inlined_kernel
@@ -147,6 +157,13 @@ def closing_along(motion, i, j, t, left, x, y, z):
     vx, vy, vz, turning, farther, sway = _seen_from(motion, j, i, t, left)
     turning = min(turning, across * motion.reach[j] + _spin(u) * left * turning)
     return min(closing, turning + farther + sway + (x * vx + y * vy + z * vz))
+
+
+@inlined_kernel
+def between_balls(motion, i, j):
+    """[m] how far apart two are at least now, by the balls about their centres of mass; negative: these overlap."""
+    a, b = motion.centers[i], motion.centers[j]
+    return math.sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2) - motion.reach[i] - motion.reach[j]
 
 
 @inlined_kernel

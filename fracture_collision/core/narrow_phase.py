@@ -26,7 +26,7 @@ from fracture_collision.core.kept_answer import (
     pose_bits,
 )
 from fracture_collision.core.known_samples import rounding_slack
-from fracture_collision.core.motion import NO_MOTION, Motion, closing_speed, is_moving
+from fracture_collision.core.motion import NO_MOTION, Motion, between_balls, closing_speed, is_moving
 from fracture_collision.core.neighbour_lists import (
     FAST,
     FULL,
@@ -203,6 +203,7 @@ def _query_share(
         if motion.time > 0.0:
             # by searches of their own: whatever is remembered, they are the same
             moment, ahead = 0.0, Rule(wanted, min(max(most, wanted), limit), rule.epsilon, rule.near)
+            clear = max(clear, between_balls(motion, i, j) - rule.near)
             is_clear = found != 0 or closing_speed(motion, i, j, 0.0, motion.time) * motion.time <= clear
             if not is_clear and not boxes_stay_apart(
                 pools, a, b, i, j, rotation, translation, rotations, motion, rule.near
@@ -290,7 +291,7 @@ def query_pairs(
             before.answer, pools.fragment.kind, rows, poses, pairs, slots, known, shares, share, counts, bounds
         )
         if motion.time > 0.0:
-            moved = _without_those_that_leave(pools, rows, pairs, motion, counts, stands_at)
+            moved = _without_those_that_leave(pools.fragment.box, rows, pairs, motion, counts, stands_at)
 
     def search(todo: np.ndarray, limit: int, room: int) -> np.ndarray:
         """Search the pairs `todo`, with `room` contacts a thread; returns those that there was no room for."""
@@ -359,16 +360,16 @@ def query_pairs(
 
 
 @kernel
-def _without_those_that_leave(pools, rows, pairs, motion, counts, stands_at):
+def _without_those_that_leave(boxes, rows, pairs, motion, counts, stands_at):
     """Of pairs in place, see pairs_in_place, those that move stay so only if they touch, and do it so slowly that what
-    they touch now is all they will; returns who is not in place then (m,).
+    they touch now is all they will; returns who is not in place then (m,). boxes (F, 6) [m]: of all fragments.
     """
     is_in_motion = is_moving(motion)
     for p in range(len(pairs)):
         i, j = pairs[p, 0], pairs[p, 1]
         if stands_at[p] < 0 or not (is_in_motion[i] or is_in_motion[j]):
             continue
-        if counts[p] == 0 or may_get_through(pools, rows[i], rows[j], i, j, motion):
+        if counts[p] == 0 or may_get_through(boxes, rows[i], rows[j], i, j, motion):
             stands_at[p] = -1
     return np.flatnonzero(stands_at < 0)
 

@@ -11,7 +11,7 @@ import numpy as np
 from fracture_collision.core.broad_phase import NOTHING_PAIRED, Paired, pairs_within_reach
 from fracture_collision.core.collision_geometry import CollisionGeometry
 from fracture_collision.core.crew import Crew
-from fracture_collision.core.motion import NO_MOTION, Motion, motion_of
+from fracture_collision.core.motion import NO_MOTION, Motion, fastest, motion_of
 from fracture_collision.core.narrow_phase import (
     NOTHING_REMEMBERED,
     Remembered,
@@ -240,13 +240,12 @@ class CollisionWorld:
         if not time:
             return NO_MOTION
         for name, velocities in (("linear_velocities", here.linear), ("angular_velocities", here.angular)):
-            if np.abs(velocities).max(initial=0.0) * time > FARTHEST_AHEAD:
+            if fastest(velocities) * time > FARTHEST_AHEAD:
                 refuse("out_of_range", f"{name}: beyond {FARTHEST_AHEAD:g} within lookahead = {time:g} s")
-        registry = self._registry
-        centers = registry.centers_of_mass(here.ids)
+        fragment = self._registry.geometry.pools.fragment
         return motion_of(
-            registry.geometry.pools.fragment, here.rows, here.rotations, here.positions, centers, here.linear,
-            here.angular, time,
+            fragment.kind, fragment.box, here.rows, here.rotations, here.positions,
+            self._registry.centers_of_mass(here.ids), here.linear, here.angular, time,
         )  # fmt: skip
 
     def _answer_again(

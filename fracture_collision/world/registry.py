@@ -31,6 +31,7 @@ class Registry:
         self.sequence = 0
         self.renumbered = 0  # how often the rows of all fragments have changed
         self.changes = 0  # how often anything has
+        self._centers, self._centers_at = np.zeros((0, 3)), 0  # of mass, of all; and the changes they are of
         self._bodies: dict[int, CheckedBody] = {}
         self._chain = hashlib.sha256().digest()
         self._living = LivingFragments()
@@ -107,10 +108,11 @@ class Registry:
     def centers_of_mass(self, ids: np.ndarray) -> np.ndarray:
         """Of living fragments `ids` (n,), ascending: (n, 3) [m], body frame."""
         living = self._living.columns()
-        masses = self._masses(living)
+        if self._centers_at != self.changes:
+            self._centers, self._centers_at = np.ascontiguousarray(self._masses(living)[:, 1:4]), self.changes
         if len(ids) == len(living.ids):
-            return np.ascontiguousarray(masses[:, 1:4])
-        return masses[np.searchsorted(living.ids, ids), 1:4]
+            return self._centers
+        return self._centers[np.searchsorted(living.ids, ids)]
 
     def _masses(self, living: Columns) -> np.ndarray:
         """(n, MASS_VALUES) of all, those that are new among them."""
