@@ -191,17 +191,6 @@ def test_the_answer_does_not_depend_on_what_is_remembered(case: FracturedWorld) 
                 assert np.asarray(x).tobytes() == np.asarray(y).tobytes(), (k, name)
 
 
-def test_the_answer_does_not_depend_on_the_room(case: FracturedWorld, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pairs that find no room left are searched again, and again for what they touch next."""
-    states = thrown(case, 2, 10.0)._replace(positions=case_positions(case, 0))
-    worlds = [with_others(case, SETTINGS._replace(lookahead=0.1 * AHEAD)) for _ in range(2)]
-    enough = worlds[0].contacts(states)
-    monkeypatch.setattr(narrow_phase, "FIRST_ROOM", 1)
-    monkeypatch.setattr(narrow_phase, "LEAST_ROOM", 1)
-    for name, x, y in zip(enough._fields, enough, worlds[1].contacts(states), strict=True):
-        assert np.asarray(x).tobytes() == np.asarray(y).tobytes(), name
-
-
 def test_what_turns_above_a_floor_meets_it() -> None:
     """Its middle stays where it is; seen from it, the floor's far parts come up at any speed."""
     world = CollisionWorld(SETTINGS._replace(lookahead=0.0025))
@@ -250,27 +239,40 @@ def test_a_fast_ball_is_seen_before_it_is_through() -> None:
     assert len(world.contacts(slower).gaps) == 0
 
 
-def test_what_touches_with_one_end_is_seen_to_hit_with_the_other() -> None:
-    """A rod of 10 cm stands on one end, tilted by 20 degrees, and turns down about that end."""
-    world, now = CollisionWorld(SETTINGS), CollisionWorld(SETTINGS._replace(lookahead=0.0))
-    for each in (world, now):
-        each.add_body(tetrahedral_body(brick((0.5, 0.5, 0.01), 0.1), 1))
-        each.add_body(tetrahedral_body(brick((0.1, 0.008, 0.008), 0.02), 2))
+def rod_on_one_end(world: CollisionWorld, degrees: float) -> FragmentStates:
+    """A rod of 10 cm stands on a plate on one end, tilted by 20 degrees, and turns down by so many about that end."""
+    world.add_body(tetrahedral_body(brick((0.5, 0.5, 0.01), 0.1), 1))
+    world.add_body(tetrahedral_body(brick((0.1, 0.008, 0.008), 0.02), 2))
     turn, end = Rotation.from_rotvec([0.0, -np.radians(20.0), 0.0]), np.array([-0.05, 0.0, -0.004])
     place = np.array([0.0, 0.0, 0.005 + 1e-5]) - turn.apply(end)  # 0.01 mm above the plate
-    for spin, hits in ((np.radians(40.0) / SETTINGS.lookahead, True), (np.radians(10.0) / SETTINGS.lookahead, False)):
-        w = np.array([0.0, spin, 0.0])
-        states = FragmentStates(
-            1, 0, np.array([1, 2], np.uint32), np.concatenate([np.zeros(3), place]),
-            np.concatenate([[0.0, 0.0, 0.0, 1.0], turn.as_quat()]),
-            np.concatenate([np.zeros(3), np.cross(w, turn.apply(-end))]), np.concatenate([np.zeros(3), w]),
-        )  # fmt: skip
-        listed, touching = world.contacts(states), now.contacts(states)
-        assert 0 < len(touching.gaps) == (listed.gaps < 1e-3).sum()
-        assert np.array_equal(listed.contact_ids[: len(touching.gaps)], touching.contact_ids)
-        # its lower edge at the other end is 0.1 sin 20 above where it hits
-        far = listed.gaps[listed.gaps > 1e-3]
-        assert (len(far) > 0) == hits and (not hits or abs(far.max() - 0.1 * np.sin(np.radians(20.0))) < 2e-3)
+    w = np.array([0.0, np.radians(degrees) / SETTINGS.lookahead, 0.0])
+    return FragmentStates(
+        1, 0, np.array([1, 2], np.uint32), np.concatenate([np.zeros(3), place]),
+        np.concatenate([[0.0, 0.0, 0.0, 1.0], turn.as_quat()]),
+        np.concatenate([np.zeros(3), np.cross(w, turn.apply(-end))]), np.concatenate([np.zeros(3), w]),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("degrees", "hits"), [(40.0, True), (10.0, False)])
+def test_what_touches_with_one_end_is_seen_to_hit_with_the_other(degrees: float, hits: bool) -> None:
+    world, now = CollisionWorld(SETTINGS), CollisionWorld(SETTINGS._replace(lookahead=0.0))
+    listed = world.contacts(rod_on_one_end(world, degrees))
+    touching = now.contacts(rod_on_one_end(now, degrees))
+    assert 0 < len(touching.gaps) == (listed.gaps < 1e-3).sum()
+    assert np.array_equal(listed.contact_ids[: len(touching.gaps)], touching.contact_ids)
+    # its lower edge at the other end is 0.1 sin 20 above where it hits
+    far = listed.gaps[listed.gaps > 1e-3]
+    assert (len(far) > 0) == hits and (not hits or abs(far.max() - 0.1 * np.sin(np.radians(20.0))) < 2e-3)
+
+
+def test_the_answer_does_not_depend_on_the_room(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A pair that finds no room left is searched again, and again for what it touches next."""
+    worlds = [CollisionWorld(SETTINGS) for _ in range(2)]
+    enough = worlds[0].contacts(rod_on_one_end(worlds[0], 40.0))
+    monkeypatch.setattr(narrow_phase, "FIRST_ROOM", 1)
+    monkeypatch.setattr(narrow_phase, "LEAST_ROOM", 1)
+    for name, x, y in zip(enough._fields, enough, worlds[1].contacts(rod_on_one_end(worlds[1], 40.0)), strict=True):
+        assert np.asarray(x).tobytes() == np.asarray(y).tobytes(), name
 
 
 def test_nonsense_is_refused() -> None:
