@@ -135,7 +135,7 @@ def _is_same_file(scene: str, file: Path) -> bool:
 def _table(report: dict[str, Any]) -> Table:
     summary = report["summary"]
     rows = [
-        ("fragments at the end", f"{report['living_fragments']}", ""),
+        ("fragments at the end, fixed ones too", f"{report['living_fragments']}", ""),
         ("triangles of their surfaces", f"{report['triangles']}", ""),
         ("contacts a step", *(f"{summary['contacts'][name]:.0f}" for name in ("median", "worst"))),
     ]
