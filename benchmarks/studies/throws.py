@@ -245,7 +245,8 @@ def section(tables: Mapping[str, Table]) -> str:
     return f"""\
 {total["throws"]} throws at {speeds} m/s, in steps of {steps} ms, a quarter flat on, a quarter edge on, the others
 spinning at up to {MOST_SPIN:g} rad/s, simulated with `surfaces: edges` and `lookahead` at the step, and judged at
-moments between which nothing moves farther than a quarter of the thinner one's thickness. {total["touch"]} touch.
+moments between which nothing moves farther than a quarter of the thinner one's thickness; what will touch moves until
+it does, and waits. How deep what is deep is, libigl says. {total["touch"]} touch.
 Through, that is, more than half way through the thinner one at any moment: {total["through"]}. Deeper than 0.5 mm at
 any moment: {total["deep"]}. Ghosts, that is, held back or turned aside by what they would have passed at more than
 0.2 % R: {total["ghosts"]}. The largest rise of the energy in a step, as a share of the energy at first: {gain:.1g}.
