@@ -307,6 +307,9 @@ def query_pairs(
         passes.append((todo, contacts, ids, begin))
         return todo[begin[todo] < 0]
 
+    def most_kept() -> int:
+        return _level(counts, limits.contacts) if int(counts.sum()) > limits.contacts else UNLIMITED
+
     def first_room(count: int) -> int:
         return max(LEAST_ROOM, min(FIRST_ROOM * count, limits.contacts) // crew.threads)
 
@@ -318,8 +321,7 @@ def query_pairs(
         if cuts and limits.further_visits // (2 * cuts) > share:
             further[cut] = limits.further_visits // (2 * cuts)
             search(cut, limits.contacts_per_pair, first_room(cuts))
-        # where there are not too many, who found no room may have more than is known yet
-        level = _level(counts, limits.contacts) if total > limits.contacts else limits.contacts_per_pair
+        level = most_kept()
         is_stored = stands_at >= 0
         for todo, _, _, begin in passes:
             is_stored[todo] |= begin[todo] >= 0
@@ -329,6 +331,9 @@ def query_pairs(
             room = max(int(needed[t :: crew.threads].sum()) for t in range(crew.threads))
             stands_at[todo] = -1
             todo = search(todo, min(level, limits.contacts_per_pair), room)
+            if not len(todo):  # those that found no room had more than was known
+                level = most_kept()
+                todo = np.flatnonzero(counts > level)
     offsets = np.zeros(p + 1, np.int64)
     np.cumsum(counts, out=offsets[1:])
     total = int(offsets[-1])
