@@ -8,7 +8,10 @@ from fractured_worlds import FracturedWorld, fractured_world, with_settings
 from hard_worlds import tetrahedral_body
 from scipy.spatial.transform import Rotation
 
-from fracture_collision.core import narrow_phase
+from fracture_collision.core import kinds, narrow_phase
+from fracture_collision.core.motion import put_pose
+from fracture_collision.core.pools import SIZE
+from fracture_collision.core.staying_apart import least_gap_ahead
 from fracture_collision.geometry.generators import ball, brick, shell
 from fracture_collision.records import (
     BOX,
@@ -19,12 +22,13 @@ from fracture_collision.records import (
     FragmentStates,
     SolidPrimitive,
 )
-from fracture_collision.world import CollisionWorld, InvalidMessage, Settings
+from fracture_collision.world import CollisionWorld, InvalidMessage, Settings, collision_world
 
 AHEAD = 0.02  # [s]
 SETTINGS = Settings(threads=1, lookahead=AHEAD)
 MOMENTS = 400
 BALL, BLOCK, FLOOR = 3000, 3001, 3002
+SIZES = {BALL: 0.3, BLOCK: 0.25, FLOOR: np.inf}  # [m] R; of all others 1 m
 
 
 @pytest.fixture(scope="module", params=["ball", "shell, curved"])
@@ -83,7 +87,7 @@ def rows_of(answer: ContactConstraintArray) -> dict[tuple[int, int], slice]:
 
 @pytest.mark.parametrize(("spin", "surfaces"), [(0.0, "sampled"), (10.0, "sampled"), (10.0, "edges")])
 def test_lists_what_the_slow_way_meets(case: FracturedWorld, spin: float, surfaces: str) -> None:
-    """A pair that is apart now is listed if it is met on the way, with points that meet when it is."""
+    """A pair that is apart now is listed if it will be deeper than epsilon, with points that meet when it is met."""
     settings = SETTINGS._replace(surfaces=surfaces)
     world, now = with_others(case, settings), with_others(case, settings._replace(lookahead=0.0))
     met = unmet = unfollowed = 0
@@ -91,15 +95,8 @@ def test_lists_what_the_slow_way_meets(case: FracturedWorld, spin: float, surfac
         states = thrown(case, seed, spin)
         listed, touching = world.contacts(states), rows_of(now.contacts(states))
         ahead = {pair: rows for pair, rows in rows_of(listed).items() if pair not in touching}
-        first: dict[tuple[int, int], float] = {}
-        for k in range(1, MOMENTS + 1):
-            t = AHEAD * k / MOMENTS
-            for pair in rows_of(now.contacts(later(now, states, t))):
-                first.setdefault(pair, t)
-        for pair in first.keys() - touching.keys() - ahead.keys():
-            # who was not followed to the end says so
-            assert listed.status == BUDGET_EXHAUSTED and bound_of(listed, pair) > 0.01, (seed, pair, first[pair])
-            unfollowed += 1
+        first, deep = slow_way(now, states)
+        unfollowed += unlisted(listed, deep - touching.keys() - ahead.keys())
         reach = 2.0 * 0.002 + 0.3 * (20.0 + spin) * AHEAD / MOMENTS
         for pair, rows in ahead.items():
             assert pair in first or listed.gaps[rows].min() > 0.0
@@ -112,6 +109,76 @@ def test_lists_what_the_slow_way_meets(case: FracturedWorld, spin: float, surfac
             met += 1
     # what only grazes the tolerance may be met between two moments of one way and not of the other
     assert met > 10 and unmet <= 1 and unfollowed <= 1
+
+
+def test_what_spins_fast_is_not_missed(case: FracturedWorld) -> None:
+    """By three radians in the time: the ways of its points are far from straight."""
+    world, now = with_others(case, SETTINGS), with_others(case, SETTINGS._replace(lookahead=0.0))
+    met = unfollowed = 0
+    for seed in range(10):
+        states = thrown(case, seed, 150.0)
+        listed, touching = world.contacts(states), rows_of(now.contacts(states))
+        _, deep = slow_way(now, states)
+        unfollowed += unlisted(listed, deep - touching.keys() - rows_of(listed).keys())
+        met += len(deep - touching.keys())
+    assert met > 30 and unfollowed <= 1
+
+
+@pytest.mark.parametrize("spin", [0.0, 10.0, 150.0])
+def test_a_gap_is_never_less_than_what_is_known_of_it(
+    case: FracturedWorld, spin: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Along any direction, beside the gap at 200 moments; without spins it is the least of these."""
+    asked = []
+    monkeypatch.setattr(collision_world, "query_pairs", lambda *a: asked.append(a) or narrow_phase.query_pairs(*a))
+    world = with_others(case, SETTINGS)
+    world.contacts(thrown(case, 0, spin))
+    (pools, rows, rotations, positions, pairs), scratch, motion = asked[0][:5], asked[0][10], asked[0][16]
+    random, known = np.random.default_rng(1), []
+    for i, j in pairs[:40]:
+        a, b = rows[i], rows[j]
+        if {pools.fragment.kind[a], pools.fragment.kind[b]} & {kinds.PLANE, kinds.SPHERE}:
+            continue
+        n = random.normal(size=3)
+        n /= np.linalg.norm(n)
+        ways = []
+        for f, k, sign in ((a, i, 1.0), (b, j, -1.0)):
+            begin, end = pools.fragment.tree_begin[f], pools.fragment.tree_end[f]
+            points = pools.tree.spheres[begin:end][pools.tree.entries[begin:end, SIZE] == 1, :3]
+            ways.append([])
+            for t in np.linspace(0.0, AHEAD, 200):
+                turn, place = np.zeros((3, 3)), np.zeros(3)
+                put_pose(motion, rotations, positions, k, t, turn, place)
+                ways[-1].append(sign * (sign * (points @ turn.T + place) @ n).min())
+        gaps = np.subtract(*ways)
+        least = least_gap_ahead(
+            pools, a, b, i, j, rotations, positions, motion, 0.0, gaps[0], tuple(n), 0.0, scratch, 0
+        )  # fmt: skip
+        assert least <= gaps.min() + 1e-12
+        assert spin > 0.0 or least > gaps.min() - 1e-5
+        known.append(gaps.min() - least)
+    assert len(known) > 10 and (spin > 10.0 or np.median(known) < 0.05)
+
+
+def slow_way(now: CollisionWorld, states: FragmentStates) -> tuple[dict[tuple[int, int], float], set[tuple[int, int]]]:
+    """Who is met on the way and when first [s], and who is deeper than epsilon at some moment."""
+    first: dict[tuple[int, int], float] = {}
+    deep = set()
+    for k in range(1, MOMENTS + 1):
+        t = AHEAD * k / MOMENTS
+        there = now.contacts(later(now, states, t))
+        for pair, rows in rows_of(there).items():
+            first.setdefault(pair, t)
+            if there.gaps[rows].min() < -SETTINGS.penetration_tolerance * min(SIZES.get(f, 1.0) for f in pair):
+                deep.add(pair)
+    return first, deep
+
+
+def unlisted(listed: ContactConstraintArray, pairs: set[tuple[int, int]]) -> int:
+    """How many these are; who was not followed to the end says so."""
+    for pair in pairs:
+        assert listed.status == BUDGET_EXHAUSTED and bound_of(listed, pair) > 0.01, pair
+    return len(pairs)
 
 
 def bound_of(answer: ContactConstraintArray, pair: tuple[int, int]) -> float:

@@ -4,7 +4,8 @@ Conservative advancement (Mirtich, "Impulse-based Dynamic Simulation of Rigid Bo
 cannot touch before it has come that much nearer, so that time is skipped and the distance taken anew, until the two are
 within the detection tolerance or the time ahead is over. The distance is that of the hulls, along the plane that parts
 them, whose way towards each other is bounded along that plane's normal; where the hulls meet, that of the samples. What
-no sample of either meets goes unseen, as it does without any motion.
+no sample of either meets goes unseen, as it does without any motion. Two that will be no deeper in each other than the
+penetration tolerance are not looked at, or no longer: most that move slowly.
 
 The contacts found are those of that moment; their points are told where they are now, on either fragment, with the
 normal of that moment, so that the gap is what the points have to go.
@@ -21,16 +22,15 @@ import math
 from fracture_collision.core.compiled import inlined_kernel, query_kernel
 from fracture_collision.core.elementary_queries import INSIDE, bounded_probe
 from fracture_collision.core.facing_normal import turn_contacts
-from fracture_collision.core.kinds import PLANE, SPHERE
+from fracture_collision.core.kinds import SPHERE
 from fracture_collision.core.known_samples import ID_SAMPLE, ID_SIDE, rounding_slack
-from fracture_collision.core.leaf_separation import parting_plane_of_leaves
 from fracture_collision.core.motion import closing_along, closing_speed, put_pose
-from fracture_collision.core.neighbour_lists import MOST_AHEAD, MOST_REACH, NEAR_LAST, UNTIL, least_left
+from fracture_collision.core.neighbour_lists import MOST_AHEAD, NEAR_LAST, UNTIL, least_left
 from fracture_collision.core.pools import FACING
 from fracture_collision.core.ridge_contacts import least_apart
 from fracture_collision.core.rotations import relative_pose, rotated, to_other, turned_back
-from fracture_collision.core.sample_leaves import farthest_sample, leaves_of
 from fracture_collision.core.sample_search import may_search, query_listed, search_samples
+from fracture_collision.core.staying_apart import THIN, gap_of_hulls, least_gap_ahead, thickness
 from fracture_collision.core.traversal import query_pair
 
 # Moments at most at which two are looked at. They are spent where one goes along a surface of the other: where the rest
@@ -43,16 +43,17 @@ LEAST = 2.0
 SHORTEST = 1e-4
 UNLIMITED = 1 << 40
 # How far a sample is is looked for up to this share of R, or of the way that is left: what is farther takes longer to
-# say than to ask again. And which samples may be near, up to this share of the way, or MOST_REACH.
-AHEAD, AHEAD_ON_WAY, REACH_ON_WAY = 0.004, 0.05, 0.15
-# But no farther than this share of R: then all are near.
+# say than to ask again.
+AHEAD, AHEAD_ON_WAY = 0.004, 0.05
+# And which samples may be near: up to the largest of these shares of R and of the way, and of so many of the shortest
+# steps. A search is worth some ten queries of what it lists.
+REACH, REACH_ON_WAY, REACH_IN_STEPS = 0.05, 0.15, 4.0
+# But no farther than this share of R: then all are near. Where that is less than two steps, none is listed.
 FARTHEST_REACH = 0.2
+# What is listed for the whole way left is listed for a little more: no rounding ends it before the time is over.
+TO_THE_END = 1.001
 # Where more than MOST_AHEAD are within that, it is made so much less, so often at most.
 NARROWER, NARROWINGS = 0.25, 5
-# A pair that comes nearer by no more than this share of what is thinner does not get through it.
-THIN = 0.2
-# A pair with so small a gap, as a share of R, is about to touch: to a solver it touches.
-ABOUT_TO = 0.1
 # Where a contact found before would be as deep as this share of R, or as THIN, nobody goes on.
 HELD = 0.03
 # Where two touch already, they come nearer by no less than this share of the thinner one at a time.
@@ -77,18 +78,22 @@ def first_touch(
     radius = min(pools.fragment.radius[a], pools.fragment.radius[b])
     of_world, place = scratch.world_rotation[thread], scratch.world_position[thread]
     visits, t, listed, ridges, lasts, touches, unseen = 0, start, -1, 0, 0.0, known > 0, 0.0
+    apart = True
     new, held_by = 0, 0 if start > 0.0 else known
     shortest = max(LEAST * rule.near, SHORTEST * radius)
-    farthest = FARTHEST_REACH * radius
     is_round, deep = pools.fragment.kind[a] == SPHERE or pools.fragment.kind[b] == SPHERE, math.inf
     if touches:
-        thickness = _thickness(pools.fragment.box, a, b)
-        shortest, deep = max(shortest, SHORTEST_OF_THIN * thickness), min(THIN * thickness, HELD * radius)
-        if shortest > MOST_REACH * radius:
-            farthest = 0.0
+        thin = thickness(pools.fragment.box, a, b)
+        shortest, deep = max(shortest, SHORTEST_OF_THIN * thin), min(THIN * thin, HELD * radius)
+    way = REACH_ON_WAY * closing_speed(motion, i, j, start, motion.time - start) * (motion.time - start)
+    reach = min(max(REACH * radius, way, REACH_IN_STEPS * shortest), FARTHEST_REACH * radius)
+    if reach < 2.0 * shortest:
+        reach = 0.0
     toward = scratch.ahead_toward[thread]
     toward[0] = toward[1] = toward[2] = 0.0
     for moment in range(MOST_MOMENTS):
+        if touches and known + new + max(rule.most, rule.wanted) > limit:
+            break
         put_pose(motion, rotations, positions, i, t, of_world[0], place[0])
         put_pose(motion, rotations, positions, j, t, of_world[1], place[1])
         relative_pose(of_world[0], place[0], of_world[1], place[1], rotation[0], translation[0])
@@ -97,27 +102,34 @@ def first_touch(
         speed = closing_speed(motion, i, j, t, left)
         far, step = speed * left, 0.0
         gap, nx, ny, nz = -math.inf, 0.0, 0.0, 0.0
-        if (listed < 0 or lasts <= 0.0) and not (touches and moment == 0):
-            gap, nx, ny, nz = _gap_of_hulls(
-                pools, a, b, rotation, translation, far + rule.near, toward, scratch, thread
-            )
+        is_known = touches and moment == 0
+        if (listed < 0 or lasts <= 0.0) and apart and not is_known:
+            gap, nx, ny, nz = gap_of_hulls(pools, a, b, rotation, translation, far, toward, scratch, thread)
         if gap > rule.near:
             x, y, z = rotated(of_world[1], nx, ny, nz)
             closing = min(closing_along(motion, i, j, t, left, x, y, z), speed)
-            if gap - rule.near > closing * left:
+            if gap + rule.epsilon > closing * left:
+                return new, t, visits, unseen
+            n, slack = (x, y, z), rounding_slack(pools, a, b, translation)
+            least = least_gap_ahead(
+                pools, a, b, i, j, rotations, positions, motion, t, gap, n, slack, scratch, thread
+            )
+            if least > -rule.epsilon:
                 return new, t, visits, unseen
             step, listed = (gap - rule.near) / closing, -1
-        elif touches and moment == 0 and farthest == 0.0:
-            pass  # what is near now is known, and nothing is listed
+        elif is_known and reach == 0.0:
+            pass  # and nothing is listed
         else:
+            apart = is_known
+            room = 0 if is_known else capacity - known - new
             found, clear, listed, ridges, lasts, more = _near_now(
-                pools, edges, a, b, rotation, translation, rule, far, radius, touches, farthest, listed, ridges, lasts,
-                contacts[known + new :], ids[known + new :], capacity - known - new, scratch, thread,
+                pools, edges, a, b, rotation, translation, rule, far, radius, touches, reach, listed, ridges, lasts,
+                contacts[known + new :], ids[known + new :], room, scratch, thread,
             )  # fmt: skip
             visits += more
-            if touches and moment == 0:
-                found = 0  # what is near now is known
-            if found > capacity - known - new:
+            if is_known:
+                found = 0
+            if found > room:
                 return new + found, t, visits, unseen
             if found > 0:
                 out, out_ids = contacts[known + new :], ids[known + new :]
@@ -131,10 +143,10 @@ def first_touch(
                 new += _keep_new(contacts, ids, known + new, found, rule.near)
             if new > 0:
                 held = contacts[held_by : known + new], ids[held_by : known + new]
-                gap = _gap_then(*held, i, j, rotations, positions, of_world, place)
-                if is_round or gap < -deep or known + new + max(rule.most, rule.wanted) > limit:
+                gap = _gap_then(*held, i, j, rotations, positions, rotation, translation)
+                if is_round or gap < -deep:
                     return new, t, visits, unseen
-            if clear > far or not left > 0.0:
+            if clear + rule.near + rule.epsilon > far or not left > 0.0:
                 return new, t, visits, unseen
             step = clear / speed
         if not speed > 0.0:
@@ -166,136 +178,29 @@ def _keep_new(contacts, ids, known, found, near):
 
 
 @inlined_kernel
-def _gap_then(contacts, ids, i, j, rotations, positions, of_world, place):
-    """The least gap [m] of contacts, told where fragments are now, once these are at of_world (2, 3, 3), place (2, 3);
-    each along its normal, that turns with whom the sample is not of.
+def _gap_then(contacts, ids, i, j, rotations, positions, rotation, translation):
+    """The least gap [m] of contacts, told where fragments are now, once their relative poses are rotation (2, 3, 3),
+    translation (2, 3); each along its normal, that turns with whom the sample is not of.
     """
     least = math.inf
     for c in range(len(contacts)):
         side, row = ids[c, ID_SIDE], contacts[c]
         own, other = (i, j) if side == 0 else (j, i)
-        x, y, z = rotated(rotations[other], row[0], row[1], row[2])
-        p, q = positions[own], positions[other]
-        x, y, z = turned_back(rotations[own], x + q[0] - p[0], y + q[1] - p[1], z + q[2] - p[2])
-        x, y, z = rotated(of_world[side], x, y, z)
-        p, q = place[side], place[1 - side]
-        x, y, z = turned_back(of_world[1 - side], x + p[0] - q[0], y + p[1] - q[1], z + p[2] - q[2])
+        x, y, z = to_other(rotations[other], positions[other], row[0], row[1], row[2])
+        p = positions[own]
+        x, y, z = turned_back(rotations[own], x - p[0], y - p[1], z - p[2])
+        x, y, z = to_other(rotation[side], translation[side], x, y, z)
         least = min(least, row[6] * (x - row[3]) + row[7] * (y - row[4]) + row[8] * (z - row[5]))
     return least
 
 
 @inlined_kernel
-def may_touch_again(
-    pools, a, b, i, j, rotation, translation, rotations, motion, moment, contacts, count, scratch, thread
-):
-    """Whether two that touch after `moment` [s], or are about to, by their `count` contacts, may be through each other
-    elsewhere before the time is over. rotation, translation: their relative poses at that moment; rotations (n, 3, 3):
-    theirs in the world now.
-    """
-    least = ABOUT_TO * min(pools.fragment.radius[a], pools.fragment.radius[b])
-    least_gap = math.inf
-    for c in range(count):
-        least_gap = min(least_gap, contacts[c, 9])
-    # who is in the other as deep as that already may be anywhere
-    thin = THIN * _thickness(pools.fragment.box, a, b)
-    if least_gap > least or -least_gap > thin or not may_get_through(pools.fragment.box, a, b, i, j, motion):
-        return False
-    if moment > 0.0:
-        return True
-    # most slide along what parts them, or part
-    toward = scratch.ahead_toward[thread]
-    toward[0] = toward[1] = toward[2] = 0.0
-    gap, x, y, z = _gap_of_hulls(pools, a, b, rotation, translation, 0.0, toward, scratch, thread)
-    if gap == -math.inf:
-        return True
-    x, y, z = rotated(rotations[j], x, y, z)
-    closing = closing_along(motion, i, j, 0.0, motion.time, x, y, z)
-    return max(closing, 0.0) * motion.time - gap > thin
-
-
-@inlined_kernel
-def boxes_stay_apart(pools, a, b, i, j, rotation, translation, rotations, motion, near):
-    """Whether two stay apart by more than `near` [m] along a side of either box; rotation (2, 3, 3), translation
-    (2, 3): their relative poses now; rotations (n, 3, 3): theirs in the world.
-    """
-    if pools.fragment.kind[a] == PLANE or pools.fragment.kind[b] == PLANE:
-        return False
-    near += rounding_slack(pools, a, b, translation)
-    for side in range(2):
-        own, other, k = (a, b, i) if side == 0 else (b, a, j)
-        mine, box, turn, place = pools.fragment.box[own], pools.fragment.box[other], rotation[1 - side], translation
-        for d in range(3):
-            # the other's middle and reach along side d of own box
-            along, reach = place[1 - side, d] - 0.5 * (mine[d] + mine[d + 3]), 0.5 * (mine[d + 3] - mine[d])
-            for q in range(3):
-                along += turn[d, q] * 0.5 * (box[q] + box[q + 3])
-                reach += abs(turn[d, q]) * 0.5 * (box[q + 3] - box[q])
-            gap = abs(along) - reach
-            if not gap > near:
-                continue
-            # from b to a
-            sign = 1.0 if (along < 0.0) == (side == 0) else -1.0
-            x, y, z = sign * rotations[k, 0, d], sign * rotations[k, 1, d], sign * rotations[k, 2, d]
-            if gap - near > closing_along(motion, i, j, 0.0, motion.time, x, y, z) * motion.time:
-                return True
-    return False
-
-
-@inlined_kernel
-def may_get_through(boxes, a, b, i, j, motion):
-    """Whether fragments a and b, the i-th and j-th of `motion`, come nearer by more than a part of the thinner one;
-    boxes (F, 6) [m]: of all.
-    """
-    return closing_speed(motion, i, j, 0.0, motion.time) * motion.time > THIN * _thickness(boxes, a, b)
-
-
-@inlined_kernel
-def _thickness(boxes, a, b):
-    """[m] of the thinner one's box."""
-    least = math.inf
-    for f in (a, b):
-        box = boxes[f]
-        least = min(least, box[3] - box[0], box[4] - box[1], box[5] - box[2])
-    return least
-
-
-@inlined_kernel
-def _gap_of_hulls(pools, a, b, rotation, translation, enough, toward, scratch, thread):
-    """How far apart the hulls of two fragments are at least [m], `enough` is enough, and the direction from b to a
-    along which they are (x, y, z), in b's frame; minus infinity: spheres are not looked at.
-    """
-    kind_a, kind_b = pools.fragment.kind[a], pools.fragment.kind[b]
-    if kind_a == SPHERE or kind_b == SPHERE:
-        return -math.inf, 0.0, 0.0, 0.0
-    slack = rounding_slack(pools, a, b, translation)
-    if kind_a == PLANE or kind_b == PLANE:
-        plane, other, side = (b, a, 0) if kind_b == PLANE else (a, b, 1)
-        shape, leaves = pools.fragment.shape[plane], leaves_of(pools, other)
-        m = leaves.middle
-        x, y, z = rotated(rotation[1 - side], -shape[0], -shape[1], -shape[2])
-        _, reach = farthest_sample(leaves, (x, y, z), 0, scratch.along[thread])
-        mx, my, mz = to_other(rotation[side], translation[side], m[0], m[1], m[2])
-        gap = shape[0] * mx + shape[1] * my + shape[2] * mz - reach - shape[3] - m[3] - slack
-        if side == 0:
-            return gap, shape[0], shape[1], shape[2]
-        return gap, x, y, z
-    leaves = leaves_of(pools, a), leaves_of(pools, b)
-    if len(leaves[0].entries) == 0 or len(leaves[1].entries) == 0:
-        return -math.inf, 0.0, 0.0, 0.0
-    rounding = slack + leaves[0].middle[3] + leaves[1].middle[3]
-    n, low, high = parting_plane_of_leaves(
-        pools, a, b, leaves, rotation, translation, enough + rounding, toward, scratch, thread
-    )
-    return low - high - rounding, n[0], n[1], n[2]
-
-
-@inlined_kernel
 def _near_now(
-    pools, edges, a, b, rotation, translation, rule, far, radius, touches, farthest, count, crossings, lasts, contacts,
+    pools, edges, a, b, rotation, translation, rule, far, radius, touches, reach, count, crossings, lasts, contacts,
     ids, capacity, scratch, thread,
 ):  # fmt: skip
     """Contacts of a pair by a Rule, where it stands; `far` [m] is as far as the two come. touches: some is near anyhow,
-    it is what is not that may come near; farthest [m]: up to which that is looked for, 0: it is not.
+    it is what is not that may come near; reach [m]: up to which that is listed, 0: it is not.
 
     Of `count` samples it is noted in scratch how far they are (-1: of none, or too many), which are all that can be
     near for another `lasts` [m]; `crossings` pairs of ridges likewise. Returns (contacts, how much farther apart than
@@ -318,7 +223,7 @@ def _near_now(
             contacts, ids, capacity, scratch, thread,
         )  # fmt: skip
     else:
-        lasts, visits, found = min(far, max(MOST_REACH * radius, REACH_ON_WAY * far), farthest), 0, 0
+        lasts, visits, found = min(TO_THE_END * far, reach), 0, 0
         for _ in range(NARROWINGS):
             found, _, more, count, crossings, clear = search_samples(
                 pools, edges, a, b, rotation, translation, rule, lasts, min(ahead, lasts), contacts, ids, capacity,

@@ -20,11 +20,13 @@ from fracture_collision.core.traversal import way_between
 
 
 @inlined_kernel
-def parting_plane_of_leaves(pools, a, b, leaves, rotation, translation, distance, toward, scratch, thread):
+def parting_plane_of_leaves(
+    pools, a, b, leaves, rotation, translation, distance, toward, scratch, thread, most_steps=MOST_STEPS
+):
     """hull_separation.parting_plane over leaves: ((x, y, z), low, high), that rounding of single precision may falsify
     by what both middles say.
 
-    toward (3,): see sample_search.search_samples.
+    toward (3,): see sample_search.search_samples. most_steps: 1: along `toward` only.
     """
     bounds = scratch.along[thread]
     of_a, of_b = leaves
@@ -37,7 +39,7 @@ def parting_plane_of_leaves(pools, a, b, leaves, rotation, translation, distance
     k0, k1, k2 = v, v, v
     found, best, best_low, best_high = v, -math.inf, 0.0, 0.0
     at_a = at_b = 0
-    for step in range(MOST_STEPS):
+    for step in range(most_steps):
         length = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
         if not length > 0.0:
             break

@@ -110,6 +110,12 @@ def _spin(w):
 
 
 @inlined_kernel
+def turned_in(motion, i, left):
+    """How far fragment i turns in `left` [s], as an angle."""
+    return _spin(motion.angular[i]) * left
+
+
+@inlined_kernel
 def _seen_from(motion, i, j, t, left):
     """How fragment i moves for one that moves and turns with j, from `t` [s] on for `left` [s]: (velocity of its centre
     at t (x, y, z); how much more its points have than that, because it turns; and because it goes farther off; how far

@@ -15,7 +15,7 @@ from fracture_collision.core.contact_places import put_in_world
 from fracture_collision.core.crew import Crew
 from fracture_collision.core.crowds import UNSEARCHED, UNSHARED, Overlaps, most_visits, visit_shares
 from fracture_collision.core.facing_normal import turn_contacts
-from fracture_collision.core.first_touch import boxes_stay_apart, first_touch, may_get_through, may_touch_again
+from fracture_collision.core.first_touch import first_touch
 from fracture_collision.core.kept_answer import (
     NOTHING_KEPT,
     KeptAnswer,
@@ -47,6 +47,12 @@ from fracture_collision.core.pools import FACING
 from fracture_collision.core.ridge_contacts import NO_RIDGE_SEARCH, RidgeSearch, least_apart
 from fracture_collision.core.rotations import relative_pose
 from fracture_collision.core.sample_search import begins_with_seeds, may_search, query_listed, search_samples
+from fracture_collision.core.staying_apart import (
+    boxes_stay_apart,
+    hulls_stay_apart,
+    may_get_through,
+    may_touch_again,
+)
 from fracture_collision.core.surface_pass import Surfaces, judge_pairs
 from fracture_collision.core.traversal import BY_FURTHER, BY_LIMIT, COMPLETE, depth_limit, query_pair
 
@@ -203,10 +209,21 @@ def _query_share(
         if motion.time > 0.0:
             # by searches of their own: whatever is remembered, they are the same
             moment, ahead = 0.0, Rule(wanted, min(max(most, wanted), limit), rule.epsilon, rule.near)
-            clear = max(clear, between_balls(motion, i, j) - rule.near)
-            is_clear = found != 0 or closing_speed(motion, i, j, 0.0, motion.time) * motion.time <= clear
-            if not is_clear and not boxes_stay_apart(
-                pools, a, b, i, j, rotation, translation, rotations, motion, rule.near
+            toward = scratch.toward[thread]
+            if found == 0:
+                clear = max(clear, between_balls(motion, i, j) - rule.near)
+                if slot >= 0:
+                    toward = lists.toward[slot]
+                else:
+                    toward[0] = toward[1] = toward[2] = 0.0
+            if not (
+                found != 0
+                or closing_speed(motion, i, j, 0.0, motion.time) * motion.time <= clear + rule.near + rule.epsilon
+                or boxes_stay_apart(pools, a, b, i, j, rotation, translation, rotations, motion, -rule.epsilon)
+                or hulls_stay_apart(
+                    pools, a, b, i, j, rotation, translation, rotations, positions, motion, -rule.epsilon, toward,
+                    scratch, thread,
+                )
             ):
                 found, moment, more, unseen = first_touch(
                     pools, edges, a, b, i, j, rotations, positions, motion, 0.0, 0, ahead, out, out_ids, room - used,
@@ -214,11 +231,13 @@ def _query_share(
                 )  # fmt: skip
                 visits[p] += more
                 is_ahead[p] = found > 0
+                for d in range(3):
+                    toward[d] = scratch.ahead_toward[thread, d]  # for the quick look of the next step
                 if found == 0 and unseen > 0.0:
                     exhausted[p], bounds[p] = BY_LIMIT, max(bounds[p], unseen)
-            has_room = found <= room - used and found + max(most, wanted) <= limit
-            if found > 0 and has_room and may_touch_again(
-                pools, a, b, i, j, rotation, translation, rotations, motion, moment, out, found, scratch, thread
+            if 0 < found <= room - used and may_touch_again(
+                pools, a, b, i, j, rotation, translation, rotations, positions, motion, moment, out, found, scratch,
+                thread,
             ):
                 again, _, more, _ = first_touch(
                     pools, edges, a, b, i, j, rotations, positions, motion, moment, found, ahead, out, out_ids,

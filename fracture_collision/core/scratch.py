@@ -41,8 +41,8 @@ class Scratch(NamedTuple):
     planes: np.ndarray  # (threads, 8 and apart, 4) float32: half-spaces
     rotation: np.ndarray  # (threads, 2 and apart, 3, 3) float64: a pair's relative poses
     translation: np.ndarray  # (threads, 2 and apart, 3) float64 [m]
-    world_rotation: np.ndarray  # (threads, 2 and apart, 3, 3) float64: a pair's poses in the world at a later moment
-    world_position: np.ndarray  # (threads, 2 and apart, 3) float64 [m]
+    world_rotation: np.ndarray  # (threads, 3 and apart, 3, 3) float64: a pair's later poses in the world, one's last
+    world_position: np.ndarray  # (threads, 3 and apart, 3) float64 [m]
     point: np.ndarray  # (threads, 3 and apart) float64 [m]
     toward: np.ndarray  # (threads, 3 and apart) float64: a direction
     ahead_toward: np.ndarray  # (threads, 3 and apart) float64: likewise, of a pair at a later moment

@@ -26,9 +26,9 @@ class Settings(NamedTuple):
     # delta of 5.2, as a share of R: contacts this far apart are listed already, so that surfaces about to touch give
     # the solver something to hold and the traversal a reason to end.
     detection_tolerance: float = 0.002
-    # [s] Of pairs that do not touch, contacts that will come about within this time, by the velocities of the states,
-    # are listed too: with positive gaps, so that nothing fast goes through what is thin between two steps. A simulator
-    # sets its time step; 0: what is not near now is not listed.
+    # [s] Of pairs that do not touch, contacts that will be deeper than the penetration tolerance within this time, by
+    # the velocities of the states, are listed too: with positive gaps, so that nothing fast goes through what is thin
+    # between two steps. A simulator sets its time step; 0: what is not near now is not listed.
     lookahead: float = 0.0
     # `exact`: local flood, no error; `averaged`: the paper's front propagation (eq. 1-2): depths and normals inside a
     # broken body are approximate, the missed depth bound is as certain and looser.
