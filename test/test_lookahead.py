@@ -9,7 +9,7 @@ from hard_worlds import tetrahedral_body
 from scipy.spatial.transform import Rotation
 
 from fracture_collision.core import kinds, narrow_phase
-from fracture_collision.core.motion import put_pose
+from fracture_collision.core.motion import WAY, nearer_along, put_pose, put_way
 from fracture_collision.core.pools import SIZE
 from fracture_collision.core.staying_apart import least_gap_ahead
 from fracture_collision.geometry.generators import ball, brick, shell
@@ -158,6 +158,39 @@ def test_a_gap_is_never_less_than_what_is_known_of_it(
         assert spin > 0.0 or least > gaps.min() - 1e-5
         known.append(gaps.min() - least)
     assert len(known) > 10 and (spin > 10.0 or np.median(known) < 0.05)
+
+
+@pytest.mark.parametrize("spin", [0.0, 10.0, 150.0])
+def test_no_point_comes_nearer_than_its_way_says(
+    case: FracturedWorld, spin: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Seen from the other, along any direction, beside 200 moments of a part of the time; without spins just so far."""
+    asked = []
+    monkeypatch.setattr(collision_world, "query_pairs", lambda *a: asked.append(a) or narrow_phase.query_pairs(*a))
+    with_others(case, SETTINGS).contacts(thrown(case, 0, spin))
+    (pools, rows, rotations, positions, pairs), motion = asked[0][:5], asked[0][16]
+    random, way, unused = np.random.default_rng(2), np.zeros(WAY), []
+    start, time = 0.3 * AHEAD, 0.4 * AHEAD
+    for i, j in pairs[:40]:
+        if pools.fragment.kind[rows[i]] in {kinds.PLANE, kinds.SPHERE}:
+            continue
+        begin, end = pools.fragment.tree_begin[rows[i]], pools.fragment.tree_end[rows[i]]
+        points = pools.tree.spheres[begin:end][pools.tree.entries[begin:end, SIZE] == 1, :3]
+        seen = []
+        for t in np.linspace(start, start + time, 200):
+            own, other = (np.zeros((3, 3)), np.zeros(3)), (np.zeros((3, 3)), np.zeros(3))
+            put_pose(motion, rotations, positions, i, t, *own)
+            put_pose(motion, rotations, positions, j, t, *other)
+            seen.append((points @ own[0].T + own[1] - other[1]) @ other[0])
+        put_pose(motion, rotations, positions, j, start, *other)
+        put_way(motion, i, j, start, AHEAD - start, time, other[0], way)
+        for n in random.normal(size=(5, 3)):
+            n /= np.linalg.norm(n)
+            nearer, most = ((seen[0] - seen) @ n).max(), nearer_along(way, *n)
+            assert nearer <= most + 1e-12
+            assert spin > 0.0 or most < nearer + 1e-9
+            unused.append(most - nearer)
+    assert len(unused) > 50
 
 
 def slow_way(now: CollisionWorld, states: FragmentStates) -> tuple[dict[tuple[int, int], float], set[tuple[int, int]]]:

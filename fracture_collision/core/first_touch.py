@@ -24,7 +24,7 @@ from fracture_collision.core.elementary_queries import INSIDE, bounded_probe
 from fracture_collision.core.facing_normal import turn_contacts
 from fracture_collision.core.kinds import SPHERE
 from fracture_collision.core.known_samples import ID_SAMPLE, ID_SIDE, rounding_slack
-from fracture_collision.core.motion import closing_along, closing_speed, put_pose
+from fracture_collision.core.motion import WAY, closing_along, closing_speed, put_pose, put_way
 from fracture_collision.core.neighbour_lists import MOST_AHEAD, NEAR_LAST, UNTIL, least_left
 from fracture_collision.core.pools import FACING
 from fracture_collision.core.ridge_contacts import least_apart
@@ -85,8 +85,9 @@ def first_touch(
     if touches:
         thin = thickness(pools.fragment.box, a, b)
         shortest, deep = max(shortest, SHORTEST_OF_THIN * thin), min(THIN * thin, HELD * radius)
-    way = REACH_ON_WAY * closing_speed(motion, i, j, start, motion.time - start) * (motion.time - start)
-    reach = min(max(REACH * radius, way, REACH_IN_STEPS * shortest), FARTHEST_REACH * radius)
+    left = motion.time - start
+    speed = listed_speed = closing_speed(motion, i, j, start, left)
+    reach = min(max(REACH * radius, REACH_ON_WAY * speed * left, REACH_IN_STEPS * shortest), FARTHEST_REACH * radius)
     if reach < 2.0 * shortest:
         reach = 0.0
     toward = scratch.ahead_toward[thread]
@@ -98,8 +99,6 @@ def first_touch(
         put_pose(motion, rotations, positions, j, t, of_world[1], place[1])
         relative_pose(of_world[0], place[0], of_world[1], place[1], rotation[0], translation[0])
         relative_pose(of_world[1], place[1], of_world[0], place[0], rotation[1], translation[1])
-        left = motion.time - t
-        speed = closing_speed(motion, i, j, t, left)
         far, step = speed * left, 0.0
         gap, nx, ny, nz = -math.inf, 0.0, 0.0, 0.0
         is_known = touches and moment == 0
@@ -121,6 +120,10 @@ def first_touch(
             pass  # and nothing is listed
         else:
             apart = is_known
+            if reach > 0.0 and (listed < 0 or lasts <= 0.0) and speed > 0.0:
+                listed_speed, time = speed, min(TO_THE_END * far, reach) / speed
+                put_way(motion, i, j, t, left, time, of_world[1], scratch.ahead_ways[thread, 0])
+                put_way(motion, j, i, t, left, time, of_world[0], scratch.ahead_ways[thread, 1])
             room = 0 if is_known else capacity - known - new
             found, clear, listed, ridges, lasts, more = _near_now(
                 pools, edges, a, b, rotation, translation, rule, far, radius, touches, reach, listed, ridges, lasts,
@@ -155,8 +158,10 @@ def first_touch(
         if least > max(step * speed, shortest):
             unseen = max(unseen, least)
         step = min(max(step, max(shortest, least) / speed), left)
-        lasts -= step * speed
+        lasts -= step * listed_speed
         t = motion.time if step == left else t + step
+        left = motion.time - t
+        speed = closing_speed(motion, i, j, t, left)
     return new, t, visits, unseen
 
 
@@ -203,8 +208,9 @@ def _near_now(
     it is what is not that may come near; reach [m]: up to which that is listed, 0: it is not.
 
     Of `count` samples it is noted in scratch how far they are (-1: of none, or too many), which are all that can be
-    near for another `lasts` [m]; `crossings` pairs of ridges likewise. Returns (contacts, how much farther apart than
-    near they are at least [m], `count`, `crossings` and `lasts` as they are now, visits).
+    near for another `lasts` [m], moving as scratch.ahead_ways says; `crossings` pairs of ridges likewise. Returns
+    (contacts, how much farther apart than near they are at least [m], `count`, `crossings` and `lasts` as they are now,
+    visits).
     """
     if not may_search(pools, a, b):
         clear = _clearance_of_sphere(pools, a, b, translation, rule.near, far, scratch, thread)
@@ -216,7 +222,8 @@ def _near_now(
         )  # fmt: skip
         return found, clear, -1, 0, 0.0, visits
     listed, places, toward = scratch.ahead_listed[thread], scratch.ahead_places[thread], scratch.ahead_toward[thread]
-    ridges, ahead = scratch.ahead_ridges[thread], min(far, max(AHEAD * radius, AHEAD_ON_WAY * far))
+    ways, ridges = scratch.ahead_ways[thread], scratch.ahead_ridges[thread]
+    ahead = min(far, max(AHEAD * radius, AHEAD_ON_WAY * far))
     if count >= 0 and lasts > 0.0:
         found, _, visits = query_listed(
             pools, edges, a, b, rotation, translation, rule, ahead, listed[:count], places[:count], ridges[:crossings],
@@ -226,13 +233,16 @@ def _near_now(
         lasts, visits, found = min(TO_THE_END * far, reach), 0, 0
         for _ in range(NARROWINGS):
             found, _, more, count, crossings, clear = search_samples(
-                pools, edges, a, b, rotation, translation, rule, lasts, min(ahead, lasts), contacts, ids, capacity,
-                listed, places, ridges, toward, scratch, thread,
+                pools, edges, a, b, rotation, translation, rule, lasts, ways, min(ahead, lasts), contacts, ids,
+                capacity, listed, places, ridges, toward, scratch, thread,
             )  # fmt: skip
             visits += more
             if (count <= MOST_AHEAD and crossings <= MOST_AHEAD) or (found != 0 and not touches):
                 break
             lasts *= NARROWER
+            for side in range(2):
+                for d in range(WAY):
+                    ways[side, d] *= NARROWER
         if count > MOST_AHEAD or crossings > MOST_AHEAD or not lasts > 0.0:
             return found, 0.0, -1, 0, 0.0, visits
         if touches:

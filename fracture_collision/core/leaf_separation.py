@@ -14,6 +14,7 @@ from fracture_collision.core.hull_separation import (
     next_simplex,
 )
 from fracture_collision.core.kinds import PLANE
+from fracture_collision.core.motion import nearer_along
 from fracture_collision.core.rotations import rotated, to_other
 from fracture_collision.core.sample_leaves import farthest_sample, sample_about_middle
 from fracture_collision.core.traversal import way_between
@@ -71,30 +72,36 @@ def parting_plane_of_leaves(
 
 
 @inlined_kernel
-def half_spaces(pools, own, other, middle, side, rotation, translation, plane, within, planes):
-    """Where of `own` samples may be within `within` [m] of `other`: half-spaces n . x <= o about own's middle, into
-    `planes` (8, 4) float32; returns how many.
+def half_spaces(pools, own, other, middle, side, rotation, translation, plane, within, reach, way, planes):
+    """Where of `own` samples may come within `within` [m] of `other` when they move by no more than `reach` [m], and as
+    `way` (WAY,) says (motion.put_way): half-spaces n . x <= o about own's middle, into `planes` (8, 4) float32; returns
+    how many.
     """
     kind, box, used = pools.fragment.kind[other], pools.fragment.box[other], 0
     mx, my, mz = to_other(rotation[side], translation[side], middle[0], middle[1], middle[2])
     within += middle[3]
     if kind == PLANE:
         shape, back = pools.fragment.shape[other], rotation[1 - side]
-        return _put_half_space(back, shape[0], shape[1], shape[2], shape[3] + within, mx, my, mz, planes, 0)
+        x, y, z, offset = shape[0], shape[1], shape[2], shape[3] + within
+        return _put_half_space(back, x, y, z, offset, reach, way, mx, my, mz, planes, 0)
     back = rotation[1 - side]
     if plane[0] != 0.0 or plane[1] != 0.0 or plane[2] != 0.0:  # most samples are beyond this one
         x, y, z, offset = plane
-        used = _put_half_space(back, x, y, z, offset + within, mx, my, mz, planes, used)
+        used = _put_half_space(back, x, y, z, offset + within, reach, way, mx, my, mz, planes, used)
     for d in range(3):
         x, y, z = 1.0 if d == 0 else 0.0, 1.0 if d == 1 else 0.0, 1.0 if d == 2 else 0.0
-        used = _put_half_space(back, x, y, z, box[d + 3] + within, mx, my, mz, planes, used)
-        used = _put_half_space(back, -x, -y, -z, -box[d] + within, mx, my, mz, planes, used)
+        used = _put_half_space(back, x, y, z, box[d + 3] + within, reach, way, mx, my, mz, planes, used)
+        used = _put_half_space(back, -x, -y, -z, -box[d] + within, reach, way, mx, my, mz, planes, used)
     return used
 
 
 @inlined_kernel
-def _put_half_space(back, nx, ny, nz, offset, mx, my, mz, planes, row):
-    """n . x <= offset of the other's frame about own's middle, which is at m there; back (3, 3): to own's frame."""
+def _put_half_space(back, nx, ny, nz, offset, reach, way, mx, my, mz, planes, row):
+    """n . x <= offset of the other's frame, or what may come there, about own's middle, which is at m there; back
+    (3, 3): to own's frame.
+    """
+    if reach > 0.0:
+        offset += min(reach, nearer_along(way, nx, ny, nz))
     x, y, z = rotated(back, nx, ny, nz)
     planes[row, 0], planes[row, 1], planes[row, 2] = np.float32(x), np.float32(y), np.float32(z)
     planes[row, 3] = np.float32(offset - (nx * mx + ny * my + nz * mz))

@@ -173,8 +173,8 @@ def _query_share(
             else:
                 toward[0] = toward[1] = toward[2] = 0.0
             found, bounds[p], visits[p], samples, crossings, clear = search_samples(
-                pools, edges, a, b, rotation, translation, rule, reach, ahead, out, out_ids, room - used,
-                listed, places, ridges, toward, scratch, thread,
+                pools, edges, a, b, rotation, translation, rule, reach, scratch.any_way, ahead, out, out_ids,
+                room - used, listed, places, ridges, toward, scratch, thread,
             )  # fmt: skip
             exhausted[p] = BY_LIMIT if found == limit < most else COMPLETE
             if slot >= 0:

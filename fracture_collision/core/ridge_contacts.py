@@ -100,13 +100,14 @@ def have_ridges(edges, a, b):
 
 @inlined_kernel
 def add_crossings(
-    pools, edges, a, b, rotation, translation, planes_beyond, rule, reach, slack, apart, count, deep, listed, scratch,
-    thread,
+    pools, edges, a, b, rotation, translation, planes_beyond, rule, reach, ways, slack, apart, count, deep, listed,
+    scratch, thread,
 ):  # fmt: skip
     """Keep the contacts of crossing ridges in scratch to choose from, after `count` samples of which `deep` are deeper
     than epsilon.
 
-    planes_beyond: (of b, of a), see leaf_separation.half_spaces; rule: of contact_choice; slack [m]: for rounding.
+    planes_beyond (of b, of a), ways (2, WAY): see leaf_separation.half_spaces; rule: of contact_choice; slack [m]: for
+    rounding.
     apart [m]: how far a point of either has moved against the other since they were one; infinity: they never were.
     reach [m], 0: none: pairs that may cross once the two have moved by no more than `reach` against each other are put
     into `listed` (., 2). Returns (count, deep, how many pairs those are).
@@ -114,14 +115,17 @@ def add_crossings(
     ridges, work = edges.ridges, edges.work
     of_a, of_b, near_b, row = work.of_a[thread], work.of_b[thread, 0], work.of_b[thread, 1], work.row[thread]
     boxes, near_boxes, ends = work.boxes[thread, 0], work.boxes[thread, 1], work.ends[thread]
-    within = rule.near + reach + slack
+    within = rule.near + slack
     turn = _OF_CHORD * reach / max(_half_diagonal(pools.fragment.box[a]), _half_diagonal(pools.fragment.box[b]))
     most, leaves, pairs = count + MOST_CROSSINGS, 0, 0
-    many = _may_reach(pools, edges, a, b, 0, rotation, translation, planes_beyond[0], within, of_a, scratch, thread)
+    many = _may_reach(
+        pools, edges, a, b, 0, rotation, translation, planes_beyond[0], within, reach, ways[0], of_a, scratch, thread
+    )
     if many > 0:
         leaves = _leaves_that_may(
-            pools, edges, b, a, 1, rotation, translation, planes_beyond[1], within, of_b, boxes, scratch, thread
-        )
+            pools, edges, b, a, 1, rotation, translation, planes_beyond[1], within, reach, ways[1], of_b, boxes,
+            scratch, thread,
+        )  # fmt: skip
     if leaves == 0:
         return count, deep, 0
     deepest = _deepest(pools, a, b, apart, slack)
@@ -238,22 +242,29 @@ def _carry_ridge(own, rotation, translation, row):
 
 
 @inlined_kernel
-def _see_leaves(pools, edges, own, other, side, rotation, translation, plane, within, out, scratch, thread):
-    """How far leaves of own's ridges are beyond where `other` may be within `within` [m], into work.worst: (how many
-    leaves, how many half-spaces). out: any integers, as many.
+def _see_leaves(
+    pools, edges, own, other, side, rotation, translation, plane, within, reach, way, out, scratch, thread
+):
+    """How far leaves of own's ridges are beyond where `other` may come within `within` [m], into work.worst: (how many
+    leaves, how many half-spaces). reach, way: see leaf_separation.half_spaces; out: any integers, as many.
     """
     ridges, middle = edges.ridges, pools.fragment.middle[own]
     n, leaf = (ridges.count[own] + LEAF - 1) // LEAF, ridges.first[own] // LEAF
-    used = half_spaces(pools, own, other, middle, side, rotation, translation, plane, within, scratch.planes[thread])
+    planes = scratch.planes[thread]
+    used = half_spaces(pools, own, other, middle, side, rotation, translation, plane, within, reach, way, planes)
     boxes = ridges.boxes[6 * leaf : 6 * (leaf + n)]
-    worst_of_leaves(Leaves(boxes, out[: LEAF * n], middle), scratch.planes[thread], used, edges.work.worst[thread])
+    worst_of_leaves(Leaves(boxes, out[: LEAF * n], middle), planes, used, edges.work.worst[thread])
     return n, used
 
 
 @inlined_kernel
-def _may_reach(pools, edges, own, other, side, rotation, translation, plane, within, out, scratch, thread):
-    """Ridges of `own` that may be within `within` [m] of `other`, as far as half-spaces say, into `out`: how many."""
-    n, used = _see_leaves(pools, edges, own, other, side, rotation, translation, plane, within, out, scratch, thread)
+def _may_reach(
+    pools, edges, own, other, side, rotation, translation, plane, within, reach, way, out, scratch, thread
+):
+    """Ridges of `own` that may come within `within` [m] of `other`, as far as half-spaces say, into `out`: how many."""
+    n, used = _see_leaves(
+        pools, edges, own, other, side, rotation, translation, plane, within, reach, way, out, scratch, thread
+    )
     ridges, worst, planes = edges.ridges, edges.work.worst[thread], scratch.planes[thread]
     beyond, found = edges.work.lanes[thread], 0
     for l in range(n):  # noqa: E741
@@ -279,10 +290,12 @@ def _may_reach(pools, edges, own, other, side, rotation, translation, plane, wit
 
 @inlined_kernel
 def _leaves_that_may(
-    pools, edges, own, other, side, rotation, translation, plane, within, out, boxes, scratch, thread
+    pools, edges, own, other, side, rotation, translation, plane, within, reach, way, out, boxes, scratch, thread
 ):
     """The same of whole leaves, with their boxes (BOX_AND_MOST, .): how many."""
-    n, _ = _see_leaves(pools, edges, own, other, side, rotation, translation, plane, within, out, scratch, thread)
+    n, _ = _see_leaves(
+        pools, edges, own, other, side, rotation, translation, plane, within, reach, way, out, scratch, thread
+    )
     leaf, worst, found = edges.ridges.first[own] // LEAF, edges.work.worst[thread], 0
     for l in range(n):  # noqa: E741
         if worst[l] > np.float32(0.0):

@@ -93,13 +93,14 @@ def begins_with_seeds(pools, a, b, rotation, translation, rule):
 
 @query_kernel
 def search_samples(
-    pools, edges, a, b, rotation, translation, rule, reach, ahead, contacts, ids, capacity, listed, places, ridges,
-    toward, scratch, thread,
+    pools, edges, a, b, rotation, translation, rule, reach, ways, ahead, contacts, ids, capacity, listed, places,
+    ridges, toward, scratch, thread,
 ):  # fmt: skip
     """All contacts of fragments `a` and `b`, no spheres, by a Rule; poses, contacts, ids and capacity as query_pair.
 
     `reach` [m], 0: none: samples that may be no farther than near + reach are put into `listed` (room, 2) and `places`
-    (room, PLACE), see neighbour_lists.py, those of a before those of b; how far each is looked for no more than `ahead`
+    (room, PLACE), see neighbour_lists.py, those of a before those of b, except what cannot come near by `ways`
+    (2, WAY), how points of a go for b and of b for a (motion.put_way); how far each is looked for no more than `ahead`
     [m] farther. By our rule, crossings of ridges are found too (`edges`: ridge_contacts.RidgeSearch); `ridges`
     (room, 2): pairs that may cross, likewise.
     toward (3,): a direction in b's frame along which the two may lie apart, zeros if none is known; replaced by the one
@@ -151,7 +152,9 @@ def search_samples(
             continue
         plane = beyond_b if side == 0 else beyond_a
         planes = scratch.planes[thread]
-        used = half_spaces(pools, own, other, mine.middle, side, rotation, translation, plane, within + slack, planes)
+        used = half_spaces(
+            pools, own, other, mine.middle, side, rotation, translation, plane, near + slack, reach, ways[side], planes
+        )
         worst_of_leaves(mine, planes, used, worst)
         first, middle = fragment.tree_begin[own], scratch.point[thread]
         m = mine.middle
@@ -206,8 +209,8 @@ def search_samples(
     crossings = 0
     if rule.most > 0 and have_ridges(edges, a, b):
         count, deep, crossings = add_crossings(
-            pools, edges, a, b, rotation, translation, (beyond_b, beyond_a), rule, reach, slack, apart, count, deep,
-            ridges, scratch, thread,
+            pools, edges, a, b, rotation, translation, (beyond_b, beyond_a), rule, reach, ways, slack, apart, count,
+            deep, ridges, scratch, thread,
         )  # fmt: skip
     chosen, bound = _choose(
         pools, a, b, rotation, translation, rule, slack, count, deep, contacts, ids, capacity, scratch, thread

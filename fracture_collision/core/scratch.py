@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.core.compiled import kernel
+from fracture_collision.core.motion import ANY_WAY, WAY
 from fracture_collision.core.neighbour_lists import MOST_AHEAD, PLACE
 from fracture_collision.core.pools import LEAF, Pools
 from fracture_collision.core.triangle_field import STACK
@@ -46,6 +47,8 @@ class Scratch(NamedTuple):
     point: np.ndarray  # (threads, 3 and apart) float64 [m]
     toward: np.ndarray  # (threads, 3 and apart) float64: a direction
     ahead_toward: np.ndarray  # (threads, 3 and apart) float64: likewise, of a pair at a later moment
+    ahead_ways: np.ndarray  # (threads, 2 and apart, WAY) float64 [m]: how the two move then, motion.put_way
+    any_way: np.ndarray  # (2, WAY) float64 [m]: likewise where nothing is known of it
     ahead_listed: np.ndarray  # (threads, MOST_AHEAD, 2) int32: its samples, and
     ahead_places: np.ndarray  # (threads, MOST_AHEAD, PLACE) float32 [m] theirs, see neighbour_lists.py
     ahead_ridges: np.ndarray  # (threads, MOST_AHEAD, 2) int32: its pairs of ridges, likewise
@@ -107,6 +110,8 @@ def make_scratch(threads: int, tetrahedra: int, nodes: int) -> Scratch:
         point=np.zeros((threads, 24)),
         toward=np.zeros((threads, 24)),
         ahead_toward=np.zeros((threads, 24)),
+        ahead_ways=np.zeros((threads, 4, WAY)),
+        any_way=np.tile(ANY_WAY, (2, 1)),
         ahead_listed=np.zeros((threads, MOST_AHEAD, 2), dtype=np.int32),
         ahead_places=np.zeros((threads, MOST_AHEAD, PLACE), dtype=np.float32),
         ahead_ridges=np.zeros((threads, MOST_AHEAD, 2), dtype=np.int32),

@@ -15,7 +15,7 @@ from fracture_collision.core.kinds import PLANE, SPHERE
 from fracture_collision.core.known_samples import rounding_slack
 from fracture_collision.core.leaf_separation import parting_plane_of_leaves
 from fracture_collision.core.motion import closing_along, closing_speed, put_pose, turned_in
-from fracture_collision.core.rotations import rotated, to_other, turned_back
+from fracture_collision.core.rotations import rotated, turned_back
 from fracture_collision.core.sample_leaves import farthest_sample, leaves_of
 
 # A pair that comes nearer by no more than this share of what is thinner does not get through it.
@@ -133,12 +133,10 @@ def gap_of_hulls(pools, a, b, rotation, translation, enough, toward, scratch, th
     slack = rounding_slack(pools, a, b, translation)
     if kind_a == PLANE or kind_b == PLANE:
         plane, other, side = (b, a, 0) if kind_b == PLANE else (a, b, 1)
-        shape, leaves = pools.fragment.shape[plane], leaves_of(pools, other)
-        m = leaves.middle
+        shape, t = pools.fragment.shape[plane], translation[side]
         x, y, z = rotated(rotation[1 - side], -shape[0], -shape[1], -shape[2])
-        _, reach = farthest_sample(leaves, (x, y, z), 0, scratch.along[thread])
-        mx, my, mz = to_other(rotation[side], translation[side], m[0], m[1], m[2])
-        gap = shape[0] * mx + shape[1] * my + shape[2] * mz - reach - shape[3] - m[3] - slack
+        gap = shape[0] * t[0] + shape[1] * t[1] + shape[2] * t[2] - shape[3] - slack
+        gap -= _reach_of_hull(pools, other, x, y, z, scratch.along[thread])
         if side == 0:
             return gap, shape[0], shape[1], shape[2]
         return gap, x, y, z
@@ -150,6 +148,15 @@ def gap_of_hulls(pools, a, b, rotation, translation, enough, toward, scratch, th
         pools, a, b, leaves, rotation, translation, enough + rounding, toward, scratch, thread, most_steps
     )
     return low - high - rounding, n[0], n[1], n[2]
+
+
+@inlined_kernel
+def _reach_of_hull(pools, f, x, y, z, bounds):
+    """How far [m] a fragment reaches along a unit vector (x, y, z) of its frame, at most; bounds: working space."""
+    leaves = leaves_of(pools, f)
+    m = leaves.middle
+    _, reach = farthest_sample(leaves, (x, y, z), 0, bounds)
+    return reach + m[3] + x * m[0] + y * m[1] + z * m[2]
 
 
 @inlined_kernel
@@ -171,10 +178,7 @@ def least_gap_ahead(pools, a, b, i, j, rotations, positions, motion, t, gap, n, 
         if pools.fragment.kind[f] == PLANE:  # it stands still, and n is its normal
             at_end -= pools.fragment.shape[f, 3]
             continue
-        leaves = leaves_of(pools, f)
-        m = leaves.middle
-        _, reach = farthest_sample(leaves, (x, y, z), 0, scratch.along[thread])
-        at_end -= reach + m[3] + x * m[0] + y * m[1] + z * m[2]
+        at_end -= _reach_of_hull(pools, f, x, y, z, scratch.along[thread])
     # after a share s of the time left: gap + s (at_end - gap) - bend s (1 - s)
     change = at_end - gap
     if abs(change) >= bend:

@@ -27,7 +27,7 @@ _DESCRIPTIONS: dict[str, tuple[str, Range | None]] = {
     "deep_contacts_per_pair": ("contacts of a pair of which more than its share are deep", Range(1, 1024)),
     "penetration_tolerance": ("penetrations up to this may stay unlisted, as a share of the bodies' R", Range(0, 0.1)),
     "detection_tolerance": ("surfaces this far apart are listed already, as a share of the bodies' R", Range(0, 0.1)),
-    "lookahead": ("contacts that will come about within so many seconds are listed too; a step's length", Range(0, 1)),
+    "lookahead": ("what will penetrate by more within so many seconds is listed too; a step's length", Range(0, 1)),
     "field": ("depth inside a fragment: 'exact' (local flood) or 'averaged' (Glondu 2014, eq. 1-2)", None),
     "surfaces": ("what is asked: 'sampled', 'edges' too, or all, 'searched', which the bound then holds for", None),
     "tree": ("trees of new fragments: 'restructured' (Glondu 2014, 6.2), 'plain' (its [27]) or 'rebuilt'", None),
