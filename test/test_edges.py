@@ -13,9 +13,10 @@ from rods import EDGE, OVERLAP, answer_of_rods, crossed
 from surface_campaign import PairDepth, campaign
 from test_neighbour_lists import assert_same, random_turns, turned
 
-from fracture_collision.core.ridge_contacts import DEEPEST, FIRST_NUMBER, RIDGES_EACH
+from fracture_collision.core.ridge_contacts import DEEPEST, RIDGES_EACH
 from fracture_collision.core.ridge_crossing import BEYOND_FACE, LEAST_SINE, MATTERS
 from fracture_collision.core.ridges import LEAST_LENGTH, LEAST_TURN, LENGTH, OUTWARD, TURN
+from fracture_collision.core.sample_numbers import FIRST_OF_RIDGES
 from fracture_collision.core.surface_triangles import surface_triangles
 from fracture_collision.geometry.generators import brick
 from fracture_collision.records import BOX, CollisionBody, FragmentStates, SolidPrimitive
@@ -96,7 +97,7 @@ def crossings_by_hand(case, a: int, b: int, states: FragmentStates, near: float)
         for j in np.flatnonzero(matters & (sine >= LEAST_SINE) & out & (gap <= near) & (gap >= -DEEPEST)):
             k, l, _ = np.linalg.solve(np.column_stack([u, -v[j], -n[j]]), r[j] - p[i])  # noqa: E741
             if 0.0 <= k <= 1.0 and 0.0 <= l <= 1.0:
-                found[FIRST_NUMBER + RIDGES_EACH * i + j] = gap[j]
+                found[FIRST_OF_RIDGES + RIDGES_EACH * i + j] = gap[j]
     return found
 
 

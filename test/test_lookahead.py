@@ -9,7 +9,8 @@ from hard_worlds import tetrahedral_body
 from scipy.spatial.transform import Rotation
 
 from fracture_collision.core import kinds, narrow_phase
-from fracture_collision.core.motion import WAY, nearer_along, put_pose, put_way
+from fracture_collision.core.approach import WAY, nearer_along
+from fracture_collision.core.motion import put_pose, put_way
 from fracture_collision.core.pools import SIZE
 from fracture_collision.core.staying_apart import least_gap_ahead
 from fracture_collision.geometry.generators import ball, brick, shell

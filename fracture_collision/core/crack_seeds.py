@@ -7,8 +7,6 @@ contacts wanted, and that is a matter of asking here first, where they most like
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from fracture_collision.core.compiled import inlined_kernel, kernel
@@ -19,16 +17,6 @@ from fracture_collision.core.cut_tetrahedron import point_on_edge
 MOST_SEEDS = 32
 # Out of these many, taken evenly, seeds are chosen farthest first.
 CANDIDATES = 48
-
-
-class SeedPool(NamedTuple):
-    """A body's rows are ascending in their keys; FragmentPool.seeds says which they are. Those of before its last
-    fracture stay as garbage, and so do the edges of what broke; others' edges are where they were.
-    """
-
-    keys: np.ndarray  # int64 smaller row of the fragment pool << 32 | larger row
-    ranges: np.ndarray  # (., 2) int32: first row of `edges`, row behind the last
-    edges: np.ndarray  # int32 row of MeshPool.edges; each farther from those before it than all that follow
 
 
 @inlined_kernel

@@ -17,9 +17,15 @@ from fracture_collision.core.flood import NO_SOURCE, TOWARD, nearest_from_inside
 from fracture_collision.core.kinds import BOX, SPHERE, TETRAHEDRA, TRIANGLES
 from fracture_collision.core.known_samples import ID_AT, ID_SAMPLE, ID_SIDE, ID_SOURCE, ID_TETRAHEDRON, share_a_body
 from fracture_collision.core.point_location import holds_fragment, tetrahedron_at
-from fracture_collision.core.ridge_contacts import is_crossing_of_ridges
 from fracture_collision.core.rotations import rotated, to_other
-from fracture_collision.core.sample_numbers import FIRST_NODE, edge_of, is_crossing, is_node, tetrahedron_of
+from fracture_collision.core.sample_numbers import (
+    FIRST_NODE,
+    edge_of,
+    is_crossing,
+    is_crossing_of_ridges,
+    is_node,
+    tetrahedron_of,
+)
 from fracture_collision.core.triangle_field import nearest_triangle
 
 # A normal at less than 75 degrees from the sample's own points the same way.

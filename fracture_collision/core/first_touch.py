@@ -19,12 +19,13 @@ from __future__ import annotations
 
 import math
 
+from fracture_collision.core.approach import WAY
 from fracture_collision.core.compiled import inlined_kernel, query_kernel
 from fracture_collision.core.elementary_queries import INSIDE, bounded_probe
 from fracture_collision.core.facing_normal import turn_contacts
 from fracture_collision.core.kinds import SPHERE
 from fracture_collision.core.known_samples import ID_SAMPLE, ID_SIDE, rounding_slack
-from fracture_collision.core.motion import WAY, closing_along, closing_speed, put_pose, put_way
+from fracture_collision.core.motion import closing_along, closing_speed, put_pose, put_way
 from fracture_collision.core.neighbour_lists import MOST_AHEAD, NEAR_LAST, UNTIL, least_left
 from fracture_collision.core.pools import FACING
 from fracture_collision.core.ridge_contacts import least_apart

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from fracture_collision.core.approach import nearer_along
 from fracture_collision.core.compiled import inlined_kernel
 from fracture_collision.core.hull_separation import (
     MOST_STEPS,
@@ -14,10 +15,9 @@ from fracture_collision.core.hull_separation import (
     next_simplex,
 )
 from fracture_collision.core.kinds import PLANE
-from fracture_collision.core.motion import nearer_along
+from fracture_collision.core.oriented_boxes import way_between
 from fracture_collision.core.rotations import rotated, to_other
 from fracture_collision.core.sample_leaves import farthest_sample, sample_about_middle
-from fracture_collision.core.traversal import way_between
 
 
 @inlined_kernel

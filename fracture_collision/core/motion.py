@@ -20,9 +20,6 @@ from fracture_collision.core.rotations import turned_back
 _sine_after = inlined_kernel(portable_math.sine_after)
 # [m] how far a plane reaches: seen from what turns, some of it is as fast as anything.
 ENDLESS = 1e30
-# Columns of a way, see put_way, and one that lets everything come nearer by any length.
-WAY = 8
-ANY_WAY = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, math.inf, 0.0])
 
 
 class Motion(NamedTuple):
@@ -172,7 +169,7 @@ def closing_along(motion, i, j, t, left, x, y, z):
 @inlined_kernel
 def put_way(motion, i, j, t, left, time, turn, out):
     """How points of fragment i move within `time` [s] of the `left` [s] from t on, for one that moves with j, in whose
-    frame it is told: row out of (2, WAY) [m], for `nearer_along`. turn (3, 3): j's rotation at t.
+    frame it is told: row out of (2, WAY) [m], for `approach.nearer_along`. turn (3, 3): j's rotation at t.
     """
     x, y, z, turning, farther, sway = _seen_from(motion, i, j, t, left)
     out[0], out[1], out[2] = turned_back(turn, time * x, time * y, time * z)
@@ -180,16 +177,6 @@ def put_way(motion, i, j, t, left, time, turn, out):
     r = time * motion.reach[i]
     out[3], out[4], out[5] = turned_back(turn, r * (u[0] - w[0]), r * (u[1] - w[1]), r * (u[2] - w[2]))
     out[6], out[7] = time * (farther + sway), time * _spin(w) * left * turning
-
-
-@inlined_kernel
-def nearer_along(way, x, y, z):
-    """By how much [m] some point may come nearer along the unit vector (x, y, z) that points to it; way: put_way's."""
-    wx, wy, wz = way[3], way[4], way[5]
-    cx, cy, cz = y * wz - z * wy, z * wx - x * wz, x * wy - y * wx
-    # what turns about the vector comes no nearer along it
-    turning = min(_spin((wx, wy, wz)), math.sqrt(cx * cx + cy * cy + cz * cz) + way[7])
-    return max(turning + way[6] - (x * way[0] + y * way[1] + z * way[2]), 0.0)
 
 
 @inlined_kernel

@@ -1,4 +1,4 @@
-"""Whether two boxes in general position are apart: separating axes.
+"""Where two boxes in general position are to each other, and whether they are apart: separating axes.
 
 Gottschalk, Lin, Manocha, "OBBTree" (1996), section 5.
 """
@@ -8,9 +8,19 @@ from __future__ import annotations
 import math
 
 from fracture_collision.core.compiled import inlined_kernel
+from fracture_collision.core.rotations import to_other
 
 # Two axes whose cross product is shorter than this are parallel; their own axes separate what theirs would.
 PARALLEL = 1e-6
+
+
+@inlined_kernel
+def way_between(box_a, box_b, rotation, translation):
+    """From the middle of b's box to that of a's, in b's frame; rotation, translation: from a's frame to b's."""
+    x, y, z = to_other(
+        rotation, translation, 0.5 * (box_a[0] + box_a[3]), 0.5 * (box_a[1] + box_a[4]), 0.5 * (box_a[2] + box_a[5])
+    )
+    return x - 0.5 * (box_b[0] + box_b[3]), y - 0.5 * (box_b[1] + box_b[4]), z - 0.5 * (box_b[2] + box_b[5])
 
 
 @inlined_kernel

@@ -6,7 +6,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from fracture_collision.core.crack_seeds import SeedPool
 from fracture_collision.core.pools import (
     LEAF,
     LEAF_VALUES,
@@ -20,6 +19,7 @@ from fracture_collision.core.pools import (
     MeshPool,
     Pools,
     SamplePool,
+    SeedPool,
     TreePool,
     TriangleMeshPool,
 )

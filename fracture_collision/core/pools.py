@@ -13,8 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.core.crack_seeds import SeedPool
-
 
 class GrowableArray:
     """An array that grows at its end: amortized O(1) a row, `view` contiguous.
@@ -203,6 +201,17 @@ LEAF_VALUES = 6 + 3 * LEAF
 SAMPLE_ROUNDING = 1e-6
 
 
+class SeedPool(NamedTuple):
+    """Crack seeds (crack_seeds.py). A body's rows are ascending in their keys; FragmentPool.seeds says which they are.
+    Those of before its last fracture stay as garbage, and so do the edges of what broke; others' edges are where they
+    were.
+    """
+
+    keys: np.ndarray  # int64 smaller row of the fragment pool << 32 | larger row
+    ranges: np.ndarray  # (., 2) int32: first row of `edges`, row behind the last
+    edges: np.ndarray  # int32 row of MeshPool.edges; each farther from those before it than all that follow
+
+
 class Pools(NamedTuple):
     mesh: MeshPool
     body: BodyPool
@@ -211,7 +220,7 @@ class Pools(NamedTuple):
     samples: SamplePool
     occupancy: np.ndarray  # uint64, multi-level grids (occupancy.py)
     triangles: TriangleMeshPool
-    seeds: SeedPool  # crack_seeds.py
+    seeds: SeedPool
     traversal: int  # ALTERNATING or QUEUE
     field: int  # EXACT or AVERAGED
     normals: int  # NEAREST or FACING

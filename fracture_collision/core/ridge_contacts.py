@@ -38,16 +38,15 @@ from fracture_collision.core.ridges import (
 )
 from fracture_collision.core.rotations import rotated, to_other
 from fracture_collision.core.sample_leaves import Leaves, worst_of_leaves
+from fracture_collision.core.sample_numbers import FIRST_OF_RIDGES
 
 # Deeper than this share of R edges are not looked for: what is so deep has samples in it, or came through in one step.
 DEEPEST = 0.1
 # Nor, between fragments of one body, than so many times what a point of either has moved since they were one: in place
 # they do not overlap, so no point is deeper than it has moved.
 MOVED = 1.5
-# Contacts of a pair's ridges, no more are found; and their numbers, which begin behind those of all samples and of
-# surface_contact.py, with so many for each ridge of a.
-MOST_CROSSINGS = 512
-FIRST_NUMBER, RIDGES_EACH = 1 << 42, 1 << 24
+# Contacts of a pair's ridges, no more are found; and so many numbers each ridge of a has.
+MOST_CROSSINGS, RIDGES_EACH = 512, 1 << 24
 # What waits to be chosen goes by its sample's number: those of crossings come after all of a's samples.
 _AFTER_SAMPLES = 1 << 30
 # What single precision may take from a place along an edge, as a share of all lengths, at a right angle.
@@ -208,12 +207,6 @@ def least_apart(edges, a, b, rotation, translation, listed, near, of_far, thread
         if apart > 0.0 or not of_far:
             least = min(least, apart)
     return max(least, 0.0)
-
-
-@inlined_kernel
-def is_crossing_of_ridges(number):
-    """Whether a contact's number, where others have their sample's, is one of these."""
-    return number >= FIRST_NUMBER
 
 
 @inlined_kernel
@@ -431,7 +424,7 @@ def _add(
     node[ENTRY], node[SIDE], node[NUMBER], node[ANSWER] = -1, 0, _AFTER_SAMPLES + count, count
     point[0], point[1], point[2], point[DISTANCE] = c[0], c[1], c[2], gap
     scratch.spread[thread, MOST_DEPTH, count] = max(-gap, 0.0)
-    number = FIRST_NUMBER + RIDGES_EACH * np.int64(i) + j
+    number = FIRST_OF_RIDGES + RIDGES_EACH * np.int64(i) + j
     answer = (INSIDE, gap, c[6], c[7], c[8], c[3], c[4], c[5], -gap, NO_SOURCE, -1, -1)
     put_contact(scratch.kept[thread], scratch.kept_ids[thread], count, 0, number, c[0], c[1], c[2], answer)
     return count + 1, deep + (gap < -rule.epsilon)

@@ -16,6 +16,8 @@ from fracture_collision.core.compiled import inlined_kernel
 
 CORNERS_EACH = 5
 OF_HUB, OF_FACE = 0, 1
+# Contacts that are no sample's have numbers behind those of all samples: of surfaces, of crossing ridges.
+FIRST_OF_SURFACES, FIRST_OF_RIDGES = 1 << 40, 1 << 42
 # Columns of MeshPool.first.
 FIRST_NODE, FIRST_EDGE, NODES, FIRST_TETRAHEDRON, EDGES = 0, 1, 2, 3, 4
 
@@ -61,3 +63,9 @@ def edge_of(first, sample):
 def tetrahedron_of(first, sample):
     """Row in the pool of a corner's tetrahedron."""
     return first[FIRST_TETRAHEDRON] + (sample - first[NODES] - 2 * first[EDGES]) // CORNERS_EACH
+
+
+@inlined_kernel
+def is_crossing_of_ridges(number):
+    """Whether a contact's number, where others have their sample's, is that of two ridges that cross."""
+    return number >= FIRST_OF_RIDGES

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fracture_collision.core.approach import ANY_WAY, WAY
 from fracture_collision.core.compiled import kernel
-from fracture_collision.core.motion import ANY_WAY, WAY
 from fracture_collision.core.neighbour_lists import MOST_AHEAD, PLACE
 from fracture_collision.core.pools import LEAF, Pools
 from fracture_collision.core.triangle_field import STACK

@@ -15,13 +15,14 @@ from fracture_collision.core.facing_normal import turn_surface_point
 from fracture_collision.core.known_samples import put_contact
 from fracture_collision.core.pools import FACING
 from fracture_collision.core.rotations import to_other
+from fracture_collision.core.sample_numbers import FIRST_OF_SURFACES
 from fracture_collision.core.surface_avoidance import room_for_rounding
 from fracture_collision.core.surface_certificate import FINEST, SHARPEST
 from fracture_collision.core.surface_elements import put_triangle
 from fracture_collision.core.surface_search import inward, search_triangle
 
-# Numbers of such contacts begin behind those of all samples, with so many for each element of a surface.
-FIRST_NUMBER, TRIANGLES_EACH = 1 << 40, 64
+# So many numbers of such contacts each element of a surface has.
+TRIANGLES_EACH = 64
 # Points of its triangle that are asked for a deeper one.
 MOST_SHARPENED = 2_000
 # A point within so many times the sharpness of its place, or of its depth, of a side of its triangle is on an edge.
@@ -55,7 +56,7 @@ def put_surface_contact(
     )  # fmt: skip
     x, y, z = best[0], best[1], best[2]
     answer = bounded_probe(pools, other, x, y, z, 0.0, math.inf, -1, False, scratch, thread)
-    number = FIRST_NUMBER + TRIANGLES_EACH * judgement.piece + min(judgement.triangle, TRIANGLES_EACH - 1)
+    number = FIRST_OF_SURFACES + TRIANGLES_EACH * judgement.piece + min(judgement.triangle, TRIANGLES_EACH - 1)
     put_contact(contacts, ids, 0, side, number, x, y, z, answer)
     if pools.normals != FACING:
         return

@@ -31,7 +31,7 @@ from fracture_collision.core.known_samples import (
     share_a_body,
 )
 from fracture_collision.core.neighbour_lists import displacement, spin
-from fracture_collision.core.oriented_boxes import box_clearance
+from fracture_collision.core.oriented_boxes import box_clearance, way_between
 from fracture_collision.core.pools import NONE_BELOW, OWN_SAMPLE, QUEUE, SAMPLE, SIZE, SURFACE
 from fracture_collision.core.rotations import rotated, to_other
 from fracture_collision.core.sphere_contacts import sphere_contacts
@@ -64,15 +64,6 @@ def depth_limit(pools, f):
 def _has_hull(kind):
     """Whether hull_separation knows what such a fragment lies within."""
     return kind != PLANE and kind != SPHERE
-
-
-@inlined_kernel
-def way_between(box_a, box_b, rotation, translation):
-    """From the middle of b's box to that of a's, in b's frame; rotation, translation: from a's frame to b's."""
-    x, y, z = to_other(
-        rotation, translation, 0.5 * (box_a[0] + box_a[3]), 0.5 * (box_a[1] + box_a[4]), 0.5 * (box_a[2] + box_a[5])
-    )
-    return x - 0.5 * (box_b[0] + box_b[3]), y - 0.5 * (box_b[1] + box_b[4]), z - 0.5 * (box_b[2] + box_b[5])
 
 
 @inlined_kernel
