@@ -16,9 +16,9 @@ import yaml
 
 from fracture_collision.bag.exchanges import read_runs
 from fracture_collision.replay import InProcess, Replay, settings_of
-from fracture_collision.ros.scene_recording import Selection, record_scene
-from fracture_collision.simulation.scene import load_scene
-from fracture_collision.simulation.scene_changes import with_curvature
+from fracture_collision.ros.runs.scene_recording import Selection, record_scene
+from fracture_collision.simulation.scene.scene import load_scene
+from fracture_collision.simulation.scene.scene_changes import with_curvature
 from fracture_collision.world import Settings
 
 FOLDER = Path(__file__).resolve().parent

@@ -25,8 +25,8 @@ from fractured_worlds import SETTINGS, after_each_fracture, fractured_world  # n
 from matplotlib import pyplot as plt  # noqa: E402
 from scipy.interpolate import RegularGridInterpolator  # noqa: E402
 
-from fracture_collision.core import interior_field  # noqa: E402
-from fracture_collision.core.tet_mesh import build_tet_mesh  # noqa: E402
+from fracture_collision.core.bodies import interior_field  # noqa: E402
+from fracture_collision.core.mesh.tet_mesh import build_tet_mesh  # noqa: E402
 from fracture_collision.geometry.concave_shapes import torus  # noqa: E402
 from fracture_collision.geometry.generators import ball, brick, shell  # noqa: E402
 from fracture_collision.geometry.stored_meshes import bunny  # noqa: E402

@@ -26,8 +26,8 @@ from fractured_worlds import SETTINGS, FracturedWorld, fractured_world  # noqa: 
 from matplotlib import pyplot as plt  # noqa: E402
 from oracles.counted_flood import count_floods  # noqa: E402
 
-from fracture_collision.core.averaged_field import averaged_penetration  # noqa: E402
-from fracture_collision.core.flood import (  # noqa: E402
+from fracture_collision.core.field.averaged_field import averaged_penetration  # noqa: E402
+from fracture_collision.core.field.flood import (  # noqa: E402
     EVERYTHING,
     least_distance_squared,
     may_leave_over,
@@ -36,9 +36,9 @@ from fracture_collision.core.flood import (  # noqa: E402
     next_stamp,
     nothing_within,
 )
-from fracture_collision.core.point_location import holds_fragment, owner_in_tetrahedron, tetrahedron_at  # noqa: E402
-from fracture_collision.core.pools import Pools  # noqa: E402
-from fracture_collision.core.scratch import Scratch, make_scratch  # noqa: E402
+from fracture_collision.core.memory.pools import Pools  # noqa: E402
+from fracture_collision.core.mesh.point_location import holds_fragment, owner_in_tetrahedron, tetrahedron_at  # noqa: E402
+from fracture_collision.core.search.scratch import Scratch, make_scratch  # noqa: E402
 from fracture_collision.geometry.generators import ball  # noqa: E402
 from fracture_collision.geometry.stored_meshes import bunny  # noqa: E402
 from fracture_collision.geometry.tetrahedra import tetrahedron_volumes  # noqa: E402

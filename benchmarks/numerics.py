@@ -15,12 +15,12 @@ from fractured_worlds import SETTINGS, FracturedWorld, fractured_world  # noqa: 
 from oracles.voronoi_cells import against_voronoi_cells  # noqa: E402
 from rigid_shapes import RigidShape, cube, l_block, noisy_ball, torus, true_distance  # noqa: E402
 
-from fracture_collision.core.collision_geometry import CollisionGeometry, prepare_surface  # noqa: E402
-from fracture_collision.core.elementary_queries import INSIDE, OUTSIDE, probe  # noqa: E402
-from fracture_collision.core.point_location import owner_in_tetrahedron  # noqa: E402
-from fracture_collision.core.pools import OWNER, PARTED  # noqa: E402
-from fracture_collision.core.scratch import make_scratch  # noqa: E402
-from fracture_collision.core.surface_triangles import surface_triangles  # noqa: E402
+from fracture_collision.core.bodies.collision_geometry import CollisionGeometry, prepare_surface  # noqa: E402
+from fracture_collision.core.field.elementary_queries import INSIDE, OUTSIDE, probe  # noqa: E402
+from fracture_collision.core.memory.pools import OWNER, PARTED  # noqa: E402
+from fracture_collision.core.mesh.point_location import owner_in_tetrahedron  # noqa: E402
+from fracture_collision.core.mesh.surface_triangles import surface_triangles  # noqa: E402
+from fracture_collision.core.search.scratch import make_scratch  # noqa: E402
 from fracture_collision.geometry.generators import TetGeometry, ball, bowl, brick, plate, shell  # noqa: E402
 from fracture_collision.geometry.tetrahedra import FACE_VERTICES, tetrahedron_volumes  # noqa: E402
 from fracture_collision.records import FragmentStates  # noqa: E402

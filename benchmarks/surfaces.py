@@ -32,7 +32,10 @@ from surface_campaign import EPSILON, JITTERS, SEARCHED, SPREADS, PairDepth, cam
 
 from fracture_collision.geometry.generators import TetGeometry  # noqa: E402
 from fracture_collision.records import FragmentStates  # noqa: E402
-from fracture_collision.world import CollisionWorld, Settings  # noqa: E402
+from fracture_collision.world import (
+    CollisionWorld,  # noqa: E402
+    Settings,  # noqa: E402
+)
 
 MODES = ("sampled", "edges", "searched")
 DEEP = 0.1  # [R] what is less deep is told beside all

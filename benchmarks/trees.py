@@ -13,8 +13,8 @@ sys.path[:0] = [str(ROOT), str(ROOT / "test")]  # the fracture patterns live wit
 
 from fractured_worlds import SETTINGS, FracturedWorld, fractured_world, with_settings  # noqa: E402
 
-from fracture_collision.core.fragment_trees import TREES  # noqa: E402
-from fracture_collision.core.max_distance_order import max_distance_order  # noqa: E402
+from fracture_collision.core.bodies.fragment_trees import TREES  # noqa: E402
+from fracture_collision.core.tree.max_distance_order import max_distance_order  # noqa: E402
 from fracture_collision.geometry.generators import ball  # noqa: E402
 from fracture_collision.records import FragmentStates  # noqa: E402
 from fracture_collision.world import CollisionWorld, Settings  # noqa: E402

@@ -25,7 +25,7 @@ from rich.progress import track
 from benchmarks.setting_cost import cost_in_scene, show
 from fracture_collision.lockstep import Lockstep
 from fracture_collision.simulation.rotations import rotation_matrices
-from fracture_collision.simulation.scene import Scene, load_scene, parse_scene
+from fracture_collision.simulation.scene.scene import Scene, load_scene, parse_scene
 from fracture_collision.world import Settings
 
 TIME_STEP = 0.0025  # [s]

@@ -12,8 +12,8 @@ from types import TracebackType
 from typing import NamedTuple
 
 from fracture_collision.records import ContactConstraintArray, FragmentRegistry, FragmentStates
-from fracture_collision.simulation.engine import Engine
-from fracture_collision.simulation.scene import Scene
+from fracture_collision.simulation.engine.engine import Engine
+from fracture_collision.simulation.scene.scene import Scene
 from fracture_collision.simulation.simulation import Simulation, StepReport, StepRequest
 from fracture_collision.world import CollisionWorld, Settings
 from fracture_collision.world.inspection import every_contact

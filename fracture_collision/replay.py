@@ -2,7 +2,7 @@
 
 Contacts are a function of bodies, events, states and settings alone: so it does not matter in what order the questions
 are put, how fast, how often or on how many threads. `Replay` puts them to any `Service`; `InProcess` is one,
-ros/replay_run.py has another, over DDS.
+ros/runs/replay_run.py has another, over DDS.
 """
 
 from __future__ import annotations

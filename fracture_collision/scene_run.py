@@ -18,8 +18,8 @@ from fracture_collision.geometry.tetrahedra import boundary_triangles
 from fracture_collision.kept_memory import keep_memory
 from fracture_collision.lockstep import Exchange, Lockstep
 from fracture_collision.run_report import summaries
-from fracture_collision.simulation.scene import Scene
-from fracture_collision.viewer.recorded_run import RecordedRun, RecordedStates
+from fracture_collision.simulation.scene.scene import Scene
+from fracture_collision.viewer.film.recorded_run import RecordedRun, RecordedStates
 from fracture_collision.world import Settings
 
 MILLI = 1e3

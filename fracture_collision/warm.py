@@ -12,9 +12,9 @@ import numpy as np
 import fracture_collision.simulation.warm_up as simulator
 import fracture_collision.world.warm_up as service
 from fracture_collision.lockstep import Lockstep
-from fracture_collision.simulation.scene import load_scene
-from fracture_collision.viewer.body_mesh import BodyMesh
-from fracture_collision.viewer.ray_picture import Camera, TriangleScene, render
+from fracture_collision.simulation.scene.scene import load_scene
+from fracture_collision.viewer.pictures.body_mesh import BodyMesh
+from fracture_collision.viewer.pictures.ray_picture import Camera, TriangleScene, render
 
 
 def main() -> None:

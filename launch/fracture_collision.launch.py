@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from launch import LaunchDescription
 
-from fracture_collision.ros.launch_parts import arguments, collision_node, node, text, whole
+from fracture_collision.ros.runs.launch_parts import arguments, collision_node, node, text, whole
 
 
 def generate_launch_description() -> LaunchDescription:

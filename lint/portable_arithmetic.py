@@ -21,11 +21,11 @@ FILES = (PACKAGE / "portable_math.py", PACKAGE / "lockstep.py", PACKAGE / "recor
 
 # (file, what): why it is allowed
 EXCEPTIONS = {
-    ("core/body_validator.py", "*"): "checks structures for tests and influences nothing",
+    ("core/bodies/body_validator.py", "*"): "checks structures for tests and influences nothing",
     ("geometry/surface_files.py", "scipy"): "connected components of triangles: combinatorics",
     ("geometry/sampled_bodies.py", "scipy"): "Qhull's Delaunay: compiled once, + - * / and square roots",
     ("geometry/vase.py", "scipy"): "monotone cubics (PCHIP): compiled once, + - * /",
-    ("simulation/arm.py", "scipy"): "monotone cubics (PCHIP): compiled once, + - * /",
+    ("simulation/actors/arm.py", "scipy"): "monotone cubics (PCHIP): compiled once, + - * /",
 }
 
 MATH = {"sqrt", "floor", "ceil", "fabs", "copysign", "isfinite", "isinf", "isnan", "isclose", "inf", "nan", "pi"}

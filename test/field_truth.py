@@ -14,9 +14,9 @@ import numpy as np
 from fractured_worlds import FracturedWorld
 from oracles.brute_force import owners, partition_of
 
-from fracture_collision.core.elementary_queries import INSIDE, bounded_probe
-from fracture_collision.core.pools import AVERAGED, EXACT
-from fracture_collision.core.scratch import make_scratch
+from fracture_collision.core.field.elementary_queries import INSIDE, bounded_probe
+from fracture_collision.core.memory.pools import AVERAGED, EXACT
+from fracture_collision.core.search.scratch import make_scratch
 from fracture_collision.geometry.tetrahedra import tetrahedron_volumes
 
 FIELDS = {"averaged": AVERAGED, "exact": EXACT}

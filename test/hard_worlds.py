@@ -16,8 +16,8 @@ from test_contacts_truth import FRAMES
 from test_exact_field import assert_equal, compare
 from test_fragment_bounds import assert_kept, check_fragments
 
-from fracture_collision.core.elementary_queries import inside_tetrahedron
-from fracture_collision.core.scratch import make_scratch
+from fracture_collision.core.field.elementary_queries import inside_tetrahedron
+from fracture_collision.core.search.scratch import make_scratch
 from fracture_collision.geometry.generators import TetGeometry, brick
 from fracture_collision.geometry.tetrahedra import tetrahedron_volumes
 from fracture_collision.records import BOX, CollisionBody, FractureEvent, FragmentStates, SolidPrimitive

@@ -13,9 +13,9 @@ from browser import knob, picture_of, until
 from fracture_collision.msg import ContactConstraintArray, FragmentStates, SimulationStatus
 from ros_client import PATIENCE, ServiceClient
 
-from fracture_collision.ros import qos
-from fracture_collision.ros.node_process import free_domain_id
-from fracture_collision.ros.play_run import Played, played
+from fracture_collision.ros.processes.node_process import free_domain_id
+from fracture_collision.ros.runs.play_run import Played, played
+from fracture_collision.ros.wire import qos
 
 
 class LivePage:

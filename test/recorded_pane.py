@@ -10,10 +10,10 @@ from fracture_collision.bag.exchanges import Run
 from fracture_collision.bag.reader import BagMessage, read_messages
 from fracture_collision.bag.writer import BagWriter
 from fracture_collision.replay import AS_RECORDED, InProcess, Order, Replay, Report
-from fracture_collision.ros.conversion import record_class_of
-from fracture_collision.ros.recorder_node import bag_topic
-from fracture_collision.ros.scene_recording import TOPICS, Selection, record_scene
-from fracture_collision.simulation.scene import load_scene
+from fracture_collision.ros.nodes.recorder_node import bag_topic
+from fracture_collision.ros.runs.scene_recording import TOPICS, Selection, record_scene
+from fracture_collision.ros.wire.conversion import record_class_of
+from fracture_collision.simulation.scene.scene import load_scene
 from fracture_collision.world import Settings
 
 STEPS = 30  # the pane breaks three times in these

@@ -13,9 +13,9 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.parameter_client import AsyncParameterClient
 
 from fracture_collision.records import ContactConstraintArray, FragmentRegistry
-from fracture_collision.ros import qos
-from fracture_collision.ros.conversion import heading, to_message, to_record
-from fracture_collision.ros.own_context import own_context
+from fracture_collision.ros.processes.own_context import own_context
+from fracture_collision.ros.wire import qos
+from fracture_collision.ros.wire.conversion import heading, to_message, to_record
 
 PATIENCE = 120.0  # [s] for a machine that is busy with other things
 ASK_AGAIN = 5.0  # [s]

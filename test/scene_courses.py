@@ -18,8 +18,8 @@ PINNED = Path(__file__).with_name("scene_courses.yaml")
 
 def digests(names: list[str]) -> Iterator[tuple[str, str]]:
     from fracture_collision.scene_run import SceneRun
-    from fracture_collision.simulation.scene import load_scene
-    from fracture_collision.simulation.scene_changes import with_curvature
+    from fracture_collision.simulation.scene.scene import load_scene
+    from fracture_collision.simulation.scene.scene_changes import with_curvature
     from fracture_collision.world.settings import Settings
 
     for name in names:

@@ -11,9 +11,9 @@ from oracles.fracture_patterns import voronoi_event
 from oracles.fragmented_body import ALL_KINDS, FragmentedBody
 from scipy.interpolate import RegularGridInterpolator
 
-from fracture_collision.core.elementary_queries import INSIDE, bounded_probe, probe
-from fracture_collision.core.pools import EXACT, OWNER
-from fracture_collision.core.scratch import make_scratch
+from fracture_collision.core.field.elementary_queries import INSIDE, bounded_probe, probe
+from fracture_collision.core.memory.pools import EXACT, OWNER
+from fracture_collision.core.search.scratch import make_scratch
 from fracture_collision.geometry.generators import TetGeometry, ball, bowl, brick, plate, shell
 from fracture_collision.records import BUDGET_EXHAUSTED, CollisionBody, FragmentStates
 from fracture_collision.world import CollisionWorld, Settings

@@ -16,7 +16,7 @@ from campaigns.bad_input.doors import REFUSED, RunDoor, as_bytes
 from campaigns.bad_input.serialized import valid_messages
 from campaigns.bad_input.trial import Case, spoilt
 from fracture_collision.records import INVALID_STATES
-from fracture_collision.ros.node_process import NodeProcess, free_domain_id
+from fracture_collision.ros.processes.node_process import NodeProcess, free_domain_id
 
 RUN = 41
 WAITED_FOR = 4  # /diagnostics speaks once a second

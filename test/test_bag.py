@@ -16,8 +16,8 @@ from fracture_collision import msg as messages
 from fracture_collision.bag.reader import message_counts, read_messages, topic_digest
 from fracture_collision.bag.writer import BagTopic, BagWriter, OfferedQos
 from fracture_collision.records import ContactConstraintArray, FragmentStates
-from fracture_collision.ros.conversion import heading, to_message
-from fracture_collision.ros.message_definitions import message_definition, type_hash, type_name
+from fracture_collision.ros.wire.conversion import heading, to_message
+from fracture_collision.ros.wire.message_definitions import message_definition, type_hash, type_name
 
 RANDOM = np.random.default_rng(5)
 STEP_NS = 2_500_000

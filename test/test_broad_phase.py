@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fracture_collision.core.broad_phase import FEW, NOTHING_PAIRED, Paired, pairs_within_reach
-from fracture_collision.core.kinds import PLANE, TETRAHEDRA
-from fracture_collision.core.motion import NO_MOTION, Motion
-from fracture_collision.core.pool_tables import PoolTables
-from fracture_collision.core.pools import EXACT, FACING, FragmentPool
+from fracture_collision.core.bodies.pool_tables import PoolTables
+from fracture_collision.core.lookahead.motion import NO_MOTION, Motion
+from fracture_collision.core.memory.kinds import PLANE, TETRAHEDRA
+from fracture_collision.core.memory.pools import EXACT, FACING, FragmentPool
+from fracture_collision.core.pair.broad_phase import FEW, NOTHING_PAIRED, Paired, pairs_within_reach
 
 TOLERANCE, MOST = 0.01, 1 << 20
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from fractured_worlds import fractured_world
 
-from fracture_collision.core.clearance import BEYOND, DEEP, clearance, may_be_clear, side_of_surface
-from fracture_collision.core.elementary_queries import INSIDE, probe
-from fracture_collision.core.pools import Pools
-from fracture_collision.core.scratch import Scratch, make_scratch
+from fracture_collision.core.field.clearance import BEYOND, DEEP, clearance, may_be_clear, side_of_surface
+from fracture_collision.core.field.elementary_queries import INSIDE, probe
+from fracture_collision.core.memory.pools import Pools
+from fracture_collision.core.search.scratch import Scratch, make_scratch
 from fracture_collision.geometry.generators import ball, brick, shell
 
 SHAPES = {

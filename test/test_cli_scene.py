@@ -20,7 +20,7 @@ from scene_of_length import scene_of_length
 from fracture_collision.cli.commands import main
 from fracture_collision.cli.scene import RESULTS, parse_settings
 from fracture_collision.scene_run import SceneRun, StepFigures
-from fracture_collision.simulation.scene import load_scene
+from fracture_collision.simulation.scene.scene import load_scene
 from fracture_collision.world import Settings
 
 

@@ -18,7 +18,7 @@ from contact_truth import (
 from fractured_worlds import SETTINGS, FracturedWorld, fractured_world, with_settings
 from rigid_shapes import noisy_ball
 
-from fracture_collision.core.fragment_trees import TREES
+from fracture_collision.core.bodies.fragment_trees import TREES
 from fracture_collision.records import BUDGET_EXHAUSTED, CollisionBody, ContactConstraintArray, FragmentStates
 from fracture_collision.world import CollisionWorld
 from fracture_collision.world.settings import TRAVERSALS

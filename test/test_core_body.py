@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from oracles.fracture_patterns import disagreeing_event, voronoi_event
 from oracles.fragmented_body import FragmentedBody
 
-from fracture_collision.core.body_validator import validate_body
-from fracture_collision.core.pools import FANNED, FRONT, LABELS, OWNER, PARTED, PLANE
+from fracture_collision.core.bodies.body_validator import validate_body
+from fracture_collision.core.memory.pools import FANNED, FRONT, LABELS, OWNER, PARTED, PLANE
 from fracture_collision.geometry.generators import TetGeometry, ball, brick, plate
 from fracture_collision.records import CollisionBody, FragmentStates
 from fracture_collision.world import CollisionWorld, Settings

@@ -7,7 +7,7 @@ import pytest
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from fracture_collision.core.connected_pieces import connected_pieces, joined
+from fracture_collision.core.mesh.connected_pieces import connected_pieces, joined
 from fracture_collision.geometry.generators import brick
 from fracture_collision.geometry.tetrahedra import unique_edges
 

@@ -7,10 +7,10 @@ import pytest
 from fractured_worlds import DENSITY, FracturedWorld, fractured_world
 from oracles.fragmented_body import ALL_KINDS
 
-from fracture_collision.core.elementary_queries import INSIDE, NEAR, inside_tetrahedron, probe
-from fracture_collision.core.occupancy import sphere_may_touch
-from fracture_collision.core.scratch import make_scratch
-from fracture_collision.core.surface_triangles import surface_triangles
+from fracture_collision.core.field.elementary_queries import INSIDE, NEAR, inside_tetrahedron, probe
+from fracture_collision.core.mesh.occupancy import sphere_may_touch
+from fracture_collision.core.mesh.surface_triangles import surface_triangles
+from fracture_collision.core.search.scratch import make_scratch
 from fracture_collision.geometry.generators import ball, bowl, brick, plate, shell
 from fracture_collision.geometry.tetrahedra import tetrahedron_volumes
 

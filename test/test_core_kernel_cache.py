@@ -9,7 +9,7 @@ import sys
 LOAD_THEN_COMPILE = """
 import json, sys
 import numpy as np
-from fracture_collision.core.connected_pieces import _joined, joined
+from fracture_collision.core.mesh.connected_pieces import _joined, joined
 from numba import njit
 
 def for_compiling():
@@ -28,7 +28,7 @@ print(json.dumps(told | {"ring": int(pieces_of_a_ring(7)), "compiled": for_compi
 
 START = """
 import json, sys
-import fracture_collision.ros.collision_node
+import fracture_collision.ros.service.collision_node
 from fracture_collision.world import warm_up
 announced = sorted({"numba", "scipy"} & sys.modules.keys())
 warm_up.compile_kernels(lambda what: None)

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from oracles.corner_samples import corner_samples
 from oracles.fragmented_body import FragmentedBody
 
-from fracture_collision.core.fragment_trees import REBUILT, TREES
-from fracture_collision.core.sphere_tree import build_sphere_tree, validate_sphere_tree
+from fracture_collision.core.bodies.fragment_trees import REBUILT, TREES
+from fracture_collision.core.tree.sphere_tree import build_sphere_tree, validate_sphere_tree
 from fracture_collision.geometry.generators import ball, plate
 from fracture_collision.geometry.tetrahedra import boundary_triangles
 from fracture_collision.records import FragmentStates

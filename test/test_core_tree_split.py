@@ -10,12 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles.sphere_tree_split import flat, fragment_tree, nested
 
-from fracture_collision.core.fragment_trees import TREES
-from fracture_collision.core.pool_tables import PoolTables
-from fracture_collision.core.pools import ALTERNATING, EXACT, FACING, OWN_SAMPLE, SAMPLE, SIZE, SURFACE
-from fracture_collision.core.sphere_tree import SphereTree, build_sphere_tree, validate_sphere_tree
-from fracture_collision.core.sphere_tree_deal import BATCH
-from fracture_collision.core.sphere_tree_split import rows_of_split, split_sphere_tree
+from fracture_collision.core.bodies.fragment_trees import TREES
+from fracture_collision.core.bodies.pool_tables import PoolTables
+from fracture_collision.core.memory.pools import ALTERNATING, EXACT, FACING, OWN_SAMPLE, SAMPLE, SIZE, SURFACE
+from fracture_collision.core.tree.sphere_tree import SphereTree, build_sphere_tree, validate_sphere_tree
+from fracture_collision.core.tree.sphere_tree_deal import BATCH
+from fracture_collision.core.tree.sphere_tree_split import rows_of_split, split_sphere_tree
 from fracture_collision.geometry.generators import brick
 
 

@@ -12,7 +12,7 @@ from oracles.brute_force import distances
 from oracles.crack_normal import SharedCrack
 from rims import broken_body, jittered, measure, world_of
 
-from fracture_collision.core.sample_numbers import EDGES, NODES
+from fracture_collision.core.mesh.sample_numbers import EDGES, NODES
 from fracture_collision.geometry.concave_shapes import torus
 from fracture_collision.geometry.generators import ball, brick, plate, shell
 from fracture_collision.records import ContactConstraintArray, FragmentStates

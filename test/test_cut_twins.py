@@ -10,13 +10,13 @@ from fractured_worlds import SETTINGS, FracturedWorld, fractured_world, with_set
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fracture_collision.core import touched_tetrahedra
-from fracture_collision.core.connected_pieces import connected_pieces
-from fracture_collision.core.cut_tetrahedron import CUT, DIVIDED
-from fracture_collision.core.pools import BACK_SIDE, FANNED, FRONT_SIDE, KIND, OLD_FACE, OWNER, PARTED, ROW
+from fracture_collision.core.fracture import touched_tetrahedra
+from fracture_collision.core.memory.pools import BACK_SIDE, FANNED, FRONT_SIDE, KIND, OLD_FACE, OWNER, PARTED, ROW
+from fracture_collision.core.mesh.connected_pieces import connected_pieces
+from fracture_collision.core.mesh.cut_tetrahedron import CUT, DIVIDED
 from fracture_collision.geometry.generators import ball, brick, plate, shell
 from fracture_collision.records import ContactConstraintArray, FragmentStates
-from fracture_collision.world.fracture_match import first_split
+from fracture_collision.world.gates.fracture_match import first_split
 
 SHAPES = {
     "ball": ball(1.0, 0.35),

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from fracture_collision.ros.start import NODES
+from fracture_collision.ros.start import NODES, module_of
 
 ROOT = Path(__file__).resolve().parents[1]
 BAG = ROOT / "bags" / "pane"
@@ -31,7 +31,7 @@ COMMANDS = [
     (("smash",), "matplotlib"),
     (("scene", "pane"), "numba"),
     (("bench",), "benchmarks.studies.bench"),
-    (("play", "--no-open"), "fracture_collision.ros.play_run"),
+    (("play", "--no-open"), "fracture_collision.ros.runs.play_run"),
     (("view", BAG, "--no-open"), "viser"),
     (("film", BAG), "numba"),
     (("replay", BAG), "numba"),
@@ -74,7 +74,7 @@ def test_a_node_ends_as_it_does_later(node: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("node", NODES)
 def test_a_node_has_help_and_does_not_start(node: str, tmp_path: Path) -> None:
-    for module in (("fracture_collision.ros.start", node), (f"fracture_collision.ros.{node}",)):
+    for module in (("fracture_collision.ros.start", node), (module_of(node),)):
         done = subprocess.run(
             [sys.executable, "-m", *module, "--help"], cwd=tmp_path, capture_output=True, text=True, timeout=60.0,
         )  # fmt: skip

@@ -13,11 +13,11 @@ from rods import EDGE, OVERLAP, answer_of_rods, crossed
 from surface_campaign import PairDepth, campaign
 from test_neighbour_lists import assert_same, random_turns, turned
 
-from fracture_collision.core.ridge_contacts import DEEPEST, RIDGES_EACH
-from fracture_collision.core.ridge_crossing import BEYOND_FACE, LEAST_SINE, MATTERS
-from fracture_collision.core.ridges import LEAST_LENGTH, LEAST_TURN, LENGTH, OUTWARD, TURN
-from fracture_collision.core.sample_numbers import FIRST_OF_RIDGES
-from fracture_collision.core.surface_triangles import surface_triangles
+from fracture_collision.core.edges.ridge_contacts import DEEPEST, RIDGES_EACH
+from fracture_collision.core.edges.ridge_crossing import BEYOND_FACE, LEAST_SINE, MATTERS
+from fracture_collision.core.edges.ridges import LEAST_LENGTH, LEAST_TURN, LENGTH, OUTWARD, TURN
+from fracture_collision.core.mesh.sample_numbers import FIRST_OF_RIDGES
+from fracture_collision.core.mesh.surface_triangles import surface_triangles
 from fracture_collision.geometry.generators import brick
 from fracture_collision.records import BOX, CollisionBody, FragmentStates, SolidPrimitive
 from fracture_collision.world import CollisionWorld, Settings

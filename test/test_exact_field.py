@@ -10,8 +10,8 @@ from contact_truth import COARSE_SHAPES, SHAPES
 from fractured_worlds import FracturedWorld, after_each_fracture, fractured_world
 from oracles.brute_force import Partition, distances, owners, partition_of
 
-from fracture_collision.core.elementary_queries import INSIDE, NEAR, probe
-from fracture_collision.core.scratch import make_scratch
+from fracture_collision.core.field.elementary_queries import INSIDE, NEAR, probe
+from fracture_collision.core.search.scratch import make_scratch
 from fracture_collision.geometry.tetrahedra import tetrahedron_volumes
 
 TOLERANCE = 1e-9  # of R = 1 m

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from ros_stage import StageWithClients
 
-from fracture_collision.ros.node_process import loopback_environment
+from fracture_collision.ros.processes.node_process import loopback_environment
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 PATIENCE = 120.0  # [s]

@@ -16,7 +16,7 @@ from fracture_collision.records import FragmentStates
 from fracture_collision.world import CollisionWorld, Settings
 
 SETTINGS = Settings(threads=1, contacts_per_pair=10_000, normals="facing")
-# core/facing_normal: which normals point the same way, how much farther a facing surface may be, what is rounding (R).
+# facing_normal.py: which normals point the same way, how much farther a facing surface may be, what is rounding (R).
 SAME_WAY, FARTHER, SLACK = 0.25, 0.03, 1e-12
 SIZE = np.array([2.0, 1.6, 1.0])
 KINDS = ("tetrahedra", "triangles", "box")

@@ -19,8 +19,8 @@ from small_run import small_run
 from fracture_collision.bag.reader import BagError
 from fracture_collision.cli.commands import main
 from fracture_collision.run_meshes import read_run_with_meshes
-from fracture_collision.viewer.film import Cut, FilmError, frame_indices, make_film
-from fracture_collision.viewer.recorded_run import read_run
+from fracture_collision.viewer.film.film import Cut, FilmError, frame_indices, make_film
+from fracture_collision.viewer.film.recorded_run import read_run
 
 pytest.importorskip("embreex", exc_type=ModuleNotFoundError)
 SMALL = Cut(width=96, height=64, fps=10.0, samples=1)

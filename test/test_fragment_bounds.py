@@ -13,7 +13,7 @@ from oracles.brute_force import distances, owners, partition_of
 from oracles.fragmented_body import ALL_KINDS
 from scipy.spatial import cKDTree
 
-from fracture_collision.core.occupancy import sphere_may_touch
+from fracture_collision.core.mesh.occupancy import sphere_may_touch
 from fracture_collision.geometry.generators import ball
 
 # R = 1 m for all shapes.

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fracture_collision.core.connected_pieces import connected_pieces
+from fracture_collision.core.mesh.connected_pieces import connected_pieces
 from fracture_collision.geometry.sampled_bodies import sampled_ball, sampled_shell
 from fracture_collision.geometry.tetrahedra import (
     boundary_triangles,

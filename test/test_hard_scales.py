@@ -24,7 +24,7 @@ from oracles.fracture_patterns import curved_event
 from rigid_shapes import boundary_of
 from scipy.spatial.transform import Rotation
 
-from fracture_collision.core.point_location import tetrahedron_at
+from fracture_collision.core.mesh.point_location import tetrahedron_at
 from fracture_collision.geometry.concave_shapes import l_block
 from fracture_collision.geometry.generators import TetGeometry, ball, brick
 from fracture_collision.geometry.tetrahedra import face_neighbours

@@ -10,8 +10,8 @@ from fractured_worlds import FracturedWorld, fractured_world
 from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
-from fracture_collision.core.hull_separation import Hull, parting_plane
-from fracture_collision.core.surface_triangles import surface_triangles
+from fracture_collision.core.mesh.surface_triangles import surface_triangles
+from fracture_collision.core.separation.hull_separation import Hull, parting_plane
 from fracture_collision.geometry.concave_shapes import torus
 from fracture_collision.geometry.generators import ball, shell
 

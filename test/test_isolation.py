@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import pytest
 
-from fracture_collision.ros.node_process import free_domain_id, loopback_environment
+from fracture_collision.ros.processes.node_process import free_domain_id, loopback_environment
 
 HERE, ELSEWHERE = "10.213.7.1", "10.213.7.2"
 
@@ -82,7 +82,7 @@ def machines() -> Iterator[Machines]:
 def seen_from_elsewhere(machines: Machines, environment: dict[str, str], where: str = "", **stranger: str) -> bool:
     """Whether a participant of the other machine meets a service that is started in `environment`."""
     domain = {"ROS_DOMAIN_ID": environment["ROS_DOMAIN_ID"], "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}
-    service = machines.start(machines.here, "-m", "fracture_collision.ros.collision_node", **environment)
+    service = machines.start(machines.here, "-m", "fracture_collision.ros.service.collision_node", **environment)
     try:
         looks = machines.start(
             where or machines.elsewhere, "-c", STRANGER, str(PATIENCE), **(os.environ | domain | stranger)

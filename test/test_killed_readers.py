@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from fracture_collision.ros.node_process import free_domain_id
+from fracture_collision.ros.processes.node_process import free_domain_id
 
 KILLS = 60  # with Fast DDS's own segment of 512 kB the reader after 25 to 30 kills got nothing that is large
 PATIENCE = 20.0  # [s] on a machine that is busy with other things
@@ -17,8 +17,8 @@ LATCHED = 6
 WRITER = """
 import sys, time, array
 from std_msgs.msg import UInt8MultiArray
-from fracture_collision.ros import qos
-from fracture_collision.ros.own_context import own_context
+from fracture_collision.ros.wire import qos
+from fracture_collision.ros.processes.own_context import own_context
 import rclpy
 node = rclpy.create_node("writer", context=own_context(int(sys.argv[1])))
 large = node.create_publisher(UInt8MultiArray, "large", qos.LATCHED)
@@ -34,8 +34,8 @@ while True:
 READER = """
 import sys
 from std_msgs.msg import UInt8MultiArray
-from fracture_collision.ros import qos
-from fracture_collision.ros.own_context import own_context
+from fracture_collision.ros.wire import qos
+from fracture_collision.ros.processes.own_context import own_context
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 context = own_context(int(sys.argv[1]))

@@ -14,7 +14,7 @@ import pytest
 import yaml
 from launch_stand_ins import Context, Node, load
 
-from fracture_collision.ros.node_process import free_domain_id
+from fracture_collision.ros.processes.node_process import free_domain_id
 
 FILE = Path(__file__).resolve().parents[1] / "launch" / "fracture_collision.launch.py"
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"

@@ -16,8 +16,9 @@ import pytest
 import yaml
 from launch_stand_ins import Context, Node, load
 
-from fracture_collision.ros import markers, qos
-from fracture_collision.ros.node_process import free_domain_id
+from fracture_collision.ros.processes.node_process import free_domain_id
+from fracture_collision.ros.start import module_of
+from fracture_collision.ros.wire import markers, qos
 
 ROOT = Path(__file__).resolve().parents[1]
 PATIENCE = 120.0  # [s]
@@ -52,7 +53,7 @@ def test_what_it_starts_serves_a_page(describe, tmp_path: Path) -> None:
     processes, logs = [], {name: tmp_path / f"{name}.log" for name in NAMES}
     try:
         for node in describe(environment, scene="pane", folder=str(tmp_path / "play")):
-            command = [sys.executable, "-m", f"fracture_collision.ros.{node.executable}", *node.command[1:]]
+            command = [sys.executable, "-m", module_of(node.executable), *node.command[1:]]
             with logs[node.executable].open("wb") as log:
                 processes.append(subprocess.Popen(command, env=node.environment, stdout=log, stderr=log))
         deadline = time.monotonic() + PATIENCE

@@ -12,8 +12,8 @@ from ros_client import PATIENCE
 from ros_stage import StageWithClients
 from sensor_msgs.msg import JointState
 
-from fracture_collision.ros import qos
-from fracture_collision.ros.live_client import LiveClient
+from fracture_collision.ros.nodes.live_client import LiveClient
+from fracture_collision.ros.wire import qos
 from fracture_collision.share import share_directory
 
 PLATE = np.array([-0.45, 0.0, 0.7227])  # the first of the scene

@@ -8,11 +8,12 @@ from fractured_worlds import FracturedWorld, fractured_world, with_settings
 from hard_worlds import tetrahedral_body
 from scipy.spatial.transform import Rotation
 
-from fracture_collision.core import kinds, narrow_phase
-from fracture_collision.core.approach import WAY, nearer_along
-from fracture_collision.core.motion import put_pose, put_way
-from fracture_collision.core.pools import SIZE
-from fracture_collision.core.staying_apart import least_gap_ahead
+from fracture_collision.core.lookahead.motion import put_pose, put_way
+from fracture_collision.core.lookahead.staying_apart import least_gap_ahead
+from fracture_collision.core.memory import kinds
+from fracture_collision.core.memory.pools import SIZE
+from fracture_collision.core.pair import narrow_phase
+from fracture_collision.core.separation.approach import WAY, nearer_along
 from fracture_collision.geometry.generators import ball, brick, shell
 from fracture_collision.records import (
     BOX,

@@ -10,9 +10,9 @@ from numba import njit
 from scipy.optimize import lsq_linear
 from scipy.spatial.transform import Rotation
 
-from fracture_collision.core.narrow_phase import NOTHING_REMEMBERED
-from fracture_collision.core.neighbour_lists import NO_LISTS, displacement, with_pairs
-from fracture_collision.core.oriented_boxes import box_clearance
+from fracture_collision.core.pair.narrow_phase import NOTHING_REMEMBERED
+from fracture_collision.core.search.neighbour_lists import NO_LISTS, displacement, with_pairs
+from fracture_collision.core.separation.oriented_boxes import box_clearance
 from fracture_collision.geometry.generators import ball, brick, shell
 from fracture_collision.records import BOX, CollisionBody, ContactConstraintArray, FragmentStates, SolidPrimitive
 from fracture_collision.world import CollisionWorld, Settings

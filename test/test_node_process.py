@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from fracture_collision.ros.node_process import NodeProcess, free_domain_id
+from fracture_collision.ros.processes.node_process import NodeProcess, free_domain_id
 
 
 @pytest.mark.parametrize("niceness", [0, 5])

@@ -15,16 +15,16 @@ import trimesh
 from small_run import small_run
 
 from fracture_collision.records import CollisionBody, FragmentMesh, FragmentStates
-from fracture_collision.viewer.body_mesh import mesh_of_fragment
-from fracture_collision.viewer.gltf import glb_of_mesh
-from fracture_collision.viewer.page import Page
-from fracture_collision.viewer.page_plots import Figures
-from fracture_collision.viewer.page_stream import STILL, LiveValues
-from fracture_collision.viewer.palette import Palette
+from fracture_collision.viewer.page.page import Page
+from fracture_collision.viewer.page.page_plots import Figures
+from fracture_collision.viewer.page.page_stream import STILL, LiveValues
+from fracture_collision.viewer.pictures.body_mesh import mesh_of_fragment
+from fracture_collision.viewer.pictures.gltf import glb_of_mesh
+from fracture_collision.viewer.pictures.palette import Palette
 
 SERVE = """
 import sys
-from fracture_collision.viewer.page import Page
+from fracture_collision.viewer.page.page import Page
 with Page() as page:
     print(page.address)
 print([name for name in ("requests", "certifi", "tqdm", "rclpy") if name in sys.modules])

@@ -13,13 +13,13 @@ from browser import HEIGHT, PATIENCE, WIDTH, chromium, knob, opened, picture_of,
 from small_run import small_run
 
 from fracture_collision.records import CollisionBody, ContactConstraintArray, FragmentStates, refusal_of
-from fracture_collision.viewer.bag_player import BagPlayer
-from fracture_collision.viewer.page import INTERVAL, Page
-from fracture_collision.viewer.page_events import Handlers, InsideWanted, PlaneWanted
-from fracture_collision.viewer.page_inside import InsideFigures, InsideView, PlanePicture, Spheres
-from fracture_collision.viewer.page_plots import Figures
-from fracture_collision.viewer.ray_picture import Camera
-from fracture_collision.viewer.recorded_run import RecordedRun, RecordedStates
+from fracture_collision.viewer.film.recorded_run import RecordedRun, RecordedStates
+from fracture_collision.viewer.page.bag_player import BagPlayer
+from fracture_collision.viewer.page.page import INTERVAL, Page
+from fracture_collision.viewer.page.page_events import Handlers, InsideWanted, PlaneWanted
+from fracture_collision.viewer.page.page_inside import InsideFigures, InsideView, PlanePicture, Spheres
+from fracture_collision.viewer.page.page_plots import Figures
+from fracture_collision.viewer.pictures.ray_picture import Camera
 
 
 @pytest.fixture(scope="module")

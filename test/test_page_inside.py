@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 from small_run import small_run
 
 from fracture_collision.records import FragmentStates
-from fracture_collision.viewer.page import Page
-from fracture_collision.viewer.page_events import Handlers, InsideWanted, PlaneWanted
-from fracture_collision.viewer.page_inside import (
+from fracture_collision.viewer.page.page import Page
+from fracture_collision.viewer.page.page_events import Handlers, InsideWanted, PlaneWanted
+from fracture_collision.viewer.page.page_inside import (
     AXES,
     MOST_SPHERES,
     SHARED_COLOUR,

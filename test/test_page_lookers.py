@@ -7,7 +7,7 @@ from small_run import small_run
 
 from benchmarks.page.lookers import taker
 from fracture_collision.records import CollisionBody, FragmentStates
-from fracture_collision.viewer.page import Page
+from fracture_collision.viewer.page.page import Page
 
 PICTURES = 5
 

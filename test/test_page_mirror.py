@@ -14,10 +14,10 @@ from fractured_worlds import FracturedWorld, fractured_world, with_settings
 
 from fracture_collision.cdr import Heading, Received
 from fracture_collision.records import FragmentStates
-from fracture_collision.ros.conversion import heading, to_message
-from fracture_collision.ros.page_mirror import Mirror
-from fracture_collision.viewer.page_events import InsideWanted, PlaneWanted
-from fracture_collision.viewer.page_inside import InsideView
+from fracture_collision.ros.nodes.page_mirror import Mirror
+from fracture_collision.ros.wire.conversion import heading, to_message
+from fracture_collision.viewer.page.page_events import InsideWanted, PlaneWanted
+from fracture_collision.viewer.page.page_inside import InsideView
 from fracture_collision.world import Settings
 from fracture_collision.world.inspection import (
     asked_with,

@@ -17,8 +17,8 @@ from sensor_msgs.msg import JointState
 
 from fracture_collision.cli.commands import main
 from fracture_collision.cli.replay import INCOMPLETE
-from fracture_collision.ros import qos
-from fracture_collision.viewer.recorded_run import read_run
+from fracture_collision.ros.wire import qos
+from fracture_collision.viewer.film.recorded_run import read_run
 
 PLATES = 4
 # A browser that draws in software, on the processors of the nodes, takes minutes for these.

@@ -13,8 +13,8 @@ from ros_client import ServiceClient
 from websockets.exceptions import InvalidStatus
 
 from fracture_collision.cli.commands import main
-from fracture_collision.ros.node_process import free_domain_id
-from fracture_collision.ros.play_run import PlayFailed, played
+from fracture_collision.ros.processes.node_process import free_domain_id
+from fracture_collision.ros.runs.play_run import PlayFailed, played
 
 NODES = ("collision_node.log", "live_simulator_node.log", "page_node.log")
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from ros_stage import StageWithClients
 
-from fracture_collision.ros.recordings import RecordingFailed, Recordings, _new_folder
+from fracture_collision.ros.nodes.recordings import RecordingFailed, Recordings, _new_folder
 
 
 def test_nodes_of_a_namespace_are_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

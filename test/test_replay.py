@@ -16,8 +16,8 @@ from fracture_collision.bag.exchanges import Run, read_runs
 from fracture_collision.bag.reader import BagMessage, read_messages
 from fracture_collision.records import INVALID_STATES, REMOVE, CollisionBody, SolidPrimitive
 from fracture_collision.replay import AS_RECORDED, Order, settings_of
-from fracture_collision.ros.cdr_padding import zero_padding
-from fracture_collision.ros.conversion import heading, to_message
+from fracture_collision.ros.wire.cdr_padding import zero_padding
+from fracture_collision.ros.wire.conversion import heading, to_message
 from fracture_collision.world import CollisionWorld, Settings
 
 STATES, CONTACTS, BODIES, EVENTS = "/fragment_states", "/contact_constraints", "/bodies", "/fracture_events"

@@ -16,8 +16,8 @@ from recorded_pane import CLASSES, STEPS, changed_bag, record_pane, write_bag
 from fracture_collision.bag.cdr import deserialize_record, serialize_record
 from fracture_collision.bag.reader import BagMessage, read_messages
 from fracture_collision.bag.writer import BagWriter
-from fracture_collision.ros.recorder_node import bag_topic
-from fracture_collision.ros.scene_recording import TOPICS
+from fracture_collision.ros.nodes.recorder_node import bag_topic
+from fracture_collision.ros.runs.scene_recording import TOPICS
 from fracture_collision.world import Settings
 
 CONTACTS = "/contact_constraints"
@@ -144,7 +144,7 @@ def test_a_recording_that_does_not_begin_leaves_nothing(tmp_path: Path, monkeypa
     def failing(*_: object) -> None:
         raise ValueError("no run")
 
-    monkeypatch.setattr("fracture_collision.ros.scene_recording.Lockstep", failing)
+    monkeypatch.setattr("fracture_collision.ros.runs.scene_recording.Lockstep", failing)
     with pytest.raises(ValueError, match="no run"):
         record_pane(tmp_path / "bag")
     assert not (tmp_path / "bag").exists()

@@ -14,7 +14,7 @@ from fracture_collision.bag.exchanges import read_runs
 from fracture_collision.bag.reader import missing_words
 from fracture_collision.records import ContactConstraintArray
 from fracture_collision.replay import AS_RECORDED, Order, settings_of
-from fracture_collision.simulation.scene import scene_files
+from fracture_collision.simulation.scene.scene import scene_files
 
 BAGS = Path(__file__).parents[1] / "bags"
 GOLDEN: dict[str, dict[str, Any]] = yaml.safe_load((BAGS / "digests.yaml").read_text())

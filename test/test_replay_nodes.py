@@ -32,13 +32,14 @@ from fracture_collision.bag.reader import message_counts, missing_words, read_me
 from fracture_collision.cdr import Heading
 from fracture_collision.records import FractureEvent
 from fracture_collision.replay import Order, Replay, settings_of
-from fracture_collision.ros import qos, service_settings
-from fracture_collision.ros.node_process import NodeProcess, free_domain_id
-from fracture_collision.ros.own_context import own_context
-from fracture_collision.ros.replay_run import OverDds
-from fracture_collision.ros.scene_recording import TOPICS, record_scene
-from fracture_collision.ros.service_settings import ServiceSettings
-from fracture_collision.simulation.scene import load_scene
+from fracture_collision.ros.nodes import service_settings
+from fracture_collision.ros.nodes.service_settings import ServiceSettings
+from fracture_collision.ros.processes.node_process import NodeProcess, free_domain_id
+from fracture_collision.ros.processes.own_context import own_context
+from fracture_collision.ros.runs.replay_run import OverDds
+from fracture_collision.ros.runs.scene_recording import TOPICS, record_scene
+from fracture_collision.ros.wire import qos
+from fracture_collision.simulation.scene.scene import load_scene
 from fracture_collision.world import Settings
 
 PATIENCE = 60.0  # [s] for a machine that is busy with other things

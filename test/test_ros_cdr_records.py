@@ -18,9 +18,9 @@ from fracture_collision import msg as messages
 from fracture_collision import records
 from fracture_collision.bag.cdr import LAYOUTS, NESTED_LAYOUTS
 from fracture_collision.cdr import Heading
-from fracture_collision.ros.cdr_padding import zero_padding
-from fracture_collision.ros.cdr_records import deserialize_record, layout_of, nested_class, serialize_record
-from fracture_collision.ros.conversion import heading, message_class_of, to_message, to_record
+from fracture_collision.ros.wire.cdr_padding import zero_padding
+from fracture_collision.ros.wire.cdr_records import deserialize_record, layout_of, nested_class, serialize_record
+from fracture_collision.ros.wire.conversion import heading, message_class_of, to_message, to_record
 
 RUN = 2**64 - 1
 HEADINGS = [heading(1.25), heading(0.0, ""), Heading(-1, 999_999_999, "Küche/Boden"), heading(3.0, "w" * 255)]

@@ -17,8 +17,8 @@ from test_ros_collision_run import FIRST, SECOND, STATES, breakable_body, expect
 
 from campaigns.kills.stage import await_step
 from fracture_collision.records import BOX, CollisionBody, FragmentStates, SolidPrimitive
-from fracture_collision.ros.message_origin import take_with_origin
-from fracture_collision.ros.prompt_executor import PromptExecutor
+from fracture_collision.ros.fastdds.message_origin import take_with_origin
+from fracture_collision.ros.fastdds.prompt_executor import PromptExecutor
 from fracture_collision.world import CollisionWorld, Settings
 
 RUN = 41

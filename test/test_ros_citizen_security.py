@@ -12,9 +12,8 @@ from pathlib import Path
 import pytest
 from ros_stage import StageWithClients
 
-from fracture_collision.ros import qos
-from fracture_collision.ros.node_process import free_domain_id, loopback_environment
-from fracture_collision.ros.security_files import (
+from fracture_collision.ros.processes.node_process import free_domain_id, loopback_environment
+from fracture_collision.ros.runs.security_files import (
     NODE_SUBSCRIBES,
     ROLES,
     dds_names,
@@ -22,6 +21,7 @@ from fracture_collision.ros.security_files import (
     permissions,
     write_files,
 )
+from fracture_collision.ros.wire import qos
 
 KEPT = Path(__file__).resolve().parents[1] / "security"
 
@@ -129,7 +129,7 @@ def test_who_asks_for_security_gets_no_open_node(tmp_path: Path) -> None:
         (enclave / f"{name}.pem").touch()
     for name in ("governance", "permissions"):
         (enclave / f"{name}.p7s").touch()
-    command = [sys.executable, "-m", "fracture_collision.ros.collision_node", "--ros-args", "--enclave"]
+    command = [sys.executable, "-m", "fracture_collision.ros.service.collision_node", "--ros-args", "--enclave"]
     done = subprocess.run(
         [*command, "/fracture_collision/collision_node"], capture_output=True, text=True, timeout=60.0,
         env=os.environ | loopback_environment(free_domain_id()) | secure,

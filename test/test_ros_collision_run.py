@@ -15,11 +15,11 @@ from fracture_collision.records import (
     FragmentStates,
     SolidPrimitive,
 )
-from fracture_collision.ros import collision_run
-from fracture_collision.ros.cdr_records import place_of_event, serialize_record
-from fracture_collision.ros.collision_node import is_time_for_log
-from fracture_collision.ros.collision_run import CollisionRun
-from fracture_collision.ros.conversion import heading
+from fracture_collision.ros.service import collision_run
+from fracture_collision.ros.service.collision_node import is_time_for_log
+from fracture_collision.ros.service.collision_run import CollisionRun
+from fracture_collision.ros.wire.cdr_records import place_of_event, serialize_record
+from fracture_collision.ros.wire.conversion import heading
 from fracture_collision.world import CollisionWorld, InvalidMessage, Settings, StatesAhead
 
 SETTINGS = Settings(threads=1)

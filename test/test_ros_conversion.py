@@ -12,9 +12,9 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.serialization import deserialize_message, serialize_message
 
 from fracture_collision import records
-from fracture_collision.ros import qos
-from fracture_collision.ros.cdr_padding import zero_padding
-from fracture_collision.ros.conversion import heading, to_message, to_record
+from fracture_collision.ros.wire import qos
+from fracture_collision.ros.wire.cdr_padding import zero_padding
+from fracture_collision.ros.wire.conversion import heading, to_message, to_record
 from fracture_collision.share import share_directory
 from fracture_collision.world import Settings
 

@@ -19,10 +19,10 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from fracture_collision.cdr import Heading
 from fracture_collision.records import REMOVE, FragmentMesh, FragmentStates, refusal_of
-from fracture_collision.ros.cdr_padding import zero_padding
-from fracture_collision.ros.conversion import header_of
-from fracture_collision.ros.marker_bytes import MarkerRecord, serialize_markers
-from fracture_collision.ros.markers import FragmentMarkers, Scene
+from fracture_collision.ros.wire.cdr_padding import zero_padding
+from fracture_collision.ros.wire.conversion import header_of
+from fracture_collision.ros.wire.marker_bytes import MarkerRecord, serialize_markers
+from fracture_collision.ros.wire.markers import FragmentMarkers, Scene
 from fracture_collision.world import CollisionWorld, Settings
 
 

@@ -19,19 +19,17 @@ from test_ros_collision_run import FIRST, SECOND, STATES, breakable_body, ground
 
 from campaigns.kills.stage import await_end, await_recording, await_step, await_that, must_end, steps_told
 from fracture_collision.bag.reader import message_counts
-from fracture_collision.ros import acknowledged_publisher, qos
-from fracture_collision.ros.acknowledged_publisher import (
+from fracture_collision.ros.fastdds import acknowledged_publisher
+from fracture_collision.ros.fastdds.acknowledged_publisher import (
     LOOK_INTERVAL,
     PATIENCE,
     PATIENCE_WITH_THE_SLOW,
     AcknowledgedPublisher,
 )
-from fracture_collision.ros.farewell import farewell, participants_here
-from fracture_collision.ros.message_origin import participant_of
-from fracture_collision.ros.neighbours import EVERYBODYS_TOPICS, Neighbours
-from fracture_collision.ros.node_process import free_domain_id
-from fracture_collision.ros.own_context import own_context
-from fracture_collision.ros.participant_process import (
+from fracture_collision.ros.fastdds.farewell import farewell, participants_here
+from fracture_collision.ros.fastdds.message_origin import participant_of
+from fracture_collision.ros.fastdds.neighbours import EVERYBODYS_TOPICS, Neighbours
+from fracture_collision.ros.fastdds.participant_process import (
     Process,
     age_of,
     is_dead,
@@ -39,6 +37,9 @@ from fracture_collision.ros.participant_process import (
     is_stopped,
     process_of,
 )
+from fracture_collision.ros.processes.node_process import free_domain_id
+from fracture_collision.ros.processes.own_context import own_context
+from fracture_collision.ros.wire import qos
 
 RUN = 43
 ANSWERS = "fracture_collision: answers"

@@ -15,9 +15,9 @@ from test_ros_collision_run import FIRST, SECOND, STATES, breakable_body, expect
 
 from campaigns.soak import processor_seconds
 from fracture_collision.records import BOX, INVALID_STATES, CollisionBody, SolidPrimitive
-from fracture_collision.ros.cdr_records import serialize_record
-from fracture_collision.ros.conversion import heading, to_message, to_record
-from fracture_collision.ros.node_process import NodeProcess, free_domain_id, loopback_environment
+from fracture_collision.ros.processes.node_process import NodeProcess, free_domain_id, loopback_environment
+from fracture_collision.ros.wire.cdr_records import serialize_record
+from fracture_collision.ros.wire.conversion import heading, to_message, to_record
 
 RUN = 41
 LARGEST_MESSAGE = 100_000  # [bytes]
@@ -206,7 +206,7 @@ def interrupted(module):
         os.kill(os.getpid(), {int(order)})
     return hand_over(module)
 CPUCodeLibrary._object_getbuffer_hook = interrupted
-from fracture_collision.ros.collision_node import main
+from fracture_collision.ros.service.collision_node import main
 sys.exit(main())
 """
     done = subprocess.run(

@@ -17,11 +17,11 @@ from pathlib import Path
 import pytest
 
 from campaigns.kills.stage import await_ready, stage
-from fracture_collision.ros import shared_memory
-from fracture_collision.ros.farewell import PORT_BASE, PORTS_A_DOMAIN
-from fracture_collision.ros.node_process import free_domain_id
-from fracture_collision.ros.shared_memory import FOLDER, YOUNG, left_behind, orphaned_ports, remove_left_behind
-from fracture_collision.ros.successor_ports import orphaned_ports_held
+from fracture_collision.ros.fastdds import shared_memory
+from fracture_collision.ros.fastdds.farewell import PORT_BASE, PORTS_A_DOMAIN
+from fracture_collision.ros.fastdds.shared_memory import FOLDER, YOUNG, left_behind, orphaned_ports, remove_left_behind
+from fracture_collision.ros.fastdds.successor_ports import orphaned_ports_held
+from fracture_collision.ros.processes.node_process import free_domain_id
 
 OLD = 2.0 * YOUNG
 FREE, TAKEN = b"\1" + bytes(31), bytes(32)  # a POSIX semaphore of glibc, of value 1 and 0
@@ -180,7 +180,7 @@ def test_a_node_whose_port_is_removed_says_so_and_ends(tmp_path: Path) -> None:
 
 STUCK = """
 import sys, time
-import fracture_collision.ros.process as process
+import fracture_collision.ros.processes.process as process
 process.LONGEST_END = 1.0
 import rclpy, ctypes
 from rclpy.node import Node

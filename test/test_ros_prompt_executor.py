@@ -16,9 +16,9 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
 from std_msgs.msg import String
 
-from fracture_collision.ros.node_process import free_domain_id
-from fracture_collision.ros.own_context import own_context
-from fracture_collision.ros.prompt_executor import PromptExecutor
+from fracture_collision.ros.fastdds.prompt_executor import PromptExecutor
+from fracture_collision.ros.processes.node_process import free_domain_id
+from fracture_collision.ros.processes.own_context import own_context
 
 PATIENCE = 30.0  # [s]
 LATCHED = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fracture_collision.ros.run_guard import RunGuard, Verdict
+from fracture_collision.ros.service.run_guard import RunGuard, Verdict
 
 BODIES, EVENTS, STATES = TOPICS = ("bodies", "fracture_events", "fragment_states")
 LOG = {BODIES, EVENTS}

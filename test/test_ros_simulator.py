@@ -10,7 +10,7 @@ import pytest
 
 from campaigns.kills.stage import Stage, stage
 from fracture_collision.records import FragmentStates
-from fracture_collision.ros.simulator_node import derived_run_id, with_static_fragments
+from fracture_collision.ros.nodes.simulator_node import derived_run_id, with_static_fragments
 
 
 @pytest.fixture

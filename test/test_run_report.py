@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from fracture_collision.run_report import PAPER, statistics_table, summaries, summary_of, times_table
-from fracture_collision.simulation.scene import load_scene
+from fracture_collision.simulation.scene.scene import load_scene
 
 REPORT = {
     "scene": "bricks",

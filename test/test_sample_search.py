@@ -9,9 +9,9 @@ import pytest
 from fractured_worlds import fractured_world, with_settings
 from hard_worlds import tetrahedral_body
 
-from fracture_collision.core.body_validator import validate_body
-from fracture_collision.core.narrow_phase import query_pairs
-from fracture_collision.core.pools import LEAF, LEAF_VALUES
+from fracture_collision.core.bodies.body_validator import validate_body
+from fracture_collision.core.memory.pools import LEAF, LEAF_VALUES
+from fracture_collision.core.pair.narrow_phase import query_pairs
 from fracture_collision.geometry.generators import ball, brick, shell
 from fracture_collision.records import BOX, CollisionBody, FragmentStates, SolidPrimitive
 from fracture_collision.world import CollisionWorld, Settings, collision_world

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from fracture_collision.core.primitives import box_edge_points
+from fracture_collision.core.mesh.primitives import box_edge_points
 from fracture_collision.records import BOX, SPHERE, CollisionBody, SolidPrimitive
 from fracture_collision.world import CollisionWorld
 

@@ -14,11 +14,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from fracture_collision.lockstep import Exchange, Lockstep
-from fracture_collision.simulation.arm import JOINTS, MOVING, PARTS, URDF, ArmKinematics, require_within
+from fracture_collision.simulation.actors.arm import JOINTS, MOVING, PARTS, URDF, ArmKinematics, require_within
+from fracture_collision.simulation.config.urdf_chain import link_frames, read_chain
 from fracture_collision.simulation.live import CommandRefused, LiveScene
 from fracture_collision.simulation.rotations import from_euler_angles
-from fracture_collision.simulation.scene import Scene, SceneError, load_scene, parse_scene
-from fracture_collision.simulation.urdf_chain import link_frames, read_chain
+from fracture_collision.simulation.scene.scene import Scene, SceneError, load_scene, parse_scene
 from fracture_collision.world import CollisionWorld, Settings
 
 ORIGIN, UPRIGHT = np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from simulation_oracle import Oracle
 
-from fracture_collision.simulation.scene import parse_scene
+from fracture_collision.simulation.scene.scene import parse_scene
 from fracture_collision.simulation.simulation import Simulation
 
 GRAVITY = 9.81

@@ -12,11 +12,11 @@ from simulation_oracle import Oracle
 from fracture_collision.geometry import generators
 from fracture_collision.geometry.tetrahedra import unique_edges
 from fracture_collision.records import ContactConstraintArray
-from fracture_collision.simulation.breakable_body import BreakableBody
-from fracture_collision.simulation.fracture_pattern import PatternSettings
-from fracture_collision.simulation.pattern_pieces import connected_pieces
-from fracture_collision.simulation.rigid_body_world import RigidBodyWorld
-from fracture_collision.simulation.scene import parse_scene
+from fracture_collision.simulation.engine.rigid_body_world import RigidBodyWorld
+from fracture_collision.simulation.fracture.breakable_body import BreakableBody
+from fracture_collision.simulation.fracture.fracture_pattern import PatternSettings
+from fracture_collision.simulation.fracture.pattern_pieces import connected_pieces
+from fracture_collision.simulation.scene.scene import parse_scene
 from fracture_collision.simulation.simulation import Simulation
 
 PLATE = generators.plate(0.25, 0.008, 0.0125, 0.018, 2)

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from fracture_collision.lockstep import Lockstep
 from fracture_collision.records import FragmentRegistry, FragmentStates
-from fracture_collision.simulation.scene import load_scene, parse_scene
+from fracture_collision.simulation.scene.scene import load_scene, parse_scene
 from fracture_collision.world import Settings
 
 # Solved exactly, the velocity problem gains no energy in a step: dE <= -|du|^2_M / 2 (contact_solver). The solver goes

@@ -9,7 +9,7 @@ import pytest
 
 from fracture_collision.records import ADD, REMOVE
 from fracture_collision.simulation.live import MOST_BALLS, Ball, CommandRefused, LiveScene
-from fracture_collision.simulation.scene import load_scene
+from fracture_collision.simulation.scene.scene import load_scene
 from fracture_collision.simulation.simulation import StepReport, StepRequest
 from fracture_collision.world import CollisionWorld, Settings
 

@@ -6,8 +6,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fracture_collision.records import ContactConstraintArray, FragmentStates
-from fracture_collision.simulation.contact_memory import NOTHING, with_remembered
-from fracture_collision.simulation.rest_gaps import rest_gaps_of
+from fracture_collision.simulation.solver.contact_memory import NOTHING, with_remembered
+from fracture_collision.simulation.solver.rest_gaps import rest_gaps_of
 
 REACH = 2.5e-4
 

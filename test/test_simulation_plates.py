@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from fracture_collision.geometry import generators
 from fracture_collision.lockstep import Lockstep
-from fracture_collision.simulation.scene import load_scene
+from fracture_collision.simulation.scene.scene import load_scene
 
 
 def smash(scene):

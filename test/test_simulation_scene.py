@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fracture_collision.simulation.scene import SceneError, load_scene, parse_scene
-from fracture_collision.simulation.scene_records import collision_body
+from fracture_collision.simulation.scene.scene import SceneError, load_scene, parse_scene
+from fracture_collision.simulation.scene.scene_records import collision_body
 from fracture_collision.simulation.simulation import Simulation
 
 VALID = {

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from fracture_collision.lockstep import Lockstep
-from fracture_collision.simulation.hand import HandSettings, kick
-from fracture_collision.simulation.scene import SceneError, load_scene, parse_scene
+from fracture_collision.simulation.actors.hand import HandSettings, kick
+from fracture_collision.simulation.scene.scene import SceneError, load_scene, parse_scene
 from fracture_collision.world import Settings
 
 BRICK = {"name": "brick", "material": "clay", "position": [0.0, 0.0, 0.5],

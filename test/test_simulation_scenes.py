@@ -9,9 +9,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from fracture_collision.lockstep import Lockstep
-from fracture_collision.simulation.arm import MOVING
-from fracture_collision.simulation.scene import Scene, SceneError, load_scene, parse_scene, scene_files
-from fracture_collision.simulation.scene_changes import random_drop, with_curvature
+from fracture_collision.simulation.actors.arm import MOVING
+from fracture_collision.simulation.scene.scene import Scene, SceneError, load_scene, parse_scene, scene_files
+from fracture_collision.simulation.scene.scene_changes import random_drop, with_curvature
 from fracture_collision.simulation.simulation import StepReport
 from fracture_collision.world import Settings
 

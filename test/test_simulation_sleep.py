@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from fracture_collision.records import FragmentStates
-from fracture_collision.simulation.contact_solver import SolverSettings
-from fracture_collision.simulation.scene import Scene, parse_scene
+from fracture_collision.simulation.scene.scene import Scene, parse_scene
 from fracture_collision.simulation.simulation import Simulation, StepReport
-from fracture_collision.simulation.sleep import NOBODY, Rest, after_step, roused, settled
+from fracture_collision.simulation.solver.contact_solver import SolverSettings
+from fracture_collision.simulation.solver.sleep import NOBODY, Rest, after_step, roused, settled
 from fracture_collision.world import CollisionWorld, Settings
 
 STONE = {"density": 2000.0, "friction": 0.6, "restitution": 0.0, "rolling_arm": 0.0}

@@ -9,10 +9,10 @@ from scipy.spatial.transform import Rotation
 from benchmarks.tunnelling import TIME_STEP, run_trial, scene_of
 from fracture_collision.lockstep import Lockstep
 from fracture_collision.records import ContactConstraintArray
-from fracture_collision.simulation.inertia_boxes import boxes_of
-from fracture_collision.simulation.scene import parse_scene
-from fracture_collision.simulation.side_by_side import shares_side_by_side
-from fracture_collision.simulation.touch_ahead import shares_until_touch, split_by_gap
+from fracture_collision.simulation.scene.scene import parse_scene
+from fracture_collision.simulation.solver.inertia_boxes import boxes_of
+from fracture_collision.simulation.solver.side_by_side import shares_side_by_side
+from fracture_collision.simulation.solver.touch_ahead import shares_until_touch, split_by_gap
 from fracture_collision.world import Settings
 
 REST, SPARE = 1e-4, 5e-4

@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 from static_support import support_of
 
 from fracture_collision.lockstep import Lockstep
-from fracture_collision.simulation.scene import load_scene, parse_scene
-from fracture_collision.simulation.scene_changes import with_curvature
+from fracture_collision.simulation.scene.scene import load_scene, parse_scene
+from fracture_collision.simulation.scene.scene_changes import with_curvature
 from fracture_collision.world.settings import Settings
 
 SCENES = [

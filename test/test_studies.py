@@ -38,7 +38,7 @@ from benchmarks.studies.table import (  # noqa: E402
     write_table,
 )
 from fracture_collision.lockstep import Lockstep  # noqa: E402
-from fracture_collision.simulation.scene import load_scene  # noqa: E402
+from fracture_collision.simulation.scene.scene import load_scene  # noqa: E402
 
 # Each study, as small as it can be and still have contacts and a fracture in it.
 TINY = {

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from rigid_shapes import RigidShape, cube, hollow_box, noisy_ball, torus, winding_number
 
-from fracture_collision.core.ray_crossings import UNDECIDED, windings_of_others
+from fracture_collision.core.mesh.ray_crossings import UNDECIDED, windings_of_others
 from fracture_collision.records import CollisionBody
 from fracture_collision.world import CollisionWorld, InvalidMessage
-from fracture_collision.world.surface_gate import check_surface
+from fracture_collision.world.gates.surface_gate import check_surface
 
 TETRAHEDRON = RigidShape(
     np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]),

@@ -10,8 +10,8 @@ from rods import OVERLAP, answer_of_rods, crossed, rod_of
 from scipy.spatial import cKDTree
 from surface_campaign import SEARCHED, PairDepth, campaign
 
-from fracture_collision.core.surface_elements import ElementTable
-from fracture_collision.core.surface_triangles import surface_triangles
+from fracture_collision.core.mesh.surface_elements import ElementTable
+from fracture_collision.core.mesh.surface_triangles import surface_triangles
 from fracture_collision.records import FragmentStates
 from fracture_collision.world import CollisionWorld, Settings
 

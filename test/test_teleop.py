@@ -15,9 +15,9 @@ from click.testing import CliRunner
 from ros_client import ServiceClient
 
 from fracture_collision.cli.commands import main
-from fracture_collision.ros import qos
-from fracture_collision.ros.node_process import free_domain_id, loopback_environment
-from fracture_collision.ros.teleop import split_keys
+from fracture_collision.ros.nodes.teleop import split_keys
+from fracture_collision.ros.processes.node_process import free_domain_id, loopback_environment
+from fracture_collision.ros.wire import qos
 
 
 class Terminal:

@@ -12,13 +12,13 @@ from pathlib import Path
 import pytest
 from ros_stage import StageWithClients
 
-from fracture_collision.ros.node_process import free_domain_id, loopback_environment
-from fracture_collision.ros.this_machine import PROFILES, RANGE, keep_to_this_machine
+from fracture_collision.ros.fastdds.this_machine import PROFILES, RANGE, keep_to_this_machine
+from fracture_collision.ros.processes.node_process import free_domain_id, loopback_environment
 
 # A program that talks to nodes it started, as `teleop` and `replay --ros` do. Ends when its stdin does.
 OWN_CONTEXT = """
 import sys, rclpy
-from fracture_collision.ros.own_context import own_context
+from fracture_collision.ros.processes.own_context import own_context
 context = own_context(int(sys.argv[1]))
 node = rclpy.create_node("own", context=context)
 print("there", flush=True)

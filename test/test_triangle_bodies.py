@@ -20,11 +20,11 @@ from rigid_shapes import (
 )
 from scipy.spatial.transform import Rotation
 
-from fracture_collision.core.collision_geometry import CollisionGeometry, prepare_surface
-from fracture_collision.core.crack_normal import FARTHER
-from fracture_collision.core.elementary_queries import INSIDE, NEAR, OUTSIDE, probe, sphere_test
-from fracture_collision.core.scratch import make_scratch
-from fracture_collision.core.triangle_field import STACK, triangle_distance, triangle_within
+from fracture_collision.core.bodies.collision_geometry import CollisionGeometry, prepare_surface
+from fracture_collision.core.field.crack_normal import FARTHER
+from fracture_collision.core.field.elementary_queries import INSIDE, NEAR, OUTSIDE, probe, sphere_test
+from fracture_collision.core.mesh.triangle_field import STACK, triangle_distance, triangle_within
+from fracture_collision.core.search.scratch import make_scratch
 from fracture_collision.geometry.generators import ball, bowl, brick, shell
 from fracture_collision.records import SPHERE, CollisionBody, FragmentStates, SolidPrimitive
 from fracture_collision.world import CollisionWorld, Settings

@@ -8,7 +8,7 @@ from contact_truth import COARSE_SHAPES, ContactTruth, Poses, check_pair, pairs_
 from fractured_worlds import SETTINGS, fractured_world, with_settings
 
 from benchmarks.scaling.crowds import CLOSE, crowd, measure_crowds
-from fracture_collision.core.narrow_phase import _level
+from fracture_collision.core.pair.narrow_phase import _level
 from fracture_collision.records import (
     BUDGET_EXHAUSTED,
     ContactConstraintArray,
@@ -75,8 +75,8 @@ def test_pairs_without_room_are_searched_again(monkeypatch) -> None:
     world, states = crowd("boxes", 30, 0.05, contacts_per_pair=400, threads=2)
     reference = bytes_of(world.contacts(states))
     for room in (1, 100, 10_000):
-        monkeypatch.setattr("fracture_collision.core.narrow_phase.LEAST_ROOM", room)
-        monkeypatch.setattr("fracture_collision.core.narrow_phase.FIRST_ROOM", 0)
+        monkeypatch.setattr("fracture_collision.core.pair.narrow_phase.LEAST_ROOM", room)
+        monkeypatch.setattr("fracture_collision.core.pair.narrow_phase.FIRST_ROOM", 0)
         for threads in (1, 2, 3):
             world.change_settings(world.settings._replace(threads=threads))
             assert bytes_of(world.contacts(states)) == reference

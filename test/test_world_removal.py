@@ -8,9 +8,9 @@ from gate_world import BRICK, crack, plane, record_bytes, rigid, sphere, tetrahe
 from oracles.fracture_patterns import voronoi_event
 from oracles.fragmented_body import FragmentedBody
 
-from fracture_collision.core import collision_geometry
-from fracture_collision.core.body_validator import validate_body
-from fracture_collision.core.collision_geometry import CollisionGeometry
+from fracture_collision.core.bodies import collision_geometry
+from fracture_collision.core.bodies.body_validator import validate_body
+from fracture_collision.core.bodies.collision_geometry import CollisionGeometry
 from fracture_collision.geometry.generators import ball
 from fracture_collision.records import BOX, REMOVE, CollisionBody, FractureEvent, FragmentStates, SolidPrimitive
 from fracture_collision.world import CollisionWorld, Settings

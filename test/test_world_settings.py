@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from fracture_collision.core import fracture_update
+from fracture_collision.core.fracture import fracture_update
 from fracture_collision.world import CollisionWorld, Settings
 from fracture_collision.world.warm_up import compile_kernels
 

@@ -8,7 +8,7 @@ from gate_world import BRICK, EDGES, SETTINGS, X, crack, made_world, refused, te
 from hard_worlds import by_labels, lattice_planes
 from oracles.fragmented_body import FragmentedBody
 
-from fracture_collision.core.connected_pieces import connected_pieces
+from fracture_collision.core.mesh.connected_pieces import connected_pieces
 from fracture_collision.geometry.generators import brick
 from fracture_collision.records import CollisionBody, FractureEvent, FragmentStates
 from fracture_collision.world import CollisionWorld, InvalidMessage

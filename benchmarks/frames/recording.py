@@ -8,8 +8,8 @@ import numpy as np
 
 from fracture_collision.lockstep import Lockstep
 from fracture_collision.records import CollisionBody, FractureEvent, FragmentStates
-from fracture_collision.simulation.scene import load_scene
-from fracture_collision.simulation.scene_changes import with_curvature
+from fracture_collision.simulation.scene.scene import load_scene
+from fracture_collision.simulation.scene.scene_changes import with_curvature
 from fracture_collision.world import Settings
 
 MOVES = 0.05  # [m/s]

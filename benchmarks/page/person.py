@@ -14,11 +14,11 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
-from fracture_collision.ros import qos
-from fracture_collision.ros.live_client import LiveClient
-from fracture_collision.ros.node_process import free_domain_id
-from fracture_collision.ros.own_context import own_context
-from fracture_collision.ros.play_run import Played, played
+from fracture_collision.ros.nodes.live_client import LiveClient
+from fracture_collision.ros.processes.node_process import free_domain_id
+from fracture_collision.ros.processes.own_context import own_context
+from fracture_collision.ros.runs.play_run import Played, played
+from fracture_collision.ros.wire import qos
 
 PATIENCE = 120.0  # [s]
 PLATES = tuple((0.3 * i - 0.45, 0.0, 0.7227) for i in range(4))  # [m] of the scene of this name

@@ -13,7 +13,7 @@ import numpy as np
 from benchmarks.page.lookers import browser
 from benchmarks.page.person import PLATES, Person, scene_played, throw_at
 from fracture_collision.run_meshes import read_run_with_meshes
-from fracture_collision.viewer.bag_player import BagPlayer
+from fracture_collision.viewer.page.bag_player import BagPlayer
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"

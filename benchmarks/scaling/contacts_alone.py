@@ -8,14 +8,14 @@ from time import perf_counter
 
 import numpy as np
 
-from fracture_collision.core.compiled import threaded_kernel
-from fracture_collision.core.contact_choice import ANSWER, ENTRY, SIDE, put_chosen
-from fracture_collision.core.crew import Crew
-from fracture_collision.core.facing_normal import turn_contacts
-from fracture_collision.core.known_samples import rounding_slack
-from fracture_collision.core.narrow_phase import PairContacts, query_pairs, relative_pose
-from fracture_collision.core.pools import OWN_SAMPLE, SAMPLE, SURFACE, Pools
-from fracture_collision.core.scratch import make_scratch
+from fracture_collision.core.contacts.contact_choice import ANSWER, ENTRY, SIDE, put_chosen
+from fracture_collision.core.contacts.facing_normal import turn_contacts
+from fracture_collision.core.contacts.known_samples import rounding_slack
+from fracture_collision.core.memory.compiled import threaded_kernel
+from fracture_collision.core.memory.crew import Crew
+from fracture_collision.core.memory.pools import OWN_SAMPLE, SAMPLE, SURFACE, Pools
+from fracture_collision.core.pair.narrow_phase import PairContacts, query_pairs, relative_pose
+from fracture_collision.core.search.scratch import make_scratch
 from fracture_collision.records import ContactConstraintArray, FragmentStates
 from fracture_collision.world import CollisionWorld
 from fracture_collision.world.settings import most_listed

@@ -17,9 +17,9 @@ import numpy as np
 
 from benchmarks.peers.worlds import World, empty_states
 from benchmarks.scaling.growth import SEARCHED
-from fracture_collision.core import collision_geometry
-from fracture_collision.core.compiled import threaded_kernel
-from fracture_collision.core.moments import add_row, tetrahedron_terms
+from fracture_collision.core.bodies import collision_geometry
+from fracture_collision.core.memory.compiled import threaded_kernel
+from fracture_collision.core.mesh.moments import add_row, tetrahedron_terms
 from fracture_collision.world import CollisionWorld
 
 COLD = 64 << 20  # [bytes] walked through between two passes, more than a core's caches hold

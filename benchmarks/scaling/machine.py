@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.core.compiled import threaded_kernel
+from fracture_collision.core.memory.compiled import threaded_kernel
 
 LINE = 64  # [bytes] of a cache line
 WORDS = LINE // 8

@@ -17,7 +17,7 @@ import numpy as np
 import rclpy
 from rclpy.executors import ExternalShutdownException
 
-from fracture_collision.ros import qos
+from fracture_collision.ros.wire import qos
 
 FOOTPRINT = 8 << 20  # [bytes], about what an answer's geometry takes
 

@@ -25,14 +25,14 @@ from benchmarks.scaling.growth import Progress, silent
 from benchmarks.scaling.piles import Pile, make_pile
 from fracture_collision.cdr import Received
 from fracture_collision.records import FragmentStates
-from fracture_collision.ros import qos
-from fracture_collision.ros.acknowledged_publisher import AcknowledgedPublisher
-from fracture_collision.ros.cdr_records import deserialize_record, serialize_record
-from fracture_collision.ros.conversion import heading, to_message
-from fracture_collision.ros.node_process import NodeProcess, free_domain_id, loopback_environment
-from fracture_collision.ros.own_context import own_context
-from fracture_collision.ros.prompt_executor import PromptExecutor
-from fracture_collision.ros.timing_files import SERVICE_COLUMNS
+from fracture_collision.ros.fastdds.acknowledged_publisher import AcknowledgedPublisher
+from fracture_collision.ros.fastdds.prompt_executor import PromptExecutor
+from fracture_collision.ros.processes.node_process import NodeProcess, free_domain_id, loopback_environment
+from fracture_collision.ros.processes.own_context import own_context
+from fracture_collision.ros.processes.timing_files import SERVICE_COLUMNS
+from fracture_collision.ros.wire import qos
+from fracture_collision.ros.wire.cdr_records import deserialize_record, serialize_record
+from fracture_collision.ros.wire.conversion import heading, to_message
 
 FRAGMENTS = 166  # as drop_bunnies has at its end
 PRESSED = 0.982  # makes about 900 contacts of so many fragments

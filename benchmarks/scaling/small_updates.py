@@ -14,8 +14,8 @@ from benchmarks.scaling.growth import Progress, silent
 from fracture_collision.geometry.generators import TetGeometry
 from fracture_collision.geometry.sampled_bodies import sampled_ball
 from fracture_collision.records import CollisionBody, FractureEvent
-from fracture_collision.simulation.breakable_body import BreakableBody
-from fracture_collision.simulation.fracture_pattern import PatternSettings
+from fracture_collision.simulation.fracture.breakable_body import BreakableBody
+from fracture_collision.simulation.fracture.fracture_pattern import PatternSettings
 from fracture_collision.world import CollisionWorld, Settings
 
 PIECES, SMALL_PIECES = 150, 4  # seeds of the first break, and of each that is timed

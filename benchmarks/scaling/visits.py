@@ -22,7 +22,7 @@ TETRAHEDRON = 128
 
 
 class Work(NamedTuple):
-    """What one visit has to do, counted in core/traversal, elementary_queries, point_location and flood.
+    """What one visit has to do, counted in core/search/traversal, elementary_queries, point_location and flood.
 
     Only what its outcome rests on: the one tetrahedron that holds the point, not those that are tried before it; the
     one triangle that is nearest. Working memory (queues, poses, the other's box) is taken to be at hand.

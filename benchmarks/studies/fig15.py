@@ -18,7 +18,7 @@ from benchmarks.studies.replay import MILLI, Answers, replay_trial, summary_of_a
 from benchmarks.studies.scene_trials import SEARCHED
 from benchmarks.studies.study import Study, Trial
 from benchmarks.studies.table import Row, Table, average_and_worst, markdown_table, number
-from fracture_collision.simulation.scene import load_scene
+from fracture_collision.simulation.scene.scene import load_scene
 
 SCENE = "piggy_bank"
 # Normals by the paper's way for all but the last.

@@ -18,8 +18,8 @@ from benchmarks.studies.scene_trials import SEARCHED
 from benchmarks.studies.study import Study, Trial
 from benchmarks.studies.table import Row, Table, markdown_table, number
 from fracture_collision.lockstep import Lockstep
-from fracture_collision.simulation.scene import load_scene
-from fracture_collision.simulation.scene_changes import random_drop
+from fracture_collision.simulation.scene.scene import load_scene
+from fracture_collision.simulation.scene.scene_changes import random_drop
 
 SCENE = "plate_in_bowl"
 SELECTIONS = {

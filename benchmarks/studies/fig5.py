@@ -18,7 +18,7 @@ from benchmarks.studies.scene_trials import ONE_THREAD
 from benchmarks.studies.study import Study, Trial
 from benchmarks.studies.table import Row, Table, average_and_worst, markdown_table, number
 from fracture_collision.lockstep import Lockstep
-from fracture_collision.simulation.scene import load_scene
+from fracture_collision.simulation.scene.scene import load_scene
 
 FEW, MANY = 6, 128
 TOLERANCES = (ONE_THREAD.detection_tolerance, 0.02)  # of R: the service's own, and one that reaches along the rim

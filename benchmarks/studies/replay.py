@@ -15,7 +15,7 @@ from benchmarks.studies.scene_trials import ONE_THREAD, scene_with
 from benchmarks.studies.study import Trial
 from fracture_collision.lockstep import Lockstep
 from fracture_collision.records import CollisionBody, FractureEvent, FragmentStates
-from fracture_collision.simulation.scene import Scene
+from fracture_collision.simulation.scene.scene import Scene
 from fracture_collision.world import CollisionWorld, Settings
 
 MILLI = 1e3

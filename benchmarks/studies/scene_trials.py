@@ -9,8 +9,8 @@ import numpy as np
 from benchmarks.studies.study import StudyError, Trial
 from fracture_collision.run_report import summaries
 from fracture_collision.scene_run import SceneRun
-from fracture_collision.simulation.scene import Scene, load_scene
-from fracture_collision.simulation.scene_changes import with_curvature
+from fracture_collision.simulation.scene.scene import Scene, load_scene
+from fracture_collision.simulation.scene.scene_changes import with_curvature
 from fracture_collision.world import Settings
 
 # The paper's times are of one core.

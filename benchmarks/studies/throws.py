@@ -22,9 +22,9 @@ from benchmarks.studies.study import Study, Trial
 from benchmarks.studies.table import Row, Table, markdown_table, number
 from benchmarks.studies.throw_witness import DEEP, TARGET_ID, THROWN_ID, Step, Witness
 from fracture_collision.records import FragmentStates
-from fracture_collision.simulation.engine import BodyStates
-from fracture_collision.simulation.rigid_body_world import RigidBodyWorld
-from fracture_collision.simulation.scene import Scene, parse_scene
+from fracture_collision.simulation.engine.engine import BodyStates
+from fracture_collision.simulation.engine.rigid_body_world import RigidBodyWorld
+from fracture_collision.simulation.scene.scene import Scene, parse_scene
 from fracture_collision.simulation.simulation import Simulation
 from fracture_collision.world import CollisionWorld, Settings
 

@@ -11,10 +11,10 @@ from rclpy.serialization import serialize_message
 
 from campaigns.bad_input.clean_scene import CLEAN, ENDING, record_bytes
 from fracture_collision.records import FragmentStates
-from fracture_collision.ros import qos
-from fracture_collision.ros.cdr_records import deserialize_record, serialize_record
-from fracture_collision.ros.collision_run import CollisionRun
-from fracture_collision.ros.conversion import heading, to_message
+from fracture_collision.ros.service.collision_run import CollisionRun
+from fracture_collision.ros.wire import qos
+from fracture_collision.ros.wire.cdr_records import deserialize_record, serialize_record
+from fracture_collision.ros.wire.conversion import heading, to_message
 from fracture_collision.world import CollisionWorld, InvalidMessage, Settings, StatesAhead
 
 RUN_ID = 41

@@ -19,8 +19,8 @@ from campaigns.bad_input.clean_scene import record_bytes
 from campaigns.bad_input.mutations import Pick, one_of
 from campaigns.bad_input.states_mutations import MOVING
 from fracture_collision.records import REMOVE
-from fracture_collision.ros.cdr_records import deserialize_record
-from fracture_collision.ros.conversion import to_record
+from fracture_collision.ros.wire.cdr_records import deserialize_record
+from fracture_collision.ros.wire.conversion import to_record
 
 HEAD = 24  # bytes: encapsulation, stamp, frame
 LENGTHS = (2**32 - 1, 2**31, 2**31 - 1, 2**29, 10**9, 2**24, 0, 1)

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from fracture_collision.bag.reader import read_messages, topic_digest
-from fracture_collision.ros.node_process import NodeProcess, free_domain_id
-from fracture_collision.ros.shared_memory import YOUNG, left_behind, remove_left_behind
+from fracture_collision.ros.fastdds.shared_memory import YOUNG, left_behind, remove_left_behind
+from fracture_collision.ros.processes.node_process import NodeProcess, free_domain_id
 
 PATIENCE = 300.0  # [s] a node that takes longer hangs
 LOOK = 0.02  # [s] more often would take time from the nodes; what is timed, they tell by their own clocks
@@ -88,7 +88,7 @@ def digests(bag: Path) -> Digests:
     from fracture_collision.msg import ContactConstraintArray, FragmentRegistry
     from rclpy.serialization import deserialize_message
 
-    from fracture_collision.ros.cdr_records import deserialize_record
+    from fracture_collision.ros.wire.cdr_records import deserialize_record
 
     last = None
     for message in read_messages(bag, ["/fragments"]):

@@ -29,8 +29,8 @@ from campaigns.kills.stage import (
     stage,
     steps_told,
 )
-from fracture_collision.ros.node_process import NodeProcess
-from fracture_collision.ros.participant_process import age_of
+from fracture_collision.ros.fastdds.participant_process import age_of
+from fracture_collision.ros.processes.node_process import NodeProcess
 
 Progress = Callable[[str], None]
 MOST_RUNS = 100  # more without the kills that were asked for: the scene is too short

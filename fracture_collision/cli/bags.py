@@ -39,9 +39,9 @@ def record(
     console = Console()
     interruption = Interruption(console, "stopped")
     from fracture_collision.cli.scene import parse_settings
-    from fracture_collision.ros.scene_recording import Selection, record_scene
-    from fracture_collision.simulation.scene import SceneError, load_scene
-    from fracture_collision.simulation.scene_changes import with_curvature
+    from fracture_collision.ros.runs.scene_recording import Selection, record_scene
+    from fracture_collision.simulation.scene.scene import SceneError, load_scene
+    from fracture_collision.simulation.scene.scene_changes import with_curvature
     from fracture_collision.world.settings import check_settings
 
     try:

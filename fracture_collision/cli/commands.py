@@ -57,7 +57,7 @@ for command in (play, teleop, view, film, replay, record, mend, digest):
 @main.command()
 def scenes() -> None:
     """List the scenes that come with the package."""
-    from fracture_collision.simulation.scene import scene_files
+    from fracture_collision.simulation.scene.scene import scene_files
 
     for file in scene_files():
         click.echo(f"{file.path.stem:17} {file.title}")

@@ -66,7 +66,7 @@ def film(
     # Imported late: --help should not wait for numba.
     from fracture_collision.bag.errors import BagError
     from fracture_collision.run_meshes import read_run_with_meshes
-    from fracture_collision.viewer.film import Cut, FilmError, make_film
+    from fracture_collision.viewer.film.film import Cut, FilmError, make_film
 
     out = out or bag.resolve().with_suffix(".webp")
     cut = Cut(begin, float("inf") if end is None else end, speed, fps, *size, samples)

@@ -42,7 +42,7 @@ def play(scene: str, seed: int | None, host: str, port: int, opens: bool, out: P
     """
     console = Console()
     # Imported late: --help should not wait for ROS.
-    from fracture_collision.ros.play_run import PlayFailed, played
+    from fracture_collision.ros.runs.play_run import PlayFailed, played
 
     try:
         interrupt_on_signals()

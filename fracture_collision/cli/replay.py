@@ -159,7 +159,7 @@ def _service(
     """The service to ask, and what it refuses."""
     with ExitStack() as stack:
         if ros:
-            from fracture_collision.ros.replay_run import OverDds
+            from fracture_collision.ros.runs.replay_run import OverDds
 
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="replay_")))
             with console.status("starting collision_node; after a change of the sources this takes minutes"):

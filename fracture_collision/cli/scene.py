@@ -75,8 +75,8 @@ def scene(
     interruption = Interruption(console, "stopped")
     # Imported late: --help should not wait for numba and matplotlib.
     from fracture_collision.scene_run import SceneRun
-    from fracture_collision.simulation.scene import SceneError, load_scene
-    from fracture_collision.simulation.scene_changes import with_curvature
+    from fracture_collision.simulation.scene.scene import SceneError, load_scene
+    from fracture_collision.simulation.scene.scene_changes import with_curvature
     from fracture_collision.world.settings import check_settings
 
     try:
@@ -150,8 +150,8 @@ def _leave(
         new.started = True
         _tell(report, console)
         if pictures:
-            from fracture_collision.viewer.film_strip import draw_film_strip
-            from fracture_collision.viewer.times_plot import plot_times
+            from fracture_collision.viewer.film.film_strip import draw_film_strip
+            from fracture_collision.viewer.film.times_plot import plot_times
 
             with console.status("drawing pictures"):
                 check()

@@ -56,10 +56,10 @@ def smash(scene: str, mesh: Path | None, size: float, out: Path, seed: int | Non
     interruption = Interruption(console, "stopped")
     # Imported late: --help should not wait for ROS, numba and matplotlib.
     from fracture_collision.outputs import NewOutputs
-    from fracture_collision.ros.smash_run import Progress, RunFailed, run_scene
-    from fracture_collision.simulation.scene import SceneError, load_scene
-    from fracture_collision.viewer.film_strip import render_film_strip
-    from fracture_collision.viewer.times_plot import plot_times
+    from fracture_collision.ros.runs.smash_run import Progress, RunFailed, run_scene
+    from fracture_collision.simulation.scene.scene import SceneError, load_scene
+    from fracture_collision.viewer.film.film_strip import render_film_strip
+    from fracture_collision.viewer.film.times_plot import plot_times
 
     filled = None
     if mesh is not None:
@@ -114,7 +114,7 @@ def _own_scene(filled: TetGeometry | None, out: Path, folder: Path) -> Path:
     import numpy as np
     import yaml
 
-    from fracture_collision.simulation.own_body import own_body_scene
+    from fracture_collision.simulation.engine.own_body import own_body_scene
 
     scene = folder / OWN_SCENE
     if filled is None:

@@ -39,8 +39,8 @@ def teleop(speed: float, namespace: str) -> None:
     """
     if not sys.stdin.isatty():
         raise click.UsageError("keys come from a terminal, and this is none")
-    from fracture_collision.ros.node_process import default_domain_id
-    from fracture_collision.ros.teleop import Told, drive
+    from fracture_collision.ros.nodes.teleop import Told, drive
+    from fracture_collision.ros.processes.node_process import default_domain_id
 
     console = Console()
     domain_id = default_domain_id()

@@ -41,7 +41,7 @@ def view(bag: Path, speed: float, port: int, host: str, opens: bool, namespace: 
     # Imported late: --help should not wait for numba and viser.
     from fracture_collision.bag.errors import BagError
     from fracture_collision.run_meshes import read_run_with_meshes
-    from fracture_collision.viewer.bag_player import BagPlayer
+    from fracture_collision.viewer.page.bag_player import BagPlayer
 
     try:
         with counting_bar(console, "making meshes", "fractures") as progress:

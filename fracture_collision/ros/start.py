@@ -1,6 +1,6 @@
 """The nodes as commands: `collision_node`, or `python -m fracture_collision.ros.start collision_node`.
 
-A node takes a second to import; if it is told to end meanwhile, it does, with status 0 as ever (ros/process.py).
+A node takes a second to import; if it is told to end meanwhile, it does, with status 0 as ever (processes/process.py).
 """
 
 from __future__ import annotations
@@ -10,13 +10,24 @@ from importlib import import_module
 
 from fracture_collision.early_signals import signals_end_at_once
 
-NODES = ("collision_node", "simulator_node", "live_simulator_node", "page_node", "recorder_node")
+# and the folder that each is in
+NODES = {
+    "collision_node": "service",
+    "simulator_node": "nodes",
+    "live_simulator_node": "nodes",
+    "page_node": "nodes",
+    "recorder_node": "nodes",
+}
+
+
+def module_of(node: str) -> str:
+    return f"fracture_collision.ros.{NODES[node]}.{node}"
 
 
 def start(node: str) -> int:
     """Runs one of NODES with the process's arguments; returns its exit status."""
     signals_end_at_once(0)
-    return import_module(f"fracture_collision.ros.{node}").main()
+    return import_module(module_of(node)).main()
 
 
 def collision_node() -> int:

@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.simulation.breakable_body import BreakableBody
-from fracture_collision.simulation.engine import BodyStates
-from fracture_collision.simulation.scene import SceneBody
+from fracture_collision.simulation.engine.engine import BodyStates
+from fracture_collision.simulation.fracture.breakable_body import BreakableBody
+from fracture_collision.simulation.scene.scene import SceneBody
 
 
 class Traits(NamedTuple):

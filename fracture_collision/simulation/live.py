@@ -13,10 +13,10 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.portable_math import lengths
-from fracture_collision.simulation.arm import PARTS
-from fracture_collision.simulation.hammer import Hammer
-from fracture_collision.simulation.scene import Material, Scene, SceneBody
-from fracture_collision.simulation.shapes import Shape
+from fracture_collision.simulation.actors.arm import PARTS
+from fracture_collision.simulation.actors.hammer import Hammer
+from fracture_collision.simulation.config.shapes import Shape
+from fracture_collision.simulation.scene.scene import Material, Scene, SceneBody
 from fracture_collision.simulation.simulation import Simulation
 
 BALL = Material(density=2000.0, friction=0.6, restitution=0.2, rolling_arm=5e-4, fracture=None)

@@ -28,13 +28,20 @@ from fracture_collision.records import (
     FragmentRegistry,
     FragmentStates,
 )
-from fracture_collision.simulation import contact_memory, sleep
-from fracture_collision.simulation.arm import PARTS
-from fracture_collision.simulation.arm_control import ArmControl
+from fracture_collision.simulation.actors.arm import PARTS
+from fracture_collision.simulation.actors.arm_control import ArmControl
+from fracture_collision.simulation.actors.drag import Drag
 from fracture_collision.simulation.body_traits import Traits, traits_of
 from fracture_collision.simulation.cast import Cast
-from fracture_collision.simulation.contact_memory import with_remembered
-from fracture_collision.simulation.contact_solver import (
+from fracture_collision.simulation.engine.engine import BodyStates, Engine, FrameState, rows_of
+from fracture_collision.simulation.engine.free_motion import free_velocities
+from fracture_collision.simulation.engine.pushes import NO_CHANGES, Changes, Planned, Pusher, Pushes, planned, pushes_of
+from fracture_collision.simulation.engine.rigid_body_world import RigidBodyWorld
+from fracture_collision.simulation.rotations import turned_back
+from fracture_collision.simulation.scene.scene import Scene, SceneBody
+from fracture_collision.simulation.solver import contact_memory, sleep
+from fracture_collision.simulation.solver.contact_memory import with_remembered
+from fracture_collision.simulation.solver.contact_solver import (
     NO_WARM_START,
     BodyPairs,
     RigidBodies,
@@ -43,15 +50,8 @@ from fracture_collision.simulation.contact_solver import (
     normal_impulse_sums,
     solve_contacts,
 )
-from fracture_collision.simulation.drag import Drag
-from fracture_collision.simulation.engine import BodyStates, Engine, FrameState, rows_of
-from fracture_collision.simulation.free_motion import free_velocities
-from fracture_collision.simulation.pushes import NO_CHANGES, Changes, Planned, Pusher, Pushes, planned, pushes_of
-from fracture_collision.simulation.rest_gaps import rest_gaps_of
-from fracture_collision.simulation.rigid_body_world import RigidBodyWorld
-from fracture_collision.simulation.rotations import turned_back
-from fracture_collision.simulation.scene import Scene, SceneBody
-from fracture_collision.simulation.touch_ahead import held_back, split_by_gap
+from fracture_collision.simulation.solver.rest_gaps import rest_gaps_of
+from fracture_collision.simulation.solver.touch_ahead import held_back, split_by_gap
 
 _NO_GRAVITY = np.zeros(3)
 

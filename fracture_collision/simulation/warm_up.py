@@ -8,9 +8,9 @@ import numpy as np
 
 from fracture_collision.geometry import generators
 from fracture_collision.records import ContactConstraintArray, FragmentRegistry
-from fracture_collision.simulation.breakable_body import BreakableBody
-from fracture_collision.simulation.fracture_pattern import PatternSettings
-from fracture_collision.simulation.scene import parse_scene
+from fracture_collision.simulation.fracture.breakable_body import BreakableBody
+from fracture_collision.simulation.fracture.fracture_pattern import PatternSettings
+from fracture_collision.simulation.scene.scene import parse_scene
 from fracture_collision.simulation.simulation import Simulation
 
 MATERIAL = {"density": 1000.0, "friction": 0.5, "restitution": 0.5, "rolling_arm": 1e-3}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from fracture_collision.records import CollisionBody, FractureEvent, FragmentStates
-from fracture_collision.world.errors import InvalidMessage, StatesAhead
+from fracture_collision.world.gates.errors import InvalidMessage, StatesAhead
 from fracture_collision.world.settings import Settings
 
 if TYPE_CHECKING:

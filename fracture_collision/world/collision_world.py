@@ -8,27 +8,27 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.core.broad_phase import NOTHING_PAIRED, Paired, pairs_within_reach
-from fracture_collision.core.collision_geometry import CollisionGeometry
-from fracture_collision.core.crew import Crew
-from fracture_collision.core.motion import NO_MOTION, Motion, fastest, motion_of
-from fracture_collision.core.narrow_phase import (
-    NOTHING_REMEMBERED,
-    Remembered,
-    WorkLimits,
-    query_pairs,
-)
-from fracture_collision.core.ridge_contacts import (
+from fracture_collision.core.bodies.collision_geometry import CollisionGeometry
+from fracture_collision.core.edges.ridge_contacts import (
     MOST_CROSSINGS,
     NO_RIDGE_SEARCH,
     RidgeSearch,
     RidgeWork,
     make_ridge_work,
 )
-from fracture_collision.core.scratch import Scratch, scratch_for
-from fracture_collision.core.surface_certificate import make_surface_work
-from fracture_collision.core.surface_elements import ElementTable
-from fracture_collision.core.surface_pass import Surfaces
+from fracture_collision.core.lookahead.motion import NO_MOTION, Motion, fastest, motion_of
+from fracture_collision.core.memory.crew import Crew
+from fracture_collision.core.mesh.surface_elements import ElementTable
+from fracture_collision.core.pair.broad_phase import NOTHING_PAIRED, Paired, pairs_within_reach
+from fracture_collision.core.pair.narrow_phase import (
+    NOTHING_REMEMBERED,
+    Remembered,
+    WorkLimits,
+    query_pairs,
+)
+from fracture_collision.core.search.scratch import Scratch, scratch_for
+from fracture_collision.core.surfaces.surface_certificate import make_surface_work
+from fracture_collision.core.surfaces.surface_pass import Surfaces
 from fracture_collision.records import (
     CollisionBody,
     ContactConstraintArray,
@@ -37,10 +37,11 @@ from fracture_collision.records import (
     FragmentRegistry,
     FragmentStates,
 )
-from fracture_collision.world.checks import identifier, refuse
 from fracture_collision.world.contact_answer import contact_answer
-from fracture_collision.world.errors import Rejection, StatesAhead
 from fracture_collision.world.fragment_mesh import fragment_mesh
+from fracture_collision.world.gates.checks import identifier, refuse
+from fracture_collision.world.gates.errors import Rejection, StatesAhead
+from fracture_collision.world.gates.states_gate import CheckedStates, check_states
 from fracture_collision.world.ledger import Ledger
 from fracture_collision.world.present import Present, find_fragments, take_places
 from fracture_collision.world.registry import Registry
@@ -52,7 +53,6 @@ from fracture_collision.world.settings import (
     has_edges,
     most_listed,
 )
-from fracture_collision.world.states_gate import CheckedStates, check_states
 
 # [m], [rad]: nothing goes or turns farther within the time that is looked ahead.
 FARTHEST_AHEAD = 1e5

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from fracture_collision.core.compiled import kernel
-from fracture_collision.core.kept_answer import PairContacts
+from fracture_collision.core.memory.compiled import kernel
+from fracture_collision.core.search.kept_answer import PairContacts
 from fracture_collision.records import BUDGET_EXHAUSTED, ContactConstraintArray
 from fracture_collision.world.contact_ids import contact_ids
+from fracture_collision.world.gates.states_gate import CheckedStates
 from fracture_collision.world.present import Present
-from fracture_collision.world.states_gate import CheckedStates
 
 
 def contact_answer(

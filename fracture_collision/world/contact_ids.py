@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fracture_collision.core.compiled import kernel
+from fracture_collision.core.memory.compiled import kernel
 
 
 @kernel

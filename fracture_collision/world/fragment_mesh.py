@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from fracture_collision.core.collision_geometry import CollisionGeometry
-from fracture_collision.core.kinds import BOX, PLANE, SPHERE, TRIANGLES
-from fracture_collision.core.surface_triangles import surface_triangles
+from fracture_collision.core.bodies.collision_geometry import CollisionGeometry
+from fracture_collision.core.memory.kinds import BOX, PLANE, SPHERE, TRIANGLES
+from fracture_collision.core.mesh.surface_triangles import surface_triangles
 from fracture_collision.geometry.generators import ball, brick
 from fracture_collision.geometry.tetrahedra import boundary_triangles
 from fracture_collision.geometry.unique_rows import unique_rows

@@ -9,12 +9,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fracture_collision.core.broad_phase import world_boxes
-from fracture_collision.core.compiled import threaded_kernel
-from fracture_collision.core.elementary_queries import INSIDE, probe
-from fracture_collision.core.kinds import PLANE
-from fracture_collision.core.pools import Pools
-from fracture_collision.core.scratch import make_scratch
+from fracture_collision.core.field.elementary_queries import INSIDE, probe
+from fracture_collision.core.memory.compiled import threaded_kernel
+from fracture_collision.core.memory.kinds import PLANE
+from fracture_collision.core.memory.pools import Pools
+from fracture_collision.core.pair.broad_phase import world_boxes
+from fracture_collision.core.search.scratch import make_scratch
 from fracture_collision.portable_math import products
 from fracture_collision.records import ContactConstraintArray, FragmentStates
 from fracture_collision.world.collision_world import CollisionWorld

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from fracture_collision.core.collision_geometry import CollisionGeometry
+from fracture_collision.core.bodies.collision_geometry import CollisionGeometry
 from fracture_collision.records import ADD, REMOVE, CollisionBody, FractureEvent
-from fracture_collision.world.body_gate import CheckedBody, MeshStore, check_body, read_body
-from fracture_collision.world.checks import identifier, refuse
-from fracture_collision.world.errors import InvalidMessage, Rejection, StatesAhead
-from fracture_collision.world.fracture_gate import (
+from fracture_collision.world.gates.body_gate import CheckedBody, MeshStore, check_body, read_body
+from fracture_collision.world.gates.checks import identifier, refuse
+from fracture_collision.world.gates.errors import InvalidMessage, Rejection, StatesAhead
+from fracture_collision.world.gates.fracture_gate import (
     CheckedFracture,
     apply_fracture,
     check_fracture,

@@ -6,11 +6,11 @@ import hashlib
 
 import numpy as np
 
-from fracture_collision.core.collision_geometry import CollisionGeometry
-from fracture_collision.core.pools import ALTERNATING, AVERAGED, EXACT, FACING, NEAREST, QUEUE
+from fracture_collision.core.bodies.collision_geometry import CollisionGeometry
+from fracture_collision.core.memory.pools import ALTERNATING, AVERAGED, EXACT, FACING, NEAREST, QUEUE
 from fracture_collision.records import FragmentRegistry
-from fracture_collision.world.body_gate import CheckedBody
-from fracture_collision.world.fracture_gate import CheckedFracture, apply_fracture
+from fracture_collision.world.gates.body_gate import CheckedBody
+from fracture_collision.world.gates.fracture_gate import CheckedFracture, apply_fracture
 from fracture_collision.world.living_fragments import Columns, LivingFragments
 from fracture_collision.world.settings import FIELDS, NORMALS, SAMPLED, TRAVERSALS, Settings
 

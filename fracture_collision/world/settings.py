@@ -49,7 +49,7 @@ class Settings(NamedTuple):
     # `alternating`: children of different parents first (5.3); `queue`: a parent's children in a row, as in [27].
     traversal: str = "alternating"
     # Whether to remember, from one step to the next, which samples of slow pairs are near, how far others are apart and
-    # what contacts those have that do not move (core/neighbour_lists.py, kept_answer.py). The answer does not depend
+    # what contacts those have that do not move (core/search: neighbour_lists, kept_answer). The answer does not depend
     # on it; without, every step costs what the first one does.
     neighbour_lists: bool = True
     # Threads of the narrow phase; 0: all cores. The answer does not depend on it.
@@ -60,7 +60,7 @@ class Settings(NamedTuple):
     # max_pairs: states of which more pairs of boxes overlap are refused in words. They are far beyond what bodies that
     # push each other apart come to; bodies at one place would else have contacts by the million.
     max_pairs: int = 100_000  # pairs of fragments whose boxes overlap
-    # tree nodes of pairs whose boxes coincide, in all; of the others, 25 times as many (core/crowds.py)
+    # tree nodes of pairs whose boxes coincide, in all; of the others, 25 times as many (core/pair/crowds.py)
     max_visits: int = 4_000_000
     max_further_visits: int = 2_000_000  # tree nodes of pairs that have contacts_per_pair contacts, for deeper ones
     max_contacts_per_pair: int = 1_000  # the deepest; never fewer than contacts_per_pair

@@ -20,7 +20,7 @@ from fracture_collision.world.settings import Settings
 
 def cache_is_cold() -> bool:
     """Whether the largest kernel has no file in the cache beside its source: the first start compiles."""
-    cache = Path(fracture_collision.__file__).parent / "core" / "__pycache__"
+    cache = Path(fracture_collision.__file__).parent / "core" / "pair" / "__pycache__"
     return not any(cache.glob("narrow_phase._query_share*.nbc"))
 
 

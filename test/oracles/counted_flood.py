@@ -1,4 +1,4 @@
-"""The flood of core/flood.py once more, plainly and with counts: what it takes, sees and measures.
+"""The flood of core/field/flood.py once more, plainly and with counts: what it takes, sees and measures.
 
 Not cached: a cache would outlive a change of the service's functions that are called here.
 """
@@ -11,11 +11,11 @@ import math
 import numpy as np
 from numba import njit
 
-from fracture_collision.core.closest_point import closest_on_triangle
-from fracture_collision.core.cut_tetrahedron import FACE_VERTICES
-from fracture_collision.core.flood import least_distance_squared, may_leave_over
-from fracture_collision.core.point_location import holds_fragment
-from fracture_collision.core.pools import BACK_SIDE, FRONT_SIDE, KIND, OLD_FACE, OWNER, ROW, Pools
+from fracture_collision.core.field.flood import least_distance_squared, may_leave_over
+from fracture_collision.core.memory.pools import BACK_SIDE, FRONT_SIDE, KIND, OLD_FACE, OWNER, ROW, Pools
+from fracture_collision.core.mesh.closest_point import closest_on_triangle
+from fracture_collision.core.mesh.cut_tetrahedron import FACE_VERTICES
+from fracture_collision.core.mesh.point_location import holds_fragment
 
 
 def count_floods(

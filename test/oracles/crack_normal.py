@@ -1,4 +1,5 @@
-"""The slow twin of core/crack_normal: which way a contact between two fragments of one body points, and how deep it is.
+"""The slow twin of core/field/crack_normal: which way a contact between two fragments of one body points, and how deep
+it is.
 
 From the oracle's polygons and planes alone: all polygons that the two share are measured, and the way out is the ray's
 first crossing of any of the fragment's surface triangles.

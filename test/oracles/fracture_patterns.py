@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from fracture_collision.core.connected_pieces import connected_pieces
+from fracture_collision.core.mesh.connected_pieces import connected_pieces
 from fracture_collision.records import FractureEvent
 from oracles.fragmented_body import FragmentedBody
 

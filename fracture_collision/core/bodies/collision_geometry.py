@@ -1,0 +1,416 @@
+"""All geometry of a world at one registry: bodies go in, fractures change it, `pools` is what the kernels read."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import NamedTuple
+
+import numpy as np
+
+from fracture_collision.core.bodies.fragment_trees import REBUILT, RESTRUCTURED, rebuilt_trees, split_trees
+from fracture_collision.core.bodies.interior_field import InteriorField, make_interior_field
+from fracture_collision.core.bodies.pool_compaction import (
+    MeshRows,
+    SurfaceMeshRows,
+    TreeRows,
+    bytes_of_fragments,
+    bytes_of_mesh,
+    compact,
+)
+from fracture_collision.core.bodies.pool_tables import PoolTables
+from fracture_collision.core.edges.ridges import NO_RIDGES, Ridges, RidgeTable
+from fracture_collision.core.field.front_propagation import update_averaged_field
+from fracture_collision.core.fracture import touched_tetrahedra
+from fracture_collision.core.fracture.crack_seeds import choose_seeds
+from fracture_collision.core.fracture.fracture_update import rebuild_surfaces
+from fracture_collision.core.fracture.surface_rows import SurfaceRows
+from fracture_collision.core.fracture.touched_tetrahedra import touched_room
+from fracture_collision.core.memory.kinds import BOX, PLANE, SPHERE, TETRAHEDRA, TRIANGLES
+from fracture_collision.core.memory.pools import (
+    ALTERNATING,
+    AVERAGED,
+    EXACT,
+    FACING,
+    NEVER_BROKEN,
+    OWN_SAMPLE,
+    OWNER,
+    REGION,
+    SAMPLE,
+    SIZE,
+    SURFACE,
+    GrowableArray,
+    Pools,
+)
+from fracture_collision.core.mesh.cut_tetrahedron import make_cut_scratch
+from fracture_collision.core.mesh.moments import (
+    box_mass_properties,
+    mass_properties,
+    sphere_mass_properties,
+    surface_moments,
+)
+from fracture_collision.core.mesh.occupancy import cells_of_boxes, mark_all, mark_fragments
+from fracture_collision.core.mesh.primitives import box_edge_points, box_sampling_gap
+from fracture_collision.core.mesh.sample_numbers import NewSamples
+from fracture_collision.core.mesh.tet_mesh import TetMesh
+from fracture_collision.core.mesh.triangle_field import TriangleMesh, append_triangle_mesh, build_triangle_mesh
+from fracture_collision.core.tree.sphere_tree import SphereTree, build_sphere_tree
+from fracture_collision.portable_math import lengths
+
+# [bytes] Less is not worth a compaction.
+LEAST_GARBAGE = 1 << 20
+NO_TREE = TreeRows(0, 0, 0, 0, np.zeros(4))
+
+
+class MassProperties(NamedTuple):
+    mass: float  # [kg]
+    center: np.ndarray  # (3,) [m], body frame
+    inertia: np.ndarray  # (6,) [kg m2] about the centre, body axes: xx xy xz yy yz zz
+
+
+class PreparedMesh(NamedTuple):
+    """A tetrahedral mesh with the sphere tree of the whole body: the preprocess equal geometries share."""
+
+    mesh: TetMesh
+    tree: SphereTree
+    interior: list[InteriorField]  # empty until a body of this geometry breaks under the averaged field
+
+
+class PreparedSurface(NamedTuple):
+    """A closed triangle mesh likewise, for a rigid body."""
+
+    mesh: TriangleMesh
+    tree: SphereTree
+    moments: np.ndarray  # (10,), see moments.py
+    sampling_gap: float  # [m]
+
+
+def prepare_mesh(mesh: TetMesh) -> PreparedMesh:
+    """The tree over all nodes, surface and interior (section 6.1)."""
+    return PreparedMesh(mesh, build_sphere_tree(mesh.nodes, mesh.on_surface), [])
+
+
+def prepare_surface(vertices: np.ndarray, triangles: np.ndarray) -> PreparedSurface:
+    """Preprocess a closed mesh (vertices (n, 3) [m], triangles (t, 3)); every vertex is a sample."""
+    corners = vertices[triangles]
+    longest = lengths(corners - np.roll(corners, -1, axis=1)).max()
+    return PreparedSurface(
+        build_triangle_mesh(vertices, triangles),
+        build_sphere_tree(vertices, np.ones(len(vertices), np.uint8)),
+        surface_moments(corners),
+        # the corners of a triangle with longest side L cover it with balls of radius L / sqrt(3)
+        float(longest / np.sqrt(3.0)),
+    )
+
+
+class CollisionGeometry:
+    """Owner of the pools. Fragments are addressed by row, in the order in which they were made.
+
+    tree: one of fragment_trees.TREES; traversal: one of pools.ALTERNATING, QUEUE; field: one of pools.EXACT, AVERAGED;
+    normals: one of pools.NEAREST, FACING; has_ridges: whether ridges are found.
+    """
+
+    def __init__(
+        self, tree: str = RESTRUCTURED, traversal: int = ALTERNATING, field: int = EXACT, normals: int = FACING,
+        has_ridges: bool = False,
+    ) -> None:  # fmt: skip
+        self._tree_kind, self._field = tree, field
+        self._tables = PoolTables(traversal, field, normals)
+        self._moments = GrowableArray(10, np.float64)
+        self._gaps = GrowableArray(0, np.float64)
+        self._ridges = RidgeTable() if has_ridges else None
+        self._scratch, self._room = make_cut_scratch(), touched_room(0)
+        self._meshes: list[tuple[PreparedMesh, MeshRows]] = []  # by its row in the pools
+        self._surfaces: list[tuple[PreparedSurface, SurfaceMeshRows]] = []
+        self._bodies_of: Counter[int] = Counter()  # id of a preprocess -> bodies that have it
+        self._garbage = 0  # [bytes] of bodies retired since the last compaction
+
+    @property
+    def pools(self) -> Pools:
+        return self._tables.pools
+
+    @property
+    def ridges(self) -> Ridges:
+        """Of all fragments; nobody's, unless they are found."""
+        return NO_RIDGES if self._ridges is None else self._ridges.view
+
+    def sampling_gaps(self, rows: np.ndarray) -> np.ndarray:
+        """(n,) [m]: no point of the surfaces of fragments `rows` (n,) is farther from one of their samples."""
+        return self._gaps.view[rows]
+
+    def tet_range(self, row: int) -> range:
+        """Rows of the mesh of a tetrahedral fragment's body."""
+        prepared, rows = self._meshes[self._tables.fragment["mesh"].view[row]]
+        return range(rows.tet, rows.tet + len(prepared.mesh.tetrahedra))
+
+    def rigid_triangles(self, row: int) -> np.ndarray:
+        """Corners (t, 3, 3) [m] of a rigid body of triangles."""
+        begin, end = self._tables.triangles["triangle_range"].view[self._tables.fragment["mesh"].view[row]]
+        return self._tables.triangles["corners"].view[begin:end].reshape(-1, 3, 3)
+
+    def sphere_tree(self, row: int) -> SphereTree:
+        """A copy of the fragment's tree."""
+        tables = self._tables
+        part = slice(int(tables.fragment["tree_begin"].view[row]), int(tables.fragment["tree_end"].view[row]))
+        spheres, entries = tables.tree["spheres"].view[part], tables.tree["entries"].view[part]
+        return SphereTree(
+            spheres[:, :3].copy(), spheres[:, 3].copy(), entries[:, SIZE].copy(), entries[:, SAMPLE].copy(),
+            (entries[:, SURFACE] == OWN_SAMPLE).astype(np.uint8),
+        )  # fmt: skip
+
+    def tree_entries(self, row: int) -> int:
+        return int(self._tables.fragment["tree_end"].view[row] - self._tables.fragment["tree_begin"].view[row])
+
+    def volume(self, row: int) -> float:
+        """[m3] of a body of tetrahedra or triangles, or of a fragment."""
+        return float(self._moments.view[row, 0])
+
+    def mass_properties(self, rows: np.ndarray, density: np.ndarray) -> list[MassProperties]:
+        """Of fragments `rows` (n,) with `density` (n,) [kg/m3] each."""
+        kind = self._tables.fragment["kind"].view[rows]
+        is_shape = (kind == PLANE) | (kind == SPHERE) | (kind == BOX)
+        meshed = iter(zip(*mass_properties(self._moments.view[rows[~is_shape]], density[~is_shape]), strict=True))
+        return [
+            self._mass_of_shape(row, float(own)) if shape else MassProperties(*next(meshed))
+            for row, own, shape in zip(rows.tolist(), density, is_shape.tolist(), strict=True)
+        ]
+
+    def _mass_of_shape(self, row: int, density: float) -> MassProperties:
+        kind, shape = self._tables.fragment["kind"].view[row], self._tables.fragment["shape"].view[row]
+        if kind == SPHERE:
+            return MassProperties(*sphere_mass_properties(float(shape[0]), density))
+        if kind == BOX:
+            return MassProperties(*box_mass_properties(shape[:3], density))
+        return MassProperties(0.0, np.zeros(3), np.zeros(6))
+
+    def retire_body(self, rows: np.ndarray) -> None:
+        """No query will name `rows` (n,) any more, all fragments of one body. Their memory stays until `keep_only`."""
+        kind, index = (int(self._tables.fragment[name].view[rows[0]]) for name in ("kind", "mesh"))
+        shapes = {TETRAHEDRA: self._meshes, TRIANGLES: self._surfaces}.get(kind)
+        prepared = shapes[index][0] if shapes else None
+        self._garbage += bytes_of_fragments(
+            self._tables, rows, self._meshes[index][1] if kind == TETRAHEDRA else None, kind != TRIANGLES
+        )
+        self._bodies_of[id(prepared)] -= 1
+        if prepared is not None and not self._bodies_of[id(prepared)]:
+            self._garbage += bytes_of_mesh(prepared)
+
+    def is_mostly_garbage(self) -> bool:
+        """Whether `keep_only` copies no more than what was retired since the last."""
+        return self._garbage > LEAST_GARBAGE and 2 * self._garbage > self._tables.bytes_used
+
+    def keep_only(self, rows: np.ndarray) -> np.ndarray:
+        """Drop all that fragments `rows` (n,) do not need; returns their rows from now on (n,). Their order stays."""
+        meshes, surfaces = [own for _, own in self._meshes], [own for _, own in self._surfaces]
+        moved, meshes, surfaces = compact(
+            self._tables, (self._moments, self._gaps), np.sort(rows), meshes, surfaces
+        )
+        self._meshes = [(self._meshes[old][0], new) for old, new in meshes]
+        self._surfaces = [(self._surfaces[old][0], new) for old, new in surfaces]
+        if self._ridges is not None:
+            self._ridges.keep(moved.stays)
+        self._garbage = 0
+        return moved.position[rows]
+
+    def add_plane(self, normal: np.ndarray, offset: float) -> int:
+        """Half-space normal . x <= offset; `normal` unit."""
+        box = np.array([-np.inf] * 3 + [np.inf] * 3)
+        return self._add_row(PLANE, box, np.append(normal, offset), np.inf, NO_TREE, 0.0)
+
+    def add_sphere(self, radius: float) -> int:
+        """Its surface is searched as a whole (sphere_contacts.py), so nothing lies between samples."""
+        box = np.array([-radius] * 3 + [radius] * 3)
+        return self._add_row(SPHERE, box, np.array([radius, 0.0, 0.0, 0.0]), radius, NO_TREE, 0.0)
+
+    def add_box(self, half: np.ndarray) -> int:
+        """`half` (3,) [m] half edge lengths."""
+        points = box_edge_points(half)
+        own = self._append_tree(build_sphere_tree(points, np.ones(len(points), np.uint8)))
+        return self._add_row(
+            BOX, np.concatenate([-half, half]), np.append(half, 0.0), float(half.max()), own, box_sampling_gap(half)
+        )
+
+    def add_tetrahedra(self, prepared: PreparedMesh) -> int:
+        """A whole body; equal `prepared` objects share their pool rows."""
+        rows = self._mesh_rows(prepared)
+        self._bodies_of[id(prepared)] += 1
+        mesh = prepared.mesh
+        row = self._add_row(
+            TETRAHEDRA, mesh.box, np.zeros(4), 0.5 * float((mesh.box[3:] - mesh.box[:3]).max()), rows.tree,
+            mesh.sampling_gap, rows.index, rows.cells,
+        )  # fmt: skip
+        # summed one by one, as a fracture sums what is left, so that parts add up to the whole
+        self._moments.view[row] = mesh.moments.sum(axis=0)
+        return row
+
+    def add_triangles(self, prepared: PreparedSurface) -> int:
+        """A rigid body; equal `prepared` objects share their pool rows."""
+        rows = next((rows for known, rows in self._surfaces if known is prepared), None)
+        if rows is None:
+            tables = self._tables
+            rows = SurfaceMeshRows(
+                append_triangle_mesh(tables.triangles, prepared.mesh), self._append_tree(prepared.tree)
+            )
+            self._surfaces.append((prepared, rows))
+        self._bodies_of[id(prepared)] += 1
+        box = prepared.mesh.node_box[0]
+        row = self._add_row(
+            TRIANGLES, box, np.zeros(4), 0.5 * float((box[3:] - box[:3]).max()), rows.tree, prepared.sampling_gap,
+            rows.index,
+        )  # fmt: skip
+        self._moments.view[row] = prepared.moments
+        return row
+
+    def apply_fracture(
+        self, row: int, nodes: np.ndarray, parts: np.ndarray, edges: np.ndarray, planes: np.ndarray, count: int
+    ) -> int:
+        """Break fragment `row` into `count` new rows; returns the first.
+
+        nodes (n,): all its mesh nodes; parts (n,): the part of each, 0 .. count - 1; edges (k,): mesh edges it is cut
+        at, ascending; planes (k, 4): unit normal from the edge's first node to its second, offset [m].
+        """
+        tables = self._tables
+        prepared, rows = self._meshes[int(tables.fragment["mesh"].view[row])]
+        self._own_body_rows(row, prepared, rows)
+        for column in (*tables.fragment.values(), self._moments, self._gaps):
+            column.reserve(count)
+            first = column.advance(count)
+        end = first + count
+        first_plane = tables.body["planes"].append(planes)
+        tetrahedra = len(prepared.mesh.tetrahedra)
+        if len(self._room.kinds) < tetrahedra:
+            self._room = touched_room(tetrahedra)
+        touched = touched_tetrahedra.find_touched(
+            tables.roomy, row, tetrahedra, nodes, parts, edges, first_plane, first, end, self._moments.view,
+            self._gaps.view, self._room,
+        )  # fmt: skip
+        corners = self._rebuild_surfaces(row, touched, first, end)
+        if self._tree_kind == REBUILT:
+            self._rebuild_trees(row, prepared.mesh, rows, nodes, parts, corners, first, count)
+        else:
+            split_trees(tables, row, edges, corners, first, count, self._tree_kind == RESTRUCTURED)
+        self._choose_seeds(row, rows, touched, first)
+        if self._field == AVERAGED:
+            pools = self.pools
+            update_averaged_field(
+                pools, prepared, rows.node, pools.fragment.node_shift[row], pools.fragment.edge_shift[row], touched,
+                first, end, first_plane,
+            )  # fmt: skip
+        self._find_ridges(first, end)
+        return first
+
+    def _rebuild_surfaces(self, row, touched, first, end) -> NewSamples:
+        """Polygons in the tetrahedra that a fracture touched; moments, boxes, gaps, cells of their fragments. Returns
+        the samples at their corners.
+        """
+        tables = self._tables
+        columns = [tables.body[name] for name in SurfaceRows._fields]
+        room = SurfaceRows(*(column.reserve(touched.room) for column in columns))
+        pools = tables.roomy
+        written, corners, words = rebuild_surfaces(
+            pools.mesh, pools.body, pools.fragment, row, touched, first, end, columns[0].used, room,
+            tables.occupancy.used, self._moments.view, self._gaps.view, self._scratch,
+        )  # fmt: skip
+        for column in columns:
+            column.advance(written)
+        tables.occupancy.reserve(words)
+        tables.occupancy.advance(words)
+        mark_fragments(pools.mesh, pools.body, pools.fragment, tables.occupancy.whole, row, first, end)
+        return corners
+
+    def _rebuild_trees(self, row, mesh, rows, nodes, parts, corners, first, count) -> None:
+        """REBUILT trees of fragments first .. first + count - 1, into which `row` broke."""
+        tables = self._tables
+        begin = rows.edge + int(tables.fragment["edge_shift"].view[row])
+        own = slice(begin, begin + len(mesh.edges))
+        part_of_node = np.full(len(mesh.nodes), -1, dtype=np.int32)
+        part_of_node[nodes] = parts
+        sampled = (tables.body["edge_plane"].view[own] >= 0)[:, None] & (part_of_node[mesh.edges] >= 0)
+        forest = rebuilt_trees(mesh, part_of_node, tables.body["edge_share"].view[own], sampled, corners, count)
+        begins = forest.begin + tables.append_tree(forest.trees)
+        leaves, middles = tables.append_leaves(begins)
+        for name, rows_of in (("tree", begins), ("leaf", leaves)):
+            tables.fragment[f"{name}_begin"].view[first : first + count] = rows_of[:-1]
+            tables.fragment[f"{name}_end"].view[first : first + count] = rows_of[1:]
+        tables.fragment["middle"].view[first : first + count] = middles
+
+    def _choose_seeds(self, row, rows, touched, first) -> None:
+        """Those of the body's pairs, after fragment `row` broke into those from row `first` on."""
+        seeds, pools = self._tables.seeds, self._tables.roomy
+        keys, ranges, edges = choose_seeds(
+            pools.mesh, pools.body, pools.fragment, pools.seeds, row, rows.counts[2], touched.cut, first,
+            seeds["keys"].used, seeds["edges"].used,
+        )  # fmt: skip
+        seeds["keys"].append(keys)
+        seeds["ranges"].append(ranges)
+        seeds["edges"].append(edges)
+
+    def _own_body_rows(self, row: int, prepared: PreparedMesh, rows: MeshRows) -> None:
+        """A body that breaks for the first time gets labels, cuts and planes of its own."""
+        if self._tables.fragment["node_shift"].view[row] != NEVER_BROKEN:
+            return
+        mesh = prepared.mesh
+        if self._field == AVERAGED:
+            interior = self._interior_field(prepared, rows)
+            self._tables.body["node_field"].append(interior.node_field)
+        node = self._tables.body["node_fragment"].fill(len(mesh.nodes), row)
+        edge = self._tables.body["edge_plane"].fill(len(mesh.edges), -1)
+        self._tables.body["edge_event"].fill(len(mesh.edges), 0)
+        self._tables.body["edge_share"].fill(len(mesh.edges), 0.0)
+        whole = np.zeros(REGION, np.int32)
+        whole[OWNER] = row
+        tet = self._tables.body["regions"].fill(len(mesh.tetrahedra), whole)
+        self._tables.body["cut_count"].fill(len(mesh.tetrahedra), 0)
+        self._tables.fragment["node_shift"].view[row] = node - rows.node
+        self._tables.fragment["tet_shift"].view[row] = tet - rows.tet
+        self._tables.fragment["edge_shift"].view[row] = edge - rows.edge
+
+    def _interior_field(self, prepared: PreparedMesh, rows: MeshRows) -> InteriorField:
+        """The averaged field of the whole body; its grid goes into the pools with the first body of the mesh."""
+        if not prepared.interior:
+            prepared.interior.append(make_interior_field(prepared.mesh))
+        interior = prepared.interior[0]
+        if self._tables.mesh["depth_grid_dims"].view[rows.index, 0] == 0:
+            self._tables.mesh["depth_grid"].view[rows.index] = np.append(interior.origin, interior.cell)
+            first = self._tables.mesh["grid_depth"].append(interior.depth)
+            self._tables.mesh["depth_grid_dims"].view[rows.index] = np.append(interior.dims, first)
+        return interior
+
+    def _append_tree(self, tree: SphereTree) -> TreeRows:
+        begin = self._tables.append_tree(tree)
+        leaves, middles = self._tables.append_leaves(np.array([begin, begin + len(tree.size)]))
+        return TreeRows(begin, begin + len(tree.size), int(leaves[0]), int(leaves[1]), middles[0])
+
+    def _add_row(self, kind, box, shape, radius, tree, gap, mesh=-1, cells=None) -> int:
+        values = dict(
+            kind=kind, mesh=mesh, node_shift=NEVER_BROKEN, tet_shift=NEVER_BROKEN, edge_shift=NEVER_BROKEN, box=box,
+            shape=shape, radius=radius, tree_begin=tree.begin, tree_end=tree.end, leaf_begin=tree.leaf_begin,
+            leaf_end=tree.leaf_end, middle=tree.middle,
+            cells=np.zeros(7, np.int32) if cells is None else cells,
+            seeds=np.zeros(2, np.int32),
+        )  # fmt: skip
+        for name, value in values.items():
+            self._tables.fragment[name].append(np.asarray(value)[None])
+        self._moments.append(np.zeros((1, 10)))
+        row = self._gaps.append(np.array([gap]))
+        self._find_ridges(row, row + 1)
+        return row
+
+    def _find_ridges(self, first: int, end: int) -> None:
+        if self._ridges is not None:
+            self._ridges.append(self.pools, first, end)
+
+    def _mesh_rows(self, prepared: PreparedMesh) -> MeshRows:
+        for known, rows in self._meshes:
+            if known is prepared:
+                return rows
+        mesh, tables = prepared.mesh, self._tables
+        index, node, tet, edge = tables.append_mesh(mesh)
+        cells = np.zeros((1, 7), np.int32)
+        grid, dims = (tables.mesh[name].view[index] for name in ("grid", "grid_dims"))
+        words = cells_of_boxes(mesh.box[None], grid, dims, tables.occupancy.used, cells)
+        tables.occupancy.fill(words, 0)
+        mark_all(self.pools.mesh, index, cells[0], tables.occupancy.view)
+        counts = len(mesh.nodes), len(mesh.tetrahedra), len(mesh.edges)
+        rows = MeshRows(index, node, tet, edge, self._append_tree(prepared.tree), cells[0], counts)
+        self._meshes.append((prepared, rows))
+        return rows

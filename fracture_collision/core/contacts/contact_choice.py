@@ -1,0 +1,186 @@
+"""Which of a pair's samples that may touch are listed: Glondu 2014, section 5.2, made free of the order of visits.
+
+The paper's rule depends on the order of visits; this one on the samples' positions and depths alone, so any search may
+find them. They wait in scratch, a row each, until all are known.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from fracture_collision.core.contacts.deepest_contacts import sort_by_sample
+from fracture_collision.core.contacts.known_samples import (
+    ask_sample,
+    home_tetrahedron,
+    moved_since,
+    put_contact,
+    share_a_body,
+)
+from fracture_collision.core.field.elementary_queries import INSIDE, NEAR
+from fracture_collision.core.memory.compiled import inlined_kernel
+from fracture_collision.core.memory.pools import SAMPLE
+from fracture_collision.core.memory.rotations import to_other
+
+# Columns of scratch.node_int, node_float and spread, of the samples that are to choose from.
+ENTRY, SIDE, NUMBER, ANSWER = 0, 1, 2, 3
+DISTANCE = 3  # [m] from the other's surface; minus infinity: deeper than epsilon, it is not known by how much
+FAR, MOST_DEPTH = 0, 1
+# Value of DISTANCE: not known.
+UNASKED = math.inf
+# What comes to this share of the best is as good to `choose`.
+EQUAL = 1.0 - 1e-3
+
+
+class Rule(NamedTuple):
+    """Which of a pair's contacts are listed (Glondu 2014, section 5.2, and `choose`)."""
+
+    wanted: int  # m
+    most: int  # that are listed where more than m are deeper than epsilon; 0: the paper's rule
+    epsilon: float  # [m]
+    near: float  # [m] the detection tolerance
+
+
+@inlined_kernel
+def placed(pools, rotation, translation, entry, side, other, one_body, slack):
+    """Of a row of TreePool: (its sample, x, y, z [m] in the other's frame, a tetrahedron of the other's to start from,
+    how deep [m] it is at most, as it has not moved farther since it broke).
+    """
+    c, sample = pools.tree.spheres[entry], pools.tree.entries[entry, SAMPLE]
+    x, y, z = to_other(rotation[side], translation[side], c[0], c[1], c[2])
+    start = home_tetrahedron(pools, other, sample) if one_body else -1
+    return sample, x, y, z, start, moved_since(c, x, y, z) + slack if one_body else math.inf
+
+
+@inlined_kernel
+def way_out_of_box(box, x, y, z):
+    """[m] from a point to the nearest side of a box (6,) around it: what is in the box is no deeper."""
+    return min(x - box[0], y - box[1], z - box[2], box[3] - x, box[4] - y, box[5] - z)
+
+
+@inlined_kernel
+def keep(pools, entry, side, sample, x, y, z, distance, deep, k, scratch, thread):
+    """A sample at (x, y, z) in the other's frame as the k-th to choose from, of which no answer is kept: at a distance
+    [m], or UNASKED, no deeper than `deep` [m].
+    """
+    node, point = scratch.node_int[thread, k], scratch.node_float[thread, k]
+    node[ENTRY], node[SIDE], node[NUMBER], node[ANSWER] = entry, side, sample, -1
+    point[0], point[1], point[2], point[DISTANCE] = x, y, z, distance
+    if side == 1:
+        own = pools.tree.spheres[entry]
+        point[0], point[1], point[2] = own[0], own[1], own[2]
+    scratch.spread[thread, MOST_DEPTH, k] = deep
+
+
+@inlined_kernel
+def keep_answer(answer, k, sample, x, y, z, scratch, thread):
+    """Of the k-th that is kept what bounded_probe said, for good."""
+    node = scratch.node_int[thread, k]
+    node[ANSWER] = k
+    put_contact(scratch.kept[thread], scratch.kept_ids[thread], k, node[SIDE], sample, x, y, z, answer)
+
+
+@inlined_kernel
+def is_final(answer, looked, rule):
+    """Whether put_chosen would get the same answer: not of a point that was looked for farther than the tolerance, or
+    not as deep as it may be, where it may be another of surfaces that are equally near.
+    """
+    return (answer[0] == NEAR and looked == rule.near) or (answer[0] == INSIDE and rule.most == 0)
+
+
+@inlined_kernel
+def choose(rule, count, scratch, thread):
+    """Which of `count` samples that are near, no more than wanted of them deeper than epsilon, are listed: they come
+    first. Returns (how many, how deep others may be [m]).
+
+    All, if they are no more than wanted. Else all that are deeper than epsilon, and of the others those farthest from
+    what was chosen before, up to the contacts wanted. A distance counts in proportion to how far the sample is within
+    the detection tolerance, to epsilon: what hardly touches holds nothing (as in Jolt's manifolds). Ties go by side and
+    sample. So that what rests does not change its contacts by rounding, all that come to EQUAL of the best are a tie;
+    and where none is deeper than epsilon, the first is one of those within half of epsilon of the deepest.
+    """
+    if count <= rule.wanted:
+        return count, 0.0
+    point, spread = scratch.node_float[thread], scratch.spread[thread]
+    deep, nearest = 0, math.inf
+    for k in range(count):
+        nearest = min(nearest, point[k, DISTANCE])
+        spread[FAR, k] = math.inf
+        if point[k, DISTANCE] < -rule.epsilon:
+            swap(scratch, thread, k, deep)
+            deep += 1
+    for chosen in range(rule.wanted):
+        pick = chosen if chosen < deep else -1
+        if pick < 0 and chosen == 0:
+            limit = nearest + 0.5 * rule.epsilon
+            for k in range(count):
+                if point[k, DISTANCE] <= limit and (pick < 0 or is_before(scratch, thread, k, pick)):
+                    pick = k
+        elif pick < 0:
+            best = 0.0
+            for k in range(chosen, count):
+                best = max(best, _worth(rule, point[k, DISTANCE], spread[FAR, k]))
+            for k in range(chosen, count):
+                its = _worth(rule, point[k, DISTANCE], spread[FAR, k])
+                if its >= EQUAL * best and (pick < 0 or is_before(scratch, thread, k, pick)):
+                    pick = k
+        swap(scratch, thread, pick, chosen)
+        _see_chosen(chosen, count, scratch, thread)
+    missed = 0.0
+    for k in range(rule.wanted, count):
+        missed = max(missed, spread[MOST_DEPTH, k])
+    return rule.wanted, missed
+
+
+@inlined_kernel
+def _see_chosen(chosen, end, scratch, thread):
+    """How far the samples up to `end` are from those chosen, the last of which is row `chosen`."""
+    point, far = scratch.node_float[thread], scratch.spread[thread, FAR]
+    x, y, z = point[chosen, 0], point[chosen, 1], point[chosen, 2]
+    for k in range(chosen + 1, end):
+        dx, dy, dz = point[k, 0] - x, point[k, 1] - y, point[k, 2] - z
+        far[k] = min(far[k], dx * dx + dy * dy + dz * dz)
+
+
+@inlined_kernel
+def _worth(rule, distance, far):
+    """`far` [m2]: the square of how far a sample is from those chosen; `distance` [m] from the other's surface."""
+    return far * (rule.near + min(-distance, rule.epsilon)) ** 2
+
+
+@inlined_kernel
+def is_before(scratch, thread, i, j):
+    """By side and sample."""
+    one, other = scratch.node_int[thread, i], scratch.node_int[thread, j]
+    return one[SIDE] < other[SIDE] or (one[SIDE] == other[SIDE] and one[NUMBER] < other[NUMBER])
+
+
+@inlined_kernel
+def swap(scratch, thread, i, j):
+    node, point, spread = scratch.node_int[thread], scratch.node_float[thread], scratch.spread[thread]
+    for c in range(4):
+        node[i, c], node[j, c] = node[j, c], node[i, c]
+    for c in range(4):
+        point[i, c], point[j, c] = point[j, c], point[i, c]
+    for c in range(2):
+        spread[c, i], spread[c, j] = spread[c, j], spread[c, i]
+
+
+@inlined_kernel
+def put_chosen(pools, a, b, rotation, translation, near, slack, contacts, ids, count, scratch, thread):
+    """The first `count` of the samples kept, as contacts by side and sample."""
+    one_body = share_a_body(pools, a, b)
+    for k in range(count):
+        kept = scratch.node_int[thread, k, ANSWER]
+        if kept >= 0:
+            for i in range(contacts.shape[1]):
+                contacts[k, i] = scratch.kept[thread, kept, i]
+            for i in range(ids.shape[1]):
+                ids[k, i] = scratch.kept_ids[thread, kept, i]
+            continue
+        entry, side = scratch.node_int[thread, k, ENTRY], scratch.node_int[thread, k, SIDE]
+        other = b if side == 0 else a
+        sample, x, y, z, start, deep = placed(pools, rotation, translation, entry, side, other, one_body, slack)
+        answer = ask_sample(pools, other, x, y, z, near, deep, start, True, scratch, thread)
+        put_contact(contacts, ids, k, side, sample, x, y, z, answer)
+    sort_by_sample(contacts, ids, count)

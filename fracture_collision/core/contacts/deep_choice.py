@@ -1,0 +1,222 @@
+"""Which samples of a pair are listed where more than wanted are deeper than epsilon: Glondu 2014, section 5.2, as in
+contact_choice.py.
+
+The deepest, and of the others that are deeper those farthest from what was chosen before. For this few have to be
+asked: those that may be the deepest, and those that are far from the chosen. So most wait here UNASKED.
+"""
+
+from __future__ import annotations
+
+import math
+
+from fracture_collision.core.contacts.contact_choice import (
+    DISTANCE,
+    ENTRY,
+    EQUAL,
+    FAR,
+    MOST_DEPTH,
+    SIDE,
+    UNASKED,
+    is_before,
+    keep_answer,
+    placed,
+    swap,
+)
+from fracture_collision.core.contacts.known_samples import ask_sample, share_a_body
+from fracture_collision.core.field.elementary_queries import INSIDE, bounded_probe
+from fracture_collision.core.field.flood import EVERYTHING, nearest_in_tetrahedron, nothing_within, pop, push
+from fracture_collision.core.memory.compiled import inlined_kernel
+from fracture_collision.core.memory.kinds import TETRAHEDRA, TRIANGLES
+from fracture_collision.core.memory.pools import EXACT
+from fracture_collision.core.tree.sample_leaves import farthest_sample, leaves_of, nearest_sample
+
+# Ways out of deep samples that are kept to bound how deep others are.
+MOST_WAYS = 8
+# Another's samples are hardly nearer to a point inside than this share of R.
+SAMPLES_HELP = 0.02
+
+
+@inlined_kernel
+def may_wait(pools, other, rule, deep):
+    """Whether a sample in `other` need not be asked yet, where `deep` others are deeper than epsilon: if it takes long.
+    (What the averaged field says has no bound that does not depend on which were asked.)
+    """
+    is_mesh = pools.fragment.kind[other] == TETRAHEDRA or pools.fragment.kind[other] == TRIANGLES
+    return rule.most > 0 and deep > rule.wanted and is_mesh and pools.field == EXACT
+
+
+@inlined_kernel
+def choose_deep(pools, a, b, rotation, translation, rule, slack, count, scratch, thread):
+    """As contact_choice.choose, where more than wanted of the samples are deeper than epsilon: the deepest, then those
+    of them farthest from what was chosen before, up to rule.most.
+    """
+    point, most_depth = scratch.node_float[thread], scratch.spread[thread, MOST_DEPTH]
+    picked = scratch.queue[thread, 1]
+    deepest = _find_deepest(pools, a, b, rotation, translation, rule, slack, count, scratch, thread)
+    first, aim = -1, max(rule.most, rule.wanted)
+    for k in range(count):
+        if point[k, DISTANCE] == -deepest and (first < 0 or is_before(scratch, thread, k, first)):
+            first = k
+    picked[0] = first
+    waiting = _line_up(rule, count, first, scratch, thread)
+    # one more than is listed: whether any is left
+    chosen = 1
+    while chosen <= aim:
+        pick, waiting = _farthest(
+            pools, a, b, rotation, translation, rule, slack, count, chosen, waiting, scratch, thread
+        )
+        if pick < 0:
+            break
+        picked[chosen] = pick
+        chosen += 1
+    bound = deepest if chosen > aim else rule.epsilon
+    if pools.field != EXACT:
+        for k in range(count):
+            bound = max(bound, most_depth[k])
+    chosen = min(chosen, aim)
+    for k in range(chosen):
+        swap(scratch, thread, picked[k], k)
+        for later in range(k + 1, chosen):
+            if picked[later] == k:
+                picked[later] = picked[k]
+    return chosen, bound
+
+
+@inlined_kernel
+def _line_up(rule, count, first, scratch, thread):
+    """Line up those of `count` samples that may be deeper than epsilon, but for `first`, by how far they are from it: a
+    heap, what is farthest first; returns how many.
+    """
+    point, most_depth = scratch.node_float[thread], scratch.spread[thread, MOST_DEPTH]
+    keys, items, known = scratch.spread[thread, FAR], scratch.queue[thread, 0], scratch.queue[thread, 0, count:]
+    waiting = 0
+    for k in range(count):
+        distance = point[k, DISTANCE]
+        if k != first and (distance < -rule.epsilon or (distance == UNASKED and most_depth[k] > rule.epsilon)):
+            push(keys, items, waiting, -_apart(point, k, first), k)
+            known[k] = 1
+            waiting += 1
+    return waiting
+
+
+@inlined_kernel
+def _farthest(pools, a, b, rotation, translation, rule, slack, count, chosen, waiting, scratch, thread):
+    """(which of the samples lined up is farthest from the `chosen` ones, -1: none is deeper than epsilon; how many are
+    left in line). Ties as in contact_choice.choose.
+
+    Each stands where it stood when it was last compared, `known` chosen ones ago: it is no farther now (as in the lazy
+    greedy algorithm of Minoux 1978).
+    """
+    point, keys, items = scratch.node_float[thread], scratch.spread[thread, FAR], scratch.queue[thread, 0]
+    known, picked, ties = scratch.queue[thread, 0, count:], scratch.queue[thread, 1], scratch.queue[thread, 1, count:]
+    best, tied, pick = -1.0, 0, -1
+    while waiting and -keys[0] >= EQUAL * best:
+        k, far = items[0], -keys[0]
+        pop(keys, items, waiting)
+        waiting -= 1
+        if known[k] < chosen:
+            for i in range(known[k], chosen):
+                far = min(far, _apart(point, k, picked[i]))
+            known[k] = chosen
+            push(keys, items, waiting, -far, k)
+            waiting += 1
+            continue
+        if point[k, DISTANCE] == UNASKED:
+            if not _is_deep(pools, a, b, rotation, translation, rule, slack, k, scratch, thread):
+                continue
+            point[k, DISTANCE] = -math.inf
+        best = max(best, far)
+        ties[tied] = k
+        tied += 1
+        if pick < 0 or is_before(scratch, thread, k, pick):
+            pick = k
+    for i in range(tied):
+        if ties[i] != pick:
+            push(keys, items, waiting, -best, ties[i])
+            known[ties[i]] = 0
+            waiting += 1
+    return pick, waiting
+
+
+@inlined_kernel
+def _apart(point, i, j):
+    """The square of how far two samples are from each other [m2]."""
+    dx, dy, dz = point[i, 0] - point[j, 0], point[i, 1] - point[j, 1], point[i, 2] - point[j, 2]
+    return dx * dx + dy * dy + dz * dz
+
+
+@inlined_kernel
+def _is_deep(pools, a, b, rotation, translation, rule, slack, k, scratch, thread):
+    """Whether the k-th sample is deeper than epsilon."""
+    entry, side = scratch.node_int[thread, k, ENTRY], scratch.node_int[thread, k, SIDE]
+    other = b if side == 0 else a
+    one_body = share_a_body(pools, a, b)
+    _, x, y, z, start, deep = placed(pools, rotation, translation, entry, side, other, one_body, slack)
+    answer = bounded_probe(
+        pools, other, x, y, z, 0.0, min(deep, rule.epsilon), start, True, scratch, thread
+    )
+    return answer[0] == INSIDE and answer[1] < -rule.epsilon
+
+
+@inlined_kernel
+def _find_deepest(pools, a, b, rotation, translation, rule, slack, count, scratch, thread):
+    """Ask those of the first `count` samples that may be the deepest; returns its depth [m].
+
+    What is inside is no deeper than it is far from any of the other's surface: that in the tetrahedron where a sample
+    was in the unbroken body, or the nearest of the other's samples. And what is at n . x along a direction n is no
+    deeper than the way from there to the other's farthest point along it; the way out for a deep sample is a good
+    direction for those beside it.
+    """
+    point, spread, node = scratch.node_float[thread], scratch.spread[thread], scratch.node_int[thread]
+    keys, items, ways = spread[FAR], scratch.queue[thread, 0], scratch.ways[thread]
+    one_body, deepest, waiting, known = share_a_body(pools, a, b), 0.0, 0, 0
+    for k in range(count):
+        if -math.inf < point[k, DISTANCE] < UNASKED:
+            deepest = max(deepest, -point[k, DISTANCE])
+        else:
+            push(keys, items, waiting, -spread[MOST_DEPTH, k], k)
+            waiting += 1
+    while waiting and -keys[0] >= deepest:
+        k, key = items[0], -keys[0]
+        pop(keys, items, waiting)
+        waiting -= 1
+        side = node[k, SIDE]
+        other = b if side == 0 else a
+        sample, x, y, z, start, moved = placed(
+            pools, rotation, translation, node[k, ENTRY], side, other, one_body, slack
+        )
+        leaves = leaves_of(pools, other)
+        m = leaves.middle
+        if key == spread[MOST_DEPTH, k]:  # it came first by what was known of it at the beginning
+            deep = key
+            if one_body:
+                best = nearest_in_tetrahedron(pools, other, start, x, y, z, EVERYTHING, nothing_within(key))
+                deep = min(key, math.sqrt(best[0]) + slack)
+            if deep == key and key > SAMPLES_HELP * pools.fragment.radius[other]:
+                deep = min(key, nearest_sample(leaves, x - m[0], y - m[1], z - m[2], scratch.along[thread]) + slack)
+            for w in range(known):
+                if ways[w, 4] == side:
+                    along = ways[w, 0] * x + ways[w, 1] * y + ways[w, 2] * z
+                    deep = min(deep, ways[w, 3] - along)
+            if deep < key:
+                if deep >= deepest:
+                    push(keys, items, waiting, -deep, k)
+                    waiting += 1
+                continue
+        # that it is not the deepest is sooner seen than how deep it is
+        answer = bounded_probe(pools, other, x, y, z, 0.0, min(moved, deepest), start, True, scratch, thread)
+        if answer[0] != INSIDE:
+            point[k, DISTANCE] = 0.0
+            continue
+        if answer[1] == -math.inf:
+            answer = ask_sample(pools, other, x, y, z, 0.0, moved, start, True, scratch, thread)
+            keep_answer(answer, k, sample, x, y, z, scratch, thread)
+        point[k, DISTANCE], spread[MOST_DEPTH, k] = answer[1], answer[8]
+        deepest = max(deepest, -answer[1])
+        if known < MOST_WAYS:
+            n, way = (answer[2], answer[3], answer[4]), ways[known]
+            _, reach = farthest_sample(leaves, n, 0, scratch.along[thread])
+            farthest = n[0] * m[0] + n[1] * m[1] + n[2] * m[2] + reach + m[3] + slack
+            way[0], way[1], way[2], way[3], way[4] = n[0], n[1], n[2], farthest, side
+            known += 1
+    return deepest

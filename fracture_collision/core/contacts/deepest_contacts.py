@@ -1,0 +1,81 @@
+"""Rows of contacts in order: by sample, or by depth, and no more than so many kept, the deepest of them.
+
+The first rows form a heap whose root comes last in the order; ties go by side and sample, so that what is kept and how
+it is sorted depends on the contacts alone.
+"""
+
+from __future__ import annotations
+
+from fracture_collision.core.contacts.known_samples import ID_SAMPLE, ID_SIDE
+from fracture_collision.core.memory.compiled import inlined_kernel, query_kernel
+
+GAP = 9  # column of contacts
+
+
+@inlined_kernel
+def _is_before(row, row_ids, other, other_ids):
+    if row[GAP] != other[GAP]:
+        return row[GAP] < other[GAP]
+    if row_ids[ID_SIDE] != other_ids[ID_SIDE]:
+        return row_ids[ID_SIDE] < other_ids[ID_SIDE]
+    return row_ids[ID_SAMPLE] < other_ids[ID_SAMPLE]
+
+
+@inlined_kernel
+def swap_contacts(contacts, ids, i, j):
+    for c in range(contacts.shape[1]):
+        contacts[i, c], contacts[j, c] = contacts[j, c], contacts[i, c]
+    for c in range(ids.shape[1]):
+        ids[i, c], ids[j, c] = ids[j, c], ids[i, c]
+
+
+@query_kernel
+def _sift(contacts, ids, root, end):
+    """Let row `root` sink to its place in the heap of rows 0 .. end - 1."""
+    while 2 * root + 1 < end:
+        child = 2 * root + 1
+        if child + 1 < end and _is_before(contacts[child], ids[child], contacts[child + 1], ids[child + 1]):
+            child += 1
+        if not _is_before(contacts[root], ids[root], contacts[child], ids[child]):
+            return
+        swap_contacts(contacts, ids, root, child)
+        root = child
+
+
+@query_kernel
+def make_heap(contacts, ids, count):
+    """Of rows 0 .. count - 1."""
+    for root in range(count // 2 - 1, -1, -1):
+        _sift(contacts, ids, root, count)
+
+
+@query_kernel
+def keep_if_deeper(contacts, ids, count, row, row_ids):
+    """Give up either `row` (10,) with `row_ids` (5,) or the shallowest of the heap of `count` rows; returns the depth
+    [m] given up.
+    """
+    if count > 0 and _is_before(row, row_ids, contacts[0], ids[0]):
+        for c in range(len(row)):
+            contacts[0, c], row[c] = row[c], contacts[0, c]
+        for c in range(len(row_ids)):
+            ids[0, c], row_ids[c] = row_ids[c], ids[0, c]
+        _sift(contacts, ids, 0, count)
+    return -row[GAP]
+
+
+@query_kernel
+def sort_heap(contacts, ids, count):
+    """Rows 0 .. count - 1, a heap, by depth, the deepest first."""
+    for end in range(count - 1, 0, -1):
+        swap_contacts(contacts, ids, 0, end)
+        _sift(contacts, ids, 0, end)
+
+
+@inlined_kernel
+def sort_by_sample(contacts, ids, count):
+    """By side and sample; few."""
+    for i in range(1, count):
+        k = i
+        while k > 0 and (ids[k - 1, ID_SIDE], ids[k - 1, ID_SAMPLE]) > (ids[k, ID_SIDE], ids[k, ID_SAMPLE]):
+            swap_contacts(contacts, ids, k - 1, k)
+            k -= 1

@@ -1,0 +1,140 @@
+"""Contacts of samples that are known before any search, those of a crack; and what a sample's contact is told by."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from fracture_collision.core.field.elementary_queries import INSIDE, OUTSIDE, bounded_probe
+from fracture_collision.core.fracture.crack_seeds import find_seeds
+from fracture_collision.core.memory.compiled import inlined_kernel, query_kernel
+from fracture_collision.core.memory.kinds import PLANE, TETRAHEDRA
+from fracture_collision.core.memory.pools import NEVER_BROKEN
+from fracture_collision.core.memory.rotations import to_other
+from fracture_collision.core.mesh.cut_tetrahedron import point_on_edge
+from fracture_collision.core.mesh.sample_numbers import (
+    FIRST_NODE,
+    crossing_number,
+    edge_of,
+    is_crossing,
+    is_node,
+    tetrahedron_of,
+)
+
+# Rounding must not make a bound lie: this share of the smaller R, and of all coordinates that a depth is made from.
+BOUND_SLACK = 1e-12
+COORDINATE_SLACK = 8.0 * np.finfo(np.float64).eps
+
+# columns of ids
+ID_SIDE, ID_SAMPLE, ID_SOURCE, ID_TETRAHEDRON, ID_AT = 0, 1, 2, 3, 4
+
+
+@inlined_kernel
+def _farthest(pools, f):
+    """Largest coordinate [m] of fragment f's geometry in its body frame."""
+    if pools.fragment.kind[f] == PLANE:
+        return abs(pools.fragment.shape[f, 3])
+    farthest = 0.0
+    for d in range(6):
+        farthest = max(farthest, abs(pools.fragment.box[f, d]))
+    return farthest
+
+
+@inlined_kernel
+def share_a_body(pools, a, b):
+    """Whether two fragments are of one body, that broke."""
+    fragment = pools.fragment
+    return (
+        fragment.kind[a] == TETRAHEDRA and fragment.kind[b] == TETRAHEDRA and fragment.mesh[a] == fragment.mesh[b]
+        and fragment.node_shift[a] != NEVER_BROKEN and fragment.node_shift[a] == fragment.node_shift[b]
+    )  # fmt: skip
+
+
+@inlined_kernel
+def home_tetrahedron(pools, f, sample):
+    """A tetrahedron of fragment f's mesh that a sample of it is in, or whose node or edge it is on."""
+    mesh, k = pools.mesh, pools.fragment.mesh[f]
+    first = mesh.first[k]
+    if is_node(first, sample):
+        # node_tets_begin has one row more than nodes in each mesh before this one
+        return mesh.node_tets[mesh.node_tets_begin[first[FIRST_NODE] + sample + k]]
+    if is_crossing(first, sample):
+        edge, _ = edge_of(first, sample)
+        return mesh.edge_tets[edge]
+    return tetrahedron_of(first, sample)
+
+
+@inlined_kernel
+def moved_since(sphere, x, y, z):
+    """How far the centre of a sphere is from where it is in the unbroken body [m]; (x, y, z): in the other's frame."""
+    dx, dy, dz = x - sphere[0], y - sphere[1], z - sphere[2]
+    return math.sqrt(dx * dx + dy * dy + dz * dz)
+
+
+@inlined_kernel
+def rounding_slack(pools, a, b, translation):
+    """What rounding may take from the bound [m] of a pair with these relative translations (2, 3)."""
+    fragment = pools.fragment
+    slack = BOUND_SLACK * min(fragment.radius[a], fragment.radius[b])
+    slack += COORDINATE_SLACK * (_farthest(pools, a) + _farthest(pools, b))
+    for d in range(3):
+        slack += COORDINATE_SLACK * (abs(translation[0, d]) + abs(translation[1, d]))
+    return slack
+
+
+@inlined_kernel
+def put_contact(contacts, ids, count, side, sample, x, y, z, answer):
+    """Row `count` from a sample's point and what bounded_probe says of it."""
+    row = contacts[count]
+    row[0], row[1], row[2] = x, y, z
+    row[3], row[4], row[5] = answer[5], answer[6], answer[7]
+    row[6], row[7], row[8] = answer[2], answer[3], answer[4]
+    row[9] = answer[1]
+    ids[count, ID_SIDE], ids[count, ID_SAMPLE] = side, sample
+    ids[count, ID_SOURCE], ids[count, ID_TETRAHEDRON], ids[count, ID_AT] = answer[9], answer[10], answer[11]
+
+
+@inlined_kernel
+def ask_sample(pools, other, x, y, z, near, deep, start, asked, scratch, thread):
+    """bounded_probe, and again without a limit where there is no surface within `deep` [m] of a point inside."""
+    answer = bounded_probe(pools, other, x, y, z, near, deep, start, asked, scratch, thread)
+    if answer[0] == INSIDE and answer[1] == -math.inf:
+        answer = bounded_probe(pools, other, x, y, z, near, math.inf, start, True, scratch, thread)
+    return answer
+
+
+@query_kernel
+def query_seeds(pools, a, b, rotation, translation, wanted, near, most, contacts, ids, capacity, scratch, thread):
+    """Contacts of the crossings of the crack that two fragments of one body share, until there are `wanted`.
+
+    `most`: crossings that are asked, 0: all seeds. Fills contacts and ids as query_pair does; returns (contacts,
+    crossings asked). A crossing is a sample of both: its owner is now the one, now the other.
+    """
+    mesh, body, fragment = pools.mesh, pools.body, pools.fragment
+    slack = rounding_slack(pools, a, b, translation)
+    begin, end = find_seeds(fragment, pools.seeds, a, b)
+    if end - begin < wanted:
+        return 0, 0
+    count, asked = 0, 0
+    point = scratch.point[thread]
+    for k in range(begin, end):
+        if count == wanted or (most and asked == most):
+            break
+        asked += 1
+        e = pools.seeds.edges[k]
+        side = (k - begin) % 2
+        own, other = (a, b) if side == 0 else (b, a)
+        end_of_own = 0 if body.node_fragment[mesh.edges[e, 0] + fragment.node_shift[a]] == own else 1
+        share = body.edge_share[e + fragment.edge_shift[a]]
+        point_on_edge(mesh.nodes, mesh.edges[e, 0], mesh.edges[e, 1], share, point)
+        x, y, z = to_other(rotation[side], translation[side], point[0], point[1], point[2])
+        deep = moved_since(point, x, y, z) + slack
+        answer = ask_sample(pools, other, x, y, z, near, deep, mesh.edge_tets[e], False, scratch, thread)
+        if answer[0] == OUTSIDE:
+            continue
+        if count < capacity:
+            sample = crossing_number(mesh.first[fragment.mesh[a]], e, end_of_own)
+            put_contact(contacts, ids, count, side, sample, x, y, z, answer)
+        count += 1
+    return count, asked

@@ -1,0 +1,311 @@
+"""Contacts of an analytic sphere: one for each place where the other's surface comes nearest to its centre.
+
+The ball in a corner of one body touches its wall and its floor. Each is a local minimum of the distance between the
+centre and the surface, and each is a contact; a single nearest point would leave the others out. A point of a triangle
+is such a minimum if no triangle that touches it comes nearer: distances to convex sets have no other minima. Planes,
+spheres and boxes answer in closed form, with one contact; so does any body that holds the centre, since the way out
+to its nearest surface is deeper than all of the sphere.
+
+A contact is known by its triangle, numbered within the mesh: so it keeps its id while the sphere stays on it, whatever
+else the sphere touches.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from fracture_collision.core.contacts.deepest_contacts import GAP, make_heap, sort_heap, swap_contacts
+from fracture_collision.core.contacts.known_samples import ID_AT, ID_SAMPLE, ID_SIDE, ID_SOURCE, ID_TETRAHEDRON
+from fracture_collision.core.field.elementary_queries import INSIDE, OUTSIDE, inside_tetrahedron, probe
+from fracture_collision.core.field.flood import NO_SOURCE, next_stamp
+from fracture_collision.core.memory.compiled import inlined_kernel, query_kernel
+from fracture_collision.core.memory.kinds import TETRAHEDRA, TRIANGLES
+from fracture_collision.core.memory.pools import BACK_SIDE, FRONT_SIDE, NEVER_BROKEN, OWNER, ROW
+from fracture_collision.core.mesh.closest_point import (
+    ON_FACE,
+    box_distance_squared,
+    closest_on_triangle,
+    triangle_normal,
+)
+from fracture_collision.core.mesh.cut_tetrahedron import FACE_VERTICES
+from fracture_collision.core.mesh.occupancy import ROUNDING, parts_within
+from fracture_collision.core.mesh.point_location import holds_fragment
+from fracture_collision.core.mesh.triangle_field import triangle_distance
+
+# Sample number of a sphere's contact that no triangle stands for.
+NO_TRIANGLE = -1
+# A triangle of a tetrahedral body is ROWS_EACH tetrahedron + place: faces 0 .. 3 of one that one fragment has alone,
+# else 4 + its row among those of the tetrahedron.
+ROWS_EACH = 1024
+# A triangle no farther from a point than this share of R touches it.
+TOUCHES = 1e-9
+# What rounding may do to a distance, as a share of it and of R.
+DISTANCE_ROUNDING = 16.0 * np.finfo(np.float64).eps
+# Places no farther apart than this share of R are one: rounding of a distance hides its square root of a way along a
+# surface.
+ONE_PLACE = 1e-6
+# How far before a rim the other side of the surface is told, as a share of R.
+BEFORE = 1e-6
+# How often the reach is halved until no more triangles are within it than there is room for.
+HALVINGS = 12
+# So many contacts are chosen far apart in direction, the others by depth: comparing all would take their square.
+SPREAD = 16
+
+
+@query_kernel
+def sphere_contacts(
+    pools, ball, other, x, y, z, near, wanted, epsilon, most_within, most, contacts, ids, side, scratch, thread
+):  # fmt: skip
+    """The contacts of sphere `ball`, centre (x, y, z) in the other's frame.
+
+    Those within `near` [m]: the deepest, then others as far apart in direction as can be until there are `wanted`, and
+    all that are deeper than `epsilon` [m], at most `most`. If more than `most_within` triangles are within reach, only
+    the nearer ones are looked at.
+
+    Fills the first rows of contacts and ids as far as they go. Returns (contacts found, missed depth bound [m] of all
+    other places of the sphere, whether a limit left out any that are deeper than `epsilon`).
+    """
+    radius, size = pools.fragment.shape[ball, 0], pools.fragment.radius[other]
+    status, d, nx, ny, nz, qx, qy, qz = probe(pools, other, x, y, z, radius + near, math.inf, scratch, thread)
+    if status == OUTSIDE or d - radius > near:
+        return 0, 0.0, False
+    within, touching = scratch.within[thread], scratch.touching[thread]
+    rows, row_ids = scratch.row[thread], scratch.row_ids[thread]
+    kind, sample = pools.fragment.kind[other], NO_TRIANGLE
+    if kind in (TETRAHEDRA, TRIANGLES):
+        sample = _first_at(pools, other, qx, qy, qz, touching, scratch, thread)
+    _put(rows, row_ids, 0, side, sample, x, y, z, radius, d, nx, ny, nz, qx, qy, qz)
+    found, kept, bound, cut = 1, 1, 0.0, False
+    if sample != NO_TRIANGLE and status != INSIDE:
+        reach, room = radius + near, min(most_within, len(within))
+        count = _triangles_within(pools, other, x, y, z, reach, within[:room], scratch, thread)
+        for _ in range(HALVINGS):
+            if count <= room:
+                break
+            cut = True
+            reach = d + 0.5 * (reach - d)
+            count = _triangles_within(pools, other, x, y, z, reach, within[:room], scratch, thread)
+        if count > room:
+            reach, count = d, 0
+        if cut:
+            bound = max(radius - reach, 0.0)
+            cut = bound > epsilon
+        for k in range(count):
+            is_place, e, mx, my, mz, px, py, pz = _place_of(pools, other, within[k], x, y, z, touching, scratch, thread)
+            if not is_place or _is_listed(rows, found, px, py, pz, ONE_PLACE * size):
+                continue
+            if found == len(rows):
+                bound = max(bound, radius - e)
+                cut = bound > epsilon
+            else:
+                sample = _number(pools, other, within[k])
+                _put(rows, row_ids, found, side, sample, x, y, z, radius, e, mx, my, mz, px, py, pz)
+                found += 1
+        kept = found
+    if found > min(wanted, most):
+        kept, left_out = _choose(rows[:found], row_ids[:found], wanted, epsilon, most)
+        bound, cut = max(bound, left_out), cut or left_out > epsilon
+    for k in range(min(kept, len(contacts))):
+        for c in range(contacts.shape[1]):
+            contacts[k, c] = rows[k, c]
+        for c in range(ids.shape[1]):
+            ids[k, c] = row_ids[k, c]
+    return kept, bound, cut
+
+
+@inlined_kernel
+def _put(contacts, ids, at, side, sample, x, y, z, radius, d, nx, ny, nz, qx, qy, qz):
+    row = contacts[at]
+    row[0], row[1], row[2] = x - radius * nx, y - radius * ny, z - radius * nz
+    row[3], row[4], row[5] = qx, qy, qz
+    row[6], row[7], row[8] = nx, ny, nz
+    row[GAP] = d - radius
+    ids[at, ID_SIDE], ids[at, ID_SAMPLE] = side, sample
+    ids[at, ID_SOURCE], ids[at, ID_TETRAHEDRON], ids[at, ID_AT] = NO_SOURCE, -1, -1
+
+
+@inlined_kernel
+def _is_listed(contacts, count, px, py, pz, one_place):
+    """Whether one of `count` rows has its witness within `one_place` [m] of a point."""
+    for i in range(count):
+        row = contacts[i]
+        if (row[3] - px) ** 2 + (row[4] - py) ** 2 + (row[5] - pz) ** 2 <= one_place * one_place:
+            return True
+    return False
+
+
+@query_kernel
+def _choose(contacts, ids, wanted, epsilon, most):
+    """Bring the rows to keep to the front: (how many, depth [m] of the deepest of the others)."""
+    count = len(contacts)
+    make_heap(contacts, ids, count)
+    sort_heap(contacts, ids, count)
+    chosen = min(wanted, most, SPREAD)
+    for k in range(1, chosen):
+        best, least = k, math.inf
+        for i in range(k, count):
+            along = -math.inf
+            for j in range(k):
+                a, b = contacts[i], contacts[j]
+                along = max(along, a[6] * b[6] + a[7] * b[7] + a[8] * b[8])
+            if along < least:
+                best, least = i, along
+        # those between keep their order
+        for i in range(best, k, -1):
+            swap_contacts(contacts, ids, i, i - 1)
+    kept = chosen
+    while kept < min(count, most) and (kept < wanted or -contacts[kept, GAP] > epsilon):
+        kept += 1
+    return kept, max(-contacts[kept, GAP], 0.0) if kept < count else 0.0
+
+
+@query_kernel
+def _place_of(pools, f, code, x, y, z, touching, scratch, thread):
+    """Whether the point of f's triangle `code` that is nearest to (x, y, z), outside f, is nearer than all of f's
+    surface around it, and `code` the first triangle that has it: (is it, distance [m], outward unit direction, point).
+    """
+    c, nx, ny, nz = _triangle(pools, f, code)
+    d2, qx, qy, qz, feature = closest_on_triangle(x, y, z, c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8])
+    d = math.sqrt(d2)
+    size = pools.fragment.radius[f]
+    nothing = False, d, nx, ny, nz, qx, qy, qz
+    if feature == ON_FACE:
+        if not (x - qx) * nx + (y - qy) * ny + (z - qz) * nz > 0.0:
+            return nothing
+    elif not d > TOUCHES * size:
+        return nothing
+    nearer = d - DISTANCE_ROUNDING * (d + size)
+    count = _triangles_within(pools, f, qx, qy, qz, TOUCHES * size, touching, scratch, thread)
+    for k in range(min(count, len(touching))):
+        if touching[k] < code or (touching[k] != code and _distance(pools, f, touching[k], x, y, z) < nearer):
+            return nothing
+    if feature != ON_FACE:
+        nx, ny, nz = (x - qx) / d, (y - qy) / d, (z - qz) / d
+        step = min(BEFORE * size, 0.5 * d)
+        if _holds(pools, f, qx + step * nx, qy + step * ny, qz + step * nz, scratch, thread):
+            return nothing
+    return True, d, nx, ny, nz, qx, qy, qz
+
+
+@inlined_kernel
+def _holds(pools, f, x, y, z, scratch, thread):
+    if pools.fragment.kind[f] == TETRAHEDRA:
+        return inside_tetrahedron(pools, f, x, y, z, scratch, thread) >= 0
+    k, radius = pools.fragment.mesh[f], pools.fragment.radius[f]
+    return triangle_distance(pools.triangles, k, radius, x, y, z, scratch.stack[thread])[0] < 0.0
+
+
+@inlined_kernel
+def _first_at(pools, f, x, y, z, touching, scratch, thread):
+    """Number of the first triangle of f at a point of its surface; NO_TRIANGLE if the point is on none."""
+    touches = TOUCHES * pools.fragment.radius[f]
+    count = _triangles_within(pools, f, x, y, z, touches, touching, scratch, thread)
+    first = NO_SOURCE
+    for k in range(min(count, len(touching))):
+        first = min(first, touching[k])
+    return NO_TRIANGLE if first == NO_SOURCE else _number(pools, f, first)
+
+
+@inlined_kernel
+def _number(pools, f, code):
+    """Of triangle `code` within its mesh: rows of the pools depend on what else there is."""
+    k = pools.fragment.mesh[f]
+    if pools.fragment.kind[f] == TRIANGLES:
+        return code - pools.triangles.triangle_range[k, 0]
+    return code - ROWS_EACH * pools.mesh.first[k, 3]
+
+
+@inlined_kernel
+def _triangle(pools, f, code):
+    """Corners of a triangle of f's surface and its outward unit normal."""
+    if pools.fragment.kind[f] == TRIANGLES:
+        c = pools.triangles.corners[code]
+        nx, ny, nz = triangle_normal(c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8])
+        return (c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8]), nx, ny, nz
+    t, place = code // ROWS_EACH, code % ROWS_EACH
+    if place < 4:
+        v, n = pools.mesh.tetrahedra[t], pools.mesh.nodes
+        a, b, c = n[v[FACE_VERTICES[place, 0]]], n[v[FACE_VERTICES[place, 1]]], n[v[FACE_VERTICES[place, 2]]]
+        nx, ny, nz = triangle_normal(a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2])
+        return (a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2]), nx, ny, nz
+    i = pools.body.regions[t + pools.fragment.tet_shift[f], ROW] + place - 4
+    c, p = pools.body.triangles[i], pools.body.faces[i]
+    sign = 1.0 if pools.body.sides[i, FRONT_SIDE] == f else -1.0
+    return (c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8]), sign * p[0], sign * p[1], sign * p[2]
+
+
+@inlined_kernel
+def _distance(pools, f, code, x, y, z):
+    c, _, _, _ = _triangle(pools, f, code)
+    return math.sqrt(closest_on_triangle(x, y, z, c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8])[0])
+
+
+@query_kernel
+def _triangles_within(pools, f, x, y, z, r, found, scratch, thread):
+    """Triangles of f's surface within `r` [m] of a point, as many as `found` has room for; returns their number."""
+    count, r2 = 0, r * r
+    if pools.fragment.kind[f] == TRIANGLES:
+        meshes = pools.triangles
+        node, end = meshes.node_range[pools.fragment.mesh[f]]
+        while node < end:
+            if box_distance_squared(x, y, z, meshes.node_box[node]) > r2:
+                node = meshes.node_skip[node]
+                continue
+            begin = meshes.node_first[node]
+            for t in range(begin, begin + meshes.node_count[node]):
+                count = _note(pools, f, t, x, y, z, r, found, count)
+            node += 1
+        return count
+    mesh, visited, stamp = pools.mesh, scratch.visited[thread], next_stamp(scratch, thread)
+    k, cells = pools.fragment.mesh[f], pools.fragment.cells[f]
+    ny, nz, first = mesh.grid_dims[k, 1:]
+    per_cell = 1.0 / mesh.grid[k, 3]
+    px, py, pz = (x - mesh.grid[k, 0]) * per_cell, (y - mesh.grid[k, 1]) * per_cell, (z - mesh.grid[k, 2]) * per_cell
+    wide = r * per_cell * (1.0 + ROUNDING) + ROUNDING
+    i0, i1 = max(math.floor(px - wide), cells[0]), min(math.floor(px + wide), cells[0] + cells[3] - 1)
+    j0, j1 = max(math.floor(py - wide), cells[1]), min(math.floor(py + wide), cells[1] + cells[4] - 1)
+    l0, l1 = max(math.floor(pz - wide), cells[2]), min(math.floor(pz + wide), cells[2] + cells[5] - 1)
+    for i in range(i0, i1 + 1):
+        for j in range(j0, j1 + 1):
+            for l in range(l0, l1 + 1):  # noqa: E741
+                bit = ((i - cells[0]) * cells[4] + (j - cells[1])) * cells[5] + (l - cells[2])
+                word = pools.occupancy[cells[6] + bit]
+                within = word & parts_within(px - i, py - j, pz - l, wide) if word else word
+                if not within:
+                    continue
+                c = first + (i * ny + j) * nz + l
+                for e in range(mesh.cell_begin[c], mesh.cell_begin[c + 1]):
+                    t = mesh.cell_tets[e]
+                    if not mesh.cell_parts[e] & within or visited[t] == stamp:
+                        continue
+                    visited[t] = stamp
+                    if box_distance_squared(x, y, z, mesh.boxes[t]) <= r2 and holds_fragment(pools, f, t):
+                        count = _note_tetrahedron(pools, f, t, x, y, z, r, found, count)
+    return count
+
+
+@inlined_kernel
+def _note(pools, f, code, x, y, z, r, found, count):
+    if not _distance(pools, f, code, x, y, z) <= r:
+        return count
+    if count < len(found):
+        found[count] = code
+    return count + 1
+
+
+@inlined_kernel
+def _note_tetrahedron(pools, f, t, x, y, z, r, found, count):
+    mesh, body, shift = pools.mesh, pools.body, pools.fragment.tet_shift[f]
+    if shift == NEVER_BROKEN or body.regions[t + shift, OWNER] >= 0:
+        for face in range(4):
+            if mesh.neighbours[t, face] < 0:
+                count = _note(pools, f, ROWS_EACH * t + face, x, y, z, r, found, count)
+    if shift == NEVER_BROKEN:
+        return count
+    begin = body.regions[t + shift, ROW]
+    for i in range(begin, begin + body.cut_count[t + shift]):
+        if body.sides[i, FRONT_SIDE] == f or body.sides[i, BACK_SIDE] == f:
+            count = _note(pools, f, ROWS_EACH * t + 4 + i - begin, x, y, z, r, found, count)
+    return count

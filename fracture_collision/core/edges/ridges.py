@@ -1,0 +1,246 @@
+"""The ridges of fragments: edges at which their surface is convex, which can cross another's between samples.
+
+They are found when a fragment is made, and stay as they are: what breaks beside it divides its surface anew, but does
+not move it (cut_tetrahedron.py). So a ridge has the same number for as long as its fragment lives.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from fracture_collision.core.memory.compiled import inlined_kernel, kernel
+from fracture_collision.core.memory.kinds import BOX, TETRAHEDRA, TRIANGLES
+from fracture_collision.core.memory.pools import LEAF, GrowableArray, Pools
+from fracture_collision.core.mesh.point_location import holds_fragment
+from fracture_collision.core.mesh.sample_numbers import FIRST_TETRAHEDRON
+from fracture_collision.core.mesh.surface_elements import count_triangles, put_triangle
+from fracture_collision.core.tree.sample_leaves import place_on_curve
+
+# The surface turns by more than this at a ridge (chord of the angle), and one is no shorter than this share of R: where
+# flatter or shorter ones cross, samples beside them are hardly less deep.
+LEAST_TURN, LEAST_LENGTH = 0.06, 1e-4
+# Those that turn by less, as between the triangles of a fine mesh, stand in leaves of their own: they matter to few.
+SMOOTH = 0.12
+# Columns of Ridges.rows, three each but for the last two.
+BEGIN, END = 0, 3  # its ends [m]
+FIRST_FACE, SECOND_FACE = 6, 9  # unit vectors across it into its two faces
+OUTWARD = 12  # unit, half-way between the normals of these
+LENGTH, TURN = 15, 16  # [m]; chord of the angle between these normals, 2 where the faces fold back
+RIDGE = 17
+# Of `lines`, of each ridge of a leaf: begin [m], direction, and as above.
+LINE_BEGIN, ALONG, LINE_LENGTH, LINE_TURN, LINE = 0, 3, 6, 7, 8
+_FIRST_ROOM = 4096
+_MORE_THAN_EDGES = 2  # places of a hash table for each
+
+
+class Ridges(NamedTuple):
+    """Of all fragments, those of one together, along a curve, eight to a leaf as in sample_leaves.py."""
+
+    first: np.ndarray  # (F,) int64 first row of a fragment, a multiple of LEAF
+    count: np.ndarray  # (F,) int64 how many it has
+    rows: np.ndarray  # (n, RIDGE) float64, body frame; those that fill a last leaf are of nobody
+    boxes: np.ndarray  # (6 n / LEAF,) float32 [m] of leaves as in sample_leaves.Leaves, about the fragment's `middle`
+    most: np.ndarray  # (n / LEAF, 2) float32: the greatest length [m] and turn in each leaf
+    lines: np.ndarray  # (n / LEAF, LINE, LEAF) float32: theirs, likewise; single precision
+
+
+class RidgeTable:
+    """Owner of the arrays; rows as those of FragmentPool."""
+
+    def __init__(self) -> None:
+        self._first, self._count = GrowableArray(0, np.int64), GrowableArray(0, np.int64)
+        self._rows, self._boxes = GrowableArray(RIDGE, np.float64), GrowableArray(6, np.float32)
+        self._most, self._lines = GrowableArray(2, np.float32), GrowableArray(LINE * LEAF, np.float32)
+        self._room = np.empty((_FIRST_ROOM, RIDGE))
+
+    @property
+    def view(self) -> Ridges:
+        lines = self._lines.view.reshape(-1, LINE, LEAF)
+        boxes = self._boxes.view.reshape(-1)
+        return Ridges(self._first.view, self._count.view, self._rows.view, boxes, self._most.view, lines)
+
+    def append(self, pools: Pools, first: int, end: int) -> None:
+        """Those of the fragments first .. end - 1, that were made last."""
+        for f in range(first, end):
+            count = 0
+            if pools.fragment.kind[f] in (BOX, TETRAHEDRA, TRIANGLES):
+                count = find_ridges(pools, f, self._room)
+                if count > len(self._room):
+                    self._room = np.empty((2 * count, RIDGE))
+                    find_ridges(pools, f, self._room)
+            leaves = -(-count // LEAF)
+            rows, boxes = self._rows.reserve(LEAF * leaves), self._boxes.reserve(leaves).reshape(-1)
+            most, lines = self._most.reserve(leaves), self._lines.reserve(leaves).reshape(-1, LINE, LEAF)
+            _put_on_curve(self._room, count, pools.fragment.middle[f], rows, boxes, most, lines)
+            self._first.append(np.array([self._rows.advance(LEAF * leaves)]))
+            for column in (self._boxes, self._most, self._lines):
+                column.advance(leaves)
+            self._count.append(np.array([count]))
+
+    def keep(self, stays: np.ndarray) -> None:
+        """Only those of fragments where the mask `stays` (F,) is true."""
+        leaves = -(-self._count.view // LEAF)
+        stay = np.repeat(stays, leaves)
+        self._rows.keep(np.repeat(stay, LEAF))
+        for column in (self._boxes, self._most, self._lines):
+            column.keep(stay)
+        self._count.keep(stays)
+        self._first.replace(LEAF * (np.cumsum(leaves[stays]) - leaves[stays]))
+
+
+NO_RIDGES = RidgeTable().view
+
+
+@kernel
+def find_ridges(pools, f, out):
+    """The ridges of fragment `f` as rows into out (n, RIDGE), as far as there is room; returns how many there are.
+
+    Triangles of a surface meet in whole edges, whose ends are the same to the last bit in both; they are found by a
+    hash of these. An edge of one triangle alone is at one that is rounding, and left out.
+    """
+    pieces = _pieces_of(pools, f)
+    edges = 0
+    for piece in pieces:
+        edges += 3 * count_triangles(pools, f, piece)
+    places = 16
+    while places < _MORE_THAN_EDGES * edges:
+        places *= 2
+    seen_at = np.full(places, -1, np.int32)
+    # ends, across it into the face, normal of the face
+    seen, is_open = np.empty((edges, 12)), np.ones(edges, np.bool_)
+    count, used = 0, 0
+    here, still = np.eye(3), np.zeros(3)
+    c = np.empty(9)
+    for piece in pieces:
+        for k in range(count_triangles(pools, f, piece)):
+            if not put_triangle(pools, f, piece, k, here, still, c):
+                continue
+            nx, ny, nz, length = _normal(c)
+            if not length > 0.0:
+                continue
+            for i in range(3):
+                p, q = c[3 * i : 3 * i + 3], c[3 * ((i + 1) % 3) : 3 * ((i + 1) % 3) + 3]
+                tx, ty, tz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
+                length = math.sqrt(tx * tx + ty * ty + tz * tz)
+                if not length > 0.0:
+                    continue
+                tx, ty, tz = tx / length, ty / length, tz / length
+                x, y, z = ny * tz - nz * ty, nz * tx - nx * tz, nx * ty - ny * tx
+                place = _hash(p[0] + q[0], p[1] + q[1], p[2] + q[2]) & (places - 1)
+                while seen_at[place] >= 0 and not (
+                    is_open[seen_at[place]] and _is_reverse(seen[seen_at[place]], p, q)
+                ):
+                    place = (place + 1) & (places - 1)
+                if seen_at[place] < 0:
+                    seen_at[place], r = count, seen[count]
+                    for d in range(3):
+                        r[d], r[3 + d] = p[d], q[d]
+                    r[6], r[7], r[8], r[9], r[10], r[11] = x, y, z, nx, ny, nz
+                    count += 1
+                    continue
+                r = seen[seen_at[place]]
+                is_open[seen_at[place]] = False
+                turn = math.sqrt(max(2.0 * (1.0 + x * r[6] + y * r[7] + z * r[8]), 0.0))
+                falls_away = x * r[9] + y * r[10] + z * r[11] < 0.0
+                if not falls_away or turn < LEAST_TURN or length < LEAST_LENGTH * pools.fragment.radius[f]:
+                    continue
+                if used < len(out):
+                    row = out[used]
+                    for d in range(9):
+                        row[d] = r[d]
+                    row[9], row[10], row[11] = x, y, z
+                    # the faces of one that folds back have no normal half-way
+                    ox, oy, oz = r[9] + nx - r[6] - x, r[10] + ny - r[7] - y, r[11] + nz - r[8] - z
+                    far = math.sqrt(ox * ox + oy * oy + oz * oz)
+                    row[12], row[13], row[14] = ox / far, oy / far, oz / far
+                    row[LENGTH], row[TURN] = length, turn
+                used += 1
+    return used
+
+
+@inlined_kernel
+def _normal(c):
+    """(x, y, z) of a triangle (9,), unit, and how long it was."""
+    ux, uy, uz = c[3] - c[0], c[4] - c[1], c[5] - c[2]
+    vx, vy, vz = c[6] - c[0], c[7] - c[1], c[8] - c[2]
+    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    length = math.sqrt(nx * nx + ny * ny + nz * nz)
+    return nx / length, ny / length, nz / length, length
+
+
+@inlined_kernel
+def _is_reverse(row, p, q):
+    return (
+        row[0] == q[0] and row[1] == q[1] and row[2] == q[2] and row[3] == p[0] and row[4] == p[1] and row[5] == p[2]
+    )
+
+
+@inlined_kernel
+def _hash(x, y, z):
+    h = _bits(x) * 0x1F7B1EA1 ^ _bits(y) * 0x2545F491 ^ _bits(z) * 0x5851F42D
+    h = (h ^ (h >> 33)) * 0x62A9D9ED799705F5
+    return h ^ (h >> 29)
+
+
+@inlined_kernel
+def _bits(x):
+    """Of a number; both zeros are one."""
+    return np.float64(x + 0.0).view(np.int64)
+
+
+@kernel
+def _pieces_of(pools, f):
+    """Where triangles of fragment f's surface may be, for put_triangle."""
+    kind, k = pools.fragment.kind[f], pools.fragment.mesh[f]
+    if kind == BOX:
+        return np.arange(6)
+    if kind == TRIANGLES:
+        return np.arange(pools.triangles.triangle_range[k, 0], pools.triangles.triangle_range[k, 1])
+    first = pools.mesh.first[k, FIRST_TETRAHEDRON]
+    end = len(pools.mesh.tetrahedra)
+    if k + 1 < len(pools.mesh.first):
+        end = pools.mesh.first[k + 1, FIRST_TETRAHEDRON]
+    pieces, used = np.empty(end - first, np.int64), 0
+    for t in range(first, end):
+        if holds_fragment(pools, f, t):
+            pieces[used] = t
+            used += 1
+    return pieces[:used]
+
+
+@kernel
+def _put_on_curve(found, count, middle, rows, boxes, most, lines):
+    """Rows found (count, RIDGE) along a curve, the smooth ones last, into rows (LEAF n, RIDGE), and boxes (6 n,), most
+    and lines of their leaves.
+    """
+    n = len(rows) // LEAF
+    low, high, point = np.full(3, np.inf), np.full(3, -np.inf), np.empty(3)
+    for k in range(count):
+        for d in range(3):
+            m = 0.5 * (found[k, d] + found[k, 3 + d])
+            low[d], high[d] = min(low[d], m), max(high[d], m)
+    places = np.empty(count, np.int64)
+    for k in range(count):
+        for d in range(3):
+            point[d] = 0.5 * (found[k, d] + found[k, 3 + d])
+        places[k] = np.int64(place_on_curve(point, low, high)) | (np.int64(found[k, TURN] < SMOOTH) << 40)
+    order = np.argsort(places, kind="mergesort")
+    for k in range(LEAF * n):
+        rows[k] = found[order[min(k, count - 1)]]
+        leaf, lane = k // LEAF, k % LEAF
+        length, turn = np.float32(rows[k, LENGTH]), np.float32(rows[k, TURN])
+        lines[leaf, LINE_LENGTH, lane], lines[leaf, LINE_TURN, lane] = length, turn
+        most[leaf, 0] = max(most[leaf, 0], length) if lane else length
+        most[leaf, 1] = max(most[leaf, 1], turn) if lane else turn
+        for d in range(3):
+            p, q = np.float32(rows[k, d] - middle[d]), np.float32(rows[k, 3 + d] - middle[d])
+            lines[leaf, LINE_BEGIN + d, lane] = p
+            lines[leaf, ALONG + d, lane] = (rows[k, 3 + d] - rows[k, d]) / rows[k, LENGTH]
+            low_end, high_end = min(p, q), max(p, q)
+            if lane:
+                low_end = min(low_end, boxes[n * d + leaf])
+                high_end = max(high_end, boxes[n * (3 + d) + leaf])
+            boxes[n * d + leaf], boxes[n * (3 + d) + leaf] = low_end, high_end

@@ -1,0 +1,236 @@
+"""Whether a point is certainly farther from a fragment than so much, or certainly inside: what most samples that are
+asked need to be told.
+
+From the tetrahedron that holds the point over all whose walls are within reach: the way to a fragment leads over its
+surface. Walls are in single precision, a line of the cache for each tetrahedron, so what they say is left room; where
+it is not certain, somebody else has to be asked (elementary_queries.bounded_probe, flood.py).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from fracture_collision.core.field.flood import (
+    EVERYTHING,
+    NO_SOURCE,
+    nearest_in_tetrahedron,
+    nothing_within,
+    tetrahedra_near,
+)
+from fracture_collision.core.memory.compiled import inlined_kernel
+from fracture_collision.core.memory.kinds import TETRAHEDRA
+from fracture_collision.core.memory.pools import (
+    FRONT,
+    NEVER_BROKEN,
+    OWNER,
+    PARTED,
+    PLANE,
+)
+from fracture_collision.core.mesh.point_location import owner_in_cut, region_holds, tetrahedron_at
+
+# What single precision may do to a point's height above a wall, as a share of R: no point of the mesh is farther than
+# 6 R from the grid's corner, and each of its coordinates, the wall's numbers and the seven operations is rounded to
+# 2^-24 of that.
+WALL_ROUNDING = 2e-5
+# A walk from the last point that takes more steps was no short one.
+MOST_STEPS = 12
+# Tetrahedra around a point that are looked at.
+MOST_AROUND = 16
+CLEAR, NEAR, UNKNOWN = 0, 1, 2
+BEYOND, DEEP = 3, 4
+
+
+@inlined_kernel
+def may_be_clear(pools, f):
+    """Whether `clearance` can say anything of fragment `f`: it is part of something that broke."""
+    return pools.fragment.kind[f] == TETRAHEDRA and pools.fragment.node_shift[f] != NEVER_BROKEN
+
+
+@inlined_kernel
+def _heights(walls, t, x, y, z):
+    """Of a point, from the grid's corner, above the four walls of tetrahedron `t`, outwards [m]."""
+    w = walls[t]
+    return (
+        w[0] * x + w[4] * y + w[8] * z - w[12], w[1] * x + w[5] * y + w[9] * z - w[13],
+        w[2] * x + w[6] * y + w[10] * z - w[14], w[3] * x + w[7] * y + w[11] * z - w[15],
+    )  # fmt: skip
+
+
+@inlined_kernel
+def _held_by(mesh, k, last, x, y, z, px, py, pz, slack):
+    """(the tetrahedron of mesh `k` that holds a point, -1: none does; how far it is behind its nearest wall, at least
+    [m], but for rounding); last: see `clearance`; (px, py, pz): from the grid's corner.
+    """
+    t, steps = last, 0
+    while t >= 0:
+        h0, h1, h2, h3 = _heights(mesh.walls, t, px, py, pz)
+        highest, face = h0, 0
+        if h1 > highest:
+            highest, face = h1, 1
+        if h2 > highest:
+            highest, face = h2, 2
+        if h3 > highest:
+            highest, face = h3, 3
+        if highest <= slack:
+            return t, -highest
+        steps += 1
+        t = mesh.neighbours[t, face] if steps < MOST_STEPS else -1
+    t = tetrahedron_at(mesh, k, x, y, z)
+    if t < 0:
+        return t, np.float32(0.0)
+    h0, h1, h2, h3 = _heights(mesh.walls, t, px, py, pz)
+    return t, -max(h0, h1, h2, h3)
+
+
+@inlined_kernel
+def clearance(pools, f, last, x, y, z, within, rounding, scratch, thread):
+    """(how far [m] fragment `f` certainly is from a point at least, 0: perhaps no farther than `within` [m]; a
+    tetrahedron near the point).
+
+    last: a tetrahedron near the point, -1: none is known. f: may_be_clear. rounding [m]: how far the point may be from
+    (x, y, z).
+    """
+    mesh = pools.mesh
+    k = pools.fragment.mesh[f]
+    slack = np.float32(WALL_ROUNDING * pools.fragment.radius[f] + rounding)
+    px, py, pz = np.float32(x - mesh.grid[k, 0]), np.float32(y - mesh.grid[k, 1]), np.float32(z - mesh.grid[k, 2])
+    t, behind = _held_by(mesh, k, last, x, y, z, px, py, pz, slack)
+    far = np.float32(within) + slack
+    if t < 0:
+        clear = _is_clear_of_cells(pools, f, x, y, z, px, py, pz, far, scratch, thread)
+        return (within if clear else 0.0), last
+    apart = _way_within(pools, f, t, x, y, z, px, py, pz, far, slack)
+    if behind < slack or apart < far:
+        return 0.0, t
+    if behind > far:
+        return max(within, np.float64(min(apart, behind) - slack)), t
+    around = _around(pools, f, t, x, y, z, px, py, pz, far, scratch.stack[thread])
+    if around == UNKNOWN and _is_clear_of_cells(pools, f, x, y, z, px, py, pz, far, scratch, thread):
+        around = CLEAR
+    return (within if around == CLEAR else 0.0), t
+
+
+@inlined_kernel
+def side_of_surface(pools, f, last, x, y, z, deep, rounding):
+    """(BEYOND, if a point certainly is not of fragment `f`; DEEP, if it certainly is and nothing else is within `deep`
+    [m] of it; else UNKNOWN; a tetrahedron near the point). As `clearance`.
+    """
+    mesh = pools.mesh
+    k = pools.fragment.mesh[f]
+    slack = np.float32(WALL_ROUNDING * pools.fragment.radius[f] + rounding)
+    px, py, pz = np.float32(x - mesh.grid[k, 0]), np.float32(y - mesh.grid[k, 1]), np.float32(z - mesh.grid[k, 2])
+    t, behind = _held_by(mesh, k, last, x, y, z, px, py, pz, slack)
+    if t < 0 or behind < slack:
+        return UNKNOWN, last
+    tet = t + pools.fragment.tet_shift[f]
+    region = pools.body.regions[tet]
+    if not region_holds(region, f):
+        return BEYOND, t
+    if region[OWNER] == PARTED:
+        above = _above_plane(pools.body.region_planes[tet], px, py, pz)
+        if region[FRONT] == f:
+            above = -above
+        if above < -slack:
+            return BEYOND, t
+        behind = min(behind, above)
+    elif region[OWNER] < 0:
+        return (UNKNOWN if owner_in_cut(pools, f, t, x, y, z) == f else BEYOND), t
+    return (DEEP if behind > np.float32(deep) + slack else UNKNOWN), t
+
+
+@inlined_kernel
+def _is_clear_of_cells(pools, f, x, y, z, px, py, pz, far, scratch, thread):
+    """Whether no surface of `f` in the cells about a point that is not of f, wherever that is, is within `far` [m]."""
+    mesh, near = pools.mesh, scratch.heap_tet[thread]
+    for k in range(tetrahedra_near(pools, f, x, y, z, np.float64(far), scratch, thread)):
+        t = near[k]
+        h0, h1, h2, h3 = _heights(mesh.walls, t, px, py, pz)
+        if max(h0, h1, h2, h3) > far:
+            continue
+        if _has_surface_near(pools, f, t, x, y, z, px, py, pz, far):
+            return False
+    return True
+
+
+@inlined_kernel
+def _above_plane(region, px, py, pz):
+    """Height [m] of a point, from the grid's corner, above what parts a tetrahedron, out of its front."""
+    return region[PLANE] * px + region[PLANE + 1] * py + region[PLANE + 2] * pz - region[PLANE + 3]
+
+
+@inlined_kernel
+def _around(pools, f, start, x, y, z, px, py, pz, far, reached):
+    """CLEAR if no tetrahedron around the point in `start` has surface of `f` within reach, NEAR if one may have it;
+    UNKNOWN where air is within reach or too many are.
+    """
+    mesh = pools.mesh
+    reached[0] = start
+    count, done = 1, 0
+    while done < count:
+        t = reached[done]
+        done += 1
+        heights = _heights(mesh.walls, t, px, py, pz)
+        if t != start:
+            # beyond one of its walls, and far from that: nothing of it is near, nor of what lies behind
+            if max(heights[0], heights[1], heights[2], heights[3]) > far:
+                continue
+            if _has_surface_near(pools, f, t, x, y, z, px, py, pz, far):
+                return NEAR
+        for face in range(4):
+            h = heights[0] if face == 0 else heights[1] if face == 1 else heights[2] if face == 2 else heights[3]
+            if abs(h) > far:
+                continue
+            n = mesh.neighbours[t, face]
+            if n < 0:
+                return UNKNOWN
+            k = 0
+            while k < count and reached[k] != n:
+                k += 1
+            if k == count:
+                if count == MOST_AROUND:
+                    return UNKNOWN
+                reached[count] = n
+                count += 1
+    return CLEAR
+
+
+@inlined_kernel
+def _has_surface_near(pools, f, t, x, y, z, px, py, pz, far):
+    """Whether surface of `f` in tetrahedron `t` may be within `far` [m] of a point that is not of f; (px, py, pz): from
+    the grid's corner.
+    """
+    tet = t + pools.fragment.tet_shift[f]
+    region = pools.body.regions[tet]
+    if not region_holds(region, f):
+        return False
+    if region[OWNER] == PARTED:
+        above = _above_plane(pools.body.region_planes[tet], px, py, pz)
+        if (above if region[FRONT] == f else -above) > far:
+            return False
+    best = nearest_in_tetrahedron(pools, f, t, x, y, z, EVERYTHING, nothing_within(np.float64(far)))
+    return best[5] != NO_SOURCE
+
+
+@inlined_kernel
+def _way_within(pools, f, t, x, y, z, px, py, pz, far, slack):
+    """How far [m] what `f` has of tetrahedron `t` is, at least but for rounding, from a point in it, if that is nearer
+    than `far` [m]; 0 where the point may be of f.
+    """
+    tet = t + pools.fragment.tet_shift[f]
+    region = pools.body.regions[tet]
+    if not region_holds(region, f):
+        return np.float32(np.inf)
+    if region[OWNER] >= 0:
+        return np.float32(0.0)
+    if region[OWNER] == PARTED:
+        above = _above_plane(pools.body.region_planes[tet], px, py, pz)
+        if region[FRONT] != f:
+            above = -above
+        if above > far or not above > slack:
+            return max(above, np.float32(0.0))
+    elif owner_in_cut(pools, f, t, x, y, z) == f:
+        return np.float32(0.0)
+    best = nearest_in_tetrahedron(pools, f, t, x, y, z, EVERYTHING, nothing_within(np.float64(far)))
+    return far if best[5] == NO_SOURCE else np.float32(math.sqrt(best[0]))

@@ -1,0 +1,208 @@
+"""Normals at cracks: a contact between fragments of one body is turned to the crack that parts them.
+
+Near the rim of a crack the nearest surface of the other fragment is often its old outside or a third fragment's crack,
+and the line to it says nothing about the way the two came apart (Glondu 2014 takes it as it is). So: if the crack the
+two share is near, the contact's normal is that crack's, and its depth the way along it out of the other fragment, never
+less than the distance to the nearest surface. Selection and missed depth bound speak of distances and are untouched.
+"""
+
+from __future__ import annotations
+
+import math
+
+from fracture_collision.core.field.flood import (
+    NO_SOURCE,
+    nearest_from_inside,
+    nearest_from_outside,
+    source_normal,
+)
+from fracture_collision.core.memory.compiled import inlined_kernel
+from fracture_collision.core.memory.pools import BACK_SIDE, FRONT_SIDE, KIND, NEVER_BROKEN, OLD_FACE, OWNER, PARTED, ROW
+from fracture_collision.core.mesh.closest_point import DIRECTION_FLOOR
+from fracture_collision.core.mesh.point_location import height, owner_in_cut
+
+# The shared crack is taken while it is no more than this share of R farther than the nearest surface.
+FARTHER = 0.03
+# From outside, where nothing farther than the detection tolerance is listed, it is looked for so many times as far.
+TIMES_NEAREST = 3.0
+# It must also be no more than so many times the crack's own distance, and so little of R: else the crack bends here.
+# With 1e-4 that little is what resting contacts overlap by, and one of them turned to and fro for ever.
+OBLIQUE, LITTLE = 4.0, 1e-3
+# A ray that meets more tetrahedra on so short a way is lost.
+MOST_TETRAHEDRA = 256
+# Roots as near to each other, in parts of a ray's way through a tetrahedron, are one: between them rounding decides.
+SAME_ROOT = 1e-10
+NOWHERE = -2  # no tetrahedron, nor -1, the outside
+ANYBODY = -1
+
+
+@inlined_kernel
+def turn_to_crack(pools, f, g, near, row, source, where, t, scratch, thread):
+    """Turn the contact of a sample of `g` with `f`, of one body, to the crack that parts the two, if it is near.
+
+    Sets witness, normal and gap of `row` (10,), see query_pair; `near` [m] is the detection tolerance; `source`,
+    `where`: surface triangle and tetrahedron of the witness; `t`: tetrahedron of the sample. Samples outside the
+    unbroken body (t = -1) stay as they are: they are not between the two.
+    """
+    x, y, z, d = row[0], row[1], row[2], row[9]
+    radius = pools.fragment.radius[f]
+    if t < 0:
+        return
+    inside = d <= 0.0
+    only = (g, 0.0, 0.0, 0.0)
+    # whichever way, what is listed outside is no farther than the detection tolerance
+    within = FARTHER * radius - d if inside else near
+    away = abs(d)
+    if not _parts(pools, f, g, source):
+        if inside:
+            best = nearest_from_inside(pools, f, t, x, y, z, within, only, scratch, thread)
+        else:
+            best = nearest_from_outside(pools, f, t, x, y, z, max(TIMES_NEAREST * d, near), only, scratch, thread)
+        source, where, away = best[5], best[6], math.sqrt(best[0])
+        if source == NO_SOURCE:
+            return
+    sign = 1.0 if inside else -1.0
+    nx, ny, nz = crack_direction(pools, f, g, source, where)
+    # where the two just touch, its own witness will do
+    if abs(d) > DIRECTION_FLOOR * radius:
+        s = way_through(pools, f, t, x, y, z, sign * nx, sign * ny, sign * nz, within, inside, scratch, thread)
+        if s > min(within, OBLIQUE * away + LITTLE * radius):
+            return
+        s *= sign
+        row[3], row[4], row[5] = x + s * nx, y + s * ny, z + s * nz
+        row[9] = -s
+    row[6], row[7], row[8] = nx, ny, nz
+
+
+@inlined_kernel
+def _parts(pools, f, g, source):
+    """Whether the surface triangle `source` is of the crack between two fragments."""
+    if source < 0 or source == NO_SOURCE:
+        return False
+    front, back = pools.body.sides[source, FRONT_SIDE], pools.body.sides[source, BACK_SIDE]
+    return (front == f and back == g) or (front == g and back == f)
+
+
+@inlined_kernel
+def crack_direction(pools, f, g, source, t):
+    """Unit normal out of fragment `f` of its crack with `g` in tetrahedron `t`: the mean over the edges it cuts there.
+
+    The planes at the edges are what the fracture gave; triangles run from crossing to crossing.
+    """
+    nx, ny, nz = sum_of_planes(pools, f, g, t)
+    length = math.sqrt(nx * nx + ny * ny + nz * nz)
+    if length == 0.0:
+        return source_normal(pools, f, source)
+    return nx / length, ny / length, nz / length
+
+
+@inlined_kernel
+def sum_of_planes(pools, f, g, t):
+    """Of the planes out of fragment `f`, towards fragment `g` or ANYBODY, that cut edges of tetrahedron `t`."""
+    mesh, body = pools.mesh, pools.body
+    node_shift, edge_shift = pools.fragment.node_shift[f], pools.fragment.edge_shift[f]
+    sx = sy = sz = 0.0
+    for e in range(6):
+        edge = mesh.tetrahedron_edges[t, e]
+        plane = body.edge_plane[edge + edge_shift]
+        if plane < 0:
+            continue
+        first = body.node_fragment[mesh.edges[edge, 0] + node_shift]
+        second = body.node_fragment[mesh.edges[edge, 1] + node_shift]
+        if (first == f and (second == g or g == ANYBODY)) or (second == f and (first == g or g == ANYBODY)):
+            sign = 1.0 if first == f else -1.0
+            p = body.planes[plane]
+            sx, sy, sz = sx + sign * p[0], sy + sign * p[1], sz + sign * p[2]
+    return sx, sy, sz
+
+
+@inlined_kernel
+def way_through(pools, f, t, x, y, z, nx, ny, nz, limit, leaves, scratch, thread):
+    """Length [m] of the ray from a point in tetrahedron `t` to where it leaves `f`, or else enters it.
+
+    Infinity: not within `limit` [m]. From tetrahedron to tetrahedron; in each, owners are asked, not polygons, so that
+    no ray slips between two.
+    """
+    mesh, body = pools.mesh, pools.body
+    tet_shift = pools.fragment.tet_shift[f]
+    s, came_from = 0.0, NOWHERE
+    for _ in range(MOST_TETRAHEDRA):
+        if t < 0 or s > limit:
+            break
+        out, face = math.inf, -1
+        b = mesh.barycentric[t]
+        weight, rate = 1.0, 0.0
+        for k in range(4):
+            corner = (k + 1) % 4
+            if corner:
+                w = b[4 * k] * x + b[4 * k + 1] * y + b[4 * k + 2] * z + b[4 * k + 3]
+                r = b[4 * k] * nx + b[4 * k + 1] * ny + b[4 * k + 2] * nz
+                weight, rate = weight - w, rate - r
+            else:
+                w, r = weight, rate
+            if r < 0.0 and mesh.neighbours[t, corner] != came_from:
+                end = max(-w / r, s)
+                if end < out:
+                    out, face = end, corner
+        if face < 0:
+            return math.inf
+        alone = f if tet_shift == NEVER_BROKEN else body.regions[t + tet_shift, OWNER]
+        if alone < 0:
+            share = _share_of_segment(
+                pools, f, t, leaves, x + s * nx, y + s * ny, z + s * nz, x + out * nx, y + out * ny, z + out * nz,
+                scratch.roots[thread],
+            )  # fmt: skip
+            if share < 1.0:
+                s += share * (out - s)
+                return s if s <= limit else math.inf
+        elif (alone == f) != leaves:
+            return s
+        s, came_from, t = out, t, mesh.neighbours[t, face]
+    return s if t < 0 and leaves and s <= limit else math.inf
+
+
+@inlined_kernel
+def _share_by_plane(body, row, f, leaves, x0, y0, z0, x1, y1, z1):
+    """_share_of_segment where a single plane, that of `row`, parts two fragments."""
+    at_start, at_end = height(body, row, x0, y0, z0), height(body, row, x1, y1, z1)
+    front, back = body.sides[row, FRONT_SIDE], body.sides[row, BACK_SIDE]
+    before, after = back if at_start > 0.0 else front, back if at_end > 0.0 else front
+    root = 1.0
+    if (at_start > 0.0) != (at_end > 0.0):
+        root = min(max(at_start / (at_start - at_end), 0.0), 1.0)
+    if root > SAME_ROOT and (before == f) != leaves:
+        return 0.0
+    return root if root + SAME_ROOT < 1.0 and (after == f) != leaves else 1.0
+
+
+@inlined_kernel
+def _share_of_segment(pools, f, t, leaves, x0, y0, z0, x1, y1, z1, roots):
+    """Share of a segment in cut tetrahedron `t`, from its start to where f's region ends, or else begins: 0 .. 1.
+
+    Between two neighbouring roots of the planes that part fragments there the owner stays. `roots` (ROOTS,): room.
+    """
+    body = pools.body
+    begin, used = body.regions[t + pools.fragment.tet_shift[f], ROW], 0
+    if body.regions[t + pools.fragment.tet_shift[f], OWNER] == PARTED:
+        return _share_by_plane(body, begin, f, leaves, x0, y0, z0, x1, y1, z1)
+    for i in range(begin, begin + body.cut_count[t + pools.fragment.tet_shift[f]]):
+        if body.sides[i, KIND] >= OLD_FACE:
+            break
+        at_start, at_end = height(body, i, x0, y0, z0), height(body, i, x1, y1, z1)
+        if (at_start > 0.0) != (at_end > 0.0):
+            root, k = min(max(at_start / (at_start - at_end), 0.0), 1.0), used
+            while k > 0 and roots[k - 1] > root:
+                roots[k] = roots[k - 1]
+                k -= 1
+            roots[k] = root
+            used += 1
+    before = 0.0
+    for i in range(used + 1):
+        after = roots[i] if i < used else 1.0
+        if after > before + SAME_ROOT:
+            middle = 0.5 * (before + after)
+            x, y, z = x0 + middle * (x1 - x0), y0 + middle * (y1 - y0), z0 + middle * (z1 - z0)
+            if (owner_in_cut(pools, f, t, x, y, z) == f) != leaves:
+                return before
+        before = after
+    return 1.0

@@ -1,0 +1,127 @@
+"""insideTest, penetration and sphereTest against a fragment of any kind (Glondu 2014, sections 3 and 4.3 - 4.5).
+
+Points are in the body frame of the fragment that is asked. A probe answers all three at once, as far as the asker
+needs: (status, distance, normal), the distance signed, positive outside, the normal outward, the closest point
+x - distance * normal (exactly so for planes, spheres and boxes and in the averaged field, else given).
+"""
+
+from __future__ import annotations
+
+import math
+
+from fracture_collision.core.field.averaged_field import averaged_penetration
+from fracture_collision.core.field.flood import (
+    EVERYTHING,
+    NO_SOURCE,
+    nearest_from_inside,
+    nearest_from_outside,
+    outward_direction,
+)
+from fracture_collision.core.memory.compiled import inlined_kernel
+from fracture_collision.core.memory.kinds import TETRAHEDRA, TRIANGLES
+from fracture_collision.core.memory.pools import AVERAGED, NEVER_BROKEN
+from fracture_collision.core.mesh.closest_point import box_distance_squared
+from fracture_collision.core.mesh.occupancy import sphere_may_touch
+from fracture_collision.core.mesh.point_location import owner_in_tetrahedron, tetrahedron_at, tetrahedron_from
+from fracture_collision.core.mesh.primitives import primitive_distance
+from fracture_collision.core.mesh.triangle_field import triangle_distance, triangle_within
+
+OUTSIDE = 0  # not inside; no closest point asked or none near
+NEAR = 1  # not inside, closest point within the asked distance
+INSIDE = 2  # inside; closest point only if it was asked for
+
+
+@inlined_kernel
+def inside_tetrahedron(pools, f, x, y, z, scratch, thread):
+    """insideTest: the tetrahedron row in which the point belongs to fragment `f`, -1 if it does not."""
+    t = tetrahedron_at(pools.mesh, pools.fragment.mesh[f], x, y, z)
+    if t >= 0 and owner_in_tetrahedron(pools, f, t, x, y, z) != f:
+        return -1
+    return t
+
+
+@inlined_kernel
+def probe(pools, f, x, y, z, near, deep, scratch, thread):
+    """All about one point: (status, distance [m], nx, ny, nz, closest x, y, z).
+
+    `near` [m]: how far outside a closest point still counts; `deep` [m]: how deep a closest point is looked for
+    (infinity: always; the averaged field looks always). The distance of an OUTSIDE point is a lower bound, that of an
+    INSIDE point deeper than `deep` is minus infinity.
+    """
+    answer = bounded_probe(pools, f, x, y, z, near, deep, -1, False, scratch, thread)
+    return answer[0], answer[1], answer[2], answer[3], answer[4], answer[5], answer[6], answer[7]
+
+
+@inlined_kernel
+def bounded_probe(pools, f, x, y, z, near, deep, start, reached, scratch, thread):
+    """As `probe`, and behind that a depth [m] that the point certainly does not exceed: minus the distance where that
+    is exact or a lower bound. The averaged field promises nothing, so inside a broken body the two differ. Last the
+    surface triangle and the tetrahedron that the closest point lies on (flood.NO_SOURCE: not from a flood), and the
+    tetrahedron that holds the point (-1: none, or not asked for).
+    `start`: a tetrahedron not far from the point, -1 if none is known; `reached`: sphere_test says that f may be within
+    `near`.
+    """
+    kind = pools.fragment.kind[f]
+    if kind != TETRAHEDRA and kind != TRIANGLES:
+        d, nx, ny, nz = primitive_distance(kind, pools.fragment.shape[f], x, y, z)
+        status = INSIDE if d <= 0.0 else NEAR if d <= near else OUTSIDE
+        return status, d, nx, ny, nz, x - d * nx, y - d * ny, z - d * nz, -d, NO_SOURCE, -1, -1
+    reach = math.sqrt(box_distance_squared(x, y, z, pools.fragment.box[f]))
+    if reach > near:
+        return OUTSIDE, reach, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -reach, NO_SOURCE, -1, -1
+    if kind == TRIANGLES:
+        d, nx, ny, nz, qx, qy, qz = triangle_distance(
+            pools.triangles, pools.fragment.mesh[f], pools.fragment.radius[f], x, y, z, scratch.stack[thread]
+        )
+        status = INSIDE if d <= 0.0 else NEAR if d <= near else OUTSIDE
+        return status, d, nx, ny, nz, qx, qy, qz, -d, NO_SOURCE, -1, -1
+    # what spares most points the search for their tetrahedron
+    if not reached and not sphere_may_touch(pools, f, x, y, z, near):
+        return OUTSIDE, max(reach, near), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -max(reach, near), NO_SOURCE, -1, -1
+    k = pools.fragment.mesh[f]
+    t = tetrahedron_at(pools.mesh, k, x, y, z) if start < 0 else tetrahedron_from(pools.mesh, k, start, x, y, z)
+    if t >= 0 and owner_in_tetrahedron(pools, f, t, x, y, z) == f:
+        if pools.field == AVERAGED and pools.fragment.node_shift[f] != NEVER_BROKEN:
+            d, nx, ny, nz, most = averaged_penetration(pools, f, t, x, y, z)
+            return INSIDE, -d, nx, ny, nz, x + d * nx, y + d * ny, z + d * nz, most, NO_SOURCE, -1, t
+        best = nearest_from_inside(pools, f, t, x, y, z, deep, EVERYTHING, scratch, thread)
+        if best[5] == NO_SOURCE:
+            return INSIDE, -math.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, math.inf, NO_SOURCE, -1, t
+        nx, ny, nz = outward_direction(pools, f, x, y, z, best, True)
+        d = math.sqrt(best[0])
+        return INSIDE, -d, nx, ny, nz, best[1], best[2], best[3], d, best[5], best[6], t
+    if near <= 0.0:
+        return OUTSIDE, reach, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -reach, NO_SOURCE, -1, t
+    best = nearest_from_outside(pools, f, t, x, y, z, near, EVERYTHING, scratch, thread)
+    if best[5] == NO_SOURCE:
+        return OUTSIDE, max(reach, near), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -max(reach, near), NO_SOURCE, -1, t
+    nx, ny, nz = outward_direction(pools, f, x, y, z, best, False)
+    d = math.sqrt(best[0])
+    return NEAR, d, nx, ny, nz, best[1], best[2], best[3], -d, best[5], best[6], t
+
+
+@inlined_kernel
+def least_distance(pools, f, x, y, z):
+    """A lower bound [m] of a point's signed distance, as cheap as it gets: minus infinity if it may be inside."""
+    kind = pools.fragment.kind[f]
+    if kind != TETRAHEDRA and kind != TRIANGLES:
+        return primitive_distance(kind, pools.fragment.shape[f], x, y, z)[0]
+    d2 = box_distance_squared(x, y, z, pools.fragment.box[f])
+    return math.sqrt(d2) if d2 > 0.0 else -math.inf
+
+
+@inlined_kernel
+def sphere_test(pools, f, distance, x, y, z, r, scratch, thread):
+    """sphereTest: False only if fragment `f` is farther than `r` [m] from the point.
+
+    `distance`: a lower bound of the point's signed distance.
+    """
+    if distance > r:
+        return False
+    kind = pools.fragment.kind[f]
+    if kind == TRIANGLES:
+        k = pools.fragment.mesh[f]
+        if distance > 0.0:
+            return triangle_within(pools.triangles, k, x, y, z, r)
+        return triangle_distance(pools.triangles, k, pools.fragment.radius[f], x, y, z, scratch.stack[thread])[0] <= r
+    return kind != TETRAHEDRA or sphere_may_touch(pools, f, x, y, z, r)

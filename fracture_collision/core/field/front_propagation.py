@@ -1,0 +1,169 @@
+"""The averaged field after a fracture: exact at the new cracks, then front by front (Glondu 2014, 4.2, eq. 1 and 2).
+
+Every node of a tetrahedron that the new cracks cross measures the surface of its own fragment in it; these nodes are
+the first front. Step i + 1 goes to all neighbours, over edges within one fragment, of the nodes reached in step i; a
+node is reached if the average of what its neighbours in the front propagate (eq. 1) is shorter than what it stores.
+
+Ours, for the certificate: each node also carries a point that is certainly not strictly inside its fragment, and hands
+it on along the fronts. That holds for ever: what is border stays border when the fragment breaks again.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from fracture_collision.core.field.averaged_field import propagated_distance
+from fracture_collision.core.field.flood import (
+    EVERYTHING,
+    NO_SOURCE,
+    nearest_in_tetrahedron,
+    nothing_within,
+    outward_direction,
+)
+from fracture_collision.core.memory.compiled import kernel, query_kernel
+
+# A distance is shorter if it is by more than this share of R: two nodes must not hand rounding to and fro.
+SHORTER = 1e-12
+
+
+@query_kernel
+def measure_at_cracks(pools, tets, first_node, node_shift, edge_shift, low, high, first_plane, in_front, front):
+    """Nodes of fragments low .. high - 1 in those of `tets` that a plane of row `first_plane` or later cuts.
+
+    Lowers their stored distances to those of their fragment's surface in the tetrahedron. Marks them in `in_front` (n,)
+    and lists them in `front` (n,), by mesh node; returns how many.
+    """
+    mesh, body = pools.mesh, pools.body
+    used = 0
+    for t in tets:
+        crossed = False
+        for e in range(6):
+            crossed = crossed or body.edge_plane[mesh.tetrahedron_edges[t, e] + edge_shift] >= first_plane
+        if not crossed:
+            continue
+        for i in range(4):
+            v = mesh.tetrahedra[t, i]
+            f = body.node_fragment[v + node_shift]
+            if f < low or f >= high:
+                continue
+            if not in_front[v - first_node]:
+                in_front[v - first_node] = 1
+                front[used] = v - first_node
+                used += 1
+            x, y, z = mesh.nodes[v]
+            best = nearest_in_tetrahedron(pools, f, t, x, y, z, EVERYTHING, nothing_within(math.inf))
+            if best[5] == NO_SOURCE:
+                continue
+            row = body.node_field[v + node_shift]
+            sx, sy, sz = row[4] - x, row[5] - y, row[6] - z
+            if best[0] < sx * sx + sy * sy + sz * sz:
+                row[4], row[5], row[6] = best[1], best[2], best[3]
+            if math.sqrt(best[0]) < row[0]:
+                row[0] = math.sqrt(best[0])
+                row[1], row[2], row[3] = outward_direction(pools, f, x, y, z, best, True)
+    return used
+
+
+@kernel
+def propagate_fronts(
+    nodes, labels, node_field, neighbours_begin, neighbours, in_front, front, used, shorter
+):  # fmt: skip
+    """Step after step from the first `used` nodes of `front`, until no distance is reduced; returns the steps made.
+
+    nodes (n, 3) [m], labels (n,), node_field (n, 7): the rows of one body; neighbours: of
+    InteriorField; in_front (n,) marks the front, `front` (n,) lists it; shorter [m]: the least reduction that counts.
+    Values of one step are computed from those of the step before, in whatever order nodes are listed.
+    """
+    n = len(nodes)
+    seen = np.zeros(n, np.uint8)
+    reached = np.empty(n, np.int32)
+    value = np.empty((n, 7))
+    steps = 0
+    while used:
+        steps += 1
+        count = 0
+        for k in range(used):
+            j = front[k]
+            for e in range(neighbours_begin[j], neighbours_begin[j + 1]):
+                p = neighbours[e]
+                if labels[p] == labels[j] and not seen[p]:
+                    seen[p] = 1
+                    reached[count] = p
+                    count += 1
+        for k in range(count):
+            _average_of_front(nodes, labels, node_field, neighbours_begin, neighbours, in_front, reached[k], value[k])
+        for k in range(used):
+            in_front[front[k]] = 0
+        used = 0
+        for k in range(count):
+            p = reached[k]
+            seen[p] = 0
+            for d in range(4, 7):
+                node_field[p, d] = value[k, d]
+            # A node lies inside its fragment: a negative average, from beyond a bend of the surface, is no distance.
+            if 0.0 <= value[k, 0] < node_field[p, 0] - shorter:
+                for d in range(4):
+                    node_field[p, d] = value[k, d]
+                in_front[p] = 1
+                front[used] = p
+                used += 1
+    return steps
+
+
+@query_kernel
+def _average_of_front(nodes, labels, node_field, neighbours_begin, neighbours, in_front, p, value):
+    """Eq. 1 and 2 at node `p` over its neighbours in the front, and the nearest certain point of them and its own.
+
+    Fills value (7,) as a row of node_field.
+    """
+    x, y, z = nodes[p]
+    own = node_field[p]
+    cx, cy, cz = own[4], own[5], own[6]
+    sx, sy, sz = cx - x, cy - y, cz - z
+    nearest = sx * sx + sy * sy + sz * sz
+    d, nx, ny, nz, total = 0.0, 0.0, 0.0, 0.0, 0.0
+    for e in range(neighbours_begin[p], neighbours_begin[p + 1]):
+        j = neighbours[e]
+        if not in_front[j] or labels[j] != labels[p]:
+            continue
+        row = node_field[j]
+        px, py, pz = nodes[j, 0] - x, nodes[j, 1] - y, nodes[j, 2] - z
+        weight = 1.0 / (px * px + py * py + pz * pz)
+        d += weight * propagated_distance(row, px, py, pz)
+        nx, ny, nz = nx + weight * row[1], ny + weight * row[2], nz + weight * row[3]
+        total += weight
+        sx, sy, sz = row[4] - x, row[5] - y, row[6] - z
+        if sx * sx + sy * sy + sz * sz < nearest:
+            nearest = sx * sx + sy * sy + sz * sz
+            cx, cy, cz = row[4], row[5], row[6]
+    value[0] = d / total
+    length = math.sqrt(nx * nx + ny * ny + nz * nz)
+    if length > 0.0:
+        value[1], value[2], value[3] = nx / length, ny / length, nz / length
+    else:
+        # directions that cancel each other say nothing
+        value[1], value[2], value[3] = own[1], own[2], own[3]
+    value[4], value[5], value[6] = cx, cy, cz
+
+
+def update_averaged_field(
+    pools, prepared, first_node, node_shift, edge_shift, touched, first, end, first_plane
+) -> None:
+    """Field of fragments first .. end - 1, made by planes of row `first_plane` on (Glondu 2014, 4.2).
+
+    prepared: the body's PreparedMesh, with its interior field; first_node: its first row of nodes; `touched`: as
+    touched_tetrahedra gives it.
+    """
+    mesh, interior = prepared.mesh, prepared.interior[0]
+    n = len(interior.node_field)
+    in_front, front = np.zeros(n, np.uint8), np.empty(n, np.int32)
+    used = measure_at_cracks(
+        pools, touched.rows, first_node, node_shift, edge_shift, first, end, first_plane, in_front, front
+    )
+    own = slice(first_node + node_shift, first_node + node_shift + n)
+    propagate_fronts(
+        mesh.nodes, pools.body.node_fragment[own], pools.body.node_field[own],
+        interior.neighbours_begin, interior.neighbours, in_front, front, used, SHORTER * pools.fragment.radius[first],
+    )  # fmt: skip

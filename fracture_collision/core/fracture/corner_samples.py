@@ -1,0 +1,65 @@
+"""Samples where cracks meet: hubs and face points of tetrahedra that three fragments and more share.
+
+Glondu 2014, section 6.3, samples a crack where it crosses edges of the mesh. Where three fragments meet, their borders
+have corners in between (cut_tetrahedron.py), the sharpest ones of freshly broken shards, and what is not sampled
+penetrates unseen. Other hubs are between samples: that of two fragments is the mean of crossings that both have, that
+of three made at once is half-way between two of their face points. So is what cracks of neighbours add to a fragment's
+border later. The hull of a fragment's samples holds all of it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fracture_collision.core.fracture.cut_patterns import FACE_NODES, GROUP, GROUPS
+from fracture_collision.core.memory.compiled import inlined_kernel, kernel
+from fracture_collision.core.mesh.cut_tetrahedron import FACE_POINT, HUB
+from fracture_collision.core.mesh.sample_numbers import FIRST_NODE, OF_FACE, OF_HUB, NewSamples, corner_number
+
+# Of a tetrahedron, those that several fragments have counted for each: a hub of four, and four face points of three.
+MOST_CORNERS = 16
+
+
+@kernel
+def room_for_corners(tetrahedra):
+    """NewSamples for those of so many tetrahedra."""
+    count = MOST_CORNERS * tetrahedra
+    return NewSamples(
+        np.empty((count, 3)), np.empty(count, np.int32), np.empty(count, np.int32), np.empty(count, np.int32)
+    )
+
+
+@inlined_kernel
+def add_corners(mesh, first, t, work, pattern, at_once, low, high, new, used):
+    """Append to `new` the corners that fragments low .. high - 1 have in tetrahedron t; returns how many it has then.
+
+    first (5,): MeshPool.first of the mesh; work, pattern: the tetrahedron as it was divided; at_once: by one fracture.
+    Face points are numbered with one of the two tetrahedra that share them.
+    """
+    if GROUPS[pattern] < 3:
+        return used
+    for i in range(4):
+        if GROUP[pattern, i] == i and not (at_once and GROUPS[pattern] == 3):
+            number = corner_number(first, t, OF_HUB)
+            used = _append(mesh, first, t, i, work.labels[i], work.points[HUB], number, low, high, new, used)
+    for face in range(4):
+        v = FACE_NODES[pattern, face]
+        a, b, c = GROUP[pattern, v[0]], GROUP[pattern, v[1]], GROUP[pattern, v[2]]
+        if a in (b, c) or b == c or 0 <= mesh.neighbours[t, face] < t:
+            continue
+        number = corner_number(first, t, OF_FACE + face)
+        for k in range(3):
+            point = work.points[FACE_POINT + face]
+            used = _append(mesh, first, t, v[k], work.labels[v[k]], point, number, low, high, new, used)
+    return used
+
+
+@inlined_kernel
+def _append(mesh, first, t, i, label, point, number, low, high, new, used):
+    if low <= label < high:
+        for d in range(3):
+            new.points[used, d] = point[d]
+        new.samples[used], new.parts[used] = number, label - low
+        new.parents[used] = mesh.tetrahedra[t, i] - first[FIRST_NODE]
+        return used + 1
+    return used

@@ -1,0 +1,92 @@
+"""Rows of a broken body's surface as a fracture makes them: triangles, boxes, and how far they are from samples."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from fracture_collision.core.memory.compiled import inlined_kernel
+from fracture_collision.core.memory.pools import BACK_SIDE, FRONT_SIDE, KIND
+
+# A triangle thinner than this (area against its longest side squared) is rounding; others hold its rim.
+RESIDUE = 1e-13
+
+
+class SurfaceRows(NamedTuple):
+    """New rows of BodyPool's polygon arrays."""
+
+    triangles: np.ndarray
+    faces: np.ndarray
+    sides: np.ndarray
+
+
+@inlined_kernel
+def measure_triangle(a, b, c):
+    """(nx, ny, nz, ab, ac, bc): the normal [m2] of a triangle, twice its area long, and its sides squared [m2]."""
+    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    wx, wy, wz = c[0] - b[0], c[1] - b[1], c[2] - b[2]
+    return (
+        uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx,
+        ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz, wx * wx + wy * wy + wz * wz,
+    )  # fmt: skip
+
+
+@inlined_kernel
+def gap_of_triangle(ab, ac, bc, samples):
+    """Upper bound [m] of the distance from a point of a triangle to the nearest of its last `samples` corners, 1 .. 3.
+
+    ab, ac, bc: its sides squared [m2]. Balls of radius (longest side) / sqrt(3) around the corners cover a triangle;
+    the first corners, where they are no samples, add their distance to one that is.
+    """
+    gap = math.sqrt(max(ab, ac, bc) / 3.0)
+    if samples == 3:
+        return gap
+    return gap + math.sqrt(min(ab, ac) if samples == 2 else max(ac, bc))
+
+
+@inlined_kernel
+def is_residue(nx, ny, nz, ab, ac):
+    """Whether a triangle of this normal and these sides is rounding alone."""
+    return nx * nx + ny * ny + nz * nz <= (RESIDUE * max(ab, ac)) ** 2
+
+
+@inlined_kernel
+def grow(box, x, y, z):
+    box[0], box[1], box[2] = min(box[0], x), min(box[1], y), min(box[2], z)
+    box[3], box[4], box[5] = max(box[3], x), max(box[4], y), max(box[5], z)
+
+
+@inlined_kernel
+def grow_by_box(box, low, high):
+    """Likewise by all between the corners `low` and `high`, tuples of three."""
+    box[0], box[1], box[2] = min(box[0], low[0]), min(box[1], low[1]), min(box[2], low[2])
+    box[3], box[4], box[5] = max(box[3], high[0]), max(box[4], high[1]), max(box[5], high[2])
+
+
+@inlined_kernel
+def write_row(a, b, c, nx, ny, nz, offset, front, back, kind, out, at):
+    """Write a triangle of the plane n . x = offset to row `at`."""
+    triangle, plane = out.triangles[at], out.faces[at]
+    triangle[0], triangle[1], triangle[2] = a[0], a[1], a[2]
+    triangle[3], triangle[4], triangle[5] = b[0], b[1], b[2]
+    triangle[6], triangle[7], triangle[8] = c[0], c[1], c[2]
+    plane[0], plane[1], plane[2], plane[3] = nx, ny, nz, offset
+    sides = out.sides[at]
+    sides[FRONT_SIDE], sides[BACK_SIDE], sides[KIND] = front, back, kind
+
+
+@inlined_kernel
+def write_fan_row(a, b, c, nx, ny, nz, ab, ac, front, back, kind, out, at):
+    """Write a triangle with the normal (nx, ny, nz) out of `front`, its length as measured, to row `at`.
+
+    Also a residue, whose plane is no number: every comparison with it is false.
+    """
+    length = math.sqrt(nx * nx + ny * ny + nz * nz)
+    nx, ny, nz = nx / length, ny / length, nz / length
+    offset = nx * a[0] + ny * a[1] + nz * a[2]
+    if length <= RESIDUE * max(ab, ac):
+        nx = ny = nz = offset = math.nan
+    write_row(a, b, c, nx, ny, nz, offset, front, back, kind, out, at)

@@ -1,0 +1,190 @@
+"""Which tetrahedra a fracture concerns, and how each of them is cut: what all later passes of an update go by."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fracture_collision.core.fracture.cut_patterns import FAN_COUNT, GROUPS, PATTERN_OF_CUTS, PIECE_COUNT
+from fracture_collision.core.fracture.surface_rows import gap_of_triangle, grow, measure_triangle
+from fracture_collision.core.memory.compiled import inlined_kernel, query_kernel
+from fracture_collision.core.memory.pools import OWNER
+from fracture_collision.core.mesh.cut_tetrahedron import CUT, DIVIDED, FACE_VERTICES, LONE, crossing_share
+from fracture_collision.core.mesh.moments import add_row
+
+
+class Touched(NamedTuple):
+    """The tetrahedra that a fracture concerns: those with a node of the fragment that broke."""
+
+    rows: np.ndarray  # int32
+    first: int  # row of the mesh's first tetrahedron; `kinds` begins there
+    kinds: np.ndarray  # (m,) uint8: LONE, CUT or DIVIDED of cut_tetrahedron.py; 0: not concerned
+    cut: np.ndarray  # int32: those of `rows` that are not LONE
+    room: int  # no more rows of the surface are in them
+
+
+class TouchedRoom(NamedTuple):
+    """Working space for the tetrahedra of one mesh, from one fracture to the next: what only concerns few of them shall
+    not clear a mark for each.
+    """
+
+    kinds: np.ndarray  # (m,) uint8, as Touched.kinds left it
+    rows: np.ndarray  # (m,) int32
+    cut: np.ndarray  # (m,) int32
+    used: np.ndarray  # (2,) int64: how many `rows` have marks, and where their mesh began
+
+
+def touched_room(tetrahedra: int) -> TouchedRoom:
+    return TouchedRoom(
+        np.zeros(tetrahedra, np.uint8), np.empty(tetrahedra, np.int32), np.empty(tetrahedra, np.int32),
+        np.zeros(2, np.int64),
+    )  # fmt: skip
+
+
+def find_touched(
+    pools, parent, tetrahedra, nodes, parts, edges, first_plane, low, high, moments, gaps, room
+) -> Touched:
+    """Cut fragment `parent` into fragments low .. high - 1, whose rows are there; returns what that touches.
+
+    tetrahedra: how many its mesh has; nodes (n,): all mesh nodes of `parent`; parts (n,): of which fragment each is
+    now, from `low` on; edges (k,): mesh edges that the planes from row `first_plane` on cut; moments (F, 10), gaps
+    (F,). What one fragment has alone is done with: its owner is written, its moments added, its gap grown by its faces
+    of the old surface, its box by its nodes.
+    """
+    used, cuts, rows, first = _find_touched(
+        pools.mesh, pools.body, pools.fragment, parent, tetrahedra, nodes, parts, edges, first_plane, low, high,
+        moments, gaps, room,
+    )  # fmt: skip
+    return Touched(room.rows[:used], first, room.kinds, room.cut[:cuts], rows)
+
+
+@query_kernel
+def _find_touched(
+    mesh, body, fragment, parent, tetrahedra, nodes, parts, edges, first_plane, low, high, moments, gaps, room
+):
+    k = fragment.mesh[parent]
+    first_node, first_edge, _, first_tet, _ = mesh.first[k]
+    _inherit(fragment, parent, low, high)
+    for f in range(low, high):
+        gaps[f] = 0.0
+        for i in range(moments.shape[1]):
+            moments[f, i] = 0.0
+    _label(mesh, body, fragment, parent, first_node, nodes, parts, low)
+    _place_crossings(mesh, body, fragment.edge_shift[parent], edges, first_edge, first_plane)
+    for i in range(room.used[0]):
+        room.kinds[room.rows[i] - room.used[1]] = 0
+    room.used[0], room.used[1] = 0, first_tet
+    used, cuts, rows = _sort_all(
+        mesh, body, fragment.node_shift[parent], fragment.tet_shift[parent], first_node, k, first_tet,
+        first_tet + tetrahedra, nodes, low, moments, gaps, room,
+    )  # fmt: skip
+    room.used[0] = used
+    return used, cuts, rows, first_tet
+
+
+@inlined_kernel
+def _inherit(fragment, parent, low, high):
+    """What each fragment has of its body; its box holds nothing yet."""
+    for f in range(low, high):
+        fragment.kind[f], fragment.mesh[f], fragment.radius[f] = (
+            fragment.kind[parent], fragment.mesh[parent], fragment.radius[parent]
+        )  # fmt: skip
+        fragment.node_shift[f], fragment.tet_shift[f], fragment.edge_shift[f] = (
+            fragment.node_shift[parent], fragment.tet_shift[parent], fragment.edge_shift[parent]
+        )  # fmt: skip
+        fragment.seeds[f, 0], fragment.seeds[f, 1] = fragment.seeds[parent, 0], fragment.seeds[parent, 1]
+        for i in range(4):
+            fragment.shape[f, i] = fragment.shape[parent, i]
+        for i in range(3):
+            fragment.box[f, i], fragment.box[f, 3 + i] = np.inf, -np.inf
+
+
+@inlined_kernel
+def _label(mesh, body, fragment, parent, first_node, nodes, parts, low):
+    shift = fragment.node_shift[parent]
+    for i in range(len(nodes)):
+        n = nodes[i] + first_node
+        p = mesh.nodes[n]
+        body.node_fragment[n + shift] = low + parts[i]
+        grow(fragment.box[low + parts[i]], p[0], p[1], p[2])
+
+
+@inlined_kernel
+def _place_crossings(mesh, body, edge_shift, edges, first_edge, first_plane):
+    """Cut `edges` of a mesh by the planes from row `first_plane` on: edge_plane, edge_event, edge_share.
+
+    Glondu 2014, section 6.3: the crossing is a sample of both fragments.
+    """
+    for i in range(len(edges)):
+        e = edges[i] + first_edge
+        a, b = mesh.edges[e, 0], mesh.edges[e, 1]
+        body.edge_plane[e + edge_shift], body.edge_event[e + edge_shift] = first_plane + i, first_plane
+        body.edge_share[e + edge_shift] = crossing_share(mesh.nodes, a, b, body.planes[first_plane + i])
+
+
+@inlined_kernel
+def _sort_all(
+    mesh, body, node_shift, tet_shift, first_node, k, first_tet, last_tet, nodes, low, moments, gaps, room
+):
+    """Fill `room` with the tetrahedra of `nodes`; returns (how many, how many are cut, most rows of the surface)."""
+    kinds, rows, cut = room.kinds, room.rows, room.cut
+    used = cuts = most = 0
+    if 24 * len(nodes) > last_tet - first_tet:
+        # most tetrahedra have one: reading all labels in order beats gathering
+        for t in range(first_tet, last_tet):
+            kind, more = _sort_in(mesh, body, node_shift, tet_shift, t, low, moments, gaps)
+            # written in any case, kept if it counts: which it does is anybody's guess
+            kinds[t - first_tet], rows[used], cut[cuts] = kind, t, t
+            used, cuts, most = used + (kind > 0), cuts + (kind > LONE), most + more
+    else:
+        for node in nodes:
+            # node_tets_begin has one row more than nodes in each mesh before this one
+            n = node + first_node + k
+            for e in range(mesh.node_tets_begin[n], mesh.node_tets_begin[n + 1]):
+                t = mesh.node_tets[e]
+                if kinds[t - first_tet] == 0:
+                    kind, more = _sort_in(mesh, body, node_shift, tet_shift, t, low, moments, gaps)
+                    kinds[t - first_tet], rows[used], cut[cuts] = kind, t, t
+                    used, cuts, most = used + 1, cuts + (kind > LONE), most + more
+    return used, cuts, most
+
+
+@inlined_kernel
+def _sort_in(mesh, body, node_shift, tet_shift, t, first_fragment, moments, gaps):
+    """(kind, or 0 of one that the fracture does not concern; most rows of the surface) of tetrahedron `t`."""
+    v = mesh.tetrahedra[t]
+    a, b = body.node_fragment[v[0] + node_shift], body.node_fragment[v[1] + node_shift]
+    c, d = body.node_fragment[v[2] + node_shift], body.node_fragment[v[3] + node_shift]
+    low, high = min(a, b, c, d), max(a, b, c, d)
+    if high < first_fragment:
+        return 0, 0
+    n = mesh.neighbours[t]
+    outer = n[0] < 0 or n[1] < 0 or n[2] < 0 or n[3] < 0
+    if low == high:
+        body.regions[t + tet_shift, OWNER], body.cut_count[t + tet_shift] = a, 0
+        m = mesh.moments[t]
+        add_row(moments[a], m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8], m[9])
+        if outer:
+            gaps[a] = max(gaps[a], _gap_of_old_faces(mesh, t))
+        return LONE, 0
+    pattern = PATTERN_OF_CUTS[
+        (a != b) + 2 * (a != c) + 4 * (a != d) + 8 * (b != c) + 16 * (b != d) + 32 * (c != d)
+    ]  # fmt: skip
+    most = FAN_COUNT[pattern]
+    if outer:
+        for face in range(4):
+            if n[face] < 0:
+                most += PIECE_COUNT[pattern, face]
+    return CUT if GROUPS[pattern] == 2 else DIVIDED, most
+
+
+@inlined_kernel
+def _gap_of_old_faces(mesh, t):
+    v, gap = mesh.tetrahedra[t], 0.0
+    for face in range(4):
+        if mesh.neighbours[t, face] < 0:
+            f = FACE_VERTICES[face]
+            _, _, _, ab, ac, bc = measure_triangle(mesh.nodes[v[f[0]]], mesh.nodes[v[f[1]]], mesh.nodes[v[f[2]]])
+            gap = max(gap, gap_of_triangle(ab, ac, bc, 3))
+    return gap

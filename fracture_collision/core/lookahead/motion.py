@@ -1,0 +1,206 @@
+"""How fragments move within a time that lies ahead: each centre of mass straight on, the fragment turning about it.
+
+So moves what nothing touches, but for gravity and the torque of its own spin, which act on the velocities of the next
+step. Of two that move so no points come nearer to each other than `closing_speed` lets them: the bound by which
+conservative advancement goes (first_touch.py).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from fracture_collision import portable_math
+from fracture_collision.core.memory.compiled import inlined_kernel, kernel
+from fracture_collision.core.memory.kinds import PLANE
+from fracture_collision.core.memory.rotations import turned_back
+
+_sine_after = inlined_kernel(portable_math.sine_after)
+# [m] how far a plane reaches: seen from what turns, some of it is as fast as anything.
+ENDLESS = 1e30
+
+
+class Motion(NamedTuple):
+    """Of n fragments."""
+
+    time: float  # [s] how far ahead; 0: nobody is looked ahead for, and the columns are empty
+    centers: np.ndarray  # (n, 3) float64 [m] centres of mass now, world
+    linear: np.ndarray  # (n, 3) float64 [m/s] theirs
+    angular: np.ndarray  # (n, 3) float64 [rad/s] world axes
+    reach: np.ndarray  # (n,) float64 [m] of a fragment about its centre; of a plane ENDLESS
+
+
+NO_MOTION = Motion(0.0, np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
+
+
+@kernel
+def motion_of(kinds, boxes, rows, rotations, positions, centers, linear, angular, time):
+    """The Motion of fragments `rows` (n,), with kinds and boxes (F,), (F, 6) of a FragmentPool and poses (n, 3, 3),
+    (n, 3), for `time` [s]; centers (n, 3) [m]: of mass, in body frames; linear, angular (n, 3): velocities of the
+    frames' origins [m/s], and spins [rad/s]. Planes stand still.
+    """
+    n = len(rows)
+    placed, velocities, spins, reach = positions.copy(), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n)
+    for i in range(n):
+        if kinds[rows[i]] == PLANE:
+            reach[i] = ENDLESS
+            continue
+        arm = np.zeros(3)
+        box, square = boxes[rows[i]], 0.0
+        for k in range(3):
+            for j in range(3):
+                arm[k] += rotations[i, k, j] * centers[i, j]
+            square += max(box[k + 3] - centers[i, k], centers[i, k] - box[k]) ** 2
+        w = angular[i]
+        turn = w[1] * arm[2] - w[2] * arm[1], w[2] * arm[0] - w[0] * arm[2], w[0] * arm[1] - w[1] * arm[0]
+        for k in range(3):
+            placed[i, k], velocities[i, k], spins[i, k] = positions[i, k] + arm[k], linear[i, k] + turn[k], w[k]
+        reach[i] = math.sqrt(square)
+    return Motion(time, placed, velocities, spins, reach)
+
+
+@kernel
+def fastest(velocities):
+    """The largest absolute value of velocities (n, 3)."""
+    most = 0.0
+    for i in range(len(velocities)):
+        for d in range(3):
+            most = max(most, abs(velocities[i, d]))
+    return most
+
+
+@inlined_kernel
+def put_pose(motion, rotations, positions, i, t, rotation, position):
+    """Where fragment i is after `t` [s], into rotation (3, 3) and position (3,) [m]; rotations, positions: now."""
+    w, spin = motion.angular[i], _spin(motion.angular[i])
+    for d in range(3):
+        position[d] = positions[i, d] + t * motion.linear[i, d]
+        for k in range(3):
+            rotation[d, k] = rotations[i, d, k]
+    if not spin * t > 0.0:
+        return
+    # Rodrigues' formula
+    u = w[0] / spin, w[1] / spin, w[2] / spin
+    sine, half = _sine_after(spin * t, 0.0), _sine_after(0.5 * spin * t, 0.0)
+    versine = 2.0 * half * half
+    for k in range(3):
+        x, y, z = rotations[i, 0, k], rotations[i, 1, k], rotations[i, 2, k]
+        rotation[0, k], rotation[1, k], rotation[2, k] = _turned(u, sine, versine, x, y, z)
+    c = motion.centers[i]
+    x, y, z = _turned(u, sine, versine, positions[i, 0] - c[0], positions[i, 1] - c[1], positions[i, 2] - c[2])
+    position[0] = c[0] + t * motion.linear[i, 0] + x
+    position[1] = c[1] + t * motion.linear[i, 1] + y
+    position[2] = c[2] + t * motion.linear[i, 2] + z
+
+
+@inlined_kernel
+def _turned(u, sine, versine, x, y, z):
+    cx, cy, cz = u[1] * z - u[2] * y, u[2] * x - u[0] * z, u[0] * y - u[1] * x
+    return (
+        x + sine * cx + versine * (u[1] * cz - u[2] * cy),
+        y + sine * cy + versine * (u[2] * cx - u[0] * cz),
+        z + sine * cz + versine * (u[0] * cy - u[1] * cx),
+    )
+
+
+@inlined_kernel
+def _spin(w):
+    return math.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
+
+
+@inlined_kernel
+def turned_in(motion, i, left):
+    """How far fragment i turns in `left` [s], as an angle."""
+    return _spin(motion.angular[i]) * left
+
+
+@inlined_kernel
+def _seen_from(motion, i, j, t, left):
+    """How fragment i moves for one that moves and turns with j, from `t` [s] on for `left` [s]: (velocity of its centre
+    at t (x, y, z); how much more its points have than that, because it turns; and because it goes farther off; how far
+    that velocity turns in the time), all [m/s].
+    """
+    a, b = motion.linear[i], motion.linear[j]
+    wa, wb = motion.angular[i], motion.angular[j]
+    dx, dy, dz = a[0] - b[0], a[1] - b[1], a[2] - b[2]
+    rx = motion.centers[i, 0] - motion.centers[j, 0] + t * dx
+    ry = motion.centers[i, 1] - motion.centers[j, 1] + t * dy
+    rz = motion.centers[i, 2] - motion.centers[j, 2] + t * dz
+    x = dx - (wb[1] * rz - wb[2] * ry)
+    y = dy - (wb[2] * rx - wb[0] * rz)
+    z = dz - (wb[0] * ry - wb[1] * rx)
+    turned = _spin(wb) * left
+    turning = math.sqrt((wa[0] - wb[0]) ** 2 + (wa[1] - wb[1]) ** 2 + (wa[2] - wb[2]) ** 2)
+    farther = turned * math.sqrt(dx * dx + dy * dy + dz * dz)
+    return x, y, z, turning * motion.reach[i], farther, turned * math.sqrt(x * x + y * y + z * z)
+
+
+@inlined_kernel
+def closing_speed(motion, i, j, t, left):
+    """No point of i and point of j come nearer to each other faster than this [m/s], from `t` [s] on for `left` [s].
+
+    Seen from either no point of the other is faster: two that turn together do not come nearer at all.
+    """
+    x, y, z, turning, farther, _ = _seen_from(motion, i, j, t, left)
+    speed = math.sqrt(x * x + y * y + z * z) + turning + farther
+    x, y, z, turning, farther, _ = _seen_from(motion, j, i, t, left)
+    return min(speed, math.sqrt(x * x + y * y + z * z) + turning + farther)
+
+
+@inlined_kernel
+def closing_along(motion, i, j, t, left, x, y, z):
+    """Likewise of the two hulls along the unit vector (x, y, z) from j to i, world axes at `t`, that turns with one of
+    the two; negative: they part.
+    """
+    u, w = motion.angular[i], motion.angular[j]
+    wx, wy, wz = u[0] - w[0], u[1] - w[1], u[2] - w[2]
+    cx, cy, cz = y * wz - z * wy, z * wx - x * wz, x * wy - y * wx
+    across = math.sqrt(cx * cx + cy * cy + cz * cz)  # what turns about the vector comes no nearer along it
+    vx, vy, vz, turning, farther, sway = _seen_from(motion, i, j, t, left)
+    turning = min(turning, across * motion.reach[i] + _spin(w) * left * turning)
+    closing = turning + farther + sway - (x * vx + y * vy + z * vz)
+    vx, vy, vz, turning, farther, sway = _seen_from(motion, j, i, t, left)
+    turning = min(turning, across * motion.reach[j] + _spin(u) * left * turning)
+    return min(closing, turning + farther + sway + (x * vx + y * vy + z * vz))
+
+
+@inlined_kernel
+def put_way(motion, i, j, t, left, time, turn, out):
+    """How points of fragment i move within `time` [s] of the `left` [s] from t on, for one that moves with j, in whose
+    frame it is told: row out of (2, WAY) [m], for `approach.nearer_along`. turn (3, 3): j's rotation at t.
+    """
+    x, y, z, turning, farther, sway = _seen_from(motion, i, j, t, left)
+    out[0], out[1], out[2] = turned_back(turn, time * x, time * y, time * z)
+    u, w = motion.angular[i], motion.angular[j]
+    r = time * motion.reach[i]
+    out[3], out[4], out[5] = turned_back(turn, r * (u[0] - w[0]), r * (u[1] - w[1]), r * (u[2] - w[2]))
+    out[6], out[7] = time * (farther + sway), time * _spin(w) * left * turning
+
+
+@inlined_kernel
+def between_balls(motion, i, j):
+    """[m] how far apart two are at least now, by the balls about their centres of mass; negative: these overlap."""
+    a, b = motion.centers[i], motion.centers[j]
+    return math.sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2) - motion.reach[i] - motion.reach[j]
+
+
+@inlined_kernel
+def sweep_box(motion, i, box):
+    """Grow a world box (6,) [m] of fragment i so that it holds the fragment at all times ahead."""
+    turn = _spin(motion.angular[i]) * motion.reach[i] * motion.time
+    for k in range(3):
+        way = motion.time * motion.linear[i, k]
+        box[k] += min(way, 0.0) - turn
+        box[k + 3] += max(way, 0.0) + turn
+
+
+@kernel
+def is_moving(motion):
+    """(n,) bool: which fragments of a Motion do not stand still."""
+    moves = np.zeros(len(motion.reach), np.bool_)
+    for i in range(len(moves)):
+        for d in range(3):
+            moves[i] |= motion.linear[i, d] != 0.0 or motion.angular[i, d] != 0.0
+    return moves

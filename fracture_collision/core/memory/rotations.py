@@ -1,0 +1,46 @@
+"""Points carried from one fragment's frame to another's."""
+
+from __future__ import annotations
+
+from fracture_collision.core.memory.compiled import inlined_kernel
+
+
+@inlined_kernel
+def rotated(rotation, x, y, z):
+    return (
+        rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z,
+        rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z,
+        rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z,
+    )
+
+
+@inlined_kernel
+def to_other(rotation, translation, x, y, z):
+    """rotation (3, 3) applied, then translation (3,)."""
+    x, y, z = rotated(rotation, x, y, z)
+    return x + translation[0], y + translation[1], z + translation[2]
+
+
+@inlined_kernel
+def turned_back(rotation, x, y, z):
+    """The inverse of a rotation (3, 3) applied."""
+    return (
+        rotation[0, 0] * x + rotation[1, 0] * y + rotation[2, 0] * z,
+        rotation[0, 1] * x + rotation[1, 1] * y + rotation[2, 1] * z,
+        rotation[0, 2] * x + rotation[1, 2] * y + rotation[2, 2] * z,
+    )
+
+
+@inlined_kernel
+def relative_pose(rotation_from, position_from, rotation_to, position_to, rotation, translation):
+    """From one fragment's frame to another's, into rotation (3, 3) and translation (3,); the two in the world."""
+    for i in range(3):
+        translation[i] = 0.0
+        for k in range(3):
+            translation[i] += rotation_to[k, i] * (position_from[k] - position_to[k])
+        for j in range(3):
+            rotation[i, j] = (
+                rotation_to[0, i] * rotation_from[0, j]
+                + rotation_to[1, i] * rotation_from[1, j]
+                + rotation_to[2, i] * rotation_from[2, j]
+            )

@@ -1,0 +1,111 @@
+"""Exact mass moments of polyhedral pieces: volume, first and second moments about the body frame's origin.
+
+A moment row (10,) is [V, Sx, Sy, Sz, Sxx, Sxy, Sxz, Syy, Syz, Szz] with S_ij = integral of x_i x_j dV [m3, m4, m5].
+Tonon, "Explicit exact formulas for the 3-D tetrahedron inertia tensor" (2004), in its covariance form.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from fracture_collision.core.memory.compiled import inlined_kernel, kernel, query_kernel
+
+
+def tetrahedron_moments(corners: np.ndarray) -> np.ndarray:
+    """Moment rows (m, 10) of tetrahedra given by `corners` (m, 4, 3) [m]."""
+    rows = np.zeros((len(corners), 10))
+    _tetrahedra_moments(np.ascontiguousarray(corners), rows)
+    return rows
+
+
+@kernel
+def _tetrahedra_moments(corners, rows):
+    for t in range(len(corners)):
+        c = corners[t]
+        add_tetrahedron(
+            c[0, 0], c[0, 1], c[0, 2], c[1, 0], c[1, 1], c[1, 2],
+            c[2, 0], c[2, 1], c[2, 2], c[3, 0], c[3, 1], c[3, 2], rows[t],
+        )  # fmt: skip
+
+
+@inlined_kernel
+def tetrahedron_terms(ox, oy, oz, ax, ay, az, bx, by, bz, cx, cy, cz):
+    """The signed moment row of the tetrahedron (o, a, b, c), ten numbers."""
+    ux, uy, uz = ax - ox, ay - oy, az - oz
+    vx, vy, vz = bx - ox, by - oy, bz - oz
+    wx, wy, wz = cx - ox, cy - oy, cz - oz
+    volume = (ux * (vy * wz - vz * wy) + uy * (vz * wx - vx * wz) + uz * (vx * wy - vy * wx)) / 6.0
+    sx, sy, sz = ox + ax + bx + cx, oy + ay + by + cy, oz + az + bz + cz
+    k = volume / 20.0
+    return (
+        volume,
+        volume * sx / 4.0,
+        volume * sy / 4.0,
+        volume * sz / 4.0,
+        k * (sx * sx + ox * ox + ax * ax + bx * bx + cx * cx),
+        k * (sx * sy + ox * oy + ax * ay + bx * by + cx * cy),
+        k * (sx * sz + ox * oz + ax * az + bx * bz + cx * cz),
+        k * (sy * sy + oy * oy + ay * ay + by * by + cy * cy),
+        k * (sy * sz + oy * oz + ay * az + by * bz + cy * cz),
+        k * (sz * sz + oz * oz + az * az + bz * bz + cz * cz),
+    )
+
+
+@inlined_kernel
+def add_row(row, s0, s1, s2, s3, s4, s5, s6, s7, s8, s9):
+    """Add ten numbers to `row` (10,): all are read before any is written, so that they can be added side by side."""
+    s0, s1, s2, s3, s4 = row[0] + s0, row[1] + s1, row[2] + s2, row[3] + s3, row[4] + s4
+    s5, s6, s7, s8, s9 = row[5] + s5, row[6] + s6, row[7] + s7, row[8] + s8, row[9] + s9
+    row[0], row[1], row[2], row[3], row[4] = s0, s1, s2, s3, s4
+    row[5], row[6], row[7], row[8], row[9] = s5, s6, s7, s8, s9
+
+
+@query_kernel
+def add_tetrahedron(ox, oy, oz, ax, ay, az, bx, by, bz, cx, cy, cz, row):
+    """Add the signed moments of the tetrahedron (o, a, b, c) to `row` (10,)."""
+    m = tetrahedron_terms(ox, oy, oz, ax, ay, az, bx, by, bz, cx, cy, cz)
+    add_row(row, m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8], m[9])
+
+
+def surface_moments(corners: np.ndarray) -> np.ndarray:
+    """Moment row (10,) of the solid within closed triangles (t, 3, 3) [m], counter-clockwise from outside.
+
+    The divergence theorem: the tetrahedra over all triangles with one common apex add up to the solid.
+    """
+    row = np.zeros(10)
+    apex = 0.5 * (corners.min(axis=(0, 1)) + corners.max(axis=(0, 1)))
+    _pyramid_moments(apex, np.ascontiguousarray(corners).reshape(-1, 9), row)
+    return row
+
+
+@kernel
+def _pyramid_moments(o, triangles, row):
+    for p in triangles:
+        add_tetrahedron(o[0], o[1], o[2], p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8], row)
+
+
+def mass_properties(moments: np.ndarray, density: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of solids with `moments` (n, 10) and `density` (n,) [kg/m3]: masses (n,) [kg], centres of mass (n, 3) [m] and
+    inertias (n, 6) [kg m2] about them, body axes: xx xy xz yy yz zz.
+    """
+    volume = moments[:, :1]
+    center = moments[:, 1:4] / volume
+    x, y, z = center.T
+    products = np.column_stack([x * x, x * y, x * z, y * y, y * z, z * z])
+    sxx, sxy, sxz, syy, syz, szz = (moments[:, 4:10] - volume * products).T
+    inertia = density[:, None] * np.column_stack([syy + szz, -sxy, -sxz, sxx + szz, -syz, sxx + syy])
+    return density * volume[:, 0], center, inertia
+
+
+def sphere_mass_properties(radius: float, density: float) -> tuple[float, np.ndarray, np.ndarray]:
+    mass = density * 4.0 / 3.0 * math.pi * radius * radius * radius
+    moment = 0.4 * mass * radius * radius
+    return mass, np.zeros(3), np.array([moment, 0.0, 0.0, moment, 0.0, moment])
+
+
+def box_mass_properties(half: np.ndarray, density: float) -> tuple[float, np.ndarray, np.ndarray]:
+    mass = density * 8.0 * float(np.prod(half))
+    xx, yy, zz = half * half * mass / 3.0
+    return mass, np.zeros(3), np.array([yy + zz, 0.0, 0.0, xx + zz, 0.0, xx + yy])

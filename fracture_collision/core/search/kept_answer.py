@@ -1,0 +1,127 @@
+"""The last answer, kept for pairs of which neither fragment has moved since: theirs is the same, to the last bit."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fracture_collision.core.memory.compiled import kernel
+from fracture_collision.core.memory.kinds import SPHERE
+
+
+class PairContacts(NamedTuple):
+    """Of p pairs with N contacts together, those of each pair in one piece."""
+
+    counts: np.ndarray  # (p,) int64
+    bounds: np.ndarray  # (p,) float64 [m], missed depth bound
+    visits: np.ndarray  # (p,) int64, tree nodes tested
+    exhausted: np.ndarray  # (p,) uint8, not 0: cut short by a limit
+    points_a: np.ndarray  # (N, 3) float64 [m], world
+    points_b: np.ndarray  # (N, 3) float64 [m], world
+    normals: np.ndarray  # (N, 3) float64, from a to b
+    gaps: np.ndarray  # (N,) float64 [m]
+    samples: np.ndarray  # (N, 2) int64: side whose sample it is (0: a), sample index, see query_pair
+
+
+class KeptAnswer(NamedTuple):
+    stamp: int  # of the geometry that was asked: after any change of it nothing holds
+    index_of_row: np.ndarray  # (r,) int64: which of `poses` is a row of FragmentPool's, -1: none
+    poses: np.ndarray  # (n, 12) uint64: the bits of rotations and positions in the world
+    pair_of_slot: np.ndarray  # (s,) int64: where a pair with this slot of NeighbourLists stands in `contacts`, or -1
+    searched: np.ndarray  # (p,) int64: visits that came with the contacts wanted, whenever that was
+    shares: np.ndarray  # (p,) int64: visits that each pair might take, see crowds.visit_shares
+    further: int  # visits that each pair might take beyond the contacts wanted
+    offsets: np.ndarray  # (p + 1,) int64, of each pair's contacts
+    contacts: PairContacts
+
+
+_NOBODY = np.zeros(0, np.int64)
+NOTHING_KEPT = KeptAnswer(
+    -1, _NOBODY, np.zeros((0, 12), np.uint64), _NOBODY, _NOBODY, _NOBODY, 0, _NOBODY,
+    PairContacts(
+        _NOBODY, np.zeros(0), _NOBODY, np.zeros(0, np.uint8), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)),
+        np.zeros(0), np.zeros((0, 2), np.int64),
+    ),
+)  # fmt: skip
+
+
+@kernel
+def _keep(rows, slots, room, exhausted):
+    """index_of_row and pair_of_slot of KeptAnswer."""
+    index_of_row, pair_of_slot = np.full(rows.max() + 1 if len(rows) else 0, -1), np.full(room, -1)
+    for i in range(len(rows)):
+        index_of_row[rows[i]] = i
+    for p in range(len(slots)):
+        if slots[p] >= 0 and exhausted[p] == 0:
+            pair_of_slot[slots[p]] = p
+    return index_of_row, pair_of_slot
+
+
+def keep(
+    stamp: int, rows: np.ndarray, poses: np.ndarray, slots: np.ndarray, room: int, searched: np.ndarray,
+    shares: np.ndarray, further: int, offsets: np.ndarray, contacts: PairContacts,
+) -> KeptAnswer:  # fmt: skip
+    """`slots` (p,), -1: not to be kept; `room` slots in all. `contacts` are not to be changed any more."""
+    index_of_row, pair_of_slot = _keep(rows, slots, room, contacts.exhausted)
+    return KeptAnswer(stamp, index_of_row, poses, pair_of_slot, searched, shares, further, offsets, contacts)
+
+
+@kernel
+def pose_bits(rotations, positions):
+    """(n, 12) uint64 of poses (n, 3, 3), (n, 3)."""
+    poses = np.empty((len(positions), 12))
+    for i in range(len(positions)):
+        for d in range(3):
+            for k in range(3):
+                poses[i, 3 * d + k] = rotations[i, d, k]
+            poses[i, 9 + d] = positions[i, d]
+    return poses.view(np.uint64)
+
+
+@kernel
+def pairs_in_place(kept, kinds, rows, poses, pairs, slots, known, shares, further, counts, bounds):
+    """Where each of `pairs` (p, 2) of indices into `rows` stands in `kept`, -1: not, or the answer may be another; and
+    which do not (m,). Of those that do, `counts` and `bounds` (p,) are written.
+
+    poses (n, 12): pose_bits; slots, known (p,): of with_pairs; shares (p,), further: visits that each may take, and
+    beyond the contacts wanted. A node that is met once these are there is taken up twice at most for each visit.
+    """
+    has_moved = np.ones(len(rows), np.bool_)
+    for i in range(len(rows)):
+        before = kept.index_of_row[rows[i]] if rows[i] < len(kept.index_of_row) else -1
+        if before >= 0:
+            has_moved[i] = False
+            for k in range(12):
+                if kept.poses[before, k] != poses[i, k]:
+                    has_moved[i] = True
+    stands_at = np.full(len(pairs), -1)
+    for p in range(len(pairs)):
+        i, j = pairs[p, 0], pairs[p, 1]
+        if slots[p] < 0 or not known[p] or slots[p] >= len(kept.pair_of_slot) or has_moved[i] or has_moved[j]:
+            continue
+        q = kept.pair_of_slot[slots[p]]
+        if q < 0 or kept.shares[q] != shares[p]:
+            continue
+        of_sphere = kinds[rows[i]] == SPHERE or kinds[rows[j]] == SPHERE
+        if further >= kept.further or (not of_sphere and 2 * kept.searched[q] + 2 <= further):
+            stands_at[p], counts[p], bounds[p] = q, kept.contacts.counts[q], kept.contacts.bounds[q]
+    return stands_at, np.flatnonzero(stands_at < 0)
+
+
+@kernel
+def gather_kept(kept, stands_at, offsets, points_a, points_b, normals, gaps, samples, searched):
+    """The contacts of the pairs that stand in `kept`, from offsets[p] on, and their `searched` (p,)."""
+    old = kept.contacts
+    for p in range(len(stands_at)):
+        q = stands_at[p]
+        if q < 0:
+            continue
+        searched[p] = kept.searched[q]
+        for c in range(offsets[p + 1] - offsets[p]):
+            o, k = offsets[p] + c, kept.offsets[q] + c
+            for d in range(3):
+                points_a[o, d], points_b[o, d] = old.points_a[k, d], old.points_b[k, d]
+                normals[o, d] = old.normals[k, d]
+            gaps[o] = old.gaps[k]
+            samples[o, 0], samples[o, 1] = old.samples[k, 0], old.samples[k, 1]

@@ -1,0 +1,276 @@
+"""What is remembered of pairs from step to step, so that those which hardly move against each other cost little.
+
+Which samples of a pair may touch (Verlet 1967): a search that is done with `reach` to spare lists all samples that may
+be within the detection tolerance and `reach` of the other fragment. As long as no sample has moved farther against the
+other than `reach`, those that are within the tolerance are among them. Of each that was asked and is not near it is
+known how far it has to move before it can be, and until then it is not asked again. What is left to ask gives what the
+search would give: same contacts, same bytes. By the paper's rule it is done for pairs with fewer than the contacts
+wanted; of others a search takes some and leaves some, and what it takes depends on its way.
+
+How far apart a pair is: where a search found it parted, by its boxes or a plane, its list is empty, and holds until the
+two have moved by their clearance.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from fracture_collision.core.memory.compiled import inlined_kernel, kernel
+from fracture_collision.core.memory.kinds import PLANE
+from fracture_collision.core.memory.prefetch import fetch
+from fracture_collision.core.memory.rotations import to_other
+
+# Samples a list has room for, and pairs of ridges (ridge_contacts.py).
+MOST_LISTED, MOST_RIDGES = 256, 256
+# Likewise of the one pair that a thread looks ahead for (first_touch.py).
+MOST_AHEAD = 4096
+# A list is made of pairs that move by less than this share of the smaller R in a step.
+FAST = 0.003
+# How far beyond the tolerance it reaches: as far as the pair moves in so many steps, within these shares of R. More
+# lasts longer and lists more.
+LASTS, LEAST_REACH, MOST_REACH = 4.0, 0.005, 0.02
+# How far beyond the tolerance a listed sample's distance is looked for, in steps likewise: more is asked less often.
+AHEAD = 2.0
+# Values of `counts` without a list.
+NOT_LISTED = -1  # the pair moves too fast
+FULL = -2  # as many contacts as were wanted, or more near than there is room for: no list is tried at the next step
+# Columns of `listed`: 2 (row of TreePool) + side; a tetrahedron of the other near it, -1: none is known.
+WHO, WHERE = 0, 1
+# Columns of `places`: where a sample is from the middle of its fragment's leaves, and where it was from the other's,
+# in the other's frame, when it was asked last [m], three each; how far it moves from there before it can be near [m].
+OWN, SEEN, UNTIL, PLACE = 0, 3, 6, 7
+# Value of UNTIL: it was near.
+NEAR_LAST = -1.0
+# What single precision may do to a distance between places, as a share of their sizes.
+PLACE_ROUNDING = 1e-6
+# Room for so many pairs at first.
+LEAST_ROOM = 64
+
+
+class NeighbourLists(NamedTuple):
+    """Columns have a row for each slot; a pair keeps its slot for as long as its boxes meet."""
+
+    keys: np.ndarray  # (p,) int64, ascending: of the pairs of the last step, pair_keys
+    slots: np.ndarray  # (p,) int64: theirs
+    poses: np.ndarray  # (room, 2, 12) float64: rotation (9), translation (3) [m] from a's frame to b's, and back
+    listed_at: np.ndarray  # (room, 2, 12) float64: likewise when the list was made
+    reach: np.ndarray  # (room,) float64 [m]: for how much motion since then it holds
+    counts: np.ndarray  # (room,) int32: listed samples, NOT_LISTED or FULL
+    listed: np.ndarray  # (room, MOST_LISTED, 2) int32: WHO, WHERE
+    places: np.ndarray  # (room, MOST_LISTED, PLACE) float32 [m]
+    ridges: np.ndarray  # (room,) int32: listed pairs of ridges
+    ridge_pairs: np.ndarray  # (room, MOST_RIDGES, 2) int32: their numbers, of a and of b
+    toward: np.ndarray  # (room, 3) float64: in b's frame, along which the two lay farthest apart; zeros: nobody knows
+
+
+def _make_lists(room: int) -> NeighbourLists:
+    nobody = np.empty(0, np.int64)
+    return NeighbourLists(
+        nobody, nobody, np.zeros((room, 2, 12)), np.zeros((room, 2, 12)), np.zeros(room),
+        np.full(room, NOT_LISTED, np.int32), np.empty((room, MOST_LISTED, 2), np.int32),
+        np.empty((room, MOST_LISTED, PLACE), np.float32), np.zeros(room, np.int32),
+        np.empty((room, MOST_RIDGES, 2), np.int32), np.zeros((room, 3)),
+    )  # fmt: skip
+
+
+NO_LISTS = _make_lists(0)
+
+
+@kernel
+def pair_keys(rows, pairs):
+    """Keys (p,) int64 of `pairs` (p, 2) of indices into `rows` (n,) int64."""
+    keys = np.empty(len(pairs), np.int64)
+    for p in range(len(pairs)):
+        keys[p] = (rows[pairs[p, 0]] << 32) | rows[pairs[p, 1]]
+    return keys
+
+
+def with_pairs(before: NeighbourLists, keys: np.ndarray) -> tuple[NeighbourLists, np.ndarray, np.ndarray]:
+    """The lists of a step whose pairs have `keys` (p,), with the slot of each (p,), and whether it had it before (p,).
+
+    `before` is not to be used any more: columns are shared.
+    """
+    room = len(before.counts)
+    if room < len(keys):
+        columns = _make_lists(max(len(keys) + len(keys) // 2, LEAST_ROOM))
+        _copy_lists(before, columns)
+        before = columns._replace(keys=before.keys, slots=before.slots)
+    ordered, ordered_slots, slots, known = _take_slots(
+        before.keys, before.slots, keys, before.counts, before.toward
+    )
+    return before._replace(keys=ordered, slots=ordered_slots), slots, known
+
+
+@kernel
+def _copy_lists(old, new):
+    """Columns into longer ones: of each slot only what is listed, the rest is memory that nobody has written to."""
+    for slot in range(len(old.counts)):
+        new.counts[slot], new.reach[slot], new.toward[slot] = old.counts[slot], old.reach[slot], old.toward[slot]
+        new.poses[slot], new.listed_at[slot] = old.poses[slot], old.listed_at[slot]
+        for k in range(old.counts[slot]):
+            new.listed[slot, k], new.places[slot, k] = old.listed[slot, k], old.places[slot, k]
+        if old.counts[slot] < 0:
+            continue
+        new.ridges[slot] = old.ridges[slot]
+        for k in range(old.ridges[slot]):
+            new.ridge_pairs[slot, k] = old.ridge_pairs[slot, k]
+
+
+@kernel
+def _take_slots(known_keys, known_slots, keys, counts, toward):
+    """Slots (p,) of `keys`, those that they had or free ones, and which they had (p,); before them the keys, ascending,
+    and theirs. What a slot had of another pair is gone.
+    """
+    order = np.arange(len(keys))
+    for k in range(1, len(keys)):
+        if keys[k] < keys[k - 1]:
+            order = np.argsort(keys, kind="mergesort")
+            break
+    slots, known = np.empty(len(keys), np.int64), np.zeros(len(keys), np.bool_)
+    is_taken = np.zeros(len(counts), np.bool_)
+    i = 0
+    for k in order:
+        while i < len(known_keys) and known_keys[i] < keys[k]:
+            i += 1
+        if i < len(known_keys) and known_keys[i] == keys[k]:
+            slots[k], known[k] = known_slots[i], True
+            is_taken[slots[k]] = True
+    free = 0
+    for k in order:
+        if not known[k]:
+            while is_taken[free]:
+                free += 1
+            slots[k] = free
+            counts[free], toward[free] = NOT_LISTED, 0.0
+            free += 1
+    return keys[order], slots[order], slots, known
+
+
+@inlined_kernel
+def reach_of(moves, radius):
+    """(reach of a list, how far ahead a sample is looked for) [m] for a pair that moves by `moves` [m] a step; 0, 0: it
+    is not to be listed. radius [m]: the smaller R.
+    """
+    if moves >= FAST * radius:
+        return 0.0, 0.0
+    reach = min(max(LASTS * moves, LEAST_REACH * radius), MOST_REACH * radius)
+    return reach, min(max(AHEAD * moves, LEAST_REACH * radius), reach)
+
+
+@inlined_kernel
+def fetch_slot(lists, slot):
+    """Have what the next pair remembers brought near; without effect where it has no slot (-1)."""
+    if slot >= 0:
+        fetch(lists.poses, slot)
+        fetch(lists.listed_at, slot)
+        fetch(lists.listed, slot)
+        fetch(lists.places, slot)
+        fetch(lists.counts, slot)
+        fetch(lists.reach, slot)
+
+
+@inlined_kernel
+def frame_between(own, other, rotation, translation):
+    """How a place from own's middle (4,) comes to be one from the other's, in the other's frame: an offset (x, y, z)
+    float32, and what rounding may do to the distance of two such places [m]. own, other: of Leaves.
+    """
+    x, y, z = to_other(rotation, translation, own[0], own[1], own[2])
+    x, y, z = x - other[0], y - other[1], z - other[2]
+    rounding = own[3] + PLACE_ROUNDING * (abs(x) + abs(y) + abs(z))
+    return np.float32(x), np.float32(y), np.float32(z), np.float32(rounding)
+
+
+@inlined_kernel
+def place_of(row, rotation, frame):
+    """Where the sample of a row of `places` is from the other's middle: (x, y, z) float32 [m]."""
+    x, y, z = row[OWN], row[OWN + 1], row[OWN + 2]
+    return (
+        np.float32(rotation[0, 0]) * x + np.float32(rotation[0, 1]) * y + np.float32(rotation[0, 2]) * z + frame[0],
+        np.float32(rotation[1, 0]) * x + np.float32(rotation[1, 1]) * y + np.float32(rotation[1, 2]) * z + frame[1],
+        np.float32(rotation[2, 0]) * x + np.float32(rotation[2, 1]) * y + np.float32(rotation[2, 2]) * z + frame[2],
+    )
+
+
+@inlined_kernel
+def see(row, rotation, frame, distance, near):
+    """Note that the sample of a row of `places` is `distance` [m] from the other, near at `near`, or NEAR_LAST."""
+    row[SEEN], row[SEEN + 1], row[SEEN + 2] = place_of(row, rotation, frame)
+    row[UNTIL] = NEAR_LAST if distance == NEAR_LAST else max(np.float32(distance - near) - frame[3], np.float32(0.0))
+
+
+@inlined_kernel
+def may_be_near(row, rotation, frame):
+    """Whether it may be so by now."""
+    left = row[UNTIL] - frame[3]
+    if left <= 0.0:
+        return True
+    x, y, z = place_of(row, rotation, frame)
+    x, y, z = x - row[SEEN], y - row[SEEN + 1], z - row[SEEN + 2]
+    return x * x + y * y + z * z >= left * left
+
+
+@inlined_kernel
+def least_left(listed, places, count, middle_a, middle_b, rotation, translation, of_far):
+    """How far the listed samples of a pair have still to move, at least, before one of them can be near [m]; infinity:
+    there is none. rotation (2, 3, 3), translation (2, 3): where the two stand now; of_far: of those that are not near.
+    """
+    left, side = np.float32(np.inf), 0
+    frame = frame_between(middle_a, middle_b, rotation[0], translation[0])
+    for k in range(count):
+        if listed[k, WHO] & 1 != side:
+            side = 1
+            frame = frame_between(middle_b, middle_a, rotation[1], translation[1])
+        row = places[k]
+        if of_far and row[UNTIL] == NEAR_LAST:
+            continue
+        x, y, z = place_of(row, rotation[side], frame)
+        x, y, z = x - row[SEEN], y - row[SEEN + 1], z - row[SEEN + 2]
+        left = min(left, row[UNTIL] - frame[3] - np.float32(1.0 + PLACE_ROUNDING) * np.sqrt(x * x + y * y + z * z))
+    return max(np.float64(left), 0.0)
+
+
+@inlined_kernel
+def keep_pose(rotation, translation, out):
+    """Relative poses (2, 3, 3), (2, 3) into (2, 12)."""
+    for side in range(2):
+        for i in range(3):
+            for j in range(3):
+                out[side, 3 * i + j] = rotation[side, i, j]
+            out[side, 9 + i] = translation[side, i]
+
+
+@inlined_kernel
+def spin(rotation, before):
+    """Largest displacement of a point at distance 1 from the origin between rotations (3, 3) and (9,).
+
+    The difference of two rotations has two equal singular values and a zero.
+    """
+    total = 0.0
+    for i in range(3):
+        for j in range(3):
+            d = rotation[i, j] - before[3 * i + j]
+            total += d * d
+    return math.sqrt(0.5 * total)
+
+
+@inlined_kernel
+def displacement(pools, a, b, rotation, translation, before):
+    """Upper bound [m] of how far a point of either fragment has moved in the other's frame since poses (2, 12)."""
+    farthest = 0.0
+    for side in range(2):
+        f = a if side == 0 else b
+        if pools.fragment.kind[f] == PLANE:
+            continue
+        box = pools.fragment.box[f]
+        half2 = moved2 = 0.0
+        for i in range(3):
+            half2 += 0.25 * (box[i + 3] - box[i]) ** 2
+            d = translation[side, i] - before[side, 9 + i]
+            for j in range(3):
+                d += (rotation[side, i, j] - before[side, 3 * i + j]) * 0.5 * (box[j] + box[j + 3])
+            moved2 += d * d
+        farthest = max(farthest, math.sqrt(moved2) + spin(rotation[side], before[side]) * math.sqrt(half2))
+    return farthest

@@ -1,0 +1,319 @@
+"""Algorithm 1 of Glondu 2014 with self-adapting contact selection (section 5.2), both trees of a pair at once.
+
+Two queues, swapped after each level; a node that has more children goes back into Q1 behind the others, so that
+children of different parents are visited alternately (section 5.3); with QUEUE it stays at the head of Q1 until all its
+children are in Q2, as in the paper's earlier version [27]. The search ends when Q2 is empty (the printed
+algorithm has the test reversed). Both roots start in Q1, so the pair's contacts come from both sides level by level.
+
+Up to m contacts within the detection tolerance are taken as they come; from then on only those deeper than epsilon,
+and m grows by one with each. A branch is left when nothing below can count. What is left is bounded: depth is
+1-Lipschitz, so no point of a sphere is deeper than the depth at its centre plus its radius.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from fracture_collision.core.contacts.deepest_contacts import keep_if_deeper, make_heap, sort_by_sample, sort_heap
+from fracture_collision.core.contacts.known_samples import (
+    ask_sample,
+    home_tetrahedron,
+    moved_since,
+    put_contact,
+    query_seeds,
+    rounding_slack,
+    share_a_body,
+)
+from fracture_collision.core.contacts.sphere_contacts import sphere_contacts
+from fracture_collision.core.field.elementary_queries import INSIDE, OUTSIDE, least_distance, sphere_test
+from fracture_collision.core.memory.compiled import inlined_kernel, query_kernel
+from fracture_collision.core.memory.kinds import PLANE, SPHERE, TRIANGLES
+from fracture_collision.core.memory.pools import NONE_BELOW, OWN_SAMPLE, QUEUE, SAMPLE, SIZE, SURFACE
+from fracture_collision.core.memory.rotations import rotated, to_other
+from fracture_collision.core.search.neighbour_lists import displacement, spin
+from fracture_collision.core.separation.hull_separation import hull_of, parting_plane
+from fracture_collision.core.separation.oriented_boxes import box_clearance, way_between
+
+# columns of scratch.node_int
+ENTRY, SIDE, NEXT_CHILD, STATUS = 0, 1, 2, 3
+# columns of scratch.node_float: the node's point in the other's frame, then an upper bound of its depth
+DEPTH = 3
+UNTESTED = -1
+UNTURNED = np.eye(3).ravel()
+NO_PLANE = (0.0, 0.0, 0.0, 0.0)
+# How a search ended: all that counts was found; a limit on visits, or on contacts, cut it short; or that on the visits
+# that come once a pair has the contacts wanted did.
+COMPLETE, BY_LIMIT, BY_FURTHER = 0, 1, 2
+# Triangles that a sphere's contacts may be on, however little is left for further visits.
+LEAST_WITHIN = 32
+UNKNOWN = 3  # beside INSIDE, NEAR, OUTSIDE: not asked, for no depth that it can have would count
+# Poses of neighbour_lists.keep_pose: two fragments of one body, where they were made.
+IN_PLACE = np.tile(np.append(UNTURNED, np.zeros(3)), (2, 1))
+
+
+@inlined_kernel
+def depth_limit(pools, f):
+    """No point of fragment f is deeper than half its box's shortest side [m]."""
+    b = pools.fragment.box[f]
+    return 0.5 * min(b[3] - b[0], b[4] - b[1], b[5] - b[2])
+
+
+@inlined_kernel
+def _has_hull(kind):
+    """Whether hull_separation knows what such a fragment lies within."""
+    return kind != PLANE and kind != SPHERE
+
+
+@inlined_kernel
+def most_depth(pools, other, x, y, z, plane):
+    """An upper bound [m] of a point's depth in `other`, as cheap as it gets; `other` is behind `plane`: a unit normal
+    and an offset [m].
+    """
+    least = least_distance(pools, other, x, y, z)
+    beyond = plane[0] * x + plane[1] * y + plane[2] * z - plane[3]
+    return -max(least, beyond) if beyond > 0.0 else -least
+
+
+@query_kernel
+def query_pair(
+    pools, a, b, rotation, translation, wanted, epsilon, near, budget, further, limit, contacts, ids, capacity,
+    scratch, thread,
+):  # fmt: skip
+    """All contacts of fragments `a` and `b`.
+
+    rotation (2, 3, 3), translation (2, 3): [0] from a's body frame to b's, [1] back. `wanted` m, `epsilon` and `near`
+    [m], `budget` visits (0: none), `further` visits once there are m contacts; the `limit` deepest contacts are kept.
+
+    Fills contacts (capacity, 10): sample point, witness on the other, the other's outward normal, all in the other's
+    frame, gap [m]; ids (capacity, 5): side (0: a's sample in b), sample (of a sphere: sphere_contacts.py), source and
+    tetrahedron of the witness, tetrahedron of the sample (bounded_probe). Returns (contacts, missed depth bound [m],
+    visits, one of COMPLETE, BY_LIMIT, BY_FURTHER, clearance [m]); more contacts than `capacity` means: call again with
+    room. Fewer contacts than wanted come by side and sample, those that are left of more than `limit` by depth, others
+    in the order of the search. The clearance: so much more than `near` the two are apart, at least and beyond rounding;
+    0: it is not known.
+
+    The queues hold rows of node_int and node_float, one a node that was reached. A child whose sphere keeps out of
+    reach of the other counts as visited but takes no row.
+
+    Fragments of one body share a frame, and in place no sample of one is inside the other: so none is deeper than it
+    has moved since. That bounds all below a node at once. Two that have hardly moved against each other need no more
+    than their m contacts, and these are looked for first where the two touch in place (crack_seeds.py); they are no
+    farther apart than they have moved. Of all others a plane is sought that parts their hulls (hull_separation.py).
+    Where there is none, the best that was found still bounds the depth of all that lies beyond the other along it.
+    """
+    fragment, tree = pools.fragment, pools.tree
+    slack = rounding_slack(pools, a, b, translation)
+    one_body = share_a_body(pools, a, b)
+    turned = spin(rotation[0], UNTURNED) if one_body else 0.0
+    bounded = fragment.kind[a] != PLANE and fragment.kind[b] != PLANE
+    if bounded:
+        parted = box_clearance(fragment.box[a], fragment.box[b], rotation[0], translation[0], near + slack)
+        if parted > near + slack:
+            return 0, slack, 0, COMPLETE, parted - near - slack
+    visits, apart = 0, math.inf
+    if one_body:
+        apart = displacement(pools, a, b, rotation, translation, IN_PLACE)
+        if apart <= epsilon:
+            count, visits = query_seeds(
+                pools, a, b, rotation, translation, min(wanted, limit), near, budget, contacts, ids, capacity,
+                scratch, thread,
+            )  # fmt: skip
+            if count == min(wanted, limit) or (budget and visits >= budget):
+                return count, apart + slack, visits, COMPLETE if count == wanted else BY_LIMIT, 0.0
+    beyond_b, beyond_a = NO_PLANE, NO_PLANE
+    if apart > near and _has_hull(fragment.kind[a]) and _has_hull(fragment.kind[b]):
+        way = way_between(fragment.box[a], fragment.box[b], rotation[0], translation[0])
+        x, y, z, low, high = parting_plane(
+            hull_of(pools, a), hull_of(pools, b), way, rotation, translation, near + slack
+        )
+        if low - high > near + slack:
+            return 0, slack, visits, COMPLETE, low - high - near - slack
+        t = translation[0]
+        beyond_b = x, y, z, high + slack
+        x, y, z = rotated(rotation[1], -x, -y, -z)
+        beyond_a = x, y, z, beyond_b[0] * t[0] + beyond_b[1] * t[1] + beyond_b[2] * t[2] - low + slack
+    node, node_point = scratch.node_int[thread], scratch.node_float[thread]
+    queue = scratch.queue[thread]
+    spare, spare_ids = scratch.row[thread], scratch.row_ids[thread]
+    current, following = 0, 1
+    nodes, size = 0, 0
+    count = 0
+    bound = dropped = 0.0
+    deeper_by = 0.0  # than its contact says a sample may be: not with the exact field
+    exhausted = COMPLETE
+    for side in range(2):
+        own, other = (a, b) if side == 0 else (b, a)
+        if fragment.kind[own] == SPHERE:
+            if side == 0 or fragment.kind[other] != SPHERE:
+                p = translation[side]
+                count, bound, left_out = sphere_contacts(
+                    pools, own, other, p[0], p[1], p[2], near, wanted, epsilon, max(further, LEAST_WITHIN), limit,
+                    contacts, ids, side, scratch, thread,
+                )  # fmt: skip
+                exhausted = BY_LIMIT if left_out else COMPLETE
+        elif fragment.tree_end[own] > fragment.tree_begin[own]:
+            root = fragment.tree_begin[own]
+            c = tree.spheres[root]
+            x, y, z = to_other(rotation[side], translation[side], c[0], c[1], c[2])
+            depth = most_depth(pools, other, x, y, z, beyond_b if side == 0 else beyond_a)
+            _reach_node(node, node_point, nodes, root, side, UNTESTED, x, y, z, depth)
+            queue[current, size] = nodes
+            nodes += 1
+            size += 1
+    m = max(wanted, count)
+    cut = COMPLETE
+    while size and cut == COMPLETE:
+        next_size = 0
+        head = 0
+        while head < size:
+            # a node that is tested and its first child that keeps out of reach are two visits
+            if budget and visits + 2 > max(budget, 2):
+                cut = BY_LIMIT
+                break
+            if count >= wanted:
+                if further <= 0:
+                    cut = BY_FURTHER
+                    break
+                further -= 1
+            k = queue[current, head]
+            entry, side = node[k, ENTRY], node[k, SIDE]
+            other = b if side == 0 else a
+            x, y, z = node_point[k, 0], node_point[k, 1], node_point[k, 2]  # its first child may be the same point
+            end = entry + tree.entries[entry, SIZE]
+            if node[k, NEXT_CHILD] < 0:
+                # first time on this level: test
+                radius = tree.spheres[entry, 3]
+                moved = moved_since(tree.spheres[entry], x, y, z) if one_body else math.inf
+                visits += 1
+                status = node[k, STATUS]
+                if status == UNTESTED:
+                    status = OUTSIDE
+                    if tree.entries[entry, SURFACE] != OWN_SAMPLE:
+                        # an interior node is no contact, and whether it is inside would cull nothing
+                        node_point[k, DEPTH] = min(node_point[k, DEPTH], depth_limit(pools, other))
+                    elif moved <= epsilon and count >= m:
+                        status = UNKNOWN
+                        node_point[k, DEPTH] = min(node_point[k, DEPTH], moved)
+                        bound = max(bound, node_point[k, DEPTH])
+                    elif -node_point[k, DEPTH] <= near:
+                        full, leaf = count < m, end == entry + 1
+                        sample = tree.entries[entry, SAMPLE]
+                        start = home_tetrahedron(pools, other, sample) if one_body else -1
+                        # one body: what it has moved is all there is to search, and found at once
+                        deep = moved + slack if one_body else math.inf if full else epsilon
+                        # once there are m, what is outside counts no more, however near, but for what is below it
+                        outside = 0.0 if leaf and not full else near
+                        answer = ask_sample(pools, other, x, y, z, outside, deep, start, leaf, scratch, thread)
+                        status, most = answer[0], answer[8]
+                        if status != OUTSIDE:
+                            if full or -answer[1] > epsilon:
+                                if count < min(capacity, limit):
+                                    put_contact(contacts, ids, count, side, sample, x, y, z, answer)
+                                elif capacity >= limit:
+                                    if count == limit:
+                                        make_heap(contacts, ids, limit)
+                                    put_contact(spare, spare_ids, 0, side, sample, x, y, z, answer)
+                                    dropped = max(
+                                        dropped, keep_if_deeper(contacts, ids, limit, spare[0], spare_ids[0])
+                                    )
+                                deeper_by = max(deeper_by, most + answer[1])
+                                count += 1
+                                m = max(m, count)
+                            else:
+                                bound = max(bound, most)
+                        node_point[k, DEPTH] = min(most, depth_limit(pools, other))
+                    node[k, STATUS] = status
+                head += 1
+                if end == entry + 1:
+                    continue
+                depth = node_point[k, DEPTH]
+                least = -near if count < m else epsilon
+                moved = moved + turned * radius if count >= m else math.inf
+                if status == INSIDE:
+                    enter = depth + radius > least
+                else:
+                    around = radius - least
+                    if tree.entries[entry, SURFACE] != OWN_SAMPLE or status == UNKNOWN:
+                        # what was not tested may be deep inside, however small its sphere
+                        around = max(around, 0.0)
+                    enter = around >= -depth and around >= 0.0 and moved > least
+                    if enter and count >= m:
+                        # the grid was asked when the node was reached, for all within reach of its sphere
+                        enter = sphere_test(pools, other, -depth, x, y, z, around, scratch, thread)
+                if not enter or moved <= least:
+                    # inside: 1-Lipschitz; outside: the test says no point below is deeper than `least`
+                    bound = max(bound, min(depth + radius, moved, max(least, 0.0)))
+                    continue
+                child = entry + 1
+            else:
+                head += 1
+                child = node[k, NEXT_CHILD]
+            child_size = tree.entries[child, SIZE]
+            if child + child_size < end:
+                node[k, NEXT_CHILD] = child + child_size
+                if pools.traversal == QUEUE:
+                    head -= 1
+                else:
+                    queue[current, size] = k
+                    size += 1
+            else:
+                node[k, NEXT_CHILD] = end
+            if tree.entries[child, SURFACE] == NONE_BELOW:
+                continue
+            c = tree.spheres[child]
+            status, depth = UNTESTED, math.inf
+            if tree.entries[child, SAMPLE] == tree.entries[entry, SAMPLE]:
+                if child_size == 1:
+                    continue
+                status, depth = node[k, STATUS], node_point[k, DEPTH]
+            else:
+                x, y, z = to_other(rotation[side], translation[side], c[0], c[1], c[2])
+                depth = most_depth(pools, other, x, y, z, beyond_b if side == 0 else beyond_a)
+            # of a rigid mesh a lone sample's test is all that its probe does
+            asked = status != INSIDE and (child_size > 1 or fragment.kind[other] != TRIANGLES)
+            around = c[3] + near if count < m else c[3]  # from m on only what is inside counts
+            if asked and not sphere_test(pools, other, -depth, x, y, z, around, scratch, thread):
+                visits += 1
+                continue
+            _reach_node(node, node_point, nodes, child, side, status, x, y, z, depth)
+            queue[following, next_size] = nodes
+            nodes += 1
+            next_size += 1
+        if cut != COMPLETE:
+            exhausted = cut
+            rest = one_body, turned, a, b
+            bound = max(bound, _bound_of_rest(pools, rest, node, node_point, queue, current, head, size))
+            bound = max(bound, _bound_of_rest(pools, rest, node, node_point, queue, following, 0, next_size))
+        current, following = following, current
+        size = next_size
+    if count > limit:
+        if capacity >= limit:
+            sort_heap(contacts, ids, limit)
+        return limit, max(bound, dropped + deeper_by) + slack, visits, max(exhausted, BY_LIMIT), 0.0
+    if count < m:
+        sort_by_sample(contacts, ids, min(count, capacity))
+    return count, bound + slack, visits, exhausted, 0.0
+
+
+@inlined_kernel
+def _reach_node(node, node_point, k, entry, side, status, x, y, z, depth):
+    node[k, ENTRY], node[k, SIDE], node[k, NEXT_CHILD], node[k, STATUS] = entry, side, -1, status
+    node_point[k, 0], node_point[k, 1], node_point[k, 2], node_point[k, DEPTH] = x, y, z, depth
+
+
+@inlined_kernel
+def _bound_of_rest(pools, pair, node, node_point, queue, which, begin, end):
+    """Upper bound [m] of the depth of all samples below the nodes still queued when a budget ends."""
+    one_body, turned, a, b = pair
+    bound = 0.0
+    for i in range(begin, end):
+        k = queue[which, i]
+        other = b if node[k, SIDE] == 0 else a
+        sphere, p = pools.tree.spheres[node[k, ENTRY]], node_point[k]
+        depth = p[DEPTH] + sphere[3]
+        if one_body:
+            depth = min(depth, moved_since(sphere, p[0], p[1], p[2]) + turned * sphere[3])
+        bound = max(bound, min(depth, depth_limit(pools, other)))
+    return bound

@@ -1,0 +1,108 @@
+"""Where of one fragment's leaves of samples another may be: a plane between the two, and half-spaces about it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from fracture_collision.core.memory.compiled import inlined_kernel
+from fracture_collision.core.memory.kinds import PLANE
+from fracture_collision.core.memory.rotations import rotated, to_other
+from fracture_collision.core.separation.approach import nearer_along
+from fracture_collision.core.separation.hull_separation import (
+    MOST_STEPS,
+    SETTLED,
+    encloses_origin,
+    next_simplex,
+)
+from fracture_collision.core.separation.oriented_boxes import way_between
+from fracture_collision.core.tree.sample_leaves import farthest_sample, sample_about_middle
+
+
+@inlined_kernel
+def parting_plane_of_leaves(
+    pools, a, b, leaves, rotation, translation, distance, toward, scratch, thread, most_steps=MOST_STEPS
+):
+    """hull_separation.parting_plane over leaves: ((x, y, z), low, high), that rounding of single precision may falsify
+    by what both middles say.
+
+    toward (3,): see sample_search.search_samples. most_steps: 1: along `toward` only.
+    """
+    bounds = scratch.along[thread]
+    of_a, of_b = leaves
+    ax, ay, az = to_other(rotation[0], translation[0], of_a.middle[0], of_a.middle[1], of_a.middle[2])
+    # the middles' way, in b's frame
+    mx, my, mz = ax - of_b.middle[0], ay - of_b.middle[1], az - of_b.middle[2]
+    v = (toward[0], toward[1], toward[2])
+    if v[0] == 0.0 and v[1] == 0.0 and v[2] == 0.0:
+        v = way_between(pools.fragment.box[a], pools.fragment.box[b], rotation[0], translation[0])
+    k0, k1, k2 = v, v, v
+    found, best, best_low, best_high = v, -math.inf, 0.0, 0.0
+    at_a = at_b = 0
+    for step in range(most_steps):
+        length = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+        if not length > 0.0:
+            break
+        n = v[0] / length, v[1] / length, v[2] / length
+        own = rotated(rotation[1], -n[0], -n[1], -n[2])
+        at_a, reach_a = farthest_sample(of_a, own, at_a, bounds)
+        at_b, reach_b = farthest_sample(of_b, n, at_b, bounds)
+        low = n[0] * ax + n[1] * ay + n[2] * az - reach_a
+        high = n[0] * of_b.middle[0] + n[1] * of_b.middle[1] + n[2] * of_b.middle[2] + reach_b
+        along = low - high
+        if along > best:
+            best, found, best_low, best_high = along, n, low, high
+        if along > distance:
+            break
+        px, py, pz = sample_about_middle(of_a, at_a)
+        px, py, pz = rotated(rotation[0], px, py, pz)
+        qx, qy, qz = sample_about_middle(of_b, at_b)
+        new = mx + px - qx, my + py - qy, mz + pz - qz
+        if step == 0:
+            k0, k1, k2, v = new, new, new, new
+            continue
+        if length - along <= SETTLED * length or encloses_origin(new, k0, k1, k2):
+            break
+        v, k0, k1, k2 = next_simplex(new, k0, k1, k2)
+    toward[0], toward[1], toward[2] = found
+    if best == -math.inf:
+        return found, -math.inf, math.inf
+    return found, best_low, best_high
+
+
+@inlined_kernel
+def half_spaces(pools, own, other, middle, side, rotation, translation, plane, within, reach, way, planes):
+    """Where of `own` samples may come within `within` [m] of `other` when they move by no more than `reach` [m], and as
+    `way` (WAY,) says (motion.put_way): half-spaces n . x <= o about own's middle, into `planes` (8, 4) float32; returns
+    how many.
+    """
+    kind, box, used = pools.fragment.kind[other], pools.fragment.box[other], 0
+    mx, my, mz = to_other(rotation[side], translation[side], middle[0], middle[1], middle[2])
+    within += middle[3]
+    if kind == PLANE:
+        shape, back = pools.fragment.shape[other], rotation[1 - side]
+        x, y, z, offset = shape[0], shape[1], shape[2], shape[3] + within
+        return _put_half_space(back, x, y, z, offset, reach, way, mx, my, mz, planes, 0)
+    back = rotation[1 - side]
+    if plane[0] != 0.0 or plane[1] != 0.0 or plane[2] != 0.0:  # most samples are beyond this one
+        x, y, z, offset = plane
+        used = _put_half_space(back, x, y, z, offset + within, reach, way, mx, my, mz, planes, used)
+    for d in range(3):
+        x, y, z = 1.0 if d == 0 else 0.0, 1.0 if d == 1 else 0.0, 1.0 if d == 2 else 0.0
+        used = _put_half_space(back, x, y, z, box[d + 3] + within, reach, way, mx, my, mz, planes, used)
+        used = _put_half_space(back, -x, -y, -z, -box[d] + within, reach, way, mx, my, mz, planes, used)
+    return used
+
+
+@inlined_kernel
+def _put_half_space(back, nx, ny, nz, offset, reach, way, mx, my, mz, planes, row):
+    """n . x <= offset of the other's frame, or what may come there, about own's middle, which is at m there; back
+    (3, 3): to own's frame.
+    """
+    if reach > 0.0:
+        offset += min(reach, nearer_along(way, nx, ny, nz))
+    x, y, z = rotated(back, nx, ny, nz)
+    planes[row, 0], planes[row, 1], planes[row, 2] = np.float32(x), np.float32(y), np.float32(z)
+    planes[row, 3] = np.float32(offset - (nx * mx + ny * my + nz * mz))
+    return row + 1

@@ -1,0 +1,277 @@
+"""Whether a small piece of surface, moved out of the way, holds nothing of another fragment's inside.
+
+A `no` says nothing: it means that the tests here do not show it. Of a body of tetrahedra those near the piece are
+gathered once. What a fragment has of one lies within the walls of that; a part of a tetrahedron that is shared lies
+behind the plane of its own triangle (cut_tetrahedron.py). So a hull that is beyond a wall, or beyond the planes of all
+triangles, avoids it. A triangle also avoids a fragment if no triangle of that meets it, and its middle is outside.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from fracture_collision.core.field.clearance import WALL_ROUNDING
+from fracture_collision.core.field.flood import tetrahedra_near
+from fracture_collision.core.memory.compiled import inlined_kernel
+from fracture_collision.core.memory.kinds import BOX, TETRAHEDRA, TRIANGLES
+from fracture_collision.core.memory.pools import (
+    BACK_SIDE,
+    FRONT,
+    FRONT_SIDE,
+    KIND,
+    LABELS,
+    NEVER_BROKEN,
+    OLD_FACE,
+    OWNER,
+    PARTED,
+    PLANE,
+    ROW,
+)
+from fracture_collision.core.mesh.closest_point import box_distance_squared, triangle_normal
+from fracture_collision.core.mesh.point_location import owner_in_tetrahedron, tetrahedron_at
+from fracture_collision.core.mesh.triangle_field import triangle_distance
+
+# What single precision may do to a corner of an element, as a share of the fragment's R (surface_elements.py).
+OWN_ROUNDING = 1e-6
+
+
+@inlined_kernel
+def room_for_rounding(pools, f, own):
+    """[m] What single precision may take from a height of a point of fragment `own` in f's frame."""
+    return WALL_ROUNDING * pools.fragment.radius[f] + OWN_ROUNDING * pools.fragment.radius[own]
+
+
+@inlined_kernel
+def gather_near(pools, f, x, y, z, r, slack, scratch, thread):
+    """How many tetrahedra that hold some of fragment `f` may come within `r` [m] of a point in f's frame: they are put
+    into scratch.heap_tet. Of other kinds: 1.
+    """
+    if pools.fragment.kind[f] != TETRAHEDRA:
+        return 1
+    mesh, near, count = pools.mesh, scratch.heap_tet[thread], 0
+    k = pools.fragment.mesh[f]
+    px, py, pz = np.float32(x - mesh.grid[k, 0]), np.float32(y - mesh.grid[k, 1]), np.float32(z - mesh.grid[k, 2])
+    far = np.float32(r + slack)
+    for i in range(tetrahedra_near(pools, f, x, y, z, r, scratch, thread)):
+        w = mesh.walls[near[i]]
+        if (
+            w[0] * px + w[4] * py + w[8] * pz - w[12] > far or w[1] * px + w[5] * py + w[9] * pz - w[13] > far
+            or w[2] * px + w[6] * py + w[10] * pz - w[14] > far or w[3] * px + w[7] * py + w[11] * pz - w[15] > far
+        ):  # fmt: skip
+            continue
+        near[count] = near[i]
+        count += 1
+    return count
+
+
+@inlined_kernel
+def hull_avoids(pools, f, near, points, count, way, x, y, z, r, slack):
+    """Whether the hull of `count` points (., 3) [m] in f's frame, which is within `r` [m] of (x, y, z), avoids f.
+
+    near (n,): the tetrahedra that gather_near has found about it; way: the unit vector that leads out of f. f: of
+    tetrahedra, or a box.
+    """
+    if pools.fragment.kind[f] == BOX:
+        return _avoids_box(pools.fragment.shape[f], points, count, slack)
+    if pools.fragment.kind[f] != TETRAHEDRA:
+        return False
+    mesh, body = pools.mesh, pools.body
+    shift, k = pools.fragment.tet_shift[f], pools.fragment.mesh[f]
+    # parting planes are about the grid's corner
+    ox, oy, oz = mesh.grid[k, 0], mesh.grid[k, 1], mesh.grid[k, 2]
+    lowest = math.inf
+    for q in range(count):
+        lowest = min(lowest, way[0] * points[q, 0] + way[1] * points[q, 1] + way[2] * points[q, 2])
+    for t in near:
+        if _is_below(mesh, t, way[0], way[1], way[2], lowest - slack):
+            continue
+        if _is_beyond_a_wall(mesh, t, k, points, count, x, y, z, r, slack):
+            continue
+        if shift == NEVER_BROKEN:
+            return False
+        region = body.regions[t + shift]
+        if region[OWNER] >= 0:
+            return False
+        if region[OWNER] == PARTED:
+            p = body.region_planes[t + shift]
+            sign = 1.0 if region[FRONT] == f else -1.0
+            nx, ny, nz = sign * np.float64(p[PLANE]), sign * np.float64(p[PLANE + 1]), sign * np.float64(p[PLANE + 2])
+            offset = sign * np.float64(p[PLANE + 3]) + nx * ox + ny * oy + nz * oz
+            if not _is_beyond(points, count, x, y, z, r, nx, ny, nz, offset, slack):
+                return False
+            continue
+        if _has_whole_face(region, f):
+            return False
+        begin = region[ROW]
+        for row in range(begin, begin + body.cut_count[t + shift]):
+            if body.sides[row, KIND] >= OLD_FACE:
+                break
+            sign = _side_of(body.sides[row], f)
+            p = body.faces[row]
+            if sign == 0.0 or math.isnan(p[3]):  # what lies behind such a one has no volume
+                continue
+            if not _is_beyond(points, count, x, y, z, r, sign * p[0], sign * p[1], sign * p[2], sign * p[3], slack):
+                return False
+    return True
+
+
+@inlined_kernel
+def triangle_avoids(pools, f, near, p, x, y, z, r, slack, scratch, thread):
+    """Likewise whether the triangle p (9,) [m] in f's frame, within `r` [m] of its middle (x, y, z), avoids f."""
+    kind, points = pools.fragment.kind[f], p[:9].reshape(3, 3)
+    if kind == BOX:
+        return _avoids_box(pools.fragment.shape[f], points, 3, slack)
+    hx, hy, hz = triangle_normal(p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8])
+    if kind == TRIANGLES:
+        return _avoids_triangles(pools, f, p, x, y, z, r, slack, hx, hy, hz, scratch, thread)
+    mesh, body = pools.mesh, pools.body
+    shift, k = pools.fragment.tet_shift[f], pools.fragment.mesh[f]
+    is_outside, height = True, hx * x + hy * y + hz * z
+    for t in near:
+        if _is_below(mesh, t, hx, hy, hz, height - slack) or _is_below(mesh, t, -hx, -hy, -hz, -height - slack):
+            continue
+        if _is_beyond_a_wall(mesh, t, k, points, 3, x, y, z, r, slack):
+            continue
+        if shift == NEVER_BROKEN:
+            return False
+        region = body.regions[t + shift]
+        if region[OWNER] >= 0:
+            return False
+        begin, is_over = region[ROW], region[OWNER] == PARTED or not _has_whole_face(region, f)
+        end = begin + body.cut_count[t + shift]
+        for row in range(begin, end):
+            if not is_over or body.sides[row, KIND] >= OLD_FACE:
+                break
+            sign, g = _side_of(body.sides[row], f), body.faces[row]
+            if sign != 0.0 and not math.isnan(g[3]):
+                nx, ny, nz, offset = sign * g[0], sign * g[1], sign * g[2], sign * g[3]
+                is_over = _is_beyond(points, 3, x, y, z, r, nx, ny, nz, offset, slack)
+        if is_over:
+            continue
+        is_outside = False
+        for row in range(begin, end):
+            sign, g = _side_of(body.sides[row], f), body.faces[row]
+            if sign == 0.0 or math.isnan(g[3]):
+                continue
+            if _is_beyond(points, 3, x, y, z, r, sign * g[0], sign * g[1], sign * g[2], sign * g[3], slack):
+                continue
+            if not _is_off(body.triangles[row], p, x, y, z, hx, hy, hz, slack):
+                return False
+    if is_outside:
+        return True
+    t = tetrahedron_at(mesh, k, x, y, z)
+    return t < 0 or owner_in_tetrahedron(pools, f, t, x, y, z) != f
+
+
+@inlined_kernel
+def _is_beyond_a_wall(mesh, t, k, points, count, x, y, z, r, slack):
+    """Whether all points are beyond a wall of tetrahedron `t` of mesh `k`; walls are about the grid's corner."""
+    w = mesh.walls[t]
+    for q in range(4):
+        nx, ny, nz = np.float64(w[q]), np.float64(w[4 + q]), np.float64(w[8 + q])
+        offset = np.float64(w[12 + q]) + nx * mesh.grid[k, 0] + ny * mesh.grid[k, 1] + nz * mesh.grid[k, 2]
+        if _is_beyond(points, count, x, y, z, r, nx, ny, nz, offset, slack):
+            return True
+    return False
+
+
+@inlined_kernel
+def _is_below(mesh, t, nx, ny, nz, height):
+    """Whether tetrahedron `t` is below a plane."""
+    for k in range(4):
+        p = mesh.nodes[mesh.tetrahedra[t, k]]
+        if not nx * p[0] + ny * p[1] + nz * p[2] < height:
+            return False
+    return True
+
+
+@inlined_kernel
+def _has_whole_face(region, f):
+    """Whether three nodes of a tetrahedron are f's: what it has behind their face is behind no triangle."""
+    labels = 0
+    for q in range(4):
+        labels += region[LABELS + q] == f
+    return labels > 2
+
+
+@inlined_kernel
+def _side_of(sides, f):
+    """1: `f` is on the front of a triangle, -1: on its back, 0: on neither side."""
+    if sides[FRONT_SIDE] == f:
+        return 1.0
+    return -1.0 if sides[BACK_SIDE] == f else 0.0
+
+
+@inlined_kernel
+def _is_beyond(points, count, x, y, z, r, nx, ny, nz, offset, slack):
+    """Whether all points are more than `slack` above a plane: by the ball around them first."""
+    above = nx * x + ny * y + nz * z - offset
+    if above > r + slack:
+        return True
+    least = above if above <= 0.0 else math.inf
+    k = 0
+    while k < count and least > slack:
+        least = min(least, nx * points[k, 0] + ny * points[k, 1] + nz * points[k, 2] - offset)
+        k += 1
+    return least > slack
+
+
+@inlined_kernel
+def _least_of_three(p, nx, ny, nz, offset):
+    return min(
+        nx * p[0] + ny * p[1] + nz * p[2], nx * p[3] + ny * p[4] + nz * p[5], nx * p[6] + ny * p[7] + nz * p[8]
+    ) - offset
+
+
+@inlined_kernel
+def _is_off(c, p, x, y, z, hx, hy, hz, slack):
+    """Whether triangle `c` is on one side of that of `p`, whose normal is (hx, hy, hz), or beyond one of its sides."""
+    height = hx * x + hy * y + hz * z
+    if _least_of_three(c, hx, hy, hz, height) > slack or _least_of_three(c, -hx, -hy, -hz, -height) > slack:
+        return True
+    for k in range(3):
+        i, j = 3 * k, 3 * ((k + 1) % 3)
+        ex, ey, ez = p[j] - p[i], p[j + 1] - p[i + 1], p[j + 2] - p[i + 2]
+        nx, ny, nz = ey * hz - ez * hy, ez * hx - ex * hz, ex * hy - ey * hx
+        length = math.sqrt(nx * nx + ny * ny + nz * nz)
+        offset = nx * p[i] + ny * p[i + 1] + nz * p[i + 2]
+        if _least_of_three(c, nx, ny, nz, offset) > slack * length:
+            return True
+    return False
+
+
+@inlined_kernel
+def _avoids_box(half, points, count, slack):
+    for d in range(3):
+        low, high = math.inf, -math.inf
+        for k in range(count):
+            low, high = min(low, points[k, d]), max(high, points[k, d])
+        if low > half[d] + slack or high < -half[d] - slack:
+            return True
+    return False
+
+
+@inlined_kernel
+def _avoids_triangles(pools, f, p, x, y, z, r, slack, hx, hy, hz, scratch, thread):
+    meshes, k = pools.triangles, pools.fragment.mesh[f]
+    node, end = meshes.node_range[k]
+    r2 = (r + slack) * (r + slack)
+    while node < end:
+        if box_distance_squared(x, y, z, meshes.node_box[node]) > r2:
+            node = meshes.node_skip[node]
+            continue
+        begin = meshes.node_first[node]
+        for t in range(begin, begin + meshes.node_count[node]):
+            c = meshes.corners[t]
+            nx, ny, nz = triangle_normal(c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8])
+            offset = nx * c[0] + ny * c[1] + nz * c[2]
+            if not (
+                _least_of_three(p, nx, ny, nz, offset) > slack
+                or _least_of_three(p, -nx, -ny, -nz, -offset) > slack
+                or _is_off(c, p, x, y, z, hx, hy, hz, slack)
+            ):
+                return False
+        node += 1
+    return triangle_distance(meshes, k, pools.fragment.radius[f], x, y, z, scratch.stack[thread])[0] > 0.0

@@ -1,0 +1,204 @@
+"""How deep any point of two fragments' surfaces is in the other, where their samples do not tell.
+
+Contacts are sought at samples (Glondu 2014, section 6.3); between these, edges cross each other. So that nothing is
+missed, all of both surfaces is either shown to be no deeper than a little more than the deepest contact, or a deeper
+point is found. An element of a surface (surface_elements.py) is no deeper than s if it avoids the other fragment once
+it is moved by s; what does not is searched by bisection (surface_search.py). Before, whole pairs are settled by how far
+they have moved since they broke, and by how far their hulls overlap along a contact's normal: no point of either is
+deeper than that.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from fracture_collision.core.contacts.known_samples import rounding_slack, share_a_body
+from fracture_collision.core.memory.compiled import inlined_kernel, query_kernel
+from fracture_collision.core.memory.kinds import TETRAHEDRA
+from fracture_collision.core.memory.rotations import rotated, to_other
+from fracture_collision.core.mesh.occupancy import sphere_may_touch
+from fracture_collision.core.mesh.surface_elements import MOST_CORNERS, count_triangles, put_triangle
+from fracture_collision.core.search.neighbour_lists import displacement
+from fracture_collision.core.search.traversal import IN_PLACE
+from fracture_collision.core.separation.leaf_separation import parting_plane_of_leaves
+from fracture_collision.core.surfaces.surface_avoidance import (
+    gather_near,
+    hull_avoids,
+    room_for_rounding,
+)
+from fracture_collision.core.surfaces.surface_search import (
+    DEPTH_OF_STACK,
+    inward,
+    middle_of,
+    moved_triangle_avoids,
+    search_triangle,
+)
+from fracture_collision.core.tree.sample_leaves import farthest_sample, leaves_of
+
+# In shares of epsilon, beyond the depth of the deepest contact: how deep nothing is shown to be, if that can be shown;
+# how deep a point is listed; and how finely is looked. The last two make epsilon together, less room for rounding.
+SHOWN, LISTED, FINEST = 0.6, 0.9, 0.09
+# Points of a pair that are asked at most. Where they do not do, nothing is known but how thick the two are.
+MOST_ASKED = 1_000_000
+# The deepest point of a triangle is looked for to this share of epsilon.
+SHARPEST = 0.05
+NOBODY = -1
+
+
+class SurfaceWork(NamedTuple):
+    """Working memory; leading dimension: thread."""
+
+    points: np.ndarray  # (threads, MOST_CORNERS, 3) float64 [m]: corners of an element
+    stack: np.ndarray  # (threads, DEPTH_OF_STACK, 9) float64 [m]: triangles
+    moved: np.ndarray  # (threads, 16) float64 [m]
+    triangle: np.ndarray  # (threads, 16) float64 [m]
+    found: np.ndarray  # (threads, 16) float64 [m]
+    best: np.ndarray  # (threads, 16) float64 [m]
+
+
+def make_surface_work(threads: int) -> SurfaceWork:
+    return SurfaceWork(
+        np.zeros((threads, MOST_CORNERS, 3)), np.zeros((threads, DEPTH_OF_STACK, 9)), np.zeros((threads, 16)),
+        np.zeros((threads, 16)), np.zeros((threads, 16)), np.zeros((threads, 16)),
+    )  # fmt: skip
+
+
+class Judgement(NamedTuple):
+    """Of a pair."""
+
+    bound: float  # [m] nothing of either surface is deeper than this, or than `depth`; infinity: MOST_ASKED did not do
+    depth: float  # [m] of the deepest point that was found, or of the deepest contact, no less than 0
+    side: int  # whose that point is (0: a), NOBODY: none was found
+    piece: int  # and of which element
+    triangle: int  # its triangle there, see surface_elements.put_triangle
+    asked: int  # points
+
+
+@query_kernel
+def judge_surfaces(pools, elements, a, b, rotation, translation, deepest, normal, epsilon, work, scratch, thread):
+    """The Judgement of fragments `a` and `b` with relative poses as query_pair's.
+
+    deepest [m]: the depth of their deepest contact; negative: none touches. normal (x, y, z): its normal, unit, out of
+    b in b's frame; zeros: there is none. A point that is deeper by LISTED epsilon [m] is found; then work.best (3,) [m]
+    is its place in the frame of the other fragment.
+    """
+    slack = rounding_slack(pools, a, b, translation)
+    deepest, shown, listed = max(deepest, 0.0), SHOWN * epsilon, LISTED * epsilon
+    if share_a_body(pools, a, b):
+        apart = displacement(pools, a, b, rotation, translation, IN_PLACE) + slack
+        if apart <= deepest + listed:
+            return Judgement(apart, deepest, NOBODY, 0, 0, 0)
+    leaves = leaves_of(pools, a), leaves_of(pools, b)
+    rounding = slack + leaves[0].middle[3] + leaves[1].middle[3]
+    if normal[0] == 0.0 and normal[1] == 0.0 and normal[2] == 0.0:
+        # whatever is remembered of this pair: the same direction for the same poses
+        toward = scratch.point[thread]
+        toward[0] = toward[1] = toward[2] = 0.0
+        normal, low, high = parting_plane_of_leaves(
+            pools, a, b, leaves, rotation, translation, rounding, toward, scratch, thread
+        )
+    else:
+        low, high = _extents(leaves, rotation, translation, normal, scratch.along[thread])
+    overlap = high - low + rounding
+    if overlap <= deepest + listed:
+        return Judgement(overlap, deepest, NOBODY, 0, 0, 0)
+    best, stack, moved = work.best[thread], work.stack[thread], work.moved[thread]
+    bound, side_of, piece_of, triangle_of, asked = deepest + shown, NOBODY, 0, 0, 0
+    for side in range(2):
+        own, other = (a, b) if side == 0 else (b, a)
+        way, highest = normal, high + rounding
+        if side == 1:
+            way = rotated(rotation[1], -normal[0], -normal[1], -normal[2])
+            t = translation[1]
+            highest = way[0] * t[0] + way[1] * t[1] + way[2] * t[2] - low + rounding
+        origin, corner_slack = elements.origin[own], room_for_rounding(pools, other, own)
+        ox, oy, oz = to_other(rotation[side], translation[side], origin[0], origin[1], origin[2])
+        for e in range(elements.begin[own], elements.end[own]):
+            ball = elements.spheres[e]
+            x, y, z = rotated(rotation[side], np.float64(ball[0]), np.float64(ball[1]), np.float64(ball[2]))
+            x, y, z, r = x + ox, y + oy, z + oz, np.float64(ball[3]) + corner_slack
+            if not _may_be_deeper(pools, other, x, y, z, r, deepest + listed, way, highest, scratch, thread):
+                continue
+            s = deepest + shown
+            near = scratch.heap_tet[thread][: gather_near(pools, other, x, y, z, r + s, corner_slack, scratch, thread)]
+            if len(near) == 0 or _element_avoids(
+                pools, elements, e, other, near, rotation[side], ox, oy, oz, s, way, x, y, z, r, corner_slack,
+                work.points[thread],
+            ):  # fmt: skip
+                bound = max(bound, s)
+                continue
+            piece, count = elements.piece[e], len(near)
+            for k in range(count_triangles(pools, own, piece)):
+                if not put_triangle(pools, own, piece, k, rotation[side], translation[side], stack[0]):
+                    continue
+                s = deepest + shown
+                if count < 0:
+                    count = gather_near(pools, other, x, y, z, r + s, corner_slack, scratch, thread)
+                near, p = scratch.heap_tet[thread][:count], stack[0]
+                tx, ty, tz, tr = middle_of(p)
+                if moved_triangle_avoids(
+                    pools, other, near, p, s, way, tx, ty, tz, tr, corner_slack, moved, scratch, thread
+                ) or moved_triangle_avoids(
+                    pools, other, near, p, s, inward(p), tx, ty, tz, tr, corner_slack, moved, scratch, thread
+                ):
+                    bound = max(bound, s)
+                    continue
+                most, depth, more = search_triangle(
+                    pools, other, stack, deepest, shown, listed, FINEST * epsilon, MOST_ASKED - asked, corner_slack,
+                    way, work.found[thread], moved, scratch, thread,
+                )  # fmt: skip
+                bound, asked, count = max(bound, most), asked + more, -1  # a search gathers others
+                if depth > deepest:
+                    deepest, side_of, piece_of, triangle_of = depth, side, piece, k
+                    for d in range(3):
+                        best[d] = work.found[thread, d]
+                if most == math.inf:
+                    return Judgement(most, deepest, side_of, piece_of, triangle_of, asked)
+    return Judgement(bound + slack, deepest, side_of, piece_of, triangle_of, asked)
+
+
+@inlined_kernel
+def _extents(leaves, rotation, translation, n, bounds):
+    """(the lowest of a, the highest of b) along a unit vector n of b's frame [m], as of parting_plane_of_leaves."""
+    of_a, of_b = leaves
+    _, reach = farthest_sample(of_b, n, 0, bounds)
+    high = n[0] * of_b.middle[0] + n[1] * of_b.middle[1] + n[2] * of_b.middle[2] + np.float64(reach)
+    own, m, t = rotated(rotation[1], -n[0], -n[1], -n[2]), of_a.middle, translation[0]
+    _, reach = farthest_sample(of_a, own, 0, bounds)
+    middle = own[0] * m[0] + own[1] * m[1] + own[2] * m[2]
+    return n[0] * t[0] + n[1] * t[1] + n[2] * t[2] - middle - np.float64(reach), high
+
+
+@inlined_kernel
+def _may_be_deeper(pools, f, x, y, z, r, depth, way, highest, scratch, thread):
+    """Whether something within `r` [m] of a point may be deeper than `depth` [m] in fragment f, all of which is below
+    `highest` along `way`.
+    """
+    inner, box = r - depth, pools.fragment.box[f]
+    if way[0] * x + way[1] * y + way[2] * z - highest >= inner:
+        return False
+    if box[0] - x >= inner or box[1] - y >= inner or box[2] - z >= inner:
+        return False
+    if x - box[3] >= inner or y - box[4] >= inner or z - box[5] >= inner:
+        return False
+    return pools.fragment.kind[f] != TETRAHEDRA or sphere_may_touch(pools, f, x, y, z, r)
+
+
+@inlined_kernel
+def _element_avoids(
+    pools, elements, e, other, near, rotation, ox, oy, oz, s, way, x, y, z, r, slack, points
+):
+    """Whether the hull of an element, moved by `s` [m] along `way`, avoids `other`; (ox, oy, oz): where the origin of
+    its corners is.
+    """
+    mx, my, mz, count = s * way[0], s * way[1], s * way[2], 0
+    first = elements.first[e]
+    for k in range(first, elements.first[e + 1]):
+        p = elements.corners[k]
+        px, py, pz = rotated(rotation, np.float64(p[0]), np.float64(p[1]), np.float64(p[2]))
+        points[count, 0], points[count, 1], points[count, 2] = px + ox + mx, py + oy + my, pz + oz + mz
+        count += 1
+    return hull_avoids(pools, other, near, points, count, way, x + mx, y + my, z + mz, r, slack)

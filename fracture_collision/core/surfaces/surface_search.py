@@ -1,0 +1,108 @@
+"""The deepest point of a triangle of one fragment's surface in another, by bisection.
+
+Depth is 1-Lipschitz: within r of a point of depth d nothing is deeper than d + r. And nothing of a triangle is deeper
+than s if the triangle avoids the other's inside once it is moved by s, whichever way (surface_avoidance.py). What
+neither settles is halved.
+"""
+
+from __future__ import annotations
+
+import math
+
+from fracture_collision.core.field.elementary_queries import INSIDE, OUTSIDE, bounded_probe
+from fracture_collision.core.memory.compiled import inlined_kernel, query_kernel
+from fracture_collision.core.mesh.closest_point import triangle_normal
+from fracture_collision.core.surfaces.surface_avoidance import gather_near, triangle_avoids
+
+# Triangles that wait to be looked at: one for each time that the first has been halved. No triangle that is halved as
+# often has a side of a millionth of the first's.
+DEPTH_OF_STACK = 64
+
+
+@inlined_kernel
+def middle_of(p):
+    """(x, y, z [m], how far its corners are from there at most [m]) of a triangle (9,)."""
+    x, y, z, r2 = (p[0] + p[3] + p[6]) / 3.0, (p[1] + p[4] + p[7]) / 3.0, (p[2] + p[5] + p[8]) / 3.0, 0.0
+    for k in range(3):
+        r2 = max(r2, (p[3 * k] - x) ** 2 + (p[3 * k + 1] - y) ** 2 + (p[3 * k + 2] - z) ** 2)
+    return x, y, z, math.sqrt(r2)
+
+
+@inlined_kernel
+def moved_triangle_avoids(pools, other, near, p, s, way, x, y, z, r, slack, moved, scratch, thread):
+    """Whether the triangle p (9,) with its middle (x, y, z) avoids `other`, moved by `s` [m] along `way`; moved (9,):
+    working space.
+    """
+    mx, my, mz = s * way[0], s * way[1], s * way[2]
+    for k in range(3):
+        moved[3 * k], moved[3 * k + 1], moved[3 * k + 2] = p[3 * k] + mx, p[3 * k + 1] + my, p[3 * k + 2] + mz
+    return triangle_avoids(pools, other, near, moved, x + mx, y + my, z + mz, r, slack, scratch, thread)
+
+
+@query_kernel
+def search_triangle(
+    pools, other, stack, deepest, prove, limit, finest, most_asked, slack, way, found, moved, scratch, thread
+):
+    """Of the triangle in stack[0], in the frame of `other`: (a depth [m] that no point of it exceeds, unless one was
+    found; the depth of the deepest point that was found, or else `deepest`; points asked).
+
+    A point deeper than `deepest` + `limit` is found: it is put into `found` (3,), and `deepest` is its depth from then
+    on. prove [m]: how far beyond `deepest` depths are shown not to reach; finest [m]: what is within that of a point is
+    not halved. most_asked: points; where they do not do, the depth that is returned is infinity. way: a unit vector
+    along which the triangle may be moved out. stack (DEPTH_OF_STACK, 9), moved (9,): working space.
+    """
+    top, bound, asked, at = 1, 0.0, 0, -1
+    while top:
+        if asked == most_asked:
+            return math.inf, deepest, asked
+        p = stack[top - 1]
+        x, y, z, r = middle_of(p)
+        answer = bounded_probe(pools, other, x, y, z, r, math.inf, at, False, scratch, thread)
+        at, asked, depth = answer[11] if answer[11] >= 0 else at, asked + 1, -answer[1]
+        if answer[0] == INSIDE and depth > deepest + limit:
+            deepest = depth
+            found[0], found[1], found[2] = x, y, z
+        most, is_settled = depth + r, answer[0] == OUTSIDE
+        if is_settled:
+            most = 0.0
+        elif most <= deepest + limit or r <= finest or top == len(stack):
+            is_settled = True
+        elif depth <= deepest + prove:
+            s = deepest + prove
+            near = scratch.heap_tet[thread][: gather_near(pools, other, x, y, z, r + s, slack, scratch, thread)]
+            outward = (answer[2], answer[3], answer[4])
+            if moved_triangle_avoids(
+                pools, other, near, p, s, outward, x, y, z, r, slack, moved, scratch, thread
+            ) or moved_triangle_avoids(pools, other, near, p, s, way, x, y, z, r, slack, moved, scratch, thread):
+                most, is_settled = s, True
+        if is_settled:
+            bound, top = max(bound, most), top - 1
+        else:
+            top = _halve(stack, top)
+    return bound, deepest, asked
+
+
+@inlined_kernel
+def inward(p):
+    """The unit normal of a triangle (9,), against its outside."""
+    x, y, z = triangle_normal(p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8])
+    return -x, -y, -z
+
+
+@inlined_kernel
+def _halve(stack, top):
+    """Replace the triangle on top by the halves of its longest side; returns the new height."""
+    p, q = stack[top - 1], stack[top]
+    longest, side = -1.0, 0
+    for k in range(3):
+        i, j = 3 * k, 3 * ((k + 1) % 3)
+        square = (p[i] - p[j]) ** 2 + (p[i + 1] - p[j + 1]) ** 2 + (p[i + 2] - p[j + 2]) ** 2
+        if square > longest:
+            longest, side = square, k
+    i, j = 3 * side, 3 * ((side + 1) % 3)
+    for k in range(9):
+        q[k] = p[k]
+    for d in range(3):
+        middle = 0.5 * (p[i + d] + p[j + d])
+        p[j + d], q[i + d] = middle, middle
+    return top + 1

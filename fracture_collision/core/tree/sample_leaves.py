@@ -1,0 +1,264 @@
+"""The samples of a fragment's surface for searching: eight to a leaf, in the order of a space-filling curve.
+
+A sphere tree (Glondu 2014, section 5.1) answers who comes first; to find all samples that may touch another fragment it
+is walked node by node, and it holds the nodes of the inside too. Here all leaves of a fragment are asked at once, in
+straight loops over single precision that processors run eight at a time: which of their boxes reach into a few
+half-spaces, and how far they reach along a direction. What they answer is culled by, never told: rounding is left room.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from fracture_collision.core.memory.compiled import inlined_kernel, kernel
+from fracture_collision.core.memory.pools import LEAF, LEAF_VALUES, OWN_SAMPLE, SAMPLE_ROUNDING, SIZE, SURFACE
+
+# Cells of the curve along each side of a fragment's box.
+CURVE = 1024
+_BITS_A_PASS, _PASSES = 8, 4  # of the sort along the curve, whose places have 30 bits
+
+
+class Leaves(NamedTuple):
+    """Of one fragment, n leaves."""
+
+    values: np.ndarray  # (LEAF_VALUES n,) float32 [m] about `middle`: x y z of lower corners, of upper ones, of samples
+    entries: np.ndarray  # (LEAF n,) int32 entry of the fragment's tree, -1: no sample
+    middle: np.ndarray  # (4,) float64 [m]: x y z in the body frame; what rounding takes from what is said along a unit
+
+
+@inlined_kernel
+def leaves_of(pools, f):
+    begin, end = pools.fragment.leaf_begin[f], pools.fragment.leaf_end[f]
+    return Leaves(
+        pools.samples.values[LEAF_VALUES * begin : LEAF_VALUES * end],
+        pools.samples.entries[LEAF * begin : LEAF * end],
+        pools.fragment.middle[f],
+    )
+
+
+@kernel
+def count_leaves(entries, begins):
+    """Leaves that trees take whose entries, rows of TreePool, are begins[i] .. begins[i + 1] - 1: (n,) int64."""
+    counts = np.zeros(len(begins) - 1, np.int64)
+    for f in range(len(counts)):
+        samples = 0
+        for i in range(begins[f], begins[f + 1]):
+            samples += _is_sample(entries, i)
+        counts[f] = (samples + LEAF - 1) // LEAF
+    return counts
+
+
+def most_leaves(leaves: int, new_samples: int, fragments: int) -> int:
+    """No more leaves have the fragments into which one with so many broke."""
+    return leaves + new_samples // LEAF + fragments + 1
+
+
+@inlined_kernel
+def _is_sample(entries, i):
+    """Each is once a leaf of its tree."""
+    return entries[i, SIZE] == 1 and entries[i, SURFACE] == OWN_SAMPLE
+
+
+@kernel
+def fill_leaves(spheres, entries, begins, counts, values, out_entries, middles):
+    """The leaves of such trees one behind the other: `values` (leaves, LEAF_VALUES), `out_entries` (leaves, LEAF).
+
+    counts (n,): count_leaves; middles (n, 4): see Leaves.
+    """
+    most = LEAF * counts.max() if len(counts) else 0
+    rows, places = np.empty((2, most), np.int32), np.empty((2, most), np.uint32)
+    buckets = np.empty(1 << _BITS_A_PASS, np.int32)
+    first = 0
+    for f in range(len(counts)):
+        used = 0
+        for i in range(begins[f], begins[f + 1]):
+            if _is_sample(entries, i):
+                rows[0, used] = i
+                used += 1
+        low, high = np.full(3, np.inf), np.full(3, -np.inf)
+        for k in range(used):
+            for d in range(3):
+                low[d], high[d] = min(low[d], spheres[rows[0, k], d]), max(high[d], spheres[rows[0, k], d])
+        middles[f] = 0.0
+        if used:
+            for d in range(3):
+                middles[f, d] = 0.5 * (low[d] + high[d])
+                middles[f, 3] += SAMPLE_ROUNDING * (high[d] - low[d])
+        for k in range(used):
+            places[0, k] = place_on_curve(spheres[rows[0, k]], low, high)
+        _sort_by_place(rows, places, used, buckets)
+        n = counts[f]
+        flat = values[first : first + n].reshape(LEAF_VALUES * n)
+        own_entries = out_entries[first : first + n].reshape(LEAF * n)
+        for k in range(LEAF * n):
+            row = rows[0, min(k, used - 1)]
+            own_entries[k] = row - begins[f] if k < used else -1
+            leaf = k // LEAF
+            for d in range(3):
+                v = np.float32(spheres[row, d] - middles[f, d])
+                flat[6 * n + LEAF * n * d + k] = v
+                if k % LEAF == 0:
+                    flat[n * d + leaf] = flat[n * (3 + d) + leaf] = v
+                else:
+                    flat[n * d + leaf] = min(flat[n * d + leaf], v)
+                    flat[n * (3 + d) + leaf] = max(flat[n * (3 + d) + leaf], v)
+        first += n
+
+
+@inlined_kernel
+def place_on_curve(point, low, high):
+    """Where a point of a box is on the curve of Morton (1966): the bits of its three cell numbers in turn."""
+    place = np.uint32(0)
+    for d in range(3):
+        side = high[d] - low[d]
+        cell = np.uint32(min(CURVE * ((point[d] - low[d]) / side), CURVE - 1.0)) if side > 0.0 else np.uint32(0)
+        cell = (cell | (cell << np.uint32(16))) & np.uint32(0x030000FF)
+        cell = (cell | (cell << np.uint32(8))) & np.uint32(0x0300F00F)
+        cell = (cell | (cell << np.uint32(4))) & np.uint32(0x030C30C3)
+        cell = (cell | (cell << np.uint32(2))) & np.uint32(0x09249249)
+        place |= cell << np.uint32(d)
+    return place
+
+
+@inlined_kernel
+def _sort_by_place(rows, places, count, buckets):
+    """Sort the first `count` of rows[0] by places[0], the lowest bits first; equal ones stay in their order."""
+    for turn in range(_PASSES):
+        shift, of, to = np.uint32(_BITS_A_PASS * turn), turn % 2, 1 - turn % 2
+        buckets[:] = 0
+        for k in range(count):
+            buckets[_digit(places[of, k], shift)] += 1
+        begin = 0
+        for digit in range(len(buckets)):
+            buckets[digit], begin = begin, begin + buckets[digit]
+        for k in range(count):
+            digit = _digit(places[of, k], shift)
+            places[to, buckets[digit]], rows[to, buckets[digit]] = places[of, k], rows[of, k]
+            buckets[digit] += 1
+
+
+@inlined_kernel
+def _digit(place, shift):
+    return np.int64((place >> shift) & np.uint32((1 << _BITS_A_PASS) - 1))
+
+
+@inlined_kernel
+def worst_of_leaves(leaves, planes, used, worst):
+    """How far each leaf's box is, at least, beyond the farthest of half-spaces n . x <= o [m], into `worst` (n,)
+    float32: 0 or less where it reaches into all.
+
+    planes (used, 4) float32: n unit, o [m], about the leaves' middle.
+    """
+    n = len(leaves.entries) // LEAF
+    values = leaves.values
+    for k in range(n):
+        worst[k] = np.float32(-1.0)
+    for p in range(used):
+        plane = planes[p]
+        x = values[0:n] if plane[0] > 0.0 else values[3 * n : 4 * n]
+        y = values[n : 2 * n] if plane[1] > 0.0 else values[4 * n : 5 * n]
+        z = values[2 * n : 3 * n] if plane[2] > 0.0 else values[5 * n : 6 * n]
+        _see_beyond(plane, x, y, z, n, worst)
+
+
+@inlined_kernel
+def _see_beyond(plane, x, y, z, count, worst):
+    nx, ny, nz, offset = plane[0], plane[1], plane[2], plane[3]
+    for k in range(count):
+        beyond = nx * x[k] + ny * y[k] + nz * z[k] - offset
+        worst[k] = beyond if beyond > worst[k] else worst[k]
+
+
+@inlined_kernel
+def worst_of_samples(leaves, planes, used, worst, looked_at, reaching):
+    """Which leaves reach into all half-spaces by worst_of_leaves' `worst`, into `reaching`, and how far each of their
+    samples is beyond the farthest, 0 or less: it is in all, into looked_at[3] (LEAF for each); returns how many leaves.
+    """
+    n = len(leaves.entries) // LEAF
+    values, count = leaves.values, 0
+    for leaf in range(n):
+        if worst[leaf] > np.float32(0.0):
+            continue
+        reaching[count] = leaf
+        for d in range(3):
+            of, to = values[(6 + LEAF * d) * n + LEAF * leaf :], looked_at[d, LEAF * count :]
+            for k in range(LEAF):
+                to[k] = of[k]
+        count += 1
+    beyond = looked_at[3]
+    for k in range(LEAF * count):
+        beyond[k] = np.float32(-1.0)
+    for p in range(used):
+        _see_beyond(planes[p], looked_at[0], looked_at[1], looked_at[2], LEAF * count, beyond)
+    return count
+
+
+@inlined_kernel
+def farthest_sample(leaves, direction, hint, bounds):
+    """(place in `entries`, how far along) of the sample farthest along a direction (x, y, z), a unit vector [m].
+
+    From the leaves' middle, in single precision. hint: a place that may be the one; `bounds` (n,) float32: room.
+    """
+    n = len(leaves.entries) // LEAF
+    values = leaves.values
+    nx, ny, nz = np.float32(direction[0]), np.float32(direction[1]), np.float32(direction[2])
+    x = values[3 * n : 4 * n] if nx > 0.0 else values[0:n]
+    y = values[4 * n : 5 * n] if ny > 0.0 else values[n : 2 * n]
+    z = values[5 * n : 6 * n] if nz > 0.0 else values[2 * n : 3 * n]
+    for k in range(n):
+        bounds[k] = nx * x[k] + ny * y[k] + nz * z[k]
+    at, best = hint, np.float32(-np.inf)
+    if n:
+        best = nx * values[6 * n + at] + ny * values[(6 + LEAF) * n + at] + nz * values[(6 + 2 * LEAF) * n + at]
+    for leaf in range(n):
+        if not bounds[leaf] > best:
+            continue
+        for k in range(LEAF * leaf, LEAF * leaf + LEAF):
+            px, py, pz = values[6 * n + k], values[(6 + LEAF) * n + k], values[(6 + 2 * LEAF) * n + k]
+            along = nx * px + ny * py + nz * pz
+            if along > best:
+                at, best = k, along
+    return at, best
+
+
+@inlined_kernel
+def nearest_sample(leaves, x, y, z, bounds):
+    """How far [m] the nearest sample is from a point, from the leaves' middle, no less than it is; infinity: there is
+    none. `bounds` (n,) float32: room.
+    """
+    n = len(leaves.entries) // LEAF
+    values = leaves.values
+    px, py, pz, zero = np.float32(x), np.float32(y), np.float32(z), np.float32(0.0)
+    for k in range(n):
+        dx = max(values[k] - px, px - values[3 * n + k], zero)
+        dy = max(values[n + k] - py, py - values[4 * n + k], zero)
+        dz = max(values[2 * n + k] - pz, pz - values[5 * n + k], zero)
+        bounds[k] = dx * dx + dy * dy + dz * dz
+    first = 0
+    for k in range(1, n):
+        if bounds[k] < bounds[first]:
+            first = k
+    least = np.float32(np.inf)
+    for turn in range(-1, n):
+        leaf = turn if turn >= 0 else first
+        if n == 0 or not bounds[leaf] < least or leaf == turn == first:
+            continue
+        for k in range(LEAF * leaf, LEAF * leaf + LEAF):
+            dx, dy, dz = values[6 * n + k] - px, values[(6 + LEAF) * n + k] - py, values[(6 + 2 * LEAF) * n + k] - pz
+            least = min(least, dx * dx + dy * dy + dz * dz)
+    # single precision takes of each coordinate what it takes of one along a unit
+    return math.sqrt(np.float64(least)) * (1.0 + SAMPLE_ROUNDING) + leaves.middle[3]
+
+
+@inlined_kernel
+def sample_about_middle(leaves, at):
+    """(x, y, z) [m] of the sample at a place in `entries`, from the leaves' middle."""
+    n = len(leaves.entries) // LEAF
+    values = leaves.values
+    return (
+        np.float64(values[6 * n + at]), np.float64(values[(6 + LEAF) * n + at]),
+        np.float64(values[(6 + 2 * LEAF) * n + at]),
+    )  # fmt: skip

@@ -1,0 +1,326 @@
+"""Splitting, restructuring and extending a sphere tree at a fracture: Glondu 2014, sections 6.2 and 6.3.
+
+Split: a node whose descendants belong to several fragments is replicated once for each; a copy with a single child is
+left out. Restructure: a copy that lost its point takes the point of its subtree that is closest to the old one, and so
+do all nodes between. Extend: a new surface point goes under the mesh node at its own end of the cut edge, at the lowest
+node of that point's branch whose radius still exceeds their distance, else at the highest.
+
+Every tree is in preorder, and so is what is left of it for a fragment: one walk over the old tree deals out its entries
+to all fragments, and where new points go is a matter of sums. What a branch would decide entry by entry is put into
+arithmetic wherever it can be, since no processor guesses the shape of a tree.
+
+Without regard to the order (the paper's earlier version, its reference [27]): a copy that lost its point takes the
+first one that it finds, a new surface point goes under the leaf at its own end of the cut edge.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fracture_collision.core.memory.compiled import inlined_kernel, kernel, query_kernel
+from fracture_collision.core.memory.pools import NONE_BELOW, OWN_SAMPLE, SAMPLE, SIZE, SURFACE
+from fracture_collision.core.tree.sphere_tree_deal import deal_tree, find_parents
+
+NONE = -1
+
+
+class _Share(NamedTuple):
+    """Working space: one fragment's tree before its new points come in; a row an entry, and one more."""
+
+    spheres: np.ndarray  # (s, 4) float64 [m], centre and radius
+    sample: np.ndarray  # (s,) int32
+    on_surface: np.ndarray  # (s,) uint8
+    lost: np.ndarray  # (s,) uint8: its point went to another fragment
+    stale: np.ndarray  # (s,) uint8: its radius is that of other points
+    parent: np.ndarray  # (s,) int32
+    farthest: np.ndarray  # (s,) float64 [m]: of a leaf, the distance to the farthest new point beside it
+    watched: np.ndarray  # (s,) int32: the nearest watched entry (_place) from each one upwards, itself included
+    new_before: np.ndarray  # (s,) int32: new points that hang under entries before it
+    added: np.ndarray  # (s,) int32: how many new points hang under it
+    start: np.ndarray  # (s,) int32: where the first of them goes
+    closing: np.ndarray  # (s,) int32: rows added where a subtree ends that ends before the entry
+    shift: np.ndarray  # (s,) int32: rows added before the entry
+    surface_before: np.ndarray  # (s,) int32: entries before it whose point is on the surface
+
+
+class _New(NamedTuple):
+    """Working space: the new points."""
+
+    entry: np.ndarray  # (q,) int32: the entry each hangs under
+    distance: np.ndarray  # (q,) float64 [m] from the leaf of its mesh node
+    rank: np.ndarray  # (q,) int32: which of the entry's each is
+    x: np.ndarray  # (q,) float64 [m]: one fragment's, in the order of their entries
+    y: np.ndarray  # (q,)
+    z: np.ndarray  # (q,)
+
+
+@kernel
+def split_sphere_tree(
+    spheres, entries, fragment_of_entry, fragments, points, samples, parents, new_fragments, ordered, out_spheres,
+    out_entries,
+):  # fmt: skip
+    """Write one tree a fragment, one behind the other, from the tree of the fragment that broke; returns where each
+    begins (fragments + 1,) int64.
+
+    Trees are given as in TreePool: `spheres` (s, 4), `entries` (s, 3); fragment_of_entry (s,) int32: which fragment
+    each entry's point goes to, or NOBODYS. The new surface points: `points` (q, 3) [m], their `samples`, the mesh nodes
+    they hang under, `parents`, and their fragments (q,), int32. ordered: keep to the maximum-distance order.
+    `out_spheres`, `out_entries`: rows_of_split of them.
+    """
+    deal = deal_tree(entries, fragment_of_entry, fragments)
+    room = 0
+    for f in range(fragments):
+        room = max(room, deal.last[f] - deal.first[f] + 1)
+    share = _Share(
+        np.empty((room, 4)), np.empty(room, np.int32), np.empty(room, np.uint8), np.empty(room, np.uint8),
+        np.empty(room, np.uint8), np.empty(room, np.int32), np.empty(room), np.empty(room, np.int32),
+        np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room, np.int32),
+        np.empty(room, np.int32), np.empty(room, np.int32),
+    )  # fmt: skip
+    order, bounds = _grouped(new_fragments, fragments)
+    q = len(points)
+    new = _New(
+        np.empty(q, np.int32), np.empty(q), np.empty(q, np.int32), np.empty(q), np.empty(q), np.empty(q)
+    )
+    leaf_of = np.empty(parents.max() + 1 if len(parents) else 0, np.int32)  # of what new points may hang under
+    begin = np.zeros(fragments + 1, np.int64)
+    for f in range(fragments):
+        kept, size = deal.kept[deal.first[f] : deal.last[f]], deal.size[deal.first[f] : deal.last[f]]
+        _take(spheres, entries, fragment_of_entry, kept, size, f, share)
+        if ordered:
+            _restructure(size, share)
+        else:
+            _take_first_points(size, share)
+        _update_radii(size, share)
+        own = order[bounds[f] : bounds[f + 1]]
+        _place(size, share, own, points, parents, ordered, leaf_of, new)
+        _grow(size, share, own, points, new)
+        added = _make_room(size, share)
+        at = begin[f]
+        _write(size, share, own, points, samples, new, out_spheres[at:], out_entries[at:])
+        begin[f + 1] = at + len(size) + added
+    return begin
+
+
+def rows_of_split(entries: np.ndarray, new_points: int) -> int:
+    """Rows that split_sphere_tree needs for its trees, at most."""
+    # A tree has fewer inner nodes than leaves; a new point adds a leaf, and may make one of another leaf's point. The
+    # last entry is followed by a row that is written in vain.
+    return 2 * (int((entries[:, SIZE] == 1).sum()) + new_points) + 1
+
+
+@query_kernel
+def _take(spheres, entries, fragment_of_entry, kept, size, fragment, share):
+    for i in range(len(kept)):
+        o = kept[i]
+        s, c = share.spheres[i], spheres[o]
+        s[0], s[1], s[2], s[3] = c[0], c[1], c[2], c[3]
+        share.sample[i], share.on_surface[i] = entries[o, SAMPLE], entries[o, SURFACE] == OWN_SAMPLE
+        # a smaller subtree than before: descendants are missing
+        share.stale[i] = size[i] != entries[o, SIZE]
+        share.lost[i] = fragment_of_entry[o] != fragment
+
+
+@query_kernel
+def _restructure(size, share):
+    """Give each entry that lost its point the closest one below it, and the same to all entries in between."""
+    spheres = share.spheres
+    for i in range(len(size)):
+        if not share.lost[i]:
+            continue
+        best, best_d2 = -1, np.inf
+        for j in range(i + 1, i + size[i]):
+            d2 = _squared(spheres[j], spheres[i])
+            d2 = d2 if size[j] == 1 else np.inf
+            best, best_d2 = (j, d2) if d2 < best_d2 else (best, best_d2)
+        entry = i
+        while entry != best:
+            _take_point(share, entry, best)
+            share.lost[entry] = 0
+            child = entry + 1
+            while child + size[child] <= best:
+                child += size[child]
+            entry = child
+
+
+@query_kernel
+def _take_first_points(size, share):
+    """Give each entry that lost its point that of its first child."""
+    for i in range(len(size) - 1, -1, -1):
+        if share.lost[i]:
+            _take_point(share, i, i + 1)
+
+
+@inlined_kernel
+def _take_point(share, entry, other):
+    s, c = share.spheres[entry], share.spheres[other]
+    s[0], s[1], s[2] = c[0], c[1], c[2]
+    share.sample[entry], share.on_surface[entry] = share.sample[other], share.on_surface[other]
+    share.stale[entry] = 1
+
+
+@inlined_kernel
+def _squared(p, q):
+    dx, dy, dz = p[0] - q[0], p[1] - q[1], p[2] - q[2]
+    return dx * dx + dy * dy + dz * dz
+
+
+@query_kernel
+def _update_radii(size, share):
+    """Exact radii of all stale entries: the distance to the furthest point below, inner nodes' being leaves' too."""
+    spheres = share.spheres
+    for i in range(len(size)):
+        if not share.stale[i]:
+            continue
+        a = b = c = d = 0.0
+        j, end = i + 1, i + size[i]
+        # four at a time: a maximum waits for the one before
+        while j + 4 <= end:
+            a, b = max(a, _squared(spheres[j], spheres[i])), max(b, _squared(spheres[j + 1], spheres[i]))
+            c, d = max(c, _squared(spheres[j + 2], spheres[i])), max(d, _squared(spheres[j + 3], spheres[i]))
+            j += 4
+        while j < end:
+            a = max(a, _squared(spheres[j], spheres[i]))
+            j += 1
+        spheres[i, 3] = np.sqrt(max(a, b, c, d))
+
+
+@kernel
+def _grouped(groups, count):
+    """Indices by group 0 .. count - 1, ascending within each, and where each group begins (count + 1,)."""
+    bounds = np.zeros(count + 1, np.int64)
+    for g in groups:
+        bounds[g + 1] += 1
+    bounds = np.cumsum(bounds)
+    at = bounds[:-1].copy()
+    order = np.empty(len(groups), np.int64)
+    for q in range(len(groups)):
+        order[at[groups[q]]] = q
+        at[groups[q]] += 1
+    return order, bounds
+
+
+@query_kernel
+def _place(size, share, own, points, parents, ordered, leaf_of, new):
+    """Choose the entry that each of the `own` new points hangs under: fills `added` of the share, and `new`.
+
+    The sphere of an entry counts as it is when the point comes, grown by those that came before. That is asked only of
+    entries that some point of their own sample may climb past; these are watched and grow with each point, the others
+    later, all at once (_grow).
+    """
+    spheres, sample, parent = share.spheres, share.sample, share.parent
+    watched, farthest = share.watched, share.farthest
+    find_parents(size, parent)
+    for i in range(len(size)):
+        # the last entry with a sample is its leaf
+        if sample[i] < len(leaf_of):
+            leaf_of[sample[i]] = i
+        share.added[i], farthest[i] = 0, -1.0
+    for q in own:
+        leaf = leaf_of[parents[q]]
+        d = np.sqrt(_squared(points[q], spheres[leaf]))
+        new.entry[q], new.distance[q], farthest[leaf] = leaf, d, max(farthest[leaf], d)
+    for i in range(len(size)):
+        above = watched[parent[i]] if i else NONE
+        is_parent = size[i] > 1 and sample[i] < len(leaf_of)
+        watched[i] = i if is_parent and spheres[i, 3] <= farthest[leaf_of[sample[i]]] else above
+    for q in own:
+        entry, d = new.entry[q], new.distance[q]
+        if ordered:
+            own_sample = sample[entry]
+            while spheres[entry, 3] <= d and parent[entry] >= 0 and sample[parent[entry]] == own_sample:
+                entry = parent[entry]
+            up = watched[entry]
+            while up >= 0:
+                _reach(spheres[up], _squared(points[q], spheres[up]))
+                up = watched[parent[up]] if up else NONE
+        new.entry[q], new.rank[q] = entry, share.added[entry]
+        share.added[entry] += 1
+
+
+@inlined_kernel
+def _reach(sphere, d2):
+    if d2 > sphere[3] * sphere[3]:
+        sphere[3] = max(sphere[3], np.sqrt(d2))
+
+
+@query_kernel
+def _grow(size, share, own, points, new):
+    """Grow all spheres by the new points below them, which stand side by side in the order of their entries."""
+    spheres, before = share.spheres, share.new_before
+    x, y, z = new.x, new.y, new.z
+    count = 0
+    for i in range(len(size)):
+        before[i] = count
+        count += share.added[i]
+    before[len(size)] = count
+    for q in own:
+        at = before[new.entry[q]] + new.rank[q]
+        x[at], y[at], z[at] = points[q, 0], points[q, 1], points[q, 2]
+    for i in range(len(size)):
+        j, end, p = before[i], before[i + size[i]], spheres[i]
+        px, py, pz = p[0], p[1], p[2]
+        a = b = c = d = 0.0
+        # four at a time: a maximum waits for the one before
+        while j + 4 <= end:
+            a = max(a, (x[j] - px) ** 2 + (y[j] - py) ** 2 + (z[j] - pz) ** 2)
+            b = max(b, (x[j + 1] - px) ** 2 + (y[j + 1] - py) ** 2 + (z[j + 1] - pz) ** 2)
+            c = max(c, (x[j + 2] - px) ** 2 + (y[j + 2] - py) ** 2 + (z[j + 2] - pz) ** 2)
+            d = max(d, (x[j + 3] - px) ** 2 + (y[j + 3] - py) ** 2 + (z[j + 3] - pz) ** 2)
+            j += 4
+        while j < end:
+            a = max(a, (x[j] - px) ** 2 + (y[j] - py) ** 2 + (z[j] - pz) ** 2)
+            j += 1
+        _reach(p, max(a, b, c, d))
+
+
+@query_kernel
+def _make_room(size, share):
+    """Where entries go when the new leaves stand behind the children of theirs; returns how many rows come in.
+
+    A leaf that gets children becomes an inner node above a leaf of its own point. Of several subtrees that end at one
+    entry the inner ones come first.
+    """
+    n, shift = len(size), share.shift
+    for i in range(n + 1):
+        shift[i] = 0
+    for i in range(n - 1, -1, -1):
+        end, added = i + size[i], share.added[i]
+        share.closing[i] = shift[end]
+        shift[end] += added + (added > 0 and size[i] == 1)
+    rows = surface = 0
+    for i in range(n):
+        rows += shift[i]
+        shift[i] = rows
+        share.surface_before[i] = surface
+        surface += share.on_surface[i]
+    share.surface_before[n] = surface
+    return rows + shift[n]
+
+
+@query_kernel
+def _write(size, share, own, points, samples, new, out_spheres, out_entries):
+    """The share's entries and its `own` new points, to the first rows of `out`."""
+    before = share.surface_before
+    for i in range(len(size)):
+        end, added, at = i + size[i], share.added[i], i + share.shift[i]
+        share.start[i] = end + share.shift[end - 1] + share.closing[i] + (added > 0 and size[i] == 1)
+        rows = share.start[i] + added - at
+        p, own_mark = share.spheres[i], OWN_SAMPLE if share.on_surface[i] else NONE_BELOW
+        # new points are on the surface
+        mark = 0 if own_mark == NONE_BELOW and (before[end] > before[i] or rows > size[i]) else own_mark
+        _write_entry(out_spheres, out_entries, at, p[0], p[1], p[2], p[3], rows, share.sample[i], mark)
+        # the leaf of a leaf that becomes an inner node; of others whatever comes next is written over it
+        _write_entry(out_spheres, out_entries, at + 1, p[0], p[1], p[2], 0.0, 1, share.sample[i], own_mark)
+    for q in own:
+        p, at = points[q], share.start[new.entry[q]] + new.rank[q]
+        _write_entry(out_spheres, out_entries, at, p[0], p[1], p[2], 0.0, 1, samples[q], OWN_SAMPLE)
+
+
+@inlined_kernel
+def _write_entry(out_spheres, out_entries, at, x, y, z, radius, size, sample, mark):
+    s, e = out_spheres[at], out_entries[at]
+    s[0], s[1], s[2], s[3] = x, y, z, radius
+    e[SIZE], e[SAMPLE], e[SURFACE] = size, sample, mark

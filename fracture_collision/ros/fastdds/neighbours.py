@@ -1,0 +1,137 @@
+"""The other nodes of a domain: their names, and who of them was killed and is forgotten therefore."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable
+
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+
+from fracture_collision.ros.fastdds.farewell import participants_here, say_farewell_of
+from fracture_collision.ros.fastdds.message_origin import participant_of
+from fracture_collision.ros.fastdds.participant_process import (
+    Process,
+    are_of_one_host,
+    is_dead,
+    is_of_this_process,
+    is_stopped,
+    process_of,
+)
+
+EVERYBODYS_TOPICS = ("/rosout", "/parameter_events")  # a node publishes both unless it is told not to
+LOOK_INTERVAL = 1.0  # [s]
+LONGEST_FAREWELL = 0.1  # [s] one is heard in less than a millisecond, or not at all
+# Usually they are known within a second; whoever misses the first announcement hears the next after 3 s.
+LONGEST_ACQUAINTANCE = 3.5  # [s]
+QUIET = 0.1  # [s] nobody new has come for so long
+_DISCOVERY_TOPIC = "ros_discovery_info"  # of rmw itself: each participant reads it
+_UNKNOWN = "_NODE_NAME_UNKNOWN_"  # what rmw says of a node whose publishers it has met already
+
+
+class Neighbours:
+    """Looks around once a second, while its node spins, and when it is told to."""
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._names: dict[bytes, str] = {}
+        self._processes: dict[bytes, Process | None] = {}  # None: none of this machine, as far as can be told
+        self.dead: set[bytes] = set()  # who is listed still, or was at the last look
+        # By topic, who listened when not all acknowledged a message in time: one of them, at least, is slow.
+        self.slow: dict[str, frozenset[bytes]] = {}
+        self._count, self._count_since = 0, time.monotonic()  # of participants, when are_all_known was last asked
+        # Not of the node's clock: under use_sim_time that stands still until somebody moves it.
+        node.create_timer(LOOK_INTERVAL, self.look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def await_all(self) -> bool:
+        """Waits until all participants of this machine are known, and what they listen to: who speaks earlier speaks
+        past them. False: not all, in LONGEST_ACQUAINTANCE.
+        """
+        deadline = time.monotonic() + LONGEST_ACQUAINTANCE
+        while not self.are_all_known():
+            if time.monotonic() > deadline:
+                return False
+            time.sleep(0.01)
+        return True
+
+    def are_all_known(self) -> bool:
+        """Whether all participants of this machine are known, and nobody new has come for QUIET: as far as can be told
+        from when this was asked before.
+        """
+        count = len(self._node.get_subscriptions_info_by_topic(_DISCOVERY_TOPIC, no_mangle=True))
+        if count != self._count:
+            self._count, self._count_since = count, time.monotonic()
+        is_quiet = time.monotonic() - self._count_since >= QUIET
+        return is_quiet and count >= participants_here(self._node.context.get_domain_id())
+
+    def look(self, *more: TopicEndpointInfo) -> None:
+        """Notices who came, `more` of them perhaps, and forgets whose process has died since."""
+        infos = [*more, *self._everybody()]
+        present = {participant_of(bytes(info.endpoint_gid)) for info in infos}
+        for known in (self._names, self._processes):
+            for participant in known.keys() - present:
+                del known[participant]
+        self.dead &= present
+        for info in infos:
+            if not is_nameless(info):
+                name = f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+                self._names[participant_of(bytes(info.endpoint_gid))] = name
+        own = self._own(infos)
+        if own is None:
+            return
+        for participant in sorted(present - self._processes.keys()):
+            is_near = are_of_one_host(participant, own) and participant != own
+            self._processes[participant] = process_of(participant) if is_near else None
+        for participant in sorted(present - {own}):
+            process = self._processes[participant]
+            if process is not None and is_dead(process):
+                self._bury(participant)
+
+    def name(self, participant: bytes) -> str:
+        """Two nodes may have one name, so with a part of their GUID; and whether it is stopped."""
+        process = self._processes.get(participant)
+        state = ", stopped" if process is not None and is_stopped(process) else ""
+        return f"{self._names.get(participant, 'a node')} [{participant[4:].hex()}]{state}"
+
+    def are_some_stopped(self, participants: Iterable[bytes]) -> bool:
+        """Of processes of this machine that are known."""
+        processes = (self._processes.get(participant) for participant in participants)
+        return any(process is not None and is_stopped(process) for process in processes)
+
+    def names(self, participants: Iterable[bytes]) -> str:
+        return ", ".join(sorted(map(self.name, participants))) or "nobody"
+
+    def said_of_the_slow(self) -> str:
+        """Topics that somebody is slow on, each with all who may be the one."""
+        return "; ".join(f"{topic}: {self.names(who)}" for topic, who in sorted(self.slow.items())) or "nobody"
+
+    def _everybody(self) -> list[TopicEndpointInfo]:
+        return [info for topic in EVERYBODYS_TOPICS for info in self._node.get_publishers_info_by_topic(topic)]
+
+    def _own(self, infos: list[TopicEndpointInfo]) -> bytes | None:
+        own_name = self._node.get_name(), self._node.get_namespace()
+        for info in infos:
+            participant = participant_of(bytes(info.endpoint_gid))
+            if (info.node_name, info.node_namespace) == own_name and is_of_this_process(participant):
+                return participant
+        return None
+
+    def _bury(self, participant: bytes) -> None:
+        say_farewell_of(participant, self._node.context.get_domain_id())
+        if participant in self.dead:  # it was in vain, and may be so again
+            return
+        self.dead.add(participant)
+        deadline = time.monotonic() + LONGEST_FAREWELL
+        while (is_listed := self._lists(participant)) and time.monotonic() < deadline:
+            time.sleep(0.001)
+        outcome = "will be forgotten when its lease has run out" if is_listed else "is forgotten"
+        self._node.get_logger().info(f"{self.name(participant)} has died without a word and {outcome}")
+
+    def _lists(self, participant: bytes) -> bool:
+        return any(participant_of(bytes(info.endpoint_gid)) == participant for info in self._everybody())
+
+
+def is_nameless(info: TopicEndpointInfo) -> bool:
+    """Its node's name has not come yet."""
+    return info.node_name.startswith(_UNKNOWN)

@@ -1,0 +1,97 @@
+"""What a person does in a live scene, as messages to live_simulator_node: for the page, for teleop, for tests."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from geometry_msgs.msg import Point, Twist, Vector3
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.parameter_client import AsyncParameterClient
+from rclpy.task import Future
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
+from std_srvs.srv import SetBool, Trigger
+
+from fracture_collision.msg import HandTarget, ThrowBall
+from fracture_collision.ros.wire import qos
+
+SIMULATOR = "simulator_node"  # a live one bears the name too
+
+
+class LiveClient:
+    """Commands of one `node`. Whatever returns a Future is answered while the node spins."""
+
+    def __init__(self, node: Node) -> None:
+        self._balls, self._hand, self._velocity, self._joints = (
+            node.create_publisher(topic.message_class, topic.name, topic.qos)
+            for topic in (qos.THROW_BALL, qos.HAND_TARGET, qos.CMD_VEL, qos.JOINT_COMMANDS)
+        )
+        self._reset, self._step = (node.create_client(Trigger, name) for name in ("reset", "step"))
+        self._pause = node.create_client(SetBool, "pause")
+        self._parameters = AsyncParameterClient(node, SIMULATOR)
+
+    def is_there(self) -> bool:
+        """Whether a live simulator listens to all of this."""
+        said = (self._balls, self._hand, self._velocity, self._joints)
+        heard = all(each.get_subscription_count() > 0 for each in said)
+        return heard and all(each.service_is_ready() for each in (self._reset, self._step, self._pause))
+
+    def throw(
+        self, position: Sequence[float], velocity: Sequence[float], radius: float = 0.04, density: float = 2000.0
+    ) -> None:
+        """As ThrowBall.msg says."""
+        self._balls.publish(
+            ThrowBall(
+                header=Header(frame_id="world"), position=_point(position), velocity=_vector(velocity),
+                radius=float(radius), density=float(density),
+            )  # fmt: skip
+        )
+
+    def drag(self, run_id: int, fragment_id: int, grip: Sequence[float], target: Sequence[float]) -> None:
+        """As HandTarget.msg says."""
+        self._hand.publish(
+            HandTarget(
+                header=Header(frame_id="world"), run_id=run_id, fragment_id=fragment_id, grip=_point(grip),
+                target=_point(target),
+            )  # fmt: skip
+        )
+
+    def let_go(self) -> None:
+        """The hand holds nothing any more."""
+        self._hand.publish(HandTarget(header=Header(frame_id="world")))
+
+    def steer(self, velocity: Sequence[float]) -> None:
+        """The hammer goes with `velocity` (3,) [m/s], world axes, until told otherwise."""
+        self._velocity.publish(Twist(linear=_vector(velocity)))
+
+    def command_joints(self, positions: Sequence[float], names: Sequence[str] = ()) -> None:
+        """The scene's arm goes to `positions` [rad] of these joints, of all in order without names."""
+        self._joints.publish(JointState(name=list(names), position=[float(position) for position in positions]))
+
+    def reset(self) -> Future:
+        """Of a Trigger.Response."""
+        return self._reset.call_async(Trigger.Request())
+
+    def pause(self, paused: bool) -> Future:
+        """Of a SetBool.Response."""
+        return self._pause.call_async(SetBool.Request(data=paused))
+
+    def step(self) -> Future:
+        """One step while it is paused; of a Trigger.Response."""
+        return self._step.call_async(Trigger.Request())
+
+    def set_parameters(self, **values: Any) -> Future:
+        """`rate`, `next_scene`; of a SetParameters.Response."""
+        return self._parameters.set_parameters([Parameter(name, value=value) for name, value in values.items()])
+
+
+def _point(values: Sequence[float]) -> Point:
+    x, y, z = map(float, values)
+    return Point(x=x, y=y, z=z)
+
+
+def _vector(values: Sequence[float]) -> Vector3:
+    x, y, z = map(float, values)
+    return Vector3(x=x, y=y, z=z)

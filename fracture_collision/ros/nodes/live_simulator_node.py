@@ -1,0 +1,238 @@
+"""A simulator to play with: paced by the clock, it goes on until it is told to end and takes commands by topics.
+
+throw_ball, hand_target and cmd_vel (any teleop tool's) act in the scene, joint_commands on its arm if it has one, which
+tells joint_states; the services reset, pause and step on the run. What is asked for is done between two steps, in the
+order it came. Steps themselves are simulator_node's.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections import deque
+from collections.abc import Callable
+
+import numpy as np
+from geometry_msgs.msg import Twist
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
+from std_srvs.srv import SetBool, Trigger
+
+from fracture_collision.msg import HandTarget, SimulationStatus, ThrowBall
+from fracture_collision.ros.fastdds.prompt_executor import PromptExecutor
+from fracture_collision.ros.nodes.simulator_node import SimulatorNode, derived_run_id, work
+from fracture_collision.ros.processes.parameters import Range, declare
+from fracture_collision.ros.processes.process import Fatal, run_node
+from fracture_collision.ros.wire import qos
+from fracture_collision.simulation.live import Ball, CommandRefused, LiveScene
+from fracture_collision.simulation.scene.scene import Scene, SceneError, load_scene, scene_names
+from fracture_collision.simulation.simulation import Simulation, StepReport
+
+STATUS_INTERVAL = 0.02  # [s]
+PAUSE_LOOK = 0.05  # [s] between two looks while nothing runs
+# Behind the clock by more than this [s], what was lost is given up: nothing is gained by hurrying after it.
+MOST_BEHIND = 0.1
+RATE_WINDOW = 1.0  # [s] over which the rate that is reached is told
+
+
+class LiveSimulatorNode(SimulatorNode):
+    """A node of the same name as SimulatorNode: to the service it is one.
+
+    Parameters: `scene`, `seed`, `run_id`, `wait_for_subscribers`; while it runs `rate` and `next_scene`.
+    """
+
+    def __init__(self) -> None:
+        self._live: LiveScene | None = None
+        super().__init__()
+        declare(self, "rate", 1.0, "simulated time over real time; 0.1: slow motion", Range(0.01, 10.0))
+        self._scene_name = self.get_parameter("scene").value  # as load_scene takes it
+        # Whoever sets this may be a page in a browser: no paths, but for the one that was given at the start.
+        self._offered = ("", self._scene_name, *scene_names())
+        self.add_on_set_parameters_callback(self._judge)
+        declare(self, "next_scene", "", "begun at the next reset: a name in config/scenes; '': the same")
+        self._commands: deque[Callable[[], None]] = deque()
+        self._paused, self._steps_allowed = False, 0
+        self._next: Scene | None = None
+        self._next_status = 0.0
+        self._refused = ""
+        self._reached: deque[tuple[float, float]] = deque()  # real and simulated time of the last steps
+        for topic, callback in (
+            (qos.THROW_BALL, self._on_ball), (qos.HAND_TARGET, self._on_hand), (qos.CMD_VEL, self._on_velocity),
+            (qos.JOINT_COMMANDS, self._on_joints),
+        ):  # fmt: skip
+            self.create_subscription(topic.message_class, topic.name, callback, topic.qos)
+        self._status, self._joints = (
+            self.create_publisher(topic.message_class, topic.name, topic.qos)
+            for topic in (qos.SIMULATION_STATUS, qos.JOINT_STATES)
+        )
+        self.create_service(Trigger, "reset", self._on_reset)
+        self.create_service(Trigger, "step", self._on_step)
+        self.create_service(SetBool, "pause", self._on_pause)
+
+    def _make_simulation(self, scene: Scene, seed: int) -> Simulation:
+        self._live, self._scene, self._seed = LiveScene(scene, seed, self._looks_ahead), scene, seed
+        return self._live.simulation
+
+    # --- the run ---------------------------------------------------------------------------------------------------
+
+    def run(self, executor: PromptExecutor) -> None:
+        """Until rclpy says that it is over, by ExternalShutdownException."""
+        self._await_subscribers(executor)
+        while True:
+            try:
+                self._run_once(executor)
+            except Fatal as error:
+                self.get_logger().error(f"{error}; beginning again")
+                self._next = self._scene
+            self._begin_again()
+
+    def _run_once(self, executor: PromptExecutor) -> None:
+        """Until a reset is asked for."""
+        self._announce(self._simulation.start_bodies(), [])
+        due = time.monotonic()
+        report, round_trip = None, 0.0
+        while self._next is None:
+            # the first step is made all the same: who looks has nothing to see before
+            if self._paused and not self._steps_allowed and report is not None:
+                self._tell(report, round_trip)
+                executor.spin_once(timeout_sec=PAUSE_LOOK)
+                due = time.monotonic()
+            elif (left := due - time.monotonic()) > 0.0:
+                executor.spin_once(timeout_sec=left)
+                continue
+            else:
+                self._steps_allowed = max(self._steps_allowed - 1, 0)
+                report, _, round_trip = self._step(executor)
+                due = max(due + self._scene.time_step / self._rate, time.monotonic() - MOST_BEHIND)
+                self._tell(report, round_trip)
+                executor.spin_once(timeout_sec=0)
+            while self._commands and self._next is None:
+                self._commands.popleft()()
+
+    def _begin_again(self) -> None:
+        scene, self._next = self._next, None
+        self._live.close()
+        self._simulation = self._make_simulation(scene, self._seed + 1)
+        self._run_id = derived_run_id(f"{scene.name}/{time.time_ns()}", self._seed)
+        self._commands.clear()
+        self._reached.clear()
+        self._refused = ""
+        self._static_fragments.clear()
+        # whoever comes now shall find this run alone
+        for publisher in (self._bodies, self._events):
+            self.destroy_publisher(publisher)
+        self._bodies, self._events = self._open_log()
+
+    @property
+    def _rate(self) -> float:
+        return self.get_parameter("rate").value
+
+    def _tell(self, report: StepReport | None, round_trip: float) -> None:
+        now = time.monotonic()
+        if report is not None:
+            self._reached.append((now, report.time))
+        while self._reached and self._reached[0][0] < now - RATE_WINDOW:
+            self._reached.popleft()
+        if now < self._next_status:
+            return
+        self._next_status = now + STATUS_INTERVAL
+        status = SimulationStatus(
+            header=Header(frame_id="world"), run_id=self._run_id, scene=self._scene.name, paused=self._paused,
+            time_step=self._scene.time_step, rate=self._rate, round_trip=round_trip, refused=self._refused,
+        )  # fmt: skip
+        if len(self._reached) > 1:
+            (began, first), (ended, last) = self._reached[0], self._reached[-1]
+            status.achieved_rate = (last - first) / max(ended - began, 1e-9)
+        if report is not None:
+            seconds, nanoseconds = divmod(round(report.time * 1e9), 10**9)
+            status.header.stamp.sec, status.header.stamp.nanosec = seconds, nanoseconds
+            status.step, status.fragments, status.contacts = report.step + 1, report.fragments, report.contacts
+            status.solver, status.fracture = report.solver_seconds, report.fracture_seconds
+            status.kinetic_energy = report.kinetic_energy
+        self._status.publish(status)
+        arm = self._simulation.arm
+        if arm is not None:
+            self._joints.publish(
+                JointState(
+                    header=Header(stamp=status.header.stamp), name=list(arm.limits.names),
+                    position=arm.angles.tolist(), velocity=arm.speeds.tolist(),
+                )  # fmt: skip
+            )
+
+    # --- commands --------------------------------------------------------------------------------------------------
+
+    def _later(self, topic: qos.Topic, command: Callable[[], None]) -> None:
+        """Between two steps; what is refused then is told in the status, and in the log."""
+
+        def act() -> None:
+            try:
+                command()
+            except CommandRefused as error:
+                self._refused = f"{topic.name}: {error}"
+                self.get_logger().warning(self._refused, throttle_duration_sec=1.0)
+
+        self._commands.append(act)
+
+    def _on_ball(self, message: ThrowBall) -> None:
+        ball = Ball(_xyz(message.position), _xyz(message.velocity), message.radius, message.density)
+        self._later(qos.THROW_BALL, lambda: self._live.throw(ball))
+
+    def _on_hand(self, message: HandTarget) -> None:
+        if message.run_id != self._run_id and message.fragment_id:
+            return  # of the run before a reset
+        grip, target = _xyz(message.grip), _xyz(message.target)
+        self._later(qos.HAND_TARGET, lambda: self._live.drag(message.fragment_id, grip, target))
+
+    def _on_velocity(self, message: Twist) -> None:
+        velocity = _xyz(message.linear)
+        self._later(qos.CMD_VEL, lambda: self._live.steer(velocity))
+
+    def _on_joints(self, message: JointState) -> None:
+        names, positions = list(message.name), list(message.position)
+        self._later(qos.JOINT_COMMANDS, lambda: self._live.command_joints(names, positions))
+
+    def _judge(self, parameters: list[Parameter]) -> SetParametersResult:
+        if all(each.value in self._offered for each in parameters if each.name == "next_scene"):
+            return SetParametersResult(successful=True)
+        reason = f"next_scene: needs the name of a scene: {', '.join(self._offered[1:])}"
+        return SetParametersResult(successful=False, reason=reason)
+
+    def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        name = self.get_parameter("next_scene").value or self._scene_name
+        try:
+            self._next = load_scene(name)
+        except (SceneError, OSError) as error:
+            # Errors quote the file, which is nobody's business but this machine's.
+            self.get_logger().error(str(error))
+            response.message = f"{name} cannot be read; the log of simulator_node says why"
+            return response
+        self._scene_name = name
+        response.success, response.message = True, f"{name} begins again"
+        return response
+
+    def _on_step(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.success = self._paused
+        if self._paused:
+            self._steps_allowed += 1
+        else:
+            response.message = "it is not paused"
+        return response
+
+    def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        self._paused, self._steps_allowed = request.data, 0
+        response.success, response.message = True, "paused" if request.data else "going on"
+        return response
+
+
+def _xyz(vector: object) -> np.ndarray:
+    return np.array([vector.x, vector.y, vector.z])
+
+
+def main() -> int:
+    return run_node(LiveSimulatorNode, work)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,258 @@
+"""A copy of the service beside the page, for what a person sees inside collision detection and the service never tells.
+
+Contacts are a function of bodies, events, states and settings, all of which are on topics: so the copy knows what the
+service knows. It is made when a switch is thrown and dropped when none is on, works in a thread of its own at a few
+steps a second, the newest only, and always has the exact field and the shortest ways out: the truth that the service's
+answers are compared with.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from fracture_collision.cdr import Received
+from fracture_collision.records import CollisionBody, ContactConstraintArray
+from fracture_collision.ros.service.collision_run import CollisionRun
+from fracture_collision.ros.wire.conversion import to_record
+from fracture_collision.viewer.page.page_events import InsideWanted, PlaneWanted
+from fracture_collision.viewer.page.page_inside import InsideFigures, InsideView, PlanePicture, Spheres
+from fracture_collision.world import CollisionWorld, InvalidMessage, Settings, StatesAhead
+from fracture_collision.world.inspection import (
+    asked_with,
+    errors_of,
+    every_contact,
+    field_on_plane,
+    reach_along,
+    spheres_of_level,
+)
+from fracture_collision.world.present import Present
+
+INTERVAL = 0.2  # [s] between two looks, at least
+BUSY_SHARE = 0.5  # of the time that it may work: the service needs the processor too
+REMEMBERED = 4  # states whose answers may still come
+ENDING = 2.0  # [s] that a look may take when the page ends
+# What an answer depends on, and the truth has its own of.
+ANSWER_SETTINGS = (
+    "contacts_per_pair", "selection", "deep_contacts_per_pair", "penetration_tolerance", "visit_budget", "field",
+)  # fmt: skip
+
+
+class _Job(NamedTuple):
+    """What one look is made of."""
+
+    run_id: int
+    log: list[Any]  # bodies and events of the run, which grows
+    told: int  # how much of it there is
+    states: Received
+    answer: ContactConstraintArray | None  # the service's, to these states; None: it is asked here, or not wanted
+    wanted: InsideWanted
+    settings: Settings  # of the service
+    collision_ms: float | None
+    is_replayed: bool
+
+
+class Mirror:
+    """Hears what the page hears; `show` gets what is wanted, in the mirror's thread, and has to return at once."""
+
+    def __init__(self, show: Callable[[InsideView], None]) -> None:
+        self._show = show
+        self._news = threading.Condition()
+        self._wanted = InsideWanted()
+        self._settings = Settings()
+        self._paused = False
+        self._collision_ms: float | None = None
+        self._closed = False
+        self._begin(0)
+        # of the thread alone
+        self._run: CollisionRun | None = None
+        self._fed = 0  # of the run's log
+        self._spheres: tuple[Any, Spheres] | None = None  # and what they were made for
+        self._reach: tuple[Any, tuple[float, float]] | None = None  # likewise
+        self._thread = threading.Thread(target=self._work, name="mirror", daemon=True)
+        self._thread.start()
+
+    # --- what the page's node tells, from its thread ---------------------------------------------------------------
+
+    @property
+    def wants_contacts(self) -> bool:
+        return self._wanted.compares
+
+    def new_run(self, run_id: int) -> None:
+        """From now on nothing of an earlier run is shown."""
+        with self._news:
+            self._begin(run_id)
+
+    def hear(self, message: Any) -> None:
+        """A body, as a record, or a fracture event, as a message: kept as it is, for a copy that is made later."""
+        self._log.append(message)
+
+    def hear_states(self, states: Received) -> None:
+        with self._news:
+            self._states[states.record.step] = states
+            while len(self._states) > REMEMBERED:
+                del self._states[next(iter(self._states))]
+            self._have_news()
+
+    def hear_contacts(self, contacts: ContactConstraintArray) -> None:
+        with self._news:
+            states = self._states.get(contacts.step)
+            if states is not None:
+                self._exchange = states, contacts, self._settings
+                self._have_news()
+
+    def hear_times(self, collision_ms: float) -> None:
+        self._collision_ms = collision_ms
+
+    def hear_paused(self, paused: bool) -> None:
+        with self._news:
+            if paused != self._paused:
+                self._paused = paused
+                self._have_news()
+
+    def hear_settings(self, values: dict[str, Any]) -> None:
+        with self._news:
+            self._settings = Settings(**values)
+            self._have_news()
+
+    def want(self, wanted: InsideWanted) -> None:
+        with self._news:
+            self._wanted, self._is_new = wanted, True
+            self._news.notify()
+
+    def close(self) -> None:
+        with self._news:
+            self._closed = True
+            self._news.notify()
+        self._thread.join(ENDING)
+
+    def _begin(self, run_id: int) -> None:
+        self._run_id = run_id
+        self._log: list[Any] = []
+        self._states: dict[int, Received] = {}  # the last ones, by step
+        self._exchange: tuple[Received, ContactConstraintArray, Settings] | None = None  # the newest, and its settings
+        self._is_new = False
+
+    def _have_news(self) -> None:
+        if self._wanted.anything:
+            self._is_new = True
+            self._news.notify()
+
+    # --- the thread ------------------------------------------------------------------------------------------------
+
+    def _work(self) -> None:
+        due = 0.0
+        while True:
+            with self._news:
+                self._news.wait_for(lambda: self._closed or self._is_new)
+                self._news.wait_for(lambda: self._closed, max(due - time.monotonic(), 0.0))
+                if self._closed:
+                    return
+                self._is_new = False
+                job = self._next_job()
+            if job is None:
+                self._run = self._spheres = self._reach = None
+                continue
+            began = time.monotonic()
+            try:
+                view = self._look(job)
+            except (StatesAhead, InvalidMessage):  # the service says so; the next ones may be all right
+                view = None
+            except Exception:
+                traceback.print_exc()
+                view = None
+            with self._news:
+                if view is not None and job.run_id == self._run_id:
+                    self._show(view)
+            ended = time.monotonic()
+            due = max(began + INTERVAL, ended + (ended - began) * (1.0 / BUSY_SHARE - 1.0))
+
+    def _next_job(self) -> _Job | None:
+        """None: there is nothing to look at, or nobody looks."""
+        if not self._wanted.anything or not self._states:
+            return None
+        states, answer, is_replayed = self._states[next(reversed(self._states))], None, False
+        if self._wanted.compares:
+            if self._exchange is not None and (not self._paused or self._exchange[0] is states):
+                states, answer, settings = self._exchange
+                if self._paused and settings != self._settings:
+                    answer = None
+            # the service is asked for nothing while the scene stands
+            is_replayed = self._paused and answer is None
+        return _Job(
+            self._run_id, self._log, len(self._log), states, answer, self._wanted, self._settings, self._collision_ms,
+            is_replayed,
+        )  # fmt: skip
+
+    def _look(self, job: _Job) -> InsideView:
+        world = self._world(job)
+        states, wanted = job.states.record, job.wanted
+        here = world.present(states)
+        spheres = self._spheres_of(job, world, here) if wanted.level is not None else None
+        plane = self._plane(job, world, here, wanted.plane) if wanted.plane is not None else None
+        if wanted.plane is None:
+            self._reach = None
+        figures = None
+        if wanted.compares and (job.answer is not None or job.is_replayed):
+            figures = _figures(job, world, here)
+        return InsideView(spheres, plane, figures)
+
+    def _world(self, job: _Job) -> CollisionWorld:
+        """That knows what was said so far."""
+        truth = job.settings._replace(field="exact", normals="nearest", threads=1, neighbour_lists=False)
+        if self._run is None or self._run.run_id != job.run_id:
+            self._run, self._fed = CollisionRun(job.run_id, truth), 0
+        if self._run.world.settings != truth:
+            self._run.world.change_settings(truth)
+        for said in job.log[self._fed : job.told]:
+            if isinstance(said, CollisionBody):
+                self._run.add_body(said)
+            else:
+                self._run.add_fracture(to_record(said))
+        self._fed = job.told
+        return self._run.world
+
+    def _spheres_of(self, job: _Job, world: CollisionWorld, here: Present) -> Spheres:
+        made_for = job.run_id, job.states.record.fracture_sequence, job.wanted.level, here.ids.tobytes()
+        if self._spheres is None or self._spheres[0] != made_for:
+            found = spheres_of_level(world, here, job.wanted.level)
+            self._spheres = made_for, Spheres(
+                job.wanted.level, found.deepest, found.fragment_ids, found.centres, found.radii
+            )
+        return self._spheres[1]
+
+    def _plane(self, job: _Job, world: CollisionWorld, here: Present, wanted: PlaneWanted) -> PlanePicture | None:
+        """The reach is kept, so that a plane stands still in a scene that moves."""
+        made_for = job.run_id, wanted.axis
+        if self._reach is None or self._reach[0] != made_for:
+            reach = reach_along(world, here, wanted.axis)
+            if reach is None:
+                return None
+            self._reach = made_for, reach
+        low, high = self._reach[1]
+        found = field_on_plane(world, here, wanted.axis, low + wanted.share * (high - low))
+        return None if found is None else PlanePicture(*found)
+
+
+def _figures(job: _Job, world: CollisionWorld, here: Present) -> InsideFigures:
+    states, answer, collision_ms = job.states.record, job.answer, job.collision_ms
+    if answer is None:
+        chosen = {name: getattr(job.settings, name) for name in ANSWER_SETTINGS}
+        answer = asked_with(world, states, **chosen)
+        collision_ms = 1e3 * (world.last_timings["broad_phase"] + world.last_timings["narrow_phase"])
+    every = every_contact(world, states)
+    errors = errors_of(answer, every, world, world.present(states), job.settings.penetration_tolerance)
+    head = job.states.heading
+    return InsideFigures(
+        time=head.sec + 1e-9 * head.nanosec,
+        contacts=errors.listed,
+        colliding=errors.colliding,
+        unlisted_mm=1e3 * errors.unlisted,
+        promised_mm=1e3 * errors.promised,
+        too_shallow_mm=1e3 * errors.too_shallow,
+        collision_ms=collision_ms,
+        is_replayed=job.is_replayed,
+    )

@@ -1,0 +1,391 @@
+"""The page of a live scene: hears what the nodes say, shows it in browsers, and tells the nodes what a person does.
+
+Everything comes by topics, so the page may run anywhere a viewer may, and it may come and go while the scene runs. It
+asks for states and contacts without a promise (best effort): nobody waits for somebody who only looks.
+"""
+
+from __future__ import annotations
+
+import gc
+import json
+import sys
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.parameter_client import AsyncParameterClient
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.timer import Timer
+from scipy.spatial.transform import Rotation
+from sensor_msgs.msg import JointState
+
+from fracture_collision.cdr import Received
+from fracture_collision.msg import AnswerTimes, SimulationStatus
+from fracture_collision.records import REMOVE, FragmentStates
+from fracture_collision.ros.fastdds.prompt_executor import PromptExecutor
+from fracture_collision.ros.nodes.live_client import LiveClient
+from fracture_collision.ros.nodes.page_mirror import Mirror
+from fracture_collision.ros.nodes.recordings import RecordingFailed, Recordings
+from fracture_collision.ros.nodes.service_settings import ServiceSettings
+from fracture_collision.ros.processes.parameters import Range, declare_fixed
+from fracture_collision.ros.processes.process import Fatal, nothing_to_lose, run_node
+from fracture_collision.ros.wire import qos
+from fracture_collision.ros.wire.cdr_records import deserialize_record
+from fracture_collision.ros.wire.conversion import to_record
+from fracture_collision.simulation.actors.arm import PARTS, joint_limits
+from fracture_collision.simulation.scene.scene import scene_files
+from fracture_collision.viewer.page.page import Page
+from fracture_collision.viewer.page.page_events import Ball, Drag, Handlers, Joint, Ray, ServiceSliders, Start
+from fracture_collision.viewer.page.page_plots import Figures
+from fracture_collision.viewer.pictures.body_mesh import compile_mesh_kernels
+
+SERVICE = "collision_node"
+LOOKING = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+TOLD = frozenset({"collision_ms", "update_ms", "solver_ms", "ros_ms", "contacts", "fragments"})
+GRAVITY = 9.81  # [m/s2] that a thrown ball is aimed against
+OUT_OF_THE_EYE = 0.2  # [m] before the eye a ball starts
+HAMMER_SPEED = 1.0  # [m/s]
+KEY_HOLDS = 0.3  # [s] that the hammer goes on after an arrow key's last word
+# [s] Messages, pictures and browsers have a thread each: with Python's own 5 ms the one that has a short thing to do
+# waits too long for the one that has a long one.
+SWITCH_INTERVAL = 0.5e-3
+LOOK_INTERVAL = 0.2  # [s] between two looks at who answers, and whether its settings have changed
+ARROWS = {"up": (0.0, 1.0), "down": (0.0, -1.0), "right": (1.0, 0.0), "left": (-1.0, 0.0)}  # x, y
+
+
+class PageNode(Node):
+    """Prints the page's address as a line of JSON. Parameters: `host`, `port`, `scene`, `folder` of recordings.
+
+    Has the service look ahead by a step of the scene that is played, whenever that is another: a person throws faster
+    than a scene does.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("page_node")
+        host = declare_fixed(self, "host", "127.0.0.1", "address to serve; others than this machine get in by 0.0.0.0")
+        port = declare_fixed(self, "port", 0, "0: any that is free", Range(0, 65535))
+        scene = declare_fixed(self, "scene", "plates", "that runs when the page opens")
+        folder = Path(declare_fixed(self, "folder", "out/play", "where recordings go"))
+        self._recordings = Recordings(folder, self.get_namespace())
+        self._hands = LiveClient(self)
+        self._service = AsyncParameterClient(self, SERVICE)
+        self._mirror = Mirror(lambda view: self.page.show_inside(view))
+        # From the page's thread to this one's.
+        self._orders: deque[Callable[[], None]] = deque()
+        self._wake = self.create_guard_condition(self._obey)
+
+        self._run_id = 0
+        self._body_of: dict[int, int] = {}  # of each fragment
+        self._meshes: dict[int, Any] = {}  # that came before it was known of which body they are
+        self._states: FragmentStates | None = None
+        self._early: Received | None = None  # states that came before the first body of their run
+        self._status: SimulationStatus | None = None
+        self._ahead = 0.0  # [s] that the service was told to look ahead
+        self._held: tuple[int, np.ndarray] | None = None  # fragment and grip in its body frame
+        self._stop_timer: Timer | None = None  # of the hammer, after the last arrow key
+        self._awaits_joints = False  # of an arm that has come
+        self._refused = ""  # as the simulator said last
+        self._set: list[ServiceSliders] = []  # by a person, since the service was last heard to have it
+
+        limits = joint_limits()
+        joints = tuple(map(Joint, limits.names, limits.lower.tolist(), limits.upper.tolist()))
+        scenes = tuple(dict.fromkeys((scene, *(file.path.stem for file in scene_files()))))
+        try:
+            start = Start(scenes=scenes, scene=scene, joints=joints)
+            self.page = Page(self._handlers(), start, host, port, TOLD)
+        except OSError as error:
+            raise Fatal(f"the page cannot be served at {host}:{port}: {error}") from error
+        print(json.dumps({"address": self.page.address}), flush=True)
+        self._listen()
+        self._settings = ServiceSettings(self, qos.CONTACT_CONSTRAINTS.name, self._on_settings)
+        self.create_timer(LOOK_INTERVAL, self._settings.look)
+
+    def close(self) -> None:
+        self._mirror.close()
+        self.page.close()
+        with suppress(RecordingFailed):  # its log says why
+            self._recordings.end()
+
+    def _listen(self) -> None:
+        for topic, callback, profile, raw in (
+            (qos.BODIES, self._on_body, qos.BODIES.qos, False),
+            (qos.FRACTURE_EVENTS, self._on_fracture, qos.FRACTURE_EVENTS.qos, False),
+            (qos.FRAGMENTS, self._on_registry, qos.FRAGMENTS.qos, False),
+            (qos.FRAGMENT_MESHES, self._on_mesh, qos.FRAGMENT_MESHES.qos, True),
+            (qos.FRAGMENT_STATES, self._on_states, LOOKING, True),
+            (qos.CONTACT_CONSTRAINTS, self._on_contacts, LOOKING, True),
+            (qos.SIMULATION_STATUS, self._on_status, LOOKING, False),
+            (qos.ANSWER_TIMES, self._on_times, LOOKING, False),
+            (qos.JOINT_STATES, self._on_joints, LOOKING, False),
+        ):
+            self.create_subscription(topic.message_class, topic.name, callback, profile, raw=raw)
+
+    # --- what the nodes say ----------------------------------------------------------------------------------------
+
+    def _of_this_run(self, run_id: int) -> bool:
+        """Only a body begins a run."""
+        return run_id == self._run_id
+
+    def _on_body(self, message: Any) -> None:
+        if not self._of_this_run(message.run_id):
+            self._run_id = message.run_id
+            self._body_of.clear()
+            self._meshes.clear()
+            self._states = self._held = None
+            self._mirror.new_run(message.run_id)
+            self._awaits_joints = False
+            self.page.new_run()
+            if self._early is not None and self._of_this_run(self._early.run_id):
+                self._show(self._early)
+            self._early = None
+        body = to_record(message)
+        self._mirror.hear(body)
+        if body.operation == REMOVE:
+            self.page.remove_body(body.body_id)
+            return
+        self._awaits_joints |= body.name == PARTS[0].name
+        self._body_of[body.fragment_id] = body.body_id
+        self.page.add_body(body)
+
+    def _on_fracture(self, message: Any) -> None:
+        if not self._of_this_run(message.run_id):
+            return
+        self._mirror.hear(message)
+        for fragment_id in message.new_fragment_ids:
+            self._body_of[fragment_id] = message.body_id
+            if fragment_id in self._meshes:
+                self.page.add_fragment(self._meshes.pop(fragment_id), message.body_id)
+
+    def _on_registry(self, message: Any) -> None:
+        """For a page that came when the run was long begun: who lives."""
+        if self._of_this_run(message.run_id):
+            self._body_of.update(zip(message.fragment_ids, message.body_ids, strict=True))
+
+    def _on_mesh(self, data: bytes) -> None:
+        with suppress(ValueError):  # no mesh
+            _, run_id, mesh = deserialize_record(data, qos.FRAGMENT_MESHES.message_class)
+            if not self._of_this_run(run_id):
+                return
+            body_id = self._body_of.get(mesh.fragment_id)
+            if body_id is None:
+                self._meshes[mesh.fragment_id] = mesh  # its event is still on its way
+            else:
+                self.page.add_fragment(mesh, body_id)
+
+    def _on_states(self, data: bytes) -> None:
+        with suppress(ValueError):  # no states; the service says so
+            received = deserialize_record(data, qos.FRAGMENT_STATES.message_class)
+            if self._of_this_run(received.run_id):
+                self._show(received)
+            else:
+                self._early = received
+
+    def _show(self, received: Received) -> None:
+        self._states = received.record
+        self._mirror.hear_states(received)
+        self.page.show_states(received.record)
+
+    def _on_contacts(self, data: bytes) -> None:
+        if self.page.wants_contacts or self._mirror.wants_contacts:
+            with suppress(ValueError):
+                received = deserialize_record(data, qos.CONTACT_CONSTRAINTS.message_class)
+                if self._of_this_run(received.run_id):
+                    self._mirror.hear_contacts(received.record)
+                    self.page.show_contacts(received.record)
+
+    def _on_status(self, message: SimulationStatus) -> None:
+        if self._of_this_run(message.run_id):
+            self._status = message
+            self._mirror.hear_paused(message.paused)
+            if message.time_step != self._ahead and self._service.services_are_ready():
+                self._ahead = message.time_step
+                self._set_parameters(lookahead=self._ahead)
+            if message.refused and message.refused != self._refused:
+                self.page.notify(message.refused)
+            self._refused = message.refused
+
+    def _on_joints(self, message: JointState) -> None:
+        if self._awaits_joints:
+            self._awaits_joints = False
+            self.page.show_arm(message.position)
+
+    def _on_settings(self, settings: dict[str, Any]) -> None:
+        """Sliders that a person has moved meanwhile must not jump back: what comes is what they said a moment ago."""
+        self._mirror.hear_settings(settings)
+        has = ServiceSliders(**{name: settings[name] for name in ServiceSliders._fields})
+        if has in self._set:
+            del self._set[: self._set.index(has)]
+        else:
+            self._set.clear()
+            self.page.show_service(has)
+
+    def _on_times(self, message: AnswerTimes) -> None:
+        status = self._status
+        if status is None or not self._of_this_run(message.run_id):
+            return
+        self._mirror.hear_times(1e3 * message.collision)
+        beyond = status.round_trip - message.collision - message.update
+        self.page.show_figures(
+            Figures(
+                time=message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec,
+                collision_ms=1e3 * message.collision,
+                update_ms=1e3 * message.update,
+                solver_ms=1e3 * status.solver,
+                ros_ms=1e3 * max(beyond, 0.0),
+                contacts=status.contacts,
+                fragments=status.fragments,
+            )
+        )
+
+    # --- what a person does ----------------------------------------------------------------------------------------
+
+    def _handlers(self) -> Handlers:
+        def later(act: Callable[..., None]) -> Callable[..., None]:
+            def order(*told: Any) -> None:
+                self._orders.append(lambda: act(*told))
+                self._wake.trigger()
+
+            return order
+
+        return Handlers(
+            clicked=later(self._throw),
+            drag_begun=later(self._take),
+            drag_moved=later(self._pull),
+            drag_ended=later(self._let_go),
+            arrow=later(self._strike),
+            scene_chosen=later(self._choose),
+            reset=later(lambda: self._answered(self._hands.reset(), "reset")),
+            paused=later(lambda paused: self._answered(self._hands.pause(paused), "pause")),
+            one_step=later(lambda: self._answered(self._hands.step(), "one step")),
+            slow_motion=later(lambda rate: self._hands.set_parameters(rate=float(rate))),
+            service_set=later(self._set_service),
+            joint_set=later(lambda name, angle: self._hands.command_joints([angle], [name])),
+            recording=later(self._record),
+            looking_inside=later(self._mirror.want),
+        )
+
+    def _obey(self) -> None:
+        while self._orders:
+            self._orders.popleft()()
+
+    def _throw(self, ray: Ray, ball: Ball) -> None:
+        """So that it passes, some way off, through the point that was clicked on: it falls on its way."""
+        middle = ray.origin + ray.direction if self._states is None else self._middle()
+        seconds = float(np.linalg.norm(middle - ray.origin)) / ball.speed
+        velocity = ball.speed * ray.direction + np.array([0.0, 0.0, 0.5 * GRAVITY * seconds])
+        self._hands.throw(ray.origin + OUT_OF_THE_EYE * ray.direction, velocity, ball.radius)
+
+    def _middle(self) -> np.ndarray:
+        return np.median(self._states.positions.reshape(-1, 3), axis=0)
+
+    def _take(self, drag: Drag) -> None:
+        frame = self._frame(drag.fragment_id)
+        if frame is not None:
+            position, turn = frame
+            self._held = drag.fragment_id, turn.inv().apply(drag.grip - position)
+            self._pull(drag)
+
+    def _pull(self, drag: Drag) -> None:
+        if self._held is not None:
+            fragment_id, grip = self._held
+            self._hands.drag(self._run_id, fragment_id, grip, drag.target)
+
+    def _let_go(self, _drag: Drag) -> None:
+        self._held = None
+        self._hands.let_go()
+
+    def _frame(self, fragment_id: int) -> tuple[np.ndarray, Rotation] | None:
+        rows = [] if self._states is None else np.flatnonzero(self._states.fragment_ids == fragment_id)
+        if not len(rows):
+            return None
+        row = rows[0]
+        positions, orientations = self._states.positions.reshape(-1, 3), self._states.orientations.reshape(-1, 4)
+        return positions[row], Rotation.from_quat(orientations[row])
+
+    def _strike(self, arrow: str) -> None:
+        x, y = ARROWS[arrow]
+        self._hands.steer((HAMMER_SPEED * x, HAMMER_SPEED * y, 0.0))
+        if self._stop_timer is not None:
+            self.destroy_timer(self._stop_timer)
+        self._stop_timer = self.create_timer(KEY_HOLDS, self._stand)
+
+    def _stand(self) -> None:
+        self.destroy_timer(self._stop_timer)
+        self._stop_timer = None
+        self._hands.steer((0.0, 0.0, 0.0))
+
+    def _choose(self, scene: str) -> None:
+        def begin(done: Any) -> None:
+            if self._all_taken(done):
+                self._answered(self._hands.reset(), f"scene {scene}")
+
+        self._hands.set_parameters(next_scene=scene).add_done_callback(begin)
+
+    def _set_service(self, sliders: ServiceSliders) -> None:
+        self._set.append(sliders)
+        self._set_parameters(**sliders._asdict())
+
+    def _set_parameters(self, **values: Any) -> None:
+        """Of the service; what it refuses is said."""
+        parameters = [Parameter(name, value=value) for name, value in values.items()]
+        self._service.set_parameters(parameters).add_done_callback(self._all_taken)
+
+    def _all_taken(self, done: Any) -> bool:
+        """Whether all parameters were set; says why not."""
+        results = done.result().results if done.result() else []
+        for result in results:
+            if not result.successful:
+                self._warn(result.reason)
+        return all(result.successful for result in results)
+
+    def _say(self, words: str) -> None:
+        self.get_logger().info(words)
+        self.page.notify(words)
+
+    def _warn(self, words: str) -> None:
+        self.get_logger().warning(words)
+        self.page.notify(words)
+
+    def _answered(self, future: Any, what: str) -> None:
+        def look(done: Any) -> None:
+            result = done.result()
+            if result is not None and not result.success:
+                self._warn(f"{what}: {result.message}")
+
+        future.add_done_callback(look)
+
+    def _record(self, wanted: bool) -> None:
+        try:
+            if (bag := self._recordings.end()) is not None:
+                self._say(f"{bag} is complete")
+            if wanted:
+                self._say(f"recording into {self._recordings.begin()}")
+        except RecordingFailed as error:
+            self._warn(str(error))
+
+
+def _work(node: PageNode) -> None:
+    executor = PromptExecutor()
+    executor.add_node(node)
+    try:
+        with nothing_to_lose():
+            compile_mesh_kernels()
+        gc.freeze()  # to look through all that was loaded for garbage takes 120 ms, in which no mesh gets through
+        executor.spin()
+    finally:
+        node.close()
+        executor.shutdown()
+
+
+def main() -> int:
+    sys.setswitchinterval(SWITCH_INTERVAL)
+    return run_node(PageNode, _work)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,142 @@
+"""Records every message of a run into a bag. For those without `ros2 bag`, and for equal runs in equal bytes.
+
+Once a second all that has settled goes to disk, so that a recorder that is killed leaves a bag that opens. The bag's
+custom data say with which settings the service answers: contacts are a function of the messages and of those.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+import sys
+import time
+from collections.abc import Callable
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+from fracture_collision.bag.reader import EARLIER_SETTINGS, SETTINGS
+from fracture_collision.bag.writer import BagTopic, BagWriter, OfferedQos
+from fracture_collision.ros.nodes.service_settings import ServiceSettings
+from fracture_collision.ros.processes.parameters import declare_fixed
+from fracture_collision.ros.processes.process import Fatal, run_node
+from fracture_collision.ros.wire import qos
+from fracture_collision.ros.wire.cdr_padding import zero_padding
+from fracture_collision.ros.wire.message_definitions import message_definition, type_hash, type_name
+
+DIAGNOSTICS = qos.Topic("/diagnostics", DiagnosticArray, QoSProfile(depth=10))
+RECORDED = (*qos.TOPICS, DIAGNOSTICS)
+
+PROGRESS_INTERVAL = 0.1  # [s]
+FLUSH_INTERVAL = 1.0  # [s]
+
+# Every message here begins with a header, whose stamp follows the four bytes that tell CDR's byte order.
+_STAMP = struct.Struct("<iI")
+_STAMP_OFFSET = 4
+
+
+class RecorderNode(Node):
+    """Parameters: `folder` of the bag to make; `progress`: tells on stdout how many messages of each topic it has."""
+
+    def __init__(self) -> None:
+        super().__init__("recorder_node")
+        folder = declare_fixed(self, "folder", "", "of the bag to make; must not be there yet")
+        self._tells_progress = declare_fixed(self, "progress", False, "a line of JSON on stdout: messages by topic")
+        if not folder:
+            raise Fatal("parameter folder: where shall the bag go?")
+        names = {topic.name: self.resolve_topic_name(topic.name) for topic in RECORDED}
+        try:
+            self._bag = BagWriter(folder, [bag_topic(names[topic.name], topic) for topic in RECORDED])
+        except OSError as error:
+            raise Fatal(f"parameter folder: {error}") from error
+        self._newest_time = 0  # [ns]
+        self._settled_time = 0  # [ns] the newest when the last flush was; what belongs to it has come since
+        self._flushed_time = 0  # [ns] what belongs to it is in the bag
+        self._counts = dict.fromkeys((topic.name for topic in RECORDED), 0)
+        self._unflushed = 0  # messages
+        self._noted_settings: str | None = None
+        self._settings = ServiceSettings(self, qos.CONTACT_CONSTRAINTS.name, self._note_settings)
+        for topic in RECORDED:
+            keep = self._keep(topic, names[topic.name])
+            self.create_subscription(topic.message_class, topic.name, keep, qos.recording(topic.qos), raw=True)
+
+    def _keep(self, topic: qos.Topic, name: str) -> Callable[[bytes], None]:
+        def keep(data: bytes) -> None:
+            try:
+                clear = zero_padding(data, topic.message_class)
+            except ValueError as error:  # nor does any reader of the bag know what to do with it
+                self.get_logger().warning(f"{name}: not recorded: {error}", throttle_duration_sec=1.0)
+                return
+            self._counts[topic.name] += 1
+            if topic is not DIAGNOSTICS:  # they carry the wall clock's time, all others that of the simulation
+                seconds, nanoseconds = _STAMP.unpack_from(data, _STAMP_OFFSET)
+                self._newest_time = max(seconds * 10**9 + nanoseconds, 0)  # bags know no time before the epoch
+            self._bag.write(name, clear, self._newest_time)
+            self._unflushed += 1
+
+        return keep
+
+    def _note_settings(self, settings: dict[str, object]) -> None:
+        text = json.dumps(settings)
+        if text == self._noted_settings:
+            return
+        if self._noted_settings is not None:
+            self.get_logger().warning("the service's settings have changed; the bag says so, not from which step on")
+            self._bag.note(EARLIER_SETTINGS, self._noted_settings)
+        self._noted_settings = text
+        self._bag.note(SETTINGS, text)
+
+    def spin(self, executor: SingleThreadedExecutor) -> None:
+        told: dict[str, int] = {}
+        due = flush_due = 0.0
+        while True:
+            executor.spin_once(timeout_sec=PROGRESS_INTERVAL)
+            now = time.monotonic()
+            if self._tells_progress and now >= due and self._counts != told:
+                due, told = now + PROGRESS_INTERVAL, dict(self._counts)
+                print(json.dumps(told), flush=True)
+            if now >= flush_due:
+                flush_due = now + FLUSH_INTERVAL
+                self._settings.look()
+                self._flush()
+
+    def _flush(self) -> None:
+        settled, self._settled_time = self._settled_time, self._newest_time
+        if self._unflushed or settled != self._flushed_time:
+            self._unflushed, self._flushed_time = 0, settled
+            self._bag.flush(settled)
+
+    def finish(self) -> None:
+        self._bag.close()
+
+
+def bag_topic(name: str, topic: qos.Topic) -> BagTopic:
+    """A bag's topic `name` with the definition and the quality of service of `topic`."""
+    offered = OfferedQos(
+        history="keep_all" if topic.qos.history == HistoryPolicy.KEEP_ALL else "keep_last",
+        depth=0 if topic.qos.history == HistoryPolicy.KEEP_ALL else topic.qos.depth,
+        reliability="reliable" if topic.qos.reliability == ReliabilityPolicy.RELIABLE else "best_effort",
+        durability="transient_local" if topic.qos.durability == DurabilityPolicy.TRANSIENT_LOCAL else "volatile",
+    )
+    definition, hash_ = message_definition(topic.message_class), type_hash(topic.message_class)
+    return BagTopic(name, type_name(topic.message_class), definition, hash_, offered)
+
+
+def _work(node: RecorderNode) -> None:
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    try:
+        node.spin(executor)
+    finally:
+        node.finish()
+        executor.shutdown()
+
+
+def main() -> int:
+    return run_node(RecorderNode, _work)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,269 @@
+"""The simulator: runs one scene in lock-step with the collision service, by topics only."""
+
+from __future__ import annotations
+
+import gc
+import hashlib
+import json
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+
+from fracture_collision.records import ADD, INVALID_STATES, ContactConstraintArray, FragmentRegistry, FragmentStates
+from fracture_collision.ros.fastdds.acknowledged_publisher import AcknowledgedPublisher
+from fracture_collision.ros.fastdds.neighbours import Neighbours
+from fracture_collision.ros.fastdds.prompt_executor import PromptExecutor
+from fracture_collision.ros.processes.parameters import Range, declare_fixed
+from fracture_collision.ros.processes.process import Fatal, nothing_to_lose, run_node
+from fracture_collision.ros.processes.timing_files import SIMULATOR_COLUMNS
+from fracture_collision.ros.wire import qos
+from fracture_collision.ros.wire.cdr_records import deserialize_record, serialize_record
+from fracture_collision.ros.wire.conversion import heading, to_message, to_record
+from fracture_collision.simulation.scene.scene import Scene, SceneError, load_scene
+from fracture_collision.simulation.simulation import Simulation, StepReport
+from fracture_collision.simulation.warm_up import compile_kernels
+
+# Asking again: the first pause covers a service that compiles a kernel, the last one that is started by hand. Where
+# somebody has come to listen or to answer the pause is short at first: one of the two ways may not be there yet.
+FIRST_PAUSE = 1.0  # [s]
+PAUSE_GROWTH = 1.5
+LONGEST_PAUSE = 15.0  # [s]
+PAUSE_FOR_NEWCOMERS = 0.05  # [s]
+LOOK_INTERVAL = 0.02  # [s] between two looks at who is there
+
+PROGRESS_INTERVAL = 0.1  # [s]
+
+
+class SimulatorNode(Node):
+    """Parameters: `scene`, `seed`, `run_id`, `looks_ahead`, `wait_for_subscribers`, `timing_file`, `progress`. Topics:
+    ros/wire/qos.py.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("simulator_node")
+        scene_name = declare_fixed(self, "scene", "plates", "name in config/scenes, or the path of a scene file")
+        seed = declare_fixed(self, "seed", -1, "of the fracture patterns; -1: the scene's own", Range(-1, 2**62))
+        run_id = declare_fixed(self, "run_id", 0, "of all messages; 0: made from scene and seed", Range(0, 2**62))
+        self._looks_ahead = declare_fixed(
+            self, "looks_ahead", False, "whether the service's `lookahead` is the scene's time step, and not 0"
+        )
+        self._subscribers = declare_fixed(
+            self, "wait_for_subscribers", 1, "of states and of contacts, before the first step", Range(0, 100)
+        )
+        self._timing_file = declare_fixed(self, "timing_file", "", "what each step took is written there at the end")
+        self._tells_progress = declare_fixed(self, "progress", False, "one line of JSON on stdout, ten times a second")
+
+        try:
+            scene = load_scene(scene_name)
+        except (SceneError, OSError) as error:
+            raise Fatal(str(error)) from error
+        self._simulation = self._make_simulation(scene, scene.seed if seed < 0 else seed)
+        self._total_steps = scene.step_count
+        # The same scene and seed give the same run, so they may well share an id: recordings compare byte for byte.
+        self._run_id = run_id or derived_run_id(scene.name, scene.seed if seed < 0 else seed)
+
+        self._bodies, self._events = self._open_log()
+        self._neighbours = Neighbours(self)
+        self._states = AcknowledgedPublisher(self, qos.FRAGMENT_STATES, "collision_node", self._neighbours)
+        self._contacts_topic = self.resolve_topic_name(qos.CONTACT_CONSTRAINTS.name)  # it may be remapped
+        for topic, callback, raw in (
+            (qos.CONTACT_CONSTRAINTS, self._on_contacts, True),
+            (qos.FRAGMENTS, self._on_registry, False),
+        ):
+            self.create_subscription(topic.message_class, topic.name, callback, topic.qos, raw=raw)
+        self._static_fragments: list[int] = []
+        self._asked = (0, 0)
+        self._contacts: ContactConstraintArray | None = None
+        self._registry: FragmentRegistry | None = None
+        self._rows: list[tuple[float, ...]] = []
+        self._progress_due = 0.0
+
+    # --- the run ---------------------------------------------------------------------------------------------------
+
+    def run(self, executor: PromptExecutor) -> None:
+        """Simulates the scene to its end. Raises Fatal where the service refuses the states."""
+        self._await_subscribers(executor)
+        self._announce(self._simulation.start_bodies(), [])
+        while not self._simulation.finished:
+            report, acknowledgement, round_trip = self._step(executor)
+            self._rows.append(
+                (
+                    report.step, report.time, report.contacts, report.fragments, acknowledgement, round_trip,
+                    report.solver_seconds, report.fracture_seconds, report.kinetic_energy, report.potential_energy,
+                    report.drift_energy, report.max_speed, report.deepest_gap,
+                )
+            )  # fmt: skip
+            self._tell_progress()
+        self._states.flush()
+
+    def finish(self) -> None:
+        """Writes what was asked for; frees the physics engine."""
+        if self._timing_file:
+            np.save(Path(self._timing_file), np.array(self._rows).reshape(-1, len(SIMULATOR_COLUMNS)))
+        self._simulation.close()
+
+    def _make_simulation(self, scene: Scene, seed: int) -> Simulation:
+        return Simulation(scene, seed, looks_ahead=self._looks_ahead)
+
+    def _open_log(self) -> tuple[Publisher, Publisher]:
+        """Publishers of bodies and events, on which late joiners find a run from its start."""
+        bodies, events = (
+            self.create_publisher(topic.message_class, topic.name, topic.qos)
+            for topic in (qos.BODIES, qos.FRACTURE_EVENTS)
+        )
+        return bodies, events
+
+    def _step(self, executor: PromptExecutor) -> tuple[StepReport, float, float]:
+        """One step, and both times of `_ask`."""
+        request = self._simulation.begin_step()
+        self._announce(request.bodies, request.events)
+        times = self._ask(request.states, executor)
+        return self._simulation.finish_step(self._contacts, self._registry), *times
+
+    def _await_subscribers(self, executor: PromptExecutor) -> None:
+        """A recorder that starts with the simulator must not miss the first steps. Enough others may be known before it
+        is: so all who are on this machine by then are waited for.
+        """
+        if self._subscribers == 0:
+            return
+        started, said = time.monotonic(), 0.0
+        self._neighbours.are_all_known()  # if so, it matters since when
+        while min(self._states.subscriber_count, self.count_subscribers(self._contacts_topic)) < self._subscribers:
+            executor.spin_once(timeout_sec=0.02)
+            if time.monotonic() - started > said + 5.0:
+                said += 5.0
+                self.get_logger().info("waiting for the collision service (and recorders) to appear")
+        if not self._neighbours.await_all():
+            self.get_logger().info("not all DDS participants of this machine are known; going on")
+
+    def _announce(self, bodies: list, events: list) -> None:
+        stamp = heading(self._simulation.time)
+        for body in bodies:
+            if body.is_static and body.operation == ADD:
+                self._static_fragments.append(body.fragment_id)
+            self._bodies.publish(to_message(body, stamp, self._run_id))
+        for event in events:
+            self._events.publish(to_message(event, stamp, self._run_id))
+
+    def _ask(self, states: FragmentStates, executor: PromptExecutor) -> tuple[float, float]:
+        """Publishes states until their contacts and registry are there. Returns how long everybody took to acknowledge
+        the last states [s], and the time from these being published to their answer [s].
+        """
+        named = with_static_fragments(states, self._static_fragments)
+        data = serialize_record(named, heading(self._simulation.time), self._run_id)
+        self._asked = (states.step, states.fracture_sequence)
+        self._contacts = None
+        began = time.perf_counter()
+        self._states.settle()
+        published = time.perf_counter()
+        self._states.publish(data)
+        pause, there, has_waited = FIRST_PAUSE, None, False
+        deadline = time.monotonic() + pause
+        while True:
+            executor.spin_once(timeout_sec=LOOK_INTERVAL)
+            if self._contacts is not None and self._registry_covers(states):
+                round_trip = time.perf_counter() - published
+                if has_waited:
+                    self.get_logger().info(f"step {states.step} is answered after {round_trip:.2f} s; going on")
+                return published - began, round_trip
+            before, there = there, self._present()
+            if before is not None and (there[0] > before[0] or there[1] > before[1]):
+                self.get_logger().info(f"a service may have come; asking again for step {states.step}")
+                pause = PAUSE_FOR_NEWCOMERS
+            elif time.monotonic() < deadline:
+                continue
+            else:
+                self.get_logger().warning(f"no answer to step {states.step} yet; asking again")
+                pause = min(pause * PAUSE_GROWTH, LONGEST_PAUSE)
+            has_waited = True
+            self._states.publish_again(data)
+            deadline = time.monotonic() + pause
+
+    def _present(self) -> tuple[int, int]:
+        """How many listen to states, and how many publish contacts."""
+        return self._states.subscriber_count, self.count_publishers(self._contacts_topic)
+
+    def _registry_covers(self, states: FragmentStates) -> bool:
+        registry = self._registry
+        return (
+            registry is not None
+            and registry.fracture_sequence == states.fracture_sequence
+            and bool(np.isin(states.fragment_ids, registry.fragment_ids).all())
+        )
+
+    # --- answers ---------------------------------------------------------------------------------------------------
+
+    def _on_contacts(self, data: bytes) -> None:
+        try:
+            _, run_id, contacts = deserialize_record(data, qos.CONTACT_CONSTRAINTS.message_class)
+        except ValueError as error:
+            self.get_logger().warning(f"{qos.CONTACT_CONSTRAINTS.name}: {error}", throttle_duration_sec=1.0)
+            return
+        if run_id != self._run_id or (contacts.step, contacts.fracture_sequence) != self._asked:
+            return  # the late answer to a question asked twice
+        if contacts.status & INVALID_STATES:
+            raise Fatal(f"the service refused the states of step {contacts.step}; /diagnostics says why")
+        self._contacts = contacts
+
+    def _on_registry(self, message: qos.FRAGMENTS.message_class) -> None:
+        if message.run_id == self._run_id:
+            self._registry = to_record(message)
+
+    def _tell_progress(self) -> None:
+        if not self._tells_progress:
+            return
+        now = time.monotonic()
+        if now >= self._progress_due or self._simulation.finished:
+            self._progress_due = now + PROGRESS_INTERVAL
+            step, seconds, contacts, fragments = self._rows[-1][:4]
+            told = {"step": step + 1, "steps": self._total_steps, "time": seconds, "contacts": contacts}
+            print(json.dumps(told | {"fragments": fragments}), flush=True)
+
+
+def with_static_fragments(states: FragmentStates, static_fragments: list[int]) -> FragmentStates:
+    """Names those too that stand where their body frame is the world's, although the protocol lets them be left out:
+    a service that has not heard of a body holds the states that name it, but would answer others without it.
+    """
+    unnamed = np.setdiff1d(np.array(static_fragments, dtype=np.uint32), states.fragment_ids)
+    at_rest = {"positions": (0.0, 0.0, 0.0), "orientations": (0.0, 0.0, 0.0, 1.0)}
+    at_rest |= {"linear_velocities": (0.0, 0.0, 0.0), "angular_velocities": (0.0, 0.0, 0.0)}
+    ids = np.concatenate((states.fragment_ids, unnamed))
+    order = np.argsort(ids)
+    columns = {}
+    for name, value in at_rest.items():
+        given = getattr(states, name).reshape(-1, len(value))
+        columns[name] = np.vstack((given, np.tile(value, (len(unnamed), 1))))[order].ravel()
+    return states._replace(fragment_ids=ids[order], **columns)
+
+
+def derived_run_id(scene_name: str, seed: int) -> int:
+    """A run id of 62 bits for a scene and a seed."""
+    digest = hashlib.sha256(f"{scene_name}/{seed}".encode()).digest()
+    return int.from_bytes(digest[:8], "big") >> 2 or 1
+
+
+def work(node: SimulatorNode) -> None:
+    """Runs the node to its end, or until it is told to end."""
+    executor = PromptExecutor()
+    executor.add_node(node)
+    try:
+        # else the first step that is timed loads them
+        with nothing_to_lose():
+            compile_kernels(lambda what: node.get_logger().info(f"loading kernels; {what}"))
+        gc.freeze()  # to look through all that was loaded for garbage takes 80 ms, in the middle of a run
+        node.run(executor)
+    finally:
+        node.finish()
+        executor.shutdown()
+
+
+def main() -> int:
+    return run_node(SimulatorNode, work)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,40 @@
+"""rclpy for a program that is no node itself, but talks to nodes that it started (node_process.py)."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+
+import rclpy
+from rclpy.context import Context
+
+from fracture_collision.ros.fastdds.this_machine import PROFILES, keep_to_this_machine
+from fracture_collision.ros.processes.node_process import loopback_environment
+
+
+def own_context(domain_id: int) -> Context:
+    """One that talks to whom a NodeProcess of the same domain talks to. End it by try_shutdown()."""
+    context = Context()
+    environment = loopback_environment(domain_id)
+    keep_to_this_machine(environment)
+    with _environment(environment):
+        rclpy.init(context=context, domain_id=domain_id)
+    if PROFILES[0] in environment:  # Fast DDS reads it when the first participant is made, with the first node
+        os.environ[PROFILES[0]] = environment[PROFILES[0]]
+    return context
+
+
+@contextmanager
+def _environment(values: Mapping[str, str]) -> Iterator[None]:
+    """rclpy reads from the environment whom it talks to."""
+    before = {name: os.environ.get(name) for name in values}
+    os.environ.update(values)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value

@@ -1,0 +1,165 @@
+"""How every node's process starts and ends.
+
+rclpy shuts its context down on SIGINT and SIGTERM, and then calls the handler that was there before: Python's own,
+which raises KeyboardInterrupt between any two bytecodes. Where numba is at work that may crash (see cli/console.py).
+So a handler that raises nothing stands there instead, and nodes end where they next ask rclpy for something.
+"""
+
+from __future__ import annotations
+
+import faulthandler
+import inspect
+import os
+import signal
+import socket
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+
+import rclpy
+from rclpy.clock import Clock, ClockType
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
+from rclpy.executors import ExternalShutdownException
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
+
+from fracture_collision.ros.fastdds.own_ports import fault_of_own_ports
+from fracture_collision.ros.fastdds.shared_memory import remove_left_behind
+from fracture_collision.ros.fastdds.successor_ports import orphaned_ports_held
+from fracture_collision.ros.fastdds.this_machine import has_known_transports, keep_to_this_machine
+from fracture_collision.ros.processes.parameters import warn_of_unknown
+
+# [s] From SIGINT or SIGTERM, or from where the node's work is over, to the end of its process, whatever DDS does.
+LONGEST_END = 10.0
+PORTS_INTERVAL = 1.0  # [s] between two looks at the node's ports
+# Looks in a row that find a fault: Fast DDS itself opens a port anew now and then.
+FAULTY_LOOKS = 3
+
+
+class Fatal(RuntimeError):
+    """The node cannot go on; its text is all that the user needs to see."""
+
+
+_nothing_to_lose = False
+
+
+@contextmanager
+def nothing_to_lose() -> Iterator[None]:
+    """For loading kernels, which takes minutes where none are in the cache: a signal ends the process at once."""
+    global _nothing_to_lose
+    _nothing_to_lose = True
+    try:
+        yield
+    finally:
+        _nothing_to_lose = False
+
+
+def _on_signal(_signal: int, _frame: FrameType | None) -> None:
+    if _nothing_to_lose:
+        os._exit(0)
+
+
+def _asks_for_help(arguments: Sequence[str]) -> bool:
+    """Of what is not for ROS."""
+    own = arguments[: arguments.index("--ros-args")] if "--ros-args" in arguments else arguments
+    return "--help" in own or "-h" in own
+
+
+def _help(make_node: Callable[[], Node]) -> str:
+    name = make_node.__module__.rpartition(".")[2]
+    if name == "__main__":
+        name = Path(sys.argv[0]).stem
+    lines = (
+        f"usage: {name} [--ros-args -p NAME:=VALUE ... --params-file FILE -r FROM:=TO ...]",
+        inspect.getdoc(sys.modules[make_node.__module__]) or "",
+        inspect.getdoc(make_node) or "",
+        "`ros2 param list` and `ros2 param describe` tell more of a node that runs.",
+    )
+    return "\n\n".join(lines)
+
+
+def _end_in_time() -> None:
+    """The process ends with status 1 in LONGEST_END if it has not ended before, and says where each thread was. Takes
+    no part of Python to happen: a call into DDS may not come back.
+    """
+    faulthandler.dump_traceback_later(LONGEST_END, exit=True)
+
+
+def _watch_signals() -> None:
+    """Calls `_end_in_time` on SIGINT and SIGTERM, also while the main thread is in a call that does not come back: then
+    Python's own handlers are not called.
+    """
+    heard, told = socket.socketpair()
+    told.setblocking(False)
+    signal.set_wakeup_fd(told.fileno(), warn_on_full_buffer=False)
+
+    def watch() -> None:
+        with told:  # which has to live as long
+            while not set(heard.recv(64)) & {signal.SIGINT, signal.SIGTERM}:
+                pass
+            _end_in_time()
+            threading.Event().wait()
+
+    threading.Thread(target=watch, daemon=True, name="signals").start()
+
+
+def _watch_ports(node: Node) -> None:
+    """Raises Fatal where the node's ports do not work; later, while it spins, from one of its timers."""
+    if not has_known_transports(os.environ):
+        return
+    domain_id = node.context.get_domain_id()
+    if fault := fault_of_own_ports(domain_id):
+        raise Fatal(f"it would receive nothing: {fault}")
+    faults = 0
+
+    def look() -> None:
+        nonlocal faults
+        fault = fault_of_own_ports(domain_id)
+        faults = faults + 1 if fault else 0
+        if faults >= FAULTY_LOOKS:
+            raise Fatal(f"it receives nothing any more: {fault}")
+
+    node.create_timer(PORTS_INTERVAL, look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+
+def run_node(make_node: Callable[[], Node], work: Callable[[Node], None]) -> int:
+    """Runs `work` on the node that the class `make_node` makes; returns the process's exit status. Where the arguments
+    ask for help it prints the docstrings of module and class, and makes none.
+
+    SIGINT and SIGTERM end it cleanly, with status 0: that is how nodes are told to go. A process that has not ended
+    LONGEST_END later ends with status 1, as does one whose ports do not work.
+    """
+    if _asks_for_help(sys.argv[1:]):
+        print(_help(make_node))
+        return 0
+    for order in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(order, _on_signal)
+    _watch_signals()
+    remove_left_behind()  # of one that was killed, and that this one perhaps takes the place of
+    keep_to_this_machine(os.environ)
+    rclpy.init()
+    node = None
+    try:
+        with orphaned_ports_held(rclpy.get_default_context().get_domain_id()):
+            node = make_node()
+        _watch_ports(node)
+        warn_of_unknown(node)
+        work(node)
+        return 0
+    except ExternalShutdownException:
+        return 0
+    except rclpy_implementation.RCLError:
+        if rclpy.ok():
+            raise
+        return 0  # told to end between two calls of rclpy, and the second could not be made any more
+    except (Fatal, InvalidParameterTypeException, InvalidParameterValueException) as error:
+        print(f"{node.get_name() if node else 'node'}: {error}", file=sys.stderr)
+        return 1
+    finally:
+        _end_in_time()
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()

@@ -1,0 +1,99 @@
+"""A live scene with its page: service, simulator and page, processes that talk over DDS until they are told to end."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import NamedTuple
+
+from fracture_collision.outputs import NewOutputs
+from fracture_collision.ros.processes.node_process import NodeProcess, default_domain_id
+from fracture_collision.simulation.scene.scene import SceneError, load_scene
+
+LOGS = "logs"
+LOOK = 0.05  # [s]
+PATIENCE = 120.0  # [s] for the page's address
+ENDING = 3.0  # [s] that a node has to end
+# Niceness of those who compute: what a person sees and does comes first, also while a body breaks.
+BEHIND = 5
+
+
+class PlayFailed(RuntimeError):
+    """There is no such scene, or a node did not come, or ended. Its text has the end of the log."""
+
+
+class Played(NamedTuple):
+    """A scene that is being played."""
+
+    address: str  # of the page
+    domain_id: int
+    nodes: tuple[NodeProcess, ...]
+
+    def check(self) -> None:
+        """Raises PlayFailed if a node has ended."""
+        for node in self.nodes:
+            if node.exit_status() is not None:
+                raise _failed(node)
+
+
+@contextmanager
+def played(scene: str, seed: int, out: Path, host: str, port: int) -> Iterator[Played]:
+    """Starts all nodes and waits for the page; ends them all afterwards. What the nodes say is in out/logs, in place of
+    an earlier run's once the page is there. Raises PlayFailed, and OSError where `out` cannot be written.
+    """
+    domain_id = default_domain_id()
+    try:
+        time_step = load_scene(scene).time_step
+    except (SceneError, OSError) as error:
+        raise PlayFailed(str(error)) from error
+    with NewOutputs(out, (LOGS,)) as new, ExitStack() as nodes:
+        logs = new.folder / LOGS
+        logs.mkdir()
+
+        def start(module: str, stdout: int | None = None, niceness: int = 0, **parameters: object) -> NodeProcess:
+            node = NodeProcess(module, parameters, domain_id, logs / f"{module}.log", stdout, niceness=niceness)
+            nodes.callback(node.stop, ENDING)
+            return node
+
+        # a person throws faster than a scene does; the service's lookahead is later on the page's to see to
+        simulator = start("live_simulator_node", scene=scene, seed=seed, niceness=BEHIND, looks_ahead=True)
+        service = start("collision_node", niceness=BEHIND, lookahead=time_step, surfaces="edges")
+        page = start("page_node", subprocess.PIPE, host=host, port=port, folder=str(out), scene=scene)
+        run = Played(_address(page, (service, simulator)), domain_id, (service, simulator, page))
+        new.publish()
+        for node in run.nodes:
+            node.log = out / LOGS / node.log.name
+        yield run
+
+
+def _address(page: NodeProcess, others: tuple[NodeProcess, ...]) -> str:
+    told: list[str] = []
+
+    def read() -> None:
+        for line in page.stdout:
+            if line.startswith("{"):  # some libraries greet on stdout
+                told.append(json.loads(line)["address"])
+
+    threading.Thread(target=read, daemon=True).start()
+    deadline = time.monotonic() + PATIENCE
+    while not told:
+        for node in (page, *others):
+            if node.exit_status() is not None:
+                raise _failed(node)
+        if time.monotonic() > deadline:
+            raise PlayFailed(f"the page did not come within {PATIENCE:.0f} s; the last that it said:\n{_tail(page)}")
+        time.sleep(LOOK)
+    return told[0]
+
+
+def _failed(node: NodeProcess) -> PlayFailed:
+    return PlayFailed(f"{node.name} ended with status {node.exit_status()}; the last that it said:\n{_tail(node)}")
+
+
+def _tail(node: NodeProcess) -> str:
+    return "\n".join(node.log_text().splitlines()[-10:])

@@ -1,0 +1,195 @@
+"""Runs a scene end to end over DDS: service, simulator and recorder as three processes on this machine."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import IO, Any, NamedTuple
+
+import numpy as np
+from rclpy.serialization import deserialize_message
+
+from fracture_collision.bag.reader import message_counts, read_messages, topic_digest
+from fracture_collision.msg import FragmentMesh, FragmentRegistry
+from fracture_collision.ros.processes.node_process import NodeProcess, chosen_domain_id
+from fracture_collision.ros.processes.timing_files import SERVICE_COLUMNS, SIMULATOR_COLUMNS
+from fracture_collision.run_report import summaries
+
+# [s] for the recorder to take what is on its way when the simulator has ended.
+RECORDER_PATIENCE = 20.0
+POLL_INTERVAL = 0.05  # [s]
+
+
+class RunFailed(RuntimeError):
+    """A process ended before its time, or the recording is not whole; the text says which, and what it said last."""
+
+
+class Progress(NamedTuple):
+    step: int  # steps done
+    steps: int  # in all; 0 until known
+    time: float  # [s] simulated
+    fragments: int  # that move
+    contacts: int
+    word: str  # what the service says while there is no step yet
+
+
+def run_scene(scene: str, seed: int | None, out: Path, on_progress: Callable[[Progress], None]) -> dict[str, Any]:
+    """Runs `scene` to its end; leaves out/bag and out/logs, which must not be there yet, and returns the report (see
+    `make_report`).
+
+    Raises RunFailed. Whatever happens, no process is left behind.
+    """
+    logs, bag = out / "logs", out / "bag"
+    logs.mkdir(parents=True)
+    times = {name: logs / f"{name}.npy" for name in ("collision_node", "simulator_node")}
+    domain_id = chosen_domain_id()
+    simulator_parameters = {
+        "scene": scene, "timing_file": str(times["simulator_node"]), "progress": True, "wait_for_subscribers": 2,
+    }  # fmt: skip
+    if seed is not None:
+        simulator_parameters["seed"] = seed
+    started = time.monotonic()
+    with ExitStack() as processes:
+        def start(module: str, parameters: dict[str, Any], stdout: int | None = None) -> NodeProcess:
+            process = NodeProcess(module, parameters, domain_id, logs / f"{module}.log", stdout)
+            processes.callback(process.stop)
+            return process
+
+        service = start("collision_node", {"timing_file": str(times["collision_node"])})
+        recorder = start("recorder_node", {"folder": str(bag), "progress": True}, subprocess.PIPE)
+        simulator = start("simulator_node", simulator_parameters, subprocess.PIPE)
+        with _last_line(simulator.stdout) as told, _last_line(recorder.stdout) as recorded:
+            while (status := simulator.exit_status()) is None:
+                _check_alive(service, recorder)
+                on_progress(_progress(told(), service))
+                time.sleep(POLL_INTERVAL)
+            if status != 0:
+                raise RunFailed(_last_words(simulator))
+            on_progress(_progress(told(), service))
+            steps = told()["step"]
+            _await_recording(recorded, steps, service, recorder)
+        # In this order: the recorder hears the service to its end.
+        for process in (recorder, service):
+            if process.stop() != 0:
+                raise RunFailed(_last_words(process))
+    seconds = time.monotonic() - started
+    report = make_report(np.load(times["collision_node"]), np.load(times["simulator_node"]))
+    counts = message_counts(bag)
+    for topic in ("/fragment_states", "/contact_constraints"):
+        if counts[topic] < steps:
+            raise RunFailed(f"{bag}: {counts[topic]} messages on {topic}, but the run had {steps} steps")
+    living, triangles = _living_triangles(bag)
+    return {
+        "scene": scene,
+        "seed": seed,
+        "seconds": seconds,
+        "living_fragments": living,
+        "triangles": triangles,
+        "digests": {topic: topic_digest(bag, topic) for topic in ("/fragment_states", "/contact_constraints")},
+        "messages": counts,
+        **report,
+    }
+
+
+def make_report(service: np.ndarray, simulator: np.ndarray) -> dict[str, Any]:
+    """Lists of one number a step out of both nodes' timing files, and of each median, average and worst.
+
+    collision_ms: broad and narrow phase. update_ms: applying fracture events, in steps that brought some, else 0.
+    solver_ms: contact solver. round_trip_ms: from states published to contacts received, less collision and update.
+    acknowledge_ms: before that, until all subscribers had acknowledged the last states (acknowledged_publisher.py).
+    """
+    answers = {name: service[:, column] for column, name in enumerate(SERVICE_COLUMNS)}
+    report = {name: simulator[:, column] for column, name in enumerate(SIMULATOR_COLUMNS)}
+    # A question asked twice was answered twice; the last answer counts.
+    row_of = {int(step): row for row, step in enumerate(answers["step"])}
+    missing = [int(step) for step in report["step"] if int(step) not in row_of]
+    if missing:
+        raise RunFailed(f"the service has no times of {len(missing)} steps, the first is {missing[0]}")
+    rows = np.array([row_of[int(step)] for step in report["step"]], dtype=np.int64)
+    collision, update = answers["collision"][rows], answers["update"][rows]
+    broke = np.diff(answers["fracture_sequence"][rows], prepend=0.0) > 0
+    milliseconds = {
+        "collision_ms": collision,
+        "update_ms": np.where(broke, update, 0.0),
+        "solver_ms": report["solver"],
+        "fracture_ms": report["fracture"],
+        "acknowledge_ms": report["acknowledgement"],
+        "round_trip_ms": report["round_trip"] - collision - update,
+    }
+    columns = {name: 1e3 * values for name, values in milliseconds.items()}
+    for name in ("time", "kinetic_energy", "potential_energy", "drift_energy", "max_speed", "deepest_gap"):
+        columns[name] = report[name]
+    integers = {name: report[name].astype(int).tolist() for name in ("step", "contacts", "fragments")}
+    summarized = ("collision_ms", "solver_ms", "round_trip_ms", "acknowledge_ms", "update_ms")
+    summary = summaries({name: columns[name] for name in summarized} | {"contacts": report["contacts"]})
+    return {"summary": summary, **integers, **{name: values.tolist() for name, values in columns.items()}}
+
+
+def _living_triangles(bag: Path) -> tuple[int, int]:
+    """Fragments that live at the end, bodies that never broke included, and the triangles of their surfaces."""
+    meshes = {}
+    for message in read_messages(bag, ["/fragment_meshes"]):
+        mesh = deserialize_message(message.data, FragmentMesh)
+        meshes[mesh.fragment_id] = len(mesh.triangles) // 3
+    registry = None
+    for message in read_messages(bag, ["/fragments"]):
+        registry = deserialize_message(message.data, FragmentRegistry)
+    if registry is None:
+        raise RunFailed(f"{bag}: no FragmentRegistry")
+    return len(registry.fragment_ids), sum(meshes[fragment_id] for fragment_id in registry.fragment_ids)
+
+
+@contextmanager
+def _last_line(stream: IO[str]) -> Iterator[Callable[[], dict[str, Any]]]:
+    """Reads lines of JSON as they come; yields what gives the last one, {} before the first."""
+    last: dict[str, Any] = {}
+
+    def read() -> None:
+        for line in stream:
+            if line.startswith("{"):  # some libraries greet on stdout
+                last.update(json.loads(line))
+
+    reader = threading.Thread(target=read, daemon=True)
+    reader.start()
+
+    def newest() -> dict[str, Any]:
+        return dict(last)
+
+    yield newest
+
+
+def _progress(told: dict[str, Any], service: NodeProcess) -> Progress:
+    word = ""
+    if not told:
+        lines = service.log_text().splitlines()
+        word = lines[-1].split("]: ")[-1] if lines else "starting"
+    return Progress(
+        told.get("step", 0), told.get("steps", 0), told.get("time", 0.0), told.get("fragments", 0),
+        told.get("contacts", 0), word,
+    )  # fmt: skip
+
+
+def _check_alive(*processes: NodeProcess) -> None:
+    for process in processes:
+        if process.exit_status() is not None:
+            raise RunFailed(_last_words(process))
+
+
+def _await_recording(recorded: Callable[[], dict[str, int]], steps: int, *processes: NodeProcess) -> None:
+    deadline = time.monotonic() + RECORDER_PATIENCE
+    wanted = {"fragment_states": steps, "contact_constraints": steps, "fragments": 1}
+    while any(recorded().get(topic, 0) < count for topic, count in wanted.items()):
+        _check_alive(*processes)
+        if time.monotonic() > deadline:
+            raise RunFailed(f"the recorder has only {recorded()} of {steps} steps")
+        time.sleep(POLL_INTERVAL)
+
+
+def _last_words(process: NodeProcess) -> str:
+    tail = "\n".join(process.log_text().splitlines()[-15:])
+    return f"{process.name} ended with status {process.exit_status()}; the last that it said:\n{tail}"

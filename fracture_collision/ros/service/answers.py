@@ -1,0 +1,127 @@
+"""What the service says to states: their contacts and, where it is new, the registry; while somebody looks, surfaces of
+fragments, markers and times.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from time import perf_counter
+
+from rclpy.node import Node
+
+from fracture_collision.cdr import Heading
+from fracture_collision.records import ADD, CollisionBody, ContactConstraintArray, FragmentStates, refusal_of
+from fracture_collision.ros.fastdds.acknowledged_publisher import AcknowledgedPublisher
+from fracture_collision.ros.fastdds.neighbours import Neighbours
+from fracture_collision.ros.processes.parameters import declare_fixed
+from fracture_collision.ros.processes.process import Fatal
+from fracture_collision.ros.processes.timing_files import SERVICE_COLUMNS, RowFile
+from fracture_collision.ros.service.collision_run import CollisionRun
+from fracture_collision.ros.service.diagnostics import AnswerTimes
+from fracture_collision.ros.wire import qos
+from fracture_collision.ros.wire.cdr_records import serialize_record
+from fracture_collision.ros.wire.conversion import header_of, to_message
+from fracture_collision.ros.wire.markers import MarkersPublisher
+
+
+class Answers:
+    """Publishers of a node. Parameter: timing_file."""
+
+    def __init__(self, node: Node, neighbours: Neighbours) -> None:
+        self._node = node
+        self._neighbours = neighbours
+        timing_file = declare_fixed(node, "timing_file", "", "times of each answer are written there")
+        self._rows = _row_file(timing_file) if timing_file else None
+        self._registry_version: tuple[int, int, int, int] | None = None
+        self._meshes_published: set[int] = set()
+        self._meshes_version: tuple[int, int, int, int] | None = None  # of which all are published
+        self.times = AnswerTimes()
+        self.last = "no answer yet"
+
+        self._contacts = AcknowledgedPublisher(node, qos.CONTACT_CONSTRAINTS, "simulator_node", neighbours)
+        self._fragments = AcknowledgedPublisher(node, qos.FRAGMENTS, "simulator_node", neighbours)
+        self._meshes = AcknowledgedPublisher(node, qos.FRAGMENT_MESHES, neighbours=neighbours)
+        self._markers = MarkersPublisher(node)
+        topic = qos.ANSWER_TIMES
+        self._answer_times = node.create_publisher(topic.message_class, topic.name, topic.qos)
+
+    @property
+    def overtaken(self) -> int:
+        """Messages that the next one followed before all had them."""
+        return self._contacts.overtaken + self._fragments.overtaken
+
+    def forget(self) -> None:
+        """A new run."""
+        self._registry_version = self._meshes_version = None
+        self._markers.forget()
+        if self._meshes_published:
+            # A latched publisher keeps all it ever sent, and tells it to who comes; these are no more.
+            self._meshes.close()
+            self._meshes = AcknowledgedPublisher(self._node, qos.FRAGMENT_MESHES, neighbours=self._neighbours)
+            self._meshes_published.clear()
+
+    def close(self) -> None:
+        """Completes what was asked for."""
+        if self._rows is not None:
+            self._rows.close()
+
+    def add_body(self, run: CollisionRun, body: CollisionBody) -> None:
+        """One that was told; whether it was accepted, `run` knows."""
+        if body.operation != ADD or body.body_id in run.body_ids:
+            self._markers.add_body(body)
+
+    def refuse(self, heading: Heading, run_id: int, states: FragmentStates) -> None:
+        self._contacts.publish(serialize_record(refusal_of(states), heading, run_id))
+
+    def publish(
+        self, run: CollisionRun, heading: Heading, states: FragmentStates, contacts: ContactConstraintArray,
+        seconds: float,
+    ) -> None:  # fmt: skip
+        """`seconds`: that the contacts took."""
+        began = perf_counter()
+        self._publish_registry(run, heading, states.fracture_sequence)
+        self._contacts.publish(serialize_record(contacts, heading, run.run_id))
+        parts = {"answer": seconds, **run.world.last_timings, "conversion and publishing": perf_counter() - began}
+        self.times.add(parts, run.world.last_visits)
+        self.last = f"the answer to step {states.step} of run {run.run_id}"
+        self._tell_times(run, heading, states, parts)
+        self._publish_meshes(run, heading)
+        self._markers.after_answer(run.world, heading, states, contacts)
+
+    def _publish_registry(self, run: CollisionRun, heading: Heading, fracture_sequence: int) -> None:
+        version = (run.run_id, fracture_sequence, len(run.body_ids), run.removals)
+        if version != self._registry_version:
+            self._registry_version = version
+            self._fragments.publish(to_message(run.world.fragments(), heading, run.run_id))
+
+    def _tell_times(
+        self, run: CollisionRun, heading: Heading, states: FragmentStates, parts: Mapping[str, float]
+    ) -> None:
+        collision, visits = parts["broad_phase"] + parts["narrow_phase"], run.world.last_visits
+        update, conversion = parts["update"], parts["conversion and publishing"]
+        if self._answer_times.get_subscription_count():
+            told = qos.ANSWER_TIMES.message_class(
+                header=header_of(heading), run_id=run.run_id, step=states.step, collision=collision, update=update,
+                conversion=conversion, visits=visits,
+            )  # fmt: skip
+            self._answer_times.publish(told)
+        if self._rows is not None:
+            self._rows.add((states.step, states.fracture_sequence, collision, update, conversion, visits))
+
+    def _publish_meshes(self, run: CollisionRun, heading: Heading) -> None:
+        """Of fragments that have none on the topic yet, while somebody looks."""
+        if self._meshes_version == self._registry_version or self._meshes.subscriber_count == 0:
+            return
+        self._meshes_version = self._registry_version
+        for fragment_id in run.world.fragments().fragment_ids.tolist():
+            if fragment_id not in self._meshes_published:
+                self._meshes_published.add(fragment_id)
+                self._meshes.publish(serialize_record(run.world.fragment_mesh(fragment_id), heading, run.run_id))
+
+
+def _row_file(path: str) -> RowFile:
+    try:
+        return RowFile(Path(path), len(SERVICE_COLUMNS))
+    except OSError as error:
+        raise Fatal(f"timing_file: {error}") from error

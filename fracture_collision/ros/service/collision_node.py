@@ -1,0 +1,283 @@
+"""The collision service: bodies, fracture events and states in, contact constraints out.
+
+A callback is: convert (incoming.py), one call (collision_run.py), convert and publish (answers.py). What messages may
+say is world's business.
+"""
+
+from __future__ import annotations
+
+import gc
+import os
+import sys
+import time
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.clock import Clock, ClockType
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+
+from fracture_collision.cdr import Received
+from fracture_collision.ros.fastdds.neighbours import Neighbours
+from fracture_collision.ros.fastdds.participant_process import age_of
+from fracture_collision.ros.fastdds.prompt_executor import PromptExecutor
+from fracture_collision.ros.processes.parameters import SettingsParameters
+from fracture_collision.ros.processes.process import Fatal, nothing_to_lose, run_node
+from fracture_collision.ros.service.answers import Answers
+from fracture_collision.ros.service.collision_run import CollisionRun, Refusal
+from fracture_collision.ros.service.diagnostics import RefusalCounts, diagnostic_array, settings_status, status
+from fracture_collision.ros.service.incoming import Incoming
+from fracture_collision.ros.wire import qos
+from fracture_collision.world import InvalidMessage, Settings
+from fracture_collision.world.warm_up import cache_is_cold, compile_kernels
+
+# [s] States were held for so long: bodies and events are asked for again. They are latched, and come by themselves; but
+# discovery now and then leaves a reader out that came while others were killed. After the last pause again and again.
+LOG_PAUSES = (2, 4, 8, 16, 32, 64, 128)
+
+
+class CollisionNode(Node):
+    """Parameters: those of world.Settings, `allow_takeover` and `timing_file`. Topics: ros/wire/qos.py."""
+
+    def __init__(self) -> None:
+        super().__init__("collision_node")
+        try:
+            self._changeable = SettingsParameters(self, self._on_new_settings)
+        except ValueError as error:
+            raise Fatal(str(error)) from error
+        self._phase = "starting"
+        self._run: CollisionRun | None = None
+        self._next_run: CollisionRun | None = None  # of events that came before the first body of their run
+        self._held: Received | None = None  # the newest states that cannot be answered yet
+        self._seconds_held = 0
+        self._replaced_states = 0  # newer ones came while they were held
+        self._refusals = RefusalCounts()
+        self._settings_since = "the start"
+
+        self._neighbours = Neighbours(self)
+        self._incoming = Incoming(
+            self,
+            self._neighbours,
+            lambda: self._settings.max_message_bytes,
+            {
+                qos.BODIES.name: self._on_body,
+                qos.FRACTURE_EVENTS.name: self._on_fracture,
+                qos.FRAGMENT_STATES.name: self._on_states,
+            },
+            self._note,
+            self._forget_run,
+            self._on_unreadable_event,
+        )
+        self._answers = Answers(self, self._neighbours)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        # Not of the node's clock: under use_sim_time that stands still until somebody moves it.
+        self.create_timer(1.0, self._every_second, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    @property
+    def _settings(self) -> Settings:
+        return self._changeable.current
+
+    # --- start and end ---------------------------------------------------------------------------------------------
+
+    def prepare(self) -> None:
+        """Loads the kernels from numba's cache, or compiles them, and says which; then listens. Who waits for the
+        service to subscribe need not ask in vain.
+        """
+        doing = "loading kernels"
+        if cache_is_cold():
+            doing = "compiling kernels (cold cache, one to two minutes)"
+            gc.enable()
+
+        def progress(text: str) -> None:
+            if not rclpy.ok():
+                raise ExternalShutdownException
+            self._phase = f"{doing}; {text}"
+            self.get_logger().info(self._phase)
+            self._publish_diagnostics()
+            self._neighbours.are_all_known()  # if so, it matters since when
+
+        with nothing_to_lose():
+            compile_kernels(progress=progress)
+            if not self._neighbours.await_all():
+                self.get_logger().info("not all DDS participants of this machine are known; going on")
+        self._incoming.listen()
+        self._phase = "ready"
+        self.get_logger().info(f"ready, {age_of(os.getpid()):.2f} s after its process was started")
+        self._publish_diagnostics()
+        gc.freeze()
+        gc.enable()
+
+    def finish(self) -> None:
+        self._answers.close()
+
+    # --- messages --------------------------------------------------------------------------------------------------
+
+    def _on_body(self, message: Received) -> None:
+        if self._run is None or message.run_id != self._run.run_id:
+            self._start_run(message.run_id)
+        self._note(*self._run.add_body(message.record))
+        self._answers.add_body(self._run, message.record)
+        self._go_on(self._run)
+
+    def _on_fracture(self, message: Received) -> None:
+        run = self._run_of_event(message.run_id)
+        self._note(*run.add_fracture(message.record))
+        self._go_on(run)
+
+    def _on_unreadable_event(self, run_id: int, sequence: int, reason: str) -> None:
+        run = self._run_of_event(run_id)
+        run.reject_fracture(sequence, reason)
+        self._go_on(run)
+
+    def _run_of_event(self, run_id: int) -> CollisionRun:
+        if self._run is not None and run_id == self._run.run_id:
+            return self._run
+        if self._next_run is None or run_id != self._next_run.run_id:
+            self._next_run = CollisionRun(run_id, self._settings)
+        return self._next_run
+
+    def _go_on(self, run: CollisionRun) -> None:
+        """Something has come."""
+        if run.wants_log():
+            self._incoming.ask_for_log()
+        self._answer_held()
+
+    def _on_states(self, message: Received) -> None:
+        self._replaced_states += self._held is not None
+        self._held = message
+        self._answer_held()
+
+    def _start_run(self, run_id: int) -> None:
+        """Forgets the last run. Only a body starts a run: events and states that outlived theirs must not."""
+        waiting = self._next_run
+        self._run = waiting if waiting and waiting.run_id == run_id else CollisionRun(run_id, self._settings)
+        self._next_run = None
+        self._answers.forget()
+        self.get_logger().info(f"run {run_id} begins, of {self._incoming.followed}", throttle_duration_sec=1.0)
+
+    def _forget_run(self) -> None:
+        self._run = self._next_run = self._held = None
+        self._answers.forget()
+
+    def _note(self, *refusals: Refusal) -> None:
+        for refusal in refusals:
+            self._refusals.add(refusal)
+            self.get_logger().warning(
+                f"refused, {refusal.topic}, {refusal.kind}: {refusal.reason}", throttle_duration_sec=1.0
+            )
+
+    def _on_new_settings(self, former: Settings, settings: Settings) -> None:
+        for run in (self._run, self._next_run):
+            if run is not None:
+                run.world.change_settings(settings)
+        changes = [
+            f"{name}: {getattr(former, name)} -> {value}"
+            for name, value in settings._asdict().items()
+            if value != getattr(former, name)
+        ]
+        if any(run is not None and run.rejected_event for run in (self._run, self._next_run)):
+            self._incoming.ask_for_log()  # it may have been a limit that rejected it
+        self._settings_since = self._answers.last
+        self.get_logger().info(f"settings changed after {self._answers.last}: {', '.join(changes)}")
+        self._publish_diagnostics()
+
+    # --- answers ---------------------------------------------------------------------------------------------------
+
+    def _answer_held(self) -> None:
+        """Answers the newest states if all they speak of is there."""
+        if self._held is None or self._run is None or self._held.run_id != self._run.run_id:
+            return
+        heading, run_id, states = self._held
+        started = time.perf_counter()
+        try:
+            contacts = self._run.answer(states)
+        except InvalidMessage as error:
+            self._held = None
+            self._note(Refusal(qos.FRAGMENT_STATES.name, error.kind, str(error)))
+            self._answers.refuse(heading, run_id, states)
+            return
+        if contacts is not None:
+            self._held = None
+            self._answers.publish(self._run, heading, states, contacts, time.perf_counter() - started)
+
+    # --- what it says of itself ------------------------------------------------------------------------------------
+
+    def _every_second(self) -> None:
+        self._seconds_held = self._seconds_held + 1 if self._held is not None else 0
+        if is_time_for_log(self._seconds_held):
+            self.get_logger().warning(f"{self._said_of_held()}; asking for bodies and events again")
+            self._incoming.ask_for_log()
+        self._incoming.look_around()
+        self._publish_diagnostics()
+
+    def _said_of_held(self) -> str:
+        """Of states that are held, what they wait for."""
+        _, run_id, states = self._held
+        if self._run is None or self._run.run_id != run_id:
+            reason = "no body of this run has arrived"
+        else:
+            reason = self._run.what_states_wait_for()
+        return f"states of run {run_id}, step {states.step}, are held: {reason}"
+
+    def _publish_diagnostics(self) -> None:
+        run, incoming = self._run, self._incoming
+        values = {
+            "phase": self._phase,
+            "follows": incoming.followed,
+            "refused for it": ", ".join(incoming.waiting) or "nobody",
+            "slow subscribers": self._neighbours.said_of_the_slow(),
+            "messages overtaken before all had them": self._answers.overtaken,
+            "states dropped for newer ones": incoming.dropped_states + self._replaced_states,
+            "events held": sum(one.held_event_count for one in (run, self._next_run) if one is not None),
+        }
+        if run is not None:
+            values |= {
+                "run_id": run.run_id,
+                "bodies": len(run.body_ids),
+                "fracture_sequence": run.event_count,
+            }
+        message = self._phase
+        if self._neighbours.slow:
+            message += "; some subscribers are slow and may miss messages"
+        rejected = run.rejected_event if run is not None else ""
+        if rejected:
+            message = rejected
+        if self._held is not None:
+            message = self._said_of_held()
+        is_fine = self._held is None and not self._neighbours.slow and not rejected
+        level = DiagnosticStatus.OK if is_fine else DiagnosticStatus.WARN
+        self._diagnostics.publish(
+            diagnostic_array(
+                self,
+                status("answers", level, message, values | self._answers.times.values()),
+                self._refusals.status(),
+                settings_status(self._settings, self._settings_since),
+            )
+        )
+
+
+def is_time_for_log(seconds_held: int) -> bool:
+    """Whether bodies and events are asked for again, after states were held for so long."""
+    return seconds_held in LOG_PAUSES or (seconds_held > LOG_PAUSES[-1] and seconds_held % LOG_PAUSES[-1] == 0)
+
+
+def _work(node: CollisionNode) -> None:
+    # One thread: contacts depend on the order in which bodies, events and states are applied, and on nothing else.
+    # Made before the node says that it is ready: once told to end, none can be made.
+    executor = PromptExecutor()
+    executor.add_node(node)
+    try:
+        node.prepare()
+        executor.spin()
+    finally:
+        node.finish()
+        executor.shutdown()
+
+
+def main() -> int:
+    gc.disable()  # until it is ready: of half a million objects that numba makes next to none are garbage
+    return run_node(CollisionNode, _work)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,191 @@
+"""One run as the service sees it: messages as the topics happen to deliver them, applied in the order they ask for.
+
+DDS keeps order within a topic, not across topics. An event may arrive before its body, states before either: they are
+held until they can be applied. Where an event is rejected, states that need it are refused with the reason, and later
+events are held until a corrected one arrives, however late. Knows records, not ROS.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fracture_collision import world
+from fracture_collision.records import ADD, CollisionBody, ContactConstraintArray, FractureEvent, FragmentStates
+from fracture_collision.world.gates.errors import InvalidMessage, StatesAhead
+from fracture_collision.world.settings import Settings
+
+# Events held for a body that has not come, or behind another event. Those beyond are asked for again (`wants_log`).
+MAX_HELD_EVENTS = 10_000
+MAX_HELD_BYTES = 256 * 1024 * 1024  # of their arrays
+
+
+class Refusal(NamedTuple):
+    topic: str
+    kind: str
+    reason: str
+
+
+class CollisionRun:
+    """A CollisionWorld and what waits to go into it."""
+
+    def __init__(self, run_id: int, settings: Settings) -> None:
+        self.run_id = run_id
+        self.world = world.CollisionWorld(settings)  # which loads numba, not when this module is imported
+        self.body_ids: set[int] = set()
+        self._known_bodies: set[int] = set()  # removed ones too: an event of theirs may still be on its way
+        self.event_count = 0
+        self.removals = 0
+        self._held_events: dict[int, FractureEvent] = {}  # by sequence
+        self._held_bytes = 0
+        self._unreadable: dict[int, str] = {}  # sequences of events that could not be read, with the reason
+        self._first_dropped: int | None = None  # the lowest sequence of events that there was no room for
+        self._rejected_bodies: dict[int, tuple[int, str]] = {}  # body id -> fragment id, reason
+        self._ahead: tuple[FragmentStates, StatesAhead] | None = None  # the last states that had to be held
+
+    @property
+    def held_event_count(self) -> int:
+        return len(self._held_events)
+
+    @property
+    def rejected_event(self) -> str:
+        """Which event was rejected, why, and that a corrected one is awaited; "" where none holds up the others."""
+        return str(self.world.rejected_event or "")
+
+    def add_body(self, body: CollisionBody) -> list[Refusal]:
+        """Takes a body, and the events that waited for it."""
+        try:
+            self.world.add_body(body)
+        except InvalidMessage as error:
+            if body.body_id not in self._known_bodies and len(self._rejected_bodies) < MAX_HELD_EVENTS:
+                self._rejected_bodies[body.body_id] = body.fragment_id, str(error)
+            return [Refusal("bodies", error.kind, str(error))]
+        self._rejected_bodies.pop(body.body_id, None)
+        if body.operation == ADD:
+            self.body_ids.add(body.body_id)
+            self._known_bodies.add(body.body_id)
+        else:
+            self.body_ids.discard(body.body_id)
+            self.removals += 1
+        return self._apply_held_events()
+
+    def add_fracture(self, event: FractureEvent) -> list[Refusal]:
+        """Takes an event, or holds it until its body has arrived and all events before it are applied. An event held is
+        reported as one refused, for it may be that what it waits for never comes; a later event of the same sequence
+        takes its place.
+        """
+        if event.sequence <= self.event_count:
+            return self._apply(event)
+        self._release(event.sequence)
+        size = _array_bytes(event)
+        # what is due first stays, so that the log can always go on
+        while not self._has_room_for(size) and max(self._held_events, default=0) > event.sequence:
+            self._drop(max(self._held_events))
+        if not self._has_room_for(size):
+            self._drop(event.sequence)
+            reason = (
+                f"{len(self._held_events)} events, {self._held_bytes} bytes, are held already; event {event.sequence}"
+                " is asked for again when it is due"
+            )
+            return [Refusal("fracture_events", "limit_exceeded", reason)]
+        self._unreadable.pop(event.sequence, None)
+        self._held_events[event.sequence] = event
+        self._held_bytes += size
+        refusals = self._apply_held_events()
+        if event.sequence not in self._held_events:
+            return refusals
+        if event.body_id in self._known_bodies:
+            kind, what = "sequence_gap", "sequence:"
+        else:
+            kind, what = "unknown_id", f"body_id: no body {event.body_id};"
+        reason = f"{what} event {event.sequence} is held: {self._what_events_wait_for()}"
+        return [*refusals, Refusal("fracture_events", kind, reason)]
+
+    def reject_fracture(self, sequence: int, reason: str) -> None:
+        """Event `sequence` arrived as something that cannot be read."""
+        if sequence > self.event_count and len(self._unreadable) < MAX_HELD_EVENTS:
+            self._release(sequence)
+            self._unreadable[sequence] = reason
+            self._apply_held_events()
+
+    def wants_log(self) -> bool:
+        """Whether all events shall be sent again: one is due now that there was no room for. True once."""
+        due = self.event_count + 1
+        if self._first_dropped is None or self._first_dropped > due or due in self._held_events:
+            return False
+        self._first_dropped = None
+        return True
+
+    def answer(self, states: FragmentStates) -> ContactConstraintArray | None:
+        """Contacts, or None as long as events or bodies that the states speak of are missing: the same states are
+        looked at again only when these are there. Raises InvalidMessage, also where an event they need was rejected.
+        """
+        if self._ahead is not None and self._ahead[0] is states and self.world.lacks(self._ahead[1]):
+            return None
+        self._ahead = None
+        try:
+            return self.world.contacts(states)
+        except StatesAhead as error:
+            self._ahead = states, error
+            return None
+
+    def what_states_wait_for(self) -> str:
+        """Why the last answer was None, in words."""
+        if self._ahead is None:
+            return "they have not been looked at yet"
+        ahead = self._ahead[1]
+        if ahead.fracture_sequence > self.event_count:
+            return f"{ahead}; {self._what_events_wait_for()}"
+        for fragment_id in ahead.fragment_ids:
+            for body_id, (own, reason) in self._rejected_bodies.items():
+                if own == fragment_id:
+                    return f"no fragment {fragment_id} is known, as body {body_id} was rejected: {reason}"
+        return f"no body or event has arrived that makes fragment {next(iter(ahead.fragment_ids), '')}"
+
+    def _what_events_wait_for(self) -> str:
+        due = self.event_count + 1
+        if self.rejected_event:
+            return self.rejected_event
+        if due not in self._held_events:
+            return f"event {due} has not arrived"
+        body_id = self._held_events[due].body_id
+        if body_id in self._rejected_bodies:
+            return f"event {due} waits for body {body_id}, which was rejected: {self._rejected_bodies[body_id][1]}"
+        return f"event {due} waits for body {body_id}, which has not arrived"
+
+    def _apply(self, event: FractureEvent) -> list[Refusal]:
+        try:
+            self.world.add_fracture(event)
+        except InvalidMessage as error:
+            return [Refusal("fracture_events", error.kind, str(error))]
+        self.event_count = max(self.event_count, event.sequence)
+        return []
+
+    def _apply_held_events(self) -> list[Refusal]:
+        """Those that are due, one after the other; one that is rejected stops it."""
+        refusals: list[Refusal] = []
+        while (due := self.event_count + 1) in self._held_events and not refusals:
+            if self._held_events[due].body_id not in self._known_bodies:
+                break
+            refusals += self._apply(self._release(due))
+        if (reason := self._unreadable.get(due)) is not None:
+            self.world.reject_fracture(due, reason)
+        return refusals
+
+    def _has_room_for(self, size: int) -> bool:
+        return len(self._held_events) < MAX_HELD_EVENTS and self._held_bytes + size <= MAX_HELD_BYTES
+
+    def _drop(self, sequence: int) -> None:
+        self._release(sequence)
+        self._first_dropped = min(self._first_dropped or sequence, sequence)
+
+    def _release(self, sequence: int) -> FractureEvent | None:
+        event = self._held_events.pop(sequence, None)
+        if event is not None:
+            self._held_bytes -= _array_bytes(event)
+        return event
+
+
+def _array_bytes(event: FractureEvent) -> int:
+    return sum(np.asarray(field).nbytes for field in event)

@@ -1,0 +1,168 @@
+"""The topics that a run comes by: what is let through to the service, and what was dropped or refused on the way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+
+from rclpy.node import Node
+from rclpy.subscription import Subscription
+
+from fracture_collision.cdr import Received
+from fracture_collision.ros.fastdds.message_origin import Origin, participant_of
+from fracture_collision.ros.fastdds.neighbours import Neighbours
+from fracture_collision.ros.processes.parameters import declare
+from fracture_collision.ros.service.collision_run import Refusal
+from fracture_collision.ros.service.run_guard import RunGuard, Verdict
+from fracture_collision.ros.wire import qos
+from fracture_collision.ros.wire.cdr_records import deserialize_record, place_of_event
+
+LOG = (qos.BODIES, qos.FRACTURE_EVENTS)  # a run can be rebuilt from these
+TOPICS = (*LOG, qos.FRAGMENT_STATES)
+
+
+class Incoming:
+    """Subscriptions to TOPICS whose messages are read, judged by a RunGuard and handed on. Parameter: allow_takeover.
+
+    For a PromptExecutor: it says who sent a message.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        neighbours: Neighbours,
+        largest_message: Callable[[], int],
+        handlers: Mapping[str, Callable[[Received], None]],
+        refuse: Callable[[Refusal], None],
+        begin_anew: Callable[[], None],
+        reject_event: Callable[[int, int, str], None],
+    ) -> None:
+        """`largest_message`: [bytes]. `handlers`: by the topic's name. `begin_anew`: what is known of earlier runs
+        shall be forgotten. `reject_event`: of this run, this sequence cannot be read, for this reason.
+        """
+        self._node = node
+        self._neighbours = neighbours
+        self._largest_message = largest_message
+        self._handlers = handlers
+        self._refuse = refuse
+        self._begin_anew = begin_anew
+        self._reject_event = reject_event
+        self._guard = RunGuard()
+        self._run_id: int | None = None  # of the last message that was let through
+        self._subscriptions: dict[str, Subscription] = {}
+        self._log_is_due = False  # what was refused of it is wanted now
+        self._asked_in_vain: tuple[Origin, Received] | None = None  # the newest states that were another's
+        self._states_from: Origin | None = None  # the newest of who is followed
+        self.dropped_states = 0
+        declare(
+            node, "allow_takeover", False,
+            "another publisher's run is followed at once; false: only when the one that is followed is gone",
+        )  # fmt: skip
+
+    def listen(self) -> None:
+        for topic in TOPICS:
+            self._subscribe(topic)
+
+    def look_around(self) -> None:
+        """Notices who came and who went; to be called now and then, outside the subscriptions' callbacks."""
+        if not self._subscriptions:
+            return
+        self._observe()
+        guard = self._guard
+        if guard.leader is None and guard.waiting:
+            self._log_is_due = True
+        if self._log_is_due:
+            self._log_is_due = False
+            guard.waiting.clear()
+            for topic in LOG:  # who subscribes anew is told everything again
+                self._node.destroy_subscription(self._subscriptions[topic.name])
+                self._subscribe(topic)
+            if self._asked_in_vain is not None:
+                question, self._asked_in_vain = self._asked_in_vain, None
+                self._let_through(qos.FRAGMENT_STATES, *question)
+
+    def ask_for_log(self) -> None:
+        """Bodies and events shall be told again, at the next look around."""
+        self._log_is_due = True
+
+    @property
+    def followed(self) -> str:
+        """Whose run it is."""
+        return self._neighbours.name(self._guard.leader) if self._guard.leader is not None else "nobody"
+
+    @property
+    def waiting(self) -> list[str]:
+        """Who is refused for it."""
+        return sorted(map(self._neighbours.name, self._guard.waiting))
+
+    def _subscribe(self, topic: qos.Topic) -> None:
+        self._subscriptions[topic.name] = self._node.create_subscription(
+            topic.message_class, topic.name, partial(self._on_message, topic), topic.qos, raw=True
+        )
+
+    def _on_message(self, topic: qos.Topic, data: bytes, origin: Origin) -> None:
+        last = self._states_from
+        if topic is qos.FRAGMENT_STATES and last is not None and origin.publisher == last.publisher:
+            self.dropped_states += origin.sequence_number - last.sequence_number - 1
+            self._states_from = origin
+        limit = self._largest_message()
+        if len(data) > limit:
+            reason = f"{len(data)} bytes, more than the parameter max_message_bytes, {limit}"
+            self._refuse_unread(topic, data, origin, "limit_exceeded", reason)
+            return
+        try:
+            received = deserialize_record(data, topic.message_class)
+        except ValueError as error:
+            self._refuse_unread(topic, data, origin, "malformed", str(error))
+            return
+        self._let_through(topic, origin, received)
+
+    def _refuse_unread(self, topic: qos.Topic, data: bytes, origin: Origin, kind: str, reason: str) -> None:
+        """The events behind one that cannot be read, and the states that need it, shall know of it."""
+        self._refuse(Refusal(topic.name, kind, reason))
+        place = place_of_event(data) if topic is qos.FRACTURE_EVENTS else None
+        if place is not None and self._is_followed(topic, origin.participant, place.run_id):
+            self._reject_event(place.run_id, place.record.sequence, reason)
+
+    def _let_through(self, topic: qos.Topic, origin: Origin, received: Received) -> None:
+        if not self._is_followed(topic, origin.participant, received.run_id):
+            if topic is qos.FRAGMENT_STATES:
+                self._asked_in_vain = origin, received
+            return
+        self._run_id = received.run_id
+        if topic is qos.FRAGMENT_STATES:
+            self._states_from = origin
+        self._handlers[topic.name](received)
+
+    def _is_followed(self, topic: qos.Topic, participant: bytes, run_id: int) -> bool:
+        guard = self._guard
+        if guard.follows(topic.name, participant):
+            return True
+        if participant not in guard.waiting:
+            self._observe()
+        allow_takeover = self._node.get_parameter("allow_takeover").value
+        verdict = guard.judge(topic.name, participant, run_id == self._run_id, allow_takeover)
+        if verdict is Verdict.REFUSE:
+            reason = (
+                f"run {run_id} of {self._neighbours.name(participant)}: the service follows {self.followed} until that"
+                " one's publishers are gone; the parameter allow_takeover would let another in at once"
+            )
+            self._refuse(Refusal(topic.name, "other_publisher", reason))
+            return False
+        if participant in guard.waiting:
+            self._log_is_due = True
+        if verdict is Verdict.BEGIN:
+            self._begin_anew()
+        return True
+
+    def _observe(self) -> None:
+        infos = {
+            topic.name: self._node.get_publishers_info_by_topic(self._subscriptions[topic.name].topic_name)
+            for topic in TOPICS
+        }
+        self._neighbours.look(*(info for there in infos.values() for info in there))
+        publishers = {
+            name: {participant_of(bytes(info.endpoint_gid)) for info in there} - self._neighbours.dead
+            for name, there in infos.items()
+        }
+        self._guard.observe(publishers, {topic.name for topic in LOG})

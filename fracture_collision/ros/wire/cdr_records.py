@@ -1,0 +1,61 @@
+"""Records to serialized messages and back, by the layouts of the message classes.
+
+This is for what goes to and fro in every step, and for whatever a stranger sends: rclpy's executor drops what it cannot
+read without a word, and makes a Python object of some hundred bytes of each point of a primitive's polygon.
+"""
+
+from __future__ import annotations
+
+import importlib
+from functools import cache
+from typing import Any, NamedTuple
+
+from fracture_collision.cdr import Codec, Heading, Layout, Received
+from fracture_collision.msg import FractureEvent
+from fracture_collision.ros.wire.conversion import message_class_of, record_class_of
+
+_LEADING_BYTES = 4096  # of an event: header with the name of a frame, run_id and sequence
+
+
+def serialize_record(record: NamedTuple, heading: Heading, run_id: int) -> bytes:
+    """The serialized message of a record, as rclpy makes it of conversion.to_message, with zeros in the gaps
+    (ros/wire/cdr_padding.py). Raises as Codec.write does.
+    """
+    return _codec(message_class_of(record)).write(record, heading, run_id)
+
+
+def deserialize_record(data: bytes, message_class: Any) -> Received:
+    """The record, heading and run of a serialized message, of any of msg/. Raises as Codec.read does."""
+    return _codec(message_class).read(data)
+
+
+class EventPlace(NamedTuple):
+    """The first fields of a FractureEvent, without header and run_id."""
+
+    sequence: int
+
+
+def place_of_event(data: bytes) -> Received | None:
+    """Of a serialized FractureEvent that is too long or damaged farther on: its run and an EventPlace, if these can be
+    read.
+    """
+    codec = Codec(EventPlace, layout_of(FractureEvent)[:3], lambda kind: layout_of(nested_class(kind)))
+    try:
+        return codec.read(data[:_LEADING_BYTES])
+    except ValueError:
+        return None
+
+
+def layout_of(message_class: Any) -> Layout:
+    return tuple(message_class.get_fields_and_field_types().items())
+
+
+def nested_class(kind: str) -> Any:
+    """The message class that a layout speaks of, as in "std_msgs/Header"."""
+    package, name = kind.split("/")
+    return getattr(importlib.import_module(f"{package}.msg"), name)
+
+
+@cache
+def _codec(message_class: Any) -> Codec:
+    return Codec(record_class_of(message_class), layout_of(message_class), lambda kind: layout_of(nested_class(kind)))

@@ -1,0 +1,181 @@
+"""A robot arm in a scene, the KUKA LBR iiwa that comes with PyBullet: its parts, its postures, its recorded swing.
+
+Each link stands for one to three spheres, the flange carries a block to strike with, and the foot is a box that cannot
+move; to the collision service they are bodies like any other. How they follow their links: `arm_control`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pybullet_data
+from scipy.interpolate import PchipInterpolator
+
+from fracture_collision.simulation.actors.hand import rows_of_file
+from fracture_collision.simulation.config.scene_fields import Fields, SceneError, quoted
+from fracture_collision.simulation.config.shapes import Shape
+from fracture_collision.simulation.config.urdf_chain import JointLimits, link_frames, read_chain
+from fracture_collision.simulation.rotations import DEGREE, from_euler_angles, rotation_matrices, turned
+
+URDF = Path("kuka_iiwa") / "model.urdf"
+JOINTS = 7
+COLUMNS = ["time", *(f"joint_{j}" for j in range(1, JOINTS + 1))]
+LOOK = 1e-3  # [s] between two looks at how fast a swing is
+
+
+class Part(NamedTuple):
+    """A primitive that a link stands for."""
+
+    name: str
+    link: int  # 0: the foot, which cannot move; j: turns with joint j
+    center: tuple[float, float, float]  # [m], in the link's frame
+    shape: Shape
+
+
+def _ball(link: int, which: str, center: tuple[float, float, float], radius: float) -> Part:
+    return Part(f"arm link {link}{which}", link, center, Shape("sphere", radius=radius))
+
+
+# Fitted by eye into the extents of the URDF's own link meshes, whose vertices lie no farther than 3.5 cm outside them.
+PARTS = (
+    Part("arm foot", 0, (0.0, 0.0, 0.079), Shape("box", size=(0.24, 0.24, 0.158))),
+    _ball(1, "a", (0.0, 0.0, 0.07), 0.085),
+    _ball(1, "b", (0.0, -0.025, 0.20), 0.09),
+    _ball(2, "a", (0.0, 0.0, 0.05), 0.085),
+    _ball(2, "b", (0.0, 0.13, 0.01), 0.075),
+    _ball(3, "a", (0.0, 0.0, 0.055), 0.07),
+    _ball(3, "b", (0.0, 0.035, 0.205), 0.075),
+    _ball(4, "a", (0.0, 0.0, 0.035), 0.075),
+    _ball(4, "b", (0.0, 0.12, 0.01), 0.072),
+    _ball(5, "a", (0.0, 0.0, 0.04), 0.07),
+    _ball(5, "b", (0.0, 0.05, 0.13), 0.05),
+    _ball(5, "c", (0.0, 0.075, 0.215), 0.05),
+    _ball(6, "", (0.0, 0.0, 0.0), 0.075),
+    _ball(7, "", (0.0, 0.0, 0.02), 0.052),
+    Part("arm tool", 7, (0.0, 0.0, 0.115), Shape("box", size=(0.08, 0.08, 0.14))),
+)
+MOVING = PARTS[1:]
+
+
+class ArmSettings(NamedTuple):
+    speed_limit: float = 3.0  # [rad/s] of a joint; the URDF's own limit counts as well
+    acceleration_limit: float = 15.0  # [rad/s2] of a joint that goes to where it is commanded
+    force_limit: float = 500.0  # [N] with which the arm holds each of its parts, and so pushes
+    frequency: float = 25.0  # [Hz] at which a part would swing about its place; so stiff is the arm
+    damping_ratio: float = 1.0  # 1: it comes back without swinging
+    lag_limit: float = 0.03  # [m] with a part so far behind, joints wait for it
+
+
+class Arm(NamedTuple):
+    """An arm in a scene."""
+
+    settings: ArmSettings
+    position: np.ndarray  # (3,) [m] of its foot, world
+    orientation: np.ndarray  # (4,) unit quaternion x y z w
+    times: np.ndarray  # (k,) [s], ascending, of its swing
+    angles: np.ndarray  # (k, 7) [rad] of the joints then; between them monotone cubics, outside the nearest
+
+    def standing(self) -> Arm:
+        """The same arm, which stays as it begins until it is commanded."""
+        return self._replace(times=self.times[:1], angles=self.angles[:1])
+
+    def swing(self) -> Callable[[float], np.ndarray]:
+        """What gives the angles (7,) [rad] at a time [s]."""
+        first, last = self.times[0], self.times[-1]
+        if first == last:
+            return lambda _time: self.angles[0]
+        curve = _curve(self)
+        return lambda time: curve(min(max(time, first), last))
+
+
+class ArmKinematics:
+    """Where an arm's parts are, by the angles of its joints."""
+
+    def __init__(self, position: np.ndarray, orientation: np.ndarray) -> None:
+        self._position, self._orientation = position, orientation
+        self._chain = read_chain(Path(pybullet_data.getDataPath()) / URDF)
+        self._links = np.array([part.link - 1 for part in MOVING])
+        self._centers = np.array([part.center for part in MOVING])
+
+    @property
+    def limits(self) -> JointLimits:
+        return self._chain.limits
+
+    def places(self, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Centres (n, 3) [m] and orientations (n, 4) of the parts that move, in their order; world frame."""
+        origins, turns = link_frames(self._chain, self._position, self._orientation, angles)
+        origins, turns = origins[self._links], turns[self._links]
+        return origins + turned(rotation_matrices(turns), self._centers), turns
+
+
+def joint_limits() -> JointLimits:
+    """Of an arm wherever it stands."""
+    return ArmKinematics(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])).limits
+
+
+def parse_arm(fields: Fields, folder: Path | None) -> Arm:
+    """`swing` is a CSV file beside the scene, or a list of its rows: a time [s] and seven angles [degrees]."""
+    default = ArmSettings()
+    settings = ArmSettings(*[fields.number(key, default._asdict()[key], above=0.0) for key in ArmSettings._fields])
+    position = fields.vector("position", 3, (0.0, 0.0, 0.0))
+    rotation = fields.vector("rotation", 3, (0.0, 0.0, 0.0))
+    orientation = from_euler_angles(DEGREE * rotation)
+    swing, path = fields.take("swing"), fields.name("swing")
+    if isinstance(swing, str):
+        swing = rows_of_file((folder or Path()) / swing, path, COLUMNS)
+    if not isinstance(swing, list) or not swing:
+        raise SceneError(f"{path}: needs the name of a CSV file, or a list of rows, got {quoted(swing)}")
+    fields.finish()
+    rows = _rows(swing, path)
+    arm = Arm(settings, position, orientation, rows[:, 0].copy(), DEGREE * rows[:, 1:])
+    _require_possible(arm, joint_limits(), path)
+    return arm
+
+
+def require_within(limits: JointLimits, angles: Sequence[float]) -> None:
+    """Raise ValueError, in words, where one of the seven `angles` [rad] is beyond its joint's limits."""
+    for name, angle, lower, upper in zip(limits.names, angles, limits.lower, limits.upper, strict=True):
+        if not lower <= angle <= upper:
+            raise ValueError(f"{name}: {angle:.4g} rad is not within {lower:.4g} and {upper:.4g} rad")
+
+
+def _rows(swing: list, path: str) -> np.ndarray:
+    rows = np.empty((len(swing), len(COLUMNS)))
+    for i, row in enumerate(swing):
+        try:
+            rows[i] = [float(number) for number in row]
+        except (ValueError, TypeError) as error:
+            raise SceneError(f"{path}[{i}]: needs {', '.join(COLUMNS)}, got {quoted(row)}") from error
+        if not np.all(np.isfinite(rows[i])):
+            raise SceneError(f"{path}[{i}]: needs finite numbers, got {quoted(row)}")
+        if i and rows[i, 0] <= rows[i - 1, 0]:
+            raise SceneError(f"{path}[{i}]: time {rows[i, 0]} s does not follow {rows[i - 1, 0]} s")
+    return rows
+
+
+def _require_possible(arm: Arm, limits: JointLimits, path: str) -> None:
+    for i, angles in enumerate(arm.angles):
+        try:
+            require_within(limits, angles)
+        except ValueError as error:
+            raise SceneError(f"{path}[{i}]: {error}") from error
+    if len(arm.times) == 1:
+        return
+    times = np.arange(arm.times[0], arm.times[-1], LOOK)
+    speeds = np.abs(_curve(arm)(times, 1))
+    most = np.minimum(limits.speeds, arm.settings.speed_limit)
+    when, joint = np.unravel_index(np.argmax(speeds / most), speeds.shape)
+    if speeds[when, joint] > most[joint]:
+        raise SceneError(
+            f"{path}: {limits.names[joint]} turns with {speeds[when, joint]:.3g} rad/s at {times[when]:.3g} s, more"
+            f" than {most[joint]:.3g} rad/s"
+        )
+
+
+def _curve(arm: Arm) -> PchipInterpolator:
+    """Goes no farther than from row to row: within the joints' limits as its rows are. Begins and ends at rest."""
+    times = np.concatenate((arm.times[:1] - 1.0, arm.times, arm.times[-1:] + 1.0))
+    return PchipInterpolator(times, np.concatenate((arm.angles[:1], arm.angles, arm.angles[-1:])))

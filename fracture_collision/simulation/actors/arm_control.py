@@ -1,0 +1,169 @@
+"""Drives an arm: where its joints go, and how its parts keep up with them.
+
+A robot under position control is stiff but not endlessly strong. A body of prescribed motion in the contact solver
+would be both: it pushes through whatever is in its way, and what is caught between it and the ground is pressed into
+both. So each part is a heavy body that is held to its place on its link, by a spring with a damper (hand.py has the
+equations) of limited force. In free motion the controller knows where its joints will be, so that its parts lag by
+rounding alone; what they hit pushes them off by millimetres for some hundredths of a second. Where a part is held up
+for longer, all joints wait, as they do at a real controller's limit of following error: the arm presses with no more
+than its force, and stays in one piece.
+
+    dv = a - h (k (x + h (v + a) - x1) + d (v + a - v1)) / (1 + h d + h^2 k),   a = v1 - v0,   k = (2 pi f)^2
+
+with v0 and v1 the velocity of the place in the last step and in this, x1 the place at its end, d = 2 zeta (2 pi f);
+h the step. Likewise for turns, by rotation vectors.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from fracture_collision.portable_math import dots, images, lengths, rotation_vectors
+from fracture_collision.records import ContactConstraintArray
+from fracture_collision.simulation.actors.arm import JOINTS, Arm, ArmKinematics, require_within
+from fracture_collision.simulation.config.urdf_chain import JointLimits
+from fracture_collision.simulation.engine.engine import BodyStates
+from fracture_collision.simulation.rotations import quaternion_products
+from fracture_collision.simulation.solver.contact_solver import kinetic_energy
+
+LEVER = 0.1  # [m] by which the force limit turns a part
+INVERSE = np.array([-1.0, -1.0, -1.0, 1.0])  # of a unit quaternion, coordinate by coordinate
+
+
+class ArmControl:
+    """Drives the bodies of an arm in a simulation, a pushes.Pusher; follows the arm's swing until commanded."""
+
+    def __init__(self, arm: Arm, fragment_ids: Sequence[int]) -> None:
+        """`fragment_ids`: of all PARTS, in their order; none of them breaks."""
+        self._settings = arm.settings
+        self._own = np.array(fragment_ids, np.uint32)
+        self._kinematics = ArmKinematics(arm.position, arm.orientation)
+        self._most_speeds = np.minimum(self.limits.speeds, self._settings.speed_limit)
+        self._clock = 0.0  # [s] of the swing
+        self._goal: np.ndarray | None = None
+        self._swing = arm.swing()
+        self._angles, self._speeds = self._swing(0.0), np.zeros(JOINTS)
+        self._places, self._turns = self._kinematics.places(self._angles)
+        self._velocities = np.zeros((len(self._places), 6))
+
+    @property
+    def limits(self) -> JointLimits:
+        return self._kinematics.limits
+
+    @property
+    def angles(self) -> np.ndarray:
+        """Where the controller has its joints, (7,) [rad]."""
+        return self._angles.copy()
+
+    @property
+    def speeds(self) -> np.ndarray:
+        """(7,) [rad/s]"""
+        return self._speeds.copy()
+
+    def command(self, names: Sequence[str], positions: Sequence[float]) -> None:
+        """Go to `positions` [rad] of the joints of these `names`, or of all in order without names; the others stay.
+
+        From now on the swing is forgotten. Raises ValueError, in words, for what no joint can do.
+        """
+        names = names or self.limits.names
+        if len(positions) != len(names):
+            raise ValueError(f"position: {len(positions)} for {len(names)} joints")
+        goal = self._angles.copy() if self._goal is None else self._goal.copy()
+        for name, position in zip(names, positions, strict=True):
+            if name not in self.limits.names:
+                raise ValueError(f"name: no joint {name!r}; there is {', '.join(self.limits.names)}")
+            if not math.isfinite(position):
+                raise ValueError(f"position: {name}: {position} is not finite")
+            goal[self.limits.names.index(name)] = position
+        if len(set(names)) < len(names):
+            raise ValueError("name: a joint occurs twice")
+        require_within(self.limits, goal)
+        self._goal = goal
+
+    def pull(
+        self, states: BodyStates, time: float, time_step: float, gravity: np.ndarray
+    ) -> tuple[np.ndarray, float]:
+        rows = np.searchsorted(states.fragment_ids, self._own[1:])
+        h, settings = time_step, self._settings
+        before = np.hstack((states.linear[rows], states.angular[rows]))
+        behind = lengths(states.centers[rows] - self._places).max()
+        self._advance(h, float(np.clip(2.0 - 2.0 * behind / settings.lag_limit, 0.0, 1.0)))
+        places, turns = self._kinematics.places(self._angles)
+        velocities = np.hstack((places - self._places, _turn_between(self._turns, turns))) / h
+        off = np.hstack((states.centers[rows] - places, _turn_between(turns, states.frame_orientations[rows])))
+        ahead = velocities - self._velocities
+        swing = 2.0 * math.pi * settings.frequency
+        stiffness, damping = swing * swing, 2.0 * settings.damping_ratio * swing
+        led = before + ahead
+        spring = stiffness * (off + h * led) + damping * (led - velocities)
+        kicks = ahead - h * spring / (1.0 + h * damping + h * h * stiffness)
+        impulses = states.masses[rows, None] * kicks[:, :3]
+        twists = images(states.inertias[rows], kicks[:, 3:])
+        kicks[:, :3] *= _shares(impulses, h * settings.force_limit)
+        kicks[:, 3:] *= _shares(twists, h * settings.force_limit * LEVER)
+        kicks[:, :3] -= h * gravity  # the arm bears its own weight whatever else it does
+        self._places, self._turns, self._velocities = places, turns, velocities
+        pushes = np.zeros((len(states.fragment_ids), 6))
+        pushes[rows] = kicks
+        return pushes, _work(states.masses[rows], states.inertias[rows], before, kicks, h * gravity)
+
+    def without_own(self, contacts: ContactConstraintArray) -> ContactConstraintArray:
+        """Less those among the arm's own parts, which overlap where links meet."""
+        others = ~(np.isin(contacts.fragment_a, self._own) & np.isin(contacts.fragment_b, self._own))
+        if others.all():
+            return contacts
+        counts = np.diff(contacts.pair_begin)
+        kept = np.repeat(others, counts)
+        pairs = {
+            name: getattr(contacts, name)[others]
+            for name in ("fragment_a", "fragment_b", "missed_depth_bound", "friction", "restitution")
+        }
+        points = {
+            name: getattr(contacts, name).reshape(-1, 3)[kept].ravel() for name in ("points_a", "points_b", "normals")
+        }
+        begin = np.concatenate(([0], np.cumsum(counts[others]))).astype(contacts.pair_begin.dtype)
+        return contacts._replace(
+            **pairs, **points, pair_begin=begin, gaps=contacts.gaps[kept], contact_ids=contacts.contact_ids[kept]
+        )
+
+    def _advance(self, time_step: float, share: float) -> None:
+        """Joints go on by this share of a step."""
+        before = self._angles
+        if self._goal is None:
+            self._clock += share * time_step
+            self._angles = self._swing(self._clock)
+            self._speeds = (self._angles - before) / time_step
+            return
+        left = self._goal - before
+        most = self._settings.acceleration_limit * time_step
+        # From this speed it can stop at the goal, slower by `most` each step.
+        stopping = 0.5 * most * (np.sqrt(1.0 + 8.0 * np.abs(left) / (most * time_step)) - 1.0)
+        wanted = np.sign(left) * np.minimum(stopping, self._most_speeds)
+        speeds = self._speeds + np.clip(wanted - self._speeds, -most, most)
+        step = share * time_step * speeds
+        arrived = np.abs(left) <= np.abs(step)
+        self._speeds = np.where(arrived, 0.0, speeds)
+        self._angles = np.clip(np.where(arrived, self._goal, before + step), self.limits.lower, self.limits.upper)
+
+
+def _turn_between(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Rotation vectors (n, 3) [rad], world axes, from unit quaternions (n, 4) to others."""
+    return rotation_vectors(quaternion_products(after, INVERSE * before))
+
+
+def _work(
+    masses: np.ndarray, inertias: np.ndarray, before: np.ndarray, kicks: np.ndarray, fall: np.ndarray
+) -> float:
+    """What `kicks` add to kinetic and potential energy [J] of bodies that meanwhile fall by `fall` (3,) [m/s]."""
+    after = before + kicks
+    after[:, :3] += fall
+    gain = kinetic_energy(masses, inertias, after) - kinetic_energy(masses, inertias, before)
+    return gain - float((masses * dots(after[:, :3], fall)).sum())
+
+
+def _shares(vectors: np.ndarray, most: float) -> np.ndarray:
+    """By which (n, 3) vectors are at most so long: (n, 1), at most 1."""
+    return np.minimum(1.0, most / np.maximum(lengths(vectors)[..., None], 1e-300))

@@ -1,0 +1,122 @@
+"""What a hand does in a running simulation: it takes hold of fragments, pulls them, and keeps hold when they break."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from fracture_collision.portable_math import lengths
+from fracture_collision.simulation.actors.hand import Grip, Hand, HandSettings, kick
+from fracture_collision.simulation.engine.engine import BodyStates
+from fracture_collision.simulation.fracture.breakable_body import BreakableBody
+from fracture_collision.simulation.rotations import turned_back, turned_by
+from fracture_collision.simulation.solver.contact_solver import kinetic_energy
+
+
+class Drag:
+    """A hand with its grip. A scene's recorded hand moves it; without one, `grab`, `move` and `release` do.
+
+    `body_ids`: the body of each living fragment, `breakable`: bodies with a mesh; both as the simulation keeps them.
+    """
+
+    def __init__(
+        self,
+        hand: Hand | None,
+        names: Mapping[int, str],
+        body_ids: Mapping[int, int],
+        breakable: Mapping[int, BreakableBody],
+    ) -> None:
+        self._settings = HandSettings() if hand is None else hand.settings
+        self._track = None if hand is None else hand.track
+        self._id_of = {name: body_id for body_id, name in names.items()}
+        self._body_ids, self._breakable = body_ids, breakable
+        self._grip: Grip | None = None
+        self._holds = ""  # name of the body in the recorded hand
+        self._position, self._velocity = np.zeros((2, 3))
+
+    @property
+    def held(self) -> int | None:
+        """Id of the fragment in the hand."""
+        return None if self._grip is None else self._grip.fragment_id
+
+    def grab(self, name: str, position: np.ndarray, states: BodyStates) -> bool:
+        """Take hold of what is left of the body `name`, by its node nearest to `position` (3,) [m], world.
+
+        A box or a sphere is held by its centre. The hand is there from then on, until it is moved. False where none of
+        the body is among `states`; KeyError where no body has this name.
+        """
+        body_id, nearest, self._grip = self._id_of[name], np.inf, None
+        for i, fragment_id in enumerate(states.fragment_ids.tolist()):
+            if self._body_ids[fragment_id] != body_id:
+                continue
+            turn, origin = states.frame_orientations[i], states.frame_positions[i]
+            at = turned_back(turn, position - origin)
+            node, point = -1, turned_back(turn, states.centers[i] - origin)
+            if body_id in self._breakable:
+                node, point = self._breakable[body_id].nearest_node(fragment_id, at)
+            distance = float(lengths(point - at))
+            if distance < nearest:
+                self._grip, nearest = Grip(fragment_id, point, node), distance
+        self.move(position, np.zeros(3))
+        return self._grip is not None
+
+    def hold(self, fragment_id: int, point: np.ndarray, position: np.ndarray, states: BodyStates) -> bool:
+        """Take hold of one fragment at `point` (3,) [m] of its body frame, by its nearest node if it has any.
+
+        The hand is at `position` (3,) [m], world. False where the fragment is not among `states`.
+        """
+        self._grip = None
+        if fragment_id in states.fragment_ids:
+            node, body = -1, self._breakable.get(self._body_ids[fragment_id])
+            if body is not None:
+                node, point = body.nearest_node(fragment_id, np.asarray(point, np.float64))
+            self._grip = Grip(fragment_id, np.asarray(point, np.float64), node)
+        self.move(position, np.zeros(3))
+        return self._grip is not None
+
+    def move(self, position: np.ndarray, velocity: np.ndarray) -> None:
+        """Where the hand is, (3,) [m], and how fast it moves, (3,) [m/s], for the next step; world."""
+        self._position, self._velocity = np.asarray(position, np.float64), np.asarray(velocity, np.float64)
+
+    def release(self) -> None:
+        """Let go of what is held, if anything is."""
+        self._grip = None
+
+    def keep_hold(self, body_id: int, fragment_id: int) -> None:
+        """The fragment has just broken: the hand keeps the piece that it holds."""
+        if self.held == fragment_id:
+            self._grip = self._grip._replace(fragment_id=self._breakable[body_id].owner(self._grip.node))
+
+    def pull(
+        self, states: BodyStates, time: float, time_step: float, gravity: np.ndarray
+    ) -> tuple[np.ndarray, float]:
+        """What the hand adds in the step at `time` [s]: to all velocities, (n, 6), and to the energy [J]."""
+        if self._track is not None:
+            self._follow(time, states)
+        pushes = np.zeros((len(states.fragment_ids), 6))
+        if self._grip is None:
+            return pushes, 0.0
+        i = int(np.searchsorted(states.fragment_ids, self._grip.fragment_id))
+        if i == len(states.fragment_ids) or states.fragment_ids[i] != self._grip.fragment_id:
+            return pushes, 0.0  # what has just broken off comes with the registry
+        before = np.concatenate((states.linear[i], states.angular[i]))
+        held_at = states.frame_positions[i] + turned_by(states.frame_orientations[i], self._grip.point)
+        # The spring reckons with the weight of this step, or what hangs from it would hang too low.
+        falling = before + np.concatenate((time_step * gravity, np.zeros(3)))
+        pushes[i] = kick(
+            self._settings, states.masses[i], states.inertias[i], states.centers[i], falling,
+            held_at, self._position, self._velocity, time_step,
+        )  # fmt: skip
+        of_body = states.masses[i : i + 1], states.inertias[i : i + 1]
+        gain = kinetic_energy(*of_body, (before + pushes[i])[None]) - kinetic_energy(*of_body, before[None])
+        return pushes, gain
+
+    def _follow(self, time: float, states: BodyStates) -> None:
+        position, velocity, name = self._track.at(time)
+        if name != self._holds:
+            self.release()
+            # A body that does not take part yet is grabbed when it comes.
+            if not name or self.grab(name, position, states):
+                self._holds = name
+        self.move(position, velocity)

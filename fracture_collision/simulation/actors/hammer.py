@@ -1,0 +1,54 @@
+"""A heavy ball on a strong arm that goes where a velocity command says: what a person smashes with.
+
+The arm is a spring like a hand's (hand.py), of limited force: so a hammer that is driven against a wall stands there,
+and its momentum breaks what it meets as any body's would. It does not turn.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fracture_collision.portable_math import lengths
+from fracture_collision.simulation.actors.hand import HandSettings, kick
+from fracture_collision.simulation.engine.engine import BodyStates
+from fracture_collision.simulation.solver.contact_solver import kinetic_energy
+
+ARM = HandSettings(frequency=8.0, damping_ratio=1.0, force_limit=600.0)
+LEAD = 0.15  # [m] the commanded place runs no farther ahead of the hammer: it stops soon after the command does
+
+
+class Hammer:
+    """Drives one body of a simulation; a pushes.Pusher."""
+
+    def __init__(self, fragment_id: int, position: np.ndarray) -> None:
+        """`position` (3,) [m]: where it hangs until it is told to go, world."""
+        self.fragment_id = fragment_id
+        self._position, self._velocity = np.array(position, np.float64), np.zeros(3)
+
+    def steer(self, velocity: np.ndarray) -> None:
+        """Go with `velocity` (3,) [m/s], world axes, until told otherwise."""
+        self._velocity = np.array(velocity, np.float64)
+
+    def pull(
+        self, states: BodyStates, time: float, time_step: float, gravity: np.ndarray
+    ) -> tuple[np.ndarray, float]:
+        pushes = np.zeros((len(states.fragment_ids), 6))
+        i = int(np.searchsorted(states.fragment_ids, self.fragment_id))
+        if i == len(states.fragment_ids) or states.fragment_ids[i] != self.fragment_id:
+            return pushes, 0.0
+        center = states.centers[i]
+        ahead = self._position + time_step * self._velocity - center
+        distance = float(lengths(ahead))
+        self._position = center + ahead * min(1.0, LEAD / distance if distance > 0.0 else 1.0)
+        before = np.concatenate((states.linear[i], states.angular[i]))
+        falling = before + np.concatenate((time_step * gravity, np.zeros(3)))
+        pushes[i] = kick(
+            ARM, states.masses[i], states.inertias[i], center, falling, center, self._position, self._velocity,
+            time_step,
+        )  # fmt: skip
+        # the arm bears the weight whatever else it does, and lets the ball not spin
+        pushes[i, :3] -= time_step * gravity
+        pushes[i, 3:] = -before[3:]
+        of_body = states.masses[i : i + 1], states.inertias[i : i + 1]
+        gain = kinetic_energy(*of_body, (before + pushes[i])[None]) - kinetic_energy(*of_body, before[None])
+        return pushes, gain

@@ -1,0 +1,72 @@
+"""What pushes the bodies of a simulation, beside gravity and contacts: hands, hammers, arms; asked once a step."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from fracture_collision.portable_math import lengths
+from fracture_collision.simulation.engine.engine import BodyStates
+
+
+class Pusher(Protocol):
+    """Something outside the scene that acts on what moves in it."""
+
+    def pull(
+        self, states: BodyStates, time: float, time_step: float, gravity: np.ndarray
+    ) -> tuple[np.ndarray, float]:
+        """What it adds in the step at `time` [s]: to all velocities, (n, 6) [m/s, rad/s], and to the energy [J]."""
+
+
+class Pushes(NamedTuple):
+    velocities: np.ndarray  # (n, 6) [m/s, rad/s] that all of them add
+    energy: float  # [J] likewise
+
+
+class Changes(NamedTuple):
+    """Of velocities, by fragments."""
+
+    fragment_ids: np.ndarray  # (n,) uint32, ascending
+    velocities: np.ndarray  # (n, 6) [m/s, rad/s]
+
+    def of(self, fragment_ids: np.ndarray) -> np.ndarray:
+        """(m, 6), of fragments that are not among these 0."""
+        velocities = np.zeros((len(fragment_ids), 6))
+        _, own, these = np.intersect1d(fragment_ids, self.fragment_ids, assume_unique=True, return_indices=True)
+        velocities[own] = self.velocities[these]
+        return velocities
+
+
+NO_CHANGES = Changes(np.zeros(0, np.uint32), np.zeros((0, 6)))
+
+
+class Planned(NamedTuple):
+    """What was asked for when the step began, of the bodies that moved then: who comes later is not pushed in it."""
+
+    pushes: Changes
+    energy: float  # [J] that they add
+    expected: Changes  # what is left of the pushes once contacts have taken what they will, as far as anybody knows
+
+
+def planned(fragment_ids: np.ndarray, pushes: Pushes, taken: Changes) -> Planned:
+    """taken: by contacts in the last step. A hammer that presses against a wall is stopped by it as it was then; but
+    from a blow on nothing follows for a hammer that has just met the wall: no more is taken than was pushed.
+    """
+    by_contacts = taken.of(fragment_ids)
+    for part in (slice(0, 3), slice(3, 6)):
+        pushed, lost = lengths(pushes.velocities[:, part]), lengths(by_contacts[:, part])
+        by_contacts[:, part] *= np.minimum(1.0, pushed / np.where(lost > 0.0, lost, 1.0))[:, None]
+    left = Changes(fragment_ids, pushes.velocities + by_contacts)
+    return Planned(Changes(fragment_ids, pushes.velocities), pushes.energy, left)
+
+
+def pushes_of(
+    pushers: list[Pusher], states: BodyStates, time: float, time_step: float, gravity: np.ndarray
+) -> Pushes:
+    """What all of them add in the step at `time` [s]."""
+    velocities, energy = np.zeros((len(states.fragment_ids), 6)), 0.0
+    for pusher in pushers:
+        more, gain = pusher.pull(states, time, time_step, gravity)
+        velocities, energy = velocities + more, energy + gain
+    return Pushes(velocities, energy)

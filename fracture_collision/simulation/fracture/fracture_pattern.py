@@ -1,0 +1,156 @@
+"""Voronoi fracture of one fragment of a tetrahedral mesh around an impact.
+
+Seeds lie denser near the impact; each node goes to its nearest seed (ties: the lowest), and what of a seed's nodes
+hangs together along mesh edges is a new fragment. A seed without a node leaves no trace, so every fragment owns at
+least one node: the rule of the virtual node algorithm (Molino, Bao, Fedkiw 2004) that Glondu 2014 builds on.
+
+Each edge whose ends part gets its crack plane, the bisector of the two seeds. With `curvature` distances are measured
+in a smoothly warped space, phi(x) = x + A sin(K x + p), whose bisectors are curved; the edge's plane is the tangent
+plane of the bisector where it crosses the edge:
+
+    f(x) = |phi(x) - phi(s)|^2 - |phi(x) - phi(t)|^2,   grad f = 2 phi'(x)^T (phi(t) - phi(s))
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fracture_collision.portable_math import cosine, dots, images, lengths, normal_numbers, power, products, sine
+from fracture_collision.simulation.fracture.pattern_pieces import (
+    connected_pieces,
+    edge_lengths,
+    nearest_seeds,
+    range_between,
+    seed_pairs,
+)
+
+
+class PatternSettings(NamedTuple):
+    """How a material breaks; the scene file says why."""
+
+    seeds: int = 12  # of the largest break
+    seeds_per_overload: float = 4.0  # seeds of a blow, over its impulse as a multiple of the strength
+    concentration: float = 1.0  # weight of a node as a seed falls with this power of its distance from the impact
+    curvature: float = 0.0  # amplitude of the warp as a share of the distance between seeds; 0: flat cracks
+    minimum_nodes: int = 4  # smaller pieces stay with the neighbour they share most edges with
+
+
+class Pattern(NamedTuple):
+    """How a fragment falls apart; nodes by their places among those of the fragment, planes in the body frame."""
+
+    pieces: np.ndarray  # (k,) for each node of the fragment, the index of its piece: 0 .. piece_count - 1
+    piece_count: int
+    cut_edges: np.ndarray  # (c, 2) nodes
+    cut_planes: np.ndarray  # (c, 4) unit normal from the first node to the second, and offset n.x [m]
+
+
+class _Warp(NamedTuple):
+    amplitudes: np.ndarray  # (w, 3) [m]
+    waves: np.ndarray  # (w, 3) [1/m]
+    phases: np.ndarray  # (w,)
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        return points + products(sine(self._angles(points)), self.amplitudes)
+
+    def jacobians(self, points: np.ndarray) -> np.ndarray:
+        """d phi_i / d x_j: (n, 3, 3)."""
+        slopes = cosine(self._angles(points))
+        return np.eye(3) + products(slopes[:, None, :] * self.amplitudes.T, self.waves)
+
+    def _angles(self, points: np.ndarray) -> np.ndarray:
+        return products(points, self.waves.T) + self.phases
+
+
+def voronoi_pattern(
+    points: np.ndarray,
+    edges: np.ndarray,
+    impact_point: np.ndarray,
+    seed_count: int,
+    settings: PatternSettings,
+    generator: np.random.Generator,
+) -> Pattern | None:
+    """Break the fragment with nodes at `points` (k, 3) [m] near `impact_point` (3,) [m], both in the body frame.
+
+    `edges` (e, 2) int64 are the mesh edges inside the fragment. Returns None where it holds together: fewer than two
+    pieces of at least `settings.minimum_nodes`. Equal arguments and generator state give equal bytes.
+    """
+    seeds = _draw_seeds(points, edges, impact_point, min(seed_count, len(points)), settings, generator)
+    warp = _draw_warp(points, len(seeds), settings, generator) if settings.curvature > 0.0 else None
+    places, centers = (points, seeds) if warp is None else (warp(points), warp(seeds))
+    labels = nearest_seeds(places, centers)
+    pieces, piece_count, cut = connected_pieces(labels, edges, settings.minimum_nodes)
+    if piece_count < 2:
+        return None
+    # From the lower seed to the higher, so that all edges between two seeds share one plane. Two pieces of one seed
+    # have no edge in common, or they would be one.
+    cut = np.where((labels[cut[:, 0]] > labels[cut[:, 1]])[:, None], cut[:, ::-1], cut)
+    if warp is None:
+        planes = _flat_planes(points, seeds, labels, cut)
+    else:
+        planes = _curved_planes(points, centers, labels, cut, warp)
+    return Pattern(pieces, piece_count, cut, planes)
+
+
+def _draw_seeds(
+    points: np.ndarray,
+    edges: np.ndarray,
+    impact_point: np.ndarray,
+    count: int,
+    settings: PatternSettings,
+    generator: np.random.Generator,
+) -> np.ndarray:
+    """Nodes, drawn by their distance from the impact, each moved by up to half an edge: no two distances tie."""
+    edge_length = edge_lengths(points, edges).mean() if len(edges) else 0.0
+    distance = lengths(points - impact_point)
+    weights = power(distance + 2.0 * edge_length + np.finfo(float).tiny, -settings.concentration)
+    chosen = generator.choice(len(points), size=count, replace=False, p=weights / weights.sum())
+    return points[chosen] + 0.5 * edge_length * generator.uniform(-1.0, 1.0, (count, 3))
+
+
+def _draw_warp(points: np.ndarray, seed_count: int, settings: PatternSettings, generator: np.random.Generator) -> _Warp:
+    """Three waves as long as two cells; the amplitude stays below the fold, |A| |K| < 1."""
+    extent = np.ptp(points, axis=0)
+    cell = np.sqrt(np.sort(extent)[1:].prod() / seed_count)
+    directions = normal_numbers(generator, (2, 3, 3))
+    directions /= lengths(directions)[..., None]
+    wave_number = np.pi / cell
+    amplitude = min(settings.curvature * cell, 0.8 / wave_number) / 3.0
+    return _Warp(amplitude * directions[0], wave_number * directions[1], generator.uniform(0.0, 2.0 * np.pi, 3))
+
+
+def _flat_planes(points: np.ndarray, seeds: np.ndarray, labels: np.ndarray, cut: np.ndarray) -> np.ndarray:
+    pair, inverse = seed_pairs(labels, cut, len(seeds))
+    normals = seeds[pair[:, 1]] - seeds[pair[:, 0]]
+    normals /= lengths(normals)[:, None]
+    offsets = dots(normals, 0.5 * (seeds[pair[:, 1]] + seeds[pair[:, 0]]))
+    # Labels come from distances, sides from dot products; where rounding lets the two differ the pair's one plane moves
+    # by that rounding, for all its edges alike.
+    sides = images(points[cut], normals[inverse])
+    highest_first, lowest_second = range_between(sides, inverse, len(pair))
+    between = (highest_first <= offsets) & (offsets < lowest_second)
+    offsets = np.where(between, offsets, 0.5 * (highest_first + lowest_second))
+    return np.column_stack((normals, offsets))[inverse]
+
+
+def _curved_planes(
+    points: np.ndarray, warped_seeds: np.ndarray, labels: np.ndarray, cut: np.ndarray, warp: _Warp
+) -> np.ndarray:
+    start, end = points[cut[:, 0]], points[cut[:, 1]]
+    s, t = warped_seeds[labels[cut[:, 0]]], warped_seeds[labels[cut[:, 1]]]
+    low, high = np.zeros(len(cut)), np.ones(len(cut))
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        place = warp(start + middle[:, None] * (end - start))
+        nearer_s = dots(place - s, place - s) <= dots(place - t, place - t)
+        low, high = np.where(nearer_s, middle, low), np.where(nearer_s, high, middle)
+    # Off the ends, so that a plane cuts off no node of its own.
+    crossing = start + np.clip(0.5 * (low + high), 1e-6, 1.0 - 1e-6)[:, None] * (end - start)
+    normals = images(warp.jacobians(crossing).transpose(0, 2, 1), t - s)
+    normals /= lengths(normals)[:, None]
+    along = (end - start) / lengths(end - start)[:, None]
+    # An edge that runs nearly within the bisector, or against it over a bulge, is cut straight across instead.
+    grazing = dots(normals, along) < 0.05
+    normals = np.where(grazing[:, None], along, normals)
+    return np.column_stack((normals, dots(normals, crossing)))

@@ -1,0 +1,158 @@
+"""Into which pieces seeds part the nodes of a fragment, and which edges that cuts: the loops of `fracture_pattern`.
+
+Nodes and edges are those of the fragment, numbered among themselves.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from fracture_collision.simulation.compiled import uncounted
+from fracture_collision.simulation.solver.contact_islands import root_of
+
+
+@njit(cache=True)
+def inside_fragment(node_fragments, edges, fragment_id):
+    """Its nodes (k,) int64, ascending, and the edges (i, 2) int64 between two of them, as indices into those."""
+    place = np.full(node_fragments.size, -1)
+    nodes, count = np.empty(node_fragments.size, np.int64), 0
+    for node in range(node_fragments.size):
+        if node_fragments[node] == fragment_id:
+            nodes[count], place[node] = node, count
+            count += 1
+    inside, edge_count = np.empty((len(edges), 2), np.int64), 0
+    for e in range(len(edges)):
+        a, b = place[edges[e, 0]], place[edges[e, 1]]
+        if a >= 0 and b >= 0:
+            inside[edge_count, 0], inside[edge_count, 1] = a, b
+            edge_count += 1
+    return nodes[:count].copy(), inside[:edge_count].copy()
+
+
+@njit(cache=True)
+def edge_lengths(points, edges):
+    """(e,) [m]."""
+    lengths = np.empty(len(edges))
+    for e in range(len(edges)):
+        lengths[e] = np.sqrt(_squared_distance(points[edges[e, 0]], points[edges[e, 1]]))
+    return lengths
+
+
+@njit(cache=True)
+def nearest_seeds(points, seeds):
+    """The seed (s, 3) nearest to each point (k, 3), the lowest of several: (k,) int64."""
+    nearest = np.empty(len(points), np.int64)
+    for i in range(len(points)):
+        least = np.inf
+        for s in range(len(seeds)):
+            square = _squared_distance(points[i], seeds[s])
+            if square < least:
+                least, nearest[i] = square, s
+    return nearest
+
+
+@njit(cache=True)
+def connected_pieces(labels, edges, minimum_nodes):
+    """Connected pieces of equal label, the small ones joined to neighbours: (k,) int64, numbered by their first nodes.
+
+    Returns them, how many there are, and the edges between two of them (c, 2).
+    """
+    root = np.arange(labels.size)
+    between, between_count = np.empty_like(edges), 0
+    for e in range(len(edges)):
+        a, b = edges[e, 0], edges[e, 1]
+        if labels[a] == labels[b]:
+            a, b = root_of(root, a), root_of(root, b)
+            root[max(a, b)] = min(a, b)
+        else:
+            between[between_count, 0], between[between_count, 1] = a, b
+            between_count += 1
+    pieces = np.empty(labels.size, np.int64)
+    for i in range(labels.size):
+        pieces[i] = root_of(root, i)
+    count = _number_by_first(pieces)
+    between = between[:between_count]
+    _join_small(pieces, count, between, minimum_nodes)
+    count, cut_count = _number_by_first(pieces), 0
+    for e in range(between_count):
+        if pieces[between[e, 0]] != pieces[between[e, 1]]:
+            between[cut_count] = between[e]
+            cut_count += 1
+    return pieces, count, between[:cut_count].copy()
+
+
+@njit(cache=True)
+def seed_pairs(labels, cut, seed_count):
+    """Seeds on both sides of cut edges (c, 2): the pairs that occur (p, 2), ascending, and the row of each edge's."""
+    row_of = np.full(seed_count * seed_count, -1)
+    for e in range(len(cut)):
+        row_of[labels[cut[e, 0]] * seed_count + labels[cut[e, 1]]] = 0
+    pairs, count = np.empty((min(len(cut), row_of.size), 2), np.int64), 0
+    for key in range(row_of.size):
+        if row_of[key] == 0:
+            pairs[count, 0], pairs[count, 1], row_of[key] = key // seed_count, key % seed_count, count
+            count += 1
+    rows = np.empty(len(cut), np.int64)
+    for e in range(len(cut)):
+        rows[e] = row_of[labels[cut[e, 0]] * seed_count + labels[cut[e, 1]]]
+    return pairs[:count].copy(), rows
+
+
+@njit(cache=True)
+def range_between(sides, rows, count):
+    """Of each of `count` pairs: the highest of its edges' first ends, the lowest of the second; sides (c, 2) [m]."""
+    highest, lowest = np.full(count, -np.inf), np.full(count, np.inf)
+    for e in range(len(rows)):
+        highest[rows[e]] = max(highest[rows[e]], sides[e, 0])
+        lowest[rows[e]] = min(lowest[rows[e]], sides[e, 1])
+    return highest, lowest
+
+
+@uncounted
+def _squared_distance(a, b):
+    x, y, z = a[0] - b[0], a[1] - b[1], a[2] - b[2]
+    return x * x + y * y + z * z
+
+
+@njit(cache=True)
+def _number_by_first(pieces):
+    """Renumber (k,) labels below k, 0 .. count - 1 in the order of their first nodes; returns the count."""
+    number, count = np.full(pieces.size, -1), 0
+    for i in range(pieces.size):
+        if number[pieces[i]] < 0:
+            number[pieces[i]] = count
+            count += 1
+        pieces[i] = number[pieces[i]]
+    return count
+
+
+@njit(cache=True)
+def _join_small(pieces, count, between, minimum_nodes):
+    """The smallest piece below `minimum_nodes` joins the neighbour it shares most edges with, until there is none."""
+    sizes = np.bincount(pieces, minlength=count)
+    is_alone, shared = np.zeros(count, np.bool_), np.empty(count, np.int64)
+    while True:
+        smallest = -1
+        for piece in range(count):
+            is_small = 0 < sizes[piece] < minimum_nodes and not is_alone[piece]
+            if is_small and (smallest < 0 or sizes[piece] < sizes[smallest]):
+                smallest = piece
+        if smallest < 0:
+            return
+        shared[:] = 0
+        for e in range(len(between)):
+            a, b = pieces[between[e, 0]], pieces[between[e, 1]]
+            if a != b and a == smallest:
+                shared[b] += 1
+            elif a != b and b == smallest:
+                shared[a] += 1
+        other = shared.argmax()
+        if shared[other] == 0:
+            is_alone[smallest] = True
+            continue
+        sizes[other] += sizes[smallest]
+        sizes[smallest] = 0
+        for i in range(pieces.size):
+            if pieces[i] == smallest:
+                pieces[i] = other

@@ -1,0 +1,257 @@
+"""Scenes: what stands where, of what, and what is thrown at it. YAML in, NamedTuples out.
+
+In config/scenes plates.yaml shows the fields with their units, bunnies.yaml a hand, reference_sphere.yaml variants.
+All errors are a SceneError that names the field.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fracture_collision.geometry.generators import TetGeometry
+from fracture_collision.share import share_directory
+from fracture_collision.simulation.actors.arm import PARTS, Arm, ArmKinematics, parse_arm
+from fracture_collision.simulation.actors.hand import Hand, parse_hand
+from fracture_collision.simulation.config.scene_fields import Fields, SceneError, numbers, quoted
+from fracture_collision.simulation.config.scene_files import read_yaml
+from fracture_collision.simulation.config.shapes import Shape, parse_shape
+from fracture_collision.simulation.fracture.fracture_pattern import PatternSettings
+from fracture_collision.simulation.rotations import DEGREE, from_euler_angles, turned_by
+from fracture_collision.simulation.solver.contact_solver import SolverSettings
+
+MAX_STEPS = 1_000_000_000
+EARTH = (0.0, 0.0, -9.81)  # [m/s2] gravity, unless a scene has its own
+
+
+class Fracture(NamedTuple):
+    """When and how a material breaks."""
+
+    strength: float  # [N s] sum of the normal impulses of one step that a fragment bears
+    minimum_mass: float  # [kg] lighter fragments do not break
+    pattern: PatternSettings
+
+
+class Material(NamedTuple):
+    density: float  # [kg/m3]
+    friction: float  # Coulomb coefficient
+    restitution: float  # 0..1
+    rolling_arm: float  # [m] rolling and spinning resistance: torque per normal force
+    fracture: Fracture | None  # None: does not break
+
+
+class SceneBody(NamedTuple):
+    name: str
+    shape: Shape
+    material: Material
+    is_static: bool
+    position: np.ndarray  # (3,) [m], of the body frame in the world
+    orientation: np.ndarray  # (4,) unit quaternion x y z w
+    start_time: float  # [s] takes part from here on
+    linear_velocity: np.ndarray  # (3,) [m/s] at its start
+    angular_velocity: np.ndarray  # (3,) [rad/s], world axes
+
+
+class Scene(NamedTuple):
+    name: str
+    seed: int
+    gravity: np.ndarray  # (3,) [m/s2]
+    time_step: float  # [s]
+    duration: float  # [s]
+    solver: SolverSettings
+    bodies: tuple[SceneBody, ...]
+    hand: Hand | None = None  # that drags bodies
+    arm: Arm | None = None  # whose parts are among the bodies, under the names of arm.PARTS
+
+    @property
+    def step_count(self) -> int:
+        return math.ceil(self.duration / self.time_step - 1e-9)
+
+
+class SceneFile(NamedTuple):
+    path: Path
+    title: str  # its first line
+    variants: tuple[str, ...]
+
+
+def scene_files() -> list[SceneFile]:
+    """The scenes that come with the package, by name."""
+    files = sorted((share_directory() / "config" / "scenes").glob("*.yaml"))
+    return [
+        SceneFile(
+            file, file.read_text(encoding="utf-8").splitlines()[0].lstrip("# "), tuple(_variants(read_yaml(file)))
+        )
+        for file in files
+    ]
+
+
+def scene_names() -> list[str]:
+    """What load_scene takes without a path: the package's scenes, each with its variants."""
+    return [
+        name for file in scene_files()
+        for name in (file.path.stem, *(f"{file.path.stem}:{variant}" for variant in file.variants))
+    ]  # fmt: skip
+
+
+def load_scene(name_or_path: str | Path) -> Scene:
+    """The scene of this file, or of this name among those that come with the package.
+
+    NAME:VARIANT is the scene with what its field `variants` says of this variant.
+    """
+    path, variant = _find(str(name_or_path))
+    return parse_scene(read_yaml(path), path.stem, variant, path.parent)
+
+
+def parse_scene(content: Any, name: str, variant: str = "", folder: Path | None = None) -> Scene:
+    """The scene that `content`, as YAML gives it, describes; raises SceneError. Files it names lie in `folder`."""
+    if variant:
+        known = _variants(content)
+        if variant not in known:
+            raise SceneError(f"{name}: has no variant {variant!r}; there is {', '.join(known) or 'none'}")
+        content, name = _merged(content, known[variant], "variants." + variant), f"{name}:{variant}"
+    root = Fields(content, "")
+    root.mapping("variants", {})
+    materials = {
+        str(key): _material(Fields(value, f"materials.{key}")) for key, value in root.mapping("materials").items()
+    }
+    made: dict[tuple, TetGeometry] = {}
+    bodies = tuple(
+        _body(Fields(value, f"bodies[{i}]"), materials, made, folder) for i, value in enumerate(root.sequence("bodies"))
+    )
+    dragged = [body.name for body in bodies if not body.is_static]
+    arm = root.take("arm", None)
+    if arm is not None:
+        arm_fields = Fields(arm, "arm")
+        material = _material_of(arm_fields, materials)
+        arm = parse_arm(arm_fields, folder)
+        bodies += _arm_bodies(arm, material)
+    names = [body.name for body in bodies]
+    for body_name in names:
+        if names.count(body_name) > 1:
+            raise SceneError(f"bodies: the name {quoted(body_name)} occurs {names.count(body_name)} times")
+    hand = root.take("hand", None)
+    if hand is not None:
+        hand = parse_hand(Fields(hand, "hand"), folder, dragged)
+    scene = Scene(
+        name=name,
+        seed=root.integer("seed", 1),
+        gravity=root.vector("gravity", 3, EARTH),
+        time_step=root.number("time_step", above=0.0),
+        duration=root.number("duration", above=0.0),
+        solver=numbers(Fields(root.mapping("solver", {}), "solver"), SolverSettings()),
+        bodies=bodies,
+        hand=hand,
+        arm=arm,
+    )
+    root.finish()
+    if scene.duration > MAX_STEPS * scene.time_step:
+        raise SceneError(f"duration: {scene.duration} s are more than {MAX_STEPS} steps of {scene.time_step} s")
+    return scene
+
+
+def _find(name: str) -> tuple[Path, str]:
+    """The file of a scene, and the variant asked for."""
+    folder = share_directory() / "config" / "scenes"
+    stem, _, variant = name.partition(":")
+    candidates = [(Path(name), ""), (folder / f"{name}.yaml", "")]
+    if variant:
+        candidates += [(Path(stem), variant), (folder / f"{stem}.yaml", variant)]
+    for path, wanted in candidates:
+        if path.is_file():
+            return path, wanted
+    raise SceneError(f"no scene {name!r}: looked for {' and '.join(str(path) for path, _ in candidates)}")
+
+
+def _variants(content: Any) -> Mapping[str, Any]:
+    return Fields(content, "").mapping("variants", {})
+
+
+def _merged(content: Any, change: Any, path: str) -> Any:
+    """`content` with the fields of `change` in place of its own; of a list of bodies, those that it names."""
+    if isinstance(content, Mapping) and isinstance(change, Mapping):
+        changed = {key: _merged(content.get(key), value, f"{path}.{key}") for key, value in change.items()}
+        return {**content, **changed}
+    if isinstance(content, list) and isinstance(change, Mapping):
+        places = {item.get("name"): i for i, item in enumerate(content) if isinstance(item, Mapping)}
+        changed = list(content)
+        for name, value in change.items():
+            if name not in places:
+                raise SceneError(f"{path}: no body {quoted(name)}")
+            changed[places[name]] = _merged(content[places[name]], value, f"{path}.{name}")
+        return changed
+    return change
+
+
+def _material(fields: Fields) -> Material:
+    material = Material(
+        density=fields.number("density", above=0.0),
+        friction=fields.number("friction", minimum=0.0),
+        restitution=fields.number("restitution", 0.0, minimum=0.0),
+        rolling_arm=fields.number("rolling_arm", 0.0, minimum=0.0),
+        fracture=None,
+    )
+    if material.restitution > 1.0:
+        raise SceneError(f"{fields.name('restitution')}: needs at most 1, got {material.restitution}")
+    breaks = fields.take("fracture", None)
+    if breaks is not None:
+        part = Fields(breaks, fields.name("fracture"))
+        fracture = Fracture(
+            strength=part.number("strength", above=0.0),
+            minimum_mass=part.number("minimum_mass", minimum=0.0),
+            pattern=numbers(Fields(part.mapping("pattern", {}), part.name("pattern")), PatternSettings()),
+        )
+        part.finish()
+        material = material._replace(fracture=fracture)
+    fields.finish()
+    return material
+
+
+def _material_of(fields: Fields, materials: Mapping[str, Material]) -> Material:
+    name = fields.text("material")
+    if name not in materials:
+        raise SceneError(f"{fields.name('material')}: {quoted(name)} is none of {', '.join(materials)}")
+    return materials[name]
+
+
+def _arm_bodies(arm: Arm, material: Material) -> tuple[SceneBody, ...]:
+    """Its parts, where its swing begins."""
+    centers, turns = ArmKinematics(arm.position, arm.orientation).places(arm.swing()(0.0))
+    foot = arm.position + turned_by(arm.orientation, PARTS[0].center)
+    places = [(foot, arm.orientation), *zip(centers, turns, strict=True)]
+    return tuple(
+        SceneBody(
+            part.name, part.shape, material._replace(fracture=None), part.link == 0, center, turn, 0.0, np.zeros(3),
+            np.zeros(3),
+        )
+        for part, (center, turn) in zip(PARTS, places, strict=True)
+    )  # fmt: skip
+
+
+def _body(
+    fields: Fields, materials: Mapping[str, Material], made: dict[tuple, TetGeometry], folder: Path | None
+) -> SceneBody:
+    material = _material_of(fields, materials)
+    is_static = fields.take("static", False)
+    if not isinstance(is_static, bool):
+        raise SceneError(f"{fields.name('static')}: needs true or false, got {quoted(is_static)}")
+    body = SceneBody(
+        name=fields.text("name"),
+        shape=parse_shape(Fields(fields.mapping("shape"), fields.name("shape")), made, folder),
+        material=material,
+        is_static=is_static,
+        position=fields.vector("position", 3, (0.0, 0.0, 0.0)),
+        orientation=from_euler_angles(DEGREE * fields.vector("rotation", 3, (0.0, 0.0, 0.0))),
+        start_time=fields.number("start_time", 0.0, minimum=0.0),
+        linear_velocity=fields.vector("linear_velocity", 3, (0.0, 0.0, 0.0)),
+        angular_velocity=fields.vector("angular_velocity", 3, (0.0, 0.0, 0.0)),
+    )
+    if body.shape.kind == "plane" and not body.is_static:
+        raise SceneError(f"{fields.name('static')}: a plane cannot move")
+    if body.is_static and (body.start_time or np.any(body.linear_velocity) or np.any(body.angular_velocity)):
+        raise SceneError(f"{fields.name('static')}: a static body has no start time and no velocity")
+    fields.finish()
+    return body

@@ -1,0 +1,280 @@
+"""Islands: bodies that touch each other, directly or through others that can move. Each is solved for itself.
+
+No impulse of one acts on another, so each stops when it is solved, and conjugate gradients find their way for each
+alone. What never moves belongs to all of them: it is the last row of every island.
+
+Symbols and equation numbers are those of `contact_solver`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from fracture_collision.simulation.compiled import uncounted
+from fracture_collision.simulation.solver.contact_rows import RECORD, TANGENT1, TANGENT2, Rows, Surfaces, fill_record
+from fracture_collision.simulation.solver.contact_step import drift_velocities, new_velocities
+from fracture_collision.simulation.solver.small_matrices import invert_symmetric
+
+# A penetration of this many gaps at rest is more than a contact at rest ever has.
+DEEP = 5.0
+
+
+class Bodies(NamedTuple):
+    """As RigidBodies of `contact_solver`."""
+
+    masses: np.ndarray  # (n,) [kg]
+    inertias: np.ndarray  # (n, 3, 3) [kg m2]
+    centers: np.ndarray  # (n, 3) [m]
+    velocities: np.ndarray  # (n, 6) u(t)
+    free_velocities: np.ndarray  # (n, 6) u*
+
+
+class Contacts(NamedTuple):
+    """All contacts of a step by pairs; bodies by their rows, n: never moves."""
+
+    begin: np.ndarray  # (p + 1,) int64
+    body_a: np.ndarray  # (p,) int64
+    body_b: np.ndarray  # (p,) int64
+    friction: np.ndarray  # (p,)
+    restitution: np.ndarray  # (p,)
+    rolling_arm: np.ndarray  # (p,) [m]
+    points: np.ndarray  # (N, 3) [m], midway between the witnesses
+    normals: np.ndarray  # (N, 3)
+    gaps: np.ndarray  # (N,) [m], negative inside
+    rest_gaps: np.ndarray  # (N,) [m]
+    impulse_limits: np.ndarray  # (N,) [N s]
+
+
+class Islands(NamedTuple):
+    """Island i has the pairs pairs[pair_begin[i] : pair_begin[i + 1]], and its bodies likewise."""
+
+    pairs: np.ndarray  # (q,) int64; of each island in the order they came; those that cannot move are in none
+    pair_begin: np.ndarray  # (k + 1,) int64
+    bodies: np.ndarray  # (m,) int64, of each island ascending; without contacts: in none
+    body_begin: np.ndarray  # (k + 1,) int64
+
+
+class Result(NamedTuple):
+    velocities: np.ndarray  # (n, 6) u(t + h)
+    drift: np.ndarray  # (n, 6) u_d
+    normal_impulses: np.ndarray  # (N,) lambda [N s]
+    impulses: np.ndarray  # (N, 3) on b, world axes; comes in as what the last step had
+    rolling: np.ndarray  # (p, 3) likewise
+
+
+@njit(cache=True)
+def islands_of(begin, body_a, body_b, count):
+    """Islands of `count` bodies, in the order of their first bodies; pairs without contacts count for nothing."""
+    root = np.arange(count)
+    touches = np.zeros(count, np.bool_)
+    for pair in range(body_a.size):
+        a, b = body_a[pair], body_b[pair]
+        if begin[pair] == begin[pair + 1]:
+            continue
+        if a < count:
+            touches[a] = True
+        if b < count:
+            touches[b] = True
+        if a < count and b < count:
+            a, b = root_of(root, a), root_of(root, b)
+            root[max(a, b)] = min(a, b)
+    label = np.full(count, -1)
+    island_count = 0
+    for i in range(count):
+        if touches[i]:
+            r = root_of(root, i)
+            if r == i:
+                label[i] = island_count
+                island_count += 1
+            else:
+                label[i] = label[r]
+    of_pair = np.empty(body_a.size, np.int64)
+    for pair in range(body_a.size):
+        a, b = body_a[pair], body_b[pair]
+        if begin[pair] == begin[pair + 1]:
+            of_pair[pair] = -1
+        else:
+            of_pair[pair] = label[a] if a < count else (label[b] if b < count else -1)
+    pairs, pair_begin = _sorted_by(of_pair, island_count)
+    bodies, body_begin = _sorted_by(label, island_count)
+    return Islands(pairs, pair_begin, bodies, body_begin)
+
+
+@uncounted
+def root_of(root, i):
+    while root[i] != i:
+        root[i] = root[root[i]]
+        i = root[i]
+    return i
+
+
+@njit(cache=True)
+def _sorted_by(labels, label_count):
+    begin = np.zeros(label_count + 1, np.int64)
+    for label in labels:
+        if label >= 0:
+            begin[label + 1] += 1
+    begin = np.cumsum(begin)
+    order, free = np.empty(begin[-1], np.int64), begin.copy()
+    for i in range(labels.size):
+        if labels[i] >= 0:
+            order[free[labels[i]]] = i
+            free[labels[i]] += 1
+    return order, begin
+
+
+@njit(cache=True)
+def solve_islands(islands, bodies, contacts, settings, time_step, only_limited, asleep, result):
+    """One step of all bodies that touch something; writes `result`, where all others have u* and no drift.
+
+    With `only_limited`, of those islands in which an impulse is limited; `result` holds all others' already, and every
+    drift: what parts bodies is not limited by what they can bear. asleep (n,): whose island stays where it is.
+    """
+    local = np.empty(bodies.masses.size, np.int64)
+    for i in range(islands.pair_begin.size - 1):
+        members = islands.bodies[islands.body_begin[i] : islands.body_begin[i + 1]]
+        pairs = islands.pairs[islands.pair_begin[i] : islands.pair_begin[i + 1]]
+        if asleep[members[0]]:
+            result.velocities[members] = 0.0
+            continue
+        if only_limited and not _is_limited(pairs, contacts):
+            continue
+        for k in range(members.size):
+            local[members[k]] = k
+        rows, surfaces, restitution, gaps, against = _rows_of_island(
+            members, pairs, local, bodies, contacts, settings
+        )
+        impulses, rolling = _impulses_of_island(pairs, rows, contacts, result)
+        before, free = np.zeros((2, members.size + 1, 6))
+        for k in range(members.size):
+            before[k], free[k] = bodies.velocities[members[k]], bodies.free_velocities[members[k]]
+        u = new_velocities(rows, surfaces, before, free, gaps, restitution, impulses, rolling, settings, time_step)
+        for k in range(members.size):
+            result.velocities[members[k]] = u[k]
+        if not only_limited:
+            drift = drift_velocities(rows, gaps, before, u, against, settings, time_step)
+            for k in range(members.size):
+                result.drift[members[k]] = drift[k]
+        _keep_impulses(pairs, rows, contacts, impulses, rolling, result)
+
+
+@uncounted
+def _is_limited(pairs, contacts):
+    for pair in pairs:
+        for c in range(contacts.begin[pair], contacts.begin[pair + 1]):
+            if contacts.impulse_limits[c] < np.inf:
+                return True
+    return False
+
+
+@njit(cache=True)
+def _rows_of_island(members, pairs, local, bodies, contacts, settings):
+    size, pair_count = members.size + 1, pairs.size
+    masses, inverse_masses = np.zeros(size), np.zeros(size)
+    inertias, inverse_inertias = np.zeros((size, 3, 3)), np.zeros((size, 3, 3))
+    for k in range(members.size):
+        masses[k] = bodies.masses[members[k]]
+        inverse_masses[k] = 1.0 / masses[k]
+        inertias[k] = bodies.inertias[members[k]]
+        invert_symmetric(inertias[k], inverse_inertias[k])
+    begin = np.zeros(pair_count + 1, np.int64)
+    for k in range(pair_count):
+        begin[k + 1] = begin[k] + contacts.begin[pairs[k] + 1] - contacts.begin[pairs[k]]
+    count = begin[-1]
+    body_a, body_b = np.empty(pair_count, np.int64), np.empty(pair_count, np.int64)
+    records, rolling_masses, sum_of_both = np.empty((count, RECORD)), np.zeros((pair_count, 3, 3)), np.empty((3, 3))
+    friction, rolling_arm = contacts.friction[pairs], contacts.rolling_arm[pairs]
+    restitution, gaps, limits = np.empty(count), np.empty(count), np.empty(count)
+    against = np.zeros(count, np.bool_)
+    nowhere = np.zeros(3)
+    for k in range(pair_count):
+        pair = pairs[k]
+        a, b = contacts.body_a[pair], contacts.body_b[pair]
+        body_a[k] = local[a] if a < local.size else members.size
+        body_b[k] = local[b] if b < local.size else members.size
+        center_a = bodies.centers[a] if a < local.size else nowhere
+        center_b = bodies.centers[b] if b < local.size else nowhere
+        ia, ib = inverse_inertias[body_a[k]], inverse_inertias[body_b[k]]
+        if rolling_arm[k] > 0.0:
+            for x in range(3):
+                for y in range(3):
+                    sum_of_both[x, y] = ia[x, y] + ib[x, y]
+            invert_symmetric(sum_of_both, rolling_masses[k])
+        inverse_mass = inverse_masses[body_a[k]] + inverse_masses[body_b[k]]
+        first = contacts.begin[pair]
+        for c in range(begin[k], begin[k + 1]):
+            source = first + c - begin[k]
+            fill_record(
+                records[c], contacts.points[source], contacts.normals[source], center_a, center_b, inverse_mass, ia, ib
+            )
+            restitution[c] = contacts.restitution[pair]
+            gaps[c] = contacts.gaps[source] - contacts.rest_gaps[source]
+            limits[c] = contacts.impulse_limits[source]
+        both_move = a < local.size and b < local.size
+        _mark_against_parting(
+            records[begin[k] : begin[k + 1]], contacts.gaps[first : contacts.begin[pair + 1]], both_move, center_a,
+            center_b, DEEP * settings.rest_gap, against[begin[k] : begin[k + 1]],
+        )  # fmt: skip
+    rows = Rows(
+        begin, body_a, body_b, masses, inertias, inverse_masses, inverse_inertias, records, rolling_masses
+    )
+    return rows, Surfaces(friction, rolling_arm, limits), restitution, gaps, against
+
+
+@uncounted
+def _mark_against_parting(records, gaps, both_move, center_a, center_b, deep, against):
+    """Contacts of a pair that drift correction leaves out.
+
+    Two shards that have got into each other have contacts on either side of the overlap, whose normals contradict
+    each other: obeyed together they lock the two for ever. Such a pair is parted the way its centres of mass lie, or,
+    where one cannot move and may be of any shape, the way most of the depth points.
+    """
+    x, y, z = center_b[0] - center_a[0], center_b[1] - center_a[1], center_b[2] - center_a[2]
+    if not both_move:
+        x = y = z = 0.0
+        for c in range(gaps.size):
+            depth = max(-gaps[c], 0.0)
+            x, y, z = x + depth * records[c, 0], y + depth * records[c, 1], z + depth * records[c, 2]
+    deep_and_parting, deep_and_not = False, False
+    for c in range(gaps.size):
+        parts = x * records[c, 0] + y * records[c, 1] + z * records[c, 2] > 0.0
+        deep_and_parting |= parts and gaps[c] < -deep
+        deep_and_not |= not parts and gaps[c] < 0.0
+        against[c] = not parts
+    if not (deep_and_parting and deep_and_not):
+        for c in range(gaps.size):
+            against[c] = False
+
+
+@njit(cache=True)
+def _impulses_of_island(pairs, rows, contacts, result):
+    """What the last step had, along n, t1, t2: the normal may have turned since, so the old impulse is split anew."""
+    impulses, rolling = np.empty((rows.contacts.shape[0], 3)), np.empty((pairs.size, 3))
+    for k in range(pairs.size):
+        rolling[k] = result.rolling[pairs[k]]
+        shift = contacts.begin[pairs[k]] - rows.begin[k]
+        for c in range(rows.begin[k], rows.begin[k + 1]):
+            r, old = rows.contacts[c], result.impulses[c + shift]
+            impulses[c, 0] = max(r[0] * old[0] + r[1] * old[1] + r[2] * old[2], 0.0)
+            impulses[c, 0] = min(impulses[c, 0], contacts.impulse_limits[c + shift])
+            impulses[c, 1] = r[TANGENT1] * old[0] + r[TANGENT1 + 1] * old[1] + r[TANGENT1 + 2] * old[2]
+            impulses[c, 2] = r[TANGENT2] * old[0] + r[TANGENT2 + 1] * old[1] + r[TANGENT2 + 2] * old[2]
+    return impulses, rolling
+
+
+@uncounted
+def _keep_impulses(pairs, rows, contacts, impulses, rolling, result):
+    for k in range(pairs.size):
+        for i in range(3):
+            result.rolling[pairs[k], i] = rolling[k, i]
+        shift = contacts.begin[pairs[k]] - rows.begin[k]
+        for c in range(rows.begin[k], rows.begin[k + 1]):
+            r = rows.contacts[c]
+            result.normal_impulses[c + shift] = impulses[c, 0]
+            for i in range(3):
+                result.impulses[c + shift, i] = (
+                    impulses[c, 0] * r[i] + impulses[c, 1] * r[TANGENT1 + i] + impulses[c, 2] * r[TANGENT2 + i]
+                )

@@ -1,0 +1,194 @@
+"""Velocity-level contact solver with Coulomb friction, and drift correction on poses.
+
+Sources
+  [A] Anitescu, Potra, "Formulating dynamic multi-rigid-body contact problems with friction as solvable linear
+      complementarity problems", 1997: the time-stepping problem solved here.
+  [C] Catto, "Iterative dynamics with temporal coherence", 2005: projected Gauss-Seidel on impulses, warm starting.
+  [G] Guendelman, Bridson, Fedkiw, "Nonconvex rigid bodies with stacking", 2003: positions are corrected by velocities
+      of their own, which never become kinetic energy ("split impulse" in Bullet).
+  [D] Dostal, Schoeberl, "Minimizing quadratic functions subject to bound constraints with the rate of convergence and
+      finite termination", 2005: conjugate gradients between the sweeps of [C] (`contact_face`); heavy bodies on light
+      ones are where it counts.
+  Glondu 2014, section 5.2 asks for just this pair: a velocity-level solver plus drift correction.
+
+Bodies that touch neither each other nor a common third are solved apart (`contact_islands`, `contact_step`).
+
+Symbols, for contact c between bodies a and b
+  n, t1, t2   unit normal from a to b, and two tangents
+  r_a, r_b    arms from the centres of mass to the contact point (one point for both, midway between the witnesses:
+              equal and opposite impulses at one point keep angular momentum exactly)
+  u           velocities (v, w), 6 a body; u* = u(t) with gravity and gyroscopic terms of this step
+  J_d         row of direction d: J_d u = d . (v_b + w_b x r_b - v_a - w_a x r_a)
+  M           masses and inertias; W = M^-1
+  lambda      impulse along n [N s], >= 0;  beta the two friction impulses
+  g           gap beyond the gap at rest [m] (`rest_gaps`); h the time step [s]; mu Coulomb's coefficient; e restitution
+
+  (1) u = u* + W sum_c (J_n^T lambda + J_t^T beta)                               [A, 2.11]
+  (2) 0 <= lambda  _|_  J_n u + max(g, 0) / h >= 0      an open gap may close within the step, no further
+  (3) |beta| <= mu lambda, opposing J_t u               the round cone: beta is projected as a vector
+  (4) where J_n u(t) < -v_e and lambda > 0:  J_n u >= -e J_n u(t)                 Newton's restitution, after (1)-(3)
+  (5) |tau| <= rho sum(lambda) of the pair, opposing w_b - w_a                    rolling and spinning resistance
+  (6) drift:  J_n (u + u_d) >= max(min(f d / h, v_max), min(d / h, -J_n u(t))) with d = -g - slop, where d > 0;
+      elsewhere >= d / h
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from fracture_collision.portable_math import dots, images
+from fracture_collision.records import ContactConstraintArray
+from fracture_collision.simulation.solver.contact_islands import Bodies, Contacts, Result, islands_of, solve_islands
+
+
+class SolverSettings(NamedTuple):
+    """Numbers of the method; the scene file says why each has its value."""
+
+    iterations: int = 40  # of (2), (3), (5), at most: each visits every contact twice
+    accuracy: float = 1.0e-12  # they end when none changes a velocity by more than this share of what contacts change
+    rounds: int = 5  # of these iterations, at most: there is another where the step would still gain energy
+    restitution_iterations: int = 8  # further ones with (4), at most
+    drift_iterations: int = 8  # of (6), likewise
+    restitution_speed: float = 0.2  # v_e [m/s]
+    rest_gap: float = 1.0e-4  # [m] see rest_gaps
+    rest_slop: float = 8.0e-5  # [m] by which a gap may fall short of that at rest
+    drift_fraction: float = 0.2  # f, the share of the penetration taken out in one step
+    drift_speed: float = 0.3  # v_max [m/s]
+    memory_reach: float = 2.5e-4  # [m] see contact_memory
+    ahead_gap: float = 5.0e-4  # [m] contacts farther apart lie ahead, see touch_ahead
+    sleep_speed: float = 1.0e-3  # [m/s] see sleep
+    sleep_time: float = 0.25  # [s] likewise; 0: nobody sleeps
+
+
+class RigidBodies(NamedTuple):
+    """World frame. A contact names a body by its row; row n, one past the last, is everything that cannot move."""
+
+    masses: np.ndarray  # (n,) [kg]
+    inertias: np.ndarray  # (n, 3, 3) [kg m2], about the centre of mass
+    centers: np.ndarray  # (n, 3) [m]
+    velocities: np.ndarray  # (n, 6) u(t): v [m/s] of the centre of mass, w [rad/s]
+    free_velocities: np.ndarray  # (n, 6) u*
+
+
+class BodyPairs(NamedTuple):
+    """Beside a ContactConstraintArray, for each of its pairs: rows of the bodies, and rolling resistance."""
+
+    body_a: np.ndarray  # (p,) int64
+    body_b: np.ndarray  # (p,) int64
+    rolling_arm: np.ndarray  # (p,) rho [m]
+    rest_gaps: np.ndarray  # (N,) [m] of each contact: what g counts from
+
+
+class WarmStart(NamedTuple):
+    """Impulses of one step, for the next: found again by (fragment_a, fragment_b, contact id)."""
+
+    fragment_a: np.ndarray  # (p,) uint32, ascending by (a, b)
+    fragment_b: np.ndarray
+    pair_begin: np.ndarray  # (p + 1,)
+    contact_ids: np.ndarray  # (N,) uint64
+    impulses: np.ndarray  # (N, 3) on b, world axes [N s]
+    rolling: np.ndarray  # (p, 3) angular, on b, world axes [N m s]
+
+
+class Solution(NamedTuple):
+    velocities: np.ndarray  # (n, 6) u(t + h)
+    drift: np.ndarray  # (n, 6) u_d, for the poses of this step only
+    normal_impulses: np.ndarray  # (N,) lambda [N s]
+    warm_start: WarmStart
+
+
+NO_WARM_START = WarmStart(
+    np.zeros(0, np.uint32), np.zeros(0, np.uint32), np.zeros(1, np.int64),
+    np.zeros(0, np.uint64), np.zeros((0, 3)), np.zeros((0, 3)),
+)  # fmt: skip
+
+
+def solve_contacts(
+    bodies: RigidBodies,
+    contacts: ContactConstraintArray,
+    pairs: BodyPairs,
+    warm_start: WarmStart,
+    settings: SolverSettings,
+    time_step: float,
+    impulse_limits: np.ndarray | None = None,
+    unlimited: Solution | None = None,
+    asleep: np.ndarray | None = None,
+) -> Solution:
+    """Velocities after one step of `time_step` [s] that respect the contacts.
+
+    Contacts are visited in the order they come in, so equal input gives equal bytes. `impulse_limits` (N,) [N s] caps
+    lambda of each contact: what a material can transmit before it breaks; such contacts do not bounce. `unlimited` is
+    then what the same step comes to without limits: what they do not concern keeps it. Bodies that are `asleep` (n,),
+    none or all of an island, stay where they are, and their contacts keep the impulses that they had.
+    """
+    count, body_count = len(contacts.gaps), len(bodies.masses)
+    begin = contacts.pair_begin.astype(np.int64)
+    impulses, rolling = carried_impulses(
+        contacts.fragment_a, contacts.fragment_b, begin, contacts.contact_ids,
+        warm_start.fragment_a, warm_start.fragment_b, warm_start.pair_begin, warm_start.contact_ids,
+        warm_start.impulses, warm_start.rolling,
+    )  # fmt: skip
+    listed = Contacts(
+        begin, pairs.body_a, pairs.body_b, contacts.friction, contacts.restitution, pairs.rolling_arm,
+        0.5 * (contacts.points_a + contacts.points_b).reshape(-1, 3), contacts.normals.reshape(-1, 3), contacts.gaps,
+        pairs.rest_gaps, np.full(count, np.inf) if impulse_limits is None else impulse_limits,
+    )  # fmt: skip
+    if unlimited is None:
+        result = Result(bodies.free_velocities.copy(), np.zeros((body_count, 6)), np.zeros(count), impulses, rolling)
+    else:
+        known = (unlimited.velocities, unlimited.drift, unlimited.normal_impulses)
+        result = Result(*[values.copy() for values in known], impulses, rolling)
+    islands = islands_of(begin, pairs.body_a, pairs.body_b, body_count)
+    if asleep is None:
+        asleep = np.zeros(body_count, bool)
+    solve_islands(islands, Bodies(*bodies), listed, settings, time_step, unlimited is not None, asleep, result)
+    carried = WarmStart(contacts.fragment_a, contacts.fragment_b, begin, contacts.contact_ids, impulses, rolling)
+    return Solution(result.velocities, result.drift, result.normal_impulses, carried)
+
+
+@njit(cache=True)
+def carried_impulses(
+    fragment_a, fragment_b, begin, contact_ids, old_a, old_b, old_begin, old_ids, old_impulses, old_rolling
+):
+    """Impulses (N, 3), world axes, and rolling (p, 3) of those contacts that the last step had as well; else zero.
+
+    Pairs are merged in their common order; within a pair there are few contacts, which are simply compared.
+    """
+    impulses = np.zeros((contact_ids.size, 3))
+    rolling = np.zeros((fragment_a.size, 3))
+    old = 0
+    for pair in range(fragment_a.size):
+        a, b = fragment_a[pair], fragment_b[pair]
+        while old < old_a.size and (old_a[old] < a or (old_a[old] == a and old_b[old] < b)):
+            old += 1
+        if old == old_a.size:
+            break
+        if old_a[old] != a or old_b[old] != b:
+            continue
+        rolling[pair] = old_rolling[old]
+        for c in range(begin[pair], begin[pair + 1]):
+            for o in range(old_begin[old], old_begin[old + 1]):
+                if old_ids[o] == contact_ids[c]:
+                    impulses[c] = old_impulses[o]
+                    break
+    return impulses, rolling
+
+
+def normal_impulse_sums(
+    solution: Solution, contacts: ContactConstraintArray, pairs: BodyPairs, body_count: int
+) -> np.ndarray:
+    """Sum of lambda over the contacts of each body: (n,) [N s]. A body squeezed between two counts both sides."""
+    repeat = np.diff(contacts.pair_begin.astype(np.int64))
+    sums = np.zeros(body_count + 1)
+    for body in (pairs.body_a, pairs.body_b):
+        np.add.at(sums, np.repeat(body, repeat), solution.normal_impulses)
+    return sums[:-1]
+
+
+def kinetic_energy(masses: np.ndarray, inertias: np.ndarray, velocities: np.ndarray) -> float:
+    """Of n bodies with velocities (n, 6) [J]."""
+    v, w = velocities[:, :3], velocities[:, 3:]
+    return float(0.5 * ((masses * dots(v, v)).sum() + dots(w, images(inertias, w)).sum()))

@@ -1,0 +1,132 @@
+"""One step of one island: what the contacts make of its velocities, with bounces, and what parts its bodies.
+
+Symbols and equation numbers are those of `contact_solver`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from fracture_collision.simulation.compiled import uncounted
+from fracture_collision.simulation.solver.contact_rows import Surfaces, normal_velocities
+from fracture_collision.simulation.solver.contact_sweeps import apply_warm_start, sweep
+
+# Of the energy that gravity gives a body at rest in one step: what a stack at rest gains and loses by rounding.
+ROUNDING = 1.0e-7
+# A round that follows another is so much more accurate.
+SHARPER = 0.1
+
+
+@njit(cache=True)
+def new_velocities(rows, surfaces, before, free, gaps, restitution, impulses, rolling, settings, time_step):
+    """u(t + h) after (1)-(5); impulses and rolling come in as a first guess."""
+    targets = -np.maximum(gaps, 0.0) / time_step
+    u = free.copy()
+    apply_warm_start(rows, targets, u, impulses, rolling)
+    gravity = _gravity(before, free)
+    enough, accuracy = ROUNDING * _inner(rows, gravity, gravity), settings.accuracy
+    for _ in range(settings.rounds):
+        sweep(rows, surfaces, targets, u, free, impulses, rolling, settings.iterations, accuracy)
+        if _energy_gain(rows, before, gravity, u) <= enough:
+            break
+        accuracy *= SHARPER
+
+    approach = np.empty(gaps.size)
+    normal_velocities(rows, before, approach)
+    bounces = False
+    for c in range(gaps.size):
+        if (
+            approach[c] < -settings.restitution_speed
+            and impulses[c, 0] > 0.0
+            and restitution[c] > 0.0
+            and surfaces.impulse_limits[c] == np.inf
+        ):
+            bounces = True
+            targets[c] = -restitution[c] * approach[c]
+    if bounces:
+        plastic, plastic_impulses, plastic_rolling = u.copy(), impulses.copy(), rolling.copy()
+        sweep(
+            rows, surfaces, targets, u, free, impulses, rolling, settings.restitution_iterations, settings.accuracy
+        )
+        share = _share_without_energy_gain(rows, before, gravity, plastic, u)
+        u[:] = plastic + share * (u - plastic)
+        impulses[:] = plastic_impulses + share * (impulses - plastic_impulses)
+        rolling[:] = plastic_rolling + share * (rolling - plastic_rolling)
+    return u
+
+
+@njit(cache=True)
+def drift_velocities(rows, gaps, before, after, against, settings, time_step):
+    """u_d by (6), with u(t) and u(t + h); contacts in `against` are left out."""
+    u = np.zeros_like(before)
+    slop = settings.rest_slop
+    if gaps.min() >= -slop:
+        return u
+    approach, targets = np.empty(gaps.size), np.empty(gaps.size)
+    normal_velocities(rows, before, approach)
+    normal_velocities(rows, after, targets)
+    limits = np.full(gaps.size, np.inf)
+    for c in range(gaps.size):
+        depth = -gaps[c] - slop
+        # What the velocities do to a gap counts; one that is not too small may still close, up to the slop.
+        if depth > 0.0:
+            push = min(settings.drift_fraction * depth / time_step, settings.drift_speed)
+            # What came in with the last step leaves with the next: when a plate breaks, the ball is at its surface.
+            targets[c] = max(push, min(depth / time_step, -approach[c])) - targets[c]
+        else:
+            targets[c] = depth / time_step - targets[c]
+        if against[c]:
+            limits[c] = 0.0
+    still = np.zeros(rows.body_a.size)
+    impulses, rolling = np.zeros((gaps.size, 3)), np.zeros((rows.body_a.size, 3))
+    smooth, nothing = Surfaces(still, still, limits), np.zeros_like(u)
+    sweep(rows, smooth, targets, u, nothing, impulses, rolling, settings.drift_iterations, settings.accuracy)
+    return u
+
+
+@njit(cache=True)
+def _share_without_energy_gain(rows, before, gravity, plastic, bounced):
+    """The largest s in [0, 1] for which plastic + s (bounced - plastic) gains no energy, or no more than plastic does.
+
+    Newton's restitution (4) together with friction can create energy in a body with several contacts (Stronge 1990).
+    (2) and (3) are convex, so any mixture of the two solutions obeys them as well.
+    """
+    gain = _energy_gain(rows, before, gravity, plastic)
+    if _energy_gain(rows, before, gravity, bounced) <= max(gain, 0.0):
+        return 1.0
+    change = bounced - plastic
+    a = _inner(rows, change, change)
+    b = _inner(rows, plastic, change) - _inner(rows, gravity, change)
+    c = 2.0 * min(gain, 0.0)
+    return (-b + np.sqrt(max(b * b - a * c, 0.0))) / a
+
+
+@njit(cache=True)
+def _energy_gain(rows, before, gravity, u):
+    """What the step adds to the bodies' mechanical energy [J], if they move with u.
+
+    Kinetic energy, less the work of the impulse of gravity, M (u* - u(t)). Solved exactly, (1)-(3) gain nothing:
+    -|u - u(t)|^2_M / 2 at most. So where there is gain, they are not solved far enough.
+    """
+    return 0.5 * (_inner(rows, u, u) - _inner(rows, before, before)) - _inner(rows, gravity, u)
+
+
+@njit(cache=True)
+def _gravity(before, free):
+    """M^-1 times the impulse of gravity; the gyroscopic torque does no work."""
+    change = free - before
+    change[:, 3:] = 0.0
+    return change
+
+
+@uncounted
+def _inner(rows, x, y):
+    """x M y."""
+    result = 0.0
+    for i in range(x.shape[0]):
+        inertia = rows.inertias[i]
+        result += rows.masses[i] * (x[i, 0] * y[i, 0] + x[i, 1] * y[i, 1] + x[i, 2] * y[i, 2])
+        for k in range(3):
+            result += x[i, 3 + k] * (inertia[k, 0] * y[i, 3] + inertia[k, 1] * y[i, 4] + inertia[k, 2] * y[i, 5])
+    return result

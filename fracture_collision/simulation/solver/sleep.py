@@ -1,0 +1,107 @@
+"""What has come to rest is left alone: islands of bodies that have hardly moved for a while sleep.
+
+A solver that is accurate lets a heap creep by nanometres for ever, and whoever remembers what has not moved finds that
+everything has. An island (`contact_islands`) falls asleep once each of its bodies has for `sleep_time` gone no farther
+than `sleep_speed` would have taken it. What counts is where it gets to, as in Jolt, not how fast it is: a shard that
+trembles between two normals of a sharp corner would keep a heap awake. Asleep, its bodies keep their poses to the last
+bit and are not solved; their impulses are kept. They wake, all together, when a body that is awake touches one of them,
+when a hand, a hammer or an arm pushes one, and when one that they touched is gone: it broke, or left the scene.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from fracture_collision.simulation.solver.contact_islands import islands_of
+from fracture_collision.simulation.solver.contact_solver import SolverSettings
+
+
+class Rest(NamedTuple):
+    """Of n bodies, in the engine's order."""
+
+    fragment_ids: np.ndarray  # (n,) uint32
+    quiet: np.ndarray  # (n,) float64 [s]: how long each has hardly moved
+    asleep: np.ndarray  # (n,) bool
+    gone: np.ndarray  # (n, 6) float64 [m], [rad]: by how much since then
+
+
+NOBODY = Rest(np.zeros(0, np.uint32), np.zeros(0), np.zeros(0, bool), np.zeros((0, 6)))
+
+
+def roused(
+    before: Rest, fragment_ids: np.ndarray, touched: tuple[np.ndarray, np.ndarray], is_pushed: np.ndarray
+) -> Rest:
+    """Rest of the bodies `fragment_ids` (n,), ascending, of a step: newcomers are awake, and so is who is pushed (n,)
+    and who touched a fragment that is gone. `touched`: fragments of the last step's pairs, two columns (p,).
+    """
+    if not len(fragment_ids):
+        return NOBODY
+    at = np.minimum(np.searchsorted(before.fragment_ids, fragment_ids), max(len(before.fragment_ids) - 1, 0))
+    known = before.fragment_ids[at] == fragment_ids if len(before.fragment_ids) else np.zeros(len(fragment_ids), bool)
+    quiet, asleep, moved = np.zeros(len(fragment_ids)), np.zeros(len(fragment_ids), bool), np.zeros((len(at), 6))
+    quiet[known], asleep[known], moved[known] = (
+        column[at[known]] for column in (before.quiet, before.asleep, before.gone)
+    )
+    gone = np.setdiff1d(before.fragment_ids, fragment_ids, assume_unique=True)
+    rouse = is_pushed.copy()
+    for one, other in (touched, touched[::-1]):
+        rouse |= np.isin(fragment_ids, one[np.isin(other, gone)])
+    quiet[rouse], asleep[rouse], moved[rouse] = 0.0, False, 0.0
+    return Rest(fragment_ids, quiet, asleep, moved)
+
+
+def settled(rest: Rest, begin: np.ndarray, body_a: np.ndarray, body_b: np.ndarray, sleep_time: float) -> Rest:
+    """Who sleeps in this step: islands of which nobody is awake, and those that have been quiet for `sleep_time` [s],
+    0: nobody. begin (p + 1,), body_a, body_b (p,): the step's contacts by pairs of rows, n for what cannot move.
+    """
+    if not sleep_time > 0.0:
+        return rest._replace(asleep=np.zeros(len(rest.asleep), bool))
+    quiet, asleep = rest.quiet.copy(), np.zeros(len(rest.asleep), bool)
+    islands = islands_of(begin, body_a, body_b, len(rest.asleep))
+    _settle(islands.bodies, islands.body_begin, rest.asleep, sleep_time, quiet, asleep)
+    return rest._replace(quiet=quiet, asleep=asleep)
+
+
+@njit(cache=True)
+def _settle(bodies, body_begin, was_asleep, sleep_time, quiet, asleep):
+    """Bodies that touch nothing are in no island, and awake."""
+    for i in range(len(body_begin) - 1):
+        members = bodies[body_begin[i] : body_begin[i + 1]]
+        all_asleep, all_quiet, some_asleep = True, True, False
+        for k in members:
+            all_asleep &= was_asleep[k]
+            some_asleep |= was_asleep[k]
+            all_quiet &= quiet[k] >= sleep_time
+        for k in members:
+            asleep[k] = all_asleep or all_quiet
+            if some_asleep and not asleep[k]:
+                quiet[k] = 0.0
+
+
+def after_step(
+    rest: Rest, masses: np.ndarray, inertias: np.ndarray, moves: np.ndarray, settings: SolverSettings, time_step: float
+) -> Rest:
+    """With the velocities (n, 6) [m/s, rad/s] by which the step has moved all poses, drift correction among them."""
+    farthest = settings.sleep_speed * settings.sleep_time
+    quiet, gone = _stay(rest.quiet, rest.gone, masses, inertias, moves, farthest, time_step)
+    return rest._replace(quiet=quiet, gone=gone)
+
+
+@njit(cache=True)
+def _stay(quiet, gone, masses, inertias, moves, farthest, time_step):
+    """A turn counts by what a body's points move on average: as its energy goes by spins."""
+    after, way = np.zeros(len(quiet)), gone + time_step * moves
+    for i in range(len(quiet)):
+        square = 0.0
+        for k in range(3):
+            square += masses[i] * way[i, k] * way[i, k]
+            for l in range(3):  # noqa: E741
+                square += way[i, 3 + k] * inertias[i, k, l] * way[i, 3 + l]
+        if square < masses[i] * farthest * farthest:
+            after[i] = quiet[i] + time_step
+        else:
+            way[i] = 0.0
+    return after, way

@@ -1,0 +1,299 @@
+"""Contacts that lie ahead: bodies go no farther within a step than to where they will touch.
+
+A service that looks ahead lists contacts of bodies that are apart now and will touch before the step ends, by their
+velocities (its parameter `lookahead`). Nothing is pushed through a gap: no impulse, no bounce, nothing breaks. The two
+bodies move for that part of the step that ends with the touch, keep their velocities, and meet in the next step as they
+would have met at its beginning (motion clamping, as in Bullet). What they lose is time, less than a step.
+
+What touches is kept apart by its velocities, along straight lines. Of a body that turns far in a step the points go
+round: it is held back likewise before one of its contacts has gone deeper by `ahead_gap`.
+
+The service looks ahead by the velocities before a blow. After it bodies go where nobody has looked: so no point of what
+touches goes farther astray in that step than by a fifth of the thinner one's thickness, or two `ahead_gap`, and in the
+next one the service is asked with the new velocities.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from fracture_collision.portable_math import dots, lengths
+from fracture_collision.records import ContactConstraintArray
+from fracture_collision.simulation.compiled import uncounted
+from fracture_collision.simulation.engine.engine import BodyStates, rows_of
+from fracture_collision.simulation.solver.contact_solver import BodyPairs, SolverSettings
+from fracture_collision.simulation.solver.inertia_boxes import boxes_of
+from fracture_collision.simulation.solver.side_by_side import shares_side_by_side
+from fracture_collision.simulation.solver.straight_motion import length, turned
+
+# [rad] A body that turns farther in a step has contacts that go round.
+FAR_TURN = 0.1
+# A body may go astray by this share of how thin it is, if it were a box, but by no more than so many `ahead_gap`: its
+# ears may be thinner.
+SPARE, MOST_SPARE = 0.2, 2.0
+# What is deeper than `ahead_gap` goes by no more than this share of that deeper, or it would go deep step by step.
+DEEPER = 0.05
+# A path is looked at in so many parts, and so many more for each radian that bodies turn; where it comes too near it is
+# halved so often.
+PARTS, PARTS_A_RADIAN, MOST_PARTS, HALVINGS = 4, 8.0, 1000, 30
+
+class TouchesAhead(NamedTuple):
+    """N contacts that lie ahead."""
+
+    fragment_a: np.ndarray  # (N,) uint32
+    fragment_b: np.ndarray
+    points_a: np.ndarray  # (N, 3) [m] where they are now, world
+    points_b: np.ndarray  # (N, 3)
+    normals: np.ndarray  # (N, 3) from a to b, as it will be
+
+
+class HeldBack(NamedTuple):
+    """How n bodies move within a step."""
+
+    velocities: np.ndarray  # (n, 6) [m/s, rad/s] that they keep
+    drift: np.ndarray  # (n, 6) with which they move beside these, in this step only
+    shares: np.ndarray  # (n,) of the step, after which they stand still
+
+
+def split_by_gap(
+    contacts: ContactConstraintArray, most: float
+) -> tuple[ContactConstraintArray, TouchesAhead | None]:
+    """Those with gaps of at most `most` [m], with their pairs, and those that lie ahead; None: there are none."""
+    is_ahead = contacts.gaps > most
+    if not is_ahead.any():
+        return contacts, None
+    counts = np.diff(contacts.pair_begin.astype(np.int64))
+    pair = np.repeat(np.arange(len(counts)), counts)
+    left = np.bincount(pair[~is_ahead], minlength=len(counts))
+    # a pair that never had contacts stays, it says how much it may have missed
+    stays = (left > 0) | (counts == 0)
+    rows = np.repeat(~is_ahead, 3)
+    now = contacts._replace(
+        fragment_a=contacts.fragment_a[stays], fragment_b=contacts.fragment_b[stays],
+        pair_begin=np.concatenate(([0], np.cumsum(left[stays]))).astype(contacts.pair_begin.dtype),
+        missed_depth_bound=contacts.missed_depth_bound[stays], friction=contacts.friction[stays],
+        restitution=contacts.restitution[stays], points_a=contacts.points_a[rows], points_b=contacts.points_b[rows],
+        normals=contacts.normals[rows], gaps=contacts.gaps[~is_ahead], contact_ids=contacts.contact_ids[~is_ahead],
+    )  # fmt: skip
+    ahead = pair[is_ahead]
+    return now, TouchesAhead(
+        contacts.fragment_a[ahead], contacts.fragment_b[ahead],
+        *(column.reshape(-1, 3)[is_ahead] for column in (contacts.points_a, contacts.points_b, contacts.normals)),
+    )  # fmt: skip
+
+
+def held_back(
+    states: BodyStates, contacts: ContactConstraintArray, pairs: BodyPairs, ahead: TouchesAhead | None,
+    told: np.ndarray | None, is_round: np.ndarray, velocities: np.ndarray, drift: np.ndarray, gravity: np.ndarray,
+    settings: SolverSettings, time_step: float,
+) -> HeldBack:  # fmt: skip
+    """Velocities and drift (n, 6) with which bodies go no farther than to where they touch. Gravity (3,) [m/s2] acts
+    for as long as they move: what it gives beyond would be energy for a height that is not lost. To what touches
+    something it gives at most what that falls by: what rests has its weight borne.
+
+    contacts and their pairs: what was solved. told (n, 6): velocities by which the service has looked ahead; None: it
+    does not. is_round (n + 1,): spheres; the last, False, for what cannot move.
+    """
+    count = len(states.fragment_ids)
+    moves, shares = velocities + drift, np.ones(count)
+    if told is None:
+        goes_round = _turns_far(pairs, velocities, time_step)
+    else:
+        boxes, least = boxes_of(states.masses, states.inertias), settings.ahead_gap
+        spare = np.clip(SPARE * boxes.thickness(), least, MOST_SPARE * least)
+        reach = np.where(is_round[:-1], 0.0, boxes.reach())  # a sphere that turns goes nowhere
+        goes_round = _goes_astray(pairs, velocities, reach, settings.ahead_gap, time_step)
+        shares = _shares_as_told(pairs, told, moves, reach, spare, time_step)
+    touching = _touching(contacts, pairs, goes_round, settings, DEEPER if told is not None else 1.0)
+    if ahead is None and touching is None and told is None:
+        return HeldBack(velocities, drift, shares)
+    parts = [] if touching is None else [touching]
+    if ahead is not None:
+        rows = [rows_of(fragments, states.fragment_ids) for fragments in (ahead.fragment_a, ahead.fragment_b)]
+        parts.append((*rows, *ahead[2:], np.full(len(rows[0]), settings.rest_gap)))
+    if parts:
+        held = [np.concatenate(column) for column in zip(*parts, strict=True)]
+        if told is not None:
+            held = _by_middles_of_spheres(*held, states.centers, is_round)
+        shares = shares_until_touch(*held, states.centers, moves, shares, told is not None, is_round, time_step)
+    if told is not None:
+        shares = shares_side_by_side(shares, states.centers, *boxes, spare, moves, time_step)
+    is_free = np.ones(count + 1, bool)
+    is_free[pairs.body_a] = is_free[pairs.body_b] = False
+    unspent, falls = (1.0 - shares) * time_step, np.maximum(dots(velocities[:, :3], gravity), 0.0)
+    square = float((gravity * gravity).sum())
+    if square > 0.0:
+        unspent = np.where(is_free[:count], unspent, np.minimum(unspent, falls / square))
+    velocities = velocities.copy()
+    velocities[:, :3] -= unspent[:, None] * gravity
+    return HeldBack(velocities, shares[:, None] * moves - velocities, shares)
+
+
+def _shares_as_told(
+    pairs: BodyPairs, told: np.ndarray, moves: np.ndarray, reach: np.ndarray, spare: np.ndarray, time_step: float
+) -> np.ndarray:
+    """Which share of the step each body may move (n,), so that no point of two that touch goes farther astray of where
+    it goes with the velocities `told` than by what either has to `spare` (n,) [m].
+    """
+    change = moves - told
+    astray = np.append(time_step * (lengths(change[:, :3]) + reach * lengths(change[:, 3:])), 0.0)
+    most, spare = astray[pairs.body_a] + astray[pairs.body_b], np.append(spare, np.inf)
+    least = np.minimum(spare[pairs.body_a], spare[pairs.body_b])
+    share = least / np.maximum(most, least)
+    shares = np.ones(len(told) + 1)
+    np.minimum.at(shares, pairs.body_a, share)
+    np.minimum.at(shares, pairs.body_b, share)
+    return shares[:-1]
+
+
+def _turns_far(pairs: BodyPairs, velocities: np.ndarray, time_step: float) -> np.ndarray:
+    """(p,) pairs of which one turns far in a step."""
+    turns = np.append(lengths(velocities[:, 3:]) * time_step > FAR_TURN, False)
+    return turns[pairs.body_a] | turns[pairs.body_b]
+
+
+def _goes_astray(
+    pairs: BodyPairs, velocities: np.ndarray, reach: np.ndarray, most: float, time_step: float
+) -> np.ndarray:
+    """(p,) pairs of which what goes round or slides may be farther than `most` [m] off what its velocity now says."""
+    v = np.vstack((velocities, np.zeros(6)))
+    turns = time_step * lengths(v[:, 3:])
+    turning = turns * np.append(reach, 0.0)
+    a, b = pairs.body_a, pairs.body_b
+    ways = time_step * lengths(v[a, :3] - v[b, :3]) + turning[a] + turning[b]
+    return (turns[a] + turns[b]) * ways > most
+
+
+def _touching(
+    contacts: ContactConstraintArray, pairs: BodyPairs, chosen: np.ndarray, settings: SolverSettings, deeper: float
+) -> tuple[np.ndarray, ...] | None:
+    """The contacts of the `chosen` (p,) pairs, as the columns of shares_until_touch; None: there are none. deeper: what
+    is as deep as `ahead_gap` goes by no more than this share of that deeper.
+    """
+    if not chosen.any():
+        return None
+    repeat = np.diff(contacts.pair_begin.astype(np.int64))
+    body_a, body_b, chosen = (np.repeat(column, repeat) for column in (pairs.body_a, pairs.body_b, chosen))
+    columns = (contacts.points_a, contacts.points_b, contacts.normals)
+    gaps = np.minimum(contacts.gaps[chosen], settings.rest_gap)
+    most = np.maximum(settings.ahead_gap + (gaps - settings.rest_gap), deeper * settings.ahead_gap)
+    return (
+        body_a[chosen], body_b[chosen], *(column.reshape(-1, 3)[chosen] for column in columns), gaps - most,
+    )  # fmt: skip
+
+
+def _by_middles_of_spheres(
+    body_a: np.ndarray, body_b: np.ndarray, points_a: np.ndarray, points_b: np.ndarray, normals: np.ndarray,
+    least: np.ndarray, centers: np.ndarray, is_round: np.ndarray,
+) -> tuple[np.ndarray, ...]:  # fmt: skip
+    """The columns of shares_until_touch with spheres as their middles: whichever point of it touches, a sphere stays
+    as far as its radius from what it touches.
+    """
+    points = []
+    for body, at, sign in ((body_a, points_a, 1.0), (body_b, points_b, -1.0)):
+        middles = np.where(is_round[body, None], np.vstack((centers, np.zeros(3)))[body], at)
+        least = least + sign * dots(normals, at - middles)
+        points.append(middles)
+    return body_a, body_b, *points, normals, least
+
+
+@njit(cache=True)
+def shares_until_touch(
+    body_a, body_b, points_a, points_b, normals, least, centers, velocities, most, is_turning, is_round, time_step
+):
+    """Which share of a step of `time_step` [s] each body may move, (n,) up to the `most` (n,), so that no contact's gap
+    closes further than to the `least` (N,) [m].
+
+    body_a, body_b (N,): rows of the bodies of the contacts, n: what cannot move; points_a, points_b, normals (N, 3);
+    centers (n, 3) [m]; velocities (n, 6): v [m/s], w [rad/s] by which they move. is_turning: normals turn with one of
+    the two; is_round (n + 1,): spheres.
+    """
+    n, h = len(centers), time_step
+    shares = np.ones(n + 1)
+    shares[:n] = most
+    for c in range(len(body_a)):
+        a, b, contact = body_a[c], body_b[c], (points_a[c], points_b[c], normals[c])
+        of, other = _bodies_of_plane(a, b, is_round) if is_turning else (n, n)
+        turns = h * (_spin(a, velocities) + _spin(b, velocities))
+        before, parts = 0.0, PARTS + int(min(PARTS_A_RADIAN * turns, MOST_PARTS))
+        for part in range(1, parts + 1):
+            after = part / parts
+            if _gap(a, b, contact, of, other, centers, velocities, h * after, h * after) < least[c]:
+                for _ in range(HALVINGS):
+                    middle = 0.5 * (before + after)
+                    if _gap(a, b, contact, of, other, centers, velocities, h * middle, h * middle) < least[c]:
+                        after = middle
+                    else:
+                        before = middle
+                break
+            before = after
+        shares[a], shares[b] = min(shares[a], before), min(shares[b], before)
+    shares[n] = 1.0
+    # One that is held back by a third may be met where it waits: then neither goes farther than the other. Shares only
+    # fall, to one of those that there are.
+    changed = True
+    while changed:
+        changed = False
+        for c in range(len(body_a)):
+            a, b, contact = body_a[c], body_b[c], (points_a[c], points_b[c], normals[c])
+            if shares[a] == shares[b] or a == n or b == n:
+                continue
+            of, other = _bodies_of_plane(a, b, is_round) if is_turning else (n, n)
+            if _gap(a, b, contact, of, other, centers, velocities, h * shares[a], h * shares[b]) < least[c]:
+                shares[a] = shares[b] = min(shares[a], shares[b])
+                changed = True
+    return shares[:n]
+
+
+@uncounted
+def _bodies_of_plane(a, b, is_round):
+    """Whose surface a contact's plane may be: no sphere's, which turns without it; else of either."""
+    if is_round[a] and is_round[b]:
+        return len(is_round) - 1, len(is_round) - 1
+    if is_round[a] or is_round[b]:
+        return (b, b) if is_round[a] else (a, a)
+    return a, b
+
+
+@uncounted
+def _gap(a, b, contact, of, other, centers, velocities, time_a, time_b):
+    """The gap [m] of a contact (points, normal) once a has moved for `time_a` [s], b for `time_b`; its plane turns with
+    the body `of` or `other`, whichever makes it less.
+    """
+    point_a, point_b, normal = contact
+    xa = _moved(a, point_a, centers, velocities, time_a)
+    xb = _moved(b, point_b, centers, velocities, time_b)
+    way = xb[0] - xa[0], xb[1] - xa[1], xb[2] - xa[2]
+    least = _along(normal, of, time_a if of == a else time_b, velocities, way)
+    if other != of:
+        least = min(least, _along(normal, other, time_a if other == a else time_b, velocities, way))
+    return least
+
+
+@uncounted
+def _along(normal, body, t, velocities, way):
+    """`way` along a normal that has turned with a body for `t` [s]."""
+    x, y, z = normal[0], normal[1], normal[2]
+    if body < len(velocities):
+        x, y, z = turned(velocities[body], t, x, y, z)
+    return x * way[0] + y * way[1] + z * way[2]
+
+
+@uncounted
+def _spin(body, velocities):
+    if body == len(velocities):
+        return 0.0
+    u = velocities[body]
+    return length(u[3], u[4], u[5])
+
+
+@uncounted
+def _moved(body, point, centers, velocities, t):
+    if body == len(centers):
+        return point[0], point[1], point[2]
+    c, u = centers[body], velocities[body]
+    x, y, z = turned(u, t, point[0] - c[0], point[1] - c[1], point[2] - c[2])
+    return c[0] + t * u[0] + x, c[1] + t * u[1] + y, c[2] + t * u[2] + z

@@ -1,0 +1,146 @@
+"""A recorded run as a film: an animated picture, or an MP4 through the ffmpeg that the user has.
+
+GIF and WebP are written by Pillow. For MP4 there is no encoder here: those that come as wheels are under the GPL
+or bring libraries that are, and a package that is Apache-2.0 had better not install them; as a program of the user's
+own, called with pictures on its standard input, ffmpeg is as good as any.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import tempfile
+from bisect import bisect_right
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from fracture_collision.viewer.film.recorded_run import RecordedRun
+from fracture_collision.viewer.film.run_camera import camera_of, chosen_moments, sun_of
+from fracture_collision.viewer.film.run_scene import RunScene
+from fracture_collision.viewer.pictures.ray_picture import render
+
+ANIMATED = {".gif": "GIF", ".webp": "WEBP"}
+MOMENTS = 6  # of the run that the camera is chosen by
+GIF_COLOURS = 255  # of one frame, beside the one for what has not changed
+WEBP_QUALITY = 80
+MP4_QUALITY = 20  # x264's constant rate factor: less is better, 18 looks like the original
+
+Progress = Callable[[int, int], None]  # frames done, of how many; may raise to stop
+
+
+class FilmError(Exception):
+    """No film can be made; the text says why."""
+
+
+class Cut(NamedTuple):
+    """Which part of a run, how large and how fast."""
+
+    begin: float = 0.0  # [s] simulated, since the first states
+    end: float = np.inf
+    speed: float = 1.0  # simulated seconds a second of film
+    fps: float = 25.0
+    width: int = 640  # [px]
+    height: int = 360
+    samples: int = 4  # rays a pixel
+
+
+def make_film(run: RecordedRun, path: Path, cut: Cut, progress: Progress = lambda done, total: None) -> int:
+    """Write the film and return how many frames it has. Its suffix says what it is: .gif, .webp or .mp4.
+
+    The file is there when it is complete, and not before; if anything goes wrong, or `progress` raises, what was there
+    stays. Raises FilmError, and BagError where the run lacks meshes.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in (*ANIMATED, ".mp4"):
+        raise FilmError(f"{path}: a film is {', '.join(ANIMATED)} or .mp4")
+    indices = frame_indices(run, cut)
+    write = _write_mp4 if suffix == ".mp4" else _write_animated
+    handle, name = tempfile.mkstemp(suffix=suffix, prefix=f".{path.stem}-", dir=path.parent)
+    os.close(handle)
+    unfinished = Path(name)
+    try:
+        write(_frames(run, indices, cut, progress), unfinished, cut)
+        unfinished.chmod(0o666 & ~_umask())
+        unfinished.replace(path)
+    finally:
+        unfinished.unlink(missing_ok=True)
+    return len(indices)
+
+
+def frame_indices(run: RecordedRun, cut: Cut) -> list[int]:
+    """Of the run's states, those of each frame: the last that are not later than it. Raises FilmError."""
+    moments = np.array([states.time for states in run.states]) - run.states[0].time
+    end = min(cut.end, float(moments[-1]))
+    if not cut.begin <= end:
+        raise FilmError(f"nothing from {cut.begin:g} s to {cut.end:g} s: the run is {moments[-1]:.2f} s long")
+    count = int(np.floor((end - cut.begin) * cut.fps / cut.speed + 1e-6)) + 1
+    times = moments.tolist()
+    return [max(bisect_right(times, cut.begin + i * cut.speed / cut.fps + 1e-9) - 1, 0) for i in range(count)]
+
+
+def _frames(run: RecordedRun, indices: list[int], cut: Cut, progress: Progress) -> Iterator[np.ndarray]:
+    """Pictures (height, width, 3) uint8; of one moment, the same array."""
+    scene = RunScene(run)
+    camera = camera_of(scene, chosen_moments(run, MOMENTS), cut.width / cut.height)
+    sun = sun_of(camera)
+    picture, shown = np.zeros(0), -1
+    for done, index in enumerate(indices):
+        progress(done, len(indices))
+        if index != shown:
+            picture = render(scene.at(run.states[index]), camera, cut.width, cut.height, sun, cut.samples)
+            shown = index
+        yield picture
+    progress(len(indices), len(indices))
+
+
+def _write_animated(frames: Iterator[np.ndarray], path: Path, cut: Cut) -> None:
+    from PIL import Image
+
+    kind = ANIMATED[path.suffix.lower()]
+    options = {"WEBP": {"quality": WEBP_QUALITY, "method": 4}, "GIF": {"disposal": 1}}[kind]
+
+    def pictures() -> Iterator[Image.Image]:
+        for frame in frames:
+            picture = Image.fromarray(frame)
+            yield picture.quantize(GIF_COLOURS, dither=Image.Dither.FLOYDSTEINBERG) if kind == "GIF" else picture
+
+    rest = pictures()
+    next(rest).save(
+        path, kind, save_all=True, append_images=rest, duration=round(1000.0 / cut.fps), loop=0, **options
+    )  # fmt: skip
+
+
+def _write_mp4(frames: Iterator[np.ndarray], path: Path, cut: Cut) -> None:
+    program = shutil.which("ffmpeg")
+    if program is None:
+        raise FilmError("an MP4 is made by ffmpeg, which is not installed here: apt install ffmpeg; or make a .webp")
+    command = [
+        program, "-y", "-loglevel", "error", "-f", "rawvideo", "-pixel_format", "rgb24",
+        "-video_size", f"{cut.width}x{cut.height}", "-framerate", f"{cut.fps:g}", "-i", "-",
+        # yuv420p, which has one colour for two by two pixels, is what browsers play
+        "-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-pix_fmt", "yuv420p", "-crf", str(MP4_QUALITY),
+        "-movflags", "+faststart", str(path),
+    ]  # fmt: skip
+    # a Ctrl-C is for this process alone, which ends the other
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True) as ffmpeg:
+        try:
+            for frame in frames:
+                ffmpeg.stdin.write(frame.tobytes())
+            _, words = ffmpeg.communicate()
+        except BrokenPipeError:
+            words = ffmpeg.stderr.read()
+        except BaseException:
+            ffmpeg.kill()
+            raise
+    if ffmpeg.returncode:
+        raise FilmError(f"ffmpeg: {words.decode(errors='replace').strip()[-500:]}")
+
+
+def _umask() -> int:
+    mask = os.umask(0o022)
+    os.umask(mask)
+    return mask

@@ -1,0 +1,161 @@
+"""A recorded run in the page, with a time bar."""
+
+from __future__ import annotations
+
+import threading
+import time
+from bisect import bisect_right
+from collections.abc import Callable
+
+import viser
+
+from fracture_collision.records import FragmentStates
+from fracture_collision.viewer.film.recorded_run import RecordedRun
+from fracture_collision.viewer.film.run_camera import camera_of, chosen_moments
+from fracture_collision.viewer.film.run_scene import RunScene
+from fracture_collision.viewer.page.page import INTERVAL, LOCALHOST, Page
+from fracture_collision.viewer.page.page_plots import Figures
+from fracture_collision.viewer.page.page_scene import FREE_ASPECT, beside_the_panel
+
+MOMENTS = 6  # of the run that the camera is chosen by
+SLIDER_INTERVAL = 0.2  # [s] between two movements of the time bar
+SLOWEST, FASTEST = 0.02, 2.0
+
+
+class BagPlayer:
+    """Plays a run from its beginning, once, and then as the person who looks wants it.
+
+    `advance` it often; a page of its own is served from the start to `close`.
+    """
+
+    def __init__(self, run: RecordedRun, host: str = LOCALHOST, port: int = 0, speed: float = 1.0) -> None:
+        """`speed`: simulated seconds a second. Raises BagError where the run lacks a body; OSError where it cannot be
+        served.
+        """
+        self._run = run
+        self._moments = [states.time for states in run.states]
+        self._lock = threading.RLock()
+        self._playing, self._speed = True, min(max(speed, SLOWEST), FASTEST)
+        self._at = 0.0  # [s] simulated, since the first states
+        self._shown = -1  # index of states
+        self._advanced_at = time.monotonic()
+        self._slider_at = 0.0
+        camera = beside_the_panel(camera_of(RunScene(run), chosen_moments(run, MOMENTS), FREE_ASPECT))
+        told = frozenset({"fragments", "contacts"} if run.answers else {"fragments"})
+        self.page = Page(host=host, port=port, told=told, add_controls=self._add_controls)
+        self.page.look_from(camera)
+        for body_id in sorted(run.bodies):
+            self.page.add_body(run.bodies[body_id])
+        for fragment_id in sorted(run.meshes):
+            if fragment_id in run.body_of:
+                self.page.add_fragment(run.meshes[fragment_id], run.body_of[fragment_id])
+
+    def __enter__(self) -> BagPlayer:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        self.page.close()
+
+    @property
+    def duration(self) -> float:
+        """[s] simulated, from the first states to the last."""
+        return self._moments[-1] - self._moments[0]
+
+    def play_until(self, check: Callable[[], None]) -> None:
+        """For ever: until `check`, called as often as pictures are made, raises."""
+        while True:
+            check()
+            self.advance()
+            time.sleep(INTERVAL)
+
+    def advance(self) -> None:
+        """Show where the run is by now."""
+        with self._lock:
+            now = time.monotonic()
+            passed, self._advanced_at = now - self._advanced_at, now
+            if self._playing:
+                self._at += self._speed * passed
+                if self._at >= self.duration:
+                    self._at = self.duration
+                    self._set_playing(False)
+            self._show()
+            if now - self._slider_at > SLIDER_INTERVAL or not self._playing:
+                self._slider_at = now
+                if abs(self._bar.value - self._at) > 0.5 * self._bar.step:
+                    self._bar.value = round(self._at, 3)
+
+    def seek(self, moment: float) -> None:
+        """[s] simulated, since the first states."""
+        with self._lock:
+            self._at = min(max(moment, 0.0), self.duration)
+
+    def play(self, playing: bool) -> None:
+        """Go on, from the beginning if the end was reached; or stop."""
+        with self._lock:
+            if playing and self._at >= self.duration:
+                self._at = 0.0
+            self._set_playing(playing)
+
+    def step(self, by: int) -> None:
+        """So many of the recorded states on, or back; stops."""
+        with self._lock:
+            self._set_playing(False)
+            index = min(max(self._shown + by, 0), len(self._moments) - 1)
+            self._at = self._moments[index] - self._moments[0]
+
+    def _show(self) -> None:
+        index = bisect_right(self._moments, self._moments[0] + self._at + 1e-9) - 1
+        wants_contacts = self.page.wants_contacts
+        if index == self._shown and wants_contacts == self._showed_contacts:
+            return
+        self._shown, self._showed_contacts = index, wants_contacts
+        states = self._run.states[index]
+        self.page.show_states(
+            FragmentStates(
+                states.step, states.fracture_sequence, states.fragment_ids, states.positions.ravel(),
+                states.orientations.ravel(),
+            )
+        )  # fmt: skip
+        contacts = self._run.contacts(states.step)
+        if wants_contacts:
+            self.page.show_contacts(contacts)
+        listed = None if contacts is None else len(contacts.gaps)
+        self.page.show_figures(Figures(states.time, contacts=listed, fragments=len(states.fragment_ids)))
+
+    _showed_contacts = False
+
+    def _set_playing(self, playing: bool) -> None:
+        self._playing = playing
+        self._button.label = "pause" if playing else "play"
+        self._button.icon = viser.Icon.PLAYER_PAUSE if playing else viser.Icon.PLAYER_PLAY
+
+    def _add_controls(self, gui: viser.GuiApi) -> None:
+        with gui.add_folder("Time"):
+            step = max(self.duration / 1000.0, 1e-3)
+            self._bar = gui.add_slider("time, s", 0.0, max(round(self.duration, 3), step), round(step, 6), 0.0)
+            self._button = gui.add_button("pause", icon=viser.Icon.PLAYER_PAUSE)
+            steps = gui.add_button_group("one step", ("back", "on"))
+            speed = gui.add_slider("speed", SLOWEST, FASTEST, 0.02, self._speed, hint="simulated seconds a second")
+
+        # Coroutines, because viser calls those in order; threads of its pool would not keep it.
+        @self._bar.on_update
+        async def _(event: viser.GuiEvent) -> None:
+            if event.client is not None:  # a person, and not `advance`
+                self.seek(self._bar.value)
+
+        @self._button.on_click
+        async def _(_event: viser.GuiEvent) -> None:
+            self.play(not self._playing)
+
+        @steps.on_click
+        async def _(_event: viser.GuiEvent) -> None:
+            self.step(1 if steps.value == "on" else -1)
+
+        @speed.on_update
+        async def _(event: viser.GuiEvent) -> None:
+            if event.client is not None:
+                with self._lock:
+                    self._speed = float(speed.value)

@@ -1,0 +1,340 @@
+"""A page in the browser that shows a run while it happens, and tells what a person does there.
+
+It takes records, whoever has them: a bag that is played, nodes that are listened to. Nothing waits for the network:
+calls leave what is new with a thread of the page's own, which hands the newest of it to the browsers, some thirty
+times a second, meshes and removals at once. viser serves the page and keeps what is in it, so that a browser may come,
+go and come back at any time, and several may look.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import socket
+import threading
+import time
+import traceback
+from collections import deque
+from collections.abc import Callable, Sequence
+
+import viser
+
+from fracture_collision.records import CollisionBody, ContactConstraintArray, FragmentMesh, FragmentStates
+from fracture_collision.viewer.page.page_contacts import ContactLayers
+from fracture_collision.viewer.page.page_controls import Controls
+from fracture_collision.viewer.page.page_events import Handlers, ServiceSliders, Start
+from fracture_collision.viewer.page.page_gate import Gate, GateError, bracketed, guarded
+from fracture_collision.viewer.page.page_inside import Inside, InsideView
+from fracture_collision.viewer.page.page_plots import Figures, Plots, check_told, plots_of
+from fracture_collision.viewer.page.page_scene import SceneNodes
+from fracture_collision.viewer.page.page_stream import LiveValues
+from fracture_collision.viewer.pictures.ray_picture import Camera
+
+LOCALHOST = "127.0.0.1"
+INTERVAL = 1.0 / 32.0  # [s] between two pictures: some come too late, and thirty a second shall be left
+MOST_BEHIND = 3.0 * INTERVAL  # [s] Pictures that states came too late for are made up for, so many at most.
+TITLE = "fracture_collision"
+BRAND = (38, 94, 150)
+NOTICE = 8.0  # [s] that words stay
+
+
+class LocalServer(viser.ViserServer):
+    """Serves this machine, or whom its host says, and nobody else: the way through a public relay is shut."""
+
+    def request_share_url(self, verbose: bool = True) -> str | None:
+        return None
+
+
+class Page:
+    """Use as a context manager, or `close` it. Calls may come from any one thread; `handlers` are called in another."""
+
+    def __init__(
+        self,
+        handlers: Handlers | None = None,
+        start: Start | None = None,
+        host: str = LOCALHOST,
+        port: int = 0,
+        told: frozenset[str] = frozenset(),
+        add_controls: Callable[[viser.GuiApi], None] = lambda gui: None,
+    ) -> None:
+        """`port` 0: any free one. `told`: which fields of Figures there will be: only those get a plot. `add_controls`:
+        makes knobs of the caller's own, above all others. Raises OSError where it cannot be served, ValueError where
+        `told` names no figure.
+        """
+        handlers = handlers or Handlers()
+        check_told(told)
+        _check_free(host, port)
+        self._server = _server(host, port)
+        self.address = f"http://{bracketed(host)}:{self._server.get_port()}"
+        self._server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=BRAND)
+        self._live = LiveValues(self._server)
+        drag = {"start": handlers.drag_begun, "update": handlers.drag_moved, "end": handlers.drag_ended}
+        self._scene = SceneNodes(self._server, self._live, drag if all(drag.values()) else {})
+        self._summary = self._server.gui.add_markdown("")
+        add_controls(self._server.gui)
+        self._controls = Controls(self._server, handlers, start or Start())
+        self._layers = ContactLayers(self._server, self._live, self._redraw_contacts)
+        shadows = self._server.gui.add_checkbox("shadows", True, hint="off for graphics processors that are slow")
+        shadows.on_update(lambda _event: self._order(lambda: self._scene.cast_shadows(shadows.value)))
+        self._shadows = shadows
+        self._inside: Inside | None = None
+        if handlers.looking_inside:
+            self._inside = Inside(self._server, self._live, self._scene, handlers.looking_inside, self._redraw_inside)
+        self._plots = self._add_plots(told)
+        self._server.on_client_connect(self._live.send_all)
+
+        self._news = threading.Condition()
+        self._orders: deque[Callable[[], None]] = deque()  # in the order in which they were given
+        self._states: FragmentStates | None = None  # the newest, until it is shown
+        self._placed: FragmentStates | None = None  # the last that was shown
+        self._contacts: ContactConstraintArray | None = None
+        self._contacts_are_new = False
+        self._figures: list[Figures] = []
+        self._view: InsideView | None = None
+        self._inside_is_new = False
+        self._said = ""
+        self._busy = self._closed = False
+        self.pictures = 0  # states handed to the browsers so far
+        self.paint_seconds = 0.0  # processor time of that, meshes included
+        self._thread = threading.Thread(target=self._paint, name="page", daemon=True)
+        self._thread.start()
+
+    def __enter__(self) -> Page:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def browsers(self) -> int:
+        """How many look."""
+        return len(self._server.get_clients())
+
+    @property
+    def messages_sent(self) -> int:
+        """Poses, one of them two messages, and contact layers, to each browser."""
+        return self._live.messages_sent
+
+    @property
+    def wants_contacts(self) -> bool:
+        """Whether a switch is on that shows them; without, there is no need to fetch any."""
+        return self._layers.wanted
+
+    def new_run(self) -> None:
+        """All that is there goes, and what has not been shown yet."""
+        with self._news:
+            self._orders.clear()
+            self._states = self._contacts = None
+            self._contacts_are_new = True
+            self._figures = []
+            self._view = None
+            self._order(self._clear)
+
+    def add_body(self, body: CollisionBody) -> None:
+        """Planes and static bodies are there at once, others as soon as states name their fragment."""
+        self._order(lambda: self._scene.add_body(body))
+
+    def remove_body(self, body_id: int) -> None:
+        self._order(lambda: self._scene.remove_body(body_id))
+
+    def add_fragment(self, mesh: FragmentMesh, body_id: int) -> None:
+        """There as soon as states name it. Until all that the states name is known, what was there stays."""
+        self._order(lambda: self._scene.add_fragment(mesh, body_id))
+
+    def remove_fragment(self, fragment_id: int) -> None:
+        """It does not come again. One that only is not there at the moment states leave out, and nothing else."""
+        self._order(lambda: self._scene.remove(fragment_id))
+
+    def look_from(self, camera: Camera) -> None:
+        """Without, the camera of a run is chosen when its first states come."""
+        self._order(lambda: self._scene.look_from(camera))
+
+    def cast_shadows(self, on: bool) -> None:
+        """As the page's own switch does."""
+        self._shadows.value = on
+
+    def show_service(self, service: ServiceSliders) -> None:
+        """Its sliders stand there from now on; nobody is told of it."""
+        self._controls.show_service(service)
+
+    def show_arm(self, angles: Sequence[float]) -> None:
+        """The scene has an arm, whose joints are at `angles` [rad]: its sliders stay until the next run."""
+        self._order(lambda: self._controls.show_arm(angles))
+
+    def notify(self, words: str) -> None:
+        """For some seconds, to all who look now."""
+        for client in self._server.get_clients().values():
+            client.add_notification(TITLE, words, auto_close_seconds=NOTICE)
+
+    def show_states(self, states: FragmentStates) -> None:
+        with self._news:
+            self._states = states
+            self._news.notify()
+
+    def show_contacts(self, contacts: ContactConstraintArray | None) -> None:
+        with self._news:
+            self._contacts, self._contacts_are_new = contacts, True
+            self._news.notify()
+
+    def show_figures(self, figures: Figures) -> None:
+        """All are plotted, also those of steps that are not shown."""
+        with self._news:
+            self._figures.append(figures)
+            self._news.notify()
+
+    def show_inside(self, view: InsideView) -> None:
+        """What Handlers.looking_inside has asked for; the figures of all are plotted as long as they come apart."""
+        with self._news:
+            self._view, self._inside_is_new = view, True
+            self._news.notify()
+
+    def flush(self, timeout: float = 10.0) -> None:
+        """Returns when all that was handed over is on its way. Raises TimeoutError."""
+        with self._news:
+            if not self._news.wait_for(lambda: self._closed or not (self._busy or self._has_news()), timeout):
+                raise TimeoutError(f"the page was not done within {timeout} s")
+
+    def close(self) -> None:
+        """Ends the page for all who look."""
+        with self._news:
+            self._closed = True
+            self._news.notify_all()
+        self._thread.join()
+        with _viser_is_quiet():
+            self._server.stop()
+
+    def _order(self, order: Callable[[], None]) -> None:
+        with self._news:
+            self._orders.append(order)
+            self._news.notify()
+
+    def _redraw_contacts(self) -> None:
+        with self._news:
+            self._contacts_are_new = True
+            self._news.notify()
+
+    def _redraw_inside(self) -> None:
+        with self._news:
+            self._inside_is_new = True
+            self._news.notify()
+
+    def _add_plots(self, told: frozenset[str]) -> Plots:
+        groups = plots_of(told)
+        if not groups and self._inside is None:
+            return Plots(self._server.gui, ())
+        with self._server.gui.add_folder("The last seconds"):
+            plots = Plots(self._server.gui, groups)
+            if self._inside is not None:
+                self._inside.add_plots()
+        return plots
+
+    def _clear(self) -> None:
+        self._placed = None
+        self._scene.clear()
+        self._controls.show_arm(None)
+        self._plots.clear()
+        if self._inside is not None:
+            self._inside.clear()
+
+    def _has_news(self) -> bool:
+        return bool(self._orders or self._states is not None or self._contacts_are_new or self._figures
+                    or self._inside_is_new)  # fmt: skip
+
+    def _paint(self) -> None:
+        due = time.monotonic()  # of the next picture
+        while True:
+            with self._news:
+                self._busy = False
+                self._news.notify_all()
+                self._news.wait_for(lambda: self._closed or self._has_news())
+                if not self._orders:  # that often is enough; an order does not wait so long
+                    self._news.wait_for(lambda: self._closed or self._orders, max(due - time.monotonic(), 0.0))
+                if self._closed:
+                    return
+                orders, self._orders = self._orders, deque()
+                states, self._states = self._states, None
+                figures, self._figures = self._figures, []
+                contacts, redraw, self._contacts_are_new = self._contacts, self._contacts_are_new, False
+                view, self._view = self._view, None
+                look, self._inside_is_new = self._inside_is_new, False
+                self._busy = True
+            if states is not None:  # figures come after the states they are of, and shall not put off the next ones
+                due = max(due, time.monotonic() - MOST_BEHIND) + INTERVAL
+            began = time.thread_time()
+            try:
+                self._show(orders, states, figures, contacts, redraw)
+                if self._inside is not None:
+                    self._show_inside(view, look, states is not None)
+            except Exception:  # of one picture; the next may be all right
+                traceback.print_exc()
+            self.paint_seconds += time.thread_time() - began
+
+    def _show(
+        self,
+        orders: deque[Callable[[], None]],
+        states: FragmentStates | None,
+        figures: list[Figures],
+        contacts: ContactConstraintArray | None,
+        redraw: bool,
+    ) -> None:
+        for order in orders:  # meshes are made here: meanwhile what is ready shall go out
+            order()
+        with self._server.atomic():  # else each message by itself would wake the thread that sends them
+            if states is not None:
+                self._placed = states
+                self.pictures += 1
+            if self._placed is not None and (states is not None or orders):  # what has come may be named already
+                all_there = self._scene.place(self._placed, again=states is None)
+                if all_there and not self._scene.is_looked_at:
+                    self._scene.look_at_all()
+        if orders:
+            self._server.flush()  # else what is new would wait for more, as poses may
+        if redraw:
+            self._layers.draw(contacts, self._scene.centre)
+        for row in figures:
+            self._plots.add(row)
+        if figures:
+            self._plots.draw()
+            self._say(figures[-1])
+
+    def _show_inside(self, view: InsideView | None, look: bool, has_moved: bool) -> None:
+        if look:
+            self._inside.draw(view)
+        elif has_moved:
+            self._inside.move()
+
+    def _say(self, figures: Figures) -> None:
+        counts = {"fragments": figures.fragments, "contacts": figures.contacts}
+        known = (f"{count} {name}" for name, count in counts.items() if count is not None)
+        text = " · ".join((f"**{figures.time:.2f} s**", *known))
+        if text != self._said:
+            self._summary.content = self._said = text
+
+
+def _check_free(host: str, port: int) -> None:
+    """Raises OSError. viser would wait for ever for a host that is none of this machine's, and take the next port in
+    place of one that is taken.
+    """
+    with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as trial:
+        trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        trial.bind((host, port))
+
+
+def _server(host: str, port: int) -> LocalServer:
+    """Raises GateError where it would listen to whoever comes; then it does not listen any more."""
+    server = None
+    with _viser_is_quiet():
+        try:
+            with guarded(Gate(host)):
+                server = LocalServer(host=host, port=port, label=TITLE, verbose=False)
+        except GateError:
+            server.stop()
+            raise
+    return server
+
+
+@contextlib.contextmanager
+def _viser_is_quiet():
+    """viser prints a table of addresses and a farewell, whatever its verbosity."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        yield

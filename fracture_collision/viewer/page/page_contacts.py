@@ -1,0 +1,121 @@
+"""Contacts, pairs and bounds drawn over the scene, and the switches for them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import viser
+
+from fracture_collision.records import ContactConstraintArray
+from fracture_collision.viewer.page.page_stream import LiveValues
+from fracture_collision.viewer.pictures.palette import gap_colours
+
+MILLI = 1e3
+PAIR_COLOUR = (120, 60, 200)
+BOUND_SCALE = 2e-3  # [m] likewise, of missed depth: blue 0, magenta this much or more
+CERTAIN, UNCERTAIN = np.array((40, 120, 240.0)), np.array((255, 0, 180.0))
+POINT_SIZE = 0.008  # [m]
+NORMAL_LENGTH = 0.04  # [m]
+
+Centre = Callable[[int], "np.ndarray | None"]
+
+
+class ContactLayers:
+    """Draws what is switched on of the newest contacts. One thread at a time; switches may be thrown from another."""
+
+    def __init__(self, server: viser.ViserServer, live: LiveValues, changed: Callable[[], None]) -> None:
+        """`changed` is called when a switch is thrown."""
+        self._live = live
+        with server.gui.add_folder("Look closer"):
+            self._switches = {
+                "points": server.gui.add_checkbox("contact points", False, hint="red: penetrating, green: apart"),
+                "normals": server.gui.add_checkbox("contact normals", False),
+                "pairs": server.gui.add_checkbox("pairs that touch", False),
+                "bounds": server.gui.add_checkbox(
+                    "missed depth bound", False,
+                    hint="Of each pair: nothing deeper than this is left out. Blue: nothing; magenta: 2 mm or more.",
+                ),
+            }  # fmt: skip
+            self._words = server.gui.add_markdown("")
+        for switch in self._switches.values():
+            switch.on_update(lambda _event: changed())
+        point, segment = np.zeros((1, 3), np.float32), np.zeros((1, 2, 3), np.float32)
+        scene = server.scene
+        self._nodes = {
+            "points": scene.add_point_cloud(
+                "/contact_points", point, point.astype(np.uint8), point_size=POINT_SIZE, precision="float32",
+                point_shape="circle", visible=False,
+            ),
+        }  # fmt: skip
+        for name, thickness in (("normals", 2.0), ("pairs", 3.0), ("bounds", 4.0)):
+            self._nodes[name] = scene.add_line_segments(
+                f"/contact_{name}", segment, segment.astype(np.uint8), thickness=thickness, thickness_units="screen",
+                visible=False,
+            )  # fmt: skip
+        self._said = ""
+
+    @property
+    def wanted(self) -> bool:
+        return any(switch.value for switch in self._switches.values())
+
+    def draw(self, contacts: ContactConstraintArray | None, centre: Centre) -> None:
+        """`centre`: of a fragment by its id, world [m]; None: it is not there."""
+        drawn = {} if contacts is None else self._layers(contacts, centre)
+        for name, node in self._nodes.items():
+            points, colours = drawn.get(name, (np.zeros(0), None))
+            if len(points):
+                self._live.properties(node.name, points=points.astype(np.float32), colors=colours.astype(np.uint8))
+            node.visible = len(points) > 0
+        words = "" if contacts is None or not self._switches["bounds"].value else _bound_words(contacts)
+        if words != self._said:
+            self._words.content = self._said = words
+
+    def _layers(
+        self, contacts: ContactConstraintArray, centre: Centre
+    ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        on = {name for name, switch in self._switches.items() if switch.value}
+        layers: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+        a, b = contacts.points_a.reshape(-1, 3), contacts.points_b.reshape(-1, 3)
+        middle, colours = 0.5 * (a + b), 255.0 * gap_colours(contacts.gaps)
+        if "points" in on:
+            layers["points"] = middle, colours
+        if "normals" in on:
+            tips = middle + NORMAL_LENGTH * contacts.normals.reshape(-1, 3)
+            layers["normals"] = np.stack((middle, tips), axis=1), np.repeat(colours[:, None], 2, axis=1)
+        if on & {"pairs", "bounds"}:
+            listed, lines = _pair_lines(contacts, centre)
+            has_contact = np.diff(contacts.pair_begin.astype(np.int64))[listed] > 0
+            if "pairs" in on:
+                layers["pairs"] = lines[has_contact], np.tile(PAIR_COLOUR, (np.count_nonzero(has_contact), 2, 1))
+            if "bounds" in on:
+                share = np.clip(contacts.missed_depth_bound[listed] / BOUND_SCALE, 0.0, 1.0)[:, None]
+                colour = (1.0 - share) * CERTAIN + share * UNCERTAIN
+                layers["bounds"] = lines, np.repeat(colour[:, None], 2, axis=1)
+        return layers
+
+
+def _pair_lines(contacts: ContactConstraintArray, centre: Centre) -> tuple[np.ndarray, np.ndarray]:
+    """Which of the pairs have both fragments in the scene, and lines (n, 2, 3) between the middles of those.
+
+    A plane has no middle: its end is where the contacts are.
+    """
+    listed, lines = [], []
+    for i, (a, b) in enumerate(zip(contacts.fragment_a.tolist(), contacts.fragment_b.tolist(), strict=True)):
+        ends = [centre(a), centre(b)]
+        here = contacts.points_a.reshape(-1, 3)[contacts.pair_begin[i] : contacts.pair_begin[i + 1]]
+        if len(here):
+            ends = [here.mean(axis=0) if end is None else end for end in ends]
+        if all(end is not None for end in ends):
+            listed.append(i)
+            lines.append(ends)
+    return np.array(listed, dtype=np.int64), np.array(lines).reshape(-1, 2, 3)
+
+
+def _bound_words(contacts: ContactConstraintArray) -> str:
+    bounds = contacts.missed_depth_bound
+    if not len(bounds):
+        return "no pairs"
+    worst = int(np.argmax(bounds))
+    pair = f"{contacts.fragment_a[worst]} and {contacts.fragment_b[worst]}"
+    return f"no penetration deeper than **{MILLI * bounds[worst]:.3f} mm** is left out (fragments {pair})"

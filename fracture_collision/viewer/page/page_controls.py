@@ -1,0 +1,149 @@
+"""The page's knobs: those that somebody wants to be told of, and no others."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import viser
+
+from fracture_collision.viewer.page.page_events import Ball, Handlers, Joint, Ray, ServiceSliders, Start
+
+ARROWS = (("up", "arrowup"), ("down", "arrowdown"), ("left", "arrowleft"), ("right", "arrowright"))
+FIELDS = ("exact", "averaged")
+SLOWEST, FASTEST_BALL, LARGEST_BALL = 0.02, 30.0, 0.15  # -, m/s, m
+SMALLEST_BALL = 0.01  # [m]
+
+
+class Controls:
+    """Makes the knobs and hears them. viser calls back coroutines one after another; others it would call in threads of
+    a pool, in any order.
+    """
+
+    def __init__(self, server: viser.ViserServer, handlers: Handlers, start: Start) -> None:
+        self._gui = server.gui
+        self._handlers = handlers
+        self._service: dict[str, Any] = {}
+        self._arm: viser.GuiFolderHandle | None = None
+        self._joints: list[viser.GuiSliderHandle] = []
+        if handlers.scene_chosen and start.scenes:
+            scene = self._gui.add_dropdown("scene", start.scenes, start.scene or start.scenes[0])
+            on_update(scene, _one_of(start.scenes, handlers.scene_chosen))
+        self._add_time(start)
+        if handlers.clicked:
+            self._add_ball(server, start.ball, handlers.clicked)
+        if handlers.joint_set and start.joints:
+            self._add_arm(start.joints, handlers.joint_set)
+        if handlers.service_set:
+            self._add_service(start.service, handlers.service_set)
+        if handlers.arrow:
+            for word, key in ARROWS:
+                command = self._gui.add_command(f"hammer {word}", hotkey=key)
+                command.on_trigger(_as_coroutine(lambda _event, word=word: handlers.arrow(word)))
+
+    def show_service(self, service: ServiceSliders) -> None:
+        """What the service has now."""
+        for name, knob in self._service.items():
+            knob.value = getattr(service, name)
+
+    def show_arm(self, angles: Sequence[float] | None) -> None:
+        """With the joints at `angles` [rad]; None: there is no arm."""
+        if self._arm is not None:
+            for slider, angle in zip(self._joints, angles or (), strict=False):
+                slider.value = round(math.degrees(angle))
+            self._arm.visible = angles is not None
+
+    def _add_time(self, start: Start) -> None:
+        handlers = self._handlers
+        if handlers.paused:
+            on_update(self._gui.add_checkbox("pause", False), handlers.paused)
+        if handlers.one_step:
+            _on_click(self._gui.add_button("one step", icon=viser.Icon.PLAYER_TRACK_NEXT), handlers.one_step)
+        if handlers.reset:
+            _on_click(self._gui.add_button("start over", icon=viser.Icon.REFRESH), handlers.reset)
+        if handlers.slow_motion:
+            slider = self._gui.add_slider("slow motion", SLOWEST, 1.0, 0.01, start.slow_motion)
+            on_update(slider, handlers.slow_motion)
+        if handlers.recording:
+            on_update(self._gui.add_checkbox("record", False, hint="writes a bag"), handlers.recording)
+
+    def _add_ball(self, server: viser.ViserServer, ball: Ball, clicked: Callable[[Ray, Ball], None]) -> None:
+        with self._gui.add_folder("Ball: click to throw"):
+            speed = self._gui.add_slider("speed, m/s", 0.5, FASTEST_BALL, 0.5, ball.speed)
+            radius = self._gui.add_slider("radius, m", SMALLEST_BALL, LARGEST_BALL, 0.005, ball.radius)
+        rays = _rays(clicked, lambda: Ball(float(speed.value), float(radius.value)))
+        server.scene.on_click()(rays)
+
+    def _add_arm(self, joints: Sequence[Joint], joint_set: Callable[[str, float], None]) -> None:
+        self._arm = self._gui.add_folder("Arm: joints, degrees", visible=False)
+        with self._arm:
+            for number, joint in enumerate(joints, 1):
+                lower, upper = (round(math.degrees(limit)) for limit in (joint.lower, joint.upper))
+                slider = self._gui.add_slider(f"joint {number}", lower, upper, 1, min(max(0, lower), upper))
+                self._joints.append(slider)
+
+                def bend(degrees: float, joint: Joint = joint) -> None:
+                    joint_set(joint.name, min(max(math.radians(degrees), joint.lower), joint.upper))
+
+                on_update(slider, bend)
+
+    def _add_service(self, service: ServiceSliders, service_set: Callable[[ServiceSliders], None]) -> None:
+        with self._gui.add_folder("Collision service"):
+            self._service = knobs = {
+                "contacts_per_pair": self._gui.add_slider("contacts a pair", 1, 32, 1, service.contacts_per_pair),
+                "penetration_tolerance": self._gui.add_slider(
+                    "epsilon, share of R", 0.0, 0.02, 0.0005, service.penetration_tolerance,
+                    hint="Penetrations up to this may stay unlisted once a pair has its contacts.",
+                ),
+                "field": self._gui.add_dropdown("field", FIELDS, service.field),
+                "visit_budget": self._gui.add_slider(
+                    "visit budget", 0, 200_000, 1000, service.visit_budget,
+                    hint="Tree nodes a step may test; 0: no limit. The bound says what a limit left out.",
+                ),
+            }  # fmt: skip
+
+        def told(_value: Any) -> None:
+            service_set(ServiceSliders(**{name: knob.value for name, knob in knobs.items()}))
+
+        for knob in knobs.values():
+            on_update(knob, told)
+
+
+def _one_of(options: Sequence[str], handler: Callable[[str], None]) -> Callable[[str], None]:
+    """A browser offers nothing else, but who speaks to the page need not be one."""
+
+    def chosen(option: str) -> None:
+        if option in options:
+            handler(option)
+
+    return chosen
+
+
+def _rays(clicked: Callable[[Ray, Ball], None], ball: Callable[[], Ball]) -> Callable[..., Any]:
+    def on_click(event: viser.SceneClickEvent) -> None:
+        clicked(Ray(np.array(event.ray_origin), np.array(event.ray_direction)), ball())
+
+    return _as_coroutine(on_click)
+
+
+def on_update(knob: Any, handler: Callable[[Any], None]) -> None:
+    """Tells the knob's new value when a person, and not the program, has moved it."""
+
+    def told(event: viser.GuiEvent) -> None:
+        if event.client is not None:
+            handler(event.target.value)
+
+    knob.on_update(_as_coroutine(told))
+
+
+def _on_click(button: viser.GuiButtonHandle, handler: Callable[[], None]) -> None:
+    button.on_click(_as_coroutine(lambda _event: handler()))
+
+
+def _as_coroutine(function: Callable[[Any], None]) -> Callable[[Any], Any]:
+    async def call(event: Any) -> None:
+        function(event)
+
+    return call

@@ -1,0 +1,243 @@
+"""Bodies and fragments as nodes of a viser scene: who is there, in which colours, where."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import viser
+
+from fracture_collision.records import CollisionBody, FragmentMesh, FragmentStates
+from fracture_collision.viewer.page.page_events import Drag, Ray
+from fracture_collision.viewer.page.page_stream import LiveValues
+from fracture_collision.viewer.pictures.body_mesh import BodyMesh, mesh_of_body, mesh_of_fragment
+from fracture_collision.viewer.pictures.gltf import glb_of_mesh
+from fracture_collision.viewer.pictures.palette import Palette, display_colour
+from fracture_collision.viewer.pictures.ray_picture import Camera
+
+FLOOR_COLOUR, TILE_COLOUR = (186, 189, 194), (168, 171, 177)
+FLOOR_TILE = 0.5  # [m]
+FLOOR_FADE = 30.0  # [m] from the camera, where the floor has gone over into the sky
+UNKNOWN_COLOUR = (0.5, 0.5, 0.5)
+SHADOW = 0.42  # darkness of shadows on the floor, 0..1
+SKY = ((154, 182, 214), (226, 232, 238))  # above, at the horizon
+SUN = (-0.9, -1.3, 2.0)  # towards it
+SUN_COLOUR, SUN_STRENGTH = (255, 244, 228), 3.0
+DAYLIGHT = 0.55  # strength of the light from all sides
+OPENING = np.radians(38.0)  # of the camera
+FREE_ASPECT = 1.1  # of what the panel leaves free of a browser's window
+PANEL_SHARE = 0.25  # of the width of the window
+
+DragHandlers = dict[str, Callable[[Drag], None]]  # by viser's names of phases: start, update, end
+
+
+class _Fragment(NamedTuple):
+    body_id: int
+    glb: bytes  # "": a plane, which is the floor or a wall
+    centre: np.ndarray  # (3,) [m], body frame
+
+
+class SceneNodes:
+    """All that is solid. One thread at a time."""
+
+    def __init__(self, server: viser.ViserServer, live: LiveValues, drag: DragHandlers) -> None:
+        self._server = server
+        self._live = live
+        self._drag = drag
+        self._round = 0  # node names are not used again in another run: pages may still have messages of the old one
+        self._root: viser.FrameHandle | None = None
+        self._light_up()
+        self.clear()
+
+    def clear(self) -> None:
+        """Everything goes; the next run begins."""
+        for fragment_id in list(getattr(self, "_fragments", ())):
+            self.remove(fragment_id)
+        if self._root is not None:
+            self._root.remove()
+        self._round += 1
+        self._root = self._server.scene.add_frame(f"/run{self._round}", show_axes=False)
+        self._palette = Palette()
+        self._bodies: dict[int, CollisionBody] = {}
+        self._fragments: dict[int, _Fragment] = {}
+        self._nodes: dict[int, viser.GlbHandle] = {}
+        self._poses: dict[int, np.ndarray] = {}  # (7,) of those that are shown
+        self._hidden: frozenset[int] = frozenset()  # that would be shown, were they not in the way
+        self._planes: set[int] = set()  # fragments that are the floor or a wall: those stand already
+        self.is_looked_at = False  # somebody has said where the camera stands
+
+    def add_body(self, body: CollisionBody) -> None:
+        self._bodies[body.body_id] = body
+        self._palette.add(body)
+        if np.any(body.plane):
+            self._planes.add(body.fragment_id)
+            self._add_plane(body)
+            return
+        self._add(body.fragment_id, body.body_id, mesh_of_body(body))
+        if body.is_static:
+            self._place([body.fragment_id], np.array([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]]))
+
+    def add_fragment(self, mesh: FragmentMesh, body_id: int) -> None:
+        if mesh.fragment_id not in self._planes:
+            self._add(mesh.fragment_id, body_id, mesh_of_fragment(mesh))
+
+    def remove(self, fragment_id: int) -> None:
+        self._fragments.pop(fragment_id, None)
+        self._poses.pop(fragment_id, None)
+        node = self._nodes.pop(fragment_id, None)
+        if node is not None:
+            self._live.forget(node.name)
+            node.remove()
+
+    def remove_body(self, body_id: int) -> None:
+        for fragment_id in [f for f, fragment in self._fragments.items() if fragment.body_id == body_id]:
+            self.remove(fragment_id)
+
+    def place(self, states: FragmentStates, *, again: bool = False) -> bool:
+        """Everything where the states say; what they do not name is not shown, static bodies apart. `again`: these
+        states were placed before, and only what has come since is not where they say.
+
+        While a mesh is still on its way nothing is taken off: a body stays until its pieces are there. False: so it is.
+        """
+        ids = [int(fragment_id) for fragment_id in states.fragment_ids]
+        xyzw = states.orientations.reshape(-1, 4)
+        poses = np.hstack((states.positions.reshape(-1, 3), xyzw[:, [3, 0, 1, 2]]))
+        known = [i for i, fragment_id in enumerate(ids) if fragment_id in self._fragments]
+        all_there = len(known) + len(self._planes.intersection(ids)) == len(ids)
+        if again:
+            known = [i for i in known if ids[i] not in self._poses]
+        self._place([ids[i] for i in known], poses[known])
+        if all_there:
+            gone = set(self._poses) - set(ids)
+            for fragment_id in sorted(gone):
+                if not self._bodies[self._fragments[fragment_id].body_id].is_static:
+                    del self._poses[fragment_id]
+                    self._nodes[fragment_id].visible = False
+        return all_there
+
+    def centre(self, fragment_id: int) -> np.ndarray | None:
+        """(3,) [m], world: the middle of a fragment's surface; None where it is not shown."""
+        pose = self._poses.get(fragment_id)
+        if pose is None:
+            return None
+        return pose[:3] + turned(self._fragments[fragment_id].centre, pose[3:])
+
+    @property
+    def poses(self) -> dict[int, np.ndarray]:
+        """(7,) position [m] and unit quaternion w x y z, world, of every fragment that is there. To be read only."""
+        return self._poses
+
+    def colour(self, fragment_id: int) -> tuple[float, float, float]:
+        """Of its outside, 0..1 as displays show it; grey if it is not known."""
+        fragment = self._fragments.get(fragment_id)
+        if fragment is None:
+            return UNKNOWN_COLOUR
+        return display_colour(self._palette.paint(fragment_id, fragment.body_id).outside)
+
+    def hide(self, fragment_ids: frozenset[int]) -> None:
+        """These, and no others, are not shown wherever they are: what is behind them is."""
+        for fragment_id in self._hidden ^ fragment_ids:
+            if fragment_id in self._poses:
+                self._nodes[fragment_id].visible = fragment_id not in fragment_ids
+        self._hidden = fragment_ids
+
+    def look_from(self, camera: Camera) -> None:
+        """Where the camera of each page begins; pages that are open go there."""
+        page_camera = self._server.initial_camera
+        page_camera.position, page_camera.look_at = tuple(camera.position.tolist()), tuple(camera.target.tolist())
+        page_camera.fov = camera.opening
+        self.is_looked_at = True
+
+    def cast_shadows(self, on: bool) -> None:
+        """Without, a page costs a graphics processor a quarter."""
+        self._sun.cast_shadow = on
+
+    def look_at_all(self) -> None:
+        """From the front, a little above, far enough off for all that can move."""
+        shown = [f for f in self._poses if not self._bodies[self._fragments[f].body_id].is_static] or list(self._poses)
+        centres = np.array([self.centre(f) for f in shown]).reshape(-1, 3)
+        if len(centres):
+            low, high = centres.min(axis=0), centres.max(axis=0)
+            target, size = 0.5 * (low + high), max(float(np.linalg.norm(high - low)), 0.5)
+            eye = target + size * np.array([0.5, -1.5, 0.6])
+            self.look_from(beside_the_panel(Camera(eye, target, OPENING)))
+
+    def _add(self, fragment_id: int, body_id: int, mesh: BodyMesh) -> None:
+        self.remove(fragment_id)
+        glb = glb_of_mesh(mesh, self._palette.paint(fragment_id, body_id))
+        self._fragments[fragment_id] = _Fragment(body_id, glb, mesh.centre)
+
+    def _place(self, ids: list[int], poses: np.ndarray) -> None:
+        names = []
+        for fragment_id, pose in zip(ids, poses, strict=True):
+            node = self._nodes.get(fragment_id)
+            if node is None:
+                node = self._nodes[fragment_id] = self._make_node(fragment_id, pose)
+            elif fragment_id not in self._poses:
+                node.visible = fragment_id not in self._hidden
+            self._poses[fragment_id] = pose
+            names.append(node.name)
+        self._live.pose(names, poses)
+
+    def _make_node(self, fragment_id: int, pose: np.ndarray) -> viser.GlbHandle:
+        fragment = self._fragments[fragment_id]
+        name = f"{self._root.name}/fragment{fragment_id}"
+        node = self._server.scene.add_glb(
+            name, fragment.glb, position=pose[:3], wxyz=pose[3:], visible=fragment_id not in self._hidden
+        )
+        if self._drag and not self._bodies[fragment.body_id].is_static:
+
+            async def on_drag(event: viser.SceneNodeDragEvent) -> None:
+                target, eye = np.array(event.end_position), np.array(event.client.camera.position)
+                ray = Ray(eye, (target - eye) / max(float(np.linalg.norm(target - eye)), 1e-12))
+                self._drag[event.phase](Drag(fragment_id, np.array(event.start_position), target, ray))
+
+            node.on_drag("left")(on_drag)
+        return node
+
+    def _add_plane(self, body: CollisionBody) -> None:
+        normal = body.plane[:3] / np.linalg.norm(body.plane[:3])
+        point = -body.plane[3] / np.linalg.norm(body.plane[:3]) * normal
+        is_floor = normal[2] > 0.999
+        self._server.scene.add_grid(
+            f"{self._root.name}/plane{body.body_id}", 6.0, 6.0, infinite_grid=is_floor, fade_distance=FLOOR_FADE,
+            plane_color=FLOOR_COLOUR, plane_opacity=1.0 if is_floor else 0.4, shadow_opacity=SHADOW,
+            cell_color=TILE_COLOUR, cell_size=FLOOR_TILE, section_color=TILE_COLOUR, section_size=4.0 * FLOOR_TILE,
+            position=point, wxyz=_from_z_to(normal),
+        )  # fmt: skip
+
+    def _light_up(self) -> None:
+        scene = self._server.scene
+        scene.set_up_direction("+z")
+        scene.configure_default_lights(False)
+        scene.configure_environment_map("park", environment_intensity=DAYLIGHT)
+        self._sun = scene.add_light_directional(
+            "/sun", color=SUN_COLOUR, intensity=SUN_STRENGTH, cast_shadow=True, position=SUN
+        )
+        share = np.linspace(0.0, 1.0, 256)[:, None] ** 0.7
+        rows = (1.0 - share) * np.array(SKY[0]) + share * np.array(SKY[1])
+        scene.set_background_image(np.tile(rows[:, None], (1, 8, 1)).astype(np.uint8), format="png")
+
+
+def beside_the_panel(camera: Camera) -> Camera:
+    """Turned a little to the right, so that what it looks at stands in the middle of the free part of the window."""
+    ahead = camera.target - camera.position
+    right = np.cross(ahead, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    half_width = np.linalg.norm(ahead) * np.tan(0.5 * camera.opening) * FREE_ASPECT / (1.0 - PANEL_SHARE)
+    return camera._replace(target=camera.target + PANEL_SHARE * half_width * right)
+
+
+def turned(vectors: np.ndarray, wxyz: np.ndarray) -> np.ndarray:
+    """(..., 3) vectors, turned by unit quaternions (..., 4)."""
+    across = np.cross(wxyz[..., 1:], vectors)
+    return vectors + 2.0 * (wxyz[..., :1] * across + np.cross(wxyz[..., 1:], across))
+
+
+def _from_z_to(normal: np.ndarray) -> np.ndarray:
+    """(4,) w x y z: a turn of the z axis to a unit vector."""
+    half = np.array([1.0 + normal[2], -normal[1], normal[0], 0.0])
+    if half[0] < 1e-9:
+        return np.array([0.0, 1.0, 0.0, 0.0])
+    return half / np.linalg.norm(half)

@@ -1,0 +1,221 @@
+"""The gate for bodies: CollisionBody in, its fields read one by one, a checked body with its prepared geometry out."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from fracture_collision.core.bodies.collision_geometry import (
+    PreparedMesh,
+    PreparedSurface,
+    prepare_mesh,
+    prepare_surface,
+)
+from fracture_collision.core.mesh.connected_pieces import connected_pieces
+from fracture_collision.core.mesh.tet_mesh import build_tet_mesh
+from fracture_collision.geometry.tetrahedra import (
+    boundary_triangles,
+    tetrahedron_volumes,
+    unique_edges,
+)
+from fracture_collision.portable_math import lengths
+from fracture_collision.records import BOX, SPHERE, CollisionBody
+from fracture_collision.world.gates.checks import (
+    LARGEST_LENGTH,
+    SMALLEST_LENGTH,
+    floats,
+    identifier,
+    indices,
+    number,
+    refuse,
+)
+from fracture_collision.world.gates.surface_gate import check_surface
+
+# A tetrahedron flatter than this (volume against its longest edge cubed) has no usable barycentric coordinates.
+FLAT_TETRAHEDRON = 1e-9
+MAX_NAME = 256
+MAX_DENSITY = 1e9  # [kg/m3] beyond all matter on Earth; keeps masses finite
+MAX_FRICTION = 1e6
+DIMENSIONS = {BOX: 3, SPHERE: 1}
+SHAPE_FIELDS = "primitive, plane, vertices"
+
+
+class CheckedBody(NamedTuple):
+    body_id: int
+    fragment_id: int
+    is_static: bool
+    density: float  # [kg/m3]
+    friction: float
+    restitution: float
+    sphere: float  # [m] radius, 0: none
+    box: np.ndarray | None  # (3,) [m] half edges
+    plane: np.ndarray | None  # (4,) unit normal, offset: n.x = offset, solid where less
+    mesh: PreparedMesh | None
+    digest: bytes  # SHA-256 of the message's content
+    surface: PreparedSurface | None = None  # of a rigid body of triangles alone
+
+
+class BodyFields(NamedTuple):
+    """A message whose fields are in order one by one; what they say together is not looked at yet."""
+
+    body_id: int
+    fragment_id: int
+    is_static: bool
+    density: float
+    friction: float
+    restitution: float
+    primitive: int
+    dimensions: np.ndarray
+    plane: np.ndarray
+    vertices: np.ndarray  # (n, 3)
+    tetrahedra: np.ndarray  # (m, 4)
+    triangles: np.ndarray  # (t, 3)
+    digest: bytes
+
+
+class MeshStore:
+    """Prepared meshes by content, so that equal geometries are prepared once in a run. Counts the bodies of each."""
+
+    def __init__(self) -> None:
+        self._known: dict[bytes, PreparedMesh | PreparedSurface] = {}
+        self._uses: dict[int, tuple[bytes, int]] = {}  # id of a prepared mesh -> its key, how many bodies have it
+
+    def prepared(self, key: bytes, prepare: Callable[[], PreparedMesh | PreparedSurface]):
+        """For one more body."""
+        if key not in self._known:
+            self._known[key] = prepare()
+        shape = self._known[key]
+        self._uses[id(shape)] = key, self._uses.get(id(shape), (key, 0))[1] + 1
+        return shape
+
+    def release(self, shape: PreparedMesh | PreparedSurface | None) -> None:
+        """A body of it is gone; the last one takes it along."""
+        if shape is None:
+            return
+        key, uses = self._uses.pop(id(shape))
+        if uses > 1:
+            self._uses[id(shape)] = key, uses - 1
+        else:
+            del self._known[key]
+
+
+def read_body(body: CollisionBody) -> BodyFields:
+    """Raise InvalidMessage unless each field by itself keeps the rules of CollisionBody.msg."""
+    body_id, fragment_id = identifier("body_id", body.body_id), identifier("fragment_id", body.fragment_id)
+    if not isinstance(body.name, str):
+        refuse("wrong_type", "name: not a string")
+    if len(body.name) > MAX_NAME:
+        refuse("limit_exceeded", f"name: longer than {MAX_NAME} characters")
+    if not isinstance(body.is_static, bool | np.bool_):
+        refuse("wrong_type", "is_static: neither true nor false")
+    density = number("density", body.density, 0.0, MAX_DENSITY, open_low=True)
+    friction = number("friction", body.friction, 0.0, MAX_FRICTION)
+    restitution = number("restitution", body.restitution, 0.0, 1.0)
+    vertices = floats("vertices", body.vertices, 3, LARGEST_LENGTH)
+    tetrahedra = indices("tetrahedra", body.tetrahedra, 4, len(vertices), "vertices")
+    triangles = indices("triangles", body.triangles, 3, len(vertices), "vertices")
+    plane = floats("plane", body.plane, limit=LARGEST_LENGTH)
+    if len(plane) != 4:
+        refuse("size_mismatch", f"plane: {len(plane)} coefficients, not 4")
+    dimensions = floats("primitive.dimensions", getattr(body.primitive, "dimensions", None), limit=LARGEST_LENGTH)
+    kind = identifier("primitive.type", getattr(body.primitive, "type", None))
+    content = (
+        np.array([body_id, fragment_id, bool(body.is_static), kind], np.uint64).tobytes(),
+        np.array([density, friction, restitution]).tobytes(), plane.tobytes(), dimensions.tobytes(),
+        vertices.tobytes(), tetrahedra.tobytes(), triangles.tobytes(),
+    )  # fmt: skip
+    digest = hashlib.sha256(b"".join(len(c).to_bytes(8, "little") + c for c in content)).digest()
+    return BodyFields(
+        body_id, fragment_id, bool(body.is_static), density, friction, restitution, kind, dimensions, plane,
+        vertices, tetrahedra, triangles, digest,
+    )  # fmt: skip
+
+
+def check_body(fields: BodyFields, store: MeshStore, room_for_nodes: int) -> CheckedBody:
+    """Raise InvalidMessage unless the fields together are a body; prepares its geometry."""
+    has_mesh = bool(len(fields.vertices) or len(fields.tetrahedra) or len(fields.triangles))
+    if (fields.primitive != 0) + bool(fields.plane.any()) + has_mesh != 1:
+        refuse("no_shape", f"{SHAPE_FIELDS}: a body needs exactly one of these, vertices with tetrahedra or triangles")
+    sphere, box, half_space, mesh, surface = 0.0, None, None, None, None
+    if fields.primitive:
+        sphere, box = _primitive(fields.primitive, fields.dimensions)
+    elif not has_mesh:
+        half_space = _half_space(fields.plane)
+        if not fields.is_static:
+            refuse("out_of_range", "is_static: a plane has no mass and must be static")
+    else:
+        vertices, tetrahedra, triangles = fields.vertices, fields.tetrahedra, fields.triangles
+        if len(vertices) > room_for_nodes:
+            refuse("limit_exceeded", f"vertices: {len(vertices)}; the limit on nodes leaves room for {room_for_nodes}")
+        if not len(tetrahedra) and not len(triangles):
+            refuse("no_shape", "tetrahedra, triangles: the vertices have neither")
+        if float(np.ptp(vertices, axis=0).max(initial=0.0)) < SMALLEST_LENGTH:
+            refuse("out_of_range", f"vertices: the body is smaller than {SMALLEST_LENGTH:g} m")
+        if len(tetrahedra):
+            _check_tetrahedra(vertices, tetrahedra, triangles)
+            mesh = store.prepared(
+                _key(b"tetrahedra", vertices, tetrahedra), lambda: prepare_mesh(build_tet_mesh(vertices, tetrahedra))
+            )
+        else:
+            check_surface(vertices, triangles)
+            surface = store.prepared(
+                _key(b"triangles", vertices, triangles), lambda: prepare_surface(vertices, triangles)
+            )
+    return CheckedBody(
+        fields.body_id, fields.fragment_id, fields.is_static, fields.density, fields.friction, fields.restitution,
+        sphere, box, half_space, mesh, fields.digest, surface,
+    )  # fmt: skip
+
+
+def _key(*content: bytes | np.ndarray) -> bytes:
+    return hashlib.sha256(b"/".join(c.tobytes() if isinstance(c, np.ndarray) else c for c in content)).digest()
+
+
+def _half_space(plane: np.ndarray) -> np.ndarray:
+    """Unit normal and offset; divided by the largest coefficient first, so that no square underflows."""
+    largest = float(np.abs(plane[:3]).max())
+    if largest == 0.0:
+        refuse("out_of_range", "plane: the normal (a, b, c) is zero")
+    normal = plane[:3] / largest
+    length = float(lengths(normal))
+    if abs(plane[3]) > LARGEST_LENGTH * largest:
+        refuse("out_of_range", f"plane: farther than {LARGEST_LENGTH:g} m from the origin")
+    return np.append(normal / length, -plane[3] / largest / length)
+
+
+def _primitive(kind: int, dimensions: np.ndarray) -> tuple[float, np.ndarray | None]:
+    if kind not in DIMENSIONS:
+        refuse("out_of_range", f"primitive.type: {kind} is neither BOX (1) nor SPHERE (2)")
+    if len(dimensions) != DIMENSIONS[kind]:
+        refuse("size_mismatch", f"primitive.dimensions: {len(dimensions)} numbers, not {DIMENSIONS[kind]}")
+    if (dimensions < SMALLEST_LENGTH).any():
+        refuse("out_of_range", f"primitive.dimensions: {dimensions.min()} is less than {SMALLEST_LENGTH:g} m")
+    return (float(dimensions[0]), None) if kind == SPHERE else (0.0, dimensions / 2.0)
+
+
+def _check_tetrahedra(vertices: np.ndarray, tetrahedra: np.ndarray, triangles: np.ndarray) -> None:
+    unused = np.flatnonzero(np.bincount(tetrahedra.ravel(), minlength=len(vertices)) == 0)
+    if len(unused):
+        refuse("bad_mesh", f"vertices: vertex {unused[0]} belongs to no tetrahedron")
+    volumes = tetrahedron_volumes(vertices, tetrahedra)
+    corners = vertices[tetrahedra]
+    longest = np.max([lengths(corners[:, i] - corners[:, j]) for i in range(4) for j in range(i)], axis=0)
+    bad = np.flatnonzero(volumes <= FLAT_TETRAHEDRON * longest * longest * longest)
+    if len(bad):
+        what = "inverted" if volumes[bad[0]] < 0 else "flat"
+        refuse("bad_mesh", f"tetrahedra: tetrahedron {bad[0]} is {what} (volume {volumes[bad[0]]:.3g} m3)")
+    faces = np.sort(tetrahedra[:, [[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]]].reshape(-1, 3), axis=1)
+    _, uses = np.unique(faces, axis=0, return_counts=True)
+    if uses.max() > 2:
+        refuse("bad_mesh", f"tetrahedra: a face belongs to {uses.max()} tetrahedra")
+    pieces = connected_pieces(unique_edges(tetrahedra), np.zeros(len(vertices), np.int64))
+    if pieces.max() > 0:
+        refuse("bad_mesh", f"tetrahedra: the mesh falls into {pieces.max() + 1} pieces; each needs a body of its own")
+    if len(triangles):
+        boundary = np.sort(boundary_triangles(tetrahedra), axis=1)
+        mine, theirs = (np.unique(np.sort(t, axis=1), axis=0) for t in (boundary, triangles))
+        if not np.array_equal(mine, theirs):
+            refuse("bad_mesh", "triangles: not the boundary of the tetrahedra; leave them empty to use it")

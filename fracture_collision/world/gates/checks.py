@@ -1,0 +1,99 @@
+"""Checks shared by all validators: sizes, ranges, finiteness, in words that name the field."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fracture_collision.world.gates.errors import InvalidMessage
+
+UINT32_MAX = 0xFFFFFFFF
+UINT64_MAX = 0xFFFFFFFFFFFFFFFF
+# [m] Beyond, doubles are farther than 0.1 micrometres apart; within, no fifth power of a length overflows.
+LARGEST_LENGTH = 1e9
+# [m] Below, products of four lengths begin to lose bits to underflow only far away, and no rigid body is that small.
+SMALLEST_LENGTH = 1e-6
+
+
+def refuse(kind: str, text: str) -> None:
+    raise InvalidMessage(kind, text)
+
+
+def floats(name: str, values, columns: int = 0, limit: float = np.inf) -> np.ndarray:
+    """`values` as float64, all finite, none beyond +-limit; (n, columns) if columns are given."""
+    given = _array(name, values)
+    if given.dtype.kind not in "fiu":
+        refuse("wrong_type", f"{name}: not numbers but {given.dtype}")
+    with np.errstate(over="ignore"):  # what is too large for a double becomes infinite, and is refused as such
+        array = np.ascontiguousarray(given, dtype=np.float64).ravel()
+    if not np.isfinite(array).all():
+        i = int(np.flatnonzero(~np.isfinite(array))[0])
+        refuse("not_finite", f"{name}: entry {i} is {array[i]}")
+    if limit < np.inf and (np.abs(array) > limit).any():
+        i = int(np.argmax(np.abs(array)))
+        refuse("out_of_range", f"{name}: entry {i}, {array[i]}, is beyond {limit:g}")
+    return _shaped(name, array, columns)
+
+
+def indices(name: str, values, columns: int = 0, below: int | None = None, of: str = "") -> np.ndarray:
+    """`values` as int64, each in 0 .. below - 1 (default: uint32); (n, columns) if columns are given."""
+    given = _array(name, values)
+    if not given.size:
+        # an empty list says nothing of its type
+        given = np.empty(0, dtype=np.int64)
+    if given.dtype.kind not in "iu":
+        refuse("wrong_type", f"{name}: not integers but {given.dtype}")
+    limit = UINT32_MAX + 1 if below is None else below
+    flat = given.ravel()
+    if flat.size and (flat.min() < 0 or flat.max() >= limit):
+        i = int(np.flatnonzero((flat < 0) | (flat >= limit))[0])
+        refuse("out_of_range", f"{name}: index {flat[i]} (entry {i}) is not below {limit}{' ' + of if of else ''}")
+    return _shaped(name, np.ascontiguousarray(flat, dtype=np.int64), columns)
+
+
+def _array(name: str, values) -> np.ndarray:
+    try:
+        return np.asarray(values)
+    except (TypeError, ValueError, OverflowError):
+        raise InvalidMessage("wrong_type", f"{name}: not an array of numbers") from None
+
+
+def _shaped(name: str, array: np.ndarray, columns: int) -> np.ndarray:
+    if not columns:
+        return array
+    if array.size % columns:
+        refuse("size_mismatch", f"{name}: {array.size} numbers are not a multiple of {columns}")
+    return array.reshape(-1, columns)
+
+
+def same_length(name: str, array: np.ndarray, other: str, count: int) -> None:
+    if len(array) != count:
+        refuse("size_mismatch", f"{name}: {len(array)} entries for {count} {other}")
+
+
+def number(name: str, value, low: float, high: float = np.inf, open_low: bool = False) -> float:
+    try:
+        number = float(value)
+    except (TypeError, ValueError, OverflowError):
+        raise InvalidMessage("wrong_type", f"{name}: not a number") from None
+    if not np.isfinite(number):
+        refuse("not_finite", f"{name}: {number}")
+    if number < low or number > high or (open_low and number == low):
+        refuse("out_of_range", f"{name}: {number} is outside {'(' if open_low else '['}{low}, {high}]")
+    return number
+
+
+def identifier(name: str, value, maximum: int = UINT32_MAX) -> int:
+    if isinstance(value, bool) or not isinstance(value, int | np.integer):
+        refuse("wrong_type", f"{name}: not an integer")
+    if not 0 <= int(value) <= maximum:
+        refuse("out_of_range", f"{name}: {value} is not in 0 .. {maximum}")
+    return int(value)
+
+
+def each_once(name: str, values: np.ndarray) -> None:
+    if (values[1:] > values[:-1]).all():
+        return
+    ordered = np.sort(values)
+    twice = np.flatnonzero(ordered[1:] == ordered[:-1])
+    if len(twice):
+        refuse("doubled", f"{name}: {ordered[twice[0]]} stands there more than once")

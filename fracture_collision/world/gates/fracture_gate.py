@@ -1,0 +1,183 @@
+"""The gate for fracture events: the fields one by one, then against the mesh and the labels of its nodes."""
+
+from __future__ import annotations
+
+import hashlib
+from typing import NamedTuple
+
+import numpy as np
+
+from fracture_collision.core.bodies.collision_geometry import CollisionGeometry
+from fracture_collision.core.mesh.tet_mesh import TetMesh
+from fracture_collision.records import FractureEvent
+from fracture_collision.world.gates.checks import (
+    UINT64_MAX,
+    each_once,
+    floats,
+    identifier,
+    indices,
+    refuse,
+    same_length,
+)
+from fracture_collision.world.gates.fracture_match import (
+    DOUBLED,
+    EXTRA,
+    FINE,
+    MISSED,
+    MISSING,
+    NO_EDGE,
+    first_crooked,
+    first_split,
+    match_cuts,
+)
+
+UNIT_TOLERANCE = 1e-9
+# How far beyond an edge's end, as a share of its length, its plane may pass: rounding of a crack through a node.
+CROSSING_TOLERANCE = 1e-9
+
+
+class CheckedFracture(NamedTuple):
+    body_id: int
+    fragment_id: int
+    new_fragment_ids: np.ndarray  # (k,) int64
+    nodes: np.ndarray  # (n,) int32, ascending
+    parts: np.ndarray  # (n,) int32, index into new_fragment_ids
+    edges: np.ndarray  # (e,) int32 mesh edges, ascending
+    planes: np.ndarray  # (e, 4) float64, unit normal from the edge's smaller node to its larger, offset [m]
+    digest: bytes
+
+
+class FractureFields(NamedTuple):
+    """A message whose fields are in order one by one."""
+
+    sequence: int
+    body_id: int
+    fragment_id: int
+    new_fragment_ids: np.ndarray  # (k,) int64
+    nodes: np.ndarray  # (n,) int64
+    parts: np.ndarray  # (n,) int64, below k
+    cut_edges: np.ndarray  # (e, 2) int64
+    cut_planes: np.ndarray  # (e, 4)
+    digest: bytes  # SHA-256 of the content, in the order in which it came
+
+
+def read_fracture(event: FractureEvent) -> FractureFields:
+    """Raise InvalidMessage unless each field by itself keeps the rules of FractureEvent.msg."""
+    ids = [identifier("sequence", event.sequence, UINT64_MAX)]
+    ids += [identifier("body_id", event.body_id), identifier("fragment_id", event.fragment_id)]
+    new_ids = indices("new_fragment_ids", event.new_fragment_ids)
+    if len(new_ids) < 2:
+        refuse("size_mismatch", f"new_fragment_ids: {len(new_ids)} fragments; a fracture makes at least 2")
+    each_once("new_fragment_ids", new_ids)
+    nodes = indices("nodes", event.nodes)
+    parts = indices("node_fragments", event.node_fragments, 0, len(new_ids), "new fragments")
+    same_length("node_fragments", parts, "nodes", len(nodes))
+    each_once("nodes", nodes)
+    edges = indices("cut_edges", event.cut_edges, 2)
+    planes = floats("cut_planes", event.cut_planes, 4)
+    same_length("cut_planes", planes, "cut edges", len(edges))
+    crooked = first_crooked(planes, UNIT_TOLERANCE)
+    if crooked >= 0:
+        refuse("not_unit", f"cut_planes: the normal of entry {crooked} is not of length 1")
+    digest = hashlib.sha256()
+    for content in (np.array(ids, np.uint64), new_ids, nodes, parts, edges, planes):
+        digest.update(len(content).to_bytes(8, "little"))
+        digest.update(content)
+    return FractureFields(*ids, new_ids, nodes, parts, edges, planes, digest.digest())
+
+
+def check_fracture(
+    fields: FractureFields, mesh: TetMesh, node_fragment: np.ndarray, pinched: np.ndarray
+) -> tuple[CheckedFracture, np.ndarray, np.ndarray]:
+    """Raise InvalidMessage unless the fields fit the mesh: what they say, which nodes are pinched now, and which of the
+    new fragments may be without volume.
+
+    node_fragment (n,): fragment id of each mesh node now; pinched (n,) uint8: the nodes that planes of earlier
+    fractures pass through. Ids and the sequence are checked by the caller, who knows the whole run.
+
+    What is next to a node that no plane passes through belongs to it; a fragment without such a node (indices into
+    new_fragment_ids) has all its volume elsewhere, or none.
+    """
+    part_of_node = _labels(fields, mesh, node_fragment)
+    between = _connected(fields, mesh, part_of_node)
+    edges, planes, pinched_now = _cuts(fields, mesh, part_of_node, between)
+    nodes = np.flatnonzero(part_of_node >= 0).astype(np.int32)
+    checked = CheckedFracture(
+        fields.body_id, fields.fragment_id, fields.new_fragment_ids, nodes, part_of_node[nodes], edges, planes,
+        fields.digest,
+    )  # fmt: skip
+    pinched_now |= pinched
+    free = np.bincount(checked.parts[pinched_now[nodes] == 0], minlength=len(fields.new_fragment_ids))
+    return checked, pinched_now, np.flatnonzero(free == 0)
+
+
+def refuse_without_volume(fragment_id: int) -> None:
+    refuse("no_volume", f"cut_planes: fragment {fragment_id} has no volume: they pass through its nodes")
+
+
+def apply_fracture(geometry: CollisionGeometry, row: int, event: CheckedFracture) -> int:
+    """Break fragment `row`; returns the row of the first new one."""
+    return geometry.apply_fracture(
+        row, event.nodes, event.parts, event.edges, event.planes, len(event.new_fragment_ids)
+    )
+
+
+def fracture_of_removed_body(fields: FractureFields) -> CheckedFracture:
+    """What the log needs of an event whose body is gone: its place in the sequence, its ids, its digest."""
+    none = np.zeros(0, np.int32)
+    return CheckedFracture(
+        fields.body_id, fields.fragment_id, fields.new_fragment_ids, none, none, none, np.zeros((0, 4)), fields.digest
+    )
+
+
+def without_content(event: CheckedFracture) -> CheckedFracture:
+    """Likewise of an event that was accepted before its body was removed."""
+    none = np.zeros(0, np.int32)
+    return event._replace(nodes=none, parts=none, edges=none, planes=np.zeros((0, 4)))
+
+
+def _labels(fields: FractureFields, mesh: TetMesh, node_fragment: np.ndarray) -> np.ndarray:
+    """The part of each mesh node (n,) int32, -1: of another fragment."""
+    nodes = indices("nodes", fields.nodes, 0, len(mesh.nodes), "mesh nodes")
+    fragment_id = fields.fragment_id
+    strangers = np.flatnonzero(node_fragment[nodes] != fragment_id)
+    if len(strangers):
+        node = nodes[strangers[0]]
+        refuse("wrong_nodes", f"nodes: node {node} belongs to fragment {node_fragment[node]}, not {fragment_id}")
+    expected = int((node_fragment == fragment_id).sum())
+    if len(nodes) != expected:
+        refuse("wrong_nodes", f"nodes: {len(nodes)} of the {expected} nodes of fragment {fragment_id}")
+    part_of_node = np.full(len(mesh.nodes), -1, dtype=np.int32)
+    part_of_node[nodes] = fields.parts
+    return part_of_node
+
+
+def _connected(fields: FractureFields, mesh: TetMesh, part_of_node: np.ndarray) -> int:
+    """Returns how many mesh edges join two of the new fragments."""
+    new_ids = fields.new_fragment_ids
+    nodes_of = np.bincount(fields.parts, minlength=len(new_ids))
+    if not nodes_of.all():
+        refuse("empty_fragment", f"node_fragments: fragment {new_ids[np.argmin(nodes_of)]} has no node")
+    split, between = first_split(mesh.edges, mesh.edges_begin, part_of_node, len(new_ids))
+    if split >= 0:
+        refuse("disconnected", f"node_fragments: fragment {new_ids[split]} falls into pieces that no edge joins")
+    return between
+
+
+def _cuts(
+    fields: FractureFields, mesh: TetMesh, part_of_node: np.ndarray, between: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The mesh edges that are cut, ascending (k,) int32, their planes (k, 4), and the nodes that they pinch (n,)."""
+    ends = indices("cut_edges", fields.cut_edges, 2, len(mesh.nodes), "mesh nodes")
+    problem, row, found = match_cuts(mesh, part_of_node, between, ends, fields.cut_planes, CROSSING_TOLERANCE)
+    if problem != FINE:
+        a, b = mesh.edges[row] if problem in (DOUBLED, EXTRA, MISSING) else ends[row]
+        kind, text = {
+            NO_EDGE: ("no_edge", f"cut_edges: {a}-{b} (entry {row}) is no edge of the mesh"),
+            DOUBLED: ("doubled", f"cut_edges: {a}-{b} stands there more than once"),
+            EXTRA: ("wrong_cut", f"cut_edges: {a}-{b} does not join two of the new fragments"),
+            MISSING: ("wrong_cut", f"cut_edges: {a}-{b} joins two of the new fragments but is not cut"),
+            MISSED: ("missed_edge", f"cut_planes: entry {row} does not cross its edge {a}-{b} from first to second"),
+        }[problem]
+        refuse(kind, text)
+    return found.edges, found.planes, found.pinched

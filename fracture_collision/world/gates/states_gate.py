@@ -1,0 +1,116 @@
+"""The gate for fragment states."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fracture_collision.core.memory.compiled import kernel
+from fracture_collision.portable_math import lengths
+from fracture_collision.records import FragmentStates
+from fracture_collision.world.gates.checks import (
+    LARGEST_LENGTH,
+    UINT64_MAX,
+    each_once,
+    floats,
+    identifier,
+    indices,
+    refuse,
+    same_length,
+)
+
+QUATERNION_TOLERANCE = 1e-6
+_TYPES = (np.dtype(np.uint32), *[np.dtype(np.float64)] * 4)  # of fragment_ids and the columns behind them
+
+
+class CheckedStates(NamedTuple):
+    step: int
+    fracture_sequence: int
+    fragment_ids: np.ndarray  # (n,) int64, ascending
+    positions: np.ndarray  # (n, 3) float64 [m]
+    orientations: np.ndarray  # (n, 4) float64, x y z w
+    linear: np.ndarray  # (n, 3) float64 [m/s] of the frame's origin
+    angular: np.ndarray  # (n, 3) float64 [rad/s] world axes
+
+
+def check_states(states: FragmentStates) -> CheckedStates:
+    """Raise InvalidMessage unless sizes and numbers of `states` keep the rules; ids are the caller's to look up."""
+    return _as_they_are(states) or _put_in_order(states)
+
+
+def _as_they_are(states: FragmentStates) -> CheckedStates | None:
+    """Of states that keep every rule and are in order, as most are; None: somebody has to look closer."""
+    for column, dtype in zip(states[2:], _TYPES, strict=True):
+        if type(column) is not np.ndarray or column.dtype != dtype or column.ndim != 1 or not column.flags.c_contiguous:
+            return None
+    step = identifier("step", states.step, UINT64_MAX)
+    sequence = identifier("fracture_sequence", states.fracture_sequence, UINT64_MAX)
+    n = len(states.fragment_ids)
+    ids, positions, orientations = np.empty(n, np.int64), np.empty((n, 3)), np.empty((n, 4))
+    linear, angular = np.zeros((n, 3)), np.zeros((n, 3))
+    if not _copy_if_sound(
+        *states[2:], LARGEST_LENGTH, QUATERNION_TOLERANCE, ids, positions, orientations, linear, angular
+    ):
+        return None
+    return CheckedStates(step, sequence, ids, positions, orientations, linear, angular)
+
+
+@kernel
+def _copy_if_sound(
+    given_ids, given_positions, given_orientations, given_linear, given_angular, largest, tolerance, ids, positions,
+    orientations, linear, angular,
+):  # fmt: skip
+    """Whether all is as it should be; then it is copied. Velocities that are not given stay as they are."""
+    n = len(ids)
+    if len(given_positions) != 3 * n or len(given_orientations) != 4 * n:
+        return False
+    for given, velocities in ((given_linear, linear), (given_angular, angular)):
+        if len(given) != 0 and len(given) != 3 * n:
+            return False
+        for k in range(len(given)):
+            if not np.isfinite(given[k]):
+                return False
+            velocities[k // 3, k % 3] = given[k]
+    for i in range(n):
+        ids[i] = given_ids[i]
+        if i > 0 and ids[i] <= ids[i - 1]:
+            return False
+        for d in range(3):
+            positions[i, d] = given_positions[3 * i + d]
+            if not abs(positions[i, d]) <= largest:
+                return False
+        squares = 0.0
+        for d in range(4):
+            v = given_orientations[4 * i + d]
+            orientations[i, d] = v
+            squares += v * v
+        if not abs(np.sqrt(squares) - 1.0) <= tolerance:
+            return False
+    return True
+
+
+def _put_in_order(states: FragmentStates) -> CheckedStates:
+    step = identifier("step", states.step, UINT64_MAX)
+    sequence = identifier("fracture_sequence", states.fracture_sequence, UINT64_MAX)
+    ids = indices("fragment_ids", states.fragment_ids)
+    each_once("fragment_ids", ids)
+    positions = floats("positions", states.positions, 3, LARGEST_LENGTH)
+    orientations = floats("orientations", states.orientations, 4)
+    same_length("positions", positions, "fragment_ids", len(ids))
+    same_length("orientations", orientations, "fragment_ids", len(ids))
+    both = []
+    for name in ("linear_velocities", "angular_velocities"):
+        velocities = floats(name, getattr(states, name), 3)
+        if len(velocities):
+            same_length(name, velocities, "fragment_ids", len(ids))
+        both.append(velocities if len(velocities) else np.zeros((len(ids), 3)))
+    with np.errstate(over="ignore"):  # infinite is not 1 either
+        length = lengths(orientations)
+    crooked = np.flatnonzero(~(np.abs(length - 1.0) <= QUATERNION_TOLERANCE))
+    if len(crooked):
+        i = crooked[0]
+        refuse("not_unit", f"orientations: the quaternion of fragment {ids[i]} has length {length[i]:.9g}, not 1")
+    order = np.argsort(ids, kind="stable")
+    columns = (np.ascontiguousarray(column[order]) for column in (positions, orientations, *both))
+    return CheckedStates(step, sequence, ids[order], *columns)

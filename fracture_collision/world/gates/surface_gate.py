@@ -1,0 +1,95 @@
+"""The gate for closed triangle meshes: what the exact signed distance (triangle_field.py) takes for granted."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fracture_collision.core.mesh.connected_pieces import joined
+from fracture_collision.core.mesh.ray_crossings import UNDECIDED, windings_of_others
+from fracture_collision.portable_math import dots, lengths
+from fracture_collision.world.gates.checks import refuse
+
+# Twice the area against the longest side squared: below, rounding decides where the normal points.
+FLAT_TRIANGLE = 1e-9
+
+
+def check_surface(vertices: np.ndarray, triangles: np.ndarray) -> None:
+    """Raise InvalidMessage unless triangles (t, 3) of vertices (n, 3) [m] bound one solid, seen counter-clockwise.
+
+    Closed: each edge in two triangles, in opposite directions; one fan of triangles around each vertex; one outer
+    surface, with or without cavities in it. Not checked: that no two triangles cut each other.
+    """
+    unused = np.flatnonzero(np.bincount(triangles.ravel(), minlength=len(vertices)) == 0)
+    if len(unused):
+        refuse("bad_mesh", f"vertices: vertex {unused[0]} belongs to no triangle")
+    corners = vertices[triangles]
+    sides = np.roll(corners, -1, axis=1) - corners
+    twice_area = lengths(np.cross(sides[:, 0], sides[:, 1]))
+    flat = np.flatnonzero(twice_area <= FLAT_TRIANGLE * dots(sides, sides).max(axis=1))
+    if len(flat):
+        refuse("bad_mesh", f"triangles: triangle {flat[0]} has no area ({0.5 * twice_area[flat[0]]:.3g} m2)")
+    opposite = _opposite_sides(triangles, len(vertices))
+    _one_fan_a_vertex(triangles, opposite, len(vertices))
+    _one_solid(triangles, corners, opposite)
+
+
+def _opposite_sides(triangles: np.ndarray, vertex_count: int) -> np.ndarray:
+    """For each side (3 x triangle + corner it starts at) the same edge seen from the other triangle."""
+    start, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
+    _, edge, uses = np.unique(
+        np.minimum(start, end) * vertex_count + np.maximum(start, end), return_inverse=True, return_counts=True
+    )
+    shared = np.flatnonzero(uses[edge] > 2)
+    if len(shared):
+        side = shared[0]
+        refuse("bad_mesh", f"triangles: edge {start[side]}-{end[side]} belongs to {uses[edge[side]]} triangles, not 2")
+    direction = start * vertex_count + end
+    order = np.argsort(direction, kind="stable")
+    ordered = direction[order]
+    twice = np.flatnonzero(ordered[1:] == ordered[:-1])
+    if len(twice):
+        side = order[twice[0]]
+        refuse(
+            "bad_mesh",
+            f"triangles: edge {start[side]}-{end[side]} runs the same way in two triangles; "
+            "one of them is seen clockwise from outside",
+        )
+    back = end * vertex_count + start
+    found = np.minimum(np.searchsorted(ordered, back), len(ordered) - 1)
+    unmatched = np.flatnonzero(ordered[found] != back)
+    if len(unmatched):
+        side = unmatched[0]
+        refuse("bad_mesh", f"triangles: edge {start[side]}-{end[side]} belongs to one triangle; the surface is open")
+    return order[found]
+
+
+def _one_fan_a_vertex(triangles: np.ndarray, opposite: np.ndarray, vertex_count: int) -> None:
+    """A corner is joined with the next one around its vertex: as many circles of corners as vertices."""
+    triangle, corner = opposite // 3, opposite % 3
+    next_corner = 3 * triangle + (corner + 1) % 3  # side a-b starts in a, the other triangle's side b-a ends there
+    fan = joined(np.arange(triangles.size), next_corner, triangles.size)
+    if fan.max() + 1 == vertex_count:
+        return
+    pairs = np.unique(np.column_stack([triangles.ravel(), fan]), axis=0)
+    vertex = np.flatnonzero(np.bincount(pairs[:, 0]) > 1)[0]
+    refuse("bad_mesh", f"triangles: the surface touches itself in vertex {vertex}; give each sheet a vertex of its own")
+
+
+def _one_solid(triangles: np.ndarray, corners: np.ndarray, opposite: np.ndarray) -> None:
+    piece = joined(np.arange(len(triangles)).repeat(3), opposite // 3, len(triangles))
+    apex = 0.5 * (corners.min(axis=(0, 1)) + corners.max(axis=(0, 1)))
+    a, b, c = (corners[:, i] - apex for i in range(3))
+    volumes = np.bincount(piece, dots(np.cross(a, b), c) / 6.0)
+    outer = np.flatnonzero(volumes > 0.0)
+    if not len(outer):
+        refuse("bad_mesh", f"triangles: inside out (volume {volumes.sum():.3g} m3); order them counter-clockwise")
+    if len(outer) > 1:
+        refuse("bad_mesh", f"triangles: {len(outer)} solids apart; each needs a body of its own")
+    cavities = np.flatnonzero(volumes <= 0.0)
+    _, first = np.unique(piece, return_index=True)
+    first = first[cavities]
+    windings = windings_of_others(corners, piece, corners[first, 0], cavities)
+    if (windings != 1).any():
+        wrong = int(np.argmax(windings != 1))
+        where = "touches another piece" if windings[wrong] == UNDECIDED else "is inside out and no cavity of the solid"
+        refuse("bad_mesh", f"triangles: the piece with triangle {first[wrong]} {where}")
