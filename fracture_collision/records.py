@@ -1,7 +1,7 @@
 """The messages of msg/*.msg as plain numpy records: what all rooms exchange, with or without ROS.
 
 Fields are named and shaped as in the messages (flat arrays, SI units, frames and signs as written there), less
-`header` and `run_id`. Nothing here checks anything: `world.validation` is the gate.
+`header` and `run_id`. Nothing here checks anything: `world/gates` does.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""docs/paper.md names code for every section of the paper: the names exist."""
+"""docs/paper.md names code for every section of the paper, CONTRIBUTING.md where things are: the names exist."""
 
 from __future__ import annotations
 
@@ -32,3 +32,11 @@ def test_every_section_has_code() -> None:
 def test_the_studies_exist() -> None:
     named = set(re.findall(r"fracture-collision bench (\w+)", TEXT))
     assert named and named <= set(STUDIES)
+
+
+def test_things_are_where_contributing_says() -> None:
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    where = text[text.index("## Where things are") : text.index("## Rules")]
+    files = re.findall(r"`([\w/]+\.py)`", where)
+    assert len(files) > 20
+    assert [file for file in files if not (ROOT / "fracture_collision" / file).is_file()] == []
