@@ -18,7 +18,7 @@ from campaigns import bad_input
 
 PACKAGE = bad_input.ROOT / "fracture_collision"
 INSTRUMENTED = ("world", "ros")
-KERNELS = ("world.fracture_match", "world.contact_ids")
+KERNELS = ("world.gates.fracture_match", "world.contact_ids")
 RAW = 255  # as an input's first byte: what follows is a topic and a message
 
 

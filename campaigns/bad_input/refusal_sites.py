@@ -20,13 +20,13 @@ class Site(NamedTuple):
     function: str
 
     def __str__(self) -> str:
-        return f"world/{Path(self.file).name}:{self.first_line} in {self.function}"
+        return f"{Path(self.file).relative_to(Path(world.__path__[0]).parent)}:{self.first_line} in {self.function}"
 
 
 def refusal_sites() -> list[Site]:
     """Every call of `refuse` and every `raise` of what a message is refused with, but that in `refuse` itself."""
     sites = []
-    for file in sorted(Path(world.__path__[0]).glob("*.py")):
+    for file in sorted(Path(world.__path__[0]).rglob("*.py")):
         for function in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
             if isinstance(function, ast.FunctionDef) and function.name not in REFUSING:
                 sites += [
