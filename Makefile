@@ -37,8 +37,9 @@ test: build lint ## all tests but the slow ones, and lint
 test-full: build lint ## all tests, the slow ones too
 	@$(PYTEST)
 
-lint: $(STAMPS)/messages ## style, the arrows between the rooms, arithmetic that is the same everywhere
+lint: $(STAMPS)/messages ## style, spelling, one-way imports, arithmetic that is the same on every processor
 	@$(BIN)/ruff check .
+	@$(BIN)/codespell
 	@$(BIN)/lint-imports --no-cache
 	@$(BIN)/python -m lint.portable_arithmetic
 
