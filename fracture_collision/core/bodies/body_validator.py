@@ -1,4 +1,4 @@
-"""What must hold for a fractured body's rows in the pools after every event: for tests, and for whoever doubts."""
+"""Invariants of a fractured body's rows in the pools after every event: for tests and debugging."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ from fracture_collision.core.mesh.occupancy import sphere_may_touch
 from fracture_collision.core.mesh.surface_triangles import surface_triangles
 from fracture_collision.core.tree.sample_leaves import leaves_of
 
-# Rounding, as a share of lengths, areas and volumes of the body.
+# Rounding tolerance, as a share of lengths, areas and volumes of the body.
 ROUNDING = 1e-9
-# The plane of a thinner triangle (twice its area over its longest side squared) is anybody's guess; its rim is not.
+# The plane of a thinner triangle (twice its area over its longest side squared) is arbitrary; its rim is not.
 THIN = 1e-6
-# Rounding of single precision.
+# Single-precision rounding tolerance.
 SINGLE = 1e-6
 
 
 def validate_body(geometry: CollisionGeometry, rows: Sequence[int]) -> None:
-    """Raise AssertionError unless all that is stored of one fractured body agrees; `rows`: its living fragments.
+    """Raise AssertionError unless all stored data of one fractured body agree; `rows`: its living fragments.
 
     Labels, cuts and polygons are consistent; each fragment's surface is closed, oriented outward, encloses the
     fragment's volume and lies in its box and cells and in the hull of its samples; its leaves hold every
@@ -114,7 +114,7 @@ def _validate_seeds(pools: Pools, rows: Sequence[int], tets: np.ndarray) -> None
 
 
 def _validate_regions(pools: Pools, rows: Sequence[int], tets: np.ndarray) -> None:
-    """What is written beside the owner of tetrahedra that several fragments share, against where it is from."""
+    """Compare the columns beside the owner of shared tetrahedra with their source."""
     mesh, body, fragment = pools.mesh, pools.body, pools.fragment
     own = tets + fragment.tet_shift[rows[0]]
     labels = body.node_fragment[mesh.tetrahedra[tets] + fragment.node_shift[rows[0]]]

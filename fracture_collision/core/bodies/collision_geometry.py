@@ -1,4 +1,4 @@
-"""All geometry of a world at one registry: bodies go in, fractures change it, `pools` is what the kernels read."""
+"""Registry of all geometry of a world: bodies are added, fractures change it, the kernels read `pools`."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ from fracture_collision.core.mesh.triangle_field import TriangleMesh, append_tri
 from fracture_collision.core.tree.sphere_tree import SphereTree, build_sphere_tree
 from fracture_collision.portable_math import lengths
 
-# [bytes] Less is not worth a compaction.
+# [bytes] Less garbage is not worth a compaction.
 LEAST_GARBAGE = 1 << 20
 NO_TREE = TreeRows(0, 0, 0, 0, np.zeros(4))
 
@@ -68,7 +68,7 @@ class MassProperties(NamedTuple):
 
 
 class PreparedMesh(NamedTuple):
-    """A tetrahedral mesh with the sphere tree of the whole body: the preprocess equal geometries share."""
+    """A tetrahedral mesh with the sphere tree of the whole body: the preprocess that equal geometries share."""
 
     mesh: TetMesh
     tree: SphereTree
@@ -76,7 +76,7 @@ class PreparedMesh(NamedTuple):
 
 
 class PreparedSurface(NamedTuple):
-    """A closed triangle mesh likewise, for a rigid body."""
+    """The same preprocess for a rigid body with a closed triangle mesh."""
 
     mesh: TriangleMesh
     tree: SphereTree
@@ -85,7 +85,7 @@ class PreparedSurface(NamedTuple):
 
 
 def prepare_mesh(mesh: TetMesh) -> PreparedMesh:
-    """The tree over all nodes, surface and interior (section 6.1)."""
+    """Build the tree over all nodes, surface and interior (section 6.1)."""
     return PreparedMesh(mesh, build_sphere_tree(mesh.nodes, mesh.on_surface), [])
 
 
@@ -103,10 +103,10 @@ def prepare_surface(vertices: np.ndarray, triangles: np.ndarray) -> PreparedSurf
 
 
 class CollisionGeometry:
-    """Owner of the pools. Fragments are addressed by row, in the order in which they were made.
+    """Owns the pools. Fragments are addressed by row, in order of creation.
 
     tree: one of fragment_trees.TREES; traversal: one of pools.ALTERNATING, QUEUE; field: one of pools.EXACT, AVERAGED;
-    normals: one of pools.NEAREST, FACING; has_ridges: whether ridges are found.
+    normals: one of pools.NEAREST, FACING; has_ridges: whether to compute ridges.
     """
 
     def __init__(
@@ -119,9 +119,9 @@ class CollisionGeometry:
         self._gaps = GrowableArray(0, np.float64)
         self._ridges = RidgeTable() if has_ridges else None
         self._scratch, self._room = make_cut_scratch(), touched_room(0)
-        self._meshes: list[tuple[PreparedMesh, MeshRows]] = []  # by its row in the pools
+        self._meshes: list[tuple[PreparedMesh, MeshRows]] = []  # by row in the pools
         self._surfaces: list[tuple[PreparedSurface, SurfaceMeshRows]] = []
-        self._bodies_of: Counter[int] = Counter()  # id of a preprocess -> bodies that have it
+        self._bodies_of: Counter[int] = Counter()  # id of a preprocess -> number of bodies that use it
         self._garbage = 0  # [bytes] of bodies retired since the last compaction
 
     @property
@@ -130,11 +130,11 @@ class CollisionGeometry:
 
     @property
     def ridges(self) -> Ridges:
-        """Of all fragments; nobody's, unless they are found."""
+        """Ridges of all fragments; empty without has_ridges."""
         return NO_RIDGES if self._ridges is None else self._ridges.view
 
     def sampling_gaps(self, rows: np.ndarray) -> np.ndarray:
-        """(n,) [m]: no point of the surfaces of fragments `rows` (n,) is farther from one of their samples."""
+        """Upper bounds (n,) [m] of the distance from a surface point of fragments `rows` (n,) to its nearest sample."""
         return self._gaps.view[rows]
 
     def tet_range(self, row: int) -> range:
@@ -161,11 +161,11 @@ class CollisionGeometry:
         return int(self._tables.fragment["tree_end"].view[row] - self._tables.fragment["tree_begin"].view[row])
 
     def volume(self, row: int) -> float:
-        """[m3] of a body of tetrahedra or triangles, or of a fragment."""
+        """Volume [m3] of a body of tetrahedra or triangles, or of a fragment."""
         return float(self._moments.view[row, 0])
 
     def mass_properties(self, rows: np.ndarray, density: np.ndarray) -> list[MassProperties]:
-        """Of fragments `rows` (n,) with `density` (n,) [kg/m3] each."""
+        """Mass properties of fragments `rows` (n,) with `density` (n,) [kg/m3] each."""
         kind = self._tables.fragment["kind"].view[rows]
         is_shape = (kind == PLANE) | (kind == SPHERE) | (kind == BOX)
         meshed = iter(zip(*mass_properties(self._moments.view[rows[~is_shape]], density[~is_shape]), strict=True))
@@ -183,7 +183,7 @@ class CollisionGeometry:
         return MassProperties(0.0, np.zeros(3), np.zeros(6))
 
     def retire_body(self, rows: np.ndarray) -> None:
-        """No query will name `rows` (n,) any more, all fragments of one body. Their memory stays until `keep_only`."""
+        """Retire `rows` (n,), all fragments of one body: no query uses them again. `keep_only` frees their memory."""
         kind, index = (int(self._tables.fragment[name].view[rows[0]]) for name in ("kind", "mesh"))
         shapes = {TETRAHEDRA: self._meshes, TRIANGLES: self._surfaces}.get(kind)
         prepared = shapes[index][0] if shapes else None
@@ -195,11 +195,11 @@ class CollisionGeometry:
             self._garbage += bytes_of_mesh(prepared)
 
     def is_mostly_garbage(self) -> bool:
-        """Whether `keep_only` copies no more than what was retired since the last."""
+        """Whether `keep_only` would copy at most as many bytes as were retired since the last call."""
         return self._garbage > LEAST_GARBAGE and 2 * self._garbage > self._tables.bytes_used
 
     def keep_only(self, rows: np.ndarray) -> np.ndarray:
-        """Drop all that fragments `rows` (n,) do not need; returns their rows from now on (n,). Their order stays."""
+        """Drop all data that fragments `rows` (n,) do not need; returns their new rows (n,). Keeps their order."""
         meshes, surfaces = [own for _, own in self._meshes], [own for _, own in self._surfaces]
         moved, meshes, surfaces = compact(
             self._tables, (self._moments, self._gaps), np.sort(rows), meshes, surfaces
@@ -217,7 +217,7 @@ class CollisionGeometry:
         return self._add_row(PLANE, box, np.append(normal, offset), np.inf, NO_TREE, 0.0)
 
     def add_sphere(self, radius: float) -> int:
-        """Its surface is searched as a whole (sphere_contacts.py), so nothing lies between samples."""
+        """A sphere's surface is searched as a whole (sphere_contacts.py), so its sampling gap is zero."""
         box = np.array([-radius] * 3 + [radius] * 3)
         return self._add_row(SPHERE, box, np.array([radius, 0.0, 0.0, 0.0]), radius, NO_TREE, 0.0)
 
@@ -238,7 +238,7 @@ class CollisionGeometry:
             TETRAHEDRA, mesh.box, np.zeros(4), 0.5 * float((mesh.box[3:] - mesh.box[:3]).max()), rows.tree,
             mesh.sampling_gap, rows.index, rows.cells,
         )  # fmt: skip
-        # summed one by one, as a fracture sums what is left, so that parts add up to the whole
+        # summed one by one, as in a fracture, so that parts add up to the whole
         self._moments.view[row] = mesh.moments.sum(axis=0)
         return row
 
@@ -265,8 +265,8 @@ class CollisionGeometry:
     ) -> int:
         """Break fragment `row` into `count` new rows; returns the first.
 
-        nodes (n,): all its mesh nodes; parts (n,): the part of each, 0 .. count - 1; edges (k,): mesh edges it is cut
-        at, ascending; planes (k, 4): unit normal from the edge's first node to its second, offset [m].
+        nodes (n,): all its mesh nodes; parts (n,): the part of each, 0 .. count - 1; edges (k,): the cut mesh edges,
+        ascending; planes (k, 4): unit normal from the edge's first node to its second, offset [m].
         """
         tables = self._tables
         prepared, rows = self._meshes[int(tables.fragment["mesh"].view[row])]
@@ -299,7 +299,7 @@ class CollisionGeometry:
         return first
 
     def _rebuild_surfaces(self, row, touched, first, end) -> NewSamples:
-        """Polygons in the tetrahedra that a fracture touched; moments, boxes, gaps, cells of their fragments. Returns
+        """Rebuild the polygons in the touched tetrahedra, and moments, boxes, gaps, cells of their fragments. Returns
         the samples at their corners.
         """
         tables = self._tables
@@ -318,7 +318,7 @@ class CollisionGeometry:
         return corners
 
     def _rebuild_trees(self, row, mesh, rows, nodes, parts, corners, first, count) -> None:
-        """REBUILT trees of fragments first .. first + count - 1, into which `row` broke."""
+        """Append REBUILT trees of fragments first .. first + count - 1, into which `row` broke."""
         tables = self._tables
         begin = rows.edge + int(tables.fragment["edge_shift"].view[row])
         own = slice(begin, begin + len(mesh.edges))
@@ -334,7 +334,7 @@ class CollisionGeometry:
         tables.fragment["middle"].view[first : first + count] = middles
 
     def _choose_seeds(self, row, rows, touched, first) -> None:
-        """Those of the body's pairs, after fragment `row` broke into those from row `first` on."""
+        """Append the seeds of the body's pairs, after fragment `row` broke into those from row `first` on."""
         seeds, pools = self._tables.seeds, self._tables.roomy
         keys, ranges, edges = choose_seeds(
             pools.mesh, pools.body, pools.fragment, pools.seeds, row, rows.counts[2], touched.cut, first,
@@ -345,7 +345,7 @@ class CollisionGeometry:
         seeds["edges"].append(edges)
 
     def _own_body_rows(self, row: int, prepared: PreparedMesh, rows: MeshRows) -> None:
-        """A body that breaks for the first time gets labels, cuts and planes of its own."""
+        """Give a body that breaks for the first time its own labels, cuts and planes."""
         if self._tables.fragment["node_shift"].view[row] != NEVER_BROKEN:
             return
         mesh = prepared.mesh
@@ -365,7 +365,7 @@ class CollisionGeometry:
         self._tables.fragment["edge_shift"].view[row] = edge - rows.edge
 
     def _interior_field(self, prepared: PreparedMesh, rows: MeshRows) -> InteriorField:
-        """The averaged field of the whole body; its grid goes into the pools with the first body of the mesh."""
+        """The averaged field of the whole body; the first body of the mesh appends its grid to the pools."""
         if not prepared.interior:
             prepared.interior.append(make_interior_field(prepared.mesh))
         interior = prepared.interior[0]

@@ -1,9 +1,9 @@
-"""The sphere trees of the fragments that a fracture makes, in the three ways that Glondu 2014, section 7.3 compares.
+"""The sphere trees of new fragments, in the three variants that Glondu 2014, section 7.3 compares.
 
 RESTRUCTURED: split, restructured and extended (6.2, 6.3). PLAIN: split without regard to the maximum-distance order, as
-in the paper's earlier version, its reference [27]. REBUILT: built from nothing on the samples of the new surface. A
+in the paper's earlier version, its reference [27]. REBUILT: built from scratch on the samples of the new surface. A
 rebuilt tree has no interior nodes, so the next fracture builds again from the mesh and its cut edges. The body before
-its first fracture has the same tree in all three. How samples are numbered: sample_numbers.py.
+its first fracture has the same tree in all three. Sample numbers: sample_numbers.py.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ TREES = (RESTRUCTURED, PLAIN, REBUILT)
 
 
 class Forest(NamedTuple):
-    """Trees one behind the other: fragment f's are entries begin[f] .. begin[f + 1] - 1."""
+    """Consecutive trees: fragment f has entries begin[f] .. begin[f + 1] - 1."""
 
     trees: SphereTree
     begin: np.ndarray  # (fragments + 1,) int64
@@ -48,15 +48,15 @@ def split_trees(
     tables: PoolTables, row: int, edges: np.ndarray, corners: NewSamples, first: int, count: int, ordered: bool
 ) -> None:
     """Append the RESTRUCTURED (`ordered`) or PLAIN trees of fragments first .. first + count - 1, into which fragment
-    `row` broke, and their leaves. edges (k,): mesh edges that this fracture cuts, ascending; corners: all that the new
-    fragments have, also of earlier cracks.
+    `row` broke, and their leaves. edges (k,): mesh edges that this fracture cuts, ascending; corners: all corners of
+    the new fragments, including those of earlier cracks.
     """
     fragment, new = tables.fragment, 2 * len(edges) + len(corners.points)
     old = slice(int(fragment["tree_begin"].view[row]), int(fragment["tree_end"].view[row]))
     leaves = int(fragment["leaf_end"].view[row] - fragment["leaf_begin"].view[row])
     room = rows_of_split(tables.tree["entries"].view[old], new)
     for column in tables.tree.values():
-        column.reserve(room)  # this may move what is in the pool
+        column.reserve(room)  # this may reallocate the pool
     for column in tables.samples.values():
         column.reserve(most_leaves(leaves, new, count))
     pools = tables.roomy
@@ -76,7 +76,7 @@ def _split_trees(
     mesh, node_fragment, edge_share, fragment, tree, row, edges, corners, low, high, ordered, begin, values, entries,
     first_leaf,
 ):  # fmt: skip
-    """split_trees, into the rows from `begin` and `first_leaf` on; returns how many of each."""
+    """split_trees, to the rows from `begin` and `first_leaf` on; returns the numbers of entries and leaves written."""
     first = mesh.first[fragment.mesh[row]]
     labels = node_fragment[first[FIRST_NODE] + fragment.node_shift[row] :]
     # a shift may be negative
@@ -108,9 +108,9 @@ def rebuilt_trees(
 ) -> Forest:
     """REBUILT trees of parts 0 .. count - 1.
 
-    part_of_node (n,) int32, -1: another fragment's; share (mesh edges,): where cut edges are crossed, in parts of them
-    from their first node; sampled (mesh edges, 2): which ends of edges are crack samples of these parts; corners: as
-    split_trees has them.
+    part_of_node (n,) int32, -1: another fragment's; share (mesh edges,): where cut edges are crossed, as a share of
+    their length from their first node; sampled (mesh edges, 2): which ends of edges are crack samples of these parts;
+    corners: as in split_trees.
     """
     n = len(mesh.nodes)
     nodes = np.flatnonzero((part_of_node >= 0) & (mesh.on_surface != 0))
@@ -133,7 +133,7 @@ def _new_samples(mesh, first, labels, share, cut, corners, low):
     """NewSamples: two at each of the edges `cut` (k,), ascending, and `corners`.
 
     first (5,): MeshPool.first of the mesh; labels (n,): fragments of its nodes, the new ones from `low` on; share
-    (mesh edges,): where cut ones are crossed, in parts of them from their first node.
+    (mesh edges,): where cut edges are crossed, as a share of their length from their first node.
     """
     crossings = 2 * len(cut)
     count = crossings + len(corners.points)
@@ -155,8 +155,8 @@ def _new_samples(mesh, first, labels, share, cut, corners, low):
 
 @kernel
 def _parts_of_entries(mesh, first, entries, labels, low):
-    """The part (s,) int32 of each tree entry's point, rows of TreePool.entries; NOBODYS of corners, which depend on all
-    cracks around them: the new fragments get theirs anew.
+    """The part (s,) int32 of each tree entry's point, rows of TreePool.entries; NOBODYS for corners, which depend on
+    all cracks around them and are made anew for the new fragments.
     """
     parts = np.empty(len(entries), np.int32)
     for i in range(len(entries)):
@@ -173,7 +173,7 @@ def _parts_of_entries(mesh, first, entries, labels, low):
 
 @kernel
 def _edge_points(nodes, edges, share, samples):
-    """Positions (q, 3) [m] of crack samples: where their edges are crossed."""
+    """Positions (q, 3) [m] of crack samples: the crossings of their edges."""
     points = np.empty((len(samples), 3))
     for i in range(len(samples)):
         e = (samples[i] - len(nodes)) // 2

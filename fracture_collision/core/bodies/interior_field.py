@@ -1,6 +1,6 @@
-"""The averaged field of a whole body, exact: at its nodes and on a dense regular grid (Glondu 2014, 4.1, 4.2, 4.4).
+"""The averaged field of a whole body, exact at its nodes and on a dense regular grid (Glondu 2014, 4.1, 4.2, 4.4).
 
-Made when a body of this geometry first breaks under the averaged field; equal geometries share it.
+It is made when a body of this geometry first breaks under the averaged field; equal geometries share it.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from fracture_collision.core.mesh.triangle_field import (
     triangle_distance,
 )
 
-# Grid cells along a cell of the location grid, which is about an edge long. Interpolation errs where the nearest
-# surface changes within a cell; three cells an edge keep that below the error that eq. 1 makes between nodes, with
-# fewer than ten values a tetrahedron (benchmarks/field_errors.py prints both).
+# Grid cells along a cell of the location grid, which is about an edge long. Interpolation is wrong where the nearest
+# surface changes within a cell; three cells per edge keep that error below the error of eq. 1 between nodes, with fewer
+# than ten values per tetrahedron (benchmarks/field_errors.py prints both).
 CELLS_PER_EDGE = 3
 
 
@@ -38,7 +38,7 @@ class InteriorField(NamedTuple):
 
 
 def make_interior_field(mesh: TetMesh) -> InteriorField:
-    """Measure the whole body. A hierarchy over its surface finds what is deep inside sooner than a flood does."""
+    """Measure the whole body. For points deep inside, a hierarchy over its surface is faster than a flood."""
     tables = PoolTables(ALTERNATING, EXACT, NEAREST)
     append_triangle_mesh(tables.triangles, build_triangle_mesh(mesh.nodes, mesh.surface))
     surface, stack = tables.pools.triangles, np.empty(STACK, np.int32)
@@ -78,7 +78,7 @@ def _measure_nodes(surface, radius, nodes, on_surface, normals, node_field, stac
 
 @query_kernel
 def _measure_grid(surface, radius, origin, cell, dims, depth, stack):
-    """Depth at the grid points; those too far outside to share a cell with the body get minus a diagonal."""
+    """Depth at the grid points; points too far outside to share a cell with the body get minus a diagonal."""
     diagonal = math.sqrt(3.0) * cell * (1.0 + 1e-9)
     for i in range(dims[0]):
         for j in range(dims[1]):

@@ -1,7 +1,7 @@
-"""Garbage collection of the pools: what no living fragment refers to is dropped, the rest moves together.
+"""Garbage collection of the pools: drops rows that no living fragment refers to and closes the gaps.
 
 Rows keep their order, so that nothing that depends on it changes: an answer has the same bytes before and after. The
-cost is that of copying the pools once; whoever calls it when half of them is garbage pays a constant per byte removed.
+cost is one copy of the pools; called when half of them is garbage, it is constant per byte removed.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ _ON_CELLS = ("cell_tets", "cell_parts")
 _ON_MESHES = ("first", "grid", "grid_dims", "depth_grid", "depth_grid_dims")
 _OF_BODY_EDGES = ("edge_plane", "edge_event", "edge_share")
 _OF_BODY_TETRAHEDRA = ("regions", "cut_count")
-_MOMENTS_AND_GAP = 88  # [bytes] of a fragment beside those in its table
+_MOMENTS_AND_GAP = 88  # [bytes] per fragment outside its table
 _OF_POLYGONS = ("triangles", "faces", "sides")
 
 
 class TreeRows(NamedTuple):
-    """Where a tree is in the pools, and its samples as leaves."""
+    """Rows of a tree in the pools, and of its leaves of samples."""
 
     begin: int
     end: int
@@ -50,7 +50,7 @@ class TreeRows(NamedTuple):
 
 
 class MeshRows(NamedTuple):
-    """Where a tetrahedral mesh is in the pools."""
+    """Rows of a tetrahedral mesh in the pools."""
 
     index: int
     node: int
@@ -62,16 +62,17 @@ class MeshRows(NamedTuple):
 
 
 class SurfaceMeshRows(NamedTuple):
-    """Where the mesh of a rigid body of triangles is."""
+    """Rows of the mesh of a rigid body of triangles."""
 
     index: int
     tree: TreeRows
 
 
 def bytes_of_fragments(tables: PoolTables, rows: np.ndarray, mesh: MeshRows | None, has_own_tree: bool) -> int:
-    """What `compact` would free without `rows` (n,), all fragments of one body. Not its mesh, which others may have.
+    """Bytes that `compact` would free without `rows` (n,), all fragments of one body, except its mesh, which may be
+    shared.
 
-    mesh: of a body of tetrahedra. has_own_tree: false where its tree is one of the mesh, even before it breaks.
+    mesh: of a body of tetrahedra. has_own_tree: false if its tree belongs to the mesh, even before it breaks.
     """
     fragment = tables.fragment
     one = sum(column.row_bytes for column in fragment.values()) + _MOMENTS_AND_GAP
@@ -95,19 +96,19 @@ def bytes_of_fragments(tables: PoolTables, rows: np.ndarray, mesh: MeshRows | No
 
 
 def bytes_of_mesh(prepared: NamedTuple) -> int:
-    """Of a mesh, or a surface, in the pools, roughly: what its preprocess holds."""
+    """Approximate bytes of a mesh, or a surface, in the pools: the size of its preprocess."""
     parts = [array for part in prepared if isinstance(part, tuple) for array in part]
     return sum(array.nbytes for array in parts if isinstance(array, np.ndarray))
 
 
 class Moves(NamedTuple):
-    """Which rows of a column stay, and where each goes."""
+    """The rows of a column that stay, and their new positions."""
 
     stays: np.ndarray  # (n,) bool
-    position: np.ndarray  # (n + 1,) int64; of the row behind the last, too
+    position: np.ndarray  # (n + 1,) int64; includes the end row
 
     def of(self, rows: np.ndarray) -> np.ndarray:
-        """Negative values are no rows and stay."""
+        """New positions of `rows`; negative values are not rows and stay unchanged."""
         return np.where(rows < 0, rows, self.position[np.maximum(rows, 0)])
 
     def keep(self, columns: dict[str, GrowableArray], *names: str) -> None:
@@ -116,7 +117,7 @@ class Moves(NamedTuple):
 
 
 def moves_of_ranges(count: int, begins: np.ndarray, ends: np.ndarray) -> Moves:
-    """Of `count` rows those within any of the ranges stay."""
+    """Of `count` rows, those within any of the ranges stay."""
     depth = np.zeros(count + 1, np.int64)
     np.add.at(depth, begins, 1)
     np.add.at(depth, ends, -1)
@@ -133,9 +134,9 @@ def compact(
 ) -> tuple[Moves, list[tuple[int, MeshRows]], list[tuple[int, SurfaceMeshRows]]]:  # fmt: skip
     """Keep fragments `rows` (n,), ascending, and what they refer to.
 
-    more: columns beside those of tables.fragment, a row a fragment. Of `meshes` and `surfaces` (all that there are)
-    those stay that one of `rows` has. Returns where the fragments' rows went, and the meshes and surfaces left, each
-    with its index of before.
+    more: columns beside those of tables.fragment, one row per fragment. Of `meshes` and `surfaces` (all in the pools)
+    those used by one of `rows` stay. Returns the moves of the fragments' rows, and the remaining meshes and surfaces,
+    each with its old index.
     """
     fragment = tables.fragment
     kind, mesh = fragment["kind"].view[rows], fragment["mesh"].view[rows]
@@ -195,7 +196,7 @@ def compact(
 
 
 def _one_row_of_each_broken_body(tables: PoolTables, rows: np.ndarray) -> np.ndarray:
-    """(b,) of `rows`: fragments of one body share their node_shift and their mesh."""
+    """One of `rows` per broken body (b,): fragments of one body share their node_shift and their mesh."""
     shift, mesh = tables.fragment["node_shift"].view[rows], tables.fragment["mesh"].view[rows]
     broken = np.flatnonzero(shift != NEVER_BROKEN)
     _, first = np.unique(np.column_stack([shift[broken], mesh[broken]]), axis=0, return_index=True)
@@ -203,7 +204,8 @@ def _one_row_of_each_broken_body(tables: PoolTables, rows: np.ndarray) -> np.nda
 
 
 def _tree_moves(tables: PoolTables, rows: np.ndarray, shared: list[TreeRows]) -> tuple[Moves, Moves]:
-    """Trees of the fragments, and of whole meshes, which another body of theirs would have; and their leaves."""
+    """Moves of the trees of the fragments and of whole meshes, which later bodies of these meshes use, and of leaves.
+    """
     own = [tables.fragment[name].view[rows] for name in ("tree_begin", "tree_end", "leaf_begin", "leaf_end")]
     ends = [np.concatenate([column, [tree[k] for tree in shared]]).astype(np.int64) for k, column in enumerate(own)]
     return (
@@ -221,7 +223,7 @@ def _moved_tree(tree: TreeRows, trees: Moves, leaves: Moves) -> TreeRows:
 
 def _word_moves(tables: PoolTables, rows: np.ndarray, meshes: list[MeshRows]) -> Moves:
     cells = np.concatenate([tables.fragment["cells"].view[rows], *(m.cells[None] for m in meshes)])
-    cells = cells[cells[:, 3] > 0]  # others have no grid
+    cells = cells[cells[:, 3] > 0]  # the others have no grid
     ends = cells[:, 6] + np.array([pyramid_words(row) for row in cells], np.int64)
     return moves_of_ranges(tables.occupancy.used, cells[:, 6], ends)
 
@@ -250,8 +252,8 @@ def _compact_meshes(tables: PoolTables, meshes: list[MeshRows]) -> _MeshMoves:
         moves_of_ranges(table["edges"].used, edge, edge + counts[:, 2]),
     )
     if moves.meshes.stays.all():
-        return moves  # the columns may be those of the preprocess: not to be written to
-    # a row more than nodes in each mesh
+        return moves  # the columns may be shared with the preprocess: do not write to them
+    # each mesh has one row more than nodes
     begin_row = node + index
     node_tets_begin = moves_of_ranges(table["node_tets_begin"].used, begin_row, begin_row + counts[:, 0] + 1)
     begins = table["node_tets_begin"].view
@@ -298,7 +300,7 @@ def _compact_meshes(tables: PoolTables, meshes: list[MeshRows]) -> _MeshMoves:
 
 
 def _compact_seeds(tables: PoolTables, bodies: np.ndarray, moved: Moves, mesh_edges: Moves) -> Moves:
-    """Returns where the rows of SeedPool.keys went."""
+    """Returns the moves of the rows of SeedPool.keys."""
     seeds, own = tables.seeds, tables.fragment["seeds"].view[bodies]
     keys = moves_of_ranges(seeds["keys"].used, own[:, 0], own[:, 1])
     ranges = seeds["ranges"].view[keys.stays]
@@ -315,7 +317,7 @@ def _compact_seeds(tables: PoolTables, bodies: np.ndarray, moved: Moves, mesh_ed
 def _compact_bodies(
     tables: PoolTables, bodies: np.ndarray, meshes: dict[int, MeshRows], moved: Moves
 ) -> tuple[Moves, Moves, Moves]:
-    """Returns where the rows of nodes, tetrahedra and edges went."""
+    """Returns the moves of the rows of nodes, tetrahedra and edges."""
     body, fragment = tables.body, tables.fragment
     of_meshes = [meshes[k] for k in fragment["mesh"].view[bodies].tolist()]
     moves = []
@@ -346,7 +348,7 @@ def _compact_bodies(
         ("node_fragment", moved), ("edge_plane", planes),
     ):  # fmt: skip
         body[name].replace(of.of(body[name].view))
-    # of what is not cut they say nothing
+    # edges that are not cut have no event
     body["edge_event"].replace(np.where(is_cut, planes.of(body["edge_event"].view), 0))
     sides = body["sides"].view
     sides[:, : BACK_SIDE + 1] = moved.of(sides[:, : BACK_SIDE + 1])
@@ -359,14 +361,14 @@ def _compact_bodies(
 
 
 def _compact_triangles(tables: PoolTables, surfaces: list[SurfaceMeshRows]) -> Moves:
-    """Returns where the rows of `node_range` went."""
+    """Returns the moves of the rows of `node_range`."""
     table = tables.triangles
     index = np.array([s.index for s in surfaces], np.int64)
     meshes = moves_of_ranges(table["node_range"].used, index, index + 1)
     node, triangle = table["node_range"].view[index], table["triangle_range"].view[index]
     nodes = moves_of_ranges(table["node_box"].used, node[:, 0], node[:, 1])
     triangles = moves_of_ranges(table["corners"].used, triangle[:, 0], triangle[:, 1])
-    # each mesh's normals, edges first, begin where those of the mesh before end
+    # the normals of each mesh, edges first, begin where those of the previous mesh end
     edges = 3 * (table["triangle_range"].view[:, 1] - table["triangle_range"].view[:, 0]).astype(np.int64) // 2
     normal_rows = np.append(table["first_vertex"].view - edges, table["pseudonormals"].used)
     normals = moves_of_ranges(table["pseudonormals"].used, normal_rows[index], normal_rows[index + 1])

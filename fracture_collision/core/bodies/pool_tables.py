@@ -1,4 +1,4 @@
-"""The memory behind the pools: one growable table a pool, and what appends whole structures to several columns."""
+"""The memory behind the pools: one growable table per pool, and methods that append structures to several columns."""
 
 from __future__ import annotations
 
@@ -79,8 +79,8 @@ class PoolTables:
 
     @property
     def roomy(self) -> Pools:
-        """`pools` with the room behind each column's rows, for kernels that write there: it stays the same as long as
-        that is enough.
+        """`pools` with the spare capacity behind each column's rows, for kernels that write there: it stays the same
+        until a column is reallocated.
         """
         if self._roomy is None:
             self._roomy = self._pools_of(lambda column: column.whole)
@@ -105,7 +105,7 @@ class PoolTables:
         return sum(column.used * column.row_bytes for column in (*columns, self.occupancy))
 
     def append_tree(self, tree: SphereTree) -> int:
-        """Append a tree, or several one behind the other; returns the row of the first root."""
+        """Append a tree, or several consecutive ones; returns the row of the first root."""
         count = len(tree.size)
         spheres, entries = self.tree["spheres"].reserve(count), self.tree["entries"].reserve(count)
         spheres[:, :3], spheres[:, 3] = tree.center, tree.radius
@@ -116,7 +116,7 @@ class PoolTables:
         return begin
 
     def append_leaves(self, begins: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The samples of trees one behind the other, rows begins[i] .. begins[i + 1] - 1 of the pool, as leaves.
+        """Append the leaves of samples of consecutive trees, rows begins[i] .. begins[i + 1] - 1 of the pool.
 
         begins (n + 1,). Returns where the leaves of each begin, (n + 1,), and their middles (n, 4).
         """
@@ -130,12 +130,12 @@ class PoolTables:
         return first + np.concatenate([[0], np.cumsum(counts)]), middles
 
     def append_mesh(self, mesh: TetMesh) -> tuple[int, int, int, int]:
-        """Returns its row in `grid`, and its first node, tetrahedron and edge."""
+        """Append a mesh; returns its row in `grid`, and its first node, tetrahedron and edge."""
         table = self.mesh
         index, node, tet, edge = table["grid"].used, table["nodes"].used, table["tetrahedra"].used, table["edges"].used
         first_cell = table["cell_begin"].used
-        # Indices become absolute. The first mesh needs no shift, so its arrays are those that the preprocess holds:
-        # half the memory of a world with one mesh.
+        # Indices become absolute. The first mesh needs no shift, so its arrays are shared with the preprocess: this
+        # halves the memory of a world with one mesh.
         for name, shift in (
             ("nodes", 0), ("tetrahedra", node), ("neighbours", tet), ("tetrahedron_edges", edge), ("edges", node),
             ("edge_tets", tet), ("boxes", 0), ("barycentric", 0), ("walls", 0), ("moments", 0), ("on_surface", 0),

@@ -1,7 +1,7 @@
-"""Which of a pair's samples that may touch are listed: Glondu 2014, section 5.2, made free of the order of visits.
+"""Choice of the contacts to list among a pair's near samples: Glondu 2014, section 5.2, independent of visit order.
 
-The paper's rule depends on the order of visits; this one on the samples' positions and depths alone, so any search may
-find them. They wait in scratch, a row each, until all are known.
+The paper's rule depends on the order of visits. This one depends only on the samples' positions and depths, so any
+search may find them. Candidates wait in scratch, a row each, until all are known.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from fracture_collision.core.memory.compiled import inlined_kernel
 from fracture_collision.core.memory.pools import SAMPLE
 from fracture_collision.core.memory.rotations import to_other
 
-# Columns of scratch.node_int, node_float and spread, of the samples that are to choose from.
+# Columns of scratch.node_int, node_float and spread, for candidate samples.
 ENTRY, SIDE, NUMBER, ANSWER = 0, 1, 2, 3
-DISTANCE = 3  # [m] from the other's surface; minus infinity: deeper than epsilon, it is not known by how much
+DISTANCE = 3  # [m] from the other's surface; minus infinity: deeper than epsilon, exact depth unknown
 FAR, MOST_DEPTH = 0, 1
-# Value of DISTANCE: not known.
+# Value of DISTANCE: not computed yet.
 UNASKED = math.inf
-# What comes to this share of the best is as good to `choose`.
+# `choose` treats scores of at least this share of the best as ties.
 EQUAL = 1.0 - 1e-3
 
 
@@ -36,15 +36,15 @@ class Rule(NamedTuple):
     """Which of a pair's contacts are listed (Glondu 2014, section 5.2, and `choose`)."""
 
     wanted: int  # m
-    most: int  # that are listed where more than m are deeper than epsilon; 0: the paper's rule
+    most: int  # most contacts listed where more than m are deeper than epsilon; 0: the paper's rule
     epsilon: float  # [m]
     near: float  # [m] the detection tolerance
 
 
 @inlined_kernel
 def placed(pools, rotation, translation, entry, side, other, one_body, slack):
-    """Of a row of TreePool: (its sample, x, y, z [m] in the other's frame, a tetrahedron of the other's to start from,
-    how deep [m] it is at most, as it has not moved farther since it broke).
+    """For a row of TreePool: (its sample, x, y, z [m] in the other's frame, a tetrahedron of the other to start from,
+    bound [m] on its depth: how far it has moved since the body broke).
     """
     c, sample = pools.tree.spheres[entry], pools.tree.entries[entry, SAMPLE]
     x, y, z = to_other(rotation[side], translation[side], c[0], c[1], c[2])
@@ -54,14 +54,14 @@ def placed(pools, rotation, translation, entry, side, other, one_body, slack):
 
 @inlined_kernel
 def way_out_of_box(box, x, y, z):
-    """[m] from a point to the nearest side of a box (6,) around it: what is in the box is no deeper."""
+    """[m] from a point to the nearest side of the box (6,) around it: an upper bound on its depth."""
     return min(x - box[0], y - box[1], z - box[2], box[3] - x, box[4] - y, box[5] - z)
 
 
 @inlined_kernel
 def keep(pools, entry, side, sample, x, y, z, distance, deep, k, scratch, thread):
-    """A sample at (x, y, z) in the other's frame as the k-th to choose from, of which no answer is kept: at a distance
-    [m], or UNASKED, no deeper than `deep` [m].
+    """Store a sample at (x, y, z) in the other's frame as candidate k, without an answer: at `distance` [m], or
+    UNASKED, and no deeper than `deep` [m].
     """
     node, point = scratch.node_int[thread, k], scratch.node_float[thread, k]
     node[ENTRY], node[SIDE], node[NUMBER], node[ANSWER] = entry, side, sample, -1
@@ -74,7 +74,7 @@ def keep(pools, entry, side, sample, x, y, z, distance, deep, k, scratch, thread
 
 @inlined_kernel
 def keep_answer(answer, k, sample, x, y, z, scratch, thread):
-    """Of the k-th that is kept what bounded_probe said, for good."""
+    """Store the answer of bounded_probe for candidate k as final."""
     node = scratch.node_int[thread, k]
     node[ANSWER] = k
     put_contact(scratch.kept[thread], scratch.kept_ids[thread], k, node[SIDE], sample, x, y, z, answer)
@@ -82,22 +82,22 @@ def keep_answer(answer, k, sample, x, y, z, scratch, thread):
 
 @inlined_kernel
 def is_final(answer, looked, rule):
-    """Whether put_chosen would get the same answer: not of a point that was looked for farther than the tolerance, or
-    not as deep as it may be, where it may be another of surfaces that are equally near.
+    """Whether put_chosen would get the same answer. It may not if the probe searched farther than the tolerance, or
+    less deep than the point may be: of surfaces equally near it may then find another.
     """
     return (answer[0] == NEAR and looked == rule.near) or (answer[0] == INSIDE and rule.most == 0)
 
 
 @inlined_kernel
 def choose(rule, count, scratch, thread):
-    """Which of `count` samples that are near, no more than wanted of them deeper than epsilon, are listed: they come
-    first. Returns (how many, how deep others may be [m]).
+    """Choose which of `count` near samples, at most `wanted` of them deeper than epsilon, to list: they come first.
+    Returns (how many, bound [m] on the depth of the others).
 
-    All, if they are no more than wanted. Else all that are deeper than epsilon, and of the others those farthest from
-    what was chosen before, up to the contacts wanted. A distance counts in proportion to how far the sample is within
-    the detection tolerance, to epsilon: what hardly touches holds nothing (as in Jolt's manifolds). Ties go by side and
-    sample. So that what rests does not change its contacts by rounding, all that come to EQUAL of the best are a tie;
-    and where none is deeper than epsilon, the first is one of those within half of epsilon of the deepest.
+    All, if there are no more than wanted. Otherwise all deeper than epsilon, then, up to the contacts wanted, the one
+    farthest from those already chosen. A distance is weighted by how far the sample is within the detection tolerance,
+    up to epsilon: a contact that hardly touches supports nothing (as in Jolt's manifolds). Ties are broken by side and
+    sample. So that rounding does not change the contacts of a resting body, scores of at least EQUAL of the best are
+    ties; and where none is deeper than epsilon, the first is one of those within half of epsilon of the deepest.
     """
     if count <= rule.wanted:
         return count, 0.0
@@ -134,7 +134,7 @@ def choose(rule, count, scratch, thread):
 
 @inlined_kernel
 def _see_chosen(chosen, end, scratch, thread):
-    """How far the samples up to `end` are from those chosen, the last of which is row `chosen`."""
+    """Update how far the samples up to `end` are from the chosen ones; the last chosen is row `chosen`."""
     point, far = scratch.node_float[thread], scratch.spread[thread, FAR]
     x, y, z = point[chosen, 0], point[chosen, 1], point[chosen, 2]
     for k in range(chosen + 1, end):
@@ -144,13 +144,13 @@ def _see_chosen(chosen, end, scratch, thread):
 
 @inlined_kernel
 def _worth(rule, distance, far):
-    """`far` [m2]: the square of how far a sample is from those chosen; `distance` [m] from the other's surface."""
+    """Score. far [m2]: squared distance of a sample from the chosen ones; distance [m]: to the other's surface."""
     return far * (rule.near + min(-distance, rule.epsilon)) ** 2
 
 
 @inlined_kernel
 def is_before(scratch, thread, i, j):
-    """By side and sample."""
+    """Order by side and sample."""
     one, other = scratch.node_int[thread, i], scratch.node_int[thread, j]
     return one[SIDE] < other[SIDE] or (one[SIDE] == other[SIDE] and one[NUMBER] < other[NUMBER])
 
@@ -168,7 +168,7 @@ def swap(scratch, thread, i, j):
 
 @inlined_kernel
 def put_chosen(pools, a, b, rotation, translation, near, slack, contacts, ids, count, scratch, thread):
-    """The first `count` of the samples kept, as contacts by side and sample."""
+    """Write the first `count` candidates as contacts, sorted by side and sample."""
     one_body = share_a_body(pools, a, b)
     for k in range(count):
         kept = scratch.node_int[thread, k, ANSWER]

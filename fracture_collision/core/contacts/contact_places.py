@@ -1,4 +1,4 @@
-"""A pair's contacts carried from the frame of a fragment to the world."""
+"""Contacts of a pair transformed from the frame of a fragment to the world."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from fracture_collision.core.memory.compiled import inlined_kernel
 
 @inlined_kernel
 def put_in_world(pair, rotations, positions, row, ids, o, points_a, points_b, normals, gaps, samples):
-    """A contact of `pair` (i, j), as a row of query_pair's with its ids, into row `o` of PairContacts' columns."""
+    """Write a contact of `pair` (i, j), a row of query_pair's with its ids, to row `o` of PairContacts' columns."""
     side = ids[ID_SIDE]
     other = pair[1] if side == 0 else pair[0]
     r, t = rotations[other], positions[other]

@@ -1,8 +1,8 @@
-"""Which samples of a pair are listed where more than wanted are deeper than epsilon: Glondu 2014, section 5.2, as in
+"""Choice of the contacts to list where more than wanted are deeper than epsilon: Glondu 2014, section 5.2, as in
 contact_choice.py.
 
-The deepest, and of the others that are deeper those farthest from what was chosen before. For this few have to be
-asked: those that may be the deepest, and those that are far from the chosen. So most wait here UNASKED.
+The deepest sample comes first, then of the other deep ones those farthest from the ones already chosen. Only a few need
+to be queried: those that may be the deepest, and those far from the chosen. So most wait here UNASKED.
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ from fracture_collision.core.memory.kinds import TETRAHEDRA, TRIANGLES
 from fracture_collision.core.memory.pools import EXACT
 from fracture_collision.core.tree.sample_leaves import farthest_sample, leaves_of, nearest_sample
 
-# Ways out of deep samples that are kept to bound how deep others are.
+# Exit directions of deep samples that are kept to bound the depth of others.
 MOST_WAYS = 8
-# Another's samples are hardly nearer to a point inside than this share of R.
+# Samples of the other are hardly nearer to a point inside than this share of R.
 SAMPLES_HELP = 0.02
 
 
 @inlined_kernel
 def may_wait(pools, other, rule, deep):
-    """Whether a sample in `other` need not be asked yet, where `deep` others are deeper than epsilon: if it takes long.
-    (What the averaged field says has no bound that does not depend on which were asked.)
+    """Whether the query of a sample in `other` may be deferred, with `deep` others deeper than epsilon: only where
+    queries are slow. (Depths of the averaged field have no bound that is independent of which samples were queried.)
     """
     is_mesh = pools.fragment.kind[other] == TETRAHEDRA or pools.fragment.kind[other] == TRIANGLES
     return rule.most > 0 and deep > rule.wanted and is_mesh and pools.field == EXACT
@@ -47,8 +47,8 @@ def may_wait(pools, other, rule, deep):
 
 @inlined_kernel
 def choose_deep(pools, a, b, rotation, translation, rule, slack, count, scratch, thread):
-    """As contact_choice.choose, where more than wanted of the samples are deeper than epsilon: the deepest, then those
-    of them farthest from what was chosen before, up to rule.most.
+    """Like contact_choice.choose, where more than wanted of the samples are deeper than epsilon: the deepest, then of
+    these those farthest from the ones already chosen, up to rule.most.
     """
     point, most_depth = scratch.node_float[thread], scratch.spread[thread, MOST_DEPTH]
     picked = scratch.queue[thread, 1]
@@ -59,7 +59,7 @@ def choose_deep(pools, a, b, rotation, translation, rule, slack, count, scratch,
             first = k
     picked[0] = first
     waiting = _line_up(rule, count, first, scratch, thread)
-    # one more than is listed: whether any is left
+    # one more than is listed, to find out whether any is left
     chosen = 1
     while chosen <= aim:
         pick, waiting = _farthest(
@@ -84,8 +84,8 @@ def choose_deep(pools, a, b, rotation, translation, rule, slack, count, scratch,
 
 @inlined_kernel
 def _line_up(rule, count, first, scratch, thread):
-    """Line up those of `count` samples that may be deeper than epsilon, but for `first`, by how far they are from it: a
-    heap, what is farthest first; returns how many.
+    """Queue those of `count` samples that may be deeper than epsilon, except `first`, by their distance from it: a
+    heap, farthest first; returns how many.
     """
     point, most_depth = scratch.node_float[thread], scratch.spread[thread, MOST_DEPTH]
     keys, items, known = scratch.spread[thread, FAR], scratch.queue[thread, 0], scratch.queue[thread, 0, count:]
@@ -101,11 +101,11 @@ def _line_up(rule, count, first, scratch, thread):
 
 @inlined_kernel
 def _farthest(pools, a, b, rotation, translation, rule, slack, count, chosen, waiting, scratch, thread):
-    """(which of the samples lined up is farthest from the `chosen` ones, -1: none is deeper than epsilon; how many are
-    left in line). Ties as in contact_choice.choose.
+    """(the queued sample farthest from the `chosen` ones, -1: none is deeper than epsilon; how many are left in the
+    queue). Ties as in contact_choice.choose.
 
-    Each stands where it stood when it was last compared, `known` chosen ones ago: it is no farther now (as in the lazy
-    greedy algorithm of Minoux 1978).
+    A sample's key is its distance from the first `known` chosen ones, an upper bound of the present distance (as in the
+    lazy greedy algorithm of Minoux 1978).
     """
     point, keys, items = scratch.node_float[thread], scratch.spread[thread, FAR], scratch.queue[thread, 0]
     known, picked, ties = scratch.queue[thread, 0, count:], scratch.queue[thread, 1], scratch.queue[thread, 1, count:]
@@ -140,7 +140,7 @@ def _farthest(pools, a, b, rotation, translation, rule, slack, count, chosen, wa
 
 @inlined_kernel
 def _apart(point, i, j):
-    """The square of how far two samples are from each other [m2]."""
+    """Squared distance of two samples [m2]."""
     dx, dy, dz = point[i, 0] - point[j, 0], point[i, 1] - point[j, 1], point[i, 2] - point[j, 2]
     return dx * dx + dy * dy + dz * dz
 
@@ -160,12 +160,12 @@ def _is_deep(pools, a, b, rotation, translation, rule, slack, k, scratch, thread
 
 @inlined_kernel
 def _find_deepest(pools, a, b, rotation, translation, rule, slack, count, scratch, thread):
-    """Ask those of the first `count` samples that may be the deepest; returns its depth [m].
+    """Query those of the first `count` samples that may be the deepest; returns its depth [m].
 
-    What is inside is no deeper than it is far from any of the other's surface: that in the tetrahedron where a sample
-    was in the unbroken body, or the nearest of the other's samples. And what is at n . x along a direction n is no
-    deeper than the way from there to the other's farthest point along it; the way out for a deep sample is a good
-    direction for those beside it.
+    The depth of a sample inside is at most its distance from any part of the other's surface: the part in the
+    tetrahedron that held the sample in the unbroken body, or the nearest of the other's samples. It is also at most the
+    distance along a direction n from n . x to the other's farthest point; the exit direction of a deep sample is a good
+    n for its neighbours.
     """
     point, spread, node = scratch.node_float[thread], scratch.spread[thread], scratch.node_int[thread]
     keys, items, ways = spread[FAR], scratch.queue[thread, 0], scratch.ways[thread]
@@ -187,7 +187,7 @@ def _find_deepest(pools, a, b, rotation, translation, rule, slack, count, scratc
         )
         leaves = leaves_of(pools, other)
         m = leaves.middle
-        if key == spread[MOST_DEPTH, k]:  # it came first by what was known of it at the beginning
+        if key == spread[MOST_DEPTH, k]:  # its key is still the initial bound
             deep = key
             if one_body:
                 best = nearest_in_tetrahedron(pools, other, start, x, y, z, EVERYTHING, nothing_within(key))
@@ -203,7 +203,7 @@ def _find_deepest(pools, a, b, rotation, translation, rule, slack, count, scratc
                     push(keys, items, waiting, -deep, k)
                     waiting += 1
                 continue
-        # that it is not the deepest is sooner seen than how deep it is
+        # a probe down to `deepest` is faster than one for the exact depth
         answer = bounded_probe(pools, other, x, y, z, 0.0, min(moved, deepest), start, True, scratch, thread)
         if answer[0] != INSIDE:
             point[k, DISTANCE] = 0.0

@@ -1,7 +1,7 @@
-"""Rows of contacts in order: by sample, or by depth, and no more than so many kept, the deepest of them.
+"""Sorting of contact rows by sample or by depth, and selection of a limited number of the deepest.
 
-The first rows form a heap whose root comes last in the order; ties go by side and sample, so that what is kept and how
-it is sorted depends on the contacts alone.
+The first rows form a heap whose root comes last in the order; ties are broken by side and sample, so that selection and
+order depend on the contacts alone.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def swap_contacts(contacts, ids, i, j):
 
 @query_kernel
 def _sift(contacts, ids, root, end):
-    """Let row `root` sink to its place in the heap of rows 0 .. end - 1."""
+    """Sink row `root` to its place in the heap of rows 0 .. end - 1."""
     while 2 * root + 1 < end:
         child = 2 * root + 1
         if child + 1 < end and _is_before(contacts[child], ids[child], contacts[child + 1], ids[child + 1]):
@@ -44,15 +44,15 @@ def _sift(contacts, ids, root, end):
 
 @query_kernel
 def make_heap(contacts, ids, count):
-    """Of rows 0 .. count - 1."""
+    """Make rows 0 .. count - 1 a heap."""
     for root in range(count // 2 - 1, -1, -1):
         _sift(contacts, ids, root, count)
 
 
 @query_kernel
 def keep_if_deeper(contacts, ids, count, row, row_ids):
-    """Give up either `row` (10,) with `row_ids` (5,) or the shallowest of the heap of `count` rows; returns the depth
-    [m] given up.
+    """Drop either `row` (10,) with `row_ids` (5,) or the shallowest of the heap of `count` rows; returns the depth [m]
+    dropped.
     """
     if count > 0 and _is_before(row, row_ids, contacts[0], ids[0]):
         for c in range(len(row)):
@@ -65,7 +65,7 @@ def keep_if_deeper(contacts, ids, count, row, row_ids):
 
 @query_kernel
 def sort_heap(contacts, ids, count):
-    """Rows 0 .. count - 1, a heap, by depth, the deepest first."""
+    """Sort rows 0 .. count - 1, a heap, by depth, deepest first."""
     for end in range(count - 1, 0, -1):
         swap_contacts(contacts, ids, 0, end)
         _sift(contacts, ids, 0, end)
@@ -73,7 +73,7 @@ def sort_heap(contacts, ids, count):
 
 @inlined_kernel
 def sort_by_sample(contacts, ids, count):
-    """By side and sample; few."""
+    """Sort by side and sample; insertion sort, for few rows."""
     for i in range(1, count):
         k = i
         while k > 0 and (ids[k - 1, ID_SIDE], ids[k - 1, ID_SAMPLE]) > (ids[k, ID_SIDE], ids[k, ID_SAMPLE]):

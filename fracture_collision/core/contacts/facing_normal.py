@@ -1,11 +1,11 @@
-"""Normals that face the sample: what the nearest surface cannot know, the sample does.
+"""Normals that face the sample, where the nearest surface has the wrong direction.
 
-A sample stands on a surface of its own and cannot have come in through one that it turns its back to. Where two
-blocks are stacked flush, the nearest surface of a corner is the side of the other, at distance 0, however deep the
-corner is in its top; a solver that follows it pushes sideways. So: where the nearest surface points the way the
-sample's own does, the nearest one that faces it is taken, if that is near too, with its own normal and distance.
-Selection and missed depth bound speak of distances and are untouched. Between two fragments of one body the crack they
-share says more (crack_normal.py).
+A sample lies on its own surface and cannot have entered through a surface that it turns its back to. Where two blocks
+are stacked flush, the nearest surface of a corner is the side of the other, at distance 0, however deep the corner is
+in its top; a solver that uses it pushes sideways. So where the normal of the nearest surface points the same way as the
+sample's own, the nearest surface that faces the sample is used, if it is near too, with its own normal and distance.
+Selection and missed depth bound use distances and are unchanged. Between two fragments of one body, their shared crack
+gives more information (crack_normal.py).
 """
 
 from __future__ import annotations
@@ -75,8 +75,8 @@ def turn_contacts(pools, a, b, rotation, translation, near, contacts, ids, count
 
 @inlined_kernel
 def turn_surface_point(pools, a, b, side, outward, near, row, ids, scratch, thread):
-    """As turn_contacts, of one contact that is no sample's: `outward` (x, y, z) is its own surface's normal, in the
-    other's frame.
+    """Like turn_contacts, for one contact that is not at a sample: `outward` (x, y, z) is the normal of its own
+    surface, in the other's frame.
     """
     f, own = (b, a) if side == 0 else (a, b)
     if share_a_body(pools, a, b):
@@ -99,13 +99,13 @@ def _turn_to_facing(pools, f, own, outward, near, row, scratch, thread):
     if along <= SAME_WAY:
         if abs(d) > slack or along <= -SAME_WAY:
             return
-        # where the two just touch the direction is a matter of rounding: of surfaces equally near take one that faces
+        # where the two just touch, rounding decides the direction: of surfaces equally near take one that faces
         limit = 2.0 * slack
     found, qx, qy, qz, nx, ny, nz = _nearest_facing(pools, f, inside, x, y, z, limit, outward, scratch, thread)
     if not found:
         return
     gap = nx * (x - qx) + ny * (y - qy) + nz * (z - qz)
-    # along a rim the normal's part of the way may be less than the depth; never report less than it is
+    # along a rim the distance along the normal may be less than the depth; never report less than the depth
     if gap > d + slack if inside else gap < -slack or gap > near:
         return
     row[3], row[4], row[5] = qx, qy, qz
@@ -175,7 +175,7 @@ def _nearest_facing(pools, f, inside, x, y, z, limit, toward, scratch, thread):
 
 @inlined_kernel
 def _facing_side(half, x, y, z, limit, toward):
-    """The same for a box of half edges `half` [m]: of its six sides."""
+    """The same for the six sides of a box of half edges `half` [m]."""
     best = (False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     least = limit * limit
     cx, cy, cz = min(max(x, -half[0]), half[0]), min(max(y, -half[1]), half[1]), min(max(z, -half[2]), half[2])

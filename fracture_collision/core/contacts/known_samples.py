@@ -1,4 +1,4 @@
-"""Contacts of samples that are known before any search, those of a crack; and what a sample's contact is told by."""
+"""Contacts of crack samples, which are known before any search, and shared helpers for contacts of samples."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from fracture_collision.core.mesh.sample_numbers import (
     tetrahedron_of,
 )
 
-# Rounding must not make a bound lie: this share of the smaller R, and of all coordinates that a depth is made from.
+# Allowance that keeps bounds valid under rounding: share of the smaller R, and of all coordinates behind a depth.
 BOUND_SLACK = 1e-12
 COORDINATE_SLACK = 8.0 * np.finfo(np.float64).eps
 
@@ -43,7 +43,7 @@ def _farthest(pools, f):
 
 @inlined_kernel
 def share_a_body(pools, a, b):
-    """Whether two fragments are of one body, that broke."""
+    """Whether two fragments come from one body that broke."""
     fragment = pools.fragment
     return (
         fragment.kind[a] == TETRAHEDRA and fragment.kind[b] == TETRAHEDRA and fragment.mesh[a] == fragment.mesh[b]
@@ -53,7 +53,7 @@ def share_a_body(pools, a, b):
 
 @inlined_kernel
 def home_tetrahedron(pools, f, sample):
-    """A tetrahedron of fragment f's mesh that a sample of it is in, or whose node or edge it is on."""
+    """A tetrahedron of fragment f's mesh that holds the sample, or has it on a node or edge."""
     mesh, k = pools.mesh, pools.fragment.mesh[f]
     first = mesh.first[k]
     if is_node(first, sample):
@@ -67,14 +67,14 @@ def home_tetrahedron(pools, f, sample):
 
 @inlined_kernel
 def moved_since(sphere, x, y, z):
-    """How far the centre of a sphere is from where it is in the unbroken body [m]; (x, y, z): in the other's frame."""
+    """Distance [m] of a sphere's centre from its place in the unbroken body; (x, y, z): in the other's frame."""
     dx, dy, dz = x - sphere[0], y - sphere[1], z - sphere[2]
     return math.sqrt(dx * dx + dy * dy + dz * dz)
 
 
 @inlined_kernel
 def rounding_slack(pools, a, b, translation):
-    """What rounding may take from the bound [m] of a pair with these relative translations (2, 3)."""
+    """How much rounding may reduce the bound [m] of a pair with these relative translations (2, 3)."""
     fragment = pools.fragment
     slack = BOUND_SLACK * min(fragment.radius[a], fragment.radius[b])
     slack += COORDINATE_SLACK * (_farthest(pools, a) + _farthest(pools, b))
@@ -85,7 +85,7 @@ def rounding_slack(pools, a, b, translation):
 
 @inlined_kernel
 def put_contact(contacts, ids, count, side, sample, x, y, z, answer):
-    """Row `count` from a sample's point and what bounded_probe says of it."""
+    """Write row `count` from a sample's point and the answer of bounded_probe."""
     row = contacts[count]
     row[0], row[1], row[2] = x, y, z
     row[3], row[4], row[5] = answer[5], answer[6], answer[7]
@@ -97,7 +97,7 @@ def put_contact(contacts, ids, count, side, sample, x, y, z, answer):
 
 @inlined_kernel
 def ask_sample(pools, other, x, y, z, near, deep, start, asked, scratch, thread):
-    """bounded_probe, and again without a limit where there is no surface within `deep` [m] of a point inside."""
+    """bounded_probe, repeated without a limit if a point inside has no surface within `deep` [m]."""
     answer = bounded_probe(pools, other, x, y, z, near, deep, start, asked, scratch, thread)
     if answer[0] == INSIDE and answer[1] == -math.inf:
         answer = bounded_probe(pools, other, x, y, z, near, math.inf, start, True, scratch, thread)
@@ -106,10 +106,10 @@ def ask_sample(pools, other, x, y, z, near, deep, start, asked, scratch, thread)
 
 @query_kernel
 def query_seeds(pools, a, b, rotation, translation, wanted, near, most, contacts, ids, capacity, scratch, thread):
-    """Contacts of the crossings of the crack that two fragments of one body share, until there are `wanted`.
+    """Contacts at the crossings of the crack that two fragments of one body share, until there are `wanted`.
 
-    `most`: crossings that are asked, 0: all seeds. Fills contacts and ids as query_pair does; returns (contacts,
-    crossings asked). A crossing is a sample of both: its owner is now the one, now the other.
+    `most`: crossings queried at most, 0: all seeds. Fills contacts and ids as query_pair does; returns (contacts,
+    crossings queried). A crossing is a sample of both: the two alternate as its owner.
     """
     mesh, body, fragment = pools.mesh, pools.body, pools.fragment
     slack = rounding_slack(pools, a, b, translation)

@@ -1,13 +1,13 @@
-"""Contacts of an analytic sphere: one for each place where the other's surface comes nearest to its centre.
+"""Contacts of an analytic sphere: one at each local minimum of the distance from its centre to the other's surface.
 
-The ball in a corner of one body touches its wall and its floor. Each is a local minimum of the distance between the
-centre and the surface, and each is a contact; a single nearest point would leave the others out. A point of a triangle
-is such a minimum if no triangle that touches it comes nearer: distances to convex sets have no other minima. Planes,
-spheres and boxes answer in closed form, with one contact; so does any body that holds the centre, since the way out
-to its nearest surface is deeper than all of the sphere.
+A ball in a corner touches both wall and floor. Each is a local minimum of the distance between the centre and the
+surface, and each is a contact; a single nearest point would miss the others. A point of a triangle is such a minimum if
+no triangle that touches it comes nearer: distances to convex sets have no other minima. Planes, spheres and boxes have
+one contact in closed form; so has any body that contains the centre, since the way out to its nearest surface is deeper
+than all of the sphere.
 
-A contact is known by its triangle, numbered within the mesh: so it keeps its id while the sphere stays on it, whatever
-else the sphere touches.
+A contact is identified by its triangle, numbered within the mesh: it keeps its id while the sphere stays on that
+triangle, whatever else the sphere touches.
 """
 
 from __future__ import annotations
@@ -34,23 +34,23 @@ from fracture_collision.core.mesh.occupancy import ROUNDING, parts_within
 from fracture_collision.core.mesh.point_location import holds_fragment
 from fracture_collision.core.mesh.triangle_field import triangle_distance
 
-# Sample number of a sphere's contact that no triangle stands for.
+# Sample number of a sphere's contact without a triangle.
 NO_TRIANGLE = -1
-# A triangle of a tetrahedral body is ROWS_EACH tetrahedron + place: faces 0 .. 3 of one that one fragment has alone,
-# else 4 + its row among those of the tetrahedron.
+# A triangle of a tetrahedral body is ROWS_EACH tetrahedron + place: faces 0 .. 3 of one with a single owner, else 4 +
+# its row among those of the tetrahedron.
 ROWS_EACH = 1024
 # A triangle no farther from a point than this share of R touches it.
 TOUCHES = 1e-9
-# What rounding may do to a distance, as a share of it and of R.
+# Rounding of a distance, as a share of it and of R.
 DISTANCE_ROUNDING = 16.0 * np.finfo(np.float64).eps
-# Places no farther apart than this share of R are one: rounding of a distance hides its square root of a way along a
-# surface.
+# Places no farther apart than this share of R are one: a rounding error in a distance moves its foot along a surface by
+# the square root of it.
 ONE_PLACE = 1e-6
-# How far before a rim the other side of the surface is told, as a share of R.
+# How far before a rim the side of the surface is tested, as a share of R.
 BEFORE = 1e-6
-# How often the reach is halved until no more triangles are within it than there is room for.
+# Halvings of the reach at most, until the triangles within it fit in the buffer.
 HALVINGS = 12
-# So many contacts are chosen far apart in direction, the others by depth: comparing all would take their square.
+# At most this many contacts are spread in direction, the others chosen by depth: comparing all is quadratic.
 SPREAD = 16
 
 
@@ -60,9 +60,9 @@ def sphere_contacts(
 ):  # fmt: skip
     """The contacts of sphere `ball`, centre (x, y, z) in the other's frame.
 
-    Those within `near` [m]: the deepest, then others as far apart in direction as can be until there are `wanted`, and
-    all that are deeper than `epsilon` [m], at most `most`. If more than `most_within` triangles are within reach, only
-    the nearer ones are looked at.
+    Those within `near` [m]: the deepest, then others as far apart in direction as possible until there are `wanted`,
+    and all that are deeper than `epsilon` [m], at most `most`. If more than `most_within` triangles are within reach,
+    only the nearer ones are tested.
 
     Fills the first rows of contacts and ids as far as they go. Returns (contacts found, missed depth bound [m] of all
     other places of the sphere, whether a limit left out any that are deeper than `epsilon`).
@@ -138,7 +138,7 @@ def _is_listed(contacts, count, px, py, pz, one_place):
 
 @query_kernel
 def _choose(contacts, ids, wanted, epsilon, most):
-    """Bring the rows to keep to the front: (how many, depth [m] of the deepest of the others)."""
+    """Move the rows to keep to the front: (how many, depth [m] of the deepest of the others)."""
     count = len(contacts)
     make_heap(contacts, ids, count)
     sort_heap(contacts, ids, count)
@@ -163,8 +163,8 @@ def _choose(contacts, ids, wanted, epsilon, most):
 
 @query_kernel
 def _place_of(pools, f, code, x, y, z, touching, scratch, thread):
-    """Whether the point of f's triangle `code` that is nearest to (x, y, z), outside f, is nearer than all of f's
-    surface around it, and `code` the first triangle that has it: (is it, distance [m], outward unit direction, point).
+    """Whether the point of f's triangle `code` nearest to (x, y, z), outside f, is a local minimum of the distance, and
+    `code` the first triangle that contains it: (is it, distance [m], outward unit direction, point).
     """
     c, nx, ny, nz = _triangle(pools, f, code)
     d2, qx, qy, qz, feature = closest_on_triangle(x, y, z, c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8])
@@ -210,7 +210,7 @@ def _first_at(pools, f, x, y, z, touching, scratch, thread):
 
 @inlined_kernel
 def _number(pools, f, code):
-    """Of triangle `code` within its mesh: rows of the pools depend on what else there is."""
+    """Number of triangle `code` within its mesh: rows of the pools depend on the other contents."""
     k = pools.fragment.mesh[f]
     if pools.fragment.kind[f] == TRIANGLES:
         return code - pools.triangles.triangle_range[k, 0]

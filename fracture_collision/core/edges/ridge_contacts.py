@@ -1,8 +1,8 @@
-"""Contacts where ridges of two fragments cross between samples, found among all of both.
+"""Contacts where ridges of two fragments cross between samples, found among all ridges of both.
 
-Of a those that may reach b, one by one, against b's leaves and then the lines in these, in single precision and with
-room for its rounding; what is left is told exactly (ridge_crossing.py). They wait beside the samples to be chosen
-(contact_choice.py).
+Ridges of a that may reach b are tested one by one against b's leaves and then against the lines in these, in single
+precision with an allowance for its rounding; the remaining pairs are tested exactly (ridge_crossing.py). Contacts wait
+beside the candidate samples (contact_choice.py).
 """
 
 from __future__ import annotations
@@ -40,16 +40,16 @@ from fracture_collision.core.mesh.sample_numbers import FIRST_OF_RIDGES
 from fracture_collision.core.separation.leaf_separation import half_spaces
 from fracture_collision.core.tree.sample_leaves import Leaves, worst_of_leaves
 
-# Deeper than this share of R edges are not looked for: what is so deep has samples in it, or came through in one step.
+# Crossings deeper than this share of R are not searched: such a pair has samples inside, or came through in one step.
 DEEPEST = 0.1
-# Nor, between fragments of one body, than so many times what a point of either has moved since they were one: in place
-# they do not overlap, so no point is deeper than it has moved.
+# Between fragments of one body, nor are crossings deeper than this factor times how far a point of either has moved
+# since they were one: in place they do not overlap, so no point is deeper than it has moved.
 MOVED = 1.5
-# Contacts of a pair's ridges, no more are found; and so many numbers each ridge of a has.
+# Maximum number of contacts of a pair's ridges; sample numbers reserved for each ridge of a.
 MOST_CROSSINGS, RIDGES_EACH = 512, 1 << 24
-# What waits to be chosen goes by its sample's number: those of crossings come after all of a's samples.
+# Candidates are ordered by sample number: those of crossings come after all of a's samples.
 _AFTER_SAMPLES = 1 << 30
-# What single precision may take from a place along an edge, as a share of all lengths, at a right angle.
+# Single-precision rounding of a place along an edge, as a share of all lengths, for edges at a right angle.
 _ROUNDING = 1e-6
 # Lower and upper corners of a leaf's box, the greatest length and turn in it.
 BOX_AND_MOST = 8
@@ -63,23 +63,23 @@ class RidgeWork(NamedTuple):
     worst: np.ndarray  # (threads, n) float32 [m]: how far leaves are beyond half-spaces
     of_a: np.ndarray  # (threads, n) int32: ridges of a that may reach b
     of_b: np.ndarray  # (threads, 2, n) int32: leaves of b that may reach a; those that may reach a leaf of a
-    boxes: np.ndarray  # (threads, 2, BOX_AND_MOST, n) float32 [m]: theirs, see Ridges.boxes and most
-    excess: np.ndarray  # (threads, n) float32 [m]: by how much leaves fail to come near one of a's
-    lanes: np.ndarray  # (threads, LEAF and apart) float32 [m]: by how much ridges of a leaf fail to cross one of a's
-    ends: np.ndarray  # (threads, LEAF + 1 and apart, 8) float64: of a leaf of a in b's frame, see _carry_leaf
-    row: np.ndarray  # (threads, RIDGE and apart) float64: a ridge of a in b's frame
-    meeting: np.ndarray  # (threads, 10 and apart) float64 [m], see ridge_crossing.crossing
+    boxes: np.ndarray  # (threads, 2, BOX_AND_MOST, n) float32 [m]: of these leaves, see Ridges.boxes and most
+    excess: np.ndarray  # (threads, n) float32 [m]: by how much leaves miss a ridge of a
+    lanes: np.ndarray  # (threads, LEAF + padding) float32 [m]: by how much ridges of a leaf miss a ridge of a
+    ends: np.ndarray  # (threads, LEAF + 1 + padding, 8) float64: ridges of a leaf of a in b's frame, see _carry_leaf
+    row: np.ndarray  # (threads, RIDGE + padding) float64: a ridge of a in b's frame
+    meeting: np.ndarray  # (threads, 10 + padding) float64 [m], see ridge_crossing.crossing
 
 
 class RidgeSearch(NamedTuple):
-    """What a search for crossings works with."""
+    """Ridges and working memory of a search for crossings."""
 
     ridges: Ridges
     work: RidgeWork
 
 
 def make_ridge_work(threads: int, room: int) -> RidgeWork:
-    """For fragments with up to `room` ridges."""
+    """Working memory for fragments with up to `room` ridges."""
     f4, n = np.float32, LEAF * (room // LEAF + 1)
     return RidgeWork(
         np.zeros((threads, n), f4), np.zeros((threads, n), np.int32), np.zeros((threads, 2, n), np.int32),
@@ -93,7 +93,7 @@ NO_RIDGE_SEARCH = RidgeSearch(NO_RIDGES, make_ridge_work(1, 0))
 
 @inlined_kernel
 def have_ridges(edges, a, b):
-    """Whether both fragments have any, or a search for them is on at all."""
+    """Whether both fragments have ridges, and the search for crossings is on."""
     return len(edges.ridges.count) > 0 and edges.ridges.count[a] > 0 and edges.ridges.count[b] > 0
 
 
@@ -102,14 +102,13 @@ def add_crossings(
     pools, edges, a, b, rotation, translation, planes_beyond, rule, reach, ways, slack, apart, count, deep, listed,
     scratch, thread,
 ):  # fmt: skip
-    """Keep the contacts of crossing ridges in scratch to choose from, after `count` samples of which `deep` are deeper
+    """Store the contacts of crossing ridges as candidates in scratch, after `count` samples of which `deep` are deeper
     than epsilon.
 
     planes_beyond (of b, of a), ways (2, WAY): see leaf_separation.half_spaces; rule: of contact_choice; slack [m]: for
-    rounding.
-    apart [m]: how far a point of either has moved against the other since they were one; infinity: they never were.
-    reach [m], 0: none: pairs that may cross once the two have moved by no more than `reach` against each other are put
-    into `listed` (., 2). Returns (count, deep, how many pairs those are).
+    rounding. apart [m]: how far a point of either has moved relative to the other since they were one; infinity: they
+    never were. reach [m], 0: none: pairs that may cross after a relative motion of no more than `reach` are written to
+    `listed` (., 2). Returns (count, deep, number of these pairs).
     """
     ridges, work = edges.ridges, edges.work
     of_a, of_b, near_b, row = work.of_a[thread], work.of_b[thread, 0], work.of_b[thread, 1], work.row[thread]
@@ -128,7 +127,7 @@ def add_crossings(
     if leaves == 0:
         return count, deep, 0
     deepest = _deepest(pools, a, b, apart, slack)
-    # as they move, what fragments of one body may overlap by grows
+    # the possible overlap of fragments of one body grows as they move
     farthest = max(rule.near, deepest + MOVED * reach)
     margin, excess, lanes = farthest + reach + slack, work.excess[thread], work.lanes[thread]
     m = pools.fragment.middle[b]
@@ -179,7 +178,7 @@ def add_crossings(
 def add_listed_crossings(
     pools, edges, a, b, rotation, translation, rule, slack, apart, listed, count, deep, scratch, thread
 ):
-    """add_crossings of a pair of which `listed` (n, 2) are all pairs of ridges that can cross: (count, deep)."""
+    """add_crossings for a pair where `listed` (n, 2) holds all pairs of ridges that can cross: (count, deep)."""
     ridges, row, carried = edges.ridges, edges.work.row[thread], -1
     deepest, most = _deepest(pools, a, b, apart, slack), count + MOST_CROSSINGS
     for k in range(len(listed)):
@@ -197,8 +196,8 @@ def add_listed_crossings(
 
 @inlined_kernel
 def least_apart(edges, a, b, rotation, translation, listed, near, of_far, thread):
-    """How much farther apart than `near` [m] the ridges of all `listed` pairs (n, 2) are at least [m], no less than 0;
-    infinity: there is none. of_far: of those that are not near.
+    """Lower bound [m] of the distance beyond `near` between the ridges of all `listed` pairs (n, 2), no less than 0;
+    infinity: there is none. of_far: only of those that are not near.
     """
     ridges, row, least = edges.ridges, edges.work.row[thread], math.inf
     for k in range(len(listed)):
@@ -211,7 +210,7 @@ def least_apart(edges, a, b, rotation, translation, listed, near, of_far, thread
 
 @inlined_kernel
 def _deepest(pools, a, b, apart, slack):
-    """How deep crossings are looked for [m]."""
+    """Depth [m] down to which crossings are searched."""
     return min(DEEPEST * min(pools.fragment.radius[a], pools.fragment.radius[b]), MOVED * apart + slack)
 
 
@@ -238,8 +237,8 @@ def _carry_ridge(own, rotation, translation, row):
 def _see_leaves(
     pools, edges, own, other, side, rotation, translation, plane, within, reach, way, out, scratch, thread
 ):
-    """How far leaves of own's ridges are beyond where `other` may come within `within` [m], into work.worst: (how many
-    leaves, how many half-spaces). reach, way: see leaf_separation.half_spaces; out: any integers, as many.
+    """Write to work.worst how far leaves of own's ridges are beyond where `other` may come within `within` [m]: (how
+    many leaves, how many half-spaces). reach, way: see leaf_separation.half_spaces; out: any integers, as many.
     """
     ridges, middle = edges.ridges, pools.fragment.middle[own]
     n, leaf = (ridges.count[own] + LEAF - 1) // LEAF, ridges.first[own] // LEAF
@@ -254,7 +253,7 @@ def _see_leaves(
 def _may_reach(
     pools, edges, own, other, side, rotation, translation, plane, within, reach, way, out, scratch, thread
 ):
-    """Ridges of `own` that may come within `within` [m] of `other`, as far as half-spaces say, into `out`: how many."""
+    """Write to `out` the ridges of `own` that may come within `within` [m] of `other`, by half-spaces: how many."""
     n, used = _see_leaves(
         pools, edges, own, other, side, rotation, translation, plane, within, reach, way, out, scratch, thread
     )
@@ -285,7 +284,7 @@ def _may_reach(
 def _leaves_that_may(
     pools, edges, own, other, side, rotation, translation, plane, within, reach, way, out, boxes, scratch, thread
 ):
-    """The same of whole leaves, with their boxes (BOX_AND_MOST, .): how many."""
+    """The same for whole leaves, with their boxes (BOX_AND_MOST, .): how many."""
     n, _ = _see_leaves(
         pools, edges, own, other, side, rotation, translation, plane, within, reach, way, out, scratch, thread
     )
@@ -303,8 +302,8 @@ def _leaves_that_may(
 
 @inlined_kernel
 def _carry_leaf(lines, of, rotation, origin, ends):
-    """Those of the ridges `of` that are in the same leaf as the first, from its `lines`: a row each of ends, length and
-    turn; in row LEAF their box, from lower to upper corner, and the greatest of both.
+    """Transform those of the ridges `of` that are in the same leaf as the first, from its `lines`: a row each of ends,
+    length and turn; row LEAF is their box, from lower to upper corner, and the greatest length and turn.
     """
     box, leaf = ends[LEAF], of[0] // LEAF
     box[0] = box[1] = box[2] = math.inf
@@ -327,7 +326,7 @@ def _carry_leaf(lines, of, rotation, origin, ends):
 
 @inlined_kernel
 def _keep_near(of, boxes, count, excess, near, near_boxes):
-    """Of `count` leaves those with no excess: how many."""
+    """Keep those of `count` leaves that have no excess: how many."""
     kept = 0
     for k in range(count):
         if excess[k] <= np.float32(0.0):
@@ -340,14 +339,14 @@ def _keep_near(of, boxes, count, excess, near, near_boxes):
 
 @inlined_kernel
 def _see_boxes(own, m, boxes, count, margin, enough, excess):
-    """By how much [m] boxes about `m` are farther than `margin` [m], along an axis, from the box `own`, which has its
-    greatest length and turn behind it; more than 0, too, where no ridge in one matters to any in the other.
+    """Write by how much [m] boxes about `m` are farther than `margin` [m], along an axis, from the box `own`, which is
+    followed by its greatest length and turn; also more than 0 where no ridge in one matters to any in the other.
     """
     lx, hx = np.float32(own[0] - m[0] - margin), np.float32(own[3] - m[0] + margin)
     ly, hy = np.float32(own[1] - m[1] - margin), np.float32(own[4] - m[1] + margin)
     lz, hz = np.float32(own[2] - m[2] - margin), np.float32(own[5] - m[2] + margin)
     length, turn, least = np.float32(own[6]), np.float32(own[7]), np.float32(enough)
-    # whole groups of what is done side by side: one by one the rest would take longer
+    # whole SIMD groups: a scalar remainder would take longer
     for k in range((count + LEAF - 1) // LEAF * LEAF):
         x, other = boxes[0, k] - hx, lx - boxes[3, k]
         x = x if x > other else other
@@ -364,12 +363,12 @@ def _see_boxes(own, m, boxes, count, margin, enough, excess):
 
 @inlined_kernel
 def _see_lines(row, m, lines, margin, reach, turn, farthest, size, enough, excess):
-    """By how much [m] each ridge of a leaf fails to cross the ridge `row` (8,), see _carry_leaf, or to come to;
-    0 or less: it may.
+    """Write by how much [m] each ridge of a leaf fails to cross the ridge `row` (8,), see _carry_leaf, now or after
+    motion; 0 or less: it may.
 
-    A point of either moves by no more than `reach` [m], either turns by no more than `turn`. So the line between the
-    two, at most `farthest` [m] long when they cross, turns by OF_TURN turn / sine and the crossing's foot on either
-    moves by no more than the way that this and `reach` make, over the sine.
+    A point of either moves by no more than `reach` [m], either rotates by no more than `turn`. So the line between the
+    two, at most `farthest` [m] long when they cross, turns by OF_TURN turn / sine, and the crossing's foot on either
+    moves by no more than the displacement due to this and `reach`, over the sine.
     """
     length = row[6]
     px, py, pz = np.float32(row[0] - m[0]), np.float32(row[1] - m[1]), np.float32(row[2] - m[2])
@@ -379,7 +378,7 @@ def _see_lines(row, m, lines, margin, reach, turn, farthest, size, enough, exces
     least, turns = np.float32(LEAST_SINE), np.float32(turn)
     rounding = np.float32(_ROUNDING * (size + length + abs(row[0] - m[0]) + abs(row[1] - m[1]) + abs(row[2] - m[2])))
     own_turn, enough = np.float32(row[7]), np.float32(enough)
-    # as many as LEAF; with a number here nothing would be done side by side
+    # equals LEAF; with a constant here the loop would not be vectorised
     for k in range(lines.shape[1]):
         wx, wy, wz = px - lines[LINE_BEGIN, k], py - lines[LINE_BEGIN + 1, k], pz - lines[LINE_BEGIN + 2, k]
         vx, vy, vz = lines[ALONG, k], lines[ALONG + 1, k], lines[ALONG + 2, k]
@@ -400,7 +399,7 @@ def _see_lines(row, m, lines, margin, reach, turn, farthest, size, enough, exces
         off_b = -on_b if -on_b > on_b - length_of_other else on_b - length_of_other
         off = (off if off > off_b else off_b) - room
         worst = worst if worst > off else off
-        # parallel ones have none of this
+        # parallel ridges have no crossing
         worst = worst if sine > least - turns - rounding / end else np.float32(1.0)
         depth, depth_of_other = end * lines[LINE_TURN, k], length_of_other * own_turn
         depth = depth if depth < depth_of_other else depth_of_other
@@ -411,8 +410,8 @@ def _see_lines(row, m, lines, margin, reach, turn, farthest, size, enough, exces
 def _add(
     pools, edges, a, b, i, j, r, s, rotation, translation, rule, deepest, most, count, deep, scratch, thread
 ):  # fmt: skip
-    """Keep the contact of ridge r, number i of a, in b's frame, and ridge s, number j of b, if there is one: (count,
-    deep). No more than `most` are kept.
+    """Store the contact of ridge r, number i of a, in b's frame, and ridge s, number j of b, if there is one: (count,
+    deep). At most `most` are stored.
     """
     c = edges.work.meeting[thread]
     if count >= most or not crossing(r, s, rule, deepest, c):

@@ -1,9 +1,9 @@
-"""Two ridges that cross: where, along which direction, how far apart or how deep; and whether they really overlap.
+"""Crossing of two ridges: its place, direction and gap or depth; and a test whether the fragments overlap there.
 
-Where both stick out towards each other, the direction across both is the one that parts them (the Gauss map test of
+Where both stick out towards each other, the direction across both is the one that separates them (the Gauss map test of
 Gregorius, "The Separating Axis Test between Convex Polyhedra", 2013, on one pair of edges at a time). Where they
-overlap, each ridge must really pass through the other fragment: so no contact comes from edges that only look at each
-other across something else.
+overlap, each ridge must pass through the other fragment: edges that only face each other across something else make no
+contact.
 """
 
 from __future__ import annotations
@@ -15,34 +15,34 @@ from fracture_collision.core.field.elementary_queries import INSIDE, bounded_pro
 from fracture_collision.core.memory.compiled import inlined_kernel, query_kernel
 from fracture_collision.core.memory.rotations import to_other
 
-# Edges at less than 3 degrees have no direction across both: there their ends tell what touches.
+# Edges at less than 3 degrees have no direction across both: samples at their ends give the contacts.
 LEAST_SINE = 0.05
 # The direction may point beyond the faces of a ridge by this sine: edges of faces that lie flush on each other.
 BEYOND_FACE = 0.05
 # A crossing is on both edges up to this share of their lengths.
 ON_END = 1e-9
-# A ridge that is as long as l passes through one that turns by t, between samples, no deeper than l t / 4. Where that
-# is no more than epsilon, either way round, the two are left out.
+# Between samples, a ridge of length l passes through one that turns by t no deeper than l t / 4. Pairs where that is no
+# more than epsilon, in either order, are skipped.
 MATTERS = 4.0
-# Where a ridge passes through the other fragment, that is there for this share of what its edge alone would make it.
+# A ridge passes through the other fragment if its depth there is at least this share of that behind the other ridge.
 REALLY = 0.25
-# A direction across two edges turns by no more than so many times what one of them turns by, over the sine between
-# them.
+# The direction across two edges turns by no more than this factor times the rotation of one of them, over the sine
+# between them.
 OF_TURN = 1.6
 
 
 @inlined_kernel
 def matters(r, s, epsilon):
-    """Whether two ridges can cross deeper than samples at their ends tell: one that is as long as r is inside of what
-    turns as little as s only to a depth of about a quarter of their product.
+    """Whether two ridges can cross deeper than samples at their ends show: one as long as r enters what turns as little
+    as s only to a depth of about a quarter of their product.
     """
     return min(r[LENGTH] * s[TURN], s[LENGTH] * r[TURN]) >= MATTERS * epsilon
 
 
 @inlined_kernel
 def may_cross(r, s, rule, near, deep, turn):
-    """Whether the direction across both may come to point out of both, when they have turned by no more than `turn`,
-    and how far apart they are lets them.
+    """Whether the direction across both may point out of both after a rotation of no more than `turn`, and their
+    distance allows a crossing.
     """
     if not matters(r, s, rule.epsilon):
         return False
@@ -50,7 +50,7 @@ def may_cross(r, s, rule, near, deep, turn):
     if not sine > 0.0:
         return True
     room = BEYOND_FACE + turn + OF_TURN * turn / min(sine, max(sine - turn, LEAST_SINE))
-    # either way: which one is said by what turns
+    # either sign: which one applies depends on the rotation
     if -deep <= along <= near and _points_out(r, s, nx, ny, nz, room):
         return True
     return -deep <= -along <= near and _points_out(r, s, -nx, -ny, -nz, room)
@@ -58,8 +58,8 @@ def may_cross(r, s, rule, near, deep, turn):
 
 @inlined_kernel
 def _across(r, s):
-    """(x, y, z, sine, along): unit vector across two ridges, the sine between them, and how far r's line is from that
-    of s along it [m].
+    """(x, y, z, sine, along): unit vector across two ridges, the sine between them, and the distance of r's line from
+    the line of s along it [m].
     """
     ux, uy, uz = r[3] - r[0], r[4] - r[1], r[5] - r[2]
     vx, vy, vz = s[3] - s[0], s[4] - s[1], s[5] - s[2]
@@ -81,8 +81,8 @@ def _points_out(r, s, nx, ny, nz, room):
 
 @inlined_kernel
 def crossing(r, s, rule, deep, out):
-    """Whether ridges r, of a, and s, of b, cross, no deeper than `deep` [m], by a contact_choice.Rule; then `out` (10,)
-    is a point of r, one of s, the direction out of b, and the gap, as a contact of a's.
+    """Whether ridges r, of a, and s, of b, cross, no deeper than `deep` [m], by a contact_choice.Rule; if so, writes to
+    `out` (10,) a point of r, one of s, the direction out of b, and the gap, as a contact of a's.
     """
     if not matters(r, s, rule.epsilon):
         return False
@@ -111,8 +111,9 @@ def crossing(r, s, rule, deep, out):
 
 @inlined_kernel
 def _into_wedge(r, s, k, n, deep):
-    """Where ridge r is well within what the two faces of ridge s bound: (way along r from the crossing's foot [m], how
-    far it is behind the nearer face there [m]). k [m]: of the foot from r's begin; n: out of s; deep [m].
+    """Where ridge r is well inside the wedge of ridge s's faces: (distance along r from the crossing's foot [m], how
+    far it is behind the nearer face there [m]). k [m]: of the foot from r's begin; n: out of s; deep [m]: of the
+    crossing.
     """
     ux, uy, uz = (r[3] - r[0]) / r[LENGTH], (r[4] - r[1]) / r[LENGTH], (r[5] - r[2]) / r[LENGTH]
     vx, vy, vz = (s[3] - s[0]) / s[LENGTH], (s[4] - s[1]) / s[LENGTH], (s[5] - s[2]) / s[LENGTH]
@@ -125,7 +126,7 @@ def _into_wedge(r, s, k, n, deep):
         one, other, rate, rate_of_other = other, one, rate_of_other, rate
     if one >= 0.5 * deep or rate == 0.0:
         return 0.0, one
-    # towards where the nearer face is farther, until it is far enough or the other is nearer
+    # away from the nearer face, until it is far enough or the other face is nearer
     sign = 1.0 if rate > 0.0 else -1.0
     way = (0.5 * deep - one) / abs(rate)
     if sign * rate_of_other < abs(rate):

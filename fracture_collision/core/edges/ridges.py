@@ -1,7 +1,7 @@
-"""The ridges of fragments: edges at which their surface is convex, which can cross another's between samples.
+"""The ridges of fragments: convex edges of their surface, which can cross another's between samples.
 
-They are found when a fragment is made, and stay as they are: what breaks beside it divides its surface anew, but does
-not move it (cut_tetrahedron.py). So a ridge has the same number for as long as its fragment lives.
+They are computed when a fragment is made and do not change: fracture beside a fragment divides its surface anew, but
+does not move it (cut_tetrahedron.py). So a ridge keeps its number for as long as its fragment lives.
 """
 
 from __future__ import annotations
@@ -19,36 +19,36 @@ from fracture_collision.core.mesh.sample_numbers import FIRST_TETRAHEDRON
 from fracture_collision.core.mesh.surface_elements import count_triangles, put_triangle
 from fracture_collision.core.tree.sample_leaves import place_on_curve
 
-# The surface turns by more than this at a ridge (chord of the angle), and one is no shorter than this share of R: where
-# flatter or shorter ones cross, samples beside them are hardly less deep.
+# Minimum turn of the surface at a ridge (chord of the angle), and minimum length as a share of R: where flatter or
+# shorter ones cross, samples beside them are hardly less deep.
 LEAST_TURN, LEAST_LENGTH = 0.06, 1e-4
-# Those that turn by less, as between the triangles of a fine mesh, stand in leaves of their own: they matter to few.
+# Ridges that turn by less, as between the triangles of a fine mesh, have leaves of their own: they matter to few.
 SMOOTH = 0.12
-# Columns of Ridges.rows, three each but for the last two.
+# Columns of Ridges.rows, three each except for the last two.
 BEGIN, END = 0, 3  # its ends [m]
 FIRST_FACE, SECOND_FACE = 6, 9  # unit vectors across it into its two faces
 OUTWARD = 12  # unit, half-way between the normals of these
 LENGTH, TURN = 15, 16  # [m]; chord of the angle between these normals, 2 where the faces fold back
 RIDGE = 17
-# Of `lines`, of each ridge of a leaf: begin [m], direction, and as above.
+# Columns of `lines`, for each ridge of a leaf: begin [m], direction, and as above.
 LINE_BEGIN, ALONG, LINE_LENGTH, LINE_TURN, LINE = 0, 3, 6, 7, 8
 _FIRST_ROOM = 4096
-_MORE_THAN_EDGES = 2  # places of a hash table for each
+_MORE_THAN_EDGES = 2  # places of the hash table for each edge
 
 
 class Ridges(NamedTuple):
-    """Of all fragments, those of one together, along a curve, eight to a leaf as in sample_leaves.py."""
+    """Ridges of all fragments, those of one together, sorted along a curve, eight to a leaf as in sample_leaves.py."""
 
     first: np.ndarray  # (F,) int64 first row of a fragment, a multiple of LEAF
     count: np.ndarray  # (F,) int64 how many it has
-    rows: np.ndarray  # (n, RIDGE) float64, body frame; those that fill a last leaf are of nobody
+    rows: np.ndarray  # (n, RIDGE) float64, body frame; rows that pad a last leaf are not counted
     boxes: np.ndarray  # (6 n / LEAF,) float32 [m] of leaves as in sample_leaves.Leaves, about the fragment's `middle`
     most: np.ndarray  # (n / LEAF, 2) float32: the greatest length [m] and turn in each leaf
-    lines: np.ndarray  # (n / LEAF, LINE, LEAF) float32: theirs, likewise; single precision
+    lines: np.ndarray  # (n / LEAF, LINE, LEAF) float32: ridges of each leaf, likewise; single precision
 
 
 class RidgeTable:
-    """Owner of the arrays; rows as those of FragmentPool."""
+    """Owns the arrays; fragments have the same rows as in FragmentPool."""
 
     def __init__(self) -> None:
         self._first, self._count = GrowableArray(0, np.int64), GrowableArray(0, np.int64)
@@ -63,7 +63,7 @@ class RidgeTable:
         return Ridges(self._first.view, self._count.view, self._rows.view, boxes, self._most.view, lines)
 
     def append(self, pools: Pools, first: int, end: int) -> None:
-        """Those of the fragments first .. end - 1, that were made last."""
+        """Add the ridges of the fragments first .. end - 1, which were made last."""
         for f in range(first, end):
             count = 0
             if pools.fragment.kind[f] in (BOX, TETRAHEDRA, TRIANGLES):
@@ -81,7 +81,7 @@ class RidgeTable:
             self._count.append(np.array([count]))
 
     def keep(self, stays: np.ndarray) -> None:
-        """Only those of fragments where the mask `stays` (F,) is true."""
+        """Keep only the ridges of fragments where the mask `stays` (F,) is true."""
         leaves = -(-self._count.view // LEAF)
         stay = np.repeat(stays, leaves)
         self._rows.keep(np.repeat(stay, LEAF))
@@ -96,10 +96,10 @@ NO_RIDGES = RidgeTable().view
 
 @kernel
 def find_ridges(pools, f, out):
-    """The ridges of fragment `f` as rows into out (n, RIDGE), as far as there is room; returns how many there are.
+    """Write the ridges of fragment `f` as rows to out (n, RIDGE), as far as there is room; returns how many there are.
 
-    Triangles of a surface meet in whole edges, whose ends are the same to the last bit in both; they are found by a
-    hash of these. An edge of one triangle alone is at one that is rounding, and left out.
+    Triangles of a surface share whole edges, whose ends are equal to the last bit in both; they are matched by a hash
+    of these. An edge of one triangle alone borders a triangle lost to rounding, and is left out.
     """
     pieces = _pieces_of(pools, f)
     edges = 0
@@ -152,7 +152,7 @@ def find_ridges(pools, f, out):
                     for d in range(9):
                         row[d] = r[d]
                     row[9], row[10], row[11] = x, y, z
-                    # the faces of one that folds back have no normal half-way
+                    # where the faces fold back there is no half-way normal
                     ox, oy, oz = r[9] + nx - r[6] - x, r[10] + ny - r[7] - y, r[11] + nz - r[8] - z
                     far = math.sqrt(ox * ox + oy * oy + oz * oz)
                     row[12], row[13], row[14] = ox / far, oy / far, oz / far
@@ -163,7 +163,7 @@ def find_ridges(pools, f, out):
 
 @inlined_kernel
 def _normal(c):
-    """(x, y, z) of a triangle (9,), unit, and how long it was."""
+    """Unit normal (x, y, z) of a triangle (9,), and its length before normalisation."""
     ux, uy, uz = c[3] - c[0], c[4] - c[1], c[5] - c[2]
     vx, vy, vz = c[6] - c[0], c[7] - c[1], c[8] - c[2]
     nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
@@ -187,13 +187,13 @@ def _hash(x, y, z):
 
 @inlined_kernel
 def _bits(x):
-    """Of a number; both zeros are one."""
+    """Bits of a number; both zeros have the same."""
     return np.float64(x + 0.0).view(np.int64)
 
 
 @kernel
 def _pieces_of(pools, f):
-    """Where triangles of fragment f's surface may be, for put_triangle."""
+    """Pieces that may hold triangles of fragment f's surface, for put_triangle."""
     kind, k = pools.fragment.kind[f], pools.fragment.mesh[f]
     if kind == BOX:
         return np.arange(6)
@@ -213,8 +213,8 @@ def _pieces_of(pools, f):
 
 @kernel
 def _put_on_curve(found, count, middle, rows, boxes, most, lines):
-    """Rows found (count, RIDGE) along a curve, the smooth ones last, into rows (LEAF n, RIDGE), and boxes (6 n,), most
-    and lines of their leaves.
+    """Sort rows found (count, RIDGE) along a curve, the smooth ones last, into rows (LEAF n, RIDGE), and write boxes (6
+    n,), most and lines of their leaves.
     """
     n = len(rows) // LEAF
     low, high, point = np.full(3, np.inf), np.full(3, -np.inf), np.empty(3)

@@ -1,12 +1,12 @@
-"""penetration(p; D(f)) from one averaged distance and direction a node: Glondu 2014, section 4.4, eq. 1 and 2.
+"""penetration(p; D(f)) from one averaged distance and direction per node: Glondu 2014, section 4.4, eq. 1 and 2.
 
 Symbols of eq. 1-2: p the point; j its neighbours, here the nodes of its tetrahedron; d_j, n_j their stored distance and
 unit direction to the nearest surface; w_j = 1 / |p_j - p|^2.
 
     d = sum w_j (d_j + n_j . (p_j - p)) / sum w_j        n = sum w_j n_j, normalized
 
-Nothing is promised about d. What the certificate needs comes beside it: `most`, a depth that the point certainly does
-not exceed, its distance from the nearest of some points that are certainly not strictly inside the fragment.
+d carries no error bound. The certificate uses a separate value: `most`, an upper bound of the point's depth, its
+distance from the nearest of some points that are certainly not strictly inside the fragment.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from fracture_collision.core.memory.pools import OWNER
 
 @inlined_kernel
 def propagated_distance(stored, px, py, pz):
-    """Distance [m] to the plane that a node's distance and direction (node_field row) put at the nearest surface.
+    """Distance [m] to the plane that a node's distance and direction (node_field row) define at the nearest surface.
 
     (px, py, pz): from the point to the node.
     """
@@ -59,9 +59,9 @@ def whole_body_depth(mesh, k, x, y, z):
 
 @inlined_kernel
 def averaged_penetration(pools, f, t, x, y, z):
-    """Of a point that fragment `f` of a broken body owns in tetrahedron `t`: (depth [m], nx, ny, nz, most [m]).
+    """(depth [m], nx, ny, nz, most [m]) of a point that fragment `f` of a broken body owns in tetrahedron `t`.
 
-    depth >= 0, n the unit direction out of f: the witness is the point + depth n. In a tetrahedron that cracks cross
+    depth >= 0, n the unit direction out of f: the witness is the point + depth n. In a tetrahedron crossed by cracks
     both are exact for the surface within it, elsewhere eq. 1-2 over its nodes; capped by the grid of the whole body.
     """
     mesh, body = pools.mesh, pools.body

@@ -1,9 +1,8 @@
-"""Whether a point is certainly farther from a fragment than so much, or certainly inside: what most samples that are
-asked need to be told.
+"""Whether a point is certainly farther than a limit from a fragment, or certainly inside: enough for most samples.
 
-From the tetrahedron that holds the point over all whose walls are within reach: the way to a fragment leads over its
-surface. Walls are in single precision, a line of the cache for each tetrahedron, so what they say is left room; where
-it is not certain, somebody else has to be asked (elementary_queries.bounded_probe, flood.py).
+Visits the tetrahedron that holds the point and all whose walls are within reach: a path to a fragment crosses its
+surface. Walls are single precision, one cache line per tetrahedron, so their heights are compared with a slack; where
+the result is not certain, use the exact queries (elementary_queries.bounded_probe, flood.py).
 """
 
 from __future__ import annotations
@@ -30,13 +29,13 @@ from fracture_collision.core.memory.pools import (
 )
 from fracture_collision.core.mesh.point_location import owner_in_cut, region_holds, tetrahedron_at
 
-# What single precision may do to a point's height above a wall, as a share of R: no point of the mesh is farther than
+# Error bound of a point's single-precision height above a wall, as a share of R: no point of the mesh is farther than
 # 6 R from the grid's corner, and each of its coordinates, the wall's numbers and the seven operations is rounded to
 # 2^-24 of that.
 WALL_ROUNDING = 2e-5
-# A walk from the last point that takes more steps was no short one.
+# Step limit of the walk from the last point; a longer walk falls back to the grid.
 MOST_STEPS = 12
-# Tetrahedra around a point that are looked at.
+# Limit of the tetrahedra visited around a point.
 MOST_AROUND = 16
 CLEAR, NEAR, UNKNOWN = 0, 1, 2
 BEYOND, DEEP = 3, 4
@@ -44,13 +43,14 @@ BEYOND, DEEP = 3, 4
 
 @inlined_kernel
 def may_be_clear(pools, f):
-    """Whether `clearance` can say anything of fragment `f`: it is part of something that broke."""
+    """Whether `clearance` applies to fragment `f`: it is part of a broken body."""
     return pools.fragment.kind[f] == TETRAHEDRA and pools.fragment.node_shift[f] != NEVER_BROKEN
 
 
 @inlined_kernel
 def _heights(walls, t, x, y, z):
-    """Of a point, from the grid's corner, above the four walls of tetrahedron `t`, outwards [m]."""
+    """Heights [m], positive outside, above the four walls of tetrahedron `t` of a point relative to the grid's corner.
+    """
     w = walls[t]
     return (
         w[0] * x + w[4] * y + w[8] * z - w[12], w[1] * x + w[5] * y + w[9] * z - w[13],
@@ -60,8 +60,8 @@ def _heights(walls, t, x, y, z):
 
 @inlined_kernel
 def _held_by(mesh, k, last, x, y, z, px, py, pz, slack):
-    """(the tetrahedron of mesh `k` that holds a point, -1: none does; how far it is behind its nearest wall, at least
-    [m], but for rounding); last: see `clearance`; (px, py, pz): from the grid's corner.
+    """(tetrahedron of mesh `k` that holds a point, -1: none; its distance [m] behind the nearest wall, a lower bound
+    up to rounding); last: see `clearance`; (px, py, pz): the point relative to the grid's corner.
     """
     t, steps = last, 0
     while t >= 0:
@@ -86,10 +86,10 @@ def _held_by(mesh, k, last, x, y, z, px, py, pz, slack):
 
 @inlined_kernel
 def clearance(pools, f, last, x, y, z, within, rounding, scratch, thread):
-    """(how far [m] fragment `f` certainly is from a point at least, 0: perhaps no farther than `within` [m]; a
-    tetrahedron near the point).
+    """(lower bound [m] of a point's distance from fragment `f`, 0: it may be within `within` [m]; a tetrahedron near
+    the point).
 
-    last: a tetrahedron near the point, -1: none is known. f: may_be_clear. rounding [m]: how far the point may be from
+    last: a tetrahedron near the point, -1: none is known. f: must satisfy may_be_clear. rounding [m]: error bound of
     (x, y, z).
     """
     mesh = pools.mesh
@@ -114,8 +114,8 @@ def clearance(pools, f, last, x, y, z, within, rounding, scratch, thread):
 
 @inlined_kernel
 def side_of_surface(pools, f, last, x, y, z, deep, rounding):
-    """(BEYOND, if a point certainly is not of fragment `f`; DEEP, if it certainly is and nothing else is within `deep`
-    [m] of it; else UNKNOWN; a tetrahedron near the point). As `clearance`.
+    """(BEYOND if a point is certainly not in fragment `f`; DEEP if it certainly is, with nothing else within `deep` [m]
+    of it; else UNKNOWN; a tetrahedron near the point). Arguments as in `clearance`.
     """
     mesh = pools.mesh
     k = pools.fragment.mesh[f]
@@ -142,7 +142,7 @@ def side_of_surface(pools, f, last, x, y, z, deep, rounding):
 
 @inlined_kernel
 def _is_clear_of_cells(pools, f, x, y, z, px, py, pz, far, scratch, thread):
-    """Whether no surface of `f` in the cells about a point that is not of f, wherever that is, is within `far` [m]."""
+    """Whether no surface of `f` in the cells around a point outside f, wherever it lies, is within `far` [m]."""
     mesh, near = pools.mesh, scratch.heap_tet[thread]
     for k in range(tetrahedra_near(pools, f, x, y, z, np.float64(far), scratch, thread)):
         t = near[k]
@@ -156,14 +156,14 @@ def _is_clear_of_cells(pools, f, x, y, z, px, py, pz, far, scratch, thread):
 
 @inlined_kernel
 def _above_plane(region, px, py, pz):
-    """Height [m] of a point, from the grid's corner, above what parts a tetrahedron, out of its front."""
+    """Height [m] of a point, relative to the grid's corner, above a tetrahedron's dividing plane, out of its front."""
     return region[PLANE] * px + region[PLANE + 1] * py + region[PLANE + 2] * pz - region[PLANE + 3]
 
 
 @inlined_kernel
 def _around(pools, f, start, x, y, z, px, py, pz, far, reached):
-    """CLEAR if no tetrahedron around the point in `start` has surface of `f` within reach, NEAR if one may have it;
-    UNKNOWN where air is within reach or too many are.
+    """CLEAR if no tetrahedron around the point in `start` has surface of `f` within reach, NEAR if one may have;
+    UNKNOWN if the outside of the body, or too many tetrahedra, are within reach.
     """
     mesh = pools.mesh
     reached[0] = start
@@ -173,7 +173,7 @@ def _around(pools, f, start, x, y, z, px, py, pz, far, reached):
         done += 1
         heights = _heights(mesh.walls, t, px, py, pz)
         if t != start:
-            # beyond one of its walls, and far from that: nothing of it is near, nor of what lies behind
+            # farther than `far` beyond one of its walls: neither it nor anything behind it is near
             if max(heights[0], heights[1], heights[2], heights[3]) > far:
                 continue
             if _has_surface_near(pools, f, t, x, y, z, px, py, pz, far):
@@ -198,8 +198,8 @@ def _around(pools, f, start, x, y, z, px, py, pz, far, reached):
 
 @inlined_kernel
 def _has_surface_near(pools, f, t, x, y, z, px, py, pz, far):
-    """Whether surface of `f` in tetrahedron `t` may be within `far` [m] of a point that is not of f; (px, py, pz): from
-    the grid's corner.
+    """Whether surface of `f` in tetrahedron `t` may be within `far` [m] of a point outside f; (px, py, pz): the point
+    relative to the grid's corner.
     """
     tet = t + pools.fragment.tet_shift[f]
     region = pools.body.regions[tet]
@@ -215,8 +215,8 @@ def _has_surface_near(pools, f, t, x, y, z, px, py, pz, far):
 
 @inlined_kernel
 def _way_within(pools, f, t, x, y, z, px, py, pz, far, slack):
-    """How far [m] what `f` has of tetrahedron `t` is, at least but for rounding, from a point in it, if that is nearer
-    than `far` [m]; 0 where the point may be of f.
+    """Lower bound [m], up to rounding, of the distance from a point in tetrahedron `t` to f's part of `t`, if that is
+    below `far` [m]; 0 if the point may be in f.
     """
     tet = t + pools.fragment.tet_shift[f]
     region = pools.body.regions[tet]

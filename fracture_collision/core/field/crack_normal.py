@@ -1,9 +1,10 @@
-"""Normals at cracks: a contact between fragments of one body is turned to the crack that parts them.
+"""Normals at cracks: a contact between fragments of one body is turned to the crack that separates them.
 
 Near the rim of a crack the nearest surface of the other fragment is often its old outside or a third fragment's crack,
-and the line to it says nothing about the way the two came apart (Glondu 2014 takes it as it is). So: if the crack the
-two share is near, the contact's normal is that crack's, and its depth the way along it out of the other fragment, never
-less than the distance to the nearest surface. Selection and missed depth bound speak of distances and are untouched.
+and the line to it is unrelated to the direction in which the two separated (Glondu 2014 uses it unchanged). So, if
+their shared crack is near, the contact takes that crack's normal, and its depth is the path along it out of the other
+fragment, never less than the distance to the nearest surface. Selection and the missed depth bound use distances and
+are unaffected.
 """
 
 from __future__ import annotations
@@ -21,16 +22,17 @@ from fracture_collision.core.memory.pools import BACK_SIDE, FRONT_SIDE, KIND, NE
 from fracture_collision.core.mesh.closest_point import DIRECTION_FLOOR
 from fracture_collision.core.mesh.point_location import height, owner_in_cut
 
-# The shared crack is taken while it is no more than this share of R farther than the nearest surface.
+# The shared crack is used if it is at most this share of R farther than the nearest surface.
 FARTHER = 0.03
-# From outside, where nothing farther than the detection tolerance is listed, it is looked for so many times as far.
+# From outside, where contacts beyond the detection tolerance are not listed, it is searched up to this multiple of the
+# nearest distance.
 TIMES_NEAREST = 3.0
-# It must also be no more than so many times the crack's own distance, and so little of R: else the crack bends here.
-# With 1e-4 that little is what resting contacts overlap by, and one of them turned to and fro for ever.
+# The path must also be at most OBLIQUE times the crack's own distance plus LITTLE R: else the crack bends here.
+# LITTLE = 1e-4 equals the overlap of resting contacts, and one of them turned back and forth forever.
 OBLIQUE, LITTLE = 4.0, 1e-3
-# A ray that meets more tetrahedra on so short a way is lost.
+# A ray that meets more tetrahedra on so short a path is lost.
 MOST_TETRAHEDRA = 256
-# Roots as near to each other, in parts of a ray's way through a tetrahedron, are one: between them rounding decides.
+# Roots closer than this share of a ray's path through a tetrahedron count as one: between them rounding decides.
 SAME_ROOT = 1e-10
 NOWHERE = -2  # no tetrahedron, nor -1, the outside
 ANYBODY = -1
@@ -38,11 +40,11 @@ ANYBODY = -1
 
 @inlined_kernel
 def turn_to_crack(pools, f, g, near, row, source, where, t, scratch, thread):
-    """Turn the contact of a sample of `g` with `f`, of one body, to the crack that parts the two, if it is near.
+    """Turn the contact of a sample of `g` with `f`, of the same body, to the crack that separates them, if it is near.
 
     Sets witness, normal and gap of `row` (10,), see query_pair; `near` [m] is the detection tolerance; `source`,
     `where`: surface triangle and tetrahedron of the witness; `t`: tetrahedron of the sample. Samples outside the
-    unbroken body (t = -1) stay as they are: they are not between the two.
+    unbroken body (t = -1) are left unchanged: they are not between the two.
     """
     x, y, z, d = row[0], row[1], row[2], row[9]
     radius = pools.fragment.radius[f]
@@ -50,7 +52,7 @@ def turn_to_crack(pools, f, g, near, row, source, where, t, scratch, thread):
         return
     inside = d <= 0.0
     only = (g, 0.0, 0.0, 0.0)
-    # whichever way, what is listed outside is no farther than the detection tolerance
+    # in any direction, contacts listed outside are no farther than the detection tolerance
     within = FARTHER * radius - d if inside else near
     away = abs(d)
     if not _parts(pools, f, g, source):
@@ -63,7 +65,7 @@ def turn_to_crack(pools, f, g, near, row, source, where, t, scratch, thread):
             return
     sign = 1.0 if inside else -1.0
     nx, ny, nz = crack_direction(pools, f, g, source, where)
-    # where the two just touch, its own witness will do
+    # where the two just touch, keep the witness
     if abs(d) > DIRECTION_FLOOR * radius:
         s = way_through(pools, f, t, x, y, z, sign * nx, sign * ny, sign * nz, within, inside, scratch, thread)
         if s > min(within, OBLIQUE * away + LITTLE * radius):
@@ -76,7 +78,7 @@ def turn_to_crack(pools, f, g, near, row, source, where, t, scratch, thread):
 
 @inlined_kernel
 def _parts(pools, f, g, source):
-    """Whether the surface triangle `source` is of the crack between two fragments."""
+    """Whether the surface triangle `source` belongs to the crack between two fragments."""
     if source < 0 or source == NO_SOURCE:
         return False
     front, back = pools.body.sides[source, FRONT_SIDE], pools.body.sides[source, BACK_SIDE]
@@ -87,7 +89,7 @@ def _parts(pools, f, g, source):
 def crack_direction(pools, f, g, source, t):
     """Unit normal out of fragment `f` of its crack with `g` in tetrahedron `t`: the mean over the edges it cuts there.
 
-    The planes at the edges are what the fracture gave; triangles run from crossing to crossing.
+    It averages the edges' planes, which are the fracture's input; the triangles only join the crossings.
     """
     nx, ny, nz = sum_of_planes(pools, f, g, t)
     length = math.sqrt(nx * nx + ny * ny + nz * nz)
@@ -98,7 +100,8 @@ def crack_direction(pools, f, g, source, t):
 
 @inlined_kernel
 def sum_of_planes(pools, f, g, t):
-    """Of the planes out of fragment `f`, towards fragment `g` or ANYBODY, that cut edges of tetrahedron `t`."""
+    """Sum of the normals out of fragment `f`, towards `g` or ANYBODY, of the planes that cut edges of tetrahedron `t`.
+    """
     mesh, body = pools.mesh, pools.body
     node_shift, edge_shift = pools.fragment.node_shift[f], pools.fragment.edge_shift[f]
     sx = sy = sz = 0.0
@@ -118,10 +121,10 @@ def sum_of_planes(pools, f, g, t):
 
 @inlined_kernel
 def way_through(pools, f, t, x, y, z, nx, ny, nz, limit, leaves, scratch, thread):
-    """Length [m] of the ray from a point in tetrahedron `t` to where it leaves `f`, or else enters it.
+    """Length [m] of the ray from a point in tetrahedron `t` to where it leaves `f` (`leaves`), or else enters it.
 
-    Infinity: not within `limit` [m]. From tetrahedron to tetrahedron; in each, owners are asked, not polygons, so that
-    no ray slips between two.
+    Infinity: not within `limit` [m]. Walks from tetrahedron to tetrahedron; in each it tests the owner of points, not
+    polygons, so that no ray slips between two polygons.
     """
     mesh, body = pools.mesh, pools.body
     tet_shift = pools.fragment.tet_shift[f]
@@ -163,7 +166,7 @@ def way_through(pools, f, t, x, y, z, nx, ny, nz, limit, leaves, scratch, thread
 
 @inlined_kernel
 def _share_by_plane(body, row, f, leaves, x0, y0, z0, x1, y1, z1):
-    """_share_of_segment where a single plane, that of `row`, parts two fragments."""
+    """_share_of_segment where a single plane, that of `row`, separates two fragments."""
     at_start, at_end = height(body, row, x0, y0, z0), height(body, row, x1, y1, z1)
     front, back = body.sides[row, FRONT_SIDE], body.sides[row, BACK_SIDE]
     before, after = back if at_start > 0.0 else front, back if at_end > 0.0 else front
@@ -177,9 +180,9 @@ def _share_by_plane(body, row, f, leaves, x0, y0, z0, x1, y1, z1):
 
 @inlined_kernel
 def _share_of_segment(pools, f, t, leaves, x0, y0, z0, x1, y1, z1, roots):
-    """Share of a segment in cut tetrahedron `t`, from its start to where f's region ends, or else begins: 0 .. 1.
+    """Share of a segment in cut tetrahedron `t`, from its start to where f's region ends (`leaves`) or begins: 0 .. 1.
 
-    Between two neighbouring roots of the planes that part fragments there the owner stays. `roots` (ROOTS,): room.
+    The owner is constant between neighbouring roots of the planes between fragments. `roots` (ROOTS,): working space.
     """
     body = pools.body
     begin, used = body.regions[t + pools.fragment.tet_shift[f], ROW], 0

@@ -1,8 +1,8 @@
 """insideTest, penetration and sphereTest against a fragment of any kind (Glondu 2014, sections 3 and 4.3 - 4.5).
 
-Points are in the body frame of the fragment that is asked. A probe answers all three at once, as far as the asker
-needs: (status, distance, normal), the distance signed, positive outside, the normal outward, the closest point
-x - distance * normal (exactly so for planes, spheres and boxes and in the averaged field, else given).
+Points are in the body frame of the queried fragment. A probe computes all three at once, as far as the caller needs:
+(status, distance, normal), the distance signed, positive outside, the normal outward, the closest point
+x - distance * normal (exact for planes, spheres, boxes and the averaged field, else returned separately).
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from fracture_collision.core.mesh.point_location import owner_in_tetrahedron, te
 from fracture_collision.core.mesh.primitives import primitive_distance
 from fracture_collision.core.mesh.triangle_field import triangle_distance, triangle_within
 
-OUTSIDE = 0  # not inside; no closest point asked or none near
-NEAR = 1  # not inside, closest point within the asked distance
-INSIDE = 2  # inside; closest point only if it was asked for
+OUTSIDE = 0  # not inside; closest point not requested or none near
+NEAR = 1  # not inside, closest point within the requested distance
+INSIDE = 2  # inside; closest point only if requested
 
 
 @inlined_kernel
@@ -42,11 +42,11 @@ def inside_tetrahedron(pools, f, x, y, z, scratch, thread):
 
 @inlined_kernel
 def probe(pools, f, x, y, z, near, deep, scratch, thread):
-    """All about one point: (status, distance [m], nx, ny, nz, closest x, y, z).
+    """All queries for one point: (status, distance [m], nx, ny, nz, closest x, y, z).
 
-    `near` [m]: how far outside a closest point still counts; `deep` [m]: how deep a closest point is looked for
-    (infinity: always; the averaged field looks always). The distance of an OUTSIDE point is a lower bound, that of an
-    INSIDE point deeper than `deep` is minus infinity.
+    `near` [m]: search limit of the closest point from outside; `deep` [m]: the same from inside (infinity: no limit;
+    the averaged field has none). The distance of an OUTSIDE point is a lower bound, that of an INSIDE point deeper than
+    `deep` is minus infinity.
     """
     answer = bounded_probe(pools, f, x, y, z, near, deep, -1, False, scratch, thread)
     return answer[0], answer[1], answer[2], answer[3], answer[4], answer[5], answer[6], answer[7]
@@ -54,11 +54,11 @@ def probe(pools, f, x, y, z, near, deep, scratch, thread):
 
 @inlined_kernel
 def bounded_probe(pools, f, x, y, z, near, deep, start, reached, scratch, thread):
-    """As `probe`, and behind that a depth [m] that the point certainly does not exceed: minus the distance where that
-    is exact or a lower bound. The averaged field promises nothing, so inside a broken body the two differ. Last the
-    surface triangle and the tetrahedron that the closest point lies on (flood.NO_SOURCE: not from a flood), and the
-    tetrahedron that holds the point (-1: none, or not asked for).
-    `start`: a tetrahedron not far from the point, -1 if none is known; `reached`: sphere_test says that f may be within
+    """As `probe`, followed by an upper bound [m] of the point's depth: minus the distance where that is exact or a
+    lower bound. The averaged field has no error bound, so inside a broken body the two differ. Then the surface
+    triangle and the tetrahedron of the closest point (flood.NO_SOURCE: not from a flood), and the tetrahedron that
+    holds the point (-1: none, or not searched).
+    `start`: a tetrahedron near the point, -1 if none is known; `reached`: sphere_test returned that f may be within
     `near`.
     """
     kind = pools.fragment.kind[f]
@@ -75,7 +75,7 @@ def bounded_probe(pools, f, x, y, z, near, deep, start, reached, scratch, thread
         )
         status = INSIDE if d <= 0.0 else NEAR if d <= near else OUTSIDE
         return status, d, nx, ny, nz, qx, qy, qz, -d, NO_SOURCE, -1, -1
-    # what spares most points the search for their tetrahedron
+    # saves most points the search for their tetrahedron
     if not reached and not sphere_may_touch(pools, f, x, y, z, near):
         return OUTSIDE, max(reach, near), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -max(reach, near), NO_SOURCE, -1, -1
     k = pools.fragment.mesh[f]
@@ -102,7 +102,7 @@ def bounded_probe(pools, f, x, y, z, near, deep, start, reached, scratch, thread
 
 @inlined_kernel
 def least_distance(pools, f, x, y, z):
-    """A lower bound [m] of a point's signed distance, as cheap as it gets: minus infinity if it may be inside."""
+    """The cheapest lower bound [m] of a point's signed distance: minus infinity if it may be inside."""
     kind = pools.fragment.kind[f]
     if kind != TETRAHEDRA and kind != TRIANGLES:
         return primitive_distance(kind, pools.fragment.shape[f], x, y, z)[0]

@@ -1,9 +1,9 @@
 """Exact distances by a local flood: penetration(p; D(f)) and the near outside (Glondu 2014, section 4.4, made exact).
 
-The segment from a point inside fragment f to the nearest point of f's surface runs inside f. So: start at the
-tetrahedron that holds the point, spread over faces to tetrahedra that hold some of f, nearest box first, while a box is
-nearer than the best distance so far; measure against the surface polygons of f in each. The segment is straight: it
-leaves a tetrahedron only over faces that the point is behind. What is left is exact, with no stored distance and
+The segment from a point inside fragment f to the nearest point of f's surface runs inside f. So the flood starts at the
+tetrahedron that holds the point and spreads across faces to tetrahedra that hold part of f, nearest lower bound first,
+while that is below the best distance so far; in each it measures against f's surface polygons. The segment is straight:
+it leaves a tetrahedron only across faces that the point is behind. The result is exact, with no stored distance and
 nothing to update at a fracture.
 """
 
@@ -27,17 +27,17 @@ from fracture_collision.core.mesh.cut_tetrahedron import FACE_VERTICES
 from fracture_collision.core.mesh.occupancy import ROUNDING, parts_within
 from fracture_collision.core.mesh.point_location import height, holds_fragment
 
-# Which surface triangle a closest point lies on: a row of body.triangles, or -1 - (4 tetrahedron + face) of the old
+# `source`, the surface triangle of a closest point: a row of body.triangles, or -1 - (4 tetrahedron + face) on the old
 # surface.
 NO_SOURCE = np.iinfo(np.int64).max
-# Which surface a search asks for, (behind, x, y, z): what parts the fragment from fragment `behind`; or EVERYTHING; or
-# with TOWARD what faces a sample whose own outward normal is (x, y, z).
+# `only`, the surface that a search considers, (behind, x, y, z): the border with fragment `behind`; or EVERYTHING; or
+# with TOWARD the surface that faces a sample with outward normal (x, y, z).
 WHATEVER, TOWARD = -1, -2
 EVERYTHING = (WHATEVER, 0.0, 0.0, 0.0)
 PLANE_SLACK = 1.0 + 1e-9
-# What rounding may do to a height above a plane, as a share of R.
+# Rounding error bound of a height above a plane, as a share of R.
 HEIGHT_ROUNDING = 1e-12
-# What rounding may do to a barycentric weight.
+# Rounding error bound of a barycentric weight.
 WEIGHT_ROUNDING = 1e-12
 
 
@@ -55,7 +55,7 @@ def _weight_and_slope(mesh, t, corner, x, y, z):
 
 @inlined_kernel
 def _face_is_farther(mesh, t, face, x, y, z, d2):
-    """Whether the plane of a face, and so the face, is farther than sqrt(d2) [m]; rounding is left room."""
+    """Whether the plane of a face, and so the face, is farther than sqrt(d2) [m], with a margin for rounding."""
     weight, slope = _weight_and_slope(mesh, t, face, x, y, z)
     weight = abs(weight) - WEIGHT_ROUNDING
     return weight > 0.0 and weight * weight > d2 * slope * PLANE_SLACK
@@ -63,8 +63,8 @@ def _face_is_farther(mesh, t, face, x, y, z, d2):
 
 @inlined_kernel
 def may_leave_over(mesh, t, face, x, y, z, d2):
-    """Whether a segment from the point, no longer than sqrt(d2) [m], may leave tetrahedron `t` over a face: only where
-    the point is behind the face, as `t` is, and no farther from its plane.
+    """Whether a segment from the point, at most sqrt(d2) [m] long, may leave tetrahedron `t` across a face: only if
+    the point is on t's side of the face, and no farther than that from its plane.
     """
     weight, slope = _weight_and_slope(mesh, t, face, x, y, z)
     if weight < 0.0:
@@ -75,7 +75,8 @@ def may_leave_over(mesh, t, face, x, y, z, d2):
 
 @inlined_kernel
 def least_distance_squared(mesh, t, x, y, z):
-    """Lower bound [m2] of the squared distance of a point from tetrahedron `t`: its box, then its four face planes."""
+    """Lower bound [m2] of the squared distance of a point from tetrahedron `t`, from its box and its four face planes.
+    """
     least = box_distance_squared(x, y, z, mesh.boxes[t])
     for face in range(4):
         weight, slope = _weight_and_slope(mesh, t, face, x, y, z)
@@ -86,7 +87,7 @@ def least_distance_squared(mesh, t, x, y, z):
 
 @inlined_kernel
 def nothing_within(limit):
-    """What a search for surface closer than `limit` [m] begins with: (squared distance, x, y, z, feature, source,
+    """Initial `best` of a search for surface closer than `limit` [m]: (squared distance, x, y, z, feature, source,
     tetrahedron).
     """
     return limit * limit, 0.0, 0.0, 0.0, ON_RIM, NO_SOURCE, -1
@@ -94,7 +95,7 @@ def nothing_within(limit):
 
 @inlined_kernel
 def nearest_in_tetrahedron(pools, f, t, x, y, z, only, best):
-    """Better of `best`, see `nothing_within`, and f's surface within tetrahedron `t`.
+    """The nearer of `best`, see `nothing_within`, and f's surface within tetrahedron `t`.
 
     only: see EVERYTHING.
     """
@@ -130,7 +131,7 @@ def nearest_in_tetrahedron(pools, f, t, x, y, z, only, best):
             back = front
             sign = -1.0
         if kind >= OLD_FACE:
-            # kinds ascend: one test for all pieces of a face
+            # kinds are sorted: one test for all pieces of a face
             if kind != face:
                 face, farther = kind, _face_is_farther(mesh, t, kind - OLD_FACE, x, y, z, d2)
             if farther:
@@ -140,7 +141,7 @@ def nearest_in_tetrahedron(pools, f, t, x, y, z, only, best):
             continue
         if behind == TOWARD and sign * (p[0] * ox + p[1] * oy + p[2] * oz) >= 0.0:
             continue
-        # no point of a triangle is nearer than its plane; rounding is left room. One without a plane is no number
+        # no point of a triangle is nearer than its plane, with a margin for rounding; NaN for one without a plane
         above = height(body, i, x, y, z)
         if not above * above <= d2 * PLANE_SLACK:
             continue
@@ -165,7 +166,7 @@ def push(keys, items, count, key, item):
 
 @inlined_kernel
 def pop(keys, items, count):
-    """Remove the root of a heap of `count`; the caller has read it."""
+    """Remove the root of a heap of `count` entries; the caller reads it first."""
     last = count - 1
     key, item = keys[last], items[last]
     i = 0
@@ -184,7 +185,7 @@ def pop(keys, items, count):
 
 @inlined_kernel
 def next_stamp(scratch, thread):
-    """A stamp no tetrahedron of this thread carries."""
+    """A stamp that no entry of this thread's `visited` holds."""
     if scratch.stamp[thread] == np.iinfo(np.int32).max:
         scratch.visited[thread, :] = 0
         scratch.stamp[thread] = 0
@@ -194,10 +195,10 @@ def next_stamp(scratch, thread):
 
 @inlined_kernel
 def nearest_from_inside(pools, f, start, x, y, z, limit, only, scratch, thread):
-    """Nearest point of f's surface closer than `limit` [m] (infinity: whatever it is) to a point of f in `start`.
+    """Nearest point of f's surface closer than `limit` [m] (infinity: no limit) to a point of f in `start`.
 
     only: see EVERYTHING. Returns (squared distance [m2], x, y, z, feature, source, tetrahedron); NO_SOURCE if none is
-    as close.
+    that close.
     """
     mesh = pools.mesh
     keys = scratch.heap_key[thread]
@@ -228,9 +229,9 @@ def nearest_from_inside(pools, f, start, x, y, z, limit, only, scratch, thread):
 
 @inlined_kernel
 def nearest_from_outside(pools, f, at, x, y, z, limit, only, scratch, thread):
-    """Nearest point of f's surface closer than `limit` [m] to a point that is not of f; NO_SOURCE if none is.
+    """Nearest point of f's surface closer than `limit` [m] to a point outside f; NO_SOURCE if none is.
 
-    `at`: the tetrahedron that holds the point, -1 outside the body. `only` and answer as in nearest_from_inside.
+    `at`: the tetrahedron that holds the point, -1 outside the body. `only` and the result as in nearest_from_inside.
     """
     mesh = pools.mesh
     best = nothing_within(limit)
@@ -254,9 +255,8 @@ def nearest_from_outside(pools, f, at, x, y, z, limit, only, scratch, thread):
 
 @inlined_kernel
 def tetrahedra_near(pools, f, x, y, z, limit, scratch, thread):
-    """Put those that hold some of f and may be within `limit` [m] of a point into scratch.heap_tet; returns how many.
-
-    None is left out: the parts of the location grid's cells tell.
+    """Write the tetrahedra that hold part of f and may be within `limit` [m] of a point to scratch.heap_tet; returns
+    their number. None is missed: the parts of the location grid's cells bound them.
     """
     mesh, k = pools.mesh, pools.fragment.mesh[f]
     near, visited, stamp, count = scratch.heap_tet[thread], scratch.visited[thread], next_stamp(scratch, thread), 0
@@ -291,8 +291,8 @@ def tetrahedra_near(pools, f, x, y, z, limit, scratch, thread):
 
 @inlined_kernel
 def _is_clear_within(pools, f, t, x, y, z, limit):
-    """Whether nothing of f is within `limit` [m] of a point of tetrahedron `t` that is not of f, and no need to look
-    beyond `t` to see it: most points that are asked are so.
+    """Whether tetrahedron `t` alone shows that nothing of f is within `limit` [m] of a point in `t` outside f: true for
+    most query points.
     """
     body, tet_shift, d2 = pools.body, pools.fragment.tet_shift[f], limit * limit
     if tet_shift == NEVER_BROKEN:
@@ -317,7 +317,7 @@ def _is_clear_within(pools, f, t, x, y, z, limit):
 
 @inlined_kernel
 def _region_is_farther(pools, f, t, x, y, z, d2):
-    """Whether f's region of tetrahedron `t` is certainly farther than sqrt(d2) [m]: one plane parts it, and is."""
+    """Whether f's region of tetrahedron `t` is certainly farther than sqrt(d2) [m]: one plane divides `t`, and is."""
     body, tet_shift = pools.body, pools.fragment.tet_shift[f]
     if tet_shift == NEVER_BROKEN or body.regions[t + tet_shift, OWNER] != PARTED:
         return False
@@ -331,8 +331,8 @@ def _region_is_farther(pools, f, t, x, y, z, d2):
 
 @inlined_kernel
 def _nearest_around(pools, f, at, x, y, z, only, scratch, thread, best):
-    """nearest_from_outside for a point in tetrahedron `at`, over faces within reach: (better of `best`, whether that is
-    all). It is not where the old surface is within reach: f may be near across the air.
+    """nearest_from_outside for a point in tetrahedron `at`, across faces within reach: (improved `best`, whether the
+    search is complete). It is not if the old surface is within reach: f may be near across the air.
     """
     mesh = pools.mesh
     stack, visited, stamp = scratch.heap_tet[thread], scratch.visited[thread], next_stamp(scratch, thread)
@@ -375,14 +375,14 @@ def source_normal(pools, f, source):
 
 @inlined_kernel
 def outward_direction(pools, f, x, y, z, best, inside):
-    """Unit direction out of f at the closest point `best`: a face's normal, at a rim the line between the points."""
+    """Unit direction out of f at the closest point `best`: the face normal, or at a rim the line between the points."""
     d2, qx, qy, qz, feature, source, _ = best
     d = math.sqrt(d2)
     away = 1.0 if inside else -1.0
     touching = d <= DIRECTION_FLOOR * pools.fragment.radius[f]
     if feature == ON_FACE or touching:
         nx, ny, nz = source_normal(pools, f, source)
-        # of a sheet between two without a thickness either side may have been found
+        # of a sheet of zero thickness between two fragments either side may have been found
         if not touching and away * (nx * (qx - x) + ny * (qy - y) + nz * (qz - z)) < 0.0:
             nx, ny, nz = -nx, -ny, -nz
         if nx * nx + ny * ny + nz * nz > 0.0:

@@ -1,11 +1,11 @@
 """The averaged field after a fracture: exact at the new cracks, then front by front (Glondu 2014, 4.2, eq. 1 and 2).
 
-Every node of a tetrahedron that the new cracks cross measures the surface of its own fragment in it; these nodes are
-the first front. Step i + 1 goes to all neighbours, over edges within one fragment, of the nodes reached in step i; a
-node is reached if the average of what its neighbours in the front propagate (eq. 1) is shorter than what it stores.
+Every node of a tetrahedron crossed by the new cracks measures the surface of its own fragment in it; these nodes are
+the first front. Step i + 1 visits all neighbours, over edges within one fragment, of the nodes reached in step i; a
+node is reached if the average of the distances its neighbours in the front propagate (eq. 1) is below its stored one.
 
-Ours, for the certificate: each node also carries a point that is certainly not strictly inside its fragment, and hands
-it on along the fronts. That holds for ever: what is border stays border when the fragment breaks again.
+Added here, for the certificate: each node also carries a point that is certainly not strictly inside its fragment, and
+the fronts propagate it. It stays valid: a border point remains one when the fragment breaks again.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ from fracture_collision.core.field.flood import (
 )
 from fracture_collision.core.memory.compiled import kernel, query_kernel
 
-# A distance is shorter if it is by more than this share of R: two nodes must not hand rounding to and fro.
+# A distance counts as shorter by more than this share of R only: two nodes must not exchange rounding errors forever.
 SHORTER = 1e-12
 
 
 @query_kernel
 def measure_at_cracks(pools, tets, first_node, node_shift, edge_shift, low, high, first_plane, in_front, front):
-    """Nodes of fragments low .. high - 1 in those of `tets` that a plane of row `first_plane` or later cuts.
+    """Measure the nodes of fragments low .. high - 1 in those of `tets` that planes from row `first_plane` on cut.
 
     Lowers their stored distances to those of their fragment's surface in the tetrahedron. Marks them in `in_front` (n,)
-    and lists them in `front` (n,), by mesh node; returns how many.
+    and lists them in `front` (n,), by mesh node; returns their number.
     """
     mesh, body = pools.mesh, pools.body
     used = 0
@@ -70,11 +70,11 @@ def measure_at_cracks(pools, tets, first_node, node_shift, edge_shift, low, high
 def propagate_fronts(
     nodes, labels, node_field, neighbours_begin, neighbours, in_front, front, used, shorter
 ):  # fmt: skip
-    """Step after step from the first `used` nodes of `front`, until no distance is reduced; returns the steps made.
+    """Propagate from the first `used` nodes of `front` until no distance is reduced; returns the number of steps.
 
     nodes (n, 3) [m], labels (n,), node_field (n, 7): the rows of one body; neighbours: of
     InteriorField; in_front (n,) marks the front, `front` (n,) lists it; shorter [m]: the least reduction that counts.
-    Values of one step are computed from those of the step before, in whatever order nodes are listed.
+    Each step computes its values from the previous step's only, so the order of the nodes does not matter.
     """
     n = len(nodes)
     seen = np.zeros(n, np.uint8)
@@ -102,7 +102,7 @@ def propagate_fronts(
             seen[p] = 0
             for d in range(4, 7):
                 node_field[p, d] = value[k, d]
-            # A node lies inside its fragment: a negative average, from beyond a bend of the surface, is no distance.
+            # A node lies inside its fragment: a negative average, from beyond a bend of the surface, is not a distance.
             if 0.0 <= value[k, 0] < node_field[p, 0] - shorter:
                 for d in range(4):
                     node_field[p, d] = value[k, d]
@@ -114,9 +114,9 @@ def propagate_fronts(
 
 @query_kernel
 def _average_of_front(nodes, labels, node_field, neighbours_begin, neighbours, in_front, p, value):
-    """Eq. 1 and 2 at node `p` over its neighbours in the front, and the nearest certain point of them and its own.
+    """Eq. 1 and 2 at node `p` over its neighbours in the front, and the nearest of their certain points and its own.
 
-    Fills value (7,) as a row of node_field.
+    Writes value (7,), a row of node_field.
     """
     x, y, z = nodes[p]
     own = node_field[p]
@@ -143,7 +143,7 @@ def _average_of_front(nodes, labels, node_field, neighbours_begin, neighbours, i
     if length > 0.0:
         value[1], value[2], value[3] = nx / length, ny / length, nz / length
     else:
-        # directions that cancel each other say nothing
+        # the directions cancel: keep the stored one
         value[1], value[2], value[3] = own[1], own[2], own[3]
     value[4], value[5], value[6] = cx, cy, cz
 
@@ -151,10 +151,10 @@ def _average_of_front(nodes, labels, node_field, neighbours_begin, neighbours, i
 def update_averaged_field(
     pools, prepared, first_node, node_shift, edge_shift, touched, first, end, first_plane
 ) -> None:
-    """Field of fragments first .. end - 1, made by planes of row `first_plane` on (Glondu 2014, 4.2).
+    """Update the field of fragments first .. end - 1, made by planes from row `first_plane` on (Glondu 2014, 4.2).
 
-    prepared: the body's PreparedMesh, with its interior field; first_node: its first row of nodes; `touched`: as
-    touched_tetrahedra gives it.
+    prepared: the body's PreparedMesh, with its interior field; first_node: its first row of nodes; `touched`: the
+    result of touched_tetrahedra.
     """
     mesh, interior = prepared.mesh, prepared.interior[0]
     n = len(interior.node_field)

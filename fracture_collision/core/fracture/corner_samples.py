@@ -1,10 +1,10 @@
-"""Samples where cracks meet: hubs and face points of tetrahedra that three fragments and more share.
+"""Samples where cracks meet: hubs and face points of tetrahedra shared by three or more fragments.
 
 Glondu 2014, section 6.3, samples a crack where it crosses edges of the mesh. Where three fragments meet, their borders
-have corners in between (cut_tetrahedron.py), the sharpest ones of freshly broken shards, and what is not sampled
-penetrates unseen. Other hubs are between samples: that of two fragments is the mean of crossings that both have, that
-of three made at once is half-way between two of their face points. So is what cracks of neighbours add to a fragment's
-border later. The hull of a fragment's samples holds all of it.
+have corners in between (cut_tetrahedron.py), the sharpest ones of fresh shards, and an unsampled corner penetrates
+undetected. Other hubs lie between samples: the hub of two fragments is the mean of crossings that both have, the hub of
+three made at once is half-way between two of their face points. So are the points that neighbours' cracks add to a
+fragment's border later. The hull of a fragment's samples contains its whole surface.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from fracture_collision.core.memory.compiled import inlined_kernel, kernel
 from fracture_collision.core.mesh.cut_tetrahedron import FACE_POINT, HUB
 from fracture_collision.core.mesh.sample_numbers import FIRST_NODE, OF_FACE, OF_HUB, NewSamples, corner_number
 
-# Of a tetrahedron, those that several fragments have counted for each: a hub of four, and four face points of three.
+# Corners of a tetrahedron, counted once per fragment: a hub of four fragments, and four face points of three.
 MOST_CORNERS = 16
 
 
 @kernel
 def room_for_corners(tetrahedra):
-    """NewSamples for those of so many tetrahedra."""
+    """NewSamples with capacity for the corners of so many tetrahedra."""
     count = MOST_CORNERS * tetrahedra
     return NewSamples(
         np.empty((count, 3)), np.empty(count, np.int32), np.empty(count, np.int32), np.empty(count, np.int32)
@@ -31,9 +31,9 @@ def room_for_corners(tetrahedra):
 
 @inlined_kernel
 def add_corners(mesh, first, t, work, pattern, at_once, low, high, new, used):
-    """Append to `new` the corners that fragments low .. high - 1 have in tetrahedron t; returns how many it has then.
+    """Append to `new` the corners that fragments low .. high - 1 have in tetrahedron t; returns its new length.
 
-    first (5,): MeshPool.first of the mesh; work, pattern: the tetrahedron as it was divided; at_once: by one fracture.
+    first (5,): MeshPool.first of the mesh; work, pattern: the divided tetrahedron; at_once: divided by one fracture.
     Face points are numbered with one of the two tetrahedra that share them.
     """
     if GROUPS[pattern] < 3:

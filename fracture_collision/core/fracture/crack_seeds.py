@@ -1,8 +1,8 @@
-"""Where two fragments of one body touch in place: crossings of the crack that they share, a few a pair, far apart.
+"""Crack seeds: a few crossings per pair, far apart on the shared crack, where two fragments of a body touch in place.
 
-A cut edge gives both its fragments a sample in its crossing (Glondu 2014, 6.3), so in place these touch. Two fragments
-that have moved by no more than epsilon against each other cannot be deeper: all that is left to do is to find the
-contacts wanted, and that is a matter of asking here first, where they most likely are, not of a search.
+A cut edge gives both its fragments a sample at its crossing (Glondu 2014, 6.3), so in place these touch. Two fragments
+that have moved by at most epsilon relative to each other cannot be deeper: only the requested contacts remain to be
+found, and testing the seeds first, where contacts are most likely, replaces a search.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ import numpy as np
 from fracture_collision.core.memory.compiled import inlined_kernel, kernel
 from fracture_collision.core.mesh.cut_tetrahedron import point_on_edge
 
-# Crossings that are kept of a pair. More find contacts where only a small part of a crack still touches; each costs a
-# pair that does not touch a question in vain.
+# Crossings kept per pair. More find contacts where only a small part of a crack still touches; each costs one useless
+# query in a pair that does not touch.
 MOST_SEEDS = 32
-# Out of these many, taken evenly, seeds are chosen farthest first.
+# Seeds are chosen farthest first from this many evenly spaced crossings.
 CANDIDATES = 48
 
 
@@ -26,7 +26,7 @@ def seed_key(a, b):
 
 @inlined_kernel
 def find_seeds(fragment, seeds, a, b):
-    """(first row of SeedPool.edges, row behind the last) of two fragments of one body; none if they share no crack."""
+    """(first row of SeedPool.edges, end row) of two fragments of one body; an empty range if they share no crack."""
     key = seed_key(a, b)
     begin, end = fragment.seeds[a, 0], fragment.seeds[a, 1]
     while begin < end:
@@ -43,10 +43,11 @@ def find_seeds(fragment, seeds, a, b):
 @kernel
 def choose_seeds(mesh, body, fragment, seeds, parent, edges, cut_tetrahedra, first_fragment, first_key, first_seed):
     """The body's rows of SeedPool, from `first_key` and `first_seed` on, after `parent` broke into the fragments from
-    row `first_fragment` on: those of pairs without it, and of the pairs that share edges of `cut_tetrahedra` (n,).
+    row `first_fragment` on: kept rows of pairs without `parent`, new rows of pairs that share edges of
+    `cut_tetrahedra` (n,).
 
-    edges: how many the mesh has; labels and crossings as they are now. Writes FragmentPool.seeds of all that have rows.
-    Returns (keys, ranges, edges).
+    edges: number of the mesh's edges; labels and crossings are those after the fracture. Writes FragmentPool.seeds of
+    all fragments with rows. Returns (keys, ranges, edges).
     """
     first_edge = mesh.first[fragment.mesh[parent], 1]
     new_keys, new_ranges, chosen = _choose_seeds(
@@ -57,7 +58,7 @@ def choose_seeds(mesh, body, fragment, seeds, parent, edges, cut_tetrahedra, fir
     room = end - begin + len(new_keys)
     keys, ranges, used, new = np.empty(room, np.int64), np.empty((room, 2), np.int32), 0, 0
     for known in range(begin, end + 1):
-        # both ascend
+        # merge: both lists are sorted
         while new < len(new_keys) and (known == end or new_keys[new] < seeds.keys[known]):
             keys[used], ranges[used, 0], ranges[used, 1] = new_keys[new], new_ranges[new, 0], new_ranges[new, 1]
             used, new = used + 1, new + 1
@@ -75,11 +76,11 @@ def choose_seeds(mesh, body, fragment, seeds, parent, edges, cut_tetrahedra, fir
 def _choose_seeds(
     mesh, body, node_shift, edge_shift, first_edge, last_edge, cut_tetrahedra, first_fragment, first_seed
 ):  # fmt: skip
-    """Of the new pairs alone. Returns (keys, ascending, ranges, edges)."""
+    """choose_seeds for the new pairs alone. Returns (sorted keys, ranges, edges)."""
     cut, low, high = _cut_edges(
         mesh, body, node_shift, edge_shift, first_edge, last_edge, cut_tetrahedra, first_fragment
     )
-    # by the smaller label and then the larger: sorted by the larger first
+    # order by the smaller label, then the larger: stable sorts, the larger label first
     order = _by_label(cut, 1, low, high, _by_label(cut, 2, low, high, np.arange(len(cut))))
     keys, ranges = np.empty(len(cut), np.int64), np.empty((len(cut), 2), np.int32)
     edges = np.empty(len(cut), np.int32)
@@ -105,10 +106,10 @@ def _choose_seeds(
 
 @kernel
 def _cut_edges(mesh, body, node_shift, edge_shift, first_edge, last_edge, cut_tetrahedra, first_fragment):
-    """Cut edges with the smaller and the larger label of their ends (n, 3) int32, ascending; least and largest label of
-    all.
+    """Cut edges with the smaller and the larger label of their ends (n, 3) int32, ascending; least and largest label
+    overall.
     """
-    words = np.zeros((last_edge - first_edge + 63) // 64, np.uint64)  # a bit for each edge: they come several times
+    words = np.zeros((last_edge - first_edge + 63) // 64, np.uint64)  # a bit per edge, as edges occur several times
     for t in cut_tetrahedra:
         for k in range(6):
             e = mesh.tetrahedron_edges[t, k]
@@ -135,7 +136,7 @@ def _cut_edges(mesh, body, node_shift, edge_shift, first_edge, last_edge, cut_te
 
 @kernel
 def _by_label(cut, column, low, high, order):
-    """`order` (n,) of rows of `cut`, sorted by a column of labels; equal ones stay in their order."""
+    """`order` (n,) of rows of `cut`, sorted by a column of labels; a stable counting sort."""
     places = np.zeros(max(high - low, 0) + 2, np.int64)
     for i in order:
         places[cut[i, column] - low + 1] += 1
@@ -151,12 +152,12 @@ def _by_label(cut, column, low, high, order):
 
 @inlined_kernel
 def _farthest_first(points, near, chosen, count, edges, used):
-    """Append at most MOST_SEEDS of `chosen` (count,), at points (3, .) [m]; returns the row behind the last."""
+    """Append at most MOST_SEEDS of `chosen` (count,), at points (3, .) [m], to `edges`; returns the end row."""
     x, y, z = points[0], points[1], points[2]
     mx = my = mz = 0.0
     for k in range(count):
         mx, my, mz = mx + x[k], my + y[k], mz + z[k]
-    # the first is the one farthest from their middle
+    # the first is the one farthest from the mean
     px, py, pz = mx / count, my / count, mz / count
     for k in range(count):
         near[k] = np.inf

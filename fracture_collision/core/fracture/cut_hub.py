@@ -1,5 +1,5 @@
-"""Face points and hub of a tetrahedron that is divided like a fan: see cut_tetrahedron.py, and docs/numerics.md for the
-rule that each of them follows.
+"""Face points and hub of a tetrahedron divided like a fan: see cut_tetrahedron.py, and docs/numerics.md for the rule
+that places each of them.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ NEVER = np.iinfo(np.int64).max
 
 @inlined_kernel
 def load_crossings(mesh, body, edge_shift, t, pattern, work):
-    """Crossings of the cut edges of tetrahedron `t`, and the oldest and newest fracture among those that cut them."""
+    """Load the crossings of the cut edges of tetrahedron `t`; returns the oldest and newest fracture that cut them."""
     v = mesh.tetrahedra[t]
     oldest, newest = NEVER, -1
     for c in range(CUT_COUNT[pattern]):
@@ -39,7 +39,7 @@ def load_crossings(mesh, body, edge_shift, t, pattern, work):
 
 @inlined_kernel
 def _load_planes(mesh, body, edge_shift, t, work):
-    """What face points and hubs of more than one event or two fragments need beyond crossings and events."""
+    """Load the planes and shares: face points and hubs of several events or more than two fragments need them, too."""
     v = mesh.tetrahedra[t]
     for e in range(6):
         i, j = EDGE_FIRST[e], EDGE_SECOND[e]
@@ -55,7 +55,7 @@ def _load_planes(mesh, body, edge_shift, t, work):
 
 @inlined_kernel
 def place_hub(mesh, body, edge_shift, t, pattern, oldest, newest, work):
-    """Face points and hub of tetrahedron `t`; its labels, corners, crossings and events are in `work`."""
+    """Place face points and hub of tetrahedron `t`; its labels, corners, crossings and events are in `work`."""
     hub, groups, lone = work.hub, GROUPS[pattern], -1
     flat = groups > 2
     if flat or oldest < newest:
@@ -71,7 +71,7 @@ def place_hub(mesh, body, edge_shift, t, pattern, oldest, newest, work):
         hub[d] = 0.0
     used = 0
     if not flat:
-        # not in a plane, or no other crack has come to it: the mean of the crossings of the first crack
+        # not planar, or no other crack has reached it: the mean of the crossings of the first crack
         for c in range(CUT_COUNT[pattern]):
             e = CUT_EDGES[pattern, c]
             if work.event[e] == oldest:
@@ -108,8 +108,8 @@ def _place_face_points(mesh, t, work):
 
 @inlined_kernel
 def _decide_by_events(work, oldest):
-    """Of a tetrahedron that several fractures cut, the first being `oldest`: (the event that places the hub, the groups
-    that it and older ones make, whether the hub is put together from face points). Fills `group`.
+    """For a tetrahedron cut by several fractures, the first being `oldest`: (event that places the hub, number of
+    groups made up to that event, whether the hub is computed from face points). Fills `group`.
     """
     groups = _part_into_groups(work, oldest)
     if groups > 2:
@@ -122,7 +122,7 @@ def _decide_by_events(work, oldest):
 
 @inlined_kernel
 def _settle_on_face(work):
-    """A hub on a face of three groups moves to its face point, or the two would divide the face otherwise."""
+    """Move a hub on a face of three groups to its face point; otherwise the two would divide the face differently."""
     corners, hub, group = work.corners, work.hub, work.group
     for face in range(4):
         f = FACE_VERTICES[face]
@@ -143,7 +143,7 @@ def _settle_on_face(work):
 
 @inlined_kernel
 def _next_event(work, after):
-    """The oldest fracture behind `after` that cut one of the edges, or NEVER."""
+    """The oldest fracture later than `after` that cut one of the edges, or NEVER."""
     oldest = NEVER
     for e in range(6):
         if work.cut[e] and after < work.event[e] < oldest:
@@ -153,7 +153,7 @@ def _next_event(work, after):
 
 @inlined_kernel
 def _part_into_groups(work, until):
-    """Fill `group`: nodes that no fracture up to `until` parted are in one; returns how many there are."""
+    """Fill `group`: nodes not separated by a fracture up to `until` share a group; returns the number of groups."""
     group = work.group
     for i in range(4):
         group[i] = i
@@ -169,7 +169,7 @@ def _part_into_groups(work, until):
 
 @inlined_kernel
 def _oldest_is_flat(work, oldest):
-    """Whether one plane carries the first crack, which made two groups: of three crossings, or of equal planes."""
+    """Whether the first crack, which made two groups, is planar: it has three crossings, or its planes are equal."""
     used, first = 0, -1
     same = True
     for e in range(6):
@@ -186,8 +186,8 @@ def _oldest_is_flat(work, oldest):
 
 @inlined_kernel
 def _lone_of_first(work, newest):
-    """The node against three where these were parted all at once by the fracture `newest`, an older one having cut it
-    off: its opposite face takes no part in the hub. -1 otherwise.
+    """The lone node, cut off by an older fracture, if the fracture `newest` separated all three others at once: its
+    opposite face does not contribute to the hub. -1 otherwise.
     """
     for i in range(4):
         lone = True
@@ -206,7 +206,7 @@ def _lone_of_first(work, newest):
 
 @inlined_kernel
 def _place_face_point(nodes, face, work):
-    """Where three fragments meet in a face, computed from the face alone: its nodes in the order of the mesh."""
+    """The point where three fragments meet in a face, computed from the face alone, with its nodes in mesh order."""
     f = FACE_VERTICES[face]
     a, b, c = f[0], f[1], f[2]
     if nodes[a] > nodes[b]:
@@ -219,7 +219,7 @@ def _place_face_point(nodes, face, work):
     newest = max(work.event[ab], work.event[bc], work.event[ac])
     out = work.face_points[face]
     if work.event[ab] < newest:
-        # of three edges one or all are of the newest event
+        # one or all of the three edges are of the newest event
         if work.event[bc] == newest:
             _on_older_crack(work, a, b, c, out)
         else:
@@ -232,7 +232,7 @@ def _place_face_point(nodes, face, work):
 
 @inlined_kernel
 def _on_older_crack(work, i, j, l, out):  # noqa: E741
-    """Where the plane between nodes j and l meets the older crack around node i, in their face."""
+    """Intersection, in their face, of the plane between nodes j and l with the older crack around node i."""
     e = EDGE_BETWEEN[j, l]
     sign = 1.0 if j < l else -1.0
     n = work.planes[e]
@@ -248,7 +248,7 @@ def _on_older_crack(work, i, j, l, out):  # noqa: E741
 
 @inlined_kernel
 def _share(work, i, j):
-    """Where the crossing of an edge is, from node i to j."""
+    """Position of an edge's crossing as a share of the edge from node i to j."""
     share = work.shares[EDGE_BETWEEN[i, j]]
     return share if i < j else 1.0 - share
 
@@ -256,11 +256,11 @@ def _share(work, i, j):
 @inlined_kernel
 def _common_point_of_face(work, a, b, c, out):
     """The point of a face nearest to the planes of its three edges (least squares), within the triangle of their
-    crossings: cells are convex, so where planes agree and meet in the face, they do so there.
+    crossings: cells are convex, so where planes agree and meet in the face, they do so within it.
 
-    If it is beyond an edge, the fragment of the node opposite would reach over that edge: then it is this edge's
-    crossing, so that the two there do not share more than they must. Else it is as near as the triangle goes from its
-    centroid.
+    If it is beyond an edge, the fragment of the opposite node would reach across that edge: then it is this edge's
+    crossing, so that the two fragments there share no more than they must. Otherwise it is clipped to the triangle,
+    along the line from the centroid.
     """
     x = work.crossings
     p, q, r = x[EDGE_BETWEEN[a, b]], x[EDGE_BETWEEN[b, c]], x[EDGE_BETWEEN[a, c]]
@@ -298,7 +298,7 @@ def _common_point_of_face(work, a, b, c, out):
 
 @inlined_kernel
 def _common_point_of_tetrahedron(work, out):
-    """Likewise of all six planes, within the tetrahedron of the face points."""
+    """The point nearest to all six planes (least squares), clipped to the tetrahedron of the face points."""
     corners = work.face_points
     a00 = a01 = a02 = a11 = a12 = a22 = r0 = r1 = r2 = 0.0
     o = corners[0]
@@ -330,6 +330,6 @@ def _common_point_of_tetrahedron(work, out):
 
 @inlined_kernel
 def _same_plane(p, q, same_way):
-    """Whether two planes are one to the bit, both pointing the same way or not."""
+    """Whether two planes are bitwise equal, with the same or (not `same_way`) opposite orientation."""
     sign = 1.0 if same_way else -1.0
     return p[0] == sign * q[0] and p[1] == sign * q[1] and p[2] == sign * q[2] and p[3] == sign * q[3]

@@ -1,7 +1,7 @@
-"""How a tetrahedron is divided, by which of its edges are cut: one table a question, so that passes need no branches.
+"""Tables of how a tetrahedron is divided, indexed by its cut edges: one per query, so that the passes are branchless.
 
-*Points* are numbered as in cut_tetrahedron.py. A *pattern* says which of its nodes are of one fragment:
-fifteen of them, numbered by PATTERN_OF_CUTS. A *side* says which nodes the first of two fragments has, a bit each.
+*Points* are numbered as in cut_tetrahedron.py. A *pattern* groups the nodes by fragment: there are fifteen, numbered by
+PATTERN_OF_CUTS. A *side* is a bit mask of the nodes of the first of two fragments.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from fracture_collision.core.mesh.cut_tetrahedron import (
     FACE_VERTICES,
 )
 
-# Pattern of a tetrahedron that one fragment has alone; and of cuts that no tetrahedron has.
+# Pattern of a tetrahedron owned by one fragment; and of impossible combinations of cuts.
 WHOLE, NO_PATTERN = 0, 255
 
 
@@ -26,7 +26,7 @@ def _crossing(i: int, j: int) -> int:
 
 
 def _lone_first(group: tuple[int, ...], face: int) -> tuple[int, tuple[int, int, int]]:
-    """(fragments in the face, its nodes): counter-clockwise from outside, of two fragments the lone node first."""
+    """(number of fragments in the face, its nodes): counter-clockwise from outside; with two, the lone node first."""
     i, j, k = FACE_VERTICES[face].tolist()
     a, b, c = group[i], group[j], group[k]
     if a == c and a != b:
@@ -37,7 +37,7 @@ def _lone_first(group: tuple[int, ...], face: int) -> tuple[int, tuple[int, int,
 
 
 def _sector(fragments: int, face: int, i: int, j: int, k: int) -> list[tuple[int, ...]]:
-    """(a, b, c, node): the parts (hub, a, b, c) between hub and face, each of the fragment of its node."""
+    """(a, b, c, node): the parts (hub, a, b, c) between hub and face, each owned by the fragment of its node."""
     if fragments == 1:
         return [(i, j, k, i)]
     ij, jk, ik, m = _crossing(i, j), _crossing(j, k), _crossing(i, k), FACE_POINT + face
@@ -47,8 +47,8 @@ def _sector(fragments: int, face: int, i: int, j: int, k: int) -> list[tuple[int
 
 
 def _fan(fragments: int, face: int, i: int, j: int, k: int) -> list[tuple[int, ...]]:
-    """(b, c, samples, node, node, face): the triangles (hub, b, c) between the fragments of two nodes, of which the
-    last `samples` corners are samples.
+    """(b, c, samples, node, node, face): the triangles (hub, b, c) between the fragments of two nodes; the last
+    `samples` corners are samples.
     """
     ij, jk, ik, m = _crossing(i, j), _crossing(j, k), _crossing(i, k), FACE_POINT + face
     if fragments == 2:
@@ -69,17 +69,17 @@ def _pieces(fragments: int, face: int, i: int, j: int, k: int) -> list[tuple[int
 
 
 def _section(side: int) -> tuple[list[tuple[int, ...]], list[tuple[int, ...]], int]:
-    """What one plane makes of a tetrahedron whose nodes in `side` are of the first of two fragments.
+    """Section of a tetrahedron by one plane; its nodes in `side` belong to the first of two fragments.
 
     Returns the section's triangles, right-handed about the normal out of the part that the solids add up to; these
-    solids; and whose part it is, the first fragment's, 0, or the second's.
+    solids; and the owner of that part, 0 for the first fragment or 1 for the second.
     """
     own = [i for i in range(4) if side >> i & 1]
     others = [i for i in range(4) if not side >> i & 1]
     if len(own) == 2:
         (a, b), (c, d) = own, others
         ac, ad, bc, bd = _crossing(a, c), _crossing(a, d), _crossing(b, c), _crossing(b, d)
-        # which way round follows from the order of the nodes: a tetrahedron is of positive volume
+        # the orientation follows from the order of the nodes: a tetrahedron has positive volume
         q, s = (bc, ad) if (a + b) % 2 == 0 else (ad, bc)
         return [(ac, q, bd), (ac, bd, s)], [(a, ac, ad, b), (ac, ad, b, bc), (ad, b, bc, bd)], 0
     lone = own[0] if len(own) == 1 else others[0]
@@ -88,7 +88,7 @@ def _section(side: int) -> tuple[list[tuple[int, ...]], list[tuple[int, ...]], i
 
 
 def _table(rows: list[list[tuple[int, ...]]], shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Lists of different lengths as one array, and their lengths."""
+    """Pack lists of different lengths into one array; also returns their lengths."""
     table = np.zeros((len(rows), *shape), np.uint8)
     for i, row in enumerate(rows):
         if row:
@@ -100,7 +100,7 @@ def _cuts(group: tuple[int, ...]) -> list[int]:
     return [e for e in range(6) if group[EDGE_FIRST[e]] != group[EDGE_SECOND[e]]]
 
 
-# Of each pattern, by node: the smallest node of the same fragment. All that there are, WHOLE first.
+# For each pattern, by node: the smallest node of the same fragment. All patterns, WHOLE first.
 _GROUPS = [(0, b, c, d) for b in (0, 1) for c in sorted({0, b, 2}) for d in sorted({0, b, c, 3})]
 _FACES = [[_lone_first(group, face) for face in range(4)] for group in _GROUPS]
 GROUP = np.array(_GROUPS)

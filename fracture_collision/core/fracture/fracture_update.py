@@ -1,11 +1,11 @@
-"""What a fracture changes in the field: crack polygons, masses, boxes, cells and sampling gaps of the fragments.
+"""The field update of a fracture: crack polygons, masses, boxes, cells and sampling gaps of the fragments.
 
-Only the tetrahedra of the fragment that broke are touched (Glondu 2014, section 4.2: "locally update where needed"):
-regions fit over faces, and what a neighbour has it keeps. The exact field keeps no distances, so nothing is propagated.
+Only the tetrahedra of the broken fragment are touched (Glondu 2014, section 4.2: "locally update where needed"):
+regions fit across faces, and neighbours keep theirs. The exact field stores no distances, so nothing is propagated.
 
-The border of a fragment's region is closed: its share of the old surface, and the interfaces within tetrahedra. How a
-tetrahedron is divided is looked up (cut_patterns.py): which branch it would take is anybody's guess, and a processor
-that guesses wrong has done half a tetrahedron's work in the meantime.
+The border of a fragment's region is closed: its share of the old surface, and the interfaces within tetrahedra. The
+division of a tetrahedron is looked up (cut_patterns.py): a branch would be unpredictable, and each misprediction wastes
+half a tetrahedron's work.
 """
 
 from __future__ import annotations
@@ -77,8 +77,8 @@ def rebuild_surfaces(
 ):  # fmt: skip
     """Surfaces of fragments low .. high - 1, into which `parent` broke: polygons, moments, boxes, gaps, corners, cells.
 
-    touched: of touched_tetrahedra; `begin`: rows that BodyPool's polygons have; `room`: the SurfaceRows behind them, at
-    least touched.room; `words`: how many the occupancy has.
+    touched: of touched_tetrahedra; `begin`: number of polygon rows in BodyPool; `room`: the free SurfaceRows behind
+    them, at least touched.room; `words`: number of words of the occupancy.
 
     Returns (rows written, NewSamples at corners, words to append).
     """
@@ -109,13 +109,12 @@ def _rebuild_parted(
     mesh, body, node_shift, tet_shift, edge_shift, k, touched, low, high, first_polygon, out, moments, boxes, reaches,
     gaps, work,
 ):  # fmt: skip
-    """Polygons of the tetrahedra in touched.cut that one plane parts; of the others that are CUT it says that they are
-    DIVIDED.
+    """Polygons of the tetrahedra in touched.cut that one plane divides; marks the other CUT tetrahedra as DIVIDED.
 
     touched: of the nodes of fragments low .. high - 1. Labels, planes and crossings in `body` are those after the
     fracture. Writes body.regions and cut_count (rows of `out` count from `first_polygon` on; mesh `k`); adds to
     the new fragments' `moments` (F, 10); grows `boxes` (F, 6), `gaps` (F,), and `reaches` (high - low, 6): the boxes of
-    all cut tetrahedra that hold a new fragment. Returns how many rows of `out` it wrote.
+    all cut tetrahedra that hold a new fragment. Returns the number of rows of `out` written.
     """
     written = 0
     for t in touched.cut:
@@ -134,7 +133,7 @@ def _rebuild_parted(
             work, side, first, second, same, nx, ny, nz, offset, out, written, boxes[first], boxes[second], gaps
         )
         smaller = _add_sides(mesh, t, work, side, first, second, low, high, moments)
-        # a section that is rounding alone leaves the smaller part nothing
+        # a section that is only rounding leaves nothing to the smaller part
         body.regions[t + tet_shift, OWNER] = PARTED if written > begin else second if smaller == 0 else first
         if written > begin:
             _put_plane(mesh.grid[k], out, begin, body.regions[t + tet_shift], body.region_planes[t + tet_shift])
@@ -148,10 +147,10 @@ def _rebuild_fanned(
     mesh, body, node_shift, tet_shift, edge_shift, touched, low, high, first_polygon, out, moments, boxes, reaches,
     gaps, first, corners, work,
 ):  # fmt: skip
-    """The same for tetrahedra that are divided about their hub.
+    """_rebuild_parted for tetrahedra divided about their hub.
 
-    Their corners go to `corners`, NewSamples; first (5,): MeshPool.first of the mesh. Returns rows of `out` and corners
-    written.
+    Writes their corners to `corners`, NewSamples; first (5,): MeshPool.first of the mesh. Returns the numbers of rows
+    of `out` and of corners written.
     """
     written = found = 0
     for t in touched.cut:
@@ -177,7 +176,7 @@ def _rebuild_fanned(
 
 @inlined_kernel
 def _put_plane(grid, out, row, region, plane):
-    """What parts a tetrahedron, a row of `out`, into its own row."""
+    """Copy a tetrahedron's dividing plane, a row of `out`, to its own row."""
     region[FRONT], region[BACK] = out.sides[row, FRONT_SIDE], out.sides[row, BACK_SIDE]
     p = out.faces[row]
     plane[PLANE], plane[PLANE + 1], plane[PLANE + 2] = p[0], p[1], p[2]
@@ -195,7 +194,8 @@ def _load_nodes(mesh, body, node_shift, t, work):
 
 @inlined_kernel
 def _load_sides(mesh, body, node_shift, t, work):
-    """(nodes of the first fragment, a bit each; it; the other one) of a tetrahedron of two, the smaller row first."""
+    """(bit mask of the first fragment's nodes; first fragment; second) of a tetrahedron of two, the smaller row first.
+    """
     _load_nodes(mesh, body, node_shift, t, work)
     a, b, c, d = work.labels[0], work.labels[1], work.labels[2], work.labels[3]
     low, high = min(a, b, c, d), max(a, b, c, d)
@@ -213,7 +213,9 @@ def _load_pattern(mesh, body, node_shift, t, work):
 
 @inlined_kernel
 def _load_plane(mesh, body, edge_shift, t, side, work):
-    """Crossings of a tetrahedron of two fragments; whether its planes are one to the bit, and that out of the first."""
+    """Load the crossings of a tetrahedron of two fragments; returns whether its planes are bitwise equal, and the plane
+    out of the first.
+    """
     v = mesh.tetrahedra[t]
     pattern = PATTERN_OF_SIDE[side]
     same, nx, ny, nz, offset = True, 0.0, 0.0, 0.0, 0.0
@@ -223,7 +225,7 @@ def _load_plane(mesh, body, edge_shift, t, side, work):
         i = EDGE_FIRST[e]
         a, b = v[i], v[EDGE_SECOND[e]]
         point_on_edge(mesh.nodes, min(a, b), max(a, b), body.edge_share[edge], work.crossings[e])
-        # planes point from the smaller node on
+        # planes point away from the smaller node
         sign = 1.0 if (a < b) == ((side >> i & 1) == 1) else -1.0
         p = body.planes[body.edge_plane[edge]]
         px, py, pz, h = sign * p[0], sign * p[1], sign * p[2], sign * p[3]
@@ -242,7 +244,7 @@ def _grow_reach(mesh, t, label, low, high, reaches):
 
 @inlined_kernel
 def _write_section(work, side, first, second, same, nx, ny, nz, offset, out, written, box, other_box, gaps):
-    """Append what parts the two fragments; grows their boxes and gaps. Returns the row behind the last."""
+    """Append the section between the two fragments; grows their boxes and gaps. Returns the end row."""
     points, pattern = work.points, PATTERN_OF_SIDE[side]
     longest = 0.0
     for k in range(SECTION_COUNT[side]):
@@ -273,14 +275,14 @@ def _write_section(work, side, first, second, same, nx, ny, nz, offset, out, wri
 
 @inlined_kernel
 def _plane_of_lone_node(work, side, mx, my, mz, longest):
-    """The plane of the section out of the first fragment; m, `longest`: the section's normal and the longer of two of
-    its sides squared, as measured.
+    """The plane of the section out of the first fragment; m, `longest`: the section's normal and the longer of two
+    squared sides, from measure_triangle.
     """
     points = work.points
     a = points[SECTION[side, 0, 0]]
     length = math.sqrt(mx * mx + my * my + mz * mz)
     if length <= SINGULAR * longest:
-        # the crossings all but meet: a node with next to nothing of it, cut off along the face
+        # the crossings nearly coincide: a node with almost no volume, cut off parallel to the face
         f = FACE_VERTICES[SOLIDS[side, 0, 0]]
         mx, my, mz, _, _, _ = measure_triangle(points[f[0]], points[f[1]], points[f[2]])
         length = math.sqrt(mx * mx + my * my + mz * mz)
@@ -290,9 +292,9 @@ def _plane_of_lone_node(work, side, mx, my, mz, longest):
 
 @inlined_kernel
 def _add_sides(mesh, t, work, side, first, second, low, high, moments):
-    """Add the moments of both parts of a parted tetrahedron to those of fragments low .. high - 1 among the two.
+    """Add the moments of both parts of a tetrahedron to those of its two fragments that are in low .. high - 1.
 
-    Returns which of them has the smaller part, 0 or 1.
+    Returns which fragment has the smaller part, 0 or 1.
     """
     points = work.points
     s0 = s1 = s2 = s3 = s4 = s5 = s6 = s7 = s8 = s9 = 0.0
@@ -333,7 +335,7 @@ def _add_parts(work, pattern, low, high, moments):
 
 @inlined_kernel
 def _write_fan(work, pattern, out, written, boxes, gaps):
-    """Append the triangles between hub and faces that part two fragments each; grows their boxes and gaps."""
+    """Append the triangles between hub and faces, each between two fragments; grows their boxes and gaps."""
     a, points = work.hub, work.points
     for k in range(FAN_COUNT[pattern]):
         row = FAN[pattern, k]

@@ -1,4 +1,4 @@
-"""Rows of a broken body's surface as a fracture makes them: triangles, boxes, and how far they are from samples."""
+"""Surface rows of a broken body as a fracture makes them: triangles, boxes, and distances to samples."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from fracture_collision.core.memory.compiled import inlined_kernel
 from fracture_collision.core.memory.pools import BACK_SIDE, FRONT_SIDE, KIND
 
-# A triangle thinner than this (area against its longest side squared) is rounding; others hold its rim.
+# A triangle thinner than this (area against its longest side squared) is rounding; other triangles contain its rim.
 RESIDUE = 1e-13
 
 
@@ -39,7 +39,7 @@ def gap_of_triangle(ab, ac, bc, samples):
     """Upper bound [m] of the distance from a point of a triangle to the nearest of its last `samples` corners, 1 .. 3.
 
     ab, ac, bc: its sides squared [m2]. Balls of radius (longest side) / sqrt(3) around the corners cover a triangle;
-    the first corners, where they are no samples, add their distance to one that is.
+    first corners that are not samples add their distance to one that is.
     """
     gap = math.sqrt(max(ab, ac, bc) / 3.0)
     if samples == 3:
@@ -49,7 +49,7 @@ def gap_of_triangle(ab, ac, bc, samples):
 
 @inlined_kernel
 def is_residue(nx, ny, nz, ab, ac):
-    """Whether a triangle of this normal and these sides is rounding alone."""
+    """Whether a triangle with this normal and these sides is only rounding."""
     return nx * nx + ny * ny + nz * nz <= (RESIDUE * max(ab, ac)) ** 2
 
 
@@ -61,7 +61,7 @@ def grow(box, x, y, z):
 
 @inlined_kernel
 def grow_by_box(box, low, high):
-    """Likewise by all between the corners `low` and `high`, tuples of three."""
+    """Grow a box by another box with corners `low` and `high`, tuples of three."""
     box[0], box[1], box[2] = min(box[0], low[0]), min(box[1], low[1]), min(box[2], low[2])
     box[3], box[4], box[5] = max(box[3], high[0]), max(box[4], high[1]), max(box[5], high[2])
 
@@ -80,9 +80,9 @@ def write_row(a, b, c, nx, ny, nz, offset, front, back, kind, out, at):
 
 @inlined_kernel
 def write_fan_row(a, b, c, nx, ny, nz, ab, ac, front, back, kind, out, at):
-    """Write a triangle with the normal (nx, ny, nz) out of `front`, its length as measured, to row `at`.
+    """Write a triangle with the normal (nx, ny, nz) out of `front`, of the length from measure_triangle, to row `at`.
 
-    Also a residue, whose plane is no number: every comparison with it is false.
+    Writes a residue, too, with a plane of NaN: every comparison with it is false.
     """
     length = math.sqrt(nx * nx + ny * ny + nz * nz)
     nx, ny, nz = nx / length, ny / length, nz / length

@@ -1,4 +1,4 @@
-"""Which tetrahedra a fracture concerns, and how each of them is cut: what all later passes of an update go by."""
+"""The tetrahedra that a fracture affects, and how each is cut: the input of all later passes of an update."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from fracture_collision.core.mesh.moments import add_row
 
 
 class Touched(NamedTuple):
-    """The tetrahedra that a fracture concerns: those with a node of the fragment that broke."""
+    """The tetrahedra that a fracture affects: those with a node of the broken fragment."""
 
     rows: np.ndarray  # int32
     first: int  # row of the mesh's first tetrahedron; `kinds` begins there
-    kinds: np.ndarray  # (m,) uint8: LONE, CUT or DIVIDED of cut_tetrahedron.py; 0: not concerned
+    kinds: np.ndarray  # (m,) uint8: LONE, CUT or DIVIDED of cut_tetrahedron.py; 0: not affected
     cut: np.ndarray  # int32: those of `rows` that are not LONE
-    room: int  # no more rows of the surface are in them
+    room: int  # upper bound of the number of surface rows in them
 
 
 class TouchedRoom(NamedTuple):
-    """Working space for the tetrahedra of one mesh, from one fracture to the next: what only concerns few of them shall
-    not clear a mark for each.
+    """Working space for the tetrahedra of one mesh, kept between fractures, so that a fracture that affects few of them
+    need not clear every mark.
     """
 
-    kinds: np.ndarray  # (m,) uint8, as Touched.kinds left it
+    kinds: np.ndarray  # (m,) uint8, as the last Touched.kinds
     rows: np.ndarray  # (m,) int32
     cut: np.ndarray  # (m,) int32
-    used: np.ndarray  # (2,) int64: how many `rows` have marks, and where their mesh began
+    used: np.ndarray  # (2,) int64: number of `rows` with marks, and the first tetrahedron of their mesh
 
 
 def touched_room(tetrahedra: int) -> TouchedRoom:
@@ -45,12 +45,12 @@ def touched_room(tetrahedra: int) -> TouchedRoom:
 def find_touched(
     pools, parent, tetrahedra, nodes, parts, edges, first_plane, low, high, moments, gaps, room
 ) -> Touched:
-    """Cut fragment `parent` into fragments low .. high - 1, whose rows are there; returns what that touches.
+    """Cut fragment `parent` into fragments low .. high - 1, whose rows exist; returns the touched tetrahedra.
 
-    tetrahedra: how many its mesh has; nodes (n,): all mesh nodes of `parent`; parts (n,): of which fragment each is
-    now, from `low` on; edges (k,): mesh edges that the planes from row `first_plane` on cut; moments (F, 10), gaps
-    (F,). What one fragment has alone is done with: its owner is written, its moments added, its gap grown by its faces
-    of the old surface, its box by its nodes.
+    tetrahedra: number in its mesh; nodes (n,): all mesh nodes of `parent`; parts (n,): the new fragment of each,
+    relative to `low`; edges (k,): mesh edges that the planes from row `first_plane` on cut; moments (F, 10), gaps
+    (F,). Tetrahedra of one fragment are complete after this: their owner is written, their moments added, the gap
+    grown by their faces of the old surface, the box by their nodes.
     """
     used, cuts, rows, first = _find_touched(
         pools.mesh, pools.body, pools.fragment, parent, tetrahedra, nodes, parts, edges, first_plane, low, high,
@@ -85,7 +85,7 @@ def _find_touched(
 
 @inlined_kernel
 def _inherit(fragment, parent, low, high):
-    """What each fragment has of its body; its box holds nothing yet."""
+    """Copy the body's values to each fragment; set its box empty."""
     for f in range(low, high):
         fragment.kind[f], fragment.mesh[f], fragment.radius[f] = (
             fragment.kind[parent], fragment.mesh[parent], fragment.radius[parent]
@@ -127,14 +127,14 @@ def _place_crossings(mesh, body, edge_shift, edges, first_edge, first_plane):
 def _sort_all(
     mesh, body, node_shift, tet_shift, first_node, k, first_tet, last_tet, nodes, low, moments, gaps, room
 ):
-    """Fill `room` with the tetrahedra of `nodes`; returns (how many, how many are cut, most rows of the surface)."""
+    """Fill `room` with the tetrahedra of `nodes`; returns (their number, number cut, upper bound of surface rows)."""
     kinds, rows, cut = room.kinds, room.rows, room.cut
     used = cuts = most = 0
     if 24 * len(nodes) > last_tet - first_tet:
-        # most tetrahedra have one: reading all labels in order beats gathering
+        # most tetrahedra have such a node: reading all labels in order is faster than gathering
         for t in range(first_tet, last_tet):
             kind, more = _sort_in(mesh, body, node_shift, tet_shift, t, low, moments, gaps)
-            # written in any case, kept if it counts: which it does is anybody's guess
+            # branchless, as the outcome is unpredictable: always written, kept only if counted
             kinds[t - first_tet], rows[used], cut[cuts] = kind, t, t
             used, cuts, most = used + (kind > 0), cuts + (kind > LONE), most + more
     else:
@@ -152,7 +152,7 @@ def _sort_all(
 
 @inlined_kernel
 def _sort_in(mesh, body, node_shift, tet_shift, t, first_fragment, moments, gaps):
-    """(kind, or 0 of one that the fracture does not concern; most rows of the surface) of tetrahedron `t`."""
+    """(kind, 0 if the fracture does not affect it; upper bound of surface rows) of tetrahedron `t`."""
     v = mesh.tetrahedra[t]
     a, b = body.node_fragment[v[0] + node_shift], body.node_fragment[v[1] + node_shift]
     c, d = body.node_fragment[v[2] + node_shift], body.node_fragment[v[3] + node_shift]

@@ -1,18 +1,18 @@
-"""When two fragments that are apart will touch first, moving as their velocities say, and the contacts they have then.
+"""Time of impact of two fragments that are apart and move at constant velocities, and their contacts at that moment.
 
-Conservative advancement (Mirtich, "Impulse-based Dynamic Simulation of Rigid Body Systems", 1996): what is so far apart
-cannot touch before it has come that much nearer, so that time is skipped and the distance taken anew, until the two are
-within the detection tolerance or the time ahead is over. The distance is that of the hulls, along the plane that parts
-them, whose way towards each other is bounded along that plane's normal; where the hulls meet, that of the samples. What
-no sample of either meets goes unseen, as it does without any motion. Two that will be no deeper in each other than the
-penetration tolerance are not looked at, or no longer: most that move slowly.
+Conservative advancement (Mirtich, "Impulse-based Dynamic Simulation of Rigid Body Systems", 1996): a pair cannot touch
+before it has closed its distance, so that time is skipped and the distance computed again, until the two are within the
+detection tolerance or the time ahead is over. The distance is that of the hulls along their separating plane, with the
+closing speed bounded along its normal; where the hulls overlap, it is that of the samples. Contacts that no sample of
+either meets are missed, as in a static query. Pairs that will penetrate no deeper than the penetration tolerance are
+skipped, or dropped on the way: most slow pairs are.
 
-The contacts found are those of that moment; their points are told where they are now, on either fragment, with the
-normal of that moment, so that the gap is what the points have to go.
+The contacts are those of that moment. Their points are reported where they are now, on either fragment, with the normal
+of that moment: the gap is the distance that the points still have to travel.
 
-Two that touch already, or are about to, may touch elsewhere before the time is over: a shard that hits with one corner
-swings round. Of what is fast and thin that is looked for likewise, by what is not near yet, until a contact that was
-found before would be so deep that nobody goes on there.
+A pair that touches already, or is about to, may touch elsewhere before the time is over: a shard that hits with one
+corner swings round. Fast and thin pairs are searched for this too, over samples that are not near yet, until a contact
+found before would be so deep that the search stops (HELD).
 """
 
 from __future__ import annotations
@@ -34,30 +34,32 @@ from fracture_collision.core.search.sample_search import may_search, query_liste
 from fracture_collision.core.search.traversal import query_pair
 from fracture_collision.core.separation.approach import WAY
 
-# Moments at most at which two are looked at. They are spent where one goes along a surface of the other: where the rest
-# of them would not do, behind the first ones, steps are so long that they do, and it is told how long.
+# Maximum number of moments evaluated. A pair uses them up where one fragment slides along a surface of the other: after
+# the first FINE_MOMENTS, steps become so long that the rest suffices, and their length is reported.
 MOST_MOMENTS, FINE_MOMENTS = 2400, 1200
-# Where the distance says no more, they come nearer by so many detection tolerances at a time: what was just outside of
-# one is no deeper than one then.
+# Where the distance allows no longer step, the pair closes by this many detection tolerances at a time: a point just
+# outside one tolerance is then no deeper than one.
 LEAST = 2.0
-# And by no less than this share of R, where there is no such tolerance.
+# And by at least this share of R, where the tolerance is zero.
 SHORTEST = 1e-4
 UNLIMITED = 1 << 40
-# How far a sample is is looked for up to this share of R, or of the way that is left: what is farther takes longer to
-# say than to ask again.
+# Sample distances are searched up to this share of R, or of the remaining path: searching farther costs more than a
+# second query.
 AHEAD, AHEAD_ON_WAY = 0.004, 0.05
-# And which samples may be near: up to the largest of these shares of R and of the way, and of so many of the shortest
-# steps. A search is worth some ten queries of what it lists.
+# Samples are listed up to the largest of: a share of R, a share of the path, and a number of shortest steps. A search
+# costs about ten queries of the list it makes.
 REACH, REACH_ON_WAY, REACH_IN_STEPS = 0.05, 0.15, 4.0
-# But no farther than this share of R: then all are near. Where that is less than two steps, none is listed.
+# Upper limit of that reach, as a share of R: beyond it all samples are near. Where it is less than two steps, no list
+# is made.
 FARTHEST_REACH = 0.2
-# What is listed for the whole way left is listed for a little more: no rounding ends it before the time is over.
+# A list for the whole remaining path reaches slightly farther, so that rounding does not end it before the time is
+# over.
 TO_THE_END = 1.001
-# Where more than MOST_AHEAD are within that, it is made so much less, so often at most.
+# If more than MOST_AHEAD samples are within reach, it is reduced by this factor, at most so many times.
 NARROWER, NARROWINGS = 0.25, 5
-# Where a contact found before would be as deep as this share of R, or as THIN, nobody goes on.
+# The search stops where a contact found before would be as deep as this share of R, or as THIN.
 HELD = 0.03
-# Where two touch already, they come nearer by no less than this share of the thinner one at a time.
+# Minimum step of pairs that touch already, as a share of the thinner one's thickness.
 SHORTEST_OF_THIN = 0.1
 
 
@@ -67,14 +69,14 @@ def first_touch(
     rotation, translation, scratch, thread,
 ):  # fmt: skip
     """Contacts of fragments a and b, the i-th and j-th of `motion`, at the first moment after `start` [s] at which they
-    are near; told where they are now, behind the `known` ones that contacts and ids have already. Where there are such,
-    it is all that are apart now and not among them, up to `limit` contacts, from that moment on until those found
-    before, all or only here if it starts now, hold the two.
+    are near. Points are reported where they are now, in rows after the `known` ones that contacts and ids already hold.
+    With known > 0, the search covers all further contacts that are apart now, up to `limit` in all, and runs until
+    earlier contacts hold the two: any of them, or only those found here if start is 0.
 
-    rotations (n, 3, 3), positions (n, 3): poses now. rule, contacts, ids, capacity: see sample_search; rotation
-    (2, 3, 3), translation (2, 3): working space, as the relative poses.
+    rotations (n, 3, 3), positions (n, 3): current poses. rule, contacts, ids, capacity: see sample_search; rotation (2,
+    3, 3), translation (2, 3): working space, as the relative poses.
 
-    Returns (contacts, the moment [s], visits, how far the two may have come nearer unseen [m]).
+    Returns (contacts, the moment [s], visits, distance [m] by which the two may have closed unobserved).
     """
     radius = min(pools.fragment.radius[a], pools.fragment.radius[b])
     of_world, place = scratch.world_rotation[thread], scratch.world_position[thread]
@@ -118,7 +120,7 @@ def first_touch(
                 return new, t, visits, unseen
             step, listed = (gap - rule.near) / closing, -1
         elif is_known and reach == 0.0:
-            pass  # and nothing is listed
+            pass  # no list is made
         else:
             apart = is_known
             if reach > 0.0 and (listed < 0 or lasts <= 0.0) and speed > 0.0:
@@ -168,7 +170,7 @@ def first_touch(
 
 @inlined_kernel
 def _keep_new(contacts, ids, known, found, near):
-    """Of `found` contacts behind `known` ones those that are apart now and not among these; returns how many."""
+    """Keep those of `found` contacts after the `known` ones that are apart now and not among them; returns how many."""
     kept = known
     for c in range(known, known + found):
         is_new = contacts[c, 9] > near
@@ -185,8 +187,8 @@ def _keep_new(contacts, ids, known, found, near):
 
 @inlined_kernel
 def _gap_then(contacts, ids, i, j, rotations, positions, rotation, translation):
-    """The least gap [m] of contacts, told where fragments are now, once their relative poses are rotation (2, 3, 3),
-    translation (2, 3); each along its normal, that turns with whom the sample is not of.
+    """The least gap [m] of contacts, given in current frames, at relative poses rotation (2, 3, 3), translation (2, 3);
+    each along its normal, which turns with the fragment that does not own the sample.
     """
     least = math.inf
     for c in range(len(contacts)):
@@ -205,13 +207,12 @@ def _near_now(
     pools, edges, a, b, rotation, translation, rule, far, radius, touches, reach, count, crossings, lasts, contacts,
     ids, capacity, scratch, thread,
 ):  # fmt: skip
-    """Contacts of a pair by a Rule, where it stands; `far` [m] is as far as the two come. touches: some is near anyhow,
-    it is what is not that may come near; reach [m]: up to which that is listed, 0: it is not.
+    """Contacts of a pair by a Rule at the given poses; `far` [m]: how far the two can still close. touches: some
+    samples are near already, and only those that are not count; reach [m]: up to which samples are listed, 0: no list.
 
-    Of `count` samples it is noted in scratch how far they are (-1: of none, or too many), which are all that can be
-    near for another `lasts` [m], moving as scratch.ahead_ways says; `crossings` pairs of ridges likewise. Returns
-    (contacts, how much farther apart than near they are at least [m], `count`, `crossings` and `lasts` as they are now,
-    visits).
+    Scratch lists `count` samples with their distances (-1: no list, or too many): all that can be near for another
+    `lasts` [m] of motion along scratch.ahead_ways; likewise `crossings` pairs of ridges. Returns (contacts, lower bound
+    [m] of the clearance beyond near, updated `count`, `crossings` and `lasts`, visits).
     """
     if not may_search(pools, a, b):
         clear = _clearance_of_sphere(pools, a, b, translation, rule.near, far, scratch, thread)
@@ -258,7 +259,7 @@ def _near_now(
 
 @inlined_kernel
 def _drop_near(listed, places, count):
-    """Those of `count` listed samples that were not near stay; returns how many."""
+    """Remove those of `count` listed samples that were near; returns how many remain."""
     kept = 0
     for k in range(count):
         if places[k, UNTIL] != NEAR_LAST:
@@ -272,7 +273,7 @@ def _drop_near(listed, places, count):
 
 @inlined_kernel
 def _clearance_of_sphere(pools, a, b, translation, near, far, scratch, thread):
-    """How much farther than `near` a sphere and another fragment are apart at least [m], up to `far`; 0: no more."""
+    """Lower bound [m] of the clearance beyond `near` between a sphere and another fragment, up to `far`; 0: none."""
     sphere, other, p = (a, b, translation[0]) if pools.fragment.kind[a] == SPHERE else (b, a, translation[1])
     around = pools.fragment.radius[sphere] + near
     answer = bounded_probe(
@@ -285,9 +286,10 @@ def _clearance_of_sphere(pools, a, b, translation, near, far, scratch, thread):
 
 @inlined_kernel
 def _bring_back(rotations, positions, i, j, of_world, rotation, translation, contacts, ids, count):
-    """`count` contacts that the i-th and j-th fragment will have, as rows of query_pair's, in the frames of now.
+    """Transform `count` contacts of a later moment of the i-th and j-th fragment, rows as query_pair's, to current
+    frames.
 
-    of_world (2, 3, 3), rotation (2, 3, 3), translation (2, 3): where the two will be, in the world and to each other.
+    of_world (2, 3, 3), rotation (2, 3, 3), translation (2, 3): world rotations and relative poses at that moment.
     """
     for c in range(count):
         side, row = ids[c, ID_SIDE], contacts[c]

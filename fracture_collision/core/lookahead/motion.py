@@ -1,8 +1,8 @@
-"""How fragments move within a time that lies ahead: each centre of mass straight on, the fragment turning about it.
+"""Predicted motion over the time ahead: each centre of mass moves straight, and the fragment spins about it.
 
-So moves what nothing touches, but for gravity and the torque of its own spin, which act on the velocities of the next
-step. Of two that move so no points come nearer to each other than `closing_speed` lets them: the bound by which
-conservative advancement goes (first_touch.py).
+A fragment without contacts moves so, except for gravity and its gyroscopic torque, which act on the velocities of the
+next step. `closing_speed` bounds how fast points of two such fragments approach each other: conservative advancement
+depends on this bound (first_touch.py).
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from fracture_collision.core.memory.kinds import PLANE
 from fracture_collision.core.memory.rotations import turned_back
 
 _sine_after = inlined_kernel(portable_math.sine_after)
-# [m] how far a plane reaches: seen from what turns, some of it is as fast as anything.
+# [m] reach of a plane: in a rotating frame some of its points are arbitrarily fast.
 ENDLESS = 1e30
 
 
 class Motion(NamedTuple):
-    """Of n fragments."""
+    """Motion of n fragments."""
 
-    time: float  # [s] how far ahead; 0: nobody is looked ahead for, and the columns are empty
+    time: float  # [s] look-ahead; 0: none, and the columns are empty
     centers: np.ndarray  # (n, 3) float64 [m] centres of mass now, world
-    linear: np.ndarray  # (n, 3) float64 [m/s] theirs
+    linear: np.ndarray  # (n, 3) float64 [m/s] their velocities
     angular: np.ndarray  # (n, 3) float64 [rad/s] world axes
     reach: np.ndarray  # (n,) float64 [m] of a fragment about its centre; of a plane ENDLESS
 
@@ -73,7 +73,8 @@ def fastest(velocities):
 
 @inlined_kernel
 def put_pose(motion, rotations, positions, i, t, rotation, position):
-    """Where fragment i is after `t` [s], into rotation (3, 3) and position (3,) [m]; rotations, positions: now."""
+    """Write the pose of fragment i after `t` [s] to rotation (3, 3) and position (3,) [m]; rotations, positions: now.
+    """
     w, spin = motion.angular[i], _spin(motion.angular[i])
     for d in range(3):
         position[d] = positions[i, d] + t * motion.linear[i, d]
@@ -112,15 +113,15 @@ def _spin(w):
 
 @inlined_kernel
 def turned_in(motion, i, left):
-    """How far fragment i turns in `left` [s], as an angle."""
+    """Angle by which fragment i turns in `left` [s]."""
     return _spin(motion.angular[i]) * left
 
 
 @inlined_kernel
 def _seen_from(motion, i, j, t, left):
-    """How fragment i moves for one that moves and turns with j, from `t` [s] on for `left` [s]: (velocity of its centre
-    at t (x, y, z); how much more its points have than that, because it turns; and because it goes farther off; how far
-    that velocity turns in the time), all [m/s].
+    """Motion of fragment i in the frame of fragment j, from `t` [s] on for `left` [s], all [m/s]: (velocity of its
+    centre at t (x, y, z); excess speed of its points due to rotation; excess due to its growing distance; how far that
+    velocity turns in the time).
     """
     a, b = motion.linear[i], motion.linear[j]
     wa, wb = motion.angular[i], motion.angular[j]
@@ -139,9 +140,9 @@ def _seen_from(motion, i, j, t, left):
 
 @inlined_kernel
 def closing_speed(motion, i, j, t, left):
-    """No point of i and point of j come nearer to each other faster than this [m/s], from `t` [s] on for `left` [s].
+    """Upper bound [m/s] on how fast a point of i and a point of j approach each other, from `t` [s] on for `left` [s].
 
-    Seen from either no point of the other is faster: two that turn together do not come nearer at all.
+    It holds in the frame of either; the smaller one is returned, which is 0 for two that turn together.
     """
     x, y, z, turning, farther, _ = _seen_from(motion, i, j, t, left)
     speed = math.sqrt(x * x + y * y + z * z) + turning + farther
@@ -151,13 +152,13 @@ def closing_speed(motion, i, j, t, left):
 
 @inlined_kernel
 def closing_along(motion, i, j, t, left, x, y, z):
-    """Likewise of the two hulls along the unit vector (x, y, z) from j to i, world axes at `t`, that turns with one of
-    the two; negative: they part.
+    """The same for the two hulls along the unit vector (x, y, z) from j to i, world axes at `t`, that turns with one of
+    the two; negative: they separate.
     """
     u, w = motion.angular[i], motion.angular[j]
     wx, wy, wz = u[0] - w[0], u[1] - w[1], u[2] - w[2]
     cx, cy, cz = y * wz - z * wy, z * wx - x * wz, x * wy - y * wx
-    across = math.sqrt(cx * cx + cy * cy + cz * cz)  # what turns about the vector comes no nearer along it
+    across = math.sqrt(cx * cx + cy * cy + cz * cz)  # rotation about the vector closes nothing along it
     vx, vy, vz, turning, farther, sway = _seen_from(motion, i, j, t, left)
     turning = min(turning, across * motion.reach[i] + _spin(w) * left * turning)
     closing = turning + farther + sway - (x * vx + y * vy + z * vz)
@@ -168,8 +169,8 @@ def closing_along(motion, i, j, t, left, x, y, z):
 
 @inlined_kernel
 def put_way(motion, i, j, t, left, time, turn, out):
-    """How points of fragment i move within `time` [s] of the `left` [s] from t on, for one that moves with j, in whose
-    frame it is told: row out of (2, WAY) [m], for `approach.nearer_along`. turn (3, 3): j's rotation at t.
+    """Write how points of fragment i move within `time` [s] of the `left` [s] from t on, in the frame of fragment j:
+    row out of (2, WAY) [m], for `approach.nearer_along`. turn (3, 3): j's rotation at t.
     """
     x, y, z, turning, farther, sway = _seen_from(motion, i, j, t, left)
     out[0], out[1], out[2] = turned_back(turn, time * x, time * y, time * z)
@@ -181,7 +182,7 @@ def put_way(motion, i, j, t, left, time, turn, out):
 
 @inlined_kernel
 def between_balls(motion, i, j):
-    """[m] how far apart two are at least now, by the balls about their centres of mass; negative: these overlap."""
+    """Lower bound [m] of the current distance, by the balls about the centres of mass; negative: the balls overlap."""
     a, b = motion.centers[i], motion.centers[j]
     return math.sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2) - motion.reach[i] - motion.reach[j]
 
@@ -198,7 +199,7 @@ def sweep_box(motion, i, box):
 
 @kernel
 def is_moving(motion):
-    """(n,) bool: which fragments of a Motion do not stand still."""
+    """(n,) bool: which fragments of a Motion are moving."""
     moves = np.zeros(len(motion.reach), np.bool_)
     for i in range(len(moves)):
         for d in range(3):

@@ -1,8 +1,8 @@
-"""What two moving fragments cannot do before the time ahead is over: touch, or get through each other.
+"""Tests that two moving fragments neither touch nor pass through each other before the time ahead is over.
 
-Most pairs of a step are settled here, by boxes and planes between hulls, and first_touch.py is not asked. How a gap
-along a direction changes is bounded in two ways: by how fast points come nearer along it, and by the gap at the end of
-the time: how far from straight the ways of points are in between is known from the spin.
+Boxes and separating planes of hulls settle most pairs of a step here, without first_touch.py. The change of a gap along
+a direction is bounded in two ways: by the closing speed along it, and by the gap at the end of the time, where the spin
+bounds how far the points' paths deviate from straight lines in between.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from fracture_collision.core.separation.hull_separation import MOST_STEPS
 from fracture_collision.core.separation.leaf_separation import parting_plane_of_leaves
 from fracture_collision.core.tree.sample_leaves import farthest_sample, leaves_of
 
-# A pair that comes nearer by no more than this share of what is thinner does not get through it.
+# A pair that closes by no more than this share of the thinner one's thickness does not pass through it.
 THIN = 0.2
-# A pair with so small a gap, as a share of R, is about to touch: to a solver it touches.
+# A pair with a gap below this share of R is about to touch: a solver treats it as touching.
 ABOUT_TO = 0.1
 
 
 @inlined_kernel
 def boxes_stay_apart(pools, a, b, i, j, rotation, translation, rotations, motion, near):
-    """Whether two stay apart by more than `near` [m] along a side of either box; negative: no deeper than that in each
-    other. rotation (2, 3, 3), translation (2, 3): their relative poses now; rotations (n, 3, 3): theirs in the world.
+    """Whether two stay more than `near` [m] apart along an axis of either box; negative: penetrate no deeper than that.
+    rotation (2, 3, 3), translation (2, 3): relative poses now; rotations (n, 3, 3): world rotations now.
     """
     if pools.fragment.kind[a] == PLANE or pools.fragment.kind[b] == PLANE:
         return False
@@ -36,7 +36,7 @@ def boxes_stay_apart(pools, a, b, i, j, rotation, translation, rotations, motion
         own, other, k = (a, b, i) if side == 0 else (b, a, j)
         mine, box, turn, place = pools.fragment.box[own], pools.fragment.box[other], rotation[1 - side], translation
         for d in range(3):
-            # the other's middle and reach along side d of own box
+            # offset of the other's centre along axis d of own box, and both half extents
             along, reach = place[1 - side, d] - 0.5 * (mine[d] + mine[d + 3]), 0.5 * (mine[d + 3] - mine[d])
             for q in range(3):
                 along += turn[d, q] * 0.5 * (box[q] + box[q + 3])
@@ -56,8 +56,8 @@ def boxes_stay_apart(pools, a, b, i, j, rotation, translation, rotations, motion
 def hulls_stay_apart(
     pools, a, b, i, j, rotation, translation, rotations, positions, motion, near, toward, scratch, thread
 ):  # fmt: skip
-    """Likewise whether their hulls do along `toward` (3,), b's frame, or where there is none along the way between
-    their boxes. A quick look before first_touch: it may be any direction, and what it settles is never near.
+    """The same for the hulls along `toward` (3,), b's frame, or, where it is zero, along the line between box centres.
+    A cheap test before first_touch: any direction is valid, and a pair it settles is never near.
     """
     gap, x, y, z = gap_of_hulls(pools, a, b, rotation, translation, 0.0, toward, scratch, thread, 1)
     if not gap > near:
@@ -71,7 +71,7 @@ def hulls_stay_apart(
 
 @inlined_kernel
 def may_get_through(boxes, a, b, i, j, motion):
-    """Whether fragments a and b, the i-th and j-th of `motion`, come nearer by more than a part of the thinner one;
+    """Whether fragments a and b, the i-th and j-th of `motion`, close by more than THIN of the thinner one's thickness;
     boxes (F, 6) [m]: of all.
     """
     return closing_speed(motion, i, j, 0.0, motion.time) * motion.time > THIN * thickness(boxes, a, b)
@@ -81,19 +81,19 @@ def may_get_through(boxes, a, b, i, j, motion):
 def may_touch_again(
     pools, a, b, i, j, rotation, translation, rotations, positions, motion, moment, contacts, count, scratch, thread
 ):  # fmt: skip
-    """Whether two that touch after `moment` [s], or are about to, by their `count` contacts, may be through each other
-    elsewhere before the time is over. rotation, translation: their relative poses at that moment; rotations (n, 3, 3),
-    positions (n, 3): theirs in the world now.
+    """Whether two that touch at `moment` [s], or are about to, by their `count` contacts, may pass through each other
+    elsewhere before the time is over. rotation, translation: relative poses at that moment; rotations (n, 3, 3),
+    positions (n, 3): world poses now.
     """
     least = ABOUT_TO * min(pools.fragment.radius[a], pools.fragment.radius[b])
     least_gap = math.inf
     for c in range(count):
         least_gap = min(least_gap, contacts[c, 9])
-    # who is in the other as deep as that already may be anywhere
+    # a pair that already penetrates deeper than that may be anywhere
     thin = THIN * thickness(pools.fragment.box, a, b)
     if least_gap > least or -least_gap > thin or not may_get_through(pools.fragment.box, a, b, i, j, motion):
         return False
-    # most slide along what parts them, or part
+    # most pairs slide along their separating plane, or separate
     toward = scratch.ahead_toward[thread]
     toward[0] = toward[1] = toward[2] = 0.0
     gap, x, y, z = gap_of_hulls(pools, a, b, rotation, translation, 0.0, toward, scratch, thread)
@@ -112,7 +112,7 @@ def may_touch_again(
 
 @inlined_kernel
 def thickness(boxes, a, b):
-    """[m] of the thinner one's box."""
+    """Thickness [m] of the thinner of two: the shortest side of its box."""
     least = math.inf
     for f in (a, b):
         box = boxes[f]
@@ -122,8 +122,8 @@ def thickness(boxes, a, b):
 
 @inlined_kernel
 def gap_of_hulls(pools, a, b, rotation, translation, enough, toward, scratch, thread, most_steps=MOST_STEPS):
-    """How far apart the hulls of two fragments are at least [m], `enough` is enough, and the direction from b to a
-    along which they are (x, y, z), in b's frame; minus infinity: spheres are not looked at.
+    """Lower bound [m] of the distance between the hulls of two fragments (the search stops once it exceeds `enough`),
+    and its direction (x, y, z) from b to a, in b's frame; minus infinity: spheres are not handled.
 
     toward, most_steps: see leaf_separation.
     """
@@ -152,7 +152,7 @@ def gap_of_hulls(pools, a, b, rotation, translation, enough, toward, scratch, th
 
 @inlined_kernel
 def _reach_of_hull(pools, f, x, y, z, bounds):
-    """How far [m] a fragment reaches along a unit vector (x, y, z) of its frame, at most; bounds: working space."""
+    """Upper bound [m] of a fragment's extent along a unit vector (x, y, z) of its frame; bounds: working space."""
     leaves = leaves_of(pools, f)
     m = leaves.middle
     _, reach = farthest_sample(leaves, (x, y, z), 0, bounds)
@@ -161,8 +161,8 @@ def _reach_of_hull(pools, f, x, y, z, bounds):
 
 @inlined_kernel
 def least_gap_ahead(pools, a, b, i, j, rotations, positions, motion, t, gap, n, slack, scratch, thread):
-    """How far apart [m] two hulls are along n, a unit vector of the world from b to a, at least from `t` [s] on, when
-    they are `gap` [m] apart along it, to the end of the time. slack [m]: rounding of poses.
+    """Lower bound [m] of the gap between two hulls along n, a world unit vector from b to a, from `t` [s], when it is
+    `gap` [m], to the end of the time. slack [m]: rounding of poses.
     """
     left = motion.time - t
     at_end, bend = -slack, 0.0
@@ -170,7 +170,7 @@ def least_gap_ahead(pools, a, b, i, j, rotations, positions, motion, t, gap, n, 
         f, k, sign = (a, i, -1.0) if side == 0 else (b, j, 1.0)
         turn, place = scratch.world_rotation[thread, 2], scratch.world_position[thread, 2]
         put_pose(motion, rotations, positions, k, motion.time, turn, place)
-        # the second derivative of a point's way is no more than its distance from the axis times the square of the spin
+        # a point's acceleration is at most its distance from the axis times the square of the spin
         spin = turned_in(motion, k, left)
         bend += 0.5 * spin * spin * motion.reach[k]
         at_end -= sign * (n[0] * place[0] + n[1] * place[1] + n[2] * place[2])

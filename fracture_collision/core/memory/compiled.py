@@ -1,4 +1,4 @@
-"""The one way core compiles: cached on disk, IEEE arithmetic as written (no fastmath), division by zero as in numpy."""
+"""The numba decorators of core: cached on disk, IEEE arithmetic as written (no fastmath), numpy's division by zero."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Callable
 from importlib.metadata import version
 from typing import Any
 
-# Loading kernels quicker goes by numba's inside (kernel_cache.py): with other versions they are loaded numba's way.
+# The faster kernel loading relies on numba internals (kernel_cache.py): other versions use numba's own cache.
 TRIED_WITH = "0.68."
 
 if version("numba").startswith(TRIED_WITH):
@@ -24,18 +24,18 @@ def _cached(**options: Any) -> Callable[[Callable], Any]:
 
     def decorate(function: Callable) -> Any:
         dispatcher = compiled(function)
-        if dispatcher is not function:  # as it is with NUMBA_DISABLE_JIT
-            dispatcher._cache = KernelCache(function)  # in place of what cache=True would put there
+        if dispatcher is not function:  # they are the same under NUMBA_DISABLE_JIT
+            dispatcher._cache = KernelCache(function)  # replaces the cache that cache=True would set
         return dispatcher
 
     return decorate
 
 
 kernel = _cached()
-# The kernels of a query allocate nothing, so they count no references: with counting, six sevenths of a query's time
-# went into atomic increments for arrays taken out of the pools.
+# Query kernels allocate nothing, so reference counting is off: with it, six sevenths of a query's time went into atomic
+# increments for arrays taken out of the pools.
 query_kernel = _cached(_nrt=False)
-# For what runs inside a query's inner loops: a call would copy the pools, several hundred words, onto the stack.
+# For the inner loops of a query: a call would copy the pools, several hundred words, onto the stack.
 inlined_kernel = _cached(_nrt=False, forceinline=True)
-# For what a crew of threads runs side by side: the interpreter's lock is let go.
+# For kernels that a crew of threads runs in parallel: releases the GIL.
 threaded_kernel = _cached(_nrt=False, nogil=True)

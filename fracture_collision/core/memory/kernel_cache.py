@@ -1,12 +1,12 @@
-"""Kernels out of numba's cache, without what only compiling needs.
+"""Loads kernels from numba's cache without the set-up that only compilation needs.
 
-A service that was killed shall be back in a second, and has some forty kernels to load. Before numba takes the first
-from its cache it makes itself ready to compile: it registers all that it could compile, and compiles its own runtime.
-With each it reads the bitcode that lies beside the machine code and asks every function in it for its name. Here all
-that is done when something is to be compiled, or to be linked with what was loaded; what is loaded is the same.
+A killed service must restart within a second and has some forty kernels to load. Before numba loads the first from its
+cache, it prepares to compile: it registers everything that it can compile and compiles its own runtime. For each kernel
+it also parses the bitcode stored beside the machine code and enumerates its functions. Here all of that is deferred
+until something must be compiled, or linked with a loaded kernel; the loaded code is the same.
 
-Goes by the inside of numba: compiled.py uses it with the versions that it was tried with, and test_core_kernel_cache.py
-tells where it no longer fits.
+This relies on numba internals: compiled.py uses it only with the versions it was tested with, and
+test_core_kernel_cache.py detects where it no longer fits.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import Any
 
 @contextmanager
 def _not_to_be_imported(*names: str) -> Iterator[None]:
-    """Unless they are there already."""
+    """Hides modules from import, unless they are already imported."""
     hidden = [name for name in names if name not in sys.modules]
     sys.modules |= dict.fromkeys(hidden)
     try:
@@ -29,8 +29,8 @@ def _not_to_be_imported(*names: str) -> Iterator[None]:
             del sys.modules[name]
 
 
-# numba imports both where they are installed: scipy to look at its version, and for a module of which kernels need
-# other things, where without scipy it knows no np.cov; coverage to measure that of what it compiles.
+# numba imports both if they are installed: scipy to check its version, and in a module that kernels need for other
+# reasons (without scipy it does not support np.cov); coverage to measure the coverage of compiled code.
 with _not_to_be_imported("scipy", "coverage"):
     from llvmlite import binding as llvm
     from numba import njit
@@ -40,18 +40,18 @@ with _not_to_be_imported("scipy", "coverage"):
 
 __all__ = ["KernelCache", "njit"]
 
-_WRAPPER = "_ZN7cpython"  # how the names of functions begin that Python calls; every cached kernel has one
+_WRAPPER = "_ZN7cpython"  # prefix of the functions that Python calls; every cached kernel has one
 
 
 class KernelCache(FunctionCache):
-    """Of one kernel: numba's own files."""
+    """The cache of one kernel, in numba's own files."""
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """As FunctionCache does, less target_context.refresh(); numba's compiler calls that itself."""
+        """As in FunctionCache, without target_context.refresh(), which numba's compiler calls itself."""
         codegen = target_context.codegen()
         if codegen._library_class is not _Library:
             codegen._library_class = _Library
-            for name, address in runtime.c_helpers.items():  # as rtsys.initialize does
+            for name, address in runtime.c_helpers.items():  # as in rtsys.initialize
                 llvm.add_symbol(name if name.startswith("_") else f"NRT_{name}", address)
         hidden = () if "numba.np.arraymath" in sys.modules else ("scipy",)
         with self._guard_against_spurious_io_errors(), _not_to_be_imported(*hidden):
@@ -59,9 +59,9 @@ class KernelCache(FunctionCache):
 
 
 class _Library(JITCodeLibrary):
-    """One whose bitcode is read when others are to be linked with it."""
+    """A library that parses its bitcode only when another is linked with it."""
 
-    _bitcode = b""  # that is not read yet
+    _bitcode = b""  # not parsed yet
     _module: Any = None
 
     @classmethod
@@ -91,5 +91,5 @@ class _Library(JITCodeLibrary):
     def get_pointer_to_function(self, name: str) -> int:
         if self._bitcode and name.startswith(_WRAPPER):
             return self._codegen._engine.get_function_address(name)
-        _ = self._shared_module  # numba knows then which names there are
+        _ = self._shared_module  # parses the bitcode, which defines the names for numba
         return super().get_pointer_to_function(name)

@@ -1,4 +1,4 @@
-"""What a fragment's surface is made of: which closed form or structure answers its elementary queries."""
+"""Surface kinds of fragments: which closed form or structure computes the elementary queries."""
 
 PLANE = 0
 SPHERE = 1

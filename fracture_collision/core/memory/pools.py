@@ -1,9 +1,9 @@
 """The arrays every kernel reads: all meshes, bodies, fragments, polygons and trees, concatenated.
 
-One flat array a quantity, whatever the number of bodies, so that a kernel gets everything in one tuple and equal
-geometries share one preprocess. Rows are only appended; a retired fragment's tree stays as garbage until the pools are
-compacted (pool_compaction.py) or the world is rebuilt. `GrowableArray` owns the memory (pool_tables.py holds one a
-column), the NamedTuples are views for the kernels.
+One flat array per quantity, independent of the number of bodies, so that a kernel takes everything in one tuple and
+equal geometries share one preprocess. Rows are only appended; a retired fragment's tree stays as garbage until the
+pools are compacted (pool_compaction.py) or the world is rebuilt. `GrowableArray` owns the memory (pool_tables.py holds
+one per column), the NamedTuples are views for the kernels.
 """
 
 from __future__ import annotations
@@ -15,29 +15,29 @@ import numpy as np
 
 
 class GrowableArray:
-    """An array that grows at its end: amortized O(1) a row, `view` contiguous.
+    """An array that grows at its end: amortized O(1) per row, `view` contiguous.
 
-    changed: called whenever `view` is another array, with whether `whole` is another, too.
+    changed: called whenever `view` becomes a new array; its argument is true if `whole` is a new array, too.
     """
 
     def __init__(self, columns: int, dtype: type, changed: Callable[[bool], None] = lambda moved: None) -> None:
         self._buffer = np.zeros((16, columns) if columns else 16, dtype=dtype)
         self.used = 0
-        self._view: np.ndarray | None = None  # a fracture asks for all columns' several times
+        self._view: np.ndarray | None = None  # cached: a fracture reads the views of all columns several times
         self._changed = changed
 
     def append(self, rows: np.ndarray) -> int:
-        """Copy `rows` to the end; returns the index of the first."""
+        """Copy `rows` to the end; returns the index of the first new row."""
         self.reserve(len(rows))[:] = rows
         return self.advance(len(rows))
 
     def fill(self, count: int, row) -> int:
-        """Likewise `count` rows that all are `row`."""
+        """Append `count` copies of `row`; returns the index of the first."""
         self.reserve(count)[:] = row
         return self.advance(count)
 
     def share(self, rows: np.ndarray) -> int:
-        """As append, for rows that nobody will write to: the first are not copied."""
+        """As append, for rows that are never written again: the first call does not copy."""
         if self.used or rows.dtype != self._buffer.dtype or not rows.flags.c_contiguous:
             return self.append(rows)
         self._put(rows)
@@ -59,12 +59,12 @@ class GrowableArray:
         return self.used - count
 
     def keep(self, stays: np.ndarray) -> None:
-        """Only the rows where the mask `stays` (used,) is true."""
+        """Drop the rows where the mask `stays` (used,) is false."""
         if not stays.all():
             self.replace(self.view[stays])
 
     def replace(self, rows: np.ndarray) -> None:
-        """All rows by others; the memory of before is nobody's."""
+        """Replace all rows; the old memory is released."""
         self.used = len(rows)
         self._put(np.ascontiguousarray(rows, dtype=self._buffer.dtype))
 
@@ -84,7 +84,7 @@ class GrowableArray:
 
     @property
     def whole(self) -> np.ndarray:
-        """`view` and the room behind it."""
+        """`view` and the spare capacity behind it."""
         return self._buffer
 
 
@@ -96,7 +96,7 @@ class MeshPool(NamedTuple):
     neighbours: np.ndarray  # (M, 4) int32, -1: the old surface
     tetrahedron_edges: np.ndarray  # (M, 6) int32
     edges: np.ndarray  # (E, 2) int32
-    edge_tets: np.ndarray  # (E,) int32, a tetrahedron at each edge
+    edge_tets: np.ndarray  # (E,) int32, one tetrahedron incident to each edge
     boxes: np.ndarray  # (M, 6) float32 [m], rounded outwards
     barycentric: np.ndarray  # (M, 12) float64
     walls: np.ndarray  # (M, 16) float32
@@ -108,9 +108,9 @@ class MeshPool(NamedTuple):
     first: np.ndarray  # (meshes, 5) int32: first node, first edge, number of nodes, first tetrahedron, number of edges
     grid: np.ndarray  # (meshes, 4) float64: origin [m], cell [m]
     grid_dims: np.ndarray  # (meshes, 4) int32: cells along x, y, z; first entry in cell_begin
-    cell_begin: np.ndarray  # int32, cells + 1 a mesh
+    cell_begin: np.ndarray  # int32, cells + 1 per mesh
     cell_tets: np.ndarray  # int32
-    cell_parts: np.ndarray  # uint64, a bit each of the cell's parts that this tetrahedron may meet (occupancy.py)
+    cell_parts: np.ndarray  # uint64, one bit per part of the cell that this tetrahedron may meet (occupancy.py)
     # the dense grid of the averaged field (interior_field.py); empty until a body of the mesh breaks under that field
     depth_grid: np.ndarray  # (meshes, 4) float64: first grid point [m], cell [m]
     depth_grid_dims: np.ndarray  # (meshes, 4) int32: grid points along x, y, z; first entry in grid_depth
@@ -118,38 +118,38 @@ class MeshPool(NamedTuple):
 
 
 class BodyPool(NamedTuple):
-    """What fracture changes on a body; only bodies that broke have rows here."""
+    """Per-body state that fracture changes; only broken bodies have rows here."""
 
     node_fragment: np.ndarray  # int32 fragment row of each mesh node
     edge_plane: np.ndarray  # int32 row of `planes`, -1: not cut
-    edge_event: np.ndarray  # int32 first row of `planes` of the fracture that cut it: grows from event to event
-    edge_share: np.ndarray  # float64: where a cut edge is crossed, in parts of it from its first node
-    regions: np.ndarray  # (., REGION) int32, per tetrahedron, whose it is: OWNER and what follows, half a cache line
-    region_planes: np.ndarray  # (., REGION) float32: the same memory, of which PLANE is single precision
-    cut_count: np.ndarray  # int32 per tetrahedron: its polygons
+    edge_event: np.ndarray  # int32 first row of `planes` of the fracture that cut it: increases with each fracture
+    edge_share: np.ndarray  # float64: where a cut edge is crossed, as a share of its length from its first node
+    regions: np.ndarray  # (., REGION) int32, per tetrahedron, its owners: columns from OWNER on, half a cache line
+    region_planes: np.ndarray  # (., REGION) float32 view of the same memory, for PLANE, which is single precision
+    cut_count: np.ndarray  # int32 per tetrahedron: number of its polygons
     planes: np.ndarray  # (P, 4) float64, unit normal from the edge's first node to its second, offset [m]
     triangles: np.ndarray  # (T, 9) float64 [m] corners, right-handed about the outward normal of `front`
-    faces: np.ndarray  # (T, 4) float64 their planes: that normal, unit, and offset [m]
+    faces: np.ndarray  # (T, 4) float64 their planes: that unit normal and the offset [m]
     sides: np.ndarray  # (T, 3) int32 FRONT_SIDE, BACK_SIDE, KIND
-    # the averaged field, rows as node_fragment; none under the exact one
+    # the averaged field, rows as node_fragment; no rows under the exact field
     node_field: np.ndarray  # (., 7) float64: d [m] and unit n of Glondu 2014, eq. 1-2; a point [m] certainly not inside
 
 
 class FragmentPool(NamedTuple):
-    """One row a fragment, also of bodies that never break."""
+    """One row per fragment, including bodies that never break."""
 
     kind: np.ndarray  # int32, kinds.py
-    mesh: np.ndarray  # int32 row of grid or, for TRIANGLES, of node_range; -1 without mesh
+    mesh: np.ndarray  # int32 row of grid or, for TRIANGLES, of node_range; -1 without a mesh
     node_shift: np.ndarray  # int32: mesh node + shift = row of node_fragment; NEVER_BROKEN for a whole body
     tet_shift: np.ndarray  # int32 likewise for regions, cut_count
     edge_shift: np.ndarray  # int32 likewise for edge_plane
     box: np.ndarray  # (F, 6) float64 [m], body frame
     shape: np.ndarray  # (F, 4) float64: plane (n, offset), sphere (radius), box (half edges) [m]
-    radius: np.ndarray  # float64 [m] R of the body, half its box's longest side; infinite for a plane
+    radius: np.ndarray  # float64 [m] R of the body, half the longest side of its box; infinite for a plane
     tree_begin: np.ndarray  # int32
     tree_end: np.ndarray  # int32
     cells: np.ndarray  # (F, 7) int32: first cell x y z, cells x y z, first word of `occupancy`
-    seeds: np.ndarray  # (F, 2) int32: first row of SeedPool.keys of its body, row behind the last
+    seeds: np.ndarray  # (F, 2) int32: first row of SeedPool.keys of its body, end row
     leaf_begin: np.ndarray  # int32 first leaf of SamplePool
     leaf_end: np.ndarray  # int32
     middle: np.ndarray  # (F, 4) float64 [m], see sample_leaves.Leaves
@@ -165,20 +165,20 @@ class TriangleMeshPool(NamedTuple):
     node_skip: np.ndarray  # (B,) int32
     node_first: np.ndarray  # (B,) int32
     node_count: np.ndarray  # (B,) int32
-    node_range: np.ndarray  # (meshes, 2) int32: first row of the nodes, row behind the last
+    node_range: np.ndarray  # (meshes, 2) int32: first row of the nodes, end row
     triangle_range: np.ndarray  # (meshes, 2) int32 likewise
     first_vertex: np.ndarray  # (meshes,) int32: row of pseudonormals of its first vertex
 
 
 class TreePool(NamedTuple):
-    """Sphere trees in preorder (sphere_tree.py), what a visit reads side by side."""
+    """Sphere trees in preorder (sphere_tree.py); the values that a visit reads are adjacent."""
 
     spheres: np.ndarray  # (S, 4) float64 [m], centre in the body frame, radius
     entries: np.ndarray  # (S, 3) int32: SIZE, SAMPLE, SURFACE
 
 
 # Columns of TreePool.entries.
-SIZE = 0  # entries of the subtree with this one
+SIZE = 0  # entries of the subtree including this one
 SAMPLE = 1  # number of the sample point within its body, sample_numbers.py
 SURFACE = 2  # OWN_SAMPLE if the point samples the fragment's surface, NONE_BELOW if nothing in the subtree does, else 0
 OWN_SAMPLE = 1
@@ -186,29 +186,27 @@ NONE_BELOW = -1
 
 
 class SamplePool(NamedTuple):
-    """Leaves of samples (sample_leaves.py), those of a fragment together."""
+    """Leaves of samples (sample_leaves.py), contiguous per fragment."""
 
     values: np.ndarray  # (LEAF_VALUES L,) float32 [m]
     entries: np.ndarray  # (LEAF L,) int32
 
 
-# Samples of a leaf: as many as a processor's instruction takes in single precision. Of each leaf there are six numbers
-# of its box, and three of each sample.
+# Samples per leaf: one SIMD instruction in single precision. A leaf has six numbers for its box and three per sample.
 LEAF = 8
 LEAF_VALUES = 6 + 3 * LEAF
-# What is computed from these numbers along a unit vector is wrong by no more than this share of the sides of the box of
-# all: they are rounded to 2^-25 of its sides, and so is each of the five operations and the vector's parts.
+# Error bound of a projection of these numbers onto a unit vector, as a share of the sides of the box of all samples:
+# the numbers are rounded to 2^-25 of its sides, and so are each of the five operations and the vector's components.
 SAMPLE_ROUNDING = 1e-6
 
 
 class SeedPool(NamedTuple):
-    """Crack seeds (crack_seeds.py). A body's rows are ascending in their keys; FragmentPool.seeds says which they are.
-    Those of before its last fracture stay as garbage, and so do the edges of what broke; others' edges are where they
-    were.
+    """Crack seeds (crack_seeds.py). A body's rows are sorted by key, in the range given by FragmentPool.seeds. Its rows
+    from before its last fracture stay as garbage, and so do the edges of broken fragments; other edges do not move.
     """
 
     keys: np.ndarray  # int64 smaller row of the fragment pool << 32 | larger row
-    ranges: np.ndarray  # (., 2) int32: first row of `edges`, row behind the last
+    ranges: np.ndarray  # (., 2) int32: first row of `edges`, end row
     edges: np.ndarray  # int32 row of MeshPool.edges; each farther from those before it than all that follow
 
 
@@ -226,32 +224,32 @@ class Pools(NamedTuple):
     normals: int  # NEAREST or FACING
 
 
-# Pools.traversal: in which order the children of entered nodes are visited (traversal.py).
+# Pools.traversal: the order in which the children of entered nodes are visited (traversal.py).
 ALTERNATING = 0  # children of different parents first (Glondu 2014, section 5.3)
-QUEUE = 1  # all children of a parent in a row, the regular breadth-first order of its earlier version [27]
+QUEUE = 1  # all children of a parent in a row, the regular breadth-first order of the paper's earlier version [27]
 
-# How deep a point of a broken body lies: by local flood, or from one averaged distance a node (Glondu 2014, 4.1 - 4.4).
+# Pools.field: depth in a broken body, by local flood or from one averaged distance per node (Glondu 2014, 4.1 - 4.4).
 EXACT = 0
 AVERAGED = 1
 
-# Pools.normals: along the way to the nearest surface, or to one that faces the sample: between two fragments of one
-# body the crack they share (crack_normal.py), else see facing_normal.py.
+# Pools.normals: towards the nearest surface, or towards a surface that faces the sample: between two fragments of one
+# body their shared crack (crack_normal.py), else see facing_normal.py.
 NEAREST = 0
 FACING = 1
 
 # Columns of BodyPool.regions.
-OWNER = 0  # fragment row of a tetrahedron that one fragment has alone, else PARTED or FANNED
-ROW = 1  # of one that is shared: the first row of its polygons
-FRONT, BACK = 2, 3  # of one that is PARTED: fragment rows
-PLANE = 4  # likewise, four: the normal out of FRONT and the offset [m] from the grid's corner
-LABELS = 4  # of one that is FANNED, four: fragment rows of its nodes
+OWNER = 0  # fragment row if one fragment owns the whole tetrahedron, else PARTED or FANNED
+ROW = 1  # of a shared tetrahedron: the first row of its polygons
+FRONT, BACK = 2, 3  # of a PARTED tetrahedron: fragment rows
+PLANE = 4  # of a PARTED tetrahedron, four columns: the normal out of FRONT and the offset [m] from the grid's corner
+LABELS = 4  # of a FANNED tetrahedron, four columns: fragment rows of its nodes
 REGION = 8
-# OWNER of tetrahedra that several fragments share (cut_tetrahedron.py): by one plane, that of all their rows between
-# fragments; or about a hub, the first corner of these rows, which stand in the order of their faces.
+# OWNER of shared tetrahedra (cut_tetrahedron.py): PARTED by one plane, common to all their rows between fragments; or
+# FANNED about a hub, the first corner of these rows, which are sorted by face.
 PARTED = -1
 FANNED = -2
-# Columns of BodyPool.sides: fragment rows, the second -1 where there is nothing; of a piece of face k of a tetrahedron
-# OLD_FACE + k, and of what parts two fragments the face that it is behind.
+# Columns of BodyPool.sides: fragment rows, BACK_SIDE -1 outside the body; KIND is OLD_FACE + k for a piece of face k of
+# a tetrahedron; for a triangle between two fragments it is the face it lies behind.
 FRONT_SIDE, BACK_SIDE, KIND = 0, 1, 2
 OLD_FACE = 4
 NEVER_BROKEN = np.iinfo(np.int32).min

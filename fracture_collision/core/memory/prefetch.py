@@ -1,7 +1,7 @@
-"""Memory that is asked for before it is needed.
+"""Memory prefetch.
 
-What a query reads of a mesh is spread over many lines of memory, each found by the one before. Where the next points
-that are asked are known, theirs can be on the way meanwhile.
+A mesh query reads many scattered cache lines, each address taken from the one before. Where the next query points are
+known, their lines can be loaded meanwhile.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ from llvmlite import ir
 from numba.core import cgutils, types
 from numba.extending import intrinsic, overload
 
-# Arguments of llvm.prefetch: to read it, soon and more than once, as data.
+# Arguments of llvm.prefetch: read access, high temporal locality, data cache.
 _READ, _KEEP, _DATA = 0, 3, 1
 
 
 @intrinsic
 def _fetch(typing_context: Any, array: Any, row: Any) -> tuple:
-    """Of an array of whatever rank, without a bounds check."""
+    """Prefetch a row of an array of any rank, without a bounds check."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         pool = context.make_array(signature.args[0])(context, builder, arguments[0])
@@ -36,7 +36,7 @@ def _fetch(typing_context: Any, array: Any, row: Any) -> tuple:
 
 
 def fetch(array: Any, row: int) -> None:
-    """Have the first line of a row of `array` brought near; it need not exist. Compiled only; else nothing happens."""
+    """Prefetch the first cache line of a row of `array`; the row need not exist. Does nothing when not compiled."""
 
 
 @overload(fetch, inline="always", strict=False)

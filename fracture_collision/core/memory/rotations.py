@@ -1,4 +1,4 @@
-"""Points carried from one fragment's frame to another's."""
+"""Transforms of points between fragment frames."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ def rotated(rotation, x, y, z):
 
 @inlined_kernel
 def to_other(rotation, translation, x, y, z):
-    """rotation (3, 3) applied, then translation (3,)."""
+    """Apply rotation (3, 3), then translation (3,)."""
     x, y, z = rotated(rotation, x, y, z)
     return x + translation[0], y + translation[1], z + translation[2]
 
 
 @inlined_kernel
 def turned_back(rotation, x, y, z):
-    """The inverse of a rotation (3, 3) applied."""
+    """Apply the inverse of a rotation (3, 3)."""
     return (
         rotation[0, 0] * x + rotation[1, 0] * y + rotation[2, 0] * z,
         rotation[0, 1] * x + rotation[1, 1] * y + rotation[2, 1] * z,
@@ -33,7 +33,7 @@ def turned_back(rotation, x, y, z):
 
 @inlined_kernel
 def relative_pose(rotation_from, position_from, rotation_to, position_to, rotation, translation):
-    """From one fragment's frame to another's, into rotation (3, 3) and translation (3,); the two in the world."""
+    """Write the pose from one fragment's frame to another's to rotation (3, 3), translation (3,); inputs in world."""
     for i in range(3):
         translation[i] = 0.0
         for k in range(3):

@@ -12,8 +12,8 @@ from fracture_collision.core.memory.compiled import inlined_kernel
 # Which part of a triangle abc holds the closest point: the face, an edge ab, bc or ca (1 .. 3), a corner (4 .. 6).
 ON_FACE = 0
 ON_RIM = 1  # and above: an edge or a corner
-# Below this share of R a direction between two points says nothing; the surface's own normal does. Rounding takes a
-# ten-thousandth of the direction there.
+# Below this share of R the direction between two points is unreliable (rounding changes it by a ten-thousandth there);
+# use the surface normal instead.
 DIRECTION_FLOOR = 1e-12
 
 
@@ -94,7 +94,7 @@ def triangle_normal(ax, ay, az, bx, by, bz, cx, cy, cz):
 
 @inlined_kernel
 def segment_distance(r, s):
-    """[m] between two segments, no points: r and s (6, or more), begin and end."""
+    """Distance [m] of two segments of non-zero length: r and s (6, or more), begin and end."""
     ux, uy, uz = r[3] - r[0], r[4] - r[1], r[5] - r[2]
     vx, vy, vz = s[3] - s[0], s[4] - s[1], s[5] - s[2]
     wx, wy, wz = r[0] - s[0], r[1] - s[1], r[2] - s[2]

@@ -1,7 +1,7 @@
-"""What hangs together: nodes of a mesh through its edges, corners and triangles of a surface through its sides.
+"""Connected components: nodes of a mesh through its edges, corners and triangles of a surface through its sides.
 
-By union-find (Tarjan 1975) with the smallest node as root, so that pieces come out in order. scipy has it too, and
-takes a quarter of a second to be imported, which a service that was killed has not got.
+Union-find (Tarjan 1975) with the smallest node as root, so that pieces come out in order. scipy has it too, but takes a
+quarter of a second to import, too long for the restart of a killed service.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from fracture_collision.core.memory.compiled import inlined_kernel, kernel
 
 
 def connected_pieces(edges: np.ndarray, labels: np.ndarray) -> np.ndarray:
-    """Number the pieces of equal label that hang together through edges: (n,) int32, one piece index a node.
+    """Number the connected pieces of equal label: (n,) int32, one piece index per node.
 
-    Two nodes are in one piece if a path of edges joins them along nodes of their own label. Pieces are numbered as by
+    Two nodes are in one piece if a path of edges joins them along nodes of their own label. Pieces are numbered as in
     `joined`; a node without edges is a piece of its own.
     """
     labels = np.asarray(labels)
@@ -23,8 +23,8 @@ def connected_pieces(edges: np.ndarray, labels: np.ndarray) -> np.ndarray:
 
 
 def joined(first: np.ndarray, second: np.ndarray, count: int) -> np.ndarray:
-    """The pieces of 0 .. count - 1 if first[i] and second[i] are in one, for all i: (count,) int32, numbered from 0 in
-    the order of their smallest members.
+    """The connected pieces of 0 .. count - 1 with links (first[i], second[i]): (count,) int32, numbered from 0 in the
+    order of their smallest members.
     """
     first, second = (np.ascontiguousarray(each, dtype=np.int64) for each in (first, second))
     return _joined(first, second, count)
@@ -32,7 +32,7 @@ def joined(first: np.ndarray, second: np.ndarray, count: int) -> np.ndarray:
 
 @inlined_kernel
 def _root(parent, node):
-    """Halves the way for who comes next."""
+    """Find the root, with path halving."""
     while parent[node] != node:
         parent[node] = parent[parent[node]]
         node = parent[node]

@@ -1,13 +1,13 @@
-"""A tetrahedron that cracks cross: its nodes, edges and faces, and the points that it is divided by.
+"""A tetrahedron crossed by cracks: its nodes, edges and faces, and the points that divide it.
 
-Glondu 2014, section 4.1, stores at most six planes, one a cut edge; what they make of the tetrahedron where several
-differ is ours (docs/numerics.md). The crack runs through the crossings, the points where planes cross their edges. Each
-face and then the tetrahedron is divided like a fan: a face of three fragments from a *face point*, the tetrahedron from
-a *hub*. Crossings and face points depend on the edge and the face alone, so neighbours agree about their common face:
-regions fit without gap, overlap or step. Where planes agree (the bisectors of a Voronoi pattern) crossings, face points
-and hubs lie in them.
+Glondu 2014, section 4.1, stores at most six planes, one per cut edge; how they divide the tetrahedron where several
+differ is our addition (docs/numerics.md). The crack runs through the crossings, the points where planes cross their
+edges. Each face and then the tetrahedron is divided like a fan: a face of three fragments from a *face point*, the
+tetrahedron from a *hub*. Crossings and face points depend on the edge and the face alone, so neighbours agree on their
+common face: regions fit without gap, overlap or step. Where planes agree (the bisectors of a Voronoi pattern)
+crossings, face points and hubs lie in them.
 
-What a neighbour owned it keeps: a face or tetrahedron that is crossed again is divided anew within the older crack.
+Neighbours keep what they own: a face or tetrahedron that is crossed again is divided anew within the older crack.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ EDGE_BETWEEN = np.array([[-1, 0, 1, 2], [0, -1, 3, 4], [1, 3, -1, 5], [2, 4, 5, 
 # Face k lies opposite vertex k, counter-clockwise from outside for a tetrahedron of positive volume.
 FACE_VERTICES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
 
-# What a tetrahedron is to a fracture: of one fragment, of several, and of these known to be divided about its hub.
+# State of a tetrahedron in a fracture: one fragment, several, or several and known to be divided about its hub.
 LONE, CUT, DIVIDED = 1, 2, 3
 
-# Below this share of its largest value a determinant says that planes have no common point.
+# Below this share of a determinant's largest value the planes have no common point.
 SINGULAR = 1e-6
 # A hub with no more than this barycentric weight off a face is on it.
 ON_FACE = 1e-9
@@ -38,16 +38,16 @@ CROSSING, FACE_POINT, HUB, POINTS = 4, 10, 14, 15
 
 
 class CutScratch(NamedTuple):
-    """Working space: one cut tetrahedron."""
+    """Working space for one cut tetrahedron."""
 
     labels: np.ndarray  # (4,) int64 fragment of each node
-    points: np.ndarray  # (POINTS, 3) float64 [m]; what is not cut has no crossing, a face of fewer than 3 no point
-    corners: np.ndarray  # (4, 3): these and the next three are parts of `points`
+    points: np.ndarray  # (POINTS, 3) float64 [m]; valid at cut edges and at faces of three fragments only
+    corners: np.ndarray  # (4, 3): this and the next three are views of `points`
     crossings: np.ndarray  # (6, 3)
     face_points: np.ndarray  # (4, 3)
     hub: np.ndarray  # (3,)
     cut: np.ndarray  # (6,) uint8: whether a crack crosses the edge
-    event: np.ndarray  # (6,) int64: which fracture cut it, see BodyPool.edge_event
+    event: np.ndarray  # (6,) int64: the fracture that cut it, see BodyPool.edge_event
     planes: np.ndarray  # (6, 4) float64, from the edge's first local node to its second
     shares: np.ndarray  # (6,) float64: where the crossing is, from the first local node
     group: np.ndarray  # (4,) int64 working space
@@ -72,7 +72,7 @@ def crossing_share(nodes, a, b, plane):
 
 @inlined_kernel
 def point_on_edge(nodes, a, b, share, out):
-    """The crossing of the mesh edge (a, b), a < b: always from its smaller node, so that all who ask get one point."""
+    """The crossing of the mesh edge (a, b), a < b: always from its smaller node, so that all callers get one point."""
     p, q = nodes[a], nodes[b]
     for d in range(3):
         out[d] = p[d] + share * (q[d] - p[d])

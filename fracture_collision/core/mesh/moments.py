@@ -55,7 +55,7 @@ def tetrahedron_terms(ox, oy, oz, ax, ay, az, bx, by, bz, cx, cy, cz):
 
 @inlined_kernel
 def add_row(row, s0, s1, s2, s3, s4, s5, s6, s7, s8, s9):
-    """Add ten numbers to `row` (10,): all are read before any is written, so that they can be added side by side."""
+    """Add ten numbers to `row` (10,): all are read before any is written, so that the additions vectorize."""
     s0, s1, s2, s3, s4 = row[0] + s0, row[1] + s1, row[2] + s2, row[3] + s3, row[4] + s4
     s5, s6, s7, s8, s9 = row[5] + s5, row[6] + s6, row[7] + s7, row[8] + s8, row[9] + s9
     row[0], row[1], row[2], row[3], row[4] = s0, s1, s2, s3, s4
@@ -87,8 +87,8 @@ def _pyramid_moments(o, triangles, row):
 
 
 def mass_properties(moments: np.ndarray, density: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of solids with `moments` (n, 10) and `density` (n,) [kg/m3]: masses (n,) [kg], centres of mass (n, 3) [m] and
-    inertias (n, 6) [kg m2] about them, body axes: xx xy xz yy yz zz.
+    """Masses (n,) [kg], centres of mass (n, 3) [m] and inertias (n, 6) [kg m2] about them (body axes: xx xy xz yy yz
+    zz) of solids with `moments` (n, 10) and `density` (n,) [kg/m3].
     """
     volume = moments[:, :1]
     center = moments[:, 1:4] / volume

@@ -1,8 +1,8 @@
 """The multi-level grid of Glondu 2014, section 4.5: does a sphere outside reach any tetrahedron that holds fragment f?
 
-Level 0 is the location grid, restricted to the fragment's own cells, a word each: every cell has 4 x 4 x 4 parts, and a
-part's bit is set if a tetrahedron that holds f may meet it. Above, a cell of level k + 1 is set if ANY of its eight
-children is (the text's AND would cull what touches).
+Level 0 is the location grid, restricted to the fragment's own cells, one word per cell: every cell has 4 x 4 x 4 parts,
+and a part's bit is set if a tetrahedron that holds f may meet it. A cell of level k + 1 is set if ANY of its eight
+children is (the paper's AND would cull touching spheres).
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from fracture_collision.core.memory.compiled import inlined_kernel, kernel, quer
 from fracture_collision.core.memory.pools import BACK, FRONT, LABELS, OWNER, PARTED
 from fracture_collision.core.mesh.tet_mesh import PARTS
 
-# Cells that a sphere's diameter may span at the level that is asked: more of them cost loads, fewer cull less.
+# Cells that a sphere's diameter may span at the tested level: more cells cost loads, fewer cull less.
 SPAN = 4.0
-# What rounding may take from a distance, as a share of it and of a cell.
+# Rounding error bound of a distance, as a share of it and of a cell.
 ROUNDING = 1e-9
 
 
 def _slabs(axis: int) -> np.ndarray:
-    """The parts first .. last along an axis, in entry PARTS first + last (PARTS * PARTS,) uint64."""
+    """Bits of the parts first .. last along an axis, in entry PARTS first + last of (PARTS * PARTS,) uint64."""
     part = np.indices((PARTS, PARTS, PARTS))[axis].ravel()
     bit = np.uint64(1) << np.arange(PARTS * PARTS * PARTS, dtype=np.uint64)
     chosen = [bit[(first <= part) & (part <= last)] for first in range(PARTS) for last in range(PARTS)]
@@ -34,14 +34,14 @@ _SLABS_X, _SLABS_Y, _SLABS_Z = _slabs(0), _slabs(1), _slabs(2)
 
 @inlined_kernel
 def _slab(low, high):
-    """Entry of the tables above for what [low, high] covers of a cell, in cells from the cell's lower wall."""
+    """Entry of the tables above for the interval [low, high], in cells from the cell's lower wall."""
     first, last = int(math.floor(PARTS * low)), int(math.floor(PARTS * high))
     return PARTS * min(max(first, 0), PARTS - 1) + min(max(last, 0), PARTS - 1)
 
 
 @inlined_kernel
 def parts_within(x, y, z, r):
-    """Bits of a cell's parts that the box of half edge `r` about a point overlaps; cells, from its lowest corner."""
+    """Bits of a cell's parts that the box of half edge `r` about a point overlaps; in cells, from its lowest corner."""
     return _SLABS_X[_slab(x - r, x + r)] & _SLABS_Y[_slab(y - r, y + r)] & _SLABS_Z[_slab(z - r, z + r)]
 
 
@@ -61,7 +61,7 @@ def _mark(cells, i, j, k, parts, occupancy):
 
 @query_kernel
 def mark_all(mesh, k, cells, occupancy):
-    """The whole body of mesh `k`; `cells` (7,): see FragmentPool.cells, all of its grid; their words are clear."""
+    """Mark the whole body of mesh `k`; `cells` (7,): see FragmentPool.cells, the whole grid; its words must be zero."""
     nx, ny, nz, first = mesh.grid_dims[k]
     for i in range(nx):
         for j in range(ny):
@@ -74,7 +74,7 @@ def mark_all(mesh, k, cells, occupancy):
 
 @kernel
 def mark_fragments(mesh, body, fragment, occupancy, parent, low, high):
-    """Fragments low .. high - 1, into which `parent` broke, in their cells, whatever their words are."""
+    """Mark fragments low .. high - 1, into which `parent` broke, in their cells; clears their words first."""
     begin, end = fragment.cells[low, 6], fragment.cells[high - 1, 6] + pyramid_words(fragment.cells[high - 1])
     occupancy[begin:end] = 0
     cells = fragment.cells[low:high]
@@ -86,8 +86,8 @@ def mark_fragments(mesh, body, fragment, occupancy, parent, low, high):
 
 @query_kernel
 def _mark_fragments(mesh, body, fragment, occupancy, parent, low, high, cells, words, holders):
-    """Level 0. words (high - low,) uint64, clear, holders (high - low,) int32: working space, what each holds of a
-    cell, and who does.
+    """Mark level 0. Working space: words (high - low,) uint64, zero, the parts of a cell that each fragment holds;
+    holders (high - low,) int32, the fragments that hold any.
     """
     tet_shift = fragment.tet_shift[parent]
     ny, nz, first = mesh.grid_dims[fragment.mesh[parent], 1:]
@@ -100,7 +100,7 @@ def _mark_fragments(mesh, body, fragment, occupancy, parent, low, high, cells, w
                 whole = occupancy[at + ((i - x0) * my + (j - y0)) * mz + (l - z0)]
                 if not whole:
                     continue
-                # most cells go from the parent to one fragment as they are
+                # most cells pass from the parent to one fragment unchanged
                 heir = body.regions[mesh.cell_tets[begin] + tet_shift, OWNER]
                 if low <= heir < high:
                     e = begin + 1
@@ -131,7 +131,7 @@ def _mark_fragments(mesh, body, fragment, occupancy, parent, low, high, cells, w
 
 @inlined_kernel
 def _hold(label, low, high, parts, words, holders, used):
-    """Note that a fragment holds these parts of a cell; returns how many do."""
+    """Record that a fragment holds these parts of a cell; returns the number of holders."""
     if low <= label < high:
         if words[label - low] == 0:
             holders[used] = label - low
@@ -142,7 +142,7 @@ def _hold(label, low, high, parts, words, holders, used):
 
 @query_kernel
 def pyramid_words(cells):
-    """Words of all levels together, for a fragment's cells (7,)."""
+    """Number of words of all levels, for a fragment's cells (7,)."""
     total, level = 0, 0
     while True:
         nx = ((cells[0] + cells[3] - 1) >> level) - (cells[0] >> level) + 1
@@ -156,7 +156,7 @@ def pyramid_words(cells):
 
 @query_kernel
 def _fill_pyramid(cells, occupancy):
-    """Levels above 0, bottom-up by OR."""
+    """Fill the levels above 0, bottom-up by OR."""
     x0, y0, z0 = cells[0], cells[1], cells[2]
     nx, ny, nz = cells[3], cells[4], cells[5]
     begin = cells[6]
@@ -179,20 +179,20 @@ def _fill_pyramid(cells, occupancy):
 def sphere_may_touch(pools, f, x, y, z, r):
     """False only if no tetrahedron that holds f comes within `r` [m] of the point (body frame).
 
-    Sharper than the paper's eight cells at one level: the cells that the sphere's box overlaps, at most SPAN + 1 along
-    each axis, and at level 0 the parts of them that it overlaps.
+    Sharper than the paper's eight cells at one level: tests the cells that the sphere's box overlaps, at most SPAN + 1
+    along each axis, and at level 0 the parts of them that it overlaps.
     """
     grid = pools.mesh.grid
     k = pools.fragment.mesh[f]
     cells = pools.fragment.cells[f]
-    # in cells of level 0 from here on
+    # from here on in units of level-0 cells
     per_cell = 1.0 / grid[k, 3]
     px, py, pz = (x - grid[k, 0]) * per_cell, (y - grid[k, 1]) * per_cell, (z - grid[k, 2]) * per_cell
     r = r * per_cell * (1.0 + ROUNDING) + ROUNDING
     x0, y0, z0 = cells[0], cells[1], cells[2]
     nx, ny, nz = cells[3], cells[4], cells[5]
     begin = cells[6]
-    # the part that holds the centre answers most spheres that touch
+    # the part that holds the centre decides most touching spheres
     i, j, l = math.floor(px), math.floor(py), math.floor(pz)  # noqa: E741
     a, b, c = int(i) - x0, int(j) - y0, int(l) - z0
     if 0 <= a < nx and 0 <= b < ny and 0 <= c < nz:
@@ -232,8 +232,8 @@ def sphere_may_touch(pools, f, x, y, z, r):
 
 @query_kernel
 def cells_of_boxes(boxes, grid, dims, first_word, cells):
-    """The cells (n, 7), see FragmentPool.cells, of fragments with bounding boxes (n, 6) [m] in a location grid, rows of
-    MeshPool.grid and grid_dims; one's words behind the other's from `first_word` on. Returns how many they have.
+    """Write the cells (n, 7), see FragmentPool.cells, of fragments with bounding boxes (n, 6) [m] in a location grid,
+    rows of MeshPool.grid and grid_dims; their words are consecutive from `first_word` on. Returns the number of words.
     """
     end = first_word
     for i in range(len(boxes)):

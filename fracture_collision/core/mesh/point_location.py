@@ -1,6 +1,6 @@
 """Which tetrahedron holds a point, and which fragment owns it there: insideTest of Glondu 2014, section 4.3.
 
-A uniform grid takes the place of the paper's k-d tree: one cell, then the few tetrahedra that meet the part of it.
+A uniform grid replaces the paper's k-d tree: a lookup of one cell, then the few tetrahedra that meet the point's part.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from fracture_collision.core.mesh.occupancy import part_at
 
 # A point of a shared face belongs to the first of its tetrahedra; rounding must not lose it between them.
 WEIGHT_TOLERANCE = -1e-12
-# Far from the origin of the body frame a weight is a small difference of large terms, and rounds as these do.
+# Far from the origin of the body frame a weight is a small difference of large terms, with their rounding error.
 TERM_ROUNDING = 8.0 * np.finfo(np.float64).eps
 
-# A walk that takes more is lost, or was not a short one.
+# Step limit of a walk: a longer one is lost, or did not start near the point.
 MOST_STEPS = 16
 
 
@@ -65,7 +65,7 @@ def tetrahedron_at(mesh, k, x, y, z):
 
 @inlined_kernel
 def tetrahedron_from(mesh, k, start, x, y, z):
-    """As tetrahedron_at, by a walk from tetrahedron `start`: over the face that the point is farthest behind."""
+    """As tetrahedron_at, by a walk from tetrahedron `start` across the face with the lowest barycentric weight."""
     t = start
     for _ in range(MOST_STEPS):
         b = mesh.barycentric[t]
@@ -113,7 +113,7 @@ def owner_in_cut(pools, f, t, x, y, z):
 
 @inlined_kernel
 def height(body, row, x, y, z):
-    """Of the point above the plane of a triangle, out of its front [m]; not a number for one without a plane."""
+    """Height [m] of the point above the plane of a triangle, out of its front; NaN for a triangle without a plane."""
     p = body.faces[row]
     return p[0] * x + p[1] * y + p[2] * z - p[3]
 
@@ -125,7 +125,7 @@ def _side(body, row, x, y, z):
 
 @inlined_kernel
 def _owner_about_hub(pools, f, t, first, x, y, z):
-    """The hub and a face span a sector; in it, planes through the hub part the fragments as they part the face."""
+    """The hub and a face span a sector; in it, planes through the hub divide the fragments as they divide the face."""
     mesh, body = pools.mesh, pools.body
     hub = body.triangles[first]
     face, least = 0, math.inf
@@ -138,7 +138,7 @@ def _owner_about_hub(pools, f, t, first, x, y, z):
             rest, hub_rest = rest - weight, hub_rest - of_hub
         else:
             weight, of_hub = rest, hub_rest
-        # a hub on a face has no sector to it
+        # a hub on a face has no sector with it
         if of_hub > ON_FACE and weight / of_hub < least:
             face, least = k + 1 if k < 3 else 0, weight / of_hub
     last = first + body.cut_count[t + pools.fragment.tet_shift[f]]
@@ -149,8 +149,8 @@ def _owner_about_hub(pools, f, t, first, x, y, z):
         return body.node_fragment[mesh.tetrahedra[t, (face + 1) % 4] + pools.fragment.node_shift[f]]
     if row + 1 == last or body.sides[row + 1, KIND] != face:
         return _side(body, row, x, y, z)
-    # three fragments about the face point, none over more than half a turn: each has what is behind the half-plane at
-    # its end and beyond the one at its beginning; on the border of two, where rounding decides, whichever lacks less
+    # three fragments about the face point, none over more than half a turn: each owns the wedge behind the half-plane
+    # at its end and beyond the one at its start; on a border, where rounding decides, the least violated wedge wins
     first, second, third = height(body, row, x, y, z), height(body, row + 1, x, y, z), height(body, row + 2, x, y, z)
     lacks, of_second, of_third = _larger(first, -third), _larger(second, -first), _larger(third, -second)
     if of_third < lacks and of_third < of_second:
@@ -160,7 +160,7 @@ def _owner_about_hub(pools, f, t, first, x, y, z):
 
 @inlined_kernel
 def _larger(a, b):
-    """The larger of two heights, the one of them that is a number, or infinity."""
+    """The larger of two heights; if one is NaN, the other; if both are, infinity."""
     if math.isnan(a):
         return math.inf if math.isnan(b) else b
     return a if math.isnan(b) else max(a, b)
@@ -177,7 +177,7 @@ def holds_fragment(pools, f, t):
 
 @inlined_kernel
 def region_holds(region, f):
-    """The same, of a row of BodyPool.regions."""
+    """holds_fragment for a row of BodyPool.regions."""
     if region[OWNER] >= 0:
         return region[OWNER] == f
     if region[OWNER] == PARTED:

@@ -9,8 +9,8 @@ import numpy as np
 from fracture_collision.core.memory.compiled import inlined_kernel
 from fracture_collision.core.memory.kinds import BOX, PLANE
 
-# A box is sampled along its edges, where it pokes into faces of others; its faces answer in closed form. The spacing,
-# as a share of the longest edge, keeps the tree of a long shelf small and a cube's edge well covered.
+# A box is sampled along its edges, where it penetrates faces of others; its own faces are handled in closed form. The
+# spacing, as a share of the longest edge, keeps the tree of a long shelf small and a cube's edge well covered.
 BOX_EDGE_SPACING = 1.0 / 64.0
 
 
@@ -49,7 +49,7 @@ def _box_distance(half, x, y, z):
 
 
 def _pieces_of_edges(half: np.ndarray) -> list[int]:
-    """In how many equal pieces the samples divide the edges along each axis of a box of half edges (3,) [m]."""
+    """Number of equal pieces into which samples divide the edges along each axis of a box of half edges (3,) [m]."""
     step = 2.0 * float(half.max()) * BOX_EDGE_SPACING
     return [max(int(np.ceil(2.0 * h / step - 1e-9)), 1) for h in half.tolist()]
 
@@ -66,7 +66,7 @@ def box_edge_points(half: np.ndarray) -> np.ndarray:
 
 
 def box_sampling_gap(half: np.ndarray) -> float:
-    """[m] no point of the surface is farther from one of box_edge_points(half), hardly less.
+    """Tight upper bound [m] of the distance of a surface point from the nearest of box_edge_points(half).
 
     From a point of a face with half edges a and b it is at most a to an edge of length 2 b, and along that edge at most
     half the spacing of its samples to the nearest of them; likewise the other way round.

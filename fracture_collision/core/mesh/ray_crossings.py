@@ -1,8 +1,8 @@
-"""How often closed surfaces wind around a point: counted where a ray from the point crosses them.
+"""Winding numbers of closed surfaces around a point, counted from the crossings of a ray from the point.
 
-A ray that leaves a surface counts +1, one that enters it -1. Each crossing is a matter of four signs of determinants,
-and a sign counts only where rounding cannot have turned it; a ray that passes too near an edge to tell gives way to one
-of another direction. So a count that is returned is exact. A hierarchy of boxes finds the triangles that a ray may
+A ray that leaves a surface counts +1, one that enters it -1. Each crossing depends on the signs of four determinants,
+and a sign counts only where rounding cannot have flipped it; a ray that passes too near an edge to decide is replaced
+by one of another direction. So a returned count is exact. A hierarchy of boxes finds the triangles that a ray may
 cross.
 """
 
@@ -19,18 +19,18 @@ DIRECTIONS = np.array([
     [0.531, 0.287, 0.797], [-0.673, 0.601, 0.431], [0.239, -0.859, 0.453], [0.811, 0.367, -0.457],
     [-0.307, -0.421, 0.853], [0.617, -0.523, -0.587], [-0.769, 0.223, -0.599], [-0.389, 0.907, -0.163],
 ])  # fmt: skip
-# What rounding may do to a determinant, as a share of the sum of the magnitudes of its six products. Corners enter as
+# Rounding error bound of a determinant, as a share of the sum of the magnitudes of its six products. Corners enter as
 # differences from the point, each rounded once.
 SIGN_ROUNDING = 32.0 * np.finfo(np.float64).eps
-# What rounding may do to where a ray meets the planes of a box, as a share of all lengths that enter.
+# Rounding error bound of where a ray meets the planes of a box, as a share of all lengths involved.
 BOX_ROUNDING = 1e-12
 
 
 def windings_of_others(corners: np.ndarray, piece: np.ndarray, points: np.ndarray, own: np.ndarray) -> np.ndarray:
-    """How often all pieces but own[i] wind around points[i]: (n,) int64, UNDECIDED where the point is on one of them.
+    """Winding numbers of all pieces but own[i] around points[i]: (n,) int64, UNDECIDED where the point is on a piece.
 
-    corners: (t, 3, 3) [m] of triangles that form closed pieces, counter-clockwise from outside; piece: (t,) of each
-    triangle; points: (n, 3) [m].
+    corners: (t, 3, 3) [m] of triangles that form closed pieces, counter-clockwise from outside; piece: (t,) the piece
+    of each triangle; points: (n, 3) [m].
     """
     lower, upper = corners.min(axis=1), corners.max(axis=1)
     boxes = np.ascontiguousarray(np.concatenate([lower, upper], axis=1))

@@ -1,9 +1,9 @@
-"""How the samples of a body of tetrahedra are numbered, and the points that a fracture adds to them.
+"""Sample numbers of a body of tetrahedra, and the points that a fracture adds to them.
 
-A body of n nodes, e edges and m tetrahedra has, in this order: its n nodes; two crossings for each edge, n + 2 edge +
-side, of the fragment that has the edge's first end (side 0) or its second; and five corners for each tetrahedron,
-n + 2 e + 5 t + which: its hub (0) and the points of its faces (1 + face), where cracks meet. Those of a fragment that
-are on its surface are its samples.
+A body of n nodes, e edges and m tetrahedra has, in this order: its n nodes; two crossings per edge, n + 2 edge + side,
+of the fragment that owns the edge's first end (side 0) or its second (side 1); and five corners per tetrahedron,
+n + 2 e + 5 t + which: its hub (0) and the points of its faces (1 + face), where cracks meet. A fragment's samples are
+those of its points that are on its surface.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from fracture_collision.core.memory.compiled import inlined_kernel
 
 CORNERS_EACH = 5
 OF_HUB, OF_FACE = 0, 1
-# Contacts that are no sample's have numbers behind those of all samples: of surfaces, of crossing ridges.
+# Numbers of contacts without a sample start beyond all sample numbers: of surfaces, of crossing ridges.
 FIRST_OF_SURFACES, FIRST_OF_RIDGES = 1 << 40, 1 << 42
 # Columns of MeshPool.first.
 FIRST_NODE, FIRST_EDGE, NODES, FIRST_TETRAHEDRON, EDGES = 0, 1, 2, 3, 4
@@ -27,19 +27,19 @@ class NewSamples(NamedTuple):
 
     points: np.ndarray  # (q, 3) float64 [m]
     samples: np.ndarray  # (q,) int32
-    parents: np.ndarray  # (q,) int32 mesh nodes of the same fragment, near
-    parts: np.ndarray  # (q,) int32, of the new fragments
+    parents: np.ndarray  # (q,) int32 nearby mesh nodes of the same fragment
+    parts: np.ndarray  # (q,) int32 index of the new fragment
 
 
 @inlined_kernel
 def crossing_number(first, edge, side):
-    """Of an edge of the mesh, by its row in the pool; first (5,): MeshPool.first of the mesh."""
+    """Number of a crossing of a mesh edge, given by its row in the pool; first (5,): MeshPool.first of the mesh."""
     return first[NODES] + 2 * (edge - first[FIRST_EDGE]) + side
 
 
 @inlined_kernel
 def corner_number(first, tetrahedron, which):
-    """Of a tetrahedron, by its row in the pool."""
+    """Number of a corner of a tetrahedron, given by its row in the pool."""
     return first[NODES] + 2 * first[EDGES] + CORNERS_EACH * (tetrahedron - first[FIRST_TETRAHEDRON]) + which
 
 
@@ -67,5 +67,5 @@ def tetrahedron_of(first, sample):
 
 @inlined_kernel
 def is_crossing_of_ridges(number):
-    """Whether a contact's number, where others have their sample's, is that of two ridges that cross."""
+    """Whether a contact's number denotes two crossing ridges instead of a sample."""
     return number >= FIRST_OF_RIDGES

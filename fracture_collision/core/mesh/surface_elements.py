@@ -1,8 +1,8 @@
-"""A fragment's surface in pieces that are small and nearly flat, for what has to be known of all of it.
+"""A fragment's surface in small, nearly flat pieces, for tests that must cover all of it.
 
-An *element* is what a fragment has of its surface in one tetrahedron of its mesh, a triangle of a rigid mesh, or a side
-of a box. Its corners span it. Elements are made when they are first asked for and stay as they are: what breaks beside
-a fragment divides its surface anew, but does not move it (cut_tetrahedron.py).
+An *element* is a fragment's surface within one tetrahedron of its mesh, a triangle of a rigid mesh, or a side of a box.
+Its corners span it. Elements are made on first use and then stay unchanged: a fracture beside a fragment divides its
+surface anew, but does not move it (cut_tetrahedron.py).
 """
 
 from __future__ import annotations
@@ -20,31 +20,31 @@ from fracture_collision.core.mesh.cut_tetrahedron import FACE_VERTICES
 from fracture_collision.core.mesh.point_location import region_holds
 from fracture_collision.core.mesh.sample_numbers import FIRST_TETRAHEDRON
 
-# What single precision may do to a corner, about the fragment's origin, as a share of the fragment's size.
+# Single-precision error bound of a corner, relative to the fragment's origin, as a share of the fragment's size.
 CORNER_ROUNDING = 2e-7
 # The sides of a box, 2 d at the lower end of axis d and 2 d + 1 at its upper one, by their corners, counter-clockwise
-# from outside; bit d of a corner tells its end along axis d.
+# from outside; bit d of a corner is its end along axis d.
 _CORNERS_OF_SIDE = np.array([[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]])
-# Elements that a fragment gets room for at first, and corners of each.
+# Initial capacity for a fragment: elements, and corners per element.
 _FIRST_ROOM, _CORNERS_EACH = 1024, 8
 # No element has more corners: a tetrahedron has cut_tetrahedron.POINTS.
 MOST_CORNERS = 24
 
 
 class Elements(NamedTuple):
-    """Of all fragments that have any, those of one together."""
+    """Elements of all fragments that have any, contiguous per fragment."""
 
     begin: np.ndarray  # (F,) int64 first element of a row of FragmentPool; -1: not made
     end: np.ndarray  # (F,) int64
-    origin: np.ndarray  # (F, 3) float64 [m] in the body frame; what follows is about it
+    origin: np.ndarray  # (F, 3) float64 [m] in the body frame; the coordinates below are relative to it
     piece: np.ndarray  # (E,) int32: tetrahedron, triangle (rows of their pools) or side
-    spheres: np.ndarray  # (E, 4) float32 [m]: centre and radius of a ball around it
-    first: np.ndarray  # (E + 1,) int32: its corners
+    spheres: np.ndarray  # (E, 4) float32 [m]: centre and radius of a bounding ball
+    first: np.ndarray  # (E + 1,) int32: first row of its corners
     corners: np.ndarray  # (C, 3) float32 [m]
 
 
 class ElementTable:
-    """Owner of the arrays. For as long as no row of the pools is renumbered."""
+    """Owns the arrays. Valid as long as no row of the pools is renumbered."""
 
     def __init__(self) -> None:
         self._begin, self._end = np.full(0, -1), np.full(0, -1)
@@ -54,7 +54,7 @@ class ElementTable:
         self._first.append(np.zeros(1, np.int32))
 
     def of(self, pools: Pools, rows: np.ndarray) -> Elements:
-        """Those of `rows` (n,) of FragmentPool, at least; planes and spheres have none."""
+        """Elements of at least `rows` (n,) of FragmentPool; planes and spheres have none."""
         count = len(pools.fragment.kind)
         if len(self._begin) < count:
             more = count - len(self._begin)
@@ -91,8 +91,8 @@ class ElementTable:
 
 @kernel
 def _elements_of(pools, f, origin, piece, spheres, first, corners):
-    """Write f's elements, where there is room: (how many there are, how many corners they have). first (n,): the row
-    behind an element's last corner.
+    """Write f's elements, as far as capacity allows; returns (number of elements, number of their corners), which may
+    exceed the capacity. first (n,): end row of an element's corners.
     """
     used, points, kind = 0, 0, pools.fragment.kind[f]
     work = np.empty((MOST_CORNERS, 3))
@@ -137,7 +137,7 @@ def _elements_of(pools, f, origin, piece, spheres, first, corners):
 
 @inlined_kernel
 def _corners_in(pools, f, t, work):
-    """Corners of f's surface in tetrahedron `t`, each once, into `work`; returns how many."""
+    """Write the corners of f's surface in tetrahedron `t`, each once, to `work`; returns their number."""
     mesh, body, shift, count = pools.mesh, pools.body, pools.fragment.tet_shift[f], 0
     alone = f
     if shift != NEVER_BROKEN:
@@ -162,13 +162,13 @@ def _corners_in(pools, f, t, work):
 
 @inlined_kernel
 def _has_triangle(body, i, f):
-    """Whether a row of body.triangles is of f's surface; one without a plane is rounding."""
+    """Whether a row of body.triangles belongs to f's surface; one without a plane is degenerate by rounding."""
     return (body.sides[i, FRONT_SIDE] == f or body.sides[i, BACK_SIDE] == f) and not math.isnan(body.faces[i, 3])
 
 
 @inlined_kernel
 def count_triangles(pools, f, piece):
-    """Places where fragment f may have a triangle in an element; see put_triangle."""
+    """Upper bound of the number of f's triangles in an element: the range of `k` in put_triangle."""
     kind = pools.fragment.kind[f]
     if kind == BOX:
         return 2
@@ -180,8 +180,8 @@ def count_triangles(pools, f, piece):
 
 @inlined_kernel
 def put_triangle(pools, f, piece, k, rotation, translation, out):
-    """Corners of the k-th triangle of an element, counter-clockwise from outside, carried into another frame: out (9,)
-    [m]; returns whether there is one.
+    """Write the corners of the k-th triangle of an element, counter-clockwise from outside, transformed to another
+    frame, to out (9,) [m]; returns whether that triangle exists.
     """
     kind = pools.fragment.kind[f]
     if kind == TRIANGLES:
@@ -243,7 +243,7 @@ def _add_corner(p, work, count):
 
 @inlined_kernel
 def _put(origin, work, count, number, used, points, piece, spheres, first, corners):
-    """Element `used` from the first `count` rows of `work`, if there is room; returns how many corners all have."""
+    """Write element `used` from the first `count` rows of `work`, if there is room; returns the corner total."""
     if used < len(piece) and points + count <= len(corners):
         piece[used], first[used] = number, points + count
         for d in range(3):

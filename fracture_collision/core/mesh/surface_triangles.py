@@ -11,13 +11,13 @@ from fracture_collision.core.memory.pools import BACK_SIDE, FRONT_SIDE, NEVER_BR
 from fracture_collision.core.mesh.cut_tetrahedron import FACE_VERTICES
 from fracture_collision.core.mesh.point_location import holds_fragment
 
-# Triangles that a fragment gets room for at first; one that has more is looked through again.
+# Initial capacity in triangles; a fragment that has more is collected again.
 FIRST_ROOM = 4096
 
 
 @kernel
 def _collect(pools, f, first_tet, last_tet, out, crack):
-    """Write the triangles into out (n, 9) if it has room; returns how many there are."""
+    """Write the triangles to out (n, 9) as far as it has room; returns their total number."""
     mesh, body = pools.mesh, pools.body
     shift = pools.fragment.tet_shift[f]
     used = 0
@@ -36,7 +36,7 @@ def _collect(pools, f, first_tet, last_tet, out, crack):
             continue
         begin = body.regions[t + shift, ROW]
         for i in range(begin, begin + body.cut_count[t + shift]):
-            # a triangle without a plane is rounding
+            # a triangle without a plane is degenerate by rounding
             if (body.sides[i, FRONT_SIDE] != f and body.sides[i, BACK_SIDE] != f) or math.isnan(body.faces[i, 3]):
                 continue
             if used < len(out):

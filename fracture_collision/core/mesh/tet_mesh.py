@@ -1,4 +1,4 @@
-"""A body's tetrahedral mesh with what every query needs: adjacency, boxes, barycentric rows, moments, a location grid.
+"""A body's tetrahedral mesh with the data for queries: adjacency, boxes, barycentric rows, moments, a location grid.
 
 Built once per geometry (the paper's preprocess, sections 4.1 and 4.3); fracture never changes it.
 All indices are local to the mesh; `pools.py` shifts them when meshes are concatenated.
@@ -21,12 +21,12 @@ from fracture_collision.geometry.tetrahedra import (
 )
 from fracture_collision.portable_math import arctangent2, cube_root, dots, images, lengths
 
-# A location grid with about one tetrahedron's box a cell answers fastest; a hollow body's box holds more air than
+# A location grid with cells about the size of a tetrahedron's box is fastest; a hollow body's box holds more air than
 # tetrahedra, so the number of cells is bounded too.
 CELLS_PER_TETRAHEDRON = 4
 # Parts of a cell along each axis: a word has 64 bits.
 PARTS = 4
-# What rounding may do to where a wall between parts lies, as a share of a part: coordinates may be 1e5 times as large.
+# Rounding error bound of a wall between parts, as a share of a part: coordinates may be 1e5 times as large.
 WALL = 1e-6
 
 
@@ -36,8 +36,8 @@ class TetMesh(NamedTuple):
     neighbours: np.ndarray  # (m, 4) int32, across the face opposite vertex i; -1: the old surface
     tetrahedron_edges: np.ndarray  # (m, 6) int32, order (0,1),(0,2),(0,3),(1,2),(1,3),(2,3)
     edges: np.ndarray  # (e, 2) int32, ascending, first < second
-    edges_begin: np.ndarray  # (n + 1,) int32: the edges whose first node is i
-    edge_tets: np.ndarray  # (e,) int32, a tetrahedron at each edge
+    edges_begin: np.ndarray  # (n + 1,) int32: CSR offsets of the edges with first node i
+    edge_tets: np.ndarray  # (e,) int32, one tetrahedron incident to each edge
     boxes: np.ndarray  # (m, 6) float32 [m], lower and upper corner, rounded outwards
     barycentric: np.ndarray  # (m, 12) float64, rows (gx, gy, gz, c) of vertices 1, 2, 3: weight = g . x + c
     walls: np.ndarray  # (m, 16) float32: n_x, n_y, n_z and offsets [m] of faces 0 .. 3 from the grid's corner, outwards
@@ -52,9 +52,9 @@ class TetMesh(NamedTuple):
     grid_dims: np.ndarray  # (3,) int32
     cell_begin: np.ndarray  # (cells + 1,) int32
     cell_tets: np.ndarray  # int32, ascending within a cell
-    cell_parts: np.ndarray  # uint64: which of the cell's parts (occupancy.py) that tetrahedron may meet, a bit each
+    cell_parts: np.ndarray  # uint64, one bit per part of the cell (occupancy.py) that this tetrahedron may meet
     box: np.ndarray  # (6,) float64 [m]
-    sampling_gap: float  # [m] no point of the old surface is farther from a vertex of it
+    sampling_gap: float  # [m] upper bound of the distance from a point of the old surface to its nearest vertex
 
 
 def build_tet_mesh(nodes: np.ndarray, tetrahedra: np.ndarray) -> TetMesh:
@@ -114,7 +114,7 @@ def build_tet_mesh(nodes: np.ndarray, tetrahedra: np.ndarray) -> TetMesh:
 def vertex_normals(nodes: np.ndarray, surface: np.ndarray) -> np.ndarray:
     """Outward unit normals (n, 3) of the vertices of a closed surface (t, 3): angle-weighted (Baerentzen, Aanaes 2005).
 
-    Zero at nodes that are no vertex of it.
+    Zero at nodes that are not its vertices.
     """
     corners = nodes[surface]
     face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -125,14 +125,14 @@ def vertex_normals(nodes: np.ndarray, surface: np.ndarray) -> np.ndarray:
         angle = arctangent2(lengths(np.cross(u, v)), (u * v).sum(axis=1))
         np.add.at(normals, surface[:, i], angle[:, None] * face)
     length = lengths(normals)[:, None]
-    # where sheets fold back upon themselves their normals cancel: any of them will do
+    # where sheets fold back onto themselves their normals cancel: use any one of them
     first = np.zeros((len(nodes), 3))
     first[surface[::-1].ravel()] = np.repeat(face[::-1], 3, axis=0)
     return np.where(length > 1e-9, normals / np.maximum(length, 1e-9), first)
 
 
 def _rounded_outwards(boxes: np.ndarray) -> np.ndarray:
-    """Boxes (m, 6) as float32 that hold those given: they only bound, and half the bytes are half the cache."""
+    """float32 boxes (m, 6) that contain the given ones: they only serve as bounds, and take half the cache."""
     rounded = boxes.astype(np.float32)
     lower, upper = rounded[:, :3], rounded[:, 3:]
     np.copyto(lower, np.nextafter(lower, np.float32(-np.inf)), where=lower > boxes[:, :3])
@@ -141,7 +141,8 @@ def _rounded_outwards(boxes: np.ndarray) -> np.ndarray:
 
 
 def _cell_size(volume: float, extent: np.ndarray, count: int) -> float:
-    """Edge of a regular tetrahedron of the mesh's mean volume, enlarged until the cells stay few."""
+    """Edge of a regular tetrahedron of the mesh's mean volume, enlarged until the number of cells is within its limit.
+    """
     cell = cube_root(6.0 * np.sqrt(2.0) * volume / count)
     limit = CELLS_PER_TETRAHEDRON * count + 64
     while np.prod(np.floor(extent / cell) + 2) > limit:
@@ -176,7 +177,7 @@ def _walls(barycentric: np.ndarray, origin: np.ndarray) -> np.ndarray:
 def _touches_cell(rows, x, y, z, half):
     """Whether a tetrahedron, given by its barycentric rows (12,), may meet a cube of half edge `half` about (x, y, z).
 
-    Separating planes of the four faces; with the boxes' overlap, which the caller has tested, a close outer bound.
+    Tests the four face planes as separating planes; with the box overlap test of the caller, a close outer bound.
     """
     last, last_reach = 1.0, 0.0
     gx = gy = gz = 0.0
@@ -199,8 +200,8 @@ def _overlap(low, high, center, half):
 
 @kernel
 def _parts_met(box, rows, x, y, z, part):
-    """The parts of a cell, one with its lowest corner at (x, y, z), that a tetrahedron may meet, a bit each."""
-    # a hair more than half a part: rounding must not lose a tetrahedron that touches the wall between two
+    """Bits of the parts of a cell, with its lowest corner at (x, y, z), that a tetrahedron may meet."""
+    # slightly more than half a part: rounding must not lose a tetrahedron that touches the wall between two
     half = 0.5 * part * (1.0 + WALL)
     parts = np.uint64(0)
     for i in range(PARTS):
@@ -220,7 +221,7 @@ def _parts_met(box, rows, x, y, z, part):
 
 @kernel
 def _register_tetrahedra(boxes, barycentric, origin, cell, dims):
-    """Cells to tetrahedra, ascending: begin, items, and the parts of the cell that each may meet."""
+    """CSR lists from cells to tetrahedra, ascending: begin, items, and the parts of the cell that each may meet."""
     nx, ny, nz = dims
     cell_begin = np.zeros(nx * ny * nz + 1, dtype=np.int32)
     lo, hi = np.empty(3, dtype=np.int64), np.empty(3, dtype=np.int64)

@@ -1,12 +1,12 @@
 """The exact signed distance to a closed triangle mesh: the elementary queries for rigid bodies without tetrahedra.
 
-A bounding-volume hierarchy of boxes finds the nearest triangle; the sign is that of the angle to the pseudonormal of
-the feature (face, edge or corner) that holds the closest point: J. A. Baerentzen, H. Aanaes, "Signed distance
-computation using the angle weighted pseudonormal", IEEE TVCG 11(3), 2005. For a closed mesh that does not touch itself
-both are exact: no grid, no stored distance.
+A bounding-volume hierarchy of boxes finds the nearest triangle; the sign comes from the pseudonormal of the feature
+(face, edge or corner) that holds the closest point: J. A. Baerentzen, H. Aanaes, "Signed distance computation using the
+angle weighted pseudonormal", IEEE TVCG 11(3), 2005. For a closed mesh that does not touch itself both are exact: no
+grid, no stored distance.
 
-The hierarchy stands in preorder: the first child of node i is i + 1, the second the `skip` of the first; `skip` is the
-node behind the subtree. Triangles stand in the order of the leaves.
+The hierarchy is stored in preorder: the first child of node i is i + 1, the second the `skip` of the first; `skip` is
+the node behind the subtree. Triangles are stored in the order of the leaves.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from fracture_collision.core.mesh.closest_point import (
 )
 from fracture_collision.portable_math import arctangent2, lengths
 
-# Four triangles a leaf: one more box costs about as much as one more triangle.
+# Four triangles per leaf: one more box costs about as much as one more triangle.
 LEAF_TRIANGLES = 4
 # The hierarchy halves its triangles at each node, so a descent of this depth covers 2^62 of them.
 STACK = 64
@@ -42,7 +42,7 @@ class TriangleMesh(NamedTuple):
     node_box: np.ndarray  # (b, 6) float64 [m], lower and upper corner
     node_skip: np.ndarray  # (b,) int32
     node_first: np.ndarray  # (b,) int32 first triangle of a leaf
-    node_count: np.ndarray  # (b,) int32 triangles of a leaf, 0: inner node
+    node_count: np.ndarray  # (b,) int32 number of triangles of a leaf, 0: inner node
 
 
 def build_triangle_mesh(vertices: np.ndarray, triangles: np.ndarray) -> TriangleMesh:
@@ -146,8 +146,8 @@ def build_hierarchy(boxes, centers):
 def nearest_triangle(meshes, k, x, y, z, limit, toward, stack):
     """Nearest point of mesh `k` closer than `limit` [m]: (squared distance [m2], x, y, z, feature, triangle row or -1).
 
-    `toward` (x, y, z): only triangles whose outward normal points against it; zeros: all. Depth first, the nearer child
-    first; a box as far as the best so far is left. `stack` (STACK,) int32: working space.
+    `toward` (x, y, z): only triangles with an outward normal opposed to it; zeros: all. Depth first, the nearer child
+    first; a box at least as far as the best so far is skipped. `stack` (STACK,) int32: working space.
     """
     ox, oy, oz = toward
     is_asked = ox != 0.0 or oy != 0.0 or oz != 0.0
@@ -183,7 +183,7 @@ def nearest_triangle(meshes, k, x, y, z, limit, toward, stack):
 
 @query_kernel
 def triangle_within(meshes, k, x, y, z, r):
-    """Whether any triangle of mesh `k` is within `r` [m] of the point: the sphere's own overlap with the surface."""
+    """Whether any triangle of mesh `k` is within `r` [m] of the point: the sphere's overlap with the surface."""
     node, end = meshes.node_range[k]
     r2 = r * r
     while node < end:
@@ -204,7 +204,7 @@ def triangle_distance(meshes, k, radius, x, y, z, stack):
     """(signed distance [m], positive outside; outward unit direction; closest point x, y, z) of mesh `k`.
 
     `radius` [m]: R of the body. The direction is the face's normal, or at an edge or corner the line between the two
-    points; where these all but coincide, the pseudonormal.
+    points; where these nearly coincide, the pseudonormal.
     """
     d2, qx, qy, qz, feature, t = nearest_triangle(meshes, k, x, y, z, math.inf, (0.0, 0.0, 0.0), stack)
     d = math.sqrt(d2)

@@ -1,6 +1,6 @@
 """Pairs whose world boxes overlap: sort along the axis of the widest spread, sweep, test the other two axes.
 
-Where little has moved since the last step, only what has is tested, against all.
+If few fragments have moved since the last step, only those are tested, against all.
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ from fracture_collision.core.memory.compiled import inlined_kernel, kernel
 from fracture_collision.core.memory.kinds import PLANE
 from fracture_collision.core.pair.crowds import Overlaps, overlaps_of
 
-# All pairs are looked for anew where more than one fragment in so many has moved.
+# All pairs are recomputed if more than one fragment in so many has moved.
 FEW = 16
 
 
 class Paired(NamedTuple):
-    """The pairs of a step, and what they were found of."""
+    """The pairs of a step, and the state they were computed from."""
 
     rows: np.ndarray  # (n,) int64 of FragmentPool
     rotations: np.ndarray  # (n, 3, 3)
     positions: np.ndarray  # (n, 3) [m]
     motion: Motion  # of the rows
-    boxes: np.ndarray  # (n, 6) [m] in the world, with their margins, that hold them for as long as it is looked ahead
+    boxes: np.ndarray  # (n, 6) [m] in the world, with their margins, swept over the look-ahead time
     pairs: np.ndarray  # (p, 2) int64 of indices i < j into `rows`, ascending
     overlaps: Overlaps  # of the pairs
 
@@ -70,7 +70,7 @@ def _reaches_plane(shape, rotation, position, box):
 def overlapping_pairs(boxes, kinds, shapes, rotations, positions, is_static, most):
     """Pairs (p, 2) of indices i < j, ascending, whose boxes overlap; never two static ones, never two planes.
 
-    If there are more than `most`, some most + 1 of them: the search ends there.
+    If there are more than `most`, some most + 1 of them: the search stops there.
     """
     n = len(boxes)
     bounded = np.flatnonzero(kinds != PLANE)
@@ -123,14 +123,14 @@ def overlapping_pairs(boxes, kinds, shapes, rotations, positions, is_static, mos
 
 @kernel
 def pairs_within_reach(fragment, rows, rotations, positions, motion, is_static, tolerance, most, before):
-    """Of fragments `rows` (n,) of a FragmentPool with poses (n, 3, 3), (n, 3): their R (n,) [m]; and the Paired, that
-    may be within `tolerance` (a share of the smaller R) of each other, or come to be by `motion`, see
-    overlapping_pairs.
+    """R (n,) [m] of fragments `rows` (n,) of a FragmentPool with poses (n, 3, 3), (n, 3); and the Paired that may be
+    within `tolerance` (a share of the smaller R) of each other, now or later by `motion`, see overlapping_pairs.
 
-    before: the last step's, of the same pool, tolerance and static ones. It makes the answer quicker, never different.
+    before: the last step's, of the same pool, tolerance and static fragments. It makes the query faster and never
+    changes its result.
     """
     radius = fragment.radius[rows]
-    # two boxes grown by half the tolerance each meet whenever their fragments come within it
+    # boxes that each grow by their own tolerance overlap whenever their fragments come within the smaller one
     margins = np.where(np.isfinite(radius), tolerance * radius, 0.0)
     kinds, shapes = fragment.kind[rows], fragment.shape[rows]
     has_moved = _that_moved(before, rows, rotations, positions, motion)
@@ -152,7 +152,7 @@ def pairs_within_reach(fragment, rows, rotations, positions, motion, is_static, 
 
 @kernel
 def _that_moved(before, rows, rotations, positions, motion):
-    """Which fragments stand elsewhere than before, or move otherwise (n,) bool: all, where they are others."""
+    """(n,) bool: which fragments have another pose or velocity than before; all, if the fragments are not the same."""
     n = len(rows)
     if len(before.rows) != n or before.motion.time != motion.time:
         return np.ones(n, np.bool_)
@@ -172,7 +172,7 @@ def _that_moved(before, rows, rotations, positions, motion):
 
 @kernel
 def _renewed(before, has_moved, boxes, kinds, shapes, rotations, positions, is_static):
-    """Pairs and Overlaps of `boxes`: those of `before` that have not moved, and of the others all that meet."""
+    """Pairs and Overlaps of `boxes`: from `before` where neither fragment has moved; of the others all that meet."""
     n, used = len(boxes), 0
     found = np.empty((64, 2), dtype=np.int64)
     for i in np.flatnonzero(has_moved):

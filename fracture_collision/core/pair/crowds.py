@@ -1,10 +1,10 @@
-"""What a step may cost where many fragments lie in each other, as bodies that push each other apart never do.
+"""Work limits for a step in which many fragments overlap each other, as bodies that push each other apart never do.
 
-A hundred bodies at one place are five thousand pairs, each of which a search has to go through to the last sample. So
-pairs whose boxes mostly coincide share a number of visits, and a pair whose share would not do for a beginning is not
-searched at all. All others share 25 times that number, which they hardly ever reach: of these only what lies in the
-other's box is counted, all else is soon left out. What a pair gets depends on where the boxes are and on the sizes of
-the trees, and on nothing that a step may have kept from an earlier one.
+A hundred bodies in one place make five thousand pairs, each of which a search must traverse to the last sample. So
+pairs whose boxes mostly coincide share a number of visits, and a pair whose share is too small to begin with is not
+searched at all. All others share 25 times that number, which they hardly ever reach: for these, only nodes in the
+other's box are counted, since the rest is culled early. A pair's share depends on the boxes and on the sizes of the
+trees, and on no state kept from an earlier step.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ UNSHARED = 0  # of visits: no limit
 UNSEARCHED = -1
 # Boxes coincide if their overlap has this share of the larger volume.
 COINCIDENT = 0.5
-# What a visit costs more than one whose sample is asked of a closed form, measured where surfaces all but coincide.
+# Cost of a visit relative to one whose sample is queried in closed form, measured where surfaces all but coincide.
 COST_TETRAHEDRA, COST_TRIANGLES = 10, 40
-# Visits that may find a few contacts; with fewer a search is in vain.
+# Visits that may find a few contacts; a search with fewer is futile.
 LEAST_VISITS = 16
-# How many times as much pairs that do not coincide may cost.
+# Factor on the total cost allowed for pairs that do not coincide.
 APART = 25
-# Of the nodes in the other's box a search of a pair that does not coincide asks about so many, all others are beyond a
-# plane between the two.
+# For a pair that does not coincide, a search tests about this share of the nodes in the other's box; the rest is beyond
+# a plane between the two.
 ASKED = 0.4
 
 
 class Overlaps(NamedTuple):
-    """Of the boxes of pairs."""
+    """Overlaps of the boxes of pairs."""
 
-    coincide: np.ndarray  # (p,) bool: mostly
+    coincide: np.ndarray  # (p,) bool: whether they mostly coincide
     shares: np.ndarray  # (p, 2) float64: how much of either's volume is in the other
 
 
@@ -56,14 +56,14 @@ def overlaps_of(boxes, pairs):
 
 
 def most_visits(pools: Pools, rows: np.ndarray, pairs: np.ndarray) -> np.ndarray:
-    """(p,) int64 that a search of each of `pairs` can at most take: every node of both trees, every seed."""
+    """(p,) int64, the most visits that a search of each of `pairs` can take: every node of both trees, every seed."""
     entries = (pools.fragment.tree_end[rows] - pools.fragment.tree_begin[rows]).astype(np.int64)
     return entries[pairs[:, 0]] + entries[pairs[:, 1]] + MOST_SEEDS
 
 
 @kernel
 def _most_together(kinds, tree_begin, tree_end, rows, pairs, overlaps):
-    """What all pairs that coincide, and all others, cost at most, in visits of a closed form."""
+    """Upper bounds of the cost of all pairs that coincide, and of all others, in visits of a closed form."""
     coincide = apart = 0
     for p in range(len(pairs)):
         a, b = rows[pairs[p, 0]], rows[pairs[p, 1]]
@@ -85,9 +85,9 @@ def _cost(kind):
 
 
 def visit_shares(pools: Pools, rows: np.ndarray, pairs: np.ndarray, overlaps: Overlaps, visits: int) -> np.ndarray:
-    """Visits (p,) int64 that each of `pairs` (p, 2) of indices into `rows` may take, UNSHARED or UNSEARCHED.
+    """Visit limits (p,) int64 of `pairs` (p, 2) of indices into `rows`, or UNSHARED or UNSEARCHED.
 
-    `visits`: of all that coincide together, in visits of a closed form.
+    `visits`: for all that coincide together, in visits of a closed form.
     """
     fragment = pools.fragment
     return _visit_shares(fragment.kind, fragment.tree_begin, fragment.tree_end, rows, pairs, overlaps, visits)

@@ -56,8 +56,8 @@ from fracture_collision.core.search.sample_search import begins_with_seeds, may_
 from fracture_collision.core.search.traversal import BY_FURTHER, BY_LIMIT, COMPLETE, depth_limit, query_pair
 from fracture_collision.core.surfaces.surface_pass import Surfaces, judge_pairs
 
-# Contacts a pair gets room for at first, on average and at least for a thread's share of pairs; those that find none
-# left are searched again. Memory that nobody writes to costs nothing.
+# Initial capacity for contacts: per pair on average, and at least for a thread's share of pairs. Pairs that overflow it
+# are searched again. Memory that is never written costs nothing.
 FIRST_ROOM = 64
 LEAST_ROOM = 1 << 15
 UNLIMITED = 1 << 60
@@ -65,10 +65,10 @@ _NONE = np.zeros(0, np.int64)
 
 
 class WorkLimits(NamedTuple):
-    """What all pairs of a step may cost. Each pair's share depends on numbers of pairs, trees and contacts alone."""
+    """Work limits for all pairs of a step. A pair's share depends only on numbers of pairs, tree nodes and contacts."""
 
-    visits: int = UNLIMITED  # of pairs that coincide, and 25 times as many of others: crowds.visit_shares
-    further_visits: int = UNLIMITED  # those of pairs that have the contacts wanted; see query_pairs
+    visits: int = UNLIMITED  # for pairs that coincide; the others get 25 times as many: crowds.visit_shares
+    further_visits: int = UNLIMITED  # for pairs that already have the contacts wanted; see query_pairs
     contacts_per_pair: int = UNLIMITED
     contacts: int = UNLIMITED
 
@@ -77,7 +77,7 @@ NO_LIMITS = WorkLimits()
 
 
 class Remembered(NamedTuple):
-    """From the last step: makes the next one quicker, never different."""
+    """State kept from the last step: it makes the next one faster and never changes its result."""
 
     lists: NeighbourLists
     answer: KeptAnswer
@@ -88,7 +88,7 @@ NOTHING_REMEMBERED = Remembered(NO_LISTS, NOTHING_KEPT)
 
 @inlined_kernel
 def put_rotation(x, y, z, w, out):
-    """The rotation (3, 3) of a unit quaternion, up to its length."""
+    """Write the rotation matrix (3, 3) of a quaternion of any length."""
     s = 2.0 / (x * x + y * y + z * z + w * w)
     out[0, 0] = 1.0 - s * (y * y + z * z)
     out[0, 1] = s * (x * y - z * w)
@@ -107,12 +107,12 @@ def _query_share(
     further, limit, contacts, ids, begin, counts, bounds, visits, exhausted, is_ahead, lists, slots, known, scratch,
     threads, thread,
 ):  # fmt: skip
-    """Every `threads`-th pair of `todo`, from `thread` on. Pairs that are apart now are looked ahead for, by `motion`.
+    """Process every `threads`-th pair of `todo`, starting at `thread`; pairs that are apart now also along `motion`.
 
-    most: see sample_search.Rule; limit: see query_pair; shares, further (p,): visits of each pair, likewise. Their
-    contacts go one behind the other into contacts[thread], from row begin[pair] on; -1: there was no room left. lists:
-    NeighbourLists; slots (p,): a pair's place in them, -1: none; known (p,): whether it was there at the last step.
-    Only the first search of a pair uses them. is_ahead (p,): whether some of its contacts are of a time to come.
+    most: see contact_choice.Rule; limit, shares (p,), further (p,): limits of each pair, see query_pair. A pair's
+    contacts fill consecutive rows of contacts[thread] from begin[pair] on; begin is -1 where there was no room. lists:
+    NeighbourLists; slots (p,): a pair's slot, -1: none; known (p,): whether it had the slot at the last step. Only the
+    first search of a pair uses them. is_ahead (p,): whether some of its contacts lie in the future.
     """
     rotation, translation = scratch.rotation[thread], scratch.translation[thread]
     used, room = 0, contacts.shape[1]
@@ -131,7 +131,7 @@ def _query_share(
             continue
         out, out_ids = contacts[thread, used:], ids[thread, used:]
         slot = slots[p] if is_first else -1
-        # the paper's rule with nothing remembered is the paper's algorithm
+        # under the paper's rule, a pair without a list runs the paper's algorithm
         is_quick = shares[p] == UNSHARED and limit >= wanted and may_search(pools, a, b) and (most > 0 or slot >= 0)
         rule = Rule(wanted, min(most, limit), epsilon * radius, near * radius)
         found, moves, clear = -1, FAST * radius, 0.0
@@ -207,7 +207,7 @@ def _query_share(
         if 0 < found <= room - used and pools.normals == FACING:
             turn_contacts(pools, a, b, rotation, translation, near * radius, out, out_ids, found, scratch, thread)
         if motion.time > 0.0:
-            # by searches of their own: whatever is remembered, they are the same
+            # look-ahead runs its own searches: remembered state cannot change its result
             moment, ahead = 0.0, Rule(wanted, min(max(most, wanted), limit), rule.epsilon, rule.near)
             toward = scratch.toward[thread]
             if found == 0:
@@ -232,7 +232,7 @@ def _query_share(
                 visits[p] += more
                 is_ahead[p] = found > 0
                 for d in range(3):
-                    toward[d] = scratch.ahead_toward[thread, d]  # for the quick look of the next step
+                    toward[d] = scratch.ahead_toward[thread, d]  # warm start of hulls_stay_apart at the next step
                 if found == 0 and unseen > 0.0:
                     exhausted[p], bounds[p] = BY_LIMIT, max(bounds[p], unseen)
             if 0 < found <= room - used and may_touch_again(
@@ -275,18 +275,18 @@ def query_pairs(
 ) -> tuple[PairContacts, Remembered]:  # fmt: skip
     """Contacts of `pairs` (p, 2) of indices into `rows` (n,), with poses rotations (n, 3, 3), positions (n, 3) [m].
 
-    wanted: m of section 5.2; most: see sample_search.Rule; epsilon, near: shares of the smaller R of the two bodies;
-    budget: visits a pair, 0: none. before: what came with the last answer from these pools, to be quicker where little
-    has moved; it is used up. With a budget, or with None, nothing is used and nothing remembered. What is answered does
-    not depend on it, but for `visits`, and must not be changed where it is remembered. stamp: another after any change
-    of the pools. A pair whose visits are limited is searched by the paper's rule. motion: of `rows`; what touches now
-    is answered as without. surfaces: of pairs whose visits are not limited what is between samples is looked for too.
-    edges: ridges of all rows; by our rule their crossings are contacts like those of samples.
+    wanted: m of section 5.2; most: see contact_choice.Rule; epsilon, near: shares of the smaller R of the two bodies;
+    budget: visits per pair, 0: no budget. before: state returned with the last answer from these pools, to speed up
+    pairs that moved little; it is consumed. With a budget, or with None, nothing is reused or remembered. The answer
+    does not depend on it, except for `visits`; an answer that is remembered must not be modified. stamp: differs after
+    any change of the pools. Pairs with limited visits are searched by the paper's rule. motion: of `rows`; contacts
+    that touch now are the same without it. surfaces: for pairs with unlimited visits, surfaces between samples are
+    searched too. edges: ridges of all rows; by our rule their crossings are contacts like those of samples.
 
-    limits: half of the further visits are shared evenly by all pairs, the other half by those whose share was too
-    small. Of too many contacts, the pairs that have most lose their shallowest, so that none keeps more than some
-    number. overlaps: see crowds.visit_shares, which a budget takes the place of. No share depends on
-    lists: a pair that a list answers has fewer contacts than wanted, and none is listed that a limit might cut short.
+    limits: all pairs share half of the further visits evenly; pairs whose share was too small share the other half. If
+    there are too many contacts, the pairs with the most lose their shallowest ones, down to a common maximum. overlaps:
+    see crowds.visit_shares; a budget replaces it. No share depends on lists: a pair answered from a list has fewer
+    contacts than wanted, and a pair that a limit might cut short is not listed.
     """
     p = len(pairs)
     slots, known, stands_at = np.full(p, -1), np.zeros(p, np.bool_), np.full(p, -1)
@@ -313,7 +313,7 @@ def query_pairs(
             moved = _without_those_that_leave(pools.fragment.box, rows, pairs, motion, counts, stands_at)
 
     def search(todo: np.ndarray, limit: int, room: int) -> np.ndarray:
-        """Search the pairs `todo`, with `room` contacts a thread; returns those that there was no room for."""
+        """Search the pairs `todo` with room for `room` contacts per thread; returns the pairs that did not fit."""
         contacts, ids = np.empty((crew.threads, room, 10)), np.empty((crew.threads, room, 5), np.int64)
         begin = np.empty(p, np.int64)
         crew.share(
@@ -350,7 +350,7 @@ def query_pairs(
             room = max(int(needed[t :: crew.threads].sum()) for t in range(crew.threads))
             stands_at[todo] = -1
             todo = search(todo, min(level, limits.contacts_per_pair), room)
-            if not len(todo):  # those that found no room had more than was known
+            if not len(todo):  # pairs that did not fit had more contacts than counted before
                 level = most_kept()
                 todo = np.flatnonzero(counts > level)
     offsets = np.zeros(p + 1, np.int64)
@@ -376,17 +376,18 @@ def query_pairs(
     if lists is NO_LISTS:
         return found, NOTHING_REMEMBERED
     if cuts:
-        slots[cut] = -1  # what others leave to them may be less next time
+        slots[cut] = -1  # their second share may be smaller at the next step
     if is_ahead.any():
-        slots[is_ahead] = -1  # what they will touch is of this step
+        slots[is_ahead] = -1  # their look-ahead contacts hold for this step only
     answer = keep(stamp, rows, poses, slots, len(lists.counts), searched, shares, share, offsets, found)
     return found, Remembered(lists, answer)
 
 
 @kernel
 def _without_those_that_leave(boxes, rows, pairs, motion, counts, stands_at):
-    """Of pairs in place, see pairs_in_place, those that move stay so only if they touch, and do it so slowly that what
-    they touch now is all they will; returns who is not in place then (m,). boxes (F, 6) [m]: of all fragments.
+    """Drop moving pairs from those in place (see pairs_in_place), unless they touch and move so slowly that their
+    present contacts are all they can have; returns the pairs that are not in place then (m,). boxes (F, 6) [m]: of all
+    fragments.
     """
     is_in_motion = is_moving(motion)
     for p in range(len(pairs)):
@@ -400,7 +401,7 @@ def _without_those_that_leave(boxes, rows, pairs, motion, counts, stands_at):
 
 @kernel
 def _tally(counts, exhausted, searched, begin):
-    """Of pairs: how many are BY_FURTHER, how many contacts they have, how many of those `searched` found no room."""
+    """Returns (pairs that ended BY_FURTHER, contacts of all pairs, how many of the pairs `searched` did not fit)."""
     cuts = total = unstored = 0
     for p in range(len(counts)):
         total += counts[p]
@@ -411,7 +412,7 @@ def _tally(counts, exhausted, searched, begin):
 
 
 def _level(counts: np.ndarray, most: int) -> int:
-    """The largest number so that pairs which keep no more than that of their `counts` (p,) keep `most` together."""
+    """The largest cap for which `counts` (p,), each clipped to it, sum to at most `most`."""
     if int(counts.sum()) <= most:
         return int(counts.max(initial=0))
     ordered = np.sort(counts)

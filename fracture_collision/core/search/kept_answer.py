@@ -1,4 +1,4 @@
-"""The last answer, kept for pairs of which neither fragment has moved since: theirs is the same, to the last bit."""
+"""The last answer, reused for pairs whose fragments have not moved since: it is the same to the last bit."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from fracture_collision.core.memory.kinds import SPHERE
 
 
 class PairContacts(NamedTuple):
-    """Of p pairs with N contacts together, those of each pair in one piece."""
+    """Contacts of p pairs, N in all; those of each pair are contiguous."""
 
     counts: np.ndarray  # (p,) int64
     bounds: np.ndarray  # (p,) float64 [m], missed depth bound
@@ -25,13 +25,13 @@ class PairContacts(NamedTuple):
 
 
 class KeptAnswer(NamedTuple):
-    stamp: int  # of the geometry that was asked: after any change of it nothing holds
-    index_of_row: np.ndarray  # (r,) int64: which of `poses` is a row of FragmentPool's, -1: none
+    stamp: int  # of the geometry queried: after any change of it the answer is invalid
+    index_of_row: np.ndarray  # (r,) int64: index into `poses` for a row of FragmentPool, -1: none
     poses: np.ndarray  # (n, 12) uint64: the bits of rotations and positions in the world
-    pair_of_slot: np.ndarray  # (s,) int64: where a pair with this slot of NeighbourLists stands in `contacts`, or -1
-    searched: np.ndarray  # (p,) int64: visits that came with the contacts wanted, whenever that was
-    shares: np.ndarray  # (p,) int64: visits that each pair might take, see crowds.visit_shares
-    further: int  # visits that each pair might take beyond the contacts wanted
+    pair_of_slot: np.ndarray  # (s,) int64: index into `contacts` of the pair with this slot of NeighbourLists, or -1
+    searched: np.ndarray  # (p,) int64: visits of the pair's last search if it has the contacts wanted, else 0
+    shares: np.ndarray  # (p,) int64: visit limit of each pair, see crowds.visit_shares
+    further: int  # visit limit of each pair after it has the contacts wanted
     offsets: np.ndarray  # (p + 1,) int64, of each pair's contacts
     contacts: PairContacts
 
@@ -62,7 +62,7 @@ def keep(
     stamp: int, rows: np.ndarray, poses: np.ndarray, slots: np.ndarray, room: int, searched: np.ndarray,
     shares: np.ndarray, further: int, offsets: np.ndarray, contacts: PairContacts,
 ) -> KeptAnswer:  # fmt: skip
-    """`slots` (p,), -1: not to be kept; `room` slots in all. `contacts` are not to be changed any more."""
+    """A KeptAnswer. slots (p,), -1: do not keep; `room` slots in all. `contacts` must not be modified afterwards."""
     index_of_row, pair_of_slot = _keep(rows, slots, room, contacts.exhausted)
     return KeptAnswer(stamp, index_of_row, poses, pair_of_slot, searched, shares, further, offsets, contacts)
 
@@ -81,11 +81,11 @@ def pose_bits(rotations, positions):
 
 @kernel
 def pairs_in_place(kept, kinds, rows, poses, pairs, slots, known, shares, further, counts, bounds):
-    """Where each of `pairs` (p, 2) of indices into `rows` stands in `kept`, -1: not, or the answer may be another; and
-    which do not (m,). Of those that do, `counts` and `bounds` (p,) are written.
+    """Index in `kept` of each of `pairs` (p, 2) of indices into `rows`, -1: absent, or the answer may differ; and the
+    pairs with -1 (m,). For the others, `counts` and `bounds` (p,) are written.
 
-    poses (n, 12): pose_bits; slots, known (p,): of with_pairs; shares (p,), further: visits that each may take, and
-    beyond the contacts wanted. A node that is met once these are there is taken up twice at most for each visit.
+    poses (n, 12): pose_bits; slots, known (p,): of with_pairs; shares (p,), further: visit limits of each pair, in all
+    and after it has the contacts wanted. From then on, the search handles a node at most twice per visit.
     """
     has_moved = np.ones(len(rows), np.bool_)
     for i in range(len(rows)):
@@ -111,7 +111,7 @@ def pairs_in_place(kept, kinds, rows, poses, pairs, slots, known, shares, furthe
 
 @kernel
 def gather_kept(kept, stands_at, offsets, points_a, points_b, normals, gaps, samples, searched):
-    """The contacts of the pairs that stand in `kept`, from offsets[p] on, and their `searched` (p,)."""
+    """Copy the contacts of the pairs that are in `kept`, from offsets[p] on, and their `searched` (p,)."""
     old = kept.contacts
     for p in range(len(stands_at)):
         q = stands_at[p]

@@ -1,14 +1,14 @@
-"""What is remembered of pairs from step to step, so that those which hardly move against each other cost little.
+"""State kept per pair from step to step, so that pairs with little relative motion cost little.
 
-Which samples of a pair may touch (Verlet 1967): a search that is done with `reach` to spare lists all samples that may
-be within the detection tolerance and `reach` of the other fragment. As long as no sample has moved farther against the
-other than `reach`, those that are within the tolerance are among them. Of each that was asked and is not near it is
-known how far it has to move before it can be, and until then it is not asked again. What is left to ask gives what the
-search would give: same contacts, same bytes. By the paper's rule it is done for pairs with fewer than the contacts
-wanted; of others a search takes some and leaves some, and what it takes depends on its way.
+Neighbour lists (Verlet 1967): a search with a margin `reach` lists all samples that may be within the detection
+tolerance plus `reach` of the other fragment. Until a sample has moved farther than `reach` relative to the other, all
+samples within the tolerance are in the list. For each sample that was queried and is not near, the list stores how far
+it must move before it can be; until then it is not queried again. Querying the rest gives what the search would give:
+same contacts, same bytes. By the paper's rule, lists are made for pairs with fewer than the contacts wanted; for others
+a search takes some samples and leaves some, depending on its order of visits.
 
-How far apart a pair is: where a search found it parted, by its boxes or a plane, its list is empty, and holds until the
-two have moved by their clearance.
+Clearance: where a search found the pair separated, by its boxes or a plane, its list is empty and holds until the two
+have moved by their clearance.
 """
 
 from __future__ import annotations
@@ -25,45 +25,45 @@ from fracture_collision.core.memory.rotations import to_other
 
 # Samples a list has room for, and pairs of ridges (ridge_contacts.py).
 MOST_LISTED, MOST_RIDGES = 256, 256
-# Likewise of the one pair that a thread looks ahead for (first_touch.py).
+# The same for the one pair per thread that is in look-ahead (first_touch.py).
 MOST_AHEAD = 4096
-# A list is made of pairs that move by less than this share of the smaller R in a step.
+# Lists are made for pairs that move by less than this share of the smaller R in a step.
 FAST = 0.003
-# How far beyond the tolerance it reaches: as far as the pair moves in so many steps, within these shares of R. More
+# Reach of a list beyond the tolerance: the pair's motion in so many steps, within these shares of R. A larger reach
 # lasts longer and lists more.
 LASTS, LEAST_REACH, MOST_REACH = 4.0, 0.005, 0.02
-# How far beyond the tolerance a listed sample's distance is looked for, in steps likewise: more is asked less often.
+# How far beyond the tolerance a listed sample's distance is searched, likewise in steps: more means fewer queries.
 AHEAD = 2.0
 # Values of `counts` without a list.
 NOT_LISTED = -1  # the pair moves too fast
-FULL = -2  # as many contacts as were wanted, or more near than there is room for: no list is tried at the next step
-# Columns of `listed`: 2 (row of TreePool) + side; a tetrahedron of the other near it, -1: none is known.
+FULL = -2  # as many contacts as wanted, or more near samples than there is room for: the next step tries no list
+# Columns of `listed`: 2 (row of TreePool) + side; a tetrahedron of the other near it, -1: unknown.
 WHO, WHERE = 0, 1
-# Columns of `places`: where a sample is from the middle of its fragment's leaves, and where it was from the other's,
-# in the other's frame, when it was asked last [m], three each; how far it moves from there before it can be near [m].
+# Columns of `places`: a sample's position from the middle of its fragment's leaves; from the other's, in the other's
+# frame, at its last query [m], three each; how far it must move from there before it can be near [m].
 OWN, SEEN, UNTIL, PLACE = 0, 3, 6, 7
 # Value of UNTIL: it was near.
 NEAR_LAST = -1.0
-# What single precision may do to a distance between places, as a share of their sizes.
+# Single-precision rounding of a distance between places, as a share of their sizes.
 PLACE_ROUNDING = 1e-6
-# Room for so many pairs at first.
+# Initial capacity, in pairs.
 LEAST_ROOM = 64
 
 
 class NeighbourLists(NamedTuple):
-    """Columns have a row for each slot; a pair keeps its slot for as long as its boxes meet."""
+    """Columns have one row per slot; a pair keeps its slot as long as its boxes overlap."""
 
-    keys: np.ndarray  # (p,) int64, ascending: of the pairs of the last step, pair_keys
-    slots: np.ndarray  # (p,) int64: theirs
+    keys: np.ndarray  # (p,) int64, ascending: pair_keys of the last step's pairs
+    slots: np.ndarray  # (p,) int64: their slots
     poses: np.ndarray  # (room, 2, 12) float64: rotation (9), translation (3) [m] from a's frame to b's, and back
     listed_at: np.ndarray  # (room, 2, 12) float64: likewise when the list was made
-    reach: np.ndarray  # (room,) float64 [m]: for how much motion since then it holds
+    reach: np.ndarray  # (room,) float64 [m]: motion since then for which the list holds
     counts: np.ndarray  # (room,) int32: listed samples, NOT_LISTED or FULL
     listed: np.ndarray  # (room, MOST_LISTED, 2) int32: WHO, WHERE
     places: np.ndarray  # (room, MOST_LISTED, PLACE) float32 [m]
     ridges: np.ndarray  # (room,) int32: listed pairs of ridges
     ridge_pairs: np.ndarray  # (room, MOST_RIDGES, 2) int32: their numbers, of a and of b
-    toward: np.ndarray  # (room, 3) float64: in b's frame, along which the two lay farthest apart; zeros: nobody knows
+    toward: np.ndarray  # (room, 3) float64: in b's frame, direction of greatest separation; zeros: unknown
 
 
 def _make_lists(room: int) -> NeighbourLists:
@@ -89,9 +89,10 @@ def pair_keys(rows, pairs):
 
 
 def with_pairs(before: NeighbourLists, keys: np.ndarray) -> tuple[NeighbourLists, np.ndarray, np.ndarray]:
-    """The lists of a step whose pairs have `keys` (p,), with the slot of each (p,), and whether it had it before (p,).
+    """The lists of a step whose pairs have `keys` (p,), with the slot of each (p,), and whether it had that slot before
+    (p,).
 
-    `before` is not to be used any more: columns are shared.
+    `before` must not be used afterwards: columns are shared.
     """
     room = len(before.counts)
     if room < len(keys):
@@ -106,7 +107,7 @@ def with_pairs(before: NeighbourLists, keys: np.ndarray) -> tuple[NeighbourLists
 
 @kernel
 def _copy_lists(old, new):
-    """Columns into longer ones: of each slot only what is listed, the rest is memory that nobody has written to."""
+    """Copy columns into longer ones: of each slot only what is listed; the rest is memory that was never written."""
     for slot in range(len(old.counts)):
         new.counts[slot], new.reach[slot], new.toward[slot] = old.counts[slot], old.reach[slot], old.toward[slot]
         new.poses[slot], new.listed_at[slot] = old.poses[slot], old.listed_at[slot]
@@ -121,8 +122,8 @@ def _copy_lists(old, new):
 
 @kernel
 def _take_slots(known_keys, known_slots, keys, counts, toward):
-    """Slots (p,) of `keys`, those that they had or free ones, and which they had (p,); before them the keys, ascending,
-    and theirs. What a slot had of another pair is gone.
+    """(keys ascending, their slots, slots (p,) of `keys`: the ones they had, or free ones, which they had (p,)). A free
+    slot drops the state of its previous pair.
     """
     order = np.arange(len(keys))
     for k in range(1, len(keys)):
@@ -151,8 +152,8 @@ def _take_slots(known_keys, known_slots, keys, counts, toward):
 
 @inlined_kernel
 def reach_of(moves, radius):
-    """(reach of a list, how far ahead a sample is looked for) [m] for a pair that moves by `moves` [m] a step; 0, 0: it
-    is not to be listed. radius [m]: the smaller R.
+    """(reach of a list, how far ahead a sample's distance is searched) [m] for a pair that moves by `moves` [m] a step;
+    0, 0: no list. radius [m]: the smaller R.
     """
     if moves >= FAST * radius:
         return 0.0, 0.0
@@ -162,7 +163,7 @@ def reach_of(moves, radius):
 
 @inlined_kernel
 def fetch_slot(lists, slot):
-    """Have what the next pair remembers brought near; without effect where it has no slot (-1)."""
+    """Prefetch the state of the next pair; no effect where it has no slot (-1)."""
     if slot >= 0:
         fetch(lists.poses, slot)
         fetch(lists.listed_at, slot)
@@ -174,8 +175,8 @@ def fetch_slot(lists, slot):
 
 @inlined_kernel
 def frame_between(own, other, rotation, translation):
-    """How a place from own's middle (4,) comes to be one from the other's, in the other's frame: an offset (x, y, z)
-    float32, and what rounding may do to the distance of two such places [m]. own, other: of Leaves.
+    """Transform of a place relative to own's middle (4,) into one relative to the other's, in the other's frame: an
+    offset (x, y, z) float32, and the rounding of the distance of two such places [m]. own, other: of Leaves.
     """
     x, y, z = to_other(rotation, translation, own[0], own[1], own[2])
     x, y, z = x - other[0], y - other[1], z - other[2]
@@ -185,7 +186,7 @@ def frame_between(own, other, rotation, translation):
 
 @inlined_kernel
 def place_of(row, rotation, frame):
-    """Where the sample of a row of `places` is from the other's middle: (x, y, z) float32 [m]."""
+    """Place of the sample of a row of `places` relative to the other's middle: (x, y, z) float32 [m]."""
     x, y, z = row[OWN], row[OWN + 1], row[OWN + 2]
     return (
         np.float32(rotation[0, 0]) * x + np.float32(rotation[0, 1]) * y + np.float32(rotation[0, 2]) * z + frame[0],
@@ -196,14 +197,14 @@ def place_of(row, rotation, frame):
 
 @inlined_kernel
 def see(row, rotation, frame, distance, near):
-    """Note that the sample of a row of `places` is `distance` [m] from the other, near at `near`, or NEAR_LAST."""
+    """Record that the sample of a row of `places` is `distance` [m] from the other, near at `near`, or NEAR_LAST."""
     row[SEEN], row[SEEN + 1], row[SEEN + 2] = place_of(row, rotation, frame)
     row[UNTIL] = NEAR_LAST if distance == NEAR_LAST else max(np.float32(distance - near) - frame[3], np.float32(0.0))
 
 
 @inlined_kernel
 def may_be_near(row, rotation, frame):
-    """Whether it may be so by now."""
+    """Whether the sample of a row of `places` may be near by now."""
     left = row[UNTIL] - frame[3]
     if left <= 0.0:
         return True
@@ -214,8 +215,8 @@ def may_be_near(row, rotation, frame):
 
 @inlined_kernel
 def least_left(listed, places, count, middle_a, middle_b, rotation, translation, of_far):
-    """How far the listed samples of a pair have still to move, at least, before one of them can be near [m]; infinity:
-    there is none. rotation (2, 3, 3), translation (2, 3): where the two stand now; of_far: of those that are not near.
+    """Lower bound [m] of how far the listed samples of a pair must still move before one can be near; infinity: there
+    is none. rotation (2, 3, 3), translation (2, 3): current relative poses; of_far: only samples that were not near.
     """
     left, side = np.float32(np.inf), 0
     frame = frame_between(middle_a, middle_b, rotation[0], translation[0])
@@ -234,7 +235,7 @@ def least_left(listed, places, count, middle_a, middle_b, rotation, translation,
 
 @inlined_kernel
 def keep_pose(rotation, translation, out):
-    """Relative poses (2, 3, 3), (2, 3) into (2, 12)."""
+    """Write relative poses (2, 3, 3), (2, 3) to (2, 12)."""
     for side in range(2):
         for i in range(3):
             for j in range(3):

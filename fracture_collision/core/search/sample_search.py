@@ -1,9 +1,9 @@
 """All samples of a pair that may touch, found among the leaves of both fragments at once.
 
-What algorithm 1 finds of a pair with fewer contacts than are wanted are all samples within the detection tolerance, in
-the order of their numbers: so any search that finds them all gives the same bytes. This one looks for a plane between
-the two hulls, or the nearest to one; asks all leaves (sample_leaves.py) which of them reach into the other's half of
-the space and into its box; and asks the samples of those that do. Which of them are listed: contact_choice.py.
+For a pair with fewer contacts than wanted, algorithm 1 finds all samples within the detection tolerance, ordered by
+number: any search that finds them all gives the same bytes. This one computes a separating plane of the two hulls, or
+the nearest to one; tests all leaves (sample_leaves.py) against the other's half-space and box; and queries the samples
+of the leaves that reach in. Which of them are listed: contact_choice.py.
 """
 
 from __future__ import annotations
@@ -67,22 +67,22 @@ from fracture_collision.core.tree.sample_leaves import (
     worst_of_samples,
 )
 
-# A sample of a pair that has moved by less than this share of R is looked for from where it was.
+# If a pair has moved by less than this share of R, the search for a sample starts where the sample was.
 HOME_SHARE = 0.1
-# Columns of scratch.candidate_ids: place among the leaves' entries; of a sample of the same body, a tetrahedron that it
-# was at when that was whole.
+# Columns of scratch.candidate_ids: index into the leaves' entries; for a sample of the same body, a tetrahedron that it
+# was at in the unbroken body.
 PLACE_OF, HOME = 0, 1
 
 
 @inlined_kernel
 def may_search(pools, a, b):
-    """Whether `search_samples` can tell the contacts of a pair."""
+    """Whether `search_samples` supports a pair."""
     return pools.fragment.kind[a] != SPHERE and pools.fragment.kind[b] != SPHERE
 
 
 @inlined_kernel
 def begins_with_seeds(pools, a, b, rotation, translation, rule):
-    """Whether the two are so near to where they broke that the crack's seeds are asked first (crack_seeds.py)."""
+    """Whether the two are so near to where they broke that the crack's seeds are queried first (crack_seeds.py)."""
     if not share_a_body(pools, a, b):
         return False
     begin, end = find_seeds(pools.fragment, pools.seeds, a, b)
@@ -98,17 +98,16 @@ def search_samples(
 ):  # fmt: skip
     """All contacts of fragments `a` and `b`, no spheres, by a Rule; poses, contacts, ids and capacity as query_pair.
 
-    `reach` [m], 0: none: samples that may be no farther than near + reach are put into `listed` (room, 2) and `places`
-    (room, PLACE), see neighbour_lists.py, those of a before those of b, except what cannot come near by `ways`
-    (2, WAY), how points of a go for b and of b for a (motion.put_way); how far each is looked for no more than `ahead`
-    [m] farther. By our rule, crossings of ridges are found too (`edges`: ridge_contacts.RidgeSearch); `ridges`
-    (room, 2): pairs that may cross, likewise.
-    toward (3,): a direction in b's frame along which the two may lie apart, zeros if none is known; replaced by the one
-    that was found.
+    `reach` [m], 0: no list: samples that may be within near + reach are written to `listed` (room, 2) and `places`
+    (room, PLACE), see neighbour_lists.py, those of a before those of b, except samples that cannot come near by `ways`
+    (2, WAY), the motion of a's points relative to b and of b's relative to a (motion.put_way). Distances are searched
+    at most `ahead` [m] beyond near. By our rule, crossings of ridges are found too (`edges`:
+    ridge_contacts.RidgeSearch), and `ridges` (room, 2) lists pairs that may cross. toward (3,): a direction in b's
+    frame that may separate the two, zeros if unknown; it is replaced by the one found.
 
-    Returns (contacts, missed depth bound [m], visits, samples near, pairs of ridges likewise, clearance [m]), as
-    query_pair does, the visits counting leaves and samples; -1 contacts: as many as wanted by the paper's rule, so
-    query_pair must say.
+    Returns (contacts, missed depth bound [m], visits, samples within reach, pairs of ridges likewise, clearance [m]),
+    as query_pair does, with leaves and samples counted as visits; -1 contacts: there are as many as wanted by the
+    paper's rule, and query_pair must be run.
     """
     fragment = pools.fragment
     slack = rounding_slack(pools, a, b, translation)
@@ -223,10 +222,10 @@ def _candidates(
     pools, mine, other, side, rotation, translation, planes, used, plane, within, first, is_home, worst, middle,
     scratch, thread,
 ):  # fmt: skip
-    """Those of the samples `mine` (Leaves) that may be within `within` [m] of `other`, into scratch.candidates (point
-    in the other's frame, depth bound [m]) and scratch.candidate_ids: (leaves looked through, how many).
+    """Write those of the samples `mine` (Leaves) that may be within `within` [m] of `other` to scratch.candidates
+    (point in the other's frame, depth bound [m]) and scratch.candidate_ids: (leaves searched, how many).
 
-    is_home: they are not far from where they were when the body was whole.
+    is_home: the samples are not far from where they were in the unbroken body.
     """
     points, ids = scratch.candidates[thread], scratch.candidate_ids[thread]
     beyond, reaching, count = scratch.looked_at[thread, 3], scratch.leaves[thread], 0
@@ -238,7 +237,7 @@ def _candidates(
                 break
             if beyond[LEAF * turn + lane] > np.float32(0.0):
                 continue
-            # from single precision first: most samples end here, and the tree's rows are far apart in memory
+            # single precision first: it rejects most samples, and the tree's rows are far apart in memory
             x, y, z = sample_about_middle(mine, k)
             x, y, z = to_other(rotation[side], middle, x, y, z)
             depth = most_depth(pools, other, x, y, z, plane) + mine.middle[3]
@@ -268,11 +267,11 @@ def query_listed(
     pools, edges, a, b, rotation, translation, rule, ahead, listed, places, ridges, contacts, ids, capacity, scratch,
     thread,
 ):  # fmt: skip
-    """search_samples of a pair of which `listed` and `places` (n, .) are all samples that can be near, and `ridges`
-    (m, 2) all pairs of ridges that can cross.
+    """search_samples for a pair where `listed` and `places` (n, .) hold all samples that can be near, and `ridges` (m,
+    2) all pairs of ridges that can cross.
 
-    Where one is no nearer than the detection tolerance, it is looked for `ahead` [m] farther, and what is noted of it
-    is renewed. Returns (contacts, missed depth bound [m], visits), -1 contacts as search_samples does.
+    The distance of a sample that is not near is searched `ahead` [m] beyond the detection tolerance, and its row of
+    `places` is renewed. Returns (contacts, missed depth bound [m], visits), -1 contacts as search_samples does.
     """
     tree, count, deep, visits, near = pools.tree, 0, 0, 0, rule.near
     middles = pools.fragment.middle
@@ -330,10 +329,10 @@ def query_listed(
 def _ask(
     pools, rotation, translation, rule, entry, side, other, one_body, looked, slack, reached, count, scratch, thread
 ):
-    """(how far a sample is from the other [m], to `looked` [m] at least; whether it is within the tolerance: then it is
-    kept as the one to choose from after `count` others).
+    """(distance [m] of a sample from the other, searched to at least `looked` [m]; whether it is within the tolerance:
+    then it is stored as candidate number `count`).
 
-    By our rule it is looked for no deeper than epsilon, how deep it is matters later: minus infinity.
+    By our rule the probe stops at depth epsilon, and the depth is computed later: minus infinity.
     """
     sample, x, y, z, start, deep = placed(pools, rotation, translation, entry, side, other, one_body, slack)
     if rule.most > 0:
@@ -355,8 +354,8 @@ def _ask(
 def _keep_for_later(
     pools, rotation, translation, rule, entry, side, other, one_body, slack, where, count, scratch, thread
 ):
-    """Keep a sample as the one to choose from after `count` others, if it may be deeper than epsilon, UNASKED if that
-    is not certain; returns how many there are. where: DEEP or UNKNOWN, see side_of_surface.
+    """Store a sample as candidate number `count` if it may be deeper than epsilon, UNASKED if that is not certain;
+    returns the new count. where: DEEP or UNKNOWN, see side_of_surface.
     """
     sample, x, y, z, _, deep = placed(pools, rotation, translation, entry, side, other, one_body, slack)
     deep = min(deep, way_out_of_box(pools.fragment.box[other], x, y, z) + slack)
@@ -371,7 +370,7 @@ def _keep_for_later(
 def _choose(
     pools, a, b, rotation, translation, rule, slack, count, deep, contacts, ids, capacity, scratch, thread
 ):
-    """Put those of `count` samples that are to be listed, of which `deep` are known to be deeper than epsilon; returns
+    """Write the contacts to list among `count` candidates, of which `deep` are known to be deeper than epsilon; returns
     (contacts, missed depth bound [m]).
     """
     if rule.most > 0 and deep > rule.wanted:

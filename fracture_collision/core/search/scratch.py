@@ -1,4 +1,4 @@
-"""Working memory of one thread: what floods and traversals write to. Its content never reaches an answer."""
+"""Working memory of one thread, for floods and traversals. Leftover content never affects an answer."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from fracture_collision.core.mesh.triangle_field import STACK
 from fracture_collision.core.search.neighbour_lists import MOST_AHEAD, PLACE
 from fracture_collision.core.separation.approach import ANY_WAY, WAY
 
-# Triangles of another's surface within a sphere's reach that are looked at, places among them where it touches, and
+# Limits for spheres: triangles of the other's surface within a sphere's reach, places among them where it touches, and
 # triangles at one point.
 MOST_WITHIN = 8192
 MOST_PLACES = 1024
 MOST_TOUCHING = 256
-# A tetrahedron has at most three planes that part fragments behind each face.
+# Behind each face of a tetrahedron, at most three planes separate fragments.
 ROOTS = 12
 
 
@@ -33,40 +33,40 @@ class Scratch(NamedTuple):
     node_float: np.ndarray  # (threads, nodes, 4) float64: point in the other's frame [m], depth bound [m]
     queue: np.ndarray  # (threads, 2, 2 nodes) int32: rows of the two above
     spread: np.ndarray  # (threads, 2, nodes) float64 [m2], [m]: see sample_search
-    ways: np.ndarray  # (threads, 8 and apart, 5) float64: directions out of a fragment, see deep_choice
-    along: np.ndarray  # (threads, nodes) float32: of leaves of samples, how far they reach [m]
-    looked_at: np.ndarray  # (threads, 4, nodes and a leaf) float32: of samples, where they are and how far beyond [m]
-    leaves: np.ndarray  # (threads, nodes) int32: theirs
-    candidates: np.ndarray  # (threads, nodes, 4) float64 [m]: samples to be asked, see sample_search
+    ways: np.ndarray  # (threads, 8 + padding, 5) float64: directions out of a fragment, see deep_choice
+    along: np.ndarray  # (threads, nodes) float32: extents of leaves of samples [m]
+    looked_at: np.ndarray  # (threads, 4, nodes + LEAF) float32 [m]: places of samples, distance beyond planes
+    leaves: np.ndarray  # (threads, nodes) int32: leaves of these samples
+    candidates: np.ndarray  # (threads, nodes, 4) float64 [m]: samples to be queried, see sample_search
     candidate_ids: np.ndarray  # (threads, nodes, 2) int32: likewise
-    planes: np.ndarray  # (threads, 8 and apart, 4) float32: half-spaces
-    rotation: np.ndarray  # (threads, 2 and apart, 3, 3) float64: a pair's relative poses
-    translation: np.ndarray  # (threads, 2 and apart, 3) float64 [m]
-    world_rotation: np.ndarray  # (threads, 3 and apart, 3, 3) float64: a pair's later poses in the world, one's last
-    world_position: np.ndarray  # (threads, 3 and apart, 3) float64 [m]
-    point: np.ndarray  # (threads, 3 and apart) float64 [m]
-    toward: np.ndarray  # (threads, 3 and apart) float64: a direction
-    ahead_toward: np.ndarray  # (threads, 3 and apart) float64: likewise, of a pair at a later moment
-    ahead_ways: np.ndarray  # (threads, 2 and apart, WAY) float64 [m]: how the two move then, motion.put_way
-    any_way: np.ndarray  # (2, WAY) float64 [m]: likewise where nothing is known of it
-    ahead_listed: np.ndarray  # (threads, MOST_AHEAD, 2) int32: its samples, and
-    ahead_places: np.ndarray  # (threads, MOST_AHEAD, PLACE) float32 [m] theirs, see neighbour_lists.py
+    planes: np.ndarray  # (threads, 8 + padding, 4) float32: half-spaces
+    rotation: np.ndarray  # (threads, 2 + padding, 3, 3) float64: a pair's relative poses
+    translation: np.ndarray  # (threads, 2 + padding, 3) float64 [m]
+    world_rotation: np.ndarray  # (threads, 3 + padding, 3, 3) float64: later world poses of a pair, final pose of one
+    world_position: np.ndarray  # (threads, 3 + padding, 3) float64 [m]
+    point: np.ndarray  # (threads, 3 + padding) float64 [m]
+    toward: np.ndarray  # (threads, 3 + padding) float64: a direction
+    ahead_toward: np.ndarray  # (threads, 3 + padding) float64: likewise, of a pair at a later moment
+    ahead_ways: np.ndarray  # (threads, 2 + padding, WAY) float64 [m]: how the two move then, motion.put_way
+    any_way: np.ndarray  # (2, WAY) float64 [m]: likewise, for unknown motion
+    ahead_listed: np.ndarray  # (threads, MOST_AHEAD, 2) int32: its listed samples
+    ahead_places: np.ndarray  # (threads, MOST_AHEAD, PLACE) float32 [m]: their places, see neighbour_lists.py
     ahead_ridges: np.ndarray  # (threads, MOST_AHEAD, 2) int32: its pairs of ridges, likewise
     stack: np.ndarray  # (threads, STACK) int32: a descent through a triangle hierarchy
     within: np.ndarray  # (threads, MOST_WITHIN) int64: triangles within a sphere's reach (sphere_contacts.py)
     touching: np.ndarray  # (threads, MOST_TOUCHING) int64: those at one point
     row: np.ndarray  # (threads, MOST_PLACES, 10) float64: contacts that are not chosen yet, traversal.query_pair
     row_ids: np.ndarray  # (threads, MOST_PLACES, 5) int64
-    kept: np.ndarray  # (threads, nodes, 10) float64: likewise of samples that are to choose from, sample_search.py
+    kept: np.ndarray  # (threads, nodes, 10) float64: contacts of candidate samples, sample_search.py
     kept_ids: np.ndarray  # (threads, nodes, 5) int64
-    none_listed: np.ndarray  # (0, 2) int32, and (0, PLACE) float32: for those who list nothing (neighbour_lists.py)
+    none_listed: np.ndarray  # (0, 2) int32, and (0, PLACE) float32: for searches without a list (neighbour_lists.py)
     no_places: np.ndarray
 
 
 def scratch_for(
     pools: Pools, rows: np.ndarray, threads: int, before: Scratch | None, crossings: int = 0
 ) -> Scratch:
-    """`before`, if it has room for all pairs of `rows` (n,), or a new one. crossings: of ridges, of a pair at most."""
+    """`before` if it has room for all pairs of `rows` (n,), else a new one. crossings: most of a pair's ridges."""
     nodes = 2 * _largest_tree(pools.fragment.tree_begin, pools.fragment.tree_end, rows) + 2 + crossings
     tetrahedra = len(pools.mesh.tetrahedra)
     if before is None or before.visited.shape[1] < tetrahedra or before.node_int.shape[1] < nodes:
@@ -83,8 +83,8 @@ def _largest_tree(tree_begin, tree_end, rows):
 
 
 def make_scratch(threads: int, tetrahedra: int, nodes: int) -> Scratch:
-    """What is small has 128 bytes behind it that nobody writes to: threads that share a line of the cache wait for each
-    other's writes, 1.7 in place of 1.9 times one on two.
+    """Small arrays are padded by 128 bytes that are never written: threads that share a cache line wait for each
+    other's writes, and two threads run 1.7 instead of 1.9 times as fast as one.
     """
     return Scratch(
         visited=np.zeros((threads, max(tetrahedra, 1)), dtype=np.int32),

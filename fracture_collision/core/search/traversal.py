@@ -2,11 +2,11 @@
 
 Two queues, swapped after each level; a node that has more children goes back into Q1 behind the others, so that
 children of different parents are visited alternately (section 5.3); with QUEUE it stays at the head of Q1 until all its
-children are in Q2, as in the paper's earlier version [27]. The search ends when Q2 is empty (the printed
-algorithm has the test reversed). Both roots start in Q1, so the pair's contacts come from both sides level by level.
+children are in Q2, as in the paper's earlier version [27]. The search ends when Q2 is empty (the printed algorithm has
+the test reversed). Both roots start in Q1, so the pair's contacts come from both sides level by level.
 
-Up to m contacts within the detection tolerance are taken as they come; from then on only those deeper than epsilon,
-and m grows by one with each. A branch is left when nothing below can count. What is left is bounded: depth is
+Up to m contacts within the detection tolerance are taken as they come; from then on only those deeper than epsilon, and
+m grows by one with each. A branch is skipped when nothing below it can count. Skipped branches are bounded: depth is
 1-Lipschitz, so no point of a sphere is deeper than the depth at its centre plus its radius.
 """
 
@@ -43,13 +43,13 @@ DEPTH = 3
 UNTESTED = -1
 UNTURNED = np.eye(3).ravel()
 NO_PLANE = (0.0, 0.0, 0.0, 0.0)
-# How a search ended: all that counts was found; a limit on visits, or on contacts, cut it short; or that on the visits
-# that come once a pair has the contacts wanted did.
+# How a search ended: complete; cut short by a limit on visits or contacts; cut short by the limit on further visits,
+# those after a pair has the contacts wanted.
 COMPLETE, BY_LIMIT, BY_FURTHER = 0, 1, 2
-# Triangles that a sphere's contacts may be on, however little is left for further visits.
+# Triangles searched for a sphere's contacts at least, however few further visits are left.
 LEAST_WITHIN = 32
-UNKNOWN = 3  # beside INSIDE, NEAR, OUTSIDE: not asked, for no depth that it can have would count
-# Poses of neighbour_lists.keep_pose: two fragments of one body, where they were made.
+UNKNOWN = 3  # in addition to INSIDE, NEAR, OUTSIDE: not tested, because no depth it can have would count
+# Poses, as of neighbour_lists.keep_pose, of two fragments of one body in their places in the unbroken body.
 IN_PLACE = np.tile(np.append(UNTURNED, np.zeros(3)), (2, 1))
 
 
@@ -62,14 +62,14 @@ def depth_limit(pools, f):
 
 @inlined_kernel
 def _has_hull(kind):
-    """Whether hull_separation knows what such a fragment lies within."""
+    """Whether hull_separation supports this kind of fragment."""
     return kind != PLANE and kind != SPHERE
 
 
 @inlined_kernel
 def most_depth(pools, other, x, y, z, plane):
-    """An upper bound [m] of a point's depth in `other`, as cheap as it gets; `other` is behind `plane`: a unit normal
-    and an offset [m].
+    """A cheap upper bound [m] of a point's depth in `other`, which lies behind `plane`: a unit normal and an offset
+    [m].
     """
     least = least_distance(pools, other, x, y, z)
     beyond = plane[0] * x + plane[1] * y + plane[2] * z - plane[3]
@@ -89,19 +89,19 @@ def query_pair(
     Fills contacts (capacity, 10): sample point, witness on the other, the other's outward normal, all in the other's
     frame, gap [m]; ids (capacity, 5): side (0: a's sample in b), sample (of a sphere: sphere_contacts.py), source and
     tetrahedron of the witness, tetrahedron of the sample (bounded_probe). Returns (contacts, missed depth bound [m],
-    visits, one of COMPLETE, BY_LIMIT, BY_FURTHER, clearance [m]); more contacts than `capacity` means: call again with
-    room. Fewer contacts than wanted come by side and sample, those that are left of more than `limit` by depth, others
-    in the order of the search. The clearance: so much more than `near` the two are apart, at least and beyond rounding;
-    0: it is not known.
+    visits, one of COMPLETE, BY_LIMIT, BY_FURTHER, clearance [m]); if the contacts exceed `capacity`, retry with a
+    larger buffer. Fewer contacts than wanted are sorted by side and sample; those kept of more than `limit`, by depth;
+    others are in search order. The clearance is a lower bound, beyond rounding, of the distance in excess of `near`; 0:
+    unknown.
 
-    The queues hold rows of node_int and node_float, one a node that was reached. A child whose sphere keeps out of
-    reach of the other counts as visited but takes no row.
+    The queues hold rows of node_int and node_float, one per node reached. A child whose sphere is out of reach of the
+    other counts as visited but takes no row.
 
-    Fragments of one body share a frame, and in place no sample of one is inside the other: so none is deeper than it
-    has moved since. That bounds all below a node at once. Two that have hardly moved against each other need no more
-    than their m contacts, and these are looked for first where the two touch in place (crack_seeds.py); they are no
-    farther apart than they have moved. Of all others a plane is sought that parts their hulls (hull_separation.py).
-    Where there is none, the best that was found still bounds the depth of all that lies beyond the other along it.
+    Fragments of one body share a frame, and in place no sample of one is inside the other: none is deeper than it has
+    moved since. That bounds all samples below a node at once. Two that have hardly moved against each other need only
+    their m contacts, which are searched first where the two touch in place (crack_seeds.py); they are no farther apart
+    than they have moved. For all other pairs a separating plane of the hulls is searched (hull_separation.py). If there
+    is none, the best plane found still bounds the depth of everything beyond the other along it.
     """
     fragment, tree = pools.fragment, pools.tree
     slack = rounding_slack(pools, a, b, translation)
@@ -141,7 +141,7 @@ def query_pair(
     nodes, size = 0, 0
     count = 0
     bound = dropped = 0.0
-    deeper_by = 0.0  # than its contact says a sample may be: not with the exact field
+    deeper_by = 0.0  # by which a sample may be deeper than its contact: 0 with the exact field
     exhausted = COMPLETE
     for side in range(2):
         own, other = (a, b) if side == 0 else (b, a)
@@ -168,7 +168,7 @@ def query_pair(
         next_size = 0
         head = 0
         while head < size:
-            # a node that is tested and its first child that keeps out of reach are two visits
+            # testing a node and rejecting its first child are two visits
             if budget and visits + 2 > max(budget, 2):
                 cut = BY_LIMIT
                 break
@@ -201,9 +201,9 @@ def query_pair(
                         full, leaf = count < m, end == entry + 1
                         sample = tree.entries[entry, SAMPLE]
                         start = home_tetrahedron(pools, other, sample) if one_body else -1
-                        # one body: what it has moved is all there is to search, and found at once
+                        # one body: searching as far as it has moved is enough, and fast
                         deep = moved + slack if one_body else math.inf if full else epsilon
-                        # once there are m, what is outside counts no more, however near, but for what is below it
+                        # with m contacts, a sample outside counts only for the branch below it, however near
                         outside = 0.0 if leaf and not full else near
                         answer = ask_sample(pools, other, x, y, z, outside, deep, start, leaf, scratch, thread)
                         status, most = answer[0], answer[8]
@@ -236,14 +236,14 @@ def query_pair(
                 else:
                     around = radius - least
                     if tree.entries[entry, SURFACE] != OWN_SAMPLE or status == UNKNOWN:
-                        # what was not tested may be deep inside, however small its sphere
+                        # an untested node may be deep inside, however small its sphere
                         around = max(around, 0.0)
                     enter = around >= -depth and around >= 0.0 and moved > least
                     if enter and count >= m:
-                        # the grid was asked when the node was reached, for all within reach of its sphere
+                        # with fewer, this is the sphere test that the node passed when it was reached
                         enter = sphere_test(pools, other, -depth, x, y, z, around, scratch, thread)
                 if not enter or moved <= least:
-                    # inside: 1-Lipschitz; outside: the test says no point below is deeper than `least`
+                    # inside: 1-Lipschitz; outside: the test shows that no point below is deeper than `least`
                     bound = max(bound, min(depth + radius, moved, max(least, 0.0)))
                     continue
                 child = entry + 1
@@ -271,9 +271,9 @@ def query_pair(
             else:
                 x, y, z = to_other(rotation[side], translation[side], c[0], c[1], c[2])
                 depth = most_depth(pools, other, x, y, z, beyond_b if side == 0 else beyond_a)
-            # of a rigid mesh a lone sample's test is all that its probe does
+            # on a rigid mesh, the sphere test of a lone sample does the same work as its probe
             asked = status != INSIDE and (child_size > 1 or fragment.kind[other] != TRIANGLES)
-            around = c[3] + near if count < m else c[3]  # from m on only what is inside counts
+            around = c[3] + near if count < m else c[3]  # with m contacts, only samples inside count
             if asked and not sphere_test(pools, other, -depth, x, y, z, around, scratch, thread):
                 visits += 1
                 continue

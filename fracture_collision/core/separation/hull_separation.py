@@ -1,14 +1,14 @@
-"""The plane that parts two fragments' convex hulls, or comes nearest to it: sought before any sample is asked.
+"""The separating plane of two fragments' convex hulls, or the nearest to one, computed before any sample is queried.
 
-Of the pairs whose boxes meet in a pile nineteen in twenty touch nowhere, and most of these have a plane between them.
+Of the pairs whose boxes overlap in a pile, nineteen in twenty touch nowhere, and most of these have a separating plane.
 It is found by the algorithm of Gilbert, Johnson, Keerthi, "A fast procedure for computing the distance between complex
 objects in three-dimensional space" (1988), which walks over the difference of the hulls towards its point nearest to
 the origin. That needs the lowest point of a fragment along a direction, and a sphere tree (Glondu 2014, section 5.1)
-finds it in a small part of its nodes. How far both fragments reach along the direction is then measured over all that
-spans them: so it is true however the walk went. A plane that does not part the two still says of most samples that
-they are beyond the other.
+finds it by visiting a small part of its nodes. The extents of both fragments along the direction are then measured over
+all points that span them, so the bound is valid even if GJK does not converge. A plane that does not separate the two
+still shows that most samples are beyond the other.
 
-The hull of a fragment's samples holds all of its border (corner_samples.py).
+The hull of a fragment's samples contains all of its border (corner_samples.py).
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from fracture_collision.core.memory.pools import SIZE
 from fracture_collision.core.memory.rotations import rotated
 from fracture_collision.core.mesh.closest_point import closest_on_triangle
 
-# Steps of the walk. Of the pairs in a pile that have a plane between them two thirds take one, all but one in two
-# hundred no more than this; what touches takes them all.
+# Most GJK steps. In a pile, of the pairs with a separating plane two thirds need one step, and all but one in two
+# hundred no more than this; touching pairs use all of them.
 MOST_STEPS = 12
-# It is at its end where what it may still gain is less than this share of the distance.
+# GJK ends when the possible gain is less than this share of the distance.
 SETTLED = 1e-3
-# Trees of so many entries are looked through: to guess which of their branches can be left takes longer.
+# Subtrees of up to so many entries are scanned: culling their branches would take longer.
 BUNCH = 48
 
 
 class Hull(NamedTuple):
-    """What spans the hull of a fragment, in its body frame: rows of TreePool."""
+    """Points that span the hull of a fragment, in its body frame: rows of TreePool."""
 
     spheres: np.ndarray  # (s, 4) float64 [m]
     entries: np.ndarray  # (s, 3) int32
@@ -48,15 +48,15 @@ def hull_of(pools, f):
 
 @query_kernel
 def parting_plane(a, b, way, rotation, translation, distance):
-    """The direction along which the Hulls `a` and `b` lie farthest apart, or least in each other, as far as looked for.
+    """The direction of greatest separation, or least overlap, of the Hulls `a` and `b` that the search finds.
 
     rotation (2, 3, 3), translation (2, 3): from a's frame to b's and back; way: (x, y, z), from about b's middle to
-    a's, in b's frame. One along which they are more than `distance` [m] apart is good enough.
+    a's, in b's frame. The search stops at a direction along which they are more than `distance` [m] apart.
 
-    Returns (x, y, z, low, high): a unit vector in b's frame; along it all of a is at `low` or above, all of b at
-    `high` or below [m].
+    Returns (x, y, z, low, high): a unit vector in b's frame; along it all of a is at `low` or above, all of b at `high`
+    or below [m].
     """
-    vx, vy, vz = way  # where the walk is: after its first step the nearest point of a simplex of the difference a - b
+    vx, vy, vz = way  # current point: after the first step the nearest point of a simplex of the difference a - b
     k0, k1, k2 = way, way, way  # that simplex, doubled where it has less than three corners
     at_a = at_b = 0
     best, found, best_a, best_b = -math.inf, way, 0, 0
@@ -90,7 +90,7 @@ def parting_plane(a, b, way, rotation, translation, distance):
 
 @inlined_kernel
 def _extents(a, b, n, at_a, at_b, rotation, translation):
-    """The lowest of a and the highest of b along n; at_a, at_b: rows of such points of their trees."""
+    """The lowest of a and the highest of b along n; at_a, at_b: rows of those points in their trees."""
     own = rotated(rotation[1], n[0], n[1], n[2])
     return _dot(own, a.spheres[at_a]) + _dot(n, translation[0]), _dot(n, b.spheres[at_b])
 
@@ -102,7 +102,7 @@ def _dot(n, p):
 
 @inlined_kernel
 def _lowest(hull, n, hint):
-    """Row of the tree's point that lies lowest along the unit vector n; `hint`: one that may be."""
+    """Row of the tree's lowest point along the unit vector n; `hint`: a guess."""
     at, lowest = hint, _dot(n, hull.spheres[hint])
     i, end = 0, len(hull.spheres)
     while i < end:
@@ -125,14 +125,14 @@ def _lowest(hull, n, hint):
 
 @inlined_kernel
 def _difference(rotation, translation, p, q):
-    """p, carried into b's frame, less q."""
+    """p, transformed to b's frame, minus q."""
     x, y, z = rotated(rotation, p[0], p[1], p[2])
     return x + translation[0] - q[0], y + translation[1] - q[1], z + translation[2] - q[2]
 
 
 @inlined_kernel
 def next_simplex(new, k0, k1, k2):
-    """Of the triangles of `new` and two of the other three corners the one that is nearest to the origin: its nearest
+    """The triangle nearest to the origin of those formed by `new` and two of the other three corners: its nearest
     point, and its corners.
     """
     least, x, y, z, _ = _nearest_to_origin(new, k0, k1)
@@ -157,7 +157,7 @@ def _nearest_to_origin(a, b, c):
 
 @inlined_kernel
 def encloses_origin(new, k0, k1, k2):
-    """Whether the tetrahedron does, seen from its newest corner: behind the face without that the origin is not."""
+    """Whether the tetrahedron encloses the origin, known not to be beyond the face opposite its newest corner."""
     return (
         _same_side(new, k0, k1, k2) and _same_side(new, k1, k2, k0) and _same_side(new, k2, k0, k1)
     )  # fmt: skip

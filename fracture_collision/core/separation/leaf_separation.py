@@ -1,4 +1,4 @@
-"""Where of one fragment's leaves of samples another may be: a plane between the two, and half-spaces about it."""
+"""Separating planes computed from leaves of samples, and half-spaces about them that bound where contacts can be."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ from fracture_collision.core.tree.sample_leaves import farthest_sample, sample_a
 def parting_plane_of_leaves(
     pools, a, b, leaves, rotation, translation, distance, toward, scratch, thread, most_steps=MOST_STEPS
 ):
-    """hull_separation.parting_plane over leaves: ((x, y, z), low, high), that rounding of single precision may falsify
-    by what both middles say.
+    """hull_separation.parting_plane over leaves: ((x, y, z), low, high), in single precision: the bounds may be off by
+    the rounding given in both middles.
 
     toward (3,): see sample_search.search_samples. most_steps: 1: along `toward` only.
     """
     bounds = scratch.along[thread]
     of_a, of_b = leaves
     ax, ay, az = to_other(rotation[0], translation[0], of_a.middle[0], of_a.middle[1], of_a.middle[2])
-    # the middles' way, in b's frame
+    # from b's middle to a's, in b's frame
     mx, my, mz = ax - of_b.middle[0], ay - of_b.middle[1], az - of_b.middle[2]
     v = (toward[0], toward[1], toward[2])
     if v[0] == 0.0 and v[1] == 0.0 and v[2] == 0.0:
@@ -73,9 +73,9 @@ def parting_plane_of_leaves(
 
 @inlined_kernel
 def half_spaces(pools, own, other, middle, side, rotation, translation, plane, within, reach, way, planes):
-    """Where of `own` samples may come within `within` [m] of `other` when they move by no more than `reach` [m], and as
-    `way` (WAY,) says (motion.put_way): half-spaces n . x <= o about own's middle, into `planes` (8, 4) float32; returns
-    how many.
+    """Bounds on where `own` samples may come within `within` [m] of `other` when they move by no more than `reach` [m],
+    and by `way` (WAY,) (motion.put_way): writes half-spaces n . x <= o about own's middle to `planes` (8, 4) float32;
+    returns how many.
     """
     kind, box, used = pools.fragment.kind[other], pools.fragment.box[other], 0
     mx, my, mz = to_other(rotation[side], translation[side], middle[0], middle[1], middle[2])
@@ -97,7 +97,7 @@ def half_spaces(pools, own, other, middle, side, rotation, translation, plane, w
 
 @inlined_kernel
 def _put_half_space(back, nx, ny, nz, offset, reach, way, mx, my, mz, planes, row):
-    """n . x <= offset of the other's frame, or what may come there, about own's middle, which is at m there; back
+    """Write n . x <= offset of the other's frame, extended by the motion, about own's middle, which is at m there; back
     (3, 3): to own's frame.
     """
     if reach > 0.0:

@@ -1,4 +1,4 @@
-"""Where two boxes in general position are to each other, and whether they are apart: separating axes.
+"""Separating axis test and relative position of two oriented boxes.
 
 Gottschalk, Lin, Manocha, "OBBTree" (1996), section 5.
 """
@@ -10,13 +10,13 @@ import math
 from fracture_collision.core.memory.compiled import inlined_kernel
 from fracture_collision.core.memory.rotations import to_other
 
-# Two axes whose cross product is shorter than this are parallel; their own axes separate what theirs would.
+# Two axes with a shorter cross product are parallel; the axes themselves separate whatever the product would.
 PARALLEL = 1e-6
 
 
 @inlined_kernel
 def way_between(box_a, box_b, rotation, translation):
-    """From the middle of b's box to that of a's, in b's frame; rotation, translation: from a's frame to b's."""
+    """From the centre of b's box to that of a's, in b's frame; rotation, translation: from a's frame to b's."""
     x, y, z = to_other(
         rotation, translation, 0.5 * (box_a[0] + box_a[3]), 0.5 * (box_a[1] + box_a[4]), 0.5 * (box_a[2] + box_a[5])
     )
@@ -25,12 +25,12 @@ def way_between(box_a, box_b, rotation, translation):
 
 @inlined_kernel
 def box_clearance(box_a, box_b, rotation, translation, distance):
-    """How far two boxes (6,) in their own frames are apart, at least [m]: along one of the 15 candidate axes, or, where
-    they are no more than `distance` [m] apart along any of them, 0.
+    """Lower bound [m] of the distance between two boxes (6,) in their own frames along one of the 15 candidate axes; 0
+    where they are no more than `distance` [m] apart along any of them.
 
-    rotation (3, 3), translation (3,): from a's frame to b's. The farthest of b's axes, or of a's, is taken, else the
-    first of the others. Axes without length are left out, so boxes may be called near that are not, never the other
-    way round.
+    rotation (3, 3), translation (3,): from a's frame to b's. The result is the largest over b's axes, else over a's and
+    b's axes, else that of the first separating cross product. Axes without length are skipped, so the test may report
+    separated boxes as near, never the reverse.
     """
     clearance = 0.0
     for i in range(3):

@@ -1,9 +1,9 @@
-"""Whether a small piece of surface, moved out of the way, holds nothing of another fragment's inside.
+"""Tests whether a small piece of surface, once displaced, avoids the interior of another fragment.
 
-A `no` says nothing: it means that the tests here do not show it. Of a body of tetrahedra those near the piece are
-gathered once. What a fragment has of one lies within the walls of that; a part of a tetrahedron that is shared lies
-behind the plane of its own triangle (cut_tetrahedron.py). So a hull that is beyond a wall, or beyond the planes of all
-triangles, avoids it. A triangle also avoids a fragment if no triangle of that meets it, and its middle is outside.
+A negative result is inconclusive: the tests here do not show it. For a body of tetrahedra, those near the piece are
+gathered once. A fragment's part of a tetrahedron lies within its walls; a part of a shared tetrahedron lies behind the
+plane of its own triangle (cut_tetrahedron.py). So a hull that is beyond a wall, or beyond the planes of all triangles,
+avoids it. A triangle also avoids a fragment if no triangle of that fragment meets it and its middle is outside.
 """
 
 from __future__ import annotations
@@ -33,20 +33,20 @@ from fracture_collision.core.mesh.closest_point import box_distance_squared, tri
 from fracture_collision.core.mesh.point_location import owner_in_tetrahedron, tetrahedron_at
 from fracture_collision.core.mesh.triangle_field import triangle_distance
 
-# What single precision may do to a corner of an element, as a share of the fragment's R (surface_elements.py).
+# Single-precision rounding of a corner of an element, as a share of the fragment's R (surface_elements.py).
 OWN_ROUNDING = 1e-6
 
 
 @inlined_kernel
 def room_for_rounding(pools, f, own):
-    """[m] What single precision may take from a height of a point of fragment `own` in f's frame."""
+    """[m] Single-precision error in the height of a point of fragment `own` in f's frame."""
     return WALL_ROUNDING * pools.fragment.radius[f] + OWN_ROUNDING * pools.fragment.radius[own]
 
 
 @inlined_kernel
 def gather_near(pools, f, x, y, z, r, slack, scratch, thread):
-    """How many tetrahedra that hold some of fragment `f` may come within `r` [m] of a point in f's frame: they are put
-    into scratch.heap_tet. Of other kinds: 1.
+    """Write the tetrahedra that hold some of fragment `f` and may come within `r` [m] of a point in f's frame to
+    scratch.heap_tet; returns how many. Of other kinds: 1.
     """
     if pools.fragment.kind[f] != TETRAHEDRA:
         return 1
@@ -79,7 +79,7 @@ def hull_avoids(pools, f, near, points, count, way, x, y, z, r, slack):
         return False
     mesh, body = pools.mesh, pools.body
     shift, k = pools.fragment.tet_shift[f], pools.fragment.mesh[f]
-    # parting planes are about the grid's corner
+    # separating planes are relative to the grid's corner
     ox, oy, oz = mesh.grid[k, 0], mesh.grid[k, 1], mesh.grid[k, 2]
     lowest = math.inf
     for q in range(count):
@@ -110,7 +110,7 @@ def hull_avoids(pools, f, near, points, count, way, x, y, z, r, slack):
                 break
             sign = _side_of(body.sides[row], f)
             p = body.faces[row]
-            if sign == 0.0 or math.isnan(p[3]):  # what lies behind such a one has no volume
+            if sign == 0.0 or math.isnan(p[3]):  # a part behind such a face has no volume
                 continue
             if not _is_beyond(points, count, x, y, z, r, sign * p[0], sign * p[1], sign * p[2], sign * p[3], slack):
                 return False
@@ -119,7 +119,7 @@ def hull_avoids(pools, f, near, points, count, way, x, y, z, r, slack):
 
 @inlined_kernel
 def triangle_avoids(pools, f, near, p, x, y, z, r, slack, scratch, thread):
-    """Likewise whether the triangle p (9,) [m] in f's frame, within `r` [m] of its middle (x, y, z), avoids f."""
+    """The same for the triangle p (9,) [m] in f's frame, which is within `r` [m] of its middle (x, y, z)."""
     kind, points = pools.fragment.kind[f], p[:9].reshape(3, 3)
     if kind == BOX:
         return _avoids_box(pools.fragment.shape[f], points, 3, slack)
@@ -167,7 +167,7 @@ def triangle_avoids(pools, f, near, p, x, y, z, r, slack, scratch, thread):
 
 @inlined_kernel
 def _is_beyond_a_wall(mesh, t, k, points, count, x, y, z, r, slack):
-    """Whether all points are beyond a wall of tetrahedron `t` of mesh `k`; walls are about the grid's corner."""
+    """Whether all points are beyond a wall of tetrahedron `t` of mesh `k`; walls are relative to the grid's corner."""
     w = mesh.walls[t]
     for q in range(4):
         nx, ny, nz = np.float64(w[q]), np.float64(w[4 + q]), np.float64(w[8 + q])
@@ -189,7 +189,7 @@ def _is_below(mesh, t, nx, ny, nz, height):
 
 @inlined_kernel
 def _has_whole_face(region, f):
-    """Whether three nodes of a tetrahedron are f's: what it has behind their face is behind no triangle."""
+    """Whether three nodes of a tetrahedron belong to f: its part behind their face is behind no triangle."""
     labels = 0
     for q in range(4):
         labels += region[LABELS + q] == f
@@ -206,7 +206,7 @@ def _side_of(sides, f):
 
 @inlined_kernel
 def _is_beyond(points, count, x, y, z, r, nx, ny, nz, offset, slack):
-    """Whether all points are more than `slack` above a plane: by the ball around them first."""
+    """Whether all points are more than `slack` above a plane; the ball around them is tested first."""
     above = nx * x + ny * y + nz * z - offset
     if above > r + slack:
         return True
@@ -227,7 +227,7 @@ def _least_of_three(p, nx, ny, nz, offset):
 
 @inlined_kernel
 def _is_off(c, p, x, y, z, hx, hy, hz, slack):
-    """Whether triangle `c` is on one side of that of `p`, whose normal is (hx, hy, hz), or beyond one of its sides."""
+    """Whether triangle `c` is on one side of the plane of `p`, with normal (hx, hy, hz), or beyond a side of `p`."""
     height = hx * x + hy * y + hz * z
     if _least_of_three(c, hx, hy, hz, height) > slack or _least_of_three(c, -hx, -hy, -hz, -height) > slack:
         return True

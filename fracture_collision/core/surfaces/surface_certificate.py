@@ -1,11 +1,11 @@
-"""How deep any point of two fragments' surfaces is in the other, where their samples do not tell.
+"""Bound on the depth of all points of two fragments' surfaces, including those between samples.
 
-Contacts are sought at samples (Glondu 2014, section 6.3); between these, edges cross each other. So that nothing is
-missed, all of both surfaces is either shown to be no deeper than a little more than the deepest contact, or a deeper
+Contacts are searched at samples (Glondu 2014, section 6.3); between these, edges cross each other. So that nothing is
+missed, either all of both surfaces is shown to be no deeper than a little more than the deepest contact, or a deeper
 point is found. An element of a surface (surface_elements.py) is no deeper than s if it avoids the other fragment once
-it is moved by s; what does not is searched by bisection (surface_search.py). Before, whole pairs are settled by how far
-they have moved since they broke, and by how far their hulls overlap along a contact's normal: no point of either is
-deeper than that.
+it is displaced by s; other elements are searched by bisection (surface_search.py). Before that, whole pairs are settled
+by how far they have moved since they broke, and by the overlap of their hulls along a contact's normal: no point of
+either is deeper than that.
 """
 
 from __future__ import annotations
@@ -38,12 +38,12 @@ from fracture_collision.core.surfaces.surface_search import (
 )
 from fracture_collision.core.tree.sample_leaves import farthest_sample, leaves_of
 
-# In shares of epsilon, beyond the depth of the deepest contact: how deep nothing is shown to be, if that can be shown;
-# how deep a point is listed; and how finely is looked. The last two make epsilon together, less room for rounding.
+# Shares of epsilon, beyond the deepest contact's depth: the depth bound to prove, where possible; the depth from which
+# a point is listed; the resolution of the search. The last two sum to epsilon, less an allowance for rounding.
 SHOWN, LISTED, FINEST = 0.6, 0.9, 0.09
-# Points of a pair that are asked at most. Where they do not do, nothing is known but how thick the two are.
+# Maximum number of points queried per pair. If they do not suffice, only the thickness of the two bounds the depth.
 MOST_ASKED = 1_000_000
-# The deepest point of a triangle is looked for to this share of epsilon.
+# Resolution of the search for the deepest point of a triangle, as a share of epsilon.
 SHARPEST = 0.05
 NOBODY = -1
 
@@ -67,14 +67,14 @@ def make_surface_work(threads: int) -> SurfaceWork:
 
 
 class Judgement(NamedTuple):
-    """Of a pair."""
+    """Result for a pair."""
 
-    bound: float  # [m] nothing of either surface is deeper than this, or than `depth`; infinity: MOST_ASKED did not do
-    depth: float  # [m] of the deepest point that was found, or of the deepest contact, no less than 0
-    side: int  # whose that point is (0: a), NOBODY: none was found
-    piece: int  # and of which element
+    bound: float  # [m] no point is deeper than the larger of this and `depth`; infinity: MOST_ASKED did not suffice
+    depth: float  # [m] of the deepest point found, or of the deepest contact, no less than 0
+    side: int  # side of that point (0: a), NOBODY: none was found
+    piece: int  # piece of its element
     triangle: int  # its triangle there, see surface_elements.put_triangle
-    asked: int  # points
+    asked: int  # points queried
 
 
 @query_kernel
@@ -94,7 +94,7 @@ def judge_surfaces(pools, elements, a, b, rotation, translation, deepest, normal
     leaves = leaves_of(pools, a), leaves_of(pools, b)
     rounding = slack + leaves[0].middle[3] + leaves[1].middle[3]
     if normal[0] == 0.0 and normal[1] == 0.0 and normal[2] == 0.0:
-        # whatever is remembered of this pair: the same direction for the same poses
+        # no warm start: the same poses must give the same direction
         toward = scratch.point[thread]
         toward[0] = toward[1] = toward[2] = 0.0
         normal, low, high = parting_plane_of_leaves(
@@ -150,7 +150,7 @@ def judge_surfaces(pools, elements, a, b, rotation, translation, deepest, normal
                     pools, other, stack, deepest, shown, listed, FINEST * epsilon, MOST_ASKED - asked, corner_slack,
                     way, work.found[thread], moved, scratch, thread,
                 )  # fmt: skip
-                bound, asked, count = max(bound, most), asked + more, -1  # a search gathers others
+                bound, asked, count = max(bound, most), asked + more, -1  # the search overwrites them
                 if depth > deepest:
                     deepest, side_of, piece_of, triangle_of = depth, side, piece, k
                     for d in range(3):
@@ -162,7 +162,7 @@ def judge_surfaces(pools, elements, a, b, rotation, translation, deepest, normal
 
 @inlined_kernel
 def _extents(leaves, rotation, translation, n, bounds):
-    """(the lowest of a, the highest of b) along a unit vector n of b's frame [m], as of parting_plane_of_leaves."""
+    """(the lowest of a, the highest of b) along a unit vector n of b's frame [m], as in parting_plane_of_leaves."""
     of_a, of_b = leaves
     _, reach = farthest_sample(of_b, n, 0, bounds)
     high = n[0] * of_b.middle[0] + n[1] * of_b.middle[1] + n[2] * of_b.middle[2] + np.float64(reach)
@@ -191,8 +191,8 @@ def _may_be_deeper(pools, f, x, y, z, r, depth, way, highest, scratch, thread):
 def _element_avoids(
     pools, elements, e, other, near, rotation, ox, oy, oz, s, way, x, y, z, r, slack, points
 ):
-    """Whether the hull of an element, moved by `s` [m] along `way`, avoids `other`; (ox, oy, oz): where the origin of
-    its corners is.
+    """Whether the hull of an element, displaced by `s` [m] along `way`, avoids `other`; (ox, oy, oz): origin of its
+    corners.
     """
     mx, my, mz, count = s * way[0], s * way[1], s * way[2], 0
     first = elements.first[e]

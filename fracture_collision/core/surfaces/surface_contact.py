@@ -1,8 +1,8 @@
-"""The contact of a point that surface_certificate.py has found between samples: its place, normal and number.
+"""The contact of a point that surface_certificate.py found between samples: its place, normal and number.
 
-Where an edge of one fragment crosses an edge of the other, the nearest surface is now the one and now the other side of
-that edge; what parts the two is the direction across both edges. Elsewhere normals are those of samples
-(facing_normal.py, crack_normal.py).
+Where an edge of one fragment crosses an edge of the other, the nearest surface alternates between the two sides of that
+edge; the direction across both edges separates the two. Elsewhere normals are those of samples (facing_normal.py,
+crack_normal.py).
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from fracture_collision.core.surfaces.surface_avoidance import room_for_rounding
 from fracture_collision.core.surfaces.surface_certificate import FINEST, SHARPEST
 from fracture_collision.core.surfaces.surface_search import inward, search_triangle
 
-# So many numbers of such contacts each element of a surface has.
+# Contact numbers reserved for each element of a surface.
 TRIANGLES_EACH = 64
-# Points of its triangle that are asked for a deeper one.
+# Points of its triangle queried at most to find a deeper one.
 MOST_SHARPENED = 2_000
-# A point within so many times the sharpness of its place, or of its depth, of a side of its triangle is on an edge.
+# A point is on an edge if it is within this factor times its resolution, in place or depth, of a side of its triangle.
 ON_EDGE = 4.0
-# An edge of the other: its sides' normals differ by more than this cosine.
+# An edge of the other: the cosine between its sides' normals is no more than this.
 EDGE = 0.99
-# The way out across both edges is taken if it is no longer than so many times the depth.
+# The way out across both edges is used if it is no longer than this factor times the depth.
 OBLIQUE = 3.0
 
 
@@ -37,8 +37,8 @@ OBLIQUE = 3.0
 def put_surface_contact(
     pools, a, b, rotation, translation, judgement, epsilon, near, work, contacts, ids, scratch, thread
 ):
-    """The contact of `judgement`, for which work.best holds a point, as row 0 of contacts (., 10) and ids (., 5), like
-    those of query_pair; near [m]: the detection tolerance.
+    """Write the contact of `judgement`, for which work.best holds a point, to row 0 of contacts (., 10) and ids (., 5),
+    as query_pair does; near [m]: the detection tolerance.
     """
     side = judgement.side
     own, other = (a, b) if side == 0 else (b, a)
@@ -82,7 +82,7 @@ def _turn_across_edges(pools, own, other, side, rotation, translation, p, sharp,
     tx, ty, tz = p[j] - p[i], p[j + 1] - p[i + 1], p[j + 2] - p[i + 2]
     length = math.sqrt(tx * tx + ty * ty + tz * tz)
     tx, ty, tz = tx / length, ty / length, tz / length
-    # on either side along the own edge the other side of the other's edge is nearest
+    # before and behind the point along the own edge, different sides of the other's edge are nearest
     step = 0.5 * depth
     before = bounded_probe(
         pools, other, x - step * tx, y - step * ty, z - step * tz, 0.0, math.inf, -1, False, scratch, thread
@@ -113,7 +113,7 @@ def _turn_across_edges(pools, own, other, side, rotation, translation, p, sharp,
     way = nx * (s * ux + t * vx) + ny * (s * uy + t * vy) + nz * (s * uz + t * vz)
     if not depth <= way * (1.0 + 1e-9) + sharp or way > OBLIQUE * depth:
         return False
-    # own is behind its edge
+    # the interior of own must be behind its edge
     px, py, pz = to_other(rotation[1 - side], translation[1 - side], x + way * nx, y + way * ny, z + way * nz)
     if bounded_probe(pools, own, px, py, pz, 0.0, 0.0, -1, False, scratch, thread)[0] != INSIDE:
         return False
@@ -124,7 +124,7 @@ def _turn_across_edges(pools, own, other, side, rotation, translation, p, sharp,
 
 @inlined_kernel
 def _distance_from_side(p, k, x, y, z):
-    """[m] of a point from the line through side k of triangle p (9,)."""
+    """Distance [m] of a point from the line through side k of triangle p (9,)."""
     i, j = 3 * k, 3 * ((k + 1) % 3)
     ex, ey, ez = p[j] - p[i], p[j + 1] - p[i + 1], p[j + 2] - p[i + 2]
     dx, dy, dz = x - p[i], y - p[i + 1], z - p[i + 2]

@@ -1,4 +1,4 @@
-"""The surfaces of all pairs of a step, after their samples: bounds that hold for all of them, contacts in between."""
+"""Surface search for all pairs of a step, after their samples: bounds for whole surfaces, contacts between samples."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ from fracture_collision.core.surfaces.surface_contact import put_surface_contact
 
 
 class Surfaces(NamedTuple):
-    """What a search between samples works with."""
+    """Elements and working memory of a search between samples."""
 
     table: ElementTable
     work: SurfaceWork
 
 
 class Between(NamedTuple):
-    """What was found between samples, of p pairs: no more than one contact each."""
+    """Results between samples, of p pairs: at most one contact each."""
 
     has_contact: np.ndarray  # (p,) bool
     contacts: np.ndarray  # (p, 10) float64: rows of query_pair
     ids: np.ndarray  # (p, 5) int64
-    asked: np.ndarray  # (p,) int64: points
+    asked: np.ndarray  # (p,) int64: points queried
 
 
 def judge_pairs(
@@ -42,10 +42,10 @@ def judge_pairs(
     pairs: np.ndarray, todo: np.ndarray, is_free: np.ndarray, epsilon: float, near: float, found: PairContacts,
     offsets: np.ndarray, scratch: Scratch, crew: Crew,
 ) -> PairContacts:  # fmt: skip
-    """`found` with bounds that hold for the surfaces of the pairs `todo`, and what lies deeper in between listed.
+    """`found` with bounds that hold for the surfaces of the pairs `todo`, and with deeper points between samples added.
 
     todo: of `pairs` (p, 2), those that `found` was searched for; is_free (p,): whether a pair's visits are unlimited:
-    of others there is only a bound; epsilon, near: shares of the smaller R; offsets (p + 1,): of found's contacts.
+    others get only a bound; epsilon, near: shares of the smaller R; offsets (p + 1,): of found's contacts.
     """
     kinds = pools.fragment.kind[rows]
     has_edges = (kinds == BOX) | (kinds == TETRAHEDRA) | (kinds == TRIANGLES)
@@ -78,7 +78,7 @@ def judge_pairs(
 
 @kernel
 def _bound_by_thickness(pools, rows, pairs, todo, bounds):
-    """What holds of the surfaces of pairs that are not searched."""
+    """Set bounds for the surfaces of pairs that are not searched."""
     for p in todo:
         a, b = rows[pairs[p, 0]], rows[pairs[p, 1]]
         bounds[p] = max(bounds[p], depth_limit(pools, a), depth_limit(pools, b))
@@ -89,7 +89,7 @@ def _judge_share(
     pools, elements, rows, rotations, positions, pairs, todo, epsilon, near, gaps, normals, offsets, bounds, exhausted,
     between, work, scratch, threads, thread,
 ):  # fmt: skip
-    """Every `threads`-th pair of `todo`, from `thread` on."""
+    """Process every `threads`-th pair of `todo`, starting at `thread`."""
     rotation, translation = scratch.rotation[thread], scratch.translation[thread]
     for turn in range(thread, len(todo), threads):
         p = todo[turn]
@@ -123,7 +123,7 @@ def _judge_share(
 
 @kernel
 def _insert(pairs, rotations, positions, offsets, found, between, points_a, points_b, normals, gaps, samples):
-    """The contacts of `found`, and behind those of each pair what was found in between, into new arrays."""
+    """Write the contacts of `found`, those of each pair followed by what was found between samples, to new arrays."""
     o = 0
     for p in range(len(pairs)):
         for c in range(offsets[p], offsets[p + 1]):

@@ -1,8 +1,8 @@
 """The deepest point of a triangle of one fragment's surface in another, by bisection.
 
-Depth is 1-Lipschitz: within r of a point of depth d nothing is deeper than d + r. And nothing of a triangle is deeper
-than s if the triangle avoids the other's inside once it is moved by s, whichever way (surface_avoidance.py). What
-neither settles is halved.
+Depth is 1-Lipschitz: within r of a point of depth d nothing is deeper than d + r. And no point of a triangle is deeper
+than s if the triangle, displaced by s in some direction, avoids the other's interior (surface_avoidance.py). A triangle
+that neither test settles is halved.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from fracture_collision.core.memory.compiled import inlined_kernel, query_kernel
 from fracture_collision.core.mesh.closest_point import triangle_normal
 from fracture_collision.core.surfaces.surface_avoidance import gather_near, triangle_avoids
 
-# Triangles that wait to be looked at: one for each time that the first has been halved. No triangle that is halved as
-# often has a side of a millionth of the first's.
+# Capacity for waiting triangles: one for each halving of the first. After so many halvings no side is as long as a
+# millionth of the first's.
 DEPTH_OF_STACK = 64
 
 
 @inlined_kernel
 def middle_of(p):
-    """(x, y, z [m], how far its corners are from there at most [m]) of a triangle (9,)."""
+    """Middle (x, y, z) [m] of a triangle (9,), and an upper bound of its corners' distance from there [m]."""
     x, y, z, r2 = (p[0] + p[3] + p[6]) / 3.0, (p[1] + p[4] + p[7]) / 3.0, (p[2] + p[5] + p[8]) / 3.0, 0.0
     for k in range(3):
         r2 = max(r2, (p[3 * k] - x) ** 2 + (p[3 * k + 1] - y) ** 2 + (p[3 * k + 2] - z) ** 2)
@@ -30,8 +30,8 @@ def middle_of(p):
 
 @inlined_kernel
 def moved_triangle_avoids(pools, other, near, p, s, way, x, y, z, r, slack, moved, scratch, thread):
-    """Whether the triangle p (9,) with its middle (x, y, z) avoids `other`, moved by `s` [m] along `way`; moved (9,):
-    working space.
+    """Whether the triangle p (9,) with its middle (x, y, z), displaced by `s` [m] along `way`, avoids `other`; moved
+    (9,): working space.
     """
     mx, my, mz = s * way[0], s * way[1], s * way[2]
     for k in range(3):
@@ -43,13 +43,13 @@ def moved_triangle_avoids(pools, other, near, p, s, way, x, y, z, r, slack, move
 def search_triangle(
     pools, other, stack, deepest, prove, limit, finest, most_asked, slack, way, found, moved, scratch, thread
 ):
-    """Of the triangle in stack[0], in the frame of `other`: (a depth [m] that no point of it exceeds, unless one was
-    found; the depth of the deepest point that was found, or else `deepest`; points asked).
+    """For the triangle in stack[0], in the frame of `other`: (a bound [m] on the depth of its points, unless a deeper
+    one was found; depth of the deepest point found, or else `deepest`; points queried).
 
-    A point deeper than `deepest` + `limit` is found: it is put into `found` (3,), and `deepest` is its depth from then
-    on. prove [m]: how far beyond `deepest` depths are shown not to reach; finest [m]: what is within that of a point is
-    not halved. most_asked: points; where they do not do, the depth that is returned is infinity. way: a unit vector
-    along which the triangle may be moved out. stack (DEPTH_OF_STACK, 9), moved (9,): working space.
+    A point deeper than `deepest` + `limit` is written to `found` (3,), and `deepest` is its depth from then on. prove
+    [m]: margin beyond `deepest` to prove as a depth bound; finest [m]: a triangle within that of its middle is not
+    halved. most_asked: points; if they do not suffice, the bound is infinite. way: a unit vector along which the
+    triangle may be displaced. stack (DEPTH_OF_STACK, 9), moved (9,): working space.
     """
     top, bound, asked, at = 1, 0.0, 0, -1
     while top:
@@ -84,7 +84,7 @@ def search_triangle(
 
 @inlined_kernel
 def inward(p):
-    """The unit normal of a triangle (9,), against its outside."""
+    """Inward unit normal of a triangle (9,)."""
     x, y, z = triangle_normal(p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8])
     return -x, -y, -z
 

@@ -3,9 +3,9 @@
 L_2 is the two furthest points; L_{m+1} appends the point furthest from its closest point in L_m. Ties go to the lowest
 index, so the order is a function of the points alone.
 
-The paper compares every point with every other. Here each node of a hierarchy of boxes keeps the greatest distance of a
-point below it from its closest ordered point: a new point descends only to nodes that come nearer than that, and the
-root names the next point. Nothing is approximated; test/oracles has the definition.
+The paper compares every point with every other. Here each node of a hierarchy of boxes stores the greatest distance of
+a point below it from its closest ordered point: a new point descends only to nodes that are nearer than that, and the
+root holds the next point. Nothing is approximated; test/oracles has the definition.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def max_distance_order(points: np.ndarray) -> MaxDistanceOrder:
     return result
 
 
-# A stack of pairs or nodes: 31 levels, four of each at most.
+# Stack of pairs or nodes: 31 levels, at most four per level.
 STACK = 128
 
 
@@ -47,17 +47,17 @@ def _comes_before(a, b, c, d):
 
 @inlined_kernel
 def _lowest_pair(lowest, a, b):
-    """No pair of points, one below node a and the other below b, is lexicographically lower than this one."""
+    """Lexicographic lower bound of the pairs of points, one below node a and the other below b."""
     return min(lowest[a], lowest[b]), max(lowest[a], lowest[b]) + (1 if a == b else 0)
 
 
 @kernel
 def _two_furthest(hierarchy):
-    """Positions of the diameter's end points, the lower index first; of equal diameters the lowest pair of indices."""
+    """Positions of the diameter's end points, the lower index first; ties go to the lowest pair of indices."""
     points, index, begin, end, box, lowest = hierarchy
     first_leaf = len(begin) // 2
     stack = np.zeros((STACK, 2), dtype=np.int64)  # pairs of nodes of the same level
-    ceiling = np.full(STACK, np.inf)  # [m2] no two points below the pair are farther apart
+    ceiling = np.full(STACK, np.inf)  # [m2] upper bound of the squared distance of points below the pair
     best, first, second = -1.0, 0, 0
     top = 0
     while top >= 0:
@@ -81,7 +81,7 @@ def _two_furthest(hierarchy):
             for d in range(2 * b + 1, 2 * b + 3):
                 if a == b and c > d:
                     continue
-                # the most promising pair on top: the best so far soon rules the others out
+                # the most promising pair on top: its result prunes the others early
                 farthest = greatest_distance_squared(box[c], box[d])
                 low, high = _lowest_pair(lowest, c, d)
                 top += 1
@@ -104,9 +104,9 @@ def _order_points(hierarchy, first, second, order, parent, level):
     first_leaf = nodes // 2
     nearest = np.zeros(n, dtype=np.int32)  # rank of the closest point so far
     distance = np.full(n, np.inf)  # its squared distance [m2]; -1 once ordered
-    level_nearest = np.zeros(n, dtype=np.int32)  # `nearest` as it was when the current level began
+    level_nearest = np.zeros(n, dtype=np.int32)  # copy of `nearest` from the start of the current level
     greatest = np.full(nodes, np.inf)  # the largest `distance` below each node
-    furthest = np.zeros(nodes, dtype=np.int32)  # its position, that of the lowest index at a tie
+    furthest = np.zeros(nodes, dtype=np.int32)  # its position; ties go to the lowest index
     entered = np.empty(nodes, dtype=np.int32)
     stack = np.empty(STACK, dtype=np.int32)
     current = first

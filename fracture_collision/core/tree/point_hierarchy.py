@@ -1,8 +1,8 @@
-"""A static hierarchy of boxes over a point cloud, halved at medians: what exact searches over many points descend.
+"""A static hierarchy of boxes over a point cloud, halved at medians, for exact searches over many points.
 
-All nodes of a level hold the same number of points, give or take one. Node k's children are 2k + 1 and 2k + 2, the
-leaves come last. Bounds (here and closest_point.box_distance_squared) are computed with the very operations that the
-points' distances are, and rounding is monotone: no point is nearer, or farther, than its box says, to the last bit.
+All nodes of a level hold the same number of points, within one. Node k's children are 2k + 1 and 2k + 2, the leaves
+come last. Bounds (here and closest_point.box_distance_squared) use exactly the operations of the point distances, and
+rounding is monotone: the bounds of a box hold for its points to the last bit.
 """
 
 from __future__ import annotations
@@ -13,15 +13,15 @@ import numpy as np
 
 from fracture_collision.core.memory.compiled import inlined_kernel
 
-# Points of a leaf, at least (all of a smaller cloud); twice as many at most.
+# Minimum points per leaf (a smaller cloud is one leaf); the maximum is twice as many.
 LEAF_POINTS = 8
 
 
 class PointHierarchy(NamedTuple):
     points: np.ndarray  # (n, 3) float64 [m], leaf by leaf, ascending by index within a leaf
-    index: np.ndarray  # (n,) int32: which point of the cloud each is
+    index: np.ndarray  # (n,) int32: index of each in the cloud
     begin: np.ndarray  # (k,) int32: first of `points` below each node
-    end: np.ndarray  # (k,) int32: behind the last
+    end: np.ndarray  # (k,) int32: one past the last
     box: np.ndarray  # (k, 6) float64 [m]: low x y z, high x y z
     lowest: np.ndarray  # (k,) int32: smallest index below each node
 
@@ -40,7 +40,7 @@ def build_point_hierarchy(points: np.ndarray) -> PointHierarchy:
         begins.append(bounds)
         boxes.append(np.column_stack([low, high]))
         widest = np.argmax(high - low, axis=1)
-        # the next level halves each node along its widest side; in a leaf, indices ascend
+        # the next level halves each node along its widest side; leaves are sorted by index
         key = placed[np.arange(n), widest[node]] if level < depth else index
         index = index[np.lexsort((key, node))]
     return PointHierarchy(
@@ -55,7 +55,7 @@ def build_point_hierarchy(points: np.ndarray) -> PointHierarchy:
 
 @inlined_kernel
 def greatest_distance_squared(a, b):
-    """[m2] No point of box `a` (6,) is farther from one of box `b`."""
+    """Upper bound [m2] of the squared distance between a point of box `a` (6,) and one of box `b`."""
     dx = max(a[3] - b[0], b[3] - a[0])
     dy = max(a[4] - b[1], b[4] - a[1])
     dz = max(a[5] - b[2], b[5] - a[2])

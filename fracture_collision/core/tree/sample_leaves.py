@@ -1,9 +1,9 @@
-"""The samples of a fragment's surface for searching: eight to a leaf, in the order of a space-filling curve.
+"""The samples of a fragment's surface for searching: eight per leaf, in the order of a space-filling curve.
 
-A sphere tree (Glondu 2014, section 5.1) answers who comes first; to find all samples that may touch another fragment it
-is walked node by node, and it holds the nodes of the inside too. Here all leaves of a fragment are asked at once, in
-straight loops over single precision that processors run eight at a time: which of their boxes reach into a few
-half-spaces, and how far they reach along a direction. What they answer is culled by, never told: rounding is left room.
+A sphere tree (Glondu 2014, section 5.1) orders the samples; to find all samples that may touch another fragment it
+must be walked node by node, and it includes interior nodes. Here all leaves of a fragment are tested at once, in
+single-precision loops that vectorize eight wide: which boxes reach into a few half-spaces, and how far they reach along
+a direction. The results are used for culling only, never returned, with a margin for rounding.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from fracture_collision.core.memory.pools import LEAF, LEAF_VALUES, OWN_SAMPLE, 
 
 # Cells of the curve along each side of a fragment's box.
 CURVE = 1024
-_BITS_A_PASS, _PASSES = 8, 4  # of the sort along the curve, whose places have 30 bits
+_BITS_A_PASS, _PASSES = 8, 4  # of the radix sort along the curve, with 30-bit places
 
 
 class Leaves(NamedTuple):
-    """Of one fragment, n leaves."""
+    """The n leaves of one fragment."""
 
-    values: np.ndarray  # (LEAF_VALUES n,) float32 [m] about `middle`: x y z of lower corners, of upper ones, of samples
+    values: np.ndarray  # (LEAF_VALUES n,) float32 [m] from `middle`: x y z of lower corners, of upper ones, of samples
     entries: np.ndarray  # (LEAF n,) int32 entry of the fragment's tree, -1: no sample
-    middle: np.ndarray  # (4,) float64 [m]: x y z in the body frame; what rounding takes from what is said along a unit
+    middle: np.ndarray  # (4,) float64 [m]: x y z in the body frame; rounding error bound along a unit vector
 
 
 @inlined_kernel
@@ -41,7 +41,7 @@ def leaves_of(pools, f):
 
 @kernel
 def count_leaves(entries, begins):
-    """Leaves that trees take whose entries, rows of TreePool, are begins[i] .. begins[i + 1] - 1: (n,) int64."""
+    """Number of leaves (n,) int64 of each tree with entries begins[i] .. begins[i + 1] - 1, rows of TreePool."""
     counts = np.zeros(len(begins) - 1, np.int64)
     for f in range(len(counts)):
         samples = 0
@@ -52,19 +52,19 @@ def count_leaves(entries, begins):
 
 
 def most_leaves(leaves: int, new_samples: int, fragments: int) -> int:
-    """No more leaves have the fragments into which one with so many broke."""
+    """Upper bound of the leaves of all fragments of a broken fragment with `leaves` leaves."""
     return leaves + new_samples // LEAF + fragments + 1
 
 
 @inlined_kernel
 def _is_sample(entries, i):
-    """Each is once a leaf of its tree."""
+    """Whether an entry is a surface leaf; each sample is exactly one leaf of its tree."""
     return entries[i, SIZE] == 1 and entries[i, SURFACE] == OWN_SAMPLE
 
 
 @kernel
 def fill_leaves(spheres, entries, begins, counts, values, out_entries, middles):
-    """The leaves of such trees one behind the other: `values` (leaves, LEAF_VALUES), `out_entries` (leaves, LEAF).
+    """Write the leaves of these trees consecutively: `values` (leaves, LEAF_VALUES), `out_entries` (leaves, LEAF).
 
     counts (n,): count_leaves; middles (n, 4): see Leaves.
     """
@@ -110,7 +110,7 @@ def fill_leaves(spheres, entries, begins, counts, values, out_entries, middles):
 
 @inlined_kernel
 def place_on_curve(point, low, high):
-    """Where a point of a box is on the curve of Morton (1966): the bits of its three cell numbers in turn."""
+    """Place of a point of a box on the curve of Morton (1966): the interleaved bits of its three cell numbers."""
     place = np.uint32(0)
     for d in range(3):
         side = high[d] - low[d]
@@ -125,7 +125,7 @@ def place_on_curve(point, low, high):
 
 @inlined_kernel
 def _sort_by_place(rows, places, count, buckets):
-    """Sort the first `count` of rows[0] by places[0], the lowest bits first; equal ones stay in their order."""
+    """Sort the first `count` of rows[0] by places[0]: a stable radix sort, lowest bits first."""
     for turn in range(_PASSES):
         shift, of, to = np.uint32(_BITS_A_PASS * turn), turn % 2, 1 - turn % 2
         buckets[:] = 0
@@ -147,10 +147,10 @@ def _digit(place, shift):
 
 @inlined_kernel
 def worst_of_leaves(leaves, planes, used, worst):
-    """How far each leaf's box is, at least, beyond the farthest of half-spaces n . x <= o [m], into `worst` (n,)
-    float32: 0 or less where it reaches into all.
+    """Write a lower bound [m] of each leaf box's distance beyond the farthest of half-spaces n . x <= o to `worst` (n,)
+    float32: 0 or less if it reaches into all.
 
-    planes (used, 4) float32: n unit, o [m], about the leaves' middle.
+    planes (used, 4) float32: n unit, o [m], relative to the leaves' middle.
     """
     n = len(leaves.entries) // LEAF
     values = leaves.values
@@ -174,8 +174,9 @@ def _see_beyond(plane, x, y, z, count, worst):
 
 @inlined_kernel
 def worst_of_samples(leaves, planes, used, worst, looked_at, reaching):
-    """Which leaves reach into all half-spaces by worst_of_leaves' `worst`, into `reaching`, and how far each of their
-    samples is beyond the farthest, 0 or less: it is in all, into looked_at[3] (LEAF for each); returns how many leaves.
+    """Write the leaves that reach into all half-spaces (`worst` of worst_of_leaves) to `reaching`, and the distance of
+    each of their samples beyond the farthest, 0 or less if in all, to looked_at[3] (LEAF per leaf); returns the number
+    of leaves.
     """
     n = len(leaves.entries) // LEAF
     values, count = leaves.values, 0
@@ -198,9 +199,9 @@ def worst_of_samples(leaves, planes, used, worst, looked_at, reaching):
 
 @inlined_kernel
 def farthest_sample(leaves, direction, hint, bounds):
-    """(place in `entries`, how far along) of the sample farthest along a direction (x, y, z), a unit vector [m].
+    """(place in `entries`, height [m]) of the sample farthest along a direction (x, y, z), a unit vector.
 
-    From the leaves' middle, in single precision. hint: a place that may be the one; `bounds` (n,) float32: room.
+    Relative to the leaves' middle, in single precision. hint: a likely place; `bounds` (n,) float32: working space.
     """
     n = len(leaves.entries) // LEAF
     values = leaves.values
@@ -226,8 +227,8 @@ def farthest_sample(leaves, direction, hint, bounds):
 
 @inlined_kernel
 def nearest_sample(leaves, x, y, z, bounds):
-    """How far [m] the nearest sample is from a point, from the leaves' middle, no less than it is; infinity: there is
-    none. `bounds` (n,) float32: room.
+    """Upper bound [m] of the distance of the nearest sample from a point relative to the leaves' middle; infinity if
+    there is none. `bounds` (n,) float32: working space.
     """
     n = len(leaves.entries) // LEAF
     values = leaves.values
@@ -249,13 +250,13 @@ def nearest_sample(leaves, x, y, z, bounds):
         for k in range(LEAF * leaf, LEAF * leaf + LEAF):
             dx, dy, dz = values[6 * n + k] - px, values[(6 + LEAF) * n + k] - py, values[(6 + 2 * LEAF) * n + k] - pz
             least = min(least, dx * dx + dy * dy + dz * dz)
-    # single precision takes of each coordinate what it takes of one along a unit
+    # the error of each coordinate has the bound of a projection onto a unit vector
     return math.sqrt(np.float64(least)) * (1.0 + SAMPLE_ROUNDING) + leaves.middle[3]
 
 
 @inlined_kernel
 def sample_about_middle(leaves, at):
-    """(x, y, z) [m] of the sample at a place in `entries`, from the leaves' middle."""
+    """(x, y, z) [m] of the sample at a place in `entries`, relative to the leaves' middle."""
     n = len(leaves.entries) // LEAF
     values = leaves.values
     return (

@@ -1,11 +1,11 @@
 """The adaptive sphere tree on points in maximum-distance order: Glondu 2014, sections 5.1 and 6.1.
 
-Level l has the first 2^l points; a point's parent one level up is the nearest there, for a point of the level above
-itself. A node's centre is its point, its radius the distance to its furthest descendant. Nodes with a single child are
-left out, so every inner node has at least two children, one of which carries the node's own point.
+Level l has the first 2^l points; a point's parent is the nearest point one level up, or itself if it is in that level.
+A node's centre is its point, its radius the distance to its furthest descendant. Nodes with a single child are omitted,
+so every inner node has at least two children, one of which carries the node's own point.
 
 Storage is preorder: the subtree of entry i is i .. i + size[i] - 1, its first child i + 1, the next child behind the
-first one's subtree. Siblings stand in maximum-distance order, the one with the parent's own point first.
+first one's subtree. Siblings are in maximum-distance order, the one with the parent's own point first.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def _emit_preorder(parent, level, size, rank_of):
         p = parent[rank]
         next_sibling[rank] = first_child[p]
         first_child[p] = rank
-    # A stack item is a node (rank, remaining children); `open_entry` remembers where its subtree began.
+    # A stack item is a node (rank, remaining children); `closing` stores where its subtree began.
     stack_rank = np.empty(2 * n + 2, dtype=np.int32)
     stack_child = np.empty(2 * n + 2, dtype=np.int32)
     used = 0

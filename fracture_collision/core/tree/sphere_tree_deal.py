@@ -1,8 +1,8 @@
-"""What each fragment keeps of the sphere tree of what broke: Glondu 2014, section 6.2, the splitting.
+"""The entries of a broken fragment's sphere tree that each new fragment keeps: Glondu 2014, section 6.2, the splitting.
 
-A node whose descendants belong to several fragments is replicated once for each; a copy with a single child is left
-out. A tree in preorder stays one when entries are taken out of it, so one walk over the old tree deals its entries out
-to all fragments; subtrees of one fragment go in one run.
+A node with descendants in several fragments is replicated once for each; a copy with a single child is omitted. A
+preorder tree stays one when entries are removed, so one walk over the old tree deals its entries out to all fragments;
+a subtree of one fragment is copied in one run.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from fracture_collision.core.memory.compiled import kernel, query_kernel
 from fracture_collision.core.memory.pools import SIZE
 
-BATCH = 64  # fragments handled at a time: one bit each of an unsigned 64-bit mask
+BATCH = 64  # fragments per walk: one bit each of an unsigned 64-bit mask
 UNKNOWN, MIXED = -2, -1
 NOBODYS = -1  # of an entry whose point no fragment keeps
 # The position of a lone bit, by the top six bits of its product with a de Bruijn sequence (Leiserson, Prokop, Randall,
@@ -25,7 +25,7 @@ BIT_POSITION[[((0x03F79D71B4CB0A89 << b) & 0xFFFFFFFFFFFFFFFF) >> 58 for b in ra
 
 
 class Deal(NamedTuple):
-    """What of a tree each fragment keeps: entries first[f] .. last[f] - 1 of the other two are fragment f's."""
+    """The part of a tree that each fragment keeps: fragment f has rows first[f] .. last[f] - 1 of `kept` and `size`."""
 
     kept: np.ndarray  # (k,) int32 entries of the old tree, ascending
     size: np.ndarray  # (k,) int32 their sizes in the fragment's tree
@@ -34,21 +34,21 @@ class Deal(NamedTuple):
 
 
 class _Walk(NamedTuple):
-    """Working space: the walk over the old tree."""
+    """Working space for the walk over the old tree."""
 
     size: np.ndarray  # (n,) int32
     parent: np.ndarray  # (n,) int32
     owner: np.ndarray  # (n,) int32: the fragment that has all points of the subtree, else MIXED
     once: np.ndarray  # (n,) uint64: fragments with points in the subtree, a bit each
-    twice: np.ndarray  # (n,) uint64: with points below two children or more
-    open_row: np.ndarray  # (2n,) int32: what is open: the kept entry,
+    twice: np.ndarray  # (n,) uint64: fragments with points below two or more children, a bit each
+    open_row: np.ndarray  # (2n,) int32, stack of open entries: row in `kept`,
     open_fragment: np.ndarray  # (2n,) int32: its fragment,
     open_end: np.ndarray  # (2n,) int32: where its subtree ends in the old tree
 
 
 @query_kernel
 def find_parents(size, parent):
-    """Fill parent (n,) from size (n,): -1 of the root."""
+    """Fill parent (n,) from size (n,): -1 for the root."""
     parent[0] = -1
     for i in range(len(size)):
         child = i + 1
@@ -59,7 +59,7 @@ def find_parents(size, parent):
 
 @kernel
 def deal_tree(entries, fragment_of_entry, fragments):
-    """The entries that each fragment keeps: with points of it below two children or more, and its leaves."""
+    """The entries that each fragment keeps: those with its points below two or more children, and its leaves."""
     n = len(entries)
     walk = _Walk(
         np.empty(n, np.int32), np.empty(n, np.int32), np.empty(n, np.int32), np.empty(n, np.uint64),
@@ -84,9 +84,9 @@ def _find_owners(entries, fragment_of_entry, walk, deal):
         f = fragment_of_entry[i]
         if is_leaf and f != NOBODYS:
             first[f] += 1
-        # a point of nobody's makes what holds it mixed
+        # a point that no fragment keeps makes its ancestors MIXED
         size[i], owner[i] = entries[i, SIZE], f if is_leaf else UNKNOWN
-    # room for a fragment's leaves and inner nodes, of which there are fewer
+    # capacity for a fragment's leaves and its inner nodes, which are fewer
     room = 0
     for f in range(len(first)):
         leaves = first[f]
@@ -112,7 +112,7 @@ def _deal_out(low, walk, deal):
             return
         f, behind = owner[i], i + size[i]
         if f >= 0:
-            # all of one fragment
+            # the whole subtree belongs to one fragment
             if low <= f < low + BATCH:
                 shift = last[f] - i
                 for j in range(i, behind):
@@ -136,7 +136,7 @@ def _deal_out(low, walk, deal):
 
 @query_kernel
 def _find_presence(fragment_of_entry, low, walk):
-    """Which of the fragments low .. low + 63 each entry's subtree holds, and which at least two of its children do."""
+    """Find which fragments low .. low + 63 each entry's subtree holds, and which at least two of its children hold."""
     size, parent, once, twice = walk.size, walk.parent, walk.once, walk.twice
     one = np.uint64(1)
     for i in range(len(size)):

@@ -1,16 +1,16 @@
 """Splitting, restructuring and extending a sphere tree at a fracture: Glondu 2014, sections 6.2 and 6.3.
 
-Split: a node whose descendants belong to several fragments is replicated once for each; a copy with a single child is
-left out. Restructure: a copy that lost its point takes the point of its subtree that is closest to the old one, and so
-do all nodes between. Extend: a new surface point goes under the mesh node at its own end of the cut edge, at the lowest
-node of that point's branch whose radius still exceeds their distance, else at the highest.
+Split: a node with descendants in several fragments is replicated once for each; a copy with a single child is omitted.
+Restructure: a copy that lost its point takes the point of its subtree that is closest to the old one, and so do all
+nodes between. Extend: a new surface point goes under the mesh node at its own end of the cut edge, at the lowest node
+of that point's branch whose radius still exceeds their distance, else at the highest.
 
-Every tree is in preorder, and so is what is left of it for a fragment: one walk over the old tree deals out its entries
-to all fragments, and where new points go is a matter of sums. What a branch would decide entry by entry is put into
-arithmetic wherever it can be, since no processor guesses the shape of a tree.
+Every tree is in preorder, and so is a fragment's part of it: one walk over the old tree deals out its entries to all
+fragments, and prefix sums place the new points. Per-entry decisions are branchless where possible, since the shape of a
+tree is unpredictable for the processor.
 
-Without regard to the order (the paper's earlier version, its reference [27]): a copy that lost its point takes the
-first one that it finds, a new surface point goes under the leaf at its own end of the cut edge.
+Without the order (the paper's earlier version, its reference [27]): a copy that lost its point takes the point of its
+first child, a new surface point goes under the leaf at its own end of the cut edge.
 """
 
 from __future__ import annotations
@@ -27,31 +27,31 @@ NONE = -1
 
 
 class _Share(NamedTuple):
-    """Working space: one fragment's tree before its new points come in; a row an entry, and one more."""
+    """Working space for one fragment's tree before its new points are inserted; one row per entry, and one more."""
 
     spheres: np.ndarray  # (s, 4) float64 [m], centre and radius
     sample: np.ndarray  # (s,) int32
     on_surface: np.ndarray  # (s,) uint8
     lost: np.ndarray  # (s,) uint8: its point went to another fragment
-    stale: np.ndarray  # (s,) uint8: its radius is that of other points
+    stale: np.ndarray  # (s,) uint8: its radius must be recomputed, as its points changed
     parent: np.ndarray  # (s,) int32
-    farthest: np.ndarray  # (s,) float64 [m]: of a leaf, the distance to the farthest new point beside it
+    farthest: np.ndarray  # (s,) float64 [m]: of a leaf, the distance to the farthest new point of its mesh node
     watched: np.ndarray  # (s,) int32: the nearest watched entry (_place) from each one upwards, itself included
-    new_before: np.ndarray  # (s,) int32: new points that hang under entries before it
-    added: np.ndarray  # (s,) int32: how many new points hang under it
-    start: np.ndarray  # (s,) int32: where the first of them goes
-    closing: np.ndarray  # (s,) int32: rows added where a subtree ends that ends before the entry
+    new_before: np.ndarray  # (s,) int32: number of new points under entries before it
+    added: np.ndarray  # (s,) int32: number of new points under it
+    start: np.ndarray  # (s,) int32: output row of the first of them
+    closing: np.ndarray  # (s,) int32: rows that inner subtrees with the same end add before its own new rows
     shift: np.ndarray  # (s,) int32: rows added before the entry
-    surface_before: np.ndarray  # (s,) int32: entries before it whose point is on the surface
+    surface_before: np.ndarray  # (s,) int32: number of entries before it with a point on the surface
 
 
 class _New(NamedTuple):
-    """Working space: the new points."""
+    """Working space for the new points."""
 
-    entry: np.ndarray  # (q,) int32: the entry each hangs under
+    entry: np.ndarray  # (q,) int32: the entry it is inserted under
     distance: np.ndarray  # (q,) float64 [m] from the leaf of its mesh node
-    rank: np.ndarray  # (q,) int32: which of the entry's each is
-    x: np.ndarray  # (q,) float64 [m]: one fragment's, in the order of their entries
+    rank: np.ndarray  # (q,) int32: its index among the entry's new points
+    x: np.ndarray  # (q,) float64 [m]: one fragment's points, in the order of their entries
     y: np.ndarray  # (q,)
     z: np.ndarray  # (q,)
 
@@ -61,13 +61,13 @@ def split_sphere_tree(
     spheres, entries, fragment_of_entry, fragments, points, samples, parents, new_fragments, ordered, out_spheres,
     out_entries,
 ):  # fmt: skip
-    """Write one tree a fragment, one behind the other, from the tree of the fragment that broke; returns where each
-    begins (fragments + 1,) int64.
+    """Write one tree per fragment, consecutively, from the tree of the broken fragment; returns where each begins
+    (fragments + 1,) int64.
 
-    Trees are given as in TreePool: `spheres` (s, 4), `entries` (s, 3); fragment_of_entry (s,) int32: which fragment
-    each entry's point goes to, or NOBODYS. The new surface points: `points` (q, 3) [m], their `samples`, the mesh nodes
-    they hang under, `parents`, and their fragments (q,), int32. ordered: keep to the maximum-distance order.
-    `out_spheres`, `out_entries`: rows_of_split of them.
+    Trees are given as in TreePool: `spheres` (s, 4), `entries` (s, 3); fragment_of_entry (s,) int32: the fragment that
+    gets each entry's point, or NOBODYS. The new surface points: `points` (q, 3) [m], their `samples`, the mesh nodes
+    they are inserted under, `parents`, and their fragments (q,), int32. ordered: keep the maximum-distance order.
+    `out_spheres`, `out_entries`: of rows_of_split rows.
     """
     deal = deal_tree(entries, fragment_of_entry, fragments)
     room = 0
@@ -84,7 +84,7 @@ def split_sphere_tree(
     new = _New(
         np.empty(q, np.int32), np.empty(q), np.empty(q, np.int32), np.empty(q), np.empty(q), np.empty(q)
     )
-    leaf_of = np.empty(parents.max() + 1 if len(parents) else 0, np.int32)  # of what new points may hang under
+    leaf_of = np.empty(parents.max() + 1 if len(parents) else 0, np.int32)  # by mesh node, up to the largest parent
     begin = np.zeros(fragments + 1, np.int64)
     for f in range(fragments):
         kept, size = deal.kept[deal.first[f] : deal.last[f]], deal.size[deal.first[f] : deal.last[f]]
@@ -105,9 +105,9 @@ def split_sphere_tree(
 
 
 def rows_of_split(entries: np.ndarray, new_points: int) -> int:
-    """Rows that split_sphere_tree needs for its trees, at most."""
-    # A tree has fewer inner nodes than leaves; a new point adds a leaf, and may make one of another leaf's point. The
-    # last entry is followed by a row that is written in vain.
+    """Upper bound of the rows that split_sphere_tree writes for its trees."""
+    # A tree has fewer inner nodes than leaves; a new point adds a leaf, and may turn another leaf into an inner node
+    # above a new leaf. One unused row is written behind the last entry.
     return 2 * (int((entries[:, SIZE] == 1).sum()) + new_points) + 1
 
 
@@ -118,14 +118,14 @@ def _take(spheres, entries, fragment_of_entry, kept, size, fragment, share):
         s, c = share.spheres[i], spheres[o]
         s[0], s[1], s[2], s[3] = c[0], c[1], c[2], c[3]
         share.sample[i], share.on_surface[i] = entries[o, SAMPLE], entries[o, SURFACE] == OWN_SAMPLE
-        # a smaller subtree than before: descendants are missing
+        # a smaller subtree than before: it lost descendants
         share.stale[i] = size[i] != entries[o, SIZE]
         share.lost[i] = fragment_of_entry[o] != fragment
 
 
 @query_kernel
 def _restructure(size, share):
-    """Give each entry that lost its point the closest one below it, and the same to all entries in between."""
+    """Give each entry that lost its point the closest point below it, and the same to all entries in between."""
     spheres = share.spheres
     for i in range(len(size)):
         if not share.lost[i]:
@@ -147,7 +147,7 @@ def _restructure(size, share):
 
 @query_kernel
 def _take_first_points(size, share):
-    """Give each entry that lost its point that of its first child."""
+    """Give each entry that lost its point the point of its first child."""
     for i in range(len(size) - 1, -1, -1):
         if share.lost[i]:
             _take_point(share, i, i + 1)
@@ -169,14 +169,14 @@ def _squared(p, q):
 
 @query_kernel
 def _update_radii(size, share):
-    """Exact radii of all stale entries: the distance to the furthest point below, inner nodes' being leaves' too."""
+    """Exact radii of all stale entries: the distance to the furthest point below (inner nodes repeat leaf points)."""
     spheres = share.spheres
     for i in range(len(size)):
         if not share.stale[i]:
             continue
         a = b = c = d = 0.0
         j, end = i + 1, i + size[i]
-        # four at a time: a maximum waits for the one before
+        # four independent maxima, as each waits for the one before
         while j + 4 <= end:
             a, b = max(a, _squared(spheres[j], spheres[i])), max(b, _squared(spheres[j + 1], spheres[i]))
             c, d = max(c, _squared(spheres[j + 2], spheres[i])), max(d, _squared(spheres[j + 3], spheres[i]))
@@ -204,11 +204,11 @@ def _grouped(groups, count):
 
 @query_kernel
 def _place(size, share, own, points, parents, ordered, leaf_of, new):
-    """Choose the entry that each of the `own` new points hangs under: fills `added` of the share, and `new`.
+    """Choose the entry that each of the `own` new points is inserted under: fills `added` of the share, and `new`.
 
-    The sphere of an entry counts as it is when the point comes, grown by those that came before. That is asked only of
-    entries that some point of their own sample may climb past; these are watched and grow with each point, the others
-    later, all at once (_grow).
+    A point is compared with an entry's current sphere, grown by the points before it. This matters only for entries
+    that some point of their own sample may climb past; these are watched and grow with each point, the others later,
+    all at once (_grow).
     """
     spheres, sample, parent = share.spheres, share.sample, share.parent
     watched, farthest = share.watched, share.farthest
@@ -248,7 +248,7 @@ def _reach(sphere, d2):
 
 @query_kernel
 def _grow(size, share, own, points, new):
-    """Grow all spheres by the new points below them, which stand side by side in the order of their entries."""
+    """Grow all spheres by the new points below them, which are contiguous in the order of their entries."""
     spheres, before = share.spheres, share.new_before
     x, y, z = new.x, new.y, new.z
     count = 0
@@ -263,7 +263,7 @@ def _grow(size, share, own, points, new):
         j, end, p = before[i], before[i + size[i]], spheres[i]
         px, py, pz = p[0], p[1], p[2]
         a = b = c = d = 0.0
-        # four at a time: a maximum waits for the one before
+        # four independent maxima, as each waits for the one before
         while j + 4 <= end:
             a = max(a, (x[j] - px) ** 2 + (y[j] - py) ** 2 + (z[j] - pz) ** 2)
             b = max(b, (x[j + 1] - px) ** 2 + (y[j + 1] - py) ** 2 + (z[j + 1] - pz) ** 2)
@@ -278,7 +278,7 @@ def _grow(size, share, own, points, new):
 
 @query_kernel
 def _make_room(size, share):
-    """Where entries go when the new leaves stand behind the children of theirs; returns how many rows come in.
+    """Compute the output rows with the new leaves behind the children of their entries; returns the rows added.
 
     A leaf that gets children becomes an inner node above a leaf of its own point. Of several subtrees that end at one
     entry the inner ones come first.
@@ -302,7 +302,7 @@ def _make_room(size, share):
 
 @query_kernel
 def _write(size, share, own, points, samples, new, out_spheres, out_entries):
-    """The share's entries and its `own` new points, to the first rows of `out`."""
+    """Write the share's entries and its `own` new points to the first rows of `out_spheres` and `out_entries`."""
     before = share.surface_before
     for i in range(len(size)):
         end, added, at = i + size[i], share.added[i], i + share.shift[i]
@@ -312,7 +312,7 @@ def _write(size, share, own, points, samples, new, out_spheres, out_entries):
         # new points are on the surface
         mark = 0 if own_mark == NONE_BELOW and (before[end] > before[i] or rows > size[i]) else own_mark
         _write_entry(out_spheres, out_entries, at, p[0], p[1], p[2], p[3], rows, share.sample[i], mark)
-        # the leaf of a leaf that becomes an inner node; of others whatever comes next is written over it
+        # the new leaf of a leaf that becomes an inner node; for other entries the next row overwrites it
         _write_entry(out_spheres, out_entries, at + 1, p[0], p[1], p[2], 0.0, 1, share.sample[i], own_mark)
     for q in own:
         p, at = points[q], share.start[new.entry[q]] + new.rank[q]
