@@ -1,4 +1,4 @@
-"""Tetrahedral meshes of two shapes unlike their convex hulls: a ring and an L. As in `generators`, without a mesher."""
+"""Tetrahedral meshes of two strongly concave shapes, a ring and an L; without a mesher, as in `generators`."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from fracture_collision.portable_math import cosine, sine
 def torus(major_radius: float, minor_radius: float, edge_length: float) -> TetGeometry:
     """A ring about the z axis; its tube of `minor_radius` has its centre on a circle of `major_radius` [m].
 
-    Boundary vertices lie on the torus. Discs of concentric rings, swept around the axis and closed: each piece between
-    two neighbouring discs is prisms. Edges lie between the tube's inner and outer rim in length, `edge_length` midway.
+    Boundary vertices lie on the torus. Discs of concentric rings are swept around the axis and closed; prisms fill the
+    space between neighbouring discs. Edges are shorter at the inner rim than at the outer, `edge_length` midway.
     """
     require_positive(major_radius=major_radius, minor_radius=minor_radius, edge_length=edge_length)
     if minor_radius >= major_radius:
@@ -40,7 +40,7 @@ def torus(major_radius: float, minor_radius: float, edge_length: float) -> TetGe
 def l_block(size_xyz: tuple[float, float, float], notch_xy: tuple[float, float], edge_length: float) -> TetGeometry:
     """A box of `size_xyz` [m] about the origin less its corner at +x +y, `notch_xy` [m] wide and as high as the box.
 
-    The cells of a grid with a plane along each side of the notch, cut into six tetrahedra each.
+    A grid with a plane along each side of the notch; each cell is cut into six tetrahedra.
     """
     size, notch = np.asarray(size_xyz, dtype=np.float64), np.asarray(notch_xy, dtype=np.float64)
     if size.shape != (3,):

@@ -1,7 +1,7 @@
 """Tetrahedral meshes of common shapes, without a mesher.
 
-Every mesh is conforming, without duplicate or unused vertices, its boundary watertight, and the same arguments give the
-same bytes. Two constructions serve all shapes:
+Every mesh is conforming and has a watertight boundary and no duplicate or unused vertices; equal arguments give equal
+bytes. Two constructions serve all shapes:
 
 - edgewise subdivision of simplices (Edelsbrunner and Grayson, "Edgewise subdivision of a simplex", 2000; Kuhn cells
   inside each simplex): conforming wherever neighbours list their common vertices in the same order;
@@ -20,7 +20,7 @@ import numpy as np
 from fracture_collision.geometry.tetrahedra import tetrahedron_volumes
 from fracture_collision.portable_math import arctangent2, cosine, lengths, products, sine
 
-# Beyond this a mesh is a slip of the pen (an edge length in millimetres), not a body to simulate.
+# Beyond this a mesh is an input error (an edge length in millimetres), not a body to simulate.
 TETRAHEDRA_LIMIT = 4_000_000
 
 

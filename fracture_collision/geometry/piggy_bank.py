@@ -1,9 +1,9 @@
 """A hollow pig: the thin-walled body with ears, snout and legs of Glondu et al. 2014, Fig. 10, made without a mesher.
 
-Outside it is star-shaped: one radius for each direction from the middle, that of an ellipsoid with smooth bumps on it.
+The outside is star-shaped: one radius for each direction from the middle, that of an ellipsoid with smooth bumps.
 Prisms over a geodesic sphere fill the wall between it and the hollow, a smaller ellipsoid. Each of a prism's three
-tetrahedra over directions a, b, c has the volume of det(a, b, c) / 6 times two radii and the difference of two along
-one ray: none is inside out, whatever the bumps.
+tetrahedra over directions a, b, c has a volume of det(a, b, c) / 6 times two radii and the difference of two along one
+ray: none is inverted, whatever the bumps.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from fracture_collision.portable_math import arccosine, dots, exponential, lengt
 
 # Half axes of the outside without bumps; x is forwards, z up. The unit is half the body's length.
 _BODY = np.array([1.0, 0.78, 0.78])
-# Direction, how far it reaches beyond the ellipsoid, its half width [rad], and how flat its top is (power of the fall).
+# Direction, height above the ellipsoid, half width [rad], and flatness of the top (power of the falloff).
 _SNOUT = (((1.0, 0.0, -0.05), 0.22, 0.30, 4),)
 _EARS = tuple(((0.62, side * 0.52, 0.72), 0.34, 0.20, 2) for side in (-1.0, 1.0))
 _LEGS = tuple(((x, y, -0.80), 0.34, 0.24, 4) for x in (-0.50, 0.50) for y in (-0.42, 0.42))
@@ -31,7 +31,7 @@ _BUMPS = (*_SNOUT, *_EARS, *_LEGS, *_TAIL)
 
 
 def piggy_bank(length: float, wall: float, edge_length: float, layers: int = 2) -> TetGeometry:
-    """A hollow pig of `length` [m] from snout to tail, that looks along +x; its origin is the middle of its belly.
+    """A hollow pig of `length` [m] from snout to tail, facing +x; its origin is the middle of its belly.
 
     `wall` [m] is the thickness of its wall between the bumps; ears, snout, legs and tail are solid. `layers` of prisms
     fill the wall; `edge_length` [m] is that of the triangles on the belly. 0.25, 0.01, 0.02 give 2,900 nodes.
@@ -55,7 +55,7 @@ def piggy_bank(length: float, wall: float, edge_length: float, layers: int = 2) 
 
 
 def _bumps(directions: np.ndarray) -> np.ndarray:
-    """What rises above the ellipsoid in each of the unit `directions` (n, 3): (n,)."""
+    """Height above the ellipsoid in each of the unit `directions` (n, 3): (n,)."""
     height = np.zeros(len(directions))
     for towards, rise, width, flatness in _BUMPS:
         axis = np.array(towards) / lengths(towards)

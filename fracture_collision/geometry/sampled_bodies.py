@@ -1,7 +1,7 @@
-"""Bodies for studies of resolution: how fine the surface is and how many points lie inside can be chosen apart.
+"""Bodies for studies of resolution: surface resolution and number of interior points are independent.
 
-Glondu et al. 2014, section 7.2 and Fig. 11, compares samplings of a sphere so. The points are joined by Delaunay
-(Qhull); the same arguments give the same bytes.
+Glondu et al. 2014, section 7.2 and Fig. 11, compares samplings of a sphere in this way. The mesh is the points'
+Delaunay tetrahedralization (Qhull); equal arguments give equal bytes.
 """
 
 from __future__ import annotations
@@ -13,15 +13,15 @@ from fracture_collision.geometry.generators import TetGeometry, geodesic_sphere,
 from fracture_collision.geometry.tetrahedra import tetrahedron_volumes
 from fracture_collision.portable_math import cube_root, lengths
 
-# Points of the grid are moved by up to this part of its spacing, or Delaunay would meet nothing but ties.
+# Points of the grid are moved by up to this part of its spacing: on a regular grid Delaunay meets nothing but ties.
 _JITTER = 0.3
-# An interior point nearer to the surface than this part of the spacing makes flat tetrahedra there.
+# Interior points nearer to the surface than this part of the spacing would make flat tetrahedra there.
 _CLEARANCE = 0.45
 _SEED = 1
 
 
 def sampled_ball(radius: float, frequency: int, interior_points: int) -> TetGeometry:
-    """A ball about the origin whose surface is a geodesic sphere of 20 frequency^2 triangles and `radius` [m].
+    """A ball about the origin; its surface is a geodesic sphere of 20 frequency^2 triangles and `radius` [m].
 
     `interior_points` is met to within 2 %. The paper's reference sphere is sampled_ball(1, 11, 4000).
     """
@@ -33,7 +33,7 @@ def sampled_shell(
 ) -> TetGeometry:
     """A hollow sphere about the origin [m]; its two surfaces are sampled as in `sampled_ball`.
 
-    Raises ValueError where the wall is too thin for its sampling: a tetrahedron would bridge the hollow.
+    Raises ValueError if the wall is too thin for its sampling: a tetrahedron would bridge the hollow.
     """
     require_positive(outer_radius=outer_radius, frequency=outer_frequency)
     if not 0.0 <= inner_radius < outer_radius:
@@ -58,7 +58,7 @@ def sampled_shell(
 
 
 def _grid_points(outer_radius: float, inner_radius: float, spacing: float, wanted: int) -> np.ndarray:
-    """A jittered grid (n, 3) between the spheres; what the clearance takes away a finer grid makes up for."""
+    """A jittered grid (n, 3) between the spheres, refined until it makes up for the points lost to the clearance."""
     for _ in range(20):
         axis = np.arange(-outer_radius, outer_radius, spacing)
         points = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)

@@ -1,7 +1,7 @@
-"""Tetrahedral meshes in files: one comes with the package, because the mesher that made it gives no two equal ones.
+"""Tetrahedral meshes in files. One comes with the package, because the mesher that made it is not deterministic.
 
-A file of two arrays, `vertices` and `tetrahedra`, as numpy.savez writes it; origin and licence of the package's stand
-beside it in config/meshes. A file is data: no pickles, and no array is made before its size is known to be bearable.
+A file holds two arrays, `vertices` and `tetrahedra`, as numpy.savez writes them; origin and licence of the package's
+mesh are beside it in config/meshes. Files are plain data: no pickles, and no array is read before its size is checked.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ MAX_HEADER = 1_000  # bytes of an array's header
 
 
 def bunny(longest_side: float = 0.2) -> TetGeometry:
-    """The Stanford bunny, 2,010 nodes, in a box about the origin whose longest side, along z, is `longest_side` [m]."""
+    """The Stanford bunny, 2,010 nodes, in a box about the origin; its longest side, along z, is `longest_side` [m]."""
     require_positive(longest_side=longest_side)
     vertices, tetrahedra = read_tetrahedra(share_directory() / "config" / "meshes" / "bunny.npz")
     low, high = vertices.min(axis=0), vertices.max(axis=0)
@@ -30,15 +30,15 @@ def bunny(longest_side: float = 0.2) -> TetGeometry:
 
 
 def stored_mesh(file: str) -> TetGeometry:
-    """A mesh [m] from a file as `read_tetrahedra` reads it; raises as that does."""
+    """A mesh [m] read and checked by `read_tetrahedra`."""
     return read_tetrahedra(Path(file))
 
 
 def read_tetrahedra(file: Path) -> TetGeometry:
     """vertices (n, 3) float64 and tetrahedra (m, 4) of a .npz file, in the file's own unit.
 
-    Raises ValueError, naming file and array, for what is no such file, is larger than TETRAHEDRA_LIMIT, or has vertices
-    that are not finite or indices that are none.
+    Raises ValueError, naming file and array, for other files, meshes larger than TETRAHEDRA_LIMIT, vertices that are
+    not finite, and indices out of range.
     """
     try:
         with zipfile.ZipFile(file) as archive:

@@ -1,5 +1,5 @@
-"""Closed surfaces from files of one's own (OBJ, STL, PLY, OFF, by trimesh), and words for what keeps one from being a
-body: a surface must bound one solid.
+"""Closed surfaces from the user's files (OBJ, STL, PLY, OFF, by trimesh), checked to bound one solid, with an
+explanation of what is wrong with a rejected one.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ class Surface(NamedTuple):
 
 
 def read_surface(file: Path, longest_side: float) -> Surface:
-    """The surface in a file, in a box about the origin whose longest side is `longest_side` [m].
+    """The surface in a file, centred in a box about the origin, scaled to a longest side of `longest_side` [m].
 
-    Raises ValueError, naming the file, in words that say what is wrong and where, in the file's own coordinates.
+    Raises ValueError that names the file, the fault and its place, in the file's own coordinates.
     """
     if file.suffix.lower() not in SUFFIXES:
         raise ValueError(f"{file}: {file.suffix or 'no suffix'} is none of {', '.join(SUFFIXES)}")
@@ -48,13 +48,13 @@ def read_surface(file: Path, longest_side: float) -> Surface:
 
 
 def _read(file: Path) -> Surface:
-    """Equal places are one vertex, what has no extent is no triangle."""
-    import trimesh  # late: it takes a while
+    """The file's triangles: vertices at equal places are merged, triangles with a repeated vertex dropped."""
+    import trimesh  # late: the import is slow
 
     try:
         mesh = trimesh.load(file, force="mesh", process=False)
         places, triangles = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
-    except Exception as error:  # of all kinds, by what is wrong with the file
+    except Exception as error:  # of any kind, depending on the fault of the file
         raise ValueError(f"{file}: cannot be read as {file.suffix[1:].upper()}: {error}") from error
     if not len(triangles):
         return Surface(places.reshape(-1, 3), triangles.reshape(-1, 3))
@@ -67,7 +67,7 @@ def _read(file: Path) -> Surface:
 
 
 def require_solid(vertices: np.ndarray, triangles: np.ndarray) -> None:
-    """Raises ValueError in words unless the triangles (t, 3) bound one solid, hollow or not, seen counter-clockwise
+    """Raise ValueError unless the triangles (t, 3) bound one solid, hollow or not, with counter-clockwise winding seen
     from outside, and meet nowhere but at their edges.
     """
     directed = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
@@ -105,7 +105,7 @@ def _place(point: np.ndarray) -> str:
 
 
 def _first_crossing(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray | None:
-    """Where an edge of one triangle runs through another that shares no vertex with it; None: nowhere."""
+    """Middle of an edge of one triangle that crosses another without a common vertex; None if there is none."""
     corners = vertices[triangles]
     order = np.argsort(corners[:, :, 0].min(axis=1), kind="stable")
     triangles, corners = triangles[order], corners[order]
@@ -136,7 +136,7 @@ def _first_crossing(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray |
 
 
 def _runs_through(start: np.ndarray, end: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Whether segments (n, 3) cross triangles (n, 3, 3), touching left out."""
+    """Whether segments (n, 3) cross triangles (n, 3, 3); touching does not count."""
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
 
     def volume(p: np.ndarray, q: np.ndarray, r: np.ndarray, s: np.ndarray) -> np.ndarray:

@@ -23,11 +23,11 @@ def tetrahedralize_surface(
     vertices (n, 3) [m] and triangles (t, 3), counter-clockwise from outside, closed. The boundary of the result is a
     new triangulation, nowhere farther from the surface than `surface_tolerance` times the diagonal of its box.
 
-    fTetWild is not deterministic: two calls give slightly different meshes. Mesh once and keep the result (as
-    arrays, beside the scene) where runs have to repeat.
+    fTetWild is not deterministic: two calls give slightly different meshes. For repeatable runs, mesh once and keep
+    the result (as arrays, beside the scene).
 
-    Raises ValueError in words for a surface that is open, inside out, or names a vertex that is not there, and
-    ModuleNotFoundError with the line that installs the mesher.
+    Raises ValueError for a surface that is open, inside out, or has an index out of range, and ModuleNotFoundError
+    with the command that installs the mesher.
     """
     vertices = np.ascontiguousarray(vertices, dtype=np.float64)
     triangles = np.ascontiguousarray(triangles, dtype=np.int32)
@@ -59,13 +59,13 @@ def tetrahedralize_surface(
     if np.any(volumes == 0.0):
         raise ValueError(f"the mesher gave {np.count_nonzero(volumes == 0.0)} flat tetrahedra; try another edge_length")
     tetrahedra[volumes < 0.0, 2:] = tetrahedra[volumes < 0.0, :1:-1]
-    face_neighbours(tetrahedra)  # raises where faces do not match
+    face_neighbours(tetrahedra)  # raises if faces do not match
     return TetGeometry(filled, tetrahedra)
 
 
 @contextmanager
 def _scratch_folder() -> Iterator[None]:
-    """fTetWild leaves files in the working directory; let that be one that goes away."""
+    """A temporary working directory, since fTetWild leaves files in the current one."""
     before = os.getcwd()
     with tempfile.TemporaryDirectory() as folder:
         os.chdir(folder)
@@ -76,7 +76,7 @@ def _scratch_folder() -> Iterator[None]:
 
 
 def require_closed_surface(vertices: np.ndarray, triangles: np.ndarray) -> None:
-    """Raise ValueError, in words, unless the triangles (t, 3) bound a solid and are counter-clockwise from outside."""
+    """Raise ValueError unless the triangles (t, 3) bound a solid and are counter-clockwise from outside."""
     if vertices.ndim != 2 or vertices.shape[1] != 3 or not np.all(np.isfinite(vertices)):
         raise ValueError(f"vertices: need finite numbers of shape (n, 3), got shape {vertices.shape}")
     if triangles.ndim != 2 or triangles.shape[1] != 3 or not len(triangles):

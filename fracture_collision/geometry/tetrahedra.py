@@ -1,8 +1,8 @@
 """Connectivity and volumes of tetrahedral meshes.
 
 A mesh is `vertices` (n, 3) float64 [m] and `tetrahedra` (m, 4) integer, each of positive volume: seen from vertex 3
-the vertices 0, 1, 2 run clockwise, so that (v1 - v0) x (v2 - v0) . (v3 - v0) > 0. All results are deterministic and
-independent of the platform's sort: rows ascend lexicographically.
+the vertices 0, 1, 2 run counter-clockwise, so that (v1 - v0) x (v2 - v0) . (v3 - v0) > 0. All results are
+deterministic and independent of the platform's sort: rows ascend lexicographically.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def tetrahedron_edges(tetrahedra: np.ndarray, edges: np.ndarray) -> np.ndarray:
 def face_neighbours(tetrahedra: np.ndarray) -> np.ndarray:
     """The tetrahedron across the face opposite vertex i, -1 at the boundary: (m, 4) int32.
 
-    Raises ValueError where more than two tetrahedra share a face.
+    Raises ValueError if more than two tetrahedra share a face.
     """
     order, same = _matched_faces(tetrahedra)
     neighbours = np.full(len(order), -1, dtype=np.int32)

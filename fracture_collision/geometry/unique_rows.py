@@ -1,4 +1,4 @@
-"""Rows of a table that are equal, by a hash table: no row is compared with more than its own kind, nothing sorted."""
+"""Equal rows of a table, by hashing: no sorting, and a row is compared with few besides its equals."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _FACTOR = 0x9E3779B97F4A7C15  # odd, its bits all over (Knuth, "Sorting and Sear
 def unique_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(m,) the first row of each kind, ascending, and (n,) each row's kind, 0 .. m - 1; rows (n, k) numbers.
 
-    Zeros are equal whatever their sign, as float64 whatever can be told apart as such; NaN is no number.
+    Rows are compared as float64, bit by bit, but zeros of either sign are equal; NaN is not a valid number.
     """
     numbers = np.ascontiguousarray(rows, dtype=np.float64) + 0.0  # one zero
     chosen, kind = np.empty(len(rows), np.int64), np.empty(len(rows), np.int64)
@@ -22,7 +22,7 @@ def unique_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @njit(cache=True)
 def _group(bits, slots, chosen, kind):
-    """Fill both from equal bits (n, k); returns how many kinds there are. `slots`: a power of two of them, over 2 n."""
+    """Fill `chosen` and `kind` from bits (n, k); returns the number of kinds. len(slots): a power of two above 2 n."""
     count, last = 0, np.uint64(len(slots) - 1)
     for i in range(len(bits)):
         key = np.uint64(0)

@@ -1,7 +1,7 @@
 """A vase: a body of revolution with a foot, a belly, a neck and a lip, hollow and open above, made without a mesher.
 
-Its wall is prisms over a surface half way through it: a disc for the bottom, then rings of equally many vertices up to
-the lip. Layers of them stand off that surface along its normals.
+Prisms over the wall's middle surface fill the wall. That surface is a disc for the bottom, then rings of equally many
+vertices up to the lip; layers of vertices are offset from it along its normals.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from fracture_collision.geometry.generators import (
 )
 from fracture_collision.portable_math import cosine, lengths, sine
 
-# Radius and height of the surface half way through the wall, from the middle of the bottom to the lip; the height of
-# the vase is 1. Between them a monotone cubic, so that the bottom stays flat and nothing bulges where it should not.
+# Radius and height of the wall's middle surface, from the middle of the bottom to the lip; the height of the vase is 1.
+# Monotone cubics between the points keep the bottom flat and add no bulges.
 PROFILE = np.array(
     [
         (0.0, 0.0), (0.11, 0.0), (0.145, 0.025), (0.20, 0.14), (0.255, 0.30), (0.265, 0.40), (0.235, 0.54),
@@ -69,7 +69,7 @@ def vase(height: float, wall: float, edge_length: float, layers: int = 2) -> Tet
 
 
 def _rows_of_triangles(first: int, around: int, rows: int) -> np.ndarray:
-    """Two for each of `around` quadrangles between rings of vertices that follow each other from `first` on."""
+    """Two triangles for each of `around` quadrangles between consecutive rings of vertices, starting at `first`."""
     here = first + np.arange(rows)[:, None] * around + np.arange(around)
     after = first + np.arange(rows)[:, None] * around + (np.arange(around) + 1) % around
     below = np.stack((here, after, after + around), axis=-1)

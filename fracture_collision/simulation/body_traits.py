@@ -1,4 +1,4 @@
-"""What a scene says of the bodies in motion, in arrays: looked up where bodies come or go, not for every contact."""
+"""Scene properties of the bodies in motion, as arrays: looked up when bodies come or go, not for every contact."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class Traits(NamedTuple):
     fragment_ids: np.ndarray  # (n,) uint32, in the engine's order
     body_ids: np.ndarray  # (n + 1,) int64; the last, -1, for what cannot move
     rolling_arms: np.ndarray  # (n + 1,) [m]; the last, 0, for what cannot move
-    strengths: np.ndarray  # (n,) [N s]; inf where it does not break
+    strengths: np.ndarray  # (n,) [N s]; inf for what does not break
     is_round: np.ndarray  # (n + 1,) bool: spheres; the last, False, for what cannot move
 
 
@@ -27,8 +27,8 @@ def traits_of(
     breakable: Mapping[int, BreakableBody],
     held_together: Container[int],
 ) -> Traits:
-    """Of the bodies in `states`; the rest as the simulation keeps it: `body_ids` of fragments, `breakable` by body id,
-    `held_together`: fragments that do not break.
+    """Traits of the bodies in `states`. The other arguments are the simulation's own tables: `body_ids` of fragments,
+    `breakable` by body id, `held_together`: fragments that do not break.
     """
     numbers = np.array([*(body_ids[fragment] for fragment in states.fragment_ids.tolist()), -1], dtype=np.int64)
     arms, strengths = np.zeros(len(states.masses) + 1), np.full(len(states.masses), np.inf)

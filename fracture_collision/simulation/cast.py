@@ -1,5 +1,5 @@
-"""Who takes part in a run: the scene's bodies and those that are thrown in, what fragments they are in, and which of
-these the engine does not know yet.
+"""Participants of a run: the scene's bodies and those thrown in, the fragments they consist of, and which of these are
+not in the engine yet.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from fracture_collision.simulation.scene.scene_records import collision_body
 
 
 class Cast:
-    """Ids of bodies are those of their first fragments; 1, 2 ... in the order of the scene, then as they come."""
+    """A body's id is that of its first fragment: 1, 2 ... in the order of the scene, then in order of arrival."""
 
     def __init__(self, bodies: Sequence[SceneBody]) -> None:
         self.body_of: dict[int, SceneBody] = dict(enumerate(bodies, start=1))
@@ -24,14 +24,14 @@ class Cast:
             i: BreakableBody(i, i, body.shape.mesh) for i, body in self.body_of.items() if body.shape.mesh is not None
         }
         self.body_id_of = {i: i for i in self.body_of}  # of each living fragment
-        # A static body whose frame is the world's need not be named.
+        # A static body in the world frame is left out of the states.
         still = np.zeros(3)
         self.static_frames = {
             i: FrameState(body.position, body.orientation, still, still)
             for i, body in self.body_of.items()
             if body.is_static and (body.position.any() or body.orientation[3] != 1.0)
         }
-        # Named in states, but not in the engine until the registry brings their masses.
+        # Listed in the states, but not in the engine until the registry brings their masses.
         self.waiting: dict[int, FrameState] = {}
         self._unthrown = sorted((body.start_time, i) for i, body in self.body_of.items() if not body.is_static)
         self._next_fragment_id = len(bodies) + 1
@@ -39,31 +39,29 @@ class Cast:
 
     @property
     def next_fragment_id(self) -> int:
-        """The first that nobody has had."""
+        """The lowest id never used."""
         return self._next_fragment_id
 
     def scene_body(self, fragment_id: int) -> SceneBody:
         return self.body_of[self.body_id_of[fragment_id]]
 
     def announce(self) -> list[CollisionBody]:
-        """All bodies that are there; none of them is news any more."""
+        """All present bodies; clears the news."""
         self._news.clear()
         return self._announcements()
 
     def take_news(self) -> list[CollisionBody]:
-        """Bodies that came or went since this was last asked."""
+        """Bodies that came or went since the last call."""
         news, self._news = self._news, []
         return news
 
     def enter_until(self, time: float) -> None:
-        """Bodies of the scene whose `start_time` [s] has come."""
+        """Let bodies of the scene enter if their `start_time` [s] has come."""
         while self._unthrown and self._unthrown[0][0] <= time:
             self._enter(self._unthrown.pop(0)[1])
 
     def throw(self, body: SceneBody) -> int:
-        """Another body comes with the next step, whatever its `start_time`. Returns its id. ValueError for a static
-        body.
-        """
+        """Add a body with the next step, whatever its `start_time`. Returns its id. ValueError for a static body."""
         if body.is_static:
             raise ValueError(f"{body.name!r} cannot move, so it cannot be thrown")
         number = self._next_fragment_id
@@ -76,7 +74,7 @@ class Cast:
         return number
 
     def take_out(self, body_id: int, engine: Engine) -> list[int]:
-        """A body leaves, with all its fragments; returns these. KeyError where there is none that can move."""
+        """Remove a body with all its fragments; returns these. KeyError if no movable body has this id."""
         body = self.body_of[body_id]
         if body.is_static:
             raise KeyError(body_id)
@@ -91,7 +89,7 @@ class Cast:
         return gone
 
     def replace(self, event: FractureEvent, frame: FrameState, engine: Engine) -> None:
-        """A fragment breaks; what it breaks into waits in its parent's `frame`."""
+        """Replace a broken fragment by its pieces, which wait in its `frame`."""
         self._next_fragment_id += len(event.new_fragment_ids)
         engine.remove(event.fragment_id)
         body_id = self.body_id_of.pop(event.fragment_id)
@@ -100,7 +98,7 @@ class Cast:
             self.waiting[new_id] = frame
 
     def admit_waiting(self, registry: FragmentRegistry, engine: Engine) -> None:
-        """Who waits enters the engine. ValueError where the registry does not name one of them."""
+        """Move the waiting fragments into the engine. ValueError if one is missing in the registry."""
         if not self.waiting:
             return
         rows = {fragment_id: row for row, fragment_id in enumerate(registry.fragment_ids.tolist())}

@@ -1,4 +1,4 @@
-"""How this room compiles its inner kernels."""
+"""How this package compiles its inner kernels."""
 
 from __future__ import annotations
 

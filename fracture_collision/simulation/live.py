@@ -1,7 +1,7 @@
-"""A scene to play with: it goes on until it is told to end, and takes commands between its steps.
+"""An interactive scene: it runs without an end time and takes commands between its steps.
 
-What the scene does by itself is left to the person: balls with a start time do not come, a recorded hand does not move,
-nor does an arm swing. Everything else is the scene's, and so is the physics (simulation.py).
+The user replaces the scene's own actors: spheres with a start time are left out, a recorded hand does not move, and an
+arm does not swing. Everything else is the scene's, and the physics is that of simulation.py.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from fracture_collision.simulation.simulation import Simulation
 BALL = Material(density=2000.0, friction=0.6, restitution=0.2, rolling_arm=5e-4, fracture=None)
 STEEL = Material(density=7800.0, friction=0.4, restitution=0.1, rolling_arm=5e-4, fracture=None)
 HAMMER_RADIUS = 0.04  # [m]; of steel: 2.1 kg
-IN_FRONT = 0.35  # [m] from the middle of what can break to where the hammer first hangs, along -y
-MOST_BALLS = 12  # of more the oldest leave
+IN_FRONT = 0.35  # [m] from the mean position of the movable bodies to the hammer's first place, along -y
+MOST_BALLS = 12  # beyond this the oldest is removed
 UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 
-# What a person may ask for: nobody throws a house, or at the speed of sound.
+# Limits of commands: no ball as large as a house, or as fast as sound.
 RADII = (0.005, 0.25)  # [m]
 DENSITIES = (10.0, 20000.0)  # [kg/m3]
 MOST_SPEED = 40.0  # [m/s] of a ball
@@ -35,7 +35,7 @@ FARTHEST = 100.0  # [m] from the world's origin
 
 
 class Ball(NamedTuple):
-    """As ThrowBall.msg says."""
+    """Fields of ThrowBall.msg."""
 
     position: np.ndarray  # (3,) [m]
     velocity: np.ndarray  # (3,) [m/s]
@@ -44,11 +44,11 @@ class Ball(NamedTuple):
 
 
 class CommandRefused(ValueError):
-    """A command that makes no sense; nothing has changed. Its text names the field."""
+    """A rejected command; nothing has changed. The text names the field."""
 
 
 class LiveScene:
-    """A run of `scene` with a person in it. `simulation` is stepped by whoever owns this. looks_ahead: Simulation's."""
+    """An interactive run of `scene`. The owner steps `simulation`. looks_ahead: as in Simulation."""
 
     def __init__(self, scene: Scene, seed: int, looks_ahead: bool = False) -> None:
         kept = tuple(body for body in scene.bodies if not _is_thrown(body))
@@ -58,10 +58,10 @@ class LiveScene:
         self._hammer: Hammer | None = None
         self._balls: deque[int] = deque()
         self._thrown = 0
-        self._taken = 0  # fragment that the hand was told to take, whatever has become of it
+        self._taken = 0  # fragment that the hand was commanded to take, even if it has broken since
 
     def throw(self, ball: Ball) -> None:
-        """It flies from the next step on. Raises CommandRefused."""
+        """Throw a ball, from the next step on. Raises CommandRefused."""
         _finite("position", ball.position)
         _finite("velocity", ball.velocity)
         _within("position", float(np.abs(ball.position).max()), (0.0, FARTHEST), "m")
@@ -76,7 +76,7 @@ class LiveScene:
         self._balls.append(self.simulation.throw(body))
 
     def drag(self, fragment_id: int, grip: np.ndarray, target: np.ndarray) -> None:
-        """As HandTarget.msg says. Raises CommandRefused."""
+        """Move the hand as HandTarget.msg defines. Raises CommandRefused."""
         hand = self.simulation.drag
         if not fragment_id:
             self._taken = 0
@@ -93,8 +93,8 @@ class LiveScene:
         hand.move(np.asarray(target, np.float64), np.zeros(3))
 
     def steer(self, velocity: np.ndarray) -> None:
-        """The hammer goes with `velocity` (3,) [m/s], world axes, until told otherwise; it comes at the first command
-        that is not to stand still. Raises CommandRefused.
+        """Move the hammer with `velocity` (3,) [m/s], world axes, until the next command; the first non-zero one brings
+        it into the scene. Raises CommandRefused.
         """
         _finite("linear", velocity)
         _within("linear", float(lengths(velocity)), (0.0, MOST_HAMMER_SPEED), "m/s")
@@ -107,7 +107,7 @@ class LiveScene:
         self._hammer.steer(velocity)
 
     def command_joints(self, names: Sequence[str], positions: Sequence[float]) -> None:
-        """The arm goes to `positions` [rad] of the joints of these `names`, all seven in order where there are none.
+        """Move the arm to `positions` [rad] of the joints `names`, or of all seven in order if that is empty.
 
         Raises CommandRefused.
         """

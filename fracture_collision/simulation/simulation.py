@@ -1,14 +1,14 @@
-"""The simulator without any transport: what it asks of the collision service, and what it does with the answer.
+"""The simulator without transport: its requests to the collision service, and its use of the answers.
 
 One step, from t_n to t_n+1:
 
     begin_step     bodies, fracture events and the states at t_n, for the service
     finish_step    its contacts at t_n and the fragments' masses; new fragments enter the engine with their parent's
                    velocity field; contacts are solved for the velocities at t_n+1, gravity included; the engine moves
-                   all poses; what was hit harder than it bears breaks, and is told with the next states
+                   all poses; fragments hit harder than they bear break, and their events go out with the next states
 
-An impact that breaks. A contact solver makes bodies as strong as it takes: a ball would bounce off a plate that breaks
-in that instant. A real plate transmits no more than its strength, so where the normal impulses on a fragment sum up to
+Impacts that break. To a contact solver bodies are infinitely strong: a ball would bounce off a plate that breaks in
+that instant. A real plate transmits no more than its strength, so where the normal impulses on a fragment sum up to
 more than that, all its contacts are capped in proportion and the step is solved again: the ball loses the capped
 impulse, keeps the rest of its momentum and meets the pieces in the next step.
 """
@@ -57,7 +57,7 @@ _NO_GRAVITY = np.zeros(3)
 
 
 class StepRequest(NamedTuple):
-    """What must be published before the answer can come."""
+    """Records to publish before the service can answer."""
 
     states: FragmentStates
     bodies: list[CollisionBody]  # not yet announced, neither by `start_bodies` nor by an earlier request
@@ -67,24 +67,24 @@ class StepRequest(NamedTuple):
 class StepReport(NamedTuple):
     step: int
     time: float  # [s] at the end of the step
-    contacts: int  # that the service listed
-    fragments: int  # that can move and take part
+    contacts: int  # listed by the service
+    fragments: int  # in motion
     solver_seconds: float  # wall time of the contact solver
     fracture_seconds: float  # wall time of making the patterns; 0 where nothing was hit hard enough
     kinetic_energy: float  # [J] at the end of the step
     potential_energy: float  # [J] in the scene's gravity, relative to the world's origin
-    drift_energy: float  # [J] potential energy that this step's drift correction put in by lifting bodies
+    drift_energy: float  # [J] potential energy added by this step's drift correction in lifting bodies
     max_speed: float  # [m/s] of any centre of mass at the end of the step
     deepest_gap: float  # [m] the smallest gap among the contacts that are solved; 0 without
-    events: list[FractureEvent]  # of this step, to be told with the next request
-    hand_energy: float  # [J] that a hand, an arm put in; negative where they took some out
+    events: list[FractureEvent]  # of this step, published with the next request
+    hand_energy: float  # [J] added by hand, hammer and arm; negative where they removed some
 
 
 class Simulation:
     """A run of one scene. The same scene, seed and answers give the same states, byte for byte.
 
-    `seed` replaces the scene's own where given, `engine` the RigidBodyWorld. looks_ahead: the contacts come from a
-    service that looks a step ahead (its parameter `lookahead`), see touch_ahead.
+    `seed`, if given, replaces the scene's, `engine` the RigidBodyWorld. looks_ahead: the contacts come from a service
+    that looks a step ahead (its parameter `lookahead`), see touch_ahead.
     """
 
     def __init__(
@@ -98,15 +98,15 @@ class Simulation:
         self._sequence = 0
         self._cast = Cast(scene.bodies)
         self._events: list[FractureEvent] = []
-        self._held_together: set[int] = set()  # fragments that were hit hard enough but found no pattern to break by
+        self._held_together: set[int] = set()  # fragments hit hard enough, but with no pattern to break by
         self._known_traits: Traits | None = None
         self._warm_start = NO_WARM_START
         self._memory = contact_memory.NOTHING
         self._rest = sleep.NOBODY
         self._asked: FragmentStates | None = None
-        self._planned: Planned | None = None  # of this step, where the service is told of pushes beforehand
+        self._planned: Planned | None = None  # of this step, where the service gets the pushes in advance
         self._taken = NO_CHANGES  # by contacts in the last step
-        self.shares = np.ones(0)  # of the last step, after which its bodies stood still: see touch_ahead
+        self.shares = np.ones(0)  # of the last step, for which its bodies moved: see touch_ahead
         names = {i: body.name for i, body in self._cast.body_of.items()}
         self.drag = Drag(scene.hand, names, self._cast.body_id_of, self._cast.breakable)
         self._pushers: list[Pusher] = [self.drag]
@@ -129,36 +129,36 @@ class Simulation:
         self._engine.close()
 
     def grab(self, name: str, position: np.ndarray) -> bool:
-        """`drag.grab` of what is in motion now; `drag` moves the hand and lets go."""
+        """`drag.grab` among the bodies in motion; `drag` moves the hand and lets go."""
         return self.drag.grab(name, position, self._engine.states())
 
     def hold(self, fragment_id: int, point: np.ndarray, position: np.ndarray) -> bool:
-        """`drag.hold` of what is in motion now."""
+        """`drag.hold` among the bodies in motion."""
         return self.drag.hold(fragment_id, point, position, self._engine.states())
 
     def add_pusher(self, pusher: Pusher) -> None:
-        """From the next step on it pushes too, beside the hand."""
+        """Add a pusher, beside the hand, from the next step on."""
         self._pushers.append(pusher)
 
     def throw(self, body: SceneBody) -> int:
-        """Another body comes into the scene with the next step, whatever its `start_time`. Returns its id, which is
-        also that of its one fragment. ValueError for a static body.
+        """Add a body to the scene with the next step, whatever its `start_time`. Returns its id, which is also that of
+        its one fragment. ValueError for a static body.
         """
         return self._cast.throw(body)
 
     def take_out(self, body_id: int) -> None:
-        """A body leaves the scene, with all its fragments. KeyError where there is none that can move."""
+        """Remove a body with all its fragments. KeyError if no movable body has this id."""
         if self.drag.held in self._cast.take_out(body_id, self._engine):
             self.drag.release()
 
     def start_bodies(self) -> list[CollisionBody]:
-        """All bodies of the scene, to be published before the first states; says the same if called again."""
+        """All bodies of the scene, to be published before the first states; returns the same if called again."""
         return self._cast.announce()
 
     def begin_step(self) -> StepRequest:
-        """Asks for the contacts at the present time. May be called again while no answer comes: it says the same."""
+        """Request the contacts at the present time. Repeated before the answer, it has the same states and events."""
         self._cast.enter_until(self.time + 1e-9 * self._scene.time_step)
-        # who waits for the registry might be what is pushed
+        # A fragment that waits for the registry may be the one to push: then pushes are not planned.
         if self._looks_ahead and self._planned is None and not self._cast.waiting:
             states = self._engine.states()
             self._planned = planned(states.fragment_ids, self._pushes(states), self._taken)
@@ -166,7 +166,7 @@ class Simulation:
         return StepRequest(self._asked, self._cast.take_news(), list(self._events))
 
     def finish_step(self, contacts: ContactConstraintArray, registry: FragmentRegistry) -> StepReport:
-        """Takes the answer and goes one time step on. ValueError where it is the answer to another question."""
+        """Advance one time step with the answer. ValueError if it answers another request."""
         asked = (self._step, self._sequence)
         if self._asked is None or self._asked.step != self._step:
             raise ValueError(f"step {self._step} has not begun")
@@ -222,7 +222,7 @@ class Simulation:
             impact, load = _hardest_hit(i, contacts, pairs, solution)
             fragment_id = int(states.fragment_ids[i])
             strength = self._cast.scene_body(fragment_id).material.fracture.strength
-            # Where it was hit, not where it has gone since.
+            # The impact point in the pose before the step.
             impact = turned_back(states.frame_orientations[i], impact - states.frame_positions[i])
             if not self._break(fragment_id, moved.frame(i), impact, load / strength):
                 self._held_together.add(fragment_id)
@@ -246,8 +246,8 @@ class Simulation:
     def strike(self, fragment_id: int, point: np.ndarray, overload: float) -> bool:
         """Break a fragment between two steps, as a blow at `point` (3,) [m] of its body frame would, without a push.
 
-        `overload` is the blow's impulse over the material's strength. Returns False where the fragment holds together.
-        ValueError where there is no such fragment in motion, or it is of a material that does not break.
+        `overload` is the blow's impulse over the material's strength. Returns False if the fragment holds together.
+        ValueError if no such fragment is in motion, or its body does not break.
         """
         states = self._engine.states()
         rows = np.flatnonzero(states.fragment_ids == fragment_id)
@@ -262,8 +262,8 @@ class Simulation:
         return pushes_of(self._pushers, states, self.time, self._scene.time_step, self._scene.gravity)
 
     def _told(self, states: BodyStates) -> BodyStates:
-        """With the velocities that bodies have in the coming step if nothing touches them: what looks ahead would else
-        be wrong by what a hand adds, and by the gyroscopic torque, which turns the axis of a fast shard by a radian.
+        """`states` with the velocities of the coming step before contacts and gravity. Otherwise the look-ahead would
+        miss what a hand adds, and the gyroscopic torque, which turns the axis of a fast shard by a radian.
         """
         velocities = _velocities(states)
         if self._planned is not None:
@@ -313,7 +313,7 @@ class Simulation:
         self, bodies: RigidBodies, contacts: ContactConstraintArray, pairs: BodyPairs, strengths: np.ndarray,
         asleep: np.ndarray,
     ) -> tuple[Solution, np.ndarray]:  # fmt: skip
-        """Velocities, and the rows of the bodies that break. `strengths` (n,) [N s] of the bodies, `asleep` (n,)."""
+        """Solution, and the rows of the bodies that break. `strengths` (n,) [N s] of the bodies, `asleep` (n,)."""
         settings, time_step = self._scene.solver, self._scene.time_step
         solution = solve_contacts(bodies, contacts, pairs, self._warm_start, settings, time_step, asleep=asleep)
         count = len(bodies.masses)
@@ -327,8 +327,8 @@ class Simulation:
             capped = solve_contacts(
                 bodies, contacts, pairs, solution.warm_start, settings, time_step, limits, solution, asleep
             )
-            # Nobody enters what breaks before it has broken: in this step poses move as if it held. And where it broke
-            # is told by the impulses that broke it.
+            # No body enters a fragment before it has broken: in this step poses move as if it held. And the impact
+            # point follows from the uncapped impulses that broke it.
             solution = capped._replace(
                 drift=solution.drift + solution.velocities - capped.velocities,
                 normal_impulses=solution.normal_impulses,
@@ -343,7 +343,7 @@ class Simulation:
         return self._known_traits
 
     def _break(self, fragment_id: int, frame: FrameState, impact: np.ndarray, overload: float) -> bool:
-        """`impact` (3,) [m] in the body frame. False where the fragment holds together."""
+        """Break a fragment at `impact` (3,) [m], body frame. False if it holds together."""
         body_id = self._cast.body_id_of[fragment_id]
         event = self._cast.breakable[body_id].fracture(
             fragment_id, self._sequence + 1, self._cast.next_fragment_id, impact, overload,
@@ -367,7 +367,7 @@ def _velocities(states: BodyStates) -> np.ndarray:
 def _hardest_hit(
     row: int, contacts: ContactConstraintArray, pairs: BodyPairs, solution: Solution
 ) -> tuple[np.ndarray, float]:
-    """Where (world, [m]) and how hard [N s] the neighbour that hit a body hardest did so."""
+    """Impact point (world, [m]) and impulse [N s] of the neighbour that hit a body hardest."""
     begin = contacts.pair_begin.astype(np.int64)
     impulses = solution.normal_impulses
     best, best_load = -1, -1.0

@@ -28,7 +28,7 @@ SCENE = {
 
 
 def compile_kernels(progress: Callable[[str], None]) -> None:
-    """All kernels of this room, for the argument types they are called with; seconds at first, then milliseconds."""
+    """Compile all kernels of this package for the argument types in use; seconds at first, then milliseconds."""
     progress("contact solver")
     simulation = Simulation(parse_scene(SCENE, "warm_up"))
     try:
@@ -45,7 +45,7 @@ def compile_kernels(progress: Callable[[str], None]) -> None:
 
 
 def _touching(step: int) -> ContactConstraintArray:
-    """The ground below the ball, a millimetre deep in it, and a touch that lies ahead."""
+    """Two contacts of the ground with the ball: one a millimetre deep, one ahead."""
     return ContactConstraintArray(
         step, 0, 0, np.array([1], np.uint32), np.array([2], np.uint32), np.array([0, 2], np.uint32), np.zeros(1),
         np.full(1, 0.5), np.full(1, 0.5), np.zeros(6), np.array([0.0, 0.0, -1e-3, 0.0, 0.0, 5e-3]),

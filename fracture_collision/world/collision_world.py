@@ -54,17 +54,17 @@ from fracture_collision.world.settings import (
     most_listed,
 )
 
-# [m], [rad]: nothing goes or turns farther within the time that is looked ahead.
+# [m], [rad] Largest translation and rotation accepted within the lookahead time.
 FARTHEST_AHEAD = 1e5
 
 
 class _Answered(NamedTuple):
-    """What was asked last, of which state of which registry, and the answer."""
+    """The last query, the registry state and settings it was answered with, and the answer."""
 
     registry: Registry | None
     changes: int
     settings: Settings | None
-    asked: tuple[bytes, ...]  # ids, positions and orientations; velocities, where it is looked ahead
+    asked: tuple[bytes, ...]  # ids, positions and orientations; with lookahead also velocities
     answer: ContactConstraintArray | None
 
 
@@ -72,10 +72,10 @@ _NOTHING_ANSWERED = _Answered(None, 0, None, (), None)
 
 
 class CollisionWorld:
-    """Bodies and fracture events in, contacts out; every method raises InvalidMessage on what breaks a rule.
+    """Bodies and fracture events in, contacts out; every method raises InvalidMessage if its input breaks a rule.
 
-    Messages are checked whole before anything changes. Events are applied when states ask for their registry; states
-    of an earlier one are answered from a registry rebuilt from the log.
+    Messages are validated completely before anything changes. Events are applied when states need their registry;
+    states of an earlier one are answered from a registry rebuilt from the event log.
     """
 
     def __init__(self, settings: Settings | None = None) -> None:
@@ -86,7 +86,7 @@ class CollisionWorld:
         self._built_for = geometry_settings(self.settings)
         self._crew = _crew_of(self.settings)
         self._scratch: Scratch | None = None
-        # of the last answer, with what it holds for; it makes the next one quicker, never different
+        # Caches of the last answer, each with the state it is valid for; they speed up the next one, never change it
         self._remembered, self._remembered_of = NOTHING_REMEMBERED, self._what_is_remembered_of()
         self._surfaces, self._surfaces_of = None, self._what_is_remembered_of()
         self._ridge_work: RidgeWork | None = None
@@ -94,7 +94,7 @@ class CollisionWorld:
         self._answered = _NOTHING_ANSWERED
         self.last_timings: dict[str, float] = {"update": 0.0, "broad_phase": 0.0, "narrow_phase": 0.0}  # [s]
         self.last_visits = 0  # tree nodes tested by the last answer
-        self.last_pairs = 0  # of fragments, that its broad phase found
+        self.last_pairs = 0  # fragment pairs that its broad phase found
 
     def add_body(self, body: CollisionBody) -> None:
         self._ledger.add_body(body)
@@ -104,11 +104,11 @@ class CollisionWorld:
 
     @property
     def rejected_event(self) -> Rejection | None:
-        """Of the event that is due: it was refused, and states that need it are until a corrected one is accepted."""
+        """Of the next event, if it was rejected. States that need it are rejected until a corrected one is accepted."""
         return self._ledger.rejected
 
     def reject_fracture(self, sequence: int, reason: str) -> None:
-        """Event `sequence` arrived as something that cannot be read; without effect where it is not due."""
+        """Record that event `sequence` arrived but cannot be read. No effect unless it is the next event."""
         self._ledger.reject(sequence, reason)
 
     def lacks(self, ahead: StatesAhead) -> bool:
@@ -116,11 +116,12 @@ class CollisionWorld:
         return self._ledger.lacks(ahead)
 
     def change_settings(self, settings: Settings) -> None:
-        """From now on as if the world had been made with `settings`: what is known stays, and the answers are those of
-        a new world that is told the same. Limits hold for what comes; what is there may be beyond them.
+        """Answer from now on as a new world with `settings` and the same messages would. Bodies and events stay. Limits
+        apply to later messages; existing content may exceed them.
 
-        After a change of `field`, `normals`, `tree` or `traversal` the registry is made anew from the log, when it is
-        next asked for. Raises ValueError, and changes nothing, where a setting is out of range.
+        After a change of `field`, `normals`, `tree`, `traversal`, or to or from `surfaces="sampled"`, the registry is
+        rebuilt from the event log when it is next needed. Raises ValueError, and changes nothing, if a setting is out of
+        range.
         """
         check_settings(settings)
         if settings.threads != self.settings.threads:
@@ -184,21 +185,21 @@ class CollisionWorld:
 
     @property
     def geometry(self) -> CollisionGeometry:
-        """After the events of the last states; rows as of `present`."""
+        """After the events of the last states; rows as in `present`."""
         return self._registry.geometry
 
     def present(self, states: FragmentStates) -> Present:
-        """Who takes part at `states`, and where. Raises as `contacts` does."""
+        """The fragments that take part at `states`, with their poses. Raises as `contacts` does."""
         checked, moving = self._bring_to(states)
         return take_places(checked, self._registry.living(), moving)
 
     def fragments(self) -> FragmentRegistry:
-        """The registry that the last states belonged to; bodies that arrived since are in it."""
+        """The registry of the last states, including bodies that arrived since."""
         self._advance(self._registry.sequence)
         return self._registry.record()
 
     def fragment_mesh(self, fragment_id: int) -> FragmentMesh:
-        """Surface of a living fragment for viewers; raises InvalidMessage for one that is not, or for no id at all."""
+        """Surface of a living fragment for viewers. Raises InvalidMessage if it does not live or the id is invalid."""
         number = identifier("fragment_id", fragment_id)
         self._advance(self._registry.sequence)
         row = self._registry.row_of(number)
@@ -207,25 +208,25 @@ class CollisionWorld:
         return fragment_mesh(number, self._registry.geometry, row)
 
     def _bring_to(self, states: FragmentStates) -> tuple[CheckedStates, np.ndarray]:
-        """The states checked, the registry brought to theirs; and which of its living fragments they name."""
+        """Validate the states and bring the registry to theirs; also returns indices of the living fragments named."""
         checked = check_states(states)
         self._ledger.require_events(checked.fracture_sequence)
         if checked.fracture_sequence != self._registry.sequence:
-            # what is refused must not move the registry
+            # rejected states must not move the registry
             self._ledger.require_living(checked.fragment_ids, checked.fracture_sequence)
         self._advance(checked.fracture_sequence)
         return checked, self._find(checked, self._registry.living().ids)
 
     def _advance(self, sequence: int) -> None:
-        """Bring the registry to `sequence` events, from the log's beginning if it has gone farther, and to the bodies
-        that are there now: removing one replays nothing.
+        """Bring the registry to `sequence` events and to the current bodies. It replays the log from the beginning if
+        the registry is past `sequence`; removing a body replays nothing.
         """
         built_for = geometry_settings(self.settings)
         gone, added = self._ledger.take_changes()
         if sequence < self._registry.sequence or self._built_for != built_for:
             self._registry = Registry(self.settings)
             gone, added = [], list(self._ledger.bodies.values())
-        self._built_for = None  # what fails half-way is rebuilt
+        self._built_for = None  # if this fails half-way, the next call rebuilds
         for body_id in gone:
             self._registry.remove_body(body_id)
         for body in added:
@@ -235,7 +236,7 @@ class CollisionWorld:
         self._built_for = built_for
 
     def _motion_of(self, here: Present) -> Motion:
-        """How the fragments `here` move within the time that is looked ahead."""
+        """How the fragments `here` move within the lookahead time."""
         time = self.settings.lookahead
         if not time:
             return NO_MOTION
@@ -251,7 +252,7 @@ class CollisionWorld:
     def _answer_again(
         self, checked: CheckedStates, asked: tuple[bytes, ...]
     ) -> ContactConstraintArray | None:
-        """To states that say the same as those before; None: to others."""
+        """The last answer, if the states equal the last ones; else None."""
         last = self._answered
         if last[:3] != self._asked_of() or last.asked != asked:
             return None
@@ -261,21 +262,21 @@ class CollisionWorld:
         return self._registry, self._registry.changes, self.settings
 
     def _take_paired(self) -> Paired:
-        """Likewise of the broad phase, that holds for as long as nothing of the registry changes."""
+        """Likewise for the broad phase; its cache is valid until the registry or the settings change."""
         holds_for = self._asked_of()
         paired = self._paired if self._paired_of == holds_for else NOTHING_PAIRED
         self._paired, self._paired_of = NOTHING_PAIRED, holds_for
         return paired
 
     def _take_remembered(self) -> Remembered:
-        """It is used up, also by an answer that is broken off."""
+        """Consume the cache; it is consumed even if the answer then fails."""
         holds_for = self._what_is_remembered_of()
         remembered = self._remembered if self._remembered_of == holds_for else NOTHING_REMEMBERED
         self._remembered, self._remembered_of = NOTHING_REMEMBERED, holds_for
         return remembered
 
     def _edges_to_search(self, rows: np.ndarray) -> RidgeSearch:
-        """Ridges of all fragments, with room for those of `rows`."""
+        """Ridges of all fragments, with buffers large enough for those of `rows`."""
         if not has_edges(self.settings):
             return NO_RIDGE_SEARCH
         ridges, threads = self._registry.geometry.ridges, self._crew.threads
@@ -286,7 +287,7 @@ class CollisionWorld:
         return RidgeSearch(ridges, work)
 
     def _surfaces_to_search(self) -> Surfaces | None:
-        """Elements of surfaces that are made as they are asked for, for as long as rows keep their numbers."""
+        """Surface elements, built on demand and kept as long as rows keep their numbers."""
         if self.settings.surfaces != SEARCHED:
             return None
         holds_for = self._what_is_remembered_of()
@@ -307,7 +308,7 @@ class CollisionWorld:
 
 
 def _copy_of(answer: ContactConstraintArray) -> ContactConstraintArray:
-    """For an answer is its receiver's, to change."""
+    """The receiver owns its answer and may change it."""
     return ContactConstraintArray(*[v.copy() if isinstance(v, np.ndarray) else v for v in answer])
 
 

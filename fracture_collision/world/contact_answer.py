@@ -1,4 +1,4 @@
-"""From the contacts of pairs to the message."""
+"""Build the answer message from the contacts of the pairs."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from fracture_collision.world.present import Present
 def contact_answer(
     checked: CheckedStates, here: Present, radius: np.ndarray, pairs: np.ndarray, found: PairContacts, tolerance: float
 ) -> ContactConstraintArray:
-    """Lists the pairs (p, 2) of indices into `here` that have contacts, or a missed depth bound beyond `tolerance`, a
-    share of the smaller of their `radius` (n,) [m]. Its arrays of contacts are those of `found`.
+    """List the pairs (p, 2), indices into `here`, that have contacts or a missed depth bound above `tolerance`, a share
+    of the smaller of their `radius` (n,) [m]. The contact arrays are those of `found`, not copies.
     """
     a, b, begin, bounds, friction, restitution, keys, exhausted = _list_pairs(
         here.ids, here.friction, here.restitution, radius, pairs, found.counts, found.bounds, found.exhausted,

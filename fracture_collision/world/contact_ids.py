@@ -21,8 +21,8 @@ def _mixed(value):
 def contact_ids(own, other, sample, out):
     """Hash (fragment whose sample it is, the other fragment, sample index) to uint64.
 
-    64 bits hold no three 32-bit numbers, so ids are hashed: among the contacts of one step two different ones meet
-    with a probability below 1e-12.
+    Three 32-bit numbers do not fit into 64 bits, so ids are hashed: the probability of a collision among the contacts
+    of one step is below 1e-12.
     """
     for i in range(len(sample)):
         pair = (np.uint64(own[i]) << np.uint64(32)) | np.uint64(other[i])

@@ -1,4 +1,4 @@
-"""A fragment's surface for viewers: the old surface and the crack polygons, as the field measures against them."""
+"""A fragment's surface for viewers: the original surface and the crack polygons that the field measures against."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from fracture_collision.geometry.unique_rows import unique_rows
 from fracture_collision.portable_math import lengths
 from fracture_collision.records import FragmentMesh
 
-SPHERE_EDGE = 0.2  # of the radius: round enough to look at
+SPHERE_EDGE = 0.2  # of the radius: looks round enough
 PLANE_HALF = 5.0  # [m] an unbounded plane is shown as a square of this half side
 
 

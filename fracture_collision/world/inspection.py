@@ -1,5 +1,5 @@
-"""What a person may look at inside a CollisionWorld, and no answer needs: spheres of a tree's level, the field on a
-plane, all that an answer could have listed, and how far an answer is from that.
+"""Views into a CollisionWorld for people; no answer needs them: spheres of a tree's level, the field on a plane, all
+contacts that an answer could have listed, and the difference between the two.
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ from fracture_collision.records import ContactConstraintArray, FragmentStates
 from fracture_collision.world.collision_world import CollisionWorld
 from fracture_collision.world.present import Present
 
-# Contacts a pair, when all of them are wanted.
+# Contacts per pair to list all of them.
 EVERY_CONTACT = 1 << 30
 # Of a plane across x, y or z: the axis that its columns go along, and that of its rows.
 PLANE_AXES = ((1, 2), (0, 2), (0, 1))
 NOBODY = -1  # no fragment's id
-FINEST = 192  # cells along the longer side of a plane's grid, unless the asker wants others
+FINEST = 192  # cells along the longer side of a plane's grid, by default
 
 
 class LevelSpheres(NamedTuple):
-    """A cover of each fragment's samples: the n spheres of one level of its tree, and the samples above that level that
-    have nothing below them, of radius 0.
+    """A cover of each fragment's samples: the n spheres of one level of its tree, and leaf samples above that level, of
+    radius 0.
     """
 
     fragment_ids: np.ndarray  # (n,) int64
     centres: np.ndarray  # (n, 3) [m] body frame
     radii: np.ndarray  # (n,) [m]
-    deepest: int  # level that any of the trees has
+    deepest: int  # level of all the trees
 
 
 class PlaneField(NamedTuple):
@@ -46,24 +46,24 @@ class PlaneField(NamedTuple):
     place: float  # [m] along it, world
     corner: np.ndarray  # (2,) [m] of the first cell, where its column and its row begin, world
     cell: float  # [m] edge
-    owners: np.ndarray  # (rows, columns) int64 id of the fragment that the point is in, NOBODY; the deepest of several
-    depths: np.ndarray  # (rows, columns) [m] to the nearest surface of that fragment; 0 where nobody is
+    owners: np.ndarray  # (rows, columns) int64 id of the fragment around the point (the deepest), or NOBODY
+    depths: np.ndarray  # (rows, columns) [m] to the nearest surface of that fragment; 0 for NOBODY
     shared: np.ndarray  # (rows, columns) bool: inside more than one fragment
 
 
 class AnswerErrors(NamedTuple):
-    """An answer against every contact there is, of the exact field, along the shortest ways out."""
+    """An answer compared with all contacts of the exact field, along the shortest ways out."""
 
     listed: int  # contacts
-    colliding: int  # contacts there are
+    colliding: int  # all contacts
     unlisted: float  # [m] deepest penetration that is not listed
-    promised: float  # [m] that the missed depth bounds, and epsilon where a pair has none, allow to be unlisted
-    too_shallow: float  # [m] that a listed penetration is deeper than told, at most
+    promised: float  # [m] depth that the missed depth bounds, or epsilon for a pair without one, allow to be unlisted
+    too_shallow: float  # [m] most by which the answer understates a listed penetration
 
 
 def asked_with(world: CollisionWorld, states: FragmentStates, **settings: Any) -> ContactConstraintArray:
-    """The contacts at `states` that a world with other `settings` would answer; this one keeps its own, and what it
-    remembers.
+    """The contacts that a world with other `settings` would answer at `states`; `world` keeps its own settings and
+    neighbour lists.
     """
     chosen = world.settings
     world.settings = chosen._replace(**settings | {"neighbour_lists": False})
@@ -84,15 +84,15 @@ def every_contact(world: CollisionWorld, states: FragmentStates) -> ContactConst
 def errors_of(
     answer: ContactConstraintArray, every: ContactConstraintArray, world: CollisionWorld, here: Present, epsilon: float
 ) -> AnswerErrors:
-    """`every`: every_contact, to the same states, of a `world` with the exact field and nearest normals, where `here`
-    is present; `epsilon`: the penetration tolerance, a share of R, that the answer was asked with.
+    """`every`: every_contact for the same states, of a `world` with the exact field and nearest normals, with `here`
+    present; `epsilon`: the penetration tolerance of the answer, a share of R.
     """
     _, of_every, of_answer = np.intersect1d(every.contact_ids, answer.contact_ids, return_indices=True)
     depths = np.maximum(-every.gaps, 0.0)
     is_unlisted = np.ones(len(depths), dtype=bool)
     is_unlisted[of_every] = False
     promised = answer.missed_depth_bound.max(initial=0.0)
-    # a pair that the answer does not name has no contact, and nothing deeper than epsilon
+    # a pair absent from the answer has no contact and nothing deeper than epsilon
     unnamed = ~np.isin(_pair_keys(every), _pair_keys(answer))
     radius = world.geometry.pools.fragment.radius[here.rows]
     ends = (radius[np.searchsorted(here.ids, end[unnamed])] for end in (every.fragment_a, every.fragment_b))
@@ -110,7 +110,7 @@ def _pair_keys(contacts: ContactConstraintArray) -> np.ndarray:
 
 
 def spheres_of_level(world: CollisionWorld, here: Present, level: int) -> LevelSpheres:
-    """Of what can move of those present; level 0: a sphere about each. Planes and spheres have no tree."""
+    """Of the movable fragments in `here`; level 0: one sphere each. Planes and spheres have no tree."""
     ids, centres, radii, deepest = [np.zeros(0, np.int64)], [np.zeros((0, 3))], [np.zeros(0)], 0
     for fragment_id, row in zip(here.ids[~here.is_static].tolist(), here.rows[~here.is_static].tolist(), strict=True):
         if not world.geometry.tree_entries(row):
@@ -126,15 +126,15 @@ def spheres_of_level(world: CollisionWorld, here: Present, level: int) -> LevelS
 
 
 def _levels(sizes: np.ndarray) -> np.ndarray:
-    """How many entries each is below, of a tree in preorder whose subtrees have `sizes` (n,) entries."""
+    """Depth (n,) of each entry of a tree in preorder whose subtrees have `sizes` (n,) entries."""
     count = len(sizes)
-    begun = np.arange(count + 1)  # entries before each one: their subtrees have begun
+    begun = np.arange(count + 1)  # entries before each one; their subtrees have begun
     ended = np.cumsum(np.bincount(np.arange(count) + sizes, minlength=count + 1))
     return (begun - ended)[:count]
 
 
 def reach_along(world: CollisionWorld, here: Present, axis: int) -> tuple[float, float] | None:
-    """[m] from where to where the boxes of what can move go along a world axis; None if nothing can."""
+    """[m] Lower and upper end of the boxes of movable fragments along a world axis; None if nothing can move."""
     boxes, _ = _solid_boxes(world.geometry.pools, here)
     boxes = boxes[~here.is_static & np.isfinite(boxes).all(axis=1)]
     return (float(boxes[:, axis].min()), float(boxes[:, axis + 3].max())) if len(boxes) else None
@@ -143,8 +143,8 @@ def reach_along(world: CollisionWorld, here: Present, axis: int) -> tuple[float,
 def field_on_plane(
     world: CollisionWorld, here: Present, axis: int, place: float, finest: int = FINEST
 ) -> PlaneField | None:
-    """The field of the world's settings on the plane at `place` [m] across a world axis, where it cuts what can move;
-    None where it cuts nothing. Static bodies are in it where they are about; planes are nowhere.
+    """The field of the world's settings on the plane at `place` [m] across a world axis, over the movable fragments it
+    cuts; None if it cuts none. Includes static bodies in that area, but no planes.
     """
     pools = world.geometry.pools
     boxes, is_solid = _solid_boxes(pools, here)
@@ -185,7 +185,7 @@ def _depths_inside(pools, row, points, depths, scratch):
 
 
 def _solid_boxes(pools: Pools, here: Present) -> tuple[np.ndarray, np.ndarray]:
-    """World boxes (n, 6) [m] of those present, and which of them are no planes."""
+    """World boxes (n, 6) [m] of the fragments in `here`, and which of them are not planes (n,)."""
     boxes = np.empty((len(here.rows), 6))
     world_boxes(pools.fragment.box, here.rows, here.rotations, here.positions, np.zeros(len(here.rows)), boxes)
     return boxes, pools.fragment.kind[here.rows] != PLANE

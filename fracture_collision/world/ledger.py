@@ -1,7 +1,7 @@
-"""The log of one run, checked at the gate: bodies, events, and who owns which node after the last event.
+"""The validated event log of one run: bodies, events, and which fragment owns each node after the last event.
 
-What is in the ledger is true and applies cleanly; the registry (registry.py) replays any prefix of it. The ledger also
-keeps why the next event was refused, as no later one can be applied before a corrected one has arrived.
+Everything in the ledger is valid and applies without error; the registry (registry.py) replays any prefix of it. The
+ledger also keeps the reason if the next event was rejected: no later one can be applied before a corrected one arrives.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from fracture_collision.world.gates.fracture_gate import (
 )
 from fracture_collision.world.settings import Settings
 
-# Of the smallest tetrahedron: what has no more, with planes through all its nodes, is rounding.
+# Share of the smallest tetrahedron's volume: a fragment with planes through all its nodes and no more is rounding.
 LEAST_VOLUME = 1e-9
 
 
@@ -35,20 +35,20 @@ class Ledger:
         self._room_for_nodes = settings.max_nodes
         self._nodes: dict[int, int] = {}  # body id -> its nodes or vertices
         self._labels: dict[int, np.ndarray] = {}  # body id -> fragment id of each node, for tetrahedral bodies
-        self._pinched: dict[int, np.ndarray] = {}  # body id -> its nodes that planes of cracks pass through, likewise
-        self._removed: dict[int, bytes] = {}  # body id -> digest of the body that was
+        self._pinched: dict[int, np.ndarray] = {}  # body id -> nodes that crack planes pass through, likewise
+        self._removed: dict[int, bytes] = {}  # body id -> digest of the removed body
         self._owner: dict[int, int] = {}  # fragment id -> body id, for every fragment ever made
         self._born: dict[int, int] = {}  # fragment id -> sequence of the event that made it, 0: with its body
         self._broke: dict[int, int] = {}  # fragment id -> sequence of the event that retired it
         self.bodies: dict[int, CheckedBody] = {}
         self.events: list[CheckedFracture] = []
         self._events_of: dict[int, list[int]] = {}  # body id -> indices of its events
-        self.rejected: Rejection | None = None  # why the event that is due was refused, until it is accepted
-        self._added: dict[int, CheckedBody] = {}  # bodies that came since the last `take_changes`
-        self._gone: list[int] = []  # ids of bodies that were removed since, and were there before
+        self.rejected: Rejection | None = None  # why the next event was rejected, until it is accepted
+        self._added: dict[int, CheckedBody] = {}  # bodies added since the last `take_changes`
+        self._gone: list[int] = []  # ids of bodies that were present then and removed since
 
     def change_limits(self, settings: Settings) -> None:
-        """Limits of what comes from now on; what is there already stays."""
+        """Limits of later messages; existing content stays."""
         self._room_for_nodes += settings.max_nodes - self._settings.max_nodes
         self._settings = settings
 
@@ -62,7 +62,7 @@ class Ledger:
         fields = read_body(body)
         known = self.bodies.get(fields.body_id)
         if fields.digest == (known.digest if known else self._removed.get(fields.body_id)):
-            return  # a latched topic delivers its messages again after a reconnection: the same content changes nothing
+            return  # a latched topic repeats its messages after a reconnection: the same content changes nothing
         if known:
             refuse("doubled", f"body_id: body {fields.body_id} exists already with another content")
         if fields.body_id in self._removed:
@@ -81,7 +81,7 @@ class Ledger:
             self._pinched[checked.body_id] = np.zeros(len(fields.vertices), np.uint8)
 
     def take_changes(self) -> tuple[list[int], list[CheckedBody]]:
-        """Ids of bodies that were removed since the last call, and bodies that came since, in their order."""
+        """Ids of bodies removed since the last call, and bodies added since, in order of arrival."""
         gone, added = self._gone, list(self._added.values())
         self._gone, self._added = [], {}
         return gone, added
@@ -95,7 +95,7 @@ class Ledger:
             raise
 
     def reject(self, sequence: int, reason: str) -> None:
-        """Event `sequence` arrived and cannot be accepted. Without effect where it is not the one that is due."""
+        """Record that event `sequence` arrived and is not acceptable. No effect unless it is the next event."""
         if sequence == len(self.events) + 1:
             self.rejected = Rejection(sequence, reason)
 
@@ -118,7 +118,7 @@ class Ledger:
         new_ids = fields.new_fragment_ids.tolist()
         self._check_new_fragments("new_fragment_ids", new_ids)
         if body is None:
-            # the topics of bodies and events keep no order between them: the sequence must not stop at this one
+            # body and event topics have no mutual order: the sequence must not stop at this event
             checked = fracture_of_removed_body(fields)
         else:
             if body.mesh is None:
@@ -138,7 +138,7 @@ class Ledger:
             self._born[new_id] = sequence
 
     def _have_volume(self, body: CheckedBody, checked: CheckedFracture, doubtful: np.ndarray) -> None:
-        """Refuse the fracture if one of the `doubtful` new fragments has no volume: tried on a geometry of its own."""
+        """Reject the fracture if a `doubtful` new fragment has no volume, measured in a separate geometry."""
         geometry = CollisionGeometry()
         row = {body.fragment_id: geometry.add_tetrahedra(body.mesh)}
         earlier = [self.events[i] for i in self._events_of.get(body.body_id, ())]
@@ -162,7 +162,7 @@ class Ledger:
         )
 
     def require_living(self, fragment_ids: np.ndarray, sequence: int) -> None:
-        """Raise unless all live after `sequence` events: InvalidMessage for one that never will, else StatesAhead."""
+        """Raise unless all live after `sequence` events: InvalidMessage if one never will, else StatesAhead."""
         unknown = []
         for fragment_id in fragment_ids.tolist():
             if fragment_id not in self._owner:
@@ -178,7 +178,7 @@ class Ledger:
             )
 
     def lacks(self, ahead: StatesAhead) -> bool:
-        """Whether something that the states of `ahead` need is missing still; amortized O(1) per missing fragment."""
+        """Whether something that the states of `ahead` need is still missing. Amortized O(1) per missing fragment."""
         if ahead.fracture_sequence > len(self.events):
             return self.rejected is None
         while ahead.fragment_ids and ahead.fragment_ids[-1] in self._owner:

@@ -1,6 +1,6 @@
-"""The living fragments of a registry as columns by ascending id, brought up to date by what came and what went.
+"""The living fragments of a registry as columns by ascending id, updated by what was added and removed.
 
-An update costs a few array operations, whatever the number of fragments; nothing is made anew for each of them.
+An update costs a few array operations, whatever the number of fragments; it rebuilds nothing per fragment.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ class Columns(NamedTuple):
     ids: np.ndarray  # (n,) int64
     rows: np.ndarray  # (n,) int64, in the pools
     bodies: np.ndarray  # (n,) int64 body ids
-    parents: np.ndarray  # (n,) int64 ids of the fragments they broke from, their own if none
+    parents: np.ndarray  # (n,) int64 id of the fragment it broke from, its own id if none
     is_static: np.ndarray  # (n,) bool
     friction: np.ndarray  # (n,) float64
     restitution: np.ndarray  # (n,) float64
     density: np.ndarray  # (n,) float64 [kg/m3]
-    masses: np.ndarray  # (n, MASS_VALUES) float64; NaN: not asked for yet
+    masses: np.ndarray  # (n, MASS_VALUES) float64; NaN: not computed yet
 
 
 _TYPES = (np.int64, np.int64, np.int64, np.int64, np.bool_, np.float64, np.float64, np.float64)
@@ -33,8 +33,8 @@ class LivingFragments:
     def __init__(self) -> None:
         self._columns = Columns(*(np.empty(0, kind) for kind in _TYPES), np.empty((0, MASS_VALUES)))
         self._row: dict[int, int] = {}
-        self._came: dict[int, tuple] = {}  # id -> its values in all columns but the first and the last
-        self._went: set[int] = set()  # ids that are in the columns
+        self._came: dict[int, tuple] = {}  # added ids -> values of all columns but the first and the last
+        self._went: set[int] = set()  # removed ids that are still in the columns
 
     def row_of(self, fragment_id: int) -> int | None:
         return self._row.get(fragment_id)
@@ -53,7 +53,7 @@ class LivingFragments:
         return self._row.pop(fragment_id)
 
     def columns(self) -> Columns:
-        """As of now; `masses` may be written to."""
+        """The current columns; the caller may write to `masses`."""
         if self._went or self._came:
             parts = list(self._columns)
             if self._went:
@@ -70,6 +70,6 @@ class LivingFragments:
         return self._columns
 
     def renumber(self, new_rows: np.ndarray) -> None:
-        """Their rows, as of `columns`, are `new_rows` (n,) from now on."""
+        """Replace the rows of all fragments, in the order of `columns`, by `new_rows` (n,)."""
         self._columns = self.columns()._replace(rows=new_rows.astype(np.int64))
         self._row = dict(zip(self._columns.ids.tolist(), new_rows.tolist(), strict=True))

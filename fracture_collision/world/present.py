@@ -1,4 +1,4 @@
-"""Who takes part in a step, and where: those that its states name, and the static ones."""
+"""The fragments that take part in a step, with their poses: those that its states name, and the static ones."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Present(NamedTuple):
 
 
 def take_places(checked: CheckedStates, living: Columns, named: np.ndarray) -> Present:
-    """`named` (n,): which of the living the states name, in their order."""
+    """`named` (n,): indices into `living` of the fragments that the states name, in the states' order."""
     return Present(
         *_take_places(
             living.ids, living.rows, living.is_static, living.friction, living.restitution, named, checked.positions,
@@ -59,7 +59,7 @@ def _take_places(ids, rows, is_static, friction, restitution, named, positions, 
 
 @kernel
 def find_fragments(ids, wanted):
-    """Indices (n,) into ascending `ids` of ascending `wanted`, -1: not there."""
+    """Indices (n,) into ascending `ids` of ascending `wanted`; -1 where absent."""
     found, k = np.full(len(wanted), -1), 0
     for i in range(len(wanted)):
         while k < len(ids) and ids[k] < wanted[i]:

@@ -1,4 +1,4 @@
-"""The geometry after a prefix of the log: which fragments live, their rows in the pools, masses and digests."""
+"""The geometry after a prefix of the event log: living fragments, their rows in the pools, masses and digests."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from fracture_collision.world.gates.fracture_gate import CheckedFracture, apply_
 from fracture_collision.world.living_fragments import Columns, LivingFragments
 from fracture_collision.world.settings import FIELDS, NORMALS, SAMPLED, TRAVERSALS, Settings
 
-# How core calls what the settings name; a tree's name is its own.
+# core's constant for each choice in the settings; core uses the names of trees as they are.
 _FIELD = dict(zip(FIELDS, (EXACT, AVERAGED), strict=True))
 _NORMALS = dict(zip(NORMALS, (FACING, NEAREST), strict=True))
 _TRAVERSAL = dict(zip(TRAVERSALS, (ALTERNATING, QUEUE), strict=True))
 
 
 class Registry:
-    """Bodies come and go, events are applied in their order; what a body leaves behind costs what it had."""
+    """Adds and removes bodies, applies events in order; reclaiming a removed body costs its size, amortized."""
 
     def __init__(self, settings: Settings) -> None:
         self.geometry = CollisionGeometry(
@@ -29,9 +29,9 @@ class Registry:
             settings.surfaces != SAMPLED,
         )  # fmt: skip
         self.sequence = 0
-        self.renumbered = 0  # how often the rows of all fragments have changed
-        self.changes = 0  # how often anything has
-        self._centers, self._centers_at = np.zeros((0, 3)), 0  # of mass, of all; and the changes they are of
+        self.renumbered = 0  # number of times the rows of all fragments were renumbered
+        self.changes = 0  # number of changes of any kind
+        self._centers, self._centers_at = np.zeros((0, 3)), 0  # of mass, of all living; `changes` when computed
         self._bodies: dict[int, CheckedBody] = {}
         self._chain = hashlib.sha256().digest()
         self._living = LivingFragments()
@@ -54,7 +54,7 @@ class Registry:
         self._add_fragment(body.fragment_id, body, body.fragment_id, row)
 
     def remove_body(self, body_id: int) -> None:
-        """Nothing is replayed: the others stay as they are, and memory is reclaimed once half of it is garbage."""
+        """Replays nothing: other bodies stay as they are. Memory is reclaimed once half of it is garbage."""
         self.changes += 1
         del self._bodies[body_id]
         rows = [self._living.remove(fragment_id) for fragment_id in self._fragments_of.pop(body_id)]
@@ -64,7 +64,7 @@ class Registry:
             self.renumbered += 1
 
     def apply(self, event: CheckedFracture) -> None:
-        """The next event of the log; one of a removed body only counts."""
+        """Apply the next event of the log; one of a removed body only advances the sequence and the digest."""
         self.changes += 1
         self.sequence += 1
         self._chain = hashlib.sha256(self._chain + event.digest).digest()
@@ -84,7 +84,7 @@ class Registry:
         return self._living.row_of(fragment_id)
 
     def digest(self) -> str:
-        """SHA-256 over the bodies, by id, and the chain of events; the order in which bodies came does not matter."""
+        """SHA-256 over the bodies, by id, and the chain of events; independent of the order in which bodies arrived."""
         whole = hashlib.sha256(self._chain)
         for body_id in sorted(self._bodies):
             whole.update(self._bodies[body_id].digest)
@@ -115,7 +115,7 @@ class Registry:
         return self._centers[np.searchsorted(living.ids, ids)]
 
     def _masses(self, living: Columns) -> np.ndarray:
-        """(n, MASS_VALUES) of all, those that are new among them."""
+        """(n, MASS_VALUES) of all living fragments; computes those of new ones."""
         new = np.flatnonzero(np.isnan(living.masses[:, 0]))
         if len(new):
             for i, one in zip(new, self.geometry.mass_properties(living.rows[new], living.density[new]), strict=True):

@@ -1,7 +1,7 @@
 """The service's settings: one place, with meaning, unit and why. config/collision.yaml carries the same names.
 
 All may change while the service runs, between two answers (CollisionWorld.change_settings). Imports nothing of core, so
-that a node knows its settings before kernels are loaded; world/registry.py has core's word for each choice.
+that a node has its settings before kernels are loaded; world/registry.py maps each choice to core's constant.
 """
 
 from __future__ import annotations
@@ -10,69 +10,69 @@ from typing import NamedTuple
 
 
 class Settings(NamedTuple):
-    # m of Glondu 2014, 5.2: contacts a pair gets before only those deeper than epsilon count. Six constraints lock a
-    # rigid body; beyond eight the paper saw no better contact (Fig. 16).
+    # m of Glondu 2014, 5.2: contacts listed per pair before only those deeper than epsilon count. Six constraints lock
+    # a rigid body; the paper found no better contact beyond eight (Fig. 16).
     contacts_per_pair: int = 8
-    # Which contacts of a pair are listed where more samples are near. `sufficient`: contacts_per_pair that are spread
-    # over all of them; all that are deeper than the penetration tolerance, but of more than contacts_per_pair the
-    # deepest and others spread over them, up to deep_contacts_per_pair. It depends on the samples' depths and positions
-    # alone. `complete`: the paper's rule, the first that are found, and then all that are deeper than the tolerance;
-    # without neighbour_lists by the paper's algorithm alone. A visit_budget goes by the paper's rule too.
+    # Which contacts of a pair are listed if more samples are near. `sufficient`: contacts_per_pair, spread over all of
+    # them; all that are deeper than the penetration tolerance, but if these exceed contacts_per_pair the deepest and
+    # others spread over them, up to deep_contacts_per_pair. It depends on the samples' depths and positions alone.
+    # `complete`: the paper's rule: the first ones found, then all that are deeper than the tolerance; without
+    # neighbour_lists by the paper's algorithm alone. A visit_budget uses the paper's rule too.
     selection: str = "sufficient"
     deep_contacts_per_pair: int = 16
     # epsilon of 5.2, as a share of R (the smaller of the two bodies' half longest side): penetrations up to this may
     # stay unlisted once a pair has its contacts.
     penetration_tolerance: float = 0.002
-    # delta of 5.2, as a share of R: contacts this far apart are listed already, so that surfaces about to touch give
-    # the solver something to hold and the traversal a reason to end.
+    # delta of 5.2, as a share of R: contacts are listed up to this gap, so that the solver has constraints for surfaces
+    # about to touch and the traversal can end.
     detection_tolerance: float = 0.002
-    # [s] Of pairs that do not touch, contacts that will be deeper than the penetration tolerance within this time, by
-    # the velocities of the states, are listed too: with positive gaps, so that nothing fast goes through what is thin
-    # between two steps. A simulator sets its time step; 0: what is not near now is not listed.
+    # [s] For pairs that do not touch, also list contacts that will be deeper than the penetration tolerance within this
+    # time, by the velocities of the states, with positive gaps. This keeps fast bodies from tunnelling through thin
+    # ones between two steps. A simulator sets its time step; 0: only contacts that are near now are listed.
     lookahead: float = 0.0
     # `exact`: local flood, no error; `averaged`: the paper's front propagation (eq. 1-2): depths and normals inside a
     # broken body are approximate, the missed depth bound is as certain and looser.
     field: str = "exact"
-    # `facing`: two fragments of one body are parted along the crack they share, other bodies along a surface that
-    # faces the sample, where it is near; `nearest`: along the shortest way to any surface, as in the paper, which at
-    # rims often points along the surface that parts the two.
+    # `facing`: two fragments of one body are separated along the crack they share, other bodies along a surface that
+    # faces the sample, if one is near; `nearest`: along the shortest way to any surface, as in the paper, which at
+    # rims often points along the surface between the two.
     normals: str = "facing"
-    # `sampled`: contacts are sought at samples, and missed_depth_bound holds for these. `edges`: also where edges of
-    # the two cross between their samples, with the normal across both (not by the paper's rule: with `complete` or a
-    # visit_budget samples alone are asked). A query takes 1.2 to 1.4 times as long, an update up to twice.
-    # `searched`: the bound holds for all points of both surfaces, and what is still deeper between samples is listed.
-    # For checking what samples leave out: it takes 30 to 100 times as long (docs/numerics.md), and needs field `exact`.
+    # `sampled`: contacts are searched at samples, and missed_depth_bound holds for these. `edges`: also where edges of
+    # the two cross between their samples, with the normal across both (not in the paper's rule: `complete` and a
+    # visit_budget search samples alone). A query takes 1.2 to 1.4 times as long, an update up to twice.
+    # `searched`: the bound holds for all points of both surfaces, and deeper points between samples are listed.
+    # For checking what samples miss: it takes 30 to 100 times as long (docs/numerics.md), and needs field `exact`.
     surfaces: str = "sampled"
     # `restructured`: trees are split, restructured and extended at a fracture (6.2, 6.3); `plain`: as in the paper's
-    # earlier version [27], without regard to the maximum-distance order; `rebuilt`: from nothing (Fig. 15).
+    # earlier version [27], ignoring the maximum-distance order; `rebuilt`: from scratch (Fig. 15).
     tree: str = "restructured"
     # `alternating`: children of different parents first (5.3); `queue`: a parent's children in a row, as in [27].
     traversal: str = "alternating"
-    # Whether to remember, from one step to the next, which samples of slow pairs are near, how far others are apart and
-    # what contacts those have that do not move (core/search: neighbour_lists, kept_answer). The answer does not depend
-    # on it; without, every step costs what the first one does.
+    # Whether to cache, from one step to the next, which samples of slow pairs are near, how far apart others are, and
+    # the contacts of pairs that do not move (core/search: neighbour_lists, kept_answer). The answer does not depend on
+    # it; without it every step costs as much as the first.
     neighbour_lists: bool = True
     # Threads of the narrow phase; 0: all cores. The answer does not depend on it.
     threads: int = 0
-    # Tree nodes a step may test, shared evenly by its pairs; 0: no limit. The bound says what a limit left out.
+    # Tree nodes a step may test, shared evenly by its pairs; 0: no limit. The bound covers what a limit leaves out.
     visit_budget: int = 0
-    # Limits on the work for one answer. What they leave out is in missed_depth_bound, with BUDGET_EXHAUSTED, but for
-    # max_pairs: states of which more pairs of boxes overlap are refused in words. They are far beyond what bodies that
-    # push each other apart come to; bodies at one place would else have contacts by the million.
+    # Limits on the work for one answer. missed_depth_bound covers what they leave out, with BUDGET_EXHAUSTED, except
+    # max_pairs: states with more overlapping pairs of boxes are rejected with a reason. They are far above the need of
+    # bodies that push each other apart; without them, bodies at one place would have millions of contacts.
     max_pairs: int = 100_000  # pairs of fragments whose boxes overlap
-    # tree nodes of pairs whose boxes coincide, in all; of the others, 25 times as many (core/pair/crowds.py)
+    # tree nodes of pairs whose boxes coincide, in total; for the other pairs 25 times as many (core/pair/crowds.py)
     max_visits: int = 4_000_000
-    max_further_visits: int = 2_000_000  # tree nodes of pairs that have contacts_per_pair contacts, for deeper ones
+    max_further_visits: int = 2_000_000  # tree nodes of pairs with contacts_per_pair contacts, for deeper ones
     max_contacts_per_pair: int = 1_000  # the deepest; never fewer than contacts_per_pair
-    max_contacts: int = 200_000  # in one answer; pairs that have most lose their shallowest
-    # Limits: a message beyond them is refused in words.
+    max_contacts: int = 200_000  # in one answer; the pairs with most contacts lose their shallowest
+    # Limits: a message that exceeds them is rejected with a reason.
     max_bodies: int = 10_000
     max_nodes: int = 2_000_000  # tetrahedral-mesh and surface vertices of all bodies together
-    max_fragments: int = 100_000  # ever made in one run
+    max_fragments: int = 100_000  # total made in one run
     max_message_bytes: int = 256 * 1024 * 1024  # serialized
 
 
-LONGEST_LOOKAHEAD = 1.0  # [s] a step of that length is none any more
+LONGEST_LOOKAHEAD = 1.0  # [s] longer than any time step
 FIELDS = ("exact", "averaged")
 SELECTIONS = ("sufficient", "complete")
 NORMALS = ("facing", "nearest")
@@ -83,24 +83,24 @@ TRAVERSALS = ("alternating", "queue")
 
 
 def geometry_settings(settings: Settings) -> tuple[str | bool, ...]:
-    """What a registry is built by: with another of these, it is built anew from the log."""
+    """The settings a registry is built with; a change of any of them rebuilds it from the event log."""
     return settings.field, settings.normals, settings.tree, settings.traversal, settings.surfaces != SAMPLED
 
 
 def has_edges(settings: Settings) -> bool:
-    """Whether edges that cross between samples are contacts; not by the paper's rule."""
+    """Whether edges that cross between samples are contacts; never under the paper's rule."""
     return settings.surfaces != SAMPLED and settings.selection == "sufficient" and not settings.visit_budget
 
 
 def most_listed(settings: Settings) -> int:
-    """Contacts that `sufficient` lists of a pair at most; 0: it is not the rule."""
+    """Most contacts per pair that `sufficient` lists; 0 if `selection` is `complete`."""
     if settings.selection == "complete":
         return 0
     return max(settings.contacts_per_pair, settings.deep_contacts_per_pair)
 
 
 def check_settings(settings: Settings) -> None:
-    """Raise ValueError, naming the field, unless every setting is one the service can work with."""
+    """Raise ValueError, naming the field, unless every setting is valid."""
     for name, choices in (
         ("field", FIELDS), ("normals", NORMALS), ("tree", TREES), ("traversal", TRAVERSALS), ("selection", SELECTIONS),
         ("surfaces", SURFACES),

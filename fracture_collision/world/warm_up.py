@@ -1,6 +1,6 @@
-"""Brings every kernel of the service into memory: from numba's cache in a second, by compiling in a minute or two.
+"""Load every kernel of the service: from numba's cache in a second, by compiling in a minute or two.
 
-One small scene that uses all kinds of shapes, a fracture, and every query.
+Runs one small scene with all kinds of shapes, a fracture, and every query.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ def cache_is_cold() -> bool:
 
 
 def compile_kernels(progress: Callable[[str], None]) -> None:
-    """Run the small scene; `progress` is called with words before each stage."""
-    # under the averaged field a fracture needs all that it does under the exact one, and more
+    """Run the small scene; `progress` is called with a description before each stage."""
+    # a fracture with the averaged field uses all kernels of the exact field, and more
     world = service.CollisionWorld(Settings(threads=2, field="averaged"))
     geometry = brick((1.0, 0.5, 0.5), 0.5)
     progress("bodies: mesh preprocess, sphere trees (1 of 3)")
@@ -40,9 +40,9 @@ def compile_kernels(progress: Callable[[str], None]) -> None:
     progress("fracture: crack polygons, tree splitting, masses (3 of 3)")
     whole = np.ones(len(geometry.vertices), dtype=bool)
     world.add_fracture(_flat_crack(geometry, 1, 1, whole, 0, 0.1, (5, 6)))
-    # the second crack runs into the first: tetrahedra that three fragments share
+    # the second crack meets the first: tetrahedra shared by three fragments
     world.add_fracture(_flat_crack(geometry, 2, 6, geometry.vertices[:, 0] > 0.1, 1, 0.05, (8, 9)))
-    for step in (2, 3, 4):  # searched, listed, asked by the lists
+    for step in (2, 3, 4):  # full search, lists built, query through the lists
         world.contacts(_states(step, 2, np.array([2, 5, 7, 8, 9])))
     world.change_settings(world.settings._replace(lookahead=0.01))
     world.contacts(_states(5, 2, np.array([2, 5, 7, 8, 9])))
@@ -54,7 +54,7 @@ def compile_kernels(progress: Callable[[str], None]) -> None:
 
 
 def compile_inspection_kernels() -> None:
-    """What only a person who looks inside asks for: no service loads it."""
+    """Load the kernels of the inspection views, which the service itself never loads."""
     from fracture_collision.world.inspection import field_on_plane
 
     world = service.CollisionWorld(Settings(threads=1))

@@ -1,7 +1,7 @@
-"""A robot arm in a scene, the KUKA LBR iiwa that comes with PyBullet: its parts, its postures, its recorded swing.
+"""A robot arm in a scene, the KUKA LBR iiwa that comes with PyBullet: its parts, its kinematics, its recorded swing.
 
-Each link stands for one to three spheres, the flange carries a block to strike with, and the foot is a box that cannot
-move; to the collision service they are bodies like any other. How they follow their links: `arm_control`.
+Each link is represented by one to three spheres, the flange carries a block to strike with, and the foot is a box that
+cannot move; to the collision service they are bodies like any other. `arm_control` makes them follow their links.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from fracture_collision.simulation.rotations import DEGREE, from_euler_angles, r
 URDF = Path("kuka_iiwa") / "model.urdf"
 JOINTS = 7
 COLUMNS = ["time", *(f"joint_{j}" for j in range(1, JOINTS + 1))]
-LOOK = 1e-3  # [s] between two looks at how fast a swing is
+LOOK = 1e-3  # [s] sampling interval of the check of a swing's speed
 
 
 class Part(NamedTuple):
-    """A primitive that a link stands for."""
+    """A primitive that represents a link, alone or with others."""
 
     name: str
     link: int  # 0: the foot, which cannot move; j: turns with joint j
@@ -39,7 +39,7 @@ def _ball(link: int, which: str, center: tuple[float, float, float], radius: flo
     return Part(f"arm link {link}{which}", link, center, Shape("sphere", radius=radius))
 
 
-# Fitted by eye into the extents of the URDF's own link meshes, whose vertices lie no farther than 3.5 cm outside them.
+# Fitted by eye into the extents of the URDF's own link meshes; mesh vertices lie no farther than 3.5 cm outside them.
 PARTS = (
     Part("arm foot", 0, (0.0, 0.0, 0.079), Shape("box", size=(0.24, 0.24, 0.158))),
     _ball(1, "a", (0.0, 0.0, 0.07), 0.085),
@@ -62,11 +62,11 @@ MOVING = PARTS[1:]
 
 class ArmSettings(NamedTuple):
     speed_limit: float = 3.0  # [rad/s] of a joint; the URDF's own limit counts as well
-    acceleration_limit: float = 15.0  # [rad/s2] of a joint that goes to where it is commanded
+    acceleration_limit: float = 15.0  # [rad/s2] of a joint on its way to a commanded angle
     force_limit: float = 500.0  # [N] with which the arm holds each of its parts, and so pushes
-    frequency: float = 25.0  # [Hz] at which a part would swing about its place; so stiff is the arm
-    damping_ratio: float = 1.0  # 1: it comes back without swinging
-    lag_limit: float = 0.03  # [m] with a part so far behind, joints wait for it
+    frequency: float = 25.0  # [Hz] natural frequency of a part about its place: the arm's stiffness
+    damping_ratio: float = 1.0  # 1: critical
+    lag_limit: float = 0.03  # [m] joints wait for a part that lags this far
 
 
 class Arm(NamedTuple):
@@ -76,14 +76,14 @@ class Arm(NamedTuple):
     position: np.ndarray  # (3,) [m] of its foot, world
     orientation: np.ndarray  # (4,) unit quaternion x y z w
     times: np.ndarray  # (k,) [s], ascending, of its swing
-    angles: np.ndarray  # (k, 7) [rad] of the joints then; between them monotone cubics, outside the nearest
+    angles: np.ndarray  # (k, 7) [rad] of the joints then; monotone cubics between, the nearest row outside
 
     def standing(self) -> Arm:
-        """The same arm, which stays as it begins until it is commanded."""
+        """The same arm without its swing: it keeps its first angles until commanded."""
         return self._replace(times=self.times[:1], angles=self.angles[:1])
 
     def swing(self) -> Callable[[float], np.ndarray]:
-        """What gives the angles (7,) [rad] at a time [s]."""
+        """The function from time [s] to angles (7,) [rad]."""
         first, last = self.times[0], self.times[-1]
         if first == last:
             return lambda _time: self.angles[0]
@@ -92,7 +92,7 @@ class Arm(NamedTuple):
 
 
 class ArmKinematics:
-    """Where an arm's parts are, by the angles of its joints."""
+    """Poses of an arm's parts from its joint angles."""
 
     def __init__(self, position: np.ndarray, orientation: np.ndarray) -> None:
         self._position, self._orientation = position, orientation
@@ -112,7 +112,7 @@ class ArmKinematics:
 
 
 def joint_limits() -> JointLimits:
-    """Of an arm wherever it stands."""
+    """Joint limits, independent of the arm's pose."""
     return ArmKinematics(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])).limits
 
 
@@ -136,7 +136,7 @@ def parse_arm(fields: Fields, folder: Path | None) -> Arm:
 
 
 def require_within(limits: JointLimits, angles: Sequence[float]) -> None:
-    """Raise ValueError, in words, where one of the seven `angles` [rad] is beyond its joint's limits."""
+    """Raise ValueError if one of the seven `angles` [rad] is beyond its joint's limits."""
     for name, angle, lower, upper in zip(limits.names, angles, limits.lower, limits.upper, strict=True):
         if not lower <= angle <= upper:
             raise ValueError(f"{name}: {angle:.4g} rad is not within {lower:.4g} and {upper:.4g} rad")
@@ -176,6 +176,6 @@ def _require_possible(arm: Arm, limits: JointLimits, path: str) -> None:
 
 
 def _curve(arm: Arm) -> PchipInterpolator:
-    """Goes no farther than from row to row: within the joints' limits as its rows are. Begins and ends at rest."""
+    """Monotone from row to row, so within the joints' limits as its rows are. Begins and ends at rest."""
     times = np.concatenate((arm.times[:1] - 1.0, arm.times, arm.times[-1:] + 1.0))
     return PchipInterpolator(times, np.concatenate((arm.angles[:1], arm.angles, arm.angles[-1:])))

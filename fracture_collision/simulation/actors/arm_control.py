@@ -1,17 +1,17 @@
-"""Drives an arm: where its joints go, and how its parts keep up with them.
+"""Control of an arm: the motion of its joints, and how its parts follow them.
 
-A robot under position control is stiff but not endlessly strong. A body of prescribed motion in the contact solver
-would be both: it pushes through whatever is in its way, and what is caught between it and the ground is pressed into
-both. So each part is a heavy body that is held to its place on its link, by a spring with a damper (hand.py has the
-equations) of limited force. In free motion the controller knows where its joints will be, so that its parts lag by
-rounding alone; what they hit pushes them off by millimetres for some hundredths of a second. Where a part is held up
-for longer, all joints wait, as they do at a real controller's limit of following error: the arm presses with no more
-than its force, and stays in one piece.
+A robot under position control is stiff, but its force is limited. A body of prescribed motion in the contact solver is
+stiff without limit: it pushes through whatever is in its way, and presses what is caught between it and the ground into
+both. So each part is a heavy body, held to its place on its link by an implicit spring with a damper (equations in
+hand.py) of limited force. In free motion the controller feeds the joints' motion forward, so that the parts lag by
+rounding alone; an impact deflects them by millimetres for some hundredths of a second. Where a part is blocked for
+longer, all joints wait, as they do at a real controller's following-error limit: the arm presses with no more than its
+force limit, and stays in one piece.
 
     dv = a - h (k (x + h (v + a) - x1) + d (v + a - v1)) / (1 + h d + h^2 k),   a = v1 - v0,   k = (2 pi f)^2
 
-with v0 and v1 the velocity of the place in the last step and in this, x1 the place at its end, d = 2 zeta (2 pi f);
-h the step. Likewise for turns, by rotation vectors.
+with v0 and v1 the velocity of the place in the last step and in this one, x1 the place at the end of this one,
+d = 2 zeta (2 pi f), h the step. Likewise for rotations, by rotation vectors.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from fracture_collision.simulation.engine.engine import BodyStates
 from fracture_collision.simulation.rotations import quaternion_products
 from fracture_collision.simulation.solver.contact_solver import kinetic_energy
 
-LEVER = 0.1  # [m] by which the force limit turns a part
+LEVER = 0.1  # [m] lever arm by which the force limit becomes the torque limit of a part
 INVERSE = np.array([-1.0, -1.0, -1.0, 1.0])  # of a unit quaternion, coordinate by coordinate
 
 
@@ -55,7 +55,7 @@ class ArmControl:
 
     @property
     def angles(self) -> np.ndarray:
-        """Where the controller has its joints, (7,) [rad]."""
+        """The controller's joint angles, (7,) [rad]."""
         return self._angles.copy()
 
     @property
@@ -64,9 +64,9 @@ class ArmControl:
         return self._speeds.copy()
 
     def command(self, names: Sequence[str], positions: Sequence[float]) -> None:
-        """Go to `positions` [rad] of the joints of these `names`, or of all in order without names; the others stay.
+        """Go to `positions` [rad] of the joints `names`, or of all in order without names; the others keep their goal.
 
-        From now on the swing is forgotten. Raises ValueError, in words, for what no joint can do.
+        Ends the swing. Raises ValueError, with an explanation, for a command that no joint can follow.
         """
         names = names or self.limits.names
         if len(positions) != len(names):
@@ -104,14 +104,14 @@ class ArmControl:
         twists = images(states.inertias[rows], kicks[:, 3:])
         kicks[:, :3] *= _shares(impulses, h * settings.force_limit)
         kicks[:, 3:] *= _shares(twists, h * settings.force_limit * LEVER)
-        kicks[:, :3] -= h * gravity  # the arm bears its own weight whatever else it does
+        kicks[:, :3] -= h * gravity  # the arm always bears its own weight
         self._places, self._turns, self._velocities = places, turns, velocities
         pushes = np.zeros((len(states.fragment_ids), 6))
         pushes[rows] = kicks
         return pushes, _work(states.masses[rows], states.inertias[rows], before, kicks, h * gravity)
 
     def without_own(self, contacts: ContactConstraintArray) -> ContactConstraintArray:
-        """Less those among the arm's own parts, which overlap where links meet."""
+        """Contacts without those between the arm's own parts, which overlap where links meet."""
         others = ~(np.isin(contacts.fragment_a, self._own) & np.isin(contacts.fragment_b, self._own))
         if others.all():
             return contacts
@@ -130,7 +130,7 @@ class ArmControl:
         )
 
     def _advance(self, time_step: float, share: float) -> None:
-        """Joints go on by this share of a step."""
+        """Advance the joints by this share of a step."""
         before = self._angles
         if self._goal is None:
             self._clock += share * time_step
@@ -139,7 +139,7 @@ class ArmControl:
             return
         left = self._goal - before
         most = self._settings.acceleration_limit * time_step
-        # From this speed it can stop at the goal, slower by `most` each step.
+        # From this speed a joint can stop at the goal, slowing down by `most` each step.
         stopping = 0.5 * most * (np.sqrt(1.0 + 8.0 * np.abs(left) / (most * time_step)) - 1.0)
         wanted = np.sign(left) * np.minimum(stopping, self._most_speeds)
         speeds = self._speeds + np.clip(wanted - self._speeds, -most, most)
@@ -157,7 +157,7 @@ def _turn_between(before: np.ndarray, after: np.ndarray) -> np.ndarray:
 def _work(
     masses: np.ndarray, inertias: np.ndarray, before: np.ndarray, kicks: np.ndarray, fall: np.ndarray
 ) -> float:
-    """What `kicks` add to kinetic and potential energy [J] of bodies that meanwhile fall by `fall` (3,) [m/s]."""
+    """Kinetic and potential energy [J] that `kicks` add to bodies to which gravity adds `fall` (3,) [m/s]."""
     after = before + kicks
     after[:, :3] += fall
     gain = kinetic_energy(masses, inertias, after) - kinetic_energy(masses, inertias, before)
@@ -165,5 +165,5 @@ def _work(
 
 
 def _shares(vectors: np.ndarray, most: float) -> np.ndarray:
-    """By which (n, 3) vectors are at most so long: (n, 1), at most 1."""
+    """Factors (n, 1), at most 1, that limit the lengths of vectors (n, 3) to `most`."""
     return np.minimum(1.0, most / np.maximum(lengths(vectors)[..., None], 1e-300))

@@ -1,4 +1,4 @@
-"""What a hand does in a running simulation: it takes hold of fragments, pulls them, and keeps hold when they break."""
+"""A hand in a running simulation: it takes hold of fragments, pulls them, and keeps hold when they break."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from fracture_collision.simulation.solver.contact_solver import kinetic_energy
 class Drag:
     """A hand with its grip. A scene's recorded hand moves it; without one, `grab`, `move` and `release` do.
 
-    `body_ids`: the body of each living fragment, `breakable`: bodies with a mesh; both as the simulation keeps them.
+    `body_ids`: the body of each living fragment, `breakable`: bodies with a mesh; both are the simulation's own tables.
     """
 
     def __init__(
@@ -41,10 +41,10 @@ class Drag:
         return None if self._grip is None else self._grip.fragment_id
 
     def grab(self, name: str, position: np.ndarray, states: BodyStates) -> bool:
-        """Take hold of what is left of the body `name`, by its node nearest to `position` (3,) [m], world.
+        """Take hold of the body `name`, or a fragment of it, by the node nearest to `position` (3,) [m], world.
 
-        A box or a sphere is held by its centre. The hand is there from then on, until it is moved. False where none of
-        the body is among `states`; KeyError where no body has this name.
+        A box or a sphere is held by its centre. The hand stays at `position` until it is moved. False if no fragment of
+        the body is among `states`; KeyError if no body has this name.
         """
         body_id, nearest, self._grip = self._id_of[name], np.inf, None
         for i, fragment_id in enumerate(states.fragment_ids.tolist()):
@@ -76,15 +76,15 @@ class Drag:
         return self._grip is not None
 
     def move(self, position: np.ndarray, velocity: np.ndarray) -> None:
-        """Where the hand is, (3,) [m], and how fast it moves, (3,) [m/s], for the next step; world."""
+        """Set the hand's position (3,) [m] and velocity (3,) [m/s] for the next step; world."""
         self._position, self._velocity = np.asarray(position, np.float64), np.asarray(velocity, np.float64)
 
     def release(self) -> None:
-        """Let go of what is held, if anything is."""
+        """Release the held fragment, if any."""
         self._grip = None
 
     def keep_hold(self, body_id: int, fragment_id: int) -> None:
-        """The fragment has just broken: the hand keeps the piece that it holds."""
+        """After the fragment has broken: if it was held, keep hold of the piece at the grip."""
         if self.held == fragment_id:
             self._grip = self._grip._replace(fragment_id=self._breakable[body_id].owner(self._grip.node))
 
@@ -99,10 +99,10 @@ class Drag:
             return pushes, 0.0
         i = int(np.searchsorted(states.fragment_ids, self._grip.fragment_id))
         if i == len(states.fragment_ids) or states.fragment_ids[i] != self._grip.fragment_id:
-            return pushes, 0.0  # what has just broken off comes with the registry
+            return pushes, 0.0  # a new piece waits for the registry
         before = np.concatenate((states.linear[i], states.angular[i]))
         held_at = states.frame_positions[i] + turned_by(states.frame_orientations[i], self._grip.point)
-        # The spring reckons with the weight of this step, or what hangs from it would hang too low.
+        # The spring includes this step's weight, or what hangs from it would hang too low.
         falling = before + np.concatenate((time_step * gravity, np.zeros(3)))
         pushes[i] = kick(
             self._settings, states.masses[i], states.inertias[i], states.centers[i], falling,
@@ -116,7 +116,7 @@ class Drag:
         position, velocity, name = self._track.at(time)
         if name != self._holds:
             self.release()
-            # A body that does not take part yet is grabbed when it comes.
+            # A body that has not entered yet is grabbed when it comes.
             if not name or self.grab(name, position, states):
                 self._holds = name
         self.move(position, velocity)

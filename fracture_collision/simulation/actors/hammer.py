@@ -1,7 +1,7 @@
-"""A heavy ball on a strong arm that goes where a velocity command says: what a person smashes with.
+"""A heavy ball on a strong arm that follows a velocity command, for smashing interactively.
 
-The arm is a spring like a hand's (hand.py), of limited force: so a hammer that is driven against a wall stands there,
-and its momentum breaks what it meets as any body's would. It does not turn.
+The arm is a spring like a hand's (hand.py), of limited force: a hammer that is driven against a wall stops there, and
+its momentum breaks what it meets as any body's would. It does not turn.
 """
 
 from __future__ import annotations
@@ -14,19 +14,19 @@ from fracture_collision.simulation.engine.engine import BodyStates
 from fracture_collision.simulation.solver.contact_solver import kinetic_energy
 
 ARM = HandSettings(frequency=8.0, damping_ratio=1.0, force_limit=600.0)
-LEAD = 0.15  # [m] the commanded place runs no farther ahead of the hammer: it stops soon after the command does
+LEAD = 0.15  # [m] most that the commanded place leads the hammer, which so stops soon after the command does
 
 
 class Hammer:
     """Drives one body of a simulation; a pushes.Pusher."""
 
     def __init__(self, fragment_id: int, position: np.ndarray) -> None:
-        """`position` (3,) [m]: where it hangs until it is told to go, world."""
+        """`position` (3,) [m]: where it hangs until the first command, world."""
         self.fragment_id = fragment_id
         self._position, self._velocity = np.array(position, np.float64), np.zeros(3)
 
     def steer(self, velocity: np.ndarray) -> None:
-        """Go with `velocity` (3,) [m/s], world axes, until told otherwise."""
+        """Move with `velocity` (3,) [m/s], world axes, until the next command."""
         self._velocity = np.array(velocity, np.float64)
 
     def pull(
@@ -46,7 +46,7 @@ class Hammer:
             ARM, states.masses[i], states.inertias[i], center, falling, center, self._position, self._velocity,
             time_step,
         )  # fmt: skip
-        # the arm bears the weight whatever else it does, and lets the ball not spin
+        # The arm always bears the ball's weight and stops its spin.
         pushes[i, :3] -= time_step * gravity
         pushes[i, 3:] = -before[3:]
         of_body = states.masses[i : i + 1], states.inertias[i : i + 1]

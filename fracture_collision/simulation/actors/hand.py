@@ -1,12 +1,12 @@
-"""A hand that takes hold of bodies and drags them, by a spring with a damper: a person's, or one that was recorded.
+"""A hand that takes hold of bodies and drags them by an implicit spring with a damper, live or recorded.
 
-The spring pulls the point that was taken hold of, x = c + r, to the hand, x_h. It is implicit in the velocity it leads
-to, so that no stiffness is too much for the time step h. The impulse J at x obeys
+The spring pulls the held point, x = c + r, to the hand, x_h. It is implicit in the velocity after the step, so that it
+is stable at any stiffness and time step h. The impulse J at x obeys
 
     J = -h (k (x + h v' - x_h) + d (v' - v_h)),   v' = v + K J,   K = 1/m - [r] I^-1 [r]
     (1 + (h d + h^2 k) K) J = -h (k (x + h v - x_h) + d (v - v_h))
 
-with k = m (2 pi f)^2 and d = 2 zeta m (2 pi f), m the mass of what is held: light shards and whole bodies follow alike.
+with k = m (2 pi f)^2 and d = 2 zeta m (2 pi f), m the mass of the held fragment: light and heavy ones follow alike.
 """
 
 from __future__ import annotations
@@ -26,20 +26,20 @@ COLUMNS = ["time", "x", "y", "z", "holds"]
 
 
 class HandSettings(NamedTuple):
-    frequency: float = 4.0  # f [Hz], at which what is held would swing about the hand
-    damping_ratio: float = 1.0  # zeta; 1: it comes to rest without swinging
-    force_limit: float = 200.0  # [N] the hand pulls no harder
+    frequency: float = 4.0  # f [Hz] natural frequency of the held fragment about the hand
+    damping_ratio: float = 1.0  # zeta; 1: critical
+    force_limit: float = 200.0  # [N] largest pull of the hand
 
 
 class HandTrack(NamedTuple):
-    """Where a hand was, and which body it held; between two times it moves evenly."""
+    """Recorded positions of a hand, and the body it held; between two times it moves at constant velocity."""
 
     times: np.ndarray  # (k,) [s], ascending
     positions: np.ndarray  # (k, 3) [m], world
     holds: tuple[str, ...]  # (k,) name of the body held from this time on; "": none
 
     def at(self, time: float) -> tuple[np.ndarray, np.ndarray, str]:
-        """Position [m], velocity [m/s] and the body held at `time` [s]; beyond its ends the hand is still and open."""
+        """Position [m], velocity [m/s] and body held at `time` [s]; outside the track's times the hand rests, empty."""
         i = int(np.searchsorted(self.times, time, side="right")) - 1
         if i < 0 or i + 1 >= len(self.times):
             return self.positions[min(max(i, 0), len(self.times) - 1)], np.zeros(3), ""
@@ -60,11 +60,11 @@ class Grip(NamedTuple):
 
     fragment_id: int
     point: np.ndarray  # (3,) [m], body frame
-    node: int  # of the body's mesh, at that point: whoever owns it after a fracture stays in the hand; -1: no mesh
+    node: int  # of the body's mesh, at that point: after a fracture the hand keeps the piece that owns it; -1: no mesh
 
 
 def parse_hand(fields: Fields, folder: Path | None, names: list[str]) -> Hand:
-    """`track` is a CSV file beside the scene, or a list of its rows; `names` are those of bodies it may hold."""
+    """`track` is a CSV file beside the scene, or a list of its rows; `names`: the bodies that the hand may hold."""
     settings = HandSettings(
         fields.number("frequency", HandSettings().frequency, above=0.0),
         fields.number("damping_ratio", HandSettings().damping_ratio, minimum=0.0),
@@ -113,7 +113,7 @@ def kick(
 
 
 def rows_of_file(file: Path, path: str, columns: list[str]) -> list[list[str]]:
-    """Rows of a CSV file that begins with these `columns`; `path` is the field that names it. Raises SceneError."""
+    """Rows of a CSV file with the header `columns`; `path` is the field that names the file. Raises SceneError."""
     try:
         lines = read_text(file, MAX_TRACK_BYTES).splitlines(keepends=True)
         rows = [row for row in csv.reader(line for line in lines if not line.startswith("#")) if row]

@@ -1,4 +1,4 @@
-"""Fields of a scene file, taken out one by one; every error is a SceneError that names the field."""
+"""Fields of a scene file, consumed one by one; every error is a SceneError that names the field."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ import numpy as np
 
 
 class SceneError(ValueError):
-    """A scene file says something that cannot be; the text begins with the field's path."""
+    """An invalid scene file; the text begins with the field's path."""
 
 
 MOST_QUOTED = 40  # characters of a value: enough to find it, and little of a file that is no scene
 
 
 def quoted(value: Any) -> str:
-    """As much of it as an error may say."""
+    """The value, shortened for an error."""
     return shortened(reprlib.repr(value))
 
 
@@ -28,7 +28,7 @@ def shortened(text: str) -> str:
 
 
 class Fields:
-    """A mapping whose fields are taken out one by one; what is left at the end is a slip of the pen."""
+    """A mapping consumed field by field; a field left at the end is an error, probably a typo."""
 
     def __init__(self, content: Any, path: str) -> None:
         if not isinstance(content, Mapping):
@@ -56,7 +56,7 @@ class Fields:
         return float(value)
 
     def text(self, key: str) -> str:
-        """A text, or a number that stands for one."""
+        """A text, or a number as text."""
         value = self.take(key)
         if isinstance(value, bool) or not isinstance(value, str | int | float):
             raise SceneError(f"{self.name(key)}: needs a text, got {quoted(value)}")
@@ -96,7 +96,7 @@ class Fields:
 
 
 def numbers(fields: Fields, defaults: Any) -> Any:
-    """A NamedTuple of numbers, none of them negative, from fields of the same names."""
+    """A NamedTuple of non-negative numbers from fields of the same names."""
     values = {
         key: fields.integer(key, default) if isinstance(default, int) else fields.number(key, default, minimum=0.0)
         for key, default in defaults._asdict().items()

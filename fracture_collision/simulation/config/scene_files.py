@@ -1,7 +1,7 @@
-"""Files of a scene, read as data and nothing else: sizes bounded before anything is made of them, errors in words.
+"""Files of a scene, read as plain data: sizes are bounded before anything is built, and every error is a SceneError.
 
-YAML's aliases name a part again, so that a few lines can stand for more than any memory holds: a text's parts are
-counted as they would be written out, before they are made.
+YAML aliases repeat a part, so a few lines can expand to more than any memory holds: the parts are counted with all
+aliases expanded before they are built.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ import yaml
 from fracture_collision.simulation.config.scene_fields import SceneError, shortened
 
 MAX_SCENE_BYTES = 1_000_000
-MAX_TRACK_BYTES = 20_000_000  # hours of a hand, a row a step
-MAX_PARTS = 100_000  # of a scene, written out without aliases
+MAX_TRACK_BYTES = 20_000_000  # hours of a hand, at one row per step
+MAX_PARTS = 100_000  # of a scene, with all aliases expanded
 
 
 def read_text(file: Path, most_bytes: int) -> str:
@@ -36,7 +36,7 @@ def read_text(file: Path, most_bytes: int) -> str:
 
 
 def read_yaml(file: Path) -> Any:
-    """What a YAML file says: mappings, lists, texts and numbers, no objects; raises SceneError."""
+    """Content of a YAML file: mappings, lists, texts and numbers, no objects; raises SceneError."""
     try:
         loader = yaml.SafeLoader(read_text(file, MAX_SCENE_BYTES))
         try:
@@ -51,12 +51,12 @@ def read_yaml(file: Path) -> Any:
         raise
     except RecursionError:
         raise SceneError(f"{file}: not YAML that can be read: too deep") from None
-    except (yaml.YAMLError, ValueError, OverflowError) as error:  # ValueError: of a date or a number that is none
+    except (yaml.YAMLError, ValueError, OverflowError) as error:  # ValueError: an invalid date or number
         raise SceneError(f"{file}: not YAML: {_words(error)}") from error
 
 
 def _words(error: Exception) -> str:
-    """What is wrong, and in which line; PyYAML's own words have the line itself, whatever file it is of."""
+    """The problem and its line number; PyYAML's own message quotes the line, whatever file it is from."""
     if not isinstance(error, yaml.MarkedYAMLError):
         return _shortened_words(str(error))
     mark = error.problem_mark or error.context_mark

@@ -1,4 +1,4 @@
-"""Shapes of a scene's bodies, by kind: planes, boxes and spheres as they are, everything else as a tetrahedral mesh.
+"""Shapes of a scene's bodies, by kind: planes, boxes and spheres as primitives, all others as tetrahedral meshes.
 
 A kind's fields are the arguments of the function that makes its mesh, under the same names.
 """
@@ -49,8 +49,8 @@ class Shape(NamedTuple):
 
 
 def parse_shape(fields: Fields, made: dict[tuple, TetGeometry], folder: Path | None = None) -> Shape:
-    """The shape that just one field, named by a kind, describes. `made` keeps meshes, so that equal ones are one. Files
-    it names lie in `folder`.
+    """The shape described by exactly one field, named by a kind. `made` caches meshes, so that equal ones are shared.
+    Files it names lie in `folder`.
     """
     kinds = fields.keys()
     if len(kinds) != 1 or kinds[0] not in KINDS:

@@ -1,4 +1,4 @@
-"""A chain of revolute joints out of a URDF file, and where its links are for given joint angles.
+"""A chain of revolute joints from a URDF file, and the frames of its links for given joint angles.
 
 Forward kinematics: the frame of link j is that of link j - 1, moved by the joint's `origin` and turned about its
 `axis` by the joint's angle (REP-103 axes; URDF's rpy are rotations about fixed x, y, z axes in this order).
@@ -24,16 +24,16 @@ class JointLimits(NamedTuple):
 
 
 class Chain(NamedTuple):
-    """k revolute joints, each at the end of the link before."""
+    """k revolute joints, each at the end of the previous link."""
 
     limits: JointLimits
-    places: np.ndarray  # (k, 3) [m], of the joint in the frame of the link before
+    places: np.ndarray  # (k, 3) [m], of the joint in the frame of the previous link
     turns: np.ndarray  # (k, 4) unit quaternions x y z w, likewise
     axes: np.ndarray  # (k, 3) unit, in the joint's frame
 
 
 def read_chain(file: Path) -> Chain:
-    """The revolute joints of a URDF file, in its order. ValueError where one does not follow the other."""
+    """The revolute joints of a URDF file, in its order. ValueError if they do not form one chain."""
     joints = [joint for joint in ElementTree.parse(file).getroot().iter("joint") if joint.get("type") == "revolute"]
     for before, after in zip(joints[:-1], joints[1:], strict=True):
         if before.find("child").get("link") != after.find("parent").get("link"):
@@ -53,7 +53,7 @@ def read_chain(file: Path) -> Chain:
 def link_frames(
     chain: Chain, position: np.ndarray, orientation: np.ndarray, angles: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Origins (k, 3) [m] and orientations (k, 4) of the links behind each joint, with the first link's frame given."""
+    """Origins (k, 3) [m] and orientations (k, 4) of the links after each joint, given the base link's frame."""
     origins, orientations = np.empty_like(chain.places), np.empty_like(chain.turns)
     half = 0.5 * np.asarray(angles)
     about = np.column_stack((sine(half)[:, None] * chain.axes, cosine(half)))

@@ -1,9 +1,9 @@
-"""What the simulation asks of a physics engine: bodies in, velocities in, states out.
+"""Interface of the physics engine: bodies in, velocities in, states out.
 
-The engine holds the bodies and moves them; it finds no contacts and solves none. The simulation gives it the velocities
-that the contact solver found, and it integrates the poses. Two frames occur: the *body frame* of the records (that of
-the original, unbroken body, carried along rigidly by each of its fragments) and the centre of mass, about which
-velocities and inertias are given here.
+The engine holds the bodies and moves them; it neither finds nor solves contacts. The simulation passes it the contact
+solver's velocities, and it integrates the poses. Two frames occur: the *body frame* of the records (that of the
+original, unbroken body, carried along rigidly by each of its fragments) and the centre of mass, about which velocities
+and inertias are given here.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class BodyStates(NamedTuple):
 
 
 def rows_of(fragments: np.ndarray, ids: np.ndarray) -> np.ndarray:
-    """Where `fragments` (m,) stand in ascending `ids` (n,): (m,) int64; n: not among them."""
+    """Positions of `fragments` (m,) in ascending `ids` (n,): (m,) int64; n if not among them."""
     rows = np.searchsorted(ids, fragments)
     return np.where(np.append(ids, 0)[rows] == fragments, rows, len(ids)).astype(np.int64)
 
@@ -63,13 +63,13 @@ class Engine(Protocol):
     """A world of free rigid bodies without collision shapes."""
 
     def add(self, fragment_id: int, properties: MassProperties, frame: FrameState) -> None:
-        """Take in a body; ValueError where its id is taken or its mass is not positive."""
+        """Add a body; ValueError if its id is taken or its mass is not positive."""
 
     def remove(self, fragment_id: int) -> None:
-        """Forget a body; KeyError where there is none of this id."""
+        """Remove a body; KeyError if there is none of this id."""
 
     def states(self) -> BodyStates:
-        """Of all bodies, now."""
+        """Present states of all bodies."""
 
     def advance(
         self, linear: np.ndarray, angular: np.ndarray, drift_linear: np.ndarray, drift_angular: np.ndarray
@@ -77,8 +77,8 @@ class Engine(Protocol):
         """One time step: bodies, in the order of `states`, move with `linear` + `drift_linear` (n, 3), keep `linear`.
 
         Likewise `angular`. The velocities already contain gravity and gyroscopic terms of this step; the drift
-        velocities move poses only, they are gone after the step.
+        velocities move poses only and do not outlast the step.
         """
 
     def close(self) -> None:
-        """Give everything back; safe to call twice."""
+        """Release all resources; safe to call twice."""

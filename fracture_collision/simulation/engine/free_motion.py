@@ -1,4 +1,4 @@
-"""Velocities of free rigid bodies after one time step: gravity, and the gyroscopic torque without gain of energy.
+"""Velocities of free rigid bodies after one time step: gravity, and the gyroscopic torque without energy gain.
 
 Euler's equations I w' + w x I w = 0 by the implicit midpoint rule: with m = (w0 + w1) / 2,
 
@@ -17,11 +17,11 @@ from numba import njit
 from fracture_collision.simulation.compiled import uncounted
 
 NEWTON_STEPS = 12
-# A step in which a body turns by many radians is taken in parts, doubled as long as one does not converge.
+# A step in which a body turns by many radians is divided into parts, doubled in number while one does not converge.
 MOST_PARTS = 1024
-# Relative to |I w|; quadratic convergence gets from a thousandth to here in two steps.
+# Residual relative to |I w|; quadratic convergence gets from a thousandth to here in two steps.
 CONVERGED = 1.0e-15
-# Rounding may keep it a little above.
+# Accepted after the last step: rounding may keep the residual a little above.
 NEARLY = 1.0e-12
 
 
@@ -69,7 +69,7 @@ def _spin_after_part(before, inertia, time_step):
         size = math.sqrt(_dot(residual, residual))
         if size <= CONVERGED * scale:
             return spin, True
-        # Columns of f': what it makes of each axis.
+        # Columns of f', its products with the axes.
         x = _column(inertia[0], (1.0, 0.0, 0.0), middle, middle_momentum, time_step)
         y = _column(inertia[1], (0.0, 1.0, 0.0), middle, middle_momentum, time_step)
         z = _column(inertia[2], (0.0, 0.0, 1.0), middle, middle_momentum, time_step)

@@ -1,4 +1,4 @@
-"""A scene for any one breakable mesh: it drops onto a floor, and a ball hits what is left."""
+"""A scene for any one breakable mesh: it drops onto a floor, and a ball hits its remains."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from fracture_collision.geometry.generators import TetGeometry
 from fracture_collision.geometry.tetrahedra import tetrahedron_volumes
 
 DENSITY = 1200.0  # [kg/m3] plaster
-DROP_SPEED = 3.0  # [m/s] when it is let go
+DROP_SPEED = 3.0  # [m/s] when it is released
 BALL_SPEED = 6.0  # [m/s]
-STRENGTH_SPEED = 0.7  # [m/s] it bears a fall at which it is so fast
+STRENGTH_SPEED = 0.7  # [m/s] impact speed that the body bears
 SMALLEST_SHARE = 1.0 / 30.0  # of its mass: lighter fragments do not break
 
 
 def own_body_scene(file: Path, mesh: TetGeometry) -> dict[str, Any]:
-    """What a scene file says (scene/scene.py). `file`: where `mesh` [m] is stored, seen from the scene file."""
+    """Content of a scene file (scene/scene.py). `file`: where `mesh` [m] is stored, relative to the scene file."""
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     size = float((high - low).max())
     mass = DENSITY * float(tetrahedron_volumes(*mesh).sum())

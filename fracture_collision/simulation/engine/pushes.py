@@ -1,4 +1,4 @@
-"""What pushes the bodies of a simulation, beside gravity and contacts: hands, hammers, arms; asked once a step."""
+"""Pushes on the bodies of a simulation, beside gravity and contacts: hands, hammers and arms, evaluated once a step."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from fracture_collision.simulation.engine.engine import BodyStates
 
 
 class Pusher(Protocol):
-    """Something outside the scene that acts on what moves in it."""
+    """An actor outside the scene that pushes bodies in it."""
 
     def pull(
         self, states: BodyStates, time: float, time_step: float, gravity: np.ndarray
     ) -> tuple[np.ndarray, float]:
-        """What it adds in the step at `time` [s]: to all velocities, (n, 6) [m/s, rad/s], and to the energy [J]."""
+        """Its additions in the step at `time` [s]: to all velocities, (n, 6) [m/s, rad/s], and to the energy [J]."""
 
 
 class Pushes(NamedTuple):
@@ -25,13 +25,13 @@ class Pushes(NamedTuple):
 
 
 class Changes(NamedTuple):
-    """Of velocities, by fragments."""
+    """Changes of velocities, by fragments."""
 
     fragment_ids: np.ndarray  # (n,) uint32, ascending
     velocities: np.ndarray  # (n, 6) [m/s, rad/s]
 
     def of(self, fragment_ids: np.ndarray) -> np.ndarray:
-        """(m, 6), of fragments that are not among these 0."""
+        """(m, 6) changes of `fragment_ids`; 0 for fragments that are not among these."""
         velocities = np.zeros((len(fragment_ids), 6))
         _, own, these = np.intersect1d(fragment_ids, self.fragment_ids, assume_unique=True, return_indices=True)
         velocities[own] = self.velocities[these]
@@ -42,16 +42,16 @@ NO_CHANGES = Changes(np.zeros(0, np.uint32), np.zeros((0, 6)))
 
 
 class Planned(NamedTuple):
-    """What was asked for when the step began, of the bodies that moved then: who comes later is not pushed in it."""
+    """Pushes planned when the step began, on the bodies in motion then; newer bodies are not pushed in this step."""
 
     pushes: Changes
     energy: float  # [J] that they add
-    expected: Changes  # what is left of the pushes once contacts have taken what they will, as far as anybody knows
+    expected: Changes  # estimate of what contacts leave of the pushes
 
 
 def planned(fragment_ids: np.ndarray, pushes: Pushes, taken: Changes) -> Planned:
-    """taken: by contacts in the last step. A hammer that presses against a wall is stopped by it as it was then; but
-    from a blow on nothing follows for a hammer that has just met the wall: no more is taken than was pushed.
+    """taken: changes by contacts in the last step. They are expected again, as for a hammer that presses against a
+    wall, but no larger than the push: the blow of a hammer that has just hit the wall does not repeat.
     """
     by_contacts = taken.of(fragment_ids)
     for part in (slice(0, 3), slice(3, 6)):
@@ -64,7 +64,7 @@ def planned(fragment_ids: np.ndarray, pushes: Pushes, taken: Changes) -> Planned
 def pushes_of(
     pushers: list[Pusher], states: BodyStates, time: float, time_step: float, gravity: np.ndarray
 ) -> Pushes:
-    """What all of them add in the step at `time` [s]."""
+    """Sum over all pushers in the step at `time` [s]."""
     velocities, energy = np.zeros((len(states.fragment_ids), 6)), 0.0
     for pusher in pushers:
         more, gain = pusher.pull(states, time, time_step, gravity)

@@ -1,12 +1,12 @@
 """The engine: holds masses, inertias and poses of rigid bodies and integrates them.
 
-One step of length h moves a body with centre of mass c and orientation q by the velocities v, w that it is given,
+One step of length h moves a body with centre of mass c and orientation q by the given velocities v, w,
 
     c += h v,   q = exp(h w / 2) q,
 
-the second of which is exact for a constant w (semi-implicit Euler; the velocities contain gravity and gyroscopic terms
-already). Bullet integrates by the same formulas (btTransformUtil::integrateTransform), but takes sin and cos from
-glibc, which rounds them differently from processor to processor, and turns no body by more than pi/4 a step.
+the second of which is exact for a constant w (semi-implicit Euler; the velocities already contain gravity and
+gyroscopic terms). Bullet integrates by the same formulas (btTransformUtil::integrateTransform), but takes sin and cos
+from glibc, which rounds them differently from processor to processor, and turns no body by more than pi/4 a step.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _sine_after = njit(cache=True)(portable_math.sine_after)
 
 
 class _Bodies(NamedTuple):
-    """Ascending by fragment id; the properties in body frames, the poses in the world."""
+    """Ascending by fragment id; mass properties in body frames, poses in the world."""
 
     fragment_ids: np.ndarray  # (n,) uint32
     masses: np.ndarray  # (n,) [kg]
@@ -59,8 +59,8 @@ class RigidBodyWorld:
     def __init__(self, time_step: float) -> None:
         self._time_step = float(time_step)
         self._bodies = _NONE
-        self._newcomers: dict[int, tuple[MassProperties, FrameState]] = {}  # among the bodies when states are read
-        self._states: BodyStates | None = None  # of `_bodies`, where nothing has changed since
+        self._newcomers: dict[int, tuple[MassProperties, FrameState]] = {}  # joined to `_bodies` when states are read
+        self._states: BodyStates | None = None  # of `_bodies`, None after a change
 
     def add(self, fragment_id: int, properties: MassProperties, frame: FrameState) -> None:
         if fragment_id in self._newcomers or self._row_of(fragment_id) is not None:
@@ -98,13 +98,13 @@ class RigidBodyWorld:
             centers=before.centers + self._time_step * (linear + drift_linear),
             orientations=after,
             linear=np.array(linear),
-            # Spins turn with the bodies, which keeps their energies.
+            # Spins turn with the bodies, which conserves their energies.
             angular=turned_along(before.frame_orientations, after, np.array(angular)),
         )
         self._states = None
 
     def close(self) -> None:
-        """Nothing is held."""
+        """No resources to release."""
 
     def _row_of(self, fragment_id: int) -> int | None:
         ids = self._bodies.fragment_ids
@@ -142,7 +142,7 @@ def _states_of(bodies: _Bodies) -> BodyStates:
 
 
 def _leading_minors(matrix: np.ndarray) -> tuple[float, float, float]:
-    """All positive where a symmetric (3, 3) matrix is positive definite (Sylvester)."""
+    """All positive if and only if a symmetric (3, 3) matrix is positive definite (Sylvester)."""
     two = matrix[0, 0] * matrix[1, 1] - matrix[0, 1] * matrix[1, 0]
     return float(matrix[0, 0]), float(two), float(portable_math.determinants(matrix))
 

@@ -1,4 +1,4 @@
-"""A tetrahedral body as the simulator sees it: which node belongs to which fragment."""
+"""A tetrahedral body in the simulator: which node belongs to which fragment."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class BreakableBody:
         return self._node_counts[fragment_id]
 
     def nearest_node(self, fragment_id: int, point: np.ndarray) -> tuple[int, np.ndarray]:
-        """The fragment's node nearest to `point` (3,) [m], the first of several, and where it is; body frame."""
+        """The fragment's node nearest to `point` (3,) [m], the first of several, and its position; body frame."""
         nodes = np.flatnonzero(self._node_fragments == fragment_id)
         node = int(nodes[np.argmin(lengths(self._vertices[nodes] - point))])
         return node, self._vertices[node]
@@ -45,10 +45,10 @@ class BreakableBody:
         settings: PatternSettings,
         generator: np.random.Generator,
     ) -> FractureEvent | None:
-        """Break a fragment at `impact_point` (3,) [m], body frame; None where it holds together.
+        """Break a fragment at `impact_point` (3,) [m], body frame; None if it holds together.
 
-        `overload` is the impulse of the blow over the strength: a blow twice as strong as need be sows twice the seeds
-        of one that just suffices, up to `settings.seeds`.
+        `overload` is the impulse of the blow over the strength: a blow of twice the strength sows twice the seeds of
+        one that just suffices, up to `settings.seeds`.
         """
         nodes, edges = inside_fragment(self._node_fragments, self._edges, fragment_id)
         seeds = int(np.clip(round(settings.seeds_per_overload * overload), 2, settings.seeds))

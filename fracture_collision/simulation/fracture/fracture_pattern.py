@@ -1,12 +1,12 @@
 """Voronoi fracture of one fragment of a tetrahedral mesh around an impact.
 
-Seeds lie denser near the impact; each node goes to its nearest seed (ties: the lowest), and what of a seed's nodes
-hangs together along mesh edges is a new fragment. A seed without a node leaves no trace, so every fragment owns at
+Seeds lie denser near the impact; each node joins the Voronoi cell of its nearest seed (ties: the lowest), and each part
+of a cell connected along mesh edges is a new fragment. A seed without a node has no effect, so every fragment owns at
 least one node: the rule of the virtual node algorithm (Molino, Bao, Fedkiw 2004) that Glondu 2014 builds on.
 
-Each edge whose ends part gets its crack plane, the bisector of the two seeds. With `curvature` distances are measured
-in a smoothly warped space, phi(x) = x + A sin(K x + p), whose bisectors are curved; the edge's plane is the tangent
-plane of the bisector where it crosses the edge:
+Each edge between two fragments gets a crack plane, the bisector of the two seeds. With `curvature`, distances are
+measured in a smoothly warped space, phi(x) = x + A sin(K x + p), where bisectors are curved; the edge's plane is the
+tangent plane of the bisector where it crosses the edge:
 
     f(x) = |phi(x) - phi(s)|^2 - |phi(x) - phi(t)|^2,   grad f = 2 phi'(x)^T (phi(t) - phi(s))
 """
@@ -28,17 +28,17 @@ from fracture_collision.simulation.fracture.pattern_pieces import (
 
 
 class PatternSettings(NamedTuple):
-    """How a material breaks; the scene file says why."""
+    """How a material breaks; the scene file gives the reasons."""
 
     seeds: int = 12  # of the largest break
-    seeds_per_overload: float = 4.0  # seeds of a blow, over its impulse as a multiple of the strength
-    concentration: float = 1.0  # weight of a node as a seed falls with this power of its distance from the impact
+    seeds_per_overload: float = 4.0  # seeds of a blow, per multiple of the strength in its impulse
+    concentration: float = 1.0  # a node's weight as a seed falls with this power of its distance from the impact
     curvature: float = 0.0  # amplitude of the warp as a share of the distance between seeds; 0: flat cracks
     minimum_nodes: int = 4  # smaller pieces stay with the neighbour they share most edges with
 
 
 class Pattern(NamedTuple):
-    """How a fragment falls apart; nodes by their places among those of the fragment, planes in the body frame."""
+    """Pieces of a fragment and the cuts between them; nodes by index within the fragment, planes in the body frame."""
 
     pieces: np.ndarray  # (k,) for each node of the fragment, the index of its piece: 0 .. piece_count - 1
     piece_count: int
@@ -73,7 +73,7 @@ def voronoi_pattern(
 ) -> Pattern | None:
     """Break the fragment with nodes at `points` (k, 3) [m] near `impact_point` (3,) [m], both in the body frame.
 
-    `edges` (e, 2) int64 are the mesh edges inside the fragment. Returns None where it holds together: fewer than two
+    `edges` (e, 2) int64 are the mesh edges inside the fragment. Returns None if it holds together: fewer than two
     pieces of at least `settings.minimum_nodes`. Equal arguments and generator state give equal bytes.
     """
     seeds = _draw_seeds(points, edges, impact_point, min(seed_count, len(points)), settings, generator)
@@ -83,8 +83,8 @@ def voronoi_pattern(
     pieces, piece_count, cut = connected_pieces(labels, edges, settings.minimum_nodes)
     if piece_count < 2:
         return None
-    # From the lower seed to the higher, so that all edges between two seeds share one plane. Two pieces of one seed
-    # have no edge in common, or they would be one.
+    # From the lower seed to the higher, so that all edges between two seeds share one plane. No edge connects two
+    # pieces of one seed, or they would be one.
     cut = np.where((labels[cut[:, 0]] > labels[cut[:, 1]])[:, None], cut[:, ::-1], cut)
     if warp is None:
         planes = _flat_planes(points, seeds, labels, cut)
@@ -101,7 +101,7 @@ def _draw_seeds(
     settings: PatternSettings,
     generator: np.random.Generator,
 ) -> np.ndarray:
-    """Nodes, drawn by their distance from the impact, each moved by up to half an edge: no two distances tie."""
+    """Nodes drawn with weights by distance from the impact, each moved by up to half an edge: no two distances tie."""
     edge_length = edge_lengths(points, edges).mean() if len(edges) else 0.0
     distance = lengths(points - impact_point)
     weights = power(distance + 2.0 * edge_length + np.finfo(float).tiny, -settings.concentration)
@@ -125,7 +125,7 @@ def _flat_planes(points: np.ndarray, seeds: np.ndarray, labels: np.ndarray, cut:
     normals = seeds[pair[:, 1]] - seeds[pair[:, 0]]
     normals /= lengths(normals)[:, None]
     offsets = dots(normals, 0.5 * (seeds[pair[:, 1]] + seeds[pair[:, 0]]))
-    # Labels come from distances, sides from dot products; where rounding lets the two differ the pair's one plane moves
+    # Labels come from distances, sides from dot products; where rounding makes the two differ, the pair's plane moves
     # by that rounding, for all its edges alike.
     sides = images(points[cut], normals[inverse])
     highest_first, lowest_second = range_between(sides, inverse, len(pair))
@@ -145,12 +145,12 @@ def _curved_planes(
         place = warp(start + middle[:, None] * (end - start))
         nearer_s = dots(place - s, place - s) <= dots(place - t, place - t)
         low, high = np.where(nearer_s, middle, low), np.where(nearer_s, high, middle)
-    # Off the ends, so that a plane cuts off no node of its own.
+    # Kept off the ends, so that a node stays on its own side of the plane.
     crossing = start + np.clip(0.5 * (low + high), 1e-6, 1.0 - 1e-6)[:, None] * (end - start)
     normals = images(warp.jacobians(crossing).transpose(0, 2, 1), t - s)
     normals /= lengths(normals)[:, None]
     along = (end - start) / lengths(end - start)[:, None]
-    # An edge that runs nearly within the bisector, or against it over a bulge, is cut straight across instead.
+    # An edge that runs nearly within the bisector, or against it over a bulge, is cut at a right angle instead.
     grazing = dots(normals, along) < 0.05
     normals = np.where(grazing[:, None], along, normals)
     return np.column_stack((normals, dots(normals, crossing)))

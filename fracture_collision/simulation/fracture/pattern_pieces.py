@@ -1,6 +1,6 @@
-"""Into which pieces seeds part the nodes of a fragment, and which edges that cuts: the loops of `fracture_pattern`.
+"""Pieces into which seeds divide the nodes of a fragment, and the edges this cuts: the loops of `fracture_pattern`.
 
-Nodes and edges are those of the fragment, numbered among themselves.
+Nodes and edges are those of the fragment, numbered within it.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from fracture_collision.simulation.solver.contact_islands import root_of
 
 @njit(cache=True)
 def inside_fragment(node_fragments, edges, fragment_id):
-    """Its nodes (k,) int64, ascending, and the edges (i, 2) int64 between two of them, as indices into those."""
+    """The fragment's nodes (k,) int64, ascending, and its inner edges (i, 2) int64 as indices into these."""
     place = np.full(node_fragments.size, -1)
     nodes, count = np.empty(node_fragments.size, np.int64), 0
     for node in range(node_fragments.size):
@@ -32,7 +32,7 @@ def inside_fragment(node_fragments, edges, fragment_id):
 
 @njit(cache=True)
 def edge_lengths(points, edges):
-    """(e,) [m]."""
+    """Lengths (e,) [m] of the edges."""
     lengths = np.empty(len(edges))
     for e in range(len(edges)):
         lengths[e] = np.sqrt(_squared_distance(points[edges[e, 0]], points[edges[e, 1]]))
@@ -41,7 +41,7 @@ def edge_lengths(points, edges):
 
 @njit(cache=True)
 def nearest_seeds(points, seeds):
-    """The seed (s, 3) nearest to each point (k, 3), the lowest of several: (k,) int64."""
+    """Index of the seed (s, 3) nearest to each point (k, 3), the lowest of several: (k,) int64."""
     nearest = np.empty(len(points), np.int64)
     for i in range(len(points)):
         least = np.inf
@@ -56,7 +56,7 @@ def nearest_seeds(points, seeds):
 def connected_pieces(labels, edges, minimum_nodes):
     """Connected pieces of equal label, the small ones joined to neighbours: (k,) int64, numbered by their first nodes.
 
-    Returns them, how many there are, and the edges between two of them (c, 2).
+    Returns the pieces, their count, and the edges between two of them (c, 2).
     """
     root = np.arange(labels.size)
     between, between_count = np.empty_like(edges), 0
@@ -84,7 +84,7 @@ def connected_pieces(labels, edges, minimum_nodes):
 
 @njit(cache=True)
 def seed_pairs(labels, cut, seed_count):
-    """Seeds on both sides of cut edges (c, 2): the pairs that occur (p, 2), ascending, and the row of each edge's."""
+    """Pairs of seeds (p, 2) on both sides of cut edges (c, 2), ascending, and each edge's row among them (c,)."""
     row_of = np.full(seed_count * seed_count, -1)
     for e in range(len(cut)):
         row_of[labels[cut[e, 0]] * seed_count + labels[cut[e, 1]]] = 0
@@ -101,7 +101,7 @@ def seed_pairs(labels, cut, seed_count):
 
 @njit(cache=True)
 def range_between(sides, rows, count):
-    """Of each of `count` pairs: the highest of its edges' first ends, the lowest of the second; sides (c, 2) [m]."""
+    """For each of `count` pairs the highest first end and the lowest second end of its edges; sides (c, 2) [m]."""
     highest, lowest = np.full(count, -np.inf), np.full(count, np.inf)
     for e in range(len(rows)):
         highest[rows[e]] = max(highest[rows[e]], sides[e, 0])
@@ -129,7 +129,7 @@ def _number_by_first(pieces):
 
 @njit(cache=True)
 def _join_small(pieces, count, between, minimum_nodes):
-    """The smallest piece below `minimum_nodes` joins the neighbour it shares most edges with, until there is none."""
+    """Join the smallest piece below `minimum_nodes` to the neighbour with most shared edges, until none is left."""
     sizes = np.bincount(pieces, minlength=count)
     is_alone, shared = np.zeros(count, np.bool_), np.empty(count, np.int64)
     while True:

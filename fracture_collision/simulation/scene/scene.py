@@ -1,7 +1,7 @@
-"""Scenes: what stands where, of what, and what is thrown at it. YAML in, NamedTuples out.
+"""Scenes: bodies, their places and materials, and what is thrown at them. YAML in, NamedTuples out.
 
 In config/scenes plates.yaml shows the fields with their units, bunnies.yaml a hand, reference_sphere.yaml variants.
-All errors are a SceneError that names the field.
+Every error is a SceneError that names the field.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class SceneBody(NamedTuple):
     is_static: bool
     position: np.ndarray  # (3,) [m], of the body frame in the world
     orientation: np.ndarray  # (4,) unit quaternion x y z w
-    start_time: float  # [s] takes part from here on
+    start_time: float  # [s] when it enters the scene
     linear_velocity: np.ndarray  # (3,) [m/s] at its start
     angular_velocity: np.ndarray  # (3,) [rad/s], world axes
 
@@ -65,7 +65,7 @@ class Scene(NamedTuple):
     solver: SolverSettings
     bodies: tuple[SceneBody, ...]
     hand: Hand | None = None  # that drags bodies
-    arm: Arm | None = None  # whose parts are among the bodies, under the names of arm.PARTS
+    arm: Arm | None = None  # its parts are among the bodies, under the names of arm.PARTS
 
     @property
     def step_count(self) -> int:
@@ -79,7 +79,7 @@ class SceneFile(NamedTuple):
 
 
 def scene_files() -> list[SceneFile]:
-    """The scenes that come with the package, by name."""
+    """The scenes of the package, by name."""
     files = sorted((share_directory() / "config" / "scenes").glob("*.yaml"))
     return [
         SceneFile(
@@ -90,7 +90,7 @@ def scene_files() -> list[SceneFile]:
 
 
 def scene_names() -> list[str]:
-    """What load_scene takes without a path: the package's scenes, each with its variants."""
+    """Names that load_scene accepts without a path: the package's scenes, each with its variants."""
     return [
         name for file in scene_files()
         for name in (file.path.stem, *(f"{file.path.stem}:{variant}" for variant in file.variants))
@@ -98,16 +98,16 @@ def scene_names() -> list[str]:
 
 
 def load_scene(name_or_path: str | Path) -> Scene:
-    """The scene of this file, or of this name among those that come with the package.
+    """The scene of this file, or of this name among the package's scenes.
 
-    NAME:VARIANT is the scene with what its field `variants` says of this variant.
+    NAME:VARIANT is the scene with the changes that its field `variants` lists for this variant.
     """
     path, variant = _find(str(name_or_path))
     return parse_scene(read_yaml(path), path.stem, variant, path.parent)
 
 
 def parse_scene(content: Any, name: str, variant: str = "", folder: Path | None = None) -> Scene:
-    """The scene that `content`, as YAML gives it, describes; raises SceneError. Files it names lie in `folder`."""
+    """The scene described by `content`, parsed YAML; raises SceneError. Files it names lie in `folder`."""
     if variant:
         known = _variants(content)
         if variant not in known:
@@ -154,7 +154,7 @@ def parse_scene(content: Any, name: str, variant: str = "", folder: Path | None 
 
 
 def _find(name: str) -> tuple[Path, str]:
-    """The file of a scene, and the variant asked for."""
+    """The file of a scene, and the variant named."""
     folder = share_directory() / "config" / "scenes"
     stem, _, variant = name.partition(":")
     candidates = [(Path(name), ""), (folder / f"{name}.yaml", "")]
@@ -171,7 +171,7 @@ def _variants(content: Any) -> Mapping[str, Any]:
 
 
 def _merged(content: Any, change: Any, path: str) -> Any:
-    """`content` with the fields of `change` in place of its own; of a list of bodies, those that it names."""
+    """`content` with the fields of `change` in place of its own; in a list, `change` selects bodies by name."""
     if isinstance(content, Mapping) and isinstance(change, Mapping):
         changed = {key: _merged(content.get(key), value, f"{path}.{key}") for key, value in change.items()}
         return {**content, **changed}
@@ -218,7 +218,7 @@ def _material_of(fields: Fields, materials: Mapping[str, Material]) -> Material:
 
 
 def _arm_bodies(arm: Arm, material: Material) -> tuple[SceneBody, ...]:
-    """Its parts, where its swing begins."""
+    """The arm's parts as bodies, at the start of its swing."""
     centers, turns = ArmKinematics(arm.position, arm.orientation).places(arm.swing()(0.0))
     foot = arm.position + turned_by(arm.orientation, PARTS[0].center)
     places = [(foot, arm.orientation), *zip(centers, turns, strict=True)]

@@ -1,4 +1,4 @@
-"""Scenes made of others: with other cracks, or with a random drop, for studies of many trials."""
+"""Scenes derived from others: with other cracks, or with a random drop, for studies of many trials."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ DROP_SPIN = 5.0  # [rad/s]
 
 
 def with_curvature(scene: Scene, curvature: float) -> Scene:
-    """All that breaks does so by cracks of this `curvature` (see PatternSettings): 0 flat, 0.25 as in porcelain."""
+    """The scene with all cracks of this `curvature` (see PatternSettings): 0 flat, 0.25 as in porcelain."""
     if not (math.isfinite(curvature) and curvature >= 0.0):
         raise ValueError(f"curvature: {curvature} is not a number of at least 0")
     bodies = []
@@ -30,10 +30,10 @@ def with_curvature(scene: Scene, curvature: float) -> Scene:
 
 
 def random_drop(scene: Scene, seed: int) -> Scene:
-    """The scene, each body that moves turned any way and thrown at random; equal seeds give equal drops.
+    """The scene with each movable body at a random orientation and velocity; equal seeds give equal drops.
 
-    Positions stay. To the velocities of the file come normally distributed ones, DROP_SPEED and DROP_SPIN a coordinate;
-    upwards speed counts as downwards: it is a drop (Glondu et al. 2014, 7.4).
+    Positions stay. Normally distributed velocities, DROP_SPEED and DROP_SPIN per coordinate, are added to those of the
+    file; the vertical one is made downwards, so that it is a drop (Glondu et al. 2014, 7.4).
     """
     generator = np.random.default_rng(seed)
     bodies = []

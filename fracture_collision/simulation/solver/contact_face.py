@@ -1,7 +1,7 @@
-"""Where an iteration of the contact solver goes on: the lowest point of the face that its contacts lie on.
+"""Acceleration of the contact solver's iterations: the minimum of f (`contact_sweeps`) on the face of the contacts.
 
-The impulses that obey (2), (3) and (5) of `contact_solver` are a product of cones. On the face where some contacts
-press, the rest do not, and some of the pressing stick, the problem is linear, and conjugate gradients solve it.
+The impulses that obey (2), (3) and (5) of `contact_solver` form a product of cones. On a face, where it is fixed which
+contacts press and which of these stick, the problem is linear, and conjugate gradients solve it.
 
   [D] Dostal, Schoeberl, "Minimizing quadratic functions subject to bound constraints with the rate of convergence and
       finite termination", 2005: conjugate gradients on a face, projections to change it.
@@ -17,15 +17,15 @@ import numpy as np
 from fracture_collision.simulation.compiled import uncounted
 from fracture_collision.simulation.solver.contact_rows import NORMAL_MASS, TANGENT_MASS, load, push, pushed, store, turn
 
-# A way whose energy is less than this share of the bodies' own, 1e-10 of the speeds, is as good as none.
+# A direction with less than this share of the bodies' energy, 1e-10 of their speeds, counts as none.
 NO_ENERGY = 1.0e-20
-# A way whose curvature is less than this share of what its impulses have one by one only shifts load between contacts
-# that hold the same; so is one whose squared sine to the other is less only a multiple of it. What is left is rounding.
+# A direction with less than this share of the curvature of its single impulses only shifts load between contacts that
+# hold the same; one whose squared sine to the other is less is a multiple of it. What is left of either is rounding.
 NO_WAY = 1.0e-8
 
 
 class Way(NamedTuple):
-    """Impulses, or a change of them, and what they do to the bodies."""
+    """A direction: impulses, or a change of them, and their effect on the bodies."""
 
     impulses: np.ndarray  # (N, 3)
     rolling: np.ndarray  # (p, 3)
@@ -34,7 +34,7 @@ class Way(NamedTuple):
 
 
 class Live(NamedTuple):
-    """The contacts that have had an impulse since the sweeps began: a third of them, and only they lie on any way."""
+    """The contacts that have had an impulse since the sweeps began: a third of all; only they occur in a direction."""
 
     begin: np.ndarray  # (p + 1,) int64
     contacts: np.ndarray  # (N,) int64; of pair i contacts[begin[i] : begin[i + 1]], ascending; the rest is not used
@@ -42,8 +42,8 @@ class Live(NamedTuple):
 
 
 class Face(NamedTuple):
-    """What its last visit found within its bounds. A tangent's bound moves with lambda: to compare the two afterwards
-    would let what slides stick, and friction take part in finding lambda."""
+    """What the last visit of a contact found within its bounds. A tangent's bound moves with lambda: comparing them
+    afterwards would let sliding contacts stick, and friction take part in finding lambda."""
 
     presses: np.ndarray  # (N,) bool, the normal impulse
     sticks: np.ndarray  # (N,) bool, the tangents
@@ -52,7 +52,7 @@ class Face(NamedTuple):
 
 @uncounted
 def list_live(rows, live):
-    """Bring the list up to what has lived."""
+    """Update the list from `has_lived`."""
     used = 0
     for pair in range(rows.body_a.size):
         live.begin[pair] = used
@@ -65,7 +65,7 @@ def list_live(rows, live):
 
 @uncounted
 def difference(impulses, rolling, before, live, way):
-    """The way from `before` to here; what it does to the bodies is found on the face."""
+    """The direction from `before` to the present impulses; `keep_to_face` computes its effect on the bodies."""
     for c in live.contacts[: live.begin[-1]]:
         for k in range(3):
             way.impulses[c, k] = impulses[c, k] - before.impulses[c, k]
@@ -76,7 +76,7 @@ def difference(impulses, rolling, before, live, way):
 
 @uncounted
 def add_up(rows, live, start, u, impulses, rolling):
-    """u from its value at `start` and the impulses since."""
+    """Recompute u from its value at `start` and the impulses since."""
     for i in range(u.shape[0]):
         for k in range(6):
             u[i, k] = start.u[i, k]
@@ -94,10 +94,10 @@ def add_up(rows, live, start, u, impulses, rolling):
 
 @uncounted
 def keep_to_face(rows, live, face, way):
-    """Take what is not free out of a way, and find what the rest does to the bodies.
+    """Remove from a direction what is not free on the face, and compute the effect of the rest on the bodies.
 
-    It is summed up from the impulses: a difference of velocities has their rounding, which grows from one iteration to
-    the next where a short way is gone many times over.
+    The effect is summed from the impulses: a difference of velocities carries their rounding, which grows from one
+    iteration to the next where a step is many times its direction.
     """
     impulses, u = way.impulses, way.u
     for i in range(u.shape[0]):
@@ -127,7 +127,7 @@ def keep_to_face(rows, live, face, way):
 
 @uncounted
 def take_out(rows, live, face, way):
-    """Take out of a way what has left the face since it was kept to it."""
+    """Remove from a direction what has left the face since `keep_to_face`."""
     impulses = way.impulses
     for pair in range(rows.body_a.size):
         for c in live.contacts[live.begin[pair] : live.begin[pair + 1]]:
@@ -145,7 +145,7 @@ def take_out(rows, live, face, way):
 
 @uncounted
 def lowest(rows, live, targets, u, step, path, scale):
-    """Shares of two ways that lead from here to the minimum of f. `scale`: u M u, as large as it gets."""
+    """Multiples of two directions that lead from here to the minimum of f. `scale`: u M u before the sweeps."""
     step_slope, step_curvature, step_leads = _slope_and_curvature(rows, live, targets, u, step, scale)
     path_slope, path_curvature, path_leads = _slope_and_curvature(rows, live, targets, u, path, scale)
     along_step, along_path = 0.0, 0.0
@@ -177,9 +177,9 @@ def _slope_and_curvature(rows, live, targets, u, way, scale):
 
 @uncounted
 def leave_face(rows, live, surfaces, impulses, step, path, along_step, along_path, face):
-    """Take from the face what these shares of two ways would carry beyond its bounds.
+    """Remove from the face what these multiples of two directions would carry beyond its bounds.
 
-    Returns whether there was any, and which part of the way no normal impulse leaves.
+    Returns whether anything left it, and the part of the step up to which every normal impulse stays within its bounds.
     """
     left, part = False, 1.0
     for pair in range(rows.body_a.size):
@@ -203,7 +203,7 @@ def leave_face(rows, live, surfaces, impulses, step, path, along_step, along_pat
 
 @uncounted
 def go(rows, live, surfaces, targets, u, impulses, rolling, step, path, along_step, along_path):
-    """Go these shares of two ways, cut back to the cones. Goes nowhere and says so where f would not be lower."""
+    """Step by these multiples of two directions, projected onto the cones; no step, and False, if f did not fall."""
     work = 0.0
     for i in range(u.shape[0]):
         for k in range(6):
@@ -261,7 +261,7 @@ def go(rows, live, surfaces, targets, u, impulses, rolling, step, path, along_st
 
 @uncounted
 def doubled_energy(rows, way):
-    """u M u of a way; finds its momenta."""
+    """u M u of a direction; also computes its momenta."""
     _find_momenta(rows, way)
     return dot(way.momenta, way.u)
 

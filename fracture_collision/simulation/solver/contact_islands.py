@@ -1,7 +1,7 @@
-"""Islands: bodies that touch each other, directly or through others that can move. Each is solved for itself.
+"""Islands: bodies that touch each other, directly or through others that can move. Each is solved separately.
 
-No impulse of one acts on another, so each stops when it is solved, and conjugate gradients find their way for each
-alone. What never moves belongs to all of them: it is the last row of every island.
+No impulse of one acts on another, so each stops when it has converged, and conjugate gradients run on each alone.
+What never moves belongs to all of them: it is the last row of every island.
 
 Symbols and equation numbers are those of `contact_solver`.
 """
@@ -18,7 +18,7 @@ from fracture_collision.simulation.solver.contact_rows import RECORD, TANGENT1, 
 from fracture_collision.simulation.solver.contact_step import drift_velocities, new_velocities
 from fracture_collision.simulation.solver.small_matrices import invert_symmetric
 
-# A penetration of this many gaps at rest is more than a contact at rest ever has.
+# A contact at rest never penetrates by this many rest gaps.
 DEEP = 5.0
 
 
@@ -33,7 +33,7 @@ class Bodies(NamedTuple):
 
 
 class Contacts(NamedTuple):
-    """All contacts of a step by pairs; bodies by their rows, n: never moves."""
+    """All contacts of a step, by pairs; bodies by their rows, n for what never moves."""
 
     begin: np.ndarray  # (p + 1,) int64
     body_a: np.ndarray  # (p,) int64
@@ -49,11 +49,11 @@ class Contacts(NamedTuple):
 
 
 class Islands(NamedTuple):
-    """Island i has the pairs pairs[pair_begin[i] : pair_begin[i + 1]], and its bodies likewise."""
+    """Island i has the pairs pairs[pair_begin[i] : pair_begin[i + 1]]; bodies likewise."""
 
-    pairs: np.ndarray  # (q,) int64; of each island in the order they came; those that cannot move are in none
+    pairs: np.ndarray  # (q,) int64; within an island in input order; pairs that cannot move are in none
     pair_begin: np.ndarray  # (k + 1,) int64
-    bodies: np.ndarray  # (m,) int64, of each island ascending; without contacts: in none
+    bodies: np.ndarray  # (m,) int64, ascending within an island; bodies without contacts are in none
     body_begin: np.ndarray  # (k + 1,) int64
 
 
@@ -61,13 +61,13 @@ class Result(NamedTuple):
     velocities: np.ndarray  # (n, 6) u(t + h)
     drift: np.ndarray  # (n, 6) u_d
     normal_impulses: np.ndarray  # (N,) lambda [N s]
-    impulses: np.ndarray  # (N, 3) on b, world axes; comes in as what the last step had
+    impulses: np.ndarray  # (N, 3) on b, world axes; on input those of the last step
     rolling: np.ndarray  # (p, 3) likewise
 
 
 @njit(cache=True)
 def islands_of(begin, body_a, body_b, count):
-    """Islands of `count` bodies, in the order of their first bodies; pairs without contacts count for nothing."""
+    """Islands of `count` bodies, in the order of their first bodies; pairs without contacts are ignored."""
     root = np.arange(count)
     touches = np.zeros(count, np.bool_)
     for pair in range(body_a.size):
@@ -128,10 +128,10 @@ def _sorted_by(labels, label_count):
 
 @njit(cache=True)
 def solve_islands(islands, bodies, contacts, settings, time_step, only_limited, asleep, result):
-    """One step of all bodies that touch something; writes `result`, where all others have u* and no drift.
+    """Solve one step of all bodies in contact into `result`, which holds u* and no drift for all others.
 
-    With `only_limited`, of those islands in which an impulse is limited; `result` holds all others' already, and every
-    drift: what parts bodies is not limited by what they can bear. asleep (n,): whose island stays where it is.
+    With `only_limited`, solve only islands with a limited impulse: `result` already holds the others, and every drift,
+    since drift correction is not limited by what bodies bear. asleep (n,): bodies of islands that stay in place.
     """
     local = np.empty(bodies.masses.size, np.int64)
     for i in range(islands.pair_begin.size - 1):
@@ -226,11 +226,11 @@ def _rows_of_island(members, pairs, local, bodies, contacts, settings):
 
 @uncounted
 def _mark_against_parting(records, gaps, both_move, center_a, center_b, deep, against):
-    """Contacts of a pair that drift correction leaves out.
+    """Mark the contacts of a pair that drift correction leaves out.
 
-    Two shards that have got into each other have contacts on either side of the overlap, whose normals contradict
-    each other: obeyed together they lock the two for ever. Such a pair is parted the way its centres of mass lie, or,
-    where one cannot move and may be of any shape, the way most of the depth points.
+    Two interpenetrating shards have contacts on both sides of the overlap, with contradicting normals: obeyed together
+    they lock the two for ever. Such a pair is separated along the line between its centres of mass or, where one body
+    cannot move and may have any shape, along the sum of the normals weighted by depth.
     """
     x, y, z = center_b[0] - center_a[0], center_b[1] - center_a[1], center_b[2] - center_a[2]
     if not both_move:
@@ -251,7 +251,7 @@ def _mark_against_parting(records, gaps, both_move, center_a, center_b, deep, ag
 
 @njit(cache=True)
 def _impulses_of_island(pairs, rows, contacts, result):
-    """What the last step had, along n, t1, t2: the normal may have turned since, so the old impulse is split anew."""
+    """The last step's impulses along n, t1, t2: projected again, since the normal may have turned."""
     impulses, rolling = np.empty((rows.contacts.shape[0], 3)), np.empty((pairs.size, 3))
     for k in range(pairs.size):
         rolling[k] = result.rolling[pairs[k]]

@@ -1,11 +1,11 @@
 """Contacts of the last steps that the service has not listed again, carried along with their bodies.
 
 The service lists a pair's first few contacts and beyond them only those deeper than a tolerance (Glondu 2014, section
-5.2). Which these are changes from step to step, so a shard at rest would lose a support, sink by the tolerance, get it
-back, and never lie still. A contact therefore stays in the pair's manifold, as in Bullet's persistent manifolds, while
-the service lists another that pushes the same way, and until its witness points, each fixed to its body, part or slip
-too far. A sample that slips over an edge is nearest to another face from then on, while its remembered contact keeps
-the normal of the first. Where nothing else of the pair pushes that way, it would hold a shard beside the edge.
+5.2). The selection changes from step to step, so a shard at rest would lose a support, sink by the tolerance, get it
+back, and never come to rest. A contact therefore stays in the pair's manifold, as in Bullet's persistent manifolds,
+while the service lists another that pushes the same way, and until its witness points, each fixed to its body, separate
+or slip too far. A sample that slips over an edge is nearest to another face from then on, while its remembered contact
+keeps the normal of the first. If no listed contact of the pair pushed that way, it would hold a shard beside the edge.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ SAME_WAY = 0.9
 
 
 class ContactMemory(NamedTuple):
-    """All contacts of a step, remembered ones among them, each point in its body's frame."""
+    """All contacts of a step, remembered ones included, each point in its body's frame."""
 
     fragment_a: np.ndarray  # (p,) uint32, ascending by (a, b)
     fragment_b: np.ndarray
@@ -45,10 +45,10 @@ NOTHING = ContactMemory(
 def with_remembered(
     contacts: ContactConstraintArray, states: FragmentStates, memory: ContactMemory, reach: float
 ) -> tuple[ContactConstraintArray, ContactMemory]:
-    """The contacts, each pair's followed by what is remembered of it, and the memory of both for the next step.
+    """The contacts, each pair's followed by its remembered ones, and the memory of both for the next step.
 
-    `states` are those that `contacts` answer; a fragment they do not name is static, its frame the world's. `reach` is
-    the distance [m] by which a remembered contact may open or slip.
+    `states` are those that `contacts` were computed for; a fragment missing there is static, its frame the world's.
+    `reach` is the distance [m] by which a remembered contact may open or slip.
     """
     order = np.argsort(states.fragment_ids, kind="stable")
     ids = states.fragment_ids[order]
@@ -105,7 +105,7 @@ def _merge(
             for m in range(memory.pair_begin[old], memory.pair_begin[old + 1]):
                 if _listed(contact_ids, begin[pair], begin[pair + 1], memory.contact_ids[m]):
                     continue
-                # Where it would stand in the list; the next takes its place if it is forgotten.
+                # Written into the next slot, which the next contact overwrites if this one is dropped.
                 _out_of_frame(rotation_a, position_a, memory.points_a[m], out_a[count])
                 _out_of_frame(rotation_b, position_b, memory.points_b[m], out_b[count])
                 _out_of_frame(rotation_a, nowhere, memory.normals[m], out_normals[count])

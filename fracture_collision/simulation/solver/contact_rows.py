@@ -1,9 +1,8 @@
-"""Constraint rows of the contact solver: what a contact needs, and how impulses at it act.
+"""Constraint rows of the contact solver: the data of a contact, and the effect of impulses at it.
 
-Symbols and equation numbers are those of `contact_solver`. All that an iteration reads of a contact stands side by
-side in one record: its three directions d, the arms r_a and r_b, I_a^-1 (r_a x d) and I_b^-1 (r_b x d) of each
-direction, and the masses below. Velocities are those of an island's bodies (`contact_islands`); the last row of an
-island never moves.
+Symbols and equation numbers are those of `contact_solver`. All that an iteration reads of a contact is contiguous in
+one record: its three directions d, the arms r_a and r_b, I_a^-1 (r_a x d) and I_b^-1 (r_b x d) of each direction, and
+the masses below. Velocities are those of an island's bodies (`contact_islands`); the last row of an island never moves.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ import numpy as np
 
 from fracture_collision.simulation.compiled import uncounted
 
-# Where in a contact's record: n, t1, t2; the arms; what each direction does to the spins.
+# Offsets in a contact's record: n, t1, t2; the arms; the change of spin by each direction.
 NORMAL, TANGENT1, TANGENT2, ARM_A, ARM_B, SPIN_A, SPIN_B = 0, 3, 6, 9, 12, 15, 24
 # 1 / (J_n W J_n^T), 0 where both cannot move; 1 / the larger eigenvalue of the block J_t W J_t^T; J_n W J_t^T of both.
 NORMAL_MASS, TANGENT_MASS, COUPLING1, COUPLING2 = 33, 34, 35, 36
@@ -180,7 +179,7 @@ def _crossed(r, i, j):
 
 @uncounted
 def _basis(n, record):
-    """n and two tangents; the first lies across n and the axis that n is farthest from."""
+    """n and two tangents; the first is perpendicular to n and to the axis that n is farthest from."""
     axis = 0
     for i in range(1, 3):
         if abs(n[i]) < abs(n[axis]):

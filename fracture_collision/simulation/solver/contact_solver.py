@@ -4,14 +4,14 @@ Sources
   [A] Anitescu, Potra, "Formulating dynamic multi-rigid-body contact problems with friction as solvable linear
       complementarity problems", 1997: the time-stepping problem solved here.
   [C] Catto, "Iterative dynamics with temporal coherence", 2005: projected Gauss-Seidel on impulses, warm starting.
-  [G] Guendelman, Bridson, Fedkiw, "Nonconvex rigid bodies with stacking", 2003: positions are corrected by velocities
-      of their own, which never become kinetic energy ("split impulse" in Bullet).
+  [G] Guendelman, Bridson, Fedkiw, "Nonconvex rigid bodies with stacking", 2003: positions are corrected by separate
+      velocities, which never become kinetic energy ("split impulse" in Bullet).
   [D] Dostal, Schoeberl, "Minimizing quadratic functions subject to bound constraints with the rate of convergence and
-      finite termination", 2005: conjugate gradients between the sweeps of [C] (`contact_face`); heavy bodies on light
-      ones are where it counts.
-  Glondu 2014, section 5.2 asks for just this pair: a velocity-level solver plus drift correction.
+      finite termination", 2005: conjugate gradients between the sweeps of [C] (`contact_face`), which pay off with
+      heavy bodies on light ones.
+  Glondu 2014, section 5.2 calls for this combination: a velocity-level solver plus drift correction.
 
-Bodies that touch neither each other nor a common third are solved apart (`contact_islands`, `contact_step`).
+Bodies connected by no chain of contacts are solved separately (`contact_islands`, `contact_step`).
 
 Symbols, for contact c between bodies a and b
   n, t1, t2   unit normal from a to b, and two tangents
@@ -21,7 +21,7 @@ Symbols, for contact c between bodies a and b
   J_d         row of direction d: J_d u = d . (v_b + w_b x r_b - v_a - w_a x r_a)
   M           masses and inertias; W = M^-1
   lambda      impulse along n [N s], >= 0;  beta the two friction impulses
-  g           gap beyond the gap at rest [m] (`rest_gaps`); h the time step [s]; mu Coulomb's coefficient; e restitution
+  g           gap beyond the rest gap [m] (`rest_gaps`); h the time step [s]; mu Coulomb's coefficient; e restitution
 
   (1) u = u* + W sum_c (J_n^T lambda + J_t^T beta)                               [A, 2.11]
   (2) 0 <= lambda  _|_  J_n u + max(g, 0) / h >= 0      an open gap may close within the step, no further
@@ -45,22 +45,22 @@ from fracture_collision.simulation.solver.contact_islands import Bodies, Contact
 
 
 class SolverSettings(NamedTuple):
-    """Numbers of the method; the scene file says why each has its value."""
+    """Parameters of the method; the scene file gives the reason for each value."""
 
-    iterations: int = 40  # of (2), (3), (5), at most: each visits every contact twice
-    accuracy: float = 1.0e-12  # they end when none changes a velocity by more than this share of what contacts change
-    rounds: int = 5  # of these iterations, at most: there is another where the step would still gain energy
-    restitution_iterations: int = 8  # further ones with (4), at most
+    iterations: int = 40  # of (2), (3), (5), at most; each visits every contact twice
+    accuracy: float = 1.0e-12  # they end when no velocity changes by more than this share of what contacts change
+    rounds: int = 5  # of these iterations, at most; another follows where the step would still gain energy
+    restitution_iterations: int = 8  # further iterations with (4), at most
     drift_iterations: int = 8  # of (6), likewise
     restitution_speed: float = 0.2  # v_e [m/s]
     rest_gap: float = 1.0e-4  # [m] see rest_gaps
-    rest_slop: float = 8.0e-5  # [m] by which a gap may fall short of that at rest
+    rest_slop: float = 8.0e-5  # [m] by which a gap may fall short of the rest gap
     drift_fraction: float = 0.2  # f, the share of the penetration taken out in one step
     drift_speed: float = 0.3  # v_max [m/s]
     memory_reach: float = 2.5e-4  # [m] see contact_memory
-    ahead_gap: float = 5.0e-4  # [m] contacts farther apart lie ahead, see touch_ahead
+    ahead_gap: float = 5.0e-4  # [m] contacts with larger gaps lie ahead, see touch_ahead
     sleep_speed: float = 1.0e-3  # [m/s] see sleep
-    sleep_time: float = 0.25  # [s] likewise; 0: nobody sleeps
+    sleep_time: float = 0.25  # [s] likewise; 0: no sleeping
 
 
 class RigidBodies(NamedTuple):
@@ -74,16 +74,16 @@ class RigidBodies(NamedTuple):
 
 
 class BodyPairs(NamedTuple):
-    """Beside a ContactConstraintArray, for each of its pairs: rows of the bodies, and rolling resistance."""
+    """For each pair of a ContactConstraintArray: rows of the bodies, and rolling resistance."""
 
     body_a: np.ndarray  # (p,) int64
     body_b: np.ndarray  # (p,) int64
     rolling_arm: np.ndarray  # (p,) rho [m]
-    rest_gaps: np.ndarray  # (N,) [m] of each contact: what g counts from
+    rest_gaps: np.ndarray  # (N,) [m] of each contact: the zero of g
 
 
 class WarmStart(NamedTuple):
-    """Impulses of one step, for the next: found again by (fragment_a, fragment_b, contact id)."""
+    """Impulses of one step, for the next: matched by (fragment_a, fragment_b, contact id)."""
 
     fragment_a: np.ndarray  # (p,) uint32, ascending by (a, b)
     fragment_b: np.ndarray
@@ -119,10 +119,10 @@ def solve_contacts(
 ) -> Solution:
     """Velocities after one step of `time_step` [s] that respect the contacts.
 
-    Contacts are visited in the order they come in, so equal input gives equal bytes. `impulse_limits` (N,) [N s] caps
-    lambda of each contact: what a material can transmit before it breaks; such contacts do not bounce. `unlimited` is
-    then what the same step comes to without limits: what they do not concern keeps it. Bodies that are `asleep` (n,),
-    none or all of an island, stay where they are, and their contacts keep the impulses that they had.
+    Contacts are visited in input order, so equal input gives equal bytes. `impulse_limits` (N,) [N s] caps lambda of
+    each contact at what a material transmits before it breaks; such contacts do not bounce. `unlimited` is then the
+    solution of the same step without limits, kept for islands that have none. Bodies that are `asleep` (n,), none or
+    all of an island, stay in place, and the warm start keeps the impulses of their contacts.
     """
     count, body_count = len(contacts.gaps), len(bodies.masses)
     begin = contacts.pair_begin.astype(np.int64)
@@ -153,9 +153,9 @@ def solve_contacts(
 def carried_impulses(
     fragment_a, fragment_b, begin, contact_ids, old_a, old_b, old_begin, old_ids, old_impulses, old_rolling
 ):
-    """Impulses (N, 3), world axes, and rolling (p, 3) of those contacts that the last step had as well; else zero.
+    """Impulses (N, 3), world axes, and rolling (p, 3) from the last step where it had the same contact; else zero.
 
-    Pairs are merged in their common order; within a pair there are few contacts, which are simply compared.
+    Pairs are merged in their common order; the few contacts of a pair are compared one by one.
     """
     impulses = np.zeros((contact_ids.size, 3))
     rolling = np.zeros((fragment_a.size, 3))
@@ -189,6 +189,6 @@ def normal_impulse_sums(
 
 
 def kinetic_energy(masses: np.ndarray, inertias: np.ndarray, velocities: np.ndarray) -> float:
-    """Of n bodies with velocities (n, 6) [J]."""
+    """Kinetic energy [J] of n bodies with velocities (n, 6)."""
     v, w = velocities[:, :3], velocities[:, 3:]
     return float(0.5 * ((masses * dots(v, v)).sum() + dots(w, images(inertias, w)).sum()))

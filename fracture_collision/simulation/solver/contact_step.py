@@ -1,4 +1,4 @@
-"""One step of one island: what the contacts make of its velocities, with bounces, and what parts its bodies.
+"""One step of one island: new velocities with contacts, friction and restitution, and drift correction.
 
 Symbols and equation numbers are those of `contact_solver`.
 """
@@ -12,15 +12,15 @@ from fracture_collision.simulation.compiled import uncounted
 from fracture_collision.simulation.solver.contact_rows import Surfaces, normal_velocities
 from fracture_collision.simulation.solver.contact_sweeps import apply_warm_start, sweep
 
-# Of the energy that gravity gives a body at rest in one step: what a stack at rest gains and loses by rounding.
+# Share of the energy that gravity gives a body at rest in one step: a stack at rest gains and loses it by rounding.
 ROUNDING = 1.0e-7
-# A round that follows another is so much more accurate.
+# Factor on `accuracy` from one round to the next.
 SHARPER = 0.1
 
 
 @njit(cache=True)
 def new_velocities(rows, surfaces, before, free, gaps, restitution, impulses, rolling, settings, time_step):
-    """u(t + h) after (1)-(5); impulses and rolling come in as a first guess."""
+    """u(t + h) after (1)-(5); impulses and rolling are the first guess on input."""
     targets = -np.maximum(gaps, 0.0) / time_step
     u = free.copy()
     apply_warm_start(rows, targets, u, impulses, rolling)
@@ -69,10 +69,10 @@ def drift_velocities(rows, gaps, before, after, against, settings, time_step):
     limits = np.full(gaps.size, np.inf)
     for c in range(gaps.size):
         depth = -gaps[c] - slop
-        # What the velocities do to a gap counts; one that is not too small may still close, up to the slop.
+        # The new velocities count towards the correction; a gap that is not too small may still close up to the slop.
         if depth > 0.0:
             push = min(settings.drift_fraction * depth / time_step, settings.drift_speed)
-            # What came in with the last step leaves with the next: when a plate breaks, the ball is at its surface.
+            # Penetration of the last step is removed in the next: when a plate breaks, the ball is at its surface.
             targets[c] = max(push, min(depth / time_step, -approach[c])) - targets[c]
         else:
             targets[c] = depth / time_step - targets[c]
@@ -104,10 +104,10 @@ def _share_without_energy_gain(rows, before, gravity, plastic, bounced):
 
 @njit(cache=True)
 def _energy_gain(rows, before, gravity, u):
-    """What the step adds to the bodies' mechanical energy [J], if they move with u.
+    """Gain of mechanical energy [J] in a step in which the bodies move with u.
 
     Kinetic energy, less the work of the impulse of gravity, M (u* - u(t)). Solved exactly, (1)-(3) gain nothing:
-    -|u - u(t)|^2_M / 2 at most. So where there is gain, they are not solved far enough.
+    -|u - u(t)|^2_M / 2 at most. A gain therefore means that they have not converged far enough.
     """
     return 0.5 * (_inner(rows, u, u) - _inner(rows, before, before)) - _inner(rows, gravity, u)
 

@@ -40,17 +40,17 @@ from fracture_collision.simulation.solver.contact_rows import (
     velocities,
 )
 
-# How often an iteration may change the face on which it goes on.
+# How often an iteration may change its face.
 FACES = 3
 
 
 @njit(cache=True)
 def apply_warm_start(rows, targets, u, impulses, rolling):
-    """Add the carried impulses to u, scaled down where the whole of them overshoots.
+    """Add the carried impulses to u, scaled down where they overshoot.
 
     With lambda the vector of carried impulses, s lambda minimises the quadratic that Gauss-Seidel descends,
-    s^2/2 lambda A lambda + s lambda (J u* - target), for s = -lambda (J u* - target) / lambda A lambda. Cut to [0, 1],
-    a warm start can only take energy out.
+    s^2/2 lambda A lambda + s lambda (J u* - target), for s = -lambda (J u* - target) / lambda A lambda. With s clamped
+    to [0, 1], a warm start can only remove energy.
     """
     carried = Way(impulses, rolling, np.zeros_like(u), np.zeros_like(u))
     slope = 0.0
@@ -85,13 +85,13 @@ def sweep(rows, surfaces, targets, u, free, impulses, rolling, iterations, accur
 
         f(x) = x A x / 2 + x . (J u* - t) = (u M u - u* M u*) / 2 - x . t,      u = u* + W J^T x.
 
-    From there it goes on to the minimum of f over the plane of this iteration's step and the last one's whole way, on
-    the face of the contacts that press and stick: conjugate gradients, preconditioned by symmetric Gauss-Seidel [D].
-    Products of A are sums over bodies, x A y = u_x M u_y. What would pull or slip leaves the face and the plane is
-    searched again; a way that, the cones kept, ends higher is not taken.
+    It then moves to the minimum of f over the plane of this sweep's step and the last iteration's total change, on the
+    face of the contacts that press and stick: conjugate gradients, preconditioned by symmetric Gauss-Seidel [D].
+    Products of A are sums over bodies, x A y = u_x M u_y. Contacts that would pull or slip leave the face and the plane
+    is searched again; a step that, projected onto the cones, does not lower f is rejected.
 
-    It ends when no body's velocity changes by more than `accuracy` times the most that contacts have changed any of
-    them by, u - u* (`free`).
+    It ends when no body's velocity changes by more than `accuracy` times the largest change that contacts have made to
+    any of them, u - u* (`free`).
     """
     step, path = _no_way(u, impulses, rolling), _no_way(u, impulses, rolling)
     before, start = _no_way(u, impulses, rolling), _no_way(u, impulses, rolling)
@@ -108,7 +108,7 @@ def sweep(rows, surfaces, targets, u, free, impulses, rolling, iterations, accur
     for iteration in range(iterations):
         is_last = iteration == iterations - 1
         if is_last and has_gone:
-            # What u gathered by going on is more than rounding where it went far; the last word is with what is.
+            # Long accelerated steps leave more than rounding in u: the last sweep starts from u by the impulses.
             add_up(rows, live, start, u, impulses, rolling)
         _keep(before, u, impulses, rolling, live)
         _sweep_once(rows, surfaces, targets, u, impulses, rolling, live, face, False)
@@ -139,7 +139,7 @@ def sweep(rows, surfaces, targets, u, free, impulses, rolling, iterations, accur
 
 @uncounted
 def _squared_change(rows, u, before):
-    """The largest of any body, [m2/s2]: its energy, twice, over its mass."""
+    """The largest change of any body, [m2/s2]: twice its energy over its mass."""
     largest = 0.0
     for i in range(u.shape[0]):
         if rows.masses[i] > 0.0:
@@ -188,10 +188,10 @@ def _sweep_once(rows, surfaces, targets, u, impulses, rolling, live, face, backw
             c = end - 1 - inner if backward else first + inner
             r, carried = rows.contacts[c], impulses[c, 0]
             if friction > 0.0 and (carried > 0.0 or impulses[c, 1] != 0.0 or impulses[c, 2] != 0.0):
-                # Friction first, with the last sweep's lambda: not going through matters more and has the last word.
+                # Friction first, with the last sweep's lambda: non-penetration matters more, so it is solved last.
                 s, s1, s2 = velocities(r, ua, ub)
                 # One mass for both tangents: with the block's inverse, sliding friction would oppose not the slip but
-                # its image under that inverse, and turn what slides straight.
+                # its image under that inverse, and deflect a body that slides straight.
                 wanted1 = impulses[c, 1] - r[TANGENT_MASS] * s1
                 wanted2 = impulses[c, 2] - r[TANGENT_MASS] * s2
                 limit, square = friction * carried, wanted1 * wanted1 + wanted2 * wanted2

@@ -1,4 +1,4 @@
-"""Bodies as boxes that have their masses and inertias: what a solver knows of a shape without its mesh."""
+"""Bodies as boxes of equal mass and inertia tensor: an estimate of a shape without its mesh."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Bodies that fly beside one that is held back within a step: nobody has looked for how they pass it.
+"""Bodies that fly beside one that is held back within a step: the service has not searched how they pass it.
 
-The service looks for two that both move for the whole step. Where one of them stops on the way, the other goes on alone
-from there: so far as its box says that it comes no nearer, or as it would have to go to come through.
+The service searches each pair with both bodies moving for the whole step. Where one stops earlier, the other moves on
+alone only as long as their boxes show that it does not reach the first, or as the difference stays within `spare`.
 """
 
 from __future__ import annotations
@@ -12,18 +12,18 @@ from numba import njit
 from fracture_collision.simulation.compiled import uncounted
 from fracture_collision.simulation.solver.straight_motion import length, turned
 
-# So much larger than the box of its inertia a body may be; a three-sided prism is by 1.8 to one side.
+# Factor by which a body may exceed its inertia box; a three-sided prism exceeds it by 1.8 to one side.
 LARGER = 1.5
-# What is held back by less than this share more is not told again.
+# A body is held back further only where it exceeds the allowed share by this factor.
 ENOUGH = 1.01
 
 
 @njit(cache=True)
 def shares_side_by_side(shares, centers, axes, halves, spare, velocities, time_step):
-    """`shares` (n,) of the step for which bodies move, less where one may run into another that is held back more.
+    """`shares` (n,) of the step for which bodies move, reduced where one may run into another that is held back more.
 
-    centers (n, 3) [m]; axes (n, 3, 3), halves (n, 3): of Boxes; spare (n,) [m]: by how much they may be astray of what
-    was looked for; velocities (n, 6) by which they move.
+    centers (n, 3) [m]; axes (n, 3, 3), halves (n, 3): of Boxes; spare (n,) [m]: allowed deviation from the searched
+    motion; velocities (n, 6) of the motion.
     """
     n, shares = len(shares), shares.copy()
     ways = np.empty(n)
@@ -38,7 +38,7 @@ def shares_side_by_side(shares, centers, axes, halves, spare, velocities, time_s
                 continue
             for j in range(n):
                 free, later = min(spare[i], spare[j]), shares[j] - shares[i]
-                # by the first two are as near as if neither stopped, by the second the other has gone nowhere
+                # First: they are as near as if neither had stopped. Second: the other has hardly moved on alone.
                 if later * ways[i] <= ENOUGH * free or later * ways[j] <= ENOUGH * free:
                     continue
                 least = free / max(min(ways[i], ways[j]), free)
@@ -50,8 +50,8 @@ def shares_side_by_side(shares, centers, axes, halves, spare, velocities, time_s
 
 @uncounted
 def _alone(i, j, share, later, centers, axes, halves, free, velocities, time_step):
-    """For which share of the step, up to `later`, body j may go on alone where i has stopped after `share` of it: as
-    far as balls about them do not meet, or as a side of a box that lies between them says; 0: there is none.
+    """Share of the step, at most `later`, for which body j may move on alone after i has stopped at `share`: all of it
+    if balls about them stay apart, else as long as a side of a box separates them; 0 if none does.
     """
     t, u = share * time_step, velocities[j]
     d = (
@@ -79,8 +79,8 @@ def _alone(i, j, share, later, centers, axes, halves, free, velocities, time_ste
 
 @uncounted
 def _until(x, y, z, most, u, reach, later, time_step):
-    """For which share of the step, up to `later`, what moves with velocities u and reaches so far [m] may go until it
-    has come nearer by more than `most` [m] against a unit vector.
+    """Share of the step, at most `later`, for which a body with velocities u and extent `reach` [m] may move until it
+    has advanced by `most` [m] against the unit vector (x, y, z).
     """
     turning = length(y * u[5] - z * u[4], z * u[3] - x * u[5], x * u[4] - y * u[3])
     nearer = turning * reach - (x * u[0] + y * u[1] + z * u[2])
@@ -91,7 +91,7 @@ def _until(x, y, z, most, u, reach, later, time_step):
 
 @uncounted
 def _half_along(k, axes, halves, velocities, t, x, y, z):
-    """[m] how far box k, turned for `t` [s], reaches along a unit vector."""
+    """[m] half extent of box k, turned for `t` [s], along a unit vector."""
     half = 0.0
     for side in range(3):
         axis = axes[k, side]
@@ -102,7 +102,7 @@ def _half_along(k, axes, halves, velocities, t, x, y, z):
 
 @uncounted
 def _least_distance(d, u, time):
-    """[m] from the origin to d (3,) as it moves with u for `time` [s]."""
+    """[m] least distance of d (3,) from the origin while it moves with u for `time` [s]."""
     square = u[0] * u[0] + u[1] * u[1] + u[2] * u[2]
     t = 0.0
     if square > 0.0:

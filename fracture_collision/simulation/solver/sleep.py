@@ -1,11 +1,11 @@
-"""What has come to rest is left alone: islands of bodies that have hardly moved for a while sleep.
+"""Sleeping: islands of bodies that have hardly moved for a while are not solved.
 
-A solver that is accurate lets a heap creep by nanometres for ever, and whoever remembers what has not moved finds that
-everything has. An island (`contact_islands`) falls asleep once each of its bodies has for `sleep_time` gone no farther
-than `sleep_speed` would have taken it. What counts is where it gets to, as in Jolt, not how fast it is: a shard that
-trembles between two normals of a sharp corner would keep a heap awake. Asleep, its bodies keep their poses to the last
-bit and are not solved; their impulses are kept. They wake, all together, when a body that is awake touches one of them,
-when a hand, a hammer or an arm pushes one, and when one that they touched is gone: it broke, or left the scene.
+With an accurate solver a heap creeps by nanometres for ever, so caches that rely on unmoved bodies would never hit. An
+island (`contact_islands`) falls asleep once each of its bodies has moved, for `sleep_time`, no farther than
+`sleep_speed` would have taken it. Displacement counts, as in Jolt, not speed: a shard that trembles between two normals
+of a sharp corner would keep a heap awake. Sleeping bodies keep their poses to the last bit and are not solved; their
+impulses are kept. An island wakes as a whole when an awake body touches one of its bodies, when a hand, a hammer or an
+arm pushes one, or when a fragment that one of them touched is gone: it broke, or left the scene.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class Rest(NamedTuple):
     fragment_ids: np.ndarray  # (n,) uint32
     quiet: np.ndarray  # (n,) float64 [s]: how long each has hardly moved
     asleep: np.ndarray  # (n,) bool
-    gone: np.ndarray  # (n, 6) float64 [m], [rad]: by how much since then
+    gone: np.ndarray  # (n, 6) float64 [m], [rad]: displacement since then
 
 
 NOBODY = Rest(np.zeros(0, np.uint32), np.zeros(0), np.zeros(0, bool), np.zeros((0, 6)))
@@ -34,8 +34,8 @@ NOBODY = Rest(np.zeros(0, np.uint32), np.zeros(0), np.zeros(0, bool), np.zeros((
 def roused(
     before: Rest, fragment_ids: np.ndarray, touched: tuple[np.ndarray, np.ndarray], is_pushed: np.ndarray
 ) -> Rest:
-    """Rest of the bodies `fragment_ids` (n,), ascending, of a step: newcomers are awake, and so is who is pushed (n,)
-    and who touched a fragment that is gone. `touched`: fragments of the last step's pairs, two columns (p,).
+    """Rest of the bodies `fragment_ids` (n,), ascending, in a step. New bodies are awake, and so are those pushed (n,)
+    and those that touched a fragment that is gone. `touched`: fragments of the last step's pairs, two columns (p,).
     """
     if not len(fragment_ids):
         return NOBODY
@@ -54,8 +54,8 @@ def roused(
 
 
 def settled(rest: Rest, begin: np.ndarray, body_a: np.ndarray, body_b: np.ndarray, sleep_time: float) -> Rest:
-    """Who sleeps in this step: islands of which nobody is awake, and those that have been quiet for `sleep_time` [s],
-    0: nobody. begin (p + 1,), body_a, body_b (p,): the step's contacts by pairs of rows, n for what cannot move.
+    """Rest with `asleep` for this step: islands with no body awake, and those quiet for `sleep_time` [s]; none if that
+    is 0. begin (p + 1,), body_a, body_b (p,): the step's contacts by pairs of rows, n for what cannot move.
     """
     if not sleep_time > 0.0:
         return rest._replace(asleep=np.zeros(len(rest.asleep), bool))
@@ -67,7 +67,7 @@ def settled(rest: Rest, begin: np.ndarray, body_a: np.ndarray, body_b: np.ndarra
 
 @njit(cache=True)
 def _settle(bodies, body_begin, was_asleep, sleep_time, quiet, asleep):
-    """Bodies that touch nothing are in no island, and awake."""
+    """Bodies without contacts are in no island and stay awake."""
     for i in range(len(body_begin) - 1):
         members = bodies[body_begin[i] : body_begin[i + 1]]
         all_asleep, all_quiet, some_asleep = True, True, False
@@ -84,7 +84,7 @@ def _settle(bodies, body_begin, was_asleep, sleep_time, quiet, asleep):
 def after_step(
     rest: Rest, masses: np.ndarray, inertias: np.ndarray, moves: np.ndarray, settings: SolverSettings, time_step: float
 ) -> Rest:
-    """With the velocities (n, 6) [m/s, rad/s] by which the step has moved all poses, drift correction among them."""
+    """Rest after a step that moved the poses with velocities `moves` (n, 6) [m/s, rad/s], drift correction included."""
     farthest = settings.sleep_speed * settings.sleep_time
     quiet, gone = _stay(rest.quiet, rest.gone, masses, inertias, moves, farthest, time_step)
     return rest._replace(quiet=quiet, gone=gone)
@@ -92,7 +92,7 @@ def after_step(
 
 @njit(cache=True)
 def _stay(quiet, gone, masses, inertias, moves, farthest, time_step):
-    """A turn counts by what a body's points move on average: as its energy goes by spins."""
+    """A rotation counts as the RMS displacement of the body's points, by the inertia tensor as in kinetic energy."""
     after, way = np.zeros(len(quiet)), gone + time_step * moves
     for i in range(len(quiet)):
         square = 0.0

@@ -1,4 +1,4 @@
-"""Symmetric 3 x 3 matrices, as inertias are."""
+"""Symmetric 3 x 3 matrices, such as inertia tensors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How a body moves within a step: its centre straight on, and it turns about that at an even spin.
+"""Motion of a body within a step: its centre moves straight, and it turns about that at a constant spin.
 
 Velocities are rows (6,): v [m/s], w [rad/s].
 """

@@ -1,16 +1,16 @@
-"""Contacts that lie ahead: bodies go no farther within a step than to where they will touch.
+"""Contacts ahead: within a step, bodies move no farther than to where they will touch (motion clamping, as in Bullet).
 
-A service that looks ahead lists contacts of bodies that are apart now and will touch before the step ends, by their
-velocities (its parameter `lookahead`). Nothing is pushed through a gap: no impulse, no bounce, nothing breaks. The two
-bodies move for that part of the step that ends with the touch, keep their velocities, and meet in the next step as they
-would have met at its beginning (motion clamping, as in Bullet). What they lose is time, less than a step.
+With its parameter `lookahead` the service also lists contacts of bodies that are apart now and, at their velocities,
+touch before the step ends. Such a contact gets no impulse across the gap: it does not bounce and breaks nothing. The
+two bodies move for the part of the step before the touch, keep their velocities, and meet in the next step as they
+would have met at its beginning. They lose time, less than a step.
 
-What touches is kept apart by its velocities, along straight lines. Of a body that turns far in a step the points go
-round: it is held back likewise before one of its contacts has gone deeper by `ahead_gap`.
+The solved velocities keep touching bodies apart along straight lines. The points of a body that turns far in a step
+move along arcs: it is held back likewise, before one of its contacts deepens by `ahead_gap`.
 
-The service looks ahead by the velocities before a blow. After it bodies go where nobody has looked: so no point of what
-touches goes farther astray in that step than by a fifth of the thinner one's thickness, or two `ahead_gap`, and in the
-next one the service is asked with the new velocities.
+The service looks ahead with the velocities before a blow. After the blow, bodies move where no contact was searched.
+In that step, no point of two touching bodies deviates from its searched path by more than a fifth of the thinner
+body's thickness, clamped to between one and two `ahead_gap`. The next request carries the new velocities.
 """
 
 from __future__ import annotations
@@ -29,46 +29,46 @@ from fracture_collision.simulation.solver.inertia_boxes import boxes_of
 from fracture_collision.simulation.solver.side_by_side import shares_side_by_side
 from fracture_collision.simulation.solver.straight_motion import length, turned
 
-# [rad] A body that turns farther in a step has contacts that go round.
+# [rad] A body that turns farther in a step moves its contact points along arcs.
 FAR_TURN = 0.1
-# A body may go astray by this share of how thin it is, if it were a box, but by no more than so many `ahead_gap`: its
-# ears may be thinner.
+# A body may deviate by this share of the shortest side of its inertia box, but by no more than MOST_SPARE `ahead_gap`:
+# parts of it, such as ears, may be thinner.
 SPARE, MOST_SPARE = 0.2, 2.0
-# What is deeper than `ahead_gap` goes by no more than this share of that deeper, or it would go deep step by step.
+# A contact deeper than `ahead_gap` deepens by no more than this share of it in a step, or it would go deep in time.
 DEEPER = 0.05
-# A path is looked at in so many parts, and so many more for each radian that bodies turn; where it comes too near it is
-# halved so often.
+# A path is checked in PARTS parts and PARTS_A_RADIAN more for each radian that the bodies turn, these at most
+# MOST_PARTS; the first part that comes too near is bisected HALVINGS times.
 PARTS, PARTS_A_RADIAN, MOST_PARTS, HALVINGS = 4, 8.0, 1000, 30
 
 class TouchesAhead(NamedTuple):
-    """N contacts that lie ahead."""
+    """N contacts ahead."""
 
     fragment_a: np.ndarray  # (N,) uint32
     fragment_b: np.ndarray
-    points_a: np.ndarray  # (N, 3) [m] where they are now, world
+    points_a: np.ndarray  # (N, 3) [m] present positions, world
     points_b: np.ndarray  # (N, 3)
-    normals: np.ndarray  # (N, 3) from a to b, as it will be
+    normals: np.ndarray  # (N, 3) from a to b, at the touch
 
 
 class HeldBack(NamedTuple):
-    """How n bodies move within a step."""
+    """Motion of n bodies within a step."""
 
     velocities: np.ndarray  # (n, 6) [m/s, rad/s] that they keep
-    drift: np.ndarray  # (n, 6) with which they move beside these, in this step only
+    drift: np.ndarray  # (n, 6) added to these for the poses of this step only
     shares: np.ndarray  # (n,) of the step, after which they stand still
 
 
 def split_by_gap(
     contacts: ContactConstraintArray, most: float
 ) -> tuple[ContactConstraintArray, TouchesAhead | None]:
-    """Those with gaps of at most `most` [m], with their pairs, and those that lie ahead; None: there are none."""
+    """The contacts with gaps of at most `most` [m], with their pairs, and the contacts ahead, None without any."""
     is_ahead = contacts.gaps > most
     if not is_ahead.any():
         return contacts, None
     counts = np.diff(contacts.pair_begin.astype(np.int64))
     pair = np.repeat(np.arange(len(counts)), counts)
     left = np.bincount(pair[~is_ahead], minlength=len(counts))
-    # a pair that never had contacts stays, it says how much it may have missed
+    # A pair listed without contacts stays, for its missed_depth_bound.
     stays = (left > 0) | (counts == 0)
     rows = np.repeat(~is_ahead, 3)
     now = contacts._replace(
@@ -90,12 +90,12 @@ def held_back(
     told: np.ndarray | None, is_round: np.ndarray, velocities: np.ndarray, drift: np.ndarray, gravity: np.ndarray,
     settings: SolverSettings, time_step: float,
 ) -> HeldBack:  # fmt: skip
-    """Velocities and drift (n, 6) with which bodies go no farther than to where they touch. Gravity (3,) [m/s2] acts
-    for as long as they move: what it gives beyond would be energy for a height that is not lost. To what touches
-    something it gives at most what that falls by: what rests has its weight borne.
+    """Velocities and drift (n, 6) that move bodies no farther than to where they touch. Gravity (3,) [m/s2] acts only
+    while a body moves: its share for the rest of the step is subtracted, as energy without a loss of height. From a
+    body in contact no more than its falling speed is subtracted: contacts already bear the weight of a resting body.
 
-    contacts and their pairs: what was solved. told (n, 6): velocities by which the service has looked ahead; None: it
-    does not. is_round (n + 1,): spheres; the last, False, for what cannot move.
+    contacts, pairs: those solved. told (n, 6): the velocities that the service looked ahead with; None: it does not
+    look ahead. is_round (n + 1,): spheres; the last, False, for what cannot move.
     """
     count = len(states.fragment_ids)
     moves, shares = velocities + drift, np.ones(count)
@@ -104,7 +104,7 @@ def held_back(
     else:
         boxes, least = boxes_of(states.masses, states.inertias), settings.ahead_gap
         spare = np.clip(SPARE * boxes.thickness(), least, MOST_SPARE * least)
-        reach = np.where(is_round[:-1], 0.0, boxes.reach())  # a sphere that turns goes nowhere
+        reach = np.where(is_round[:-1], 0.0, boxes.reach())  # turning does not move a sphere's surface
         goes_round = _goes_astray(pairs, velocities, reach, settings.ahead_gap, time_step)
         shares = _shares_as_told(pairs, told, moves, reach, spare, time_step)
     touching = _touching(contacts, pairs, goes_round, settings, DEEPER if told is not None else 1.0)
@@ -135,8 +135,8 @@ def held_back(
 def _shares_as_told(
     pairs: BodyPairs, told: np.ndarray, moves: np.ndarray, reach: np.ndarray, spare: np.ndarray, time_step: float
 ) -> np.ndarray:
-    """Which share of the step each body may move (n,), so that no point of two that touch goes farther astray of where
-    it goes with the velocities `told` than by what either has to `spare` (n,) [m].
+    """(n,) share of the step for which each body may move, so that no point of two touching bodies deviates from its
+    path at the velocities `told` by more than `spare` (n,) [m] of either.
     """
     change = moves - told
     astray = np.append(time_step * (lengths(change[:, :3]) + reach * lengths(change[:, 3:])), 0.0)
@@ -150,7 +150,7 @@ def _shares_as_told(
 
 
 def _turns_far(pairs: BodyPairs, velocities: np.ndarray, time_step: float) -> np.ndarray:
-    """(p,) pairs of which one turns far in a step."""
+    """(p,) pairs in which a body turns far in a step."""
     turns = np.append(lengths(velocities[:, 3:]) * time_step > FAR_TURN, False)
     return turns[pairs.body_a] | turns[pairs.body_b]
 
@@ -158,7 +158,7 @@ def _turns_far(pairs: BodyPairs, velocities: np.ndarray, time_step: float) -> np
 def _goes_astray(
     pairs: BodyPairs, velocities: np.ndarray, reach: np.ndarray, most: float, time_step: float
 ) -> np.ndarray:
-    """(p,) pairs of which what goes round or slides may be farther than `most` [m] off what its velocity now says."""
+    """(p,) pairs in which turning or sliding may carry a point more than `most` [m] off its present straight path."""
     v = np.vstack((velocities, np.zeros(6)))
     turns = time_step * lengths(v[:, 3:])
     turning = turns * np.append(reach, 0.0)
@@ -170,8 +170,8 @@ def _goes_astray(
 def _touching(
     contacts: ContactConstraintArray, pairs: BodyPairs, chosen: np.ndarray, settings: SolverSettings, deeper: float
 ) -> tuple[np.ndarray, ...] | None:
-    """The contacts of the `chosen` (p,) pairs, as the columns of shares_until_touch; None: there are none. deeper: what
-    is as deep as `ahead_gap` goes by no more than this share of that deeper.
+    """The contacts of the `chosen` (p,) pairs, as the columns of shares_until_touch; None without any. deeper: a
+    contact as deep as `ahead_gap` deepens by no more than this share of it.
     """
     if not chosen.any():
         return None
@@ -189,8 +189,8 @@ def _by_middles_of_spheres(
     body_a: np.ndarray, body_b: np.ndarray, points_a: np.ndarray, points_b: np.ndarray, normals: np.ndarray,
     least: np.ndarray, centers: np.ndarray, is_round: np.ndarray,
 ) -> tuple[np.ndarray, ...]:  # fmt: skip
-    """The columns of shares_until_touch with spheres as their middles: whichever point of it touches, a sphere stays
-    as far as its radius from what it touches.
+    """The columns of shares_until_touch with a sphere's contact point replaced by its centre, which stays a radius
+    away from what the sphere touches, whichever point touches.
     """
     points = []
     for body, at, sign in ((body_a, points_a, 1.0), (body_b, points_b, -1.0)):
@@ -204,12 +204,12 @@ def _by_middles_of_spheres(
 def shares_until_touch(
     body_a, body_b, points_a, points_b, normals, least, centers, velocities, most, is_turning, is_round, time_step
 ):
-    """Which share of a step of `time_step` [s] each body may move, (n,) up to the `most` (n,), so that no contact's gap
-    closes further than to the `least` (N,) [m].
+    """(n,) share of a step of `time_step` [s] for which each body may move, at most `most` (n,), so that no contact's
+    gap falls below `least` (N,) [m].
 
-    body_a, body_b (N,): rows of the bodies of the contacts, n: what cannot move; points_a, points_b, normals (N, 3);
-    centers (n, 3) [m]; velocities (n, 6): v [m/s], w [rad/s] by which they move. is_turning: normals turn with one of
-    the two; is_round (n + 1,): spheres.
+    body_a, body_b (N,): rows of the contacts' bodies, n for what cannot move; points_a, points_b, normals (N, 3);
+    centers (n, 3) [m]; velocities (n, 6): v [m/s], w [rad/s] of the motion. is_turning: normals turn with one of the
+    two bodies; is_round (n + 1,): spheres.
     """
     n, h = len(centers), time_step
     shares = np.ones(n + 1)
@@ -232,8 +232,8 @@ def shares_until_touch(
             before = after
         shares[a], shares[b] = min(shares[a], before), min(shares[b], before)
     shares[n] = 1.0
-    # One that is held back by a third may be met where it waits: then neither goes farther than the other. Shares only
-    # fall, to one of those that there are.
+    # A body that a third one holds back may be hit while it waits: then both get the smaller share. Shares only fall,
+    # and only to existing values, so this ends.
     changed = True
     while changed:
         changed = False
@@ -250,7 +250,7 @@ def shares_until_touch(
 
 @uncounted
 def _bodies_of_plane(a, b, is_round):
-    """Whose surface a contact's plane may be: no sphere's, which turns without it; else of either."""
+    """Bodies that a contact's plane may turn with: either of the two, but no sphere, which turns without it."""
     if is_round[a] and is_round[b]:
         return len(is_round) - 1, len(is_round) - 1
     if is_round[a] or is_round[b]:
@@ -260,8 +260,8 @@ def _bodies_of_plane(a, b, is_round):
 
 @uncounted
 def _gap(a, b, contact, of, other, centers, velocities, time_a, time_b):
-    """The gap [m] of a contact (points, normal) once a has moved for `time_a` [s], b for `time_b`; its plane turns with
-    the body `of` or `other`, whichever makes it less.
+    """Gap [m] of a contact (points, normal) after a has moved for `time_a` [s] and b for `time_b`; its plane turns with
+    the body `of` or `other`, whichever gives the smaller gap.
     """
     point_a, point_b, normal = contact
     xa = _moved(a, point_a, centers, velocities, time_a)

@@ -1,8 +1,8 @@
-"""A recorded run as a film: an animated picture, or an MP4 through the ffmpeg that the user has.
+"""A recorded run as a film: an animated image, or an MP4 through the user's ffmpeg.
 
-GIF and WebP are written by Pillow. For MP4 there is no encoder here: those that come as wheels are under the GPL
-or bring libraries that are, and a package that is Apache-2.0 had better not install them; as a program of the user's
-own, called with pictures on its standard input, ffmpeg is as good as any.
+Pillow writes GIF and WebP. There is no MP4 encoder here: those that come as wheels are under the GPL or include
+libraries that are, and an Apache-2.0 package should not install them. Calling the user's own ffmpeg, with frames on its
+standard input, works as well.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ from fracture_collision.viewer.film.run_scene import RunScene
 from fracture_collision.viewer.pictures.ray_picture import render
 
 ANIMATED = {".gif": "GIF", ".webp": "WEBP"}
-MOMENTS = 6  # of the run that the camera is chosen by
-GIF_COLOURS = 255  # of one frame, beside the one for what has not changed
+MOMENTS = 6  # of the run from which the camera is chosen
+GIF_COLOURS = 255  # of one frame, plus one for unchanged pixels
 WEBP_QUALITY = 80
-MP4_QUALITY = 20  # x264's constant rate factor: less is better, 18 looks like the original
+MP4_QUALITY = 20  # x264's constant rate factor: lower is better, 18 looks like the original
 
-Progress = Callable[[int, int], None]  # frames done, of how many; may raise to stop
+Progress = Callable[[int, int], None]  # frames done, total; may raise to stop
 
 
 class FilmError(Exception):
-    """No film can be made; the text says why."""
+    """No film can be made; the text gives the reason."""
 
 
 class Cut(NamedTuple):
@@ -49,10 +49,10 @@ class Cut(NamedTuple):
 
 
 def make_film(run: RecordedRun, path: Path, cut: Cut, progress: Progress = lambda done, total: None) -> int:
-    """Write the film and return how many frames it has. Its suffix says what it is: .gif, .webp or .mp4.
+    """Write the film and return its number of frames. The suffix selects the format: .gif, .webp or .mp4.
 
-    The file is there when it is complete, and not before; if anything goes wrong, or `progress` raises, what was there
-    stays. Raises FilmError, and BagError where the run lacks meshes.
+    The file appears only when complete; if anything fails, or `progress` raises, an existing file is kept. Raises
+    FilmError, and BagError if the run lacks meshes.
     """
     suffix = path.suffix.lower()
     if suffix not in (*ANIMATED, ".mp4"):
@@ -72,7 +72,7 @@ def make_film(run: RecordedRun, path: Path, cut: Cut, progress: Progress = lambd
 
 
 def frame_indices(run: RecordedRun, cut: Cut) -> list[int]:
-    """Of the run's states, those of each frame: the last that are not later than it. Raises FilmError."""
+    """Index of the states of each frame: the last that are not later than the frame. Raises FilmError."""
     moments = np.array([states.time for states in run.states]) - run.states[0].time
     end = min(cut.end, float(moments[-1]))
     if not cut.begin <= end:
@@ -83,7 +83,7 @@ def frame_indices(run: RecordedRun, cut: Cut) -> list[int]:
 
 
 def _frames(run: RecordedRun, indices: list[int], cut: Cut, progress: Progress) -> Iterator[np.ndarray]:
-    """Pictures (height, width, 3) uint8; of one moment, the same array."""
+    """Frames (height, width, 3) uint8; frames of the same states are the same array."""
     scene = RunScene(run)
     camera = camera_of(scene, chosen_moments(run, MOMENTS), cut.width / cut.height)
     sun = sun_of(camera)
@@ -121,11 +121,11 @@ def _write_mp4(frames: Iterator[np.ndarray], path: Path, cut: Cut) -> None:
     command = [
         program, "-y", "-loglevel", "error", "-f", "rawvideo", "-pixel_format", "rgb24",
         "-video_size", f"{cut.width}x{cut.height}", "-framerate", f"{cut.fps:g}", "-i", "-",
-        # yuv420p, which has one colour for two by two pixels, is what browsers play
+        # browsers play yuv420p, which has one colour for two by two pixels
         "-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-pix_fmt", "yuv420p", "-crf", str(MP4_QUALITY),
         "-movflags", "+faststart", str(path),
     ]  # fmt: skip
-    # a Ctrl-C is for this process alone, which ends the other
+    # Ctrl-C goes to this process only, which kills ffmpeg
     with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True) as ffmpeg:
         try:
             for frame in frames:

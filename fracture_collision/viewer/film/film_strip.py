@@ -1,4 +1,4 @@
-"""One picture of a whole run: moments that matter, side by side, rendered without a display."""
+"""One picture of a whole run: important moments side by side, rendered without a display."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def render_film_strip(
     """`draw_film_strip` of the last run in a bag.
 
     bag_dir: a rosbag2 folder (MCAP), or one .mcap file, with the topics bodies, fracture_events, fragment_states and
-    fragment_meshes under any namespace. Raises BagError where something is missing.
+    fragment_meshes under any namespace. Raises BagError if something is missing.
     """
     draw_film_strip(read_run(Path(bag_dir)), png_path, frames, width, height, samples)
 
@@ -32,8 +32,8 @@ def draw_film_strip(
 ) -> None:
     """Render `frames` moments of a run into one picture, three a row, each with its simulated time.
 
-    The first moment is the first state, the last the last; those between crowd where things break. `width` and `height`
-    [px] are one frame's.
+    The first and last moments are the first and last states; those between are denser where things break. `width` and
+    `height` [px] are those of one frame.
     """
     if frames < 1:
         raise ValueError(f"frames: {frames} is not at least 1")

@@ -1,4 +1,4 @@
-"""A run as a bag holds it: bodies, fractures, meshes, where everything was at each step and what was answered."""
+"""A run recorded in a bag: bodies, fractures, meshes, the states of each step and the answers."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ class RecordedRun(NamedTuple):
     body_of: dict[int, int]  # fragment_id -> body_id
     meshes: dict[int, FragmentMesh]  # by fragment_id
     states: list[RecordedStates]  # ascending in step
-    answers: Mapping[int, bytes] = NO_ANSWERS  # by step, serialized; those that were recorded
+    answers: Mapping[int, bytes] = NO_ANSWERS  # by step, serialized; only recorded ones
 
     def contacts(self, step: int) -> ContactConstraintArray | None:
-        """What was answered to the states of a step; None where that was not recorded. Raises BagError."""
+        """The answer to the states of a step; None if it was not recorded. Raises BagError."""
         data = self.answers.get(step)
         if data is None:
             return None
@@ -46,9 +46,9 @@ class RecordedRun(NamedTuple):
 def read_run(bag: Path, namespace: str | None = None) -> RecordedRun:
     """Read the last run of a bag: a rosbag2 folder, or one .mcap file.
 
-    Topics are known by their message types, so the run may have been recorded under any namespace; `namespace` says
-    which where there are several. Raises BagError in words where there is no such file, no FragmentStates in it, or
-    something is not what its topic says.
+    Topics are identified by message type, so the run may have been recorded under any namespace; `namespace` selects
+    one of several. Raises BagError with a reason if there is no such file, no FragmentStates in it, or a message does
+    not match its topic.
     """
     return recorded_run(bag, read_runs(bag, namespace)[-1], namespace)
 

@@ -1,4 +1,4 @@
-"""When and from where a run is looked at: picked from what breaks and moves in it and where that comes from."""
+"""Moments and camera of a run, chosen from what breaks and moves in it and where the thrown bodies come from."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from fracture_collision.viewer.film.run_scene import RunScene
 from fracture_collision.viewer.pictures.ray_picture import Camera
 
 OPENING = math.radians(32.0)
-FRACTURE_WEIGHT = 0.75  # of the choice of moments; the rest of it is spread evenly over the run
-AFTERMATH = 0.3  # [s] for so long a fracture is worth looking at
+FRACTURE_WEIGHT = 0.75  # share of the choice of moments; the rest is spread evenly over the run
+AFTERMATH = 0.3  # [s] time after a fracture that is worth showing
 
 
 def chosen_moments(run: RecordedRun, count: int) -> list[RecordedStates]:
@@ -38,7 +38,7 @@ def sun_of(camera: Camera) -> np.ndarray:
 
 
 def camera_of(scene: RunScene, moments: list[RecordedStates], aspect: float) -> Camera:
-    """From where the thrown bodies come, a little to the side and above, far enough to see nearly all that moves."""
+    """From the side of the thrown bodies, turned a little and raised, far enough away to see nearly all that moves."""
     centres = [scene.centres(states) for states in moments]
     if not any(map(len, centres)):
         centres = [scene.centres(states, movable_only=False) for states in moments]
@@ -59,14 +59,14 @@ def camera_of(scene: RunScene, moments: list[RecordedStates], aspect: float) -> 
     slope = math.tan(0.5 * OPENING)
     reach = np.maximum(np.abs(offset @ up) / slope, np.abs(offset @ right) / (slope * aspect))
     distance = max(float(np.max(margin * reach + offset @ back)), 0.5)
-    # What falls is watched falling: the action goes above the middle.
+    # Leaves room for bodies to fall: the action is above the middle of the frame.
     target = target - 0.2 * slope * distance * up
     return Camera(target + distance * back, target, OPENING)
 
 
 def _spread(centres: list[np.ndarray], share: float) -> np.ndarray:
-    """(3,) the coordinates below which this share lies, each moment of the same weight: one body counts as its shards
-    do later.
+    """(3,) the coordinates below which this share lies. Each moment has the same weight: one body weighs as much as all
+    its shards do later.
     """
     points = np.concatenate(centres)
     weights = np.concatenate([np.full(len(group), 1.0 / max(len(group), 1)) for group in centres])
@@ -79,7 +79,7 @@ def _spread(centres: list[np.ndarray], share: float) -> np.ndarray:
 
 
 def _front(scene: RunScene, moments: list[RecordedStates]) -> np.ndarray:
-    """Horizontal unit vector from what can break to where what cannot was first seen; else across the long side."""
+    """Horizontal unit vector from breakable bodies to thrown ones, as first seen; else across the long side."""
     first_seen: dict[int, np.ndarray] = {}
     for states in scene.run.states:
         for fragment, position in zip(states.fragment_ids.tolist(), states.positions, strict=True):

@@ -14,7 +14,7 @@ from fracture_collision.viewer.pictures.ray_picture import TriangleScene
 
 
 class RunScene:
-    """Builds the scene at any of a run's states; meshes are made when first seen."""
+    """Builds the scene at any of a run's states; meshes are made on first use."""
 
     def __init__(self, run: RecordedRun) -> None:
         self.run = run
@@ -24,7 +24,7 @@ class RunScene:
             self._palette.add(run.bodies[body_id])
 
     def at(self, states: RecordedStates) -> TriangleScene:
-        """The triangles of everything there is at `states`, in the world."""
+        """The triangles of everything present at `states`, in the world."""
         triangles, normals, colours, shine = [], [], [], []
         for fragment_id, position, rotation in self._poses(states):
             mesh = self.mesh(fragment_id)
@@ -39,13 +39,13 @@ class RunScene:
 
     @property
     def ground(self) -> float | None:
-        """Height of the highest horizontal plane, solid below [m]."""
+        """Height [m] of the highest horizontal plane that is solid below; None if there is none."""
         planes = [body.plane for body in self.run.bodies.values() if np.any(body.plane)]
         heights = [-p[3] / p[2] for p in planes if p[2] > 0.999 * np.linalg.norm(p[:3])]
         return max(heights, default=None)
 
     def centres(self, states: RecordedStates, movable_only: bool = True) -> np.ndarray:
-        """Middles of what is there (n, 3) [m]: of all that can move, or of everything solid."""
+        """Centres (n, 3) [m] of the movable fragments, or of everything solid."""
         return np.array(
             [
                 rotation @ self.mesh(f).centre + position
@@ -55,7 +55,7 @@ class RunScene:
         ).reshape(-1, 3)
 
     def radius(self, states: RecordedStates) -> float:
-        """Half the longest side of the box of the median body that can move [m]; 0 where none can."""
+        """Median of half the longest box side over the movable fragments [m]; 0 if nothing can move."""
         meshes = [self.mesh(f) for f, *_ in self._poses(states) if not self._body(f).is_static]
         return float(np.median([0.5 * np.ptp(mesh.triangles, axis=(0, 1)).max() for mesh in meshes] or [0.0]))
 
@@ -63,7 +63,7 @@ class RunScene:
         return self._palette.is_breakable(self.run.body_of[fragment_id])
 
     def mesh(self, fragment_id: int) -> BodyMesh:
-        """Of a fragment, from its FragmentMesh; of a body that never broke, from the body where there is none."""
+        """From the fragment's FragmentMesh; if there is none, from its body, which never broke."""
         if fragment_id not in self._meshes:
             recorded = self.run.meshes.get(fragment_id)
             body = self._body(fragment_id)
@@ -81,7 +81,7 @@ class RunScene:
         return self.run.bodies[self.run.body_of[fragment_id]]
 
     def _poses(self, states: RecordedStates) -> list[tuple[int, np.ndarray, np.ndarray]]:
-        """Fragment, position and rotation matrix of everything solid, planes left out."""
+        """Fragment id, position and rotation matrix of everything solid except planes."""
         named = set(states.fragment_ids.tolist())
         resting = [b.fragment_id for b in self.run.bodies.values() if b.is_static and b.fragment_id not in named]
         rotations = Rotation.from_quat(states.orientations).as_matrix() if named else np.zeros((0, 3, 3))

@@ -1,4 +1,4 @@
-"""Where the time of a run went, and what there was to do: one picture of two panels."""
+"""Times of a run and its load: one picture with two panels."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-# Drawn where the report has them: a run in one process has no round trip, one over ROS no total.
+# Drawn if the report has them: a run in one process has no round trip, a run over ROS no total.
 OPTIONAL_CURVES = (
     ("round_trip_ms", "ROS round trip", "#7f7f7f"),
     ("total_ms", "whole step", "#17becf"),
@@ -18,7 +18,7 @@ CURVES = (
     ("solver_ms", "contact solver", "#d62728"),
 )
 COUNTS = (("contacts", "contacts", "#2ca02c"), ("fragments", "fragments", "#9467bd"))
-MEDIAN_STEPS = 21  # odd; of the running median
+MEDIAN_STEPS = 21  # odd; window of the running median
 SMALLEST_MS = 1e-3  # a logarithmic axis has no zero; nothing measured here is shorter than a microsecond
 
 
@@ -26,9 +26,9 @@ def plot_times(report: Mapping[str, Sequence[float]], png_path: Path | str) -> N
     """Plot per-step lists of equal length: time [s], contacts, fragments, collision_ms, update_ms, solver_ms, and those
     of OPTIONAL_CURVES that the report has.
 
-    Milliseconds a step on a logarithmic axis above (each step pale, the running median bold; the updates at fractures
-    as dots: most steps have none), contacts and fragments below. Raises ValueError where a list is missing or the
-    lengths differ.
+    The upper panel has milliseconds a step on a logarithmic axis (each step pale, the running median bold; updates at
+    fractures as dots, as most steps have none), the lower one contacts and fragments. Raises ValueError if a list is
+    missing or the lengths differ.
     """
     curves = [curve for curve in OPTIONAL_CURVES if curve[0] in report] + list(CURVES)
     names = ("time", *(name for name, _, _ in (*curves, *COUNTS)), "update_ms")

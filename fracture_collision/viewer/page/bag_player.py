@@ -17,19 +17,19 @@ from fracture_collision.viewer.page.page import INTERVAL, LOCALHOST, Page
 from fracture_collision.viewer.page.page_plots import Figures
 from fracture_collision.viewer.page.page_scene import FREE_ASPECT, beside_the_panel
 
-MOMENTS = 6  # of the run that the camera is chosen by
+MOMENTS = 6  # of the run from which the camera is chosen
 SLIDER_INTERVAL = 0.2  # [s] between two movements of the time bar
 SLOWEST, FASTEST = 0.02, 2.0
 
 
 class BagPlayer:
-    """Plays a run from its beginning, once, and then as the person who looks wants it.
+    """Plays a run once from its beginning; afterwards the user controls it.
 
-    `advance` it often; a page of its own is served from the start to `close`.
+    Call `advance` often; its own page is served from construction to `close`.
     """
 
     def __init__(self, run: RecordedRun, host: str = LOCALHOST, port: int = 0, speed: float = 1.0) -> None:
-        """`speed`: simulated seconds a second. Raises BagError where the run lacks a body; OSError where it cannot be
+        """`speed`: simulated seconds a second. Raises BagError if the run lacks a body, OSError if the page cannot be
         served.
         """
         self._run = run
@@ -37,7 +37,7 @@ class BagPlayer:
         self._lock = threading.RLock()
         self._playing, self._speed = True, min(max(speed, SLOWEST), FASTEST)
         self._at = 0.0  # [s] simulated, since the first states
-        self._shown = -1  # index of states
+        self._shown = -1  # index of the shown states
         self._advanced_at = time.monotonic()
         self._slider_at = 0.0
         camera = beside_the_panel(camera_of(RunScene(run), chosen_moments(run, MOMENTS), FREE_ASPECT))
@@ -65,14 +65,14 @@ class BagPlayer:
         return self._moments[-1] - self._moments[0]
 
     def play_until(self, check: Callable[[], None]) -> None:
-        """For ever: until `check`, called as often as pictures are made, raises."""
+        """Play until `check`, called once per frame, raises."""
         while True:
             check()
             self.advance()
             time.sleep(INTERVAL)
 
     def advance(self) -> None:
-        """Show where the run is by now."""
+        """Show the run at the current time."""
         with self._lock:
             now = time.monotonic()
             passed, self._advanced_at = now - self._advanced_at, now
@@ -88,19 +88,19 @@ class BagPlayer:
                     self._bar.value = round(self._at, 3)
 
     def seek(self, moment: float) -> None:
-        """[s] simulated, since the first states."""
+        """Go to `moment` [s] simulated, since the first states."""
         with self._lock:
             self._at = min(max(moment, 0.0), self.duration)
 
     def play(self, playing: bool) -> None:
-        """Go on, from the beginning if the end was reached; or stop."""
+        """Continue, from the beginning if the end was reached; or pause."""
         with self._lock:
             if playing and self._at >= self.duration:
                 self._at = 0.0
             self._set_playing(playing)
 
     def step(self, by: int) -> None:
-        """So many of the recorded states on, or back; stops."""
+        """Go `by` recorded states forward (back if negative) and pause."""
         with self._lock:
             self._set_playing(False)
             index = min(max(self._shown + by, 0), len(self._moments) - 1)
@@ -140,10 +140,10 @@ class BagPlayer:
             steps = gui.add_button_group("one step", ("back", "on"))
             speed = gui.add_slider("speed", SLOWEST, FASTEST, 0.02, self._speed, hint="simulated seconds a second")
 
-        # Coroutines, because viser calls those in order; threads of its pool would not keep it.
+        # Coroutines, because viser calls those in order; its thread pool would not.
         @self._bar.on_update
         async def _(event: viser.GuiEvent) -> None:
-            if event.client is not None:  # a person, and not `advance`
+            if event.client is not None:  # the user, not `advance`
                 self.seek(self._bar.value)
 
         @self._button.on_click

@@ -1,9 +1,9 @@
-"""A page in the browser that shows a run while it happens, and tells what a person does there.
+"""A browser page that shows a run live and reports user input to handlers.
 
-It takes records, whoever has them: a bag that is played, nodes that are listened to. Nothing waits for the network:
-calls leave what is new with a thread of the page's own, which hands the newest of it to the browsers, some thirty
-times a second, meshes and removals at once. viser serves the page and keeps what is in it, so that a browser may come,
-go and come back at any time, and several may look.
+It takes records from any source: a bag player, ROS subscriptions. Calls never wait for the network: they hand new data
+to the page's own thread, which sends the newest to the browsers about thirty times a second, meshes and removals at
+once. viser serves the page and keeps its content, so that browsers may connect, disconnect and reconnect at any time,
+several at once.
 """
 
 from __future__ import annotations
@@ -31,22 +31,22 @@ from fracture_collision.viewer.page.page_stream import LiveValues
 from fracture_collision.viewer.pictures.ray_picture import Camera
 
 LOCALHOST = "127.0.0.1"
-INTERVAL = 1.0 / 32.0  # [s] between two pictures: some come too late, and thirty a second shall be left
-MOST_BEHIND = 3.0 * INTERVAL  # [s] Pictures that states came too late for are made up for, so many at most.
+INTERVAL = 1.0 / 32.0  # [s] between two frames: some are late, and thirty a second should remain
+MOST_BEHIND = 3.0 * INTERVAL  # [s] At most this backlog of frames, missed because states were late, is caught up.
 TITLE = "fracture_collision"
 BRAND = (38, 94, 150)
-NOTICE = 8.0  # [s] that words stay
+NOTICE = 8.0  # [s] that a notification stays
 
 
 class LocalServer(viser.ViserServer):
-    """Serves this machine, or whom its host says, and nobody else: the way through a public relay is shut."""
+    """Serves only this machine, or the interface of its host: sharing through a public relay is disabled."""
 
     def request_share_url(self, verbose: bool = True) -> str | None:
         return None
 
 
 class Page:
-    """Use as a context manager, or `close` it. Calls may come from any one thread; `handlers` are called in another."""
+    """Use as a context manager, or `close` it. Calls may come from any one thread; `handlers` run in another."""
 
     def __init__(
         self,
@@ -57,9 +57,9 @@ class Page:
         told: frozenset[str] = frozenset(),
         add_controls: Callable[[viser.GuiApi], None] = lambda gui: None,
     ) -> None:
-        """`port` 0: any free one. `told`: which fields of Figures there will be: only those get a plot. `add_controls`:
-        makes knobs of the caller's own, above all others. Raises OSError where it cannot be served, ValueError where
-        `told` names no figure.
+        """`port` 0: any free one. `told`: the fields of Figures that will be set; only those get a plot. `add_controls`
+        adds the caller's own controls above all others. Raises OSError if the address cannot be served, ValueError if
+        `told` contains a name that is not a figure.
         """
         handlers = handlers or Handlers()
         check_told(told)
@@ -84,9 +84,9 @@ class Page:
         self._server.on_client_connect(self._live.send_all)
 
         self._news = threading.Condition()
-        self._orders: deque[Callable[[], None]] = deque()  # in the order in which they were given
-        self._states: FragmentStates | None = None  # the newest, until it is shown
-        self._placed: FragmentStates | None = None  # the last that was shown
+        self._orders: deque[Callable[[], None]] = deque()  # in the order given
+        self._states: FragmentStates | None = None  # newest, until shown
+        self._placed: FragmentStates | None = None  # last shown
         self._contacts: ContactConstraintArray | None = None
         self._contacts_are_new = False
         self._figures: list[Figures] = []
@@ -94,8 +94,8 @@ class Page:
         self._inside_is_new = False
         self._said = ""
         self._busy = self._closed = False
-        self.pictures = 0  # states handed to the browsers so far
-        self.paint_seconds = 0.0  # processor time of that, meshes included
+        self.pictures = 0  # states sent to the browsers so far
+        self.paint_seconds = 0.0  # CPU time spent on that, meshes included
         self._thread = threading.Thread(target=self._paint, name="page", daemon=True)
         self._thread.start()
 
@@ -107,21 +107,21 @@ class Page:
 
     @property
     def browsers(self) -> int:
-        """How many look."""
+        """Number of connected browsers."""
         return len(self._server.get_clients())
 
     @property
     def messages_sent(self) -> int:
-        """Poses, one of them two messages, and contact layers, to each browser."""
+        """Messages to each browser: poses, up to two each, and contact layers."""
         return self._live.messages_sent
 
     @property
     def wants_contacts(self) -> bool:
-        """Whether a switch is on that shows them; without, there is no need to fetch any."""
+        """Whether any contact layer is switched on; if not, contacts need not be fetched."""
         return self._layers.wanted
 
     def new_run(self) -> None:
-        """All that is there goes, and what has not been shown yet."""
+        """Remove everything from the page, including data not shown yet."""
         with self._news:
             self._orders.clear()
             self._states = self._contacts = None
@@ -131,38 +131,38 @@ class Page:
             self._order(self._clear)
 
     def add_body(self, body: CollisionBody) -> None:
-        """Planes and static bodies are there at once, others as soon as states name their fragment."""
+        """Planes and static bodies appear at once, others as soon as states name their fragment."""
         self._order(lambda: self._scene.add_body(body))
 
     def remove_body(self, body_id: int) -> None:
         self._order(lambda: self._scene.remove_body(body_id))
 
     def add_fragment(self, mesh: FragmentMesh, body_id: int) -> None:
-        """There as soon as states name it. Until all that the states name is known, what was there stays."""
+        """It appears as soon as states name it. Until all fragments of the states are known, the previous ones stay."""
         self._order(lambda: self._scene.add_fragment(mesh, body_id))
 
     def remove_fragment(self, fragment_id: int) -> None:
-        """It does not come again. One that only is not there at the moment states leave out, and nothing else."""
+        """Permanent. To hide a fragment for a while, leave it out of the states."""
         self._order(lambda: self._scene.remove(fragment_id))
 
     def look_from(self, camera: Camera) -> None:
-        """Without, the camera of a run is chosen when its first states come."""
+        """Without this call, the page chooses the camera at the first states of a run."""
         self._order(lambda: self._scene.look_from(camera))
 
     def cast_shadows(self, on: bool) -> None:
-        """As the page's own switch does."""
+        """Same as the switch on the page."""
         self._shadows.value = on
 
     def show_service(self, service: ServiceSliders) -> None:
-        """Its sliders stand there from now on; nobody is told of it."""
+        """Move the service sliders; calls no handler."""
         self._controls.show_service(service)
 
     def show_arm(self, angles: Sequence[float]) -> None:
-        """The scene has an arm, whose joints are at `angles` [rad]: its sliders stay until the next run."""
+        """Show the sliders of the scene's arm, with its joints at `angles` [rad], until the next run."""
         self._order(lambda: self._controls.show_arm(angles))
 
     def notify(self, words: str) -> None:
-        """For some seconds, to all who look now."""
+        """Show a notification for some seconds in all connected browsers."""
         for client in self._server.get_clients().values():
             client.add_notification(TITLE, words, auto_close_seconds=NOTICE)
 
@@ -177,25 +177,25 @@ class Page:
             self._news.notify()
 
     def show_figures(self, figures: Figures) -> None:
-        """All are plotted, also those of steps that are not shown."""
+        """All figures are plotted, including those of steps that are not shown."""
         with self._news:
             self._figures.append(figures)
             self._news.notify()
 
     def show_inside(self, view: InsideView) -> None:
-        """What Handlers.looking_inside has asked for; the figures of all are plotted as long as they come apart."""
+        """The view that Handlers.looking_inside requested; plotted too, unless a newer view replaces it first."""
         with self._news:
             self._view, self._inside_is_new = view, True
             self._news.notify()
 
     def flush(self, timeout: float = 10.0) -> None:
-        """Returns when all that was handed over is on its way. Raises TimeoutError."""
+        """Wait until everything handed over has been passed on to the browsers. Raises TimeoutError."""
         with self._news:
             if not self._news.wait_for(lambda: self._closed or not (self._busy or self._has_news()), timeout):
                 raise TimeoutError(f"the page was not done within {timeout} s")
 
     def close(self) -> None:
-        """Ends the page for all who look."""
+        """End the page for all browsers."""
         with self._news:
             self._closed = True
             self._news.notify_all()
@@ -241,13 +241,13 @@ class Page:
                     or self._inside_is_new)  # fmt: skip
 
     def _paint(self) -> None:
-        due = time.monotonic()  # of the next picture
+        due = time.monotonic()  # of the next frame
         while True:
             with self._news:
                 self._busy = False
                 self._news.notify_all()
                 self._news.wait_for(lambda: self._closed or self._has_news())
-                if not self._orders:  # that often is enough; an order does not wait so long
+                if not self._orders:  # limits the frame rate; orders do not wait
                     self._news.wait_for(lambda: self._closed or self._orders, max(due - time.monotonic(), 0.0))
                 if self._closed:
                     return
@@ -258,14 +258,14 @@ class Page:
                 view, self._view = self._view, None
                 look, self._inside_is_new = self._inside_is_new, False
                 self._busy = True
-            if states is not None:  # figures come after the states they are of, and shall not put off the next ones
+            if states is not None:  # figures follow their states, and must not delay the next states
                 due = max(due, time.monotonic() - MOST_BEHIND) + INTERVAL
             began = time.thread_time()
             try:
                 self._show(orders, states, figures, contacts, redraw)
                 if self._inside is not None:
                     self._show_inside(view, look, states is not None)
-            except Exception:  # of one picture; the next may be all right
+            except Exception:  # one frame failed; the next may succeed
                 traceback.print_exc()
             self.paint_seconds += time.thread_time() - began
 
@@ -277,18 +277,18 @@ class Page:
         contacts: ContactConstraintArray | None,
         redraw: bool,
     ) -> None:
-        for order in orders:  # meshes are made here: meanwhile what is ready shall go out
+        for order in orders:  # builds meshes: outside `atomic`, so that finished messages go out meanwhile
             order()
-        with self._server.atomic():  # else each message by itself would wake the thread that sends them
+        with self._server.atomic():  # else each message would wake the sending thread
             if states is not None:
                 self._placed = states
                 self.pictures += 1
-            if self._placed is not None and (states is not None or orders):  # what has come may be named already
+            if self._placed is not None and (states is not None or orders):  # the last states may name a new fragment
                 all_there = self._scene.place(self._placed, again=states is None)
                 if all_there and not self._scene.is_looked_at:
                     self._scene.look_at_all()
         if orders:
-            self._server.flush()  # else what is new would wait for more, as poses may
+            self._server.flush()  # else new nodes would wait in the buffer for more messages, as poses may
         if redraw:
             self._layers.draw(contacts, self._scene.centre)
         for row in figures:
@@ -312,8 +312,8 @@ class Page:
 
 
 def _check_free(host: str, port: int) -> None:
-    """Raises OSError. viser would wait for ever for a host that is none of this machine's, and take the next port in
-    place of one that is taken.
+    """Raise OSError if the address cannot be bound. viser would wait for ever on a host that is not this machine's, and
+    use the next port if this one is taken.
     """
     with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as trial:
         trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -321,7 +321,7 @@ def _check_free(host: str, port: int) -> None:
 
 
 def _server(host: str, port: int) -> LocalServer:
-    """Raises GateError where it would listen to whoever comes; then it does not listen any more."""
+    """Raises GateError, after stopping the server, if requests would go unchecked."""
     server = None
     with _viser_is_quiet():
         try:
@@ -335,6 +335,6 @@ def _server(host: str, port: int) -> LocalServer:
 
 @contextlib.contextmanager
 def _viser_is_quiet():
-    """viser prints a table of addresses and a farewell, whatever its verbosity."""
+    """Suppress the table of addresses and the farewell that viser prints at any verbosity."""
     with contextlib.redirect_stdout(io.StringIO()):
         yield

@@ -1,4 +1,4 @@
-"""Contacts, pairs and bounds drawn over the scene, and the switches for them."""
+"""Contacts, pairs and bounds drawn over the scene, with their switches."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from fracture_collision.viewer.pictures.palette import gap_colours
 
 MILLI = 1e3
 PAIR_COLOUR = (120, 60, 200)
-BOUND_SCALE = 2e-3  # [m] likewise, of missed depth: blue 0, magenta this much or more
+BOUND_SCALE = 2e-3  # [m] colour scale of missed depth: blue 0, magenta this much or more
 CERTAIN, UNCERTAIN = np.array((40, 120, 240.0)), np.array((255, 0, 180.0))
 POINT_SIZE = 0.008  # [m]
 NORMAL_LENGTH = 0.04  # [m]
@@ -22,10 +22,10 @@ Centre = Callable[[int], "np.ndarray | None"]
 
 
 class ContactLayers:
-    """Draws what is switched on of the newest contacts. One thread at a time; switches may be thrown from another."""
+    """Draws the layers that are switched on, from the newest contacts. One thread at a time, except the switches."""
 
     def __init__(self, server: viser.ViserServer, live: LiveValues, changed: Callable[[], None]) -> None:
-        """`changed` is called when a switch is thrown."""
+        """`changed` is called when a switch changes."""
         self._live = live
         with server.gui.add_folder("Look closer"):
             self._switches = {
@@ -60,7 +60,7 @@ class ContactLayers:
         return any(switch.value for switch in self._switches.values())
 
     def draw(self, contacts: ContactConstraintArray | None, centre: Centre) -> None:
-        """`centre`: of a fragment by its id, world [m]; None: it is not there."""
+        """`centre`: of a fragment by its id, world [m]; None: it is not shown."""
         drawn = {} if contacts is None else self._layers(contacts, centre)
         for name, node in self._nodes.items():
             points, colours = drawn.get(name, (np.zeros(0), None))
@@ -96,9 +96,9 @@ class ContactLayers:
 
 
 def _pair_lines(contacts: ContactConstraintArray, centre: Centre) -> tuple[np.ndarray, np.ndarray]:
-    """Which of the pairs have both fragments in the scene, and lines (n, 2, 3) between the middles of those.
+    """Indices (n,) of the pairs with both fragments in the scene, and lines (n, 2, 3) between their centres.
 
-    A plane has no middle: its end is where the contacts are.
+    A plane has no centre: its end is the mean of the contacts.
     """
     listed, lines = [], []
     for i, (a, b) in enumerate(zip(contacts.fragment_a.tolist(), contacts.fragment_b.tolist(), strict=True)):

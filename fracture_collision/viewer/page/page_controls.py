@@ -1,4 +1,4 @@
-"""The page's knobs: those that somebody wants to be told of, and no others."""
+"""The page's controls: only those with a handler."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ SMALLEST_BALL = 0.01  # [m]
 
 
 class Controls:
-    """Makes the knobs and hears them. viser calls back coroutines one after another; others it would call in threads of
-    a pool, in any order.
+    """Creates the controls and handles their events. Callbacks are coroutines because viser runs those one after
+    another; it would run plain functions in threads of a pool, in any order.
     """
 
     def __init__(self, server: viser.ViserServer, handlers: Handlers, start: Start) -> None:
@@ -44,12 +44,12 @@ class Controls:
                 command.on_trigger(_as_coroutine(lambda _event, word=word: handlers.arrow(word)))
 
     def show_service(self, service: ServiceSliders) -> None:
-        """What the service has now."""
+        """Show the current settings of the service."""
         for name, knob in self._service.items():
             knob.value = getattr(service, name)
 
     def show_arm(self, angles: Sequence[float] | None) -> None:
-        """With the joints at `angles` [rad]; None: there is no arm."""
+        """Show the arm's sliders, with the joints at `angles` [rad]; None: there is no arm."""
         if self._arm is not None:
             for slider, angle in zip(self._joints, angles or (), strict=False):
                 slider.value = round(math.degrees(angle))
@@ -112,7 +112,7 @@ class Controls:
 
 
 def _one_of(options: Sequence[str], handler: Callable[[str], None]) -> Callable[[str], None]:
-    """A browser offers nothing else, but who speaks to the page need not be one."""
+    """Drop other options: the browser offers none, but a client need not be a browser."""
 
     def chosen(option: str) -> None:
         if option in options:
@@ -129,7 +129,7 @@ def _rays(clicked: Callable[[Ray, Ball], None], ball: Callable[[], Ball]) -> Cal
 
 
 def on_update(knob: Any, handler: Callable[[Any], None]) -> None:
-    """Tells the knob's new value when a person, and not the program, has moved it."""
+    """Call `handler` with the knob's new value if a user, not the program, changed it."""
 
     def told(event: viser.GuiEvent) -> None:
         if event.client is not None:

@@ -1,4 +1,4 @@
-"""What a person does on the page, as plain records, and who is told of it."""
+"""User input on the page as plain records, and the handlers for it."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ class Drag(NamedTuple):
     """A fragment held by the mouse."""
 
     fragment_id: int
-    grip: np.ndarray  # (3,) [m], world: the point of the fragment that is held, where it is now
-    target: np.ndarray  # (3,) [m], world: where the pointer wants it, in the plane through the grip that faces the eye
+    grip: np.ndarray  # (3,) [m], world: the held point of the fragment, where it is now
+    target: np.ndarray  # (3,) [m], world: the pointer, in the plane through the grip that faces the eye
     ray: Ray  # through the pointer
 
 
@@ -28,7 +28,7 @@ class Ball(NamedTuple):
 
 
 class ServiceSliders(NamedTuple):
-    """Settings of the collision service that the page has sliders for; named and meant as in config/collision.yaml."""
+    """Settings of the collision service with sliders on the page; names and meaning as in config/collision.yaml."""
 
     contacts_per_pair: int = 8
     penetration_tolerance: float = 0.002
@@ -40,11 +40,11 @@ class PlaneWanted(NamedTuple):
     """A plane across a world axis."""
 
     axis: int  # 0, 1, 2: x, y, z
-    share: float  # of the way from one end of what can move to the other
+    share: float  # of the way from one end of the movable bodies to the other
 
 
 class InsideWanted(NamedTuple):
-    """What of the inside of collision detection a person wants to see; None, False: not."""
+    """The internals of collision detection that the user wants to see; None, False: not wanted."""
 
     level: int | None = None  # of the sphere trees
     plane: PlaneWanted | None = None  # with the field on it
@@ -53,7 +53,7 @@ class InsideWanted(NamedTuple):
 
     @property
     def compares(self) -> bool:
-        """Whether answers are wanted beside all that there is to list."""
+        """Whether to compare answers with all contacts that could be listed."""
         return self.colliding or self.errors
 
     @property
@@ -62,7 +62,7 @@ class InsideWanted(NamedTuple):
 
 
 class Joint(NamedTuple):
-    """Of an arm; the page has a slider for it while the scene has the arm."""
+    """A joint of an arm; the page has a slider for it while the scene has the arm."""
 
     name: str
     lower: float  # [rad]
@@ -70,16 +70,16 @@ class Joint(NamedTuple):
 
 
 class Handlers(NamedTuple):
-    """Who is told what a person does; what nobody wants to be told of, the page does not offer.
+    """Handlers of user input; the page has no control for a missing handler.
 
-    All are called one after another in the page's own thread, and have to return at once.
+    All are called one after another in the page's own thread, and must return at once.
     """
 
     clicked: Callable[[Ray, Ball], None] | None = None
     drag_begun: Callable[[Drag], None] | None = None  # the three go together
     drag_moved: Callable[[Drag], None] | None = None
     drag_ended: Callable[[Drag], None] | None = None
-    arrow: Callable[[str], None] | None = None  # "up", "down", "left", "right", again and again while a key is held
+    arrow: Callable[[str], None] | None = None  # "up", "down", "left", "right", repeated while a key is held
     scene_chosen: Callable[[str], None] | None = None
     reset: Callable[[], None] | None = None
     paused: Callable[[bool], None] | None = None
@@ -88,11 +88,11 @@ class Handlers(NamedTuple):
     service_set: Callable[[ServiceSliders], None] | None = None
     joint_set: Callable[[str, float], None] | None = None  # name, [rad] within its limits
     recording: Callable[[bool], None] | None = None
-    looking_inside: Callable[[InsideWanted], None] | None = None  # answered by Page.show_inside, again and again
+    looking_inside: Callable[[InsideWanted], None] | None = None  # answered by Page.show_inside, repeatedly
 
 
 class Start(NamedTuple):
-    """Where controls stand when the page opens."""
+    """Initial values of the controls."""
 
     scenes: tuple[str, ...] = ()
     scene: str = ""

@@ -1,18 +1,17 @@
-"""Which browsers the page answers: those that opened it by its own address.
+"""Request check of the page: it answers only browsers that opened it by its own address.
 
-A browser lets any web page open a websocket to any address and leaves it to the server to look at the Origin; viser
-does not. And a web page whose name is made to resolve to this machine (DNS rebinding) has an Origin of its own that
-matches its Host. So both headers are checked, of every request:
+A browser lets any web page open a websocket to any address and leaves the check of the Origin to the server; viser does
+none. And a web page whose name resolves to this machine (DNS rebinding) has an Origin of its own that matches its Host.
+So both headers of every request are checked:
 
-- Host must be an address of the page, with its port. A name that somebody else's name server may resolve is none.
-- Origin, where there is one, must be that same address. Browsers send one with every websocket. Other programs need
-  not; they run on this machine, or on one that --host lets in, and could send any.
-- A request has no query: in `?websocket=ADDRESS` the page would obey another server, under this one's origin.
-- The page may not be shown inside another one, whose clicks it would take for its own.
+- Host must be an address of the page, with its port. Names that a foreign name server may resolve are rejected.
+- Origin, if present, must be that same address. Browsers send one with every websocket. Other programs need not; they
+  run on this machine, or on one that --host admits, and could send any.
+- A request has no query: `?websocket=ADDRESS` would let another server control the page under this one's origin.
+- The page may not be framed by another one, which could redirect its clicks to this page.
 
-viser offers no way to look at a request. So while a server is being made, the function by which its module starts
-listening is one that puts the check first (written against viser 1.1); where that is not what viser calls, no page is
-served.
+viser has no hook for requests. So while a server is created, the function by which viser's module starts listening is
+replaced by one that runs the check first (written for viser 1.1); if viser does not call it, no page is served.
 """
 
 from __future__ import annotations
@@ -33,13 +32,13 @@ from websockets.http11 import Request, Response
 
 LOOPBACK_HOSTS = ("localhost", "127.0.0.1", "[::1]")
 NOT_FRAMED = {"X-Frame-Options": "DENY", "Content-Security-Policy": "frame-ancestors 'none'"}
-_HTTP_PORT = 80  # which a Host need not name
+_HTTP_PORT = 80  # default port, which Host may omit
 
 _one_at_a_time = threading.Lock()
 
 
 class GateError(RuntimeError):
-    """viser serves in another way than this file expects: nothing would be checked."""
+    """viser starts its server in a way this file does not expect: requests would go unchecked."""
 
 
 class Gate:
@@ -49,11 +48,11 @@ class Gate:
         self._hosts = {*LOOPBACK_HOSTS, bracketed(host).lower()}
         address = _address(host)
         self._is_open = host == "" or (address is not None and address.is_unspecified)
-        if self._is_open:  # by this machine's name, too, and by any address of it
+        if self._is_open:  # accept this machine's name and any IP address, too
             self._hosts.add(socket.gethostname().lower())
 
     def refusal(self, headers: Headers, path: str, port: int) -> str:
-        """Why a request for `path` at this `port` is refused; "": it is not."""
+        """The reason to reject a request for `path` at this `port`; "": accepted."""
         hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
         if len(hosts) != 1 or not self._is_own(hosts[0].lower(), port):
             return "this is not the page's address"
@@ -69,14 +68,14 @@ class Gate:
             name, digits = host, str(_HTTP_PORT)
         if digits != str(port):
             return False
-        # An address, unlike a name, leads nowhere else.
+        # An IP address, unlike a name, cannot resolve to another machine.
         return name in self._hosts or (self._is_open and _address(name.strip("[]")) is not None)
 
 
 @contextmanager
 def guarded(gate: Gate) -> Iterator[None]:
-    """The viser server that is made meanwhile answers what `gate` lets in. Raises GateError, and then it must not be
-    used: it may listen, and check nothing.
+    """A viser server created inside answers only requests that `gate` accepts. Raises GateError; then the server must
+    not be used: it may listen without any check.
     """
     served = False
 
@@ -121,7 +120,7 @@ class _Instead:
 
 
 def bracketed(host: str) -> str:
-    """As it stands in an address: of IP version 6 in brackets."""
+    """The host as written in a URL: IPv6 addresses in brackets."""
     return f"[{host}]" if ":" in host else host
 
 

@@ -1,5 +1,5 @@
-"""The inside of collision detection on the page: sphere trees, the field on a plane, what there is to list and what is
-left out. Somebody else finds it out (Handlers.looking_inside), as long as a switch is on.
+"""The internals of collision detection on the page: sphere trees, the field on a plane, all contacts and what answers
+leave out. Handlers.looking_inside supplies the data while a switch is on.
 """
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ from fracture_collision.viewer.page.page_scene import SceneNodes, turned
 from fracture_collision.viewer.page.page_stream import STILL, LiveValues
 
 MILLI = 1e3
-DEEPEST_LEVEL = 16  # of the slider: of 2^16 points
-MOST_SPHERES = 500  # drawn; more hide each other, and cost a graphics processor too much
+DEEPEST_LEVEL = 16  # of the slider: a tree of 2^16 points
+MOST_SPHERES = 500  # drawn; more occlude each other and cost too much GPU time
 ROUNDNESS = 2  # subdivisions of an icosahedron
 SPHERE_OPACITY = 0.3
 AXES = ("x", "y", "z")
-# Of a plane across each axis: the side from which the camera of a run looks at it at first. What is there is in the
-# way.
+# For a plane across each axis: the side of a run's initial camera. Fragments on that side occlude the plane and are
+# hidden.
 NEAR_SIDE = (1.0, -1.0, 1.0)
-# In the plane, world: right and down of a picture across each axis, so that up is up in it.
+# World axes of the picture in a plane across each axis: right and down, so that up in the world is up in it.
 RIGHT = np.array([[0.0, 1, 0], [1, 0, 0], [1, 0, 0]])
 DOWN = np.array([[0.0, 0, -1], [0, 0, -1], [0, -1, 0]])
 SHARED_COLOUR = np.array([235, 20, 20])  # inside two fragments at once
-LINES = 6  # of equal depth, about as many
-DARKEST = 0.35  # of the colour that the surface has, at the deepest point
-DARKER_BAND = 0.85  # every other one between two lines
+LINES = 6  # of equal depth, approximately
+DARKEST = 0.35  # share of the surface colour, at the deepest point
+DARKER_BAND = 0.85  # share of brightness of every other band
 NOTHING = np.zeros((1, 1, 4), dtype=np.uint8)  # a picture
 
 PLOTS: tuple[Group, ...] = (
@@ -45,10 +45,10 @@ class Spheres(NamedTuple):
     """Bounding spheres of one level of the fragments' sphere trees."""
 
     level: int
-    deepest: int  # level that any tree has
+    deepest: int  # level of all trees
     fragment_ids: np.ndarray  # (n,)
     centres: np.ndarray  # (n, 3) [m] body frame
-    radii: np.ndarray  # (n,) [m] 0: a single sample, which is not drawn
+    radii: np.ndarray  # (n,) [m]; 0: a single sample, not drawn
 
 
 class PlanePicture(NamedTuple):
@@ -56,28 +56,28 @@ class PlanePicture(NamedTuple):
 
     axis: int
     place: float  # [m] along the axis
-    corner: np.ndarray  # (2,) [m] where the grid begins, along the other two axes in their order
+    corner: np.ndarray  # (2,) [m] lower corner of the grid, along the other two axes in order
     cell: float  # [m] edge
-    owners: np.ndarray  # (rows, columns) fragment ids; negative: nobody's. Columns go along the first of the two axes
+    owners: np.ndarray  # (rows, columns) fragment ids; negative: none. Columns go along the first of the two axes
     depths: np.ndarray  # (rows, columns) [m]
     shared: np.ndarray  # (rows, columns) bool: inside two fragments at once
 
 
 class InsideFigures(NamedTuple):
-    """An answer beside all there is to list at the same states."""
+    """An answer compared with all contacts at the same states."""
 
     time: float  # [s] simulated
     contacts: int  # listed
-    colliding: int  # contacts there would be without a limit
+    colliding: int  # contacts without a limit
     unlisted_mm: float  # deepest penetration that is not listed
-    promised_mm: float  # that the missed depth bounds allow to be
-    too_shallow_mm: float  # that a listed one is deeper than told, at most
-    collision_ms: float | None  # what an answer takes
-    is_replayed: bool = False  # asked of a copy of the service, for the scene stands and asks for nothing
+    promised_mm: float  # depth that the missed depth bounds allow to be unlisted
+    too_shallow_mm: float  # most by which a listed depth is understated
+    collision_ms: float | None  # time of an answer
+    is_replayed: bool = False  # computed by a copy of the service, because the paused scene makes no queries
 
 
 class InsideView(NamedTuple):
-    """None: not wanted, or nothing there."""
+    """None: not wanted, or empty."""
 
     spheres: Spheres | None = None
     plane: PlanePicture | None = None
@@ -85,7 +85,7 @@ class InsideView(NamedTuple):
 
 
 class Inside:
-    """The switches, and what they show. One thread at a time, but for the switches."""
+    """The switches and what they show. One thread at a time, except for the switches."""
 
     def __init__(
         self,
@@ -95,7 +95,7 @@ class Inside:
         asks: Callable[[InsideWanted], None],
         changed: Callable[[], None],
     ) -> None:
-        """`asks` is told what a person wants to see, whenever that changes; then `changed` is called."""
+        """On each change of the switches, `asks` is called with the request, then `changed`."""
         self._server, self._live, self._scene = server, live, scene
         self._view = InsideView()
         self._wanted = InsideWanted()
@@ -130,8 +130,8 @@ class Inside:
         self._said = ""
 
     def add_plots(self) -> None:
-        """At this place of the panel; hidden until somebody wants them."""
-        # drawn at once: they come seldom, and no other may follow
+        """Add the plots at the current place of the panel, hidden until switched on."""
+        # drawn at once: rows are rare, and this may be the last
         self._plots = Plots(self._server.gui, PLOTS, visible=False, interval=0.0)
 
     def _asked_for(self) -> InsideWanted:
@@ -143,13 +143,13 @@ class Inside:
         )
 
     def clear(self) -> None:
-        """The next run begins."""
+        """Reset for the next run."""
         self._view = InsideView()
         self._plots.clear()
         self.draw(None)
 
     def draw(self, view: InsideView | None) -> None:
-        """`view`: None: the one before, for switches were thrown. What is not wanted any more is not shown."""
+        """`view` None: redraw the previous one, after a switch changed. Hides what is no longer wanted."""
         if view is not None:
             self._view = view
             if view.figures is not None:
@@ -178,7 +178,7 @@ class Inside:
         self.move()
 
     def move(self) -> None:
-        """The spheres go where their fragments have gone."""
+        """Move the spheres with their fragments."""
         if self._drawn is None:
             self._balls.visible = False
             return
@@ -228,7 +228,7 @@ class Inside:
             self._picture.visible = True
 
     def _in_the_way(self, plane: PlanePicture) -> frozenset[int]:
-        """What the plane cuts, and what is on the near side of it."""
+        """Fragments that the plane cuts, and those on its near side."""
         cut = set(np.unique(plane.owners[plane.owners >= 0]).tolist())
         side = NEAR_SIDE[plane.axis]
         beyond = {f for f in self._scene.poses if side * (self._scene.centre(f)[plane.axis] - plane.place) > 0.0}
@@ -236,21 +236,21 @@ class Inside:
 
     def _add_nodes(self) -> None:
         ball = trimesh.creation.icosphere(ROUNDNESS, 1.0)
-        self._spheres = self._drawn = None  # that came, and what of them is drawn
-        self._positions: np.ndarray | None = None  # (n, 3) [m] world, of these, where they were sent to
+        self._spheres = self._drawn = None  # received, and the drawn ones of them
+        self._positions: np.ndarray | None = None  # (n, 3) [m] world, of the drawn ones, last sent
         self._balls = self._server.scene.add_batched_meshes_simple(
             "/spheres", ball.vertices, ball.faces, np.array([[1.0, 0.0, 0.0, 0.0]]), np.zeros((1, 3)),
             batched_scales=np.ones(1), batched_colors=np.full((1, 3), 128, dtype=np.uint8), opacity=SPHERE_OPACITY,
             lod="off", cast_shadow=False, receive_shadow=False, visible=False,
         )  # fmt: skip
-        self._plane: PlanePicture | None = None  # that the picture shows
+        self._plane: PlanePicture | None = None  # shown in the picture
         self._picture = self._server.scene.add_image(
             "/plane_field", NOTHING, 1.0, 1.0, format="png", cast_shadow=False, receive_shadow=False, visible=False
         )
 
 
 def _largest(spheres: Spheres) -> Spheres:
-    """As many as are drawn, and no single samples."""
+    """The MOST_SPHERES largest, without single samples."""
     chosen = np.argsort(-spheres.radii, kind="stable")[:MOST_SPHERES]
     chosen = chosen[spheres.radii[chosen] > 0.0]
     return spheres._replace(

@@ -1,4 +1,4 @@
-"""Plots of the last seconds: milliseconds a step, contacts, fragments; and whatever else comes with a time."""
+"""Plots of the last seconds: milliseconds a step, contacts, fragments, and any other rows with a time."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from typing import Any, NamedTuple
 import numpy as np
 import viser
 
-SHOWN = 4.0  # [s] of simulated time that a plot reaches back
+SHOWN = 4.0  # [s] of simulated time that a plot covers
 INTERVAL = 0.25  # [s]
-FLOORS = {"_ms": 1e-2, "_mm": 1e-4}  # by endings of names: a logarithmic axis has no zero
+FLOORS = {"_ms": 1e-2, "_mm": 1e-4}  # by suffix of the name: a logarithmic axis has no zero
 
 Group = tuple[str, tuple[str, ...]]  # a plot: its title, and the names of its curves
 
 
 class Figures(NamedTuple):
-    """Of one step; None: not known to whoever tells."""
+    """Of one step; None: not known to the caller."""
 
     time: float  # [s] simulated
     collision_ms: float | None = None
     update_ms: float | None = None  # at fractures; else 0
     solver_ms: float | None = None
-    ros_ms: float | None = None  # round trip beyond those
+    ros_ms: float | None = None  # rest of the round trip
     contacts: int | None = None  # listed
     fragments: int | None = None
 
@@ -44,34 +44,34 @@ PLOTS: tuple[Group, ...] = (
 
 
 def plots_of(told: frozenset[str]) -> list[Group]:
-    """Those of PLOTS that have curves, with these alone. `told`: names of the fields of Figures that will not be None;
-    of `time` there need be no word.
+    """The groups of PLOTS with curves in `told`, and only those curves. `told`: names of the fields of Figures that
+    will not be None; `time` may be omitted.
     """
     groups = [(title, tuple(name for name in names if name in told)) for title, names in PLOTS]
     return [(title, names) for title, names in groups if names]
 
 
 def check_told(told: frozenset[str]) -> None:
-    """Raises ValueError where one of them is no field of Figures."""
+    """Raise ValueError if one of them is not a field of Figures."""
     unknown = told - set(Figures._fields)
     if unknown:
         raise ValueError(f"no figures of these names: {', '.join(sorted(unknown))}")
 
 
 class Plots:
-    """A plot for each group, of rows that have a `time` [s] and all the groups' curves. One thread at a time."""
+    """A plot for each group, from rows with a `time` [s] and all the groups' curves. One thread at a time."""
 
     def __init__(
         self, gui: viser.GuiApi, groups: Sequence[Group], visible: bool = True, interval: float = INTERVAL
     ) -> None:
-        """`interval`: [s] of the wall clock between two drawings, at least."""
+        """`interval`: least [s] of the wall clock between two drawings."""
         self._rows: deque[Any] = deque()
         self._interval = interval
         self._next = 0.0  # [s] of the wall clock
         self._plots = [(_plot(gui, title, names, visible), names) for title, names in groups]
 
     def show(self, visible: Sequence[bool]) -> None:
-        """Which of the groups are to be seen."""
+        """Set which groups are visible."""
         for (plot, _), is_seen in zip(self._plots, visible, strict=True):
             plot.visible = is_seen
 
@@ -80,9 +80,9 @@ class Plots:
         self._next = 0.0
 
     def add(self, row: Any) -> None:
-        """A row of the same moment as the last takes its place: the scene stands, and is asked otherwise."""
+        """A row at the same time as the last one replaces it: the scene is paused and was queried in another way."""
         if self._rows and not 0.0 <= row.time - self._rows[-1].time <= SHOWN:
-            self._rows.clear()  # somewhere else in time
+            self._rows.clear()  # a jump in time
         if self._rows and row.time == self._rows[-1].time:
             self._rows.pop()
         self._rows.append(row)
@@ -90,7 +90,7 @@ class Plots:
             self._rows.popleft()
 
     def draw(self) -> None:
-        """Now and then: several times a second is often enough to read. What comes too early waits for the next."""
+        """Draw at most once per interval: often enough to read. Earlier rows wait for the next drawing."""
         now = time.monotonic()
         if now < self._next or not self._rows:
             return

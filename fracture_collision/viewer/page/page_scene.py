@@ -1,4 +1,4 @@
-"""Bodies and fragments as nodes of a viser scene: who is there, in which colours, where."""
+"""Bodies and fragments as nodes of a viser scene: which are shown, their colours and poses."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from fracture_collision.viewer.pictures.ray_picture import Camera
 
 FLOOR_COLOUR, TILE_COLOUR = (186, 189, 194), (168, 171, 177)
 FLOOR_TILE = 0.5  # [m]
-FLOOR_FADE = 30.0  # [m] from the camera, where the floor has gone over into the sky
+FLOOR_FADE = 30.0  # [m] from the camera, where the floor has faded into the sky
 UNKNOWN_COLOUR = (0.5, 0.5, 0.5)
 SHADOW = 0.42  # darkness of shadows on the floor, 0..1
 SKY = ((154, 182, 214), (226, 232, 238))  # above, at the horizon
@@ -26,32 +26,32 @@ SUN = (-0.9, -1.3, 2.0)  # towards it
 SUN_COLOUR, SUN_STRENGTH = (255, 244, 228), 3.0
 DAYLIGHT = 0.55  # strength of the light from all sides
 OPENING = np.radians(38.0)  # of the camera
-FREE_ASPECT = 1.1  # of what the panel leaves free of a browser's window
+FREE_ASPECT = 1.1  # of the part of the window that the panel leaves free
 PANEL_SHARE = 0.25  # of the width of the window
 
-DragHandlers = dict[str, Callable[[Drag], None]]  # by viser's names of phases: start, update, end
+DragHandlers = dict[str, Callable[[Drag], None]]  # by viser's phase names: start, update, end
 
 
 class _Fragment(NamedTuple):
     body_id: int
-    glb: bytes  # "": a plane, which is the floor or a wall
+    glb: bytes  # binary glTF
     centre: np.ndarray  # (3,) [m], body frame
 
 
 class SceneNodes:
-    """All that is solid. One thread at a time."""
+    """All solid bodies and fragments. One thread at a time."""
 
     def __init__(self, server: viser.ViserServer, live: LiveValues, drag: DragHandlers) -> None:
         self._server = server
         self._live = live
         self._drag = drag
-        self._round = 0  # node names are not used again in another run: pages may still have messages of the old one
+        self._round = 0  # node names are not reused in the next run: browsers may still have messages of the old one
         self._root: viser.FrameHandle | None = None
         self._light_up()
         self.clear()
 
     def clear(self) -> None:
-        """Everything goes; the next run begins."""
+        """Remove everything for the next run."""
         for fragment_id in list(getattr(self, "_fragments", ())):
             self.remove(fragment_id)
         if self._root is not None:
@@ -62,10 +62,10 @@ class SceneNodes:
         self._bodies: dict[int, CollisionBody] = {}
         self._fragments: dict[int, _Fragment] = {}
         self._nodes: dict[int, viser.GlbHandle] = {}
-        self._poses: dict[int, np.ndarray] = {}  # (7,) of those that are shown
-        self._hidden: frozenset[int] = frozenset()  # that would be shown, were they not in the way
-        self._planes: set[int] = set()  # fragments that are the floor or a wall: those stand already
-        self.is_looked_at = False  # somebody has said where the camera stands
+        self._poses: dict[int, np.ndarray] = {}  # (7,) of the present ones
+        self._hidden: frozenset[int] = frozenset()  # present, but hidden because they occlude the view
+        self._planes: set[int] = set()  # fragments that are the floor or a wall, drawn as grids
+        self.is_looked_at = False  # the camera has been set
 
     def add_body(self, body: CollisionBody) -> None:
         self._bodies[body.body_id] = body
@@ -95,10 +95,10 @@ class SceneNodes:
             self.remove(fragment_id)
 
     def place(self, states: FragmentStates, *, again: bool = False) -> bool:
-        """Everything where the states say; what they do not name is not shown, static bodies apart. `again`: these
-        states were placed before, and only what has come since is not where they say.
+        """Place everything by the states; fragments that they do not name are hidden, except static bodies. `again`:
+        these states were placed before; place only what was added since.
 
-        While a mesh is still on its way nothing is taken off: a body stays until its pieces are there. False: so it is.
+        While a mesh is missing nothing is hidden: a body stays until its pieces arrive. Returns False in that case.
         """
         ids = [int(fragment_id) for fragment_id in states.fragment_ids]
         xyzw = states.orientations.reshape(-1, 4)
@@ -117,7 +117,7 @@ class SceneNodes:
         return all_there
 
     def centre(self, fragment_id: int) -> np.ndarray | None:
-        """(3,) [m], world: the middle of a fragment's surface; None where it is not shown."""
+        """(3,) [m], world: the centre of a fragment's surface; None if it is not present."""
         pose = self._poses.get(fragment_id)
         if pose is None:
             return None
@@ -125,36 +125,36 @@ class SceneNodes:
 
     @property
     def poses(self) -> dict[int, np.ndarray]:
-        """(7,) position [m] and unit quaternion w x y z, world, of every fragment that is there. To be read only."""
+        """(7,) position [m] and unit quaternion w x y z, world, of every present fragment. Read only."""
         return self._poses
 
     def colour(self, fragment_id: int) -> tuple[float, float, float]:
-        """Of its outside, 0..1 as displays show it; grey if it is not known."""
+        """Of its outside, 0..1 in display values; grey if unknown."""
         fragment = self._fragments.get(fragment_id)
         if fragment is None:
             return UNKNOWN_COLOUR
         return display_colour(self._palette.paint(fragment_id, fragment.body_id).outside)
 
     def hide(self, fragment_ids: frozenset[int]) -> None:
-        """These, and no others, are not shown wherever they are: what is behind them is."""
+        """Hide exactly these fragments, wherever they are, to show what is behind them."""
         for fragment_id in self._hidden ^ fragment_ids:
             if fragment_id in self._poses:
                 self._nodes[fragment_id].visible = fragment_id not in fragment_ids
         self._hidden = fragment_ids
 
     def look_from(self, camera: Camera) -> None:
-        """Where the camera of each page begins; pages that are open go there."""
+        """Set the initial camera of each page; open pages move there."""
         page_camera = self._server.initial_camera
         page_camera.position, page_camera.look_at = tuple(camera.position.tolist()), tuple(camera.target.tolist())
         page_camera.fov = camera.opening
         self.is_looked_at = True
 
     def cast_shadows(self, on: bool) -> None:
-        """Without, a page costs a graphics processor a quarter."""
+        """Without shadows a page costs a quarter of the GPU time."""
         self._sun.cast_shadow = on
 
     def look_at_all(self) -> None:
-        """From the front, a little above, far enough off for all that can move."""
+        """Look from the front, a little above, far enough away to see everything movable."""
         shown = [f for f in self._poses if not self._bodies[self._fragments[f].body_id].is_static] or list(self._poses)
         centres = np.array([self.centre(f) for f in shown]).reshape(-1, 3)
         if len(centres):
@@ -221,7 +221,7 @@ class SceneNodes:
 
 
 def beside_the_panel(camera: Camera) -> Camera:
-    """Turned a little to the right, so that what it looks at stands in the middle of the free part of the window."""
+    """Turn the camera a little to the right, so that its target is in the middle of the free part of the window."""
     ahead = camera.target - camera.position
     right = np.cross(ahead, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
@@ -230,13 +230,13 @@ def beside_the_panel(camera: Camera) -> Camera:
 
 
 def turned(vectors: np.ndarray, wxyz: np.ndarray) -> np.ndarray:
-    """(..., 3) vectors, turned by unit quaternions (..., 4)."""
+    """(..., 3) vectors, rotated by unit quaternions w x y z (..., 4)."""
     across = np.cross(wxyz[..., 1:], vectors)
     return vectors + 2.0 * (wxyz[..., :1] * across + np.cross(wxyz[..., 1:], across))
 
 
 def _from_z_to(normal: np.ndarray) -> np.ndarray:
-    """(4,) w x y z: a turn of the z axis to a unit vector."""
+    """(4,) quaternion w x y z that rotates the z axis to a unit vector."""
     half = np.array([1.0 + normal[2], -normal[1], normal[0], 0.0])
     if half[0] < 1e-9:
         return np.array([0.0, 1.0, 0.0, 0.0])

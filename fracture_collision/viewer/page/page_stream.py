@@ -1,12 +1,12 @@
-"""What changes many times a second on its way to the browsers: poses, contacts.
+"""Streaming of values that change many times a second to the browsers: poses, contacts.
 
-viser keeps every value that a handle is given for pages that come later, and compares it with the last one first. For
-poses of hundreds of fragments that is too dear: 15 ms for 200 poses, where the messages alone take 1.6 ms; and a page
-that comes after an hour would have millions of places in the log to step over. So these messages go into each page's
-own queue, which viser does not keep and in which a newer value of the same thing takes the older one's place: a slow
-page skips pictures and lags behind none. A page that comes later is told the last values by `send_all`.
+viser compares every value set on a handle with the last one, and keeps it for pages that connect later. For poses of
+hundreds of fragments that is too expensive: 15 ms for 200 poses, where the messages alone take 1.6 ms; and a page that
+connects after an hour would have to skip millions of log entries. So these messages go into each page's own queue,
+which viser does not keep and in which a newer value replaces an older one of the same thing: a slow page skips frames
+and does not lag behind. `send_all` sends the last values to a page that connects later.
 
-This file and `page_gate` go below viser's public interface (here the queue and two message types, of viser 1.1).
+This file and `page_gate` use internals of viser 1.1 (here the queue and two message types).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 import viser
 from viser import _messages as messages
 
-# [m], and of a quaternion's components: what has moved by less is not sent. Rounding makes what rests tremble by less.
+# [m], and for quaternion components: smaller changes are not sent. Rounding moves resting bodies by less than this.
 STILL = 1e-6
 
 
@@ -56,13 +56,13 @@ class LiveValues:
         self._send([messages.SceneNodeUpdateMessage(name, values)])
 
     def forget(self, name: str) -> None:
-        """A node that is no more, or begins anew."""
+        """Drop the values of a node that was removed or replaced."""
         with self._lock:
             self._poses.pop(name, None)
             self._properties.pop(name, None)
 
     def send_all(self, client: viser.ClientHandle) -> None:
-        """The last value of everything, to a page that has just come."""
+        """Send the last value of everything to a page that has just connected."""
         with self._lock:
             queued: list[Any] = []
             for name, pose in self._poses.items():
@@ -85,4 +85,4 @@ def _queue(client: viser.ClientHandle, queued: list[Any]) -> None:
     with client.atomic():
         for message in queued:
             client._websock_connection.queue_message(message)
-    client.flush()  # else they would wait for more, until the next picture's take their place
+    client.flush()  # else they would wait in the buffer until those of the next frame replace them

@@ -1,4 +1,4 @@
-"""Triangles of a fragment or of an unbroken body, with normals to shade them by."""
+"""Triangles of a fragment or of an unbroken body, with normals for shading."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from fracture_collision.geometry.unique_rows import unique_rows
 from fracture_collision.records import BOX, SPHERE, CollisionBody, FragmentMesh
 from fracture_collision.viewer.pictures.shading import smooth_normals
 
-PLACE_DIGITS = 7  # of coordinates [m]: what agrees so far is at the same place
-CREASE = float(np.cos(np.radians(35.0)))  # corners of triangles that meet more sharply are not smoothed
+PLACE_DIGITS = 7  # of coordinates [m]: vertices that agree to this many digits are at the same place
+CREASE = float(np.cos(np.radians(35.0)))  # triangles that meet at a sharper angle are not smoothed
 
 
 class BodyMesh:
@@ -30,12 +30,12 @@ class BodyMesh:
 
 
 def compile_mesh_kernels() -> None:
-    """Else the first mesh waits for them: from numba's cache half a second."""
+    """Load the kernels so that the first mesh does not wait: half a second from numba's cache."""
     BodyMesh(np.eye(3), np.array([[0, 1, 2]], np.uint32), np.zeros(1, np.bool_))
 
 
 def mesh_of_body(body: CollisionBody) -> BodyMesh:
-    """Of a body as it is before anything breaks; of a plane, which has no surface of any size, no triangles."""
+    """Mesh of a body before anything breaks; no triangles for a plane, which has no bounded surface."""
     if body.primitive.type == SPHERE:
         radius = body.primitive.dimensions[0]
         sphere = shell(radius, 0.9 * radius, 0.1 * radius, layers=1)

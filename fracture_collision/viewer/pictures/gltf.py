@@ -1,8 +1,8 @@
-"""A fragment's mesh as binary glTF 2.0, which browsers load as it is: a glazed outside, and cracks of another material.
+"""A fragment's mesh as binary glTF 2.0, which browsers load directly: a glazed outside, and cracks of another material.
 
-Written here because general writers take one material or colours by vertex, not both, and a fragment needs a rough
-crack beside its smooth outside. The reader makes the normals anew from the corners that triangles share: so corners are
-shared where the surface is smooth, and not at all on cracks, whose facets then catch the light one by one.
+General writers support one material or vertex colours, not both, and a fragment needs a rough crack beside its smooth
+outside. The reader recomputes normals from the corners that triangles share. So corners are shared where the surface is
+smooth, and never on cracks, whose facets are then shaded one by one.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from fracture_collision.viewer.pictures.body_mesh import BodyMesh
 from fracture_collision.viewer.pictures.palette import Paint
 
 GLAZE_ROUGHNESS, PLAIN_ROUGHNESS, CRACK_ROUGHNESS = 0.32, 0.75, 1.0
-GRAIN = 0.22  # part of a crack's brightness that varies from corner to corner
-_STEPS = 255  # normals that agree to so many steps belong to one smooth surface
+GRAIN = 0.22  # share of a crack's brightness that varies from corner to corner
+_STEPS = 255  # normals that agree when rounded to 1/255 belong to one smooth surface
 
 # Numbers of the glTF 2.0 specification.
 _FLOAT, _UINT32, _UINT8 = 5126, 5125, 5121
@@ -26,7 +26,7 @@ _MAGIC, _VERSION, _JSON, _BIN = 0x46546C67, 2, 0x4E4F534A, 0x004E4942
 
 
 def glb_of_mesh(mesh: BodyMesh, paint: Paint) -> bytes:
-    """The whole file. In it a mesh of one primitive or two: outside and crack, whichever there is."""
+    """The whole file, with a mesh of up to two primitives: outside and crack, if present."""
     file = _File()
     outside, crack = ~mesh.is_crack, mesh.is_crack
     if outside.any():
@@ -43,14 +43,14 @@ def glb_of_mesh(mesh: BodyMesh, paint: Paint) -> bytes:
 def _smooth_corners(
     triangles: np.ndarray, normals: np.ndarray, places: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """Corners (n, 3) and indices (3 t,): those of the same place and the same normal are one."""
+    """Corners (n, 3) and indices (3 t,): corners with the same place and normal are merged."""
     steps = np.round(_STEPS * normals.reshape(-1, 3))
     chosen, index = unique_rows(np.column_stack((places.ravel(), steps)))
     return triangles.reshape(-1, 3)[chosen], index
 
 
 class _File:
-    """Collects arrays and what the file says of them."""
+    """Collects arrays and their descriptions in the file."""
 
     def __init__(self) -> None:
         self._data: list[bytes] = []
@@ -68,9 +68,9 @@ class _File:
         roughness: float,
         brightness: np.ndarray | None,
     ) -> None:
-        """`colour`: linear RGB; `brightness` (n,): by which it is multiplied at each corner."""
+        """`colour`: linear RGB; `brightness` (n,): its factor at each corner."""
         corners = corners.astype("<f4")
-        columns = np.ascontiguousarray(corners.T)  # along rows numpy looks ten times as long for the smallest
+        columns = np.ascontiguousarray(corners.T)  # along rows numpy's minimum takes ten times as long
         bounds = {"min": columns.min(axis=1).tolist(), "max": columns.max(axis=1).tolist()}
         attributes = {"POSITION": self._add(corners, _FLOAT, "VEC3", bounds)}
         if brightness is not None:
@@ -110,7 +110,7 @@ class _File:
         return struct.pack("<III", _MAGIC, _VERSION, 12 + len(body)) + body
 
     def _add(self, array: np.ndarray, component: int, kind: str, more: dict) -> int:
-        """All arrays are made of four-byte elements, so all stand at multiples of four."""
+        """All arrays have elements of a multiple of four bytes, so their offsets are aligned to four bytes."""
         data = np.ascontiguousarray(array).tobytes()
         self._views.append({"buffer": 0, "byteOffset": self._size, "byteLength": len(data)})
         self._accessors.append(

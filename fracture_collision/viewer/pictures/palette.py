@@ -1,4 +1,4 @@
-"""Colours by which bodies, their fragments and the cracks in them are told apart."""
+"""Colours that distinguish bodies, their fragments and their cracks."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import numpy as np
 
 from fracture_collision.records import CollisionBody
 
-# Linear RGB. One family of colours a breakable body; what does not break keeps to the quiet ones.
+# Each breakable body has a family of colours, by hue (HLS); other bodies have muted colours, in linear RGB.
 FAMILY_HUES = (0.56, 0.03, 0.11, 0.43, 0.78, 0.33, 0.93, 0.64)
 THROWN_COLOUR = (0.10, 0.10, 0.12)
 STATIC_COLOURS = ((0.46, 0.29, 0.16), (0.34, 0.21, 0.12), (0.62, 0.60, 0.56), (0.40, 0.42, 0.44))
 # Gap [m] -> display colour: penetration red, touching yellow, about to touch green.
-GAP_SCALE = 5e-4  # a gap of so much or more has the full colour
+GAP_SCALE = 5e-4  # [m] at this gap or more the colour is saturated
 PENETRATING, TOUCHING, APART = (
     np.array(colour) / 255.0 for colour in ((226, 26, 28), (250, 214, 40), (50, 180, 90))
 )
@@ -28,7 +28,7 @@ class Paint(NamedTuple):
 
 
 class Palette:
-    """Colours of the bodies it was told of: a family each for those that can break, in the order in which they came."""
+    """Colours of the bodies added to it: a family for each breakable body, in the order of `add`."""
 
     def __init__(self) -> None:
         self._family: dict[int, int] = {}
@@ -44,7 +44,7 @@ class Palette:
         return body_id in self._family
 
     def paint(self, fragment_id: int, body_id: int) -> Paint:
-        """Fragments of a body are shades of one hue; their cracks are all of the same, much paler one."""
+        """Fragments of a body are shades of one hue; their cracks all have the same, much paler shade."""
         if body_id in self._family:
             # Neighbouring ids differ visibly: the golden ratio spreads them over the family's range of lightness.
             spread = (fragment_id * 0.6180339887) % 1.0
@@ -58,7 +58,7 @@ class Palette:
 
 
 def gap_colours(gaps: np.ndarray) -> np.ndarray:
-    """RGB (n, 3), 0..1 as displays show it, of gaps (n,) [m]."""
+    """RGB (n, 3) of gaps (n,) [m], 0..1 in display values."""
     share = np.clip(gaps / GAP_SCALE, -1.0, 1.0)[:, None]
     return np.where(
         share < 0.0, TOUCHING - share * (PENETRATING - TOUCHING), TOUCHING + share * (APART - TOUCHING)
@@ -66,7 +66,7 @@ def gap_colours(gaps: np.ndarray) -> np.ndarray:
 
 
 def display_colour(linear: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Of a Paint's colour what displays show."""
+    """A Paint's colour in display values, by a gamma of 2."""
     return linear[0] ** 0.5, linear[1] ** 0.5, linear[2] ** 0.5
 
 

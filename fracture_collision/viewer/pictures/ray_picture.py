@@ -8,11 +8,11 @@ import numpy as np
 
 from fracture_collision.viewer.pictures.shading import FLOOR_FADE, add_light, camera_rays, light_rays
 
-FLOOR_HALF = 60.0  # [m] half the side of what stands for an unbounded floor
+FLOOR_HALF = 60.0  # [m] half the side of the square that represents an unbounded floor
 
 
 class TriangleScene(NamedTuple):
-    """What is to be seen, in world coordinates [m], z up."""
+    """The scene to render, in world coordinates [m], z up."""
 
     triangles: np.ndarray  # (t, 3, 3), counter-clockwise from outside
     normals: np.ndarray  # (t, 3, 3) unit, one a corner
@@ -32,8 +32,8 @@ def render(
 ) -> np.ndarray:
     """A picture (height, width, 3) uint8; `sun` (3,) points towards it.
 
-    Each sample of a pixel sends a ray into the scene, and from what it hits one to a point of the sun's disc and one,
-    distributed with the cosine, to the sky. Raises ModuleNotFoundError with the line that installs Embree.
+    Each sample of a pixel traces a ray into the scene and, from the hit, one ray to a point of the sun's disc and one,
+    cosine-distributed, to the sky. Raises ModuleNotFoundError with the command that installs Embree.
     """
     try:
         from embreex.mesh_construction import TriangleMesh

@@ -1,7 +1,7 @@
-"""What a picture does at each pixel: rays from the camera, from what they hit to sun and sky, and the light that comes.
+"""Shading kernels of a picture: rays from the camera, rays from the hits to sun and sky, and the light they bring.
 
-One sun with a visible disc, one sky. What hides the sky gives back part of its own colour. Sample points come from the
-R2 sequence (Roberts 2018), shifted for each pixel: the same scene gives the same picture.
+One sun with a visible disc, one sky. A surface that blocks the sky reflects part of its own colour. Sample points come
+from the R2 sequence (Roberts 2018), shifted for each pixel: the same scene gives the same picture.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ HORIZON = (0.80, 0.84, 0.88)
 ZENITH = (0.42, 0.58, 0.80)
 FLOOR_COLOUR = (0.52, 0.53, 0.55)
 FLOOR_TILE = 0.5  # [m]
-FLOOR_FADE = 6.0  # camera distances; that far away the floor is two thirds horizon
-SUN_DISC = 0.05  # tangent of the sun's angular radius; more than nature's, for soft shadows
+FLOOR_FADE = 6.0  # camera distances; at this distance the floor is two thirds horizon
+SUN_DISC = 0.05  # tangent of the sun's angular radius; larger than the real one, for soft shadows
 DIFFUSE = 0.62
-BOUNCED = 0.4  # part of its colour that a surface in the way of the sky gives back
+BOUNCED = 0.4  # share of its colour that a surface blocking the sky reflects
 GLOSS = 60.0  # exponent of the highlight
 
 
@@ -37,7 +37,7 @@ def _sample(pixel: int, index: int, stream: int) -> tuple[float, float]:
 
 @njit(cache=True)
 def _turned(x: float, y: float, z: float, radius: float, angle: float) -> tuple[float, float, float]:
-    """The unit vector (x, y, z), off by `radius` (a tangent) in the direction `angle` across it."""
+    """The unit vector (x, y, z), deflected by `radius` (a tangent) in the direction `angle` [rad] across it."""
     if abs(x) < 0.7:
         ax, ay, az = 0.0, z, -y
     else:
@@ -65,13 +65,13 @@ def camera_rays(axes, scale, width, height, index, directions):
 
 @njit(cache=True)
 def light_rays(eye, rays, distance, primitive, u, v, facing, normals, sun, index, starts, shading, to_sun, to_sky):
-    """Where each pixel's ray ends (moved off the surface), the normal to shade with, and rays to sun and sky.
+    """Write each pixel's hit point (moved off the surface), its shading normal, and its rays to sun and sky.
 
-    facing (n, 3): the hit triangles' normals, of any length and side. normals (t, 3, 3): corners'; triangles from t on
-    are the floor's.
+    facing (n, 3): normals of the hit triangles, of any length and side. normals (t, 3, 3): corner normals; triangles
+    from t on belong to the floor.
     """
     for pixel in range(len(rays)):
-        if primitive[pixel] < 0:  # sees the sky: these rays go nowhere
+        if primitive[pixel] < 0:  # the sky: light rays repeat the camera ray, which hits nothing
             starts[pixel] = eye
             to_sun[pixel] = to_sky[pixel] = rays[pixel]
             continue
@@ -106,7 +106,7 @@ def add_light(
 ):
     """Add each pixel's radiance (n, 3).
 
-    in_shadow, hidden_by (n,): the triangle in the way of sun and sky, or -1; horizon: where the floor fades [m].
+    in_shadow, hidden_by (n,): the triangle that blocks the sun and the sky, or -1; horizon: where the floor fades [m].
     """
     for pixel in range(len(rays)):
         height = min(max(rays[pixel, 2] + 0.05, 0.0), 0.6) / 0.6
@@ -148,8 +148,8 @@ def add_light(
 def smooth_normals(triangles, is_crack, places, crease, normals):
     """Corner normals (3t, 3): the area-weighted mean of the triangles that meet there without a crease.
 
-    places (3t,): of each corner, those at the same place have the same number; crease: the cosine beyond which two
-    triangles are not smoothed. Crack and outside never are.
+    places (3t,): number of each corner's place, equal for corners at the same place; crease: two triangles are smoothed
+    only if the cosine between them exceeds it. Crack and outside are never smoothed together.
     """
     corners, begin = _by_place(places)
     area, length = np.empty((len(triangles), 3)), np.empty(len(triangles))

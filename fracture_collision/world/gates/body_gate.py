@@ -1,4 +1,4 @@
-"""The gate for bodies: CollisionBody in, its fields read one by one, a checked body with its prepared geometry out."""
+"""Validation of bodies: CollisionBody in, fields read one by one, a checked body with its prepared geometry out."""
 
 from __future__ import annotations
 
@@ -52,14 +52,14 @@ class CheckedBody(NamedTuple):
     restitution: float
     sphere: float  # [m] radius, 0: none
     box: np.ndarray | None  # (3,) [m] half edges
-    plane: np.ndarray | None  # (4,) unit normal, offset: n.x = offset, solid where less
+    plane: np.ndarray | None  # (4,) unit normal, offset: n.x = offset, solid below
     mesh: PreparedMesh | None
     digest: bytes  # SHA-256 of the message's content
-    surface: PreparedSurface | None = None  # of a rigid body of triangles alone
+    surface: PreparedSurface | None = None  # of a rigid body with triangles only
 
 
 class BodyFields(NamedTuple):
-    """A message whose fields are in order one by one; what they say together is not looked at yet."""
+    """A message whose fields are valid one by one; their combination is not checked yet."""
 
     body_id: int
     fragment_id: int
@@ -77,14 +77,14 @@ class BodyFields(NamedTuple):
 
 
 class MeshStore:
-    """Prepared meshes by content, so that equal geometries are prepared once in a run. Counts the bodies of each."""
+    """Prepared meshes by content: equal geometries are prepared once. Counts the bodies that use each."""
 
     def __init__(self) -> None:
         self._known: dict[bytes, PreparedMesh | PreparedSurface] = {}
-        self._uses: dict[int, tuple[bytes, int]] = {}  # id of a prepared mesh -> its key, how many bodies have it
+        self._uses: dict[int, tuple[bytes, int]] = {}  # id() of a prepared mesh -> its key, number of its bodies
 
     def prepared(self, key: bytes, prepare: Callable[[], PreparedMesh | PreparedSurface]):
-        """For one more body."""
+        """The shape of `key` for one more body, prepared on first use."""
         if key not in self._known:
             self._known[key] = prepare()
         shape = self._known[key]
@@ -92,7 +92,7 @@ class MeshStore:
         return shape
 
     def release(self, shape: PreparedMesh | PreparedSurface | None) -> None:
-        """A body of it is gone; the last one takes it along."""
+        """One body less uses the shape; it is dropped with the last."""
         if shape is None:
             return
         key, uses = self._uses.pop(id(shape))
@@ -103,7 +103,7 @@ class MeshStore:
 
 
 def read_body(body: CollisionBody) -> BodyFields:
-    """Raise InvalidMessage unless each field by itself keeps the rules of CollisionBody.msg."""
+    """Raise InvalidMessage unless each field by itself obeys the rules of CollisionBody.msg."""
     body_id, fragment_id = identifier("body_id", body.body_id), identifier("fragment_id", body.fragment_id)
     if not isinstance(body.name, str):
         refuse("wrong_type", "name: not a string")
@@ -135,7 +135,7 @@ def read_body(body: CollisionBody) -> BodyFields:
 
 
 def check_body(fields: BodyFields, store: MeshStore, room_for_nodes: int) -> CheckedBody:
-    """Raise InvalidMessage unless the fields together are a body; prepares its geometry."""
+    """Raise InvalidMessage unless the fields together form a body; prepare its geometry."""
     has_mesh = bool(len(fields.vertices) or len(fields.tetrahedra) or len(fields.triangles))
     if (fields.primitive != 0) + bool(fields.plane.any()) + has_mesh != 1:
         refuse("no_shape", f"{SHAPE_FIELDS}: a body needs exactly one of these, vertices with tetrahedra or triangles")

@@ -1,4 +1,4 @@
-"""Checks shared by all validators: sizes, ranges, finiteness, in words that name the field."""
+"""Checks shared by all validators: sizes, ranges, finiteness; each error names the field."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from fracture_collision.world.gates.errors import InvalidMessage
 
 UINT32_MAX = 0xFFFFFFFF
 UINT64_MAX = 0xFFFFFFFFFFFFFFFF
-# [m] Beyond, doubles are farther than 0.1 micrometres apart; within, no fifth power of a length overflows.
+# [m] Beyond it, doubles are more than 0.1 micrometres apart; within it, no fifth power of a length overflows.
 LARGEST_LENGTH = 1e9
-# [m] Below, products of four lengths begin to lose bits to underflow only far away, and no rigid body is that small.
+# [m] Products of four lengths lose bits to underflow only far below this, and no rigid body is that small.
 SMALLEST_LENGTH = 1e-6
 
 
@@ -23,7 +23,7 @@ def floats(name: str, values, columns: int = 0, limit: float = np.inf) -> np.nda
     given = _array(name, values)
     if given.dtype.kind not in "fiu":
         refuse("wrong_type", f"{name}: not numbers but {given.dtype}")
-    with np.errstate(over="ignore"):  # what is too large for a double becomes infinite, and is refused as such
+    with np.errstate(over="ignore"):  # values too large for a double become infinite, and are rejected
         array = np.ascontiguousarray(given, dtype=np.float64).ravel()
     if not np.isfinite(array).all():
         i = int(np.flatnonzero(~np.isfinite(array))[0])
@@ -38,7 +38,7 @@ def indices(name: str, values, columns: int = 0, below: int | None = None, of: s
     """`values` as int64, each in 0 .. below - 1 (default: uint32); (n, columns) if columns are given."""
     given = _array(name, values)
     if not given.size:
-        # an empty list says nothing of its type
+        # an empty list has no integer type
         given = np.empty(0, dtype=np.int64)
     if given.dtype.kind not in "iu":
         refuse("wrong_type", f"{name}: not integers but {given.dtype}")

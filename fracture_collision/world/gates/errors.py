@@ -1,4 +1,4 @@
-"""What the gate says of a message it refuses."""
+"""Exceptions and records for rejected messages."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 
 class InvalidMessage(ValueError):
-    """A message breaks a rule of the protocol; it was refused whole and changed nothing.
+    """A message breaks a rule of the protocol; it was rejected as a whole and changed nothing.
 
     `kind` is a short fixed word for counting ("size_mismatch", "not_finite", "unknown_id", ...); the text names the
     field.
@@ -18,10 +18,10 @@ class InvalidMessage(ValueError):
 
 
 class StatesAhead(InvalidMessage):
-    """States that speak of an event or a body that has not arrived yet: to be held, not dropped.
+    """States that need an event or a body that has not arrived yet: to be held, not dropped.
 
-    `fracture_sequence`: how many events they need. `fragment_ids`: those of theirs that no known body or event has
-    made, ascending; not listed while events are missing.
+    `fracture_sequence`: number of events they need. `fragment_ids`: their ids that no known body or event has created,
+    ascending; empty while events are missing.
     """
 
     def __init__(self, kind: str, text: str, fracture_sequence: int, fragment_ids: list[int] | None = None) -> None:
@@ -31,7 +31,7 @@ class StatesAhead(InvalidMessage):
 
 
 class Rejection(NamedTuple):
-    """The next fracture event arrived and was refused; another of the same sequence is accepted at any time."""
+    """The next fracture event arrived and was rejected; another of the same sequence is accepted at any time."""
 
     sequence: int
     reason: str

@@ -1,4 +1,4 @@
-"""The gate for fracture events: the fields one by one, then against the mesh and the labels of its nodes."""
+"""Validation of fracture events: the fields one by one, then against the mesh and the labels of its nodes."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from fracture_collision.world.gates.fracture_match import (
 )
 
 UNIT_TOLERANCE = 1e-9
-# How far beyond an edge's end, as a share of its length, its plane may pass: rounding of a crack through a node.
+# How far beyond an edge's end its plane may pass, as a share of the edge: rounding of a crack through a node.
 CROSSING_TOLERANCE = 1e-9
 
 
@@ -48,7 +48,7 @@ class CheckedFracture(NamedTuple):
 
 
 class FractureFields(NamedTuple):
-    """A message whose fields are in order one by one."""
+    """A message whose fields are valid one by one."""
 
     sequence: int
     body_id: int
@@ -58,11 +58,11 @@ class FractureFields(NamedTuple):
     parts: np.ndarray  # (n,) int64, below k
     cut_edges: np.ndarray  # (e, 2) int64
     cut_planes: np.ndarray  # (e, 4)
-    digest: bytes  # SHA-256 of the content, in the order in which it came
+    digest: bytes  # SHA-256 of the content, in message order
 
 
 def read_fracture(event: FractureEvent) -> FractureFields:
-    """Raise InvalidMessage unless each field by itself keeps the rules of FractureEvent.msg."""
+    """Raise InvalidMessage unless each field by itself obeys the rules of FractureEvent.msg."""
     ids = [identifier("sequence", event.sequence, UINT64_MAX)]
     ids += [identifier("body_id", event.body_id), identifier("fragment_id", event.fragment_id)]
     new_ids = indices("new_fragment_ids", event.new_fragment_ids)
@@ -89,14 +89,14 @@ def read_fracture(event: FractureEvent) -> FractureFields:
 def check_fracture(
     fields: FractureFields, mesh: TetMesh, node_fragment: np.ndarray, pinched: np.ndarray
 ) -> tuple[CheckedFracture, np.ndarray, np.ndarray]:
-    """Raise InvalidMessage unless the fields fit the mesh: what they say, which nodes are pinched now, and which of the
-    new fragments may be without volume.
+    """Raise InvalidMessage unless the fields fit the mesh. Returns the checked fracture, the nodes pinched now, and the
+    new fragments that may have no volume.
 
     node_fragment (n,): fragment id of each mesh node now; pinched (n,) uint8: the nodes that planes of earlier
-    fractures pass through. Ids and the sequence are checked by the caller, who knows the whole run.
+    fractures pass through. The caller, which has the whole run, checks ids and the sequence.
 
-    What is next to a node that no plane passes through belongs to it; a fragment without such a node (indices into
-    new_fragment_ids) has all its volume elsewhere, or none.
+    The space next to a node that no plane passes through belongs to the node's fragment. A fragment without such a node
+    (indices into new_fragment_ids) has all its volume elsewhere, or none.
     """
     part_of_node = _labels(fields, mesh, node_fragment)
     between = _connected(fields, mesh, part_of_node)
@@ -123,7 +123,7 @@ def apply_fracture(geometry: CollisionGeometry, row: int, event: CheckedFracture
 
 
 def fracture_of_removed_body(fields: FractureFields) -> CheckedFracture:
-    """What the log needs of an event whose body is gone: its place in the sequence, its ids, its digest."""
+    """What the log keeps of an event whose body was removed: its place in the sequence, its ids, its digest."""
     none = np.zeros(0, np.int32)
     return CheckedFracture(
         fields.body_id, fields.fragment_id, fields.new_fragment_ids, none, none, none, np.zeros((0, 4)), fields.digest
@@ -131,13 +131,13 @@ def fracture_of_removed_body(fields: FractureFields) -> CheckedFracture:
 
 
 def without_content(event: CheckedFracture) -> CheckedFracture:
-    """Likewise of an event that was accepted before its body was removed."""
+    """Likewise for an event that was accepted before its body was removed."""
     none = np.zeros(0, np.int32)
     return event._replace(nodes=none, parts=none, edges=none, planes=np.zeros((0, 4)))
 
 
 def _labels(fields: FractureFields, mesh: TetMesh, node_fragment: np.ndarray) -> np.ndarray:
-    """The part of each mesh node (n,) int32, -1: of another fragment."""
+    """The part of each mesh node (n,) int32; -1: the node belongs to another fragment."""
     nodes = indices("nodes", fields.nodes, 0, len(mesh.nodes), "mesh nodes")
     fragment_id = fields.fragment_id
     strangers = np.flatnonzero(node_fragment[nodes] != fragment_id)
@@ -153,7 +153,7 @@ def _labels(fields: FractureFields, mesh: TetMesh, node_fragment: np.ndarray) ->
 
 
 def _connected(fields: FractureFields, mesh: TetMesh, part_of_node: np.ndarray) -> int:
-    """Returns how many mesh edges join two of the new fragments."""
+    """Number of mesh edges that join two new fragments; raises unless each new fragment is connected."""
     new_ids = fields.new_fragment_ids
     nodes_of = np.bincount(fields.parts, minlength=len(new_ids))
     if not nodes_of.all():
@@ -167,7 +167,7 @@ def _connected(fields: FractureFields, mesh: TetMesh, part_of_node: np.ndarray) 
 def _cuts(
     fields: FractureFields, mesh: TetMesh, part_of_node: np.ndarray, between: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The mesh edges that are cut, ascending (k,) int32, their planes (k, 4), and the nodes that they pinch (n,)."""
+    """The cut mesh edges, ascending (k,) int32, their planes (k, 4), and the nodes that these pinch (n,) uint8."""
     ends = indices("cut_edges", fields.cut_edges, 2, len(mesh.nodes), "mesh nodes")
     problem, row, found = match_cuts(mesh, part_of_node, between, ends, fields.cut_planes, CROSSING_TOLERANCE)
     if problem != FINE:

@@ -1,4 +1,4 @@
-"""Fracture events against the mesh, edge by edge: what the gate (fracture_gate.py) asks, answered in one pass each."""
+"""Compare fracture events with the mesh, edge by edge: each check of fracture_gate.py in one pass."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import numpy as np
 from fracture_collision.core.memory.compiled import inlined_kernel, query_kernel
 from fracture_collision.core.mesh.tet_mesh import TetMesh
 
-# What match_cuts found wrong, and of what the row it gives is: an entry of the message or an edge of the mesh.
+# Problems that match_cuts reports. Its row is an edge of the mesh for DOUBLED, EXTRA, MISSING, else a message entry.
 FINE, NO_EDGE, DOUBLED, EXTRA, MISSING, MISSED = 0, 1, 2, 3, 4, 5
 
 
 class CutRecord(NamedTuple):
-    """What match_cuts found of a message with k cut edges, for a mesh of n nodes."""
+    """Result of match_cuts for a message with k cut edges and a mesh of n nodes."""
 
     order: np.ndarray  # (k,) int64: the entries of the message, ascending by the mesh edges they cut
     edges: np.ndarray  # (k,) int32 these edges
@@ -24,8 +24,8 @@ class CutRecord(NamedTuple):
 
 
 def first_split(edges: np.ndarray, edges_begin: np.ndarray, part_of_node: np.ndarray, count: int) -> tuple[int, int]:
-    """(the first of parts 0 .. count - 1 whose nodes no path of edges along its own nodes joins, -1 if there is none;
-    how many edges join two parts).
+    """(the first of parts 0 .. count - 1 that edges between its own nodes do not connect, -1 if none; number of edges
+    that join two parts).
 
     edges (e, 2), edges_begin (n + 1,): as in TetMesh; part_of_node (n,), -1: of no part.
     """
@@ -44,7 +44,7 @@ def _first_split(edges, edges_begin, nodes, part_of_node, root, pieces):
             a, b = edges[e, 0], edges[e, 1]
             q = part_of_node[b]
             between += (p != q) & (q >= 0)
-            # most edges join what is joined already, and known to be
+            # most edges join nodes that share a root already
             if (root[a] == root[b]) | (p != q):
                 continue
             while root[a] != a:
@@ -66,11 +66,11 @@ def _first_split(edges, edges_begin, nodes, part_of_node, root, pieces):
 def match_cuts(
     mesh: TetMesh, part_of_node: np.ndarray, between: int, ends: np.ndarray, planes: np.ndarray, tolerance: float
 ) -> tuple[int, int, CutRecord]:
-    """Cut edges of a message against the mesh: (problem, row, what was found).
+    """Compare the cut edges of a message with the mesh: (problem, row, record).
 
-    part_of_node (n,): -1 where nothing breaks; `between`: how many edges join two parts; ends (k, 2), planes (k, 4): as
-    in the message; `tolerance`: how far beyond an edge's end its plane may pass, in parts of the edge; a plane no
-    farther from a node pinches it.
+    part_of_node (n,): -1 where nothing breaks; `between`: number of edges that join two parts; ends (k, 2), planes
+    (k, 4): as in the message; `tolerance`: how far beyond an edge's end its plane may pass, as a share of the edge; a
+    plane no farther than this from a node pinches it.
     """
     k = len(ends)
     found = CutRecord(
@@ -79,7 +79,7 @@ def match_cuts(
     row, in_order = _find_edges(mesh.edges, mesh.edges_begin, ends, found.edges)
     if row >= 0:
         return NO_EDGE, row, found
-    # as many different edges as join two parts, all of which do, are those
+    # `between` distinct edges that all join two parts are exactly the edges to cut
     if not in_order or k != between or not _all_between(mesh.edges, part_of_node, found.edges):
         found.order[:] = np.argsort(found.edges, kind="stable")
         found.edges[:] = found.edges[found.order]
@@ -92,7 +92,7 @@ def match_cuts(
 
 @query_kernel
 def _find_edges(edges, edges_begin, ends, found):
-    """(the first entry that is no edge, or -1; whether the edges `found` ascend)."""
+    """Fill `found`; (the first entry that is no edge, or -1; whether the edges `found` ascend)."""
     in_order, before = True, -1
     for i in range(len(ends)):
         a, b = min(ends[i, 0], ends[i, 1]), max(ends[i, 0], ends[i, 1])
@@ -141,7 +141,7 @@ def _compare(edges, part_of_node, cut):
 
 @query_kernel
 def _turn_planes(nodes, edges, ends, planes, tolerance, found):
-    """Fill planes and pinched; the first entry whose plane misses its edge, or -1."""
+    """Fill planes and pinched; return the first entry whose plane misses its edge, or -1."""
     missed = len(ends)
     for c in range(len(ends)):
         e, i = found.edges[c], found.order[c]
@@ -150,7 +150,7 @@ def _turn_planes(nodes, edges, ends, planes, tolerance, found):
         at_b = p[0] * nodes[b, 0] + p[1] * nodes[b, 1] + p[2] * nodes[b, 2] - p[3]
         dx, dy, dz = nodes[b, 0] - nodes[a, 0], nodes[b, 1] - nodes[a, 1], nodes[b, 2] - nodes[a, 2]
         slack = tolerance * math.sqrt(dx * dx + dy * dy + dz * dz)
-        # not <=: a difference that is no number has missed, too
+        # `not ... >`: a NaN difference counts as missed too
         if at_a > slack or at_b < -slack or not at_b - at_a > 0.0:
             missed = min(missed, i)
         found.pinched[a] |= at_a >= -slack

@@ -1,4 +1,4 @@
-"""The gate for fragment states."""
+"""Validation of fragment states."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from fracture_collision.world.gates.checks import (
 )
 
 QUATERNION_TOLERANCE = 1e-6
-_TYPES = (np.dtype(np.uint32), *[np.dtype(np.float64)] * 4)  # of fragment_ids and the columns behind them
+_TYPES = (np.dtype(np.uint32), *[np.dtype(np.float64)] * 4)  # of fragment_ids and the columns after it
 
 
 class CheckedStates(NamedTuple):
@@ -35,12 +35,12 @@ class CheckedStates(NamedTuple):
 
 
 def check_states(states: FragmentStates) -> CheckedStates:
-    """Raise InvalidMessage unless sizes and numbers of `states` keep the rules; ids are the caller's to look up."""
+    """Raise InvalidMessage unless sizes and numbers of `states` obey the rules; the caller looks up the ids."""
     return _as_they_are(states) or _put_in_order(states)
 
 
 def _as_they_are(states: FragmentStates) -> CheckedStates | None:
-    """Of states that keep every rule and are in order, as most are; None: somebody has to look closer."""
+    """Fast path for states that obey every rule and ascend by id, as most do; None: use `_put_in_order`."""
     for column, dtype in zip(states[2:], _TYPES, strict=True):
         if type(column) is not np.ndarray or column.dtype != dtype or column.ndim != 1 or not column.flags.c_contiguous:
             return None
@@ -61,7 +61,7 @@ def _copy_if_sound(
     given_ids, given_positions, given_orientations, given_linear, given_angular, largest, tolerance, ids, positions,
     orientations, linear, angular,
 ):  # fmt: skip
-    """Whether all is as it should be; then it is copied. Velocities that are not given stay as they are."""
+    """Copy the columns and return whether all rules hold; absent velocities leave their outputs unchanged."""
     n = len(ids)
     if len(given_positions) != 3 * n or len(given_orientations) != 4 * n:
         return False
@@ -105,7 +105,7 @@ def _put_in_order(states: FragmentStates) -> CheckedStates:
         if len(velocities):
             same_length(name, velocities, "fragment_ids", len(ids))
         both.append(velocities if len(velocities) else np.zeros((len(ids), 3)))
-    with np.errstate(over="ignore"):  # infinite is not 1 either
+    with np.errstate(over="ignore"):  # an infinite length is not 1 either
         length = lengths(orientations)
     crooked = np.flatnonzero(~(np.abs(length - 1.0) <= QUATERNION_TOLERANCE))
     if len(crooked):

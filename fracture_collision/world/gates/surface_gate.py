@@ -1,4 +1,4 @@
-"""The gate for closed triangle meshes: what the exact signed distance (triangle_field.py) takes for granted."""
+"""Validation of closed triangle meshes: the preconditions of the exact signed distance (triangle_field.py)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from fracture_collision.core.mesh.ray_crossings import UNDECIDED, windings_of_ot
 from fracture_collision.portable_math import dots, lengths
 from fracture_collision.world.gates.checks import refuse
 
-# Twice the area against the longest side squared: below, rounding decides where the normal points.
+# Twice the area over the longest side squared; below it, rounding determines the direction of the normal.
 FLAT_TRIANGLE = 1e-9
 
 
@@ -64,9 +64,9 @@ def _opposite_sides(triangles: np.ndarray, vertex_count: int) -> np.ndarray:
 
 
 def _one_fan_a_vertex(triangles: np.ndarray, opposite: np.ndarray, vertex_count: int) -> None:
-    """A corner is joined with the next one around its vertex: as many circles of corners as vertices."""
+    """Join each corner with the next one around its vertex and require as many circles of corners as vertices."""
     triangle, corner = opposite // 3, opposite % 3
-    next_corner = 3 * triangle + (corner + 1) % 3  # side a-b starts in a, the other triangle's side b-a ends there
+    next_corner = 3 * triangle + (corner + 1) % 3  # side a-b starts at a, where the other triangle's b-a ends
     fan = joined(np.arange(triangles.size), next_corner, triangles.size)
     if fan.max() + 1 == vertex_count:
         return
