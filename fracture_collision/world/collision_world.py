@@ -120,8 +120,8 @@ class CollisionWorld:
         apply to later messages; existing content may exceed them.
 
         After a change of `field`, `normals`, `tree`, `traversal`, or to or from `surfaces="sampled"`, the registry is
-        rebuilt from the event log when it is next needed. Raises ValueError, and changes nothing, if a setting is out of
-        range.
+        rebuilt from the event log when it is next needed. Raises ValueError, and changes nothing, if a setting is out
+        of range.
         """
         check_settings(settings)
         if settings.threads != self.settings.threads:
