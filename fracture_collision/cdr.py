@@ -1,15 +1,16 @@
-"""Records to serialized messages and back, without ROS and without message objects in between: for bags, for what goes
-to and fro in every step, and for whatever a stranger sends.
+"""Records to serialized messages and back, without ROS and without message objects: for bags, for the messages of every
+step, and for untrusted messages.
 
-On its way through one of rclpy's message objects each array is copied four times, into fresh memory each time; here it
-is copied once. What is written has zeros in the gaps and nothing behind its last field, and is otherwise what rclpy
-makes of the same message: equal messages have equal bytes.
+rclpy's message objects copy each array four times, into new memory each time; here it is copied once. A written message
+has zeroed padding and nothing after its last field, and otherwise equals rclpy's bytes of the same message: equal
+messages have equal bytes.
 
-Reading takes no more memory than the message has bytes, whatever it says of its lengths, and all that is wrong with it
-is one ValueError in words.
+Reading takes no more memory than the message has bytes, whatever lengths it contains. Any fault in it raises one
+ValueError with an explanation.
 
-CDR: a number stands at a multiple of its size, counted from behind the four bytes of the encapsulation; a sequence is
-its length as uint32, then its elements, and one that is empty is not aligned; a string counts the zero at its end.
+CDR: a number is aligned to a multiple of its size, counted from the end of the four bytes of the encapsulation; a
+sequence is its length as uint32, then its elements, and an empty one is not aligned; a string's length includes the
+zero at its end.
 """
 
 from __future__ import annotations
@@ -24,13 +25,13 @@ import numpy as np
 
 from fracture_collision.records import SolidPrimitive
 
-# Name and type of each field, in the words of the generated message classes' get_fields_and_field_types.
+# Name and type of each field, as in the generated message classes' get_fields_and_field_types.
 Layout = tuple[tuple[str, str], ...]
 
 SEQUENCE = re.compile(r"sequence<([^,>]+)(?:, (\d+))?>")
 ARRAY = re.compile(r"([^\[]+)\[(\d+)\]")
 
-# Type -> by which code struct, array.array and numpy know a number of it, and how many numbers one of it has.
+# Type -> type code of its numbers in struct, array.array and numpy, and how many numbers an element has.
 ELEMENTS = {
     "boolean": ("?", 1), "uint8": ("B", 1), "int32": ("i", 1), "uint32": ("I", 1), "uint64": ("Q", 1),
     "float": ("f", 1), "double": ("d", 1), "geometry_msgs/Point32": ("f", 3),
@@ -38,7 +39,7 @@ ELEMENTS = {
 
 LITTLE_ENDIAN = b"\x00\x01"
 _BYTE_ORDERS = {LITTLE_ENDIAN: "<", b"\x00\x00": ">"}
-_ENCAPSULATION = LITTLE_ENDIAN + b"\x00\x00"  # the last two are options, which say nothing in plain CDR
+_ENCAPSULATION = LITTLE_ENDIAN + b"\x00\x00"  # the last two are options, without meaning in plain CDR
 _COUNT = "I"
 _UNLIMITED = 2**32 - 1
 _WIDEST = 8  # bytes of a number
@@ -60,7 +61,7 @@ class Received(NamedTuple):
 
 
 class _Nested(NamedTuple):
-    """How a message within a message is made of its fields, in a record, and taken apart into them."""
+    """Converts the fields of a nested message to its value in a record, and back."""
 
     make: Callable[..., Any]
     fields: Callable[[Any], tuple[Any, ...]]
@@ -84,17 +85,17 @@ class _Variable(NamedTuple):
     native: np.dtype | None  # as in memory
     alignment: int
     size: int  # bytes of an element
-    element: int  # numbers in one
-    has_length: bool  # which stands before its elements
+    element: int  # numbers in an element
+    has_length: bool  # in front of its elements
     fewest: int  # elements
     most: int
-    is_plain: bool  # in this machine's byte order, and whatever its bits are they are one of its numbers
+    is_plain: bool  # in this machine's byte order, and valid with any bits
 
 
 class _Step(NamedTuple):
-    """Numbers that stand side by side, the last of them the length of what comes behind them, if that has one."""
+    """Consecutive numbers, the last of them the length of the variable that follows, if that has one."""
 
-    packed: tuple[Struct, ...]  # with the gaps, by where they begin, modulo _WIDEST
+    packed: tuple[Struct, ...]  # with padding, by their beginning modulo _WIDEST
     places: slice  # of those that are fields, among all values
     place: int  # of the variable
     variable: _Variable | None
@@ -105,12 +106,12 @@ class _Step(NamedTuple):
 class Codec:
     """Writes and reads the messages of one type.
 
-    What a layout says is worked out once; writing and reading, which run in every step, are one loop each.
+    A layout is compiled once; writing and reading, which run in every step, are one loop each.
     """
 
     def __init__(self, record_class: Any, layout: Layout, nested: Callable[[str], Layout]) -> None:
-        """`layout`: with header and run_id, which the record has not. `nested`: the layout of another message type by
-        its name; what it raises comes through.
+        """`layout`: with header and run_id, which the record does not have. `nested`: the layout of another message
+        type by its name; its exceptions are passed on.
         """
         fields = [list(_leaves(name, kind, nested)) for name, kind in layout]
         leaves = [leaf for field in fields for leaf in field]
@@ -118,7 +119,7 @@ class Codec:
         self._make = record_class._make
         self._plans = {mark: tuple(_steps(leaves, order)) for mark, order in _BYTE_ORDERS.items()}
         self._booleans = [(place, name) for place, (name, kind) in enumerate(leaves) if kind == "boolean"]
-        self._nested: list[tuple[int, slice, _Nested]] = []  # last first: the places before stay what they are
+        self._nested: list[tuple[int, slice, _Nested]] = []  # last first: earlier places stay valid
         begin = 0
         for place, (field, (_, kind)) in enumerate(zip(fields, layout, strict=True)):
             if kind in _NESTED:
@@ -129,8 +130,8 @@ class Codec:
         self._in_own_order = itemgetter(*map(theirs.index, own))
 
     def write(self, record: NamedTuple, heading: Heading, run_id: int) -> bytes:
-        """Little-endian. ValueError where an array has more than one dimension, or not as many numbers as it may have;
-        struct.error where a number does not fit.
+        """Little-endian. ValueError if an array has more than one dimension, or a length out of its limits;
+        struct.error if a number does not fit.
         """
         values = list(self._in_message_order((heading, run_id, *record)))
         for place, _, nested in self._nested:
@@ -154,7 +155,7 @@ class Codec:
             side_by_side = packed[end % _WIDEST]
             parts.append(side_by_side.pack(*numbers))
             end += side_by_side.size
-            if count:  # what is empty is not aligned
+            if count:  # an empty sequence is not aligned
                 parts += (_GAPS[-end % alignment], data)
                 end += -end % alignment + count * size
         return b"".join(parts)
@@ -162,13 +163,13 @@ class Codec:
     def read(self, data: bytes) -> Received:
         """The arrays are views of one copy of `data`, and may be written to.
 
-        Raises ValueError where `data` is no such message in plain CDR of either byte order. What stands behind its last
-        field is ignored, as rclpy does.
+        Raises ValueError if `data` is not such a message in plain CDR of either byte order. Bytes after its last field
+        are ignored, as by rclpy.
         """
         plan = self._plans.get(bytes(data[:2]))
         if plan is None:
             raise self._error(f"begins with {bytes(data[:2]).hex() or 'nothing'}, not plain CDR")
-        # A copy, for arrays that may be written to and stand at multiples of their numbers' size in memory too.
+        # A copy, so that the arrays may be written to and are aligned in memory too.
         body = bytearray(memoryview(data)[len(_ENCAPSULATION) :])
         values: list[Any] = []
         available, end = len(body), 0
@@ -218,7 +219,7 @@ class Codec:
 
 
 def flat_array(value: Any, dtype: Any) -> np.ndarray:
-    """As a contiguous array of `dtype`; ValueError where it has more than one dimension."""
+    """`value` as a contiguous array of `dtype`; ValueError if it has more than one dimension."""
     flat = np.ascontiguousarray(value, dtype=dtype)
     if flat.ndim != 1:
         raise ValueError(f"an array of shape {flat.shape} where the message has a flat one")
@@ -226,7 +227,7 @@ def flat_array(value: Any, dtype: Any) -> np.ndarray:
 
 
 def _leaves(name: str, kind: str, nested: Callable[[str], Layout]) -> Iterator[tuple[str, str]]:
-    """The field itself, or those of the message that it is, and of those within that."""
+    """The field itself or, if it is a message, that message's fields, recursively."""
     if kind == "string" or kind in ELEMENTS or SEQUENCE.fullmatch(kind) or ARRAY.fullmatch(kind):
         yield name, kind
     else:
@@ -240,7 +241,7 @@ def _steps(leaves: list[tuple[str, str]], order: str) -> Iterator[_Step]:
     for place, (name, kind) in enumerate([*leaves, ("", "")]):
         if kind in ELEMENTS:
             names.append(name)
-            # A boolean as the byte that it is, which may be neither.
+            # A boolean is read as a byte, which may be neither 0 nor 1.
             codes += ELEMENTS[kind][0].replace("?", "B")
             continue
         if not (kind or names):
@@ -273,13 +274,13 @@ def _packed(codes: str, order: str) -> tuple[Struct, ...]:
 
 
 def _first_beyond(step: _Step, begin: int, available: int) -> str:
-    """The first field of the step's numbers that ends behind what is there."""
+    """The first field of the step's numbers that ends after the available bytes."""
     places = zip(step.names, _places(step.codes, begin), strict=True)
     return next(name for name, (_, _, end) in places if end > available)
 
 
 def _places(codes: str, begin: int) -> Iterator[tuple[str, int, int]]:
-    """Of each number its code, the gap before it, and where it ends."""
+    """For each number its code, the padding before it, and its end."""
     end = begin
     for code in codes:
         size = calcsize("=" + code)

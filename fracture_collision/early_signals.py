@@ -10,7 +10,7 @@ INTERRUPTED = 130  # exit status, as a shell gives it after SIGINT
 
 
 def signals_end_at_once(status: int) -> None:
-    """They end the process with exit `status`, without a word, until other handlers are set."""
+    """Makes them end the process silently with exit `status`, until other handlers are set."""
 
     def end(_signal: int, _frame: FrameType | None) -> None:
         os._exit(status)

@@ -1,9 +1,9 @@
-"""Memory that a process keeps and has touched before it is needed.
+"""Memory that a process keeps, and touches before it is needed.
 
-A page that a process writes to for the first time has to be found and cleared by the system: a quarter of a microsecond
-on a machine of one's own, up to ten on a virtual one, a thousand times over where a fracture makes a body's surfaces.
-And what is freed usually goes back to the system, to be fetched anew. Programs that must answer in time do as here
-(mallopt(3), "M_TRIM_THRESHOLD"; the real-time pages of the Linux Foundation): touch once, give nothing back.
+The system has to find and clear each page that a process writes to for the first time: a quarter of a microsecond on a
+physical machine, up to ten on a virtual one, a thousand times when a fracture makes a body's surfaces. Freed memory
+usually goes back to the system, to be fetched again. Real-time programs do the same as this module (mallopt(3),
+"M_TRIM_THRESHOLD"; the real-time pages of the Linux Foundation): touch once, return nothing.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ NEVER = 2**31 - 1
 
 
 def keep_memory(size: int) -> bool:
-    """Take `size` bytes now and keep them, and all that is freed later, for this process's own arrays.
+    """Take `size` bytes now and keep them, and all memory freed later, for this process's own arrays.
 
-    False, and nothing done, where the C library is not glibc.
+    Returns False and does nothing if the C library is not glibc.
     """
     library = ctypes.CDLL(None)
     if not hasattr(library, "gnu_get_libc_version"):
         return False
     library.mallopt(M_TRIM_THRESHOLD, NEVER)
-    library.mallopt(M_MMAP_MAX, 0)  # large arrays would be given back one by one
+    library.mallopt(M_MMAP_MAX, 0)  # large arrays would be returned one by one
     np.ones(size, np.uint8)
     return True

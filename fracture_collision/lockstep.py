@@ -1,7 +1,7 @@
 """Simulator and service in one process: a scene, step by step, without ROS and without a clock.
 
-The nodes do the same with topics in between: bodies and events first, then states one way and contacts the other, each
-waiting for the other's answer to this very step.
+The nodes do the same over topics: bodies and events first, then states one way and contacts the other, each waiting for
+the other's answer to the same step.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class StepTimes(NamedTuple):
 
 
 class Exchange(NamedTuple):
-    """What went to and fro in one step."""
+    """The messages of one step, its report and times."""
 
     states: FragmentStates  # at its beginning
     contacts: ContactConstraintArray
@@ -42,7 +42,7 @@ class Exchange(NamedTuple):
 class Lockstep:
     """A run of one scene: an iterator over its steps. Use as a context manager, or `close` it.
 
-    `simulation` and `world` are there to be looked at between steps. Equal arguments give equal bytes.
+    `simulation` and `world` may be inspected between steps. Equal arguments give equal bytes.
     """
 
     def __init__(
@@ -51,10 +51,10 @@ class Lockstep:
         settings = Settings() if settings is None else settings
         self.world = CollisionWorld(settings)
         self.simulation = Simulation(scene, seed, engine, settings.lookahead > 0.0)
-        self._told = 0  # events that the service knows
+        self._told = 0  # events that the service has
         for body in self.simulation.start_bodies():
             self.world.add_body(body)
-        self._registry: FragmentRegistry | None = self.world.fragments()  # after those
+        self._registry: FragmentRegistry | None = self.world.fragments()  # with those
 
     def __enter__(self) -> Lockstep:
         return self
@@ -65,7 +65,7 @@ class Lockstep:
         self.close()
 
     def __iter__(self) -> Iterator[Exchange]:
-        """The steps that are left."""
+        """The remaining steps."""
         while not self.simulation.finished:
             yield self.step()
 
@@ -94,18 +94,18 @@ class Lockstep:
         return Exchange(request.states, contacts, self._registry, report, times)
 
     def states(self) -> FragmentStates:
-        """Where everything is now; the service knows the events that led there."""
+        """The current states; the service has the events that led to them."""
         request = self.simulation.begin_step()
         if self._tell(request):
             self._registry = None
         return request.states
 
     def every_contact(self, states: FragmentStates) -> ContactConstraintArray:
-        """The contacts at `states` if each pair had room for all: what self-adapting selection (5.2) chooses from."""
+        """The contacts at `states` without a limit per pair: those from which self-adapting selection (5.2) chooses."""
         return every_contact(self.world, states)
 
     def _tell(self, request: StepRequest) -> bool:
-        """Tells the service the bodies and events that it does not know; whether there were any."""
+        """Passes the service the bodies and events that it does not have; returns whether there were any."""
         news = [event for event in request.events if event.sequence > self._told]
         for body in request.bodies:
             self.world.add_body(body)

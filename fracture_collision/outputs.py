@@ -1,7 +1,7 @@
-"""Outputs of a run that take the place of an earlier run's all together, or not at all.
+"""Outputs of a run that replace an earlier run's all together, or not at all.
 
-A run writes into a folder of its own inside OUT, `.new-...`. When it is over, or when its owner says so, the earlier
-run's outputs go and the new ones are put in their place. A run that never started, or was killed, leaves OUT as it was.
+A run writes into a folder of its own inside OUT, `.new-...`. At its end, or on `publish`, the earlier run's outputs are
+removed and the new ones put in their place. A run that never started, or was killed, leaves OUT as it was.
 """
 
 from __future__ import annotations
@@ -18,26 +18,26 @@ NEW, OLD = ".new-", ".old-"
 
 
 class NewOutputs:
-    """Use as a context manager: at its end what lies in `folder` is published if `started` is true, whatever ended the
-    run, and thrown away otherwise.
+    """Use as a context manager: at its end the contents of `folder` are published if `started` is true, whatever ended
+    the run, and deleted otherwise.
     """
 
     def __init__(self, out: Path, names: Sequence[str]) -> None:
         """`names`: all that a run may leave in `out`, files and folders; nothing else there is touched."""
         self._out, self._names = out, tuple(names)
-        self.started = False  # by the run: it has something to show
+        self.started = False  # set by the run once it has results
         self.published = False
         self.folder = out  # of the new run
 
     def __enter__(self) -> NewOutputs:
-        """Raises OSError where `out` cannot be written."""
+        """Raises OSError if `out` cannot be written."""
         with ExitStack() as undo:
             undo.callback(_remove_empty, [each for each in (self._out, *self._out.parents) if not each.exists()])
             self._out.mkdir(parents=True, exist_ok=True)
             with _locked(self._out):
                 self.folder = Path(tempfile.mkdtemp(prefix=NEW, dir=self._out))
                 undo.callback(shutil.rmtree, self.folder, ignore_errors=True)
-                undo.enter_context(_locked(self.folder))  # its owner lives
+                undo.enter_context(_locked(self.folder))  # as long as its owner lives
             self._open = undo.pop_all()
         return self
 
@@ -47,8 +47,8 @@ class NewOutputs:
                 self.publish()
 
     def publish(self) -> None:
-        """Puts what there is in place of the earlier run's outputs; more may be written into them afterwards, but by
-        their names in `out`."""
+        """Replaces the earlier run's outputs by the new ones; more may be written into these afterwards, under their
+        names in `out`."""
         with _locked(self._out):
             old = Path(tempfile.mkdtemp(prefix=OLD, dir=self._out))
             for name in self._names:
@@ -66,7 +66,7 @@ class NewOutputs:
 
 @contextmanager
 def _locked(folder: Path, wait: bool = True) -> Iterator[None]:
-    """Raises BlockingIOError if another has it and this is not to wait. The lock goes with the process."""
+    """Raises BlockingIOError if another process has the lock and `wait` is false. The lock ends with the process."""
     handle = os.open(folder, os.O_RDONLY)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -76,13 +76,13 @@ def _locked(folder: Path, wait: bool = True) -> Iterator[None]:
 
 
 def _remove_ownerless(folder: Path) -> None:
-    """Of a run that was killed."""
+    """Removes the folder of a killed run."""
     with suppress(OSError), _locked(folder, wait=False):
         shutil.rmtree(folder)
 
 
 def _remove_empty(folders: Sequence[Path]) -> None:
-    """Innermost first; what has something in it stays."""
+    """Innermost first; folders that are not empty stay."""
     with suppress(OSError):
         for folder in folders:
             folder.rmdir()

@@ -1,7 +1,7 @@
-"""The messages of msg/*.msg as plain numpy records: what all rooms exchange, with or without ROS.
+"""The messages of msg/*.msg as plain numpy records: what all folders exchange, with or without ROS.
 
 Fields are named and shaped as in the messages (flat arrays, SI units, frames and signs as written there), less
-`header` and `run_id`. Nothing here checks anything: `world/gates` does.
+`header` and `run_id`. Nothing is validated here: `world/gates` does that.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ SPHERE = 2
 
 
 class CollisionBody(NamedTuple):
-    """One body as it is before anything breaks (CollisionBody.msg)."""
+    """One body before any fracture (CollisionBody.msg)."""
 
     body_id: int
     fragment_id: int
@@ -54,7 +54,7 @@ class CollisionBody(NamedTuple):
 
 
 class FractureEvent(NamedTuple):
-    """One fragment breaks, instantaneous, in the body frame (FractureEvent.msg)."""
+    """The instantaneous fracture of one fragment, in the body frame (FractureEvent.msg)."""
 
     sequence: int
     body_id: int
@@ -67,7 +67,7 @@ class FractureEvent(NamedTuple):
 
 
 class FragmentStates(NamedTuple):
-    """Where everything is at one step (FragmentStates.msg)."""
+    """Poses and velocities of the fragments at one step (FragmentStates.msg)."""
 
     step: int
     fracture_sequence: int
@@ -98,7 +98,7 @@ class ContactConstraintArray(NamedTuple):
 
 
 def refusal_of(states: FragmentStates) -> ContactConstraintArray:
-    """The answer to states that break a rule: no contacts, and the status says why."""
+    """The answer to invalid states: no contacts, and the status INVALID_STATES."""
     floats, ids = _floats(), _indices()
     return ContactConstraintArray(
         step=states.step, fracture_sequence=states.fracture_sequence, status=INVALID_STATES,

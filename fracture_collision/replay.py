@@ -1,7 +1,7 @@
-"""A recorded run asked again, and the answers compared with those recorded, byte for byte.
+"""Replays a recorded run and compares the answers with those recorded, byte for byte.
 
-Contacts are a function of bodies, events, states and settings alone: so it does not matter in what order the questions
-are put, how fast, how often or on how many threads. `Replay` puts them to any `Service`; `InProcess` is one,
+Contacts are a function of bodies, events, states and settings alone, so the order, rate and number of the questions and
+the number of threads do not matter. `Replay` sends the questions to any `Service`; `InProcess` is one,
 ros/runs/replay_run.py has another, over DDS.
 """
 
@@ -23,27 +23,27 @@ from fracture_collision.records import ContactConstraintArray, FragmentStates, r
 from fracture_collision.world import CollisionWorld, InvalidMessage, Settings, StatesAhead
 from fracture_collision.world.settings import check_settings
 
-# [s] A wait for the recorded moment looks this often whether it is to be ended.
+# [s] While it waits for the recorded time, a replay checks this often whether to end.
 WAITING_INTERVAL = 0.05
 
-# Arrays of an answer that have so many numbers a contact; all others have one a pair.
+# Numbers per contact in these arrays of an answer; all others have one per pair.
 _OF_CONTACTS = {"points_a": 3, "points_b": 3, "normals": 3, "gaps": 1, "contact_ids": 1}
 
 
 class Unanswered(RuntimeError):
-    """A service gave no answer; the text says to what, and what it said of itself."""
+    """A service gave no answer; the text names the step and the service's explanation."""
 
 
 class Service(Protocol):
     def ask(self, run: Run, question: Question) -> tuple[bytes, float]:
-        """The answer, serialized with zeros in the gaps, and how long it took [s]. Raises Unanswered."""
+        """The answer, serialized with zeroed padding, and the time it took [s]. Raises Unanswered."""
 
 
 class Order(NamedTuple):
-    """Which questions, and in what order. What is answered does not depend on it."""
+    """Which questions, and in what order. The answers do not depend on it."""
 
     first: int | None = None  # step; None: that of the recording
-    end: int | None = None  # the first step that is not asked any more
+    end: int | None = None  # the first step after the range
     backwards: bool = False
     loops: int = 1
 
@@ -55,13 +55,13 @@ AS_RECORDED = Order()
 
 
 class Difference(NamedTuple):
-    """Where an answer and the recording part first."""
+    """The first difference between an answer and the recording."""
 
     run_id: int
     step: int
     field: str
     index: int | None  # of the number in the field; None: not an array, or of another length
-    pair: tuple[int, int] | None  # of fragments, as the recording has it
+    pair: tuple[int, int] | None  # of fragments, as recorded
     recorded: str
     answered: str
 
@@ -75,11 +75,11 @@ class Difference(NamedTuple):
 
 class Report(NamedTuple):
     digest: str  # SHA-256 of all answers
-    recorded_digest: str  # of those recorded, to the same questions; "" where one of them has none
+    recorded_digest: str  # of those recorded for the same questions; "" if one of them has none
     steps: int  # questions asked, each counted once
-    answers: int  # all, those to a question asked again too
-    unrecorded: int  # questions whose answer the bag does not have
-    unasked: list[int]  # steps in the range asked for that have an answer in the bag, but no question
+    answers: int  # all, including those to repeated questions
+    unrecorded: int  # questions without an answer in the bag
+    unasked: list[int]  # steps in the requested range that have an answer in the bag, but no question
     differing: int  # questions answered otherwise than recorded
     difference: Difference | None  # the first of those, by step
     contradicted: list[int]  # steps that were answered in two ways in this replay
@@ -103,17 +103,17 @@ class Report(NamedTuple):
 
 
 class Replay:
-    """An iterator over the questions of `runs` in `order`, each put to `service`; yields how many are done.
+    """An iterator that sends the questions of `runs` to `service` in `order`; yields how many are done.
 
-    `rate`: times the pace of the recording; None: as fast as it goes. `wait`: called while it waits for a moment to
-    come; what it raises ends the replay. `report` may be asked for at any time.
+    `rate`: times the pace of the recording; None: as fast as possible. `wait`: called while it waits for a recorded
+    time; an exception from it ends the replay. `report` may be called at any time.
     """
 
     def __init__(
         self, runs: list[Run], service: Service, order: Order = AS_RECORDED, rate: float | None = None,
         wait: Callable[[], None] = lambda: None,
     ) -> None:  # fmt: skip
-        """Raises BagError where no step is in the order's range."""
+        """Raises BagError if no step is in the order's range."""
         self._service = service
         self._rate = rate
         self._wait = wait
@@ -155,7 +155,7 @@ class Replay:
             self._wait()
 
     def report(self) -> Report:
-        """Of the answers so far."""
+        """Reports on the answers so far."""
         differing: list[tuple[Run, Question, bytes]] = []
         recorded_twice, unrecorded, recorded = [], 0, {}
         for (place, at), answer in sorted(self._answers.items()):
@@ -184,7 +184,7 @@ class Replay:
         )
 
     def _digest(self, answers: Mapping[tuple[int, int], bytes]) -> str:
-        """SHA-256 over step, length and bytes of each answer, by run and step: whatever the order of play was."""
+        """SHA-256 over step, length and bytes of each answer, by run and step, whatever the order of play."""
         digest = hashlib.sha256()
         for (place, at), answer in sorted(answers.items()):
             step = self._runs[place].questions[at].step
@@ -204,7 +204,7 @@ class InProcess:
     def ask(self, run: Run, question: Question) -> tuple[bytes, float]:
         heading, run_id, states = deserialize_record(question.states, FragmentStates)
         if run is not self._run or question.bodies_before < self._bodies:
-            # Back before a body came or went: only a world that never knew of it answers as the recorded one did.
+            # Back before a body was added or removed: only a world that never had it answers as the recorded one did.
             self._run, self._world = run, CollisionWorld(self._settings)
             self._bodies = self._events = 0
         started = time.perf_counter()
@@ -221,7 +221,7 @@ class InProcess:
             try:
                 return self._world.contacts(states)
             except StatesAhead as error:
-                # Recorders keep no order across topics: the body may stand behind the states that name it.
+                # Recorders keep no order across topics: the body may come after the states that name it.
                 if self._bodies < len(self._run.bodies):
                     self._tell_body()
                 elif self._events < len(self._run.events):
@@ -245,19 +245,19 @@ class InProcess:
     def _tell(self, add: Callable[[Any], None], record: Any) -> None:
         try:
             add(record)
-        except InvalidMessage as error:  # the recorded service refused it too
+        except InvalidMessage as error:  # the recorded service rejected it too
             self.refusals[f"{type(record).__name__}, {error.kind}"] = str(error)
 
 
 class SettingsFound(NamedTuple):
     settings: Settings
-    words: list[str]  # what is to be said of where they come from
+    words: list[str]  # notes on their origin
 
 
 def settings_of(bag: Path, given: Mapping[str, Any]) -> SettingsFound:
-    """Those of the service that was recorded, with `given` ones in their place; defaults where the bag does not say.
+    """Settings of the recorded service, replaced by those `given`; defaults if the bag has none.
 
-    Of limits the recorded ones count too: what was refused is refused again. Raises BagError, ValueError.
+    Recorded limits apply too: what was rejected is rejected again. Raises BagError, ValueError.
     """
     recorded = recorded_settings(bag)
     words = []
@@ -292,7 +292,7 @@ def _checked_settings(bag: Path, values: Mapping[str, Any], words: list[str]) ->
 
 
 def first_difference(run: Run, question: Question, answer: bytes) -> Difference:
-    """Where `answer` parts from the first one that was recorded; they are not the same."""
+    """The first difference between `answer` and the first recorded one; they must not be equal."""
     recorded = deserialize_record(question.answers[0], ContactConstraintArray)
     answered = deserialize_record(answer, ContactConstraintArray)
     at = (run.run_id, question.step)
@@ -326,7 +326,7 @@ def _pair_of(contacts: ContactConstraintArray, name: str, index: int) -> tuple[i
 
 
 def _plays(runs: list[Run], order: Order) -> list[tuple[int, int]]:
-    """Places of runs and of their questions in one play of the order."""
+    """Indices of runs and of their questions in one play of the order."""
     plays = [
         (place, at)
         for place, run in enumerate(runs)

@@ -1,4 +1,4 @@
-"""Surfaces of the fragments of a recorded run, where nobody recorded them: made anew from bodies and events."""
+"""Surfaces of the fragments of a recorded run that were not recorded: computed from bodies and events."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def read_run_with_meshes(
 ) -> RecordedRun:
     """The last run of a bag, as `read_run` reads it, with a mesh of every fragment that its states show.
 
-    What was recorded is taken; the rest is made by a service of its own, event by event. Raises BagError.
+    Recorded meshes are used; the others are made by a CollisionWorld of its own, event by event. Raises BagError.
     """
     exchanges = read_runs(bag, namespace)[-1]
     run = recorded_run(bag, exchanges, namespace)

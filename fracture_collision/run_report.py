@@ -1,7 +1,7 @@
-"""What a run's figures come to: average, median and worst, and the tables that Glondu et al. 2014 report a run by.
+"""Summary of a run's figures: average, median and worst, and the tables in which Glondu et al. 2014 report a run.
 
-`PAPER` holds what the paper's text and captions say; the cells of its Tables 1 to 3 are pictures. Its times are of one
-core of a Core i7-2600 at 3.4 GHz: a mark to stay below, no comparison of code.
+`PAPER` holds the figures in the paper's text and captions; the cells of its Tables 1 to 3 are pictures. Its times are
+of one core of a Core i7-2600 at 3.4 GHz: a mark to stay below, not a comparison of code.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class TableRow(NamedTuple):
     words: str
     average: float | None  # or the one figure there is; None: not measured
     worst: float | None
-    paper_average: float | None  # None: the text does not say
+    paper_average: float | None  # None: not in the text
     paper_worst: float | None
 
 
@@ -62,7 +62,7 @@ def summary_of(values: Sequence[float] | np.ndarray) -> dict[str, float]:
 
 
 def summaries(columns: Mapping[str, Sequence[float]]) -> dict[str, dict[str, float]]:
-    """`summary_of` each column; of AT_FRACTURES, of the steps in which they are not 0."""
+    """`summary_of` each column; for AT_FRACTURES only the steps in which they are not 0."""
     result = {}
     for name, column in columns.items():
         values = np.asarray(column, dtype=np.float64)

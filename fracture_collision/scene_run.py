@@ -1,4 +1,4 @@
-"""Runs a scene in one process, without ROS, and keeps what is worth telling: figures of each step, and a film of it."""
+"""Runs a scene in one process, without ROS, and keeps the figures of each step and a film of the run."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from fracture_collision.viewer.film.recorded_run import RecordedRun, RecordedSta
 from fracture_collision.world import Settings
 
 MILLI = 1e3
-# [bytes] for working space, and for each tetrahedron that may break; what a run needs beyond that is fetched then.
+# [bytes] for working space, and for each tetrahedron that may break; more is allocated when a run needs it.
 KEPT, KEPT_EACH = 32 << 20, 400
 COUNTS = ("contacts", "colliding_points", "pairs", "visits")
 
@@ -39,7 +39,7 @@ class StepFigures(NamedTuple):
     solver_ms: float  # of that, the contact solver
     update_ms: float  # of the service, at fractures; else 0
     fracture_ms: float  # patterns of what was hit hard enough; else 0
-    fractures: int  # at the end of this step; the service is told with the next
+    fractures: int  # at the end of this step; the service gets them with the next
     contacts: int
     colliding_points: int  # contacts there would be without a limit; -1: not counted
     pairs: int  # of fragments whose boxes meet
@@ -58,8 +58,8 @@ class StepFigures(NamedTuple):
 class SceneRun:
     """A run of one scene: an iterator over its steps, and afterwards, or when stopped half way, their report.
 
-    Kernels are brought into memory first, and memory for what fractures make, so that no step waits for them. Only
-    `count_colliding` costs another query a step, outside the times. Use as a context manager.
+    Kernels are loaded first, and memory for fractures is allocated, so that no step waits for them. `count_colliding`
+    adds a query per step, outside the times. Use as a context manager.
     """
 
     def __init__(
@@ -88,8 +88,8 @@ class SceneRun:
         self._lockstep.close()
 
     def __iter__(self) -> Iterator[StepFigures]:
-        """The steps that are left."""
-        # The collector would walk all meshes within some step or other.
+        """The remaining steps."""
+        # Garbage collection would walk all meshes during some step.
         gc.collect()
         gc.freeze()
         try:
@@ -136,7 +136,7 @@ class SceneRun:
         return self.rows[-1]
 
     def report(self) -> dict[str, Any]:
-        """Lists of one number a step, what they come to, and sizes of bodies: what report.json holds."""
+        """The contents of report.json: lists with one number per step, their summaries, and sizes of bodies."""
         columns = {name: [getattr(row, name) for row in self.rows] for name in StepFigures._fields}
         if not self._count_colliding:
             del columns["colliding_points"]
@@ -165,7 +165,7 @@ class SceneRun:
         }
 
     def write_steps(self, csv_path: Path) -> None:
-        """The figures of all steps so far, a row each."""
+        """Writes the figures of all steps so far, a row each."""
         with csv_path.open("w", newline="", encoding="utf-8") as stream:
             writer = csv.writer(stream)
             writer.writerow(StepFigures._fields)
@@ -198,7 +198,7 @@ class SceneRun:
 
 
 def object_sizes(scene: Scene) -> list[dict[str, Any]]:
-    """Table 1 of Glondu et al. 2014: of each mesh of a scene, what it is made of and how many bodies have it."""
+    """Table 1 of Glondu et al. 2014: for each mesh of a scene, its sizes and how many bodies have it."""
     sizes: dict[int, dict[str, Any]] = {}
     for body in scene.bodies:
         mesh = body.shape.mesh

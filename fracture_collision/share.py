@@ -1,4 +1,4 @@
-"""Where the package's config/ and launch/ lie: beside the sources, or in share/ of the prefix it is installed into."""
+"""Location of the package's config/ and launch/: beside the sources, or in share/ of the installation prefix."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 def share_directory() -> Path:
     """The folder that holds config/ and launch/, whether run from a source tree or installed by pip or colcon.
 
-    Raises FileNotFoundError where the package was copied without them.
+    Raises FileNotFoundError if the package was copied without them.
     """
     package = Path(__file__).resolve().parent
     if (package.parent / "package.xml").is_file():

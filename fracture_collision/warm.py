@@ -1,6 +1,6 @@
 """Compiles all kernels into numba's cache: `python -m fracture_collision.warm` (part of `make build`).
 
-Nothing is compiled for its own sake: both nodes' own warm-ups, a small scene to its end, a picture.
+It runs both nodes' own warm-ups, a small scene to its end, and draws a picture.
 """
 
 from __future__ import annotations

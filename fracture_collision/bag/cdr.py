@@ -1,4 +1,4 @@
-"""The messages that replays and viewers need as bytes: bags are read and answers compared where no ROS is installed."""
+"""The messages that replays and viewers need as bytes, to read bags and compare answers without an installed ROS."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from fracture_collision.records import (
 )
 
 _FIRST = (("header", "std_msgs/Header"), ("run_id", "uint64"))
-# Those of the generated message classes, which bags are read without.
+# Those of the generated message classes, without which bags can be read.
 LAYOUTS: dict[type, Layout] = {
     CollisionBody: (
         *_FIRST, ("operation", "uint8"), ("body_id", "uint32"), ("fragment_id", "uint32"),
@@ -45,7 +45,7 @@ LAYOUTS: dict[type, Layout] = {
     ),
 }  # fmt: skip
 
-# Of the messages within them.
+# Of nested messages.
 NESTED_LAYOUTS: dict[str, Layout] = {
     "std_msgs/Header": (("stamp", "builtin_interfaces/Time"), ("frame_id", "string")),
     "builtin_interfaces/Time": (("sec", "int32"), ("nanosec", "uint32")),

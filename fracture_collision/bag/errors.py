@@ -1,7 +1,7 @@
-"""What is said of a bag that cannot be read."""
+"""The error for a bag that cannot be read."""
 
 from __future__ import annotations
 
 
 class BagError(ValueError):
-    """Not a bag, or one that holds no run, or not all of it."""
+    """Not a bag, or one without a run or with an incomplete one."""

@@ -1,6 +1,6 @@
-"""What went to and fro in a recorded run: bodies, events, and each question with the answer that was recorded.
+"""The messages of a recorded run: bodies, events, and each question with its recorded answer.
 
-Topics are known by their message types, so the run may have been recorded under any namespace.
+Topics are identified by their message types, so the run may have been recorded under any namespace.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from fracture_collision.records import CollisionBody, ContactConstraintArray, Fr
 
 PACKAGE = "fracture_collision/msg/"
 _CLASSES = (CollisionBody, FractureEvent, FragmentStates, ContactConstraintArray)
-# How the generated message classes write the types that .msg files write otherwise.
+# Types that the generated message classes name differently from .msg files.
 _TYPE_WORDS = {"float64": "double", "float32": "float", "bool": "boolean"}
 
 
@@ -30,9 +30,9 @@ class Question(NamedTuple):
     step: int
     fracture_sequence: int
     time: int  # [ns] of its heading
-    bodies_before: int  # of the run's messages on `bodies`, those that were recorded before it
+    bodies_before: int  # number of the run's messages on `bodies` that were recorded before it
     states: bytes  # as recorded
-    answers: tuple[bytes, ...]  # those recorded, each once: none, one, or several that contradict each other
+    answers: tuple[bytes, ...]  # the recorded ones, each once: none, one, or several that contradict each other
 
 
 class Run(NamedTuple):
@@ -40,14 +40,14 @@ class Run(NamedTuple):
     bodies: list[Message]  # in the order of recording
     events: list[Message]  # ascending in sequence
     questions: list[Question]  # ascending in step
-    unasked: list[int]  # steps that have an answer, but not the states it answers; ascending
+    unasked: list[int]  # steps with an answer, but without the states that it answers; ascending
 
 
 class _Gathered:
     """One run while the bag is read."""
 
     def __init__(self) -> None:
-        self.bodies: dict[bytes, Message] = {}  # latched: what is delivered again says nothing new
+        self.bodies: dict[bytes, Message] = {}  # latched: a repeated delivery adds nothing
         self.events: dict[bytes, Message] = {}
         self.states: dict[tuple[int, int], tuple[bytes, int, int]] = {}  # by step and sequence: data, time, bodies
         self.answers: dict[tuple[int, int], dict[bytes, None]] = {}
@@ -56,8 +56,8 @@ class _Gathered:
 def read_runs(bag: Path, namespace: str | None = None) -> list[Run]:
     """The runs of a bag in the order in which they began: a rosbag2 folder, or one .mcap file.
 
-    `namespace`: of the topics, where there are several. A message sent again counts once. Raises BagError in words
-    where the bag holds no run, or a message is not what its topic says.
+    `namespace`: of the topics, if there are several. A repeated message counts once. Raises BagError with an
+    explanation if the bag holds no run, or a message is not of its topic's type.
     """
     classes = topics_of(bag, _CLASSES, namespace)
     runs: dict[int, _Gathered] = {}
@@ -80,7 +80,7 @@ def read_runs(bag: Path, namespace: str | None = None) -> list[Run]:
 
 
 def answers_missing(bag: Path, namespace: str | None = None) -> str:
-    """Of a bag without answers, why it has none."""
+    """Explains why a bag without answers has none."""
     name = PACKAGE + ContactConstraintArray.__name__
     if topics_of(bag, [ContactConstraintArray], namespace):
         return f"no answer in {bag} is to one of these steps"
@@ -89,14 +89,14 @@ def answers_missing(bag: Path, namespace: str | None = None) -> str:
 
 
 def canonical(received: Received) -> bytes:
-    """The message with zeros in the gaps of its serialization: equal messages have equal bytes."""
+    """The message serialized with zeroed padding: equal messages have equal bytes."""
     return serialize_record(received.record, received.heading, received.run_id)
 
 
 def topics_of(bag: Path, record_classes: Iterable[Any], namespace: str | None = None) -> dict[str, Any]:
-    """By topic the class of its records, of those that have one of `record_classes`, known by their message types.
+    """Record class by topic, for the topics whose message types are those of `record_classes`.
 
-    Raises BagError where they are of several services, or were recorded with another definition.
+    Raises BagError if they are of several services, or were recorded with another definition.
     """
     known = {PACKAGE + record_class.__name__: record_class for record_class in record_classes}
     classes: dict[str, Any] = {}

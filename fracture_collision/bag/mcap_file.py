@@ -1,8 +1,8 @@
-"""One MCAP file, read from its beginning, without trust in its index: a recorder that was killed wrote none.
+"""Reads one MCAP file from its beginning, without its index: a killed recorder wrote none.
 
-https://mcap.dev/spec. Records are found by their lengths; the last one may be cut. Chunks are taken in the order of
-their times and their messages merged, as readers with an index do. Nothing is allocated on a file's word alone: no
-record is longer than the file, no chunk larger than it says, or than LARGEST_CHUNK and LARGEST_RATIO allow.
+https://mcap.dev/spec. Records are found by their lengths; the last one may be truncated. Chunks are read in the order
+of their times and their messages merged, as by readers with an index. No allocation relies on a stated size alone: no
+record is longer than the file, no chunk larger than it states, or than LARGEST_CHUNK and LARGEST_RATIO allow.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from mcap.stream_reader import breakup_chunk
 from fracture_collision.bag.errors import BagError
 
 MAGIC = b"\x89MCAP0\r\n"
-# [bytes] Decompressed. A writer ends a chunk once it is larger than a megabyte or so: no more than that and a message.
+# [bytes] Decompressed. A writer ends a chunk above about one megabyte, so it has at most that and one message.
 LARGEST_CHUNK = 1 << 29
-# Meshes and contacts compress to a half or a tenth. A chunk that is large and says it was a thousand times its size is
-# there to fill the memory.
+# Meshes and contacts compress to a half or a tenth. A large chunk that states more than a thousand times its size is an
+# attempt to exhaust memory.
 LARGEST_RATIO = 1000
-SMALL_CHUNK = 1 << 24  # [bytes] Decompressed; up to here nobody asks.
+SMALL_CHUNK = 1 << 24  # [bytes] Decompressed; up to here the ratio is not checked.
 # [bytes] Of one record of definitions or metadata; a message's definition is some kilobytes.
 LARGEST_DEFINITION = 1 << 24
 
@@ -58,7 +58,7 @@ class FoundMessage(NamedTuple):
 
 
 class McapFile:
-    """What a file holds. Raises BagError where it is no MCAP file, or damaged otherwise than by being cut."""
+    """The contents of a file. Raises BagError if it is not an MCAP file, or damaged other than by truncation."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -66,8 +66,8 @@ class McapFile:
         self.metadata: list[Metadata] = []
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
-        self.is_whole = False  # ends as it should
-        self.lost_bytes = 0  # behind the last whole record, where it does not
+        self.is_whole = False  # ends with a footer and MAGIC
+        self.lost_bytes = 0  # after the last whole record, if it does not
         with _open(path) as stream:
             self._scan(stream)
 
@@ -80,9 +80,9 @@ class McapFile:
     def messages(
         self, topics: Collection[str] | None = None, on_damage: Callable[[BagError], None] | None = None
     ) -> Iterator[FoundMessage]:
-        """In the order of their times, those of one time as they stand in the file; all, or those of `topics`.
+        """All messages, or those of `topics`, in the order of their times, and in file order for equal times.
 
-        A chunk that is damaged raises BagError; with `on_damage` it is left out, and that told.
+        A damaged chunk raises BagError; with `on_damage` it is skipped, and the error passed to that.
         """
         waiting: list[tuple[int, int, int, Piece | Message]] = [
             (piece.time, piece.begin, -1, piece) for piece in self.pieces
@@ -150,7 +150,7 @@ class McapFile:
                 raise self._damaged(begin, error) from error
 
     def _define(self, record: Schema | Channel) -> None:
-        """A later definition of an id says the same again; the first one stands."""
+        """Later definitions of an id repeat the first one, which is kept."""
         known = self._schemas if isinstance(record, Schema) else self._channels
         known.setdefault(record.id, record)
 
@@ -165,7 +165,7 @@ class McapFile:
                     on_damage(error)
 
     def _messages_of(self, stream: IO[bytes], piece: Piece) -> list[Message]:
-        """The messages of a piece; what it defines is taken note of."""
+        """The messages of a piece; its definitions are stored."""
         stream.seek(piece.begin)
         content = stream.read(piece.size)
         try:
@@ -180,8 +180,7 @@ class McapFile:
         return [record for record in records if isinstance(record, Message)]
 
     def _opened(self, chunk: Chunk, piece: Piece) -> Chunk:
-        """The chunk as if it had never been compressed. The library's own way allocates what the compressed data say
-        that they come to."""
+        """The chunk, decompressed. The library's own function allocates the size that the compressed data state."""
         size = chunk.uncompressed_size
         if size > LARGEST_CHUNK or size > max(SMALL_CHUNK, LARGEST_RATIO * len(chunk.data)):
             raise BagError(f"{self.path}: the chunk at byte {piece.begin} says it has {size} bytes; too many")
@@ -229,7 +228,7 @@ def _open(path: Path) -> IO[bytes]:
 
 
 def _read_all(read: Callable[[int], bytes], size: int) -> bytes:
-    """`size` bytes and one more if there is one, in steps: as much memory as there are bytes, not as it says."""
+    """`size` bytes and one more if there is one, in steps: memory grows with the bytes, not the stated size."""
     parts, left = [], size + 1
     while left and (part := read(min(left, 1 << 20))):
         parts.append(part)

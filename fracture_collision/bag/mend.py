@@ -1,4 +1,4 @@
-"""A bag that its recorder could not end, made whole: index and metadata.yaml are written anew, messages stay."""
+"""Repairs a bag after its recorder was killed: rewrites index and metadata.yaml, keeps the messages."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from fracture_collision.bag.writer import CHUNK_BYTES
 
 class Mended(NamedTuple):
     messages: int
-    lost_bytes: int  # at the end of files, that could not be read
-    damaged: list[str]  # chunks that could not be read, in words
+    lost_bytes: int  # unreadable ones at the end of files
+    damaged: list[str]  # descriptions of the unreadable chunks
 
 
 def mend_bag(folder: Path) -> Mended:
-    """Rewrites the files of a rosbag2 folder, each put in its place when it is whole. Raises BagError where there is
-    nothing to mend; OSError where the folder cannot be written.
+    """Rewrites the files of a rosbag2 folder; each replaces the old one when it is complete. Raises BagError if there
+    is nothing to repair, OSError if the folder cannot be written.
 
-    What could not be read is not in the new files.
+    Unreadable data is not in the new files.
     """
     if not folder.is_dir():
         raise BagError(f"{folder}: not a folder")
@@ -60,7 +60,7 @@ class _Tally:
 
 
 def _files(folder: Path) -> tuple[list[Path], dict[str, str]]:
-    """The folder's files, and what its recorder knew besides. Metadata that make no sense are as good as none."""
+    """The folder's files, and its recorder's custom data. Invalid metadata counts as none."""
     try:
         information = metadata.read_metadata(folder) or {}
         return mcap_files(folder), metadata.custom_data(information)
@@ -73,7 +73,7 @@ def _copy(file: McapFile, new: Path, tally: _Tally) -> None:
         writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         writer.start(profile="ros2", library="fracture_collision")
         channels: dict[int, int] = {}
-        # what is damaged is told when the messages are read
+        # damage is reported when the messages are read
         for channel, schema in file.channels(on_damage=lambda _: None):
             schema_id = writer.register_schema(schema.name, schema.encoding, schema.data) if schema is not None else 0
             channels[channel.id] = writer.register_channel(

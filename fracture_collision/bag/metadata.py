@@ -1,4 +1,4 @@
-"""metadata.yaml of a rosbag2 folder: files, topics, how many messages, and what the recorder knew besides."""
+"""metadata.yaml of a rosbag2 folder: files, topics, message counts, and the recorder's custom data."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ MOST_FILES = 10_000
 class TopicEntry(NamedTuple):
     name: str  # absolute
     message_type: str  # package/msg/Name
-    qos_profiles: list[dict[str, Any]]  # as offered by the publishers, in rosbag2's words
+    qos_profiles: list[dict[str, Any]]  # as offered by the publishers, in rosbag2's terms
     type_hash: str  # RIHS01_...; empty where unknown
     message_count: int
 
@@ -37,7 +37,7 @@ class Span(NamedTuple):
 def write_metadata(
     folder: Path, files: Sequence[str], topics: Sequence[TopicEntry], span: Span, custom_data: dict[str, str]
 ) -> str:
-    """Puts metadata.yaml in the place of the one before, at once; returns its text."""
+    """Replaces metadata.yaml atomically; returns its text."""
     text = yaml.safe_dump({KEY: _information(files, topics, span, custom_data)}, sort_keys=False)
     new = folder / f"{FILE_NAME}.new"
     new.write_text(text)
@@ -63,7 +63,7 @@ def _information(
         "compression_format": "",
         "compression_mode": "",
         "relative_file_paths": list(files),
-        "files": [{"path": file, **copy.deepcopy(what)} for file in files],  # copied: YAML would refer to the one above
+        "files": [{"path": file, **copy.deepcopy(what)} for file in files],  # copied: YAML would write an alias
         "custom_data": custom_data or None,
         "ros_distro": ROS_DISTRO,
     }
@@ -80,7 +80,7 @@ def _topic_mapping(topic: TopicEntry) -> dict[str, Any]:
 
 
 def read_metadata(folder: Path) -> dict[str, Any] | None:
-    """What stands under KEY; None where the folder has no metadata.yaml. Raises BagError."""
+    """The mapping under KEY; None if the folder has no metadata.yaml. Raises BagError."""
     path = folder / FILE_NAME
     if not path.is_file():
         return None
@@ -123,7 +123,7 @@ def named_files(folder: Path, information: dict[str, Any]) -> list[Path]:
 
 
 def custom_data(information: dict[str, Any]) -> dict[str, str]:
-    """What the recorder knew besides; what is no text is left out."""
+    """The recorder's custom data; entries that are not text are left out."""
     data = information.get("custom_data")
     if not isinstance(data, dict):
         return {}

@@ -1,4 +1,4 @@
-"""Serialized messages out of a bag, as they went in."""
+"""Reads serialized messages from a bag, unchanged."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from fracture_collision.bag.mcap_file import McapFile
 __all__ = ["BagError", "BagMessage", "RecordedSettings", "mcap_files", "mcap_files_without_metadata", "message_counts", 
            "missing_words", "read_messages", "recorded_settings", "topic_digest", "topic_types"]  # fmt: skip
 
-# Names in a bag's custom data: the settings of the service that answered, as JSON; and those it had before, where it
-# was started anew with others while the recorder ran.
+# Names in a bag's custom data: the settings of the service that answered, as JSON; and its earlier settings, if they
+# changed while the recorder ran.
 SETTINGS = "collision_settings"
 EARLIER_SETTINGS = "earlier_collision_settings"
-NOTES = "fracture_collision"  # the name of the MCAP metadata records that say the same
+NOTES = "fracture_collision"  # the name of the MCAP metadata records with the same contents
 _ROSBAG2 = "rosbag2"  # likewise of rosbag2's own
 
 LARGEST_SETTINGS = 1 << 16  # [bytes]
@@ -34,14 +34,14 @@ class BagMessage(NamedTuple):
 
 
 class RecordedSettings(NamedTuple):
-    values: dict[str, Any]  # by name, as JSON has them; nobody has looked at them yet
-    changed: bool  # in the middle of the recording: some answers were made with others
+    values: dict[str, Any]  # by name, as in the JSON; not validated yet
+    changed: bool  # during the recording: some answers were made with others
 
 
 def mcap_files(bag: Path | str) -> list[Path]:
     """The files of a rosbag2 folder, or the one .mcap file given. Raises BagError.
 
-    A folder without metadata.yaml, as `ros2 bag record` leaves it when it is killed, has those that lie there.
+    For a folder without metadata.yaml, as a killed `ros2 bag record` leaves it: all .mcap files in it.
     """
     bag = Path(bag)
     if bag.is_file():
@@ -53,7 +53,7 @@ def mcap_files(bag: Path | str) -> list[Path]:
 
 
 def mcap_files_without_metadata(bag: Path) -> list[Path]:
-    """Those that lie in the folder, in the order of their numbers. Raises BagError."""
+    """The .mcap files in the folder, in the order of their numbers. Raises BagError."""
     found = (file for file in bag.glob("*.mcap") if file.is_file())
     files = sorted(found, key=lambda file: (len(file.name), file.name))
     if not files:
@@ -62,7 +62,7 @@ def mcap_files_without_metadata(bag: Path) -> list[Path]:
 
 
 def missing_words(bag: Path | str) -> list[str]:
-    """What is not as it should be in a bag that can be read all the same: a sentence each. Raises BagError."""
+    """The defects of a bag that can still be read, a sentence each. Raises BagError."""
     bag = Path(bag)
     words = []
     if bag.is_dir() and not (bag / metadata.FILE_NAME).is_file():
@@ -93,7 +93,7 @@ def topic_types(bag: Path | str) -> dict[str, tuple[str, str]]:
 
 
 def message_counts(bag: Path | str) -> dict[str, int]:
-    """By topic, counted: the metadata of a recorder that was killed do not know. Raises BagError."""
+    """Counts messages by topic, since the metadata of a killed recorder lacks the counts. Raises BagError."""
     counts: dict[str, int] = {}
     for path in mcap_files(bag):
         file = McapFile(path)
@@ -105,7 +105,7 @@ def message_counts(bag: Path | str) -> dict[str, int]:
 
 
 def recorded_settings(bag: Path | str) -> RecordedSettings | None:
-    """Those of the service that answered; None where the bag does not say. Raises BagError."""
+    """Settings of the service that answered; None if the bag has none. Raises BagError."""
     bag = Path(bag)
     noted: dict[str, str] = {}
     if bag.is_dir() and (information := metadata.read_metadata(bag)) is not None:
@@ -140,7 +140,7 @@ def _noted(record: Metadata, path: Path) -> dict[str, str]:
 def topic_digest(bag: Path | str, topic: str) -> str:
     """SHA-256 over the serialized messages of a topic, times included: equal if and only if the streams are.
 
-    A message that is its predecessor sent again, as by a simulator that got no answer in time, counts once.
+    A repetition of the message before it, as by a simulator that got no answer in time, does not count.
     """
     digest = hashlib.sha256()
     last = None

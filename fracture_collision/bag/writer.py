@@ -1,8 +1,7 @@
-"""Bags in rosbag2's own layout: a folder with metadata.yaml and one MCAP file, serialized messages as they were sent.
+"""Writes bags in rosbag2's own layout: a folder with metadata.yaml and one MCAP file, messages serialized as sent.
 
-Equal content gives equal bytes: times are those of the messages' headers, and messages of one moment are put in the
-order of the topics, however they happened to arrive. (`flush` ends a chunk when it is called: then equal messages, in
-other chunks.)
+Equal content gives equal bytes: times are those of the messages' headers, and messages of equal time are sorted by
+topic, whatever their order of arrival. (`flush` ends a chunk: then equal messages may be in different chunks.)
 """
 
 from __future__ import annotations
@@ -18,8 +17,8 @@ from mcap.writer import CompressionType, Writer
 from fracture_collision.bag.metadata import Span, TopicEntry, write_metadata
 from fracture_collision.bag.reader import NOTES
 
-# Messages are held back until this many others came after them: those that belong to one moment arrive on different
-# topics, a few messages apart.
+# Messages are held back until this many others have followed: those of equal time arrive on different topics, a few
+# messages apart.
 REORDER_WINDOW = 256
 CHUNK_BYTES = 1 << 20  # before compression
 
@@ -27,7 +26,7 @@ _FOREVER = {"sec": 9223372036, "nsec": 854775807}
 
 
 class OfferedQos(NamedTuple):
-    """Quality of service as the topic's publisher offers it, in rosbag2's words."""
+    """Quality of service as the topic's publisher offers it, in rosbag2's terms."""
 
     history: str  # keep_last, keep_all
     depth: int
@@ -38,25 +37,25 @@ class OfferedQos(NamedTuple):
 class BagTopic(NamedTuple):
     name: str  # absolute
     message_type: str  # package/msg/Name
-    definition: str  # the .msg text with those it refers to, as `ros2msg` schemas want them
+    definition: str  # the .msg text with those it refers to, as `ros2msg` schemas require
     type_hash: str  # RIHS01_...; empty where unknown
     qos: OfferedQos
 
 
 class BagWriter:
-    """Writes one bag. Use as a context manager: without `close` the bag has no index, and lacks what came after the
-    last `flush`; it can be read and mended all the same (bag/reader.py, bag/mend.py).
+    """Writes one bag. Use as a context manager: without `close` the bag has no index and lacks messages after the last
+    `flush`, but it can still be read and repaired (bag/reader.py, bag/mend.py).
     """
 
     def __init__(self, folder: Path | str, topics: Sequence[BagTopic], chunk_bytes: int = CHUNK_BYTES) -> None:
-        """Raises FileExistsError where `folder` is there already."""
+        """Raises FileExistsError if `folder` exists."""
         self._folder = Path(folder)
         self._folder.mkdir(parents=True)
         self._file_name = f"{self._folder.name}_0.mcap"
         self._topics = list(topics)
         self._rank = {topic.name: rank for rank, topic in enumerate(self._topics)}
         self._counts = [0] * len(self._topics)
-        self._written = [0] * len(self._topics)  # of those, what is not held any more
+        self._written = [0] * len(self._topics)  # of those, no longer held
         self._held: list[tuple[int, int, int, bytes]] = []  # heap of (time, topic, count in the topic, data)
         self._first_time: int | None = None
         self._last_time = 0
@@ -84,23 +83,23 @@ class BagWriter:
             self._write_first()
 
     def note(self, name: str, text: str) -> None:
-        """What the recorder knows besides: `custom_data` of metadata.yaml, and beside the messages, so that the MCAP
-        file alone has it too. The last text of a name counts."""
+        """Adds custom data: to `custom_data` of metadata.yaml, and next to the messages, so that the MCAP file alone
+        has it too. The last text of a name counts."""
         self._custom_data[name] = text
         self._writer.add_metadata(NOTES, {name: text})
         self._stream.flush()
         self._write_metadata()
 
     def flush(self, until: int) -> None:
-        """Hands all up to the time `until` [ns] to the operating system: whatever becomes of this process, that much is
-        in the bag. Messages of that time and before are expected to have come."""
+        """Hands all messages up to the time `until` [ns] to the operating system: they stay in the bag even if this
+        process is killed. Messages up to that time must have arrived."""
         while self._held and self._held[0][0] <= until:
             self._write_first()
         self._writer.flush()
         self._write_metadata()
 
     def close(self) -> None:
-        """Writes what is held, the index, and metadata.yaml."""
+        """Writes the held messages, the index, and metadata.yaml."""
         while self._held:
             self._write_first()
         self._writer.add_metadata("rosbag2", {"serialized_metadata": self._write_metadata()})

@@ -1,8 +1,7 @@
 """`fracture-collision`, the command line: see `commands`.
 
-Its modules take a while to import, and an interpreter that is interrupted meanwhile prints a traceback of whatever it
-was at. So SIGINT and SIGTERM end the process at once, until a command has something to end in order and takes them over
-(`console`).
+Its modules take a while to import, and an interpreter that is interrupted meanwhile prints a traceback. So SIGINT and
+SIGTERM end the process at once, until a command that must end in order installs its own handlers (`console`).
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ from fracture_collision.early_signals import INTERRUPTED, signals_end_at_once
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Runs one command; None: of the process's arguments. Ends by SystemExit."""
+    """Runs one command; None: the process's arguments. Ends with SystemExit."""
     signals_end_at_once(INTERRUPTED)
     from fracture_collision.cli.commands import main as command
 

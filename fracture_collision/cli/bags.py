@@ -1,4 +1,4 @@
-"""The commands about bags but replaying them: `record`, `mend`, `digest`."""
+"""The commands for bags, except `replay`: `record`, `mend`, `digest`."""
 
 from __future__ import annotations
 

@@ -108,7 +108,7 @@ def bench(
 
 
 def _checkout() -> Path:
-    """The root of the sources, on the path for imports; ClickException where there are none."""
+    """The root of the sources, added to the import path; ClickException if there are none."""
     root = Path(__file__).resolve().parents[2]
     if not (root / "benchmarks" / "studies" / "bench.py").is_file():
         raise click.ClickException(

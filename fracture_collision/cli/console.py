@@ -1,9 +1,9 @@
-"""What the commands share: a progress bar, tables, and an end by Ctrl-C.
+"""Shared by the commands: a progress bar, tables, and an end by Ctrl-C.
 
-A KeyboardInterrupt out of a signal handler comes between any two bytecodes, also those that run on behalf of compiled
-code: where numba hands LLVM a cached kernel it is swallowed, and the kernel's address is null; where numba boxes a
-result it is taken for an error of the interpreter's; and while modules are imported some of them swallow it. So
-commands that call kernels end by `Interruption`, which they make before they import any.
+A KeyboardInterrupt from a signal handler comes between any two bytecodes, also those that run on behalf of compiled
+code: while numba hands LLVM a cached kernel it is swallowed, and the kernel's address is null; while numba boxes a
+result it is mistaken for an interpreter error; and some modules swallow it during their import. So commands that call
+kernels end through `Interruption`, which they create before they import any.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ SHOW_CURSOR = "\x1b[?25h"  # a progress bar hides it
 
 
 class Interruption:
-    """Until the command ends, SIGINT and SIGTERM end it where it can be ended: at the next `check` within `held`, at
-    once anywhere else, and at once too when they come a second time.
+    """Until the command ends, SIGINT and SIGTERM end it at the next `check` within `held`, and at once anywhere else or
+    on a second signal.
 
-    `parting`: what is said when it ends at once.
+    `parting`: printed when it ends at once.
     """
 
     def __init__(self, console: Console, parting: str) -> None:
@@ -41,8 +41,8 @@ class Interruption:
 
     @contextmanager
     def held(self) -> Iterator[None]:
-        """For work that leaves something worth keeping when it is stopped half way; it has to call `check` often, and
-        the end of `held` does so once more.
+        """For work with partial results worth keeping; it must call `check` often, and the end of `held` calls it
+        once more.
         """
         self._holding = True
         try:
@@ -52,7 +52,7 @@ class Interruption:
         self.check()
 
     def check(self) -> None:
-        """Raises KeyboardInterrupt if a signal has come."""
+        """Raises KeyboardInterrupt if a signal has arrived."""
         if self._asked:
             raise KeyboardInterrupt
 
@@ -60,15 +60,15 @@ class Interruption:
         if self._holding and not self._asked:
             self._asked = True
             return
-        # Neither by an exception nor through a stream, in the middle of whose work this may be.
+        # Uses neither an exception nor a stream, since the signal may have interrupted the stream's own code.
         words = f"{SHOW_CURSOR if self._console.is_terminal else ''}\n{self.parting}\n"
         os.write(self._console.file.fileno(), words.encode())
         os._exit(INTERRUPTED)
 
 
 def interrupt_on_signals() -> None:
-    """Until the command ends SIGTERM raises KeyboardInterrupt, as SIGINT does: a shell starts what it puts into the
-    background with SIGINT ignored.
+    """Until the command ends, SIGTERM and SIGINT raise KeyboardInterrupt: a shell starts background processes with
+    SIGINT ignored.
     """
     _until_the_command_ends(_as_interrupt)
 
@@ -88,7 +88,7 @@ def _until_the_command_ends(handler: Callable[[int, FrameType | None], None]) ->
 
 
 class ProgressBar:
-    """A bar of simulation steps, with what is known of the run at the moment."""
+    """A bar of simulation steps, with current figures of the run."""
 
     def __init__(self, console: Console) -> None:
         self._bar = Progress(
@@ -105,7 +105,7 @@ class ProgressBar:
         self._bar.stop()
 
     def show(self, step: int, steps: int, time: float, fragments: int, contacts: int, word: str = "") -> None:
-        """`step` of `steps` are done, `time` [s] is simulated; while `steps` is 0, not known, `word` stands there."""
+        """`step` of `steps` are done, `time` [s] is simulated; while `steps` is 0, not known, it shows `word`."""
         now = f"{time:.2f} s, {fragments} fragments move, {contacts} contacts" if steps else ""
         self._bar.update(
             self._task, completed=step, total=steps, now=now, description="simulating" if steps else word
@@ -114,7 +114,7 @@ class ProgressBar:
 
 @contextmanager
 def counting_bar(console: Console, doing: str, things: str) -> Iterator[Callable[[int, int], None]]:
-    """A bar that is there from the first call on: of so many things done, of how many."""
+    """A bar that appears at the first call, which gets the number of things done and the total."""
     bar = Progress(
         TextColumn(doing), BarColumn(), MofNCompleteColumn(), TextColumn(things), TimeElapsedColumn(), console=console
     )
@@ -131,7 +131,7 @@ def counting_bar(console: Console, doing: str, things: str) -> Iterator[Callable
 
 
 def figures_table(title: str, columns: Iterable[str], rows: Iterable[Iterable[str]]) -> Table:
-    """Words in the first column, numbers in the others."""
+    """Labels in the first column, numbers in the others."""
     table = Table(title=title)
     table.add_column("")
     for column in columns:

@@ -1,4 +1,4 @@
-"""`fracture-collision replay`: a recorded run asked again, its answers compared with those recorded."""
+"""`fracture-collision replay`: replays a recorded run and compares its answers with those recorded."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from fracture_collision.cli.console import Interruption
 from fracture_collision.early_signals import INTERRUPTED
 
-OTHERWISE = 1  # exit status: some answer is not the one recorded
+OTHERWISE = 1  # exit status: some answer differs from the recorded one
 NO_BAG = 2
 INCOMPLETE = 3  # exit status: some question has no answer in the bag, or some answer no question
 
@@ -113,7 +113,7 @@ def replay(
         order = Order(*(steps or (None, None)), backwards, loops)
         for sentence in (*words, *found.words):
             console.print(f"note: {sentence}", highlight=False, soft_wrap=True)
-        # A node is to be ended in order; kernels that are loaded into this process need not be.
+        # A node must be stopped in order; loading kernels into this process may be cut short.
         with (
             interruption.held() if ros else nullcontext(),
             _service(ros, found.settings, console, interruption.check) as (service, refusals),
@@ -156,7 +156,7 @@ def _given(assignments: tuple[str, ...]) -> dict[str, Any]:
 def _service(
     ros: bool, settings: Any, console: Console, wait: Callable[[], None]
 ) -> Iterator[tuple[Any, dict[str, str]]]:
-    """The service to ask, and what it refuses."""
+    """The service that answers, and the messages it rejects."""
     with ExitStack() as stack:
         if ros:
             from fracture_collision.ros.runs.replay_run import OverDds

@@ -88,7 +88,7 @@ def scene(
         if steps is not None:
             what = what._replace(duration=min(steps, what.step_count) * what.time_step)
         out = Path("out", what.name.replace(":", "_")) if out is None else out
-        with NewOutputs(out, RESULTS):  # that it can be written is better known before the run than after it
+        with NewOutputs(out, RESULTS):  # fails before the run if it cannot be written
             pass
     except (SceneError, ValueError, OSError) as error:
         raise click.ClickException(str(error)) from error
@@ -119,7 +119,7 @@ def scene(
 
 
 def parse_settings(assignments: tuple[str, ...]) -> Any:
-    """The service's settings with NAME=VALUE, several by commas; ValueError names what is wrong."""
+    """The service's settings with NAME=VALUE, separated by commas; ValueError names what is wrong."""
     from fracture_collision.world import Settings
 
     settings = Settings()
@@ -138,8 +138,8 @@ def parse_settings(assignments: tuple[str, ...]) -> Any:
 def _leave(
     run: Any, out: Path, pictures: bool, console: Console, check: Callable[[], None] = lambda: None
 ) -> list[Path]:
-    """Prints the tables, puts the files in place of an earlier run's; returns their paths. Where `check` raises the
-    others are put there without pictures.
+    """Prints the tables, replaces an earlier run's files; returns their paths. If `check` raises, the files are
+    replaced without the remaining pictures.
     """
     names = RESULTS if pictures else RESULTS[:2]
     with NewOutputs(out, RESULTS) as new:

@@ -18,7 +18,7 @@ from fracture_collision.early_signals import INTERRUPTED
 if TYPE_CHECKING:
     from fracture_collision.geometry.generators import TetGeometry
 
-NODES_ALONG = 15  # the longest side of a mesh of one's own
+NODES_ALONG = 15  # the longest side of a user's own mesh
 OWN_SCENE, OWN_MESH = "scene.yaml", "mesh.npz"
 RESULTS = ("bag", "film_strip.png", "times.png", "report.json", "logs", OWN_SCENE, OWN_MESH)
 
@@ -110,7 +110,7 @@ def _filled(file: Path, size: float) -> TetGeometry:
 
 
 def _own_scene(filled: TetGeometry | None, out: Path, folder: Path) -> Path:
-    """Leaves mesh and scene in `folder`; None: those that an earlier run has left in `out`."""
+    """Writes mesh and scene to `folder`; None: copies those of an earlier run from `out`."""
     import numpy as np
     import yaml
 

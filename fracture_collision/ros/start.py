@@ -1,6 +1,6 @@
 """The nodes as commands: `collision_node`, or `python -m fracture_collision.ros.start collision_node`.
 
-A node takes a second to import; if it is told to end meanwhile, it does, with status 0 as ever (processes/process.py).
+A node takes a second to import; a signal meanwhile ends it with status 0, as usual (processes/process.py).
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from importlib import import_module
 
 from fracture_collision.early_signals import signals_end_at_once
 
-# and the folder that each is in
+# node -> its folder
 NODES = {
     "collision_node": "service",
     "simulator_node": "nodes",

@@ -22,24 +22,24 @@ from fracture_collision.ros.fastdds.message_origin import participant_of
 from fracture_collision.ros.fastdds.neighbours import Neighbours, is_nameless
 from fracture_collision.ros.wire.qos import Topic
 
-# [s] A subscriber that stalls longer than this (on another machine that has gone, say) is left behind rather than
-# holding up the run. One of this machine that was killed holds up nothing (neighbours.py). Shorter leases were tried:
-# with 5 s the living lost sight of each other on a busy machine, and not all found back.
+# [s] The publisher stops waiting for a subscriber that stalls longer than this, for example on another machine that has
+# gone. A killed process of this machine delays nothing (neighbours.py). Shorter leases were tried: with 5 s, living
+# participants lost each other on a busy machine, and not all were discovered again.
 PATIENCE = 2.0
-# [s] Likewise one of a process of this machine that is stopped, by SIGSTOP or a debugger: twice as long as two
-# acknowledgements of those beside it take, who cannot be told from it.
+# [s] The same if a subscriber's process on this machine is stopped, by SIGSTOP or a debugger: twice the time of two
+# acknowledgements by the other subscribers, from which the wait cannot distinguish it.
 PATIENCE_WITH_THE_STOPPED = 0.02
-# [s] Since the last message. Until it has caught up that long is left to those beside it; steps that take longer do not
-# wait at all.
+# [s] Since the last message. Until a slow subscriber has caught up, the wait ends then, which leaves the others time to
+# acknowledge; steps that take longer do not wait at all.
 PATIENCE_WITH_THE_SLOW = 0.01
-LOOK_INTERVAL = 0.05  # [s] between two looks at whether somebody has died or is stopped
+LOOK_INTERVAL = 0.05  # [s] between two checks for dead or stopped processes
 
 
 class AcknowledgedPublisher:
-    """Publishes on `topic`; overwrites nothing that some subscriber has yet to receive.
+    """Publishes on `topic` without overwriting a message that some subscriber has yet to receive.
 
-    `answerers`: nodes of this name need not acknowledge anything, for they answer; where no others listen there is no
-    wait. `neighbours`: of the node, for all its publishers: whom one has waited for in vain the others need not.
+    `answerers`: nodes of this name need not acknowledge, since they answer; without other subscribers there is no wait.
+    `neighbours`: shared by all publishers of a node: a subscriber for which one timed out does not delay the others.
     """
 
     def __init__(self, node: Node, topic: Topic, answerers: str = "", neighbours: Neighbours | None = None) -> None:
@@ -48,10 +48,10 @@ class AcknowledgedPublisher:
         self._answerers = answerers
         self._neighbours = neighbours or Neighbours(node)
         self._publisher = node.create_publisher(topic.message_class, topic.name, topic.qos)
-        self._subscribers: int | None = None  # when it was last asked who they are; None: not all had a name then
+        self._subscribers: int | None = None  # their number at the last listing; None: some had no name yet
         self._known_listeners: frozenset[bytes] = frozenset()
-        self._published_at = 0.0  # [s] of time.monotonic(): the last message
-        self.overtaken = 0  # messages that the next one followed before all had acknowledged them
+        self._published_at = 0.0  # [s] time.monotonic() of the last message
+        self.overtaken = 0  # messages followed by the next one before all subscribers had acknowledged them
 
     @property
     def subscriber_count(self) -> int:
@@ -72,14 +72,14 @@ class AcknowledgedPublisher:
         self._published_at = time.monotonic()
 
     def publish_again(self, message: Any) -> None:
-        """The last message once more, for somebody who was not there: nothing is overwritten that was not the same."""
+        """Publishes the last message again, for late subscribers; it can overwrite only an identical message."""
         self._publisher.publish(message)
 
     def flush(self) -> bool:
-        """Waits until everybody has the last message; needed before the publisher goes. False: not all, in time.
+        """Waits until all subscribers have the last message; required before the publisher goes. False: timed out.
 
-        The wait is at most PATIENCE, once; LOOK_INTERVAL where the one that lags behind is stopped; and until it has
-        caught up, no longer than to PATIENCE_WITH_THE_SLOW after the last message.
+        The wait is at most PATIENCE, once. If a subscriber is stopped it is PATIENCE_WITH_THE_STOPPED, or LOOK_INTERVAL
+        if it stops during the wait. Until a slow one has caught up, it ends PATIENCE_WITH_THE_SLOW after the message.
         """
         slow, name, listeners = self._neighbours.slow, self._topic.name, self._listeners()
         are_slow = any(not listeners.isdisjoint(some) for some in slow.values())
@@ -103,20 +103,20 @@ class AcknowledgedPublisher:
         return False
 
     def close(self) -> None:
-        """Forgets all it sent, once everybody has it."""
+        """Destroys the publisher and its history after waiting until all subscribers have the last message."""
         if self.subscriber_count:
             self.flush()
         self._neighbours.slow.pop(self._topic.name, None)
         self._node.destroy_publisher(self._publisher)
 
     def _listeners(self) -> frozenset[bytes]:
-        """Participants of those that need to acknowledge."""
+        """Participants of the subscribers that must acknowledge."""
         count = self.subscriber_count
         if count != self._subscribers:
             infos = self._node.get_subscriptions_info_by_topic(self._publisher.topic_name)
             self._neighbours.look(*infos)
             self._subscribers = None if any(is_nameless(info) for info in infos) else count
-            # who asks for no promise (best effort) acknowledges nothing
+            # best-effort subscribers do not acknowledge
             self._known_listeners = frozenset(
                 participant_of(bytes(info.endpoint_gid))
                 for info in infos

@@ -1,9 +1,9 @@
-"""The good-bye that a killed DDS participant could not say, said to our own participant.
+"""Sends our own participant the dispose message that a killed DDS participant could not send.
 
-DDS takes a participant that says nothing any more for alive until its lease has run out, 20 s. One that ends in order
-announces that its participant is disposed, and is forgotten at once. Who knows that another was killed can tell the
-middleware of its own process so, in the same words; nobody else hears them. Where they do not arrive (other middleware,
-ports by a profile of the user's, DDS security) the lease runs out as ever.
+DDS considers a silent participant alive until its lease expires, after 20 s. A process that ends in order announces
+that its participant is disposed, and the participant is removed at once. A process that detects the death of another
+can send the same message to its own middleware; no other process receives it. Where it does not arrive (other
+middleware, ports set by a user's profile, DDS security) the lease expires as usual.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ _ANNOUNCER, _LISTENER = bytes.fromhex("000100c2"), bytes.fromhex("000100c7")
 _DATA, _LITTLE_ENDIAN_WITH_INLINE_QOS, _TO_INLINE_QOS = 0x15, 0x03, 16
 _KEY_HASH, _STATUS_INFO, _SENTINEL = 0x70, 0x71, 0x01
 _DISPOSED_AND_UNREGISTERED = bytes([0, 0, 0, 3])
-_LAST_WORD = 2**31 - 1, 0  # sequence number, high and low: later than all that it said itself
+_LAST_WORD = 2**31 - 1, 0  # sequence number, high and low: later than any of its own
 
 
 def say_farewell_of(participant: bytes, domain_id: int) -> None:
-    """`participant`: the 12 bytes that its GUID begins with. Takes effect a moment later, in threads of DDS."""
+    """`participant`: the first 12 bytes of its GUID. Takes effect a moment later, in threads of DDS."""
     datagram = farewell(participant)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as speaker:
         for address in own_metatraffic(domain_id):
@@ -35,7 +35,7 @@ def say_farewell_of(participant: bytes, domain_id: int) -> None:
 
 
 def farewell(participant: bytes) -> bytes:
-    """The RTPS message by which it would have announced its end."""
+    """The RTPS message with which the participant would have announced its end."""
     inline = struct.pack("<HH", _KEY_HASH, 16) + participant + _PARTICIPANT
     inline += struct.pack("<HH", _STATUS_INFO, 4) + _DISPOSED_AND_UNREGISTERED + struct.pack("<HH", _SENTINEL, 0)
     body = struct.pack("<HH", 0, _TO_INLINE_QOS) + _LISTENER + _ANNOUNCER + struct.pack("<iI", *_LAST_WORD) + inline
@@ -44,12 +44,12 @@ def farewell(participant: bytes) -> bytes:
 
 
 def participants_here(domain_id: int) -> int:
-    """How many live on this machine (in its network namespace), by their ports."""
+    """Number of participants on this machine (in its network namespace), counted by their ports."""
     return len({port for _, port, _ in _metatraffic(domain_id)})
 
 
 def own_metatraffic(domain_id: int) -> list[tuple[str, int]]:
-    """Where participants of this process hear of others."""
+    """Addresses at which participants of this process receive discovery messages."""
     inodes = set()
     for file in Path("/proc/self/fd").iterdir():
         try:
@@ -63,7 +63,7 @@ def own_metatraffic(domain_id: int) -> list[tuple[str, int]]:
 
 
 def _metatraffic(domain_id: int) -> Iterator[tuple[str, int, str]]:
-    """Address, port and inode of each socket at which a participant of this machine hears of others."""
+    """Address, port and inode of each socket at which a participant of this machine receives discovery messages."""
     first = PORT_BASE + PORTS_A_DOMAIN * domain_id + _METATRAFFIC_OFFSET
     ports = range(first, first + PORTS_A_DOMAIN - _METATRAFFIC_OFFSET, _PORTS_A_PARTICIPANT)
     for line in Path("/proc/self/net/udp").read_text().splitlines()[1:]:

@@ -1,8 +1,8 @@
-"""Messages as bytes, with who sent them: what rcl knows of a message and rclpy does not hand on.
+"""Messages as bytes together with their publisher, which rcl provides and rclpy does not pass on.
 
-rclpy 7.1 tells a callback when a message was sent and its number, not by which publisher. Without that, two simulators
-of the same scene, who give their runs the same id, cannot be told apart. So messages are taken here by the function
-that rclpy's Subscription.take_message itself calls, rcl_take_serialized_message (rcl/subscription.h).
+rclpy 7.1 gives a callback a message's send time and sequence number, but not its publisher. Without the publisher, two
+simulators of the same scene, which give their runs the same id, cannot be distinguished. So messages are taken here by
+the function that rclpy's Subscription.take_message calls, rcl_take_serialized_message (rcl/subscription.h).
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ class _MessageInfo(ctypes.Structure):  # rmw_message_info_t
 
 @cache
 def _library() -> tuple[ctypes.CDLL, _Allocator]:
-    """The rcl that rclpy has loaded already (it brings rcutils), and its allocator."""
+    """The rcl library that rclpy has already loaded (it includes rcutils), and its allocator."""
     rcl = ctypes.CDLL("librcl.so")
     rcl.rcl_take_serialized_message.argtypes = [ctypes.c_void_p] * 4
     rcl.rcl_take_serialized_message.restype = ctypes.c_int32

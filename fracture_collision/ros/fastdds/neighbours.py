@@ -1,4 +1,4 @@
-"""The other nodes of a domain: their names, and who of them was killed and is forgotten therefore."""
+"""The other nodes of a domain: their names, and the removal of those that were killed."""
 
 from __future__ import annotations
 
@@ -20,33 +20,33 @@ from fracture_collision.ros.fastdds.participant_process import (
     process_of,
 )
 
-EVERYBODYS_TOPICS = ("/rosout", "/parameter_events")  # a node publishes both unless it is told not to
+EVERYBODYS_TOPICS = ("/rosout", "/parameter_events")  # a node publishes both unless configured not to
 LOOK_INTERVAL = 1.0  # [s]
-LONGEST_FAREWELL = 0.1  # [s] one is heard in less than a millisecond, or not at all
-# Usually they are known within a second; whoever misses the first announcement hears the next after 3 s.
+LONGEST_FAREWELL = 0.1  # [s] one takes effect in less than a millisecond, or not at all
+# Participants are usually discovered within a second; one that misses the first announcement gets the next after 3 s.
 LONGEST_ACQUAINTANCE = 3.5  # [s]
-QUIET = 0.1  # [s] nobody new has come for so long
-_DISCOVERY_TOPIC = "ros_discovery_info"  # of rmw itself: each participant reads it
-_UNKNOWN = "_NODE_NAME_UNKNOWN_"  # what rmw says of a node whose publishers it has met already
+QUIET = 0.1  # [s] without a new participant
+_DISCOVERY_TOPIC = "ros_discovery_info"  # rmw's own topic, which each participant reads
+_UNKNOWN = "_NODE_NAME_UNKNOWN_"  # rmw's name for a node of which it has discovered publishers only
 
 
 class Neighbours:
-    """Looks around once a second, while its node spins, and when it is told to."""
+    """Checks the other participants once a second while its node spins, and on each call of `look`."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
         self._names: dict[bytes, str] = {}
-        self._processes: dict[bytes, Process | None] = {}  # None: none of this machine, as far as can be told
-        self.dead: set[bytes] = set()  # who is listed still, or was at the last look
-        # By topic, who listened when not all acknowledged a message in time: one of them, at least, is slow.
+        self._processes: dict[bytes, Process | None] = {}  # None: not known to be of this machine
+        self.dead: set[bytes] = set()  # dead participants that are still listed, or were at the last look
+        # By topic, the subscribers of a message that not all acknowledged in time: at least one of them is slow.
         self.slow: dict[str, frozenset[bytes]] = {}
-        self._count, self._count_since = 0, time.monotonic()  # of participants, when are_all_known was last asked
-        # Not of the node's clock: under use_sim_time that stands still until somebody moves it.
+        self._count, self._count_since = 0, time.monotonic()  # of participants, at the last are_all_known
+        # Not the node's clock: under use_sim_time it stands still until /clock is published.
         node.create_timer(LOOK_INTERVAL, self.look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def await_all(self) -> bool:
-        """Waits until all participants of this machine are known, and what they listen to: who speaks earlier speaks
-        past them. False: not all, in LONGEST_ACQUAINTANCE.
+        """Waits until all participants of this machine and their subscriptions are discovered: earlier messages would
+        not reach them. False: timed out after LONGEST_ACQUAINTANCE.
         """
         deadline = time.monotonic() + LONGEST_ACQUAINTANCE
         while not self.are_all_known():
@@ -56,8 +56,8 @@ class Neighbours:
         return True
 
     def are_all_known(self) -> bool:
-        """Whether all participants of this machine are known, and nobody new has come for QUIET: as far as can be told
-        from when this was asked before.
+        """Whether all participants of this machine are discovered and no new one has appeared for QUIET, as far as the
+        earlier calls show.
         """
         count = len(self._node.get_subscriptions_info_by_topic(_DISCOVERY_TOPIC, no_mangle=True))
         if count != self._count:
@@ -66,7 +66,7 @@ class Neighbours:
         return is_quiet and count >= participants_here(self._node.context.get_domain_id())
 
     def look(self, *more: TopicEndpointInfo) -> None:
-        """Notices who came, `more` of them perhaps, and forgets whose process has died since."""
+        """Registers new participants, including those of `more`, and removes those with a dead process."""
         infos = [*more, *self._everybody()]
         present = {participant_of(bytes(info.endpoint_gid)) for info in infos}
         for known in (self._names, self._processes):
@@ -89,13 +89,13 @@ class Neighbours:
                 self._bury(participant)
 
     def name(self, participant: bytes) -> str:
-        """Two nodes may have one name, so with a part of their GUID; and whether it is stopped."""
+        """Node name with part of the GUID, since two nodes may share a name; and whether its process is stopped."""
         process = self._processes.get(participant)
         state = ", stopped" if process is not None and is_stopped(process) else ""
         return f"{self._names.get(participant, 'a node')} [{participant[4:].hex()}]{state}"
 
     def are_some_stopped(self, participants: Iterable[bytes]) -> bool:
-        """Of processes of this machine that are known."""
+        """Considers only known processes of this machine."""
         processes = (self._processes.get(participant) for participant in participants)
         return any(process is not None and is_stopped(process) for process in processes)
 
@@ -103,7 +103,7 @@ class Neighbours:
         return ", ".join(sorted(map(self.name, participants))) or "nobody"
 
     def said_of_the_slow(self) -> str:
-        """Topics that somebody is slow on, each with all who may be the one."""
+        """Topics with a slow subscriber, each with all subscribers that may be the slow one."""
         return "; ".join(f"{topic}: {self.names(who)}" for topic, who in sorted(self.slow.items())) or "nobody"
 
     def _everybody(self) -> list[TopicEndpointInfo]:
@@ -119,7 +119,7 @@ class Neighbours:
 
     def _bury(self, participant: bytes) -> None:
         say_farewell_of(participant, self._node.context.get_domain_id())
-        if participant in self.dead:  # it was in vain, and may be so again
+        if participant in self.dead:  # an earlier farewell had no effect, and this one may have none
             return
         self.dead.add(participant)
         deadline = time.monotonic() + LONGEST_FAREWELL
@@ -133,5 +133,5 @@ class Neighbours:
 
 
 def is_nameless(info: TopicEndpointInfo) -> bool:
-    """Its node's name has not come yet."""
+    """The name of its node has not been discovered yet."""
     return info.node_name.startswith(_UNKNOWN)

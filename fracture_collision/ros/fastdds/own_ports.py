@@ -1,8 +1,8 @@
-"""Whether this process can be heard of: do the ports of its DDS participant work?
+"""Whether the ports of this process's DDS participant work.
 
-Fast DDS tries other numbers where it cannot open a port and, when none of them can be opened, goes on without one: the
-node says that it is ready, others write to where nobody reads, and nothing arrives. Neither rmw nor rclpy says so. Open
-sockets, and the locks and mappings of its ports in shared memory, do.
+If Fast DDS cannot open a port it tries other numbers and, if none of them can be opened, continues without one: the
+node reports that it is ready, others write to a port without a reader, and nothing arrives. Neither rmw nor rclpy
+reports it. Open sockets, and the locks and mappings of its ports in shared memory, show it.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ _SEGMENT_LOCK = re.compile(r"fastrtps_[0-9a-f]{16}_el")
 
 
 def fault_of_own_ports(domain_id: int) -> str:
-    """In words; "" where the ports of a participant of this process work. For one with both of Fast DDS's default
-    transports, UDP and shared memory; where the system has no shared memory Fast DDS does without.
+    """Describes the fault; "" if the ports of this process's participant work. For a participant with both default
+    transports of Fast DDS, UDP and shared memory; on a system without shared memory Fast DDS works without it.
     """
     if not own_metatraffic(domain_id):
         return f"no UDP port of ROS domain {domain_id} could be opened for discovery"
@@ -39,7 +39,7 @@ def fault_of_own_ports(domain_id: int) -> str:
 
 
 def _opened_in(folder: Path) -> dict[str, int]:
-    """Names of the folder's files that this process has open, with their inodes; none of files that were removed."""
+    """Names and inodes of the folder's files that this process has open; removed files are named "... (deleted)"."""
     found = {}
     for file in Path("/proc/self/fd").iterdir():
         try:
@@ -52,7 +52,7 @@ def _opened_in(folder: Path) -> dict[str, int]:
 
 
 def _is_listened_at(port: int, opened: dict[str, int]) -> bool:
-    """Whether who looks for the port by its name finds the files that this process has locked and mapped."""
+    """Whether a process that opens the port by name finds the files that this process has locked and mapped."""
     lock, segment = f"fastrtps_port{port}_el", FOLDER / f"fastrtps_port{port}"
     try:
         if (FOLDER / lock).stat().st_ino != opened[lock]:

@@ -1,9 +1,9 @@
-"""The process of this machine that a DDS participant belongs to, and whether it lives.
+"""The process of this machine that a DDS participant belongs to, and whether it is alive.
 
-Fast DDS makes a participant's GUID of its vendor's id (2 bytes), the host's (2), the lower half of the process's id
-(2), two random bytes and a counter. So a process that was killed can be told at once from one that is silent, if it is
-this machine's. Only one that was seen alive is ever called dead: who lives in another container has a pid of another
-kind. Knows no ROS.
+Fast DDS builds a participant's GUID from its vendor id (2 bytes), the host id (2), the lower half of the process id
+(2), two random bytes and a counter. So a killed process of this machine can be distinguished at once from a silent one.
+A process is reported dead only if it was seen alive: one in another container has a pid of another namespace.
+Independent of ROS.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ from pathlib import Path
 from typing import NamedTuple
 
 _EPROSIMA = b"\x01\x0f"  # vendor id of Fast DDS, OMG's list
-_PID_BITS = 16  # of a process id that a GUID has
+_PID_BITS = 16  # of the process id, in a GUID
 
 
 class Process(NamedTuple):
     pid: int
-    started: int  # [clock ticks since boot]: a pid is given to another process one day
+    started: int  # [clock ticks since boot]: pids are reused
 
 
 def is_of_this_process(participant: bytes) -> bool:
-    """Of its vendor and pid; another host may have one with the same."""
+    """Compares vendor and pid; a participant of another host may have the same."""
     return participant[:2] == _EPROSIMA and _pid_of(participant) == os.getpid() % 2**_PID_BITS
 
 
@@ -32,8 +32,8 @@ def are_of_one_host(participant: bytes, other: bytes) -> bool:
 
 
 def process_of(participant: bytes) -> Process | None:
-    """The living process of this machine that has made `participant`, if that can be told for certain: the only one of
-    its pid that uses Fast DDS. Its host has to be this one.
+    """The living process of this machine that created `participant`, if it is certain: the only process with its pid
+    that uses Fast DDS. The participant must be of this host.
     """
     found = []
     for folder in Path("/proc").iterdir():
@@ -49,7 +49,7 @@ def is_dead(process: Process) -> bool:
     status = _status(process.pid)
     if status is None or status.started != process.started:
         return True
-    # A main thread that has ended while others go on looks like a zombie, too.
+    # A main thread that has ended while other threads run looks like a zombie, too.
     return status.state in "ZX" and status.threads <= 1
 
 
@@ -60,7 +60,7 @@ def is_stopped(process: Process) -> bool:
 
 
 def age_of(pid: int) -> float:
-    """[s] since a process was started, to the tick (10 ms) that proc(5) tells it by. Raises ProcessLookupError."""
+    """[s] since a process was started, in ticks of 10 ms as in proc(5). Raises ProcessLookupError."""
     status = _status(pid)
     if status is None:
         raise ProcessLookupError(f"no process {pid}")
@@ -74,7 +74,7 @@ class _Status(NamedTuple):
 
 
 def _status(pid: int) -> _Status | None:
-    """None where there is no such process."""
+    """None if there is no such process."""
     try:
         words = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     except (FileNotFoundError, ProcessLookupError):
@@ -83,7 +83,7 @@ def _status(pid: int) -> _Status | None:
 
 
 def _uses_fast_dds(pid: int) -> bool:
-    """Whether it has its library or its shared memory mapped; False where we may not look."""
+    """Whether the process has the library or its shared memory mapped; False if we may not read its maps."""
     try:
         maps = Path(f"/proc/{pid}/maps").read_text()
     except OSError:

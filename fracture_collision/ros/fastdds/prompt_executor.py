@@ -1,11 +1,11 @@
-"""rclpy's executor with a short way for messages.
+"""rclpy's executor with a fast path for messages.
 
-For every callback rclpy's executor gathers all entities, makes a wait set, a generator, a task and a coroutine, and
-after each it wakes itself once more to do so in vain. Here the wait set is kept and messages are taken straight from
-it; everything else (timers, services, events) goes rclpy's way. Nothing is polled: all is waited for together.
+For every callback rclpy's executor collects all entities and creates a wait set, a generator, a task and a coroutine,
+and after each callback it wakes itself once more without work. Here the wait set is kept and messages are taken
+directly from it; everything else (timers, services, events) takes rclpy's path. Nothing is polled: one wait covers all.
 
-rclpy's own EventsExecutor would do the same, but as of rclpy 7.1.6 its threads wait for each other for ever at the
-first timer: one holds the lock of its queue and needs the interpreter's, another the reverse.
+rclpy's own EventsExecutor would do the same, but as of rclpy 7.1.6 its threads deadlock at the first timer: one holds
+the lock of its queue and needs the interpreter's, another the reverse.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from fracture_collision.ros.fastdds.message_origin import take_with_origin
 
 
 class PromptExecutor(SingleThreadedExecutor):
-    """For nodes whose subscriptions have plain callbacks, no coroutines: of one argument, the message; or, where it is
-    raw, of two, with its Origin (ros/fastdds/message_origin.py) in place of rclpy's message info.
+    """For nodes whose subscriptions have plain callbacks, not coroutines: with one argument, the message, or, if it is
+    raw, also with two, the second being its Origin (ros/fastdds/message_origin.py) in place of rclpy's message info.
 
-    Messages are handed over in the order in which their subscriptions were made, one of each before the next wait.
+    Messages are delivered in the order in which subscriptions were created, one of each before the next wait.
     """
 
     def __init__(self, *, context: Context | None = None) -> None:
         super().__init__(context=context)
-        self._entities: _Entities | None = None  # None: to be gathered anew
+        self._entities: _Entities | None = None  # None: to be collected again
 
     def add_node(self, node: Node) -> bool:
         self._entities = None
@@ -44,12 +44,12 @@ class PromptExecutor(SingleThreadedExecutor):
         super().remove_node(node)
 
     def wake(self) -> None:
-        """Also called by a node when one of its entities comes or goes."""
+        """Also called by a node when one of its entities is created or destroyed."""
         self._entities = None
         super().wake()
 
     def spin_once(self, timeout_sec: float | None = None) -> None:
-        """Waits until something is ready and deals with it. Raises ExternalShutdownException when told to end."""
+        """Waits until something is ready and handles it. Raises ExternalShutdownException after a shutdown."""
         if self._is_shutdown:
             return
         if not self.context.ok():
@@ -67,7 +67,7 @@ class PromptExecutor(SingleThreadedExecutor):
             super().spin_once(timeout_sec=0)
 
     def _take_subscription(self, subscription: Subscription) -> Callable[[], Coroutine] | None:
-        """For messages that rclpy's executor finds while it looks for something else."""
+        """For messages that rclpy's executor finds while it handles other entities."""
         if subscription._callback_type is Subscription.CallbackType.MessageOnly:
             return super()._take_subscription(subscription)
         arguments = _taken(subscription)
@@ -81,7 +81,7 @@ class PromptExecutor(SingleThreadedExecutor):
 
 
 def _taken(subscription: Subscription) -> tuple[Any, ...] | None:
-    """What the callback shall be called with; None where there is no message after all."""
+    """The arguments for the callback; None if there is no message after all."""
     if subscription._callback_type is Subscription.CallbackType.WithMessageInfo:
         return take_with_origin(subscription)
     with subscription.handle:
@@ -90,7 +90,7 @@ def _taken(subscription: Subscription) -> tuple[Any, ...] | None:
 
 
 class _Entities:
-    """All that some nodes wait for, and the wait set for it."""
+    """All entities of some nodes, and the wait set for them."""
 
     def __init__(self, nodes: list[Node], guards: tuple[Any, ...], context: Context) -> None:
         self._subscriptions = [each for node in nodes for each in node.subscriptions]
@@ -113,9 +113,9 @@ class _Entities:
             )  # fmt: skip
 
     def wait(self, nanoseconds: int) -> tuple[list[Any], bool]:
-        """The subscriptions that have a message, and whether anything else is ready; nanoseconds < 0: for ever."""
+        """The subscriptions that have a message, and whether anything else is ready; nanoseconds < 0: no timeout."""
         wait_set = self._wait_set
-        wait_set.clear_entities()  # waiting takes out what is not ready
+        wait_set.clear_entities()  # waiting removes what is not ready
         for subscription in self._subscriptions:
             wait_set.add_subscription(subscription.handle)
         for guard in (*self._own_guards, *self._guards):
@@ -133,8 +133,8 @@ class _Entities:
         triggered = wait_set.get_ready_entities("guard_condition")
         for guard in self._guards:
             if guard.handle.pointer in triggered:
-                guard.trigger()  # waiting has reset it, and rclpy shall find it
+                guard.trigger()  # waiting has reset it, and rclpy must find it triggered
         others = bool(triggered) or any(wait_set.get_ready_entities(kind) for kind in ("timer", "client", "service"))
-        for waitable in self._waitables:  # all of them: each keeps in mind whether it was ready
+        for waitable in self._waitables:  # all of them: each stores whether it was ready
             others |= waitable.is_ready(wait_set)
         return [each for each in self._subscriptions if each.handle.pointer in ready], others

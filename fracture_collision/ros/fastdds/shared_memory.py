@@ -1,14 +1,14 @@
-"""Fast DDS's files in shared memory that nobody uses any more.
+"""Removes unused files of Fast DDS from shared memory.
 
-A participant has a segment, and ports that it listens at, as files with a lock beside each that is held while it lives.
-Who is killed cannot remove them; and a port whose other users outlive it stays even where nobody was killed. Fast DDS
-sweeps up only when told to (`fastdds shm clean`, which knows the files with a lock), and whoever runs a service for
-weeks would have to know of that.
+A participant has a segment, and ports that it listens at, as files, each with a lock file that is held while it lives.
+A killed process cannot remove them, and a port that its other users outlive stays even without a kill. Fast DDS removes
+them only on command (`fastdds shm clean`, which handles the files with a lock), and an operator who runs a service for
+weeks would have to know that.
 
-A segment's name is random and used once. A port's is its number: whoever starts next opens the same files, and what is
-removed under it leaves it deaf. Fast DDS opens ports under a mutex of theirs, a POSIX semaphore, which is taken here
-too; so no port is opened while it is judged and removed. The mutex itself (32 bytes) stays: who waits for one that is
-removed is not kept from who makes the next.
+A segment's name is random and used once. A port's name is its number: the next process opens the same files, and
+receives nothing if they are then removed. Fast DDS opens each port under the port's mutex, a POSIX semaphore, which is
+taken here too, so no port is opened while it is checked and removed. The mutex itself (32 bytes) stays: a process that
+waits for a removed mutex and one that creates the next would not exclude each other.
 """
 
 from __future__ import annotations
@@ -24,32 +24,31 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 FOLDER = Path("/dev/shm")
-# A file that is younger may be one whose maker has not locked it yet.
+# A younger file may not have been locked by its creator yet.
 YOUNG = 1.0  # [s]
 
 _FILE = re.compile(r"(fastrtps_(?:[0-9a-f]{16}|port\d+))(?:_[es]l)?")
-_LOCKS = ("_el", "_sl")  # of who listens at a port alone, and with others
+_LOCKS = ("_el", "_sl")  # of a port's only listener, and of listeners that share it
 _PORT = "fastrtps_port"
 _LIBC = ctypes.CDLL(None, use_errno=True)
 
 
 def remove_left_behind(folder: Path = FOLDER) -> int:
-    """Removes what nobody uses; returns how many files. What the system does not let us remove stays."""
+    """Removes unused files; returns how many. Files that the system does not let us remove stay."""
     return sum(_remove(folder, name) for name in sorted(_unused(folder)))
 
 
 def left_behind(folder: Path = FOLDER) -> set[Path]:
-    """Files of our own, of segments and ports, that no process of ours has mapped and no process that we can see has
-    locked.
+    """Our own files of segments and ports that no process of ours has mapped and no visible process has locked.
 
-    As long as somebody has a dead one's port mapped it must stay: Fast DDS tells by it that the port is dead, and sends
-    to the next one of that number.
+    A dead participant's port must stay while any process has it mapped: from it Fast DDS detects that the port is dead,
+    and sends to the next one of that number.
     """
     return {file for files in _unused(folder).values() for file in files}
 
 
 def _unused(folder: Path) -> dict[str, list[Path]]:
-    """Segments and ports by name. Tries no lock: to try one is to hold it for a moment, in which others fail."""
+    """Segments and ports by name. Tries no lock: that would hold it for a moment in which others fail."""
     locked = _locked_inodes()
     suspects = {name: files for name, files in _groups(folder).items() if _seems_unused(files, locked)}
     if suspects:
@@ -60,16 +59,16 @@ def _unused(folder: Path) -> dict[str, list[Path]]:
 
 
 def _remove(folder: Path, name: str) -> int:
-    """Removes a segment or port if it is still unused, while nobody can open it; returns how many files."""
+    """Removes a segment or port if it is still unused, while no process can open it; returns how many files."""
     if not name.startswith(_PORT):
         return _remove_unlocked(folder, name)
     with _port_mutex(folder, name) as is_ours:
-        # another may have opened it since it was judged
+        # another process may have opened it since the check
         return _remove_unlocked(folder, name) if is_ours and name in _unused(folder) else 0
 
 
 def _remove_unlocked(folder: Path, name: str) -> int:
-    """Holds its locks meanwhile. They may be held by a process that we cannot see, of another container."""
+    """Holds its locks meanwhile; an invisible process, of another container, may hold them already."""
     removed, held = 0, []
     try:
         for lock in (folder / f"{name}{ending}" for ending in _LOCKS):
@@ -90,7 +89,8 @@ def _remove_unlocked(folder: Path, name: str) -> int:
 
 @contextmanager
 def _port_mutex(folder: Path, name: str) -> Iterator[bool]:
-    """Holds the mutex under which Fast DDS opens a port; yields whether: not where another has it, or it is not there.
+    """Holds the mutex under which Fast DDS opens a port. Yields whether it does: not if another process holds it or it
+    does not exist.
     """
     try:
         with (folder / f"sem.{name}_mutex").open("r+b") as file:
@@ -110,10 +110,10 @@ def _port_mutex(folder: Path, name: str) -> Iterator[bool]:
 
 
 def orphaned_ports(folder: Path = FOLDER) -> set[int]:
-    """Numbers of ports that some process has mapped and will write to although nobody listens there any more.
+    """Numbers of ports that some process has mapped and will write to although they have no listener any more.
 
-    Either the listener died, and who opens the port next makes a new file of its name; or somebody has done so already.
-    In both cases the others go on with the old file until they notice, usually within two seconds. They never do if the
+    The listener has died, and the next process to open the port creates a new file of its name, or has already done so.
+    In both cases the others use the old file until they notice, usually within two seconds. They never notice if the
     listener died while it took a message.
     """
     locked = _locked_inodes()
@@ -123,7 +123,7 @@ def orphaned_ports(folder: Path = FOLDER) -> set[int]:
         if not re.fullmatch(_PORT + r"\d+", name):
             continue
         with suppress(FileNotFoundError):
-            # where there is no lock, a port is opened as it is
+            # a port without a lock file is opened as it is
             if removed or (folder / f"{name}_el").stat().st_ino not in locked:
                 found.add(int(name.removeprefix(_PORT)))
     return found
@@ -141,7 +141,7 @@ def _groups(folder: Path) -> dict[str, list[Path]]:
 def _seems_unused(files: list[Path], locked: set[int]) -> bool:
     try:
         stats = [file.stat() for file in files]
-    except OSError:  # it has gone in the meantime
+    except OSError:  # removed in the meantime
         return False
     return not any(
         each.st_uid != os.getuid() or time.time() - each.st_mtime < YOUNG or each.st_ino in locked for each in stats
@@ -149,7 +149,7 @@ def _seems_unused(files: list[Path], locked: set[int]) -> bool:
 
 
 def _locked_inodes() -> set[int]:
-    """Of all files that a process which we can see holds a lock of; proc(5)."""
+    """Of all files on which a visible process holds a lock; proc(5)."""
     try:
         lines = Path("/proc/locks").read_text().splitlines()
     except OSError:
@@ -158,10 +158,10 @@ def _locked_inodes() -> set[int]:
 
 
 def _mapped(folder: Path) -> Iterator[str]:
-    """Names of the folder's files that processes which we may look into have in their memory, with " (deleted)" behind
-    those of files that were removed.
+    """Names of the folder's files that are mapped by processes with maps that we may read; " (deleted)" is appended to
+    those of removed files.
     """
-    for process in os.listdir("/proc"):  # a glob would ask of each whether it is still there, and fail where not
+    for process in os.listdir("/proc"):  # a glob would stat each entry, and fail if one has gone
         if not process.isdigit():
             continue
         try:

@@ -1,9 +1,9 @@
-"""Other ports than those of nodes that were killed before, for one that takes a place of theirs.
+"""Makes a node that replaces a killed one choose other ports than the killed one had.
 
-Fast DDS takes the lowest ports that are free: those of the one that was killed. Whoever spoke with that one has its
-port of shared memory mapped still, and goes on writing there until it notices that nobody reads: for a second or two,
-or for ever where the listener was killed while it took a message (`shared_memory.orphaned_ports`). What it sends to the
-successor meanwhile is lost, the latched log among it. So these ports are held until the successor has chosen others.
+Fast DDS takes the lowest free ports: those of the killed node. Processes that wrote to it still have its shared memory
+port mapped, and keep writing to it until they notice that it has no reader: for a second or two, or for ever if the
+listener was killed while it took a message (`shared_memory.orphaned_ports`). What they send to the successor meanwhile
+is lost, including the latched log. So these ports are held until the successor has chosen others.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from pathlib import Path
 from fracture_collision.ros.fastdds.farewell import PORT_BASE, PORTS_A_DOMAIN
 from fracture_collision.ros.fastdds.shared_memory import FOLDER, orphaned_ports
 
-# The ports of readers with a network flow of their own, which rmw gives to the one that hears of nodes, of all domains.
+# Ports, in all domains, of readers with a network flow of their own, which rmw gives to its reader of node discovery.
 FIRST_OF_FLOWS = 7000
-# Discovery looks at the lowest 32 pairs only, and the living have some.
+# Discovery tries the lowest 32 pairs only, and living nodes have some of them.
 MOST = 20
 
 
 @contextmanager
 def orphaned_ports_held(domain_id: int, folder: Path = FOLDER) -> Iterator[list[int]]:
-    """While a participant is made; yields which. Of the domain a pair of UDP ports for each of shared memory (DDSI-RTPS
-    2.2, 9.6.1.1).
+    """Holds UDP ports while a participant is created; yields which. In the domain each shared memory port stands for a
+    pair of UDP ports (DDSI-RTPS 2.2, 9.6.1.1).
     """
     first = PORT_BASE + PORTS_A_DOMAIN * domain_id
     orphans = sorted(orphaned_ports(folder))
@@ -37,7 +37,7 @@ def orphaned_ports_held(domain_id: int, folder: Path = FOLDER) -> Iterator[list[
             holder = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
             try:
                 holder.bind(("127.0.0.1", port))
-            except OSError:  # somebody has it already
+            except OSError:  # already in use
                 continue
             held.append(port)
         yield held

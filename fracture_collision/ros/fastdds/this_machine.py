@@ -1,10 +1,10 @@
-"""Whom participants of this project can be reached by: this machine alone, where the environment says LOCALHOST.
+"""Makes participants of this project reachable from this machine only, if the environment sets LOCALHOST.
 
 ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST keeps a participant from being announced on the network. It still listens on all
-interfaces, and who knows the machine's address gets in. config/this_machine.xml binds Fast DDS to loopback and shared
-memory. With LOCALHOST, though, rmw_fastrtps adds transports of its own to those of a profile, whose sockets on 0.0.0.0
-take datagrams that nothing reads. So with that profile the range is SYSTEM_DEFAULT, with which rmw_fastrtps adds
-nothing, and the profile says what LOCALHOST would: no multicast, and 127.0.0.1 as the peer to ask.
+interfaces, so a client with the machine's address gets in. config/this_machine.xml binds Fast DDS to loopback and
+shared memory. With LOCALHOST, however, rmw_fastrtps adds its own transports to those of a profile, and their sockets on
+0.0.0.0 accept datagrams that nothing reads. So with that profile the range is SYSTEM_DEFAULT, with which rmw_fastrtps
+adds nothing, and the profile sets what LOCALHOST would: no multicast, and 127.0.0.1 as the initial peer.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 
 
 def keep_to_this_machine(environment: MutableMapping[str, str]) -> None:
-    """Chooses the profile, where the range is LOCALHOST, for a participant that is made with `environment`. Profiles of
-    the user's and other middleware are left alone.
+    """Selects the profile, if the range is LOCALHOST, for a participant created with `environment`. A user's own
+    profiles and other middleware are left alone.
     """
     has_profiles = any(environment.get(name) for name in PROFILES)
     if environment.get(RANGE) == LOCALHOST and not has_profiles and _is_fast_dds():
@@ -31,7 +31,7 @@ def keep_to_this_machine(environment: MutableMapping[str, str]) -> None:
 
 
 def as_the_user_has_it(environment: Mapping[str, str]) -> dict[str, str]:
-    """`environment` as it was before `keep_to_this_machine`: for processes that are started."""
+    """`environment` as it was before `keep_to_this_machine`: for child processes."""
     given = dict(environment)
     if given.get(PROFILES[0]) == _profile():
         del given[PROFILES[0]]
@@ -41,8 +41,8 @@ def as_the_user_has_it(environment: Mapping[str, str]) -> dict[str, str]:
 
 
 def has_known_transports(environment: Mapping[str, str]) -> bool:
-    """Whether a participant made with `environment` has Fast DDS's default transports or those of our own profile. What
-    the user's profiles choose, or other middleware, is not ours to judge.
+    """Whether a participant created with `environment` has Fast DDS's default transports or those of our own profile.
+    False for a user's own profiles and other middleware: their transports are unknown.
     """
     profiles = {environment.get(name, "") for name in PROFILES} - {""}
     if not _is_fast_dds() or profiles - {_profile()}:

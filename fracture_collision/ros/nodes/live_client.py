@@ -1,4 +1,4 @@
-"""What a person does in a live scene, as messages to live_simulator_node: for the page, for teleop, for tests."""
+"""A user's commands in a live scene, as messages to live_simulator_node: for the page, for teleop, for tests."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from std_srvs.srv import SetBool, Trigger
 from fracture_collision.msg import HandTarget, ThrowBall
 from fracture_collision.ros.wire import qos
 
-SIMULATOR = "simulator_node"  # a live one bears the name too
+SIMULATOR = "simulator_node"  # also the name of a live one
 
 
 class LiveClient:
-    """Commands of one `node`. Whatever returns a Future is answered while the node spins."""
+    """Commands of one `node`. Futures complete while the node spins."""
 
     def __init__(self, node: Node) -> None:
         self._balls, self._hand, self._velocity, self._joints = (
@@ -33,7 +33,7 @@ class LiveClient:
         self._parameters = AsyncParameterClient(node, SIMULATOR)
 
     def is_there(self) -> bool:
-        """Whether a live simulator listens to all of this."""
+        """Whether a live simulator subscribes to all topics and provides all services."""
         said = (self._balls, self._hand, self._velocity, self._joints)
         heard = all(each.get_subscription_count() > 0 for each in said)
         return heard and all(each.service_is_ready() for each in (self._reset, self._step, self._pause))
@@ -41,7 +41,7 @@ class LiveClient:
     def throw(
         self, position: Sequence[float], velocity: Sequence[float], radius: float = 0.04, density: float = 2000.0
     ) -> None:
-        """As ThrowBall.msg says."""
+        """Arguments as in ThrowBall.msg."""
         self._balls.publish(
             ThrowBall(
                 header=Header(frame_id="world"), position=_point(position), velocity=_vector(velocity),
@@ -50,7 +50,7 @@ class LiveClient:
         )
 
     def drag(self, run_id: int, fragment_id: int, grip: Sequence[float], target: Sequence[float]) -> None:
-        """As HandTarget.msg says."""
+        """Arguments as in HandTarget.msg."""
         self._hand.publish(
             HandTarget(
                 header=Header(frame_id="world"), run_id=run_id, fragment_id=fragment_id, grip=_point(grip),
@@ -59,31 +59,31 @@ class LiveClient:
         )
 
     def let_go(self) -> None:
-        """The hand holds nothing any more."""
+        """Releases what the hand holds."""
         self._hand.publish(HandTarget(header=Header(frame_id="world")))
 
     def steer(self, velocity: Sequence[float]) -> None:
-        """The hammer goes with `velocity` (3,) [m/s], world axes, until told otherwise."""
+        """Moves the hammer with `velocity` (3,) [m/s], world axes, until the next command."""
         self._velocity.publish(Twist(linear=_vector(velocity)))
 
     def command_joints(self, positions: Sequence[float], names: Sequence[str] = ()) -> None:
-        """The scene's arm goes to `positions` [rad] of these joints, of all in order without names."""
+        """Moves the scene's arm to `positions` [rad] of the named joints, or of all in order if `names` is empty."""
         self._joints.publish(JointState(name=list(names), position=[float(position) for position in positions]))
 
     def reset(self) -> Future:
-        """Of a Trigger.Response."""
+        """Future of a Trigger.Response."""
         return self._reset.call_async(Trigger.Request())
 
     def pause(self, paused: bool) -> Future:
-        """Of a SetBool.Response."""
+        """Future of a SetBool.Response."""
         return self._pause.call_async(SetBool.Request(data=paused))
 
     def step(self) -> Future:
-        """One step while it is paused; of a Trigger.Response."""
+        """Makes one step while the run is paused; Future of a Trigger.Response."""
         return self._step.call_async(Trigger.Request())
 
     def set_parameters(self, **values: Any) -> Future:
-        """`rate`, `next_scene`; of a SetParameters.Response."""
+        """Sets `rate`, `next_scene`; Future of a SetParameters.Response."""
         return self._parameters.set_parameters([Parameter(name, value=value) for name, value in values.items()])
 
 

@@ -1,8 +1,8 @@
-"""A simulator to play with: paced by the clock, it goes on until it is told to end and takes commands by topics.
+"""An interactive simulator: paced by the clock, it runs until it is shut down and takes commands from topics.
 
-throw_ball, hand_target and cmd_vel (any teleop tool's) act in the scene, joint_commands on its arm if it has one, which
-tells joint_states; the services reset, pause and step on the run. What is asked for is done between two steps, in the
-order it came. Steps themselves are simulator_node's.
+throw_ball, hand_target and cmd_vel (of any teleop tool) act on the scene, joint_commands on its arm. If there is an
+arm, its state is published on joint_states. The services reset, pause and step control the run. Commands are executed
+between two steps, in order of arrival. The steps themselves are those of simulator_node.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ from fracture_collision.simulation.scene.scene import Scene, SceneError, load_sc
 from fracture_collision.simulation.simulation import Simulation, StepReport
 
 STATUS_INTERVAL = 0.02  # [s]
-PAUSE_LOOK = 0.05  # [s] between two looks while nothing runs
-# Behind the clock by more than this [s], what was lost is given up: nothing is gained by hurrying after it.
+PAUSE_LOOK = 0.05  # [s] between two checks while paused
+# [s] If a run falls further behind the clock, it drops the rest of the lag: nothing is gained by catching up.
 MOST_BEHIND = 0.1
-RATE_WINDOW = 1.0  # [s] over which the rate that is reached is told
+RATE_WINDOW = 1.0  # [s] over which the achieved rate is measured
 
 
 class LiveSimulatorNode(SimulatorNode):
-    """A node of the same name as SimulatorNode: to the service it is one.
+    """A node with the name of SimulatorNode, and the same to the service.
 
-    Parameters: `scene`, `seed`, `run_id`, `wait_for_subscribers`; while it runs `rate` and `next_scene`.
+    Parameters: `scene`, `seed`, `run_id`, `wait_for_subscribers`; at run time `rate` and `next_scene`.
     """
 
     def __init__(self) -> None:
@@ -48,7 +48,7 @@ class LiveSimulatorNode(SimulatorNode):
         super().__init__()
         declare(self, "rate", 1.0, "simulated time over real time; 0.1: slow motion", Range(0.01, 10.0))
         self._scene_name = self.get_parameter("scene").value  # as load_scene takes it
-        # Whoever sets this may be a page in a browser: no paths, but for the one that was given at the start.
+        # A page in a browser may set this: no paths are accepted, except the one given at the start.
         self._offered = ("", self._scene_name, *scene_names())
         self.add_on_set_parameters_callback(self._judge)
         declare(self, "next_scene", "", "begun at the next reset: a name in config/scenes; '': the same")
@@ -78,7 +78,7 @@ class LiveSimulatorNode(SimulatorNode):
     # --- the run ---------------------------------------------------------------------------------------------------
 
     def run(self, executor: PromptExecutor) -> None:
-        """Until rclpy says that it is over, by ExternalShutdownException."""
+        """Runs until rclpy shuts down and raises ExternalShutdownException."""
         self._await_subscribers(executor)
         while True:
             try:
@@ -89,12 +89,12 @@ class LiveSimulatorNode(SimulatorNode):
             self._begin_again()
 
     def _run_once(self, executor: PromptExecutor) -> None:
-        """Until a reset is asked for."""
+        """Runs until a reset is requested."""
         self._announce(self._simulation.start_bodies(), [])
         due = time.monotonic()
         report, round_trip = None, 0.0
         while self._next is None:
-            # the first step is made all the same: who looks has nothing to see before
+            # the first step is made even if paused: viewers have nothing to show before it
             if self._paused and not self._steps_allowed and report is not None:
                 self._tell(report, round_trip)
                 executor.spin_once(timeout_sec=PAUSE_LOOK)
@@ -120,7 +120,7 @@ class LiveSimulatorNode(SimulatorNode):
         self._reached.clear()
         self._refused = ""
         self._static_fragments.clear()
-        # whoever comes now shall find this run alone
+        # late joiners must receive this run only
         for publisher in (self._bodies, self._events):
             self.destroy_publisher(publisher)
         self._bodies, self._events = self._open_log()
@@ -164,7 +164,7 @@ class LiveSimulatorNode(SimulatorNode):
     # --- commands --------------------------------------------------------------------------------------------------
 
     def _later(self, topic: qos.Topic, command: Callable[[], None]) -> None:
-        """Between two steps; what is refused then is told in the status, and in the log."""
+        """Queues a command to run between two steps; a rejection is reported in the status and in the log."""
 
         def act() -> None:
             try:
@@ -204,7 +204,7 @@ class LiveSimulatorNode(SimulatorNode):
         try:
             self._next = load_scene(name)
         except (SceneError, OSError) as error:
-            # Errors quote the file, which is nobody's business but this machine's.
+            # Errors quote the file, and its content must not leave this machine.
             self.get_logger().error(str(error))
             response.message = f"{name} cannot be read; the log of simulator_node says why"
             return response

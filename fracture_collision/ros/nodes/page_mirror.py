@@ -1,9 +1,9 @@
-"""A copy of the service beside the page, for what a person sees inside collision detection and the service never tells.
+"""A copy of the service beside the page, to show internals of collision detection that the service does not publish.
 
-Contacts are a function of bodies, events, states and settings, all of which are on topics: so the copy knows what the
-service knows. It is made when a switch is thrown and dropped when none is on, works in a thread of its own at a few
-steps a second, the newest only, and always has the exact field and the shortest ways out: the truth that the service's
-answers are compared with.
+Contacts are a function of bodies, events, states and settings, all of which are on topics, so the copy has the state of
+the service. It is created when a switch is turned on and dropped when none is on. It runs in a thread of its own at a
+few steps a second, the newest only. It always uses the exact field and the shortest ways out: the reference with which
+the service's answers are compared.
 """
 
 from __future__ import annotations
@@ -31,24 +31,24 @@ from fracture_collision.world.inspection import (
 )
 from fracture_collision.world.present import Present
 
-INTERVAL = 0.2  # [s] between two looks, at least
-BUSY_SHARE = 0.5  # of the time that it may work: the service needs the processor too
-REMEMBERED = 4  # states whose answers may still come
-ENDING = 2.0  # [s] that a look may take when the page ends
-# What an answer depends on, and the truth has its own of.
+INTERVAL = 0.2  # [s] between two views, at least
+BUSY_SHARE = 0.5  # of the time, at most: the service needs the processor too
+REMEMBERED = 4  # states for which answers may still come
+ENDING = 2.0  # [s] that a view may take when the page ends
+# Settings of an answer for which the reference has values of its own.
 ANSWER_SETTINGS = (
     "contacts_per_pair", "selection", "deep_contacts_per_pair", "penetration_tolerance", "visit_budget", "field",
 )  # fmt: skip
 
 
 class _Job(NamedTuple):
-    """What one look is made of."""
+    """The input of one view."""
 
     run_id: int
-    log: list[Any]  # bodies and events of the run, which grows
-    told: int  # how much of it there is
+    log: list[Any]  # bodies and events of the run; it grows
+    told: int  # entries of it to apply
     states: Received
-    answer: ContactConstraintArray | None  # the service's, to these states; None: it is asked here, or not wanted
+    answer: ContactConstraintArray | None  # the service's, to these states; None: computed here, or not wanted
     wanted: InsideWanted
     settings: Settings  # of the service
     collision_ms: float | None
@@ -56,7 +56,7 @@ class _Job(NamedTuple):
 
 
 class Mirror:
-    """Hears what the page hears; `show` gets what is wanted, in the mirror's thread, and has to return at once."""
+    """Receives what the page receives; calls `show` with the requested view, in its thread. `show` returns at once."""
 
     def __init__(self, show: Callable[[InsideView], None]) -> None:
         self._show = show
@@ -67,27 +67,27 @@ class Mirror:
         self._collision_ms: float | None = None
         self._closed = False
         self._begin(0)
-        # of the thread alone
+        # used by the thread only
         self._run: CollisionRun | None = None
-        self._fed = 0  # of the run's log
+        self._fed = 0  # entries of the run's log, applied
         self._spheres: tuple[Any, Spheres] | None = None  # and what they were made for
         self._reach: tuple[Any, tuple[float, float]] | None = None  # likewise
         self._thread = threading.Thread(target=self._work, name="mirror", daemon=True)
         self._thread.start()
 
-    # --- what the page's node tells, from its thread ---------------------------------------------------------------
+    # --- called by the page's node, from its thread ----------------------------------------------------------------
 
     @property
     def wants_contacts(self) -> bool:
         return self._wanted.compares
 
     def new_run(self, run_id: int) -> None:
-        """From now on nothing of an earlier run is shown."""
+        """Stops showing anything of an earlier run."""
         with self._news:
             self._begin(run_id)
 
     def hear(self, message: Any) -> None:
-        """A body, as a record, or a fracture event, as a message: kept as it is, for a copy that is made later."""
+        """Keeps a body, as a record, or a fracture event, as a message, unchanged for a copy that is created later."""
         self._log.append(message)
 
     def hear_states(self, states: Received) -> None:
@@ -159,7 +159,7 @@ class Mirror:
             began = time.monotonic()
             try:
                 view = self._look(job)
-            except (StatesAhead, InvalidMessage):  # the service says so; the next ones may be all right
+            except (StatesAhead, InvalidMessage):  # the service reports it; the next states may be valid
                 view = None
             except Exception:
                 traceback.print_exc()
@@ -171,7 +171,7 @@ class Mirror:
             due = max(began + INTERVAL, ended + (ended - began) * (1.0 / BUSY_SHARE - 1.0))
 
     def _next_job(self) -> _Job | None:
-        """None: there is nothing to look at, or nobody looks."""
+        """None: there is nothing to show, or no view is requested."""
         if not self._wanted.anything or not self._states:
             return None
         states, answer, is_replayed = self._states[next(reversed(self._states))], None, False
@@ -180,7 +180,7 @@ class Mirror:
                 states, answer, settings = self._exchange
                 if self._paused and settings != self._settings:
                     answer = None
-            # the service is asked for nothing while the scene stands
+            # the service gets no states while the scene is paused
             is_replayed = self._paused and answer is None
         return _Job(
             self._run_id, self._log, len(self._log), states, answer, self._wanted, self._settings, self._collision_ms,
@@ -201,7 +201,7 @@ class Mirror:
         return InsideView(spheres, plane, figures)
 
     def _world(self, job: _Job) -> CollisionWorld:
-        """That knows what was said so far."""
+        """With the job's bodies and events applied."""
         truth = job.settings._replace(field="exact", normals="nearest", threads=1, neighbour_lists=False)
         if self._run is None or self._run.run_id != job.run_id:
             self._run, self._fed = CollisionRun(job.run_id, truth), 0
@@ -225,7 +225,7 @@ class Mirror:
         return self._spheres[1]
 
     def _plane(self, job: _Job, world: CollisionWorld, here: Present, wanted: PlaneWanted) -> PlanePicture | None:
-        """The reach is kept, so that a plane stands still in a scene that moves."""
+        """Keeps the reach, so that a plane does not move with the scene."""
         made_for = job.run_id, wanted.axis
         if self._reach is None or self._reach[0] != made_for:
             reach = reach_along(world, here, wanted.axis)

@@ -1,7 +1,7 @@
-"""The page of a live scene: hears what the nodes say, shows it in browsers, and tells the nodes what a person does.
+"""The page of a live scene: shows the nodes' messages in browsers, and sends the user's commands to the nodes.
 
-Everything comes by topics, so the page may run anywhere a viewer may, and it may come and go while the scene runs. It
-asks for states and contacts without a promise (best effort): nobody waits for somebody who only looks.
+All data comes from topics, so the page may run wherever a viewer may, and may start and end while the scene runs. It
+subscribes to states and contacts best-effort, so no publisher waits for it.
 """
 
 from __future__ import annotations
@@ -47,22 +47,22 @@ from fracture_collision.viewer.pictures.body_mesh import compile_mesh_kernels
 SERVICE = "collision_node"
 LOOKING = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 TOLD = frozenset({"collision_ms", "update_ms", "solver_ms", "ros_ms", "contacts", "fragments"})
-GRAVITY = 9.81  # [m/s2] that a thrown ball is aimed against
-OUT_OF_THE_EYE = 0.2  # [m] before the eye a ball starts
+GRAVITY = 9.81  # [m/s2] for which the aim of a thrown ball compensates
+OUT_OF_THE_EYE = 0.2  # [m] in front of the eye, where a ball starts
 HAMMER_SPEED = 1.0  # [m/s]
-KEY_HOLDS = 0.3  # [s] that the hammer goes on after an arrow key's last word
-# [s] Messages, pictures and browsers have a thread each: with Python's own 5 ms the one that has a short thing to do
-# waits too long for the one that has a long one.
+KEY_HOLDS = 0.3  # [s] that the hammer keeps moving after the last event of an arrow key
+# [s] Messages, pictures and browsers have a thread each: with Python's default of 5 ms, a thread with a short task
+# waits too long for one with a long task.
 SWITCH_INTERVAL = 0.5e-3
-LOOK_INTERVAL = 0.2  # [s] between two looks at who answers, and whether its settings have changed
+LOOK_INTERVAL = 0.2  # [s] between two checks for the service and its settings
 ARROWS = {"up": (0.0, 1.0), "down": (0.0, -1.0), "right": (1.0, 0.0), "left": (-1.0, 0.0)}  # x, y
 
 
 class PageNode(Node):
     """Prints the page's address as a line of JSON. Parameters: `host`, `port`, `scene`, `folder` of recordings.
 
-    Has the service look ahead by a step of the scene that is played, whenever that is another: a person throws faster
-    than a scene does.
+    Sets the service's lookahead to a step of the current scene, whenever that changes: a user throws faster than a
+    scene does.
     """
 
     def __init__(self) -> None:
@@ -75,22 +75,22 @@ class PageNode(Node):
         self._hands = LiveClient(self)
         self._service = AsyncParameterClient(self, SERVICE)
         self._mirror = Mirror(lambda view: self.page.show_inside(view))
-        # From the page's thread to this one's.
+        # Commands from the page's thread to this one.
         self._orders: deque[Callable[[], None]] = deque()
         self._wake = self.create_guard_condition(self._obey)
 
         self._run_id = 0
         self._body_of: dict[int, int] = {}  # of each fragment
-        self._meshes: dict[int, Any] = {}  # that came before it was known of which body they are
+        self._meshes: dict[int, Any] = {}  # that arrived before the body of their fragment was known
         self._states: FragmentStates | None = None
-        self._early: Received | None = None  # states that came before the first body of their run
+        self._early: Received | None = None  # states that arrived before the first body of their run
         self._status: SimulationStatus | None = None
-        self._ahead = 0.0  # [s] that the service was told to look ahead
+        self._ahead = 0.0  # [s] lookahead that was set in the service
         self._held: tuple[int, np.ndarray] | None = None  # fragment and grip in its body frame
         self._stop_timer: Timer | None = None  # of the hammer, after the last arrow key
-        self._awaits_joints = False  # of an arm that has come
-        self._refused = ""  # as the simulator said last
-        self._set: list[ServiceSliders] = []  # by a person, since the service was last heard to have it
+        self._awaits_joints = False  # of an arm that was added
+        self._refused = ""  # the last rejection that the simulator reported
+        self._set: list[ServiceSliders] = []  # by the user, since the last value that the service confirmed
 
         limits = joint_limits()
         joints = tuple(map(Joint, limits.names, limits.lower.tolist(), limits.upper.tolist()))
@@ -108,7 +108,7 @@ class PageNode(Node):
     def close(self) -> None:
         self._mirror.close()
         self.page.close()
-        with suppress(RecordingFailed):  # its log says why
+        with suppress(RecordingFailed):  # its log has the reason
             self._recordings.end()
 
     def _listen(self) -> None:
@@ -125,7 +125,7 @@ class PageNode(Node):
         ):
             self.create_subscription(topic.message_class, topic.name, callback, profile, raw=raw)
 
-    # --- what the nodes say ----------------------------------------------------------------------------------------
+    # --- messages of the nodes -------------------------------------------------------------------------------------
 
     def _of_this_run(self, run_id: int) -> bool:
         """Only a body begins a run."""
@@ -162,12 +162,12 @@ class PageNode(Node):
                 self.page.add_fragment(self._meshes.pop(fragment_id), message.body_id)
 
     def _on_registry(self, message: Any) -> None:
-        """For a page that came when the run was long begun: who lives."""
+        """Living fragments, for a page that joins a run late."""
         if self._of_this_run(message.run_id):
             self._body_of.update(zip(message.fragment_ids, message.body_ids, strict=True))
 
     def _on_mesh(self, data: bytes) -> None:
-        with suppress(ValueError):  # no mesh
+        with suppress(ValueError):  # not a mesh
             _, run_id, mesh = deserialize_record(data, qos.FRAGMENT_MESHES.message_class)
             if not self._of_this_run(run_id):
                 return
@@ -178,7 +178,7 @@ class PageNode(Node):
                 self.page.add_fragment(mesh, body_id)
 
     def _on_states(self, data: bytes) -> None:
-        with suppress(ValueError):  # no states; the service says so
+        with suppress(ValueError):  # not states; the service reports it
             received = deserialize_record(data, qos.FRAGMENT_STATES.message_class)
             if self._of_this_run(received.run_id):
                 self._show(received)
@@ -215,7 +215,7 @@ class PageNode(Node):
             self.page.show_arm(message.position)
 
     def _on_settings(self, settings: dict[str, Any]) -> None:
-        """Sliders that a person has moved meanwhile must not jump back: what comes is what they said a moment ago."""
+        """Sliders that the user has moved meanwhile must not jump back: the message has their former values."""
         self._mirror.hear_settings(settings)
         has = ServiceSliders(**{name: settings[name] for name in ServiceSliders._fields})
         if has in self._set:
@@ -242,7 +242,7 @@ class PageNode(Node):
             )
         )
 
-    # --- what a person does ----------------------------------------------------------------------------------------
+    # --- commands of the user --------------------------------------------------------------------------------------
 
     def _handlers(self) -> Handlers:
         def later(act: Callable[..., None]) -> Callable[..., None]:
@@ -274,7 +274,7 @@ class PageNode(Node):
             self._orders.popleft()()
 
     def _throw(self, ray: Ray, ball: Ball) -> None:
-        """So that it passes, some way off, through the point that was clicked on: it falls on its way."""
+        """Aims higher, as the ball falls on its way: it meets the clicked ray at the distance of the scene's middle."""
         middle = ray.origin + ray.direction if self._states is None else self._middle()
         seconds = float(np.linalg.norm(middle - ray.origin)) / ball.speed
         velocity = ball.speed * ray.direction + np.array([0.0, 0.0, 0.5 * GRAVITY * seconds])
@@ -331,12 +331,12 @@ class PageNode(Node):
         self._set_parameters(**sliders._asdict())
 
     def _set_parameters(self, **values: Any) -> None:
-        """Of the service; what it refuses is said."""
+        """Sets parameters of the service; shows its rejections."""
         parameters = [Parameter(name, value=value) for name, value in values.items()]
         self._service.set_parameters(parameters).add_done_callback(self._all_taken)
 
     def _all_taken(self, done: Any) -> bool:
-        """Whether all parameters were set; says why not."""
+        """Whether all parameters were set; shows the reasons if not."""
         results = done.result().results if done.result() else []
         for result in results:
             if not result.successful:
@@ -375,7 +375,7 @@ def _work(node: PageNode) -> None:
     try:
         with nothing_to_lose():
             compile_mesh_kernels()
-        gc.freeze()  # to look through all that was loaded for garbage takes 120 ms, in which no mesh gets through
+        gc.freeze()  # garbage collection over all that was loaded takes 120 ms and delays meshes
         executor.spin()
     finally:
         node.close()

@@ -1,7 +1,7 @@
-"""Records every message of a run into a bag. For those without `ros2 bag`, and for equal runs in equal bytes.
+"""Records every message of a run into a bag. For systems without `ros2 bag`, and for equal bytes of equal runs.
 
-Once a second all that has settled goes to disk, so that a recorder that is killed leaves a bag that opens. The bag's
-custom data say with which settings the service answers: contacts are a function of the messages and of those.
+Once a second all settled messages go to disk, so that a killed recorder leaves a readable bag. The bag's custom data
+has the settings of the service: contacts are a function of the messages and the settings.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ RECORDED = (*qos.TOPICS, DIAGNOSTICS)
 PROGRESS_INTERVAL = 0.1  # [s]
 FLUSH_INTERVAL = 1.0  # [s]
 
-# Every message here begins with a header, whose stamp follows the four bytes that tell CDR's byte order.
+# Every message here begins with a header, whose stamp follows the four bytes of CDR's encapsulation.
 _STAMP = struct.Struct("<iI")
 _STAMP_OFFSET = 4
 
 
 class RecorderNode(Node):
-    """Parameters: `folder` of the bag to make; `progress`: tells on stdout how many messages of each topic it has."""
+    """Parameters: `folder` of the bag to create; `progress`: prints the number of messages by topic to stdout."""
 
     def __init__(self) -> None:
         super().__init__("recorder_node")
@@ -52,8 +52,8 @@ class RecorderNode(Node):
         except OSError as error:
             raise Fatal(f"parameter folder: {error}") from error
         self._newest_time = 0  # [ns]
-        self._settled_time = 0  # [ns] the newest when the last flush was; what belongs to it has come since
-        self._flushed_time = 0  # [ns] what belongs to it is in the bag
+        self._settled_time = 0  # [ns] the newest at the last flush; its other messages have arrived since
+        self._flushed_time = 0  # [ns] its messages are in the bag
         self._counts = dict.fromkeys((topic.name for topic in RECORDED), 0)
         self._unflushed = 0  # messages
         self._noted_settings: str | None = None
@@ -66,13 +66,13 @@ class RecorderNode(Node):
         def keep(data: bytes) -> None:
             try:
                 clear = zero_padding(data, topic.message_class)
-            except ValueError as error:  # nor does any reader of the bag know what to do with it
+            except ValueError as error:  # a reader of the bag could not read it either
                 self.get_logger().warning(f"{name}: not recorded: {error}", throttle_duration_sec=1.0)
                 return
             self._counts[topic.name] += 1
-            if topic is not DIAGNOSTICS:  # they carry the wall clock's time, all others that of the simulation
+            if topic is not DIAGNOSTICS:  # they carry wall clock time, all others simulation time
                 seconds, nanoseconds = _STAMP.unpack_from(data, _STAMP_OFFSET)
-                self._newest_time = max(seconds * 10**9 + nanoseconds, 0)  # bags know no time before the epoch
+                self._newest_time = max(seconds * 10**9 + nanoseconds, 0)  # bags have no times before the epoch
             self._bag.write(name, clear, self._newest_time)
             self._unflushed += 1
 

@@ -1,4 +1,4 @@
-"""Bags that a person asks for, one after another: a recorder_node each, in a process of its own."""
+"""Bags recorded on the user's request, one after another: a recorder_node each, in a process of its own."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from fracture_collision.ros.processes.node_process import NodeProcess, default_d
 
 
 class RecordingFailed(RuntimeError):
-    """Its text says why, or where that stands."""
+    """Its text has the reason, or the file that has it."""
 
 
 class Recordings:
     """At most one at a time, into bag_1, bag_2 ... of a folder."""
 
     def __init__(self, folder: Path, namespace: str) -> None:
-        """`namespace`: of the nodes that are to be recorded."""
+        """`namespace`: of the nodes to record."""
         self._folder = folder
         self._namespace = namespace
         self._running: tuple[Path, NodeProcess] | None = None
 
     def begin(self) -> Path:
-        """The bag that is written from now on. Raises RecordingFailed."""
+        """Starts a recording; returns its bag. Raises RecordingFailed."""
         try:
             bag = _new_folder(self._folder)
             node = NodeProcess(
@@ -35,7 +35,7 @@ class Recordings:
         return bag
 
     def end(self) -> Path | None:
-        """The bag that was written, which is complete now; None: there was none. Raises RecordingFailed."""
+        """Ends the recording; returns its complete bag, or None if there was none. Raises RecordingFailed."""
         if self._running is None:
             return None
         (bag, node), self._running = self._running, None
@@ -45,7 +45,7 @@ class Recordings:
 
 
 def _new_folder(parent: Path) -> Path:
-    """A name that no bag has yet, nor what a recorder said: bag_1, bag_2 ..."""
+    """The first of bag_1, bag_2 ... that is the name of no bag and no recorder's log."""
     parent.mkdir(parents=True, exist_ok=True)
     bags = (parent / f"bag_{number}" for number in count(1))
     return next(bag for bag in bags if not (bag.exists() or bag.with_suffix(".log").exists()))

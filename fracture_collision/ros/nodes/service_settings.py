@@ -1,7 +1,7 @@
-"""Which settings the service has that publishes on a topic: asked of its parameters, as anybody may.
+"""The settings of the service that publishes on a topic, read from its parameters.
 
-An answer may be lost: rmw_fastrtps drops one whose reader it has not discovered 100 ms after the question, which came
-from a writer of the same client that it knew already. So who gets none asks again.
+A response may be lost: rmw_fastrtps drops it if it has not discovered the client's reader 100 ms after the request,
+although it knew the client's writer. So a request without a response is repeated.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ ASK_AGAIN = 5.0  # [s]
 
 
 class ServiceSettings:
-    """Tells `on_settings` the settings of the node that publishes on `topic`, when it appears and when they change."""
+    """Passes `on_settings` the settings of the node that publishes on `topic`, when it appears and when they change."""
 
     def __init__(self, node: Node, topic: str, on_settings: Callable[[dict[str, Any]], None]) -> None:
         self._node = node
@@ -32,13 +32,13 @@ class ServiceSettings:
         self._on_settings = on_settings
         self._known: bytes | None = None  # the publisher whose settings are known
         self._client: Any = None
-        self._request: Future | None = None  # that is to be answered
-        self._request_due = 0.0  # time.monotonic() when there shall be another
-        self._asking: tuple[bytes, str] | None = None  # that publisher, and its node
+        self._request: Future | None = None  # without a response yet
+        self._request_due = 0.0  # time.monotonic() of the next request
+        self._asking: tuple[bytes, str] | None = None  # the publisher that gets the requests, and its node
         node.create_subscription(ParameterEvent, "/parameter_events", self._on_event, qos_profile_parameter_events)
 
     def look(self) -> None:
-        """Asks a publisher that has not answered yet. To be called now and then."""
+        """Sends a request to a publisher that has not responded yet. Must be called regularly."""
         publishers = self._node.get_publishers_info_by_topic(self._topic)
         if not publishers or is_nameless(publishers[0]):
             return
@@ -60,14 +60,14 @@ class ServiceSettings:
         if self._asking is None or event.node != self._asking[1]:
             return
         if any(parameter.name in Settings._fields for parameter in event.changed_parameters):
-            # an answer that is on its way may be from before
+            # a response on its way may predate the change
             self._drop_request()
             self._known, self._request_due = None, 0.0
 
     def _on_answer(self, future: Future) -> None:
         if future is not self._request:
-            return  # of a question that was dropped
-        self._known, self._request = self._asking[0], None  # a service that is started again is another publisher
+            return  # to a dropped request
+        self._known, self._request = self._asking[0], None  # a restarted service is another publisher
         if future.exception() is not None:
             self._node.get_logger().warning(f"the service's settings are not known: {future.exception()}")
             return

@@ -1,4 +1,4 @@
-"""The simulator: runs one scene in lock-step with the collision service, by topics only."""
+"""The simulator: runs one scene in lock-step with the collision service, through topics only."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ from fracture_collision.simulation.scene.scene import Scene, SceneError, load_sc
 from fracture_collision.simulation.simulation import Simulation, StepReport
 from fracture_collision.simulation.warm_up import compile_kernels
 
-# Asking again: the first pause covers a service that compiles a kernel, the last one that is started by hand. Where
-# somebody has come to listen or to answer the pause is short at first: one of the two ways may not be there yet.
+# Repeated requests: the first pause covers a service that compiles a kernel, the last one a service started by hand.
+# After a new subscriber or publisher the pause is short at first: one of the two directions may not be matched yet.
 FIRST_PAUSE = 1.0  # [s]
 PAUSE_GROWTH = 1.5
 LONGEST_PAUSE = 15.0  # [s]
 PAUSE_FOR_NEWCOMERS = 0.05  # [s]
-LOOK_INTERVAL = 0.02  # [s] between two looks at who is there
+LOOK_INTERVAL = 0.02  # [s] between two checks for new subscribers and publishers
 
 PROGRESS_INTERVAL = 0.1  # [s]
 
@@ -85,7 +85,7 @@ class SimulatorNode(Node):
     # --- the run ---------------------------------------------------------------------------------------------------
 
     def run(self, executor: PromptExecutor) -> None:
-        """Simulates the scene to its end. Raises Fatal where the service refuses the states."""
+        """Simulates the scene to its end. Raises Fatal if the service rejects the states."""
         self._await_subscribers(executor)
         self._announce(self._simulation.start_bodies(), [])
         while not self._simulation.finished:
@@ -101,7 +101,7 @@ class SimulatorNode(Node):
         self._states.flush()
 
     def finish(self) -> None:
-        """Writes what was asked for; frees the physics engine."""
+        """Writes the timing file, if requested; frees the physics engine."""
         if self._timing_file:
             np.save(Path(self._timing_file), np.array(self._rows).reshape(-1, len(SIMULATOR_COLUMNS)))
         self._simulation.close()
@@ -110,7 +110,7 @@ class SimulatorNode(Node):
         return Simulation(scene, seed, looks_ahead=self._looks_ahead)
 
     def _open_log(self) -> tuple[Publisher, Publisher]:
-        """Publishers of bodies and events, on which late joiners find a run from its start."""
+        """Publishers of bodies and events, from which late joiners receive a run from its start."""
         bodies, events = (
             self.create_publisher(topic.message_class, topic.name, topic.qos)
             for topic in (qos.BODIES, qos.FRACTURE_EVENTS)
@@ -118,20 +118,20 @@ class SimulatorNode(Node):
         return bodies, events
 
     def _step(self, executor: PromptExecutor) -> tuple[StepReport, float, float]:
-        """One step, and both times of `_ask`."""
+        """Makes one step; returns its report and both times of `_ask`."""
         request = self._simulation.begin_step()
         self._announce(request.bodies, request.events)
         times = self._ask(request.states, executor)
         return self._simulation.finish_step(self._contacts, self._registry), *times
 
     def _await_subscribers(self, executor: PromptExecutor) -> None:
-        """A recorder that starts with the simulator must not miss the first steps. Enough others may be known before it
-        is: so all who are on this machine by then are waited for.
+        """A recorder that starts with the simulator must not miss the first steps. Enough others may be discovered
+        before it, so this waits for all participants that are on this machine by then.
         """
         if self._subscribers == 0:
             return
         started, said = time.monotonic(), 0.0
-        self._neighbours.are_all_known()  # if so, it matters since when
+        self._neighbours.are_all_known()  # starts the time that the count must stay unchanged
         while min(self._states.subscriber_count, self.count_subscribers(self._contacts_topic)) < self._subscribers:
             executor.spin_once(timeout_sec=0.02)
             if time.monotonic() - started > said + 5.0:
@@ -150,8 +150,8 @@ class SimulatorNode(Node):
             self._events.publish(to_message(event, stamp, self._run_id))
 
     def _ask(self, states: FragmentStates, executor: PromptExecutor) -> tuple[float, float]:
-        """Publishes states until their contacts and registry are there. Returns how long everybody took to acknowledge
-        the last states [s], and the time from these being published to their answer [s].
+        """Publishes states until their contacts and registry have arrived. Returns the time the subscribers took to
+        acknowledge the last states [s], and the time from publishing these to their answer [s].
         """
         named = with_static_fragments(states, self._static_fragments)
         data = serialize_record(named, heading(self._simulation.time), self._run_id)
@@ -184,7 +184,7 @@ class SimulatorNode(Node):
             deadline = time.monotonic() + pause
 
     def _present(self) -> tuple[int, int]:
-        """How many listen to states, and how many publish contacts."""
+        """The number of subscribers to states, and of publishers of contacts."""
         return self._states.subscriber_count, self.count_publishers(self._contacts_topic)
 
     def _registry_covers(self, states: FragmentStates) -> bool:
@@ -204,7 +204,7 @@ class SimulatorNode(Node):
             self.get_logger().warning(f"{qos.CONTACT_CONSTRAINTS.name}: {error}", throttle_duration_sec=1.0)
             return
         if run_id != self._run_id or (contacts.step, contacts.fracture_sequence) != self._asked:
-            return  # the late answer to a question asked twice
+            return  # a late answer to a repeated request
         if contacts.status & INVALID_STATES:
             raise Fatal(f"the service refused the states of step {contacts.step}; /diagnostics says why")
         self._contacts = contacts
@@ -225,8 +225,8 @@ class SimulatorNode(Node):
 
 
 def with_static_fragments(states: FragmentStates, static_fragments: list[int]) -> FragmentStates:
-    """Names those too that stand where their body frame is the world's, although the protocol lets them be left out:
-    a service that has not heard of a body holds the states that name it, but would answer others without it.
+    """Adds the static fragments, with the world's frame as body frame, although the protocol allows leaving them out: a
+    service that has not received a body holds states that name it, but would answer others without it.
     """
     unnamed = np.setdiff1d(np.array(static_fragments, dtype=np.uint32), states.fragment_ids)
     at_rest = {"positions": (0.0, 0.0, 0.0), "orientations": (0.0, 0.0, 0.0, 1.0)}
@@ -247,14 +247,14 @@ def derived_run_id(scene_name: str, seed: int) -> int:
 
 
 def work(node: SimulatorNode) -> None:
-    """Runs the node to its end, or until it is told to end."""
+    """Runs the node to its end, or until it is shut down."""
     executor = PromptExecutor()
     executor.add_node(node)
     try:
-        # else the first step that is timed loads them
+        # otherwise the first timed step would load them
         with nothing_to_lose():
             compile_kernels(lambda what: node.get_logger().info(f"loading kernels; {what}"))
-        gc.freeze()  # to look through all that was loaded for garbage takes 80 ms, in the middle of a run
+        gc.freeze()  # garbage collection over all that was loaded takes 80 ms, in the middle of a run
         node.run(executor)
     finally:
         node.finish()

@@ -1,7 +1,7 @@
-"""Keys of a terminal as cmd_vel, for the hammer of a live scene or whatever else listens.
+"""Publishes keys of a terminal as cmd_vel, for the hammer of a live scene or any other subscriber.
 
-A terminal tells of keys that go down, again and again while they are held, and of none that goes up. So a key moves
-until no other has come for a while, longer than a keyboard takes to begin repeating.
+A terminal reports key presses, repeatedly while a key is held, but no releases. So a key moves the hammer until no
+other has come for a while, longer than a keyboard's delay before it repeats.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from fracture_collision.ros.processes.own_context import own_context
 from fracture_collision.ros.wire import qos
 
 HOLD = 0.6  # [s] a key moves for
-LAST_WORD = Duration(seconds=1)  # for everybody to have heard that it stands
+LAST_WORD = Duration(seconds=1)  # for all subscribers to acknowledge the final stop
 RESEND = 0.05  # [s] between two commands while a key moves
 # key codes -> direction (x, y, z) in the world: x to the right, y away, z up as the scenes stand
 DIRECTIONS = {
@@ -34,20 +34,20 @@ DIRECTIONS = {
     b"\x1b[5~": (0, 0, 1), b"\x1b[6~": (0, 0, -1), b"r": (0, 0, 1), b"f": (0, 0, -1),
 }  # fmt: skip
 FASTER, SLOWER, STOP, END = b"+", b"-", b" ", (b"q", b"\x03", b"\x04")
-STEP = 1.25  # a key makes it so much faster
+STEP = 1.25  # factor of the speed, for each key press
 SPEEDS = (0.05, 4.0)  # [m/s]
 
 
 class Told(NamedTuple):
-    """What is known at the moment."""
+    """The current state."""
 
-    direction: tuple[int, int, int]  # zeros: it stands
+    direction: tuple[int, int, int]  # zeros: at rest
     speed: float  # [m/s]
     listeners: int
 
 
 def split_keys(data: bytes) -> list[bytes]:
-    """Key codes in what a terminal sent; an escape sequence is one."""
+    """Key codes in a terminal's input; an escape sequence is one."""
     keys = []
     while data:
         known = max((code for code in DIRECTIONS if data.startswith(code)), key=len, default=data[:1])
@@ -57,7 +57,7 @@ def split_keys(data: bytes) -> list[bytes]:
 
 
 def drive(domain_id: int, namespace: str, speed: float, told: Callable[[Told], None]) -> None:
-    """Reads keys from stdin, a terminal, until one that ends it; leaves the hammer at rest."""
+    """Reads keys from stdin, a terminal, until an end key; leaves the hammer at rest."""
     context = own_context(domain_id)
     node = rclpy.create_node("teleop", context=context, namespace=namespace or None)
     try:
@@ -101,7 +101,7 @@ def _twist(direction: tuple[int, int, int], speed: float) -> Twist:
 
 @contextmanager
 def _key_by_key(descriptor: int) -> Iterator[Callable[[float], list[bytes]]]:
-    """A terminal that hands over keys as they come, and does not show them."""
+    """Switches a terminal to input key by key, without echo."""
     before = termios.tcgetattr(descriptor)
     tty.setcbreak(descriptor)
 

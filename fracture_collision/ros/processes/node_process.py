@@ -21,24 +21,24 @@ from fracture_collision.ros.fastdds.farewell import PORT_BASE, PORTS_A_DOMAIN
 from fracture_collision.ros.fastdds.shared_memory import remove_left_behind
 from fracture_collision.ros.fastdds.this_machine import LOCALHOST, RANGE, as_the_user_has_it
 
-# Domains above this have ports that Linux hands out to anybody (REP 2000's "safe on all platforms").
+# Domains above this have ports that Linux assigns to any process (REP 2000's "safe on all platforms").
 HIGHEST_DOMAIN_ID = 101
 _SET_PARENT_DEATH_SIGNAL = 1  # prctl's PR_SET_PDEATHSIG
 _SESSION = Path("/proc/self/autogroup")  # of Linux
 _TRIES, _AGAIN = 10, 0.05  # [s]
-# Domains that this process has got; more than it uses at a time, and few enough for others to find one.
+# Domains claimed by this process: more than it uses at a time, and few enough for others to find one.
 _MOST_CLAIMS = 8
 _claims: deque[socket.socket] = deque()
 
 
 def free_domain_id() -> int:
-    """A ROS domain id that nobody on this machine uses, as far as can be told: no port of its is taken on all
-    interfaces, and nobody else has got it from here lately. Raises RuntimeError if all are taken.
+    """A ROS domain id that seems unused on this machine: its discovery port is not bound on all interfaces, and no
+    other call of this function has claimed it recently. Raises RuntimeError if all are in use.
     """
     candidates = list(range(1, HIGHEST_DOMAIN_ID + 1))
-    random.shuffle(candidates)  # others who look for one at the same moment should not find the same one
+    random.shuffle(candidates)  # concurrent searches should not find the same one
     for domain_id in candidates:
-        # nodes that keep to loopback take no port that could be seen, so whoever starts some holds a name
+        # nodes on loopback bind no visible port, so the process that starts them holds a socket name
         claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as discovery:
             try:
@@ -55,19 +55,19 @@ def free_domain_id() -> int:
 
 
 def default_domain_id() -> int:
-    """What ROS itself would take: ROS_DOMAIN_ID, else 0. Raises ValueError where that is no number."""
+    """ROS's own default: ROS_DOMAIN_ID, else 0. Raises ValueError if it is not a number."""
     return int(os.environ.get("ROS_DOMAIN_ID") or 0)
 
 
 def chosen_domain_id() -> int:
-    """ROS_DOMAIN_ID where the user has set one, so that nodes of his own can listen; else one that is free."""
+    """ROS_DOMAIN_ID if the user has set it, so that the user's own nodes can subscribe; else a free one."""
     given = os.environ.get("ROS_DOMAIN_ID", "")
     return int(given) if given.isdigit() else free_domain_id()
 
 
 def loopback_environment(domain_id: int) -> dict[str, str]:
-    """The environment in which nodes talk to this machine only, in a domain of their own; unless the user's has another
-    ROS_AUTOMATIC_DISCOVERY_RANGE. What else that variable means to a node: see ros/fastdds/this_machine.py.
+    """Environment for nodes that communicate on this machine only, in a domain of their own, unless the user has set
+    another ROS_AUTOMATIC_DISCOVERY_RANGE. For its other effects on a node see ros/fastdds/this_machine.py.
     """
     environment = as_the_user_has_it(os.environ) | {"ROS_DOMAIN_ID": str(domain_id)}
     environment.setdefault(RANGE, LOCALHOST)
@@ -75,7 +75,7 @@ def loopback_environment(domain_id: int) -> dict[str, str]:
 
 
 class NodeProcess:
-    """One node in a process of its own, which ends with this one whatever happens."""
+    """One node in a process of its own, which always ends with this one."""
 
     def __init__(
         self,
@@ -87,9 +87,9 @@ class NodeProcess:
         arguments: Sequence[str] = (),
         niceness: int = 0,
     ) -> None:
-        """`module`: below fracture_collision.ros. The log gets stderr, and stdout too unless it goes elsewhere.
-        `arguments`: what else stands behind --ros-args, of namespace and remapping. `niceness`: 0 .. 19, how far others
-        who want the same processor come first.
+        """`module`: a node of ros/start.py. The log gets stderr, and stdout too unless `stdout` is given. `arguments`:
+        more of --ros-args, such as namespace and remapping. `niceness`: 0 .. 19, by how much the node's priority on a
+        processor is lowered.
         """
         given = [f"{name}:={json.dumps(value)}" for name, value in parameters.items()]
         command = [sys.executable, "-m", "fracture_collision.ros.start", module, "--ros-args", *arguments]
@@ -135,7 +135,7 @@ class NodeProcess:
         patience: float = 10.0,
         orders: Sequence[signal.Signals] = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL),
     ) -> int:
-        """Asks it to end, then makes it, waiting `patience` [s] after each of `orders`; returns its exit status."""
+        """Sends `orders` in turn until it ends, waiting `patience` [s] after each; returns its exit status."""
         for order in orders:
             if self._process.poll() is None:
                 self._process.send_signal(order)
@@ -152,17 +152,17 @@ class NodeProcess:
 
 
 def _prepare(niceness: int) -> None:
-    """What a child does before it becomes a node: it shall end with its parent."""
+    """Runs in the child before it becomes a node: makes it end with its parent, and sets its niceness."""
     ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, signal.SIGTERM)
     if not niceness:
         return
     os.nice(niceness)
-    # where sessions share a processor first and their processes then, the session's niceness counts
+    # if the scheduler divides a processor among sessions before processes, the session's niceness counts
     for _ in range(_TRIES):
         try:
             _SESSION.write_text(str(niceness))
             return
-        except BlockingIOError:  # Linux takes one word about it in a tenth of a second, of all users together
+        except BlockingIOError:  # Linux accepts one write in a tenth of a second, of all users together
             time.sleep(_AGAIN)
-        except OSError:  # there is no such thing
+        except OSError:  # not supported
             return

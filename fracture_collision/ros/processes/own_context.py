@@ -1,4 +1,4 @@
-"""rclpy for a program that is no node itself, but talks to nodes that it started (node_process.py)."""
+"""rclpy for a program that is not a node, but communicates with nodes that it started (node_process.py)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from fracture_collision.ros.processes.node_process import loopback_environment
 
 
 def own_context(domain_id: int) -> Context:
-    """One that talks to whom a NodeProcess of the same domain talks to. End it by try_shutdown()."""
+    """A context that reaches the same nodes as a NodeProcess of the same domain. End it with try_shutdown()."""
     context = Context()
     environment = loopback_environment(domain_id)
     keep_to_this_machine(environment)
@@ -27,7 +27,7 @@ def own_context(domain_id: int) -> Context:
 
 @contextmanager
 def _environment(values: Mapping[str, str]) -> Iterator[None]:
-    """rclpy reads from the environment whom it talks to."""
+    """rclpy reads the discovery range from the environment."""
     before = {name: os.environ.get(name) for name in values}
     os.environ.update(values)
     try:

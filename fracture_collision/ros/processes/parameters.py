@@ -20,7 +20,7 @@ class Range(NamedTuple):
     high: float
 
 
-# name: (what `ros2 param describe` says, range of numbers)
+# name: (description for `ros2 param describe`, range of numbers)
 _DESCRIPTIONS: dict[str, tuple[str, Range | None]] = {
     "contacts_per_pair": ("contacts of a pair before only those deeper than the tolerance count", Range(1, 1024)),
     "selection": ("which contacts of many: 'sufficient', spread over all, or 'complete' (Glondu 2014, 5.2)", None),
@@ -51,7 +51,7 @@ _DESCRIPTIONS: dict[str, tuple[str, Range | None]] = {
 def declare(
     node: Node, name: str, default: Any, description: str, limits: Range | None = None, fixed: bool = False
 ) -> Any:
-    """Declares a parameter; returns its value. Fixed: given at start, and stays."""
+    """Declares a parameter; returns its value. `fixed`: read-only after the start."""
     descriptor = ParameterDescriptor(description=description, read_only=fixed)
     if limits is not None and isinstance(default, int):
         descriptor.integer_range = [IntegerRange(from_value=int(limits.low), to_value=int(limits.high))]
@@ -66,7 +66,7 @@ declare_fixed = partial(declare, fixed=True)
 
 
 def warn_of_unknown(node: Node) -> None:
-    """Names what a parameter file or the command line gives `node` that it has not declared: rclpy ignores it."""
+    """Warns of parameters of a file or the command line that `node` has not declared, and that rclpy ignores."""
     with node.handle:
         given = node.handle.get_parameters(Parameter)
     declared = list(node.get_parameters_by_prefix(""))
@@ -77,12 +77,12 @@ def warn_of_unknown(node: Node) -> None:
 
 
 class SettingsParameters:
-    """Every setting of the service as a parameter, all of which may change while it runs: between two answers, so that
-    each answer is a function of messages and settings still.
+    """Every setting of the service as a parameter. All may change at run time, but only between two answers, so that
+    each answer stays a function of messages and settings.
     """
 
     def __init__(self, node: Node, on_change: Callable[[Settings, Settings], None]) -> None:
-        """`on_change` gets the settings as they were and as they are.
+        """`on_change` gets the former and the new settings.
 
         Raises rclpy's InvalidParameterValueException or ValueError for a value out of range.
         """

@@ -1,8 +1,8 @@
 """How every node's process starts and ends.
 
 rclpy shuts its context down on SIGINT and SIGTERM, and then calls the handler that was there before: Python's own,
-which raises KeyboardInterrupt between any two bytecodes. Where numba is at work that may crash (see cli/console.py).
-So a handler that raises nothing stands there instead, and nodes end where they next ask rclpy for something.
+which raises KeyboardInterrupt between any two bytecodes. Inside numba that may crash (see cli/console.py). So a handler
+that raises nothing is installed instead, and a node ends at its next call of rclpy.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ from fracture_collision.ros.fastdds.successor_ports import orphaned_ports_held
 from fracture_collision.ros.fastdds.this_machine import has_known_transports, keep_to_this_machine
 from fracture_collision.ros.processes.parameters import warn_of_unknown
 
-# [s] From SIGINT or SIGTERM, or from where the node's work is over, to the end of its process, whatever DDS does.
+# [s] From SIGINT or SIGTERM, or from the end of the node's work, to the end of its process, whatever DDS does.
 LONGEST_END = 10.0
-PORTS_INTERVAL = 1.0  # [s] between two looks at the node's ports
-# Looks in a row that find a fault: Fast DDS itself opens a port anew now and then.
+PORTS_INTERVAL = 1.0  # [s] between two checks of the node's ports
+# Consecutive checks that find a fault: Fast DDS itself reopens a port now and then.
 FAULTY_LOOKS = 3
 
 
 class Fatal(RuntimeError):
-    """The node cannot go on; its text is all that the user needs to see."""
+    """The node cannot continue; its text is all that the user needs to see."""
 
 
 _nothing_to_lose = False
@@ -48,7 +48,7 @@ _nothing_to_lose = False
 
 @contextmanager
 def nothing_to_lose() -> Iterator[None]:
-    """For loading kernels, which takes minutes where none are in the cache: a signal ends the process at once."""
+    """While kernels load, which takes minutes with a cold cache: a signal ends the process at once."""
     global _nothing_to_lose
     _nothing_to_lose = True
     try:
@@ -63,7 +63,7 @@ def _on_signal(_signal: int, _frame: FrameType | None) -> None:
 
 
 def _asks_for_help(arguments: Sequence[str]) -> bool:
-    """Of what is not for ROS."""
+    """Ignores --ros-args and what follows."""
     own = arguments[: arguments.index("--ros-args")] if "--ros-args" in arguments else arguments
     return "--help" in own or "-h" in own
 
@@ -82,14 +82,14 @@ def _help(make_node: Callable[[], Node]) -> str:
 
 
 def _end_in_time() -> None:
-    """The process ends with status 1 in LONGEST_END if it has not ended before, and says where each thread was. Takes
-    no part of Python to happen: a call into DDS may not come back.
+    """Ends the process with status 1 after LONGEST_END, if it still runs, and prints the traceback of each thread. Does
+    not need the interpreter: a call into DDS may not return.
     """
     faulthandler.dump_traceback_later(LONGEST_END, exit=True)
 
 
 def _watch_signals() -> None:
-    """Calls `_end_in_time` on SIGINT and SIGTERM, also while the main thread is in a call that does not come back: then
+    """Calls `_end_in_time` on SIGINT and SIGTERM, also while the main thread is in a call that does not return and
     Python's own handlers are not called.
     """
     heard, told = socket.socketpair()
@@ -97,7 +97,7 @@ def _watch_signals() -> None:
     signal.set_wakeup_fd(told.fileno(), warn_on_full_buffer=False)
 
     def watch() -> None:
-        with told:  # which has to live as long
+        with told:  # must stay open as long
             while not set(heard.recv(64)) & {signal.SIGINT, signal.SIGTERM}:
                 pass
             _end_in_time()
@@ -107,7 +107,7 @@ def _watch_signals() -> None:
 
 
 def _watch_ports(node: Node) -> None:
-    """Raises Fatal where the node's ports do not work; later, while it spins, from one of its timers."""
+    """Raises Fatal if the node's ports do not work; later, while it spins, from one of its timers."""
     if not has_known_transports(os.environ):
         return
     domain_id = node.context.get_domain_id()
@@ -126,11 +126,11 @@ def _watch_ports(node: Node) -> None:
 
 
 def run_node(make_node: Callable[[], Node], work: Callable[[Node], None]) -> int:
-    """Runs `work` on the node that the class `make_node` makes; returns the process's exit status. Where the arguments
-    ask for help it prints the docstrings of module and class, and makes none.
+    """Runs `work` on a node of the class `make_node`; returns the process's exit status. If the arguments request help
+    it prints the docstrings of module and class, and creates no node.
 
-    SIGINT and SIGTERM end it cleanly, with status 0: that is how nodes are told to go. A process that has not ended
-    LONGEST_END later ends with status 1, as does one whose ports do not work.
+    SIGINT and SIGTERM end it cleanly, with status 0: they are the usual way to stop a node. A process that still runs
+    LONGEST_END later ends with status 1, as does one with ports that do not work.
     """
     if _asks_for_help(sys.argv[1:]):
         print(_help(make_node))
@@ -138,7 +138,7 @@ def run_node(make_node: Callable[[], Node], work: Callable[[Node], None]) -> int
     for order in (signal.SIGINT, signal.SIGTERM):
         signal.signal(order, _on_signal)
     _watch_signals()
-    remove_left_behind()  # of one that was killed, and that this one perhaps takes the place of
+    remove_left_behind()  # of a killed node that this one may replace
     keep_to_this_machine(os.environ)
     rclpy.init()
     node = None
@@ -154,7 +154,7 @@ def run_node(make_node: Callable[[], Node], work: Callable[[Node], None]) -> int
     except rclpy_implementation.RCLError:
         if rclpy.ok():
             raise
-        return 0  # told to end between two calls of rclpy, and the second could not be made any more
+        return 0  # shut down between two calls of rclpy, so that the second failed
     except (Fatal, InvalidParameterTypeException, InvalidParameterValueException) as error:
         print(f"{node.get_name() if node else 'node'}: {error}", file=sys.stderr)
         return 1

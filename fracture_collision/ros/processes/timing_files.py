@@ -1,4 +1,4 @@
-"""Columns of the arrays that both nodes write at their end into `timing_file`; a row for each answer or step."""
+"""Columns of the arrays that both nodes leave in `timing_file`; a row for each answer or step."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ SIMULATOR_COLUMNS = (
 
 
 class RowFile:
-    """A .npy file of float64 rows that takes them as they come, so that hours of them need no memory."""
+    """A .npy file of float64 rows, written as they come, so that hours of them need no memory."""
 
     def __init__(self, path: Path, columns: int) -> None:
         """Raises OSError."""
@@ -42,12 +42,12 @@ class RowFile:
         self._rows += 1
 
     def close(self) -> None:
-        """Now the file says how many rows it has."""
+        """Writes the number of rows into the header."""
         self._file.seek(0)
         self._write_header()
         self._file.close()
 
     def _write_header(self) -> None:
-        # numpy leaves room for the longest count of rows, so that it may be written anew
+        # numpy leaves room for the longest count of rows, so that the header can be overwritten
         header = {"descr": "<f8", "fortran_order": False, "shape": (self._rows, self._columns)}
         np.lib.format.write_array_header_1_0(self._file, header)

@@ -1,6 +1,6 @@
-"""What the launch files share: their arguments, and a node as they start it.
+"""Shared parts of the launch files: their arguments, and a node as they start it.
 
-Needs ROS's launch, which is no wheel: only launch/ imports this.
+Needs ROS's launch, which is not a wheel: only launch/ imports this.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ PACKAGE = "fracture_collision"
 
 
 def arguments() -> list[DeclareLaunchArgument | SetEnvironmentVariable]:
-    """Those of every launch file, and what they set for all nodes."""
+    """Arguments of every launch file, and what they set for all nodes."""
     default_parameters = PathJoinSubstitution([FindPackageShare(PACKAGE), "config", "collision.yaml"])
     return [
         DeclareLaunchArgument("scene", default_value="plates", description="name in config/scenes, or a path"),
@@ -41,7 +41,7 @@ def collision_node(ends_all: bool) -> Node:
 
 
 def node(executable: str, parameters: Any, ends_all: bool = True) -> Node:
-    """In the namespace that is asked for. `ends_all`: its end is the end of all."""
+    """In the requested namespace. `ends_all`: its end shuts down all nodes."""
     return Node(
         package=PACKAGE,
         executable=executable,

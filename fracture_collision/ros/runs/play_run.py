@@ -1,4 +1,4 @@
-"""A live scene with its page: service, simulator and page, processes that talk over DDS until they are told to end."""
+"""A live scene with its page: service, simulator and page as processes that communicate over DDS until stopped."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ LOGS = "logs"
 LOOK = 0.05  # [s]
 PATIENCE = 120.0  # [s] for the page's address
 ENDING = 3.0  # [s] that a node has to end
-# Niceness of those who compute: what a person sees and does comes first, also while a body breaks.
+# Niceness of service and simulator: the page has priority, also while a body breaks.
 BEHIND = 5
 
 
 class PlayFailed(RuntimeError):
-    """There is no such scene, or a node did not come, or ended. Its text has the end of the log."""
+    """There is no such scene, or a node did not start, or ended. Its text has the end of the log."""
 
 
 class Played(NamedTuple):
@@ -43,8 +43,8 @@ class Played(NamedTuple):
 
 @contextmanager
 def played(scene: str, seed: int, out: Path, host: str, port: int) -> Iterator[Played]:
-    """Starts all nodes and waits for the page; ends them all afterwards. What the nodes say is in out/logs, in place of
-    an earlier run's once the page is there. Raises PlayFailed, and OSError where `out` cannot be written.
+    """Starts all nodes and waits for the page; ends them all afterwards. The nodes' logs are in out/logs, where they
+    replace an earlier run's once the page is up. Raises PlayFailed, and OSError if `out` cannot be written.
     """
     domain_id = default_domain_id()
     try:
@@ -60,7 +60,7 @@ def played(scene: str, seed: int, out: Path, host: str, port: int) -> Iterator[P
             nodes.callback(node.stop, ENDING)
             return node
 
-        # a person throws faster than a scene does; the service's lookahead is later on the page's to see to
+        # a user throws faster than a scene does; later the page sets the service's lookahead
         simulator = start("live_simulator_node", scene=scene, seed=seed, niceness=BEHIND, looks_ahead=True)
         service = start("collision_node", niceness=BEHIND, lookahead=time_step, surfaces="edges")
         page = start("page_node", subprocess.PIPE, host=host, port=port, folder=str(out), scene=scene)
@@ -76,7 +76,7 @@ def _address(page: NodeProcess, others: tuple[NodeProcess, ...]) -> str:
 
     def read() -> None:
         for line in page.stdout:
-            if line.startswith("{"):  # some libraries greet on stdout
+            if line.startswith("{"):  # some libraries print to stdout
                 told.append(json.loads(line)["address"])
 
     threading.Thread(target=read, daemon=True).start()

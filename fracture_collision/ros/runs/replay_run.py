@@ -19,9 +19,9 @@ from fracture_collision.ros.processes.own_context import own_context
 from fracture_collision.ros.wire import qos
 from fracture_collision.world import Settings
 
-FIRST_PAUSE = 1.0  # [s] before a question is asked again
+FIRST_PAUSE = 1.0  # [s] before a request is repeated
 LONGEST_PAUSE = 8.0  # [s]
-PATIENCE = 60.0  # [s] with one question
+PATIENCE = 60.0  # [s] for one answer
 WAITING_INTERVAL = 0.1  # [s]
 
 
@@ -33,7 +33,7 @@ class OverDds:
         self._log = log
         self._wait = wait
         self._run: Run | None = None
-        self._bodies = self._events = 0  # of the run, that have been published
+        self._bodies = self._events = 0  # of the run, already published
         self._answer: tuple[tuple[int, int, int], bytes] | None = None
         self._asked: tuple[int, int, int] | None = None
 
@@ -69,7 +69,7 @@ class OverDds:
         self._context.try_shutdown()
 
     def ask(self, run: Run, question: Question) -> tuple[bytes, float]:
-        """The answer, with zeros in its gaps, and the time from states to contacts [s]. Raises Unanswered."""
+        """The answer, with zeroed padding, and the time from states to contacts [s]. Raises Unanswered."""
         if run is not self._run:
             self._run, self._bodies, self._events = run, 0, 0
         elif question.bodies_before < self._bodies:
@@ -92,7 +92,7 @@ class OverDds:
             self._publishers[qos.FRAGMENT_STATES.name].publish(question.states)
             if self._spin_until(lambda: self._answer is not None, pause):
                 return self._answer[1], time.perf_counter() - started
-            # Recorders keep no order across topics: bodies and events may stand behind the states that need them.
+            # Recorders keep no order across topics: bodies and events may come after the states that need them.
             self._tell(qos.BODIES, run.bodies[self._bodies : self._bodies + 1])
             self._tell(qos.FRACTURE_EVENTS, run.events[self._events : self._events + 1])
             self._bodies = min(self._bodies + 1, len(run.bodies))
@@ -110,11 +110,11 @@ class OverDds:
     def _on_contacts(self, data: bytes) -> None:
         received = deserialize_record(data, ContactConstraintArray)
         key = received.run_id, received.record.step, received.record.fracture_sequence
-        if key == self._asked:  # else the late answer to a question asked twice
+        if key == self._asked:  # else a late answer to a repeated request
             self._answer = key, canonical(received)
 
     def _await_service(self) -> None:
-        """Until it listens: once its kernels are loaded, which takes minutes where they have to be compiled."""
+        """Waits until it subscribes, once its kernels are loaded, which takes minutes if they must be compiled."""
         publishers = self._publishers.values()
         while not self._spin_until(lambda: all(each.get_subscription_count() for each in publishers), PATIENCE):
             pass

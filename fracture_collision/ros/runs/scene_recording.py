@@ -1,4 +1,4 @@
-"""A scene into a bag without DDS: simulator and service in this process, messages as the nodes would send them.
+"""Records a scene without DDS: simulator and service in this process, messages as the nodes would publish them.
 
 The bag has the topics that a replay needs; registries, meshes and diagnostics are not in it.
 """
@@ -29,11 +29,11 @@ CHUNK_BYTES = 1 << 24
 
 
 class Selection(NamedTuple):
-    """Which steps are kept: those from `first` to before `end`, and of them every `every`-th. Of bodies and events all
-    are kept, up to the last step."""
+    """The steps to keep: every `every`-th from `first` to before `end`. Bodies and events are all kept, up to the last
+    step."""
 
     first: int = 0
-    end: int | None = None  # None: to the scene's
+    end: int | None = None  # None: the scene's
     every: int = 1
 
 
@@ -45,7 +45,7 @@ def record_scene(
 ) -> Iterator[int]:
     """Runs `scene` and writes `bag`; yields the steps done. Equal arguments give equal bytes.
 
-    Raises FileExistsError where `bag` is there already.
+    Raises FileExistsError if `bag` exists.
     """
     run_id = derived_run_id(scene.name, scene.seed if seed is None else seed)
     end = scene.step_count if selection.end is None else min(selection.end, scene.step_count)
@@ -58,7 +58,7 @@ def record_scene(
             data = serialize_record(record, stamp, run_id)
             writer.write(f"/{topic.name}", data, stamp.sec * 10**9 + stamp.nanosec)
 
-        # Threads and memory of earlier steps change no answer, and are this machine's business.
+        # The number of threads changes no answer and depends on this machine.
         writer.note(SETTINGS, json.dumps(settings._replace(threads=Settings().threads)._asdict()))
         bodies = run.simulation.start_bodies()
         static_fragments = [body.fragment_id for body in bodies if body.is_static]

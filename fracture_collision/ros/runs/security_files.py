@@ -1,9 +1,9 @@
-"""Governance and permissions of DDS security for this package's nodes, made of what the nodes declare.
+"""Governance and permissions of DDS security for this package's nodes, generated from what the nodes declare.
 
     python -m fracture_collision.ros.runs.security_files security [--namespace /cell] [--domain 0] [--encrypt]
 
 writes governance.xml and permissions/ENCLAVE.xml: OMG DDS Security 1.1, 9.4.1.2 and 9.4.1.3, with the names that ROS 2
-gives its topics and services in DDS. docs/security.md says what to do with them.
+gives its topics and services in DDS. docs/security.md describes their use.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ _SHOWN = (qos.ANSWER_TIMES, qos.MARKERS)
 
 
 class Role(NamedTuple):
-    """What one enclave may do."""
+    """Permissions of one enclave."""
 
     enclave: str  # also the name of its node
     publishes: tuple[qos.Topic, ...] = ()
     subscribes: tuple[qos.Topic, ...] = ()
-    also_publishes: tuple[str, ...] = ()  # in DDS
+    also_publishes: tuple[str, ...] = ()  # DDS names
     also_subscribes: tuple[str, ...] = ()
     calls: tuple[str, ...] = ()  # of collision_node's NODE_SERVICES
 
@@ -82,7 +82,7 @@ def dds_names(role: Role, namespace: str = "") -> DdsNames:
 
 
 def permissions(role: Role, namespace: str = "", domain_id: int = 0) -> ET.Element:
-    """What is not named is denied."""
+    """Topics that are not named are denied."""
     enclave = f"/fracture_collision/{role.enclave}"
     root = _root("permissions")
     grant = _add(_add(root, "permissions"), "grant")
@@ -102,8 +102,8 @@ def permissions(role: Role, namespace: str = "", domain_id: int = 0) -> ET.Eleme
 
 
 def governance(namespace: str = "", domain_id: int = 0, encrypt: bool = False) -> ET.Element:
-    """Nobody without a certificate takes part, and every message is signed. Contents of the run's topics are encrypted
-    only if asked for: they are no secret, and every step waits for them. All else is.
+    """Participants need a certificate, and every message is signed. Contents of the run's topics are encrypted only on
+    request: they are not secret, and every step waits for them. All other topics are always encrypted.
     """
     root = _root("governance")
     rule = _add(_add(root, "domain_access_rules"), "domain_rule")
@@ -116,7 +116,7 @@ def governance(namespace: str = "", domain_id: int = 0, encrypt: bool = False) -
     topic_rules = _add(rule, "topic_access_rules")
     for topic in qos.TOPICS:
         _add_topic_rule(topic_rules, _topic(topic, namespace), encrypt)
-    _add_topic_rule(topic_rules, "*", True)  # the first that matches counts
+    _add_topic_rule(topic_rules, "*", True)  # the first rule that matches applies
     return root
 
 

@@ -20,13 +20,13 @@ from fracture_collision.ros.processes.node_process import NodeProcess, chosen_do
 from fracture_collision.ros.processes.timing_files import SERVICE_COLUMNS, SIMULATOR_COLUMNS
 from fracture_collision.run_report import summaries
 
-# [s] for the recorder to take what is on its way when the simulator has ended.
+# [s] for the recorder to receive what is on its way when the simulator has ended.
 RECORDER_PATIENCE = 20.0
 POLL_INTERVAL = 0.05  # [s]
 
 
 class RunFailed(RuntimeError):
-    """A process ended before its time, or the recording is not whole; the text says which, and what it said last."""
+    """A process ended early, or the recording is incomplete; the text has the cause and the end of the log."""
 
 
 class Progress(NamedTuple):
@@ -35,11 +35,11 @@ class Progress(NamedTuple):
     time: float  # [s] simulated
     fragments: int  # that move
     contacts: int
-    word: str  # what the service says while there is no step yet
+    word: str  # the service's last log line, before the first step
 
 
 def run_scene(scene: str, seed: int | None, out: Path, on_progress: Callable[[Progress], None]) -> dict[str, Any]:
-    """Runs `scene` to its end; leaves out/bag and out/logs, which must not be there yet, and returns the report (see
+    """Runs `scene` to its end; writes out/bag and out/logs, which must not exist yet, and returns the report (see
     `make_report`).
 
     Raises RunFailed. Whatever happens, no process is left behind.
@@ -73,7 +73,7 @@ def run_scene(scene: str, seed: int | None, out: Path, on_progress: Callable[[Pr
             on_progress(_progress(told(), service))
             steps = told()["step"]
             _await_recording(recorded, steps, service, recorder)
-        # In this order: the recorder hears the service to its end.
+        # In this order: the service must run until the recorder has ended.
         for process in (recorder, service):
             if process.stop() != 0:
                 raise RunFailed(_last_words(process))
@@ -97,7 +97,7 @@ def run_scene(scene: str, seed: int | None, out: Path, on_progress: Callable[[Pr
 
 
 def make_report(service: np.ndarray, simulator: np.ndarray) -> dict[str, Any]:
-    """Lists of one number a step out of both nodes' timing files, and of each median, average and worst.
+    """Lists with one number per step from both nodes' timing files, and the median, average and worst of each.
 
     collision_ms: broad and narrow phase. update_ms: applying fracture events, in steps that brought some, else 0.
     solver_ms: contact solver. round_trip_ms: from states published to contacts received, less collision and update.
@@ -105,7 +105,7 @@ def make_report(service: np.ndarray, simulator: np.ndarray) -> dict[str, Any]:
     """
     answers = {name: service[:, column] for column, name in enumerate(SERVICE_COLUMNS)}
     report = {name: simulator[:, column] for column, name in enumerate(SIMULATOR_COLUMNS)}
-    # A question asked twice was answered twice; the last answer counts.
+    # A repeated request was answered twice; the last answer counts.
     row_of = {int(step): row for row, step in enumerate(answers["step"])}
     missing = [int(step) for step in report["step"] if int(step) not in row_of]
     if missing:
@@ -131,7 +131,7 @@ def make_report(service: np.ndarray, simulator: np.ndarray) -> dict[str, Any]:
 
 
 def _living_triangles(bag: Path) -> tuple[int, int]:
-    """Fragments that live at the end, bodies that never broke included, and the triangles of their surfaces."""
+    """Number of fragments at the end, unbroken bodies included, and of triangles of their surfaces."""
     meshes = {}
     for message in read_messages(bag, ["/fragment_meshes"]):
         mesh = deserialize_message(message.data, FragmentMesh)
@@ -146,12 +146,12 @@ def _living_triangles(bag: Path) -> tuple[int, int]:
 
 @contextmanager
 def _last_line(stream: IO[str]) -> Iterator[Callable[[], dict[str, Any]]]:
-    """Reads lines of JSON as they come; yields what gives the last one, {} before the first."""
+    """Reads lines of JSON as they come; yields a function that returns the last one, {} before the first."""
     last: dict[str, Any] = {}
 
     def read() -> None:
         for line in stream:
-            if line.startswith("{"):  # some libraries greet on stdout
+            if line.startswith("{"):  # some libraries print to stdout
                 last.update(json.loads(line))
 
     reader = threading.Thread(target=read, daemon=True)

@@ -1,5 +1,5 @@
-"""What the service says to states: their contacts and, where it is new, the registry; while somebody looks, surfaces of
-fragments, markers and times.
+"""What the service publishes for states: their contacts and, if it has changed, the registry; while there are
+subscribers, also surfaces of fragments, markers and times.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Answers:
         self._rows = _row_file(timing_file) if timing_file else None
         self._registry_version: tuple[int, int, int, int] | None = None
         self._meshes_published: set[int] = set()
-        self._meshes_version: tuple[int, int, int, int] | None = None  # of which all are published
+        self._meshes_version: tuple[int, int, int, int] | None = None  # of which all meshes are published
         self.times = AnswerTimes()
         self.last = "no answer yet"
 
@@ -48,26 +48,26 @@ class Answers:
 
     @property
     def overtaken(self) -> int:
-        """Messages that the next one followed before all had them."""
+        """Messages followed by the next one before all subscribers had acknowledged them."""
         return self._contacts.overtaken + self._fragments.overtaken
 
     def forget(self) -> None:
-        """A new run."""
+        """Starts a new run."""
         self._registry_version = self._meshes_version = None
         self._markers.forget()
         if self._meshes_published:
-            # A latched publisher keeps all it ever sent, and tells it to who comes; these are no more.
+            # A latched publisher sends its whole history to late joiners; these fragments are gone.
             self._meshes.close()
             self._meshes = AcknowledgedPublisher(self._node, qos.FRAGMENT_MESHES, neighbours=self._neighbours)
             self._meshes_published.clear()
 
     def close(self) -> None:
-        """Completes what was asked for."""
+        """Completes the timing file, if requested."""
         if self._rows is not None:
             self._rows.close()
 
     def add_body(self, run: CollisionRun, body: CollisionBody) -> None:
-        """One that was told; whether it was accepted, `run` knows."""
+        """Takes a received body; `run` shows whether it was accepted."""
         if body.operation != ADD or body.body_id in run.body_ids:
             self._markers.add_body(body)
 
@@ -78,7 +78,7 @@ class Answers:
         self, run: CollisionRun, heading: Heading, states: FragmentStates, contacts: ContactConstraintArray,
         seconds: float,
     ) -> None:  # fmt: skip
-        """`seconds`: that the contacts took."""
+        """`seconds`: the time that the contacts took."""
         began = perf_counter()
         self._publish_registry(run, heading, states.fracture_sequence)
         self._contacts.publish(serialize_record(contacts, heading, run.run_id))
@@ -110,7 +110,7 @@ class Answers:
             self._rows.add((states.step, states.fracture_sequence, collision, update, conversion, visits))
 
     def _publish_meshes(self, run: CollisionRun, heading: Heading) -> None:
-        """Of fragments that have none on the topic yet, while somebody looks."""
+        """Publishes meshes of fragments that have none on the topic yet, while there are subscribers."""
         if self._meshes_version == self._registry_version or self._meshes.subscriber_count == 0:
             return
         self._meshes_version = self._registry_version

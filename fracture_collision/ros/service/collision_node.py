@@ -1,7 +1,7 @@
 """The collision service: bodies, fracture events and states in, contact constraints out.
 
-A callback is: convert (incoming.py), one call (collision_run.py), convert and publish (answers.py). What messages may
-say is world's business.
+A callback is: convert (incoming.py), one call (collision_run.py), convert and publish (answers.py). The content of
+messages is validated in world.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from fracture_collision.ros.wire import qos
 from fracture_collision.world import InvalidMessage, Settings
 from fracture_collision.world.warm_up import cache_is_cold, compile_kernels
 
-# [s] States were held for so long: bodies and events are asked for again. They are latched, and come by themselves; but
-# discovery now and then leaves a reader out that came while others were killed. After the last pause again and again.
+# [s] After states were held for so long, bodies and events are requested again. They are latched and arrive by
+# themselves, but discovery sometimes omits a reader that appeared while others were killed. The last pause repeats.
 LOG_PAUSES = (2, 4, 8, 16, 32, 64, 128)
 
 
@@ -47,10 +47,10 @@ class CollisionNode(Node):
             raise Fatal(str(error)) from error
         self._phase = "starting"
         self._run: CollisionRun | None = None
-        self._next_run: CollisionRun | None = None  # of events that came before the first body of their run
+        self._next_run: CollisionRun | None = None  # of events that arrived before the first body of their run
         self._held: Received | None = None  # the newest states that cannot be answered yet
         self._seconds_held = 0
-        self._replaced_states = 0  # newer ones came while they were held
+        self._replaced_states = 0  # held ones that newer ones replaced
         self._refusals = RefusalCounts()
         self._settings_since = "the start"
 
@@ -70,7 +70,7 @@ class CollisionNode(Node):
         )
         self._answers = Answers(self, self._neighbours)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        # Not of the node's clock: under use_sim_time that stands still until somebody moves it.
+        # Not the node's clock: under use_sim_time it stands still until /clock is published.
         self.create_timer(1.0, self._every_second, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     @property
@@ -80,8 +80,8 @@ class CollisionNode(Node):
     # --- start and end ---------------------------------------------------------------------------------------------
 
     def prepare(self) -> None:
-        """Loads the kernels from numba's cache, or compiles them, and says which; then listens. Who waits for the
-        service to subscribe need not ask in vain.
+        """Loads the kernels from numba's cache, or compiles them, and logs which; then subscribes. A simulator that
+        waits for these subscriptions sends no states in vain.
         """
         doing = "loading kernels"
         if cache_is_cold():
@@ -94,7 +94,7 @@ class CollisionNode(Node):
             self._phase = f"{doing}; {text}"
             self.get_logger().info(self._phase)
             self._publish_diagnostics()
-            self._neighbours.are_all_known()  # if so, it matters since when
+            self._neighbours.are_all_known()  # starts the time that the count must stay unchanged
 
         with nothing_to_lose():
             compile_kernels(progress=progress)
@@ -137,7 +137,7 @@ class CollisionNode(Node):
         return self._next_run
 
     def _go_on(self, run: CollisionRun) -> None:
-        """Something has come."""
+        """After a new body or event."""
         if run.wants_log():
             self._incoming.ask_for_log()
         self._answer_held()
@@ -148,7 +148,7 @@ class CollisionNode(Node):
         self._answer_held()
 
     def _start_run(self, run_id: int) -> None:
-        """Forgets the last run. Only a body starts a run: events and states that outlived theirs must not."""
+        """Discards the last run. Only a body starts a run: late events and states of an earlier run must not."""
         waiting = self._next_run
         self._run = waiting if waiting and waiting.run_id == run_id else CollisionRun(run_id, self._settings)
         self._next_run = None
@@ -176,7 +176,7 @@ class CollisionNode(Node):
             if value != getattr(former, name)
         ]
         if any(run is not None and run.rejected_event for run in (self._run, self._next_run)):
-            self._incoming.ask_for_log()  # it may have been a limit that rejected it
+            self._incoming.ask_for_log()  # a limit may have been the reason
         self._settings_since = self._answers.last
         self.get_logger().info(f"settings changed after {self._answers.last}: {', '.join(changes)}")
         self._publish_diagnostics()
@@ -184,7 +184,7 @@ class CollisionNode(Node):
     # --- answers ---------------------------------------------------------------------------------------------------
 
     def _answer_held(self) -> None:
-        """Answers the newest states if all they speak of is there."""
+        """Answers the newest states if all bodies and events that they need have arrived."""
         if self._held is None or self._run is None or self._held.run_id != self._run.run_id:
             return
         heading, run_id, states = self._held
@@ -200,7 +200,7 @@ class CollisionNode(Node):
             self._held = None
             self._answers.publish(self._run, heading, states, contacts, time.perf_counter() - started)
 
-    # --- what it says of itself ------------------------------------------------------------------------------------
+    # --- diagnostics -----------------------------------------------------------------------------------------------
 
     def _every_second(self) -> None:
         self._seconds_held = self._seconds_held + 1 if self._held is not None else 0
@@ -211,7 +211,7 @@ class CollisionNode(Node):
         self._publish_diagnostics()
 
     def _said_of_held(self) -> str:
-        """Of states that are held, what they wait for."""
+        """Describes what the held states wait for."""
         _, run_id, states = self._held
         if self._run is None or self._run.run_id != run_id:
             reason = "no body of this run has arrived"
@@ -257,13 +257,13 @@ class CollisionNode(Node):
 
 
 def is_time_for_log(seconds_held: int) -> bool:
-    """Whether bodies and events are asked for again, after states were held for so long."""
+    """Whether bodies and events are requested again after states were held for so long."""
     return seconds_held in LOG_PAUSES or (seconds_held > LOG_PAUSES[-1] and seconds_held % LOG_PAUSES[-1] == 0)
 
 
 def _work(node: CollisionNode) -> None:
     # One thread: contacts depend on the order in which bodies, events and states are applied, and on nothing else.
-    # Made before the node says that it is ready: once told to end, none can be made.
+    # Created before the node reports that it is ready: after a shutdown none can be created.
     executor = PromptExecutor()
     executor.add_node(node)
     try:
@@ -275,7 +275,7 @@ def _work(node: CollisionNode) -> None:
 
 
 def main() -> int:
-    gc.disable()  # until it is ready: of half a million objects that numba makes next to none are garbage
+    gc.disable()  # until it is ready: of half a million objects that numba creates almost none are garbage
     return run_node(CollisionNode, _work)
 
 

@@ -1,8 +1,8 @@
-"""One run as the service sees it: messages as the topics happen to deliver them, applied in the order they ask for.
+"""One run of the service: takes messages in the order of arrival and applies them in the order that they require.
 
 DDS keeps order within a topic, not across topics. An event may arrive before its body, states before either: they are
-held until they can be applied. Where an event is rejected, states that need it are refused with the reason, and later
-events are held until a corrected one arrives, however late. Knows records, not ROS.
+held until they can be applied. If an event is rejected, states that need it are rejected with the reason, and later
+events are held until a corrected one arrives, however late. Uses records, not ROS.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from fracture_collision.records import ADD, CollisionBody, ContactConstraintArra
 from fracture_collision.world.gates.errors import InvalidMessage, StatesAhead
 from fracture_collision.world.settings import Settings
 
-# Events held for a body that has not come, or behind another event. Those beyond are asked for again (`wants_log`).
+# Events held for a missing body or an earlier event. Those beyond the limit are requested again (`wants_log`).
 MAX_HELD_EVENTS = 10_000
 MAX_HELD_BYTES = 256 * 1024 * 1024  # of their arrays
 
@@ -28,11 +28,11 @@ class Refusal(NamedTuple):
 
 
 class CollisionRun:
-    """A CollisionWorld and what waits to go into it."""
+    """A CollisionWorld and the messages that wait to be applied to it."""
 
     def __init__(self, run_id: int, settings: Settings) -> None:
         self.run_id = run_id
-        self.world = world.CollisionWorld(settings)  # which loads numba, not when this module is imported
+        self.world = world.CollisionWorld(settings)  # loads numba only now, not when this module is imported
         self.body_ids: set[int] = set()
         self._known_bodies: set[int] = set()  # removed ones too: an event of theirs may still be on its way
         self.event_count = 0
@@ -40,7 +40,7 @@ class CollisionRun:
         self._held_events: dict[int, FractureEvent] = {}  # by sequence
         self._held_bytes = 0
         self._unreadable: dict[int, str] = {}  # sequences of events that could not be read, with the reason
-        self._first_dropped: int | None = None  # the lowest sequence of events that there was no room for
+        self._first_dropped: int | None = None  # the lowest sequence of events dropped for lack of room
         self._rejected_bodies: dict[int, tuple[int, str]] = {}  # body id -> fragment id, reason
         self._ahead: tuple[FragmentStates, StatesAhead] | None = None  # the last states that had to be held
 
@@ -50,11 +50,11 @@ class CollisionRun:
 
     @property
     def rejected_event(self) -> str:
-        """Which event was rejected, why, and that a corrected one is awaited; "" where none holds up the others."""
+        """Which event was rejected, why, and that a corrected one is awaited; "" if none blocks the others."""
         return str(self.world.rejected_event or "")
 
     def add_body(self, body: CollisionBody) -> list[Refusal]:
-        """Takes a body, and the events that waited for it."""
+        """Applies a body, and the events that waited for it."""
         try:
             self.world.add_body(body)
         except InvalidMessage as error:
@@ -71,15 +71,15 @@ class CollisionRun:
         return self._apply_held_events()
 
     def add_fracture(self, event: FractureEvent) -> list[Refusal]:
-        """Takes an event, or holds it until its body has arrived and all events before it are applied. An event held is
-        reported as one refused, for it may be that what it waits for never comes; a later event of the same sequence
-        takes its place.
+        """Applies an event, or holds it until its body has arrived and all events before it are applied. A held event
+        is reported as a rejected one, since what it waits for may never arrive; a later event of the same sequence
+        replaces it.
         """
         if event.sequence <= self.event_count:
             return self._apply(event)
         self._release(event.sequence)
         size = _array_bytes(event)
-        # what is due first stays, so that the log can always go on
+        # events that are due first stay, so that the log can always advance
         while not self._has_room_for(size) and max(self._held_events, default=0) > event.sequence:
             self._drop(max(self._held_events))
         if not self._has_room_for(size):
@@ -103,14 +103,14 @@ class CollisionRun:
         return [*refusals, Refusal("fracture_events", kind, reason)]
 
     def reject_fracture(self, sequence: int, reason: str) -> None:
-        """Event `sequence` arrived as something that cannot be read."""
+        """Event `sequence` has arrived but cannot be read."""
         if sequence > self.event_count and len(self._unreadable) < MAX_HELD_EVENTS:
             self._release(sequence)
             self._unreadable[sequence] = reason
             self._apply_held_events()
 
     def wants_log(self) -> bool:
-        """Whether all events shall be sent again: one is due now that there was no room for. True once."""
+        """Whether all events must be sent again: the one due now was dropped for lack of room. True once."""
         due = self.event_count + 1
         if self._first_dropped is None or self._first_dropped > due or due in self._held_events:
             return False
@@ -118,8 +118,8 @@ class CollisionRun:
         return True
 
     def answer(self, states: FragmentStates) -> ContactConstraintArray | None:
-        """Contacts, or None as long as events or bodies that the states speak of are missing: the same states are
-        looked at again only when these are there. Raises InvalidMessage, also where an event they need was rejected.
+        """Contacts, or None while events or bodies that the states need are missing; the same states are tried again
+        only when these have arrived. Raises InvalidMessage, also if an event that they need was rejected.
         """
         if self._ahead is not None and self._ahead[0] is states and self.world.lacks(self._ahead[1]):
             return None
@@ -131,7 +131,7 @@ class CollisionRun:
             return None
 
     def what_states_wait_for(self) -> str:
-        """Why the last answer was None, in words."""
+        """Explains why the last answer was None."""
         if self._ahead is None:
             return "they have not been looked at yet"
         ahead = self._ahead[1]
@@ -163,7 +163,7 @@ class CollisionRun:
         return []
 
     def _apply_held_events(self) -> list[Refusal]:
-        """Those that are due, one after the other; one that is rejected stops it."""
+        """Applies the events that are due, one after the other, up to a rejected one."""
         refusals: list[Refusal] = []
         while (due := self.event_count + 1) in self._held_events and not refusals:
             if self._held_events[due].body_id not in self._known_bodies:

@@ -1,4 +1,4 @@
-"""What the service says of itself on /diagnostics, once a second."""
+"""What the service publishes on /diagnostics, once a second."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from rclpy.node import Node
 from fracture_collision.ros.service.collision_run import Refusal
 from fracture_collision.world import Settings
 
-# Times are told of this many answers: some seconds of a running simulation.
+# Times are reported for this many answers: some seconds of a running simulation.
 WINDOW = 1000
 
-# Of a reason's characters: it may quote the message it is about.
+# [characters] A reason may quote the message.
 LONGEST_REASON = 400
 
 
 class RefusalCounts:
-    """Refused messages by topic and kind, each with its last reason. There are only so many kinds."""
+    """Rejected messages by topic and kind, each with its last reason. The number of kinds is limited."""
 
     def __init__(self) -> None:
         self._counts: dict[tuple[str, str], int] = {}
@@ -35,7 +35,7 @@ class RefusalCounts:
         self._new += 1
 
     def status(self) -> DiagnosticStatus:
-        """WARN if something was refused since the last call."""
+        """WARN if a message was rejected since the last call."""
         total, new, self._new = sum(self._counts.values()), self._new, 0
         values = {
             f"{topic}: {kind}": f"{count}, the last: {self._reasons[topic, kind]}"
@@ -72,7 +72,7 @@ class AnswerTimes:
 
 
 def settings_status(settings: Settings, since: str) -> DiagnosticStatus:
-    """The settings as they are: with them and the messages a recording has all that its answers depend on."""
+    """The current settings: with these and the messages a recording has all that its answers depend on."""
     return status("settings", DiagnosticStatus.OK, f"since {since}", settings._asdict())
 
 
@@ -86,7 +86,7 @@ def status(name: str, level: bytes, message: str, values: Mapping[str, Any]) -> 
 
 
 def diagnostic_array(node: Node, *parts: DiagnosticStatus) -> DiagnosticArray:
-    """`parts` as said by `node`: /diagnostics is everybody's, so names begin with the node's namespace."""
+    """`parts` as published by `node`: all nodes share /diagnostics, so names begin with the node's namespace."""
     namespace = node.get_namespace().strip("/")
     for part in parts:
         part.hardware_id = node.get_fully_qualified_name()

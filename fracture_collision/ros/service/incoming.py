@@ -1,4 +1,4 @@
-"""The topics that a run comes by: what is let through to the service, and what was dropped or refused on the way."""
+"""The topics of a run: which messages reach the service, and which were dropped or rejected on the way."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ TOPICS = (*LOG, qos.FRAGMENT_STATES)
 
 
 class Incoming:
-    """Subscriptions to TOPICS whose messages are read, judged by a RunGuard and handed on. Parameter: allow_takeover.
+    """Subscriptions to TOPICS; messages are read, judged by a RunGuard and passed on. Parameter: allow_takeover.
 
-    For a PromptExecutor: it says who sent a message.
+    Needs a PromptExecutor, which provides the publisher of a message.
     """
 
     def __init__(
@@ -37,8 +37,8 @@ class Incoming:
         begin_anew: Callable[[], None],
         reject_event: Callable[[int, int, str], None],
     ) -> None:
-        """`largest_message`: [bytes]. `handlers`: by the topic's name. `begin_anew`: what is known of earlier runs
-        shall be forgotten. `reject_event`: of this run, this sequence cannot be read, for this reason.
+        """`largest_message`: [bytes]. `handlers`: by the topic's name. `begin_anew`: discards all earlier runs.
+        `reject_event`: takes run id and sequence of an event that cannot be read, and the reason.
         """
         self._node = node
         self._neighbours = neighbours
@@ -50,9 +50,9 @@ class Incoming:
         self._guard = RunGuard()
         self._run_id: int | None = None  # of the last message that was let through
         self._subscriptions: dict[str, Subscription] = {}
-        self._log_is_due = False  # what was refused of it is wanted now
-        self._asked_in_vain: tuple[Origin, Received] | None = None  # the newest states that were another's
-        self._states_from: Origin | None = None  # the newest of who is followed
+        self._log_is_due = False  # rejected messages of it are needed now
+        self._asked_in_vain: tuple[Origin, Received] | None = None  # the newest states of another publisher
+        self._states_from: Origin | None = None  # the newest states of the followed publisher
         self.dropped_states = 0
         declare(
             node, "allow_takeover", False,
@@ -64,7 +64,7 @@ class Incoming:
             self._subscribe(topic)
 
     def look_around(self) -> None:
-        """Notices who came and who went; to be called now and then, outside the subscriptions' callbacks."""
+        """Registers new and gone publishers; must be called regularly, outside the subscriptions' callbacks."""
         if not self._subscriptions:
             return
         self._observe()
@@ -74,7 +74,7 @@ class Incoming:
         if self._log_is_due:
             self._log_is_due = False
             guard.waiting.clear()
-            for topic in LOG:  # who subscribes anew is told everything again
+            for topic in LOG:  # a new subscription receives everything again
                 self._node.destroy_subscription(self._subscriptions[topic.name])
                 self._subscribe(topic)
             if self._asked_in_vain is not None:
@@ -82,17 +82,17 @@ class Incoming:
                 self._let_through(qos.FRAGMENT_STATES, *question)
 
     def ask_for_log(self) -> None:
-        """Bodies and events shall be told again, at the next look around."""
+        """Requests bodies and events again, at the next `look_around`."""
         self._log_is_due = True
 
     @property
     def followed(self) -> str:
-        """Whose run it is."""
+        """The participant that is followed."""
         return self._neighbours.name(self._guard.leader) if self._guard.leader is not None else "nobody"
 
     @property
     def waiting(self) -> list[str]:
-        """Who is refused for it."""
+        """The participants rejected in its favour."""
         return sorted(map(self._neighbours.name, self._guard.waiting))
 
     def _subscribe(self, topic: qos.Topic) -> None:
@@ -118,7 +118,7 @@ class Incoming:
         self._let_through(topic, origin, received)
 
     def _refuse_unread(self, topic: qos.Topic, data: bytes, origin: Origin, kind: str, reason: str) -> None:
-        """The events behind one that cannot be read, and the states that need it, shall know of it."""
+        """Also reports an event that cannot be read to its run, for later events and the states that need it."""
         self._refuse(Refusal(topic.name, kind, reason))
         place = place_of_event(data) if topic is qos.FRACTURE_EVENTS else None
         if place is not None and self._is_followed(topic, origin.participant, place.run_id):

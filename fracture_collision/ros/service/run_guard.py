@@ -1,11 +1,11 @@
-"""Whose run the service follows, where more than one simulator speaks on its topics. Knows no ROS.
+"""Which run the service follows, if more than one simulator publishes on its topics. Independent of ROS.
 
-A simulator, or a player of bags, is one process that publishes bodies, events and states: a participant. The service
-follows the first that speaks and listens to no other until that one's publishers are gone: two simulators on the same
-topics would make one scene of two, and of the same scene they may even give their runs the same id.
+A simulator, or a bag player, is one process that publishes bodies, events and states: a participant. The service
+follows the first that publishes and rejects all others until that one's publishers are gone: two simulators on the same
+topics would mix two scenes, and with the same scene they may even give their runs the same id.
 
-Topics that the followed participant does not publish are open to others who speak of the same run, one on each: bodies
-may come from a shell and states from a program.
+Topics that the followed participant does not publish are open to others with the same run id, one on each: bodies may
+come from a shell and states from a program.
 """
 
 from __future__ import annotations
@@ -16,28 +16,28 @@ from enum import Enum, auto
 
 class Verdict(Enum):
     FOLLOW = auto()  # the message belongs to the run
-    BEGIN = auto()  # so does it, and nothing of an earlier run shall be kept, be its id the same
+    BEGIN = auto()  # it does, and any earlier run must be discarded, even one with the same id
     REFUSE = auto()
 
 
 class RunGuard:
-    """Participants are whatever bytes identify them."""
+    """Participants are given as the bytes that identify them."""
 
     def __init__(self) -> None:
-        self.leader: bytes | None = None  # who is followed
-        self._helpers: dict[str, bytes] = {}  # topic -> who is followed there, as the leader does not publish it
+        self.leader: bytes | None = None  # the followed participant
+        self._helpers: dict[str, bytes] = {}  # topic -> participant followed there, as the leader does not publish it
         self._led: set[str] = set()  # topics that the leader was ever seen to publish
         self._publishers: Mapping[str, Set[bytes]] = {}  # as last observed
-        self._former: bytes | None = None  # who led a run that is over
-        self._displaced: set[bytes] = set()  # leaders whose run was taken over while they were there
-        self.waiting: set[bytes] = set()  # who was refused and is still there
+        self._former: bytes | None = None  # the leader of a run that is over
+        self._displaced: set[bytes] = set()  # leaders displaced by a takeover while they were present
+        self.waiting: set[bytes] = set()  # participants that were rejected and are still present
 
     def follows(self, topic: str, participant: bytes) -> bool:
         return participant == self.leader or self._helpers.get(topic) == participant
 
     def judge(self, topic: str, participant: bytes, same_run: bool, allow_takeover: bool) -> Verdict:
-        """What to do with a message. `same_run`: it has the id of the run that is followed. Whoever is not followed yet
-        is judged by those who are present: call `observe` first.
+        """What to do with a message. `same_run`: it has the id of the followed run. The verdict on a participant that
+        is not followed yet depends on those present: call `observe` first.
         """
         if self.follows(topic, participant):
             return Verdict.FOLLOW
@@ -53,8 +53,8 @@ class RunGuard:
         return Verdict.REFUSE
 
     def observe(self, publishers: Mapping[str, Set[bytes]], log_topics: Set[str]) -> None:
-        """Takes note of who publishes which topic now. A leader who is gone leads no more. If it published the whole
-        log, all of `log_topics`, its run is over with it; else the run goes on with whoever speaks of it next.
+        """Stores which participants publish which topic now. A leader that is gone is dropped. If it published the
+        whole log, all of `log_topics`, its run ends with it; else the run continues with the next to publish.
         """
         self._publishers = publishers
         present = set().union(*publishers.values())

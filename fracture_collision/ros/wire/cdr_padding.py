@@ -1,8 +1,8 @@
-"""Serialized messages made comparable byte for byte.
+"""Makes serialized messages comparable byte for byte.
 
-CDR aligns numbers to their size, and what stands in the gaps, and behind the last field where the buffer was made too
-long, is whatever was in the memory: two serializations of one message may differ there. With the gaps zeroed and the
-end cut, equal messages have equal bytes.
+CDR aligns numbers to their size. The padding, and the bytes after the last field if the buffer is too long, are
+uninitialized memory: two serializations of one message may differ there. With zeroed padding and the end cut off,
+equal messages have equal bytes.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any
 from fracture_collision.cdr import ARRAY, LITTLE_ENDIAN, SEQUENCE
 from fracture_collision.ros.wire.cdr_records import layout_of, nested_class
 
-_ENCAPSULATION = 4  # bytes before the body, alignment counts from behind them
+_ENCAPSULATION = 4  # bytes before the body; alignment counts from their end
 _COUNT = Struct("<I")
 _SIZES = {
     "boolean": 1, "octet": 1, "int8": 1, "uint8": 1, "int16": 2, "uint16": 2, "int32": 4, "uint32": 4, "int64": 8,
@@ -23,8 +23,8 @@ _SIZES = {
 
 
 def zero_padding(data: bytes, message_class: Any) -> bytes:
-    """`data`, a little-endian CDR serialization of `message_class`, with zeros in its alignment gaps and nothing behind
-    its last field. Raises ValueError where data is none.
+    """`data`, a little-endian CDR serialization of `message_class`, with zeroed padding and nothing after its last
+    field. Raises ValueError if `data` is not one.
     """
     if data[:2] != LITTLE_ENDIAN:
         raise ValueError(f"no serialized {message_class.__name__}: begins with {data[:2].hex()}")
@@ -47,7 +47,7 @@ def _nested_types(kind: str) -> tuple[str, ...]:
 
 
 class _Walk:
-    """Goes through the fields of a message; zeroes what lies between them."""
+    """Walks through the fields of a message and zeroes the padding between them."""
 
     def __init__(self, data: bytearray) -> None:
         self.data = data
@@ -71,7 +71,7 @@ class _Walk:
 
     def _elements(self, element_type: str, count: int) -> None:
         if element_type in _SIZES:
-            if count:  # what is empty is not aligned
+            if count:  # an empty sequence is not aligned
                 self._skip(_SIZES[element_type], count)
             return
         for _ in range(count):

@@ -1,7 +1,7 @@
 """Records to serialized messages and back, by the layouts of the message classes.
 
-This is for what goes to and fro in every step, and for whatever a stranger sends: rclpy's executor drops what it cannot
-read without a word, and makes a Python object of some hundred bytes of each point of a primitive's polygon.
+For the messages of every step, and for untrusted messages: rclpy's executor silently drops what it cannot read, and
+creates a Python object of some hundred bytes for each point of a primitive's polygon.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _LEADING_BYTES = 4096  # of an event: header with the name of a frame, run_id an
 
 
 def serialize_record(record: NamedTuple, heading: Heading, run_id: int) -> bytes:
-    """The serialized message of a record, as rclpy makes it of conversion.to_message, with zeros in the gaps
+    """The serialized message of a record, as rclpy makes it of conversion.to_message, with zeroed padding
     (ros/wire/cdr_padding.py). Raises as Codec.write does.
     """
     return _codec(message_class_of(record)).write(record, heading, run_id)
@@ -36,7 +36,7 @@ class EventPlace(NamedTuple):
 
 
 def place_of_event(data: bytes) -> Received | None:
-    """Of a serialized FractureEvent that is too long or damaged farther on: its run and an EventPlace, if these can be
+    """The run and an EventPlace of a serialized FractureEvent that is too long or damaged farther on, if these can be
     read.
     """
     codec = Codec(EventPlace, layout_of(FractureEvent)[:3], lambda kind: layout_of(nested_class(kind)))
@@ -51,7 +51,7 @@ def layout_of(message_class: Any) -> Layout:
 
 
 def nested_class(kind: str) -> Any:
-    """The message class that a layout speaks of, as in "std_msgs/Header"."""
+    """The message class of a name in a layout, such as "std_msgs/Header"."""
     package, name = kind.split("/")
     return getattr(importlib.import_module(f"{package}.msg"), name)
 

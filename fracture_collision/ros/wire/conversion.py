@@ -21,7 +21,7 @@ from fracture_collision.cdr import Heading, flat_array
 
 Record = TypeVar("Record", bound=NamedTuple)
 
-# ROS type -> by which code array.array and numpy know its elements
+# ROS type -> type code of its elements in array.array and numpy
 _SEQUENCES = {"sequence<double>": "d", "sequence<float>": "f", "sequence<uint32>": "I", "sequence<uint64>": "Q"}
 
 _RECORD_OF = {
@@ -54,7 +54,7 @@ def header_of(head: Heading) -> Header:
 
 
 def to_message(record: NamedTuple, head: Heading, run_id: int) -> Any:
-    """The ROS message of a record. ValueError where an array has more than one dimension, a plane not four numbers."""
+    """The ROS message of a record. ValueError if an array has more than one dimension, or a plane not four numbers."""
     message_class = message_class_of(record)
     message = message_class(header=header_of(head), run_id=run_id)
     for name, field_type in message_class.get_fields_and_field_types().items():
@@ -84,7 +84,7 @@ def _to_field(value: Any, field_type: str) -> Any:
 
 
 def _four(value: Any) -> np.ndarray:
-    """rclpy looks no more at how many there are, and serializes what stands in memory behind too few."""
+    """rclpy does not check their number, and serializes the memory after them if there are too few."""
     coefficients = flat_array(value, np.float64)
     if len(coefficients) != 4:
         raise ValueError(f"plane: {len(coefficients)} coefficients, not 4")

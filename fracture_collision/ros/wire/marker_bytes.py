@@ -1,5 +1,5 @@
 """Serialized visualization_msgs/MarkerArray, without rclpy's message objects: 100,000 points as Python objects take a
-second, as bytes a copy. Equal to what rclpy makes of the same message, with zeros in the gaps (cdr_padding.py).
+second, as bytes one copy. Equal to rclpy's bytes of the same message with zeroed padding (cdr_padding.py).
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from fracture_collision.cdr import LITTLE_ENDIAN, Heading
 
 _ENCAPSULATION = LITTLE_ENDIAN + b"\x00\x00"
 _POINT, _COLOUR = 24, 16  # bytes
-_NO_TEXT = "Is3x"  # its length with the zero at its end, the zero, and the gap before the next length
-# What no marker here has, all of it aligned to 4: texture, its coordinates, text, mesh.
+_NO_TEXT = "Is3x"  # its length with the zero at its end, the zero, and the padding before the next length
+# Fields that no marker here uses, all aligned to 4: texture, its coordinates, text, mesh.
 _REST = pack(
     f"<{_NO_TEXT}iI{_NO_TEXT}{_NO_TEXT}I" + "I" + _NO_TEXT * 3 + "I?",
     1, b"", 0, 0, 1, b"", 1, b"", 0, 0, 1, b"", 1, b"", 1, b"", 0, False,
@@ -49,7 +49,7 @@ def serialize_markers(markers: Iterable[MarkerRecord], heading: Heading) -> byte
         head = _head((end + gap) % 8, len(frame), len(namespace))
         points, colours = marker.points, marker.colours
         end += gap + head.size
-        aligned = -end % 8 if points else 0  # what is empty is not aligned
+        aligned = -end % 8 if points else 0  # an empty sequence is not aligned
         parts += (
             bytes(gap),
             head.pack(
@@ -67,7 +67,7 @@ def serialize_markers(markers: Iterable[MarkerRecord], heading: Heading) -> byte
 
 @cache
 def _head(begin: int, frame_size: int, namespace_size: int) -> Struct:
-    """All up to the number of points, of a marker that begins at `begin` modulo 8."""
+    """The fields up to the number of points, of a marker that begins at `begin` modulo 8."""
     codes = ["i", "I", "I", f"{frame_size}s", "I", f"{namespace_size}s", *"iii", *"d" * 10, *"ffff", *"iI", "?", "I"]
     layout, end = "<", begin
     for code in codes:

@@ -1,10 +1,10 @@
-"""The scene as markers for RViz and Foxglove: surfaces of fragments, contacts coloured by gap. Made only while somebody
-looks.
+"""The scene as markers for RViz and Foxglove: surfaces of fragments, contacts coloured by gap. Made only while there is
+a subscriber.
 
-A marker that moves is sent with all its points again, for there is no transform to move it by. So what has not moved is
-left out, and what goes out is bytes (ros/wire/marker_bytes.py). Messages follow answers, at most ten a second and never
-after two answers in a row, so that a step hardly ever waits for them. A message may get lost, and whoever joins late is
-given only the last: every two seconds one begins anew with all there is.
+A marker that moves is sent with all its points again, since there is no transform to move it. So markers that have not
+moved are left out, and messages are written as bytes (ros/wire/marker_bytes.py). Messages follow answers, at most ten a
+second and never after two answers in a row, so that a step hardly ever waits for them. A message may get lost, and a
+late joiner receives only the last one, so every two seconds a message is complete.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from fracture_collision.ros.wire import qos
 from fracture_collision.ros.wire.marker_bytes import MarkerRecord, serialize_markers
 from fracture_collision.viewer.pictures.palette import Palette, display_colour, gap_colours
 
-if TYPE_CHECKING:  # with it comes numba, and the service announces itself before that
+if TYPE_CHECKING:  # it imports numba, and the service announces itself before that
     from fracture_collision.world import CollisionWorld
 
 INTERVAL = 0.1  # [s] between two messages
-COMPLETE_INTERVAL = 2.0  # [s] between two that say all
-ACKNOWLEDGEMENT = 1.0  # [s] that a message waits until all have the last one
-# [s] A subscriber that has just come is known here before it knows this publisher, and gets nothing until it does.
+COMPLETE_INTERVAL = 2.0  # [s] between two complete messages
+ACKNOWLEDGEMENT = 1.0  # [s] that a message waits for all to acknowledge the last one
+# [s] A new subscriber is discovered here before it discovers this publisher, and receives nothing until then.
 MATCHING = 1.0
-MESH_TIME = 0.02  # [s] of an update for making meshes; fragments beyond it come with the next ones
-STILL = 2e-5  # change of coordinates [m] and of quaternions that nobody sees
+MESH_TIME = 0.02  # [s] of an update for making meshes; the other fragments follow in later updates
+STILL = 2e-5  # change of coordinates [m] and of quaternions that is invisible
 POINT_SIZE, LINE_WIDTH, NORMAL_LENGTH = 0.008, 0.002, 0.04  # [m]
 OUTSIDE, CRACK, CONTACTS, NORMALS = "fragments", "cracks", "contacts", "contact_normals"
 AT_ORIGIN = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
@@ -42,7 +42,7 @@ CLEAR = MarkerRecord("", 0, Marker.CUBE, Marker.DELETEALL)
 
 
 class Scene(NamedTuple):
-    """What is to be shown."""
+    """What is shown."""
 
     heading: Heading
     poses: dict[int, np.ndarray]  # by fragment: position [m] and quaternion x y z w
@@ -50,7 +50,7 @@ class Scene(NamedTuple):
 
 
 class FragmentMarkers:
-    """Which markers take a viewer from what it was sent to what there is. Knows no topics and no clock."""
+    """Computes the markers that bring a viewer from the last message to the current scene. No topics, no clock."""
 
     def __init__(self) -> None:
         self._palette = Palette()
@@ -60,12 +60,12 @@ class FragmentMarkers:
         self._sent: dict[int, np.ndarray] = {}  # poses, by fragment
 
     def add_body(self, body: CollisionBody) -> None:
-        """The first of an id counts."""
+        """The first body with an id counts."""
         self._palette.add(body)
         self._static.setdefault(body.body_id, body.is_static)
 
     def set_registry(self, fragment_ids: np.ndarray, body_ids: np.ndarray) -> None:
-        """All living fragments."""
+        """Takes all living fragments."""
         self._body_of = dict(zip(fragment_ids.tolist(), body_ids.tolist(), strict=True))
         for gone in self._surfaces.keys() - self._body_of.keys():
             del self._surfaces[gone]
@@ -96,7 +96,7 @@ class FragmentMarkers:
         ]  # fmt: skip
 
     def message(self, scene: Scene, complete: bool) -> bytes:
-        """Serialized: all there is, or what has changed since the last one."""
+        """The serialized message: all markers, or those that changed since the last one."""
         here = {each: pose for each, pose in scene.poses.items() if each in self._surfaces}
         if complete:
             self._sent.clear()
@@ -154,22 +154,22 @@ class MarkersPublisher:
         self._publisher = node.create_publisher(topic.message_class, topic.name, topic.qos)
         self._subscribers = 0
         self._last_sent = self._last_complete = self._changed = -np.inf
-        self._all_have_all = False  # as far as can be known
+        self._all_have_all = False  # subscribers and markers, as far as can be known
         self._answers_since = 0
         self.forget()
-        # Of what follows no answer: the last states before a pause, meshes that did not fit, whoever came meanwhile.
+        # For updates that follow no answer: the last states before a pause, remaining meshes, new subscribers.
         node.create_timer(2.5 * INTERVAL, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def forget(self) -> None:
-        """A new run."""
+        """Starts a new run."""
         self._markers = FragmentMarkers()
-        self._listed_for: int | None = None  # of how many events the registry is that is known
+        self._listed_for: int | None = None  # number of events of the known registry
         self._newest: tuple[CollisionWorld, Heading, FragmentStates, ContactConstraintArray] | None = None
         self._is_pending = False
         self._must_be_complete = True
 
     def add_body(self, body: CollisionBody) -> None:
-        """One that was accepted."""
+        """Takes an accepted body, or a removal."""
         if body.operation == ADD:
             self._markers.add_body(body)
         self._listed_for = None

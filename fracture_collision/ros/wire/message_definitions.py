@@ -1,4 +1,4 @@
-"""The .msg text of a message with all that it refers to, as bags carry it for readers that have no ROS."""
+"""The .msg text of a message with all types that it uses, as stored in bags for readers without ROS."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def type_name(message_class: Any) -> str:
 
 
 def message_definition(message_class: Any) -> str:
-    """Schema text in `ros2msg` form. FileNotFoundError where a package's .msg files are not installed."""
+    """Schema text in `ros2msg` form. FileNotFoundError if a package's .msg files are not installed."""
     first = type_name(message_class)
     texts = {first: _file(first, ".msg").read_text()}
     waiting = [first]
@@ -34,7 +34,7 @@ def message_definition(message_class: Any) -> str:
 
 
 def type_hash(message_class: Any) -> str:
-    """The RIHS01 hash by which ROS 2 knows the type's content."""
+    """The RIHS01 hash by which ROS 2 identifies the type's content."""
     name = type_name(message_class)
     for entry in json.loads(_file(name, ".json").read_text())["type_hashes"]:
         if entry["type_name"] == name:
@@ -56,7 +56,7 @@ def _used_types(text: str, package: str) -> list[str]:
 
 def _file(name: str, suffix: str) -> Path:
     package, _, message = name.split("/")
-    # Not by the ament index: that needs AMENT_PREFIX_PATH, which Python environments with ROS from wheels do without.
+    # Not by the ament index: that needs AMENT_PREFIX_PATH, which Python environments with ROS from wheels do not set.
     for prefix in Path(importlib.import_module(f"{package}.msg").__file__).resolve().parents:
         file = prefix / "share" / package / "msg" / f"{message}{suffix}"
         if file.is_file():

@@ -22,16 +22,16 @@ from fracture_collision.msg import (
     ThrowBall,
 )
 
-# Every message ever sent, for late joiners too: a service that is started again learns the whole run from these.
-# "Every" ends at 5000 messages a topic, what a Fast DDS publisher keeps unless a profile says more (max_samples):
-# whoever joins later gets the last 5000.
+# Every message ever sent, for late joiners too: a restarted service rebuilds the whole run from these. "Every" ends at
+# 5000 messages a topic, which a Fast DDS publisher keeps unless a profile allows more (max_samples): a later joiner
+# gets the last 5000.
 LATCHED = QoSProfile(
     history=HistoryPolicy.KEEP_ALL,
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
 
-# Only the newest registry says what lives now.
+# Only the newest registry lists the living fragments.
 LATCHED_NEWEST = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
     depth=1,
@@ -64,13 +64,13 @@ FRAGMENT_MESHES = Topic("fragment_meshes", FragmentMesh, LATCHED)
 # For RViz and Foxglove (ros/wire/markers.py): for late joiners the last message.
 MARKERS = Topic("markers", MarkerArray, LATCHED_NEWEST)
 
-# What a live scene (live_simulator_node.py) is told, and what it tells. Of velocities and of places of a hand only
-# the newest count, of balls all.
+# Inputs and outputs of a live scene (live_simulator_node.py). Of velocities and hand targets only the newest counts, of
+# balls all.
 COMMANDS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 THROW_BALL = Topic("throw_ball", ThrowBall, COMMANDS)
 HAND_TARGET = Topic("hand_target", HandTarget, EACH_STEP)
 CMD_VEL = Topic("cmd_vel", Twist, EACH_STEP)
-# Of an arm: where its joints shall go, and where they are; only `name` and `position` of a command count.
+# Of an arm: target and actual positions of its joints; only `name` and `position` of a command count.
 JOINT_COMMANDS = Topic("joint_commands", JointState, COMMANDS)
 JOINT_STATES = Topic("joint_states", JointState, EACH_STEP)
 SIMULATION_STATUS = Topic("simulation_status", SimulationStatus, EACH_STEP)
@@ -80,5 +80,5 @@ TOPICS = (BODIES, FRACTURE_EVENTS, FRAGMENT_STATES, CONTACT_CONSTRAINTS, FRAGMEN
 
 
 def recording(qos: QoSProfile) -> QoSProfile:
-    """What a recorder asks for: the same promises, and no message overwritten before it was taken."""
+    """A recorder's QoS: the same reliability and durability, and no message overwritten before it was taken."""
     return QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=qos.reliability, durability=qos.durability)
