@@ -13,10 +13,10 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "test")]  # the truth lives with the tests
 
-from certificate_campaign import Part, Tally, campaign  # noqa: E402
-from contact_truth import SHAPES  # noqa: E402
 from rich.console import Console  # noqa: E402
 from rich.progress import track  # noqa: E402
+from truth.certificate_campaign import Part, Tally, campaign  # noqa: E402
+from truth.contact_truth import SHAPES  # noqa: E402
 
 # A bound up to this [R] says that nothing was left out.
 ROUNDING = 1e-9

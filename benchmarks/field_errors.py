@@ -20,10 +20,10 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "test")]  # the oracles live with the tests
 matplotlib.use("Agg")
 
-from field_truth import FIELDS, INWARD, NEAR, Said, Truth, ask, igl_closest, make_truth, uniform_points  # noqa: E402
-from fractured_worlds import SETTINGS, after_each_fracture, fractured_world  # noqa: E402
 from matplotlib import pyplot as plt  # noqa: E402
 from scipy.interpolate import RegularGridInterpolator  # noqa: E402
+from truth.field_truth import FIELDS, INWARD, NEAR, Said, Truth, ask, igl_closest, make_truth, uniform_points  # noqa: E402
+from worlds.fractured_worlds import SETTINGS, after_each_fracture, fractured_world  # noqa: E402
 
 from fracture_collision.core.bodies import interior_field  # noqa: E402
 from fracture_collision.core.mesh.tet_mesh import build_tet_mesh  # noqa: E402

@@ -22,9 +22,9 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "test")]  # broken bodies live with the tests
 matplotlib.use("Agg")
 
-from fractured_worlds import SETTINGS, FracturedWorld, fractured_world  # noqa: E402
 from matplotlib import pyplot as plt  # noqa: E402
 from oracles.counted_flood import count_floods  # noqa: E402
+from worlds.fractured_worlds import SETTINGS, FracturedWorld, fractured_world  # noqa: E402
 
 from fracture_collision.core.field.averaged_field import averaged_penetration  # noqa: E402
 from fracture_collision.core.field.flood import (  # noqa: E402

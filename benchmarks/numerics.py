@@ -11,9 +11,9 @@ from numba import njit
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "test")]  # the oracles live with the tests
 
-from fractured_worlds import SETTINGS, FracturedWorld, fractured_world  # noqa: E402
 from oracles.voronoi_cells import against_voronoi_cells  # noqa: E402
-from rigid_shapes import RigidShape, cube, l_block, noisy_ball, torus, true_distance  # noqa: E402
+from worlds.fractured_worlds import SETTINGS, FracturedWorld, fractured_world  # noqa: E402
+from worlds.rigid_shapes import RigidShape, cube, l_block, noisy_ball, torus, true_distance  # noqa: E402
 
 from fracture_collision.core.bodies.collision_geometry import CollisionGeometry, prepare_surface  # noqa: E402
 from fracture_collision.core.field.elementary_queries import INSIDE, OUTSIDE, probe  # noqa: E402

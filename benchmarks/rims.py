@@ -21,7 +21,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "test")]  # the truth lives with the tests
 
 from rich.console import Console  # noqa: E402
 from rich.progress import track  # noqa: E402
-from rims import BrokenBody, broken_body, jittered, measure, world_of  # noqa: E402
+from truth.rims import BrokenBody, broken_body, jittered, measure, world_of  # noqa: E402
 
 from fracture_collision.geometry.concave_shapes import torus  # noqa: E402
 from fracture_collision.geometry.generators import TetGeometry, ball, bowl, brick, plate, shell  # noqa: E402

@@ -5,8 +5,8 @@
     python -m benchmarks.surfaces --cost-jittered ball20 ball20w shell20w
 
 Pairs of fragments of seven shapes, flat and curved cracks, one and two generations, jittered and piled; see
-test/surface_campaign.py. What edges cost: in all steps of recorded scenes (a curvature behind @), and in the jittered
-worlds of benchmarks.peers.
+test/truth/surface_campaign.py. What edges cost: in all steps of recorded scenes (a curvature behind @), and in the
+jittered worlds of benchmarks.peers.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from benchmarks.setting_cost import cost_in_scene, show
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "test"))  # the truth lives with the tests
 
-from contact_truth import SHAPES, ContactTruth, piled  # noqa: E402
-from fractured_worlds import fractured_world, with_settings  # noqa: E402
-from surface_campaign import EPSILON, JITTERS, SEARCHED, SPREADS, PairDepth, campaign  # noqa: E402
+from truth.contact_truth import SHAPES, ContactTruth, piled  # noqa: E402
+from truth.surface_campaign import EPSILON, JITTERS, SEARCHED, SPREADS, PairDepth, campaign  # noqa: E402
+from worlds.fractured_worlds import fractured_world, with_settings  # noqa: E402
 
 from fracture_collision.geometry.generators import TetGeometry  # noqa: E402
 from fracture_collision.records import FragmentStates  # noqa: E402

@@ -11,7 +11,7 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "test")]  # the fracture patterns live with the tests
 
-from fractured_worlds import SETTINGS, FracturedWorld, fractured_world, with_settings  # noqa: E402
+from worlds.fractured_worlds import SETTINGS, FracturedWorld, fractured_world, with_settings  # noqa: E402
 
 from fracture_collision.core.bodies.fragment_trees import TREES  # noqa: E402
 from fracture_collision.core.tree.max_distance_order import max_distance_order  # noqa: E402

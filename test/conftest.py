@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 import pytest
 
 if TYPE_CHECKING:
-    from ros_stage import StageWithClients
+    from stages.ros_stage import StageWithClients
 
 
 @pytest.fixture
 def stage(tmp_path: Path) -> Iterator[StageWithClients]:
     """A domain of its own, whose nodes and clients end with the test."""
-    from ros_stage import StageWithClients  # who tests no nodes needs no rclpy
+    from stages.ros_stage import StageWithClients  # who tests no nodes needs no rclpy
 
     made = StageWithClients(tmp_path)
     yield made

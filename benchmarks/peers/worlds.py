@@ -25,10 +25,10 @@ from fracture_collision.world import CollisionWorld, Settings
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "test"))  # the fracture patterns live with the tests
 
-from contact_truth import surface_samples  # noqa: E402
-from fractured_worlds import FracturedWorld  # noqa: E402
 from oracles.fracture_patterns import curved_event, voronoi_event  # noqa: E402
 from oracles.fragmented_body import FragmentedBody  # noqa: E402
+from truth.contact_truth import surface_samples  # noqa: E402
+from worlds.fractured_worlds import FracturedWorld  # noqa: E402
 
 WORLDS = ("ball8", "ball20", "ball60", "shell20", "ball20w", "shell20w", "ball8w")
 SHELL_INNER = 0.85

@@ -149,7 +149,7 @@ def _is_listed(world: CollisionWorld, aim: Target, mover, moving, step: float, t
 
 def _deepest(mover, parts, first: float, step: float) -> float:
     """[m] that a point of either surface is in the other at most, from the first touch to the end of the step."""
-    from surface_truth import Solid
+    from truth.surface_truth import Solid
 
     deepest = 0.0
     for part in parts:
@@ -188,7 +188,7 @@ def _tetrahedral(body_id: int, made: TetGeometry) -> CollisionBody:
 
 def _target(name: str) -> Target:
     """One body with the id TARGET_ID, broken or whole."""
-    from rigid_shapes import boundary_of
+    from worlds.rigid_shapes import boundary_of
 
     if name in ("plate", "rod"):
         made = brick((0.25, 0.25, 0.006), 0.05) if name == "plate" else brick((0.2, 0.01, 0.01), 0.03)
@@ -223,7 +223,7 @@ def _of_one(body: CollisionBody, vertices: np.ndarray, triangles: np.ndarray, ce
 
 def _heap() -> Target:
     """A block that has just broken into pieces."""
-    from fractured_worlds import fractured_world
+    from worlds.fractured_worlds import fractured_world
 
     case = fractured_world(brick(BOX_SIZE, 0.02), HEAP_PIECES)
     parts = []

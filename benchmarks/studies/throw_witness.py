@@ -21,7 +21,7 @@ from fracture_collision.simulation.simulation import Simulation
 from fracture_collision.world import CollisionWorld, Settings
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "test"))  # the truth lives with the tests
-from surface_truth import Solid  # noqa: E402
+from truth.surface_truth import Solid  # noqa: E402
 
 DEEP = 5e-4  # [m]
 TARGET_ID, THROWN_ID = 1, 2

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from gate_world import TET, TRI, box, plane, sphere
+from worlds.gate_world import TET, TRI, box, plane, sphere
 
 from campaigns.bad_input.clean_scene import REMOVED
 from campaigns.bad_input.mutations import (

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from gate_world import FIRST, REFERENCE, SECOND, box, plane, record_bytes, rigid, sphere, tetrahedral
+from worlds.gate_world import FIRST, REFERENCE, SECOND, box, plane, record_bytes, rigid, sphere, tetrahedral
 
 from fracture_collision.records import REMOVE
 from fracture_collision.world import Settings

@@ -6,8 +6,8 @@ from types import TracebackType
 from typing import Any, NamedTuple
 
 import numpy as np
-from gate_world import observed
 from rclpy.serialization import serialize_message
+from worlds.gate_world import observed
 
 from campaigns.bad_input.clean_scene import CLEAN, ENDING, record_bytes
 from fracture_collision.records import FragmentStates

@@ -10,9 +10,9 @@ from struct import pack_into
 from typing import Any
 
 import numpy as np
-from gate_world import EARLIER, FIRST, SECOND, box
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.serialization import deserialize_message
+from worlds.gate_world import EARLIER, FIRST, SECOND, box
 
 from campaigns.bad_input.body_mutations import SHAPES
 from campaigns.bad_input.clean_scene import record_bytes

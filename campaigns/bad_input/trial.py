@@ -9,8 +9,8 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
-from broken_rules import BODIES, EVENTS, STATES
-from gate_world import observed
+from worlds.broken_rules import BODIES, EVENTS, STATES
+from worlds.gate_world import observed
 
 from campaigns.bad_input.body_mutations import BODY_MUTATIONS, SHAPES
 from campaigns.bad_input.clean_scene import (

@@ -1,0 +1,249 @@
+"""Bags made to do harm: refused in words, never more memory than they have bytes, no file but their own."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import struct
+import subprocess
+import sys
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import lz4.frame
+import numpy as np
+import pytest
+import yaml
+import zstandard
+from stages.mcap_bytes import CHANNEL, CHUNK, MESSAGE, SCHEMA, chunk, record, text
+from worlds.recorded_pane import changed_bag, record_pane, write_bag
+
+from fracture_collision.bag.errors import BagError
+from fracture_collision.bag.exchanges import read_runs
+from fracture_collision.bag.mcap_file import MAGIC
+from fracture_collision.bag.metadata import KEY, LARGEST
+from fracture_collision.bag.reader import mcap_files, missing_words, recorded_settings
+from fracture_collision.replay import settings_of
+
+FILE = "pane_0.mcap"
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return record_pane(tmp_path_factory.mktemp("whole") / "pane")
+
+
+@pytest.fixture
+def bag(whole: Path, tmp_path: Path) -> Path:
+    shutil.copytree(whole, tmp_path / "pane")
+    return tmp_path / "pane"
+
+
+def mcap_files_that_lie() -> dict[str, tuple[bytes, str]]:
+    """File contents, and a word of the error."""
+    head = MAGIC + record(0x01, text("ros2") + text("x"))
+    schema = record(SCHEMA, struct.pack("<H", 1) + text("fracture_collision/msg/FragmentStates") + text("ros2msg")
+                    + text("uint64 run_id"))  # fmt: skip
+    channel = record(CHANNEL, struct.pack("<HH", 1, 1) + text("/fragment_states") + text("cdr") + text(""))
+    bomb = zstandard.ZstdCompressor().compress(bytes(1 << 28))
+    streamed = zstandard.ZstdCompressor().compressobj()
+    unsized = streamed.compress(bytes(1 << 26)) + streamed.flush()
+    inner = schema + channel + record(MESSAGE, struct.pack("<HIQQ", 1, 0, 0, 0) + b"short")
+    lz4_bomb = lz4.frame.compress(bytes(1 << 28))
+    huge = struct.pack("<I", 2**32 - 1)
+    nested = chunk(inner, "", len(inner))
+    return {
+        "empty": (b"", "not an MCAP file"),
+        "noise": (np.random.default_rng(0).bytes(100_000), "not an MCAP file"),
+        "magic and noise": (MAGIC + np.random.default_rng(0).bytes(100_000), "holds no"),
+        "another version": (b"\x89MCAP1\r\n" + head[8:], "not an MCAP file"),
+        "magic alone": (MAGIC, "holds no"),
+        "a record longer than the file": (head + struct.pack("<BQ", CHUNK, 2**63), "holds no"),
+        "a longest possible record": (head + struct.pack("<BQ", SCHEMA, 2**64 - 1), "holds no"),
+        "zstd bomb": (head + chunk(bomb, "zstd", 100), "it says that it has 100 bytes"),
+        "zstd bomb, size unknown": (head + chunk(unsized, "zstd", 100), "it says that it has 100 bytes"),
+        "zstd bomb that admits it": (head + chunk(bomb, "zstd", 1 << 28), "too many"),
+        "zstd bomb that boasts": (head + chunk(bomb, "zstd", 2**40), "too many"),
+        "lz4 bomb": (head + chunk(lz4_bomb, "lz4", 100), "it says that it has 100 bytes"),
+        "more announced than there is": (head + chunk(b"abc", "", 1 << 20), "it says that it has"),
+        "no zstd at all": (head + chunk(b"no zstd at all", "zstd", 100), "damaged"),
+        "no lz4 at all": (head + chunk(b"no lz4 at all", "lz4", 100), "damaged"),
+        "a compression unheard of": (head + chunk(b"x", "rot13", 1), "rot13"),
+        "a wrong checksum": (head + chunk(inner, "", len(inner), zlib.crc32(inner) ^ 1), "checksum"),
+        "a chunk that is too short": (head + record(CHUNK, bytes(17)), "damaged"),
+        "a huge text": (head + record(SCHEMA, struct.pack("<H", 1) + huge), "damaged"),
+        "a huge text in a chunk": (head + chunk(record(SCHEMA, bytes(2) + huge), "", 15), "damaged"),
+        "a huge record in a chunk": (head + chunk(struct.pack("<BQ", MESSAGE, 2**63), "", 9), "damaged"),
+        "a message of no channel": (head + record(MESSAGE, struct.pack("<HIQQ", 9, 0, 0, 0)), "channel 9"),
+        "a message in the dark": (head + record(MESSAGE, bytes(14)), "damaged"),
+        "no unicode": (head + record(SCHEMA, struct.pack("<HI", 1, 2) + b"\xff\xfe" + text("") + text("")), "damaged"),
+        "another definition": (head + schema + channel, "another definition of FragmentStates"),
+        "a channel of no schema": (head + channel, "holds no"),
+        "a chunk in a chunk": (head + chunk(nested, "", len(nested)), "holds no"),
+    }
+
+
+LIES = mcap_files_that_lie()
+
+
+@pytest.mark.parametrize("name", LIES)
+def test_files_that_lie_are_refused_in_words(name: str, tmp_path: Path) -> None:
+    content, words = LIES[name]
+    path = tmp_path / "lie.mcap"
+    path.write_bytes(content)
+    with pytest.raises(BagError, match=words):
+        read_runs(path)
+
+
+def test_their_memory_stays_small(tmp_path: Path) -> None:
+    """All of them in one process; the bombs come to 256 MB each."""
+    for i, (content, _) in enumerate(LIES.values()):
+        (tmp_path / f"{i}.mcap").write_bytes(content)
+    code = f"""
+import resource
+from pathlib import Path
+from fracture_collision.bag.exchanges import read_runs
+from fracture_collision.bag.errors import BagError
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+for path in sorted(Path({str(tmp_path)!r}).glob("*.mcap")):
+    try:
+        read_runs(path)
+    except BagError:
+        pass
+print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) // 1024)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120.0)
+    assert done.returncode == 0, done.stderr
+    assert int(done.stdout.split()[-1]) < 40, done.stdout  # [MB]
+
+
+def test_bytes_changed_at_random_are_read_or_refused(bag: Path) -> None:
+    data = (bag / FILE).read_bytes()
+    random = np.random.default_rng(4)
+    refused = 0
+    for _ in range(150):
+        garbled = bytearray(data)
+        for at in random.integers(0, len(data), random.integers(1, 6)):
+            garbled[at] = random.integers(0, 256)
+        (bag / FILE).write_bytes(garbled)
+        try:
+            missing_words(bag)
+            recorded_settings(bag)
+            read_runs(bag)
+        except BagError as error:
+            refused += 1
+            assert str(bag) in str(error)
+    assert refused > 100
+
+
+METADATA: dict[str, tuple[Any, str]] = {
+    "no mapping": ([1, 2], "not the metadata"),
+    "nothing": (None, "not the metadata"),
+    "another key": ({"bag": {}}, "not the metadata"),
+    "a list inside": ({KEY: []}, "not the metadata"),
+    "no files": ({KEY: {}}, "relative_file_paths"),
+    "files that are none": ({KEY: {"relative_file_paths": "pane_0.mcap"}}, "relative_file_paths"),
+    "numbers": ({KEY: {"relative_file_paths": [1, 2]}}, "relative_file_paths"),
+    "an empty name": ({KEY: {"relative_file_paths": [""]}}, "no file of this folder"),
+    "a dot": ({KEY: {"relative_file_paths": ["."]}}, "no file of this folder"),
+    "upwards": ({KEY: {"relative_file_paths": ["../secret.mcap"]}}, "no file of this folder"),
+    "down and up": ({KEY: {"relative_file_paths": ["a/../../secret.mcap"]}}, "no file of this folder"),
+    "absolute": ({KEY: {"relative_file_paths": ["/etc/passwd"]}}, "no file of this folder"),
+    "a link out": ({KEY: {"relative_file_paths": ["link.mcap"]}}, "leads out of this folder"),
+    "not there": ({KEY: {"relative_file_paths": ["else.mcap"]}}, "is not there"),
+    "a folder": ({KEY: {"relative_file_paths": ["folder"]}}, "is not there"),
+    "a pipe": ({KEY: {"relative_file_paths": ["pipe"]}}, "is not there"),
+    "very many": ({KEY: {"relative_file_paths": ["pane_0.mcap"] * 20_000}}, "too many"),
+}
+
+
+@pytest.mark.parametrize("name", METADATA)
+def test_metadata_of_odd_types_or_with_files_elsewhere(name: str, bag: Path) -> None:
+    content, words = METADATA[name]
+    shutil.copy(bag / FILE, bag.parent / "secret.mcap")
+    (bag / "link.mcap").symlink_to(bag.parent / "secret.mcap")
+    (bag / "folder").mkdir()
+    os.mkfifo(bag / "pipe")
+    (bag / "metadata.yaml").write_text(yaml.safe_dump(content))
+    with pytest.raises(BagError, match=words):
+        mcap_files(bag)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"a: [", "not YAML"),
+        (b"\xff\xfe\x00", "not text"),
+        (b"[" * 50_000, "nested too deeply"),
+        (b"!!python/object/apply:os.system ['touch /tmp/harm']", "not YAML"),
+        (b"date: 2001-99-99", "not YAML"),
+        (b"a: &a [x, x]\nb: &b [*a, *a]\nc: &c [*b, *b]", "not the metadata"),
+        (b" " * (LARGEST + 1), "more than"),
+    ],
+)  # fmt: skip
+def test_yaml_is_data_and_nothing_else(bag: Path, content: bytes, words: str) -> None:
+    (bag / "metadata.yaml").write_bytes(content)
+    with pytest.raises(BagError, match=words):
+        mcap_files(bag)
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ("{", "not JSON"),
+        ("[1]", "not a JSON object"),
+        ("[" * 100_000, "JSON"),
+        (" " * 100_000, "not a JSON object"),
+        ('{"contacts_per_pair": "8"}', "contacts_per_pair: '8' is no int"),
+        ('{"contacts_per_pair": true}', "is no int"),
+        ('{"contacts_per_pair": 0}', "contacts_per_pair: 0 is not at least 1"),
+        ('{"penetration_tolerance": NaN}', "penetration_tolerance"),
+        ('{"field": "none"}', "field"),
+    ],
+)  # fmt: skip
+def test_settings_that_make_no_sense(bag: Path, settings: str, words: str) -> None:
+    information = yaml.safe_load((bag / "metadata.yaml").read_text())
+    information[KEY]["custom_data"] = {"collision_settings": settings}
+    (bag / "metadata.yaml").write_text(yaml.safe_dump(information))
+    with pytest.raises(BagError, match=words):
+        settings_of(bag, {})
+
+
+def test_messages_that_are_none_are_named_with_their_topic(whole: Path, tmp_path: Path) -> None:
+    changes: dict[str, Callable[[bytes], bytes]] = {
+        "nothing": lambda data: b"",
+        "cut": lambda data: data[:-9],
+        "noise": lambda data: np.random.default_rng(1).bytes(len(data)),
+        "another byte order": lambda data: b"\x00\x00" + data[2:],
+    }
+    for topic in ("/bodies", "/fracture_events", "/fragment_states", "/contact_constraints"):
+        for name, change in changes.items():
+            made = changed_bag(
+                tmp_path / f"{topic[1:]} {name}", whole,
+                lambda m, topic=topic, change=change: [m._replace(data=change(m.data)) if m.topic == topic else m],
+            )  # fmt: skip
+            with pytest.raises(BagError, match=f"{topic}.*no serialized"):
+                read_runs(made)
+
+
+@pytest.mark.parametrize("words", [["replay"], ["digest"], ["mend"]], ids=lambda words: words[0])
+def test_the_commands_say_it_in_words(words: list[str], tmp_path: Path) -> None:
+    for name in ("noise", "zstd bomb", "magic and noise"):
+        folder = tmp_path / name.replace(" ", "_")
+        folder.mkdir()
+        (folder / "lie_0.mcap").write_bytes(LIES[name][0])
+        command = [sys.executable, "-m", "fracture_collision.cli", *words, folder]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60.0)
+        assert "Traceback" not in done.stderr
+        if words == ["replay"]:
+            assert done.returncode == 2 and "Error:" in done.stderr
+        elif name == "noise":
+            assert done.returncode == 1 and "Error:" in done.stderr
+
+
+def test_a_bag_without_a_run_is_none(whole: Path, tmp_path: Path) -> None:
+    empty = write_bag(tmp_path / "empty", [])
+    with pytest.raises(BagError, match="holds no fracture_collision/msg/FragmentStates"):
+        read_runs(empty)

@@ -1,0 +1,330 @@
+"""A recorded run asked again: one digest, whatever the order, the pace and the threads; and what is not as recorded."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rclpy.serialization import serialize_message
+from worlds.recorded_pane import CLASSES, STEPS, changed_bag, record_pane, replayed, write_bag
+
+from fracture_collision.bag.cdr import deserialize_record, serialize_record
+from fracture_collision.bag.errors import BagError
+from fracture_collision.bag.exchanges import Run, read_runs
+from fracture_collision.bag.reader import BagMessage, read_messages
+from fracture_collision.records import INVALID_STATES, REMOVE, CollisionBody, SolidPrimitive
+from fracture_collision.replay import AS_RECORDED, Order, settings_of
+from fracture_collision.ros.wire.cdr_padding import zero_padding
+from fracture_collision.ros.wire.conversion import heading, to_message
+from fracture_collision.world import CollisionWorld, Settings
+
+STATES, CONTACTS, BODIES, EVENTS = "/fragment_states", "/contact_constraints", "/bodies", "/fracture_events"
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return record_pane(tmp_path_factory.mktemp("recorded") / "pane")
+
+
+@pytest.fixture(scope="module")
+def runs(bag: Path) -> list[Run]:
+    return read_runs(bag)
+
+
+@pytest.fixture(scope="module")
+def digest(runs: list[Run]) -> str:
+    report = replayed(runs)
+    assert report.exact and report.digest == report.recorded_digest
+    assert (report.steps, report.answers, report.unrecorded) == (STEPS, STEPS, 0)
+    return report.digest
+
+
+# --- the same digest ------------------------------------------------------------------------------------------------
+
+
+def test_the_recorded_run_has_something_to_say(runs: list[Run]) -> None:
+    assert len(runs) == 1 and len(runs[0].bodies) == 3 and len(runs[0].events) >= 3
+    assert max(question.fracture_sequence for question in runs[0].questions) == len(runs[0].events)
+    last = deserialize_record(runs[0].questions[-1].answers[0], CLASSES[CONTACTS]).record
+    assert len(last.gaps) > 100 and len(last.fragment_a) > 10
+
+
+@pytest.mark.parametrize("threads", [1, 2, 8])
+@pytest.mark.parametrize(
+    "order",
+    [AS_RECORDED, Order(loops=2), Order(backwards=True), Order(backwards=True, loops=3)],
+    ids=["plain", "twice", "backwards", "backwards and looped"],
+)
+def test_one_digest_whatever_the_order_and_the_threads(
+    runs: list[Run], digest: str, order: Order, threads: int
+) -> None:
+    report = replayed(runs, order, threads=threads)
+    assert report.exact and report.digest == digest
+    assert report.answers == STEPS * order.loops
+
+
+def test_ten_times_over(runs: list[Run], digest: str) -> None:
+    assert {replayed(runs).digest for _ in range(10)} == {digest}
+
+
+def test_from_the_middle(runs: list[Run], digest: str) -> None:
+    """In a service that never saw the first half; the second half's own digest, since it has no others' answers."""
+    forwards = replayed(runs, Order(first=STEPS // 2))
+    backwards = replayed(runs, Order(first=STEPS // 2, backwards=True), threads=2)
+    assert forwards.exact and forwards.steps == STEPS - STEPS // 2
+    assert forwards.digest == backwards.digest == forwards.recorded_digest != digest
+    some = replayed(runs, Order(first=7, end=9))
+    assert some.exact and some.steps == 2
+
+
+def test_at_a_rate(runs: list[Run], digest: str) -> None:
+    assert replayed(runs, rate=0.5).digest == digest
+    assert replayed(runs, Order(backwards=True), rate=3.0).digest == digest
+
+
+def test_it_takes_the_time_of_the_recording(runs: list[Run], monkeypatch: pytest.MonkeyPatch) -> None:
+    """By a clock that only sleeping moves."""
+    now = [100.0]
+    monkeypatch.setattr("fracture_collision.replay.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("fracture_collision.replay.time.sleep", lambda seconds: now.__setitem__(0, now[0] + seconds))
+    recorded = 1e-9 * (runs[0].questions[-1].time - runs[0].questions[0].time)
+    for rate, order in ((0.5, AS_RECORDED), (4.0, Order(backwards=True)), (1.0, Order(loops=3))):
+        began = now[0]
+        replayed(runs, order, rate)
+        assert now[0] - began == pytest.approx(order.loops * recorded / rate, rel=1e-9)
+
+
+def test_a_range_without_steps_is_an_error_in_words(runs: list[Run]) -> None:
+    with pytest.raises(BagError, match=f"steps 0 to {STEPS - 1}"):
+        replayed(runs, Order(first=STEPS))
+
+
+# --- not as recorded ------------------------------------------------------------------------------------------------
+
+
+def test_a_flipped_byte_is_caught_and_located(bag: Path, tmp_path: Path, digest: str) -> None:
+    """In every field of a step's answer, one after the other."""
+    answers = {m.nanoseconds: m for m in read_messages(bag, [CONTACTS])}
+    time, message = list(answers.items())[20]
+    heading_, run_id, contacts = deserialize_record(message.data, CLASSES[CONTACTS])
+    arrays = {name: value for name, value in contacts._asdict().items() if isinstance(value, np.ndarray)}
+    assert len(arrays) == 11
+    for name, array in arrays.items():
+        index = len(array) // 2
+        flipped = array.copy()
+        flipped.view(np.uint8)[index * array.itemsize] ^= 1
+        data = serialize_record(contacts._replace(**{name: flipped}), heading_, run_id)
+        assert sum(a != b for a, b in zip(data, message.data, strict=True)) == 1
+
+        def change(each: BagMessage, data: bytes = data) -> list[BagMessage]:
+            return [each._replace(data=data) if (each.topic, each.nanoseconds) == (CONTACTS, time) else each]
+
+        report = replayed(read_runs(changed_bag(tmp_path / name, bag, change)))
+        found = report.difference
+        assert not report.exact and report.differing == 1 and report.digest == digest != report.recorded_digest
+        assert (found.run_id, found.step, found.field, found.index) == (run_id, 20, name, index)
+        assert (found.recorded, found.answered) == (repr(flipped[index].item()), repr(array[index].item()))
+        if name in ("points_a", "points_b", "normals", "gaps", "contact_ids"):
+            contact = index // (3 if len(array) == 3 * len(contacts.gaps) else 1)
+            pair = int(np.flatnonzero(contacts.pair_begin <= contact)[-1])
+            assert found.pair == (contacts.fragment_a[pair], contacts.fragment_b[pair])
+            assert f"step 20, pair {found.pair[0]}-{found.pair[1]}, {name}[{index}]: recorded" in found.words()
+
+
+def test_other_lengths_numbers_and_headings_are_named(bag: Path, tmp_path: Path) -> None:
+    (_, first, second) = list(read_messages(bag, [CONTACTS]))[18:21]
+    for name, change, words in (
+        ("lengths", lambda h, c: (h, c._replace(gaps=c.gaps[:-1])), "gaps: recorded"),
+        ("numbers", lambda h, c: (h, c._replace(status=1)), "status: recorded 1, answered 0"),
+        ("headings", lambda h, c: (h._replace(frame_id="map"), c), "heading: recorded Heading"),
+    ):
+
+        def changed(each: BagMessage, change=change) -> list[BagMessage]:
+            if each not in (first, second):
+                return [each]
+            stamp, run_id, contacts = deserialize_record(each.data, CLASSES[CONTACTS])
+            stamp, contacts = change(stamp, contacts)
+            return [each._replace(data=serialize_record(contacts, stamp, run_id))]
+
+        report = replayed(read_runs(changed_bag(tmp_path / name, bag, changed)))
+        assert report.differing == 2 and report.difference.step == 19
+        assert words in report.difference.words()
+
+
+def test_what_stands_in_the_gaps_of_a_serialization_does_not_matter(bag: Path, tmp_path: Path, digest: str) -> None:
+    """As in bags of recorders that do not clear it."""
+
+    def noisy(each: BagMessage) -> list[BagMessage]:
+        if each.topic != CONTACTS:
+            return [each]
+        data = bytearray(each.data + b"\x01\x02\x03")
+        assert data[4 + 18 : 4 + 24] == bytes(6)  # between "world" and the run's id
+        data[4 + 18 : 4 + 24] = b"noises"
+        return [each._replace(data=bytes(data))]
+
+    report = replayed(read_runs(changed_bag(tmp_path / "noisy", bag, noisy)))
+    assert report.exact and report.recorded_digest == digest
+
+
+def test_steps_without_a_recorded_answer_are_counted(bag: Path, tmp_path: Path, digest: str) -> None:
+    """As at the end of a bag whose recorder was killed."""
+    last = list(read_messages(bag, [CONTACTS]))[-1]
+    report = replayed(read_runs(changed_bag(tmp_path / "one", bag, lambda m: [] if m == last else [m])))
+    assert report.exact and (report.unrecorded, report.recorded_digest, report.digest) == (1, "", digest)
+
+
+# --- recordings as they happen --------------------------------------------------------------------------------------
+
+
+def test_questions_asked_again_and_latched_messages_delivered_again_count_once(
+    bag: Path, tmp_path: Path, digest: str
+) -> None:
+    report = replayed(read_runs(changed_bag(tmp_path / "again", bag, lambda message: [message] * 3)))
+    assert report.exact and (report.steps, report.digest) == (STEPS, digest)
+
+
+def test_two_answers_to_one_question_are_told(bag: Path, tmp_path: Path) -> None:
+    other = list(read_messages(bag, [CONTACTS]))[12]
+    stamp, run_id, contacts = deserialize_record(other.data, CLASSES[CONTACTS])
+    wrong = other._replace(data=serialize_record(contacts._replace(gaps=contacts.gaps + 1.0), stamp, run_id))
+    assert len(contacts.gaps) > 0
+    report = replayed(read_runs(changed_bag(tmp_path / "two", bag, lambda m: [m, wrong] if m == other else [m])))
+    assert not report.exact and report.recorded_twice == [12] and report.differing == 0
+
+
+def test_one_step_asked_with_different_states_is_refused_in_words(bag: Path, tmp_path: Path) -> None:
+    states = list(read_messages(bag, [STATES]))[3]
+    stamp, run_id, record = deserialize_record(states.data, CLASSES[STATES])
+    other = states._replace(data=serialize_record(record._replace(positions=record.positions + 1.0), stamp, run_id))
+    with pytest.raises(BagError, match="step 3 was asked twice"):
+        read_runs(changed_bag(tmp_path / "two", bag, lambda m: [m, other] if m == states else [m]))
+
+
+def test_two_runs_in_one_bag(bag: Path, tmp_path: Path, digest: str) -> None:
+    """One after the other, and mixed as no simulator would: runs know nothing of each other."""
+    other = record_pane(tmp_path / "other", seed=5)
+    one, two = list(read_messages(bag)), list(read_messages(other))
+    after = [m._replace(nanoseconds=m.nanoseconds + one[-1].nanoseconds + 1) for m in two]
+    reports = []
+    for name, messages in (("after", one + after), ("mixed", sorted(one + two, key=lambda m: m.nanoseconds))):
+        runs = read_runs(write_bag(tmp_path / name, messages))
+        assert len(runs) == 2 and runs[0].run_id != runs[1].run_id
+        reports += [replayed(runs), replayed(runs, Order(backwards=True, loops=2), threads=2)]
+    assert all(report.exact and report.steps == 2 * STEPS for report in reports)
+    assert len({report.digest for report in reports}) == 1 and reports[0].digest != digest
+
+
+def test_a_bag_of_several_services_needs_a_namespace(bag: Path, tmp_path: Path, digest: str) -> None:
+    messages = [m._replace(topic=space + m.topic) for m in read_messages(bag) for space in ("/left", "/right/arm")]
+    both = write_bag(tmp_path / "both", messages, ("/left", "/right/arm"))
+    with pytest.raises(BagError, match="/left, /right/arm; say which by --namespace"):
+        read_runs(both)
+    for namespace in ("left", "/right/arm/"):
+        assert replayed(read_runs(both, namespace)).recorded_digest == digest
+
+
+def test_bodies_and_events_that_stand_behind_the_states_that_need_them(bag: Path, tmp_path: Path, digest: str) -> None:
+    """Recorders keep no order across topics."""
+    late = [m._replace(nanoseconds=m.nanoseconds + 4 * 2_500_000) if m.topic in (BODIES, EVENTS) else m
+            for m in read_messages(bag)]  # fmt: skip
+    runs = read_runs(write_bag(tmp_path / "late", late))
+    assert runs[0].questions[0].bodies_before == 0
+    report = replayed(runs)
+    assert report.exact and report.digest == digest
+
+
+def test_bodies_that_come_and_go(tmp_path: Path) -> None:
+    """A static block stands there for a while: unnamed, it takes part in what was asked while it stood there."""
+    block = CollisionBody(1, 1, primitive=SolidPrimitive(1, (1.0, 1.0, 0.2)), is_static=True)
+    ball = CollisionBody(2, 2, primitive=SolidPrimitive(2, (0.1,)))
+    orders = {0: [ball], 3: [block], 6: [block._replace(operation=REMOVE)]}
+    world, messages, contacts = CollisionWorld(Settings(threads=1)), [], []
+    for step in range(9):
+        stamp = heading(0.01 * step)
+        for body in orders.get(step, []):
+            world.add_body(body)
+            message = to_message(body, stamp, 7)
+            messages.append(BagMessage(BODIES, step, zero_padding(serialize_message(message), type(message))))
+        states = CLASSES[STATES](step, 0, np.array([2], np.uint32), np.array([0.0, 0.0, 0.199]),
+                                 np.array([0.0, 0.0, 0.0, 1.0]))  # fmt: skip
+        answer = world.contacts(states)
+        contacts.append(len(answer.gaps))
+        messages.append(BagMessage(STATES, step, serialize_record(states, stamp, 7)))
+        messages.append(BagMessage(CONTACTS, step, serialize_record(answer, stamp, 7)))
+    assert [count > 0 for count in contacts] == [False] * 3 + [True] * 3 + [False] * 3
+    runs = read_runs(write_bag(tmp_path / "bag", messages))
+    digests = set()
+    for order in (AS_RECORDED, Order(backwards=True), Order(loops=3), Order(backwards=True, loops=2)):
+        report = replayed(runs, order)
+        assert report.exact, report.difference
+        digests.add(report.digest)
+    assert len(digests) == 1
+    assert replayed(runs, Order(first=4)).exact
+
+
+def test_states_that_were_refused_are_refused_again(bag: Path, tmp_path: Path) -> None:
+    def broken(each: BagMessage) -> list[BagMessage]:
+        stamp, run_id, record = deserialize_record(each.data, CLASSES[each.topic])
+        if each.topic == STATES and record.step == 4:
+            nowhere = record._replace(positions=np.full_like(record.positions, np.nan))
+            return [each._replace(data=serialize_record(nowhere, stamp, run_id))]
+        if each.topic == CONTACTS and record.step == 4:
+            empty = {name: value[:0] for name, value in record._asdict().items() if isinstance(value, np.ndarray)}
+            refused = record._replace(**{**empty, "pair_begin": np.zeros(1, np.uint32), "status": INVALID_STATES})
+            return [each._replace(data=serialize_record(refused, stamp, run_id))]
+        return [each]
+
+    assert replayed(read_runs(changed_bag(tmp_path / "broken", bag, broken))).exact
+
+
+# --- settings -------------------------------------------------------------------------------------------------------
+
+
+def test_settings_are_known_from_the_bag_alone(tmp_path: Path) -> None:
+    settings = Settings(contacts_per_pair=3, visit_budget=3000, field="averaged", neighbour_lists=False)
+    bag = record_pane(tmp_path / "bag", settings)
+    runs = read_runs(bag)
+    assert not replayed(runs).exact
+    for path in (bag, bag / "bag_0.mcap"):
+        found = settings_of(path, {"threads": 2})
+        assert found == (settings._replace(threads=2), [])
+        assert replayed(runs, **found.settings._asdict()).exact
+    assert settings_of(bag, {"contacts_per_pair": 5}).settings.contacts_per_pair == 5
+
+
+def test_a_bag_without_settings_is_played_with_the_defaults_and_says_so(bag: Path, tmp_path: Path) -> None:
+    plain = write_bag(tmp_path / "plain", read_messages(bag))
+    settings, words = settings_of(plain, {})
+    assert settings == Settings() and "defaults" in words[0]
+
+
+# --- bytes ----------------------------------------------------------------------------------------------------------
+
+
+def test_records_without_ros_are_those_of_rclpy(bag: Path) -> None:
+    for message in read_messages(bag):
+        stamp, run_id, record = deserialize_record(message.data, CLASSES[message.topic])
+        rclpys = to_message(record, stamp, run_id)
+        assert zero_padding(serialize_message(rclpys), type(rclpys)) == message.data
+        assert serialize_record(record, stamp, run_id) == message.data
+
+
+def test_every_message_cut_short_is_refused_in_words(bag: Path) -> None:
+    random = np.random.default_rng(3)
+    for topic in CLASSES:
+        data = next(iter(read_messages(bag, [topic]))).data
+        for length in {*range(100), *random.integers(100, len(data), 300).tolist()}:
+            if length < len(data):
+                with pytest.raises(ValueError, match=f"no serialized {CLASSES[topic].__name__}"):
+                    deserialize_record(data[:length], CLASSES[topic])
+
+
+def test_counts_beyond_the_message_are_refused_before_memory_is_taken(bag: Path) -> None:
+    data = next(iter(read_messages(bag, [STATES]))).data
+    record = deserialize_record(data, CLASSES[STATES]).record
+    at = data.index(struct.pack("<I", len(record.fragment_ids)) + record.fragment_ids.tobytes())
+    with pytest.raises(ValueError, match="too few"):
+        deserialize_record(data[:at] + struct.pack("<I", 2**32 - 1) + data[at + 4 :], CLASSES[STATES])
+

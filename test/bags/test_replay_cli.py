@@ -1,0 +1,191 @@
+"""The commands about bags, as typed: exit status and words."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from worlds.recorded_pane import CLASSES, STEPS, changed_bag, record_pane, write_bag
+
+from fracture_collision.bag.cdr import deserialize_record, serialize_record
+from fracture_collision.bag.reader import BagMessage, read_messages
+from fracture_collision.bag.writer import BagWriter
+from fracture_collision.ros.nodes.recorder_node import bag_topic
+from fracture_collision.ros.runs.scene_recording import TOPICS
+from fracture_collision.world import Settings
+
+CONTACTS = "/contact_constraints"
+
+
+def command(*words: str | Path) -> list[str]:
+    return [sys.executable, "-m", "fracture_collision.cli", *map(str, words)]
+
+
+def run(*words: str | Path, timeout: float = 120.0) -> subprocess.CompletedProcess[str]:
+    done = subprocess.run(command(*words), capture_output=True, text=True, timeout=timeout)
+    assert "Traceback" not in done.stderr + done.stdout
+    return done
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return record_pane(tmp_path_factory.mktemp("recorded") / "pane", Settings(contacts_per_pair=6))
+
+
+def test_help_teaches() -> None:
+    said = run("replay", "--help").stdout
+    for words in ("--ros", "--backwards", "--rate 0.5", "--steps 160:200", "Exit status: 0", "byte for byte"):
+        assert words in said
+    assert "killed" in run("mend", "--help").stdout and "Examples" in run("record", "--help").stdout
+    assert all(name in run("--help").stdout for name in ("replay", "mend", "record", "digest"))
+
+
+def test_a_bag_is_replayed_with_its_settings(bag: Path) -> None:
+    done = run("replay", bag)
+    assert done.returncode == 0 and f"all {STEPS} answers are those recorded, byte for byte" in done.stdout
+    assert "note:" not in done.stdout and "ms, the slowest" in done.stdout
+    digest = next(line for line in done.stdout.splitlines() if line.endswith(f"{STEPS} steps") and len(line) > 64)
+    other = run("replay", bag / "pane_0.mcap", "--threads", "8", "--backwards", "--loop", "2")
+    assert other.returncode == 0 and digest in other.stdout
+    some = run("replay", bag, "--steps", "10:", "--rate", "2")
+    assert some.returncode == 0 and f"all {STEPS - 10} answers" in some.stdout
+
+
+def test_other_answers_are_status_1_and_named(bag: Path, tmp_path: Path) -> None:
+    done = run("replay", bag, "--settings", "contacts_per_pair=4")
+    assert done.returncode == 1 and "are not those recorded; the first: step" in done.stdout
+    last = list(read_messages(bag, [CONTACTS]))[-1]
+    stamp, run_id, contacts = deserialize_record(last.data, CLASSES[CONTACTS])
+    changed = last._replace(data=serialize_record(contacts._replace(gaps=contacts.gaps * 2.0), stamp, run_id))
+    twice = changed_bag(tmp_path / "twice", bag, lambda m: [m, changed] if m == last else [m])
+    done = run("replay", twice, "--settings", "contacts_per_pair=6")
+    assert done.returncode == 1 and f"1 step was answered in two ways in the bag, first step {STEPS - 1}" in done.stdout
+    assert "does not say with which settings" in done.stdout
+
+
+def test_no_bag_is_status_2(tmp_path: Path, bag: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    states = write_bag(tmp_path / "nothing", [m for m in read_messages(bag) if m.topic == "/bodies"])
+    for path, words in (
+        (tmp_path / "empty", "neither an .mcap file nor a folder"), (Path(__file__), "not an MCAP file"),
+        (states, "holds no"), (tmp_path / "nowhere", "does not exist"),
+    ):  # fmt: skip
+        done = run("replay", path)
+        assert done.returncode == 2 and words in " ".join(done.stderr.split())
+    done = run("replay", bag, "--steps", "30:40")
+    assert done.returncode == 2 and "steps 0 to 29" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--steps", "5"), "no A:B"),
+        (("--steps", "-1:4"), "no A:B"),
+        (("--rate", "0"), "--rate"),
+        (("--loop", "0"), "--loop"),
+        (("--settings", "speed=3"), "NAME=VALUE"),
+        (("--settings", "contacts_per_pair=0"), "contacts_per_pair"),
+    ],
+)
+def test_options_that_make_no_sense(bag: Path, words: tuple[str, ...], said: str) -> None:
+    done = run("replay", bag, *words)
+    assert done.returncode in (1, 2) and said in done.stderr
+
+
+@pytest.mark.parametrize("order", [signal.SIGINT, signal.SIGTERM])
+def test_stopped_it_tells_what_it_has(bag: Path, tmp_path: Path, order: signal.Signals) -> None:
+    said = tmp_path / "said.txt"
+    with said.open("w") as stream:
+        process = subprocess.Popen(
+            command("replay", bag, "--rate", "1e-6"),  # a step in forty minutes
+            stdout=stream, stderr=stream, start_new_session=True,
+            env=os.environ | {"COLUMNS": "120", "FORCE_COLOR": "1"},  # the bar is drawn for terminals only
+        )  # fmt: skip
+        try:
+            deadline = time.monotonic() + 120.0
+            while "1/30" not in said.read_text():
+                assert process.poll() is None and time.monotonic() < deadline
+                time.sleep(0.05)
+            os.kill(process.pid, order)
+            assert process.wait(30.0) == 130
+        finally:
+            process.kill()
+    text = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", said.read_text())
+    assert "stopped after 1 of 30 steps" in text and "all 1 answers are those recorded" in text
+    assert "Traceback" not in text
+
+
+def test_record_and_mend(tmp_path: Path) -> None:
+    out = tmp_path / "bag"
+    done = run("record", "pane", "--out", out, "--steps", "21", "--every", "5", "--seed", "3", "--curvature", "0.25",
+               "--settings", "contacts_per_pair=5")  # fmt: skip
+    assert done.returncode == 0
+    times = [m.nanoseconds for m in read_messages(out, [CONTACTS])]
+    assert times == [step * 2_500_000 for step in range(0, 21, 5)]
+    assert run("record", "pane", "--out", out).returncode == 1
+    file = out / "bag_0.mcap"
+    file.write_bytes(file.read_bytes()[:-3000])
+    (out / "metadata.yaml").unlink()
+    before = run("replay", out)
+    assert before.returncode == 0 and "has no metadata.yaml" in before.stdout
+    done = run("mend", out)
+    assert done.returncode == 0 and "messages" in done.stdout
+    after = run("replay", out)
+    assert after.returncode == 0 and "note:" not in after.stdout
+
+
+def test_a_recording_that_does_not_begin_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def failing(*_: object) -> None:
+        raise ValueError("no run")
+
+    monkeypatch.setattr("fracture_collision.ros.runs.scene_recording.Lockstep", failing)
+    with pytest.raises(ValueError, match="no run"):
+        record_pane(tmp_path / "bag")
+    assert not (tmp_path / "bag").exists()
+
+
+def test_digest_takes_a_file_and_a_folder(bag: Path) -> None:
+    one, other = run("digest", bag), run("digest", bag / "pane_0.mcap")
+    assert one.returncode == other.returncode == 0 and one.stdout == other.stdout
+    assert f"{STEPS:6}  {CONTACTS}" in one.stdout
+
+
+def test_where_nothing_can_be_compared_it_fails(bag: Path, tmp_path: Path) -> None:
+    def without_contacts(message: BagMessage) -> list[BagMessage]:
+        return [message] if message.topic != CONTACTS else []
+
+    done = run("replay", changed_bag(tmp_path / "bag", bag, without_contacts))
+    assert done.returncode == 3 and f"no answer to {STEPS} of these steps" in done.stdout
+    assert "nothing was compared: no answer in" in " ".join(done.stderr.split())
+
+
+def test_where_the_answers_are_of_another_type_it_fails(bag: Path, tmp_path: Path) -> None:
+    renamed = tmp_path / "renamed"
+    topics = [bag_topic(f"/{topic.name}", topic) for topic in TOPICS]
+    topics = [t if t.name != CONTACTS else t._replace(message_type="other/msg/Contacts") for t in topics]
+    with BagWriter(renamed, topics) as writer:
+        for message in read_messages(bag):
+            writer.write(message.topic, message.data, message.nanoseconds)
+    done = run("replay", renamed)
+    words = " ".join(done.stderr.split())
+    assert done.returncode == 3 and "has no topic of type fracture_collision/msg/ContactConstraintArray" in words
+    assert f"{CONTACTS} (other/msg/Contacts)" in words
+
+
+def test_questions_and_answers_that_are_missing_are_noticed(bag: Path, tmp_path: Path) -> None:
+    """A bag may lack either: of a step in the middle, and of the last."""
+    for name, topic in (("answers", CONTACTS), ("questions", "/fragment_states")):
+        lost = [list(read_messages(bag, [topic]))[step] for step in (12, STEPS - 1)]
+        spoilt = changed_bag(tmp_path / name, bag, lambda m, lost=lost: [m] if m not in lost else [])
+        done = run("replay", spoilt, "--settings", "contacts_per_pair=6")
+        assert done.returncode == 3 and f"all {STEPS - 2} answers are those recorded" in done.stdout
+        words = "no answer to 2 of these" if name == "answers" else "answers, but no states, of 2 steps, first step 12"
+        assert words in done.stdout
+        some = run("replay", spoilt, "--settings", "contacts_per_pair=6", "--steps", "13:29")
+        assert some.returncode == 0

@@ -1,0 +1,292 @@
+"""Replay over DDS, and what the recording node leaves: the bytes of the library's own recording, and the settings."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rclpy
+import yaml
+from rcl_interfaces.srv import GetParameters
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
+from rosbags.highlevel import AnyReader
+from rosbags.interfaces import QosDurability
+from stages.ros_client import ServiceClient
+from test_replay import CONTACTS, EVENTS, STATES
+from worlds.recorded_pane import STEPS, record_pane, replayed
+from worlds.scene_of_length import scene_of_length
+
+from fracture_collision.bag.cdr import serialize_record
+from fracture_collision.bag.exchanges import read_runs
+from fracture_collision.bag.mcap_file import McapFile
+from fracture_collision.bag.mend import mend_bag
+from fracture_collision.bag.reader import message_counts, missing_words, read_messages, recorded_settings
+from fracture_collision.cdr import Heading
+from fracture_collision.records import FractureEvent
+from fracture_collision.replay import Order, Replay, settings_of
+from fracture_collision.ros.nodes import service_settings
+from fracture_collision.ros.nodes.service_settings import ServiceSettings
+from fracture_collision.ros.processes.node_process import NodeProcess, free_domain_id
+from fracture_collision.ros.processes.own_context import own_context
+from fracture_collision.ros.runs.replay_run import OverDds
+from fracture_collision.ros.runs.scene_recording import TOPICS, record_scene
+from fracture_collision.ros.wire import qos
+from fracture_collision.simulation.scene.scene import load_scene
+from fracture_collision.world import Settings
+
+PATIENCE = 60.0  # [s] for a machine that is busy with other things
+
+
+def await_(condition, what: str) -> None:
+    deadline = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < deadline, f"in vain: {what}"
+        time.sleep(0.05)
+
+
+def test_over_dds_as_in_process(tmp_path: Path) -> None:
+    settings = Settings(contacts_per_pair=5, threads=2)
+    runs = read_runs(record_pane(tmp_path / "one", settings))
+    runs += read_runs(record_pane(tmp_path / "two", settings, seed=5))
+    order = Order(first=5, end=STEPS - 5, backwards=True, loops=2)
+    with OverDds(settings, tmp_path / "service.log") as service:
+        over_dds = Replay(runs, service, order)
+        assert list(over_dds) == list(range(1, 4 * (STEPS - 10) + 1))
+    report = over_dds.report()
+    assert report.exact and report.steps == 2 * (STEPS - 10)
+    assert report.digest == replayed(runs, order, contacts_per_pair=5).digest
+
+
+class Recording:
+    """Service, simulator and recorder as processes."""
+
+    def __init__(self, folder: Path, scene: str | Path, service: dict[str, object]) -> None:
+        domain_id = free_domain_id()
+        self.bag = folder / "bag"
+        self.service = NodeProcess("collision_node", service, domain_id, folder / "service.log")
+        self.recorder = NodeProcess("recorder_node", {"folder": str(self.bag)}, domain_id, folder / "recorder.log")
+        self.simulator = NodeProcess(
+            "simulator_node", {"scene": str(scene), "wait_for_subscribers": 2}, domain_id, folder / "simulator.log"
+        )
+
+    def stop(self) -> list[int]:
+        return [process.stop() for process in (self.simulator, self.recorder, self.service)]
+
+
+def test_nodes_record_what_the_library_records(tmp_path: Path) -> None:
+    """Bodies, events, states and contacts byte for byte; and the settings that the service was given."""
+    settings = Settings(contacts_per_pair=6, penetration_tolerance=0.003, threads=1)
+    recording = Recording(tmp_path, "pane", {"contacts_per_pair": 6, "penetration_tolerance": 0.003, "threads": 1})
+    try:
+        assert recording.simulator.wait(PATIENCE) == 0
+        await_(lambda: recorded_settings(recording.bag) is not None, "the settings")
+    finally:
+        assert recording.stop()[1:] == [0, 0]
+    assert missing_words(recording.bag) == []
+    library = tmp_path / "library"
+    for _ in record_scene(load_scene("pane"), settings, None, library):
+        pass
+    for topic in TOPICS:
+        one, other = (list(read_messages(bag, [f"/{topic.name}"])) for bag in (recording.bag, library))
+        assert len(one) > 0 and one == other
+    found, words = settings_of(recording.bag, {"threads": 1})
+    assert (found, words) == (settings, [])
+    assert replayed(read_runs(recording.bag), **found._asdict()).exact
+
+
+def test_a_recorder_killed_in_mid_run_leaves_a_bag_that_opens(tmp_path: Path) -> None:
+    long_scene = scene_of_length("pane", 600.0, tmp_path)
+    recording = Recording(tmp_path, long_scene, {"threads": 1})
+    file = recording.bag / "bag_0.mcap"
+    try:
+        await_(lambda: (recording.bag / "metadata.yaml").is_file(), "metadata from the start")
+        await_(lambda: message_counts(recording.bag).get(CONTACTS, 0) > 30, "some of the run on disk")
+        recording.recorder.send_signal(signal.SIGKILL)
+        assert recording.recorder.wait(10.0) == -signal.SIGKILL
+    finally:
+        recording.stop()
+
+    bag = recording.bag
+    told = " ".join(missing_words(bag))
+    assert "ends before its end" in told and not McapFile(file).is_whole
+    counts = message_counts(bag)
+    assert counts[STATES] > 30 and abs(counts[STATES] - counts[CONTACTS]) <= 1
+    metadata = yaml.safe_load((bag / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    assert 0 < metadata["message_count"] <= sum(counts.values())
+    assert json.loads(metadata["custom_data"]["collision_settings"])["threads"] == 1
+    steps = replayed(read_runs(bag), Order(end=60))
+    assert steps.exact and steps.steps > 30
+
+    command = [sys.executable, "-m", "fracture_collision.cli"]
+    words = [*command, "replay", bag, "--steps", "0:20"]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=PATIENCE)
+    assert done.returncode == 0 and "note:" in done.stdout and "ends before its end" in done.stdout
+    done = subprocess.run([*command, "digest", bag], capture_output=True, text=True, timeout=PATIENCE)
+    assert done.returncode == 0 and "ends before its end" in done.stderr and CONTACTS in done.stdout
+
+    # Cut in the middle of a record as well, as a machine that loses its power may leave it.
+    half = tmp_path / "half"
+    shutil.copytree(bag, half)
+    data = file.read_bytes()
+    (half / file.name).write_bytes(data[: len(data) - 1000])
+    assert "bytes cannot be read" in " ".join(missing_words(half))
+    assert replayed(read_runs(half), Order(end=20)).exact
+
+    for damaged in (bag, half):
+        before = list(read_messages(damaged))
+        mended = mend_bag(damaged)
+        assert mended.damaged == [] and mended.messages == len(before)
+        assert (mended.lost_bytes > 0) == (damaged is half)
+        assert missing_words(damaged) == [] and list(read_messages(damaged)) == before
+        with AnyReader([damaged]) as reader:
+            assert reader.message_count == len(before)
+            assert [(c.topic, t, bytes(d)) for c, t, d in reader.messages()] == [tuple(m) for m in before]
+            by_name = {connection.topic: connection for connection in reader.connections}
+            (latched,) = by_name["/bodies"].ext.offered_qos_profiles
+            assert latched.durability == QosDurability.TRANSIENT_LOCAL
+            assert by_name[CONTACTS].digest.startswith("RIHS01_")
+        assert settings_of(damaged, {"threads": 1}).words == []
+        assert sorted(path.name for path in damaged.iterdir()) == ["bag_0.mcap", "metadata.yaml"]
+
+
+def test_settings_are_asked_for_and_asked_again_when_they_change() -> None:
+    """Of a node that lets its parameters be changed."""
+    context = own_context(free_domain_id())
+    service, recorder = (rclpy.create_node(name, context=context, namespace="/arm") for name in ("service", "recorder"))
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(service)
+    executor.add_node(recorder)
+    told: list[dict[str, object]] = []
+    asked = ServiceSettings(recorder, "contact_constraints", told.append)
+
+    def spin_until(count: int) -> None:
+        deadline = time.monotonic() + PATIENCE
+        while len(told) < count and time.monotonic() < deadline:
+            asked.look()
+            executor.spin_once(timeout_sec=0.05)
+        assert len(told) == count
+
+    try:
+        asked.look()  # nobody there yet
+        for name, value in Settings()._asdict().items():
+            service.declare_parameter(name, value)
+        topic = qos.CONTACT_CONSTRAINTS
+        service.create_publisher(topic.message_class, topic.name, topic.qos)
+        spin_until(1)
+        assert told == [Settings()._asdict()]
+        service.set_parameters([Parameter("contacts_per_pair", value=5)])
+        spin_until(2)
+        assert told[1] == Settings(contacts_per_pair=5)._asdict()
+    finally:
+        executor.shutdown()
+        for node in (service, recorder):
+            node.destroy_node()
+        context.try_shutdown()
+
+
+def test_settings_are_asked_for_again_where_the_answer_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(service_settings, "ASK_AGAIN", 0.2)
+    context = own_context(free_domain_id())
+    service = rclpy.create_node("service", context=context, start_parameter_services=False)
+    recorder = rclpy.create_node("recorder", context=context)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(service)
+    executor.add_node(recorder)
+    told: list[dict[str, object]] = []
+    lost: list[GetParameters.Response] = []
+
+    def answer(request: GetParameters.Request, response: GetParameters.Response) -> GetParameters.Response:
+        values = Settings()._asdict()
+        response.values = [Parameter(name, value=values[name]).get_parameter_value() for name in request.names]
+        return response
+
+    def lose_two(response: GetParameters.Response, header: object) -> None:
+        if len(lost) < 2:
+            lost.append(response)
+        else:
+            send(response, header)
+
+    asked = ServiceSettings(recorder, "contact_constraints", told.append)
+    try:
+        parameters = service.create_service(GetParameters, "service/get_parameters", answer)
+        send = parameters.send_response
+        parameters.send_response = lose_two
+        topic = qos.CONTACT_CONSTRAINTS
+        service.create_publisher(topic.message_class, topic.name, topic.qos)
+        deadline = time.monotonic() + PATIENCE
+        while not told and time.monotonic() < deadline:
+            asked.look()
+            executor.spin_once(timeout_sec=0.05)
+        assert told == [Settings()._asdict()] and len(lost) == 2
+    finally:
+        executor.shutdown()
+        for node in (service, recorder):
+            node.destroy_node()
+        context.try_shutdown()
+
+
+def test_a_recorder_outlives_what_is_no_message(tmp_path: Path) -> None:
+    domain_id = free_domain_id()
+    recorder = NodeProcess("recorder_node", {"folder": str(tmp_path / "bag")}, domain_id, tmp_path / "recorder.log")
+    client = ServiceClient(domain_id)
+    try:
+        client.spin_until(lambda: client.node.count_subscribers("fracture_events") == 1, "the recorder")
+        good = [serialize_record(example_event(i), Heading(i - 1, 0, "world"), 7) for i in range(3)]
+        for data in (b"\x00\x01\x00\x00", b"\x07\x07" + good[0][2:], good[0][:-5], *good):
+            client.publish_bytes("fracture_events", data)
+        await_(lambda: message_counts(tmp_path / "bag").get(EVENTS, 0) == 3, "the good ones, on disk")
+    finally:
+        client.close()
+        assert recorder.stop() == 0
+    found = [(message.nanoseconds, message.data) for message in read_messages(tmp_path / "bag", [EVENTS])]
+    assert found == [(0, good[0]), (0, good[1]), (10**9, good[2])]
+    assert "not recorded: no serialized FractureEvent" in (tmp_path / "recorder.log").read_text()
+
+
+def example_event(sequence: int) -> FractureEvent:
+    ids = np.arange(2, dtype=np.uint32)
+    return FractureEvent(sequence, 1, 1, ids + 2, ids, ids, ids, np.ones(4))
+
+
+@pytest.mark.parametrize("order", [signal.SIGINT, signal.SIGTERM])
+def test_a_replay_over_dds_ends_in_words_and_leaves_no_process(tmp_path: Path, order: signal.Signals) -> None:
+    bag = record_pane(tmp_path / "pane")
+    with (tmp_path / "said.txt").open("w") as said:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "fracture_collision.cli", "replay", bag, "--ros", "--loop", "100000"],
+            stdout=said, stderr=said, start_new_session=True,
+        )  # fmt: skip
+        try:
+            await_(lambda: children(process.pid), "a service")
+            (service,) = children(process.pid)
+            time_left = time.monotonic() + PATIENCE
+            while not busy(service) and time.monotonic() < time_left:
+                time.sleep(0.1)
+            process.send_signal(order)
+            assert process.wait(60.0) == 130
+        finally:
+            process.kill()
+    text = (tmp_path / "said.txt").read_text()
+    assert "stopped" in text and "Traceback" not in text
+    assert not Path(f"/proc/{service}").exists()
+
+
+def children(pid: int) -> list[int]:
+    try:
+        return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+    except OSError:
+        return []
+
+
+def busy(pid: int) -> bool:
+    """Whether it has taken more than three seconds of processor time: loaded its kernels and answered."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return int(fields[11]) + int(fields[12]) > 300

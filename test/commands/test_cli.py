@@ -1,0 +1,196 @@
+"""The command line: three processes over DDS, a bag, pictures and a report; and nothing left behind."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+from rosbags.highlevel import AnyReader
+from worlds.scene_of_length import scene_of_length
+
+from fracture_collision.bag.reader import read_messages
+
+SCENE = "pane"
+STEPS = 60
+
+
+def command(*words: str | Path) -> list[str]:
+    return [sys.executable, "-m", "fracture_collision.cli", *map(str, words)]
+
+
+def run(*words: str | Path, timeout: float = 240.0) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(command(*words), capture_output=True, text=True, timeout=timeout)
+
+
+def nodes_of(out: Path) -> list[str]:
+    """Command lines of all processes on this machine that write into `out`."""
+    found = []
+    for process in Path("/proc").glob("[0-9]*"):
+        try:
+            words = (process / "cmdline").read_bytes().decode().replace("\0", " ")
+        except (OSError, UnicodeDecodeError):
+            continue
+        if f"{out}/" in words and "fracture_collision.ros" in words:
+            found.append(words)
+    return found
+
+
+def write_earlier_run(out: Path) -> None:
+    """All that an earlier run may have left in `out`, and a file of somebody else."""
+    for folder in ("bag", "logs"):
+        (out / folder).mkdir(parents=True)
+        (out / folder / "earlier").write_text("earlier")
+    for file in ("report.json", "times.png", "film_strip.png", "scene.yaml", "mesh.npz", "notes"):
+        (out / file).write_text("earlier")
+
+
+def await_a_step(out: Path) -> None:
+    """Until a run into `out` is answered: its recorder has written some."""
+    deadline = time.monotonic() + 120.0
+    while not any(file.stat().st_size > 100_000 for file in out.glob(".new-*/bag/*.mcap")):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+@pytest.fixture(scope="module")
+def smashed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    out = tmp_path_factory.mktemp("first") / "out"
+    done = run("smash", "--scene", SCENE, "--out", out)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return out, done.stdout
+
+
+def test_help_teaches() -> None:
+    text = run("--help").stdout
+    assert all(word in text for word in ("smash", "scenes", "digest", "Examples", "collision_node"))
+    text = run("smash", "--help").stdout
+    assert all(word in text for word in ("film_strip.png", "times.png", "report.json", "bag/", "--seed"))
+
+
+def test_scenes_are_listed() -> None:
+    names = [line.split()[0] for line in run("scenes").stdout.splitlines()]
+    assert {"pane", "plates"} <= set(names)
+
+
+def test_every_step_is_answered_and_reported(smashed: tuple[Path, str]) -> None:
+    out, said = smashed
+    report = json.loads((out / "report.json").read_text())
+    assert report["step"] == list(range(STEPS))
+    lists = [value for value in report.values() if isinstance(value, list)]
+    assert len(lists) >= 14 and all(len(each) == STEPS for each in lists)
+    assert report["messages"]["/contact_constraints"] == STEPS
+    assert report["messages"]["/fracture_events"] >= 1
+    assert report["living_fragments"] >= 4 and report["triangles"] > 1000
+    assert sum(value > 0 for value in report["update_ms"]) >= 1
+    assert max(report["contacts"]) > 0 and min(report["collision_ms"]) > 0 and min(report["round_trip_ms"]) > 0
+    assert all(words in said for words in ("collision, ms", "contact solver, ms", "ROS round trip", "triangles"))
+    assert nodes_of(out) == []
+
+
+def test_bag_opens_in_rosbags_with_all_topics(smashed: tuple[Path, str]) -> None:
+    out, _ = smashed
+    with AnyReader([out / "bag"]) as reader:
+        assert set(reader.topics) == {
+            "/bodies", "/fracture_events", "/fragment_states", "/contact_constraints", "/fragments", "/fragment_meshes",
+            "/diagnostics",
+        }  # fmt: skip
+        messages: dict[str, list] = {}
+        for connection, time_, data in reader.messages():
+            messages.setdefault(connection.topic, []).append((time_, reader.deserialize(data, connection.msgtype)))
+    stated = {message.step: message for _, message in messages["/fragment_states"]}
+    answered = {message.step: message for _, message in messages["/contact_constraints"]}
+    assert sorted(stated) == sorted(answered) == list(range(STEPS))
+    for step, (time_, message) in zip(range(STEPS), messages["/contact_constraints"], strict=True):
+        assert (message.step, time_) == (step, step * 2_500_000)
+        assert message.header == stated[step].header and message.fracture_sequence == stated[step].fracture_sequence
+    last = messages["/fragments"][-1][1]
+    assert set(stated[STEPS - 1].fragment_ids) == set(last.fragment_ids)
+    assert set(last.fragment_ids) <= {message.fragment_id for _, message in messages["/fragment_meshes"]}
+    assert messages["/diagnostics"][-1][1].status[0].name == "fracture_collision: answers"
+
+
+def test_pictures_are_not_blank(smashed: tuple[Path, str]) -> None:
+    out, _ = smashed
+    for name in ("film_strip.png", "times.png"):
+        picture = imread(out / name)[..., :3]
+        assert min(picture.shape[:2]) > 100
+        assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 50
+
+
+def test_two_runs_are_the_same_byte_for_byte(smashed: tuple[Path, str], tmp_path: Path) -> None:
+    first, _ = smashed
+    write_earlier_run(tmp_path / "out")
+    done = run("smash", "--scene", SCENE, "--out", tmp_path / "out")
+    assert done.returncode == 0, done.stdout + done.stderr
+    left = {each.name for each in (tmp_path / "out").iterdir()}
+    assert left == {"bag", "logs", "report.json", "times.png", "film_strip.png", "notes"}
+    assert not (tmp_path / "out" / "bag" / "earlier").exists()
+    assert json.loads((tmp_path / "out" / "report.json").read_text())["scene"] == SCENE
+    for topic in ("/bodies", "/fracture_events", "/fragment_states", "/contact_constraints"):
+        one, other = ([m for m in read_messages(out / "bag", [topic])] for out in (first, tmp_path / "out"))
+        assert len(one) > 0 and one == other
+
+
+@pytest.mark.parametrize("order", [signal.SIGINT, signal.SIGTERM])
+def test_stopped_in_the_middle_it_leaves_no_process(tmp_path: Path, order: signal.Signals) -> None:
+    long_scene = scene_of_length(SCENE, 600.0, tmp_path)
+    out = tmp_path / "out"
+    with (tmp_path / "said.txt").open("w") as said:
+        process = subprocess.Popen(
+            command("smash", "--scene", long_scene, "--out", out), stdout=said, stderr=said, start_new_session=True
+        )
+        try:
+            deadline = time.monotonic() + 120.0
+            while not any("begins" in log.read_text() for log in out.glob(".new-*/logs/collision_node.log")):
+                assert process.poll() is None and time.monotonic() < deadline
+                time.sleep(0.05)
+            assert len(nodes_of(out)) == 3
+            await_a_step(out)
+            os.kill(process.pid, order)
+            assert process.wait(60.0) == 130
+        finally:
+            process.kill()
+    assert nodes_of(out) == []
+    text = (tmp_path / "said.txt").read_text()
+    assert "all nodes have ended" in text and "Traceback" not in text
+    assert {each.name for each in out.iterdir()} == {"bag", "logs"}
+    assert next(read_messages(out / "bag", ["/fragment_states"])) is not None
+
+
+@pytest.mark.parametrize("there", [False, True])
+@pytest.mark.parametrize(
+    ("words", "domain", "said"),
+    [
+        (("--scene", "no_such_scene"), "", "no_such_scene"),
+        (("--scene", "reference_sphere:nope"), "", "no variant"),
+        (("--mesh", "nowhere.obj"), "", "nowhere.obj"),
+        (("--scene", SCENE), "9999", "ended with status"),  # a domain that has no ports: no node gets as far as a step
+    ],
+)
+def test_a_run_that_cannot_start_changes_nothing(
+    there: bool, words: tuple[str, ...], domain: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    if there:
+        write_earlier_run(out)
+    before = sorted((str(file), file.read_text()) for file in out.rglob("*") if file.is_file())
+    monkeypatch.setenv("ROS_DOMAIN_ID", domain)
+    done = run("smash", *words, "--out", out)
+    assert done.returncode == 1
+    assert said in done.stderr and "Traceback" not in done.stderr
+    assert nodes_of(out) == [] and out.exists() == there
+    assert sorted((str(file), file.read_text()) for file in out.rglob("*") if file.is_file()) == before
+
+
+def test_a_folder_that_is_no_bag_is_an_error_in_words(tmp_path: Path) -> None:
+    done = run("digest", tmp_path)
+    assert done.returncode == 1
+    assert "metadata.yaml" in done.stderr and "Traceback" not in done.stderr

@@ -1,0 +1,238 @@
+"""`fracture-collision scene`: a report, a CSV, pictures, tables; clean words when it is stopped or asked nonsense."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+from matplotlib.image import imread
+from worlds.scene_of_length import scene_of_length
+
+from fracture_collision.cli.commands import main
+from fracture_collision.cli.scene import RESULTS, parse_settings
+from fracture_collision.scene_run import SceneRun, StepFigures
+from fracture_collision.simulation.scene.scene import load_scene
+from fracture_collision.world import Settings
+
+
+def call(*words: str | Path) -> Result:
+    return CliRunner().invoke(main, ["scene", *map(str, words)])
+
+
+@pytest.fixture(scope="module")
+def pane(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    pytest.importorskip("embreex", exc_type=ModuleNotFoundError)
+    out = tmp_path_factory.mktemp("pane") / "out"
+    before = signal.getsignal(signal.SIGTERM)
+    done = call("pane", "--out", out, "--count-colliding")
+    assert done.exit_code == 0, done.output
+    assert signal.getsignal(signal.SIGTERM) is before
+    return out, done.output
+
+
+def test_it_leaves_a_report_a_csv_and_two_pictures(pane: tuple[Path, str]) -> None:
+    out, said = pane
+    assert sorted(file.name for file in out.iterdir()) == sorted(RESULTS)
+    report = json.loads((out / "report.json").read_text())
+    steps = load_scene("pane").step_count
+    assert report["finished"] and report["step"] == list(range(steps))
+    with (out / "steps.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert len(rows) == steps and list(rows[0]) == list(StepFigures._fields)
+    for name in ("collision_ms", "contacts", "deepest_gap", "missed_depth_bound"):
+        assert [float(row[name]) for row in rows] == report[name]
+    for name in ("film_strip.png", "times.png"):
+        picture = imread(out / name)[..., :3]
+        assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 50
+    assert all(str(out / file) in said.replace("\n", "") for file in RESULTS)
+    assert all(words in said for words in ("tetrahedra", "triangles after", "whole step", "fracture computation"))
+
+
+def test_figures_hang_together(pane: tuple[Path, str]) -> None:
+    report = json.loads((pane[0] / "report.json").read_text())
+    columns = {name: np.array(report[name]) for name in StepFigures._fields}
+    parts = sum(columns[name] for name in ("collision_ms", "physics_ms", "update_ms", "fracture_ms"))
+    assert np.abs(columns["total_ms"] - parts).max() < 0.5
+    assert (columns["solver_ms"] <= columns["physics_ms"]).all() and (columns["collision_ms"] > 0.0).all()
+    # an event of one step reaches the service with the next
+    broke = np.flatnonzero(columns["fractures"])
+    assert (columns["fracture_ms"][broke] > 0.0).all()
+    assert len(broke) and set(np.flatnonzero(columns["update_ms"] > 0.0)) == set(broke + 1)
+    assert (columns["colliding_points"] >= columns["contacts"]).all()
+    assert columns["colliding_points"].max() > columns["contacts"].max()
+    assert (columns["touching_pairs"] <= columns["pairs"]).all() and columns["visits"].max() > 1000
+    assert columns["missed_depth_bound"].max() < 0.002 * 0.15 + 1e-12
+    (size,) = report["sizes"]
+    assert (size["object"], size["bodies"], size["triangles"], size["tetrahedra"]) == ("brick", 1, 320, 384)
+    totals = report["totals"]
+    assert totals["triangles_before"] == 320 < totals["triangles_after"]
+    assert totals["fragments"] == columns["fragments"][-1] - 1  # the ball is none
+    assert report["summary"]["contacts"]["worst"] == columns["contacts"].max()
+
+
+def test_equal_runs_have_equal_digests_and_another_seed_has_not(pane: tuple[Path, str]) -> None:
+    digests = []
+    for seed in (None, 5):
+        with SceneRun(load_scene("pane"), Settings(threads=2), seed) as run:
+            for _ in run:
+                pass
+            digests.append(run.report()["digest"])
+    told = json.loads((pane[0] / "report.json").read_text())["digest"]
+    assert digests[0] == told != digests[1]
+
+
+def test_fewer_steps_other_settings_no_pictures_and_nothing_of_the_run_before(tmp_path: Path) -> None:
+    for file in RESULTS:
+        (tmp_path / file).write_text("of the run before")
+    options = ("--settings", "contacts_per_pair=3,tree=plain", "--settings", "penetration_tolerance=0.01")
+    done = call("pane", "--out", tmp_path, "--steps", 7, "--no-pictures", "--seed", 9, "--threads", 2, *options)
+    assert done.exit_code == 0, done.output
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["report.json", "steps.csv"]
+    report = json.loads((tmp_path / "report.json").read_text())
+    settings = report["settings"]
+    assert (report["seed"], settings["threads"], settings["contacts_per_pair"], settings["tree"]) == (9, 2, 3, "plain")
+    assert settings["penetration_tolerance"] == 0.01 and len(report["step"]) == 7
+    assert "colliding_points" not in report
+
+
+def test_curved_cracks_on_request(tmp_path: Path) -> None:
+    triangles = []
+    for curvature in (0, 0.3):
+        done = call("pane", "--out", tmp_path, "--steps", 20, "--no-pictures", "--curvature", curvature)
+        assert done.exit_code == 0, done.output
+        triangles.append(json.loads((tmp_path / "report.json").read_text())["digest"])
+    assert triangles[0] != triangles[1]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["nowhere"], "no scene 'nowhere'"),
+        (["reference_sphere:finest"], "has no variant 'finest'; there is fine_surface, coarse_inside"),
+        (["pane", "--settings", "contacts=3"], "--settings contacts=3: needs NAME=VALUE, of contacts_per_pair"),
+        (["pane", "--settings", "contacts_per_pair=many"], "--settings contacts_per_pair: 'many' is no int"),
+        (["pane", "--settings", "contacts_per_pair=0"], "contacts_per_pair: 0 is not at least 1"),
+        (["pane", "--settings", "tree=oak"], "tree: 'oak' is none of"),
+        (["pane", "--curvature", "-1"], "--curvature"),
+        (["pane", "--curvature", "nan"], "curvature: nan is not a number of at least 0"),
+        (["pane", "--steps", "0"], "--steps"),
+        (["pane", "--seed", "x"], "--seed"),
+        ([], "Missing argument 'NAME'"),
+    ],
+)
+def test_nonsense_is_refused_in_words(tmp_path: Path, words: list[str], said: str) -> None:
+    done = call(*words, "--out", tmp_path / "out")
+    assert done.exit_code in (1, 2)
+    assert said in " ".join(done.output.split())
+    assert done.exception is None or isinstance(done.exception, SystemExit)
+
+
+def test_an_out_that_is_a_file_is_refused_in_words(tmp_path: Path) -> None:
+    (tmp_path / "out").write_text("")
+    done = call("pane", "--out", tmp_path / "out")
+    assert done.exit_code == 2 and "is a file" in " ".join(done.output.split())
+
+
+def test_settings_by_commas_and_by_repeating() -> None:
+    assert parse_settings(()) == Settings()
+    assert parse_settings(("threads=3, field=averaged", "visit_budget=9")) == Settings(
+        threads=3, field="averaged", visit_budget=9
+    )
+
+
+def test_help_teaches() -> None:
+    text = call("--help").output
+    assert all(word in text for word in ("report.json", "steps.csv", "--count-colliding", "Examples", "drop_bunnies"))
+    listed = CliRunner().invoke(main, ["scenes"]).output
+    assert all(word in listed for word in ("piggy_bank", "bricks", "reference_sphere:coarse_inside"))
+
+
+@pytest.mark.parametrize("order", [signal.SIGINT, signal.SIGTERM])
+def test_stopped_in_the_middle_it_says_so_and_keeps_what_was_done(tmp_path: Path, order: signal.Signals) -> None:
+    scene = scene_of_length("pane", 600.0, tmp_path)
+    out, said = tmp_path / "out", tmp_path / "said.txt"
+    out.mkdir()
+    (out / "report.json").write_text("of the run before")
+    with said.open("w") as stream:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "fracture_collision.cli", "scene", str(scene), "--out", str(out)],
+            stdout=stream, stderr=stream, start_new_session=True,
+            env=os.environ | {"COLUMNS": "120", "FORCE_COLOR": "1"},  # the bar is drawn for terminals only
+        )  # fmt: skip
+        try:
+            deadline = time.monotonic() + 240.0
+            while "simulating" not in said.read_text():
+                assert process.poll() is None and time.monotonic() < deadline
+                time.sleep(0.05)
+            os.kill(process.pid, order)
+            assert process.wait(60.0) == 130
+        finally:
+            process.kill()
+    text = said.read_text()
+    assert "Traceback" not in text and "stopped after" in text
+    report = json.loads((out / "report.json").read_text())
+    done = len(report["step"])
+    assert 0 < done < 240_000 and not report["finished"]
+    assert f"stopped after {done} of 240000 steps" in text
+    assert len((out / "steps.csv").read_text().splitlines()) == done + 1
+
+
+# SIGINT where numba hands LLVM a kernel: an exception there is swallowed, and the kernel's address is null.
+SIGNAL_WHILE_LOADING = """
+import os, signal, sys
+from numba.core.codegen import CPUCodeLibrary
+hand_over = CPUCodeLibrary._object_getbuffer_hook
+kernels = []
+def interrupted(module):
+    kernels.append(module)
+    if len(kernels) == 3:
+        os.kill(os.getpid(), signal.SIGINT)
+    return hand_over(module)
+CPUCodeLibrary._object_getbuffer_hook = interrupted
+"""
+
+
+def run_code(*lines: str) -> subprocess.CompletedProcess[str]:
+    code = SIGNAL_WHILE_LOADING + "\n".join(lines)
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=280.0)
+
+
+def test_a_signal_while_kernels_are_loaded_ends_it_at_once(tmp_path: Path) -> None:
+    words = ["scene", "pane", "--out", str(tmp_path / "out"), "--no-pictures"]
+    done = run_code("from fracture_collision.cli import main", f"main({words!r})")
+    assert done.returncode == 130 and "Traceback" not in done.stderr, done.stderr
+    assert "stopped after 0 of 60 steps" in done.stdout
+
+
+def test_a_signal_that_is_held_interrupts_no_kernel() -> None:
+    done = run_code(
+        "import click",
+        "from rich.console import Console",
+        "from fracture_collision.cli.console import Interruption",
+        "from fracture_collision.simulation.warm_up import compile_kernels",
+        "@click.command()",
+        "def command():",
+        "    interruption = Interruption(Console(), 'at once')",
+        "    try:",
+        "        with interruption.held():",
+        "            compile_kernels(lambda words: None)",
+        "            print(len(kernels), 'kernels', flush=True)",
+        "            interruption.check()",
+        "            print('not checked')",
+        "    except KeyboardInterrupt:",
+        "        print('checked', flush=True)",  # ending at once flushes nothing
+        "        os.kill(os.getpid(), signal.SIGTERM)",
+        "command()",
+    )
+    said = done.stdout.splitlines()
+    assert done.returncode == 130, done.stderr
+    assert int(said[-4].split()[0]) > 3 and said[-3:] == ["checked", "", "at once"]

@@ -1,0 +1,78 @@
+"""The examples as a learner runs them: each in its own process beside a real service."""
+
+from __future__ import annotations
+
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from stages.ros_stage import StageWithClients
+
+from fracture_collision.ros.processes.node_process import loopback_environment
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+PATIENCE = 120.0  # [s]
+
+
+def test_the_readme_shows_the_subscriber_as_it_is() -> None:
+    code = (EXAMPLES / "deepest_contact.py").read_text().split('"""\n\n', 1)[1]
+    assert code in (EXAMPLES.parent / "README.md").read_text()
+
+
+@pytest.mark.parametrize("order", [signal.SIGINT, signal.SIGTERM])
+def test_the_subscriber_ends_without_a_traceback(tmp_path: Path, order: signal.Signals) -> None:
+    stage = StageWithClients(tmp_path)
+    command = [sys.executable, str(EXAMPLES / "deepest_contact.py")]
+    # with the faulthandler one that hangs says where, on SIGABRT
+    environment = {**loopback_environment(stage.domain_id), "PYTHONFAULTHANDLER": "1"}
+    listener = subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True)
+    try:
+        client = stage.client()
+        client.spin_until(lambda: client.node.count_subscribers("contact_constraints") == 2, "the listener")
+        listener.send_signal(order)
+        try:
+            _, said = listener.communicate(timeout=PATIENCE)
+        except subprocess.TimeoutExpired:
+            listener.send_signal(signal.SIGABRT)
+            _, said = listener.communicate(timeout=PATIENCE)
+        assert listener.returncode == 0 and "Traceback" not in said, said
+    finally:
+        listener.kill()
+        stage.close()
+
+
+def test_a_body_of_ones_own_breaks_and_somebody_listens(tmp_path: Path) -> None:
+    stage = StageWithClients(tmp_path)
+    environment, heard = loopback_environment(stage.domain_id), tmp_path / "heard.txt"
+    with heard.open("w") as stream:
+        listener = subprocess.Popen([sys.executable, EXAMPLES / "deepest_contact.py"], env=environment, stdout=stream)
+    try:
+        service = stage.start("collision_node", threads=1)
+        client = stage.client()
+        client.await_service()
+        client.spin_until(lambda: client.node.count_subscribers("contact_constraints") == 2, "the listener")
+        command = [sys.executable, str(EXAMPLES / "break_your_own.py")]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=PATIENCE)
+        assert done.returncode == 0, done.stderr + service.log_text()
+        client.spin_until(lambda: heard.read_text().count("\n") == 2, "what the listener says")
+    finally:
+        listener.kill()
+        listener.wait()
+        stage.close()
+    assert "refused" not in service.log_text()
+    steps = re.split(r"step \d+, after (\d) fractures:", done.stdout)[1:]
+    assert steps[0::2] == ["0", "0", "1"]
+    in_the_air, on_the_floor, broken = (
+        {(a, b): (int(count), float(gap))
+         for a, b, count, gap in re.findall(r"fragments (\d) and (\d): (\d+) contacts, the deepest gap (\S+) mm", text)}
+        for text in steps[1::2]
+    )  # fmt: skip
+    assert in_the_air == {}
+    assert on_the_floor.keys() == {("1", "2")} and abs(on_the_floor["1", "2"][1]) < 0.01
+    assert broken.keys() == {("2", "3"), ("2", "4"), ("3", "4")}
+    assert [round(gap, 3) for _, gap in broken.values()] == [-2.0, -2.0, -1.0]
+    told = re.findall(r"step (\d): fragments \d and \d, gap (\S+) mm", heard.read_text())
+    assert [step for step, _ in told] == ["1", "2"] and abs(float(told[1][1]) + 2.0) < 0.01

@@ -1,0 +1,126 @@
+"""The package as its users get it: installed by pip and by colcon, from a copy of the sources without any leftovers."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+EXECUTABLES = ("collision_node", "simulator_node", "live_simulator_node", "page_node", "fracture-collision")
+UNOPTIMIZED = {"CFLAGS": "-O0", "CXXFLAGS": "-O0", "CMAKE_BUILD_TYPE": ""}  # compiled in half the time
+NOT_SOURCES = (".git", ".venv", "build", "install", "log", "out", "*.egg-info", "__pycache__", ".*_cache")
+
+# Run in the installed package's environment, away from the sources: uses a message for real, says where it comes from.
+USE_MESSAGES = """
+import array, pathlib, fracture_collision
+from fracture_collision.msg import ContactConstraintArray
+from rclpy.serialization import deserialize_message, serialize_message
+sent = ContactConstraintArray(step=7, gaps=array.array("d", [-0.25, 0.5]))
+received = deserialize_message(serialize_message(sent), ContactConstraintArray)
+assert received == sent and received.gaps[0] == -0.25, received
+import fracture_collision.records
+print(pathlib.Path(fracture_collision.records.__file__).resolve())
+"""
+
+
+def clean_environment(**changes: str) -> dict[str, str]:
+    """The caller's environment less what its own Python environment put there."""
+    own = ("LD_LIBRARY_PATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE", "PYTHONPATH", "VIRTUAL_ENV", "AMENT_PREFIX_PATH")
+    kept = {name: value for name, value in os.environ.items() if name not in own}
+    return kept | UNOPTIMIZED | changes
+
+
+def run(*command: str | Path, cwd: Path, environment: dict[str, str]) -> str:
+    done = subprocess.run(
+        [str(part) for part in command], cwd=cwd, env=environment, capture_output=True, text=True, timeout=800
+    )
+    assert done.returncode == 0, f"{command}\n{done.stdout[-4000:]}\n{done.stderr[-4000:]}"
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def workplace() -> Iterator[Path]:
+    """A folder on the file system of the .venv, so that the .venv can be copied by hard links."""
+    folder = ROOT / "build" / f"test-packaging-{os.getpid()}"
+    folder.mkdir(parents=True)
+    yield folder
+    shutil.rmtree(folder)
+
+
+@pytest.fixture(scope="module")
+def sources(workplace: Path) -> Path:
+    copy = workplace / "src" / "fracture_collision"
+    shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns(*NOT_SOURCES))
+    return copy
+
+
+@pytest.fixture(scope="module")
+def environment_copy(workplace: Path) -> Path:
+    """The .venv's packages in an environment of their own, with nothing of this project in it."""
+    copy = workplace / "venv"
+    shutil.copytree(sys.prefix, copy, symlinks=True, copy_function=os.link)
+    run(copy / "bin" / "python", "-m", "pip", "uninstall", "--yes", "fracture-collision",
+        cwd=workplace, environment=clean_environment())  # fmt: skip
+    return copy
+
+
+def test_pip_install(workplace: Path, sources: Path, environment_copy: Path) -> None:
+    environment = clean_environment()
+    python = environment_copy / "bin" / "python"
+    run(python, "-m", "pip", "install", "--no-deps", "--no-build-isolation", "--no-index", sources,
+        cwd=workplace, environment=environment)  # fmt: skip
+    imported_from = run(python, "-c", USE_MESSAGES, cwd=workplace, environment=environment).strip()
+    assert environment_copy.resolve() in Path(imported_from).parents
+    for name in EXECUTABLES:
+        assert os.access(environment_copy / "bin" / name, os.X_OK)
+    share = environment_copy / "share" / "fracture_collision"
+    assert_shared_files(share)
+    help_text = run(environment_copy / "bin" / "fracture-collision", "--help", cwd=workplace, environment=environment)
+    assert "smash" in help_text
+
+    run(python, "-m", "pip", "uninstall", "--yes", "fracture-collision", cwd=workplace, environment=environment)
+    left = [path for path in environment_copy.rglob("*fracture_collision*") if path.is_file()]
+    assert not left, left
+
+
+def test_colcon_build(workplace: Path, sources: Path, environment_copy: Path) -> None:
+    prefix = environment_copy
+    environment = clean_environment(
+        AMENT_PREFIX_PATH=str(prefix), CMAKE_PREFIX_PATH=str(prefix), PATH=f"{prefix}/bin:{os.environ['PATH']}"
+    )
+    python = prefix / "bin" / "python"
+    run(python, "-m", "colcon", "build", "--base-paths", sources, "--cmake-args", "-DBUILD_TESTING=OFF",
+        f"-DPython3_EXECUTABLE={python}", cwd=workplace, environment=environment)  # fmt: skip
+    installed = workplace / "install" / "fracture_collision"
+
+    def in_workspace(command: str) -> str:
+        """As a ROS user does: source the workspace, then use it."""
+        sourced = f". {workplace}/install/setup.sh && {command}"
+        return run("sh", "-c", sourced, cwd=workplace / "src", environment=environment)
+
+    script = workplace / "use_messages.py"
+    script.write_text(USE_MESSAGES)
+    imported_from = in_workspace(f"python {script}").strip()
+    assert installed.resolve() in Path(imported_from).parents
+    for name in EXECUTABLES:
+        for folder in (installed / "bin", installed / "lib" / "fracture_collision"):
+            assert os.access(folder / name, os.X_OK)
+    assert_shared_files(installed / "share" / "fracture_collision")
+    assert "smash" in in_workspace(f"{installed}/lib/fracture_collision/fracture-collision --help")
+
+
+def assert_shared_files(share: Path) -> None:
+    for folder in ("config", "launch", "msg"):
+        suffixes = (".yaml", ".npz", ".py", ".msg", ".rviz")
+        files = (path for path in (ROOT / folder).rglob("*") if path.suffix in suffixes)
+        expected = {path.relative_to(ROOT) for path in files}
+        assert expected
+        missing = [path for path in expected if not (share / path).is_file()]
+        assert not missing, missing
+    assert (share / "package.xml").is_file()

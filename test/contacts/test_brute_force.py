@@ -1,0 +1,78 @@
+"""The brute force for millions of points against the slow oracle it stands in for, on small bodies."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from oracles.brute_force import distances, owners, partition_of
+from oracles.fragmented_body import ALL_KINDS, CRACK
+from truth.contact_truth import COARSE_SHAPES
+from worlds.fractured_worlds import FracturedWorld, fractured_world
+
+from fracture_collision.geometry.tetrahedra import FACE_VERTICES, tetrahedron_volumes
+
+
+@pytest.fixture(scope="module", params=[("torus", False), ("torus", True), ("l_block", True)], ids=str)
+def case(request) -> FracturedWorld:
+    shape, curved = request.param
+    return fractured_world(COARSE_SHAPES[shape](), seeds=4, generations=2, curved=curved)
+
+
+def test_owners_are_the_oracles(case: FracturedWorld) -> None:
+    points = np.random.default_rng(1).uniform(-1.05, 1.05, (3000, 3)) * (1.0, 1.0, 0.35)
+    found, certain = owners(partition_of(case.oracle), points)
+    assert certain.all() and len(set(found.tolist())) > 3
+    assert np.array_equal(found, case.oracle.owner(points))
+
+
+def test_owners_are_the_oracles_close_to_cracks(case: FracturedWorld) -> None:
+    """The one looks from the hub of a tetrahedron, the other for the part that holds a point: a few rounding errors
+    from a crack they still agree.
+    """
+    random, oracle = np.random.default_rng(4), case.oracle
+    triangles = np.concatenate([oracle.surface_triangles(f, (CRACK,)) for f in oracle.fragment_ids])
+    on_cracks = np.einsum("nij,ni->nj", triangles, random.dirichlet(np.ones(3), len(triangles)))
+    away = random.normal(size=on_cracks.shape)
+    away /= np.linalg.norm(away, axis=1)[:, None]
+    points = on_cracks + away * 10.0 ** random.uniform(-12.0, -2.0, (len(away), 1))
+    far = distances(points, triangles) > 1e-13
+    found, _ = owners(partition_of(oracle), points)
+    assert np.count_nonzero(far) > 0.9 * len(points) > 500
+    assert np.array_equal(found[far], oracle.owner(points[far]))
+
+
+def test_nodes_and_points_of_inner_faces_have_one_owner(case: FracturedWorld) -> None:
+    oracle = case.oracle
+    partition = partition_of(oracle)
+    found, certain = owners(partition, oracle.vertices)
+    assert certain.all() and np.array_equal(found, oracle.labels)
+    cut = oracle.parts.tetrahedra
+    inner = oracle.tetrahedra[cut][:, FACE_VERTICES][oracle.neighbours[cut] >= 0]
+    weights = np.random.default_rng(5).dirichlet(np.ones(3), len(inner))
+    points = np.einsum("nij,ni->nj", oracle.vertices[inner], weights)
+    found, certain = owners(partition, points)
+    cracks = np.concatenate([oracle.surface_triangles(f, (CRACK,)) for f in oracle.fragment_ids])
+    # rounding decides about points on a crack
+    assert distances(points[~certain], cracks).max(initial=0.0) < 1e-9 and (found > 0).all()
+
+
+def test_distances_are_the_oracles(case: FracturedWorld) -> None:
+    points = np.random.default_rng(2).uniform(-1.2, 1.2, (200, 3))
+    for fragment in case.oracle.fragment_ids[:3]:
+        triangles = case.oracle.surface_triangles(fragment, ALL_KINDS)
+        expected, nearest = case.oracle.distance_to_surface(fragment, points)
+        assert np.allclose(distances(points, triangles), expected, rtol=0, atol=1e-13)
+        assert distances(nearest, triangles).max() <= 1e-13
+    assert np.isinf(distances(points[:1], np.zeros((0, 3, 3)))[0])
+
+
+def test_volumes_by_counting_points(case: FracturedWorld) -> None:
+    """Shares of random points against the oracle's volumes: an error of the rule would show."""
+    random, oracle = np.random.default_rng(3), case.oracle
+    volumes, count = tetrahedron_volumes(oracle.vertices, oracle.tetrahedra), 200_000
+    chosen = oracle.tetrahedra[random.choice(len(volumes), count, p=volumes / volumes.sum())]
+    points = np.einsum("nij,ni->nj", oracle.vertices[chosen], random.dirichlet(np.ones(4), count))
+    found, _ = owners(partition_of(oracle), points)
+    for fragment in oracle.fragment_ids:
+        share = oracle.volume(fragment) / volumes.sum()
+        assert abs(np.mean(found == fragment) - share) <= 5.0 * np.sqrt(share / count)

@@ -1,0 +1,153 @@
+"""Contacts against the slow truth: depth, witness, what was left out, and what does not change the answer."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from truth.contact_truth import (
+    BORDER,
+    COARSE_SHAPES,
+    ContactTruth,
+    Poses,
+    assert_true,
+    check_all_pairs,
+    check_pair,
+    pairs_of,
+    sample_ids,
+)
+from worlds.fractured_worlds import SETTINGS, FracturedWorld, fractured_world, with_settings
+from worlds.rigid_shapes import noisy_ball
+
+from fracture_collision.core.bodies.fragment_trees import TREES
+from fracture_collision.records import BUDGET_EXHAUSTED, CollisionBody, ContactConstraintArray, FragmentStates
+from fracture_collision.world import CollisionWorld
+from fracture_collision.world.settings import TRAVERSALS
+
+SHAPES = ("ball", "brick", "shell", "bowl")
+SEARCHES = [(tree, traversal) for tree in TREES for traversal in TRAVERSALS]
+DEFAULT_SEARCH = (SETTINGS.tree, SETTINGS.traversal)
+QUICK = [("ball", "flat"), ("shell", "curved")]  # with every tree and traversal; the others with the default only
+CASES = [
+    pytest.param((s, c, search), id="-".join((s, c) if search == DEFAULT_SEARCH else (s, c, *search)),
+                 marks=() if search == DEFAULT_SEARCH or (s, c) in QUICK else pytest.mark.slow)
+    for search in (DEFAULT_SEARCH, *(other for other in SEARCHES if other != DEFAULT_SEARCH))
+    for s in SHAPES for c in ("flat", "curved")
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module", params=CASES)
+def case(request) -> FracturedWorld:
+    shape, cracks, (tree, traversal) = request.param
+    settings = SETTINGS._replace(tree=tree, traversal=traversal)
+    return fractured_world(COARSE_SHAPES[shape](), seeds=5, generations=2, curved=cracks == "curved", settings=settings)
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.02, 0.15])
+def test_contacts_are_true_and_the_bound_holds(case: FracturedWorld, jitter: float) -> None:
+    """With plain normals, so that each depth is that to the nearest surface; test_crack_normal has the others."""
+    plain = with_settings(case, case.world.settings._replace(normals="nearest"))
+    states = case.states(jitter, seed=1)
+    checks = check_all_pairs(ContactTruth(case), states, plain)
+    assert_true(checks, case.world.settings.penetration_tolerance)
+    for check in checks:
+        assert np.abs(check.excess).max(initial=0.0) <= BORDER, check
+
+
+def test_a_budget_makes_the_bound_grow_instead_of_lie(case: FracturedWorld) -> None:
+    states = case.states(0.05, seed=2)
+    truth, poses = ContactTruth(case), Poses(states)
+    for budget in (200, 1000, 4000):
+        limited = with_settings(case, case.world.settings._replace(visit_budget=budget))
+        answer = limited.contacts(states)
+        listed = pairs_of(answer)
+        if not answer.status & BUDGET_EXHAUSTED:
+            continue
+        epsilon = case.world.settings.penetration_tolerance
+        for pair in listed:
+            check = check_pair(truth, poses, answer, pair, listed, epsilon)
+            assert check.deepest_unlisted <= check.bound, (pair, check)
+        return
+    pytest.fail("no budget was small enough to cut a search short")
+
+
+def _bytes(answer: ContactConstraintArray) -> bytes:
+    return b"".join(np.asarray(field).tobytes() for field in answer)
+
+
+def test_the_answer_is_the_same_bytes_for_any_number_of_threads(case: FracturedWorld) -> None:
+    states = case.states(0.05, seed=4)
+    reference = _bytes(case.world.contacts(states))
+    for threads in (2, 3, 8):
+        assert _bytes(with_settings(case, case.world.settings._replace(threads=threads)).contacts(states)) == reference
+
+
+def test_a_full_list_does_not_depend_on_tree_or_traversal() -> None:
+    """With room for every contact all searches list the same samples, in their own order."""
+    case = fractured_world(COARSE_SHAPES["bowl"](), seeds=6, generations=3, curved=True)
+    states = case.states(0.03, seed=6)
+    listed = []
+    for tree, traversal in SEARCHES:
+        settings = SETTINGS._replace(
+            tree=tree, traversal=traversal, contacts_per_pair=100_000, detection_tolerance=0.05
+        )
+        answer = with_settings(case, settings).contacts(states)
+        by_id = np.argsort(answer.contact_ids)
+        listed.append((answer.contact_ids[by_id].tolist(), answer.gaps[by_id].tolist(), answer.fragment_a.tolist()))
+    assert len(listed[0][0]) > 500
+    assert all(other == listed[0] for other in listed[1:])
+
+
+@pytest.mark.parametrize("traversal", TRAVERSALS)
+def test_nodes_are_visited_in_the_order_of_the_traversal(traversal: str) -> None:
+    """Every sample of a ball lies within the tolerance of a plane: contacts come in the order of the visits (fewer than
+    are wanted would be sorted).
+    """
+    vertices, triangles = noisy_ball()
+    wanted = len(vertices)
+    world = CollisionWorld(SETTINGS._replace(traversal=traversal, contacts_per_pair=wanted, detection_tolerance=1.0))
+    world.add_body(CollisionBody(1, 1, vertices=vertices.ravel(), triangles=triangles.ravel()))
+    world.add_body(CollisionBody(2, 2, plane=np.array([0.0, 0.0, 1.0, 0.0]), is_static=True))
+    answer = world.contacts(FragmentStates(1, 0, np.array([1]), np.array([0, 0, -0.5]), np.array([0.0, 0.0, 0.0, 1.0])))
+    tree = world._registry.geometry.sphere_tree(world._registry.row_of(1))
+    level, samples = [0], [tree.sample[0]]
+    while level:
+        children = [_children(tree.size, entry) for entry in level]
+        if traversal == "alternating":
+            rounds = range(max(map(len, children)))
+            following = [(n, c[k]) for k in rounds for n, c in zip(level, children, strict=True) if k < len(c)]
+        else:
+            following = [(n, child) for n, c in zip(level, children, strict=True) for child in c]
+        samples += [tree.sample[child] for n, child in following if tree.sample[child] != tree.sample[n]]
+        level = [child for _, child in following if tree.size[child] > 1]
+    assert len(samples) == len(vertices)
+    assert answer.contact_ids.tolist() == sample_ids(1, 2, np.array(samples)).tolist()
+
+
+def _children(size: np.ndarray, entry: int) -> list[int]:
+    children, child = [], entry + 1
+    while child < entry + size[entry]:
+        children.append(child)
+        child += int(size[child])
+    return children
+
+
+def test_the_answer_has_no_memory(case: FracturedWorld) -> None:
+    """Other states, and states of earlier registries, in between change nothing."""
+    states = case.states(0.05, seed=4)
+    reference = _bytes(case.world.contacts(states))
+    digest = case.world.fragments().digest
+    whole = FragmentStates(1, 0, np.array([1]), np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))
+    case.world.contacts(case.states(0.2, seed=9))
+    assert len(case.world.contacts(whole).gaps) == 0
+    assert case.world.fragments().fragment_ids.tolist() == [1]
+    assert _bytes(case.world.contacts(states)) == reference
+    assert case.world.fragments().digest == digest
+
+
+def test_order_of_the_named_fragments_does_not_matter(case: FracturedWorld) -> None:
+    states = case.states(0.05, seed=4)
+    back = FragmentStates(
+        states.step, states.fracture_sequence, states.fragment_ids[::-1],
+        states.positions.reshape(-1, 3)[::-1].ravel(), states.orientations.reshape(-1, 4)[::-1].ravel(),
+    )  # fmt: skip
+    assert _bytes(case.world.contacts(back)) == _bytes(case.world.contacts(states))

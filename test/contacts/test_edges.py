@@ -1,0 +1,257 @@
+"""surfaces: edges. Where edges of two fragments cross between samples is a contact, with the normal across both."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import pytest
+from test_neighbour_lists import assert_same, random_turns, turned
+from truth.contact_truth import COARSE_SHAPES, Poses, pairs_of, sample_ids
+from truth.surface_campaign import PairDepth, campaign
+from worlds.fractured_worlds import FracturedWorld, fractured_world, with_settings
+from worlds.hard_worlds import tetrahedral_body
+from worlds.rods import EDGE, OVERLAP, answer_of_rods, crossed
+
+from fracture_collision.core.edges.ridge_contacts import DEEPEST, RIDGES_EACH
+from fracture_collision.core.edges.ridge_crossing import BEYOND_FACE, LEAST_SINE, MATTERS
+from fracture_collision.core.edges.ridges import LEAST_LENGTH, LEAST_TURN, LENGTH, OUTWARD, TURN
+from fracture_collision.core.mesh.sample_numbers import FIRST_OF_RIDGES
+from fracture_collision.core.mesh.surface_triangles import surface_triangles
+from fracture_collision.geometry.generators import brick
+from fracture_collision.records import BOX, CollisionBody, FragmentStates, SolidPrimitive
+from fracture_collision.world import CollisionWorld, Settings
+
+EDGES = Settings(threads=1, surfaces="edges")
+SHALLOW = 0.05  # [R]
+KINDS = ["box", "tetrahedra", "triangles"]
+
+
+def normals_of(triangles: np.ndarray) -> np.ndarray:
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    return normals / np.linalg.norm(normals, axis=1)[:, None]
+
+
+def ridges_by_hand(triangles: np.ndarray, radius: float) -> dict[frozenset, float]:
+    """Convex edges of a surface (t, 3, 3), by their ends, and the chord of the angle between their faces' normals."""
+    normals, known, ridges = normals_of(triangles), {}, {}
+    for corners, normal in zip(triangles.tolist(), normals, strict=True):
+        for k in range(3):
+            p, q, apex = tuple(corners[k]), tuple(corners[(k + 1) % 3]), np.array(corners[(k + 2) % 3])
+            if (q, p) not in known:
+                known[p, q] = normal
+                continue
+            other = known.pop((q, p))
+            turn, falls = np.linalg.norm(normal - other), other @ (apex - np.array(p))
+            if falls < 0.0 and turn >= LEAST_TURN and np.linalg.norm(np.subtract(p, q)) >= LEAST_LENGTH * radius:
+                ridges[frozenset((p, q))] = turn
+    return ridges
+
+
+@pytest.fixture(scope="module", params=[("torus", True), ("brick", False), ("l_block", True)], ids=lambda p: p[0])
+def case(request) -> FracturedWorld:
+    shape, curved = request.param
+    return fractured_world(COARSE_SHAPES[shape](), 6, 2, curved=curved, settings=EDGES)
+
+
+def rows_of(case: FracturedWorld, fragment: int) -> np.ndarray:
+    ridges, row = case.geometry.ridges, case.row(fragment)
+    return ridges.rows[ridges.first[row] : ridges.first[row] + ridges.count[row]]
+
+
+def test_ridges_are_the_convex_edges_of_a_surface(case: FracturedWorld) -> None:
+    last = max(case.oracle.fragment_ids)  # nothing broke beside it since
+    triangles, _ = surface_triangles(case.geometry.pools, case.row(last), case.geometry.tet_range(case.row(last)))
+    rows, truth = rows_of(case, last), ridges_by_hand(triangles, 1.0)
+    found = {frozenset((tuple(r[:3]), tuple(r[3:6]))): r[TURN] for r in rows.tolist()}
+    assert len(found) == len(rows) > 10
+    assert found.keys() == truth.keys()
+    for ends, turn in found.items():
+        assert turn == pytest.approx(truth[ends], abs=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(rows[:, 3:6] - rows[:, :3], axis=1), rows[:, LENGTH])
+    np.testing.assert_allclose(np.linalg.norm(rows[:, OUTWARD : OUTWARD + 3], axis=1), 1.0)
+
+
+def crossings_by_hand(case, a: int, b: int, states: FragmentStates, near: float) -> dict[int, float]:
+    """Every ridge of a with every one of b: number and gap of those that cross, whatever else is there."""
+    poses, found = Poses(states), {}
+    of_a, of_b = rows_of(case, a), rows_of(case, b)
+
+    def world(f: int, rows: np.ndarray) -> tuple[np.ndarray, ...]:
+        ends = [poses.to_world(f, rows[:, k : k + 3]) for k in (0, 3)]
+        return (*ends, *[rows[:, k : k + 3] @ poses.rotation[f].T for k in (6, 9, 12)])
+
+    p, q, p_into, p_into_other, p_out = world(a, of_a)
+    r, s, r_into, r_into_other, r_out = world(b, of_b)
+    for i in range(len(of_a)):
+        matters = np.minimum(of_a[i, LENGTH] * of_b[:, TURN], of_b[:, LENGTH] * of_a[i, TURN]) >= MATTERS * 0.002
+        u, v = q[i] - p[i], s - r
+        n = np.cross(u, v)
+        size = np.linalg.norm(n, axis=1)
+        sine = size / (np.linalg.norm(u) * np.linalg.norm(v, axis=1))
+        n /= np.where(size > 0.0, size, 1.0)[:, None]
+        n *= np.where((n * (p_out[i] - r_out)).sum(axis=1) < 0.0, -1.0, 1.0)[:, None]  # from a to b
+        gap = (n * (r - p[i])).sum(axis=1)
+        out = (n @ p_into[i] <= BEYOND_FACE) & (n @ p_into_other[i] <= BEYOND_FACE)
+        out &= ((n * r_into).sum(axis=1) >= -BEYOND_FACE) & ((n * r_into_other).sum(axis=1) >= -BEYOND_FACE)
+        for j in np.flatnonzero(matters & (sine >= LEAST_SINE) & out & (gap <= near) & (gap >= -DEEPEST)):
+            k, l, _ = np.linalg.solve(np.column_stack([u, -v[j], -n[j]]), r[j] - p[i])  # noqa: E741
+            if 0.0 <= k <= 1.0 and 0.0 <= l <= 1.0:
+                found[FIRST_OF_RIDGES + RIDGES_EACH * i + j] = gap[j]
+    return found
+
+
+@pytest.mark.parametrize("jitter", [0.003, 0.02])
+def test_no_crossing_is_left_out(case: FracturedWorld, jitter: float) -> None:
+    """All those that are apart, and of those that overlap no others."""
+    near = 0.01
+    world = with_settings(case, EDGES._replace(detection_tolerance=near, contacts_per_pair=1000))
+    states = case.states(jitter, 4)
+    answer, apart, overlap = world.contacts(states), 0, 0
+    for (a, b), (rows, _) in pairs_of(answer).items():
+        gaps = dict(zip(answer.contact_ids[rows].tolist(), answer.gaps[rows].tolist(), strict=True))
+        truth = crossings_by_hand(case, a, b, states, near)
+        numbers = np.array(list(truth), np.int64)
+        ids = sample_ids(a, b, numbers).tolist() if len(numbers) else []
+        for gap, own in zip(truth.values(), ids, strict=True):
+            if gap > 0.0:
+                apart += 1
+                assert own in gaps
+            if own in gaps:
+                overlap += gap < 0.0
+                assert gaps[own] == pytest.approx(gap, abs=1e-9)
+    assert apart > 20 and overlap > 20
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_crossed_rods_part_across_both_edges(kind: str) -> None:
+    answer = answer_of_rods(kind, EDGES, crossed(-OVERLAP, 0.011))
+    (k,) = np.flatnonzero(answer.gaps < 0.0)
+    np.testing.assert_allclose(answer.normals[3 * k : 3 * k + 3], [0.0, 0.0, 1.0], atol=1e-12)
+    assert answer.gaps[k] == pytest.approx(-OVERLAP, abs=1e-12)
+    np.testing.assert_allclose(answer.points_a[3 * k : 3 * k + 3], [0.011, 0.0, EDGE], atol=1e-12)
+    np.testing.assert_allclose(answer.points_b[3 * k : 3 * k + 3], [0.011, 0.0, EDGE - OVERLAP], atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_rods_that_are_about_to_touch_have_a_contact(kind: str) -> None:
+    answer = answer_of_rods(kind, EDGES, crossed(0.001, 0.011))
+    assert answer.gaps.tolist() == [pytest.approx(0.001, abs=1e-12)]
+    assert len(answer_of_rods(kind, EDGES, crossed(0.003, 0.011)).gaps) == 0
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_rods_that_will_touch_within_a_step_have_a_contact(kind: str) -> None:
+    states = crossed(0.2, 0.011)._replace(
+        linear_velocities=np.array([0.0, 0.0, 0.0, 0.0, 0.0, -30.0]), angular_velocities=np.zeros(6)
+    )
+    answer = answer_of_rods(kind, EDGES._replace(lookahead=0.01), states)
+    assert answer.gaps.tolist() == [pytest.approx(0.2, abs=1e-9)]
+    np.testing.assert_allclose(answer.normals, [0.0, 0.0, 1.0], atol=1e-9)
+    # samples see nothing till one is in, and then from the side
+    sampled = answer_of_rods(kind, Settings(threads=1, lookahead=0.01), states)
+    assert not (np.abs(sampled.normals.reshape(-1, 3)[:, 2]) > 0.9).any()
+
+
+def test_a_contact_keeps_its_id_while_rods_move() -> None:
+    answers = [answer_of_rods("box", EDGES, crossed(-OVERLAP, beside)) for beside in (0.010, 0.011, 0.012)]
+    assert len({int(it.contact_ids[np.argmin(it.gaps)]) for it in answers}) == 1
+
+
+def test_planks_that_cross_flat_hold_each_other_at_their_four_crossings() -> None:
+    """Where both outlines cross no sample need be."""
+    world = CollisionWorld(EDGES._replace(contacts_per_pair=100))
+    for body_id in (1, 2):
+        world.add_body(CollisionBody(body_id, body_id, primitive=SolidPrimitive(BOX, (2.0, 0.18, 0.06))))
+    turn = np.sqrt(0.5)
+    positions, turns = [0.0, 0.0, 0.0, 0.03, 0.02, 0.0599], [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, turn, turn]
+    states = FragmentStates(1, 0, np.array([1, 2]), np.array(positions), np.array(turns))
+    answer = world.contacts(states)
+    points = answer.points_a.reshape(-1, 3)
+    for x in (-0.06, 0.12):
+        for y in (-0.09, 0.09):
+            assert np.abs(points - [x, y, 0.03]).max(axis=1).min() < 1e-9
+    np.testing.assert_allclose(answer.gaps, -0.0001, atol=1e-12)
+    np.testing.assert_allclose(answer.normals.reshape(-1, 3), np.tile([0.0, 0.0, 1.0], (len(points), 1)), atol=1e-12)
+
+
+def counts(judged: Iterable[PairDepth]) -> tuple[int, int]:
+    """How many pairs are missed, and too shallow."""
+    judged = list(judged)
+    return sum(it.is_missed for it in judged), sum(it.is_too_shallow for it in judged)
+
+
+def test_most_of_what_samples_leave_out_is_found() -> None:
+    """But for what is deep, in the middle of a body: there the deepest point is of a face."""
+    shapes = {name: COARSE_SHAPES[name] for name in ("brick", "l_block")}
+    sampled, edges = (
+        counts(
+            it
+            for it in campaign(240, 3, shapes, generations=1, settings=Settings(threads=1, surfaces=surfaces))
+            if it.truth < SHALLOW
+        )
+        for surfaces in ("sampled", "edges")
+    )
+    assert sampled[1] > 10
+    assert edges[0] <= sampled[0] and 2 * edges[1] < sampled[1]
+
+
+@pytest.mark.parametrize("lookahead", [0.0, 0.02])
+def test_neither_lists_nor_threads_change_a_byte(case: FracturedWorld, lookahead: float) -> None:
+    settings = EDGES._replace(lookahead=lookahead)
+    worlds = [
+        with_settings(case, it)
+        for it in (settings, settings._replace(threads=2), settings._replace(neighbour_lists=False))
+    ]
+    for world in worlds:
+        world.add_body(tetrahedral_body(brick((1.0, 1.0, 0.5), 0.25), 2000))
+        world.add_body(CollisionBody(2001, 2001, primitive=SolidPrimitive(BOX, (0.8, 0.8, 0.4))))
+    random = np.random.default_rng(5)
+    ids = np.array([*case.oracle.fragment_ids, 2000, 2001])
+    n, crossings = len(ids), 0
+    positions, quaternions = random.uniform(-0.02, 0.02, (n, 3)), random_turns(random, n, 0.02)
+    positions[-2:] = (0.0, 0.0, 0.62), (0.95, 0.3, 0.3)
+    for step in range(1, 41):
+        size = 0.03 if step % 17 == 0 else 0.0 if step % 5 == 0 else 0.0006
+        move = np.flatnonzero(random.random(n) < (1.0 if step % 3 else 0.4))
+        positions[move] += random.uniform(-size, size, (len(move), 3))
+        if size:
+            quaternions[move] = turned(quaternions[move], random_turns(random, len(move), size))
+        states = FragmentStates(
+            step, case.generations, ids, positions.ravel(), quaternions.ravel(),
+            linear_velocities=random.uniform(-1.0, 1.0, 3 * n), angular_velocities=random.uniform(-1.0, 1.0, 3 * n),
+        )  # fmt: skip
+        first, *others = [world.contacts(states) for world in worlds]
+        for other in others:
+            assert_same(first, other)
+        crossings += len(first.gaps)
+    assert crossings > 1000
+
+
+def test_ridges_outlast_what_is_dropped_before_them() -> None:
+    world = CollisionWorld(EDGES)
+    for body_id, size in ((1, 0.25), (2, 0.5), (3, 0.25)):
+        world.add_body(tetrahedral_body(brick((1.0, 1.0, 0.5), size), body_id))
+    ids, turns = np.array([1, 2, 3]), np.tile([0.0, 0.0, 0.0, 1.0], 3)
+    world.contacts(FragmentStates(1, 0, ids, np.arange(9.0), turns))
+    geometry = world._registry.geometry
+
+    def of(row: int) -> np.ndarray:
+        first = geometry.ridges.first[row]
+        return geometry.ridges.rows[first : first + geometry.ridges.count[row]]
+
+    before = of(1).copy(), of(2).copy()
+    assert len(before[0]) != len(before[1])
+    assert geometry.keep_only(np.array([1, 2])).tolist() == [0, 1]
+    for row in (0, 1):
+        np.testing.assert_array_equal(of(row), before[row])
+
+
+@pytest.mark.parametrize("other", [{"selection": "complete"}, {"visit_budget": 1_000_000}])
+def test_by_the_papers_rule_samples_alone_are_asked(case: FracturedWorld, other: dict) -> None:
+    states = case.states(0.01, 4)
+    worlds = [with_settings(case, EDGES._replace(surfaces=surfaces, **other)) for surfaces in ("edges", "sampled")]
+    assert_same(*(world.contacts(states) for world in worlds))
+    # the registry has the ridges: they are asked for again as soon as the rule is another
+    worlds[0].change_settings(EDGES)
+    assert_same(worlds[0].contacts(states), with_settings(case, EDGES).contacts(states))

@@ -1,0 +1,304 @@
+"""Every place where a sphere meets another's surface: against all triangles tried one by one, and all over the sphere.
+
+The slow twin knows which triangles share a corner or an edge from their indices: a nearest point counts if no triangle
+that has it comes nearer to the centre.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from oracles.convex_cells import distances_to_triangles
+from scipy.spatial.transform import Rotation
+from truth.contact_truth import sample_ids
+from worlds.fractured_worlds import fractured_world
+from worlds.rigid_shapes import RigidShape, boundary_of, box_of_quads, hollow_box, noisy_ball, torus, true_distance
+
+from fracture_collision.geometry.concave_shapes import l_block
+from fracture_collision.geometry.generators import TetGeometry, ball, bowl, geodesic_sphere, shell
+from fracture_collision.records import (
+    BUDGET_EXHAUSTED,
+    SPHERE,
+    CollisionBody,
+    ContactConstraintArray,
+    FragmentStates,
+    SolidPrimitive,
+)
+from fracture_collision.world import CollisionWorld, Settings
+
+SETTINGS = Settings(threads=1)
+DIRECTIONS = geodesic_sphere(12)[0]
+BALL = 1000
+ROUNDING = 1e-9
+Solid = Callable[[np.ndarray], np.ndarray]  # points (n, 3) to bools: inside
+
+
+def room() -> RigidShape:
+    """Floor z = 0, walls x = 0 and y = 0, each 1 m thick and 4 m wide, in one body."""
+    solid = np.ones((2, 2, 2), bool)
+    solid[1, 1, 1] = False
+    steps = np.array([-1.0, 0.0, 4.0])
+    return box_of_quads(steps, steps, steps, solid)
+
+
+def groove(half: float = 0.6) -> RigidShape:
+    """A block with a groove along x: floor z = 0, sides y = -half and y = half."""
+    solid = np.ones((1, 3, 2), bool)
+    solid[0, 1, 1] = False
+    return box_of_quads(np.array([-2.0, 2.0]), np.array([-2.0, -half, half, 2.0]), np.array([-1.0, 0.0, 1.0]), solid)
+
+
+def world_of(shape: RigidShape, radius: float, tetrahedra: np.ndarray | None = None, **settings) -> CollisionWorld:
+    world = CollisionWorld(SETTINGS._replace(**settings))
+    mesh = {"triangles": shape.triangles.ravel()} if tetrahedra is None else {"tetrahedra": tetrahedra.ravel()}
+    world.add_body(CollisionBody(1, 1, vertices=shape.vertices.ravel(), **mesh))
+    world.add_body(CollisionBody(2, BALL, primitive=SolidPrimitive(SPHERE, (radius,))))
+    return world
+
+
+def answer_at(world: CollisionWorld, center, step: int = 1) -> ContactConstraintArray:
+    center = np.asarray(center, float)
+    return world.contacts(
+        FragmentStates(step, 0, np.array([1, BALL]), np.append(np.zeros(3), center), np.tile([0.0, 0.0, 0.0, 1.0], 2))
+    )
+
+
+def places_of(answer: ContactConstraintArray, center: np.ndarray, radius: float, other: int = 1) -> np.ndarray:
+    """Witnesses (n, 3) on the other body of those contacts whose own point is on the sphere, by id."""
+    numbers = np.arange(-1, 1_000_000)
+    own = np.isin(answer.contact_ids, sample_ids(BALL, other, numbers))
+    on_ball = answer.points_b.reshape(-1, 3)[own]
+    assert np.allclose(np.linalg.norm(on_ball - center, axis=1), radius, atol=1e-12)
+    return answer.points_a.reshape(-1, 3)[own]
+
+
+def true_places(corners: np.ndarray, is_solid: Solid, center: np.ndarray, reach: float) -> np.ndarray:
+    """Points (n, 3) of the surface of triangles (t, 3, 3) within `reach` [m] where it comes nearest to a centre
+    outside, and faces it.
+    """
+    distance, feet = distances_to_triangles(center, corners)
+    found: list[np.ndarray] = []
+    for t in np.flatnonzero(distance <= reach):
+        having = distances_to_triangles(feet[t], corners)[0] < ROUNDING
+        if (distance[having] < distance[t] - ROUNDING).any():
+            continue
+        before = feet[t] + 1e-5 * (center - feet[t]) / distance[t]
+        if not is_solid(before[None])[0] and not any(np.linalg.norm(feet[t] - p) < 1e-4 for p in found):
+            found.append(feet[t])
+    return np.array(found).reshape(-1, 3)
+
+
+def assert_same_places(found: np.ndarray, truth: np.ndarray) -> None:
+    apart = np.linalg.norm(found[:, None] - truth[None], axis=2)
+    assert len(found) == len(truth)
+    assert (apart.min(axis=1, initial=np.inf) < 1e-6).all() and (apart.min(axis=0, initial=np.inf) < 1e-6).all()
+
+
+def assert_each_depth_is_behind_a_contact(
+    answer: ContactConstraintArray, shape: RigidShape, center: np.ndarray, radius: float
+) -> None:
+    """A point of the sphere that is deeper than the bound is as deep behind a contact's plane (faces that are flat)."""
+    points = center + radius * DIRECTIONS
+    depth = -true_distance(shape, points)
+    deep = depth > max(answer.missed_depth_bound.max(initial=0.0), ROUNDING)
+    away = points[deep, None] - answer.points_a.reshape(-1, 3)
+    behind = -(away * answer.normals.reshape(-1, 3)).sum(axis=2)
+    assert deep.any() and (behind.max(axis=1) >= depth[deep] - ROUNDING).all()
+
+
+@pytest.mark.parametrize(
+    ("shape", "center", "gaps"),
+    [
+        (room(), (0.47, 2.0, 0.48), [-0.03, -0.02]),
+        (room(), (0.47, 0.49, 0.48), [-0.03, -0.02, -0.01]),
+        (room(), (2.0, 2.1, 0.48), [-0.02]),
+        (groove(), (0.1, 0.0, 0.46), [-0.04]),
+        (groove(0.48), (0.1, 0.01, 0.46), [-0.04, -0.03, -0.01]),
+    ],
+    ids=["corner", "three faces", "floor", "wide groove", "groove"],
+)  # fmt: skip
+def test_each_face_has_its_contact(shape: RigidShape, center, gaps) -> None:
+    answer = answer_at(world_of(shape, 0.5), center)
+    assert np.allclose(np.sort(answer.gaps), gaps, atol=1e-12)
+    assert answer.missed_depth_bound[0] < 1e-9 and answer.status == 0
+    assert len(places_of(answer, np.array(center), 0.5)) == len(gaps)
+    assert_each_depth_is_behind_a_contact(answer, shape, np.array(center), 0.5)
+
+
+@pytest.mark.parametrize("as_tetrahedra", [False, True])
+@pytest.mark.parametrize(
+    ("body", "concave"),
+    [
+        (l_block((2.0, 1.6, 0.6), (1.2, 0.9), 0.25), 0), (bowl(2.0, 0.2, 0.35, 0.6), 1), (shell(1.0, 0.8, 0.5), 1),
+        (ball(1.0, 0.4), 0),
+    ],
+    ids=["l", "bowl", "shell", "ball"],
+)  # fmt: skip
+def test_places_are_those_of_brute_force(body: TetGeometry, concave: int, as_tetrahedra: bool) -> None:
+    shape, random = boundary_of(body), np.random.default_rng(2)
+    whole = RigidShape(body.vertices, body.tetrahedra) if as_tetrahedra else shape
+    radius = 0.35
+    world = world_of(whole, radius, body.tetrahedra if as_tetrahedra else None, contacts_per_pair=1000)
+    several = 0
+    for center in random.uniform(-0.9, 0.9, (25, 3)):
+        distance = true_distance(shape, center[None])[0]
+        if not 0.0 < distance < radius:
+            continue
+        found = places_of(answer_at(world, center), center, radius)
+        truth = true_places(shape.corners, lambda x: true_distance(shape, x) < 0.0, center, radius * 1.002)
+        assert_same_places(found, truth)
+        several += len(truth) > 1
+    assert several >= concave
+
+
+def test_places_on_thorns() -> None:
+    """Convex and concave edges and corners, many of them in reach at once."""
+    shape, random, several = noisy_ball(), np.random.default_rng(4), 0
+    world = world_of(shape, 0.4, contacts_per_pair=1000)
+    for direction in random.normal(size=(15, 3)):
+        center = 1.25 * direction / np.linalg.norm(direction)
+        distance = true_distance(shape, center[None])[0]
+        if not 0.0 < distance < 0.4:
+            continue
+        found = places_of(answer_at(world, center), center, 0.4)
+        truth = true_places(shape.corners, lambda x: true_distance(shape, x) < 0.0, center, 0.4008)
+        assert_same_places(found, truth)
+        several += len(truth) > 1
+    assert several >= 3
+
+
+@pytest.mark.parametrize("curved", [False, True])
+def test_places_on_fragments(curved: bool) -> None:
+    """In the gap between fragments that have come apart: each side's own places, on its crack and its old surface."""
+    case = fractured_world(ball(1.0, 0.4), seeds=4, generations=2, curved=curved)
+    world = CollisionWorld(SETTINGS._replace(contacts_per_pair=1000))
+    for body in (*case.messages[0], CollisionBody(9, BALL, primitive=SolidPrimitive(SPHERE, (0.3,)))):
+        world.add_body(body)
+    for event in case.messages[1]:
+        world.add_fracture(event)
+    ids, touched = case.oracle.fragment_ids, 0
+    for center in np.random.default_rng(7).uniform(-0.8, 0.8, (12, 3)):
+        answer = world.contacts(
+            FragmentStates(
+                1, case.generations, np.append(ids, BALL), np.append(np.zeros(3 * len(ids)), center),
+                np.tile([0.0, 0.0, 0.0, 1.0], len(ids) + 1),
+            )
+        )  # fmt: skip
+        for fragment in ids:
+            def is_solid(points: np.ndarray, fragment: int = fragment) -> np.ndarray:
+                return case.oracle.owner(points) == fragment
+
+            if is_solid(center[None])[0]:
+                continue
+            truth = true_places(case.oracle.surface_triangles(fragment), is_solid, center, 0.3 * 1.002)
+            assert_same_places(places_of(answer, center, 0.3, fragment), truth)
+            touched += len(truth)
+    assert touched >= 10
+
+
+def test_within_a_hollow_sphere_the_bound_says_what_is_left() -> None:
+    """Hundreds of facets in reach; the deeper ones are listed, eight of the others far apart."""
+    shape = boundary_of(shell(1.0, 0.8, 0.25))
+    reach = 0.79
+    center = np.array([0.01, 0.02, -0.005])
+    truth = true_places(shape.corners, lambda x: true_distance(shape, x) < 0.0, center, reach * 1.002)
+    depth = reach - np.linalg.norm(truth - center, axis=1)
+    assert len(truth) > 50
+    answer = answer_at(world_of(shape, reach), center)
+    all_of_them = places_of(answer, center, reach)
+    is_deep = depth > 0.002 * reach
+    assert is_deep.sum() <= len(all_of_them) <= is_deep.sum() + 8
+    assert (np.linalg.norm(truth[is_deep, None] - all_of_them, axis=2).min(axis=1) < 1e-6).all()
+    few = answer_at(world_of(shape, reach, penetration_tolerance=0.1), center)
+    chosen = places_of(few, center, reach)
+    assert len(chosen) == 8
+    bound = few.missed_depth_bound[few.fragment_b == BALL][0]
+    listed = np.linalg.norm(truth[:, None] - chosen, axis=2).min(axis=1) < 1e-6
+    # the samples of the shell count for the bound too
+    assert listed.sum() == 8 and depth[~listed].max() <= bound <= 0.1 * reach + ROUNDING
+    along = (chosen - center) / np.linalg.norm(chosen - center, axis=1)[:, None]
+    assert (along @ along.T - 2.0 * np.eye(8)).max() < 0.7  # 45 degrees apart
+    most = answer_at(world_of(shape, reach, max_contacts_per_pair=20), center)
+    assert len(most.gaps) == 20 and most.status == BUDGET_EXHAUSTED
+
+
+@pytest.mark.parametrize("visits", [2, 100, 400])
+def test_the_bound_holds_where_few_triangles_are_looked_at(visits: int) -> None:
+    shape, radius, center = boundary_of(shell(1.0, 0.8, 0.25)), 0.79, np.array([0.03, 0.05, -0.04])
+    answer = answer_at(world_of(shape, radius, max_further_visits=visits), center)
+    found = places_of(answer, center, radius)
+    truth = true_places(shape.corners, lambda x: true_distance(shape, x) < 0.0, center, radius * 1.002)
+    apart = np.linalg.norm(truth[:, None] - found, axis=2).min(axis=1)
+    depth = radius - np.linalg.norm(truth - center, axis=1)
+    assert answer.status == BUDGET_EXHAUSTED
+    assert 1 <= len(found) < len(truth)
+    assert apart[np.argmax(depth)] < 1e-6
+    assert depth[apart > 1e-6].max() <= answer.missed_depth_bound[0]
+
+
+def test_ids_stay_with_the_face() -> None:
+    """Whichever of wall and floor is deeper, and whatever else is touched."""
+    world, ids = world_of(room(), 0.5), []
+    for center in ((0.47, 2.0, 0.48), (0.48, 2.01, 0.47), (0.47, 1.99, 0.6), (0.47, 0.49, 0.48)):
+        answer = answer_at(world, center)
+        wall = np.abs(answer.normals.reshape(-1, 3)[:, 0]) == 1.0
+        ids.append(answer.contact_ids[wall])
+        assert len(set(answer.contact_ids.tolist())) == len(answer.gaps)
+    assert len(np.unique(np.concatenate(ids))) == 1
+
+
+def test_ids_do_not_depend_on_other_bodies() -> None:
+    shape = boundary_of(ball(1.0, 0.4))
+    answers = []
+    for others in ((), (torus(), hollow_box())):
+        world = CollisionWorld(SETTINGS)
+        for i, other in enumerate(others, 10):
+            world.add_body(CollisionBody(i, i, vertices=other.vertices.ravel(), triangles=other.triangles.ravel()))
+        world.add_body(CollisionBody(1, 1, vertices=shape.vertices.ravel(), triangles=shape.triangles.ravel()))
+        world.add_body(CollisionBody(2, BALL, primitive=SolidPrimitive(SPHERE, (0.5,))))
+        answers.append(answer_at(world, (0.3, 0.9, 1.0)))
+    assert len(answers[0].gaps) >= 1
+    assert answers[0].contact_ids.tolist() == answers[1].contact_ids.tolist()
+
+
+def test_contacts_beyond_the_room_are_not_written() -> None:
+    """64 slabs of 1,024 samples fill the rows of one thread and of two to the last; then come spheres."""
+    slab = box_of_quads(
+        np.linspace(-0.5, 0.5, 32), np.linspace(-0.5, 0.5, 16), np.array([-0.05, 0.05]), np.ones((31, 15, 1), bool)
+    )
+    answers = []
+    for threads in (1, 2, 3):
+        world = CollisionWorld(Settings(threads=threads, contacts_per_pair=1024, neighbour_lists=False))
+        world.add_body(CollisionBody(500, 500, plane=np.array([0.0, 0.0, 1.0, 0.0]), is_static=True))
+        for i in range(1, 65):
+            world.add_body(CollisionBody(i, i, vertices=slab.vertices.ravel(), triangles=slab.triangles.ravel()))
+        for i in range(65, 75):
+            world.add_body(CollisionBody(i, i, primitive=SolidPrimitive(SPHERE, (0.2,))))
+        positions = np.array([[3.0 * (i % 8), 3.0 * (i // 8), -0.1] for i in range(74)])
+        positions[64:] += [1.5, 30.0, 0.2]
+        answer = world.contacts(
+            FragmentStates(1, 0, np.arange(1, 75), positions.ravel(), np.tile([0.0, 0.0, 0.0, 1.0], 74))
+        )
+        assert len(answer.gaps) == 64 * 1024 + 10
+        answers.append(b"".join(np.asarray(field).tobytes() for field in answer))
+    assert len(set(answers)) == 1
+
+
+def test_spheres_are_the_same_bytes_for_any_number_of_threads() -> None:
+    random, answers = np.random.default_rng(3), []
+    count, shape = 60, room()
+    positions = random.uniform(0.1, 1.2, (count, 3))
+    turns = Rotation.random(count, random_state=random).as_quat()
+    for threads in (1, 2, 5):
+        world = CollisionWorld(Settings(threads=threads))
+        world.add_body(
+            CollisionBody(1, 1, vertices=shape.vertices.ravel(), triangles=shape.triangles.ravel(), is_static=True)
+        )
+        for i in range(count):
+            world.add_body(CollisionBody(2 + i, 2 + i, primitive=SolidPrimitive(SPHERE, (0.3,))))
+        answer = world.contacts(FragmentStates(1, 0, np.arange(2, 2 + count), positions.ravel(), turns.ravel()))
+        answers.append(b"".join(np.asarray(field).tobytes() for field in answer))
+    assert len(answer.gaps) > 300
+    assert len(set(answers)) == 1

@@ -1,0 +1,54 @@
+"""missed_depth_bound: no sample of either fragment lies deeper in the other without being listed. Not once."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from oracles.fracture_patterns import voronoi_event
+from oracles.fragmented_body import FragmentedBody
+from truth.certificate_campaign import Part, campaign
+from truth.contact_truth import COARSE_SHAPES, ContactTruth, Poses, check_pair, pairs_of
+from worlds.fractured_worlds import FracturedWorld
+
+from fracture_collision.geometry.generators import brick
+from fracture_collision.records import CollisionBody, FragmentStates
+from fracture_collision.world import CollisionWorld, Settings
+
+QUICK = {name: COARSE_SHAPES[name] for name in ("torus", "l_block", "shell")}
+
+
+def assert_holds(parts: list[Part], pairs: int) -> None:
+    assert sum(p.full.pairs + p.budgeted.pairs for p in parts) >= pairs
+    assert not [violation for part in parts for violation in part.violations]
+    assert sum(p.full.touching for p in parts) > 0 and sum(p.budgeted.touching for p in parts) > 0
+    # a budget has its price, and the bound says so
+    full, budgeted = (np.concatenate([getattr(p, kind).looseness for p in parts]) for kind in ("full", "budgeted"))
+    assert np.median(full) < np.median(budgeted)
+
+
+def test_the_bound_holds_for_some_pairs() -> None:
+    assert_holds(list(campaign(500, 2, QUICK, generations=1)), 500)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_the_bound_holds_for_a_hundred_thousand_pairs() -> None:
+    assert_holds(list(campaign(100_000, 1)), 100_000)
+
+
+def test_crack_samples_close_around_an_interior_node_are_not_missed() -> None:
+    """A crack 0.0005 R beside a layer of interior nodes: their crack samples lie within epsilon of them."""
+    body = brick((2.0, 2.0, 2.0), 0.5)
+    oracle, world = FragmentedBody(*body), CollisionWorld(Settings(threads=1))
+    event = voronoi_event(oracle, 1, np.array([[0.0, 0.0, 0.0], [1.001, 0.0, 0.0]]), 2)
+    oracle.apply(event)
+    message = CollisionBody(1, 1, vertices=body.vertices.ravel(), tetrahedra=body.tetrahedra.ravel(), density=1.0)
+    world.add_body(message)
+    world.add_fracture(event)
+    shift = np.array([0.15, 0.0, 0.0, 0.0, 0.0, 0.0])
+    states = FragmentStates(1, 1, np.array([2, 3]), shift, np.tile([0.0, 0.0, 0.0, 1.0], 2))
+    answer = world.contacts(states)
+    truth = ContactTruth(FracturedWorld(world, oracle, 1, False, ([message], [event])))
+    check = check_pair(truth, Poses(states), answer, (2, 3), pairs_of(answer), 0.002)
+    assert check.contacts > 0
+    assert check.deepest_unlisted <= check.bound

@@ -1,0 +1,301 @@
+"""Rigid bodies of triangles alone: the field against brute force, contacts, masses, and what they share."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from oracles.convex_cells import distances_to_triangles, nearest_on_triangles
+from oracles.fragmented_body import ALL_KINDS
+from scipy.spatial.transform import Rotation
+from truth.contact_truth import sample_ids
+from worlds.fractured_worlds import fractured_world
+from worlds.rigid_shapes import (
+    RigidShape,
+    boundary_of,
+    cube,
+    hollow_box,
+    l_block,
+    noisy_ball,
+    torus,
+    true_distance,
+)
+
+from fracture_collision.core.bodies.collision_geometry import CollisionGeometry, prepare_surface
+from fracture_collision.core.field.crack_normal import FARTHER
+from fracture_collision.core.field.elementary_queries import INSIDE, NEAR, OUTSIDE, probe, sphere_test
+from fracture_collision.core.mesh.triangle_field import STACK, triangle_distance, triangle_within
+from fracture_collision.core.search.scratch import make_scratch
+from fracture_collision.geometry.generators import ball, bowl, brick, shell
+from fracture_collision.records import SPHERE, CollisionBody, FragmentStates, SolidPrimitive
+from fracture_collision.world import CollisionWorld, Settings
+
+SHAPES = {"torus": torus, "l_block": l_block, "cube": cube, "noisy_ball": noisy_ball, "hollow_box": hollow_box}
+SETTINGS = Settings(threads=1, selection="complete")
+STACK_SPACE = np.empty(STACK, np.int32)
+IN_PLACE = np.array([0.0, 0.0, 0.0, 1.0])
+
+
+@pytest.fixture(scope="module", params=SHAPES)
+def shape(request) -> RigidShape:
+    return SHAPES[request.param]()
+
+
+@pytest.fixture(scope="module")
+def geometry(shape: RigidShape) -> CollisionGeometry:
+    geometry = CollisionGeometry()
+    # another mesh first, so that no row of the pools is by chance its own index
+    geometry.add_triangles(prepare_surface(*noisy_ball(5)))
+    assert geometry.add_triangles(prepare_surface(*shape)) == 1
+    return geometry
+
+
+def _points(shape: RigidShape) -> np.ndarray:
+    """In and around the body, and hard by its faces, edges and corners on both sides."""
+    random = np.random.default_rng(2)
+    low, high = shape.vertices.min(axis=0), shape.vertices.max(axis=0)
+    spread = random.uniform(low - 0.2, high + 0.2, (250, 3))
+    chosen = shape.corners[random.integers(0, len(shape.corners), 300)]
+    weights = random.dirichlet(np.ones(3), 300)
+    weights[100:200, 2] = 0.0
+    weights[200:, 1:] = 0.0
+    weights /= weights.sum(axis=1, keepdims=True)
+    near = np.einsum("ij,ijk->ik", weights, chosen)
+    steps = random.normal(size=near.shape) * 10.0 ** random.uniform(-7, -1, (300, 1))
+    return np.vstack([spread, near + steps])
+
+
+def test_signed_distance_is_that_of_all_triangles(shape: RigidShape, geometry: CollisionGeometry) -> None:
+    points = _points(shape)
+    expected = true_distance(shape, points)
+    assert (expected < 0).sum() > 50 and (expected > 0).sum() > 50
+    pools, radius = geometry.pools, geometry.pools.fragment.radius[1]
+    for point, distance in zip(points, expected, strict=True):
+        d, *rest = triangle_distance(pools.triangles, 1, radius, *point, STACK_SPACE)
+        normal, closest = np.array(rest[:3]), np.array(rest[3:])
+        assert abs(d - distance) <= 1e-12
+        assert true_distance(shape, closest[None])[0] == pytest.approx(0.0, abs=1e-12)
+        assert np.linalg.norm(normal) == pytest.approx(1.0, abs=1e-12)
+        # the direction leads from the closest point outward to the point, or from the point outward to it
+        assert np.allclose(closest + d * normal, point, atol=1e-12)
+
+
+def test_direction_on_a_face_is_its_normal(shape: RigidShape, geometry: CollisionGeometry) -> None:
+    pools, radius = geometry.pools, geometry.pools.fragment.radius[1]
+    for a, b, c in shape.corners[::3]:
+        d, *rest = triangle_distance(pools.triangles, 1, radius, *((a + b + c) / 3.0), STACK_SPACE)
+        normal = np.cross(b - a, c - a)
+        assert abs(d) <= 1e-15
+        assert np.allclose(rest[:3], normal / np.linalg.norm(normal), atol=1e-12)
+
+
+def test_direction_on_edges_and_corners_is_the_pseudonormal() -> None:
+    geometry = CollisionGeometry()
+    geometry.add_triangles(prepare_surface(*cube()))
+    for point in ([0.5, 0.5, 0.25], [-0.5, 0.125, 0.5], [0.5, -0.5, 0.5], [-0.5, -0.5, -0.5]):
+        expected = np.sign(point) * (np.abs(point) == 0.5)
+        d, *rest = triangle_distance(geometry.pools.triangles, 0, 0.5, *point, STACK_SPACE)
+        assert d == 0.0
+        assert np.allclose(rest[:3], expected / np.linalg.norm(expected), atol=1e-12)
+
+
+def test_probe_and_sphere_test_keep_their_word(shape: RigidShape, geometry: CollisionGeometry) -> None:
+    points = _points(shape)[::3]
+    expected = true_distance(shape, points)
+    scratch = make_scratch(1, 1, 8)
+    for point, true in zip(points, expected, strict=True):
+        for near in (0.0, 0.05, 0.3):
+            status, d, *_ = probe(geometry.pools, 1, *point, near, np.inf, scratch, 0)
+            if true > 1e-12:
+                assert status == (NEAR if true <= near else OUTSIDE)
+                assert d <= true + 1e-12
+            elif true < -1e-12:
+                assert (status, abs(d - true) <= 1e-12) == (INSIDE, True)
+        for r in (1e-3, 0.05, 0.4):
+            assert triangle_within(geometry.pools.triangles, 1, *point, r) == (abs(true) <= r)
+            for lower_bound in (-np.inf, min(true, 0.0), true):
+                assert sphere_test(geometry.pools, 1, lower_bound, *point, r, scratch, 0) == (true <= r)
+
+
+def test_hierarchy_holds_every_triangle_once(geometry: CollisionGeometry, shape: RigidShape) -> None:
+    meshes = geometry.pools.triangles
+    begin, end = meshes.node_range[1]
+    first, last = meshes.triangle_range[1]
+    assert last - first == len(shape.triangles)
+    corners = meshes.corners.reshape(-1, 3, 3)
+    seen = []
+    node = begin
+    while node < end:
+        count = meshes.node_count[node]
+        below = range(node, meshes.node_skip[node])
+        leaves = [t for b in below for t in range(meshes.node_first[b], meshes.node_first[b] + meshes.node_count[b])]
+        held = corners[leaves].reshape(-1, 3)
+        assert np.array_equal(meshes.node_box[node], np.concatenate([held.min(axis=0), held.max(axis=0)]))
+        if count:
+            assert meshes.node_skip[node] == node + 1
+            seen += leaves
+        node += 1
+    assert seen == list(range(first, last))
+    mine = corners[first:last].reshape(-1, 9)
+    assert np.array_equal(np.unique(mine, axis=0), np.unique(shape.corners.reshape(-1, 9), axis=0))
+
+
+def _world_of(shape: RigidShape, *others: CollisionBody, settings: Settings = SETTINGS, **fields) -> CollisionWorld:
+    world = CollisionWorld(settings)
+    world.add_body(CollisionBody(1, 1, vertices=shape.vertices.ravel(), triangles=shape.triangles.ravel(), **fields))
+    for other in others:
+        world.add_body(other)
+    return world
+
+
+@pytest.mark.parametrize(
+    "body", [ball(1.0, 0.3), shell(1.0, 0.6, 0.4), bowl(2.0, 0.2, 0.4, 0.6), brick((2.0, 1.0, 0.8), 0.4)]
+)
+def test_masses_are_those_of_the_same_body_in_tetrahedra(body) -> None:
+    surface = boundary_of(body)
+    moved = RigidShape(surface.vertices + [0.3, -2.0, 1.0], surface.triangles)
+    whole = CollisionWorld(SETTINGS)
+    whole.add_body(
+        CollisionBody(
+            1, 1, vertices=(body.vertices + [0.3, -2.0, 1.0]).ravel(), tetrahedra=body.tetrahedra.ravel(), density=700.0
+        )
+    )
+    mine, theirs = _world_of(moved, density=700.0).fragments(), whole.fragments()
+    assert mine.masses[0] == pytest.approx(theirs.masses[0], rel=1e-12)
+    assert np.allclose(mine.centers_of_mass, theirs.centers_of_mass, atol=1e-12)
+    assert np.allclose(mine.inertias, theirs.inertias, atol=1e-12 * theirs.masses[0] * 10.0)
+    assert mine.sampling_gaps[0] == pytest.approx(theirs.sampling_gaps[0])
+
+
+def test_mass_of_a_block_in_closed_form() -> None:
+    registry = _world_of(l_block(), density=1000.0).fragments()
+    volume = (1.7 * 1.5 - 0.7 * 0.9) * 0.6
+    assert registry.masses[0] == pytest.approx(1000.0 * volume, rel=1e-14)
+    x = (1.7 * 1.5 * (-0.15) - 0.7 * 0.9 * 0.35) * 0.6 / volume
+    assert registry.centers_of_mass[0] == pytest.approx(x, rel=1e-13)
+
+
+def test_masses_are_trimeshs(shape: RigidShape) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    theirs = trimesh.Trimesh(shape.vertices, shape.triangles, process=False)
+    theirs.density = 900.0
+    registry = _world_of(shape, density=900.0).fragments()
+    assert registry.masses[0] == pytest.approx(theirs.mass, rel=1e-12)
+    assert np.allclose(registry.centers_of_mass, theirs.center_mass, atol=1e-12)
+    xx, xy, xz, yy, yz, zz = registry.inertias
+    assert np.allclose([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]], theirs.moment_inertia, atol=1e-9)
+
+
+def test_a_sphere_touches_where_brute_force_says(shape: RigidShape) -> None:
+    """The deepest contact whose own point is on the sphere; test_sphere_contacts.py has the others."""
+    world = _world_of(shape, CollisionBody(2, 2, primitive=SolidPrimitive(SPHERE, (0.2,))))
+    random = np.random.default_rng(6)
+    touching, place = 0, np.array([0.5, 0.1, -0.3])
+    for _ in range(40):
+        center, turn = random.uniform(-1.2, 1.2, 3), Rotation.random(random_state=random)
+        states = FragmentStates(
+            1, 0, np.array([1, 2]), np.concatenate([place, center]), np.concatenate([turn.as_quat(), IN_PLACE])
+        )
+        answer = world.contacts(states)
+        in_body = turn.inv().apply(center - place)
+        distance, nearest = nearest_on_triangles(in_body[None], shape.corners)
+        gap = true_distance(shape, in_body[None])[0] - 0.2
+        own, its = answer.points_b.reshape(-1, 3), answer.points_a.reshape(-1, 3)
+        on_sphere = np.abs(np.linalg.norm(own - center, axis=1) - 0.2) < 1e-12
+        if gap > world.settings.detection_tolerance * 0.2:
+            assert not len(answer.gaps)
+            continue
+        deepest = np.flatnonzero(on_sphere)[np.argmin(answer.gaps[on_sphere])]
+        assert answer.gaps[deepest] == pytest.approx(gap, abs=1e-12)
+        assert np.linalg.norm(its[deepest] - center) == pytest.approx(distance[0], abs=1e-12)
+        assert true_distance(shape, turn.inv().apply(its[deepest] - place)[None])[0] == pytest.approx(0.0, abs=1e-12)
+        if np.count_nonzero(np.abs(distances_to_triangles(in_body, shape.corners)[0] - distance[0]) < 1e-6) == 1:
+            assert np.allclose(its[deepest], turn.apply(nearest[0]) + place, atol=1e-12)
+        touching += 1
+    assert touching >= 5
+
+
+@pytest.mark.parametrize("normals", ["nearest", "facing"])
+@pytest.mark.parametrize("jitter", [0.05, 0.2])
+def test_fragments_against_a_rigid_body(shape: RigidShape, jitter: float, normals: str) -> None:
+    """Gaps both ways against brute force; no sample deeper than the bound is left out. R = 1 m.
+
+    A facing surface may be farther than the nearest, by up to `crack_normal.FARTHER`.
+    """
+    farther = FARTHER if normals == "facing" else 0.0
+    case = fractured_world(ball(1.0, 0.4), seeds=5, generations=1)
+    world = CollisionWorld(SETTINGS._replace(normals=normals))
+    world.add_body(case.messages[0][0]._replace(body_id=1))
+    world.add_body(CollisionBody(2, 500, vertices=shape.vertices.ravel(), triangles=shape.triangles.ravel()))
+    world.add_fracture(case.messages[1][0])
+    base = case.states(jitter, seed=3)
+    turn = Rotation.random(random_state=np.random.default_rng(4))
+    offset = np.array([0.9, 0.3, 0.2])
+    states = FragmentStates(
+        1, 1, np.append(base.fragment_ids, 500), np.append(base.positions, offset),
+        np.append(base.orientations, turn.as_quat()),
+    )  # fmt: skip
+    answer = world.contacts(states)
+    epsilon = SETTINGS.penetration_tolerance
+    positions = dict(zip(states.fragment_ids.tolist(), states.positions.reshape(-1, 3), strict=True))
+    rotations = dict(
+        zip(states.fragment_ids.tolist(), Rotation.from_quat(states.orientations.reshape(-1, 4)), strict=True)
+    )
+    depth_in = {
+        f: (lambda x, f=f: case.oracle.depth(f, x, ALL_KINDS)[0]) for f in case.oracle.fragment_ids
+    }
+    depth_in[500] = lambda x: np.maximum(-true_distance(shape, x), 0.0)
+    geometry, checked = world._registry.geometry, 0
+    for fragment in case.oracle.fragment_ids:
+        pair = np.flatnonzero((answer.fragment_a == fragment) & (answer.fragment_b == 500))
+        rows = slice(answer.pair_begin[pair[0]], answer.pair_begin[pair[0] + 1]) if len(pair) else slice(0, 0)
+        bound = answer.missed_depth_bound[pair[0]] if len(pair) else epsilon
+        assert bound <= epsilon + 1e-9
+        gaps = dict(zip(answer.contact_ids[rows].tolist(), answer.gaps[rows].tolist(), strict=True))
+        for own, other in ((fragment, 500), (500, fragment)):
+            tree = geometry.sphere_tree(world._registry.row_of(own))
+            leaf = (tree.size == 1) & (tree.on_surface == 1)
+            in_world = rotations[own].apply(tree.center[leaf]) + positions[own]
+            depths = depth_in[other](rotations[other].inv().apply(in_world - positions[other]))
+            for key, depth in zip(sample_ids(own, other, tree.sample[leaf]).tolist(), depths, strict=True):
+                if key not in gaps:
+                    assert depth <= bound
+                elif depth > 1e-9:
+                    assert depth - 1e-9 <= -gaps[key] <= depth + farther + 1e-9
+                    checked += 1
+    assert checked >= 10
+
+
+def test_equal_geometries_share_one_preprocess() -> None:
+    shape = noisy_ball()
+    world = _world_of(shape)
+    for i in (2, 3):
+        world.add_body(CollisionBody(i, i, vertices=shape.vertices.ravel(), triangles=shape.triangles.ravel()))
+    assert world.fragments().fragment_ids.tolist() == [1, 2, 3]
+    pools = world._registry.geometry.pools
+    assert len(pools.triangles.node_range) == 1 and len(pools.triangles.corners) == len(shape.triangles)
+    assert (pools.fragment.tree_begin == pools.fragment.tree_begin[0]).all()
+
+
+def test_same_bytes_for_any_number_of_threads() -> None:
+    shape = noisy_ball()
+    twins = [CollisionBody(i, i, vertices=shape.vertices.ravel(), triangles=shape.triangles.ravel()) for i in (2, 3)]
+    random = np.random.default_rng(9)
+    states = FragmentStates(
+        1,
+        0,
+        np.array([1, 2, 3]),
+        random.uniform(-0.7, 0.7, 9),
+        Rotation.random(3, random_state=random).as_quat().ravel(),
+    )
+    answers = [_world_of(shape, *twins, settings=Settings(threads=t)).contacts(states) for t in (1, 2, 5)]
+    assert len(answers[0].gaps) > 10
+    assert len({b"".join(np.asarray(field).tobytes() for field in answer) for answer in answers}) == 1
+
+
+def test_viewers_get_the_triangles_as_they_came(shape: RigidShape) -> None:
+    mesh = _world_of(shape).fragment_mesh(1)
+    corners = mesh.vertices.reshape(-1, 3)[mesh.triangles.reshape(-1, 3)].reshape(-1, 9)
+    assert np.array_equal(
+        np.unique(corners, axis=0), np.unique(shape.corners.astype(np.float32).reshape(-1, 9), axis=0)
+    )
+    assert not mesh.is_crack.any()

@@ -1,0 +1,128 @@
+"""Contacts of two that have hardly parted come from seeds: they are contacts, spread, and bounded."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from worlds.fractured_worlds import FracturedWorld, fractured_world, with_settings
+
+from fracture_collision.geometry.generators import ball, shell
+from fracture_collision.records import ContactConstraintArray
+from fracture_collision.world import CollisionWorld, Settings
+from fracture_collision.world.inspection import EVERY_CONTACT
+
+EPSILON = 0.05  # [R]
+SEEDED = Settings(threads=1, neighbour_lists=False, penetration_tolerance=EPSILON)
+EVERYTHING = SEEDED._replace(contacts_per_pair=EVERY_CONTACT)
+NEAREST = {"normals": "nearest"}  # depths of the bound, which gaps along turned normals are not
+Contact = tuple[float, ...]
+
+
+@pytest.fixture(scope="module", params=["ball", "shell, curved, twice"])
+def case(request) -> FracturedWorld:
+    if request.param == "ball":
+        return fractured_world(ball(1.0, 0.2), 7)
+    return fractured_world(shell(1.0, 0.8, 0.25), 7, generations=2, curved=True)
+
+
+def contacts_by_pair(answer: ContactConstraintArray) -> dict[tuple[int, int], dict[int, Contact]]:
+    """Of each pair its contacts by their ids: witnesses, normal, gap."""
+    points = zip(answer.points_a.reshape(-1, 3), answer.points_b.reshape(-1, 3), strict=True)
+    rows = [(*a, *b) for a, b in points]
+    rows = [(*row, *n, g) for row, n, g in zip(rows, answer.normals.reshape(-1, 3), answer.gaps, strict=True)]
+    found = {}
+    for k, pair in enumerate(zip(answer.fragment_a.tolist(), answer.fragment_b.tolist(), strict=True)):
+        part = slice(int(answer.pair_begin[k]), int(answer.pair_begin[k + 1]))
+        found[pair] = dict(zip(answer.contact_ids[part].tolist(), rows[part], strict=True))
+    return found
+
+
+def visits_and_answer(world: CollisionWorld, states) -> tuple[int, ContactConstraintArray]:
+    answer = world.contacts(states)
+    return world.last_visits, answer
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.004, 0.01])
+def test_seeds_are_among_all_contacts(case: FracturedWorld, jitter: float) -> None:
+    """The slow twin is the search for all contacts, which knows no seeds: none has so many."""
+    states = case.states(jitter)
+    visits, answer = visits_and_answer(with_settings(case, SEEDED), states)
+    all_visits, everything = visits_and_answer(with_settings(case, EVERYTHING), states)
+    seeded, known = contacts_by_pair(answer), contacts_by_pair(everything)
+    wanted = SEEDED.contacts_per_pair
+    assert {pair for pair, own in known.items() if own} == {pair for pair, own in seeded.items() if own}
+    for pair, own in seeded.items():
+        assert len(own) >= min(wanted, len(known[pair])), f"{pair}: {len(own)} of {len(known[pair])}"
+        for name, contact in own.items():
+            assert contact == known[pair][name], f"{pair}: another contact"
+    assert sum(len(own) >= wanted for own in seeded.values()) > 5 and visits < all_visits
+
+
+def test_in_place_nothing_is_searched(case: FracturedWorld) -> None:
+    """Two that share a crack cost eight questions, however large it is."""
+    world, states = with_settings(case, SEEDED), case.states(0.0)
+    pairs = [pair for pair in contacts_by_pair(world.contacts(states)) if len(_seeds_of(world, pair)) >= 8]
+    assert len(pairs) > 5
+    for a, b in pairs:
+        chosen = np.isin(states.fragment_ids, (a, b))
+        two = states._replace(
+            fragment_ids=states.fragment_ids[chosen], positions=states.positions.reshape(-1, 3)[chosen].ravel(),
+            orientations=states.orientations.reshape(-1, 4)[chosen].ravel(),
+        )  # fmt: skip
+        visits, answer = visits_and_answer(world, two)
+        assert visits == 8 and answer.pair_begin.tolist() == [0, 8]
+        assert np.abs(answer.gaps).max() < 1e-12 and answer.missed_depth_bound[0] < 1e-11
+
+
+def test_contacts_are_spread(case: FracturedWorld) -> None:
+    """Farthest first: none of a pair's seeds is farther from its eight contacts in place than these are apart."""
+    world = with_settings(case, SEEDED)
+    answer = world.contacts(case.states(0.0))
+    checked = 0
+    for pair, own in contacts_by_pair(answer).items():
+        crossings = _seeds_of(world, pair)
+        if len(crossings) < SEEDED.contacts_per_pair:
+            continue
+        points = np.array([contact[:3] for contact in own.values()])
+        apart = np.linalg.norm(points[:, None] - points[None], axis=2)[np.triu_indices(len(points), 1)].min()
+        off = np.linalg.norm(crossings[:, None] - points[None], axis=2).min(axis=1).max()
+        assert off <= apart * (1.0 + 1e-9)
+        checked += 1
+    assert checked > 5
+
+
+def _seeds_of(world: CollisionWorld, pair: tuple[int, int]) -> np.ndarray:
+    """Crossings (n, 3) [m] of a pair's seeds; two that meet at a corner alone have none."""
+    pools, registry = world._registry.geometry.pools, world._registry
+    a, b = sorted(registry.row_of(f) for f in pair)
+    begin, end = pools.fragment.seeds[a]
+    at = begin + np.searchsorted(pools.seeds.keys[begin:end], a << 32 | b)
+    if at == end or pools.seeds.keys[at] != a << 32 | b:
+        return np.empty((0, 3))
+    edges = pools.seeds.edges[slice(*pools.seeds.ranges[at])]
+    ends = pools.mesh.nodes[pools.mesh.edges[edges]]
+    share = pools.body.edge_share[edges + pools.fragment.edge_shift[a]]
+    return ends[:, 0] + share[:, None] * (ends[:, 1] - ends[:, 0])
+
+
+@pytest.mark.parametrize("budget", [1, 3, 20])
+def test_a_budget_counts_seeds_too(case: FracturedWorld, budget: int) -> None:
+    """A budget that not even the seeds fit in leaves contacts all the same, and the bound says how deep others are."""
+    states = case.states(0.004)
+    everything = with_settings(case, EVERYTHING._replace(**NEAREST)).contacts(states)
+    pairs = len(everything.fragment_a)
+    world = with_settings(case, SEEDED._replace(visit_budget=budget * 4 * pairs, **NEAREST))
+    answer = world.contacts(states)
+    bounds = dict(
+        zip(
+            zip(answer.fragment_a.tolist(), answer.fragment_b.tolist(), strict=True),
+            answer.missed_depth_bound.tolist(), strict=True,
+        )
+    )  # fmt: skip
+    own, known = contacts_by_pair(answer), contacts_by_pair(everything)
+    for pair, contacts in known.items():
+        missed = [-contact[-1] for name, contact in contacts.items() if name not in own.get(pair, {})]
+        if missed and pair in bounds:
+            assert max(missed) <= bounds[pair]
+    assert len(answer.gaps) > 0
+

@@ -1,0 +1,135 @@
+"""What an update does in a quick way of its own, here against the general one."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from worlds.fractured_worlds import SETTINGS, FracturedWorld, fractured_world, with_settings
+
+from fracture_collision.core.fracture import touched_tetrahedra
+from fracture_collision.core.memory.pools import BACK_SIDE, FANNED, FRONT_SIDE, KIND, OLD_FACE, OWNER, PARTED, ROW
+from fracture_collision.core.mesh.connected_pieces import connected_pieces
+from fracture_collision.core.mesh.cut_tetrahedron import CUT, DIVIDED
+from fracture_collision.geometry.generators import ball, brick, plate, shell
+from fracture_collision.records import ContactConstraintArray, FragmentStates
+from fracture_collision.world.gates.fracture_match import first_split
+
+SHAPES = {
+    "ball": ball(1.0, 0.35),
+    "shell": shell(1.0, 0.8, 0.5),
+    "brick": brick((2.0, 1.0, 0.8), 0.4),  # planes along its faces: ties
+    "plate": plate(2.0, 0.2, 0.3, 0.2),
+}
+
+
+@pytest.fixture(params=[(name, curved) for name in SHAPES for curved in (False, True)], ids=str)
+def pair(request, monkeypatch) -> tuple[FracturedWorld, FracturedWorld]:
+    """A world, the same one with every cut made about a hub."""
+    name, curved = request.param
+    find_touched = touched_tetrahedra.find_touched
+
+    def all_divided(*arguments):
+        touched = find_touched(*arguments)
+        touched.kinds[touched.kinds == CUT] = DIVIDED
+        return touched
+
+    quick = fractured_world(SHAPES[name], 7, generations=3, curved=curved)
+    monkeypatch.setattr(touched_tetrahedra, "find_touched", all_divided)
+    world = with_settings(quick, SETTINGS)
+    world.contacts(quick.states())
+    return quick, quick._replace(world=world)
+
+
+def test_one_plane_parts_as_a_fan_does(pair) -> None:
+    quick, general = pair
+    rows = [quick.row(f) for f in quick.oracle.fragment_ids]
+    assert rows == [general.row(f) for f in quick.oracle.fragment_ids]
+    told = [case.world.fragments()._replace(sampling_gaps=None) for case in (quick, general)]  # bounds, of other fans
+    for own, other in zip(*told, strict=True):
+        if isinstance(own, np.ndarray) and own.dtype == np.float64:
+            np.testing.assert_allclose(own, other, rtol=1e-9, atol=1e-9 * np.abs(own).max(initial=0.0))
+        else:
+            assert np.array_equal(own, other)
+    a, b = quick.geometry.pools, general.geometry.pools
+    assert (a.body.regions[:, OWNER] == PARTED).any() and (a.body.regions[:, OWNER] == FANNED).any()
+    assert not (b.body.regions[:, OWNER] == PARTED).any()
+    np.testing.assert_allclose(a.fragment.box[rows], b.fragment.box[rows], rtol=0.0, atol=1e-12)
+    assert np.array_equal(a.fragment.cells[rows], b.fragment.cells[rows])
+    assert np.array_equal(a.occupancy, b.occupancy)
+    own, other = _areas(quick, rows), _areas(general, rows)
+    scale = sum(own.values())
+    for key in own.keys() | other.keys():
+        assert abs(own.get(key, 0.0) - other.get(key, 0.0)) < 1e-9 * scale, key
+
+
+def _areas(case: FracturedWorld, rows: list[int]) -> dict[tuple[int, int, int, int], float]:
+    """Area [m2] by (tetrahedron, old face or -1, front, back); which side of a crack is in front does not matter."""
+    body, shift = case.geometry.pools.body, case.geometry.pools.fragment.tet_shift[rows[0]]
+    areas: dict[tuple[int, int, int, int], float] = defaultdict(float)
+    for t in case.geometry.tet_range(rows[0]):
+        begin = body.regions[t + shift, ROW]
+        for i in range(begin, begin + body.cut_count[t + shift]):
+            p, q, r = body.triangles[i].reshape(3, 3)
+            face = max(int(body.sides[i, KIND]) - OLD_FACE, -1)
+            sides = sorted((int(body.sides[i, FRONT_SIDE]), int(body.sides[i, BACK_SIDE])))
+            areas[(t, face, sides[0], sides[1])] += 0.5 * float(np.linalg.norm(np.cross(q - p, r - p)))
+    return areas
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.integers(1, 40), st.integers(0, 90), st.integers(1, 5), st.integers(0, 2**32 - 1))
+def test_split_parts_are_those_that_scipy_finds(nodes: int, edges: int, count: int, seed: int) -> None:
+    random = np.random.default_rng(seed)
+    ends = np.sort(random.integers(0, nodes, (edges, 2)), axis=1).astype(np.int32)
+    ends = ends[np.argsort(ends[:, 0], kind="stable")]
+    begin = np.searchsorted(ends[:, 0], np.arange(nodes + 1))
+    labels = random.integers(-1, count, nodes).astype(np.int32)
+    pieces = connected_pieces(ends, labels)
+    split = [p for p in range(count) if len(np.unique(pieces[labels == p])) > 1]
+    of_ends = labels[ends]
+    between = int(((of_ends >= 0).all(axis=1) & (of_ends[:, 0] != of_ends[:, 1])).sum())
+    assert first_split(ends, begin, labels, count) == (split[0] if split else -1, between)
+
+
+EVERY = SETTINGS._replace(penetration_tolerance=0.0, contacts_per_pair=10**6, normals="nearest")
+
+
+@pytest.mark.parametrize("curved", [False, True], ids=["flat", "curved"])
+def test_no_sample_is_deeper_than_it_has_moved(curved: bool) -> None:
+    """Fragments hardly moved: with epsilon above the way they went no search is needed, and the bound says how far."""
+    case = fractured_world(ball(1.0, 0.25), 8, generations=2, curved=curved)
+    coarse = SETTINGS._replace(penetration_tolerance=0.05, neighbour_lists=False)
+    quick, every = with_settings(case, coarse), with_settings(case, EVERY._replace(neighbour_lists=False))
+    visits = np.zeros(2)
+    for seed in range(5):
+        states = case.states(0.01, seed)
+        answer, full = quick.contacts(states), every.contacts(states)
+        visits += quick.last_visits, every.last_visits
+        told = {pair: i for i, pair in enumerate(_pairs(answer))}
+        for i, pair in enumerate(_pairs(full)):
+            deepest = -full.gaps[full.pair_begin[i] : full.pair_begin[i + 1]].min(initial=0.0)
+            bound, listed = coarse.penetration_tolerance, 0.0
+            if pair in told:
+                k = told[pair]
+                bound = answer.missed_depth_bound[k]
+                listed = -answer.gaps[answer.pair_begin[k] : answer.pair_begin[k + 1]].min(initial=0.0)
+            assert deepest <= max(bound, listed) + 1e-12
+    assert visits[0] < visits[1]
+
+
+def _pairs(answer: ContactConstraintArray) -> list[tuple[int, int]]:
+    return list(zip(answer.fragment_a.tolist(), answer.fragment_b.tolist(), strict=True))
+
+
+def test_in_place_no_sample_is_inside_another() -> None:
+    case = fractured_world(ball(1.0, 0.4), 8, generations=3, curved=True)
+    ids = np.array(case.oracle.fragment_ids)
+    still = np.tile([0.0, 0.0, 0.0, 1.0], len(ids))
+    states = FragmentStates(1, case.generations, ids, np.zeros(3 * len(ids)), still)
+    answer = with_settings(case, EVERY).contacts(states)
+    assert len(answer.gaps) > 100
+    assert answer.gaps.min() > -1e-12

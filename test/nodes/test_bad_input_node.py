@@ -1,0 +1,153 @@
+"""Some hundred bad messages to a real node over DDS: each is counted under its kind, and the node is what it was."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+from stages.ros_client import ServiceClient
+from worlds.gate_world import EARLIER, FIRST, REFERENCE, record_bytes
+
+from campaigns.bad_input.campaign import every_case, picking
+from campaigns.bad_input.clean_scene import CLEAN, ENDING, SETTINGS
+from campaigns.bad_input.doors import REFUSED, RunDoor, as_bytes
+from campaigns.bad_input.serialized import valid_messages
+from campaigns.bad_input.trial import Case, spoilt
+from fracture_collision.records import INVALID_STATES
+from fracture_collision.ros.processes.node_process import NodeProcess, free_domain_id
+
+RUN = 41
+WAITED_FOR = 4  # /diagnostics speaks once a second
+LATCHED = ("bodies", "fracture_events")
+MORE_MEMORY = 20e6  # [bytes] DDS keeps what it has received of a latched topic
+# Topics keep no order between them: the event is sent when its body is known to have come.
+BEGINNING = (*CLEAN[:-2], ("fragment_states", EARLIER), *CLEAN[-2:])
+LIMITS = {"threads": 1, "max_nodes": SETTINGS.max_nodes, "max_fragments": SETTINGS.max_fragments}
+
+
+def refused_cases(topic: str) -> list[tuple[Case, str]]:
+    """Cases that a message can say and that are refused for certain, and their kinds."""
+    twin, found = RunDoor(SETTINGS), []
+    for door, case in (*every_case(seed=3), *every_case(seed=4)):
+        if door == "messages" and case.topic == topic and case.must_fail and case.settings == SETTINGS:
+            if len(as_bytes(case.record)) > 50_000:
+                continue
+            verdict = twin.deliver(topic, case.record)
+            if verdict.outcome == REFUSED:
+                found.append((case, verdict.kind))
+    return found
+
+
+def counts(client: ServiceClient) -> Counter[str]:
+    """What /diagnostics says: 'topic: kind' -> how many."""
+    return Counter({key: int(value.split(",")[0]) for key, value in client._refusals.items()})
+
+
+def play(client: ServiceClient, messages: tuple) -> list[bytes]:
+    answers = []
+    for topic, record in messages:
+        if topic == "fragment_states":
+            answers.append(record_bytes(client.ask(record, RUN)))
+        else:
+            client.publish(topic, record, RUN)
+    return answers
+
+
+def resident(process: NodeProcess) -> int:
+    return int(Path(f"/proc/{process.pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGESIZE")
+
+
+def undisturbed() -> tuple[list[bytes], str]:
+    """Answers to the clean scene and its ending, from the library, and the digest then."""
+    door = RunDoor(SETTINGS)
+    asked = [record for topic, record in ENDING if topic == "fragment_states"]
+    answers = [record_bytes(door.run.answer(REFERENCE))]
+    for topic, record in ENDING:
+        if topic == "fragment_states":
+            answers.append(record_bytes(door.run.answer(record)))
+        else:
+            assert not door.run.add_fracture(record)
+    assert len(answers) == 1 + len(asked)
+    return answers, door.world.fragments().digest
+
+
+def test_a_node_survives_bad_messages_and_counts_them(tmp_path: Path) -> None:
+    domain_id = free_domain_id()
+    node, client = NodeProcess("collision_node", LIMITS, domain_id, tmp_path / "node.log"), ServiceClient(domain_id)
+    try:
+        client.await_service()
+        answers = play(client, BEGINNING)[1:]
+        expected: Counter[str] = Counter()
+        before = resident(node)
+
+        for topic in LATCHED:
+            for case, kind in refused_cases(topic):
+                client.publish(topic, case.record, RUN)
+                expected[f"{topic}: {kind}"] += 1
+        for case, kind in refused_cases("fragment_states"):
+            refused = client.ask(case.record, RUN)
+            assert refused.status == INVALID_STATES and len(refused.gaps) == 0
+            expected[f"fragment_states: {kind}"] += 1
+
+        # another run's, without a body of it: its event waits, its states are not answered
+        client.publish("fracture_events", FIRST, RUN + 1)
+        expected["fracture_events: unknown_id"] += 1
+        client.publish("fragment_states", EARLIER, RUN + 1)
+
+        client.spin_until(lambda: counts(client) == expected, f"these counts: {expected}")
+        assert expected.total() > 300 and len(expected) > 20
+        assert node.exit_status() is None
+
+        answers += play(client, ENDING)
+        good_answers, digest = undisturbed()
+        assert answers == good_answers
+        client.spin_until(lambda: client.registries[-1].digest == digest, "the registry that it must have come to")
+        assert resident(node) - before < MORE_MEMORY
+        assert "Traceback" not in node.log_text()
+    finally:
+        node.stop()
+        client.close()
+
+
+def malformed(topic: str) -> Iterator[bytes]:
+    """Spoilt messages that are none any more."""
+    twin = RunDoor(SETTINGS)
+    for number in range(300):
+        data = spoilt(topic, picking(11, number)).record
+        # nothing shorter than an encapsulation is handed on, and DDS fills up to a multiple of four bytes
+        if len(data) >= 4 and len(data) % 4 == 0 and twin.deliver(topic, data).kind == "malformed":
+            yield data
+    for data in valid_messages(topic):
+        yield from (data[:length] for length in range(4, len(data), 100))
+
+
+TOPICS_READ_AS_BYTES = ("bodies", "fracture_events", "fragment_states")
+
+
+def test_a_node_survives_spoilt_bytes_and_counts_them(tmp_path: Path) -> None:
+    domain_id = free_domain_id()
+    node, client = NodeProcess("collision_node", LIMITS, domain_id, tmp_path / "node.log"), ServiceClient(domain_id)
+    try:
+        client.await_service()
+        first = play(client, BEGINNING)[1:]
+        before = resident(node)
+        sent: Counter[str] = Counter()
+        for topic in TOPICS_READ_AS_BYTES:
+            for data in malformed(topic):
+                client.publish_bytes(topic, data)
+                sent[key := f"{topic}: malformed"] += 1
+                # of states only the newest is taken: the first ones are waited for, the others may go by unseen
+                if topic not in LATCHED and sent[key] <= WAITED_FOR:
+                    client.spin_until(lambda key=key: counts(client)[key] == sent[key], f"{key} {sent[key]} times")
+        assert min(sent.values()) > 40
+        latched = {key: n for key, n in sent.items() if key.split(":")[0] in LATCHED}
+        client.spin_until(lambda: all(counts(client)[key] == n for key, n in latched.items()), f"{latched}")
+        assert node.exit_status() is None
+        assert play(client, CLEAN[-1:]) == first
+        assert resident(node) - before < MORE_MEMORY
+        assert "Traceback" not in node.log_text()
+    finally:
+        node.stop()
+        client.close()

@@ -1,0 +1,89 @@
+"""Signals while a command is still importing its modules: it ends at once, without a traceback. And help of nodes."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from fracture_collision.ros.start import NODES, module_of
+
+ROOT = Path(__file__).resolve().parents[2]
+BAG = ROOT / "bags" / "pane"
+# Found first by every interpreter that is started: sends itself a signal when it is about to import a module.
+AT_AN_IMPORT = """
+import os, sys
+class Finder:
+    @staticmethod
+    def find_spec(name, path=None, target=None):
+        if name == os.environ["SIGNAL_AT"]:
+            os.kill(os.getpid(), int(os.environ["SIGNAL"]))
+sys.meta_path.insert(0, Finder)
+"""
+COMMANDS = [
+    (("scenes",), "click"),
+    (("scenes",), "scipy"),
+    (("smash",), "rclpy"),
+    (("smash",), "matplotlib"),
+    (("scene", "pane"), "numba"),
+    (("bench",), "benchmarks.studies.bench"),
+    (("play", "--no-open"), "fracture_collision.ros.runs.play_run"),
+    (("view", BAG, "--no-open"), "viser"),
+    (("film", BAG), "numba"),
+    (("replay", BAG), "numba"),
+    (("record", "pane", "--out", "bag"), "numba"),
+    (("mend", BAG), "mcap"),
+    (("digest", BAG), "mcap"),
+]
+
+
+def run_interrupted(
+    folder: Path, at: str, order: signal.Signals, *words: str | Path
+) -> subprocess.CompletedProcess[str]:
+    """`python -m words` in `folder`, which is sent `order` when it is about to import `at`."""
+    (folder / "site").mkdir()
+    (folder / "site" / "sitecustomize.py").write_text(AT_AN_IMPORT)
+    path = os.pathsep.join((str(folder / "site"), str(ROOT)))
+    return subprocess.run(
+        [sys.executable, "-m", *map(str, words)], cwd=folder, capture_output=True, text=True, timeout=120.0,
+        env=os.environ | {"PYTHONPATH": path, "SIGNAL_AT": at, "SIGNAL": str(int(order))},
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("words", "at"), COMMANDS)
+def test_a_command_ends_without_a_traceback(words: tuple[str | Path, ...], at: str, tmp_path: Path) -> None:
+    done = run_interrupted(tmp_path, at, signal.SIGINT, "fracture_collision.cli", *words)
+    assert done.returncode == 130 and "Traceback" not in done.stderr + done.stdout, done.stderr
+    assert [each.name for each in tmp_path.iterdir()] == ["site"], "nothing was begun"
+
+
+def test_sigterm_is_answered_likewise(tmp_path: Path) -> None:
+    done = run_interrupted(tmp_path, "rclpy", signal.SIGTERM, "fracture_collision.cli", "smash")
+    assert done.returncode == 130 and "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_a_node_ends_as_it_does_later(node: str, tmp_path: Path) -> None:
+    done = run_interrupted(tmp_path, "rclpy", signal.SIGINT, "fracture_collision.ros.start", node)
+    assert done.returncode == 0 and "Traceback" not in done.stderr, done.stderr
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_a_node_has_help_and_does_not_start(node: str, tmp_path: Path) -> None:
+    for module in (("fracture_collision.ros.start", node), (module_of(node),)):
+        done = subprocess.run(
+            [sys.executable, "-m", *module, "--help"], cwd=tmp_path, capture_output=True, text=True, timeout=60.0,
+        )  # fmt: skip
+        assert done.returncode == 0 and "INFO" not in done.stderr, done.stderr
+        assert f"usage: {node} " in done.stdout and "Parameters: " in done.stdout and "--ros-args" in done.stdout
+
+
+def test_no_such_node() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "fracture_collision.ros.start", "node"], capture_output=True, text=True, timeout=60.0
+    )
+    assert done.returncode == 1 and "collision_node" in done.stderr

@@ -1,0 +1,220 @@
+"""A live scene over DDS: commands of a person, and what becomes of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fracture_collision.msg import FragmentStates, SimulationStatus
+from sensor_msgs.msg import JointState
+from stages.ros_client import PATIENCE
+from stages.ros_stage import StageWithClients
+
+from fracture_collision.ros.nodes.live_client import LiveClient
+from fracture_collision.ros.wire import qos
+from fracture_collision.share import share_directory
+
+PLATE = np.array([-0.45, 0.0, 0.7227])  # the first of the scene
+
+
+class Player:
+    """A person at a live scene of plates."""
+
+    def __init__(self, stage: StageWithClients) -> None:
+        self.service = stage.start("collision_node")
+        self.simulator = stage.start("live_simulator_node", scene="plates", seed=7)
+        self._ears = stage.client()
+        self.hands = LiveClient(self._ears.node)
+        self.told: list[SimulationStatus] = []
+        self.states: list[FragmentStates] = []
+        self.joints: list[JointState] = []
+        for topic, collected in (
+            (qos.SIMULATION_STATUS, self.told), (qos.FRAGMENT_STATES, self.states), (qos.JOINT_STATES, self.joints),
+        ):  # fmt: skip
+            self._ears.node.create_subscription(topic.message_class, topic.name, collected.append, topic.qos)
+        self.until(lambda: self.hands.is_there() and bool(self.told) and bool(self.states), "a live scene")
+
+    @property
+    def status(self) -> SimulationStatus:
+        return self.told[-1]
+
+    def until(self, condition, what: str) -> None:
+        self._ears.spin_until(condition, what, 2 * PATIENCE)
+
+    def answer(self, future):
+        self.until(future.done, "an answer")
+        return future.result()
+
+    def steps_go_on(self, count: int = 10) -> None:
+        """They do, for so many more of the same run."""
+        run_id, step = self.status.run_id, self.status.step
+        self.until(lambda: self.status.run_id == run_id and self.status.step >= step + count, "more steps")
+
+    def begin_again(self, scene: str = "plates") -> None:
+        self.answer(self.hands.set_parameters(next_scene=scene, rate=1.0))
+        self.answer(self.hands.pause(False))
+        before = self.status.run_id
+        assert self.answer(self.hands.reset()).success
+        self.until(lambda: self.status.run_id != before and self.status.step > 5, "another run")
+
+    def place(self, fragment_id: int) -> np.ndarray:
+        """Of its body frame [m]."""
+        row = list(self.states[-1].fragment_ids).index(fragment_id)
+        return np.array(self.states[-1].positions[3 * row : 3 * row + 3])
+
+    def newest_ids(self) -> set[int]:
+        return set(self.states[-1].fragment_ids)
+
+
+@pytest.fixture(scope="module")
+def one_player(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Player]:
+    stage = StageWithClients(tmp_path_factory.mktemp("live"))
+    try:
+        yield Player(stage)
+    finally:
+        stage.close()
+
+
+@pytest.fixture
+def player(one_player: Player) -> Player:
+    """With plates that nobody has touched."""
+    one_player.begin_again()
+    return one_player
+
+
+def test_a_ball_breaks_a_plate_and_a_reset_makes_it_whole(player: Player) -> None:
+    assert player.status.fragments == 4 and player.status.scene == "plates"
+    player.hands.throw(PLATE - [0.0, 0.5, 0.0], [0.0, 7.0, 0.3])
+    player.until(lambda: player.status.fragments > 10, "shards")
+    player.begin_again()
+    assert player.status.fragments == 4
+    player.steps_go_on()
+    assert player.service.exit_status() is None
+
+
+def test_pause_step_and_slow_motion(player: Player) -> None:
+    assert not player.answer(player.hands.step()).success, "only while it is paused"
+    player.steps_go_on()
+    assert player.answer(player.hands.pause(True)).success
+    player.until(lambda: player.status.paused, "a pause")
+    step = player.status.step
+    assert player.answer(player.hands.step()).success
+    player.until(lambda: player.status.step == step + 1, "one step")
+    count = len(player.told)
+    player.until(lambda: len(player.told) > count + 3, "more news")
+    assert player.status.step == step + 1 and player.status.paused
+    assert player.answer(player.hands.pause(False)).success
+    player.steps_go_on()
+    result = player.answer(player.hands.set_parameters(rate=0.05)).results[0]
+    assert result.successful, result.reason
+    player.until(lambda: player.status.rate == 0.05 and 0.0 < player.status.achieved_rate < 0.06, "slow motion")
+    assert not player.answer(player.hands.set_parameters(rate=0.0)).results[0].successful
+
+
+def test_a_run_that_begins_in_a_pause_makes_its_first_step(player: Player) -> None:
+    assert player.answer(player.hands.pause(True)).success
+    before = player.status.run_id
+    assert player.answer(player.hands.reset()).success
+    player.until(lambda: player.status.run_id != before and player.status.step == 1, "the first step of another run")
+    count = len(player.told)
+    player.until(lambda: len(player.told) > count + 3, "more news")
+    assert player.status.step == 1 and player.status.paused and player.status.fragments == 4
+
+
+def test_a_hand_lifts_a_plate_and_lets_go(player: Player) -> None:
+    plate = 5  # ground, shelf, rack and wall come first
+    begin = player.place(plate)
+    player.hands.drag(player.status.run_id, plate, [0.0, 0.0, 0.0], PLATE + [0.0, -0.3, 0.2])
+    player.until(lambda: player.place(plate)[2] > begin[2] + 0.1, "a plate in the air")
+    player.hands.let_go()
+    player.until(lambda: plate not in player.newest_ids() or player.place(plate)[2] < begin[2], "a plate that fell")
+
+
+def test_a_hammer_comes_goes_and_stops(player: Player) -> None:
+    known = player.newest_ids()
+    player.hands.steer([0.0, 1.0, 0.0])
+    player.until(lambda: bool(player.newest_ids() - known), "a hammer")
+    (hammer,) = player.newest_ids() - known
+    begin = player.place(hammer)
+    player.until(lambda: player.place(hammer)[1] > begin[1] + 0.1, "a hammer that moves")
+    player.hands.steer([0.0, 0.0, 0.0])
+    player.steps_go_on(100)
+    there = player.place(hammer)
+    player.steps_go_on(100)
+    assert np.linalg.norm(player.place(hammer) - there) < 1e-3 and abs(there[2] - begin[2]) < 0.01
+
+
+def test_another_scene_and_nonsense(player: Player) -> None:
+    here, still = [0.0, -1.0, 1.0], [0.0, 0.0, 0.0]
+    for act, words in (
+        (lambda: player.hands.throw([0.0, 0.0, np.nan], still), "throw_ball: position: "),
+        (lambda: player.hands.throw(here, [0.0, 4000.0, 0.0]), "throw_ball: velocity: 4000 m/s"),
+        (lambda: player.hands.throw(here, still, radius=-1.0), "throw_ball: radius: -1 m"),
+        (lambda: player.hands.throw(here, still, density=np.inf), "throw_ball: density: inf"),
+        (lambda: player.hands.drag(player.status.run_id, 4711, still, here), "hand_target: fragment_id: 4711"),
+        (lambda: player.hands.steer([np.inf, 0.0, 0.0]), "cmd_vel: linear: "),
+    ):
+        act()
+        player.until(lambda words=words: words in player.status.refused, f"a refusal with {words}")
+    player.steps_go_on()
+    assert player.status.fragments == 4
+    player.begin_again("pane")
+    assert player.status.scene == "pane" and not player.status.refused
+
+
+def test_scenes_come_by_name_and_files_tell_nothing(stage: StageWithClients, tmp_path: Path) -> None:
+    own, secret = tmp_path / "my_pane.yaml", tmp_path / "passwords"
+    own.write_text((share_directory() / "config" / "scenes" / "pane.yaml").read_text())
+    secret.write_text("hunter2\n")
+    simulator = stage.start("live_simulator_node", scene=str(own))
+    ears = stage.client()
+    hands = LiveClient(ears.node)
+    ears.spin_until(hands.is_there, "a live scene")
+
+    def answer(future):
+        ears.spin_until(future.done, "an answer")
+        return future.result()
+
+    def set_next(scene: str):
+        return answer(hands.set_parameters(next_scene=scene)).results[0]
+
+    folder = share_directory() / "config" / "scenes"
+    told = set()
+    for path in (secret, tmp_path / "nowhere", folder / "pane.yaml", "../my_pane.yaml", "no such scene", tmp_path):
+        result = set_next(str(path))
+        assert not result.successful and "plates" in result.reason
+        told.add(result.reason)
+    assert len(told) == 1, "nothing is told of what there is"
+    for scene in ("reference_sphere:coarse_inside", str(own), ""):
+        assert set_next(scene).successful
+    assert answer(hands.reset()).success
+    own.write_text(secret.read_text())
+    refused = answer(hands.reset())
+    assert not refused.success and "hunter2" not in refused.message and "log of simulator_node" in refused.message
+    assert "hunter2" in simulator.log_text()
+
+
+def test_an_arm_goes_where_its_joints_are_commanded_and_breaks_a_vase(player: Player) -> None:
+    player.hands.command_joints([0.0] * 7)
+    player.until(lambda: player.status.refused == "joint_commands: the scene has no arm", "words")
+    player.joints.clear()
+    player.begin_again("vase")
+    player.until(lambda: bool(player.joints), "joint states")
+    first, whole = player.joints[-1], player.status.fragments
+    names = list(first.name)
+    assert names == [f"lbr_iiwa_joint_{j}" for j in range(1, 8)] and not any(first.velocity)
+    player.hands.command_joints([3.0], names[:1])
+    player.until(lambda: player.status.refused.startswith("joint_commands: lbr_iiwa_joint_1: 3 rad is not"), "words")
+    player.steps_go_on()
+    assert player.joints[-1].position == first.position
+    swing = np.radians([-70.0, 60.0, 0.0, -80.0, 0.0, -50.0, 0.0])
+    player.hands.command_joints(swing)
+    player.until(lambda: np.allclose(player.joints[-1].position, swing, atol=1e-9), "an arm that has arrived")
+    assert player.status.fragments == whole
+    player.hands.command_joints([1.0], names[:1])
+    player.until(lambda: player.status.fragments > whole + 10, "shards")
+    player.steps_go_on()
+    player.begin_again()
+    assert player.status.fragments == 4

@@ -1,0 +1,99 @@
+"""Sockets of participants that keep to this machine: on loopback, all of them."""
+
+from __future__ import annotations
+
+import os
+import socket
+import struct
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from stages.ros_stage import StageWithClients
+
+from fracture_collision.ros.fastdds.this_machine import PROFILES, RANGE, keep_to_this_machine
+from fracture_collision.ros.processes.node_process import free_domain_id, loopback_environment
+
+# A program that talks to nodes it started, as `teleop` and `replay --ros` do. Ends when its stdin does.
+OWN_CONTEXT = """
+import sys, rclpy
+from fracture_collision.ros.processes.own_context import own_context
+context = own_context(int(sys.argv[1]))
+node = rclpy.create_node("own", context=context)
+print("there", flush=True)
+sys.stdin.read()
+"""
+
+
+def udp_addresses(pid: int) -> set[str]:
+    """At which the process has sockets."""
+    links = set()
+    for descriptor in Path(f"/proc/{pid}/fd").iterdir():
+        try:
+            links.add(os.readlink(descriptor))
+        except FileNotFoundError:  # closed meanwhile
+            continue
+    found = set()
+    for family, table in ((socket.AF_INET, "udp"), (socket.AF_INET6, "udp6")):
+        for line in Path(f"/proc/{pid}/net/{table}").read_text().splitlines()[1:]:
+            words = line.split()
+            if f"socket:[{words[9]}]" in links:
+                digits = words[1].split(":")[0]
+                parts = [int(digits[i : i + 8], 16) for i in range(0, len(digits), 8)]
+                found.add(socket.inet_ntop(family, struct.pack(f"={len(parts)}I", *parts)))
+    return found
+
+
+@pytest.fixture(autouse=True)
+def nothing_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the user, or by an earlier test of this process."""
+    for name in (RANGE, *PROFILES, "ROS_STATIC_PEERS"):
+        monkeypatch.delenv(name, raising=False)
+
+
+def test_nodes_have_sockets_on_loopback_alone_and_hear_each_other(stage: StageWithClients) -> None:
+    node = stage.start("collision_node")
+    client = stage.client()
+    client.await_service()
+    assert udp_addresses(node.pid) == {"127.0.0.1"}
+
+
+def test_so_has_a_program_that_talks_to_them() -> None:
+    command = [sys.executable, "-c", OWN_CONTEXT, str(free_domain_id())]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as program:
+        try:
+            assert program.stdout.readline() == "there\n"
+            assert udp_addresses(program.pid) == {"127.0.0.1"}
+        finally:
+            program.kill()
+
+
+def test_nodes_are_found_by_those_that_the_user_starts_as_readme_says(stage: StageWithClients) -> None:
+    """With LOCALHOST and no profile."""
+    stage.start("collision_node")
+    look = """
+import time, rclpy
+rclpy.init()
+node = rclpy.create_node("user")
+end = time.monotonic() + 60.0
+while not node.count_publishers("/contact_constraints"):
+    assert time.monotonic() < end
+    rclpy.spin_once(node, timeout_sec=0.05)
+"""
+    done = subprocess.run([sys.executable, "-c", look], env=loopback_environment(stage.domain_id), timeout=120.0)
+    assert done.returncode == 0
+
+
+def test_what_the_user_says_counts_and_goes_on_to_children(monkeypatch: pytest.MonkeyPatch) -> None:
+    chosen = loopback_environment(7)
+    assert chosen[RANGE] == "LOCALHOST" and PROFILES[0] not in chosen
+    keep_to_this_machine(chosen)
+    assert chosen[RANGE] == "SYSTEM_DEFAULT" and chosen[PROFILES[0]].endswith("this_machine.xml")
+    for name in (RANGE, PROFILES[0]):
+        monkeypatch.setenv(name, chosen[name])
+    assert loopback_environment(7)[RANGE] == "LOCALHOST" and PROFILES[0] not in loopback_environment(7)
+    for own in ({RANGE: "SUBNET"}, {RANGE: "LOCALHOST", PROFILES[1]: "mine.xml"}, {}):
+        environment = dict(own)
+        keep_to_this_machine(environment)
+        assert environment == own

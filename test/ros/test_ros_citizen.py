@@ -1,0 +1,306 @@
+"""The service among others: whose run it follows, parameters that change, names, clocks, what it says of itself."""
+
+from __future__ import annotations
+
+import signal
+import time
+from pathlib import Path
+from statistics import median
+
+import numpy as np
+import pytest
+import yaml
+from fracture_collision.msg import FragmentStates as FragmentStatesMessage
+from stages.ros_client import ServiceClient
+from stages.ros_stage import StageWithClients
+from test_ros_collision_run import FIRST, SECOND, STATES, breakable_body, expected_contacts, field_bytes, ground
+
+from campaigns.kills.stage import await_step
+from fracture_collision.records import BOX, CollisionBody, FragmentStates, SolidPrimitive
+from fracture_collision.ros.fastdds.message_origin import take_with_origin
+from fracture_collision.ros.fastdds.prompt_executor import PromptExecutor
+from fracture_collision.world import CollisionWorld, Settings
+
+RUN = 41
+ANSWERS, SETTINGS, REFUSED = (f"fracture_collision: {name}" for name in ("answers", "settings", "refused messages"))
+TWO_BOXES = FragmentStates(
+    3, 0, np.array([1, 2]), np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.99]), np.tile([0.0, 0.0, 0.0, 1.0], 2)
+)
+
+
+def tell_all(client: ServiceClient, run_id: int = RUN) -> None:
+    for body in (breakable_body(), ground()):
+        client.publish("bodies", body, run_id)
+    for event in (FIRST, SECOND):
+        client.publish("fracture_events", event, run_id)
+
+
+def tell_two_boxes(client: ServiceClient, run_id: int) -> None:
+    for number in (1, 2):
+        box = CollisionBody(number, number, primitive=SolidPrimitive(BOX, (1.0, 1.0, 1.0)))
+        client.publish("bodies", box, run_id)
+
+
+def answer_of(settings: Settings) -> list[bytes]:
+    world = CollisionWorld(settings)
+    for body in (breakable_body(), ground()):
+        world.add_body(body)
+    for event in (FIRST, SECOND):
+        world.add_fracture(event)
+    return field_bytes(world.contacts(STATES))
+
+
+# --- two at once -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("second_run", [RUN + 1, RUN], ids=["another run id", "the same run id"])
+def test_two_simulators_do_not_tear_a_scene_apart(stage: StageWithClients, second_run: int) -> None:
+    stage.start("collision_node", threads=1)
+    first = stage.client()
+    first.await_service()
+    tell_all(first)
+    good = field_bytes(first.ask(STATES, RUN))
+    assert good == field_bytes(expected_contacts())
+
+    second = stage.client()
+    second.await_service()
+    tell_two_boxes(second, second_run)
+    second.publish("fracture_events", FIRST._replace(sequence=3, fragment_id=10), second_run)
+    for topic in ("bodies", "fracture_events"):
+        second.await_refusal(f"{topic}: other_publisher", f"run {second_run} of")
+    second.publish("fragment_states", TWO_BOXES, second_run)  # the service has met this publisher, too, by now
+    second.await_refusal("fragment_states: other_publisher", f"run {second_run} of")
+    assert field_bytes(first.ask(STATES, RUN)) == good
+    assert [answer.step for answer in first.answers] == [STATES.step] * 2
+    assert second.diagnostics[ANSWERS] == "ready"  # nothing is held for the second either
+
+    # Its question is answered as soon as the first is gone, from its own bodies.
+    def its_answers() -> list:
+        return [answer for answer in second.answers if answer.step == TWO_BOXES.step]
+
+    assert its_answers() == []
+    first.close()
+    second.spin_until(lambda: len(its_answers()) == 1, "the answer to what was asked in vain")
+    assert its_answers()[0].run_id == second_run and list(its_answers()[0].fragment_b) == [2]
+    assert second.await_registry(second_run, 0).fragment_ids.tolist() == [1, 2]
+
+
+def test_a_parameter_lets_another_in_at_once(stage: StageWithClients) -> None:
+    stage.start("collision_node", threads=1)
+    first, second = stage.client(), stage.client()
+    first.await_service()
+    tell_all(first)
+    first.ask(STATES, RUN)
+    tell_two_boxes(second, RUN + 1)
+    second.await_refusal("bodies: other_publisher", "the parameter allow_takeover")
+    assert second.set_parameters(allow_takeover=True) == [""]
+    second.publish("fragment_states", TWO_BOXES, RUN + 1)
+    second.spin_until(lambda: second.answers and second.answers[-1].run_id == RUN + 1, "the answer to who took over")
+    assert list(second.answers[-1].fragment_b) == [2]
+    # The first does not take it back.
+    first.publish("fragment_states", STATES, RUN)
+    first.await_refusal("fragment_states: other_publisher", f"run {RUN} of")
+
+
+def test_bodies_and_states_may_come_from_two_processes(stage: StageWithClients) -> None:
+    stage.start("collision_node", threads=1)
+    first = stage.client()
+    first.await_service()
+    tell_all(first)
+    first.ask(STATES, RUN)
+    first.drop_publisher("fragment_states")
+    second = stage.client()
+    second.drop_publisher("bodies")
+    second.drop_publisher("fracture_events")
+    second.await_service()
+    assert field_bytes(second.ask(STATES, RUN)) == field_bytes(expected_contacts())
+
+
+def test_a_simulator_that_was_killed_gets_in_again_at_once(stage: StageWithClients) -> None:
+    """DDS misses who was killed when its lease has run out, after 20 s; the service when another speaks."""
+    service = stage.start("collision_node", threads=1)
+    first = stage.start("simulator_node", scene="pane", progress=True)
+    await_step(first, 0, service)
+    first.stop(patience=0.0, orders=(signal.SIGKILL,))
+    successor = stage.start("simulator_node", scene="pane", progress=True)
+    assert successor.wait(240.0) == 0, successor.log_text()
+    words = service.log_text()
+    assert words.count("begins, of") == 2
+    assert "died without a word and is forgotten" in words and "other_publisher" not in words
+
+
+# --- parameters --------------------------------------------------------------------------------------------------
+
+
+def test_settings_change_between_two_answers(stage: StageWithClients) -> None:
+    service = stage.start("collision_node", threads=1)
+    client = stage.client()
+    client.await_service()
+    tell_all(client)
+    start = Settings(threads=1)
+    assert field_bytes(client.ask(STATES, RUN)) == answer_of(start)
+    for change in (
+        {"contacts_per_pair": 2}, {"penetration_tolerance": 0.1}, {"detection_tolerance": 0.05}, {"visit_budget": 40},
+        {"field": "averaged"}, {"normals": "nearest"}, {"traversal": "queue"}, {"tree": "plain"}, {"threads": 2},
+        {"neighbour_lists": False},
+    ):  # fmt: skip
+        assert client.set_parameters(**change) == [""]
+        assert field_bytes(client.ask(STATES, RUN)) == answer_of(start._replace(**change)), change
+        name, value = next(iter(change.items()))
+        client.spin_until(lambda name=name, value=value: client.details[SETTINGS][name] == str(value), name)
+        assert client.diagnostics[SETTINGS] == f"since the answer to step {STATES.step} of run {RUN}"
+        assert client.set_parameters(**{name: getattr(start, name)}) == [""]
+    assert field_bytes(client.ask(STATES, RUN)) == answer_of(start)
+    assert "settings changed after the answer to step 5 of run 41: contacts_per_pair: 8 -> 2" in service.log_text()
+
+
+def test_what_may_not_change_is_refused_in_words(stage: StageWithClients) -> None:
+    stage.start("collision_node", threads=1)
+    client = stage.client()
+    client.await_service()
+    tell_all(client)
+    for change, words in (
+        ({"field": "guessed"}, "field: 'guessed' is none of exact, averaged"),
+        ({"contacts_per_pair": 0}, "contacts_per_pair"),
+        ({"penetration_tolerance": -0.001}, "penetration_tolerance"),
+        ({"penetration_tolerance": "much"}, "Wrong parameter type"),
+        ({"timing_file": "elsewhere.npy"}, "read-only"),
+    ):
+        (reason,) = client.set_parameters(**change)
+        assert words in reason, reason
+    assert field_bytes(client.ask(STATES, RUN)) == answer_of(Settings(threads=1))
+
+
+def test_a_misspelt_parameter_is_named(stage: StageWithClients, tmp_path: Path) -> None:
+    file = tmp_path / "service.yaml"
+    given = {"/**/collision_node": {"ros__parameters": {"contacts_per_pairs": 3, "colour": "red", "field": "averaged"}}}
+    file.write_text(yaml.safe_dump(given))
+    service = stage.start("collision_node", "--params-file", str(file), threads=1, visitbudget=5, use_sim_time=False)
+    stage.client().await_service()
+    said = [line.partition("parameter ")[2] for line in service.log_text().splitlines() if "WARN" in line]
+    assert said == [
+        "colour: there is none of that name, it changes nothing",
+        "contacts_per_pairs: there is none of that name, it changes nothing; did you mean contacts_per_pair?",
+        "visitbudget: there is none of that name, it changes nothing; did you mean visit_budget?",
+    ]
+
+
+def test_limits_are_parameters(stage: StageWithClients) -> None:
+    stage.start("collision_node", threads=1, max_bodies=2, max_fragments=6, max_message_bytes=30_000)
+    client = stage.client()
+    client.await_service()
+    tell_all(client)
+    good = field_bytes(client.ask(STATES, RUN))
+    another = breakable_body()._replace(body_id=9, fragment_id=90)
+    for change, words in (
+        ({}, "2 bodies"), ({"max_bodies": 9}, "6 fragments"), ({"max_fragments": 99, "max_nodes": 20}, "limit on nodes")
+    ):  # fmt: skip
+        client.set_parameters(**change)
+        client.publish("bodies", another, RUN)
+        client.await_refusal("bodies: limit_exceeded", words)
+    client.publish("bodies", another._replace(vertices=np.zeros(3_750)), RUN)
+    client.await_refusal("bodies: limit_exceeded", "max_message_bytes, 30000")
+    assert field_bytes(client.ask(STATES, RUN)) == good
+
+
+# --- names, clocks, diagnostics ----------------------------------------------------------------------------------
+
+
+def test_two_services_in_two_namespaces(stage: StageWithClients) -> None:
+    clients = {}
+    for side in ("left", "right"):
+        stage.start("collision_node", "-r", f"__ns:=/{side}", threads=1)
+        clients[side] = stage.client("-r", f"__ns:=/{side}")
+    for client in clients.values():
+        client.await_service()
+    tell_all(clients["left"], RUN)
+    tell_two_boxes(clients["right"], RUN)
+    for _ in range(3):
+        assert field_bytes(clients["left"].ask(STATES, RUN)) == field_bytes(expected_contacts())
+        assert clients["right"].ask(TWO_BOXES, RUN).fragment_b.tolist() == [2]
+    # /diagnostics is everybody's: they must not be taken for each other.
+    names = {f"{side}/{ANSWERS}" for side in clients}
+    clients["left"].spin_until(lambda: names <= set(clients["left"].diagnostics), "diagnostics of both")
+
+
+def test_remapped_topics(stage: StageWithClients) -> None:
+    renamed = []
+    for name in ("bodies", "fracture_events", "fragment_states", "contact_constraints", "fragments"):
+        renamed += ["-r", f"{name}:=/cell/{name}_of_the_cell"]
+    stage.start("collision_node", *renamed, threads=1)
+    client, stranger = stage.client(*renamed), stage.client()
+    client.await_service()
+    tell_all(client)
+    assert field_bytes(client.ask(STATES, RUN)) == field_bytes(expected_contacts())
+    assert client.await_registry(RUN, 2).fragment_ids.tolist() == [2, 10, 12, 13]
+    assert stranger.node.count_subscribers("fragment_states") == 0
+
+
+def test_simulation_time_that_stands_still_stops_nothing(stage: StageWithClients) -> None:
+    stage.start("collision_node", threads=1, use_sim_time=True)
+    client = stage.client()
+    client.await_service()
+    tell_all(client)
+    assert field_bytes(client.ask(STATES, RUN)) == field_bytes(expected_contacts())
+    client.diagnostics_came.clear()
+    client.spin_until(lambda: len(client.diagnostics_came) >= 3, "diagnostics without a /clock")
+
+
+def test_diagnostics_come_every_second_with_times(stage: StageWithClients) -> None:
+    stage.start("collision_node", threads=1)
+    client = stage.client()
+    client.await_service()
+    tell_all(client)
+    for _ in range(5):
+        client.ask(STATES, RUN)
+    client.diagnostics_came.clear()
+    client.spin_until(lambda: len(client.diagnostics_came) >= 6, "six words of the service")
+    assert 0.9 < median(np.diff(client.diagnostics_came)) < 1.1
+    details = client.details[ANSWERS]
+    assert details["answers"] == "5" and details["states dropped for newer ones"] == "0"
+    assert details["follows"].startswith("/service_client [")
+    for part in ("answer", "update", "broad_phase", "narrow_phase", "conversion and publishing"):
+        assert "ms median" in details[f"{part} (last 5)"] and "ms worst" in details[f"{part} (last 5)"]
+
+
+def test_a_thousand_refusals_are_a_few_lines(stage: StageWithClients) -> None:
+    service = stage.start("collision_node", threads=1)
+    client = stage.client()
+    client.await_service()
+    tell_all(client)
+    client.ask(STATES, RUN)
+    started = time.monotonic()
+    for sequence in range(100, 1100):
+        client.publish("fracture_events", FIRST._replace(sequence=sequence), RUN)
+    client.spin_until(lambda: client.diagnostics.get(REFUSED, "").startswith("1000 refused"), "a thousand refusals")
+    seconds = time.monotonic() - started
+    lines = service.log_text().count("refused, ")
+    assert 1 <= lines <= seconds + 2, (lines, seconds)
+    assert client.details[REFUSED].keys() == {"fracture_events: sequence_gap"}
+
+
+def test_who_sent_a_message_is_known_in_both_ways_of_the_executor(stage: StageWithClients) -> None:
+    """rclpy's own executor takes messages too, while it looks for timers that are due."""
+    client = stage.client()
+    came = []
+    subscription = client.node.create_subscription(
+        FragmentStatesMessage, "fragment_states", lambda _, origin: came.append(origin), 10, raw=True
+    )
+    client.spin_until(lambda: subscription.get_publisher_count() == 1, "its own publisher")
+    (publisher,) = client.node.get_publishers_info_by_topic("fragment_states")
+    assert take_with_origin(subscription) is None
+    executor = PromptExecutor(context=client.node.context)
+    executor.add_node(client.node)
+    try:
+        for step in range(3):
+            client.publish("fragment_states", STATES._replace(step=step), RUN)
+            deadline = time.monotonic() + 20.0
+            while len(came) == step and time.monotonic() < deadline:
+                if step % 2:
+                    super(PromptExecutor, executor).spin_once(timeout_sec=0.1)
+                else:
+                    executor.spin_once(timeout_sec=0.1)
+    finally:
+        executor.shutdown()
+    assert [origin.sequence_number for origin in came] == [1, 2, 3]
+    assert {origin.publisher for origin in came} == {bytes(publisher.endpoint_gid)}

@@ -1,0 +1,113 @@
+"""More than the service can answer: the newest states are, the rest is counted; and a budget that keeps the cost."""
+
+from __future__ import annotations
+
+import time
+from itertools import pairwise
+
+import numpy as np
+from stages.ros_client import ServiceClient
+from stages.ros_stage import StageWithClients
+
+from fracture_collision.geometry.generators import ball
+from fracture_collision.records import BUDGET_EXHAUSTED, CollisionBody, FragmentStates
+
+RUN = 41
+ANSWERS = "fracture_collision: answers"
+DROPPED = "states dropped for newer ones"
+FLOOD = 5.0  # [s]
+
+# Two breakable balls, one a third of its radius in the other: some hundred tree nodes are visited a step.
+STATES = FragmentStates(
+    1, 0, np.array([1, 2]), np.array([0.0, 0.0, 0.0, 0.7, 0.1, 0.05]), np.tile([0.0, 0.0, 0.0, 1.0], 2)
+)
+
+
+def service_with_two_balls(stage: StageWithClients) -> ServiceClient:
+    stage.start("collision_node", threads=1, neighbour_lists=False)
+    client = stage.client()
+    client.await_service()
+    mesh = ball(0.5, 0.06)
+    for number in (1, 2):
+        body = CollisionBody(number, number, vertices=mesh.vertices.ravel(), tetrahedra=mesh.tetrahedra.ravel())
+        client.publish("bodies", body, RUN)
+    return client
+
+
+def cost(client: ServiceClient) -> float:
+    """[s] from asking to the answer, the least of some."""
+    seconds = []
+    for _ in range(15):
+        began = time.perf_counter()
+        client.ask(STATES, RUN)
+        seconds.append(time.perf_counter() - began)
+    return min(seconds)
+
+
+def visits_told(client: ServiceClient) -> int:
+    """Of the last answer, once the service has told of all."""
+    client.spin_until(lambda: int(client.details[ANSWERS]["answers"]) == len(client.answers), "its word on them")
+    told = next(value for key, value in client.details[ANSWERS].items() if key.startswith("tree nodes visited"))
+    return int(told.split(", ")[-1].split()[0])
+
+
+def test_a_flood_of_states(stage: StageWithClients) -> None:
+    client = service_with_two_balls(stage)
+    # an answer takes far longer than a message
+    assert client.set_parameters(selection="complete", neighbour_lists=False, penetration_tolerance=0.0) == [""] * 3
+    least = cost(client)
+    answered_before = len(client.answers)
+    client.answers.clear()
+    published: dict[int, float] = {}
+    came: dict[int, float] = {}
+    step, began = 100, time.monotonic()
+    while time.monotonic() < began + FLOOD:
+        step += 1
+        published[step] = time.monotonic()
+        client.publish("fragment_states", STATES._replace(step=step), RUN)
+        client.spin_once(timeout_sec=0.001)
+        for answer in client.answers[len(came) :]:
+            came[answer.step] = time.monotonic()
+    client.spin_until(lambda: client.answers[-1].step == step, "the answer to the last states")
+    sent, answered = len(published), len(client.answers)
+    assert answered < sent / 2  # else it was no flood
+
+    # What is not answered is counted.
+    def all_counted() -> bool:
+        details = client.details[ANSWERS]
+        return int(details["answers"]) == answered_before + answered and int(details[DROPPED]) == sent - answered
+
+    client.spin_until(all_counted, f"{sent} sent = {answered} answered + {sent - answered} dropped")
+
+    # Each answer is to states that were the newest when its computation began, as the answer before it was sent. From a
+    # queue would come older ones. (Now and then a message is late, or this process is.)
+    steps = list(came)
+    assert steps == sorted(steps)
+    newer = [
+        sum(step < other and published[other] < came[before] - least for other in published)
+        for before, step in pairwise(steps)
+    ]
+    assert np.median(newer) == 0, newer
+    latency = 1e3 * np.array([came[step] - published[step] for step in steps])
+    print(  # for docs/reliability.md
+        f"{sent} sent, {answered} answered, {sent - answered} dropped; answered {np.median(latency):.0f} ms after they"
+        f" were sent (median; {latency.max():.0f} worst); least round trip {1e3 * least:.1f} ms"
+    )
+
+
+def test_a_visit_budget_keeps_the_cost_and_says_what_it_left_out(stage: StageWithClients) -> None:
+    client = service_with_two_balls(stage)
+    assert client.set_parameters(selection="complete", neighbour_lists=False) == ["", ""]
+    whole = client.ask(STATES, RUN)
+    assert whole.status == 0
+    assert visits_told(client) > 800
+    bounds = []
+    for budget in (400, 100):
+        assert client.set_parameters(visit_budget=budget) == [""]
+        answer = client.ask(STATES, RUN)
+        assert answer.status == BUDGET_EXHAUSTED
+        bounds.append(answer.missed_depth_bound.max())
+        assert visits_told(client) <= budget
+    assert bounds[1] >= bounds[0] > 2.0 * whole.missed_depth_bound.max()
+    assert client.set_parameters(visit_budget=0) == [""]
+    assert client.ask(STATES, RUN).status == 0

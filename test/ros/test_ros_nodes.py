@@ -1,0 +1,237 @@
+"""The service in its own process, over DDS: its answers, what it refuses, its start and its end."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from stages.ros_client import ServiceClient
+from test_ros_collision_run import FIRST, SECOND, STATES, breakable_body, expected_contacts, field_bytes, ground
+
+from campaigns.soak import processor_seconds
+from fracture_collision.records import BOX, INVALID_STATES, CollisionBody, SolidPrimitive
+from fracture_collision.ros.processes.node_process import NodeProcess, free_domain_id, loopback_environment
+from fracture_collision.ros.wire.cdr_records import serialize_record
+from fracture_collision.ros.wire.conversion import heading, to_message, to_record
+
+RUN = 41
+LARGEST_MESSAGE = 100_000  # [bytes]
+
+
+@pytest.fixture
+def domain_id() -> int:
+    return free_domain_id()
+
+
+@pytest.fixture
+def service(domain_id: int, tmp_path: Path) -> Iterator[NodeProcess]:
+    process = NodeProcess(
+        "collision_node", {"threads": 1, "max_message_bytes": LARGEST_MESSAGE}, domain_id, tmp_path / "service.log"
+    )
+    yield process
+    process.stop()
+
+
+@pytest.fixture
+def client(domain_id: int) -> Iterator[ServiceClient]:
+    client = ServiceClient(domain_id)
+    yield client
+    client.close()
+
+
+def tell_all(client: ServiceClient, run_id: int) -> None:
+    for body in (breakable_body(), ground()):
+        client.publish("bodies", body, run_id)
+    for event in (FIRST, SECOND):
+        client.publish("fracture_events", event, run_id)
+
+
+def test_answers_are_those_of_the_library(service: NodeProcess, client: ServiceClient) -> None:
+    client.await_service()
+    tell_all(client, RUN)
+    first = client.ask(STATES, RUN)
+    assert field_bytes(first) == field_bytes(to_record(to_message(expected_contacts(), heading(0.0), RUN)))
+    registry = client.await_registry(RUN, 2)
+    assert registry.fragment_ids.tolist() == [2, 10, 12, 13] and len(registry.digest) == 64
+
+    # From the same log: an earlier registry, and back.
+    early = STATES._replace(step=1, fracture_sequence=0, fragment_ids=np.array([1]),
+                            positions=np.array([0.0, 0.0, 0.24]), orientations=np.array([0.0, 0.0, 0.0, 1.0]))
+    assert client.ask(early, RUN).fragment_a.tolist() == [1]
+    assert field_bytes(client.ask(STATES, RUN)) == field_bytes(first)
+
+
+def test_states_wait_for_what_they_speak_of(service: NodeProcess, client: ServiceClient) -> None:
+    client.await_service()
+    client.publish("fragment_states", STATES, RUN)
+    client.publish("fracture_events", FIRST, RUN)
+    client.publish("fracture_events", SECOND, RUN)
+    client.publish("bodies", ground(), RUN)
+    client.spin_until(lambda: "are held" in client.diagnostics.get("fracture_collision: answers", ""), "a word on it")
+    assert client.answers == []
+    client.publish("bodies", breakable_body(), RUN)
+    client.spin_until(lambda: len(client.answers) == 1, "the answer to states that were held")
+    assert client.answers[0].step == STATES.step and len(client.answers[0].gaps) > 0
+
+
+@pytest.mark.parametrize("how", ["a field", "its size", "its bytes"])
+def test_a_rejected_event_holds_up_nothing_for_ever(how: str, service: NodeProcess, client: ServiceClient) -> None:
+    """States that need it are answered at once; the corrected event brings what came meanwhile along."""
+    client.await_service()
+    for body in (breakable_body(), ground()):
+        client.publish("bodies", body, RUN)
+    if how == "a field":
+        client.publish("fracture_events", FIRST._replace(nodes=FIRST.nodes[1:]), RUN)
+    else:
+        data = serialize_record(FIRST, heading(0.0), RUN)
+        data = data + bytes(LARGEST_MESSAGE) if how == "its size" else data[:-200]
+        client.publish_bytes("fracture_events", data)
+    client.publish("fracture_events", SECOND, RUN)
+    client.publish("fragment_states", STATES, RUN)
+    client.spin_until(lambda: len(client.answers) == 1, "an answer to states that need a rejected event")
+    assert client.answers[0].status == INVALID_STATES and client.answers[0].step == STATES.step
+    answers = "fracture_collision: answers"
+    truth = "a corrected event with sequence 1 is awaited"
+    client.spin_until(lambda: truth in client.diagnostics.get(answers, ""), "what is awaited")
+    assert client.diagnostics[answers].startswith("event 1 was rejected: ")
+    client.await_refusal("fragment_states: event_rejected", truth)
+    assert client.ask(STATES._replace(step=6), RUN).status == INVALID_STATES
+    client.publish("fracture_events", FIRST, RUN)
+    client.spin_until(lambda: client.diagnostics[answers] == "ready", "nothing to be awaited")
+    contacts = client.ask(STATES, RUN)
+    assert field_bytes(contacts) == field_bytes(to_record(to_message(expected_contacts(), heading(0.0), RUN)))
+
+
+def test_a_new_run_id_is_a_new_scene(service: NodeProcess, client: ServiceClient) -> None:
+    client.await_service()
+    tell_all(client, RUN)
+    first = client.ask(STATES, RUN)
+    box = CollisionBody(1, 1, primitive=SolidPrimitive(BOX, (1.0, 1.0, 1.0)))
+    client.publish("bodies", box, RUN + 1)
+    alone = STATES._replace(fracture_sequence=0, fragment_ids=np.array([1]), positions=np.zeros(3),
+                            orientations=np.array([0.0, 0.0, 0.0, 1.0]))  # fmt: skip
+    assert len(client.ask(alone, RUN + 1).gaps) == 0
+    assert client.await_registry(RUN + 1, 0).fragment_ids.tolist() == [1]
+    # The first run again, as when a bag is looped.
+    tell_all(client, RUN)
+    assert field_bytes(client.ask(STATES, RUN)) == field_bytes(first)
+
+
+def test_bad_input_is_refused_in_words_and_changes_nothing(service: NodeProcess, client: ServiceClient) -> None:
+    client.await_service()
+    tell_all(client, RUN)
+    good = client.ask(STATES, RUN)
+
+    positions = STATES.positions.copy()
+    positions[4] = np.nan
+    for states, kind, words in (
+        (STATES._replace(positions=positions), "not_finite", "positions"),
+        (STATES._replace(orientations=STATES.orientations[:-1]), "size_mismatch", "orientations"),
+        (STATES._replace(fragment_ids=np.array([2, 10, 11, 13])), "retired_id", "fragment 11"),
+    ):
+        refused = client.ask(states, RUN)
+        assert refused.status == INVALID_STATES and len(refused.gaps) == 0
+        client.await_refusal(f"fragment_states: {kind}", words)
+
+    data = serialize_record(STATES, heading(0.0), RUN)
+    for wrong, kind, words in (
+        (data[:-24], "malformed", f"{len(data) - 24} bytes are too few"),
+        (b"\x07\x07" + data[2:], "malformed", "no serialized FragmentStates"),
+        (data + bytes(LARGEST_MESSAGE), "limit_exceeded", "max_message_bytes"),
+    ):
+        client.publish_bytes("fragment_states", wrong)
+        client.await_refusal(f"fragment_states: {kind}", words)
+
+    client.publish("bodies", breakable_body()._replace(body_id=9, fragment_id=90, density=-1.0), RUN)
+    client.await_refusal("bodies: out_of_range", "density")
+    client.publish("bodies", breakable_body()._replace(body_id=9, fragment_id=90, vertices=np.zeros(12_501)), RUN)
+    client.await_refusal("bodies: limit_exceeded", "max_message_bytes")
+    client.publish("fracture_events", SECOND._replace(sequence=9), RUN)
+    client.await_refusal("fracture_events: sequence_gap", "event 9 is held: event 3 has not arrived")
+    client.publish("fracture_events", FIRST._replace(sequence=3, body_id=77), RUN)
+    client.await_refusal("fracture_events: unknown_id", "no body 77")
+
+    assert field_bytes(client.ask(STATES, RUN)) == field_bytes(good)
+    # one line a second at most, whichever refusal came first in it
+    assert "[collision_node]: refused, " in service.log_text()
+
+
+def test_a_service_killed_and_started_again_goes_on(
+    service: NodeProcess, client: ServiceClient, domain_id: int, tmp_path: Path
+) -> None:
+    client.await_service()
+    tell_all(client, RUN)
+    before = client.ask(STATES, RUN)
+    digest = client.await_registry(RUN, 2).digest
+    client.registries.clear()
+    service.send_signal(signal.SIGKILL)
+    service.wait(10.0)
+    # The new one shows itself by its first words; the killed one's subscription may linger until DDS misses it.
+    client.diagnostics.clear()
+    successor = NodeProcess("collision_node", {"threads": 1}, domain_id, tmp_path / "successor.log")
+    try:
+        client.spin_until(lambda: client.diagnostics.get("fracture_collision: answers") == "ready", "a new service")
+        after = client.ask(STATES, RUN)
+        assert field_bytes(after) == field_bytes(before)
+        assert client.await_registry(RUN, 2).digest == digest
+    finally:
+        successor.stop()
+
+
+@pytest.mark.parametrize("order", [signal.SIGINT, signal.SIGTERM])
+def test_ends_cleanly_when_told(service: NodeProcess, client: ServiceClient, order: signal.Signals) -> None:
+    client.await_service()
+    client.spin_until(lambda: client.diagnostics.get("fracture_collision: answers") == "ready", "its first words")
+    service.send_signal(order)
+    assert service.wait(10.0) == 0
+    assert "Traceback" not in service.log_text()
+
+
+@pytest.mark.parametrize("order", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_kernels_are_loaded_ends_it_at_once(domain_id: int, order: signal.Signals) -> None:
+    """Sent where numba hands LLVM a kernel: an exception there is swallowed, and the kernel's address is null."""
+    code = f"""
+import os, sys
+from numba.core.codegen import CPUCodeLibrary
+hand_over = CPUCodeLibrary._object_getbuffer_hook
+kernels = []
+def interrupted(module):
+    kernels.append(module)
+    if len(kernels) == 3:
+        os.kill(os.getpid(), {int(order)})
+    return hand_over(module)
+CPUCodeLibrary._object_getbuffer_hook = interrupted
+from fracture_collision.ros.service.collision_node import main
+sys.exit(main())
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120.0, env=loopback_environment(domain_id)
+    )
+    assert done.returncode == 0 and "Traceback" not in done.stderr, done.stderr
+    assert "ready" not in done.stderr
+
+
+def test_a_start_takes_little_work(client: ServiceClient, domain_id: int, tmp_path: Path) -> None:
+    """With kernels in the cache, no more than three seconds of processor time: on a busy machine the clock tells of
+    others' work."""
+    tell_all(client, RUN)
+    service = NodeProcess("collision_node", {"threads": 1}, domain_id, tmp_path / "service.log")
+    try:
+        client.await_service()
+        client.ask(STATES, RUN)
+        seconds = processor_seconds(service.pid)
+    finally:
+        service.stop()
+    assert "loading kernels" in service.log_text() and "ready" in service.log_text()
+    assert 0.0 < seconds < 3.0
+
+
+def test_a_parameter_out_of_range_is_an_error_in_words(domain_id: int, tmp_path: Path) -> None:
+    process = NodeProcess("collision_node", {"contacts_per_pair": 0}, domain_id, tmp_path / "service.log")
+    assert process.wait(30.0) == 1
+    assert "contacts_per_pair" in process.log_text() and "Traceback" not in process.log_text()

@@ -1,0 +1,180 @@
+"""What is remembered from step to step makes the next one quicker and never different: the same bytes without it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numba import njit
+from scipy.optimize import lsq_linear
+from scipy.spatial.transform import Rotation
+from worlds.fractured_worlds import FracturedWorld, fractured_world, with_settings
+from worlds.hard_worlds import tetrahedral_body
+
+from fracture_collision.core.pair.narrow_phase import NOTHING_REMEMBERED
+from fracture_collision.core.search.neighbour_lists import NO_LISTS, displacement, with_pairs
+from fracture_collision.core.separation.oriented_boxes import box_clearance
+from fracture_collision.geometry.generators import ball, brick, shell
+from fracture_collision.records import BOX, CollisionBody, ContactConstraintArray, FragmentStates, SolidPrimitive
+from fracture_collision.world import CollisionWorld, Settings
+
+LISTED, SEARCHED = Settings(threads=2), Settings(threads=1, neighbour_lists=False)
+SHAPES = {"ball": (ball(1.0, 0.35), False), "shell": (shell(1.0, 0.8, 0.5), True)}
+WALK = 0.0004  # [R] of a step: a list lasts some ten
+JUMP = 0.03  # [R] of one that no list outlives
+
+
+def random_turns(random: np.random.Generator, count: int, size: float) -> np.ndarray:
+    """Quaternions (count, 4) of turns by about `size`."""
+    quaternions = np.column_stack([0.5 * random.uniform(-size, size, (count, 3)), np.ones(count)])
+    return quaternions / np.linalg.norm(quaternions, axis=1)[:, None]
+
+
+def turned(quaternions: np.ndarray, by: np.ndarray) -> np.ndarray:
+    """Products by * quaternion (n, 4), x y z w."""
+    u, v = by[:, :3], quaternions[:, :3]
+    w, s = by[:, 3:], quaternions[:, 3:]
+    product = np.hstack([w * v + s * u + np.cross(u, v), w * s - (u * v).sum(axis=1)[:, None]])
+    return product / np.linalg.norm(product, axis=1)[:, None]
+
+
+def world_around(case: FracturedWorld, settings: Settings) -> CollisionWorld:
+    """The fragments, a rigid box and a whole body beside them, on a ground."""
+    world = with_settings(case, settings)
+    other = brick((1.0, 1.0, 0.5), 0.25)
+    world.add_body(tetrahedral_body(other, 2000))
+    world.add_body(CollisionBody(2001, 2001, primitive=SolidPrimitive(BOX, (0.8, 0.8, 0.4))))
+    world.add_body(CollisionBody(2002, 2002, plane=np.array([0.0, 0.0, 1.0, 1.001]), is_static=True))
+    return world
+
+
+def assert_same(own: ContactConstraintArray, other: ContactConstraintArray) -> None:
+    for name, a, b in zip(own._fields, own, other, strict=True):
+        assert np.asarray(a).tobytes() == np.asarray(b).tobytes(), name
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("contacts_per_pair", [2, 8, 40])
+def test_same_answers(shape, contacts_per_pair) -> None:
+    body, curved = SHAPES[shape]
+    case = fractured_world(body, 9, generations=2, curved=curved)
+    worlds = [
+        world_around(case, settings._replace(contacts_per_pair=contacts_per_pair)) for settings in (LISTED, SEARCHED)
+    ]
+    random = np.random.default_rng(5)
+    ids = np.array([*case.oracle.fragment_ids, 2000, 2001])
+    n = len(ids)
+    positions = random.uniform(-0.01, 0.01, (n, 3))
+    positions[-2:] = (0.0, 0.0, 1.24), (1.38, 0.0, 0.0)
+    quaternions = random_turns(random, n, 0.01)
+    visits, listed, kept = np.zeros(2), 0, 0
+    for step in range(1, 41):
+        size = JUMP if step % 17 == 0 else 0.0 if step % 5 == 0 else WALK
+        # some stay where they are, and pairs of these have the contacts that they had
+        move = np.flatnonzero(random.random(n) < (1.0 if step % 3 else 0.4))
+        positions[move] += random.uniform(-size, size, (len(move), 3))
+        if size:
+            quaternions[move] = turned(quaternions[move], random_turns(random, len(move), size))
+        states = FragmentStates(step, case.generations, ids, positions.ravel(), quaternions.ravel())
+        answers = [world.contacts(states) for world in worlds]
+        assert_same(*answers)
+        visits += [world.last_visits for world in worlds]
+        lists, answer = worlds[0]._remembered
+        listed = max(listed, int((lists.counts > 0).sum()))
+        kept = max(kept, int((answer.pair_of_slot >= 0).sum()))
+        assert worlds[1]._remembered is NOTHING_REMEMBERED
+        if step % 7 == 0:
+            for field in answers[0]:  # who got an answer may do with it what they like
+                if isinstance(field, np.ndarray):
+                    field[:] = 7
+    assert listed > 10 and kept > 10
+    assert visits[0] < visits[1]
+
+
+def test_a_fracture_and_a_step_back_change_nothing() -> None:
+    body, _ = SHAPES["ball"]
+    case = fractured_world(body, 6, generations=3)
+    listed, searched = (with_settings(case, settings) for settings in (LISTED, SEARCHED))
+    oldest = {0: [1]}
+    for event in case.messages[1]:
+        living = oldest[event.sequence - 1]
+        oldest[event.sequence] = [f for f in living if f != event.fragment_id] + event.new_fragment_ids.tolist()
+    # forward, and back to an earlier registry, as a bag that is played twice
+    for step, sequence in enumerate([0, 1, 1, 1, 2, 2, 2, 3, 3, 3, 1, 1, 1, 2, 2, 3], 1):
+        ids = np.array(oldest[sequence])
+        shift = 1e-5 * step * np.outer(np.arange(len(ids)), [1.0, -1.0, 0.5])
+        upright = np.tile([0.0, 0.0, 0.0, 1.0], len(ids))
+        states = FragmentStates(step, sequence, ids, shift.ravel(), upright)
+        assert_same(listed.contacts(states), searched.contacts(states))
+
+
+def test_a_visit_budget_is_spent_on_searches() -> None:
+    body, _ = SHAPES["ball"]
+    case = fractured_world(body, 9)
+    world = with_settings(case, LISTED._replace(visit_budget=2000))
+    answers = [world.contacts(case.states(0.005)) for _ in range(4)]
+    assert_same(answers[0], answers[-1])
+    assert world._remembered is NOTHING_REMEMBERED
+
+
+def test_a_pair_keeps_its_slot_and_shares_it_with_nobody() -> None:
+    random = np.random.default_rng(3)
+    lists, slot_of = NO_LISTS, {}
+    for _ in range(60):
+        keys = random.permutation(200)[: random.integers(0, 150)].astype(np.int64)
+        lists, slots, known = with_pairs(lists, keys)
+        assert len(set(slots.tolist())) == len(keys) <= len(lists.counts)
+        assert known.tolist() == [key in slot_of for key in keys.tolist()]
+        assert all(slot_of.get(key, slot) == slot for key, slot in zip(keys.tolist(), slots.tolist(), strict=True))
+        slot_of = dict(zip(keys.tolist(), slots.tolist(), strict=True))
+
+
+def test_boxes_are_no_nearer_than_their_clearance() -> None:
+    """Against the distance itself, by least squares over both boxes."""
+    random = np.random.default_rng(4)
+    apart = 0
+    for _ in range(400):
+        low = random.uniform(-1.0, 0.0, (2, 3))
+        boxes = np.hstack([low, low + random.uniform(0.05, 1.0, (2, 3))])
+        rotation, translation = Rotation.random(random_state=random).as_matrix(), random.uniform(-1.5, 1.5, 3)
+        nearest = lsq_linear(
+            np.hstack([rotation, -np.eye(3)]), -translation, (boxes[:, :3].ravel(), boxes[:, 3:].ravel()), tol=1e-14
+        )
+        distance = np.sqrt(2.0 * nearest.cost)
+        asked = random.choice([0.0, 0.1])
+        clearance = clearance_of(boxes[0], boxes[1], rotation, translation, asked)
+        assert clearance <= distance * (1.0 + 1e-6) + 1e-7
+        assert clearance == 0.0 or clearance > asked
+        apart += clearance > 0.0
+    assert 100 < apart < 390
+
+
+@njit
+def clearance_of(box_a, box_b, rotation, translation, distance):
+    return box_clearance(box_a, box_b, rotation, translation, distance)
+
+
+def test_no_point_moves_farther_than_its_bound() -> None:
+    case = fractured_world(SHAPES["shell"][0], 5, curved=True)
+    a, b = (case.row(f) for f in case.oracle.fragment_ids[:2])
+    pools, random = case.geometry.pools, np.random.default_rng(2)
+    for size in (1e-4, 1e-2, 1.0, 3.0):
+        before, now = (_relative_poses(random, size) for _ in range(2))
+        kept = np.array([np.append(turn.ravel(), shift) for turn, shift in zip(*before, strict=True)])
+        bound, farthest = displacement(pools, a, b, *now, kept), 0.0
+        for side, f in enumerate((a, b)):
+            box = pools.fragment.box[f]
+            points = box[:3] + random.random((200, 3)) * (box[3:] - box[:3])
+            moved = points @ (now[0][side] - before[0][side]).T + now[1][side] - before[1][side]
+            farthest = max(farthest, np.linalg.norm(moved, axis=1).max())
+        assert farthest <= bound * (1.0 + 1e-12)
+        assert bound < 3.0 * farthest  # it is no idle one
+
+
+def _relative_poses(random: np.random.Generator, size: float) -> tuple[np.ndarray, np.ndarray]:
+    """Rotations (2, 3, 3) and translations (2, 3) from one frame to another and back."""
+    x, y, z, w = random_turns(random, 1, size)[0]
+    u = np.array([x, y, z])
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    rotation = (w * w - u @ u) * np.eye(3) + 2.0 * np.outer(u, u) + 2.0 * w * cross
+    translation = random.uniform(-size, size, 3)
+    return np.array([rotation, rotation.T]), np.array([translation, -rotation.T @ translation])

@@ -1,0 +1,184 @@
+"""The search among leaves: what algorithm 1 finds, byte for byte; and which of many contacts are listed."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from worlds.fractured_worlds import fractured_world, with_settings
+from worlds.hard_worlds import tetrahedral_body
+
+from fracture_collision.core.bodies.body_validator import validate_body
+from fracture_collision.core.memory.pools import LEAF, LEAF_VALUES
+from fracture_collision.core.pair.narrow_phase import query_pairs
+from fracture_collision.geometry.generators import ball, brick, shell
+from fracture_collision.records import BOX, CollisionBody, FragmentStates, SolidPrimitive
+from fracture_collision.world import CollisionWorld, Settings, collision_world
+
+SHAPES = {
+    "ball": (ball(1.0, 0.35), False),
+    "curved ball": (ball(1.0, 0.3), True),
+    "shell": (shell(1.0, 0.8, 0.5), True),
+    "brick": (brick((1.0, 0.8, 0.5), 0.2), False),
+}
+TREE = 1 << 40  # visits that no pair comes to: a budget is spent by algorithm 1
+EVERY = 1 << 20
+EPSILON = NEAR = 0.002
+
+
+class Found(NamedTuple):
+    """What query_pairs says of one pair."""
+
+    samples: np.ndarray  # (n, 2) side, sample
+    points: np.ndarray  # (n, 3) [m] of the samples, in the world
+    gaps: np.ndarray  # (n,) [m]
+    bound: float  # [m]
+
+
+def found_by(world: CollisionWorld, states: FragmentStates, monkeypatch: pytest.MonkeyPatch) -> dict[tuple, Found]:
+    """By ids of the pair."""
+    caught = []
+
+    def listen(*arguments, **options):
+        caught[:] = query_pairs(*arguments, **options)[0], arguments[4]
+        return query_pairs(*arguments, **options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(collision_world, "query_pairs", listen)
+        world.change_settings(world.settings._replace(neighbour_lists=False))
+        world.contacts(states)
+    ids = world.present(states).ids
+    contacts, pairs = caught
+    begin, found = np.concatenate([[0], np.cumsum(contacts.counts)]), {}
+    for p, (i, j) in enumerate(pairs.tolist()):
+        own = slice(int(begin[p]), int(begin[p + 1]))
+        points = np.where(contacts.samples[own, :1] == 0, contacts.points_a[own], contacts.points_b[own])
+        found[int(ids[i]), int(ids[j])] = Found(
+            contacts.samples[own], points, contacts.gaps[own], float(contacts.bounds[p])
+        )
+    return found
+
+
+def by_the_rule(every: Found, wanted: int, most: int, epsilon: float, near: float) -> set[tuple[int, int]]:
+    """The slow twin of contact_choice.choose: sides and samples of those of `every` that are listed."""
+    order = np.lexsort((every.samples[:, 1], every.samples[:, 0]))
+    samples, points, gaps = every.samples[order], every.points[order], every.gaps[order]
+    deep = gaps < -epsilon
+    if len(gaps) <= wanted:
+        chosen = list(range(len(gaps)))
+    elif deep.sum() > wanted:
+        chosen = [int(np.argmin(gaps))]
+        _spread(chosen, points, near + np.minimum(-gaps, epsilon), np.flatnonzero(deep), min(int(deep.sum()), most))
+    else:
+        first = int(np.flatnonzero(gaps <= gaps.min() + 0.5 * epsilon)[0])
+        chosen = np.flatnonzero(deep).tolist() or [first]
+        _spread(chosen, points, near + np.minimum(-gaps, epsilon), np.arange(len(gaps)), wanted)
+    return {tuple(samples[k].tolist()) for k in chosen}
+
+
+def place_of_each(every: Found) -> dict[tuple[int, int], int]:
+    """By side and sample: the first of `every` that is at the same place, up to rounding."""
+    same = ((every.points[:, None] - every.points[None]) ** 2).sum(axis=2) < 1e-24
+    firsts = [int(np.flatnonzero(row)[0]) for row in same]
+    return dict(zip(map(tuple, every.samples.tolist()), firsts, strict=True))
+
+
+def _spread(chosen: list[int], points: np.ndarray, within: np.ndarray, pool: np.ndarray, aim: int) -> None:
+    while len(chosen) < aim:
+        rest = np.setdiff1d(pool, chosen)
+        far = ((points[rest][:, None] - points[chosen][None]) ** 2).sum(axis=2).min(axis=1)
+        worth = far * within[rest] ** 2
+        chosen.append(int(rest[np.flatnonzero(worth >= (1.0 - 1e-3) * worth.max())[0]]))
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("jitter", [0.0, 0.001, 0.01, 0.2])
+def test_finds_what_the_tree_finds(shape, jitter) -> None:
+    body, curved = SHAPES[shape]
+    case = fractured_world(body, 9, generations=2, curved=curved)
+    for settings in (
+        Settings(threads=1, selection="complete"),
+        Settings(threads=1, selection="complete", contacts_per_pair=EVERY, normals="nearest"),
+    ):
+        quick, slow = (with_settings(case, settings._replace(visit_budget=budget)) for budget in (0, TREE))
+        for world in (quick, slow):
+            world.add_body(tetrahedral_body(brick((1.0, 1.0, 0.5), 0.25), 2000))
+            world.add_body(CollisionBody(2001, 2001, primitive=SolidPrimitive(BOX, (0.8, 0.8, 0.4))))
+            world.add_body(CollisionBody(2002, 2002, plane=np.array([0.0, 0.0, 1.0, 0.98]), is_static=True))
+        for seed in range(3):
+            states = case.states(jitter, seed)
+            more = FragmentStates(
+                states.step, states.fracture_sequence, np.append(states.fragment_ids, [2000, 2001]),
+                np.append(states.positions, [0.0, 0.0, 1.24, 1.38, 0.0, 0.0]),
+                np.append(states.orientations, [0.1, 0.2, 0.0, 0.9746794, 0.0, 0.3, 0.1, 0.9486833]),
+            )  # fmt: skip
+            answers = [world.contacts(more) for world in (quick, slow)]
+            for name, a, b in zip(answers[0]._fields, *answers, strict=True):
+                assert np.asarray(a).tobytes() == np.asarray(b).tobytes(), name
+            assert len(answers[0].gaps)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("jitter", [0.003, 0.01, 0.05])
+@pytest.mark.parametrize(("wanted", "most"), [(8, 16), (3, 3), (4, 40)])
+def test_lists_those_of_the_rule(shape, jitter, wanted, most, monkeypatch) -> None:
+    body, curved = SHAPES[shape]
+    case = fractured_world(body, 7, curved=curved)
+    settings = Settings(threads=1, normals="nearest")
+    radius = float(case.geometry.pools.fragment.radius[0])
+    some = with_settings(case, settings._replace(contacts_per_pair=wanted, deep_contacts_per_pair=most))
+    all_of_them = with_settings(case, settings._replace(contacts_per_pair=EVERY, selection="complete"))
+    chosen_of_many = 0
+    for seed in range(3):
+        states = case.states(jitter, seed)
+        listed, every = (found_by(world, states, monkeypatch) for world in (some, all_of_them))
+        assert listed.keys() == every.keys()
+        for pair, own in listed.items():
+            all_near = every[pair]
+            right = by_the_rule(all_near, wanted, most, EPSILON * radius, NEAR * radius)
+            # of samples at one place, where cracks meet, rounding says which is listed when only such are left
+            places = place_of_each(all_near)
+            assert len(own.samples) == len(right)
+            assert {places[tuple(s)] for s in own.samples.tolist()} == {places[s] for s in right}
+            is_listed = (all_near.samples[:, None] == own.samples[None]).all(axis=2).any(axis=1)
+            left_out = max(-all_near.gaps[~is_listed].min(initial=0.0), 0.0)
+            # of many deep ones only those that are listed are known, and whether any other is deeper than epsilon
+            known = left_out
+            if (all_near.gaps < -EPSILON * radius).sum() > wanted:
+                known = -own.gaps.min() if left_out > EPSILON * radius else EPSILON * radius
+            assert left_out <= own.bound <= known + 1e-9 * radius
+            chosen_of_many += len(all_near.gaps) > wanted
+    assert chosen_of_many > 10
+
+
+def test_what_rests_keeps_its_contacts() -> None:
+    """A brick on a brick touches with a hundred samples, all as deep but for rounding: always the same are listed."""
+    lower, upper = (tetrahedral_body(brick((1.0, 1.0, 0.5), 0.1), i) for i in (1, 2))
+    world, ids = CollisionWorld(Settings(threads=1)), []
+    world.add_body(lower)
+    world.add_body(upper)
+    random = np.random.default_rng(1)
+    for step in range(20):
+        small = random.uniform(-1e-9, 1e-9, 6)
+        states = FragmentStates(
+            step, 0, np.array([1, 2]), np.array([0.0, 0.0, 0.0, 0.03, 0.02, 0.4999]) + small, np.tile([0, 0, 0, 1.0], 2)
+        )
+        ids.append(world.contacts(states).contact_ids.tolist())
+    assert len(ids[0]) == 8 and all(later == ids[0] for later in ids)
+
+
+def test_leaves_hold_every_sample_once() -> None:
+    case = fractured_world(*SHAPES["shell"][:1], 9, generations=2, curved=True)
+    rows = [case.row(fragment_id) for fragment_id in case.oracle.fragment_ids]
+    validate_body(case.geometry, rows)
+    pools = case.geometry.pools
+    leaf = int(pools.fragment.leaf_begin[rows[-1]])
+    for values, at, words in (
+        (pools.samples.entries, LEAF * leaf, "every sample once"), (pools.samples.values, LEAF_VALUES * leaf, "box"),
+    ):  # fmt: skip
+        kept = values[at]
+        values[at] = pools.samples.entries[at + 1] if values is pools.samples.entries else 1.0
+        with pytest.raises(AssertionError, match=words):
+            validate_body(case.geometry, rows)
+        values[at] = kept

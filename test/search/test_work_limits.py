@@ -1,0 +1,121 @@
+"""Valid states that would cost more than any answer is worth: what limits leave out is bounded, and shares are pure."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from truth.contact_truth import COARSE_SHAPES, ContactTruth, Poses, check_pair, pairs_of
+from worlds.fractured_worlds import SETTINGS, fractured_world, with_settings
+
+from benchmarks.scaling.crowds import CLOSE, crowd, measure_crowds
+from fracture_collision.core.pair.narrow_phase import _level
+from fracture_collision.records import (
+    BUDGET_EXHAUSTED,
+    ContactConstraintArray,
+)
+from fracture_collision.world import InvalidMessage
+
+
+def size_of(answer: ContactConstraintArray) -> int:
+    return sum(np.asarray(field).nbytes for field in answer)
+
+
+def bytes_of(answer: ContactConstraintArray) -> bytes:
+    return b"".join(np.asarray(field).tobytes() for field in answer)
+
+
+@pytest.mark.parametrize("kind", ["boxes", "spheres", "tetrahedra", "mixed"])
+@pytest.mark.parametrize("spread", [0.0, 0.03])
+def test_a_hundred_at_one_place_are_answered(kind: str, spread: float) -> None:
+    world, states = crowd(kind, 100, spread)
+    answer = world.contacts(states)
+    assert len(answer.gaps) <= world.settings.max_contacts
+    assert size_of(answer) < 20e6
+    # every pair has a contact or is in the answer for its bound
+    assert kind == "tetrahedra" or len(answer.fragment_a) >= 4900
+    if kind != "spheres":
+        assert answer.status == BUDGET_EXHAUSTED
+
+
+def test_a_thousand_at_one_place_are_refused_in_words() -> None:
+    world, states = crowd("boxes", 1000, 0.0)
+    with pytest.raises(InvalidMessage, match=r"more than 100000 pairs .* \(max_pairs\)") as refused:
+        world.contacts(states)
+    assert refused.value.kind == "limit_exceeded"
+
+
+@pytest.mark.parametrize("count", [300, 600, 1000])
+@pytest.mark.parametrize("kind", ["boxes", "mixed"])
+def test_memory_of_a_crowd(kind: str, count: int) -> None:
+    """The whole process with its answer stays below 500 MB."""
+    (row,) = measure_crowds([(kind, count, CLOSE)])
+    assert row.peak < 500.0 and row.refused in ("", "limit_exceeded")
+    assert row.refused or row.contacts > 1000
+
+
+@pytest.mark.parametrize("kind", ["boxes", "tetrahedra", "mixed"])
+def test_shares_do_not_depend_on_threads_lists_or_earlier_steps(kind: str) -> None:
+    limits = dict(max_visits=100_000, max_further_visits=20_000, max_contacts_per_pair=30, max_contacts=4_000)
+    answers = []
+    for threads, lists in ((1, True), (2, True), (5, False)):
+        world, states = crowd(kind, 40, 0.4, threads=threads, neighbour_lists=lists, **limits)
+        moved = states._replace(positions=states.positions + 1e-5)
+        half = states._replace(positions=np.append(moved.positions[:60], states.positions[60:]))
+        told = []
+        for step in (states, half, moved, states, half):
+            answer = world.contacts(step)
+            told.append(bytes_of(answer))
+        answers.append(tuple(told))
+    assert answer.status == BUDGET_EXHAUSTED and len(answer.gaps) > 1000
+    assert len(set(answers)) == 1
+
+
+def test_pairs_without_room_are_searched_again(monkeypatch) -> None:
+    """More contacts than the first buffer has rows: the same bytes as with rows to spare."""
+    world, states = crowd("boxes", 30, 0.05, contacts_per_pair=400, threads=2)
+    reference = bytes_of(world.contacts(states))
+    for room in (1, 100, 10_000):
+        monkeypatch.setattr("fracture_collision.core.pair.narrow_phase.LEAST_ROOM", room)
+        monkeypatch.setattr("fracture_collision.core.pair.narrow_phase.FIRST_ROOM", 0)
+        for threads in (1, 2, 3):
+            world.change_settings(world.settings._replace(threads=threads))
+            assert bytes_of(world.contacts(states)) == reference
+
+
+@pytest.mark.parametrize("field", ["exact", "averaged"])
+@pytest.mark.parametrize(
+    "limits",
+    [
+        {"max_contacts_per_pair": 4}, {"max_contacts": 60}, {"max_contacts": 3}, {"max_further_visits": 30},
+        {"max_visits": 500}, {"max_visits": 100},
+    ],
+    ids=str,
+)  # fmt: skip
+def test_the_bound_holds_whatever_a_limit_leaves_out(limits: dict, field: str) -> None:
+    """Against every sample by brute force; those that are kept are the deepest."""
+    case = fractured_world(COARSE_SHAPES["ball"](), seeds=5, generations=2, curved=True)
+    states, truth = case.states(0.2, seed=2), ContactTruth(case)
+    chosen = SETTINGS._replace(normals="nearest", field=field, contacts_per_pair=2)
+    whole, limited = with_settings(case, chosen), with_settings(case, chosen._replace(**limits))
+    everything, answer = whole.contacts(states), limited.contacts(states)
+    assert answer.status == BUDGET_EXHAUSTED and everything.status == 0
+    listed, poses = pairs_of(answer), Poses(states)
+    for pair in pairs_of(everything):
+        check = check_pair(truth, poses, answer, pair, listed, SETTINGS.penetration_tolerance)
+        assert check.deepest_unlisted <= check.bound + 1e-9, (pair, check)
+    assert len(answer.gaps) <= limits.get("max_contacts", len(everything.gaps))
+    if field == "exact" and "max_visits" not in limits and "max_further_visits" not in limits:
+        its = pairs_of(everything)
+        for pair, (rows, _) in listed.items():
+            deepest = np.sort(everything.gaps[its[pair][0]])[: len(answer.gaps[rows])]
+            assert np.allclose(np.sort(answer.gaps[rows]), deepest)
+
+
+def test_level_is_the_largest_that_fits() -> None:
+    random = np.random.default_rng(2)
+    for _ in range(300):
+        counts = random.integers(0, random.integers(1, 40), random.integers(1, 12))
+        most = int(random.integers(0, 1.2 * counts.sum() + 2))
+        level = _level(counts, most)
+        assert np.minimum(counts, level).sum() <= most
+        assert level == counts.max() or np.minimum(counts, level + 1).sum() > most

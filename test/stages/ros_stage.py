@@ -1,0 +1,23 @@
+"""Nodes and clients of one domain, on this machine alone, all ended at the end. For tests."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from campaigns.kills.stage import Stage
+from stages.ros_client import ServiceClient
+
+
+class StageWithClients(Stage):
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder)
+        self._clients: list[ServiceClient] = []
+
+    def client(self, *ros_arguments: str) -> ServiceClient:
+        self._clients.append(ServiceClient(self.domain_id, ros_arguments))
+        return self._clients[-1]
+
+    def close(self) -> None:
+        for client in self._clients:
+            client.close()
+        super().close()

@@ -1,0 +1,233 @@
+"""What the contacts of a fractured world have to be, by brute force: samples, who owns them, how deep they are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+from oracles.brute_force import distances, owners, partition_of
+from scipy.spatial.transform import Rotation
+from worlds.fractured_worlds import FracturedWorld
+
+from fracture_collision.geometry.concave_shapes import l_block, torus
+from fracture_collision.geometry.generators import TetGeometry, ball, bowl, brick, shell
+from fracture_collision.geometry.stored_meshes import bunny
+from fracture_collision.records import ContactConstraintArray, FragmentStates
+from fracture_collision.world import CollisionWorld
+from fracture_collision.world.contact_ids import contact_ids
+
+# Samples nearer to a fragment's border than this [m] may be taken for inside or outside.
+BORDER = 1e-9
+
+# A witness this near to the other's surface [m] is on it.
+WITNESS = 1e-6
+
+# Half the longest side, R, is 1 [m] for all.
+SHAPES: dict[str, Callable[[], TetGeometry]] = {
+    "ball": lambda: ball(1.0, 0.3),
+    "brick": lambda: brick((2.0, 1.0, 0.8), 0.3),
+    "shell": lambda: shell(1.0, 0.8, 0.5),
+    "bowl": lambda: bowl(2.0, 0.2, 0.35, 0.6),
+    "torus": lambda: torus(0.72, 0.28, 0.2),
+    "l_block": lambda: l_block((2.0, 1.6, 0.6), (1.2, 0.9), 0.25),
+    "bunny": lambda: bunny(2.0),
+}
+
+
+COARSE_SHAPES: dict[str, Callable[[], TetGeometry]] = {
+    "ball": lambda: ball(1.0, 0.4),
+    "brick": lambda: brick((2.0, 1.0, 0.8), 0.4),
+    "shell": lambda: shell(1.0, 0.8, 0.6),
+    "bowl": lambda: bowl(2.0, 0.2, 0.4, 0.6),
+    "torus": lambda: torus(0.72, 0.28, 0.3),
+    "l_block": lambda: l_block((2.0, 1.6, 0.6), (1.2, 0.9), 0.4),
+}
+
+
+class Poses:
+    """The states' poses, by fragment."""
+
+    def __init__(self, states: FragmentStates) -> None:
+        ids = np.asarray(states.fragment_ids).tolist()
+        turns = Rotation.from_quat(np.asarray(states.orientations).reshape(-1, 4)).as_matrix()
+        self.rotation = dict(zip(ids, turns, strict=True))
+        self.position = dict(zip(ids, np.asarray(states.positions).reshape(-1, 3), strict=True))
+
+    def to_body(self, fragment: int, points: np.ndarray) -> np.ndarray:
+        return (points - self.position[fragment]) @ self.rotation[fragment]
+
+    def to_world(self, fragment: int, points: np.ndarray) -> np.ndarray:
+        return points @ self.rotation[fragment].T + self.position[fragment]
+
+
+def surface_samples(case: FracturedWorld, fragment: int) -> tuple[np.ndarray, np.ndarray]:
+    """Points (n, 3) [m, body frame] and numbers (n,) of the samples that may become contacts."""
+    tree = case.geometry.sphere_tree(case.row(fragment))
+    leaves = (tree.size == 1) & (tree.on_surface == 1)
+    return tree.center[leaves], tree.sample[leaves]
+
+
+def sample_ids(own: int, other: int, samples: np.ndarray) -> np.ndarray:
+    """contact_ids that samples of `own` have against `other`."""
+    out = np.empty(len(samples), np.uint64)
+    contact_ids(np.full(len(samples), own), np.full(len(samples), other), samples.astype(np.int64), out)
+    return out
+
+
+def pairs_of(answer: ContactConstraintArray) -> dict[tuple[int, int], tuple[slice, float]]:
+    """(fragment_a, fragment_b) to the rows of its contacts and its missed_depth_bound [m]."""
+    return {
+        (int(a), int(b)): (
+            slice(int(answer.pair_begin[i]), int(answer.pair_begin[i + 1])),
+            float(answer.missed_depth_bound[i]),
+        )
+        for i, (a, b) in enumerate(zip(answer.fragment_a, answer.fragment_b, strict=True))
+    }
+
+
+class SampleDepths(NamedTuple):
+    """Of all surface samples of one fragment against another; minus infinity where a sample is not inside it."""
+
+    depth: np.ndarray  # (n,) [m] to the nearest point that is not the other's
+    certain: np.ndarray  # (n,) bool: not where rounding parts two tetrahedra that hold it
+
+
+class ContactTruth:
+    """Brute force for one registry of a world; surfaces are made when first asked for."""
+
+    def __init__(self, case: FracturedWorld) -> None:
+        self.case = case
+        self.fragment_ids = case.oracle.fragment_ids
+        self.partition = partition_of(case.oracle)
+        self.samples = {f: surface_samples(case, f) for f in self.fragment_ids}
+        self._boxes: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+
+    def surface(self, fragment: int) -> np.ndarray:
+        return self.case.oracle.surface_triangles(fragment)
+
+    def box(self, fragment: int) -> tuple[np.ndarray, np.ndarray]:
+        if fragment not in self._boxes:
+            corners = self.surface(fragment).reshape(-1, 3)
+            self._boxes[fragment] = corners.min(axis=0), corners.max(axis=0)
+        return self._boxes[fragment]
+
+    def depths(self, own: int, other: int, poses: Poses) -> SampleDepths:
+        points = poses.to_body(other, poses.to_world(own, self.samples[own][0]))
+        return self.depths_of(other, points)
+
+    def depths_of(self, other: int, points: np.ndarray) -> SampleDepths:
+        """The same of any points (n, 3) [m] in the frame of `other`."""
+        depth, certain = np.full(len(points), -np.inf), np.ones(len(points), dtype=bool)
+        low, high = self.box(other)
+        near = np.flatnonzero(np.all((points >= low) & (points <= high), axis=1))
+        owner, certain[near] = owners(self.partition, points[near])
+        inside = near[owner == other]
+        depth[inside] = distances(points[inside], self.surface(other))
+        return SampleDepths(depth, certain)
+
+    def world_boxes(self, poses: Poses) -> dict[int, np.ndarray]:
+        """Lower and upper corner (2, 3) [m] in the world, of each fragment's box."""
+        boxes = {}
+        for fragment in self.fragment_ids:
+            low, high = self.box(fragment)
+            middle = poses.to_world(fragment, 0.5 * (low + high)[None])[0]
+            reach = np.abs(poses.rotation[fragment]) @ (0.5 * (high - low))
+            boxes[fragment] = np.array((middle - reach, middle + reach))
+        return boxes
+
+
+def piled(truth: ContactTruth, seed: int, spread: float) -> FragmentStates:
+    """Every fragment's middle at random about the origin (deviation `spread` [m]), in any attitude."""
+    random = np.random.default_rng(seed)
+    ids = truth.fragment_ids
+    turns = Rotation.from_quat(random.normal(size=(len(ids), 4)))
+    middles = np.array([np.mean(truth.box(f), axis=0) for f in ids])
+    positions = random.normal(scale=spread, size=(len(ids), 3)) - turns.apply(middles)
+    return FragmentStates(1, truth.case.generations, np.array(ids), positions.ravel(), turns.as_quat().ravel())
+
+
+class PairCheck(NamedTuple):
+    """One pair of fragments against the truth; lengths in metres. Zero violations is what has to come out."""
+
+    contacts: int
+    bound: float  # missed_depth_bound, or epsilon for a pair that the answer leaves out
+    is_listed: bool  # the answer names the pair
+    deepest_unlisted: float  # depth of the deepest sample that is not listed, 0 if none is inside
+    misplaced: float  # largest distance of a listed sample from where it is
+    off_surface: float  # largest distance of a witness from the other's surface
+    apart: int  # penetrations reported of samples that are not inside
+    too_shallow: float  # largest (depth - reported depth)
+    excess: np.ndarray  # (inside,) reported depth less the distance to the nearest surface, of samples inside
+
+
+def check_pair(
+    truth: ContactTruth, poses: Poses, answer: ContactConstraintArray, pair: tuple[int, int],
+    listed: dict[tuple[int, int], tuple[slice, float]], epsilon: float,
+) -> PairCheck:  # fmt: skip
+    """Compare what `answer` says of a pair (smaller id first) with brute force, both ways."""
+    rows, bound = listed.get(pair, (slice(0, 0), epsilon))
+    ids, gaps = answer.contact_ids[rows], answer.gaps[rows]
+    points = answer.points_a.reshape(-1, 3)[rows], answer.points_b.reshape(-1, 3)[rows]
+    found, apart = 0, 0
+    unlisted = misplaced = off_surface = too_shallow = 0.0
+    excess = [np.zeros(0)]
+    for side in range(2):
+        own, other = pair[side], pair[1 - side]
+        samples, numbers = truth.samples[own]
+        depths = truth.depths(own, other, poses)
+        keys = sample_ids(own, other, numbers)
+        _, contact, sample = np.intersect1d(ids, keys, return_indices=True)
+        found += len(contact)
+        rest = depths.certain.copy()
+        rest[sample] = False
+        unlisted = max(unlisted, depths.depth[rest].max(initial=0.0))
+        if not len(contact):
+            continue
+        there = poses.to_world(own, samples[sample])
+        misplaced = max(misplaced, np.linalg.norm(points[side][contact] - there, axis=1).max())
+        witness = poses.to_body(other, points[1 - side][contact])
+        off_surface = max(off_surface, distances(witness, truth.surface(other)).max())
+        depth, certain, gap = depths.depth[sample], depths.certain[sample], gaps[contact]
+        inside = np.isfinite(depth)
+        apart += int(np.count_nonzero(~inside & certain & (gap < -BORDER)))
+        too_shallow = max(too_shallow, (depth + gap)[inside & certain].max(initial=0.0))
+        excess.append((-gap - depth)[inside & certain])
+    assert found == len(ids), f"pair {pair}: {len(ids) - found} contacts are no sample of either fragment"
+    return PairCheck(
+        len(ids), bound, pair in listed, unlisted, misplaced, off_surface, apart, too_shallow,
+        np.concatenate(excess),
+    )  # fmt: skip
+
+
+def check_all_pairs(
+    truth: ContactTruth, states: FragmentStates, world: CollisionWorld | None = None
+) -> list[PairCheck]:
+    """What `world` (the truth's own, or one of the same messages) answers to `states`, for every pair of fragments."""
+    world = world or truth.case.world
+    answer, poses, settings = world.contacts(states), Poses(states), world.settings
+    listed = pairs_of(answer)
+    assert list(listed) == sorted(listed)
+    normals = answer.normals.reshape(-1, 3)
+    along = (answer.points_b - answer.points_a).reshape(-1, 3)
+    assert np.allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-12)
+    assert np.allclose(answer.gaps, (along * normals).sum(axis=1), atol=1e-12)
+    assert len(set(answer.contact_ids.tolist())) == len(answer.contact_ids)
+    assert (answer.gaps <= settings.detection_tolerance + BORDER).all()
+    return [
+        check_pair(truth, poses, answer, pair, listed, settings.penetration_tolerance)
+        for pair in combinations(sorted(truth.fragment_ids), 2)
+    ]
+
+
+def assert_true(checks: list[PairCheck], epsilon: float) -> None:
+    """Of a search without a budget; R = 1 m. `epsilon` [m]: the penetration tolerance."""
+    for check in checks:
+        # without a budget the bound is epsilon and rounding: nothing deeper than that is missing
+        assert check.bound <= epsilon + BORDER
+        assert check.deepest_unlisted <= check.bound, check
+        assert check.apart == 0, check
+        assert check.misplaced <= 1e-12, check
+        assert check.off_surface <= WITNESS, check
+        assert check.too_shallow <= BORDER, check

@@ -1,0 +1,204 @@
+"""The page without a browser: what it serves, keeps and sends."""
+
+from __future__ import annotations
+
+import io
+import subprocess
+import sys
+import threading
+import urllib.request
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from worlds.small_run import small_run
+
+from fracture_collision.records import CollisionBody, FragmentMesh, FragmentStates
+from fracture_collision.viewer.page.page import Page
+from fracture_collision.viewer.page.page_plots import Figures
+from fracture_collision.viewer.page.page_stream import STILL, LiveValues
+from fracture_collision.viewer.pictures.body_mesh import mesh_of_fragment
+from fracture_collision.viewer.pictures.gltf import glb_of_mesh
+from fracture_collision.viewer.pictures.palette import Palette
+
+SERVE = """
+import sys
+from fracture_collision.viewer.page.page import Page
+with Page() as page:
+    print(page.address)
+print([name for name in ("requests", "certifi", "tqdm", "rclpy") if name in sys.modules])
+"""
+
+
+def records_of(kind: Any) -> list[Any]:
+    return [record for _, record in small_run() if isinstance(record, kind)]
+
+
+def test_it_serves_this_machine_and_loads_nothing_under_a_copyleft() -> None:
+    done = subprocess.run([sys.executable, "-c", SERVE], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    address, loaded = done.stdout.splitlines()
+    assert address.startswith("http://127.0.0.1:") and loaded == "[]"
+    assert not done.stderr
+
+
+def test_pages_have_ports_of_their_own_and_are_gone_when_closed() -> None:
+    with Page() as one, Page() as other:
+        assert one.address != other.address
+        with urllib.request.urlopen(one.address, timeout=30) as answer:
+            assert b"<html" in answer.read(1000).lower()
+        assert one._server.request_share_url() is None
+    with pytest.raises(OSError):
+        urllib.request.urlopen(one.address, timeout=5)
+
+
+def test_a_fragment_as_gltf_is_read_as_it_was_meant() -> None:
+    palette = Palette()
+    for body in records_of(CollisionBody):
+        palette.add(body)
+    for record in records_of(FragmentMesh):
+        mesh = mesh_of_fragment(record)
+        paint = palette.paint(record.fragment_id, 3)
+        read = trimesh.load(io.BytesIO(glb_of_mesh(mesh, paint)), file_type="glb")
+        parts = list(read.geometry.values())
+        assert sum(len(part.faces) for part in parts) == len(mesh.triangles)
+        assert {len(part.faces) for part in parts} == {n for n in (mesh.is_crack.sum(), (~mesh.is_crack).sum()) if n}
+        assert sum(part.area for part in parts) == pytest.approx(
+            0.5 * np.linalg.norm(np.cross(*(mesh.triangles[:, i] - mesh.triangles[:, 0] for i in (1, 2))), axis=1).sum()
+        )
+        assert np.allclose(read.bounds, [mesh.triangles.min(axis=(0, 1)), mesh.triangles.max(axis=(0, 1))], atol=1e-6)
+
+
+def test_fragments_are_shades_of_their_body_and_cracks_are_paler() -> None:
+    palette = Palette()
+    for body in records_of(CollisionBody):
+        palette.add(body)
+    first, second = palette.paint(10, 3), palette.paint(11, 3)
+    other = palette.paint(10, 4)
+    assert first.outside != second.outside and first.crack == second.crack
+    assert np.argmax(first.outside) == np.argmax(second.outside) != np.argmax(other.outside)
+    assert min(first.crack) > max(min(first.outside), min(second.outside))
+    assert palette.is_breakable(3) and not palette.is_breakable(5)
+
+
+class OneBrowser:
+    """In place of a server: keeps what a page would be sent."""
+
+    def __init__(self) -> None:
+        self.sent: list[Any] = []
+        self.flushed = 0  # of these, on their way at once
+        self._websock_connection = self
+
+    def get_clients(self) -> dict[int, OneBrowser]:
+        return {0: self}
+
+    def atomic(self) -> Any:
+        return threading.Lock()
+
+    def queue_message(self, message: Any) -> None:
+        self.sent.append(message)
+
+    def flush(self) -> None:
+        self.flushed = len(self.sent)
+
+
+def test_only_what_has_moved_is_sent_and_a_late_page_is_told_all() -> None:
+    browser = OneBrowser()
+    live = LiveValues(browser)
+    poses = np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (3, 1))
+    live.pose(["/a", "/b", "/c"], poses)
+    assert browser.flushed == len(browser.sent) == 6
+    moved = poses.copy()
+    moved[1, 2] = 0.5  # b moves without turning
+    moved[2, 0] = 0.5 * STILL
+    live.pose(["/a", "/b", "/c"], moved)
+    assert [(message.name, message.position) for message in browser.sent[6:]] == [("/b", (0.0, 0.0, 0.5))]
+    for step in range(1, 10):  # what creeps is sent once it has crept far enough
+        moved[2, 0] = 0.3 * step * STILL
+        live.pose(["/a", "/b", "/c"], moved)
+    assert {message.name for message in browser.sent[7:]} == {"/c"}
+    live.forget("/c")
+    late = OneBrowser()
+    live.send_all(late)
+    assert sorted(message.name for message in late.sent) == ["/a", "/a", "/b", "/b"]
+    assert live.messages_sent == len(browser.sent)
+
+
+def test_a_body_stays_until_its_pieces_are_there() -> None:
+    bodies, meshes, states = records_of(CollisionBody), records_of(FragmentMesh), records_of(FragmentStates)
+    with Page() as page:
+        for body in bodies:
+            page.add_body(body)
+        page.show_states(states[0])
+        page.flush()
+        nodes = page._scene._nodes
+        assert sorted(nodes) == [2, 3, 4, 5] and all(node.visible for node in nodes.values())
+        for mesh in meshes[1:]:
+            page.add_fragment(mesh, 3)
+        page.show_states(states[-1])
+        page.flush()
+        assert nodes[3].visible
+        page.add_fragment(meshes[0], 3)
+        page.show_states(states[-1])
+        page.flush()
+        assert not nodes[3].visible and all(nodes[mesh.fragment_id].visible for mesh in meshes)
+        page.show_states(states[0])  # and back
+        page.flush()
+        assert nodes[3].visible and not nodes[meshes[0].fragment_id].visible
+        page.new_run()
+        page.flush()
+        assert not page._scene._nodes
+
+
+def test_states_that_came_first_place_what_comes_later() -> None:
+    states = records_of(FragmentStates)
+    with Page() as page:
+        page.show_states(states[-1])  # and no more: a pause
+        page.flush()
+        for record in records_of(CollisionBody):
+            page.add_body(record)
+        for mesh in records_of(FragmentMesh):
+            page.add_fragment(mesh, 3)
+        page.flush()
+        assert sorted(page._scene._nodes) == sorted(states[-1].fragment_ids)
+        page.new_run()
+        page.flush()
+        assert not page._scene._nodes
+
+
+def test_a_floor_is_drawn_once_and_holds_nothing_up() -> None:
+    meshes, states = records_of(FragmentMesh), records_of(FragmentStates)[0]
+    with Page() as page:
+        for body in records_of(CollisionBody):
+            page.add_body(body)
+        page.add_fragment(meshes[0]._replace(fragment_id=1), 1)  # services make meshes of floors too
+        floor = {"fragment_ids": [1], "positions": [0.0, 0.0, 0.0], "orientations": [0.0, 0.0, 0.0, 1.0]}
+        for fewer in (0, 1):  # the last body leaves
+            count = len(states.fragment_ids) - fewer
+            named = {
+                name: np.concatenate((own, getattr(states, name)[: len(own) * count])) for name, own in floor.items()
+            }
+            page.show_states(states._replace(**named))
+            page.flush()
+        nodes = page._scene._nodes
+        assert sorted(nodes) == sorted(states.fragment_ids) and 1 not in nodes
+        assert not nodes[int(states.fragment_ids[-1])].visible
+
+
+def test_the_newest_states_are_shown_some_thirty_times_a_second() -> None:
+    states = records_of(FragmentStates)[0]
+    with Page(told=frozenset({"contacts"})) as page:
+        for body in records_of(CollisionBody):
+            page.add_body(body)
+        page.show_states(states)
+        page.flush()
+        before = page.pictures
+        for step in range(3000):
+            page.show_states(states._replace(step=step))
+            page.show_figures(Figures(1e-3 * step, contacts=step))
+        page.flush()
+        assert 1 <= page.pictures - before < 300
+        assert len(page._plots._rows) == 3000  # all figures count, also those between two pictures
+    with pytest.raises(ValueError, match="no figures of these names: beer"):
+        Page(told=frozenset({"beer"}))

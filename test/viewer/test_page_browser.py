@@ -1,0 +1,262 @@
+"""The page in a real Chromium: what a person sees and does there."""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from stages.browser import HEIGHT, PATIENCE, WIDTH, chromium, knob, opened, picture_of, until
+from worlds.small_run import small_run
+
+from fracture_collision.records import CollisionBody, ContactConstraintArray, FragmentStates, refusal_of
+from fracture_collision.viewer.film.recorded_run import RecordedRun, RecordedStates
+from fracture_collision.viewer.page.bag_player import BagPlayer
+from fracture_collision.viewer.page.page import INTERVAL, Page
+from fracture_collision.viewer.page.page_events import Handlers, InsideWanted, PlaneWanted
+from fracture_collision.viewer.page.page_inside import InsideFigures, InsideView, PlanePicture, Spheres
+from fracture_collision.viewer.page.page_plots import Figures
+from fracture_collision.viewer.pictures.ray_picture import Camera
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with chromium() as running:
+        yield running
+
+
+def run_of_records() -> RecordedRun:
+    records = [record for _, record in small_run()]
+    bodies = {r.body_id: r for r in records if isinstance(r, CollisionBody)}
+    meshes = {r.fragment_id: r for r in records if type(r).__name__ == "FragmentMesh"}
+    body_of = {b.fragment_id: i for i, b in bodies.items()} | dict.fromkeys(meshes, 3)
+    states = [
+        RecordedStates(0.02 * r.step, r.step, r.fracture_sequence, r.fragment_ids, r.positions.reshape(-1, 3),
+                       r.orientations.reshape(-1, 4))
+        for r in records if isinstance(r, FragmentStates)
+    ]  # fmt: skip
+    return RecordedRun(bodies, body_of, meshes, states)
+
+
+@pytest.fixture
+def player() -> Iterator[BagPlayer]:
+    """Stands at the beginning; a thread plays it once it is told to."""
+    with BagPlayer(run_of_records()) as made:
+        made.page.cast_shadows(False)  # shadows take a software renderer most of its time
+        made.play(False)
+        made.seek(0.0)
+        stopped = threading.Event()
+
+        def advance() -> None:
+            while not stopped.wait(INTERVAL):
+                made.advance()
+
+        thread = threading.Thread(target=advance)
+        thread.start()
+        yield made
+        stopped.set()
+        thread.join()
+
+
+def blue(picture: np.ndarray) -> np.ndarray:
+    """Where the first brick is, whose family is blue."""
+    return (picture[..., 2] > picture[..., 0] + 0.15) & (picture[..., 2] > 0.3) & ~sky(picture)
+
+
+def sky(picture: np.ndarray) -> np.ndarray:
+    return (picture[..., 2] > 0.78) & (picture[..., 0] > 0.55)
+
+
+def red(picture: np.ndarray) -> np.ndarray:
+    return (picture[..., 0] > picture[..., 2] + 0.2) & (picture[..., 0] > picture[..., 1] + 0.12)
+
+
+def shows_bricks(picture: np.ndarray) -> bool:
+    return np.count_nonzero(blue(picture)) > 80 and np.count_nonzero(red(picture)) > 80
+
+
+def test_a_run_is_played_reloaded_and_looked_at_twice(browser: Any, player: BagPlayer) -> None:
+    with opened(browser, player.page.address) as page:
+        until(lambda: picture_of(page), shows_bricks)
+        still = steady(page)  # bricks are there before all lights are
+        page.get_by_role("button", name="play").click()
+        page.get_by_text("1.18 s").wait_for()  # the end
+        moved = until(lambda: picture_of(page), shows_bricks)
+        changed = np.abs(moved - still).max(axis=2) > 0.15
+        assert np.count_nonzero(changed) > 200
+        assert np.count_nonzero(changed & blue(still)) > 25  # the brick that broke
+        until(lambda: page.get_by_role("button", name="play").count(), bool)  # it has stopped by itself
+        page.get_by_role("button", name="back").click()
+        page.get_by_text("1.16 s").wait_for()
+
+        player.play(True)
+        page.reload()
+        page.wait_for_selector("canvas")
+        until(lambda: picture_of(page), shows_bricks)
+        page.get_by_text("1.18 s").wait_for()
+        with opened(browser, player.page.address) as second:
+            until(lambda: picture_of(second), shows_bricks)
+            until(lambda: player.page.browsers, lambda count: count == 2)
+            # both are told the same
+            player.seek(0.0)
+            for each in (page, second):
+                each.get_by_text("0.00 s").wait_for()
+                until(lambda each=each: np.abs(picture_of(each) - still).mean(), lambda difference: difference < 0.02)
+        until(lambda: (page.title(), player.page.browsers), lambda seen: seen[1] == 1)
+    assert player.page.messages_sent > 0
+
+
+def contacts_at(points: np.ndarray) -> ContactConstraintArray:
+    """One pair, of fragments 3 and 4, penetrating by a millimetre at all of the points."""
+    count = len(points)
+    empty = refusal_of(FragmentStates(0, 0, *(np.zeros(0),) * 3))
+    return empty._replace(
+        status=0, fragment_a=np.array([3]), fragment_b=np.array([4]), pair_begin=np.array([0, count]),
+        missed_depth_bound=np.array([0.0012]), friction=np.zeros(1), restitution=np.zeros(1),
+        points_a=points.ravel(), points_b=points.ravel(), normals=np.tile([0.0, 0.0, 1.0], count),
+        gaps=np.full(count, -1e-3), contact_ids=np.arange(count, dtype=np.uint64),
+    )  # fmt: skip
+
+
+def test_a_person_clicks_drags_and_looks_closer(browser: Any) -> None:
+    heard: queue.Queue[tuple[str, Any]] = queue.Queue()
+
+    def hear(name: str) -> Any:
+        return lambda *what: heard.put((name, what))
+
+    handlers = Handlers(
+        clicked=hear("clicked"), drag_begun=hear("begun"), drag_moved=hear("moved"), drag_ended=hear("ended"),
+        arrow=hear("arrow"), reset=hear("reset"),
+    )  # fmt: skip
+    records = [record for _, record in small_run(steps=1)]
+    with Page(handlers, told=frozenset({"contacts"})) as page:
+        for record in records[:-1]:
+            page.add_body(record)
+        # level, straight at the second brick, at (0.4, 0, 0.6), 0.3 m high and deep, 0.4 m wide
+        eye, target = np.array([0.4, -3.0, 0.6]), np.array([0.4, 0.0, 0.6])
+        page.look_from(Camera(eye, target, 0.6))
+        page.cast_shadows(False)
+        page.show_states(records[-1])
+        page.show_contacts(contacts_at(np.array([[0.4 + 0.02 * i, -0.3, 0.6] for i in range(-5, 6)])))
+        page.show_figures(Figures(0.0, contacts=11))
+        with opened(browser, page.address) as seen:
+            until(lambda: picture_of(seen), lambda picture: np.count_nonzero(red(picture)) > 150)
+            seen.get_by_text("11 contacts").wait_for()
+            x, y = WIDTH / 2, HEIGHT / 2
+
+            seen.mouse.click(x, y)
+            name, (ray, ball) = heard.get(timeout=PATIENCE)
+            assert name == "clicked" and ball.speed > 0.0
+            assert np.allclose(ray.origin, eye, atol=1e-3) and np.allclose(ray.direction, [0.0, 1.0, 0.0], atol=0.02)
+
+            seen.mouse.move(x, y)
+            seen.mouse.down()
+            seen.mouse.move(x + 40, y, steps=8)
+            name, (drag,) = heard.get(timeout=PATIENCE)
+            assert name == "begun" and drag.fragment_id == 4
+            assert np.allclose(drag.grip, [0.4, -0.15, 0.6], atol=0.03)
+            seen.mouse.up()
+            steps = []
+            while not steps or steps[-1][0] != "ended":
+                steps.append(heard.get(timeout=PATIENCE))
+            assert {name for name, _ in steps} <= {"moved", "ended"}
+            (last,) = steps[-1][1]
+            # 40 pixels to the right, in the plane through the grip that faces the eye, 2.85 m away
+            assert last.target - last.grip == pytest.approx(
+                [40 * 2.85 * 2.0 * np.tan(0.3) / HEIGHT, 0.0, 0.0], abs=0.03
+            )
+            ahead = last.target - eye
+            assert last.ray.direction == pytest.approx(ahead / np.linalg.norm(ahead), abs=1e-3)
+
+            seen.get_by_role("button", name="start over").click()
+            assert heard.get(timeout=PATIENCE)[0] == "reset"
+            seen.keyboard.press("ArrowUp")
+            assert heard.get(timeout=PATIENCE) == ("arrow", ("up",))
+
+            page.look_from(Camera(eye, target + [0.0, 0.0, 1e-3], 0.6))  # the key has turned the camera too
+            before = np.count_nonzero(bright_red(picture_of(seen)))
+            seen.get_by_label("contact points").check()
+            until(lambda: np.count_nonzero(bright_red(picture_of(seen))), lambda count: count > before + 10)
+            seen.get_by_label("missed depth bound").check()
+            seen.get_by_text("1.200 mm").wait_for()
+
+
+def test_a_person_looks_inside(browser: Any) -> None:
+    asked: queue.Queue[InsideWanted] = queue.Queue()
+    records = [record for _, record in small_run(steps=1)]
+    with Page(Handlers(looking_inside=asked.put)) as page:
+        for record in records[:-1]:
+            page.add_body(record)
+        # level, straight at the second brick, at (0.4, 0, 0.6), 0.3 m high and deep, 0.4 m wide
+        page.look_from(Camera(np.array([0.4, -3.0, 0.6]), np.array([0.4, 0.0, 0.6]), 0.6))
+        page.cast_shadows(False)
+        page.show_states(records[-1])
+        with opened(browser, page.address) as seen:
+            until(lambda: picture_of(seen), lambda picture: np.count_nonzero(red(picture)) > 150)
+            bare = steady(seen)
+            seen.get_by_label("sphere trees").check()
+            assert asked.get(timeout=PATIENCE) == InsideWanted(level=2)
+            knob(seen, "level").fill("5")
+            assert asked.get(timeout=PATIENCE) == InsideWanted(level=5)
+            around = Spheres(5, 7, np.array([4]), np.zeros((1, 3)), np.array([0.35]))
+            page.show_inside(InsideView(around))
+            seen.get_by_text("level 5 of 7: 1 sphere").wait_for()
+            # translucent, and wider than the brick
+            brick = np.count_nonzero(bare_brick := red(bare)[:, WIDTH // 2 - 35 :])
+            assert 1500 < brick < bare_brick.size / 4
+            until(lambda: changed(picture_of(seen), bare), lambda count: count > 1.2 * brick)
+            both = Spheres(5, 7, np.array([3, 4]), np.zeros((2, 3)), np.array([0.3, 0.3]))
+            page.show_inside(InsideView(both))
+            with opened(browser, page.address) as late:  # who comes later sees them too
+                until(lambda: changed(steady(late), bare), lambda count: count > 1.5 * brick)
+            seen.get_by_label("sphere trees").uncheck()
+            assert asked.get(timeout=PATIENCE) == InsideWanted()
+            until(lambda: changed(picture_of(seen), bare), lambda count: count < EDGES)
+
+            seen.get_by_label("field on a plane").check()
+            assert asked.get(timeout=PATIENCE) == InsideWanted(plane=PlaneWanted(1, 0.5))
+            # the brick's section, all of which is in two fragments at once but for its left half
+            owners = np.full((30, 40), 4)
+            shared = np.zeros((30, 40), dtype=bool)
+            shared[:, 20:] = True
+            section = PlanePicture(1, 0.0, np.array([0.2, 0.45]), 0.01, owners, np.full((30, 40), 0.01), shared)
+            page.show_inside(InsideView(plane=section))
+            found = until(lambda: picture_of(seen), lambda picture: np.count_nonzero(bright_red(picture)) > 100)
+            columns = np.flatnonzero(bright_red(found).any(axis=0))
+            assert columns.min() > WIDTH / 2 - 4  # on the right
+            seen.get_by_label("field on a plane").uncheck()
+            assert asked.get(timeout=PATIENCE) == InsideWanted()
+            until(lambda: changed(picture_of(seen), bare), lambda count: count < EDGES)
+
+            seen.get_by_label("error beside speed").check()
+            assert asked.get(timeout=PATIENCE) == InsideWanted(errors=True)
+            for moment in (0.1, 0.2):
+                page.show_inside(InsideView(figures=InsideFigures(moment, 3, 40, 0.25, 0.5, 0.0, 1.5)))
+            seen.get_by_text("promised: no more than 0.500 mm").wait_for()
+            until(lambda: seen.locator(".uplot").count(), lambda count: count == 1)
+
+
+EDGES = 500  # pixels that differ where edges are drawn anew
+
+
+def steady(page: Any) -> np.ndarray:
+    """A picture in which nothing changes any more: lights and sky come by and by."""
+    page.wait_for_load_state("networkidle")
+    last, equal = picture_of(page), 0
+    while equal < 5:
+        picture = picture_of(page)
+        equal = equal + 1 if changed(picture, last) == 0 else 0
+        last = picture
+    return last
+
+
+def changed(picture: np.ndarray, before: np.ndarray) -> int:
+    return int(np.count_nonzero(np.abs(picture - before).max(axis=2) > 0.08))
+
+
+def bright_red(picture: np.ndarray) -> np.ndarray:
+    """Of the points that penetrate."""
+    return (picture[..., 0] > 0.8) & (picture[..., 1] < 0.25) & (picture[..., 2] < 0.25)

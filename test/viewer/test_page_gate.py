@@ -1,0 +1,129 @@
+"""Who gets an answer from the page: its own origin, by its own address, and no web page from elsewhere."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Iterator
+from queue import Queue
+from urllib.parse import urlsplit
+
+import pytest
+import viser
+from stages.page_client import page_client
+from websockets import Headers
+
+from fracture_collision.viewer.page import page as page_module
+from fracture_collision.viewer.page.page import Page
+from fracture_collision.viewer.page.page_events import Handlers, Start
+from fracture_collision.viewer.page.page_gate import Gate, GateError, guarded
+
+FOREIGN = ("http://evil.example", "https://evil.example", "null", "http://localhost.evil.example", "file://")
+
+
+@pytest.fixture(scope="module")
+def port() -> Iterator[int]:
+    with Page() as page:
+        yield urlsplit(page.address).port
+
+
+def answer(port: int, host: str, origin: str | None = None, upgrade: bool = False, path: str = "/") -> tuple[int, str]:
+    """Status and head of what the page answers; `upgrade`: asked for a websocket, as viser's own client does."""
+    lines = [f"GET {path} HTTP/1.1", f"Host: {host}"]
+    lines += [f"Origin: {origin}"] if origin is not None else []
+    if upgrade:
+        lines += ["Connection: Upgrade", "Upgrade: websocket", "Sec-WebSocket-Version: 13",
+                  "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==",
+                  f"Sec-WebSocket-Protocol: viser-v{viser.__version__}"]  # fmt: skip
+    with socket.create_connection(("127.0.0.1", port), timeout=30.0) as connection:
+        connection.sendall("\r\n".join([*lines, "", ""]).encode())
+        head = b""
+        while b"\r\n\r\n" not in head and (more := connection.recv(4096)):
+            head += more
+    return int(head.split()[1]), head.decode(errors="replace")
+
+
+@pytest.mark.parametrize("name", ["localhost", "127.0.0.1", "[::1]", "LOCALHOST"])
+def test_its_own_address_is_served(port: int, name: str) -> None:
+    host = f"{name}:{port}"
+    status, head = answer(port, host)
+    assert status == 200 and "frame-ancestors 'none'" in head and "X-Frame-Options: DENY" in head
+    assert answer(port, host, f"http://{host}", upgrade=True)[0] == 101
+    assert answer(port, host, upgrade=True)[0] == 101, "a program that is no browser"
+
+
+@pytest.mark.parametrize("upgrade", [False, True])
+def test_a_foreign_host_gets_nothing(port: int, upgrade: bool) -> None:
+    """As with DNS rebinding, where Origin and Host agree."""
+    for host in ("evil.example", f"evil.example:{port}", f"127.0.0.1.evil.example:{port}", f"127.0.0.1:{port + 1}",
+                 "127.0.0.1", f"10.0.0.1:{port}", ""):  # fmt: skip
+        for origin in (None, f"http://{host}"):
+            assert answer(port, host, origin, upgrade)[0] == 403, (host, origin)
+
+
+@pytest.mark.parametrize("origin", FOREIGN)
+def test_a_foreign_origin_gets_no_websocket(port: int, origin: str) -> None:
+    assert answer(port, f"127.0.0.1:{port}", origin, upgrade=True)[0] == 403
+    assert answer(port, f"127.0.0.1:{port}", origin)[0] == 403
+
+
+def test_another_port_of_this_machine_is_foreign(port: int) -> None:
+    host = f"localhost:{port}"
+    for origin in (f"http://localhost:{port + 1}", "http://localhost", f"https://{host}", f"http://127.0.0.1:{port}"):
+        assert answer(port, host, origin, upgrade=True)[0] == 403, origin
+
+
+def test_the_page_obeys_no_other_server(port: int) -> None:
+    """Which viser's client does where its address says so."""
+    for query in ("?websocket=ws://evil.example", "?playbackPath=//evil.example/x", "?"):
+        assert answer(port, f"127.0.0.1:{port}", path=f"/{query}")[0] == 403
+
+
+def test_headers_that_come_twice_are_refused() -> None:
+    gate, own = Gate("127.0.0.1"), "localhost:8080"
+    assert not gate.refusal(Headers(Host=own), "/", 8080)
+    assert gate.refusal(Headers([("Host", own), ("Host", own)]), "/", 8080)
+    origins = [("Origin", f"http://{own}"), ("Origin", "http://evil.example")]
+    assert gate.refusal(Headers([("Host", own), *origins]), "/", 8080)
+    assert gate.refusal(Headers(), "/", 8080)
+
+
+def test_which_names_a_page_on_the_network_has() -> None:
+    named, anywhere = Gate("10.1.2.3"), Gate("0.0.0.0")
+    for host, at_named, at_any in (
+        ("10.1.2.3", True, True), ("localhost", True, True), ("10.9.9.9", False, True), ("[fe80::1]", False, True),
+        (socket.gethostname(), False, True), ("evil.example", False, False),
+    ):  # fmt: skip
+        headers = Headers(Host=f"{host}:8080", Origin=f"http://{host}:8080")
+        assert bool(named.refusal(headers, "/", 8080)) != at_named, host
+        assert bool(anywhere.refusal(headers, "/", 8080)) != at_any, host
+    without_port = Headers(Host="[::1]")
+    assert not Gate("::1").refusal(without_port, "/", 80) and Gate("::1").refusal(without_port, "/", 81)
+
+
+def test_only_scenes_that_are_offered_are_chosen() -> None:
+    """Whatever a client sends."""
+    chosen: Queue[str] = Queue()
+    start = Start(scenes=("plates", "pane"), scene="plates")
+    with Page(Handlers(scene_chosen=chosen.put), start) as page, page_client(page.address) as client:
+        for scene in ("/etc/passwd", "no such scene", "pane"):
+            client.set("scene", scene)
+        assert chosen.get(timeout=30.0) == "pane"
+
+
+def test_another_viser_serves_no_page(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rather than one that checks nothing."""
+    with pytest.raises(GateError, match="unchecked"), guarded(Gate("127.0.0.1")):
+        pass
+    stopped = []
+
+    class Other:
+        def __init__(self, **_options: object) -> None:
+            pass
+
+        def stop(self) -> None:
+            stopped.append(self)
+
+    monkeypatch.setattr(page_module, "LocalServer", Other)
+    with pytest.raises(GateError, match=viser.__version__):
+        Page()
+    assert len(stopped) == 1

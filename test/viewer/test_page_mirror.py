@@ -1,0 +1,183 @@
+"""The copy of the service beside the page: it knows what the service knows, and works only while somebody looks."""
+
+from __future__ import annotations
+
+import queue
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from stages.browser import until
+from truth.contact_truth import COARSE_SHAPES, ContactTruth, piled
+from worlds.fractured_worlds import FracturedWorld, fractured_world, with_settings
+
+from fracture_collision.cdr import Heading, Received
+from fracture_collision.records import FragmentStates
+from fracture_collision.ros.nodes.page_mirror import Mirror
+from fracture_collision.ros.wire.conversion import heading, to_message
+from fracture_collision.viewer.page.page_events import InsideWanted, PlaneWanted
+from fracture_collision.viewer.page.page_inside import InsideView
+from fracture_collision.world import Settings
+from fracture_collision.world.inspection import (
+    asked_with,
+    errors_of,
+    every_contact,
+    field_on_plane,
+    reach_along,
+    spheres_of_level,
+)
+
+PATIENCE = 60.0  # [s]
+RUN = 17
+SETTINGS = Settings(threads=1, contacts_per_pair=3)
+TRUE = Settings(threads=1, normals="nearest")
+BOTH = InsideWanted(colliding=True, errors=True)
+
+
+@pytest.fixture(scope="module")
+def truth() -> ContactTruth:
+    return ContactTruth(fractured_world(COARSE_SHAPES["brick"](), seeds=4, generations=2, curved=True))
+
+
+class Stage(NamedTuple):
+    """A mirror, what it shows, and a service beside it."""
+
+    mirror: Mirror
+    shown: queue.Queue[InsideView]
+    truth: ContactTruth
+
+    @property
+    def case(self) -> FracturedWorld:
+        return self.truth.case
+
+    def states(self, step: int) -> FragmentStates:
+        return piled(self.truth, step, 0.3)._replace(step=step)
+
+    def tell_log(self, run_id: int = RUN) -> None:
+        self.mirror.new_run(run_id)
+        bodies, events = self.case.messages
+        for body in bodies:
+            self.mirror.hear(body)
+        for event in events:
+            self.mirror.hear(to_message(event, heading(0.0), run_id))
+
+    def tell_step(self, step: int, settings: Settings = SETTINGS, run_id: int = RUN) -> None:
+        """States, and the service's answer to them."""
+        states = self.states(step)
+        self.mirror.hear_states(Received(Heading(step, 0, "world"), run_id, states))
+        if self.mirror.wants_contacts:
+            self.mirror.hear_contacts(with_settings(self.case, settings).contacts(states))
+
+    def next_view(self) -> InsideView:
+        return self.shown.get(timeout=PATIENCE)
+
+    def true_errors(self, step: int, settings: Settings = SETTINGS):
+        states, world = self.states(step), with_settings(self.case, TRUE)
+        answer, every = with_settings(self.case, settings).contacts(states), every_contact(world, states)
+        return errors_of(answer, every, world, world.present(states), settings.penetration_tolerance)
+
+
+@pytest.fixture
+def stage(truth: ContactTruth) -> Iterator[Stage]:
+    shown: queue.Queue[InsideView] = queue.Queue()
+    made = Stage(Mirror(shown.put), shown, truth)
+    made.mirror.hear_settings(SETTINGS._asdict())
+    made.tell_log()
+    yield made
+    made.mirror.close()
+    assert not made.mirror._thread.is_alive()
+
+
+def test_it_does_nothing_until_somebody_looks_and_then_knows_the_run(stage: Stage) -> None:
+    stage.tell_step(1)
+    stage.tell_step(2)
+    assert stage.mirror._run is None and not stage.mirror._is_new and stage.shown.empty()
+    stage.mirror.want(InsideWanted(level=1, plane=PlaneWanted(2, 0.25)))
+    view = stage.next_view()
+    world = with_settings(stage.case, TRUE)
+    here = world.present(stage.states(2))
+    spheres = spheres_of_level(world, here, 1)
+    assert (view.spheres.level, view.spheres.deepest) == (1, spheres.deepest)
+    for name in ("fragment_ids", "centres", "radii"):
+        assert np.array_equal(getattr(view.spheres, name), getattr(spheres, name))
+    low, high = reach_along(world, here, 2)
+    plane = field_on_plane(world, here, 2, low + 0.25 * (high - low))
+    assert np.array_equal(view.plane.owners, plane.owners) and np.array_equal(view.plane.depths, plane.depths)
+    assert view.figures is None
+    stage.tell_step(3)
+    moved = stage.next_view()
+    assert moved.spheres is view.spheres and moved.plane.place == view.plane.place  # it stands still
+    assert not np.array_equal(moved.plane.owners, view.plane.owners)
+    stage.mirror.want(InsideWanted(level=4))
+    deeper = stage.next_view()
+    assert deeper.spheres.level == 4 and len(deeper.spheres.radii) > len(view.spheres.radii) and deeper.plane is None
+
+
+def test_an_answer_is_compared_with_all_there_is(stage: Stage) -> None:
+    stage.mirror.want(BOTH)
+    stage.mirror.hear_times(0.7)
+    stage.tell_step(5)
+    while (figures := stage.next_view().figures) is None:  # before the answer had come
+        pass
+    errors = stage.true_errors(5)
+    assert (figures.time, figures.contacts, figures.colliding) == (5.0, errors.listed, errors.colliding)
+    assert figures.contacts < figures.colliding
+    assert figures.unlisted_mm == pytest.approx(1e3 * errors.unlisted) and errors.unlisted > 0.0
+    assert figures.promised_mm == pytest.approx(1e3 * errors.promised)
+    assert figures.collision_ms == 0.7 and not figures.is_replayed
+
+
+def test_settings_show_at_once_also_while_the_scene_stands(stage: Stage) -> None:
+    stage.mirror.want(BOTH)
+    stage.mirror.hear_paused(True)
+    stage.tell_step(5)
+    while (figures := stage.next_view().figures) is None or figures.is_replayed:
+        pass
+    for changes in (
+        {"contacts_per_pair": 32}, {"penetration_tolerance": 0.05}, {"field": "averaged"}, {"visit_budget": 1000},
+    ):  # fmt: skip
+        settings = SETTINGS._replace(**changes)
+        stage.mirror.hear_settings(settings._asdict())
+        figures = stage.next_view().figures
+        errors = stage.true_errors(5, settings)
+        assert figures.is_replayed and figures.collision_ms > 0.0
+        assert (figures.time, figures.contacts, figures.colliding) == (5.0, errors.listed, errors.colliding)
+        assert figures.unlisted_mm == pytest.approx(1e3 * errors.unlisted)
+        assert figures.promised_mm == pytest.approx(1e3 * errors.promised)
+    # one step is made, and the service answers it
+    stage.tell_step(6, settings)
+    while (figures := stage.next_view().figures).time < 6.0:
+        pass
+    while figures.is_replayed:
+        figures = stage.next_view().figures
+    assert figures.contacts == stage.true_errors(6, settings).listed
+
+
+def test_who_begins_to_look_while_the_scene_stands_sees_it(stage: Stage) -> None:
+    stage.mirror.hear_paused(True)
+    stage.tell_step(7)  # nobody wanted the answer
+    stage.mirror.want(BOTH)
+    figures = stage.next_view().figures
+    states = stage.states(7)
+    every = every_contact(with_settings(stage.case, TRUE), states)
+    few = asked_with(with_settings(stage.case, TRUE), states, contacts_per_pair=3)
+    assert figures.is_replayed and (figures.contacts, figures.colliding) == (len(few.gaps), len(every.gaps))
+
+
+def test_another_run_begins_anew_and_who_looks_away_costs_nothing(stage: Stage) -> None:
+    stage.mirror.want(InsideWanted(level=0))
+    stage.tell_step(1)
+    assert stage.next_view().spheres is not None
+    stage.tell_log(RUN + 1)
+    states = FragmentStates(1, 0, np.array([1]), np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))  # nothing broke yet
+    stage.mirror.hear_states(Received(heading(0.0), RUN + 1, states))
+    assert stage.next_view().spheres.fragment_ids.tolist() == [1]
+    # states of what is not known: the next ones may be
+    stage.mirror.hear_states(Received(heading(0.0), RUN + 1, states._replace(step=2, fracture_sequence=9)))
+    stage.mirror.hear_states(Received(heading(0.0), RUN + 1, states._replace(step=3)))
+    assert stage.next_view().spheres.fragment_ids.tolist() == [1]
+    stage.mirror.want(InsideWanted())
+    until(lambda: stage.mirror._run, lambda run: run is None)
+    stage.tell_step(4)
+    assert not stage.mirror._is_new and stage.shown.empty()

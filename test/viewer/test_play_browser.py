@@ -1,0 +1,95 @@
+"""`fracture-collision play` in a real Chromium: real nodes over DDS behind the page, and a person who smashes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+from stages.browser import chromium, opened, until
+from stages.live_page import LivePage, live_page, on_a_plate
+
+PLATES = 4
+TRIES, LIFT = 4, 60.0  # [s] in which what is dragged must be in the air
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with chromium() as running:
+        yield running
+
+
+@pytest.fixture
+def scene(browser: Any, tmp_path: Path) -> Iterator[LivePage]:
+    """Only where there is a browser: else its nodes would start in vain."""
+    with live_page("plates", tmp_path) as made:
+        yield made
+
+
+def drawn_plot(page: Any) -> str:
+    """What the first of the plots shows."""
+    page.wait_for_selector(".uplot canvas")
+    return page.evaluate("document.querySelector('.uplot canvas').toDataURL()")
+
+
+def test_a_person_smashes_plates(browser: Any, scene: LivePage) -> None:
+    with opened(browser, scene.address) as page:
+        page.get_by_label("shadows").uncheck()  # they take a software renderer most of its time
+        x, y = on_a_plate(page)
+        before = drawn_plot(page)
+        page.mouse.click(x, y)
+        scene.until(lambda: scene.status.fragments > PLATES + 5, "a ball and shards")
+        page.reload()  # in the middle of it all
+        page.wait_for_selector("canvas")
+        on_a_plate(page)
+        until(lambda: drawn_plot(page), lambda picture: picture != before)
+
+        run_id = scene.status.run_id
+        page.get_by_role("button", name="start over").click()
+        scene.until(lambda: scene.status.run_id != run_id and scene.status.step > 5, "another run")
+        assert scene.status.fragments == PLATES
+        page.get_by_text(f"· {PLATES} fragments").wait_for()  # until then what it shows are shards
+
+        begin = scene.places()
+
+        def in_the_air() -> list[int]:
+            return [i for i, place in scene.places().items() if i in begin and place[2] > begin[i][2] + 0.05]
+
+        for _ in range(TRIES):
+            x, y = on_a_plate(page)
+            page.mouse.move(x, y)
+            page.mouse.down()
+            page.mouse.move(x, y - 60, steps=10)
+            with suppress(AssertionError):
+                scene.ears.spin_until(in_the_air, "a plate in the air", LIFT)
+                break
+            page.mouse.up()  # on a busy machine the page shows for a while what is not there any more
+        assert in_the_air()
+    # who leaves lets go
+    scene.until(lambda: not in_the_air(), "a plate that fell")
+
+
+@pytest.mark.slow  # as are other minutes in front of a page that a processor draws
+def test_two_people_look_at_a_scene_that_pauses(browser: Any, scene: LivePage) -> None:
+    with opened(browser, scene.address) as page:
+        page.get_by_label("shadows").uncheck()
+        page.get_by_label("pause").check()
+        scene.until(lambda: scene.status.paused, "a pause")
+        page.reload()
+        page.wait_for_selector("canvas")
+        until(lambda: page.get_by_label("pause").is_checked(), bool)
+    # nobody looks, and all goes on
+    with opened(browser, scene.address) as page, opened(browser, scene.address) as second:
+        on_a_plate(page)
+        on_a_plate(second)
+        step = scene.status.step
+        page.get_by_role("button", name="one step").click()
+        scene.until(lambda: scene.status.step == step + 1, "one step")
+        # a run that begins in a pause is there to be seen
+        run_id = scene.status.run_id
+        second.get_by_role("button", name="start over").click()
+        scene.until(lambda: scene.status.run_id != run_id and scene.status.step == 1, "the first step of another run")
+        scene.until(lambda: scene.status.paused and scene.status.fragments == PLATES, "all plates")
+        on_a_plate(page)

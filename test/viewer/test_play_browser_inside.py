@@ -1,0 +1,81 @@
+"""`fracture-collision play` in a real Chromium: what a person sees inside collision detection."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from stages.browser import chromium, knob, opened, until
+from stages.live_page import LivePage, live_page, on_a_plate
+
+PLATES = 4
+# A browser that draws in software, on the processors of the nodes, takes minutes for these.
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Iterator[tuple[Any, LivePage]]:
+    """Only where there is a browser: else its nodes would start in vain."""
+    with chromium() as browser, live_page("plates", tmp_path) as made:
+        yield browser, made
+
+
+def listed_and_colliding(page: Any) -> tuple[int, int]:
+    words = page.get_by_text("contacts listed of").inner_text()
+    found = re.search(r"([\d,]+) contacts listed of ([\d,]+) colliding points", words)
+    return int(found[1].replace(",", "")), int(found[2].replace(",", ""))
+
+
+def unlisted_and_promised(page: Any) -> tuple[float, float]:
+    """[mm]"""
+    words = page.get_by_text("not listed: up to").inner_text()
+    found = re.search(r"up to ([\d.]+) mm deep; promised: no more than ([\d.]+) mm", words)
+    return float(found[1]), float(found[2])
+
+
+def shown_plots(page: Any) -> list[str]:
+    return page.evaluate("[...document.querySelectorAll('.uplot canvas')].map(each => each.toDataURL())")
+
+
+def test_a_person_looks_inside(scene: tuple[Any, LivePage]) -> None:
+    browser, scene = scene
+    with opened(browser, scene.address) as page:
+        x, y = on_a_plate(page)
+        plots = len(until(lambda: shown_plots(page), lambda plots: len(plots) == 3))
+        page.get_by_label("sphere trees").check()
+        page.get_by_text("level 2 of").wait_for()
+        knob(page, "level").fill("0")
+        page.get_by_text(re.compile(f"level 0 of .*: {PLATES} spheres")).wait_for()  # the shelf does not move
+        page.get_by_label("sphere trees").uncheck()
+        page.get_by_label("field on a plane").check()
+        page.get_by_text("mm deep inside").wait_for()
+        page.get_by_label("field on a plane").uncheck()
+
+        page.get_by_label("colliding points").check()
+        page.get_by_label("error beside speed").check()
+        page.mouse.click(x, y)
+        scene.until(lambda: scene.status.fragments > PLATES + 5, "a ball and shards")
+        page.get_by_text("promised: no more than").wait_for()
+        until(lambda: len(shown_plots(page)), lambda count: count == plots + 2)
+        # on the run the service's own answers are judged
+        knob(page, "contacts a pair").fill("32")
+        many, colliding = until(lambda: listed_and_colliding(page), lambda counts: counts[0] > 20)
+        assert many <= colliding
+
+        # and at rest the slider says what it would do
+        page.get_by_label("pause").check()
+        scene.until(lambda: scene.status.paused, "a pause")
+        knob(page, "contacts a pair").fill("1")
+        page.get_by_text("asked of a copy here").wait_for()
+        knob(page, "epsilon, share of R").fill("0")
+        until(lambda: unlisted_and_promised(page), lambda depths: depths[0] == 0.0)
+        (exact, colliding), drawn = listed_and_colliding(page), shown_plots(page)
+        knob(page, "epsilon, share of R").fill("0.02")
+        deep, promised = until(lambda: unlisted_and_promised(page), lambda depths: depths[0] > 0.0)
+        assert deep <= promised
+        few, still = until(lambda: listed_and_colliding(page), lambda counts: counts[0] < exact)
+        assert still == colliding
+        until(lambda: shown_plots(page), lambda plots: plots != drawn)

@@ -1,0 +1,214 @@
+"""REMOVE costs what it removes: nothing is replayed, memory is reclaimed, and answers are those of a replayed log."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from oracles.fracture_patterns import voronoi_event
+from oracles.fragmented_body import FragmentedBody
+from worlds.gate_world import BRICK, crack, plane, record_bytes, rigid, sphere, tetrahedral
+
+from fracture_collision.core.bodies import collision_geometry
+from fracture_collision.core.bodies.body_validator import validate_body
+from fracture_collision.core.bodies.collision_geometry import CollisionGeometry
+from fracture_collision.geometry.generators import ball
+from fracture_collision.records import BOX, REMOVE, CollisionBody, FractureEvent, FragmentStates, SolidPrimitive
+from fracture_collision.world import CollisionWorld, Settings
+
+BALL = ball(0.5, 0.25)
+SETTINGS = Settings(threads=1)
+AVERAGED = Settings(threads=1, field="averaged")
+
+
+def removal(body_id: int) -> CollisionBody:
+    return CollisionBody(body_id, 0, operation=REMOVE)
+
+
+def breakable(number: int) -> CollisionBody:
+    return CollisionBody(number, number, vertices=BALL.vertices.ravel(), tetrahedra=BALL.tetrahedra.ravel())
+
+
+def box(number: int) -> CollisionBody:
+    return CollisionBody(number, number, primitive=SolidPrimitive(BOX, (0.4, 0.3, 0.2)))
+
+
+class Twins:
+    """A world that lives through everything, and the log from which another one is made at any time."""
+
+    def __init__(self, settings: Settings = SETTINGS) -> None:
+        self.settings = settings
+        self.world = CollisionWorld(settings)
+        self.bodies: list[CollisionBody] = []
+        self.events: list[FractureEvent] = []
+        self.step = 0
+
+    def add(self, *bodies: CollisionBody) -> None:
+        for body in bodies:
+            self.bodies.append(body)
+            self.world.add_body(body)
+
+    def add_event(self, event: FractureEvent) -> None:
+        self.events.append(event)
+        self.world.add_fracture(event)
+
+    def agree(self) -> int:
+        """Both answer with the same bytes; returns how many contacts there are."""
+        slow = CollisionWorld(self.settings)
+        removed = {b.body_id for b in self.bodies if b.operation == REMOVE}
+        for body in self.bodies:
+            slow.add_body(body)
+        for event in self.events:
+            slow.add_fracture(event)
+        self.step += 1
+        random = np.random.default_rng(self.step)
+        owner = {b.fragment_id: b.body_id for b in self.bodies if b.operation != REMOVE}
+        for event in self.events:
+            del owner[event.fragment_id]
+            owner.update(dict.fromkeys(event.new_fragment_ids.tolist(), event.body_id))
+        static = {b.body_id for b in self.bodies if b.is_static}
+        ids = np.array(sorted(f for f, b in owner.items() if b not in removed | static))
+        places = random.uniform(-0.02, 0.02, (len(ids), 3))
+        states = FragmentStates(
+            self.step, len(self.events), ids, places.ravel(), np.tile([0.0, 0.0, 0.0, 1.0], len(ids))
+        )
+        contacts = self.world.contacts(states)
+        assert record_bytes(contacts) == record_bytes(slow.contacts(states))
+        assert record_bytes(self.world.fragments()) == record_bytes(slow.fragments())
+        for fragment_id in ids.tolist():
+            mine, theirs = self.world.fragment_mesh(fragment_id), slow.fragment_mesh(fragment_id)
+            assert record_bytes(mine) == record_bytes(theirs)
+        return len(contacts.gaps)
+
+
+@pytest.fixture
+def counted(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """What is done to geometries from here on, by name."""
+    done: list[str] = []
+    adds = "add_tetrahedra", "add_triangles", "add_box", "add_sphere", "add_plane"
+    for name in ("apply_fracture", "keep_only", *adds):
+        real = getattr(CollisionGeometry, name)
+
+        def noted(self, *arguments, _name=name, _real=real):
+            done.append(_name)
+            return _real(self, *arguments)
+
+        monkeypatch.setattr(CollisionGeometry, name, noted)
+    return done
+
+
+def test_remove_replays_nothing(counted: list[str]) -> None:
+    twins = Twins()
+    twins.add(tetrahedral(1), plane(2), sphere(3), rigid(4), tetrahedral(5), box(6))
+    twins.add_event(crack(1, 1, (10, 11), 0.1))
+    twins.add_event(crack(2, 11, (12, 13), 0.3, above=0.1))
+    twins.agree()
+    for body_id in (3, 5, 6, 1):
+        twins.add(removal(body_id))
+        counted.clear()
+        twins.world.fragments()
+        assert counted == []
+        twins.agree()
+    # nor does one that came and went between two answers
+    twins.add(sphere(30), removal(30))
+    counted.clear()
+    twins.world.fragments()
+    assert counted == []
+    assert twins.agree() > 0
+
+
+@pytest.mark.parametrize("settings", [SETTINGS, AVERAGED], ids=["exact", "averaged"])
+def test_what_is_reclaimed_changes_no_byte(
+    settings: Settings, counted: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Bodies of all kinds break, are removed and are followed by others; the pools are compacted each time."""
+    monkeypatch.setattr(CollisionGeometry, "is_mostly_garbage", lambda self: True)
+    twins = Twins(settings)
+    twins.add(breakable(20), tetrahedral(1), plane(2), rigid(3), box(4), breakable(5), sphere(6), rigid(7))
+    oracles = {n: FragmentedBody(BALL.vertices, BALL.tetrahedra) for n in (5, 20)}
+    random, next_id = np.random.default_rng(4), 100
+
+    def break_body(number: int) -> None:
+        nonlocal next_id
+        oracle = oracles[number]
+        ids, counts = np.unique(oracle.labels, return_counts=True)
+        victim = int(ids[np.argmax(counts)])
+        inside = BALL.vertices[oracle.labels == victim]
+        seeds = random.uniform(inside.min(axis=0), inside.max(axis=0), (3, 3))
+        event = voronoi_event(oracle, victim, seeds, next_id, len(twins.events) + 1)
+        oracle.apply(event)
+        own = lambda ids: np.where(ids == 1, number, ids)  # noqa: E731 - the oracle's whole body is fragment 1
+        twins.add_event(event._replace(body_id=number, fragment_id=int(own(np.array(event.fragment_id)))))
+        next_id += len(event.new_fragment_ids)
+
+    twins.add_event(crack(1, 1, (10, 11), 0.1))
+    break_body(5)
+    twins.agree()
+    break_body(20)
+    twins.agree()
+    for number, then in ((20, 5), (3, 5), (1, None), (4, None), (7, 5), (6, None)):
+        twins.add(removal(number))
+        counted.clear()
+        assert twins.agree() > 0
+        assert "keep_only" in counted
+        if then is not None:
+            break_body(then)
+            assert twins.agree() > 0
+        twins.add(box(200 + number), rigid(300 + number), tetrahedral(400 + number))
+        assert twins.agree() > 0
+    registry = twins.world._registry
+    rows = [registry.row_of(f) for f in np.unique(oracles[5].labels).tolist()]
+    validate_body(registry.geometry, rows)
+
+
+def test_balls_that_come_and_go_leave_no_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(collision_geometry, "LEAST_GARBAGE", 1 << 14)
+    world = CollisionWorld(SETTINGS)
+    world.add_body(tetrahedral(1))
+    sizes = []
+    for number in range(10, 600):
+        world.add_body(box(number) if number % 2 else breakable(number))
+        world.add_body(removal(number - 1)) if number > 10 else None
+        world.fragments()
+        sizes.append(world._registry.geometry._tables.bytes_used)
+    assert max(sizes[100:]) <= max(sizes[:100])
+    assert len(world._registry.geometry._meshes) <= 3
+
+
+def test_a_shared_mesh_stays_as_long_as_one_body_has_it() -> None:
+    twins = Twins()
+    twins.add(breakable(1), breakable(2), plane(3))
+    twins.agree()
+    twins.add(removal(1))
+    twins.agree()
+    geometry = twins.world._registry.geometry
+    before = geometry._garbage
+    twins.add(breakable(4))
+    twins.agree()
+    assert len(geometry._meshes) == 1
+    for number in (2, 4):
+        twins.add(removal(number))
+    twins.world.fragments()
+    assert geometry._garbage > before + BALL.vertices.nbytes
+    twins.add(breakable(5))
+    assert twins.agree() > 0
+
+
+def test_events_of_a_removed_body_keep_no_arrays() -> None:
+    world = CollisionWorld(SETTINGS)
+    world.add_body(tetrahedral(1))
+    world.add_fracture(crack(1, 1, (10, 11), 0.1))
+    before = world.fragments().digest
+    world.add_body(tetrahedral(2))
+    world.add_body(removal(2))
+    assert world.fragments().digest == before
+    world.add_body(removal(1))
+    assert [len(event.nodes) for event in world._ledger.events] == [0]
+    late = CollisionWorld(SETTINGS)
+    for body in (tetrahedral(1), removal(1)):
+        late.add_body(body)
+    late.add_fracture(crack(1, 1, (10, 11), 0.1))
+    ask = FragmentStates(1, 1, np.empty(0), np.empty(0), np.empty(0))
+    for each in (world, late):
+        each.contacts(ask)
+    assert world.fragments().digest == late.fragments().digest
+    assert len(BRICK.vertices) == world.settings.max_nodes - world._ledger._room_for_nodes + len(BRICK.vertices)

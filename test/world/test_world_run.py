@@ -1,0 +1,181 @@
+"""What a run of messages leaves behind: limits, removal, repetition, earlier registries, and mass through fractures."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from worlds.fractured_worlds import fractured_world
+from worlds.gate_world import (
+    BRICK,
+    EARLIER,
+    FIRST,
+    IDS,
+    POSITIONS,
+    REFERENCE,
+    SECOND,
+    SETTINGS,
+    TET,
+    TRI,
+    TURNS,
+    X,
+    made_world,
+    observed,
+    plane,
+    record_bytes,
+    refused,
+    rigid,
+    sphere,
+    tetrahedral,
+    with_entry,
+)
+from worlds.rigid_shapes import noisy_ball
+
+from fracture_collision.geometry.generators import ball, bowl, plate
+from fracture_collision.records import REMOVE, CollisionBody, FragmentStates
+from fracture_collision.world import CollisionWorld, InvalidMessage
+
+
+@pytest.fixture
+def world() -> CollisionWorld:
+    return made_world()
+
+
+def test_a_refusal_does_not_move_a_registry_that_looks_back(world: CollisionWorld) -> None:
+    """States of an earlier registry stand; what is refused of a later one must not bring the later one in."""
+    world.contacts(EARLIER)
+    before = record_bytes(world.fragments())
+    unknown = REFERENCE._replace(fragment_ids=with_entry(IDS, 0, 50))
+    for states in (unknown, REFERENCE._replace(positions=POSITIONS[3:])):
+        with pytest.raises(InvalidMessage):
+            world.contacts(states)
+        assert record_bytes(world.fragments()) == before
+
+
+@pytest.mark.parametrize(
+    ("limits", "message", "words"),
+    [
+        ({"max_bodies": 4}, TET, "body_id"),
+        ({"max_nodes": len(X) + 8 + 5}, TET, "vertices"),
+        ({"max_nodes": len(X) + 8 + 5}, TRI, "vertices"),
+        ({"max_fragments": 6}, sphere(20), "fragment_id"),
+        ({"max_fragments": 7}, SECOND, "new_fragment_ids"),
+    ],
+    ids=["bodies", "nodes", "surface vertices", "fragments of bodies", "fragments of events"],
+)
+def test_limits(limits: dict, message, words: str) -> None:
+    world = made_world(SETTINGS._replace(**limits))
+    deliver = world.add_body if isinstance(message, CollisionBody) else world.add_fracture
+    refused(world, lambda: deliver(message), "limit_exceeded", words)
+    room = made_world(SETTINGS._replace(**{name: value + 100 for name, value in limits.items()}))
+    (room.add_body if isinstance(message, CollisionBody) else room.add_fracture)(message)
+
+
+def test_what_a_removed_body_leaves_is_free_again() -> None:
+    world = made_world(SETTINGS._replace(max_bodies=4, max_nodes=len(X) + 8))
+    with pytest.raises(InvalidMessage, match="limit"):
+        world.add_body(TRI)
+    world.add_body(CollisionBody(4, 0, operation=REMOVE))
+    world.add_body(TRI)
+    assert world.fragments().fragment_ids.tolist() == [2, 3, 10, 11, 20]
+
+
+def test_remove_and_what_follows(world: CollisionWorld) -> None:
+    remaining = REFERENCE._replace(fragment_ids=IDS[:2], positions=POSITIONS[:6], orientations=TURNS[:8])
+    expected = record_bytes(world.contacts(remaining))
+    world.add_body(CollisionBody(1, 1, operation=REMOVE))
+    for states, words in ((REFERENCE, "fragment 10"), (EARLIER, "fragment 1")):
+        with pytest.raises(InvalidMessage, match=f"fragment_ids: the body of {words} was removed") as refusal:
+            world.contacts(states)
+        assert refusal.value.kind == "retired_id"
+    assert record_bytes(world.contacts(remaining)) == expected
+    assert world.fragments().fragment_ids.tolist() == [2, 3, 4]
+    digest = world.fragments().digest
+    # a latched topic that delivers all again changes nothing
+    world.add_body(tetrahedral(1))
+    world.add_body(CollisionBody(1, 1, operation=REMOVE))
+    world.add_fracture(FIRST)
+    assert world.fragments().digest == digest
+    with pytest.raises(InvalidMessage, match="body_id: body 1 was removed") as refusal:
+        world.add_body(tetrahedral(1, fragment_id=60))
+    assert refusal.value.kind == "retired_id"
+    with pytest.raises(InvalidMessage, match="fragment_id: fragment 10 exists or existed"):
+        world.add_body(tetrahedral(30, fragment_id=10))
+    world.add_body(tetrahedral(30))
+    assert world.fragments().fragment_ids.tolist() == [2, 3, 4, 30]
+
+
+def test_events_of_a_removed_body_keep_their_place_in_the_sequence(world: CollisionWorld) -> None:
+    """A service started late may get REMOVE before the events: topics keep no order between them."""
+    world.add_fracture(SECOND)
+    world.add_body(tetrahedral(30))
+    third = FIRST._replace(sequence=3, body_id=30, fragment_id=30, new_fragment_ids=np.array([31, 32]))
+    world.add_fracture(third)
+    world.add_body(CollisionBody(1, 1, operation=REMOVE))
+    late = CollisionWorld(SETTINGS)
+    for body in (tetrahedral(1), plane(2), sphere(3), rigid(4), CollisionBody(1, 1, operation=REMOVE), tetrahedral(30)):
+        late.add_body(body)
+    with pytest.raises(InvalidMessage, match="fragment_id: body 1 has no fragment 11"):
+        late.add_fracture(SECOND._replace(sequence=1))
+    for event in (FIRST, SECOND, third):
+        late.add_fracture(event)
+    with pytest.raises(InvalidMessage, match="new_fragment_ids: fragment 12 exists"):
+        late.add_fracture(third._replace(sequence=4, fragment_id=31, new_fragment_ids=np.array([12, 40])))
+    states = REFERENCE._replace(fracture_sequence=3, fragment_ids=np.array([3, 4, 31, 32]))
+    assert record_bytes(late.contacts(states)) == record_bytes(world.contacts(states))
+    assert record_bytes(late.fragments()) == record_bytes(world.fragments())
+
+
+def test_bodies_delivered_again_change_nothing(world: CollisionWorld) -> None:
+    before = observed(world)
+    for body in (tetrahedral(1), plane(2), sphere(3), rigid(4)):
+        world.add_body(body)
+    world.add_fracture(FIRST)
+    assert observed(world) == before
+
+
+def test_earlier_registries_stay_answerable(world: CollisionWorld) -> None:
+    young = CollisionWorld(SETTINGS)
+    for body in (tetrahedral(1), plane(2), sphere(3), rigid(4)):
+        young.add_body(body)
+    expected = record_bytes(young.contacts(EARLIER))
+    world.add_fracture(SECOND)
+    later = REFERENCE._replace(fracture_sequence=2, fragment_ids=np.array([3, 10, 12, 13]))
+    first = record_bytes(world.contacts(later))
+    assert record_bytes(world.contacts(EARLIER)) == expected
+    assert record_bytes(world.contacts(later)) == first
+
+
+BREAKABLE = {
+    "ball": ball(1.0, 0.3), "plate": plate(2.0, 0.2, 0.3, 0.1), "bowl": bowl(2.0, 0.2, 0.4, 0.6), "brick": BRICK,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("body", BREAKABLE.values(), ids=BREAKABLE)
+def test_mass_and_first_moment_pass_from_parent_to_pieces(body) -> None:
+    """Flat cracks, each generation: what the pieces have together the parent had, to 1e-12."""
+    case = fractured_world(body, seeds=6, generations=4)
+    whole = CollisionWorld(SETTINGS)
+    whole.add_body(case.messages[0][0])
+    masses, moments = {}, {}
+
+    def remember(registry) -> None:
+        for i, fragment in enumerate(registry.fragment_ids.tolist()):
+            masses[fragment] = registry.masses[i]
+            moments[fragment] = registry.masses[i] * registry.centers_of_mass[3 * i : 3 * i + 3]
+
+    remember(whole.fragments())
+    size = np.ptp(case.oracle.vertices, axis=0).max()
+    for event in case.messages[1]:
+        whole.add_fracture(event)
+        whole.contacts(FragmentStates(1, event.sequence, np.zeros(0, int), np.zeros(0), np.zeros(0)))
+        remember(whole.fragments())
+        pieces, parent = event.new_fragment_ids.tolist(), event.fragment_id
+        assert len(pieces) >= 2 and all(masses[p] > 0 for p in pieces)
+        assert sum(masses[p] for p in pieces) == pytest.approx(masses[parent], rel=1e-12)
+        assert np.allclose(sum(moments[p] for p in pieces), moments[parent], rtol=0, atol=1e-12 * masses[parent] * size)
+
+
+def test_a_noisy_closed_surface_is_taken() -> None:
+    world = made_world()
+    world.add_body(rigid(20, noisy_ball()))
+    assert world.fragments().fragment_ids.tolist()[-1] == 20

@@ -1,0 +1,180 @@
+"""Worlds for the hard cases, cracks of any labels and planes, and what has to hold for each of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+import numpy as np
+from oracles.brute_force import distances
+from oracles.fracture_patterns import CrackPlane, event_of_labels
+from oracles.fragmented_body import FragmentedBody
+from test_contacts_truth import FRAMES
+from test_exact_field import assert_equal, compare
+from test_fragment_bounds import assert_kept, check_fragments
+from truth.contact_truth import ContactTruth, assert_true, check_all_pairs, surface_samples
+
+from fracture_collision.core.field.elementary_queries import inside_tetrahedron
+from fracture_collision.core.search.scratch import make_scratch
+from fracture_collision.geometry.generators import TetGeometry, brick
+from fracture_collision.geometry.tetrahedra import tetrahedron_volumes
+from fracture_collision.records import BOX, CollisionBody, FractureEvent, FragmentStates, SolidPrimitive
+from fracture_collision.world import CollisionWorld, Settings
+from worlds.fractured_worlds import DENSITY, FracturedWorld
+from worlds.fractured_worlds import SETTINGS as DEFAULTS
+from worlds.rigid_shapes import boundary_of
+
+EventMaker = Callable[[FragmentedBody, int, int], FractureEvent]  # the body, first new fragment id, sequence
+
+# Half the longest side, R, is 1 m where nothing else is said.
+ROUNDING = 1e-12
+# Depth to the nearest surface is what brute force measures; along a crack it may be more, and changes from one to the
+# other at once.
+SETTINGS = DEFAULTS._replace(normals="nearest")
+EVERY_CONTACT = SETTINGS._replace(contacts_per_pair=100_000)
+UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
+BRICK = brick((2.0, 1.0, 1.0), 0.25)
+
+
+def sized(body: TetGeometry) -> TetGeometry:
+    """The same body with R = 1 m."""
+    return body._replace(vertices=body.vertices / (0.5 * np.ptp(body.vertices, axis=0).max()))
+
+
+def tetrahedral_body(body: TetGeometry, number: int = 1, **fields) -> CollisionBody:
+    return CollisionBody(
+        number, number, vertices=body.vertices.ravel(), tetrahedra=body.tetrahedra.ravel(), density=DENSITY
+    )._replace(**fields)
+
+
+def broken_world(body: TetGeometry, makers: Iterable[EventMaker], settings: Settings = SETTINGS) -> FracturedWorld:
+    """The service's world and the slow oracle after the events that `makers` make one after the other."""
+    world, oracle = CollisionWorld(settings), FragmentedBody(body.vertices, body.tetrahedra)
+    message = tetrahedral_body(body)
+    world.add_body(message)
+    events: list[FractureEvent] = []
+    for make in makers:
+        event = make(oracle, max(oracle.fragment_ids) + 1, len(events) + 1)
+        oracle.apply(event)
+        world.add_fracture(event)
+        events.append(event)
+    made = FracturedWorld(world, oracle, len(events), False, ([message], events))
+    world.contacts(made.states())
+    return made
+
+
+def by_labels(labels: np.ndarray, plane: CrackPlane) -> EventMaker:
+    """Break the whole body where the `labels` (n,) of its mesh nodes change."""
+
+    def make(body: FragmentedBody, first_new_id: int, sequence: int) -> FractureEvent:
+        return event_of_labels(body, 1, np.asarray(labels), plane, first_new_id, sequence, 1)
+
+    return make
+
+
+def common_plane(normal: np.ndarray, offset: float) -> CrackPlane:
+    """All edges from label 0 to label 1 carry this plane, normal towards 1."""
+
+    def plane(_a: int, _b: int, i: int, j: int) -> tuple[np.ndarray, float]:
+        return (normal, offset) if i < j else (-normal, -offset)
+
+    return plane
+
+
+def own_planes(vertices: np.ndarray, seed: int, tilt: float) -> CrackPlane:
+    """Each cut edge has a plane of its own: no two agree. It crosses the edge anywhere, `tilt` away from square."""
+    random = np.random.default_rng(seed)
+
+    def plane(a: int, b: int, _i: int, _j: int) -> tuple[np.ndarray, float]:
+        along = vertices[b] - vertices[a]
+        normal = along / np.linalg.norm(along) + tilt * random.normal(size=3)
+        normal *= np.sign(normal @ along) / np.linalg.norm(normal)
+        return normal, float(normal @ (vertices[a] + random.uniform() * along))
+
+    return plane
+
+
+def lattice_planes(vertices: np.ndarray, seed: int) -> CrackPlane:
+    """Each cut edge of a structured brick has a plane across an axis, through its middle or one of its ends."""
+    random = np.random.default_rng(seed)
+
+    def plane(a: int, b: int, _i: int, _j: int) -> tuple[np.ndarray, float]:
+        along = vertices[b] - vertices[a]
+        axis = int(random.choice(np.flatnonzero(along)))
+        normal = np.zeros(3)
+        normal[axis] = np.sign(along[axis])
+        return normal, float(normal @ (vertices[a] + random.choice((0.0, 0.5, 1.0)) * along))
+
+    return plane
+
+
+def anywhere(case: FracturedWorld, count: int, seed: int) -> np.ndarray:
+    """Points (count, 3) [m] spread evenly over the body."""
+    random = np.random.default_rng(seed)
+    volumes = tetrahedron_volumes(case.oracle.vertices, case.oracle.tetrahedra)
+    tets = case.oracle.tetrahedra[random.choice(len(volumes), count, p=volumes / volumes.sum())]
+    return np.einsum("nij,ni->nj", case.oracle.vertices[tets], random.dirichlet(np.ones(4), count))
+
+
+def fragments_with(case: FracturedWorld, points: np.ndarray) -> np.ndarray:
+    """Whether the service has each point (n, 3) inside each fragment, by ascending id: (n, fragments) bool."""
+    scratch, pools = make_scratch(1, len(case.oracle.tetrahedra), 8), case.geometry.pools
+    rows = [case.row(f) for f in case.oracle.fragment_ids]
+    return np.array([[inside_tetrahedron(pools, row, *x, scratch, 0) >= 0 for row in rows] for x in points.tolist()])
+
+
+def assert_partition(case: FracturedWorld, points: int = 500) -> None:
+    """Volumes are the oracle's and add up to the body's; a point of the body is in one fragment and in no other."""
+    whole = tetrahedron_volumes(case.oracle.vertices, case.oracle.tetrahedra).sum()
+    mine = case.world.fragments().masses / DENSITY
+    theirs = np.array([case.oracle.volume(f) for f in case.oracle.fragment_ids])
+    assert abs(mine.sum() - whole) <= ROUNDING * whole
+    assert abs(theirs.sum() - whole) <= ROUNDING * whole
+    assert np.abs(mine - theirs).max() <= ROUNDING * whole
+    spread = anywhere(case, points, seed=5)
+    owner = case.oracle.owner(spread)
+    inside = fragments_with(case, spread)
+    assert np.array_equal(inside.sum(axis=1), np.ones(points, dtype=int))
+    assert np.array_equal(np.array(case.oracle.fragment_ids)[inside.argmax(axis=1)], owner)
+
+
+def assert_geometry(case: FracturedWorld, points: int = 1000, snug: bool = True) -> None:
+    """A partition; depths are brute force's to 1e-9 R; samples, boxes and grids keep what they promise.
+
+    snug: all planes agree, so that no fragment in place has a sample inside another.
+    """
+    assert_partition(case)
+    assert_equal(compare(case, points, seed=1))
+    checks = check_fragments(case, seed=1)
+    assert_kept(checks)
+    if snug:
+        assert max(check.samples_astray for check in checks) <= ROUNDING
+
+
+def assert_contacts(
+    case: FracturedWorld, frames: Iterable[str | FragmentStates] = ("touching", "jittered", "deep")
+) -> int:
+    """Contacts are true in each frame, nothing is missed, no number is not one; returns how many contacts."""
+    truth, found = ContactTruth(case), 0
+    for frame in frames:
+        states = FRAMES[frame](truth, 1) if isinstance(frame, str) else frame
+        checks = check_all_pairs(truth, states)
+        assert_true(checks, case.world.settings.penetration_tolerance)
+        found += sum(check.contacts for check in checks)
+    return found
+
+
+def samples_within(case: FracturedWorld, own: int, other: int, distance: float) -> np.ndarray:
+    """Of the samples (n, 3) of fragment `own` in place, those no farther than `distance` [m] from `other`'s surface."""
+    samples, _ = surface_samples(case, own)
+    return samples[distances(samples, case.oracle.surface_triangles(other)) <= distance]
+
+
+def block(kind: str, number: int, size: tuple[float, float, float]) -> CollisionBody:
+    """A block of edges `size` [m] as "tetrahedra", "triangles" or "box", with nodes in the same places."""
+    body = tetrahedral_body(brick(size, 0.25), number)
+    if kind == "tetrahedra":
+        return body
+    if kind == "triangles":
+        vertices, triangles = boundary_of(brick(size, 0.25))
+        return body._replace(vertices=vertices.ravel(), triangles=triangles.ravel(), tetrahedra=np.zeros(0, np.uint32))
+    return CollisionBody(number, number, primitive=SolidPrimitive(BOX, size))
