@@ -1,5 +1,5 @@
 """Errors of contacts at steps of a recorded scene, ours and those of peers that list theirs: missed and false pairs,
-and what a solver would see (`benchmarks.peers.solver_error`), by exact distances between surfaces of fragments.
+and what a solver would see (`benchmarks.peers.judging.solver_error`), by exact distances between surfaces of fragments.
 
 The states are those that a solver reached with our contacts: penetrations that we report it has mostly resolved, those
 that we miss stay. So the share of penetrating pairs that we miss is larger here than in `benchmarks.peers`, where
@@ -16,11 +16,11 @@ from benchmarks.frames.measure import at_last_registry, is_busy, tell
 from benchmarks.frames.peer import Peer, Shape, radius_of, shape_of
 from benchmarks.frames.recording import Recording
 from benchmarks.peers.boxes import local_boxes, near_pairs
+from benchmarks.peers.judging.score import TOLERANCE, FrameTruth, JudgedPair, judged_pairs, mean_max
+from benchmarks.peers.judging.solver_error import RESOLVED, solver_errors
+from benchmarks.peers.judging.truth import Solids
+from benchmarks.peers.libraries.ours import listed_contacts
 from benchmarks.peers.method import Contacts
-from benchmarks.peers.ours import listed_contacts
-from benchmarks.peers.score import TOLERANCE, FrameTruth, JudgedPair, judged_pairs, mean_max
-from benchmarks.peers.solver_error import RESOLVED, solver_errors
-from benchmarks.peers.truth import Solids
 from benchmarks.peers.worlds import Frame, published_surface
 from fracture_collision.records import CollisionBody, FragmentStates
 from fracture_collision.world import CollisionWorld, Settings

@@ -8,8 +8,8 @@ import mujoco
 import numpy as np
 
 from benchmarks.frames.peer import Peer, Shape, is_fixed, normal_and_point, points_of, radius_of, shape_of
+from benchmarks.peers.libraries.mujoco_shapes import MEMORY, listed_contacts
 from benchmarks.peers.method import Contacts
-from benchmarks.peers.mujoco_shapes import MEMORY, listed_contacts
 from benchmarks.peers.worlds import Frame
 from fracture_collision.records import CollisionBody, FragmentStates
 from fracture_collision.world import CollisionWorld, Settings

@@ -8,8 +8,8 @@ import numpy as np
 import rapier3d
 
 from benchmarks.frames.peer import GrowingPeer, Shape, is_fixed, normal_and_point, poses_of, shape_of
+from benchmarks.peers.libraries.rapier import touching_contacts
 from benchmarks.peers.method import Contacts
-from benchmarks.peers.rapier import touching_contacts
 from benchmarks.peers.worlds import Frame
 from fracture_collision.records import CollisionBody, FragmentStates
 

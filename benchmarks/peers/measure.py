@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.peers.boxes import local_boxes, near_pairs
+from benchmarks.peers.judging.score import FrameTruth, Score, score
+from benchmarks.peers.judging.truth import Solids
 from benchmarks.peers.method import EXACT, Contacts, Method
-from benchmarks.peers.score import FrameTruth, Score, score
-from benchmarks.peers.truth import Solids
 from benchmarks.peers.worlds import World, make_world
 
 KINDS = ("touch", "jitter", "pile")

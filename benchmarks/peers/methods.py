@@ -26,7 +26,7 @@ def all_methods(slow: bool = True) -> tuple[list[Method], dict[str, str]]:
     missing: dict[str, str] = {}
     for family in FAMILIES:
         try:
-            found += import_module(f"benchmarks.peers.{family}").methods()
+            found += import_module(f"benchmarks.peers.libraries.{family}").methods()
         except ImportError as error:
             missing[family] = str(error)
     return [m for m in found if slow or m.is_quick], missing

@@ -12,11 +12,11 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.peers.judging.score import Score
 from benchmarks.peers.measure import KINDS, Row
 from benchmarks.peers.method import EXACT, MESH
 from benchmarks.peers.methods import FAMILIES
 from benchmarks.peers.one_core import cores
-from benchmarks.peers.score import Score
 
 EVERYBODY_NEEDS = ("numpy", "scipy", "manifold3d")
 # The names for what it compares.

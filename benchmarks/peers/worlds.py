@@ -17,7 +17,7 @@ import pybullet
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from benchmarks.peers.cracked_surface import cracked_surfaces
+from benchmarks.peers.judging.cracked_surface import cracked_surfaces
 from fracture_collision.geometry.generators import TetGeometry
 from fracture_collision.geometry.sampled_bodies import sampled_ball, sampled_shell
 from fracture_collision.records import CollisionBody, FractureEvent, FragmentStates
@@ -148,7 +148,7 @@ def _meshes(
 ) -> dict[int, tuple[np.ndarray, np.ndarray]]:
     if mesher == EDGES:
         return cracked_surfaces(*geometry, labels, _crossings(geometry.vertices, event))
-    from benchmarks.peers.planar_cells import planar_cells  # manifold3d need not be there
+    from benchmarks.peers.judging.planar_cells import planar_cells  # manifold3d need not be there
 
     cells = planar_cells(*geometry, seeds)
     first_node = {f: geometry.vertices[np.argmax(labels == f)] for f in event.new_fragment_ids.tolist()}

@@ -93,7 +93,7 @@ def visits(quick: bool, progress: Progress) -> Tables:
 
 
 def limits(quick: bool, progress: Progress) -> Tables:
-    from benchmarks.scaling.limits import AIMS, measure_limits
+    from benchmarks.scaling.floors.limits import AIMS, measure_limits
 
     rows = measure_limits(AIMS[:1] if quick else AIMS, progress=progress)
     return {"limits": rows}, []

@@ -172,7 +172,8 @@ def _plain(question: bytes, answer: bytes, computation: float, steps: int) -> fl
     with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
         answer_file, times_file, domain_id = Path(name) / "answer", Path(name) / "times.npy", free_domain_id()
         answer_file.write_bytes(answer)
-        command = [sys.executable, "-m", "benchmarks.scaling.plain_echo", answer_file, str(computation), times_file]
+        module = "benchmarks.scaling.floors.plain_echo"
+        command = [sys.executable, "-m", module, answer_file, str(computation), times_file]
         echo = subprocess.Popen(command, env=loopback_environment(domain_id))
         stack.callback(echo.kill)
         context = own_context(domain_id)

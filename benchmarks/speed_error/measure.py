@@ -6,11 +6,11 @@ import re
 
 import numpy as np
 
+from benchmarks.peers.libraries.ours import Ours, setting_methods
+from benchmarks.peers.libraries.ours_settings import RESOLUTION, named
 from benchmarks.peers.measure import Progress, Row, measure
 from benchmarks.peers.method import EXACT, Contacts, Method, no_contacts
 from benchmarks.peers.methods import all_methods
-from benchmarks.peers.ours import Ours, setting_methods
-from benchmarks.peers.ours_settings import RESOLUTION, named
 from benchmarks.peers.worlds import DRAWS, SHELL_INNER, Frame, World, break_body, clustered_seeds, make_world
 from benchmarks.speed_error.points import SILENT
 from fracture_collision.geometry.generators import TetGeometry

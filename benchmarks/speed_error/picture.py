@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter
 
-from benchmarks.peers.ours_settings import DEFAULTS, RESOLUTION
+from benchmarks.peers.libraries.ours_settings import DEFAULTS, RESOLUTION
 from benchmarks.speed_error.labels import Label, place_labels
 from benchmarks.speed_error.points import (
     FAMILIES,

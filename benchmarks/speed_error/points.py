@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from benchmarks.peers.ours_settings import DEFAULTS, EVERY_CONTACT, RESOLUTION
+from benchmarks.peers.libraries.ours_settings import DEFAULTS, EVERY_CONTACT, RESOLUTION
 from fracture_collision.world import Settings
 
 SILENT = "nothing reported"  # a method that answers with no contact

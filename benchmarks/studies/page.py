@@ -9,9 +9,10 @@ from collections.abc import Callable
 from pathlib import Path
 from textwrap import fill
 
-from benchmarks.studies import fig5, fig12, fig15, fig16, fig17, flights, resolution, tables, throws
+from benchmarks.studies.ahead import flights, throws
 from benchmarks.studies.as_a_whole import scaling_section
 from benchmarks.studies.beside_others import limits_section, peers_section, speed_error_section
+from benchmarks.studies.paper import fig5, fig12, fig15, fig16, fig17, resolution, tables
 from benchmarks.studies.study import Study
 from benchmarks.studies.table import Table, read_table
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.peers.least_translation import FARTHEST, least_translation
+from benchmarks.peers.judging.least_translation import FARTHEST, least_translation
 
 X, Y, Z = np.eye(3)
 DEPTH = 0.01

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from benchmarks.peers import methods as registry
-from benchmarks.peers.cracked_surface import cracked_surfaces
+from benchmarks.peers.judging.cracked_surface import cracked_surfaces
+from benchmarks.peers.judging.score import FrameTruth, Score, score
+from benchmarks.peers.judging.truth import Solids
+from benchmarks.peers.libraries.ours import Ours
+from benchmarks.peers.libraries.vertex_distances import Exact, NodeField
 from benchmarks.peers.measure import Row, measure
 from benchmarks.peers.method import Contacts, Method, contacts_of, no_contacts
-from benchmarks.peers.ours import Ours
 from benchmarks.peers.report import ratios, write_csv
-from benchmarks.peers.score import FrameTruth, Score, score
-from benchmarks.peers.truth import Solids
-from benchmarks.peers.vertex_distances import Exact, NodeField
 from benchmarks.peers.worlds import EDGES, Frame, Surface, World, break_body, volume
 from fracture_collision.geometry.generators import ball, brick
 from fracture_collision.geometry.tetrahedra import boundary_triangles, tetrahedron_volumes

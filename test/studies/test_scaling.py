@@ -13,9 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.peers.report import MUJOCO, RAPIER
 from benchmarks.peers.worlds import EDGES, World, break_body
+from benchmarks.scaling.floors.limits import FIRST, LOOSE, TIGHT, UPDATE, Aim, measure_limits
 from benchmarks.scaling.growth import Exponents, GrowthRow, ThreadsRow, fit_exponents, measure_growth, measure_threads
 from benchmarks.scaling.heaps import FAST, MODERATE, SLOW, HeapRow, measure_heaps
-from benchmarks.scaling.limits import FIRST, LOOSE, TIGHT, UPDATE, Aim, measure_limits
 from benchmarks.scaling.machine import Machine
 from benchmarks.scaling.memory import MemoryRow, measure_memory
 from benchmarks.scaling.piles import copy_of, make_pile, world_of
@@ -144,16 +144,16 @@ def test_what_a_visit_cannot_do_without() -> None:
 
 def test_limits_are_put_together_of_what_is_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Contacts and samples counted in a world of its own, beside times that are given."""
-    monkeypatch.setattr("benchmarks.scaling.limits._undisturbed", lambda _footprint: MACHINE)
-    monkeypatch.setattr("benchmarks.scaling.limits.least_update", lambda _world: (2.0, "passes"))
-    monkeypatch.setattr("benchmarks.scaling.limits.update_alone", lambda _world: 3.0)
+    monkeypatch.setattr("benchmarks.scaling.floors.limits._undisturbed", lambda _footprint: MACHINE)
+    monkeypatch.setattr("benchmarks.scaling.floors.limits.least_update", lambda _world: (2.0, "passes"))
+    monkeypatch.setattr("benchmarks.scaling.floors.limits.update_alone", lambda _world: 3.0)
     answers = []
 
     def alone(_service: CollisionWorld, _states: FragmentStates, answer: ContactConstraintArray) -> float:
         answers.append(len(answer.gaps))
         return float(answers[-1])
 
-    monkeypatch.setattr("benchmarks.scaling.limits.contacts_alone", alone)
+    monkeypatch.setattr("benchmarks.scaling.floors.limits.contacts_alone", alone)
     peers = tmp_path / "peers.csv"
     rows = {TIGHT: (9.0, 18.0, 20.0), LOOSE: (9.0, 6.0, 5.0), MUJOCO: (30.0, 0.5, 0.3), RAPIER: (5.0, 3.0, 1.0)}
     with peers.open("w", newline="") as file:

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from test_peers import OVERLAP, blocks, judged, one_contact, placed  # noqa: F401 - blocks is a fixture
 
-from benchmarks.peers import score as score_module
+from benchmarks.peers.judging import score as score_module
+from benchmarks.peers.judging.moved_pairs import MovedPairs, Way
+from benchmarks.peers.judging.score import FrameTruth, score
+from benchmarks.peers.judging.solver_error import HALVINGS, RESOLVED, translations
+from benchmarks.peers.judging.truth import Solids
 from benchmarks.peers.method import Contacts, contacts_of, no_contacts
-from benchmarks.peers.moved_pairs import MovedPairs, Way
-from benchmarks.peers.score import FrameTruth, score
-from benchmarks.peers.solver_error import HALVINGS, RESOLVED, translations
-from benchmarks.peers.truth import Solids
 
 INTO, APART = (1.0 - OVERLAP, 0.05, 0.05), (1.0 + OVERLAP, 0.0, 0.0)
 X, Y = np.eye(3)[:2]

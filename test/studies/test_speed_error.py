@@ -9,11 +9,11 @@ import pytest
 from matplotlib.image import imread
 from test_peers import OVERLAP, blocks, judged, one_contact, placed  # noqa: F401 - blocks is a fixture
 
+from benchmarks.peers.judging.score import FrameTruth, score
+from benchmarks.peers.judging.truth import Solids
+from benchmarks.peers.libraries.ours import setting_methods
+from benchmarks.peers.libraries.ours_settings import DEFAULTS, RESOLUTION, SETTINGS, named
 from benchmarks.peers.method import contacts_of, no_contacts
-from benchmarks.peers.ours import setting_methods
-from benchmarks.peers.ours_settings import DEFAULTS, RESOLUTION, SETTINGS, named
-from benchmarks.peers.score import FrameTruth, score
-from benchmarks.peers.truth import Solids
 from benchmarks.peers.worlds import EDGES, break_body, clustered_seeds
 from benchmarks.speed_error.measure import _body, resampled
 from benchmarks.speed_error.picture import SETTINGS as DRAWN

@@ -20,11 +20,12 @@ pytest.importorskip("distributed")
 from distributed import LocalCluster  # noqa: E402
 
 import benchmarks.studies.cluster as cluster_module  # noqa: E402
-from benchmarks.studies import fig5, fig12, fig15, fig16, fig17, flights, resolution, tables, throws  # noqa: E402
+from benchmarks.studies.ahead import flights, throws  # noqa: E402
 from benchmarks.studies.bench import Progress, run_studies  # noqa: E402
 from benchmarks.studies.cluster import cluster, run_trials  # noqa: E402
 from benchmarks.studies.machine import machine, versions  # noqa: E402
 from benchmarks.studies.page import PAGE, STUDIES, study_files, wrapped, write_page  # noqa: E402
+from benchmarks.studies.paper import fig5, fig12, fig15, fig16, fig17, resolution, tables  # noqa: E402
 from benchmarks.studies.replay import record, replay  # noqa: E402
 from benchmarks.studies.scene_trials import ONE_THREAD, in_words, scene_trial, with_shortest_times  # noqa: E402
 from benchmarks.studies.study import StudyError, Trial  # noqa: E402

@@ -18,9 +18,9 @@ import numpy as np
 
 from benchmarks.peers.report import FIELD, MUJOCO, OURS, RAPIER, VERTICES
 from benchmarks.peers.worlds import Frame, World, make_world
-from benchmarks.scaling.contacts_alone import contacts_alone
+from benchmarks.scaling.floors.contacts_alone import contacts_alone
+from benchmarks.scaling.floors.least_update import least_update, update_alone
 from benchmarks.scaling.growth import SEARCHED, Progress, silent
-from benchmarks.scaling.least_update import least_update, update_alone
 from benchmarks.scaling.machine import Machine, measure_machine
 from benchmarks.scaling.visits import LISTED, LOCATED, TETRAHEDRON, floor_of
 from fracture_collision.records import ContactConstraintArray, FragmentStates
@@ -28,7 +28,7 @@ from fracture_collision.world import CollisionWorld
 from fracture_collision.world.inspection import EVERY_CONTACT
 
 # As `python -m benchmarks.peers --csv` leaves it: the aims are ratios to its times.
-PEERS = Path(__file__).resolve().parents[2] / "docs" / "peers.csv"
+PEERS = Path(__file__).resolve().parents[3] / "docs" / "peers.csv"
 TIGHT, LOOSE = OURS, "ours, epsilon 5 % R"  # settings
 UPDATE, FIRST = "update", "update and first query"
 COLUMNS = {UPDATE: ("update",), FIRST: ("update", "first_query")}  # of peers.csv; of queries: jitter_query

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks.peers.libraries.ours_settings import DEFAULTS, SETTINGS, named
 from benchmarks.peers.method import EXACT, Contacts, Method, contacts_of
-from benchmarks.peers.ours_settings import DEFAULTS, SETTINGS, named
 from benchmarks.peers.worlds import Frame, World, empty_states
 from fracture_collision.records import ContactConstraintArray, FragmentStates
 from fracture_collision.world import CollisionWorld, Settings

@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks.peers.judging.moved_pairs import Way
+from benchmarks.peers.judging.solver_error import solver_errors, translations
+from benchmarks.peers.judging.truth import PairTruth, Solids
 from benchmarks.peers.method import Contacts
-from benchmarks.peers.moved_pairs import Way
-from benchmarks.peers.solver_error import solver_errors, translations
-from benchmarks.peers.truth import PairTruth, Solids
 from benchmarks.peers.worlds import Frame
 
 TOLERANCE = 0.002  # the paper's delta: penetrations up to this need not be reported, nor do they count as false

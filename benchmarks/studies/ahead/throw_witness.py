@@ -20,7 +20,7 @@ from fracture_collision.simulation.scene.scene import Scene
 from fracture_collision.simulation.simulation import Simulation
 from fracture_collision.world import CollisionWorld, Settings
 
-sys.path.append(str(Path(__file__).resolve().parents[2] / "test"))  # the truth lives with the tests
+sys.path.append(str(Path(__file__).resolve().parents[3] / "test"))  # the truth lives with the tests
 from truth.surface_truth import Solid  # noqa: E402
 
 DEEP = 5e-4  # [m]

@@ -16,7 +16,15 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
-from benchmarks.studies.against import MOST_SPIN, SPEED_OF_TARGET, SPIN_OF_TARGET, STEPS, Size, tables_of, trials_of
+from benchmarks.studies.ahead.against import (
+    MOST_SPIN,
+    SPEED_OF_TARGET,
+    SPIN_OF_TARGET,
+    STEPS,
+    Size,
+    tables_of,
+    trials_of,
+)
 from benchmarks.studies.pictures import BLUE, RED, finish, new_figure
 from benchmarks.studies.study import Study, Trial
 from benchmarks.studies.table import Row, Table, markdown_table, number
@@ -27,7 +35,7 @@ from fracture_collision.geometry.tetrahedra import boundary_triangles
 from fracture_collision.records import BOX, SPHERE, CollisionBody, FragmentStates, SolidPrimitive
 from fracture_collision.world import CollisionWorld, Settings
 
-sys.path.append(str(Path(__file__).resolve().parents[2] / "test"))  # the truth lives with the tests
+sys.path.append(str(Path(__file__).resolve().parents[3] / "test"))  # the truth lives with the tests
 
 # [m]
 THROWN: dict[str, Callable[[], TetGeometry]] = {
@@ -84,7 +92,7 @@ def fly(thrown: str, target: str, speed: float, first: int, end: int) -> list[Fl
 def _one(
     made: TetGeometry, aim: Target, worlds: Mapping[str, CollisionWorld], target: str, speed: float, random: Any
 ) -> Flight:
-    from benchmarks.studies import flight_truth as truth
+    from benchmarks.studies.ahead import flight_truth as truth
 
     step = float(random.choice(STEPS))
     surface, origin = boundary_triangles(made.tetrahedra), np.zeros(3)

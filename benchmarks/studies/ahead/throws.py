@@ -16,11 +16,19 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
-from benchmarks.studies.against import MOST_SPIN, SPEED_OF_TARGET, SPIN_OF_TARGET, STEPS, Size, tables_of, trials_of
+from benchmarks.studies.ahead.against import (
+    MOST_SPIN,
+    SPEED_OF_TARGET,
+    SPIN_OF_TARGET,
+    STEPS,
+    Size,
+    tables_of,
+    trials_of,
+)
+from benchmarks.studies.ahead.throw_witness import DEEP, TARGET_ID, THROWN_ID, Step, Witness
 from benchmarks.studies.pictures import BLUE, ORANGE, RED, finish, new_figure
 from benchmarks.studies.study import Study, Trial
 from benchmarks.studies.table import Row, Table, markdown_table, number
-from benchmarks.studies.throw_witness import DEEP, TARGET_ID, THROWN_ID, Step, Witness
 from fracture_collision.records import FragmentStates
 from fracture_collision.simulation.engine.engine import BodyStates
 from fracture_collision.simulation.engine.rigid_body_world import RigidBodyWorld

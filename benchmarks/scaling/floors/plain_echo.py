@@ -1,6 +1,6 @@
 """The least that rclpy takes: a node that answers states with bytes made beforehand, as rclpy's own examples would.
 
-    python -m benchmarks.scaling.plain_echo ANSWER_FILE SECONDS TIMES_FILE
+    python -m benchmarks.scaling.floors.plain_echo ANSWER_FILE SECONDS TIMES_FILE
 
 No parameters, no records, nobody else to look after; for SECONDS a question it goes through memory in place of the
 computation, as that is what leaves no code in any cache. When told to end it writes how long it really took each time

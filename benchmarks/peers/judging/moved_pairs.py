@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.peers.boxes import SLACK
-from benchmarks.peers.truth import Solids
+from benchmarks.peers.judging.truth import Solids
 from benchmarks.peers.worlds import Frame
 
 

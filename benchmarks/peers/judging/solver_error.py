@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.peers.least_translation import least_translation
+from benchmarks.peers.judging.least_translation import least_translation
+from benchmarks.peers.judging.moved_pairs import MovedPairs, Way
+from benchmarks.peers.judging.truth import Solids
 from benchmarks.peers.method import Contacts
-from benchmarks.peers.moved_pairs import MovedPairs, Way
-from benchmarks.peers.truth import Solids
 
 RESOLVED = 0.0002  # [R] a pair no deeper than this is parted: a tenth of what contacts need not be reported
 HALVINGS = 7  # of a translation, in the search for its necessary share
