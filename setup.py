@@ -1,6 +1,6 @@
-"""Lets `pip install .` build the ROS messages: CMake generates and compiles them into a staging prefix, from which the
-Python part goes into the package and the rest (shared libraries, interface files, config, launch) beside it, laid out
-as an ament prefix over the environment. All that is not about messages stands in pyproject.toml.
+"""Lets `pip install .` build the ROS messages: CMake generates and compiles them into a staging prefix. The Python part
+goes into the package, the rest (shared libraries, interface files, config, launch) into the environment, laid out as an
+ament prefix. Everything unrelated to messages is in pyproject.toml.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from setuptools import Command, Distribution, setup
 from setuptools.command.build import build
 
 # isort: split
-from distutils.command.install_data import install_data  # setuptools brings it along and has no own name for it
+from distutils.command.install_data import install_data  # provided by setuptools, which has no own name for it
 
 ROOT = Path(__file__).resolve().parent
 PACKAGE = "fracture_collision"
 
 
 def requirements(file: Path) -> list[str]:
-    """The requirements in a file of one requirement a line."""
+    """The requirements in a file with one requirement per line."""
     lines = (line.split("#")[0].strip() for line in file.read_text().splitlines())
     return [line for line in lines if line]
 
@@ -54,7 +54,7 @@ class BuildMessages(Command):
 
     def run(self) -> None:
         shutil.rmtree(self.stage, ignore_errors=True)
-        # A CMake cache made under another environment (pip's isolated ones are new each time) would lead astray.
+        # A CMake cache from another environment (pip's isolated ones are new each time) would contain wrong paths.
         (self.cmake_folder / "CMakeCache.txt").unlink(missing_ok=True)
         prefixes = ";".join(ament_prefixes())
         environment = os.environ | {"AMENT_PREFIX_PATH": prefixes.replace(";", os.pathsep)}
@@ -81,7 +81,7 @@ class BuildMessages(Command):
         return folder
 
     def _keep_one_package_init(self) -> None:
-        """The generated, empty __init__.py and metadata would stand in the way of the package's own."""
+        """Removes the generated, empty __init__.py and metadata, which would shadow the package's own."""
         package = self._staged_package()
         (package / "__init__.py").unlink()
         for generated in [*package.rglob("__pycache__"), *package.parent.glob("*.egg-info")]:
@@ -116,12 +116,12 @@ class Build(build):
 
 class MessageDistribution(Distribution):
     def has_ext_modules(self) -> bool:
-        return True  # compiled type support: the wheel is for one platform and one Python
+        return True  # compiled type support: the wheel is specific to one platform and one Python
 
     def has_data_files(self) -> bool:
         return True
 
-    has_data = has_data_files  # the name under which an editable install asks
+    has_data = has_data_files  # the name that editable installs use
 
 
 setup(

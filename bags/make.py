@@ -1,7 +1,7 @@
-"""Makes golden bags as digests.yaml says, and writes their digests there: `python bags/make.py [NAME ...]`.
+"""Makes golden bags as digests.yaml specifies and writes their digests there: `python bags/make.py [NAME ...]`.
 
-A bag is replaced only where its content is another. After a change that is meant to change answers, look at what is new
-(`fracture-collision replay bags/NAME`, before this) and commit both.
+A bag is replaced only if its content differs. After a change that is meant to change answers, inspect the differences
+first (`fracture-collision replay bags/NAME`) and commit both.
 """
 
 from __future__ import annotations

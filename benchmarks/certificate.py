@@ -1,4 +1,4 @@
-"""Does missed_depth_bound hold, and how loose is it? Random pairs of fragments against brute force.
+"""Does missed_depth_bound hold, and how loose is it? Random pairs of fragments, compared with brute force.
 
     python benchmarks/certificate.py [pairs] [seed ...]        default: 100000 pairs, seed 1
 """
@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT), str(ROOT / "test")]  # the truth lives with the tests
+sys.path[:0] = [str(ROOT), str(ROOT / "test")]  # the ground truth lives with the tests
 
 from rich.console import Console  # noqa: E402
 from rich.progress import track  # noqa: E402
 from truth.certificate_campaign import Part, Tally, campaign  # noqa: E402
 from truth.contact_truth import SHAPES  # noqa: E402
 
-# A bound up to this [R] says that nothing was left out.
+# A bound up to this [R] means that nothing was left out.
 ROUNDING = 1e-9
 LEGEND = """
 pairs: whose boxes overlap; touching: with a sample of one inside the other; loose: median of (bound - deepest unlisted
@@ -29,7 +29,7 @@ nearest point that is not the other's). Left: searches that ran to their end; ri
 
 
 def main(pairs: int = 100_000, seeds: tuple[int, ...] = (1,)) -> int:
-    """Print the table; returns the number of violations."""
+    """Prints the table; returns the number of violations."""
     console = Console(stderr=True)
     half = ("pairs", "touching", "loose", "left out")
     print(_line("shape", "cracks", *half, *half, "violations"), flush=True)

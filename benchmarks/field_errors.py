@@ -35,7 +35,7 @@ SEEDS, GENERATIONS, POINTS = 4, 5, 4000
 DEEP = 0.10  # of R
 TOO_LARGE = 0.001  # of R
 WRONG_WAY = math.radians(30.0)
-STILL_RISES = 0.5  # of a step: growth of the exact depth that shows that the step ends before the middle
+STILL_RISES = 0.5  # of a step: a larger growth of the exact depth shows that the step ends before the middle
 DEPTH_EDGES = np.array([0.0, 0.5, 1, 2, 3, 5, 7, 10, 14, 18, 24, 32]) / 100.0
 
 # Half the longest side, R, is 1 m for all.
@@ -62,7 +62,7 @@ not exceeded, less the true one, mean over evenly spread points.
 
 
 class Measured(NamedTuple):
-    """Points with their truth and what one field and the exact one say of them."""
+    """Points with their ground truth, and the answers of one field and of the exact one."""
 
     truth: Truth
     said: Said
@@ -130,7 +130,7 @@ def figures(measured: Measured) -> tuple[float, ...]:
 
 def _angles(truth: Truth, said: Said) -> np.ndarray:
     """(n,) [rad]; nan where the point is too close to the surface for a true direction."""
-    # by the chord: the arc cosine of a number near 1 is worth half its digits
+    # from the chord: near 1 the arc cosine loses half its digits
     chord = np.linalg.norm(said.outward - truth.outward, axis=1)
     angle = 2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0))
     return np.where(np.any(truth.outward != 0.0, axis=1), angle, np.nan)
@@ -162,7 +162,7 @@ def _line(cells: tuple) -> str:
 
 
 def grid_errors() -> None:
-    """The error of the dense grid that caps the averaged field, in whole bodies, by its resolution."""
+    """Error of the dense grid that caps the averaged field, in unbroken bodies, by grid resolution."""
     print("the dense grid of whole bodies alone: error in % of R (mean, 99 %, worst), grid points a tetrahedron")
     kept = interior_field.CELLS_PER_EDGE
     for name, body in BODIES.items():

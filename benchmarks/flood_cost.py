@@ -1,9 +1,9 @@
-"""What an exact depth costs by the depth of the point, and whether a start from a nodal field pays: two minutes.
+"""Cost of an exact depth by the depth of the point, and whether a warm start from a nodal field pays off: two minutes.
 
     python benchmarks/flood_cost.py
 
-Prints the tables of docs/numerics.md, 'What a flood costs', and writes docs/flood_cost.png. The service's kernel counts
-nothing; the counts are those of a plain twin of it, whose distances must be the kernel's.
+Prints the tables of docs/numerics.md, 'What a flood costs', and writes docs/flood_cost.png. The service's kernel has no
+counters; the counts come from a plain twin, whose distances must equal the kernel's.
 """
 
 from __future__ import annotations
@@ -48,10 +48,10 @@ BODIES = {"ball": ball(1.0, 0.1), "bunny": bunny(2.0)}
 SEEDS, GENERATIONS = 4, 2
 DEPTHS = (0.0, 0.005, 0.02, 0.05, 0.15, 1.0)  # of R
 POINTS, PER_BIN, FEWEST = 150_000, 1000, 100
-REPEATS, SECONDS = 7, 1.0  # rounds of timing: at least so many, and so long
+REPEATS, SECONDS = 7, 1.0  # rounds of timing: at least this many, for at least this long
 # Upper bounds of the depth that the service's flood, nearest tetrahedron first, may start with.
 STARTS = ("nothing", "fronts", "exact nodes", "the answer")
-# Another order, tetrahedra in rings as they are reached, and what it starts with.
+# The other order, tetrahedra in rings as they are reached, and its starting bound.
 RINGS = {"rings": "nothing", "rings, nodes": "exact nodes"}
 LEGEND = """
 tets: taken from the queue, their surface measured; seen: these and their neighbours, whose boxes are measured; tri:
@@ -63,16 +63,16 @@ reached instead of nearest first, from nothing, and with the exact nodes' bound;
 are taken. Time includes making the bound from the nodes. averaged: ns of eq. 1-2 at the same points.
 """
 
-# Not cached: a cache in this folder would outlive a change of the kernels that these inline.
+# Not cached: a cache in this folder would outlive changes to the kernels inlined here.
 compiled = njit(error_model="numpy")
 
 
 class Places(NamedTuple):
-    """Points inside fragments and all a flood needs to start."""
+    """Points inside fragments, and all that a flood needs to start."""
 
     points: np.ndarray  # (n, 3) [m]
     rows: np.ndarray  # (n,) fragment row of the owner
-    tets: np.ndarray  # (n,) tetrahedron that holds each
+    tets: np.ndarray  # (n,) tetrahedron that holds each point
 
     def take(self, which: np.ndarray) -> Places:
         return Places(*(column[which] for column in self))
@@ -85,9 +85,9 @@ class Cost(NamedTuple):
     points: int
     tets: float
     seen: float
-    in_rings: dict[str, float]  # tetrahedra taken in that order, by RINGS
-    triangles: dict[str, float]  # measured, by what the flood starts from
-    nanoseconds: dict[str, float]  # likewise
+    in_rings: dict[str, float]  # tetrahedra visited in that order, by RINGS
+    triangles: dict[str, float]  # measured, by starting bound
+    nanoseconds: dict[str, float]  # by starting bound
     averaged: float  # [ns]
 
 
@@ -110,9 +110,9 @@ def flood(pools, rows, tets, points, limits, scratch, depths):
 
 @compiled
 def rings(pools, rows, tets, points, limits, scratch, depths):
-    """The flood without a heap: tetrahedra in the order in which they are reached. Returns how many were taken in all.
+    """The flood without a heap: tetrahedra in the order in which they are reached. Returns the number visited.
 
-    What comes out is as exact: every tetrahedron that is nearer than the best so far is taken, in whatever order.
+    The result is equally exact: every tetrahedron nearer than the best distance so far is visited, in any order.
     """
     mesh, visited = pools.mesh, scratch.visited[0]
     keys, items = scratch.heap_key[0], scratch.heap_tet[0]
@@ -151,7 +151,7 @@ def average(pools, rows, tets, points, depths):
 
 @compiled
 def bound_by_nodes(pools, rows, tets, points, certain, limits):
-    """Distance to the nearest of the points `certain` of the tetrahedron's nodes, a little more for rounding."""
+    """Distance to the nearest of the points `certain` of the tetrahedron's nodes, plus a margin for rounding."""
     for i in range(len(points)):
         shift = pools.fragment.node_shift[rows[i]]
         best = math.inf
@@ -165,7 +165,7 @@ def bound_by_nodes(pools, rows, tets, points, certain, limits):
 
 @compiled
 def measure_nodes(pools, shift, scratch, nearest):
-    """The exact nearest surface point of every node of a world's one body; returns how many took a flood."""
+    """The exact nearest surface point of every node of a world's only body; returns how many needed a flood."""
     floods = 0
     for v in range(len(pools.mesh.nodes)):
         x, y, z = pools.mesh.nodes[v]
@@ -263,7 +263,7 @@ def cost_of(
 
 
 def _nanoseconds(pools: Pools, tasks: dict[tuple[str, str], tuple], points: int) -> dict[tuple[str, str], float]:
-    """[ns] of processor time a point: the best of many rounds, each of all tasks in turn."""
+    """[ns] of processor time per point: the best of many rounds, each of which runs all tasks in turn."""
     best = dict.fromkeys(tasks, math.inf)
     for function, arguments in tasks.values():
         function(pools, *arguments)

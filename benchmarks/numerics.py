@@ -1,4 +1,4 @@
-"""Prints the figures of docs/numerics.md: the service against slow oracles, in about four minutes."""
+"""Prints the figures of docs/numerics.md: the service against slow oracles; takes about four minutes."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ cracks cross, those with one owner before the face and another behind it, and no
 largest relative change of mass of a fragment that had no part in a fracture; off 30: contacts more than 30 degrees off
 the flat crack of their pair, places jittered by 1 % R
 """
-# Bodies for the comparison with Voronoi cells: coarse, and with about half the edge.
+# Bodies for the comparison with Voronoi cells: a coarse mesh, and one with about half the edge length.
 CELL_BODIES = {
     "coarse ball": ball(1.0, 0.34),
     "ball": ball(1.0, 0.17),
@@ -131,7 +131,7 @@ def _parted(case: FracturedWorld) -> float:
 
 
 def _open_by(case: FracturedWorld) -> float:
-    """Largest sum of the area vectors of a fragment's surface, zero where it closes, in parts of its area."""
+    """Largest sum of the area vectors of a fragment's surface, relative to its area; zero if the surface is closed."""
     largest = 0.0
     for fragment in case.oracle.fragment_ids:
         row = case.row(fragment)
@@ -142,7 +142,7 @@ def _open_by(case: FracturedWorld) -> float:
 
 
 def _steps(case: FracturedWorld) -> int:
-    """Points of faces between fragments that have one owner in the tetrahedron before and another in the one behind."""
+    """Points of faces between fragments whose owner differs between the two adjacent tetrahedra."""
     pools, row = case.geometry.pools, case.row(case.oracle.fragment_ids[0])
     mesh, labels = pools.mesh, pools.body.node_fragment
     before, face = np.nonzero(mesh.neighbours >= 0)
@@ -156,16 +156,16 @@ def _steps(case: FracturedWorld) -> int:
     scratch, near = make_scratch(1, len(mesh.tetrahedra), 8), ON_SURFACE * pools.fragment.radius[row]
     steps = 0
     for i in np.flatnonzero(sides[:, 0] != sides[:, 1]).tolist():
-        # on a crack that lies in the face either owner is right
+        # on a crack that lies in the face, either owner is correct
         answers = (probe(pools, owner, *points[i], near, np.inf, scratch, 0)[:2] for owner in sides[i].tolist())
         steps += not all(status != OUTSIDE and abs(distance) <= near for status, distance in answers)
     return steps
 
 
-# Not cached: a cache in this folder would outlive a change of the kernel that this inlines.
+# Not cached: a cache in this folder would outlive changes to the kernel inlined here.
 @njit(error_model="numpy")
 def _owners(pools, fragment, tets, points):
-    """Fragment rows (n,) that points (n, 3) [m] belong to in tetrahedra `tets` (n,)."""
+    """Fragment rows (n,) that own the points (n, 3) [m] in tetrahedra `tets` (n,)."""
     owners = np.empty(len(points), np.int64)
     for i in range(len(points)):
         owners[i] = owner_in_tetrahedron(pools, fragment, tets[i], points[i, 0], points[i, 1], points[i, 2])
@@ -196,7 +196,7 @@ def _change_of_others(case: FracturedWorld) -> float:
 
 
 def _wrong_directions(case: FracturedWorld, radius: float) -> float:
-    """Share of contacts whose normal is more than 30 degrees off the one plane their two fragments share."""
+    """Share of contacts whose normal is more than 30 degrees off the single plane between their two fragments."""
     planes: dict[tuple[int, int], set[tuple]] = {}
     for (a, b), plane in case.oracle.planes.items():
         pair = (int(case.oracle.labels[a]), int(case.oracle.labels[b]))

@@ -1,4 +1,4 @@
-"""Which way contacts between neighbours point: along the nearest way out, or along the crack the two share.
+"""Direction of contacts between neighbours: along the nearest way out, or along the crack the two share.
 
     python benchmarks/rims.py [body ...]        default: all, and the plot docs/rims.png
 """
@@ -17,7 +17,7 @@ import matplotlib.pyplot as plt  # noqa: E402
 import numpy as np  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT), str(ROOT / "test")]  # the truth lives with the tests
+sys.path[:0] = [str(ROOT), str(ROOT / "test")]  # the ground truth lives with the tests
 
 from rich.console import Console  # noqa: E402
 from rich.progress import track  # noqa: E402
@@ -64,7 +64,7 @@ def main(names: list[str]) -> None:
 
 
 def _plot(angles: dict[tuple[str, bool], tuple[np.ndarray, np.ndarray]]) -> None:
-    """Share of contacts that are farther off the crack's direction than an angle."""
+    """Share of contacts whose direction deviates from the crack's by more than an angle."""
     figure, panels = plt.subplots(1, 2, figsize=(9.0, 3.6), sharey=True)
     for panel, curved in zip(panels, (False, True), strict=True):
         for name, colour in zip(PLOTTED, ("tab:blue", "tab:orange", "tab:green"), strict=True):
@@ -101,7 +101,7 @@ def _row(broken: BrokenBody) -> tuple[list[str], tuple[np.ndarray, np.ndarray]]:
 
 
 def _ratio(worlds, frames: list[FragmentStates]) -> float:
-    """Median time of a frame in the second world over that in the first, taken in turns."""
+    """A frame's median time in the second world over that in the first, interleaved."""
     times = np.empty((2, 3 * len(frames)))
     for i in range(times.shape[1]):
         for k, world in enumerate(worlds):

@@ -1,4 +1,4 @@
-"""What another setting costs in the steps of a recorded scene: each answered on one core, without and with it."""
+"""Cost of another setting in the steps of a recorded scene: each answered on one core, without and with it."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ RUNS = 3
 
 
 class Cost(NamedTuple):
-    """Times of a query [ms]; each step's least of RUNS runs."""
+    """Times of a query [ms]; each step's minimum of RUNS runs."""
 
     scene: str
-    without_ms: float  # mean of a step
+    without_ms: float  # mean per step
     with_ms: float
     ratio: float
-    busy_ratio: float  # of steps in which BUSY fragments and more move
+    busy_ratio: float  # of steps in which at least BUSY fragments move
     worst_ms: float
     worst_with_ms: float
     update_ms: float  # mean of the steps at fractures

@@ -5,8 +5,8 @@
     python -m benchmarks.surfaces --cost-jittered ball20 ball20w shell20w
 
 Pairs of fragments of seven shapes, flat and curved cracks, one and two generations, jittered and piled; see
-test/truth/surface_campaign.py. What edges cost: in all steps of recorded scenes (a curvature behind @), and in the
-jittered worlds of benchmarks.peers.
+test/truth/surface_campaign.py. The cost of edges is measured in all steps of recorded scenes (@ adds a curvature), and
+in the jittered worlds of benchmarks.peers.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from rich.table import Table
 
 from benchmarks.setting_cost import cost_in_scene, show
 
-sys.path.append(str(Path(__file__).resolve().parents[1] / "test"))  # the truth lives with the tests
+sys.path.append(str(Path(__file__).resolve().parents[1] / "test"))  # the ground truth lives with the tests
 
 from truth.contact_truth import SHAPES, ContactTruth, piled  # noqa: E402
 from truth.surface_campaign import EPSILON, JITTERS, SEARCHED, SPREADS, PairDepth, campaign  # noqa: E402
@@ -38,7 +38,7 @@ from fracture_collision.world import (
 )
 
 MODES = ("sampled", "edges", "searched")
-DEEP = 0.1  # [R] what is less deep is told beside all
+DEEP = 0.1  # [R] less deep pairs are also listed separately
 RUNS = 3
 PERCENT, MILLI = 100.0, 1e3
 LEGEND = """
@@ -63,7 +63,7 @@ class Part(NamedTuple):
 
 
 def compare(pairs: int, seed: int) -> int:
-    """Print the table; returns the number of violations."""
+    """Prints the table; returns the number of violations."""
     console = Console(width=140)
     table = Table("shape", "cracks", "pairs")
     for mode in MODES:
@@ -99,7 +99,7 @@ def _part(shape: str, make: Callable[[], TetGeometry], curved: bool, pairs: int,
 
 
 def _is_known(it: PairDepth) -> bool:
-    """Where the truth was looked for: see LEAST."""
+    """Whether the truth was computed: see LEAST in test/truth/surface_campaign.py."""
     return it.truth > it.listed + 0.5 * EPSILON
 
 
@@ -111,7 +111,7 @@ def _time(make: Callable[[], TetGeometry], curved: bool, seed: int, settings: Se
 
 
 def narrow_phase_ms(world: CollisionWorld, states: FragmentStates, runs: int) -> float:
-    """Median of so many runs, after one that is not counted."""
+    """Median of `runs` runs, after a warm-up run."""
     times = []
     for _ in range(runs + 1):
         world.contacts(states)
@@ -127,7 +127,7 @@ def _cells(part: Part) -> list[str]:
 
 
 class JitteredCost(NamedTuple):
-    """Narrow phase without lists, mean over the frames [ms]."""
+    """Narrow phase without neighbour lists, mean over the frames [ms]."""
 
     world: str
     frames: str
@@ -137,7 +137,7 @@ class JitteredCost(NamedTuple):
 
 
 def jittered_costs(name: str) -> list[JitteredCost]:
-    """Of a world of benchmarks.peers: its fragments in place, jittered, and piled."""
+    """For a world of benchmarks.peers: its fragments in place, jittered, and piled."""
     from benchmarks.peers.worlds import make_world
 
     made = make_world(name)

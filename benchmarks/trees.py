@@ -1,4 +1,4 @@
-"""Prints what trees and traversals cost (compare Glondu 2014, Fig. 6, 15 and 17), and the maximum-distance order."""
+"""Prints the cost of trees and traversals (compare Glondu 2014, Fig. 6, 15 and 17), and the maximum-distance order."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def _at(sequence: int) -> FragmentStates:
 
 
 def _update_time(case: FracturedWorld, settings: Settings) -> float:
-    """[s] Median time of applying the fracture; the body is there already."""
+    """[s] Median time of applying the fracture; the body is already loaded."""
     world, times = with_settings(case, settings), []
     for _ in range(UPDATES):
         world.contacts(_at(0))
@@ -91,7 +91,7 @@ def _update_time(case: FracturedWorld, settings: Settings) -> float:
 
 
 def _spreads(answer) -> dict[tuple[int, int], float]:
-    """[m] For each pair with four contacts or more."""
+    """[m] For each pair with at least four contacts."""
     points = answer.points_a.reshape(-1, 3)
     spreads = {}
     for i, pair in enumerate(zip(answer.fragment_a.tolist(), answer.fragment_b.tolist(), strict=True)):

@@ -4,12 +4,12 @@
     python -m benchmarks.tunnelling [--trials N] [--surfaces edges] [--csv docs/tunnelling.csv]
     python -m benchmarks.tunnelling --cost plates bricks drop_bunnies@0.25
 
-A shard of 60 x 60 x 4 mm, turned any way and spinning at up to 200 rad/s, is thrown at a plate of 250 x 250 x 6 mm that
-is fixed or free, at 2.5 ms a step, so that it reaches the plate at any moment of one. It has gone through where its
-centre has crossed the plate's middle within the plate's border and is behind it in the end.
+A shard of 60 x 60 x 4 mm, in any orientation and spinning at up to 200 rad/s, is thrown at a fixed or free plate of
+250 x 250 x 6 mm, at 2.5 ms a step, so that it reaches the plate at any moment of a step. It counts as through if its
+centre has crossed the plate's middle within the plate's border and is behind it at the end.
 
 The cost is that of the states of whole scenes, answered step by step on one core without and with `lookahead`, each
-step's least of three runs.
+step's minimum of three runs.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ DEEP = 5e-4  # [m] a penetration that counts
 class Trial(NamedTuple):
     is_through: bool
     deepest: float  # [m] penetration of any contact, in any step
-    energy_gain: float  # of any step, as a share of the energy at first
+    energy_gain: float  # in any step, as a share of the initial energy
 
 
 class Row(NamedTuple):
-    """Of some trials that differ in their random numbers alone."""
+    """Some trials that differ only in their random numbers."""
 
     speed: float  # [m/s]
     plate: str
@@ -55,7 +55,7 @@ class Row(NamedTuple):
 
 
 def scene_of(speed: float, seed: int, is_fixed: bool) -> Scene:
-    """A shard at `speed` [m/s] before a plate at the origin that stands across y."""
+    """A shard at `speed` [m/s] in front of a plate at the origin that stands across y."""
     random = np.random.default_rng(seed)
     spin = random.normal(size=3)
     spin *= random.uniform(0.0, MOST_SPIN) / np.linalg.norm(spin)

@@ -1,7 +1,7 @@
-"""`python -m campaigns.soak`: one service, run after run smashed before it; does it grow, does it get slower?
+"""`python -m campaigns.soak`: one service, run after run of a smashed scene; does it grow, does it get slower?
 
-Every cycle smashes the same scene with the same seeds, so all are the same work: what differs is the service's age.
-Time is the processor's, not the clock's, which other programs on the machine take their share of.
+Every cycle smashes the same scene with the same seeds, so all are the same work: only the service's age differs. Time
+is processor time, not wall-clock time, which other programs on the machine affect.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import click
 from campaigns.kills.stage import await_end, await_ready, must_end, stage
 from fracture_collision.cli.console import interrupt_on_signals
 
-SETTLING = 300.0  # [s] of a service's life before its memory is looked at
+SETTLING = 300.0  # [s] of a service's life before its memory is measured
 TICKS = os.sysconf("SC_CLK_TCK")
 GROWTH_ALLOWED, SLOWER_ALLOWED = 0.02, 0.10
 
@@ -36,7 +36,7 @@ class Cycle(NamedTuple):
 def soak(
     folder: Path, scene: str, seeds: int, seconds: float, listens: bool, progress: Callable[[str], None]
 ) -> Iterator[Cycle]:
-    """Cycles, until `seconds` are over; `listens`: somebody records it all, and throws it away after each cycle."""
+    """Cycles, until `seconds` are over; `listens`: a recorder records everything, and each cycle's bag is deleted."""
     with stage(folder) as nodes:
         service = nodes.start("collision_node", threads=1)
         await_ready(service)
@@ -66,14 +66,14 @@ def _resident(pid: int) -> float:
 
 
 def processor_seconds(pid: int) -> float:
-    """Of processor time that a process has had so far."""
+    """Processor time that a process has used so far."""
     words = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(words[11]) + int(words[12])) / TICKS
 
 
 def growth(cycles: list[Cycle]) -> tuple[float, float]:
-    """Memory at the end over that when it had settled, and processor time of the last cycles over that of the first
-    settled ones (medians of a fifth of them each), each less 1. Raises ValueError with fewer than two settled cycles.
+    """Memory at the end over memory once settled, and processor time of the last cycles over that of the first settled
+    ones (medians of a fifth of them each), each minus 1. Raises ValueError with fewer than two settled cycles.
     """
     settled = [cycle for cycle in cycles if cycle.age >= SETTLING]
     if len(settled) < 2:

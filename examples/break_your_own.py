@@ -1,6 +1,6 @@
-"""Breaks a body of one's own in two and prints the contacts between its halves and the floor.
+"""Breaks a custom body in two and prints the contacts between its halves and the floor.
 
-Start `collision_node` in the same ROS domain, then this file. It is all that a simulator has to say to the service.
+Start `collision_node` in the same ROS domain, then this file. It publishes all that the service needs from a simulator.
 """
 
 import sys
@@ -15,15 +15,15 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile
 from fracture_collision.geometry.generators import brick
 from fracture_collision.geometry.tetrahedra import unique_edges
 
-# Bodies and events are for whoever comes later too: a service that is started again learns the whole run from them.
+# Bodies and events are latched for late joiners: a restarted service receives the whole run from them.
 LATCHED = QoSProfile(history=HistoryPolicy.KEEP_ALL, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-RUN_ID = time.time_ns()  # another number, another scene: the service forgets the last one
+RUN_ID = time.time_ns()  # a new number is a new scene: the service discards the last one
 BAR, FLOOR = 1, 2  # bodies
-WHOLE, GROUND, LEFT, RIGHT = 1, 2, 3, 4  # fragments: ids are never used again
+WHOLE, GROUND, LEFT, RIGHT = 1, 2, 3, 4  # fragments: ids are never reused
 
 
 def floats(values) -> array:
-    return array("d", np.asarray(values, np.float64).tobytes())  # much quicker than a list
+    return array("d", np.asarray(values, np.float64).tobytes())  # much faster than a list
 
 
 def indices(values) -> array:
@@ -41,8 +41,8 @@ floor.header.frame_id = "world"
 floor.friction = 0.5
 floor.plane.coef = np.array([0.0, 0.0, 1.0, 0.0])  # solid where z < 0
 
-# It breaks in the plane x = 1 cm. Each node says to which fragment it goes, each edge between two fragments where it is
-# cut: by the plane's unit normal, from the edge's first node to its second, and the plane's offset.
+# It breaks in the plane x = 1 cm. Each node is assigned to a fragment. Each edge between two fragments has the plane
+# that cuts it: its unit normal, from the edge's first node to its second, and its offset.
 CUT = 0.01
 is_right = mesh.vertices[:, 0] > CUT
 edges = unique_edges(mesh.tetrahedra)
@@ -57,7 +57,7 @@ fracture.cut_planes = floats(np.column_stack([towards, 0.0 * towards, 0.0 * towa
 
 
 def states(step: int, fractures: int, places: dict[int, tuple[float, float, float]]) -> FragmentStates:
-    """Where each fragment's body frame is [m]. `fractures`: how many there have been."""
+    """Pose of each fragment's body frame [m]. `fractures`: number of fractures so far."""
     message = FragmentStates(run_id=RUN_ID, step=step, fracture_sequence=fractures)
     message.header.frame_id = "world"
     message.fragment_ids, message.positions = indices(list(places)), floats(list(places.values()))
@@ -99,9 +99,9 @@ if __name__ == "__main__":
         rclpy.spin_once(node, timeout_sec=0.1)
     for body in (bar, floor):
         body_publisher.publish(body)
-    event_publisher.publish(fracture)  # may come before its time: states say how many fractures they are of
+    event_publisher.publish(fracture)  # may arrive early: states contain the number of fractures they depend on
     for message in STEPS:
-        # One answer for each message. Asked again if none came: either may be lost while nodes find each other.
+        # One answer per message. If none arrives it is sent again: either may be lost while nodes discover each other.
         while not any(answer.step == message.step and answer.run_id == RUN_ID for answer in answers):
             state_publisher.publish(message)
             rclpy.spin_once(node, timeout_sec=2.0)

@@ -2,7 +2,8 @@
 
 ros2 launch fracture_collision fracture_collision.launch.py scene:=plates seed:=1
 
-They speak on this machine only, unless discovery_range:=SUBNET or the variable ROS_AUTOMATIC_DISCOVERY_RANGE says more.
+They communicate on this machine only, unless discovery_range:=SUBNET or the variable ROS_AUTOMATIC_DISCOVERY_RANGE
+widens the range.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from fracture_collision.ros.runs.launch_parts import arguments, collision_node, 
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Both nodes in one namespace; the simulator's end is the end of all."""
+    """Both nodes in one namespace; when the simulator ends, everything ends."""
     return LaunchDescription(
         [
             *arguments(),

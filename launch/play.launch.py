@@ -3,8 +3,8 @@ page's node prints.
 
 ros2 launch fracture_collision play.launch.py scene:=plates port:=8080
 
-They speak on this machine only, unless discovery_range:=SUBNET or the variable ROS_AUTOMATIC_DISCOVERY_RANGE says more;
-the page is served to this machine only, unless host:=0.0.0.0.
+They communicate on this machine only, unless discovery_range:=SUBNET or the variable ROS_AUTOMATIC_DISCOVERY_RANGE
+widens the range; the page is served to this machine only, unless host:=0.0.0.0.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from fracture_collision.ros.runs.launch_parts import arguments, collision_node, 
 
 
 def generate_launch_description() -> LaunchDescription:
-    """All nodes in one namespace; the end of any is the end of all."""
+    """All nodes in one namespace; when any of them ends, all end."""
     return LaunchDescription(
         [
             *arguments(),

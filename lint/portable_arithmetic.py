@@ -1,9 +1,10 @@
-"""Nothing that a course or an answer depends on may round differently from processor to processor.
+"""Forbids arithmetic that may round differently from processor to processor in anything that affects a trajectory or an
+answer.
 
 In core, world, geometry and simulation this forbids BLAS and LAPACK (`numpy.linalg`, `dot`, `@`, ...), elementary
-functions of numpy, of `math` and of numba (which calls libm for both), powers other than whole powers in kernels,
-normally distributed numbers, sorts that leave the order of equal keys open, and scipy. What to use instead is in
-fracture_collision/portable_math.py. EXCEPTIONS names what is allowed all the same, with the reason.
+functions of numpy, of `math` and of numba (which calls libm for both), powers (except integer ones in kernels),
+normally distributed numbers, sorts that leave the order of equal keys open, and scipy. Replacements are in
+fracture_collision/portable_math.py. EXCEPTIONS lists permitted cases, with the reason.
 
     python -m lint.portable_arithmetic
 """
@@ -36,8 +37,8 @@ NUMPY = {
     "acos", "atan", "atan2", "sinh", "cosh", "tanh", "arcsinh", "arccosh", "arctanh", "asinh", "acosh", "atanh",
     "power", "pow", "float_power", "hypot", "cbrt", "angle", "sinc", "i0", "partition", "argpartition",
 }  # fmt: skip
-METHODS = {"dot", "argpartition", "partition"}  # of arrays; str.partition is told by its argument
-# Of a random generator: their methods of rejection call exp, log1p or pow.
+METHODS = {"dot", "argpartition", "partition"}  # of arrays; str.partition is recognised by its argument
+# Methods of a random generator: their rejection sampling calls exp, log1p or pow.
 GENERATOR = {
     "normal", "standard_normal", "lognormal", "exponential", "standard_exponential", "gamma", "standard_gamma", "beta",
     "chisquare", "multivariate_normal", "poisson", "binomial", "laplace", "logistic", "gumbel", "weibull", "pareto",
@@ -47,7 +48,7 @@ KERNELS = {"kernel", "query_kernel", "inlined_kernel", "threaded_kernel", "uncou
 
 
 def violations(source: str, file: str) -> Iterator[tuple[int, str, str]]:
-    """(line, what is forbidden, message) of each, in the order of the tree."""
+    """(line, what is forbidden, message) of each violation, in the order of the tree."""
     tree = ast.parse(source, file)
     modules = _modules(tree)
     in_kernels = {

@@ -1,4 +1,4 @@
-"""What more than one test file needs."""
+"""Fixtures shared by test files."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 
 @pytest.fixture
 def stage(tmp_path: Path) -> Iterator[StageWithClients]:
-    """A domain of its own, whose nodes and clients end with the test."""
-    from stages.ros_stage import StageWithClients  # who tests no nodes needs no rclpy
+    """A separate domain, whose nodes and clients stop with the test."""
+    from stages.ros_stage import StageWithClients  # tests without nodes do not need rclpy
 
     made = StageWithClients(tmp_path)
     yield made

@@ -1,4 +1,4 @@
-"""`python -m benchmarks.frames`: the states of whole scenes, answered by the service and by other libraries."""
+"""`python -m benchmarks.frames`: the states of whole scenes, queried in the service and in other libraries."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ if TYPE_CHECKING:
     from benchmarks.frames.measure import Times
     from benchmarks.frames.peer import Peer
 
-SCENES = ("plates@0", "plates", "bricks", "bricks@0.25", "drop_bunnies", "drop_bunnies@0.25")  # plates break curved
+SCENES = ("plates@0", "plates", "bricks", "bricks@0.25", "drop_bunnies", "drop_bunnies@0.25")  # plates crack curved
 RAPIER = "rapier"
-PEERS = {  # module and class of each
+PEERS = {  # module and class
     RAPIER: "rapier_hulls:RapierHulls", "mujoco": "mujoco_hulls:MujocoHulls", "box3d": "box3d_hulls:Box3dHulls",
     "physx": "physx_hulls:PhysxHulls",
 }  # fmt: skip
-WIDTH = 220  # columns of a table that no terminal's width was asked for
+WIDTH = 220  # columns of a table if no terminal sets a width
 
 
 class Row(NamedTuple):
-    """Milliseconds a step, one core; ratios of ours to rapier's hulls. Each step's least of several runs; of rapier
+    """Milliseconds per step, one core; ratios of ours to rapier's hulls. Each step's minimum of several runs; rapier's
     nan: not measured.
     """
 
@@ -36,30 +36,30 @@ class Row(NamedTuple):
     rapier_mean: float
     rapier_worst: float
     mean_ratio: float  # all steps
-    busy_ratio: float  # means while much moves
+    busy_ratio: float  # means over busy steps
     worst_ratio: float
     at_rest: float  # mean of the last fifty steps
-    again: float  # mean of the same states asked again
+    again: float  # mean when the same states are queried again
     update: float  # median
     rapier_update: float  # median
     digest: str  # of all our answers
 
 
 class Beside(NamedTuple):
-    """Milliseconds a step, one core; ratios of ours to a peer's, over the same steps. Each step's least of several
+    """Milliseconds per step, one core; ratios of ours to a peer's over the same steps. Each step's minimum of several
     runs.
     """
 
     scene: str
     peer: str
     steps: str  # ALL or LAST
-    count: int  # of these steps
+    count: int  # number of these steps
     mean: float
     worst: float
     peer_mean: float
     peer_worst: float
     mean_ratio: float
-    busy_ratio: float  # means while much moves
+    busy_ratio: float  # means over busy steps
     worst_ratio: float
 
 
@@ -69,14 +69,14 @@ ALL, LAST = "all", "after the last fracture"
 def measure(
     scene: str, runs: int, peers: dict[str, type[Peer]], error_steps: int = 0
 ) -> tuple[Row, list[Beside], list[Errors]]:
-    """Ours beside rapier, and beside each of `peers`, rapier too; errors at `error_steps` steps."""
+    """Ours against rapier and against each of `peers`, including rapier; errors at `error_steps` steps."""
     from benchmarks.frames.measure import at_last_registry, is_busy, ours, times_of
     from benchmarks.frames.recording import record
     from fracture_collision.world import Settings
 
     recording, settings = record(scene), Settings(threads=1)
-    ours(recording, settings)  # brings kernels into memory
-    # turn by turn, as a machine is not equally quick all the time
+    ours(recording, settings)  # loads the kernels
+    # interleaved, as the machine's speed varies over time
     rounds = [
         (ours(recording, settings), [times_of(recording, make) for make in peers.values()]) for _ in range(runs)
     ]  # fmt: skip
@@ -92,7 +92,7 @@ def measure(
         besides += [_beside(scene, name, span, own, times, chosen, busy) for span, chosen in spans.items()]
     errors = []
     if error_steps:
-        from benchmarks.frames.errors import errors_of  # libigl need not be there
+        from benchmarks.frames.errors import errors_of  # libigl is optional
 
         errors = errors_of(recording, settings, peers, error_steps)
     return _row(scene, own, theirs.get(RAPIER), again, busy), besides, errors
@@ -118,7 +118,7 @@ def _row(scene: str, own: Times, rapier: Times | None, again: Times, busy: np.nd
 def _beside(
     scene: str, peer: str, span: str, own: Times, times: Times, chosen: np.ndarray, busy: np.ndarray
 ) -> Beside:  # fmt: skip
-    """`chosen`, `busy` (n,) bool, of all steps."""
+    """`chosen`, `busy` (n,) bool, over all steps."""
     mine, its = own.query[chosen], times.query[chosen]
     return Beside(
         scene, peer, span, int(chosen.sum()), mine.mean(), mine.max(), its.mean(), its.max(),
@@ -131,7 +131,7 @@ def _mean_ratio(own: np.ndarray, its: np.ndarray, chosen: np.ndarray) -> float:
 
 
 def load(name: str) -> type[Peer]:
-    """The class of a peer; a ClickException where its library is missing."""
+    """The class of a peer; raises a ClickException if its library is missing."""
     module, _, kind = PEERS[name].partition(":")
     try:
         return getattr(import_module(f"benchmarks.frames.{module}"), kind)

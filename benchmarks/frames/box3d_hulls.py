@@ -1,7 +1,7 @@
-"""Box3D's collision step over the states of a scene: hulls of fragments; boxes and balls as they are.
+"""Box3D's collision step over the states of a scene: convex hulls for fragments; boxes and balls as they are.
 
-By robox3d's raw binding. A hull has at most 256 half edges: a fragment with more gets a hull of fewer points. Box3D has
-no half-space: a plane is the top of a large box. It reuses the contacts of pairs that have hardly moved.
+Uses robox3d's raw binding. A hull has at most 256 half-edges: a fragment with more gets a hull of fewer points. Box3D
+has no half-space: a plane is the top of a large box. Box3D reuses the contacts of pairs that have hardly moved.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from scipy.spatial import ConvexHull
 from benchmarks.frames.peer import GrowingPeer, Shape, is_fixed, normal_and_point, poses_of, shape_of, turn_onto
 from fracture_collision.records import CollisionBody, FragmentStates
 
-CORNERS = (44, 32)  # most of a hull; with more the half edges run out, sometimes with 44 too
+CORNERS = (44, 32)  # at most in a hull; more exceed the half-edge limit, and so does 44 sometimes
 HALF_EXTENT = 50.0  # [m] of the box whose top is a plane
 
 
@@ -31,8 +31,8 @@ class Box3dHulls(GrowingPeer):
         lib.b3DestroyWorld(self._world)
 
     def step(self, states: FragmentStates) -> float:
-        """Time [s] of a world step of no duration: new pairs, and contacts of all pairs, but no solver. Setting the
-        poses is not part of it; it moves the boxes in Box3D's tree.
+        """Time [s] of a world step of zero duration: new pairs and contacts of all pairs, but no solver. Setting the
+        poses is not included; it moves the boxes in Box3D's tree.
         """
         for i, position, (x, y, z, w) in poses_of(states):
             lib.b3Body_SetTransform(self._handles[i], tuple(position), ((x, y, z), w))
@@ -45,7 +45,7 @@ class Box3dHulls(GrowingPeer):
         definition.type = lib.b3_staticBody if is_fixed(whole) else lib.b3_dynamicBody
         body = lib.b3CreateBody(self._world, ffi.addressof(definition))
         shape = lib.b3DefaultShapeDef()
-        shape.density = 1000.0  # [kg/m3], of no consequence
+        shape.density = 1000.0  # [kg/m3], irrelevant here
         match shape_of(whole):
             case Shape.BOX:
                 box = ffi.new("b3BoxHull*", lib.b3MakeBoxHull(*[0.5 * side for side in whole.primitive.dimensions]))
@@ -73,7 +73,7 @@ class Box3dHulls(GrowingPeer):
 
 
 def _hull(points: np.ndarray):
-    """A hull that the caller destroys."""
+    """A hull that the caller must destroy."""
     corners = np.ascontiguousarray(points[ConvexHull(points).vertices], np.float32)
     for most in CORNERS:
         hull = lib.b3CreateHull(ffi.cast("b3Vec3*", ffi.from_buffer(corners)), len(corners), most)

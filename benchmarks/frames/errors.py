@@ -1,9 +1,9 @@
 """Errors of contacts at steps of a recorded scene, ours and those of peers that list theirs: missed and false pairs,
-and what a solver would see (`benchmarks.peers.judging.solver_error`), by exact distances between surfaces of fragments.
+and solver errors (`benchmarks.peers.judging.solver_error`), from exact distances between fragment surfaces.
 
-The states are those that a solver reached with our contacts: penetrations that we report it has mostly resolved, those
-that we miss stay. So the share of penetrating pairs that we miss is larger here than in `benchmarks.peers`, where
-fragments are placed at random. Balls and planes have no exact surface of triangles; pairs with one are left out.
+The states are those that a solver reached with our contacts: it has mostly resolved the penetrations that we report,
+and those that we miss remain. So our share of missed penetrating pairs is larger here than in `benchmarks.peers`, where
+fragments are placed at random. Balls and planes have no exact triangle surface; pairs with one are left out.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ PERCENT = 100.0
 
 
 class Errors(NamedTuple):
-    """Of one method in one scene, at some steps. Lengths in % of the smaller R of a pair."""
+    """One method in one scene, at some steps. Lengths in % of the smaller R of a pair."""
 
     scene: str
     method: str
     steps: int
-    pairs: int  # whose boxes overlap, that overlap or are reported, all steps together
+    pairs: int  # with overlapping boxes, overlapping or reported; all steps together
     penetrating: int  # deeper than 0.2 % R
     missed: int  # of these
-    apart: int  # with nothing in common
+    apart: int  # pairs without overlap
     false: int  # of these, reported deeper than 0.2 % R
     remaining_mean: float
     remaining_worst: float
@@ -47,16 +47,16 @@ class Errors(NamedTuple):
 
 
 class _Places(NamedTuple):
-    """What is there at a step: n fragments, numbered by ascending id."""
+    """All fragments at one step: n fragments, numbered by ascending id."""
 
     solids: Solids
     truth: FrameTruth
-    radii: np.ndarray  # (n,) [m] R of the bodies that they are of
+    radii: np.ndarray  # (n,) [m] R of their bodies
     may_touch: np.ndarray  # (n, n) bool: pairs that are judged
 
 
 def errors_of(recording: Recording, settings: Settings, makers: dict[str, type[Peer]], count: int) -> list[Errors]:
-    """At `count` steps, evenly chosen among those in which much moves, or among all where nothing does.
+    """At `count` steps, evenly spaced among the busy ones, or among all steps if none is busy.
 
     Peers that can follow only the last registry are judged at those of the steps that have it, the others at all.
     """
@@ -106,7 +106,7 @@ def _places(world: CollisionWorld, states: FragmentStates, bodies: dict[int, Col
 
 
 class _Judged(NamedTuple):
-    """Of one step; k pairs that are known."""
+    """One step; k pairs whose ground truth is known."""
 
     pairs: list[JudgedPair]
     radii: np.ndarray  # (pairs,) [m] the smaller R

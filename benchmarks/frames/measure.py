@@ -1,4 +1,4 @@
-"""Times of each step of a recorded scene: ours, and those of a peer that is told the same."""
+"""Times of each step of a recorded scene: ours, and those of a peer that receives the same data."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from benchmarks.frames.peer import Peer
 from benchmarks.frames.recording import Recording, Step
 from fracture_collision.world import CollisionWorld, Settings
 
-BUSY = 10  # fragments that move: much does
+BUSY = 10  # moving fragments that make a step busy
 MILLI = 1e3
 
 
 class Times(NamedTuple):
-    """Of each of n steps [ms]."""
+    """For each of n steps [ms]."""
 
-    query: np.ndarray  # (n,) all of contacts() but updates, or the peer's own step; nan: not measured
+    query: np.ndarray  # (n,) all of contacts() except updates, or the peer's own step; nan: not measured
     update: np.ndarray  # (n,) at fractures; elsewhere 0
-    again: np.ndarray  # (n,) the same states asked again; nan: not measured
-    digest: str  # of all answers; "" of a peer
+    again: np.ndarray  # (n,) the same states queried again; nan: not measured
+    digest: str  # of all answers; "" for a peer
 
 
 def ours(recording: Recording, settings: Settings, again: bool = False) -> Times:
-    """The whole of `contacts`, with `again` twice a step."""
+    """The whole of `contacts`, called twice a step if `again`."""
     world, sha = CollisionWorld(settings), hashlib.sha256()
     query, update, repeated = [], [], []
     with _uncollected():
@@ -74,12 +74,12 @@ def times_of(recording: Recording, make: type[Peer]) -> Times:
 
 
 def is_busy(recording: Recording) -> np.ndarray:
-    """Steps in which much moves (n,) bool."""
+    """Busy steps (n,) bool."""
     return np.array([step.moving >= BUSY for step in recording.steps])
 
 
 def at_last_registry(recording: Recording) -> np.ndarray:
-    """Steps from the last fracture's on (n,) bool; all where nothing breaks."""
+    """Steps from the last fracture's on (n,) bool; all steps if nothing breaks."""
     broke = np.flatnonzero([bool(step.events) for step in recording.steps])
     return np.arange(len(recording.steps)) >= (broke[-1] if len(broke) else 0)
 
@@ -95,7 +95,7 @@ def tell(world: CollisionWorld, step: Step) -> float:
 
 @contextmanager
 def _uncollected() -> Iterator[None]:
-    """No garbage collection in the middle of a step."""
+    """Disables garbage collection in the middle of a step."""
     gc.collect()
     gc.disable()
     try:

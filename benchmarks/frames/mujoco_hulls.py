@@ -1,4 +1,4 @@
-"""MuJoCo's collision step over the states of a scene: hulls of fragments; boxes, balls and planes as they are."""
+"""MuJoCo's collision step over the states of a scene: convex hulls for fragments; boxes, balls, planes as they are."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from fracture_collision.world import CollisionWorld, Settings
 
 
 class MujocoHulls(Peer):
-    """Nothing can be added to a compiled model, so it is compiled anew whenever other fragments take part.
+    """A compiled model cannot be extended, so it is recompiled whenever the set of fragments changes.
 
-    Its margins make it list gaps as wide as ours lists: without them it takes a quarter less time on scenes at rest,
-    as bodies rest a little apart.
+    Its margins make it list gaps as wide as ours does: without them it takes a quarter less time on scenes at rest,
+    where bodies rest slightly apart.
     """
 
     last_registry_only, lists_contacts = True, True
@@ -56,9 +56,9 @@ class MujocoHulls(Peer):
         return perf_counter() - started
 
     def step(self, states: FragmentStates) -> float:
-        """Time [s] of mj_kinematics and mj_collision on the calling thread. Writing the poses of bodies is not part of
-        it, the world poses of hulls are: ours and rapier's steps compute those too. mj_collision reads nothing of
-        mj_comPos, so that is left out.
+        """Time [s] of mj_kinematics and mj_collision on the calling thread. Writing the body poses is not included;
+        computing the world poses of hulls is, as our step and rapier's compute those too. mj_collision reads nothing
+        that mj_comPos writes, so mj_comPos is left out.
         """
         positions, turns = states.positions.reshape(-1, 3), states.orientations.reshape(-1, 4)[:, [3, 0, 1, 2]]
         joints = self._data.qpos.reshape(-1, 7)
@@ -75,13 +75,13 @@ class MujocoHulls(Peer):
         return perf_counter() - started
 
     def contacts(self, ids: np.ndarray, frame: Frame) -> Contacts:
-        # bodies were added in the order of their ids, after the world
+        # bodies were added in ascending order of id, after the world
         numbers = np.searchsorted(ids, [0, *self._ids])
         return listed_contacts(self._model, self._data, numbers)
 
     def _margins(self, world: CollisionWorld) -> dict[int, float]:
-        """Of each fragment [m]. MuJoCo adds those of a pair; ours lists gaps up to `detection_tolerance` times the
-        smaller R of a pair, so what never moves gets the largest margin of what does.
+        """Margin [m] by fragment. MuJoCo adds the two margins of a pair; ours lists gaps up to `detection_tolerance`
+        times the smaller R of a pair, so static bodies get the largest margin of the moving ones.
         """
         half = 0.5 * Settings().detection_tolerance
         of_bodies = {whole.body_id: half * radius_of(whole) for whole in self._whole.values() if not whole.is_static}
@@ -102,7 +102,7 @@ def _shape(spec, geom, fragment_id: int, whole: CollisionBody | None, points: np
         case Shape.PLANE:
             normal, at = normal_and_point(whole)
             geom.type = mujoco.mjtGeom.mjGEOM_PLANE
-            geom.size = [0.0, 0.0, 1.0]  # without end; the third is the spacing of a drawn grid
+            geom.size = [0.0, 0.0, 1.0]  # infinite; the third is the grid spacing used for drawing
             geom.pos, geom.alt.zaxis = at, normal
         case Shape.SURFACE:
             raise ValueError(f"{whole.name}: MuJoCo would collide with the hull of this surface")

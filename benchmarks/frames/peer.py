@@ -1,4 +1,4 @@
-"""What a library is given to be compared: one convex hull for each fragment; boxes, balls and planes as they are."""
+"""The input of each library compared: one convex hull per fragment; boxes, balls and planes as they are."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ class Shape(Enum):
     BOX = auto()
     BALL = auto()
     PLANE = auto()
-    SURFACE = auto()  # of a rigid body, which need not be convex
+    SURFACE = auto()  # of a rigid body, possibly not convex
     HULL = auto()
 
 
 def shape_of(whole: CollisionBody | None) -> Shape:
-    """`whole`: the unbroken body that a fragment is, None for a fragment of a broken one."""
+    """`whole`: the unbroken body of a fragment, None for a fragment of a broken one."""
     if whole is None:
         return Shape.HULL
     if whole.primitive.type == BOX:
@@ -43,7 +43,7 @@ def is_fixed(whole: CollisionBody | None) -> bool:
 
 
 def radius_of(whole: CollisionBody) -> float:
-    """R [m]: half the longest side of a body's box; of a plane without end."""
+    """R [m]: half the longest side of a body's box; infinite for a plane."""
     match shape_of(whole):
         case Shape.BOX:
             return 0.5 * max(whole.primitive.dimensions)
@@ -55,7 +55,7 @@ def radius_of(whole: CollisionBody) -> float:
 
 
 def normal_and_point(whole: CollisionBody) -> tuple[np.ndarray, np.ndarray]:
-    """Of a plane, in the body frame: its normal (3,), of any length, and its point (3,) [m] next to the origin."""
+    """A plane in the body frame: its normal (3,), of any length, and its point (3,) [m] nearest to the origin."""
     normal = np.asarray(whole.plane[:3], float)
     return normal, -whole.plane[3] * normal / (normal @ normal)
 
@@ -70,32 +70,32 @@ def turn_onto(normal: np.ndarray, axis: int) -> list[float]:
 
 
 class Peer(ABC):
-    """One library. A CollisionWorld that receives the same recording tells it which fragments exist."""
+    """One library. A CollisionWorld that receives the same recording provides the set of fragments."""
 
-    lists_contacts = False  # True: `contacts` is there
-    last_registry_only = False  # True: nothing can be added to its world; only states after the last fracture are timed
+    lists_contacts = False  # True: `contacts` is implemented
+    last_registry_only = False  # True: its world cannot be extended; only states after the last fracture are timed
 
     def __init__(self) -> None:
-        self._whole: dict[int, CollisionBody] = {}  # bodies by the fragment that they are before they break
+        self._whole: dict[int, CollisionBody] = {}  # unbroken bodies, by fragment
 
     def tell(self, bodies: list[CollisionBody]) -> None:
         self._whole |= {body.fragment_id: body for body in bodies}
 
     @abstractmethod
     def follow(self, world: CollisionWorld, ids: list[int]) -> float:
-        """Makes `ids` the fragments that take part; returns the time [s] that building hulls and worlds took."""
+        """Makes `ids` the fragments that take part; returns the time [s] spent on building hulls and worlds."""
 
     @abstractmethod
     def step(self, states: FragmentStates) -> float:
         """Time [s] of the collision step at `states`."""
 
     def contacts(self, ids: np.ndarray, frame: Frame) -> Contacts:
-        """What the last step found, at `frame`; fragments are numbered as in `ids`, ascending, those of `follow`."""
+        """Contacts of the last step, at `frame`; fragments are numbered as in `ids`, ascending, those of `follow`."""
         raise NotImplementedError
 
 
 class GrowingPeer(Peer):
-    """A library that adds bodies to its world and removes them one by one."""
+    """A library that can add and remove single bodies."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -113,7 +113,7 @@ class GrowingPeer(Peer):
 
     @abstractmethod
     def _add(self, whole: CollisionBody | None, points: np.ndarray) -> object:
-        """A handle of the new body. `points` as of points_of."""
+        """Returns a handle of the new body. `points` as returned by points_of."""
 
     @abstractmethod
     def _remove(self, handle) -> None: ...
@@ -125,7 +125,7 @@ def points_of(world: CollisionWorld, fragment_id: int) -> np.ndarray:
 
 
 def poses_of(states: FragmentStates) -> list[tuple[int, list[float], list[float]]]:
-    """Id, position (3) [m] and quaternion (4) x y z w of each fragment that the states name."""
+    """Id, position (3) [m] and quaternion (4) x y z w of each fragment in the states."""
     return list(zip(
         states.fragment_ids.tolist(), states.positions.reshape(-1, 3).tolist(),
         states.orientations.reshape(-1, 4).tolist(), strict=True,

@@ -1,6 +1,6 @@
-"""PhysX's step on the CPU over the states of a scene: hulls of fragments; boxes, balls and planes as they are.
+"""PhysX's step on the CPU over the states of a scene: convex hulls for fragments; boxes, balls and planes as they are.
 
-By sapien, which has no collision step of its own: the solver is in the time, with one iteration.
+Uses sapien, which has no separate collision step: the time includes the solver, with one iteration.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from sapien import physx
 from benchmarks.frames.peer import GrowingPeer, Shape, is_fixed, normal_and_point, poses_of, shape_of, turn_onto
 from fracture_collision.records import CollisionBody, FragmentStates
 
-TIME_STEP = 1e-6  # [s]; it moves nothing by much, and 0 is refused
-CONTACT_OFFSET = 1e-4  # [m] of each shape; contacts are made where two are nearer than both: about our tolerance
+TIME_STEP = 1e-6  # [s]; nothing moves noticeably, and 0 is rejected
+CONTACT_OFFSET = 1e-4  # [m] of each shape; contacts are made within the sum of both offsets: about our tolerance
 STILL = np.zeros(3, np.float32)
 
 
@@ -29,7 +29,7 @@ class PhysxHulls(GrowingPeer):
         self._scene = sapien.Scene([self._system])
 
     def step(self, states: FragmentStates) -> float:
-        """Time [s] of the step, solver and all; setting poses and velocities is not part of it."""
+        """Time [s] of the step including the solver; setting poses and velocities is not included."""
         for i, position, turn in poses_of(states):
             entity, body = self._handles[i]
             entity.pose = _pose(position, turn)

@@ -1,4 +1,4 @@
-"""Rapier's collision pipeline over the states of a scene: hulls of fragments; boxes, balls and planes as they are."""
+"""Rapier's collision pipeline over the states of a scene: convex hulls for fragments; boxes, balls, planes as is."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from benchmarks.peers.method import Contacts
 from benchmarks.peers.worlds import Frame
 from fracture_collision.records import CollisionBody, FragmentStates
 
-PREDICTION = 0.0025  # [m] by which the pipeline inflates bounding boxes when it looks for pairs
+PREDICTION = 0.0025  # [m] by which the pipeline inflates bounding boxes in its broad phase
 
 
 class RapierHulls(GrowingPeer):
@@ -27,7 +27,7 @@ class RapierHulls(GrowingPeer):
         self._joints = rapier3d.ImpulseJointSet(), rapier3d.MultibodyJointSet()
 
     def step(self, states: FragmentStates) -> float:
-        """Time [s] of the pipeline's step; setting the poses is not part of it."""
+        """Time [s] of the pipeline's step; setting the poses is not included."""
         for i, position, (x, y, z, w) in poses_of(states):
             turn = rapier3d.Rotation3.from_quaternion(w, x, y, z)
             self._bodies[self._handles[i]].position = rapier3d.Isometry3(position, turn)
@@ -69,5 +69,5 @@ def _collider(whole: CollisionBody | None, points: np.ndarray):
     points = np.ascontiguousarray(points, np.float32)
     try:
         return rapier3d.Collider.convex_hull(points)
-    except rapier3d.MeshConversionError:  # parry gives up on one in a hundred; the points in another order help
+    except rapier3d.MeshConversionError:  # parry fails on one hull in a hundred; reordering the points helps
         return rapier3d.Collider.convex_hull(np.ascontiguousarray(points[::-1]))

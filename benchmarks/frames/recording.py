@@ -1,4 +1,4 @@
-"""What a scene's service is told, step by step: recorded once, then answered by everybody who is compared."""
+"""The service's input in a scene, step by step: recorded once, then replayed to every library compared."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ MOVES = 0.05  # [m/s]
 
 
 class Step(NamedTuple):
-    bodies: list[CollisionBody]  # that are told before it
-    events: list[FractureEvent]  # likewise
+    bodies: list[CollisionBody]  # published before the step
+    events: list[FractureEvent]  # published before the step
     states: FragmentStates
     moving: int  # fragments faster than MOVES
 
 
 class Recording(NamedTuple):
-    name: str  # of the scene, and @ its curvature
+    name: str  # of the scene, with @ and its curvature
     steps: list[Step]
 
 
 def record(name: str) -> Recording:
-    """A scene of config/scenes, `bricks`, or with curved cracks, `bricks@0.25`."""
+    """A scene of config/scenes: `bricks`, or with curved cracks `bricks@0.25`."""
     scene_name, _, curvature = name.partition("@")
     scene = load_scene(scene_name)
     if curvature:

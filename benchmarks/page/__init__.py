@@ -1,1 +1,1 @@
-"""How soon the page shows what breaks, and how many pictures a second it hands out."""
+"""Latency from a fracture to the page, and the page's frame rate."""

@@ -1,7 +1,7 @@
-"""`python -m benchmarks.page`: from a fracture published to its fragments in a browser, and pictures a second.
+"""`python -m benchmarks.page`: latency from a published fracture to its fragments in a browser, and frame rate.
 
-Service, live simulator and page are the processes that `fracture-collision play` starts. First a looker that draws
-nothing takes what a browser is handed; then a Chromium without a graphics processor draws it, beside the nodes.
+Service, live simulator and page are the processes that `fracture-collision play` starts. The first client draws
+nothing and only receives what a browser would; the second is a Chromium without a GPU, on the nodes' machine.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from benchmarks.page.person import PATIENCE, PLATES, Fracture, Person, scene_pla
 from campaigns.soak import processor_seconds
 from fracture_collision.share import share_directory
 
-AFTERWARDS = 1.5  # [s] for all to come of a ball
-DRAWN = 1.0  # [s] in which what has come is drawn, and no other ball flies yet
+AFTERWARDS = 1.5  # [s] until everything caused by a ball has arrived
+DRAWN = 1.0  # [s] in which the last arrivals are drawn, before the next ball flies
 FRAGMENTS = 200
-BALLS = 1.0  # [s] between two
-WATCHED = 10.0  # [s] at most: of what lies still there are no pictures
-REST = 1.0e-3  # [J] of all fragments together: the last of some forty kilograms creep by millimetres a second
+BALLS = 1.0  # [s] between two balls
+WATCHED = 10.0  # [s] at most: the page sends no frames of fragments at rest
+REST = 1.0e-3  # [J] all fragments together: in the end some forty kilograms creep by millimetres a second
 ASKED_MS, ASKED_PICTURES = 100.0, 30.0
 
 Look = Callable[[str], AbstractContextManager[Looker]]
@@ -39,8 +39,8 @@ class Busy(NamedTuple):
 
     scene: str
     material: str
-    fracture: dict[str, Any]  # in place of what the scene says
-    aims: tuple[Sequence[float], ...] = ()  # [m] of balls, one after another: shards soon lie still
+    fracture: dict[str, Any]  # overrides the scene's values
+    aims: tuple[Sequence[float], ...] = ()  # [m] targets of successive balls: shards soon come to rest
 
 
 LYING = tuple((x, y, z - 0.07) for x, y, z in PLATES)
@@ -51,7 +51,7 @@ BUSY = (
 
 
 def measure_fractures(look: Look, rounds: int) -> tuple[list[float], list[float]]:
-    """[ms] from each fracture published to the last of its meshes handed over, and to that shown."""
+    """[ms] from each published fracture until the last of its meshes is received, and until it is drawn."""
     handed, shown = [], []
     with scene_played("plates") as (run, person), look(run.address) as looker:
         for _ in range(rounds):
@@ -65,7 +65,7 @@ def measure_fractures(look: Look, rounds: int) -> tuple[list[float], list[float]
 
 
 def _latencies(fractures: list[Fracture], looker: Looker, handed: list[float], shown: list[float]) -> None:
-    """Of the fragments that a page ever saw: what breaks again at once has no mesh."""
+    """Only fragments that reached a page count: one that breaks again at once has no mesh."""
     meshes, pictures = looker.meshes(), looker.shown()
     for fracture in fractures:
         first = {}
@@ -75,7 +75,7 @@ def _latencies(fractures: list[Fracture], looker: Looker, handed: list[float], s
         if first:
             came = max(first.values())
             handed.append(1e3 * (came - fracture.time))
-            # the last picture with something new in it, of those that are this fracture's
+            # the last frame with new geometry that belongs to this fracture
             end = min((other.time for other in fractures if other.time > came), default=came + DRAWN)
             drawn = [moment for moment in pictures if came < moment < end] or [m for m in pictures if m > came][:1]
             if drawn:
@@ -83,7 +83,7 @@ def _latencies(fractures: list[Fracture], looker: Looker, handed: list[float], s
 
 
 def measure_pictures(look: Look, busy: Busy) -> str:
-    """From 200 fragments on until they lie still, the machine as busy with them as it can be."""
+    """From 200 fragments until they come to rest, which loads the machine as much as possible."""
     with (
         tempfile.TemporaryDirectory() as folder,
         scene_played(str(_scene_file(Path(folder), busy))) as (run, person),
@@ -127,7 +127,7 @@ def _scene_file(folder: Path, busy: Busy) -> Path:
 
 
 def _throw_next(person: Person, places: Iterator[Sequence[float]]) -> None:
-    """A ball, where there is a place left to throw one at; and its time, or till all lie still."""
+    """Throws a ball at the next place, if any; then waits for BALLS, or until all fragments are at rest."""
     place = next(places, None)
     if place is not None:
         throw_at(person, place)

@@ -1,6 +1,6 @@
-"""Who looks at the page: one that takes what a browser is handed and draws nothing, and a real browser that draws.
+"""The page's clients: one that receives what a browser would and draws nothing, and a real browser that draws.
 
-All times are the wall clock's [s], as DDS stamps its messages with it: nodes, lookers and browser are on one machine.
+All times are wall clock [s], as in DDS source timestamps: nodes, clients and browser run on one machine.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 PROGRAMS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-SOFTWARE = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox")  # root has no other way
+SOFTWARE = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox")  # required when running as root
 WINDOW = {"width": 1280, "height": 720}
 PATIENCE_MS = 120_000
-AT_REST = 4  # pictures in which everything that has come is unpacked and drawn
+AT_REST = 4  # frames until everything that has arrived is unpacked and drawn
 _FRAGMENT = re.compile(r"/run\d+/fragment(\d+)")
-# viser's frames: sizes of the messages as they were and compressed, then those, then arrays.
+# viser's frame format: uncompressed and compressed size of the messages, then the messages, then arrays.
 _SIZES = struct.Struct("<QQ")
 
 
@@ -37,33 +37,33 @@ class Mesh(NamedTuple):
 
 
 class Pictures(NamedTuple):
-    """Since the last time that was asked."""
+    """Since the last call."""
 
     seconds: float
     count: int
-    moved: float  # fragments a picture
+    moved: float  # fragments per frame
 
 
 class Looker(Protocol):
     def meshes(self) -> list[Mesh]:
-        """All that have come so far, by time."""
+        """All that have arrived so far, by time."""
 
     def shown(self) -> list[float]:
-        """When pictures with something new in them were drawn; of who draws none, none."""
+        """Times at which frames with new geometry were drawn; empty for a client that does not draw."""
 
     def pictures(self) -> Pictures: ...
 
 
 class Taker:
-    """Takes all that a browser is handed, as fast as it comes."""
+    """Receives everything that a browser would, as fast as it arrives."""
 
     def __init__(self, address: str) -> None:
         self._meshes: list[Mesh] = []
         self._lock = threading.Lock()
-        self._count = self._moved = 0  # pictures, and places in them
-        self._placed: set[int] = set()  # fragments, in the last of them
+        self._count = self._moved = 0  # frames, and positions in them
+        self._placed: set[int] = set()  # fragments in the current frame
         self._asked = time.time()
-        # by this viser knows a page from a stranger
+        # viser accepts only clients with this subprotocol
         self._socket = connect(
             address.replace("http", "ws", 1), subprotocols=[f"viser-v{viser.__version__}"], compression=None,
             max_size=None,
@@ -105,7 +105,7 @@ class Taker:
                 placed.append(int(found[1]))
         with self._lock:
             for fragment_id in placed:
-                if fragment_id in self._placed or not self._placed:  # a picture places each once
+                if fragment_id in self._placed or not self._placed:  # a frame sets each position once
                     self._count += 1
                     self._placed.clear()
                 self._moved += 1
@@ -113,14 +113,14 @@ class Taker:
 
 
 def messages_of(frame: bytes) -> list[dict[str, Any]]:
-    """What viser 1.1 sends a browser, less arrays."""
+    """The messages in one of viser 1.1's frames, without arrays."""
     size, compressed = _SIZES.unpack_from(frame)
     packed = zstandard.ZstdDecompressor().decompress(frame[_SIZES.size : _SIZES.size + compressed], size)
     return msgspec.msgpack.decode(packed)["messages"]
 
 
 def _camera() -> dict[str, Any]:
-    """A browser's first words."""
+    """The first message that a browser sends."""
     return {
         "type": "ViewerCameraMessage", "wxyz": (1.0, 0.0, 0.0, 0.0), "position": (0.0, -3.0, 1.0), "fov": 0.7,
         "near": 0.01, "far": 1000.0, "image_height": WINDOW["height"], "image_width": WINDOW["width"],
@@ -128,8 +128,8 @@ def _camera() -> dict[str, Any]:
     }  # fmt: skip
 
 
-# Notes in the page when meshes come (from the thread that reads its socket), when a picture is drawn, and when one that
-# had new geometry in it is out: at the second animation frame after it, as the browser draws ahead by one.
+# Records in the page when meshes arrive (from its socket's thread), when a frame is drawn, and when a frame with new
+# geometry is on screen: at the second animation frame after it, as the browser draws one frame ahead.
 _NOTES = """
 (() => {
   const now = () => (performance.timeOrigin + performance.now()) / 1000.0;
@@ -169,7 +169,7 @@ _NOTES = """
 
 
 class Browser:
-    """Chromium, drawing by software: its pictures are few, and take the nodes' processors."""
+    """Chromium with software rendering: its frame rate is low, and it competes with the nodes for processor time."""
 
     def __init__(self, page: Any) -> None:
         self._page = page
@@ -191,7 +191,7 @@ class Browser:
         self._page.get_by_label(label).check()
 
     def save_picture(self, path: Path) -> None:
-        """When all is there that has come, without notices."""
+        """Waits until everything that has arrived is drawn; hides notifications."""
         self._page.add_style_tag(content=".mantine-Notification-root { display: none }")
         self._page.wait_for_function(f"window.__notes.pictures > {self.drawn() + AT_REST}")
         self._page.screenshot(path=path, timeout=PATIENCE_MS)
@@ -211,7 +211,7 @@ def taker(address: str) -> Iterator[Taker]:
 
 @contextmanager
 def browser(address: str) -> Iterator[Browser]:
-    """Raises RuntimeError where there is none."""
+    """Raises RuntimeError if Chromium is not installed."""
     from playwright.sync_api import sync_playwright
 
     program = next(filter(None, map(shutil.which, PROGRAMS)), None)

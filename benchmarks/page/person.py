@@ -1,4 +1,4 @@
-"""Plays a scene as a person does, and hears what its nodes say of it."""
+"""Plays a scene as a person would, and subscribes to what its nodes publish."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from fracture_collision.ros.runs.play_run import Played, played
 from fracture_collision.ros.wire import qos
 
 PATIENCE = 120.0  # [s]
-PLATES = tuple((0.3 * i - 0.45, 0.0, 0.7227) for i in range(4))  # [m] of the scene of this name
-LOOKING = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)  # nobody waits for this
+PLATES = tuple((0.3 * i - 0.45, 0.0, 0.7227) for i in range(4))  # [m] in the scene `plates`
+LOOKING = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)  # the publisher never waits for this
 
 
 class Fracture(NamedTuple):
-    time: float  # [s] of the wall clock, when it was published
-    fragment_ids: tuple[int, ...]  # new ones
+    time: float  # [s] wall clock at publication
+    fragment_ids: tuple[int, ...]  # of the new fragments
 
 
 class Person:
@@ -51,7 +51,7 @@ class Person:
         self._context.try_shutdown()
 
     def until(self, condition: Callable[[], bool], what: str) -> None:
-        """Raises RuntimeError, PlayFailed."""
+        """Raises RuntimeError after PATIENCE, PlayFailed if a node ends."""
         deadline = time.monotonic() + PATIENCE
         while not condition():
             if time.monotonic() > deadline:
@@ -64,7 +64,7 @@ class Person:
         self.until(lambda: time.monotonic() > end, "time")
 
     def begin_again(self) -> None:
-        """With a run of which a step is done."""
+        """Resets the scene and waits until the new run has completed a step."""
         before = self.status.run_id
         future = self.hands.reset()
         self.until(future.done, "a reset")
@@ -79,7 +79,7 @@ class Person:
 
 @contextmanager
 def scene_played(scene: str) -> Iterator[tuple[Played, Person]]:
-    """As `fracture-collision play` plays it, in a domain of its own."""
+    """As `fracture-collision play` runs it, in a domain of its own."""
     os.environ["ROS_DOMAIN_ID"] = str(free_domain_id())
     with (
         tempfile.TemporaryDirectory() as folder,
@@ -90,6 +90,6 @@ def scene_played(scene: str) -> Iterator[tuple[Played, Person]]:
 
 
 def throw_at(person: Person, place: Sequence[float]) -> None:
-    """A ball that hits what stands there, soon."""
+    """Throws a ball that soon hits whatever stands at `place`."""
     x, y, z = place
     person.hands.throw((x, y - 0.5, z), (0.0, 7.0, 0.3))

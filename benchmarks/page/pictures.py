@@ -1,6 +1,6 @@
 """`python -m benchmarks.page.pictures`: docs/play.png, docs/play_arm.png and docs/page.png, as a browser shows them.
 
-Two live scenes, and the golden bag of plates as `fracture-collision view` plays it.
+Two live scenes, and the golden bag of plates as played by `fracture-collision view`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from fracture_collision.viewer.page.bag_player import BagPlayer
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
-SWING = np.radians([-75.0, 60.0, 0.0, -80.0, 0.0, -50.0, 0.0])  # as config/scenes/vase.yaml has it
+SWING = np.radians([-75.0, 60.0, 0.0, -80.0, 0.0, -50.0, 0.0])  # as in config/scenes/vase.yaml
 FLIGHT = 0.3  # [s]
 THROUGH = np.radians(20.0)  # the vase stands at 0
 

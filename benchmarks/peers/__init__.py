@@ -1,6 +1,5 @@
-"""Ours and what people would use instead, measured in one run on the same work: `python -m benchmarks.peers --help`.
-
-`worlds` makes the work, `method` says what a method is, `ours` and a file a family hold the methods, `truth` and
-`score` judge their answers, `solver_error` what a solver would make of them, `measure` runs them in turn, `report`
-writes down what came out.
+"""Our service and the libraries people would use instead, measured in one run on the same work:
+`python -m benchmarks.peers --help`. `worlds` makes the work, `method` defines a method, `ours` and one file per library
+family implement the methods, `truth` and `score` judge their answers, `solver_error` computes the effect on a solver,
+`measure` runs the methods in turn, `report` writes the results.
 """

@@ -11,7 +11,7 @@ from benchmarks.peers.one_core import pin_to_one_core
 
 QUICK_WORLDS = ("ball8", "shell20w")
 DEFAULT_CSV = Path("out/peers.csv")
-WIDTH = 240  # columns of a table that no terminal's width was asked for
+WIDTH = 240  # columns of a table if no terminal sets a width
 
 
 @click.command(context_settings={"show_default": True})
@@ -27,7 +27,7 @@ def main(full: bool, worlds: str | None, pattern: str, repeats: int, path: Path)
     named and left out; `make peers` installs them.
     """
     pin_to_one_core()
-    # what reads the environment, and what needs long, only now
+    # deferred imports: they read the environment, or are slow
     from rich.console import Console
 
     from benchmarks.peers.measure import measure

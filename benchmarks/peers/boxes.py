@@ -1,4 +1,4 @@
-"""The broad phase of methods that bring none: boxes in the world and the pairs of them that overlap."""
+"""A broad phase for methods without one: world-space boxes and their overlapping pairs."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import numpy as np
 
 from benchmarks.peers.worlds import Frame, Surface
 
-SLACK = 1e-6  # [m] boxes that touch overlap
+SLACK = 1e-6  # [m] touching boxes overlap
 
 
 class LocalBoxes(NamedTuple):
-    """Of each fragment, in its own frame."""
+    """One box per fragment, in the fragment's frame."""
 
     middle: np.ndarray  # (n, 3) [m]
     half: np.ndarray  # (n, 3) [m]
@@ -50,7 +50,7 @@ class Vertices(NamedTuple):
 
 
 def all_vertices(points: list[np.ndarray]) -> Vertices:
-    """From those of each fragment (k, 3) [m]."""
+    """Takes the vertices of each fragment (k, 3) [m]."""
     counts = [len(p) for p in points]
     return Vertices(
         np.concatenate(points),
@@ -60,17 +60,17 @@ def all_vertices(points: list[np.ndarray]) -> Vertices:
 
 
 class Candidates(NamedTuple):
-    """Vertices that lie in another fragment's box, ascending by that fragment."""
+    """Vertices that lie in another fragment's box, in ascending order of that fragment."""
 
     row: np.ndarray  # (k,) among all vertices
-    own: np.ndarray  # (k,) whose vertex
-    other: np.ndarray  # (k,) in whose box
+    own: np.ndarray  # (k,) fragment of the vertex
+    other: np.ndarray  # (k,) fragment of the box
     world: np.ndarray  # (k, 3) [m]
-    local: np.ndarray  # (k, 3) [m] about the other's centre, in its axes
+    local: np.ndarray  # (k, 3) [m] relative to the other's centre, in its axes
 
 
 def candidates(vertices: Vertices, frame: Frame) -> Candidates:
-    """By boxes about the moved vertices themselves, tighter than moved boxes."""
+    """Uses boxes of the moved vertices themselves, which are tighter than moved boxes."""
     moved = np.einsum("nij,nj->ni", frame.rotations[vertices.fragment], vertices.points)
     moved += frame.positions[vertices.fragment]
     low = np.minimum.reduceat(moved, vertices.begin[:-1]) - SLACK

@@ -1,4 +1,4 @@
-"""Everything measured in turn, so that what slows the machine down slows all methods down alike."""
+"""Measures all methods in turn, so that a slow phase of the machine affects all of them alike."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from benchmarks.peers.method import EXACT, Contacts, Method
 from benchmarks.peers.worlds import World, make_world
 
 KINDS = ("touch", "jitter", "pile")
-# A round of more than this [s] is not repeated.
+# A round longer than this [s] is not repeated.
 LONG_ROUND = 6.0
 
 
@@ -26,17 +26,17 @@ class Row(NamedTuple):
 
     world: str
     method: str
-    surface: str  # exact or mesh: what it was given and is judged against
-    mesher: str  # who made the meshes: World.mesher
+    surface: str  # exact or mesh: what the method gets and is judged against
+    mesher: str  # source of the meshes: World.mesher
     fragments: int
     triangles: int  # of that surface, all fragments
-    close_pairs: float  # whose boxes overlap, a jitter frame
+    close_pairs: float  # with overlapping boxes, per jitter frame
     rounds: int
     failure: str  # empty: none
     update: float
-    first_query: float  # the first frame after the update
-    query: dict[str, float]  # KINDS to the median frame
-    native: dict[str, float]  # of it within the library
+    first_query: float  # in the first frame after the update
+    query: dict[str, float]  # KINDS to the median over frames
+    native: dict[str, float]  # part of it inside the library
     score: dict[str, Score]
 
 
@@ -46,9 +46,9 @@ Progress = Callable[[str], None]
 def measure(
     worlds: Sequence[str | World], methods: Sequence[Method], repeats: int = 5, progress: Progress = lambda text: None
 ) -> list[Row]:
-    """Measure `methods` in `worlds`, given by name or ready made, in `repeats` rounds after one that only warms up.
+    """Measures `methods` in `worlds`, given by name or ready-made, in `repeats` rounds after a warm-up round.
 
-    In a round every method in turn is updated at the fracture and asked about all frames. Answers are judged once.
+    In a round each method in turn is updated at the fracture and queried in all frames. Answers are judged once.
     """
     rows = []
     for given in worlds:
@@ -59,16 +59,16 @@ def measure(
 
 
 class _Times:
-    """Of one method, round by round [s]."""
+    """One method's times, by round [s]."""
 
     def __init__(self) -> None:
-        self.answers: list[Contacts] = []  # of the first round, frame by frame
+        self.answers: list[Contacts] = []  # of the first round, by frame
         self.failure = ""
         self.is_long = False
         self.forget()
 
     def forget(self) -> None:
-        """The times so far."""
+        """Discards the times so far."""
         self.update: list[float] = []
         self.first: list[float] = []
         self.query: dict[str, list[float]] = {kind: [] for kind in KINDS}
@@ -88,7 +88,7 @@ def _measure_world(world: World, methods: Sequence[Method], repeats: int, progre
             try:
                 seconds = _one_round(world, method, its)
                 its.is_long = i > 0 and seconds > LONG_ROUND  # the first compiles
-            except Exception as error:  # a peer's own; the others go on
+            except Exception as error:  # raised by one peer; the others continue
                 its.failure = f"{type(error).__name__}: {error}"
     progress(f"{world.name}: truth")
     solids, truths = {}, {}
@@ -102,7 +102,7 @@ def _measure_world(world: World, methods: Sequence[Method], repeats: int, progre
 
 
 def _one_round(world: World, method: Method, times: _Times) -> float:
-    """Returns how long it took [s]."""
+    """Returns its duration [s]."""
     before = method.prepare(world)
     gc.collect()
     began = perf_counter()
@@ -145,7 +145,7 @@ def _milliseconds(seconds: list[float]) -> float:
 
 
 def true_frames(world: World, surface: str) -> tuple[Solids, list[FrameTruth]]:
-    """The truth of all frames by one kind of surface."""
+    """The ground truth of all frames for one kind of surface."""
     surfaces = [f.exact if surface == EXACT else f.mesh for f in world.fragments]
     samples = [f.samples for f in world.fragments] if surface == EXACT else None
     solids, boxes = Solids(surfaces, samples), local_boxes(surfaces)

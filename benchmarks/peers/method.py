@@ -1,4 +1,4 @@
-"""What a method is: something that can be updated at a fracture and asked for contacts."""
+"""The interface of a method: it can be updated at a fracture and queried for contacts."""
 
 from __future__ import annotations
 
@@ -13,41 +13,41 @@ MESH = "mesh"
 
 
 class Contacts(NamedTuple):
-    """What one query found. Fragments are numbered as in `World.fragments`."""
+    """The result of one query. Fragments are numbered as in `World.fragments`."""
 
     first: np.ndarray  # (n,) fragment
     second: np.ndarray  # (n,) fragment
     points_first: np.ndarray  # (n, 3) [m], world: witness on the first
     points_second: np.ndarray  # (n, 3) [m], world: witness on the second
     normals: np.ndarray  # (n, 3) unit, from the first to the second
-    depths: np.ndarray  # (n,) [m], positive where they overlap
-    native: float = np.nan  # [s] of the library's own calls; nan: not taken apart
+    depths: np.ndarray  # (n,) [m], positive if they overlap
+    native: float = np.nan  # [s] in the library's own calls; nan: not measured separately
 
 
 class Method:
-    """One library in one setting. `update` and `query` are what is timed, `prepare` and `release` are not.
+    """One library in one setting. `update` and `query` are timed, `prepare` and `release` are not.
 
-    Raises ImportError when made, if its library is not installed.
+    The constructor raises ImportError if the library is not installed.
     """
 
     name: str
-    # the surface it works on, and is judged against: EXACT, of the service's regions, or MESH, the closed mesh
+    # the surface it works on and is judged against: EXACT, of the service's regions, or MESH, the closed mesh
     surface = MESH
-    is_quick = True  # False: left out unless asked for
-    answers = True  # False: has an update only
+    is_quick = True  # False: left out by default
+    answers = True  # False: supports updates only
 
     def prepare(self, world: World) -> Any:
-        """What was there before the fracture."""
+        """The state before the fracture."""
 
     def update(self, world: World, before: Any) -> Any:
-        """From the fracture to all fragments ready to be asked; returns what `query` needs."""
+        """From the fracture to all fragments ready for queries; returns what `query` needs."""
         raise NotImplementedError
 
     def query(self, world: World, state: Any, frame: Frame) -> Contacts:
         raise NotImplementedError
 
     def release(self, state: Any) -> None:
-        """Free what `update` made."""
+        """Frees what `update` made."""
 
 
 def no_contacts(native: float = np.nan) -> Contacts:
@@ -64,7 +64,7 @@ def contacts_of(first, second, points_first, points_second, normals, depths, nat
 
 
 def about_middle(first, second, middles, normals, depths, native: float = np.nan) -> Contacts:
-    """From points (n, 3) half-way between the witnesses."""
+    """From points (n, 3) halfway between the witnesses."""
     if not len(depths):
         return no_contacts(native)
     half = 0.5 * np.asarray(depths, float)[:, None] * np.asarray(normals, float)

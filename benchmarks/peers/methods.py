@@ -1,4 +1,4 @@
-"""All methods that this Python can run."""
+"""All methods that can run in this environment."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from importlib import import_module
 
 from benchmarks.peers.method import Method
 
-# The module that holds a family, and the libraries that it measures, by the names they are installed under.
+# The module of each family, and the libraries it measures, by distribution name.
 FAMILIES = {
     "ours": ("numba",),
     "rapier": ("rapier3d",),
@@ -21,7 +21,7 @@ FAMILIES = {
 
 
 def all_methods(slow: bool = True) -> tuple[list[Method], dict[str, str]]:
-    """Methods, the slow ones only if wanted, and for each family that cannot be imported the reason."""
+    """Methods, the slow ones only if `slow`, and the reason for each family that cannot be imported."""
     found: list[Method] = []
     missing: dict[str, str] = {}
     for family in FAMILIES:

@@ -8,9 +8,9 @@ POOLS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_
 
 
 def pin_to_one_core() -> None:
-    """Keep this process and the threads it starts on one core, and libraries' pools at one thread.
+    """Pins this process and the threads it starts to one core, and limits libraries' pools to one thread.
 
-    The pools obey only where numpy has not been imported yet; the affinity always holds on Linux.
+    The pools comply only if numpy has not been imported yet; the affinity always holds on Linux.
     """
     for name in POOLS:
         os.environ[name] = "1"
@@ -19,5 +19,5 @@ def pin_to_one_core() -> None:
 
 
 def cores() -> int:
-    """How many cores this process may use."""
+    """Number of cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,4 +1,4 @@
-"""What came out: a table, a CSV, and the ratios that are asked for."""
+"""The results: a table, a CSV, and the target ratios."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from benchmarks.peers.methods import FAMILIES
 from benchmarks.peers.one_core import cores
 
 EVERYBODY_NEEDS = ("numpy", "scipy", "manifold3d")
-# The issue's names for what it compares.
+# The issue's names for the methods it compares.
 OURS, RAPIER, MUJOCO = "ours", "rapier hull", "mujoco hull"
 VERTICES, FIELD = ("exact vertices (warp)", "exact vertices (libigl)"), "exact field at nodes (libigl)"
 
@@ -42,7 +42,7 @@ judged against these: cut by planes where cracks are flat, through the cut edges
 
 
 def machine() -> str:
-    """The processor's name, as the system says it."""
+    """The processor's name, as reported by the system."""
     info = Path("/proc/cpuinfo")
     lines = info.read_text().splitlines() if info.exists() else []
     named = (line.split(":")[1].strip() for line in lines if line.startswith("model name"))
@@ -50,7 +50,7 @@ def machine() -> str:
 
 
 def versions() -> str:
-    """Of Python and all libraries measured that are installed."""
+    """Versions of Python and of all measured libraries that are installed."""
     known = [f"python {platform.python_version()}"]
     for name in sorted({*EVERYBODY_NEEDS, *(n for names in FAMILIES.values() for n in names)}):
         try:
@@ -61,7 +61,7 @@ def versions() -> str:
 
 
 def write_csv(rows: Sequence[Row], path: Path) -> None:
-    """A row a world and method; a column each for what Row and Score hold, by kind of frame."""
+    """A row per world and method; a column per field of Row and Score, by kind of frame."""
     columns = [f for f in Row._fields if f not in ("query", "native", "score")]
     of_kinds = ["query", "native", *Score._fields]
     with path.open("w", newline="") as file:
@@ -151,7 +151,7 @@ def _angle(median: float, wrong: float) -> str:
 
 
 def ratios(rows: Sequence[Row]) -> Iterator[tuple[str, str, float]]:
-    """(world, what, ratio), as the project's aims put them; only those whose methods were measured."""
+    """(world, what, ratio), as in the project's targets; only those whose methods were measured."""
     for world in dict.fromkeys(row.world for row in rows):
         by = {row.method: row for row in rows if row.world == world and not row.failure}
         ours = by.get(OURS)

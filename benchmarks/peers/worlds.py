@@ -1,7 +1,7 @@
-"""The work: a body of 5,200 nodes broken once, its fragments' surfaces, and where they are asked about.
+"""The work: a body of 5,200 nodes broken once, its fragments' surfaces, and the poses at which they are queried.
 
-The reference sphere of Glondu et al. 2014, section 7.2, and a hollow one, broken by Voronoi seeds gathered about an
-impact. R is 1 m: lengths in metres are shares of R. Nothing here is timed, and nothing is kept on disk.
+The reference sphere of Glondu et al. 2014, section 7.2, and a hollow one, broken by Voronoi seeds clustered around an
+impact. R is 1 m, so lengths in metres are in units of R. Nothing here is timed, and nothing is stored on disk.
 """
 
 from __future__ import annotations
@@ -34,47 +34,47 @@ WORLDS = ("ball8", "ball20", "ball60", "shell20", "ball20w", "shell20w", "ball8w
 SHELL_INNER = 0.85
 DENSITY = 2500.0  # [kg/m3]
 BODY_ID, WHOLE = 1, 1
-# Who made the meshes for other libraries: planar_cells, or cracked_surface, where cracks are curved (or manifold3d is
+# Source of the meshes for other libraries: planar_cells, or cracked_surface, if cracks are curved (or manifold3d is
 # not installed).
 PLANES, EDGES = "planes", "cut edges"
 IMPACT = np.array([0.3, 0.2, 0.93])  # the direction it came from
 DRAWS = 20  # of seeds
-REACH = 0.6  # [R] seeds thin out by a factor e this far from the impact
-# Of the body's longest side: with it hulls hold about half as much again as fragments, as in the curved worlds that
-# these are to be compared with.
+REACH = 0.6  # [R] seed density falls by a factor e at this distance from the impact
+# Of the body's longest side: hulls then hold about half as much again as fragments, as in the curved worlds
+# that these are compared with.
 AMPLITUDE = 0.08
 JITTERS, JITTER_SHIFT, JITTER_TURN = 5, 0.01, np.deg2rad(1.0)
 PILE_STEPS = (120, 240, 360)  # of 1/240 s
-PILE_MARGIN = 0.002  # [R] by which Bullet keeps hulls apart; its own, 0.04, would leave hardly a pair in contact
-PILE_SHIFT = 0.01  # Bullet leaves shapes apart by its margin, or pressed; shifts up to this along each axis undo that
+PILE_MARGIN = 0.002  # [R] by which Bullet keeps hulls apart; its default, 0.04, would leave hardly a pair in contact
+PILE_SHIFT = 0.01  # Bullet leaves shapes a margin apart, or overlapping; shifts up to this along each axis undo that
 
 
 class Surface(NamedTuple):
-    """A closed one."""
+    """A closed surface."""
 
     vertices: np.ndarray  # (n, 3) [m]
     triangles: np.ndarray  # (t, 3) int64, counter-clockwise from outside
 
 
 class Fragment(NamedTuple):
-    """All but the centre itself is about the centre, in the body's axes."""
+    """All but the centre itself is relative to the centre, in the body's axes."""
 
     fragment_id: int
-    centre: np.ndarray  # (3,) [m] in the body's frame: of its box
-    exact: Surface  # of the service's region, as it publishes it
-    samples: np.ndarray  # (s, 3) [m] points of it that the service can make contacts of
-    mesh: Surface  # what other libraries get: a closed mesh made by World.mesher
+    centre: np.ndarray  # (3,) [m] in the body's frame: centre of its box
+    exact: Surface  # of the service's region, as published
+    samples: np.ndarray  # (s, 3) [m] points on it that the service can turn into contacts
+    mesh: Surface  # input of other libraries: a closed mesh made by World.mesher
     nodes: np.ndarray  # (k, 3) [m] the tetrahedral mesh's nodes in it
 
 
 class Frame(NamedTuple):
-    """Where the fragments are, in every form that a method may want."""
+    """The fragments' poses, in every form that a method may need."""
 
     kind: str  # touch, jitter or pile
     positions: np.ndarray  # (n, 3) [m] of the centres
     rotations: np.ndarray  # (n, 3, 3)
     quaternions: np.ndarray  # (n, 4) x y z w
-    body_positions: np.ndarray  # (n, 3) [m] of the body's origin, for the same placement
+    body_positions: np.ndarray  # (n, 3) [m] of the body's origin, for the same pose
 
 
 class World(NamedTuple):
@@ -88,9 +88,9 @@ class World(NamedTuple):
 
 
 def make_world(name: str, mesher: str | None = None) -> World:
-    """One of WORLDS, or another of the same pattern: ball or shell, number of seeds, w for curved cracks.
+    """One of WORLDS, or another that follows the pattern: ball or shell, number of seeds, w for curved cracks.
 
-    mesher: of flat cracks, PLANES or EDGES; None: flat_mesher().
+    mesher: for flat cracks, PLANES or EDGES; None: flat_mesher().
     """
     kind, count, curved = re.fullmatch(r"(ball|shell)(\d+)(w?)", name).groups()
     inner = SHELL_INNER if kind == "shell" else 0.0
@@ -108,7 +108,7 @@ def flat_mesher() -> str:
 
 
 def clustered_seeds(vertices: np.ndarray, inner: float, count: int, seed: int = 1) -> np.ndarray:
-    """Points (count, 3) [m] in the unit ball, farther than `inner` from its middle, dense about the impact."""
+    """Points (count, 3) [m] in the unit ball, farther than `inner` from its centre, dense near the impact."""
     random = np.random.default_rng(seed)
     points = random.uniform(-1.0, 1.0, (60_000, 3))
     distance = np.linalg.norm(points, axis=1)
@@ -119,7 +119,7 @@ def clustered_seeds(vertices: np.ndarray, inner: float, count: int, seed: int = 
 
 
 def break_body(name: str, geometry: TetGeometry, seeds: np.ndarray, curved: bool, mesher: str) -> World:
-    """Break a body into the cells of `seeds` (k, 3) [m] and place the pieces."""
+    """Breaks a body into the cells of `seeds` (k, 3) [m] and places the pieces."""
     vertices, tetrahedra = geometry
     body = CollisionBody(BODY_ID, WHOLE, vertices=vertices.ravel(), tetrahedra=tetrahedra.ravel(), density=DENSITY)
     oracle = FragmentedBody(vertices, tetrahedra, WHOLE)
@@ -139,7 +139,7 @@ def break_body(name: str, geometry: TetGeometry, seeds: np.ndarray, curved: bool
 
 
 def empty_states(sequence: int) -> FragmentStates:
-    """States of no fragment: asking for them brings a CollisionWorld to its `sequence`-th event."""
+    """States without fragments: querying them brings a CollisionWorld to its `sequence`-th event."""
     return FragmentStates(1, sequence, np.zeros(0, int), np.zeros(0), np.zeros(0))
 
 
@@ -148,7 +148,7 @@ def _meshes(
 ) -> dict[int, tuple[np.ndarray, np.ndarray]]:
     if mesher == EDGES:
         return cracked_surfaces(*geometry, labels, _crossings(geometry.vertices, event))
-    from benchmarks.peers.judging.planar_cells import planar_cells  # manifold3d need not be there
+    from benchmarks.peers.judging.planar_cells import planar_cells  # manifold3d is optional
 
     cells = planar_cells(*geometry, seeds)
     first_node = {f: geometry.vertices[np.argmax(labels == f)] for f in event.new_fragment_ids.tolist()}
@@ -166,10 +166,10 @@ def _fragment(case: FracturedWorld, fragment_id: int, mesh: tuple[np.ndarray, np
 
 
 def published_surface(service: CollisionWorld, fragment_id: int) -> Surface:
-    """What viewers get, less triangles whose corners single precision has made one.
+    """The surface that viewers get, less triangles whose corners coincide in single precision.
 
-    Closed as a chain (each edge is covered as often one way as the other), but pieces of it may end at the middle of
-    their neighbour's edge; winding numbers and distances do not mind.
+    Closed as a chain (each edge occurs equally often in both directions), but some pieces may end at the middle of a
+    neighbour's edge; this does not affect winding numbers or distances.
     """
     published = service.fragment_mesh(fragment_id)
     triangles = published.triangles.reshape(-1, 3).astype(np.int64)
@@ -197,7 +197,7 @@ def hull_points(surface: Surface) -> np.ndarray:
 
 
 def make_frames(fragments: list[Fragment], seed: int = 2) -> list[Frame]:
-    """All in place; five times moved and turned a little; three moments of a heap in a box."""
+    """All in place; five times moved and turned slightly; three moments of a heap in a box."""
     random = np.random.default_rng(seed)
     centres = np.array([f.centre for f in fragments])
     unturned = Rotation.from_quat(np.tile([0.0, 0.0, 0.0, 1.0], (len(fragments), 1)))

@@ -1,4 +1,4 @@
-"""`python -m benchmarks.scaling`: measures, prints tables and what is asked of them, and writes CSV files."""
+"""`python -m benchmarks.scaling`: measures, prints tables and their targets, and writes CSV files."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from benchmarks.scaling.report import Asked, print_asked, print_table, write_csv
 SIZES, QUICK_SIZES = (100, 300, 1000, 2000), (100, 300)
 THREADS_PILE, QUICK_THREADS_PILE = 1000, 300
 HEAPS, QUICK_HEAPS = (300, 2000), (300,)
-WIDTH = 220  # columns of a table that no terminal's width was asked for
+WIDTH = 220  # columns of a table if no terminal sets a width
 
 Tables = tuple[dict[str, Sequence[NamedTuple]], list[Asked]]
 Progress = Callable[[str], None]
@@ -58,7 +58,7 @@ def updates(quick: bool, progress: Progress) -> Tables:
     from benchmarks.scaling.updates import measure_update_of_one
 
     rows = measure_update_of_one(broken_body(), 9 if quick else 27, 3 if quick else 5, progress)
-    # a median of ratios of one piece of work on a shared machine wavers by some hundredths
+    # on a shared machine a median of ratios of identical work varies by some hundredths
     name = f"breaking one of {rows[1].bodies} over breaking one alone"
     return {"updates": rows}, [Asked(name, rows[1].whole_over_alone, 1.1)]
 

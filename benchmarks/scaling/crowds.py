@@ -1,5 +1,5 @@
-"""Valid states that would cost more than any answer is worth: crowds of bodies at one place, each in a process of its
-own, which is `python -m benchmarks.scaling.crowds KIND COUNT SPREAD`.
+"""Valid states that would cost more than any answer is worth: crowds of bodies in one place, each in a process of its
+own: `python -m benchmarks.scaling.crowds KIND COUNT SPREAD`.
 """
 
 from __future__ import annotations
@@ -30,24 +30,24 @@ CROWDS = (
     ("boxes", 440, LOOSE), ("tetrahedra", 440, LOOSE), ("triangles", 440, LOOSE), ("mixed", 440, LOOSE),
 )  # fmt: skip
 MEGABYTE = 1e6
-WIDTHS = {"fragment_ids": 1, "positions": 3, "orientations": 4}  # numbers a body
+WIDTHS = {"fragment_ids": 1, "positions": 3, "orientations": 4}  # numbers per body
 
 
 class CrowdRow(NamedTuple):
-    """`states` is the first question to a world that has answered three of its bodies, one thread."""
+    """`states` is the first query of a world that has answered for three of its bodies, one thread."""
 
     kind: str
     count: int
     spread: float  # [m]
-    seconds: float  # until answer or refusal
-    peak: float  # [MB] of the whole process, interpreter and libraries too
+    seconds: float  # until answer or rejection
+    peak: float  # [MB] of the whole process, including interpreter and libraries
     contacts: int
     answer: float  # [MB]
-    refused: str  # the reason's kind, or nothing
+    refused: str  # kind of the reason, or empty
 
 
 def body(kind: str, number: int) -> CollisionBody:
-    """One of KINDS, some 1 m across."""
+    """One of KINDS, about 1 m across."""
     plain = CollisionBody(number, number)
     if kind == "boxes":
         return plain._replace(primitive=SolidPrimitive(BOX, (1.0, 1.0, 1.0)))
@@ -60,7 +60,7 @@ def body(kind: str, number: int) -> CollisionBody:
 
 
 def crowd(kind: str, count: int, spread: float, **settings) -> tuple[CollisionWorld, FragmentStates]:
-    """Bodies turned at random whose middles are within `spread` [m] of the origin."""
+    """Randomly oriented bodies, centred within `spread` [m] of the origin along each axis."""
     world, random = CollisionWorld(Settings(**settings)), np.random.default_rng(1)
     for i in range(1, count + 1):
         world.add_body(body(kind, i))
@@ -70,7 +70,7 @@ def crowd(kind: str, count: int, spread: float, **settings) -> tuple[CollisionWo
 
 
 def measure_crowds(crowds=CROWDS, progress: Progress = silent) -> list[CrowdRow]:
-    """Of each the second process, for the first may compile kernels."""
+    """Keeps the second process of each case, as the first may compile kernels."""
     rows = []
     for case in crowds:
         progress(f"crowds: {case[1]} {case[0]} within {case[2]} m")
@@ -93,7 +93,7 @@ def _measure(kind: str, count: int, spread: float) -> dict:
     except InvalidMessage as error:
         refused = error.kind
     seconds = perf_counter() - begun
-    # not ru_maxrss, which begins with that of the process that started this one
+    # not ru_maxrss, which starts at the parent process's value
     peak = 1024 * int(Path("/proc/self/status").read_text().split("VmHWM:")[1].split()[0])
     return {
         "seconds": seconds, "peak": peak / MEGABYTE, "contacts": contacts, "answer": size / MEGABYTE,

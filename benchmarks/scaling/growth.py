@@ -1,4 +1,4 @@
-"""A query's time over the size of a pile, and with one thread and two."""
+"""A query's time as a function of the size of a pile, and with one thread and two."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from benchmarks.scaling.machine import second_core
 from benchmarks.scaling.piles import Pile, make_pile, world_of
 from fracture_collision.world import CollisionWorld, Settings
 
-# Piles are asked about again and again without moving: each time as if they had.
+# Piles are queried repeatedly without moving, each time as if they had moved.
 SEARCHED = Settings(threads=1, neighbour_lists=False, selection="complete")
 
 Progress = Callable[[str], None]
 
 
 def silent(text: str) -> None:
-    """The progress of who does not want to be told."""
+    """Reports no progress."""
 
 
 class GrowthRow(NamedTuple):
     """One pile, one thread; times in ms, medians."""
 
     fragments: int
-    close_pairs: int  # that the broad phase finds
+    close_pairs: int  # found by the broad phase
     contact_pairs: int
     contacts: int
     visits: int
@@ -39,31 +39,31 @@ class GrowthRow(NamedTuple):
 
 
 class Exponents(NamedTuple):
-    """b of time ~ n^b, least squares of the logarithms over all piles."""
+    """b of time ~ n^b, a least-squares fit of the logarithms over all piles."""
 
     over_close_pairs: float  # the whole call
     over_contact_pairs: float
     broad_over_fragments: float
-    steepest: float  # of the whole call over close pairs, between two piles that follow each other
+    steepest: float  # of the whole call over close pairs, between two successive piles
 
 
 class ThreadsRow(NamedTuple):
-    """One pile with one thread and two, taking turns; times in ms, medians."""
+    """One pile with one thread and two, interleaved; times in ms, medians."""
 
     fragments: int
     contacts: int
     one: float  # the whole call
     two: float
-    speed_up: float  # median of the ratios of neighbouring turns
+    speed_up: float  # median of the ratios of adjacent runs
     narrow_speed_up: float  # of the narrow phase alone
-    machine_speed_up: float  # of a loop without memory, shared by two threads: what the machine gives at that time
+    machine_speed_up: float  # of a loop without memory access, shared by two threads: the machine's limit at that time
     same_bytes: bool
 
 
 def measure_growth(
     source: World, sizes: Sequence[int], repeats: int = 7, progress: Progress = silent
 ) -> list[GrowthRow]:
-    """Piles of `sizes` fragments, all made first and then asked in turn, so that a slow spell slows all of them."""
+    """Piles of `sizes` fragments, all made first and then queried in turn, so that a slow phase affects all of them."""
     worlds: list[tuple[CollisionWorld, Pile]] = []
     for size in sizes:
         progress(f"a pile of {size}")
@@ -106,7 +106,7 @@ def fit_exponents(rows: Sequence[GrowthRow]) -> Exponents:
 
 
 def measure_threads(source: World, size: int, repeats: int = 15, progress: Progress = silent) -> list[ThreadsRow]:
-    """The same pile with one thread and two, in turn, the order swapped each time."""
+    """The same pile with one thread and two, in turn, in alternating order."""
     progress(f"a pile of {size} twice")
     pile = make_pile(source, size)
     worlds = [world_of(pile, SEARCHED._replace(threads=threads)) for threads in (1, 2)]

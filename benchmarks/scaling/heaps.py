@@ -1,4 +1,4 @@
-"""A step of a heap of fragments: at rest, and moving slowly, where a step has most of the last one's work to go by."""
+"""A step of a heap of fragments: at rest, and moving slowly, when a step can reuse most of the last one's work."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from benchmarks.scaling.piles import make_pile, world_of
 from fracture_collision.records import FragmentStates
 from fracture_collision.world import CollisionWorld, Settings
 
-SLOW, MODERATE, FAST = 0.01, 0.1, 0.3  # [% R] a step
-# All fragments take three steps along a line of their own and three back: none ever stays where it is, which would be
+SLOW, MODERATE, FAST = 0.01, 0.1, 0.3  # [% R] per step
+# All fragments take three steps along a line of their own and three back: none ever stays in place, which would be
 # answered from the last step, and they remain a heap.
 TO_AND_FRO = np.array([0, 1, 2, 3, 2, 1]) - 1.5
-WARM_STEPS = len(TO_AND_FRO)  # neighbour lists reach as far as a pair moves, which takes some steps to show
+WARM_STEPS = len(TO_AND_FRO)  # neighbour lists reach as far as a pair moves, which takes some steps to adapt
 
 
 class HeapRow(NamedTuple):
@@ -28,8 +28,8 @@ class HeapRow(NamedTuple):
 
     fragments: int
     moving: int  # fragments that move in a step
-    step: float  # [% R] by which they do
-    close_pairs: int  # that the broad phase finds
+    step: float  # [% R] distance per step
+    close_pairs: int  # found by the broad phase
     contacts: int
     broad_phase: float
     whole: float  # the call, from Python
@@ -39,11 +39,11 @@ class HeapRow(NamedTuple):
 def measure_heaps(
     source: World, sizes: Sequence[int], steps: int = 2 * len(TO_AND_FRO), progress: Progress = silent
 ) -> list[HeapRow]:
-    """Five rows a size, with the service's default settings.
+    """Five rows per size, with the service's default settings.
 
-    Nothing moves: the same poses under a new step number, which a comparison with the last ones and a copy of the last
-    answer suffice for. One fragment moves, another in each step: the broad phase, and for all pairs but its own what is
-    kept of the last answer. All move, each in a direction of its own.
+    Nothing moves: the same poses under a new step number; the answer is a comparison with the last poses and a copy of
+    the last answer. One fragment moves, another in each step: the broad phase runs, and all pairs but its own reuse the
+    last answer. All move, each in a direction of its own.
     """
     rows = []
     for size in sizes:
@@ -74,7 +74,7 @@ def _row(world: CollisionWorld, moves: Iterator[FragmentStates], moving: int, st
 
 
 def _moved(states: FragmentStates, moving: int, step: float) -> Iterator[FragmentStates]:
-    """One step after the other of fragments that move by `step` [% R], R being 1 m."""
+    """Successive steps of fragments that move by `step` [% R]; R is 1 m."""
     random = np.random.default_rng(1)
     lying = states.positions.reshape(-1, 3)
     ways = random.normal(size=lying.shape)

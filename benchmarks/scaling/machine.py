@@ -1,4 +1,4 @@
-"""What the machine gives at most: time of a load, a floating-point operation, a branch guessed wrong; a second core."""
+"""The machine's limits: time of a load, a floating-point operation, a mispredicted branch; a second core."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ LINE = 64  # [bytes] of a cache line
 WORDS = LINE // 8
 LOADS = 200_000  # at least
 FLOPS = 1_000_000
-CHAINS = 8  # of operations side by side
+CHAINS = 8  # of independent operations
 SHARED_FLOPS = 100_000_000
-TRIALS = 7  # the best of which counts: what the machine can, not what it was left to do
+TRIALS = 7  # the best of which counts: the machine's limit without interference
 
 
 class Machine(NamedTuple):
     """Nanoseconds each, one thread."""
 
     footprint: int  # [bytes] that loads were spread over
-    load_latency: float  # of a cache line whose address is known only after the last
-    load: float  # of a cache line at a random address known beforehand
-    flop_latency: float  # of an addition whose operand is the last one's result
+    load_latency: float  # of a cache line whose address depends on the previous load
+    load: float  # of a cache line at a random address known in advance
+    flop_latency: float  # of an addition whose operand is the previous result
     flop: float  # of an addition among CHAINS independent ones
-    wrong_guess: float  # of a branch that goes either way, more than of one that always goes the same
+    wrong_guess: float  # extra time of a branch that goes either way, over one that always goes the same way
 
 
 def measure_machine(footprint: int, seed: int = 1) -> Machine:
@@ -36,7 +36,7 @@ def measure_machine(footprint: int, seed: int = 1) -> Machine:
     lines = max(footprint // LINE, CHAINS)
     follow = np.zeros((lines, WORDS), dtype=np.int64)
     order = random.permutation(lines)
-    follow[order, 0] = np.roll(order, -1)  # one cycle through all of them
+    follow[order, 0] = np.roll(order, -1)  # one cycle through all cache lines
     loads = max(lines, LOADS)
     where = random.integers(0, lines, loads)
     either = random.integers(0, 2, LOADS)
@@ -47,13 +47,13 @@ def measure_machine(footprint: int, seed: int = 1) -> Machine:
         _nanoseconds(_gather, loads, follow, where),
         _nanoseconds(_dependent_sum, FLOPS, 1e-9, FLOPS),
         _nanoseconds(_independent_sums, FLOPS, 1e-9, FLOPS // CHAINS),
-        # half of the guesses are wrong
+        # half of the predictions are wrong
         2.0 * (_nanoseconds(_branch, LOADS, either, counts) - _nanoseconds(_branch, LOADS, np.sort(either), counts)),
     )
 
 
 def second_core() -> float:
-    """How many times as much two threads get done as one, of additions alone: 2 where a second core is idle."""
+    """Throughput of two threads over that of one, additions only: 2 if a second core is idle."""
     with ThreadPoolExecutor(1) as pool:
         pool.submit(_dependent_sum, 1e-9, 1).result()
         began = perf_counter()
@@ -67,7 +67,7 @@ def second_core() -> float:
 
 
 def _nanoseconds(kernel, count: int, *arguments) -> float:
-    """A piece, of `count`."""
+    """Per item, of `count`."""
     kernel(*arguments)
     times = []
     for _ in range(TRIALS):
@@ -111,7 +111,7 @@ def _independent_sums(term, rounds):
 
 @threaded_kernel
 def _branch(either, counts):
-    """A store on one side, which no conditional move replaces."""
+    """A store on one side, so that the compiler cannot use a conditional move."""
     for i in range(len(either)):
         if either[i] == 1:
             counts[i % WORDS] += 1.0

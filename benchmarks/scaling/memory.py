@@ -1,7 +1,7 @@
-"""What a world takes in memory; each case in a process of its own, which is `python -m benchmarks.scaling.memory`.
+"""Memory of a world; each case in a process of its own: `python -m benchmarks.scaling.memory`.
 
-Twice: the resident set, which is what the system sees, and what tracemalloc has counted, which is what the world's
-arrays and objects hold, whatever the allocator keeps. Interpreter, libraries and kernels are there before.
+Measured twice: the resident set, as the system sees it, and tracemalloc's count, which is what the world's arrays and
+objects hold, whatever the allocator keeps. Interpreter, libraries and kernels are loaded before.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ sys.path.append(str(ROOT / "test"))  # the fracture patterns live with the tests
 from oracles.fracture_patterns import voronoi_event  # noqa: E402
 from oracles.fragmented_body import FragmentedBody  # noqa: E402
 
-MORE = 8  # bodies of the same geometry; what one more takes is the mean, as arrays grow by doubling
-PIECES = 20  # seeds; where a cell comes in several pieces these are more
-APART = 3.0  # [m] from body to body
+MORE = 8  # bodies of the same geometry; the mean of them is one more body, as arrays grow by doubling
+PIECES = 20  # seeds; there are more pieces if a cell comes in several
+APART = 3.0  # [m] between bodies
 BODIES = ("ball", "bunny")
 MEGABYTE = 1e6
 
@@ -47,14 +47,14 @@ class MemoryRow(NamedTuple):
     tetrahedra: int
     pieces: int
     threads: int
-    whole_resident: float  # of a world with the unbroken body, asked once
-    whole_held: float  # likewise, as tracemalloc counts
-    broken_resident: float  # after its fracture, asked once
+    whole_resident: float  # of a world with the unbroken body, queried once
+    whole_held: float  # the same, as counted by tracemalloc
+    broken_resident: float  # after its fracture, queried once
     broken_held: float
-    peak_held: float  # the most that was held until then, while a message was checked or a fracture applied
+    peak_held: float  # peak until then, while a message was checked or a fracture applied
     one_more_resident: float  # of one more body, unbroken: mean of MORE
     one_more_held: float
-    one_more_broken_resident: float  # of one more broken one, beyond what it took unbroken: mean of MORE
+    one_more_broken_resident: float  # of one more broken body, beyond its unbroken size: mean of MORE
     one_more_broken_held: float
     first_more_held: float  # of the first of them alone, unbroken
     first_more_broken_held: float
@@ -90,13 +90,13 @@ def _process(body: str, threads: int, how: str) -> dict[str, float]:
 
 
 class _Bodies(NamedTuple):
-    """Copies of one body side by side, and the fracture of each."""
+    """Copies of one body next to each other, and the fracture of each."""
 
     bodies: list[CollisionBody]
     events: list[FractureEvent]
 
     def states(self, there: int, broken: int) -> FragmentStates:
-        """Everything that lives when `there` bodies have come and the first `broken` of them have broken, in place."""
+        """All live fragments when `there` bodies exist and the first `broken` of them have broken, in place."""
         ids = [self.events[k].new_fragment_ids for k in range(broken)]
         ids += [np.array([self.bodies[k].fragment_id], np.uint32) for k in range(broken, there)]
         positions = np.zeros((sum(map(len, ids)), 3))
@@ -120,7 +120,7 @@ def _copies(body: str) -> _Bodies:
 
 
 def _levels(body: str, threads: int, level: Callable[[], int]) -> Iterator[int]:
-    """Bytes: before, with a body, with its pieces, with one more body, with MORE, these broken: one, all."""
+    """Bytes: before, with a body, with its pieces, with one more body, with MORE, one of these broken, all broken."""
     its = _copies(body)
     world = CollisionWorld(Settings(threads=threads))
 
@@ -151,14 +151,14 @@ def _held() -> int:
 
 def _resident() -> int:
     gc.collect()
-    ctypes.CDLL(None).malloc_trim(0)  # what the allocator keeps for later is not the world's
+    ctypes.CDLL(None).malloc_trim(0)  # the allocator's reserve does not belong to the world
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE")
 
 
 def _main(body: str, threads: int, how: str) -> None:
     compile_kernels(progress=lambda text: None)
-    _copies(body)  # whatever a library loads when first used
+    _copies(body)  # anything a library loads on first use
     peak = 0
     levels = []
     if how == "held":

@@ -1,8 +1,8 @@
-"""Piles of fragments: many copies of one broken body, dropped into a box by Bullet until they lie.
+"""Piles of fragments: many copies of one broken body, dropped into a box by Bullet until they come to rest.
 
-Dropped, because the number of neighbours and how deep they meet is what a query's time depends on: fragments thrown at
-random into a box with a slight overlap meet in corners, fragments that lie meet in faces. The hulls that Bullet drops
-are coarse, so that thousands fall in a minute; where flat cracks make convex fragments they are nearly the fragments.
+Dropped, because a query's time depends on the number of neighbours and on how deep they overlap: fragments placed at
+random in a box with a slight overlap meet in corners, fragments at rest meet in faces. The hulls that Bullet drops are
+coarse, so that thousands fall in a minute; with flat cracks, whose fragments are convex, they almost equal them.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from fracture_collision.world import CollisionWorld, Settings
 
 # The reference sphere of Glondu et al. 2014, Fig. 11 (5,212 nodes), in 20 pieces with flat cracks.
 BODY = "ball20"
-SPREAD = 1.15  # how far apart the pieces of a body start, in parts of their distance from its middle
-SPACING = 2.4  # [R] of the bodies' middles at the start
+SPREAD = 1.15  # initial distance of a body's pieces from its centre, relative to their original distance
+SPACING = 2.4  # [R] between the bodies' centres at the start
 TIME_STEP = 1.0 / 100.0  # [s]
-STEPS = 160  # the farthest fall is over after 100
-MARGIN = 0.002  # [R] by which Bullet keeps hulls apart; its own, 0.04, would leave hardly a pair in contact
-# All lengths of the pile that lies are made this much shorter, so that what touches meets by some thousandths of R, as
-# in a simulation, and does not stay apart by Bullet's margin.
+STEPS = 160  # the longest fall ends before step 100
+MARGIN = 0.002  # [R] by which Bullet keeps hulls apart; its default, 0.04, would leave hardly a pair in contact
+# All lengths of the resting pile are scaled by this factor, so that fragments in contact overlap by some thousandths
+# of R, as in a simulation, and do not stay apart by Bullet's margin.
 PRESSED = 0.99
 DIRECTIONS = geodesic_sphere(3)[0]  # in which a coarse hull is exact
 
@@ -39,7 +39,7 @@ class Pile(NamedTuple):
 
 
 def broken_body() -> World:
-    """The same, and so the same piles, whether or not the libraries to compare with are installed."""
+    """The same body, and so the same piles, whether or not the other libraries are installed."""
     return make_world(BODY, EDGES)
 
 
@@ -57,7 +57,7 @@ def _first_id(source: World, k: int) -> int:
 
 
 def world_of(pile: Pile, settings: Settings) -> CollisionWorld:
-    """Bodies and fractures told and applied."""
+    """A world with all bodies and fractures applied."""
     world = CollisionWorld(settings)
     for body in pile.bodies:
         world.add_body(body)
@@ -68,9 +68,9 @@ def world_of(pile: Pile, settings: Settings) -> CollisionWorld:
 
 
 def make_pile(source: World, count: int, seed: int = 1, pressed: float = PRESSED) -> Pile:
-    """`count` fragments of as many copies of `source` as it takes; the last copy's others take no part.
+    """`count` fragments of as many copies of `source` as needed; the last copy's others take no part.
 
-    pressed: see PRESSED; less makes more contacts.
+    pressed: see PRESSED; a smaller value makes more contacts.
     """
     copies = math.ceil(count / len(source.fragments))
     bodies, events = zip(*(copy_of(source, k) for k in range(copies)), strict=True)
@@ -83,7 +83,7 @@ def make_pile(source: World, count: int, seed: int = 1, pressed: float = PRESSED
 
 
 def _dropped(source: World, count: int, random: np.random.Generator) -> tuple[np.ndarray, Rotation]:
-    """Centres (count, 3) [m] and orientations of the fragments where they lie."""
+    """Centres (count, 3) [m] and orientations of the fragments at rest."""
     copies = math.ceil(count / len(source.fragments))
     across = math.ceil(copies ** (1 / 3))
     client = pybullet.connect(pybullet.DIRECT)

@@ -1,4 +1,4 @@
-"""What it costs to remove a body from a run with a long log of events."""
+"""Cost of removing a body from a run with a long log of events."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from fracture_collision.geometry.tetrahedra import unique_edges
 from fracture_collision.records import REMOVE, SPHERE, CollisionBody, FractureEvent, FragmentStates, SolidPrimitive
 from fracture_collision.world import CollisionWorld, Settings
 
-SIDE, CELL = 3.0, 0.1  # [m] of a cube of some 30,000 nodes
+SIDE, CELL = 3.0, 0.1  # [m] of a cube with about 30,000 nodes
 BALLS = 21
 
 
 class RemovalRow(NamedTuple):
-    """Times [ms]. `remove`: until the registry without the body is known, and states are answered as before."""
+    """Times [ms]. `remove`: until the registry without the body is available, and states are answered as before."""
 
     nodes: int
     events: int
     fragments: int
     remove_median: float
     remove_worst: float
-    registry: float  # median of fragments(), which lists all that live, without any change before it
+    registry: float  # median of fragments(), which lists all live fragments, without any preceding change
     remove_the_broken_body: float
-    from_the_log: float  # what a registry costs that is made anew
-    equal: bool  # digest and masses, to those of a registry from the log
+    from_the_log: float  # cost of a registry rebuilt from the log
+    equal: bool  # digest and masses equal those of a registry rebuilt from the log
 
 
 def halvings(body: TetGeometry, count: int) -> list[FractureEvent]:
-    """`count` events, each of which parts the fragment with the most nodes by a plane across its longest side."""
+    """`count` events, each of which splits the fragment with the most nodes by a plane across its longest side."""
     edges = unique_edges(body.tetrahedra)
     vertices = body.vertices
     heap = [(-len(vertices), 1)]
@@ -67,7 +67,7 @@ def halvings(body: TetGeometry, count: int) -> list[FractureEvent]:
 
 
 def measure_removal(events: int = 1000, cell: float = CELL, progress: Progress = silent) -> RemovalRow:
-    """Balls are thrown beside a body that broke `events` times, and removed one by one."""
+    """Balls are added next to a body that broke `events` times, and removed one by one."""
     body = brick((SIDE, SIDE, SIDE), cell)
     settings = Settings(threads=1)
     whole = CollisionBody(1, 1, vertices=body.vertices.ravel(), tetrahedra=body.tetrahedra.ravel())

@@ -1,4 +1,4 @@
-"""What came out: tables, the measures that are asked for, and one CSV a table."""
+"""The results: tables, targets, and one CSV per table."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from benchmarks.peers.report import machine, versions
 
 
 class Asked(NamedTuple):
-    """A measure beside what is asked of it."""
+    """A measurement and its target."""
 
     measure: str
     value: float
@@ -27,7 +27,7 @@ class Asked(NamedTuple):
 
 
 def print_table(title: str, rows: Sequence[NamedTuple], console: Console) -> None:
-    """A column a field, named by it."""
+    """A column per field, with its name."""
     table = Table(title=title, title_justify="left")
     for name in rows[0]._fields:
         table.add_column(name.replace("_", " "), justify="right")
@@ -47,7 +47,7 @@ def cell(value: float | int | str) -> str:
 
 
 def write_csv(name: str, rows: Sequence[NamedTuple], path: Path) -> Path:
-    """`path` with the table's name before its suffix; each line ends with the machine and its versions."""
+    """Writes to `path` with the table's name before its suffix; each line ends with the machine and its versions."""
     file_path = path.with_stem(f"{path.stem}_{name}")
     file_path.parent.mkdir(parents=True, exist_ok=True)
     with file_path.open("w", newline="") as file:

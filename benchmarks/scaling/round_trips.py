@@ -1,6 +1,6 @@
-"""What ROS adds to an answer: states published to contacts received, less the service's computation.
+"""ROS overhead of an answer: from states published to contacts received, less the service's computation.
 
-The service is a process of its own; states and answers go as simulator_node sends and takes them.
+The service is a separate process; states and answers are sent and received as in simulator_node.
 """
 
 from __future__ import annotations
@@ -34,36 +34,36 @@ from fracture_collision.ros.wire import qos
 from fracture_collision.ros.wire.cdr_records import deserialize_record, serialize_record
 from fracture_collision.ros.wire.conversion import heading, to_message
 
-FRAGMENTS = 166  # as drop_bunnies has at its end
-PRESSED = 0.982  # makes about 900 contacts of so many fragments
+FRAGMENTS = 166  # as in drop_bunnies at its end
+PRESSED = 0.982  # gives about 900 contacts with this many fragments
 RUN_ID = 1
 WARM_UP = 20  # steps
 PATIENCE = 120.0  # [s]
-SOLVER = 0.010  # [s] between an answer and the next states, as long as a step's solver takes
+SOLVER = 0.010  # [s] between an answer and the next states: the duration of a step's solver
 
 
 class RoundTripRow(NamedTuple):
-    """Medians and worst [ms] over the steps."""
+    """Medians and worst case [ms] over the steps."""
 
-    recorder: bool  # whether somebody else listens to states and contacts
+    recorder: bool  # whether a recorder also subscribes to states and contacts
     fragments: int
     contacts: int
     steps: int
     computation: float  # broad and narrow phase, by the service's own clock
     beyond: float  # states published to contacts received, less that and the registry's update
     beyond_worst: float
-    beyond_empty: float  # likewise of states that name no fragment, asked in turn with the others: what is of no size
-    in_service: float  # of `beyond`: contacts to message and publishing
-    acknowledgement: float  # before all: until everybody had acknowledged the last states
-    serialization: float  # states and contacts, each from record to bytes and back, here
+    beyond_empty: float  # the same for states without fragments, interleaved: the part independent of size
+    in_service: float  # part of `beyond`: converting contacts to a message and publishing it
+    acknowledgement: float  # before all that: until all subscribers acknowledged the previous states
+    serialization: float  # states and contacts, each from record to bytes and back, in this process
     answer_bytes: int
-    beyond_plain: float  # the same bytes, there and back, between two nodes of rclpy's own that do nothing else
+    beyond_plain: float  # the same bytes, there and back, between two plain rclpy nodes that do nothing else
 
 
 def measure_round_trips(
     source: World, fragments: int = FRAGMENTS, steps: int = 300, progress: Progress = silent
 ) -> list[RoundTripRow]:
-    """Without and with a recorder; the pile moves by a hair from step to step, so that no two questions are equal."""
+    """Without and with a recorder; the pile moves slightly from step to step, so that no two queries are equal."""
     progress(f"a pile of {fragments}")
     pile = make_pile(source, fragments, pressed=PRESSED)
     rows = []
@@ -113,7 +113,7 @@ class _Simulator:
                 publisher.publish(to_message(record, heading(0.0), RUN_ID))
 
     def ask(self, states: Any) -> tuple[float, float]:
-        """[s] until the last states are acknowledged, and from publishing these to their answer."""
+        """[s] until the previous states are acknowledged, and from publishing these to their answer."""
         data = serialize_record(states, heading(0.005 * states.step), RUN_ID)
         self.answer = None
         began = time.perf_counter()
@@ -143,10 +143,10 @@ def _measure(pile: Pile, steps: int, recorder: bool) -> RoundTripRow:
                 "recorder_node", {"folder": str(folder / "bag")}, domain_id, folder / "recorder.log"
             )
             stack.callback(listener.stop)
-        # the simulator itself listens to the contacts
+        # the simulator itself subscribes to the contacts
         simulator.await_subscribers(2 if recorder else 1)
         simulator.tell(pile)
-        # one more, since the order to stop may come before the service has noted the last one's times
+        # one extra step, as the service may be stopped before it has recorded the last step's times
         its, contacts, answer = [], None, b""
         for step in _paced(2 * (WARM_UP + steps) + 1):
             its.append(simulator.ask(_moved(pile, step) if step % 2 else _nobody(pile, step)))
@@ -168,7 +168,7 @@ def _measure(pile: Pile, steps: int, recorder: bool) -> RoundTripRow:
 
 
 def _plain(question: bytes, answer: bytes, computation: float, steps: int) -> float:
-    """Median [ms] from a question published to its answer received, less what the answerer (plain_echo.py) took."""
+    """Median [ms] from a query published to its answer received, less the time in plain_echo.py."""
     with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
         answer_file, times_file, domain_id = Path(name) / "answer", Path(name) / "times.npy", free_domain_id()
         answer_file.write_bytes(answer)
@@ -212,7 +212,7 @@ def _before(deadline: float, otherwise: str) -> None:
 
 
 def _paced(steps: int) -> Iterator[int]:
-    """1, 2 ... each SOLVER after the one before was dealt with."""
+    """1, 2 ...: each SOLVER after the previous step is done."""
     for step in range(1, steps + 1):
         time.sleep(SOLVER)
         yield step

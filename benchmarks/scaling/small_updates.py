@@ -1,4 +1,4 @@
-"""What it costs to break a small fragment of a large body that is in many pieces: as much as what breaks is large."""
+"""Cost of breaking a small fragment of a large body in many pieces: it depends on the size of what breaks."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from fracture_collision.simulation.fracture.breakable_body import BreakableBody
 from fracture_collision.simulation.fracture.fracture_pattern import PatternSettings
 from fracture_collision.world import CollisionWorld, Settings
 
-PIECES, SMALL_PIECES = 150, 4  # seeds of the first break, and of each that is timed
-MIDDLE = 0.75, 1.3  # sizes of the fragments that are broken, in parts of the mean
+PIECES, SMALL_PIECES = 150, 4  # seeds of the first fracture, and of each fracture that is timed
+MIDDLE = 0.75, 1.3  # sizes of the fragments that are broken, relative to the mean
 WARM_UPDATES = 4
 
 
@@ -32,21 +32,21 @@ class SmallUpdateRow(NamedTuple):
     broken_nodes: float  # of the fragment that breaks
     pieces: float  # that it breaks into
     check: float  # add_fracture
-    update: float  # last_timings["update"] of the first states that ask for the event's registry
+    update: float  # last_timings["update"] of the first states that need the event's registry
     masses: float  # fragments()
-    whole: float  # the three
+    whole: float  # sum of the three
     worst: float  # the largest of `whole`
 
 
 def body_of_30000() -> TetGeometry:
-    """30,764 nodes, in PIECES pieces some 200 each."""
+    """30,764 nodes, in PIECES pieces of about 200 each."""
     return sampled_ball(1.0, 26, 24_000)
 
 
 def measure_small_updates(
     geometry: TetGeometry, pieces: int = PIECES, events: int = 24, progress: Progress = silent
 ) -> list[SmallUpdateRow]:
-    """One fragment after the other breaks, each a piece of the first break.
+    """The fragments break one after the other; each is a piece of the first fracture.
 
     Each event is made just before it is timed, so that caches are as a simulator leaves them.
     """
@@ -82,7 +82,7 @@ def measure_small_updates(
 
 
 def _breaks(geometry: TetGeometry, pieces: int) -> Iterator[FractureEvent]:
-    """The body into about `pieces` pieces, by seeds all over it, and then each piece near the mean size."""
+    """Breaks the body into about `pieces` pieces, by seeds throughout it, then each piece near the mean size."""
     body, random = BreakableBody(1, 1, geometry), np.random.default_rng(0)
 
     def fracture(fragment_id: int, sequence: int, first_new_id: int, seeds: int) -> FractureEvent | None:

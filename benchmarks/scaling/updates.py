@@ -1,4 +1,4 @@
-"""What it costs to break one of many bodies, against breaking one that is alone."""
+"""Cost of breaking one of many bodies, compared with breaking a single body."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from fracture_collision.world import CollisionWorld, Settings
 
 
 class UpdateRow(NamedTuple):
-    """Medians [ms]; taking turns, and the worlds alike but for the number of bodies."""
+    """Medians [ms]; interleaved, with worlds that differ only in the number of bodies."""
 
     bodies: int
-    nodes: int  # of each
+    nodes: int  # per body
     pieces: int
     broken_before: int  # bodies that had broken already
     check: float  # add_fracture
-    update: float  # last_timings["update"] of the first states that ask for the event's registry
+    update: float  # last_timings["update"] of the first states that need the event's registry
     masses: float  # fragments()
-    whole: float  # the three
-    whole_over_alone: float  # median of the ratios of neighbouring turns
-    update_over_alone: float  # likewise of check and update without masses
+    whole: float  # sum of the three
+    whole_over_alone: float  # median of the ratios of adjacent runs
+    update_over_alone: float  # the same for check and update without masses
 
 
 Part = tuple[float, float, float]
@@ -35,14 +35,14 @@ Part = tuple[float, float, float]
 def measure_update_of_one(
     source: World, many: int = 27, repeats: int = 5, progress: Progress = silent
 ) -> list[UpdateRow]:
-    """The last of one and of `many` bodies breaks, the others whole; then with the others broken too."""
+    """The last of one and of `many` bodies breaks while the others are whole; then with the others broken too."""
     cases = [(1, 0), (many, 0), (many, many - 1)]
     times: list[list[Part]] = [[] for _ in cases]
     for i in range(repeats + 1):
         progress(f"breaking one of {many}, round {i} of {repeats}")
         for its, (count, broken) in zip(times, cases, strict=True):
             part = _break_one(source, count, broken)
-            if i:  # the first warms up
+            if i:  # the first run is a warm-up
                 its.append(part)
     alone = np.array(times[0])
     rows = []
@@ -69,7 +69,7 @@ def _break_one(source: World, count: int, broken: int) -> Part:
         world.add_fracture(event)
     world.contacts(empty_states(broken))
     world.fragments()
-    # event numbers are the copies', whichever break first
+    # copy_of numbers events by copy; this one must be the next in sequence
     event = copies[-1][1]._replace(sequence=broken + 1)
     gc.collect()
     began = perf_counter()

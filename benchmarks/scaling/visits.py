@@ -1,4 +1,4 @@
-"""Where a query's time goes: visits, nanoseconds a visit, and what a visit cannot do without on this machine."""
+"""Breakdown of a query's time: visits, nanoseconds per visit, and the lower bound for a visit on this machine."""
 
 from __future__ import annotations
 
@@ -16,34 +16,34 @@ from fracture_collision.records import FragmentStates
 from fracture_collision.world import CollisionWorld, Settings
 
 WORLDS = ("ball20", "ball20w", "shell20w")
-TREE_ENTRY = 44  # [bytes] of a node of a sphere tree: centre, radius, and what stands below
-# [bytes] that locating reads of a tetrahedron: its barycentric weights, its fragment, its places in the cells' lists.
+TREE_ENTRY = 44  # [bytes] of a node of a sphere tree: centre, radius, and its entry
+# [bytes] that point location reads per tetrahedron: barycentric weights, fragment, places in the cells' lists.
 TETRAHEDRON = 128
 
 
 class Work(NamedTuple):
-    """What one visit has to do, counted in core/search/traversal, elementary_queries, point_location and flood.
+    """The work of one visit, counted in core/search/traversal, elementary_queries, point_location and flood.
 
-    Only what its outcome rests on: the one tetrahedron that holds the point, not those that are tried before it; the
-    one triangle that is nearest. Working memory (queues, poses, the other's box) is taken to be at hand.
+    Counts only what the outcome depends on: the one tetrahedron that holds the point, not those tried before it; the
+    one nearest triangle. Working memory (queues, poses, the other's box) is assumed to be in cache.
     """
 
     name: str
     lines: int  # cache lines of trees and meshes
-    steps: int  # of them, those whose address comes out of the one before
-    flops: int  # additions, multiplications, comparisons of numbers; a root or a quotient counts as eight
-    depth: int  # of them, those that wait for the one before
-    guesses: int  # branches that depend on where the point lies
+    steps: int  # of these, lines whose address depends on the previous one
+    flops: int  # additions, multiplications, comparisons of numbers; a root or a division counts as eight
+    depth: int  # of these, operations that wait for the previous one
+    guesses: int  # branches that depend on the position of the point
 
 
-# Its sphere and its entry; the point turned and moved (18), the other's box (17), a root, a sum, a comparison.
+# Its sphere and entry; the point rotated and translated (18), the other's box (17), a root, a sum, a comparison.
 CULLED = Work("culled child", 2, 1, 45, 22, 1)
 # As above; the cell in the grid of occupied cells (12), the cell's list and its first tetrahedron, three barycentric
 # weights in two lines (21) and their slack (9), the tetrahedron's fragment.
 LOCATED = Work("located sample outside", 2 + 6, 1 + 4, 45 + 17 + 12 + 30, 22 + 12 + 14, 4)
 # As above; the tetrahedron's four faces as bounds of the depth (56), its list of triangles (begin, count, kind, front,
 # back), one plane (7) and one triangle (three lines; 110), the direction (20), the crack's normal from three planes
-# (30), two points and a normal turned to the world (45) and written (three lines).
+# (30), two points and a normal transformed to the world (45) and written (three lines).
 LISTED = Work("listed contact", 8 + 5 + 3 + 3 + 3, 5 + 3, 104 + 56 + 7 + 110 + 20 + 30 + 45, 48 + 60, 10)
 KINDS_OF_VISIT = (CULLED, LOCATED, LISTED)
 
@@ -53,17 +53,17 @@ class VisitRow(NamedTuple):
 
     world: str
     kind: str
-    close_pairs: float  # a frame
+    close_pairs: float  # per frame
     contacts: float
     visits: float
     visits_a_pair: float
-    broad_share: float  # of broad and narrow phase together
+    broad_share: float  # of broad and narrow phase combined
     nanoseconds_a_pair: float  # both phases
     nanoseconds_a_visit: float  # narrow phase
-    least: float  # [ns] a visit if all were culled but those that became contacts, loads and flops at full speed
-    in_turn: float  # [ns] likewise, each step waiting for the one before
-    in_turn_located: float  # [ns] likewise, if all that became no contact were located samples
-    best: float  # nanoseconds_a_visit in the best round, as the machine's figures are of its best
+    least: float  # [ns] per visit if all but those that became contacts were culled, loads and flops at full speed
+    in_turn: float  # [ns] the same, each step waiting for the previous one
+    in_turn_located: float  # [ns] the same, if all that became no contact were located samples
+    best: float  # nanoseconds_a_visit in the best round, as the machine's figures are its best
     off: float  # best / in_turn
 
 
@@ -73,14 +73,14 @@ class FloorRow(NamedTuple):
     visit: str
     lines: int
     flops: int
-    footprint: int  # [bytes] that its loads are spread over
-    load: float  # a line, its address known
+    footprint: int  # [bytes] covered by its loads
+    load: float  # per line, address known
     load_latency: float
     flop: float
     flop_latency: float
     wrong_guess: float
-    least: float  # loads or flops at full speed, the slower of the two
-    in_turn: float  # each step waits for the one before, and half of the guesses are wrong
+    least: float  # loads or flops at full speed, whichever is slower
+    in_turn: float  # each step waits for the previous one, and half of the branch predictions are wrong
 
 
 def measure_visits(
@@ -121,7 +121,7 @@ def _measure(world: World, service: CollisionWorld, kind: str, repeats: int, flo
     for i in range(repeats + 1):
         for state in states:
             answer = service.contacts(state)
-            if i == 0:  # warms up
+            if i == 0:  # warm-up
                 pairs.append(service.last_pairs)
                 contacts.append(len(answer.gaps))
                 visits.append(service.last_visits)
@@ -135,7 +135,7 @@ def _measure(world: World, service: CollisionWorld, kind: str, repeats: int, flo
     listed = mean_contacts / mean_visits
     culled, located, contact = floors
     in_turn = (1.0 - listed) * culled.in_turn + listed * contact.in_turn
-    # a round's frames together, as they differ in size
+    # a round's frames are summed, as they differ in size
     a_round = np.array(narrow).reshape(repeats, -1).sum(axis=1)
     a_visit, best = (1e9 * float(x) / sum(visits) for x in (np.median(a_round), a_round.min()))
     return VisitRow(

@@ -1,5 +1,5 @@
-"""Speed against error, one picture: `python -m benchmarks.speed_error --help`.
+"""Speed against error in one picture: `python -m benchmarks.speed_error --help`.
 
-On top of `benchmarks.peers`, whose worlds, methods, truth and CSV these are: `measure` runs ours in many settings
-beside the libraries people would use instead, `points` reads the CSV, `picture` draws from that alone.
+Built on `benchmarks.peers` with its worlds, methods, truth and CSV: `measure` runs ours in many settings and the
+libraries people would use instead, `points` reads the CSV, `picture` draws from the CSV alone.
 """

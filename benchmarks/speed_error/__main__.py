@@ -22,7 +22,7 @@ def main(quick: bool, repeats: int, table: Path, png: Path, redraw: bool) -> Non
     """Time against error of every method and setting: queries in PNG, updates in a second one named after it."""
     if not redraw:
         pin_to_one_core()
-        # what reads the environment, only now
+        # deferred import: it reads the environment
         from rich.console import Console
 
         from benchmarks.peers.report import write_csv

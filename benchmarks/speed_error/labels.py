@@ -1,4 +1,4 @@
-"""Words beside points, put where they cover least: the picture is drawn anew with every measurement."""
+"""Labels next to points, placed where they cover least: the picture is redrawn with every measurement."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from matplotlib.patheffects import withStroke
 from matplotlib.text import Annotation, Text
 from matplotlib.transforms import Bbox
 
-# Where words may go, from the point, in points of type: beside it, then in rings farther and farther off.
+# Candidate places, relative to the point, in points of type: next to it, then in rings of increasing radius.
 BESIDE = ((5.0, 0.0), (-5.0, 0.0), (5.0, 6.0), (5.0, -6.0), (-5.0, 6.0), (-5.0, -6.0), (0.0, 8.0), (0.0, -8.0))
 RINGS, DIRECTIONS = (16.0, 24.0, 34.0, 46.0), 16
 TURNS = np.linspace(0.0, 2.0 * np.pi, DIRECTIONS, endpoint=False) + np.pi / DIRECTIONS
 PLACES = (*BESIDE, *((r * np.cos(a), 0.8 * r * np.sin(a)) for r in RINGS for a in TURNS))
-STEP = 0.05  # what going one on in PLACES costs
-OVER_WORDS, OVER_POINT, OVER_LINE, OUTSIDE = 30.0, 3.0, 0.3, 100.0  # what covering them costs; of a line, each SPACING
+STEP = 0.05  # cost per rank in PLACES
+OVER_WORDS, OVER_POINT, OVER_LINE, OUTSIDE = 30.0, 3.0, 0.3, 100.0  # cost of covering them; of a line, per SPACING
 SPACING = 4.0  # [pixels]
 
 
@@ -30,11 +30,11 @@ class Label(NamedTuple):
     y: float
     words: str
     color: str
-    needed: bool = True  # False: only if beside its point it covers nothing
+    needed: bool = True  # False: written only if it fits next to its point and covers nothing
 
 
 def place_labels(figure: Figure, labels: Sequence[Label], size: float) -> None:
-    """Write `labels`, type of `size` points, once limits and layout are final; points are those of all labels."""
+    """Writes `labels`, type of `size` points, once limits and layout are final; points are those of all labels."""
     renderer = FigureCanvasAgg(figure).get_renderer()
     taken: list[Bbox] = []
     for axes in figure.axes:
@@ -50,7 +50,7 @@ def place_labels(figure: Figure, labels: Sequence[Label], size: float) -> None:
         for rank, place in enumerate(PLACES):
             text = _write(label, place, size)
             text.update_positions(renderer)
-            box = Text.get_window_extent(text, renderer).padded(1.0)  # an annotation's own has its line in it
+            box = Text.get_window_extent(text, renderer).padded(1.0)  # an annotation's own extent includes its line
             cost = STEP * rank + OVER_WORDS * sum(box.overlaps(other) for other in taken)
             cost += OVER_POINT * _count(points, box) + OVER_LINE * _count(lines, box)
             cost += OUTSIDE * (not _holds(label.axes.get_window_extent(), box))

@@ -1,4 +1,4 @@
-"""All methods and settings in a world of curved and one of flat cracks; ours at other resolutions of the same body."""
+"""All methods and settings in a world with curved and one with flat cracks; ours at other resolutions of that body."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from fracture_collision.geometry.generators import TetGeometry
 from fracture_collision.geometry.sampled_bodies import sampled_ball, sampled_shell
 
 QUICK_WORLDS, FULL_WORLDS = ("shell20w", "shell20"), ("ball20w", "ball20", "shell20w", "shell20")
-# Frequencies of the outer surface beside that of `make_world`; the fine one's truth takes minutes where cracks are
-# curved.
+# Frequencies of the outer surface in addition to that of `make_world`; with curved cracks, the fine one's truth takes
+# minutes.
 COARSE, FINE = 6, 16
-# Slow methods that make the field complete; the other slow ones only with all.
+# Slow methods that complete the picture; the other slow ones run only with all methods.
 QUICK_TOO = ("mujoco v-hacd", "grids 24^3", "newton mesh")
-# The same answers as another, in more time; and no contact at all between two, which Silent shows.
+# The same answers as another method, but slower; and no contact at all between two meshes, as with Silent.
 LEFT_OUT = ("pybullet hull, by pairs", "pybullet concave")
 
 
 class Silent(Method):
-    """Reports nothing: what that costs gives the errors of the others their measure."""
+    """Reports nothing: its errors are the reference for the others'."""
 
     name = SILENT
     surface = EXACT
@@ -40,7 +40,7 @@ class Silent(Method):
 
 
 def measure_all(quick: bool, repeats: int, progress: Progress) -> tuple[list[Row], dict[str, str]]:
-    """Rows as of `benchmarks.peers`, and what is missing as of its `all_methods`."""
+    """Rows as in `benchmarks.peers`, and what is missing as in its `all_methods`."""
     peers, missing = all_methods()
     methods = [*setting_methods(), Silent(), *(peer for peer in peers if _is_wanted(peer, quick))]
     rows: list[Row] = []
@@ -77,8 +77,8 @@ def _body(inner: float, frequency: int) -> TetGeometry:
 
 
 def _seeds_of(world: World, inner: float, count: int) -> np.ndarray:
-    """The draw of seeds (count, 3) [m] that make_world took: the first, or where cracks are flat the first whose cells
-    are the fragments."""
+    """The draw of seeds (count, 3) [m] that make_world used: the first, or with flat cracks the first whose cells are
+    the fragments."""
     vertices = world.body.vertices.reshape(-1, 3)
     for draw in range(1, DRAWS):
         seeds = clustered_seeds(vertices, inner, count, draw)

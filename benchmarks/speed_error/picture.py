@@ -1,4 +1,4 @@
-"""The pictures, from lines of the CSV alone: a row of panels for each kind of frame, one of our settings from near."""
+"""The pictures, from the CSV's lines alone: a row of panels per kind of frame, one row zoomed in on our settings."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ from benchmarks.speed_error.points import (
 
 DPI = 150
 LEGEND = {"fontsize": 7, "title_fontsize": 7, "frameon": False}
-FLOOR = 0.001  # [% R] errors below are drawn here
-# Okabe and Ito's colours, which the colour-blind tell apart; the markers say the same again.
+FLOOR = 0.001  # [% R] smaller errors are drawn here
+# Okabe and Ito's colours, distinguishable by colour-blind readers; the markers are redundant with them.
 OURS = "#0072B2"
 STYLES = dict(
     zip(
@@ -47,7 +47,7 @@ SETTINGS = {
     "field": ("field", "#E69F00", "P"),
     "tree": ("trees", "#56B4E9", "X"),
 }
-NOTHING = {"color": "#777777", "lw": 0.9, "ls": ":"}  # where no contact is reported
+NOTHING = {"color": "#777777", "lw": 0.9, "ls": ":"}  # when no contact is reported
 ERROR = "remaining + unnecessary [% R]"
 QUERY, UPDATE = "query of all fragments [ms]", "update at the fracture and first query [ms]"
 MEASURE = (
@@ -60,7 +60,7 @@ MEASURE = (
 
 
 def draw(rows: Sequence[Line], png: Path) -> None:
-    """Time of a query against error: jittered frames, ours of them from near, piled frames."""
+    """Query time against error: jittered frames, ours in jittered frames zoomed in, piled frames."""
     worlds = _worlds(rows)
     figure, grid = _panels(worlds, 9.0, (3.4, 1.3, 2.8, 2.8))
     labels = []
@@ -132,7 +132,7 @@ def _minor_tick(value: float, _place: int) -> str:
 
 
 def _all_methods(axes: Axes, points: Sequence[Point]) -> list[Label]:
-    """Each with its bar; ours as one cloud about the defaults, joined setting by setting."""
+    """Each method with its bar; ours as one cloud around the defaults, connected by setting."""
     labels = []
     for point in points:
         if point.method == SILENT:
@@ -155,7 +155,7 @@ def _all_methods(axes: Axes, points: Sequence[Point]) -> list[Label]:
 
 
 def _our_settings(worst: Axes, mean: Axes, points: Sequence[Point]) -> list[Label]:
-    """Each setting as a line, by the worst pair in one panel, by the mean in the other, which has the words."""
+    """Each setting as a line: worst pair in one panel, mean in the other, which has the labels."""
     labels = []
     for setting, line in setting_lines(points).items():
         _, color, marker = SETTINGS[setting]
@@ -173,7 +173,7 @@ def _our_settings(worst: Axes, mean: Axes, points: Sequence[Point]) -> list[Labe
             labels.insert(0, Label(mean, point.time, _floored(point.mean), "complete", OURS))
     for axes in (worst, mean):
         axes.margins(0.12, 0.2)
-        for axis in (axes.xaxis, axes.yaxis):  # less than a decade may be in view
+        for axis in (axes.xaxis, axes.yaxis):  # the view may span less than a decade
             axis.set_minor_formatter(FuncFormatter(_minor_tick))
     return labels
 
@@ -190,7 +190,7 @@ def _floored(error: float) -> float:
 
 
 def _same_limits(row: Sequence[Axes]) -> None:
-    """The floor at the bottom, and what all of a row need."""
+    """The floor at the bottom, and the range that all panels of a row need."""
     for get, put in ((Axes.get_xlim, Axes.set_xlim), (Axes.get_ylim, Axes.set_ylim)):
         limits = [get(axes) for axes in row]
         for axes in row:
@@ -210,6 +210,6 @@ def _setting_handles() -> list[Line2D]:
 def _finish(figure: Figure, rows: Sequence[Line], labels: Sequence[Label], png: Path) -> None:
     figure.supxlabel(f"{MEASURE}{rows[0]['cpu']}.", fontsize=7, x=0.01, ha="left")
     figure.draw_without_rendering()
-    figure.set_layout_engine("none")  # words beside points must not move the panels
+    figure.set_layout_engine("none")  # labels next to points must not move the panels
     place_labels(figure, labels, 7.0)
     figure.savefig(png)

@@ -1,4 +1,4 @@
-"""Rows of the CSV as points of the picture: times and errors, families, our settings with their values."""
+"""Converts rows of the CSV to points of the picture: times and errors, families, our settings with their values."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from typing import NamedTuple
 from benchmarks.peers.libraries.ours_settings import DEFAULTS, EVERY_CONTACT, RESOLUTION
 from fracture_collision.world import Settings
 
-SILENT = "nothing reported"  # a method that answers with no contact
-# Methods other than ours and that one, by what their names contain; the first that fits.
+SILENT = "nothing reported"  # a method whose answers have no contacts
+# Methods other than ours and SILENT, by substring of their names; the first match applies.
 FAMILIES = {
     "exact distances": r"exact",
     "distance grids": r"grids|sdf",
@@ -19,8 +19,8 @@ FAMILIES = {
     "convex hulls": r"hull",
     "triangle meshes": r"mesh|concave",
 }
-_DEFAULTS = Settings._field_defaults | {RESOLUTION: 10}  # about that of either body of `make_world`
-# What a method's name need not repeat of its family.
+_DEFAULTS = Settings._field_defaults | {RESOLUTION: 10}  # approximately that of either body of `make_world`
+# Parts of a method's name that repeat its family.
 _REDUNDANT = re.compile(r" (hull|mesh|concave|decomposition)|exact vertices \(|\)")
 
 
@@ -33,11 +33,11 @@ class Point(NamedTuple):
     worst: float  # [% R]
 
 
-Line = Mapping[str, str]  # of the CSV, by column
+Line = Mapping[str, str]  # a CSV line, by column
 
 
 def points_of(rows: Sequence[Line], world: str, kind: str, times: Sequence[str]) -> list[Point]:
-    """Of all methods that answered in `world`: the sum of the columns `times` against errors in frames of `kind`."""
+    """All methods that answered in `world`: the sum of the columns `times` against errors in frames of `kind`."""
     found = []
     for row in rows:
         cells = [row[c] for c in (*times, f"{kind}_solver_error_mean", f"{kind}_solver_error_max")]
@@ -60,7 +60,7 @@ def peer_label(point: Point) -> str:
 
 
 def setting_lines(points: Sequence[Point]) -> dict[str, list[tuple[str, Point]]]:
-    """Each setting's name to its points in the order of its values, the default's among them, with what they say."""
+    """Each setting's name to its points in the order of its values, including the default's, with their labels."""
     default = next((p for p in points if p.method == DEFAULTS), None)
     lines: dict[str, list[tuple[str, Point]]] = {}
     for point in points:
@@ -70,7 +70,7 @@ def setting_lines(points: Sequence[Point]) -> dict[str, list[tuple[str, Point]]]
     for setting, line in lines.items():
         if default is not None:
             line.append((str(_DEFAULTS.get(setting, "")), default))
-        line.sort(key=lambda item: _number(item[0]) or math.inf)  # no budget comes last
+        line.sort(key=lambda item: _number(item[0]) or math.inf)  # no budget sorts last
         lines[setting] = [("" if p is default else _words(setting, value), p) for value, p in line]
     return lines
 

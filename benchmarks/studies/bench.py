@@ -16,7 +16,7 @@ from benchmarks.studies.table import write_table
 
 
 class Progress(NamedTuple):
-    """What a run of studies tells: nothing unless asked."""
+    """Callbacks for the progress of a run of studies; silent by default."""
 
     begin: Callable[[str, int], None] = lambda study, trials: None
     done: Callable[[Trial], None] = lambda trial: None
@@ -31,13 +31,13 @@ def run_studies(
     workers: int = 1,
     progress: Progress | None = None,
 ) -> Iterator[list[Path]]:
-    """Runs each study with its size, and yields the files it left in the folder `out` as soon as they are there.
+    """Runs each study with its size, and yields its files in the folder `out` as soon as they are written.
 
-    `address` of a dask scheduler, or `workers` processes of this machine. `effort` says in the CSV files how much was
-    run. Raises StudyError. The page is written last, also where the caller stops early.
+    `address` of a dask scheduler, or `workers` local processes. `effort` records in the CSV files how much was run.
+    Raises StudyError. The page is written last, even if the caller stops early.
     """
     tell = Progress() if progress is None else progress
-    # once here: several workers at once would compile the same
+    # once here: otherwise several workers would compile the same kernels at once
     service.compile_kernels(progress=lambda words: None)
     simulator.compile_kernels(progress=lambda words: None)
     finished = False

@@ -1,4 +1,4 @@
-"""Sections of docs/benchmarks.md about other libraries, from what benchmarks.peers and benchmarks.speed_error wrote."""
+"""Sections of docs/benchmarks.md on other libraries, from what benchmarks.peers and benchmarks.speed_error wrote."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 PEERS, PICTURE_ROWS, LIMITS = "peers.csv", "speed_error.csv", "scaling_limits.csv"
 PICTURES = ("speed_error.png", "speed_error_update.png")
-# Of the table: heading, column of the CSV, factor, decimals; and counts of counts.
+# Columns of the table: heading, column of the CSV, factor, decimals; and counts of counts.
 TIMES = (
     ("update", "update", 1, 2),
     ("first query", "first_query", 1, 2),
@@ -29,24 +29,30 @@ ERRORS = (
 
 
 def peers_section(folder: Path) -> str:
-    """A table a world; "" where nothing was measured. `make peers` (or python -m benchmarks.peers --csv) measures."""
+    """A table per world; "" if nothing was measured. `make peers` (or python -m benchmarks.peers --csv) measures."""
     rows = rows_of(folder / PEERS)
     if not rows:
         return ""
     parts = [
-        "## What people would use instead",
-        "Times in milliseconds, medians, one core: of an update (event in, ready to answer, masses included; the others"
-        " get each fragment's closed mesh ready made), of the first query after it, and of queries of all fragments in"
-        " place, jittered by up to 1 % R and 1 degree, and piled. Of the jittered frames: contacts, pairs missed of"
-        " those that penetrate by more than 0.2 % R, pairs falsely reported of those that have nothing in common, and"
-        " the error of a pair's depth in % R.",
+        "## Comparison with other libraries",
+        "Times are medians in ms on one core. Contacts and errors are those of the jittered frames.",
+        """\
+- *Update:* from the fracture event until the method can answer queries, masses included. The other libraries receive
+  each fragment's closed mesh; building it is not timed.
+- *First query:* the first query after the update.
+- *Touching, jittered, piled:* queries with all fragments in place, moved by up to 1 % R and 1 degree, or in a pile.
+- *Missed:* of the pairs that penetrate by more than 0.2 % R, those without a penetrating contact.
+- *False:* of the disjoint pairs, those reported as penetrating by more than 0.2 % R.
+- *Error:* error of a pair's depth, in % R.""",
+        '"Ours" selects contacts by the paper\'s rule, `selection: complete`. The default selection lists a tenth to a'
+        ' third of these contacts and misses no other pair (`--methods "ours, sufficient"`).',
     ]
     known = [column for column in ERRORS if column[1] in rows[0]]  # older files lack some
     if known[-1] == ERRORS[-1]:
         parts[-1] += (
-            " The last four columns in % R: true depth that remains after the smallest translation that satisfies a"
-            " pair's contacts, and unnecessary displacement, the part of it without which no more would remain; of all"
-            " pairs whose boxes overlap, or of 1,000 of them drawn at random where there are more."
+            " The last four columns are in % R, after the smallest translation that satisfies a pair's contacts:"
+            " remaining is the true depth that is left, unnecessary the part of the translation without which no more"
+            " would remain. They cover all pairs whose boxes overlap, or 1,000 of them at random if there are more."
         )
     for world in dict.fromkeys(row["world"] for row in rows):
         own = [row for row in rows if row["world"] == world and not row["failure"]]
@@ -62,31 +68,31 @@ def peers_section(folder: Path) -> str:
 
 
 def speed_error_section(folder: Path) -> str:
-    """The picture, and the smaller one of updates; "" where they were not drawn."""
+    """The picture, and the smaller one of updates; "" if they were not drawn."""
     rows = rows_of(folder / PICTURE_ROWS)
     pictures = [f"![Speed against error]({name})" for name in PICTURES if (folder / name).is_file()]
     if not rows or not pictures:
         return ""
     text = (
-        "Each method and setting: time of a query against the error that a solver would see, mean and worst over all"
-        " pairs whose boxes overlap. The smallest translation that satisfies the contacts of a pair is applied to it;"
-        " the error is the penetration that remains plus the part of the translation that was unnecessary, that is"
-        " beyond what parts the pair as well (to 0.02 % R). A missed pair counts with its true depth, a false one with"
-        " its whole translation. Where no translation up to ten times the deepest contact satisfies all contacts, the"
-        " least-squares one counts. Depth along a crack's normal is larger than the nearest distance on purpose; this"
-        " is no error here. Drawn by `python -m benchmarks.speed_error`."
+        "Query time against the error that a solver would see, for each method and setting; mean and worst over all"
+        " pairs whose boxes overlap. For each pair, the smallest translation that satisfies its contacts is applied."
+        " The error is the penetration that remains plus the unnecessary part of the translation: the part beyond what"
+        " separates the pair equally well (to 0.02 % R). A missed pair counts with its true depth, a false pair with"
+        " its whole translation. If no translation up to ten times the deepest contact satisfies all contacts, the"
+        " least-squares translation is used. Depth along a crack's normal is larger than the nearest distance by"
+        " design, and does not count as an error. Drawn by `python -m benchmarks.speed_error`."
     )
     return "\n\n".join(("## Speed against error", text, *pictures, made(folder / PICTURE_ROWS, rows))) + "\n"
 
 
 def limits_section(folder: Path) -> str:
-    """What the aims leave room for; "" where nothing was measured. `python -m benchmarks.scaling limits` measures."""
+    """What the targets leave room for; "" if nothing was measured. `python -m benchmarks.scaling limits` measures."""
     rows = rows_of(folder / LIMITS)
     if not rows:
         return ""
     head = (
-        "of", "world", "beside", "aim, ms", "least, ms", "answer alone, ms", "ours, ms", "ours / least",
-        "what the least is made of",
+        "measure", "world", "reference", "target, ms", "lower bound, ms", "without search, ms", "ours, ms",
+        "ours / lower bound", "parts of the lower bound",
     )  # fmt: skip
     lines = [f"| {' | '.join(head)} |", "| --- | --- | --- | ---: | ---: | ---: | ---: | ---: | --- |"]
     for row in rows:
@@ -96,21 +102,22 @@ def limits_section(folder: Path) -> str:
         beside = f"{row['peer']} {f'x {factor:g}' if factor >= 1.0 else f'/ {1.0 / factor:g}'}"
         cells = (what, row["world"], beside, *figures, f"{float(row['ours_over_least']):.1f}", row["rests_on"])
         lines.append(f"| {' | '.join(cells)} |")
-    text = (
-        "Aims are shares or multiples of what others take in the table above (the hulls of fragments are given to"
-        " rapier for free). The least is what a program would take on this machine that does nothing but read and write"
-        " what the same answer rests on, each step of a query waiting for the one before; made by `python -m"
-        " benchmarks.scaling limits`. Where an aim lies below the least, no program meets it that lists the same"
-        " contacts and finds its data in the common cache, as here: by default these are all that are deeper than"
-        " 0.2 % R, thousands where hulls give hundreds. Where it lies above, nothing here says that it cannot be met."
-        " Answer alone: what this program takes for what is asked for if nothing had to be looked for. Of a query: to"
-        " locate its contacts, find their nearest surface and turn their normals, each sample known beforehand; the"
-        " rest of its time it looks for them, and sees that there are no others. Of an update: to write the polygons"
-        " and add up the masses of the tetrahedra that are cut, each known beforehand, and to deal out the trees to the"
-        " fragments; the rest are checks, digests, cells, seeds and hulls. Where an aim lies below this, the search and"
-        " the checks could be free and it would not be met."
-    )
-    return "\n\n".join(("## What there is room for", text, "\n".join(lines), made(folder / LIMITS, rows))) + "\n"
+    text = """\
+Which targets are reachable on this machine, by `python -m benchmarks.scaling limits`.
+
+- *Target:* a multiple or fraction of the time of another library, from "Comparison with other libraries". The
+  fragments' meshes are free for rapier.
+- *Lower bound:* the time to read and write only the data that the same answer depends on; in a query, each step waits
+  for the one before. If a target is below this bound, no program meets it that lists the same contacts and finds its
+  data in the shared cache, as here. With `selection: complete` these contacts are all that are deeper than 0.2 % R:
+  thousands, where hulls give hundreds. If a target is above the bound, it may or may not be reachable.
+- *Without search:* our time if the result is known in advance. A target below it could not be met even if search and
+  checks took no time.
+  - *Query:* the contacting samples are known. They are located, their nearest surface is found and their normals are
+    turned. The rest of a query is the search for them and the proof that there are no others.
+  - *Update:* the cut tetrahedra are known. Their polygons are written, their masses are added up, and the trees are
+    divided among the fragments. The rest of an update is checks, digests, cells, seeds and hulls."""
+    return "\n\n".join(("## Lower bounds", text, "\n".join(lines), made(folder / LIMITS, rows))) + "\n"
 
 
 def _milliseconds(value: float) -> str:
@@ -118,7 +125,7 @@ def _milliseconds(value: float) -> str:
 
 
 def rows_of(csv_path: Path) -> list[dict[str, str]]:
-    """Empty where the file is not there."""
+    """Empty if the file does not exist."""
     if not csv_path.is_file():
         return []
     with csv_path.open(newline="", encoding="utf-8") as stream:
@@ -134,5 +141,5 @@ def _count(row: dict[str, str], found: str, of: str) -> str:
 
 
 def made(csv_path: Path, rows: list[dict[str, str]]) -> str:
-    """The small line below a table: from which file, on what."""
+    """The small line below a table: source file and machine."""
     return f"<sub>[{csv_path.name}]({csv_path.name}); {rows[0]['cpu']}, {rows[0].get('cores', 1)} core</sub>"

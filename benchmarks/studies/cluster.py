@@ -1,4 +1,4 @@
-"""Trials on a dask cluster: processes of this machine, or any scheduler by its address."""
+"""Trials on a dask cluster: local processes, or any scheduler by its address."""
 
 from __future__ import annotations
 
@@ -18,26 +18,26 @@ from distributed.utils import silence_logging_cmgr
 from benchmarks.studies.machine import machine, versions
 from benchmarks.studies.study import StudyError, Trial
 
-# Above all levels: a worker that ends while it is written to is critical to the scheduler, with a traceback.
+# Above all levels: if a worker ends during a write to it, the scheduler logs this as critical, with a traceback.
 SILENCE = logging.CRITICAL + 1
-# A worker's profiler would wake up a hundred times a second beside what is timed.
+# A worker's profiler would wake up a hundred times a second during timed work.
 QUIET = {"distributed.worker.profile.enabled": False, "distributed.admin.system-monitor.interval": "10s"}
 CONNECT_SECONDS = 10
-LOOK_SECONDS = 5  # how often to look whether the timing worker lives
+LOOK_SECONDS = 5  # interval of checks that the timing worker is alive
 
 
 class Cluster(NamedTuple):
     client: Client
-    timing_worker: str  # the address of the worker that all timed trials run on
+    timing_worker: str  # address of the worker that runs all timed trials
 
 
 @contextmanager
 def cluster(address: str | None, workers: int) -> Iterator[Cluster]:
     """The workers of the scheduler at `address`, or `workers` processes of one thread each, ended with the context.
 
-    Raises StudyError where there is no such scheduler, or a worker computes with other sources or versions.
+    Raises StudyError if there is no such scheduler, or if a worker has other sources or versions.
     """
-    # around the cluster's own silence, which ends before its last words
+    # outermost: the cluster's own silence ends before its last messages
     with TemporaryDirectory() as folder, dask.config.set(QUIET), silence_logging_cmgr(SILENCE):
         if address is None:
             with _deaf_to_interrupts():
@@ -59,14 +59,14 @@ def cluster(address: str | None, workers: int) -> Iterator[Cluster]:
 
 
 def machine_of(crew: Cluster) -> dict[str, str]:
-    """The machine that times are taken on."""
+    """The machine on which times are measured."""
     return crew.client.run(machine, workers=[crew.timing_worker])[crew.timing_worker]
 
 
 def run_trials(crew: Cluster, trials: Sequence[Trial], done: Callable[[Trial], None]) -> dict[Trial, Any]:
-    """What each trial found; `done` is told of each. Raises StudyError with the words of one that fails.
+    """The result of each trial; calls `done` after each. Raises StudyError with the message of one that fails.
 
-    Those that are not timed run side by side, then the timed ones, alone.
+    Untimed trials run in parallel, then the timed ones, alone.
     """
     client, worker = crew
     found: dict[Trial, Any] = {}
@@ -90,10 +90,10 @@ def run_trials(crew: Cluster, trials: Sequence[Trial], done: Callable[[Trial], N
 
 @contextmanager
 def _deaf_to_interrupts() -> Iterator[None]:
-    """Threads and processes started herein never get SIGINT: a terminal sends it to all of them, but it is we who end
-    the workers, in order. One that comes meanwhile is ours afterwards.
+    """Blocks SIGINT in threads and processes started in this context: a terminal sends it to all of them, but only this
+    process ends the workers, in order. A SIGINT that arrives meanwhile is delivered to it afterwards.
     """
-    resource_tracker.ensure_running()  # its first start lets signals through again
+    resource_tracker.ensure_running()  # its first start unblocks signals again
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -106,7 +106,7 @@ def _prepared(client: Client) -> Cluster:
 
 
 def _bring_kernels_into_memory() -> None:
-    """In a worker, before its first trial. PyBullet greets on standard error, into the middle of a progress bar."""
+    """In a worker, before its first trial. PyBullet prints a banner on standard error, into the progress bar."""
     kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 2)
     try:
@@ -122,7 +122,7 @@ def _bring_kernels_into_memory() -> None:
 
 
 def _is_done(future: Any) -> bool:
-    """After LOOK_SECONDS at most."""
+    """Returns after LOOK_SECONDS at most."""
     try:
         future.exception(timeout=LOOK_SECONDS)
     except TimeoutError:
@@ -133,7 +133,7 @@ def _is_done(future: Any) -> bool:
 def _result(trial: Trial, future: Any) -> Any:
     try:
         return future.result()
-    except Exception as error:  # whatever a trial raises, and a worker that died
+    except Exception as error:  # any error of a trial, or a dead worker
         raise StudyError(f"{trial.words}: {type(error).__name__}: {error}") from error
     finally:
         future.release()
@@ -141,7 +141,7 @@ def _result(trial: Trial, future: Any) -> Any:
 
 def _require_equals(client: Client) -> None:
     def of_worker() -> dict[str, str] | str:
-        # a local function travels by value: a worker without these sources can still say so
+        # a local function is sent by value: a worker without these sources can still report that
         try:
             from benchmarks.studies.machine import versions
         except ImportError as error:

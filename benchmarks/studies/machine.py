@@ -1,4 +1,4 @@
-"""What a measurement was made with: the machine's name, the versions, the sources."""
+"""Environment of a measurement: the machine's name, the versions, the sources."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from pathlib import Path
 
 import fracture_collision
 
-# What decides about times and digits.
+# Libraries that affect times and digits.
 LIBRARIES = ("numpy", "numba", "scipy", "pybullet", "dask")
 
 
 def machine() -> dict[str, str]:
-    """Of the process that calls it."""
+    """The calling process's machine."""
     cores = len(os.sched_getaffinity(0))
     return {
         "cpu": f"{_cpu_name()}, {cores} core{'s' if cores != 1 else ''}",
@@ -25,13 +25,13 @@ def machine() -> dict[str, str]:
 
 
 def versions() -> dict[str, str]:
-    """Of Python, the libraries and the sources: two processes where these are equal compute the same."""
+    """Versions of Python, the libraries and the sources: two processes with equal versions compute the same."""
     libraries = ", ".join(f"{name} {metadata.version(name)}" for name in LIBRARIES)
     return {"versions": f"Python {platform.python_version()}, {libraries}", "sources": _digest_of_sources()}
 
 
 def load_average() -> float:
-    """Processes that wanted a core, over the last minute."""
+    """Average number of runnable processes over the last minute."""
     return os.getloadavg()[0]
 
 

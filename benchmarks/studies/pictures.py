@@ -1,4 +1,4 @@
-"""The house's style of pictures: one palette, labelled axes, the paper's figures marked."""
+"""Common style of the plots: one palette, labelled axes, the paper's figures marked."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-# Okabe and Ito's palette: told apart by everybody.
+# Okabe and Ito's palette, distinguishable by colour-blind readers.
 BLUE, ORANGE, GREEN, RED, PURPLE, SKY, GREY = (
     "#0072b2", "#e69f00", "#009e73", "#d55e00", "#cc79a7", "#56b4e9", "#7f7f7f",
 )  # fmt: skip
@@ -20,7 +20,7 @@ def new_figure(rows: int, columns: int, width: float = 10.0, height: float = 3.6
 
 
 def finish(axes: Axes, title: str = "", x: str = "", y: str = "", legend: str | None = "best") -> None:
-    """Title, labels with units, a pale grid and a legend there, or none."""
+    """Title, labels with units, a pale grid, and a legend at `legend` or none."""
     axes.set_title(title, fontsize=10)
     axes.set_xlabel(x)
     axes.set_ylabel(y)
@@ -31,11 +31,11 @@ def finish(axes: Axes, title: str = "", x: str = "", y: str = "", legend: str | 
 
 
 def mark_paper(axes: Axes, value: float, words: str, style: str = "--") -> None:
-    """A level that the paper names."""
+    """A level given in the paper."""
     axes.axhline(value, color="black", linestyle=style, linewidth=1.0, label=f"paper: {words}")
 
 
 def running_median(values: np.ndarray, count: int) -> np.ndarray:
-    """Of the `count` values about each, an odd number; fewer at the ends."""
+    """Median of the `count` values around each, an odd number; fewer at the ends."""
     padded = np.pad(np.asarray(values, dtype=np.float64), count // 2, constant_values=np.nan)
     return np.nanmedian(np.lib.stride_tricks.sliding_window_view(padded, count), axis=1)

@@ -1,4 +1,4 @@
-"""One trajectory, asked again: a scene is run once, and worlds with other settings answer the same states.
+"""Replays one trajectory: a scene is run once, and worlds with other settings answer the same states.
 
 A scene run with other settings takes another course, and so has other contacts to find. Here all find the same.
 """
@@ -22,25 +22,25 @@ MILLI = 1e3
 
 
 class Recording(NamedTuple):
-    """All that a run told the service."""
+    """The complete input of the service in a run."""
 
     bodies: list[CollisionBody]
     events: list[FractureEvent]  # ascending by sequence
-    states: list[FragmentStates]  # of each step
+    states: list[FragmentStates]  # by step
 
 
 class Answers(NamedTuple):
-    """Of each state of a recording, (n,); times in seconds."""
+    """For each state of a recording, (n,); times in seconds."""
 
-    query: np.ndarray  # gate, broad and narrow phase
-    update: np.ndarray  # events in, registry ready to answer, masses included; 0 in a step without events
+    query: np.ndarray  # validation, broad and narrow phase
+    update: np.ndarray  # events applied, registry ready, masses included; 0 in a step without events
     visits: np.ndarray  # sphere tree nodes tested
     contacts: np.ndarray
     pairs: np.ndarray
 
 
 def record(scene: Scene, settings: Settings = ONE_THREAD) -> Recording:
-    """The run of a scene, with `settings` of the service."""
+    """Runs a scene, with `settings` of the service."""
     events, states = [], []
     with Lockstep(scene, settings) as run:
         bodies = run.simulation.start_bodies()
@@ -51,7 +51,7 @@ def record(scene: Scene, settings: Settings = ONE_THREAD) -> Recording:
 
 
 def replay(recording: Recording, settings: Settings) -> Answers:
-    """Tells a new world the bodies and asks it all states in their order, events told when states are of them."""
+    """Adds the bodies to a new world and queries all states in order, adding events when states need them."""
     world = CollisionWorld(settings)
     for body in recording.bodies:
         world.add_body(body)
@@ -81,7 +81,7 @@ def replay(recording: Recording, settings: Settings) -> Answers:
 
 
 def summary_of_answers(answers: Answers) -> dict[str, Any]:
-    """Average and worst; queries where fragments are close to each other, updates at fractures."""
+    """Average and worst; queries if fragments are close to each other, updates at fractures."""
     close, updated = answers.pairs > 0, answers.update > 0.0
     row: dict[str, Any] = {"steps": int(close.sum()), "fractures": int(updated.sum())}
     for name, values in (
@@ -95,7 +95,7 @@ def summary_of_answers(answers: Answers) -> dict[str, Any]:
 
 
 def replay_trial(name: str, cracks: str, duration: float | None, settings: tuple[Settings, ...], repeats: int) -> Trial:
-    """Finds the Answers of each of `settings`; times are each step's shortest of `repeats`, taken in turns."""
+    """Computes the Answers of each of `settings`; times are each step's minimum of `repeats` interleaved runs."""
     words = f"{name}, {cracks} cracks, {len(settings)} times over"
     return Trial(_replay_all, (name, cracks, duration, settings, repeats), words, True)
 

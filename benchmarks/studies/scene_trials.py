@@ -1,4 +1,4 @@
-"""Runs of whole scenes as trials, timed or not; several studies share them."""
+"""Runs of whole scenes as trials, timed or untimed; shared by several studies."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from fracture_collision.simulation.scene.scene import Scene, load_scene
 from fracture_collision.simulation.scene.scene_changes import with_curvature
 from fracture_collision.world import Settings
 
-# The paper's times are of one core.
-ONE_THREAD = Settings(threads=1, selection="complete")  # the paper's
-# For what compares searches: each step is searched anew, as in the paper.
+# The paper's times are for one core.
+ONE_THREAD = Settings(threads=1, selection="complete")  # as in the paper
+# For comparisons of searches: each step is searched from scratch, as in the paper.
 SEARCHED = ONE_THREAD._replace(neighbour_lists=False)
-# Of PatternSettings, as in porcelain.
+# In PatternSettings, as in porcelain.
 CURVATURE = {"flat": 0.0, "curved": 0.25}
 
 
@@ -31,12 +31,12 @@ def scene_trial(
     count_colliding: bool = False,
     repeats: int = 1,
 ) -> Trial:
-    """A run of a scene, at most `duration` [s] of it; finds the report of `scene_run.SceneRun`.
+    """A run of a scene, at most `duration` [s] of it; its result is the report of `scene_run.SceneRun`.
 
-    Each step's times are its shortest of `repeats` equal runs: what other programs took away is not counted.
+    Each step's times are its minimum over `repeats` equal runs, which excludes interference from other programs.
 
-    Counting all colliding points fills caches that the next step's query would have to fill: no matter for the
-    figures, but such a run's times are none.
+    Counting all colliding points fills caches that the next step's query would have to fill: this does not affect the
+    counts, but the times of such a run are invalid.
     """
     if is_timed and count_colliding:
         raise ValueError("a run that counts colliding points cannot be timed")
@@ -51,8 +51,8 @@ def scene_with(name: str, cracks: str, duration: float | None = None) -> Scene:
 
 
 def in_words(repeats: int) -> str:
-    """What the times of such trials are."""
-    return f"Each step's time is the shortest of {repeats} equal runs." if repeats > 1 else "Times are of one run."
+    """Describes the times of such trials."""
+    return f"Each step's time is the shortest of {repeats} equal runs." if repeats > 1 else "Times are from one run."
 
 
 def run_scene(
@@ -74,7 +74,7 @@ def run_scene(
 
 
 def with_shortest_times(reports: list[dict[str, Any]]) -> dict[str, Any]:
-    """The first of the reports of equal runs, the times of each step and their summary the shortest of all."""
+    """The first of the reports of equal runs, with the minimum of each step's times and of their summary."""
     first = reports[0]
     if any(report["digest"] != first["digest"] for report in reports):
         raise StudyError(f"{first['scene']}: equal runs took different courses")

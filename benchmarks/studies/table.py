@@ -1,4 +1,4 @@
-"""Tables as CSV files that say of themselves on what machine they were made, and as markdown."""
+"""Tables as CSV files that record the machine they were made on, and as markdown."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 Value = str | int | float | None
 Row = Mapping[str, Value]
-DIGITS = 5  # of a float in a CSV: no clock and no penetration is known better
+DIGITS = 5  # of a float in a CSV: no time or penetration is known more precisely
 
 
 class Table(NamedTuple):
@@ -33,12 +33,12 @@ class Table(NamedTuple):
 
 
 def is_time(column: str) -> bool:
-    """Whether a column holds what a clock said, by its unit: _ms or _ns in its name."""
+    """Whether a column holds measured times, by its unit: _ms or _ns in its name."""
     return "_ms" in column or "_ns" in column
 
 
 def write_table(csv_path: Path, about: Mapping[str, str], rows: Sequence[Row]) -> None:
-    """Lines `# name: value` of `about`, then a header and the rows; the columns are those of the first row."""
+    """Writes lines `# name: value` of `about`, then a header and the rows; the first row defines the columns."""
     names = list(rows[0]) if rows else []
     with csv_path.open("w", newline="", encoding="utf-8") as stream:
         for name, value in about.items():
@@ -49,7 +49,7 @@ def write_table(csv_path: Path, about: Mapping[str, str], rows: Sequence[Row]) -
 
 
 def read_table(csv_path: Path) -> Table:
-    """What `write_table` wrote: int, float, str, or None for an empty cell."""
+    """Reads a file of `write_table`: int, float, str, or None for an empty cell."""
     about, lines = {}, []
     for line in csv_path.read_text(encoding="utf-8").splitlines():
         if line.startswith("# "):
@@ -61,13 +61,13 @@ def read_table(csv_path: Path) -> Table:
 
 
 def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Words in the first column, numbers in the others."""
+    """Text in the first column, numbers in the others."""
     rule = ["---"] + ["---:"] * (len(header) - 1)
     return "\n".join("| " + " | ".join(cells) + " |" for cells in (header, rule, *rows)) + "\n"
 
 
 def number(value: Value, digits: int = 3) -> str:
-    """To so many digits, all of those before the decimal point; a dash for None and nan."""
+    """Rounded to `digits` digits, but with all before the decimal point; a dash for None and nan."""
     if value is None or value != value:
         return "–"
     if isinstance(value, str):
@@ -78,7 +78,7 @@ def number(value: Value, digits: int = 3) -> str:
 
 
 def average_and_worst(row: Row, name: str) -> str:
-    """Of columns NAME_average and NAME_worst: "average / worst"."""
+    """From columns NAME_average and NAME_worst: "average / worst"."""
     average, worst = row[f"{name}_average"], row[f"{name}_worst"]
     if average is None and worst is None:
         return "–"

@@ -1,11 +1,10 @@
-"""Bad input: every field of every message spoilt in every way that its type and meaning offer, and random bytes.
+"""Bad input: every field of every message corrupted in every way that its type and meaning allow, and random bytes.
 
-`clean_scene` is the scene they are fed into, `body_mutations`, `event_mutations` and `states_mutations` say what is
-done to which field and what must come of it, `serialized` spoils bytes in place of fields, `doors` are the ways in,
-`trial` judges one case, `campaign` runs many, and in `fuzz` a coverage-guided fuzzer decides in place of a random
-generator.
+`clean_scene` is the scene that receives them; `body_mutations`, `event_mutations` and `states_mutations` define what is
+done to which field and the expected result; `serialized` corrupts bytes instead of fields; `doors` are the entry
+points; `trial` judges one case, `campaign` runs many; in `fuzz` a coverage-guided fuzzer replaces the random generator.
 
-What they fit, a small broken world and every rule broken once, is kept with the tests.
+Their fixtures, a small broken world and every rule violated once, live with the tests.
 """
 
 from __future__ import annotations

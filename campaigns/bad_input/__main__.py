@@ -19,7 +19,7 @@ from campaigns.bad_input.doors import HELD, REFUSED, TAKEN
 from campaigns.bad_input.refusal_sites import counted
 
 SHOWN_PROBLEMS = 20
-# Of a worker's memory, between its first chunks, which fill caches and the allocator's arenas, and the last.
+# Memory samples of a worker, between its first chunks, which fill caches and the allocator's arenas, and the last.
 WARM_CHUNKS = 10
 
 

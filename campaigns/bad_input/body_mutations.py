@@ -1,4 +1,4 @@
-"""What can be wrong with a CollisionBody."""
+"""Possible faults of a CollisionBody."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ PRIMITIVES = [
                fields=("primitive.type",), wire=False),
 ]  # fmt: skip
 
-# A message's plane has four numbers, whatever they are.
+# A message's plane has four numbers, whatever their values.
 VALUES_ONLY = {
     f"{which} {what}" for which in ("an entry is", "all are")
     for what in ("NaN", "infinite", "huge", "tiny", "any float")
@@ -109,7 +109,7 @@ PLANES = [
 
 
 def _second_shape(record: Any, pick: Pick) -> Any:
-    """What another kind of body has, besides."""
+    """Adds what another kind of body has."""
     parts: list[dict[str, Any]] = []
     if not record.primitive.type:
         parts += [{"primitive": SPHERE_BODY.primitive}, {"primitive": BOX_BODY.primitive}]
@@ -265,7 +265,7 @@ TRIANGLES = [
 ]  # fmt: skip
 SHAPE_MUTATIONS = [mutation("primitive", "two shapes", _second_shape, "no_shape", NO_SHAPE_FIELDS)]
 
-# (the body that is spoilt, how)
+# (the body to corrupt, how)
 BODY_MUTATIONS: list[tuple[Any, Mutation]] = [
     *((shape, each) for shape in SHAPES for each in [*SCALARS, *SHAPE_MUTATIONS]),
     *((shape, each) for shape in (SPHERE_BODY, BOX_BODY) for each in PRIMITIVES),

@@ -1,4 +1,4 @@
-"""Many cases, by number: the same number and seed make the same case on any machine and any number of workers."""
+"""Many cases, by number: the same number and seed give the same case on any machine with any number of workers."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from campaigns.bad_input.trial import TABLES, Bench, Case, fixed_cases, several,
 from fracture_collision.world import Settings
 
 CHUNK = 500
-PATIENCE = 300.0  # [s] for a chunk, which takes a second: beyond, something hangs
+PATIENCE = 300.0  # [s] for a chunk, which takes a second; after that, something hangs
 TOPICS = tuple(TABLES)
 DOORS = ("records", "messages")
 
@@ -35,12 +35,12 @@ class Problem(NamedTuple):
 
 
 class Tally(NamedTuple):
-    """What some cases came to; several of them add up."""
+    """The results of some cases; tallies can be added."""
 
     outcomes: Counter[tuple[str, str, str]]  # topic, door, outcome
     kinds: Counter[tuple[str, str]]  # topic, kind
     sites: Counter[tuple[str, int]]  # file, line
-    readers: Counter[tuple[str, str]]  # topic, who could read a message's bytes
+    readers: Counter[tuple[str, str]]  # topic, which readers accept a message's bytes
     problems: list[Problem]
     slowest: tuple[float, str]  # [s], case
     resident: dict[int, list[int]]  # process -> resident memory after each chunk [bytes]
@@ -63,8 +63,8 @@ def nothing() -> Tally:
 
 
 def numbered(seed: int, number: int) -> tuple[str, Case]:
-    """Door and case: single mutations, walking through the table, take turns with two and three at once
-    and, at the messages' door, with spoilt bytes.
+    """Door and case: single mutations, in table order, alternate with two or three at once and, at the message door,
+    with corrupted bytes.
     """
     turn, rest = divmod(number, len(TOPICS) * len(DOORS))
     topic, door = TOPICS[rest % len(TOPICS)], DOORS[rest // len(TOPICS)]
@@ -85,7 +85,7 @@ def picking(*seed: int) -> Pick:
 
 
 def every_case(seed: int) -> Iterator[tuple[str, Case]]:
-    """All that is fixed, and every mutation of the tables once through each door."""
+    """All fixed cases, and every mutation of the tables once through each door."""
     for case in fixed_cases():
         for door in DOORS[: 1 + case.on_the_wire]:
             yield door, case
@@ -97,7 +97,7 @@ def every_case(seed: int) -> Iterator[tuple[str, Case]]:
 
 
 def run(cases: Iterable[tuple[str, Case]]) -> Tally:
-    """Judges them, one after the other."""
+    """Judges the cases one after the other."""
     tally = nothing()
     slowest = tally.slowest
     benches: dict[tuple[str, Settings], Bench] = {}
@@ -135,7 +135,7 @@ def run_chunk(seed: int, first: int, last: int) -> Tally:
 
 
 def run_campaign(cases: int, seed: int, workers: int) -> Iterator[Tally]:
-    """One tally a chunk, as they come; a process that dies is a problem of the chunks it had."""
+    """One tally per chunk, as they finish; the death of a process is reported as a problem of its chunks."""
     chunks = [(first, min(first + CHUNK, cases)) for first in range(0, cases, CHUNK)]
     if workers == 1:
         for chunk in chunks:
@@ -146,14 +146,14 @@ def run_campaign(cases: int, seed: int, workers: int) -> Iterator[Tally]:
         for future in as_completed(futures):
             try:
                 yield future.result()
-            except Exception as error:  # the pool tells of a worker's death so, too
+            except Exception as error:  # the pool reports a worker's death this way, too
                 first, last = futures[future]
                 yield nothing()._replace(problems=[Problem(f"{first}-{last}", "", "a worker", f"died: {error!r}")])
 
 
 def resident_bytes() -> int:
-    """Without what only waits to be collected or used again, which grows for long and tells of no leak: cycles that
-    Python collects seldom, and what glibc keeps of freed memory.
+    """Excludes memory that only awaits collection or reuse, which grows for a long time without indicating a leak:
+    cycles that Python rarely collects, and freed memory kept by glibc.
     """
     gc.collect()
     ctypes.CDLL(None).malloc_trim(0)

@@ -1,4 +1,4 @@
-"""The scene that bad messages are fed into: a body of each kind, one broken, one removed, and room for little more."""
+"""The scene that receives bad messages: a body of each kind, one broken, one removed, and little spare capacity."""
 
 from __future__ import annotations
 
@@ -9,22 +9,22 @@ from fracture_collision.records import REMOVE
 from fracture_collision.world import Settings
 
 REMOVED = 5
-# 53 nodes are in use; two more bodies of 45 fit, a larger one does not. 7 fragments were made.
+# 53 nodes are in use; two more bodies of 45 fit, a larger one does not. 7 fragments have been made.
 SETTINGS = Settings(threads=1, max_nodes=160, max_fragments=40)
-FULL = SETTINGS._replace(max_bodies=4)  # not one body more
-# Its four fragments and the plane can be one pair more.
+FULL = SETTINGS._replace(max_bodies=4)  # no further body fits
+# Its four fragments and the plane can form one pair more.
 SPARSE = SETTINGS._replace(max_pairs=9)
 AHEAD = SETTINGS._replace(lookahead=0.01)
 FAST = REFERENCE._replace(linear_velocities=np.full(3 * len(REFERENCE.fragment_ids), 1e8))
 AT_ONE_PLACE = REFERENCE._replace(positions=np.tile([0.0, 0.0, -0.2], len(REFERENCE.fragment_ids)))
 
-# (topic, record), in order; what they make answers REFERENCE
+# (topic, record), in order; afterwards the scene answers REFERENCE
 CLEAN = (
     ("bodies", tetrahedral(1)), ("bodies", plane(2)), ("bodies", sphere(3)), ("bodies", box(REMOVED)),
     ("bodies", box(REMOVED, operation=REMOVE)), ("bodies", rigid(4)), ("fracture_events", FIRST),
     ("fragment_states", REFERENCE),
 )  # fmt: skip
-# What comes after: the second fracture, and states of both registries.
+# The rest of the scene: the second fracture, and states of both registries.
 _STILL = REFERENCE._replace(step=8, fracture_sequence=2, fragment_ids=np.array([3, 4, 10, 12]))
 ENDING = (
     ("fragment_states", REFERENCE),

@@ -1,4 +1,4 @@
-"""The ways into the service: records into a CollisionWorld, and messages as the node reads them into a CollisionRun."""
+"""Entry points of the service: records to a CollisionWorld, and messages, read as by the node, to a CollisionRun."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ TAKEN, REFUSED, HELD = "taken", "refused", "held"
 
 
 class Verdict(NamedTuple):
-    outcome: str  # TAKEN, REFUSED or HELD: until what it speaks of arrives
+    outcome: str  # TAKEN, REFUSED, or HELD until what it refers to arrives
     kind: str = ""
     text: str = ""
-    site: tuple[str, int] | None = None  # file and line that refused, where known
-    answer: bytes = b""  # to states
+    site: tuple[str, int] | None = None  # file and line of the refusal, if known
+    answer: bytes = b""  # for states
 
 
 class WorldDoor:
-    """Records, as a user of the library gives them."""
+    """Records, as passed by a user of the library."""
 
     def __init__(self, settings: Settings) -> None:
         self.world = CollisionWorld(settings)
-        self.events = 0  # that were taken
+        self.events = 0  # accepted
         self._deliver = {
             "bodies": self.world.add_body, "fracture_events": self.world.add_fracture,
             "fragment_states": lambda states: record_bytes(self.world.contacts(states)),
@@ -56,7 +56,7 @@ class WorldDoor:
 
 
 class RunDoor:
-    """Messages, from their bytes to what stands on /diagnostics: all that the node does short of DDS."""
+    """Messages, from their bytes to the entries on /diagnostics: everything that the node does except DDS."""
 
     def __init__(self, settings: Settings) -> None:
         self.run = CollisionRun(RUN_ID, settings)
@@ -68,7 +68,7 @@ class RunDoor:
         return self.run.event_count
 
     def deliver(self, topic: str, record: Any) -> Verdict:
-        """A record, or the bytes of some."""
+        """A record, or serialized bytes."""
         data = record if isinstance(record, bytes) else as_bytes(record)
         try:
             received = deserialize_record(data, MESSAGE_CLASSES[topic])
@@ -105,7 +105,7 @@ def as_bytes(record: Any) -> bytes:
 
 
 def admit_all(door: Door, messages: Any) -> bytes:
-    """All of them must be taken; the answers, one behind the other."""
+    """All of them must be accepted; returns the answers, concatenated."""
     verdicts = [door.deliver(topic, record) for topic, record in messages]
     if any(verdict.outcome != TAKEN for verdict in verdicts):
         raise AssertionError(f"the clean scene is not taken: {verdicts}")
@@ -113,12 +113,12 @@ def admit_all(door: Door, messages: Any) -> bytes:
 
 
 def ending(door: Door) -> bytes:
-    """What the clean scene comes to from here: all answers, and the registry at the end."""
+    """The rest of the clean scene from here: all answers, and the registry at the end."""
     return admit_all(door, ENDING) + b"".join(observed(door.world))
 
 
 def unsound(world: CollisionWorld, events: int) -> str:
-    """What is wrong with a world that took something, in words; "" if nothing is."""
+    """Describes what is wrong with a world after it accepted a message; "" if nothing is."""
     nobody = FragmentStates(20, events, np.zeros(0, int), np.zeros(0), np.zeros(0))
     for sequence in (1, events):
         world.contacts(nobody._replace(fracture_sequence=sequence))
@@ -131,13 +131,13 @@ def unsound(world: CollisionWorld, events: int) -> str:
             for name, value in record._asdict().items():
                 if isinstance(value, np.ndarray) and value.dtype.kind == "f" and np.isnan(value).any():
                     return f"{name} of {type(record).__name__} is not a number"
-        if not (told.masses >= 0.0).all():  # 0: a plane's
+        if not (told.masses >= 0.0).all():  # 0: the mass of a plane
             return f"masses {told.masses}"
     return ""
 
 
 def site_of(trace: TracebackType | None) -> tuple[str, int]:
-    """File and line of the innermost frame that is not `refuse` itself."""
+    """File and line of the innermost frame other than `refuse` itself."""
     site = ("", 0)
     while trace is not None:
         code = trace.tb_frame.f_code

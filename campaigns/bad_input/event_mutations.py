@@ -1,4 +1,4 @@
-"""What can be wrong with a FractureEvent."""
+"""Possible faults of a FractureEvent."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def _planes(record: Any) -> np.ndarray:
 
 
 def _labels(record: Any, pick: Pick) -> Any:
-    """Any other labels, with the edges they cut, each in its middle."""
+    """Random other labels, with the edges they cut, each at its middle."""
     count = len(record.new_fragment_ids)
     parts = np.array([pick(count) for _ in record.nodes])
     label = np.full(len(X), -1)
@@ -82,7 +82,7 @@ def _not_an_edge(record: Any, pick: Pick) -> Any:
 
 
 def _next(pick: Pick) -> Pick:
-    """Goes on where a fuzzer's decisions have come to their end and are all alike."""
+    """Continues at random where a fuzzer's decisions are used up and all alike."""
     generator = np.random.default_rng(pick(2**32))
     return lambda below: int(generator.integers(below))
 
@@ -119,7 +119,7 @@ def _turned_with_its_plane(record: Any, pick: Pick) -> Any:
 
 
 def _plane(change):
-    """`change` (plane (4,), its edge's ends (2, 3), pick) to another plane."""
+    """`change` maps (plane (4,), its edge's ends (2, 3), pick) to another plane."""
 
     def of_record(record: Any, pick: Pick) -> Any:
         planes, edges = _planes(record), np.array(record.cut_edges).reshape(-1, 2)
@@ -137,7 +137,7 @@ def _beyond(plane: np.ndarray, ends: np.ndarray, pick: Pick) -> np.ndarray:
 
 
 def _along(plane: np.ndarray, ends: np.ndarray, pick: Pick) -> np.ndarray:
-    """Rounding may have it cross: then both nodes count as pinched, and the crossing is one of the edge's points."""
+    """Rounding may make it cross: then both nodes count as pinched, and the crossing is one of the edge's points."""
     normal = np.cross(ends[1] - ends[0], [0.6, 0.8, 0.1])
     normal /= np.linalg.norm(normal)
     return np.append(normal, normal @ ends[0])
@@ -148,7 +148,7 @@ def _through_a_node(plane: np.ndarray, ends: np.ndarray, pick: Pick) -> np.ndarr
 
 
 def _tilted(plane: np.ndarray, ends: np.ndarray, pick: Pick) -> np.ndarray:
-    """Through a point of its edge, by a normal that is nearly along the edge or nearly across it."""
+    """Through a point of its edge, with a normal that is nearly parallel or nearly perpendicular to the edge."""
     along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
     across = np.cross(along, [0.6, 0.8, 0.1])
     normal = along * one_of((1e-12, 1e-6, 0.1, 1.0), pick) + across / np.linalg.norm(across)
@@ -168,7 +168,7 @@ def _moved(record: Any, at: float) -> Any:
 
 
 def _of_body(*numbers: int):
-    """A body that has one fragment, of the same number."""
+    """A body that has one fragment, with the same number."""
 
     def change(record: Any, pick: Pick) -> Any:
         number = one_of(numbers, pick)

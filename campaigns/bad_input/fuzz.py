@@ -19,11 +19,11 @@ from campaigns import bad_input
 PACKAGE = bad_input.ROOT / "fracture_collision"
 INSTRUMENTED = ("world", "ros")
 KERNELS = ("world.gates.fracture_match", "world.contact_ids")
-RAW = 255  # as an input's first byte: what follows is a topic and a message
+RAW = 255  # as an input's first byte: a topic and a message follow
 
 
 def _left_alone() -> list[str]:
-    """All modules of the package but those of the gates and the readers."""
+    """All modules of the package except those of the gates and the readers."""
     names = [".".join(file.relative_to(PACKAGE).with_suffix("").parts) for file in PACKAGE.rglob("*.py")]
     names = [name for name in names if name in KERNELS or name.split(".")[0] not in INSTRUMENTED]
     return [f"{PACKAGE.name}.{name.removesuffix('.__init__')}" for name in names]
@@ -62,7 +62,7 @@ def main(seconds: int, corpus: Path, inputs: tuple[str, ...]) -> None:
 
 
 def case_of(data: bytes) -> tuple[str, Case]:
-    """Door and case that an input stands for."""
+    """Door and case encoded by an input."""
     if data[:1] == bytes([RAW]) and len(data) > 1:
         return "messages", given_bytes(TOPICS[data[1] % len(TOPICS)], data[2:])
     pick = picking_from(data)
@@ -85,7 +85,7 @@ def picking_from(data: bytes) -> Pick:
 
 
 def write_seeds(corpus: Path) -> None:
-    """Every valid message, to begin with."""
+    """Writes every valid message as the initial corpus."""
     corpus.mkdir(parents=True, exist_ok=True)
     for number, topic in enumerate(TOPICS):
         for i, data in enumerate(valid_messages(topic)):

@@ -1,7 +1,7 @@
-"""Ways to spoil a field, by its type: values, sizes and types, with what must come of each.
+"""Ways to corrupt a field, by its type: values, sizes and types, with the expected result of each.
 
-A mutation takes its decisions from a `Pick`, which gives a number below the one it is given: a random generator's, a
-property test's or a fuzzer's.
+A mutation takes its decisions from a `Pick`, which returns a number below its argument: from a random generator, a
+property test or a fuzzer.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 Pick = Callable[[int], int]
-Change = Callable[[Any, Pick], Any]  # a record to another
+Change = Callable[[Any, Pick], Any]  # maps a record to another
 
 ANY_KIND = frozenset({
     "bad_mesh", "disconnected", "doubled", "empty_fragment", "limit_exceeded", "missed_edge", "no_edge", "no_shape",
@@ -27,17 +27,17 @@ HUGE = (1e308, -1e308, 1.7976931348623157e308, -1e200, 1e155, 1e16)
 TINY = (1e-320, -1e-320, 5e-324, 2.2250738585072014e-308, -0.0, 0.0)
 LARGEST = (2**32 - 1, 2**31, 2**31 - 1)
 TOO_LARGE = (2**32, 2**63 - 1, 2**64 - 1)
-PLENTY = 200_000  # numbers where a dozen belongs
+PLENTY = 200_000  # numbers where about a dozen are expected
 
 
 class Mutation(NamedTuple):
     field: str
-    what: str  # is done to it
+    what: str  # describes the change
     change: Change
-    kinds: frozenset[str]  # it is refused under one of these; FINE: it is taken
-    names: tuple[str, ...]  # of fields, one of which the refusal begins with
-    may_pass: bool  # taking it is right, too
-    on_the_wire: bool  # a message can say it
+    kinds: frozenset[str]  # expected kinds of the refusal; FINE: it is accepted
+    names: tuple[str, ...]  # of fields, one of which starts the refusal's text
+    may_pass: bool  # accepting it is correct, too
+    on_the_wire: bool  # a message can express it
 
     @property
     def must_fail(self) -> bool:
@@ -53,7 +53,7 @@ def mutation(
     may_pass: bool = False,
     on_the_wire: bool = True,
 ) -> Mutation:
-    """`kinds`: separated by blanks; `names` besides `field`."""
+    """`kinds`: separated by spaces; `names` in addition to `field`."""
     kinds = frozenset(kinds.split()) if isinstance(kinds, str) else kinds
     return Mutation(field, what, change, kinds, (field, *names), may_pass, on_the_wire)
 
@@ -63,20 +63,20 @@ def one_of(values: tuple, pick: Pick) -> Any:
 
 
 def any_float(pick: Pick) -> float:
-    """Of all bit patterns."""
+    """From all bit patterns."""
     return struct.unpack("<d", struct.pack("<Q", pick(2**64)))[0]
 
 
 class Rules(NamedTuple):
-    """What becomes of an array's mutations: kinds separated by blanks. Under `content` and `other` it may also pass."""
+    """Expected results of an array's mutations: kinds separated by spaces. `content` and `other` may also pass."""
 
-    columns: int  # numbers that belong together
-    content: str  # another number of entries, or other ones, of the right size
-    huge: str = ""  # of floats; of indices: one that is too large for all
-    other: str = ""  # of floats: one that is tiny; of indices: one that is there already
+    columns: int  # numbers per row
+    content: str  # a different number of entries, or different ones, with a valid size
+    huge: str = ""  # for floats; for indices: one that is too large for all uses
+    other: str = ""  # for floats: one that is tiny; for indices: one that already occurs
     empty: str = "size_mismatch"
     empty_passes: bool = False
-    names: tuple[str, ...] = ()  # fields that refusals by content may name
+    names: tuple[str, ...] = ()  # fields that refusals of content may name
 
 
 def _array(record: Any, field: str) -> np.ndarray:
@@ -125,7 +125,7 @@ def _turned(array: np.ndarray, columns: int, pick: Pick) -> np.ndarray:
 
 
 def _types(field: str, integers: bool) -> Iterator[Mutation]:
-    """What only Python can say: no message has it."""
+    """Values that exist only in Python, not in a message."""
     wrong = (
         ("nothing", None), ("text", "abc"), ("texts", ["a", "b", "c"]), ("a ragged list", [[0.0, 1.0], [2.0]]),
         ("objects", [None, None, None]), ("complex numbers", np.full(12, 1j)), ("truth", np.ones(12, bool)),
@@ -203,14 +203,14 @@ def index_mutations(field: str, rules: Rules) -> list[Mutation]:
 def value_mutations(
     field: str, values: tuple, kinds: str, names: Iterable[str] = (), what: str = "", may_pass: bool = False
 ) -> list[Mutation]:
-    """A scalar field that has one of `values`, all of which a message can say."""
+    """A scalar field with one of `values`, all of which a message can express."""
     what = what or f"is one of {reprlib.repr(values)}"
     change = lambda record, pick: record._replace(**{field: one_of(values, pick)})  # noqa: E731
     return [mutation(field, what, change, kinds, names, may_pass)]
 
 
 def scalar_type_mutations(field: str, values: tuple, kinds: str = "wrong_type") -> list[Mutation]:
-    """Values that no message can say."""
+    """Values that no message can express."""
     return [
         mutation(field, f"is {value!r}", lambda r, p, v=value: r._replace(**{field: v}), kinds, on_the_wire=False)
         for value in values

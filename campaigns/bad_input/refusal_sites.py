@@ -1,4 +1,4 @@
-"""The lines of world/ that refuse something, read from its source: which of them has a campaign reached?"""
+"""The lines of world/ that refuse input, read from its source, and which of them a campaign has reached."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Site(NamedTuple):
 
 
 def refusal_sites() -> list[Site]:
-    """Every call of `refuse` and every `raise` of what a message is refused with, but that in `refuse` itself."""
+    """Every call of `refuse` and every `raise` that refuses a message, except the one in `refuse` itself."""
     sites = []
     for file in sorted(Path(world.__path__[0]).rglob("*.py")):
         for function in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):

@@ -1,4 +1,4 @@
-"""Spoilt bytes in place of spoilt fields: noise, messages cut short, lengths enlarged, bits flipped, parts swapped."""
+"""Corrupts bytes instead of fields: noise, truncated messages, enlarged lengths, flipped bits, swapped parts."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ def valid_messages(topic: str) -> tuple[bytes, ...]:
 
 
 def spoilt_bytes(topic: str, pick: Pick) -> tuple[str, bytes]:
-    """What was done, and what came of it."""
+    """Name of the corruption, and the resulting bytes."""
     spoil = one_of(SPOILERS, pick)
     data = bytearray(one_of(valid_messages(topic), pick))
     return spoil.__name__.strip("_").replace("_", " "), bytes(spoil(data, pick))
 
 
 def _noise(data: bytearray, pick: Pick) -> bytes:
-    """Behind a good encapsulation, half of the time."""
+    """After a valid encapsulation in half of the cases."""
     noise = np.random.default_rng(pick(2**32)).bytes(pick(400))
     return bytes(data[:4]) + noise if pick(2) else noise
 
@@ -99,7 +99,7 @@ def _bytes_behind_the_end(data: bytearray, pick: Pick) -> bytearray:
 
 
 def _head_of_another(data: bytearray, pick: Pick) -> bytes:
-    """The first half of one kind of message, the second of another."""
+    """The first half of one kind of message, the second half of another."""
     other = one_of(valid_messages(one_of(("bodies", "fracture_events", "fragment_states"), pick)), pick)
     return bytes(data[: HEAD + pick(len(data) - HEAD)]) + other[HEAD + pick(len(other) - HEAD) :]
 
@@ -111,9 +111,9 @@ SPOILERS = (
 
 
 def compared_with_rclpy(data: bytes, message_class: Any) -> tuple[str, str]:
-    """(who read it: "both", "neither", "ours alone" or "rclpy alone"; what is wrong with that, in words).
+    """(accepted by: "both", "neither", "ours alone" or "rclpy alone"; description of the fault, if any).
 
-    Where both read it they must have read the same. rclpy's reader is C: where it fails the process may be gone.
+    If both accept it they must have read the same. rclpy's reader is C: a failure there may kill the process.
     """
     try:
         ours = deserialize_record(data, message_class).record
@@ -136,7 +136,7 @@ def _numbers(record: Any) -> tuple:
 
 @contextmanager
 def _silent() -> Iterator[None]:
-    """rclpy's C code writes to stderr what it thinks of a message."""
+    """Discards stderr, where rclpy's C code reports errors in a message."""
     kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 2)
     try:

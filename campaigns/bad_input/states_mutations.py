@@ -1,4 +1,4 @@
-"""What can be wrong with FragmentStates."""
+"""Possible faults of FragmentStates."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from campaigns.bad_input.mutations import (
 )
 
 MOVING = REFERENCE._replace(linear_velocities=np.ones(12), angular_velocities=np.ones(12))
-AHEAD = "sequence_gap unknown_id"  # what is held, not refused
+AHEAD = "sequence_gap unknown_id"  # held, not refused
 ROWS = "size_mismatch"
 BESIDE_IDS = ("positions",)  # the first field whose size is compared with fragment_ids
 
 
 def _quaternion(*factors: float):
-    """One of length `factor`, of some direction."""
+    """A quaternion of length `factor`, in some direction."""
 
     def change(record: Any, pick: Pick) -> Any:
         turns = np.array(record.orientations).reshape(-1, 4)
@@ -51,7 +51,7 @@ def _id(*values: int):
 
 
 def _fewer(record: Any, pick: Pick) -> Any:
-    """Some of the fragments only: what is left out does not take part."""
+    """Only some of the fragments: the others do not take part."""
     kept = np.array([pick(2) == 1 for _ in record.fragment_ids])
     return record._replace(
         fragment_ids=record.fragment_ids[kept], positions=record.positions[np.repeat(kept, 3)],

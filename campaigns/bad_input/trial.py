@@ -1,4 +1,4 @@
-"""One case: a message, what must come of it, and whether it did."""
+"""One case: a message, the expected result, and whether it occurred."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from fracture_collision.world import Settings
 TABLES: dict[str, list[tuple[Any, Mutation]]] = {
     "bodies": BODY_MUTATIONS, "fracture_events": EVENT_MUTATIONS, "fragment_states": STATES_MUTATIONS,
 }  # fmt: skip
-# Every rule broken once, as the tests of the gate do it.
+# Every rule violated once, as in the tests of the gate.
 RULES = {"bodies": BODIES, "fracture_events": EVENTS, "fragment_states": STATES}
 SHAPE_PARTS = frozenset({"primitive.type", "primitive.dimensions"})
 FIELDS = {topic: table[0][0]._fields for topic, table in TABLES.items()}
@@ -54,7 +54,7 @@ class Case(NamedTuple):
 
 
 def fixed_cases() -> Iterator[Case]:
-    """Those that leave nothing to pick: the rules, worlds without room for more, meshes of what does not live."""
+    """Cases without random choices: the rules, worlds without spare capacity, meshes of fragments that do not exist."""
     for topic, rules in RULES.items():
         for rule, (record, kind, _) in rules.items():
             yield Case(topic, f"rule: {rule}", record, frozenset({kind}), SHAPE_PARTS.union(record._fields))
@@ -90,8 +90,8 @@ def single(topic: str, number: int, pick: Pick) -> Case:
 
 
 def several(topic: str, number: int, pick: Pick, count: int) -> Case:
-    """The entry `number` and up to `count` - 1 others of the same body, event or states, on other fields. Which of them
-    it is refused for is open, and they may make up for each other."""
+    """The entry `number` and up to `count` - 1 others of the same body, event or states, on other fields. Any of them
+    may cause the refusal, and they may cancel each other out."""
     record, first = TABLES[topic][number % len(TABLES[topic])]
     chosen = [first]
     others = [each for base, each in TABLES[topic] if base is record]
@@ -102,10 +102,10 @@ def several(topic: str, number: int, pick: Pick, count: int) -> Case:
     changed, done = record, []
     for mutation in chosen:
         try:
-            with np.errstate(all="ignore"):  # of an edge of no length, say
+            with np.errstate(all="ignore"):  # from an edge of zero length, for example
                 changed = mutation.change(changed, pick)
         except (ValueError, IndexError, TypeError, AttributeError, KeyError):
-            continue  # what it would spoil is gone already
+            continue  # the target of the mutation is already gone
         done.append(mutation)
     return Case(
         topic, " + ".join(f"{m.field}, {m.what}" for m in done), changed, ANY_KIND,
@@ -114,7 +114,7 @@ def several(topic: str, number: int, pick: Pick, count: int) -> Case:
 
 
 def spoilt(topic: str, pick: Pick) -> Case:
-    """A serialized message that is none any more, or another one."""
+    """A serialized message that is no longer valid, or has become another one."""
     what, data = spoilt_bytes(topic, pick)
     return given_bytes(topic, data, what)
 
@@ -130,21 +130,21 @@ REJECTED = "event_rejected"
 
 
 class Bench:
-    """Two of a door: one is tried first; what it refuses, the other must refuse alike and stay what it was.
+    """Two instances of a door: a case goes to one first; what it refuses, the other must refuse alike, unchanged.
 
-    The second, the veteran, sees every bad message of its life and takes none.
+    The second, the veteran, sees every bad message of its life and accepts none.
     """
 
     def __init__(self, door: str, settings: Settings) -> None:
         self._make = lambda: DOORS[door](settings)
         self.verdict = Verdict(TAKEN)  # of the last case
-        self.readers = ""  # who could read it, if it was bytes
+        self.readers = ""  # which readers accept it, if it was bytes
         fresh = self._make()
         self._clean, self._ending = observed(fresh.world), ending(fresh)
         self._tried, self._veteran = self._make(), self._make()
 
     def judge(self, case: Case) -> str:
-        """What is wrong with what came of it, in words; "" if nothing is."""
+        """Describes what is wrong with the result; "" if nothing is."""
         self.verdict, self.readers = Verdict(TAKEN), ""
         try:
             with warnings.catch_warnings():
@@ -155,7 +155,7 @@ class Bench:
             return "raised " + "".join(traceback.format_exc(limit=-6))
 
     def retire(self) -> str:
-        """The veteran plays the clean scene to its end, and another takes its place."""
+        """The veteran plays the clean scene to its end and is replaced."""
         came = ending(self._veteran)
         self._veteran = self._make()
         return "" if came == self._ending else "the clean scene after it has other answers than without it"
@@ -167,7 +167,7 @@ class Bench:
                 return problem
         verdict = self.verdict = self._tried.deliver(case.topic, case.record)
         if verdict.outcome != REFUSED:
-            # states change nothing, not even those that are ahead
+            # states change nothing, even if they are ahead
             if case.topic == "fragment_states":
                 return self._agrees(case, verdict) or _expected(case, verdict)
             problem = unsound(self._tried.world, self._tried.events) if verdict.outcome == TAKEN else ""
@@ -180,7 +180,7 @@ class Bench:
         if again != verdict and not (_wait_for_events(again) and _wait_for_events(verdict)):
             return f"told {verdict[:3]} at first and {again[:3]} to the veteran"
         if verdict.outcome == TAKEN:
-            self._veteran.deliver("fragment_states", REFERENCE)  # the registry that is told is that of the last states
+            self._veteran.deliver("fragment_states", REFERENCE)  # the registry is that of the last states
         if observed(self._veteran.world) != self._clean:
             self._veteran = self._make()
             return f"changed something: {verdict[:3]}"
@@ -188,8 +188,8 @@ class Bench:
 
 
 def _wait_for_events(verdict: Verdict) -> bool:
-    """Whether states were held for events that are not there, or refused as the next event was rejected before. Which
-    of the two depends on the bad events that a door has seen, and on nothing else.
+    """Whether states were held for missing events, or refused because the next event had been rejected. Which of
+    the two depends only on the bad events that a door has seen.
     """
     return verdict.kind == REJECTED or (verdict.outcome == HELD and verdict.kind in ("", "sequence_gap"))
 

@@ -1,4 +1,4 @@
-"""`python -m campaigns.kills`: kills nodes of a running scene at random, and says whether it made a difference."""
+"""`python -m campaigns.kills`: kills nodes of a running scene at random and reports whether it made a difference."""
 
 from __future__ import annotations
 

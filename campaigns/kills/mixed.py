@@ -1,7 +1,7 @@
-"""Service and recorder killed at the worst moments: while they start, at fractures, both at once.
+"""Service and recorder killed at the worst moments: during startup, at fractures, both at once.
 
-Counted is who does not come back: a node that is up and receives nothing (deaf), and one that does not end when told to
-(hung). What the runs say is compared elsewhere (trials.py).
+Counts nodes that do not recover: one that is up and receives nothing (deaf), and one that does not end when told to
+(hung). The output of runs is compared elsewhere (trials.py).
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ from fracture_collision.ros.processes.node_process import NodeProcess
 from fracture_collision.ros.processes.process import LONGEST_END
 
 Progress = Callable[[str], None]
-DEAF_AFTER = 30.0  # [s] from a node's start, on a machine that is busy with other things
+DEAF_AFTER = 30.0  # [s] from a node's start, on a machine that is busy with other work
 LONGEST_WAIT = 1.0  # [s] between two kills
-LONGEST_START = 1.3  # [s] in which one that starts is killed: about as long as a start takes
-LONGEST_QUIET = 5.0  # [s] without a fracture: it is killed all the same
+LONGEST_START = 1.3  # [s] after a start until the kill, at most: about as long as a start takes
+LONGEST_QUIET = 5.0  # [s] to wait for a fracture; then the kill happens without one
 MOST_RUNS = 200
 SERVICE, RECORDER = "service", "recorder"
 VICTIMS = ((SERVICE,), (RECORDER,), (SERVICE, RECORDER))
@@ -42,18 +42,18 @@ MOMENTS = ("any", "fracture", "start")
 
 
 class Answered(NamedTuple):
-    """One kill of the service, or of both, after which the simulator had an answer it had asked for again."""
+    """One kill of the service, or of both, after which the simulator got an answer that it had requested again."""
 
     victims: tuple[str, ...]
     moment: str
-    seconds: float  # from the new service's process being started
+    seconds: float  # from the start of the new service's process
 
 
 class Mixed(NamedTuple):
     kills: int
     returns: list[Answered]
-    deaf: list[str]  # in words
-    faults: list[str]  # nodes that ended by themselves, or not well, in words
+    deaf: list[str]  # descriptions
+    faults: list[str]  # descriptions of nodes that ended by themselves or with an error
     longest_end: float  # [s] from SIGINT to a node's end
 
 
@@ -74,7 +74,7 @@ class _Trial:
         return self._nodes.start("recorder_node", folder=str(folder), progress=True)
 
     def kill(self, *names: str) -> int:
-        """All at once, and others in their place. Returns how many were alive."""
+        """Kills all at once and starts replacements. Returns how many were alive."""
         alive = [name for name in names if self.node[name].exit_status() is None]
         for name in alive:
             self.node[name].send_signal(signal.SIGKILL)
@@ -90,7 +90,7 @@ class _Trial:
         return self.simulator.exit_status() is not None
 
     def fragments(self) -> int:
-        """As the simulator told last."""
+        """As last reported by the simulator."""
         told = self.simulator.log_text().rpartition('"fragments": ')[2]
         return int(told.partition("}")[0]) if told.partition("}")[0].isdigit() else 0
 
@@ -105,7 +105,7 @@ class _Trial:
         await_that(has_come, "a moment")
 
     def hears(self, name: str) -> bool:
-        """Whether a node that has been started received something."""
+        """Whether a started node has received data."""
         text = self.node[name].log_text()
         if name == SERVICE:
             return READY in text and "run " in text
@@ -114,14 +114,14 @@ class _Trial:
         return counts.get("fragment_states", 0) > 0 and counts.get("contact_constraints", 0) > 0
 
     def await_all_up(self) -> None:
-        """Orders to end that come earlier are another trial's (trials.orders_of_ending)."""
+        """Waits for it: stop requests during startup are covered elsewhere (trials.orders_of_ending)."""
         bag = self._folder / f"bag_{self._bags}"
         recorder, service = self.node[RECORDER], self.node[SERVICE]
         await_that(lambda: bag.exists() or recorder.exit_status() is not None, "a recorder that is up")
         await_that(lambda: READY in service.log_text() or service.exit_status() is not None, "a service that is up")
 
     def come_back(self, names: tuple[str, ...], step: int) -> str:
-        """Waits for it; what is wrong, in words."""
+        """Waits until the nodes recover; describes what is wrong, "" if nothing is."""
         began = time.monotonic()
 
         def is_settled() -> bool:
@@ -137,7 +137,7 @@ class _Trial:
 
 
 def kill_mixed(folder: Path, scene: str, times: int, seed: int, progress: Progress) -> Mixed:
-    """`times`: SIGKILLs, in as many runs as they take."""
+    """`times`: SIGKILLs, in as many runs as needed."""
     random = np.random.default_rng(seed)
     kills, longest_end = 0, 0.0
     returns: list[Answered] = []
@@ -180,7 +180,7 @@ def kill_mixed(folder: Path, scene: str, times: int, seed: int, progress: Progre
 
 
 def medians(returns: list[Answered]) -> dict[str, tuple[int, float, float]]:
-    """How many, median and worst [s], by who was killed."""
+    """Count, median and worst [s], by victims."""
     found = {}
     for victims in VICTIMS:
         seconds = [each.seconds for each in returns if each.victims == victims and math.isfinite(each.seconds)]

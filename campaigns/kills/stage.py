@@ -1,4 +1,4 @@
-"""Real nodes in a domain of their own, runs of a scene with somebody killed in the middle, and what is left of them."""
+"""Real nodes in a domain of their own, runs of a scene with a node killed in mid-run, and what is left of them."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from fracture_collision.bag.reader import read_messages, topic_digest
 from fracture_collision.ros.fastdds.shared_memory import YOUNG, left_behind, remove_left_behind
 from fracture_collision.ros.processes.node_process import NodeProcess, free_domain_id
 
-PATIENCE = 300.0  # [s] a node that takes longer hangs
-LOOK = 0.02  # [s] more often would take time from the nodes; what is timed, they tell by their own clocks
+PATIENCE = 300.0  # [s] a node that takes longer counts as hung
+LOOK = 0.02  # [s] shorter intervals would take time from the nodes, which measure by their own clocks
 COMPARED = ("/bodies", "/fracture_events", "/fragment_states")
-SETTLED = 3.0  # [s] after which nothing more comes of what was said before
+SETTLED = 3.0  # [s] after which no further messages arrive
 READY = "ready, "
 _STEP = re.compile(r'"step": (\d+)')
 _READY = re.compile(rf"{READY}([0-9.]+) s after its process was started")
@@ -27,7 +27,7 @@ _GOES_ON = re.compile(r"\[(\d+\.\d+)\] \[[^]]*\]: step \d+ is answered after")
 
 
 class Stage:
-    """Starts nodes of one domain; `close` ends them all."""
+    """Starts nodes in one domain; `close` ends them all."""
 
     def __init__(self, folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
@@ -37,14 +37,14 @@ class Stage:
         self._started = 0
 
     def start(self, module: str, *arguments: str, **parameters: Any) -> NodeProcess:
-        """`module`: below fracture_collision.ros. `arguments`: of namespace and remapping."""
+        """`module`: below fracture_collision.ros. `arguments`: for namespace and remapping."""
         self._started += 1
         log = self._folder / f"{module}_{self._started}.log"
         self._nodes.append(NodeProcess(module, parameters, self.domain_id, log, arguments=arguments))
         return self._nodes[-1]
 
     def forget(self, node: NodeProcess) -> None:
-        """One that has ended."""
+        """Drops a node that has ended."""
         self._nodes.remove(node)
 
     def close(self) -> None:
@@ -62,21 +62,21 @@ def stage(folder: Path) -> Iterator[Stage]:
 
 
 class Digests(NamedTuple):
-    """SHA-256 of what a run said, by topic of COMPARED and answer by answer, and its last registry's own digest."""
+    """SHA-256 of a run's output, by topic of COMPARED and by answer, and its last registry's own digest."""
 
     topics: tuple[str, ...]
     answers: dict[int, str]  # by step
     registry: str
 
     def lost(self, undisturbed: Digests) -> int:
-        """How many answers of an undisturbed run are not there."""
+        """Number of answers of an undisturbed run that are missing."""
         return len(undisturbed.answers.keys() - self.answers.keys())
 
     def differs(self, undisturbed: Digests, may_lack: int = 0) -> bool:
-        """Whether anything is not as there, or more than `may_lack` answers are not there at all.
+        """Whether anything differs, or more than `may_lack` answers are missing.
 
-        A service that is killed while it says an answer may have said it to the simulator and not to a recorder. The
-        simulator goes on then, and nobody asks for it again.
+        A service that is killed while it publishes an answer may have reached the simulator and not a recorder. The
+        simulator then continues and does not request the answer again.
         """
         same = (self.topics, self.registry) == (undisturbed.topics, undisturbed.registry)
         equal = all(undisturbed.answers.get(step) == answer for step, answer in self.answers.items())
@@ -84,7 +84,7 @@ class Digests(NamedTuple):
 
 
 def digests(bag: Path) -> Digests:
-    """Raises ValueError without a registry."""
+    """Raises ValueError if there is no registry."""
     from fracture_collision.msg import ContactConstraintArray, FragmentRegistry
     from rclpy.serialization import deserialize_message
 
@@ -106,7 +106,7 @@ def digests(bag: Path) -> Digests:
 
 
 def await_that(condition: Callable[[], bool], what: str, *alive: NodeProcess) -> float:
-    """[s] until it holds. Raises RuntimeError where one of `alive` ends before, or after PATIENCE."""
+    """[s] until it holds. Raises RuntimeError if one of `alive` ends before, or after PATIENCE."""
     began = time.perf_counter()
     while not condition():
         for node in alive:
@@ -119,7 +119,7 @@ def await_that(condition: Callable[[], bool], what: str, *alive: NodeProcess) ->
 
 
 def await_words(node: NodeProcess, words: str, *alive: NodeProcess) -> float:
-    """[s] until they are in its log, or one of `alive` has ended well."""
+    """[s] until they appear in its log, or one of `alive` has ended with status 0."""
     return await_that(
         lambda: words in node.log_text() or any(other.exit_status() == 0 for other in alive), words, node
     )
@@ -131,7 +131,7 @@ def await_ready(service: NodeProcess, *alive: NodeProcess) -> float:
 
 
 def await_step(simulator: NodeProcess, step: int, *alive: NodeProcess) -> float:
-    """[s] until it tells of a later step, or has ended."""
+    """[s] until it reports a later step or has ended."""
     return await_that(
         lambda: simulator.exit_status() is not None or steps_told(simulator) > step, f"a step after {step}", *alive
     )
@@ -143,26 +143,26 @@ def await_end(simulator: NodeProcess, *alive: NodeProcess) -> float:
 
 
 def steps_told(simulator: NodeProcess) -> int:
-    """The last step that it has told of; needs its parameter `progress`."""
+    """The last step that it reported; needs its parameter `progress`."""
     told = _STEP.findall(simulator.log_text())
     return int(told[-1]) if told else 0
 
 
 def ready_told(service: NodeProcess) -> float:
-    """[s] from its process being started to its being ready, as it says itself."""
+    """[s] from the start of its process until it was ready, as it reports itself."""
     return float(_READY.search(service.log_text())[1])
 
 
 def answers_awaited(simulator: NodeProcess) -> list[float]:
-    """[s] of time.time() when each answer came that it had to ask for again."""
+    """[s] of time.time() at the arrival of each answer that it had to request again."""
     return [float(told) for told in _GOES_ON.findall(simulator.log_text())]
 
 
 def await_recording(
     recorder: NodeProcess, simulator: NodeProcess, *alive: NodeProcess, may_lack: int = 0
 ) -> float:
-    """[s] until it has states and contacts of every step that the simulator told of, and a registry; both need their
-    parameter `progress`. With `may_lack` contacts fewer it is done too, once no more have come for a while.
+    """[s] until it has states and contacts of every step that the simulator reported, and a registry; both need their
+    parameter `progress`. Up to `may_lack` contacts may be missing once none has arrived for SETTLED.
     """
     steps = steps_told(simulator)
     most, since = 0, time.monotonic()
@@ -188,32 +188,32 @@ def await_recording(
 
 
 def must_end(node: NodeProcess) -> None:
-    """Well, else RuntimeError."""
+    """Raises RuntimeError unless it ends without a fault."""
     if fault := fault_at_end(node, node.stop(patience=60.0)):
         raise RuntimeError(fault)
 
 
 def fault_at_end(node: NodeProcess, status: int) -> str:
-    """In words; "" where it ended with status 0 and no traceback."""
+    """Description; "" if it ended with status 0 and no traceback."""
     text = node.log_text()
     return f"{node.name} ended with {status}:\n{text[-2000:]}" if status != 0 or "Traceback" in text else ""
 
 
 class Litter(NamedTuple):
-    files: frozenset[Path]  # of Fast DDS in shared memory that nobody uses
+    files: frozenset[Path]  # of Fast DDS in shared memory, unused
     processes: frozenset[int]  # nodes without a parent
 
 
 def litter() -> Litter:
-    """What is left."""
-    time.sleep(1.5 * YOUNG)  # what has just been left is taken for new
+    """What is left behind."""
+    time.sleep(1.5 * YOUNG)  # recent leftovers still count as new
     return Litter(frozenset(left_behind()), frozenset(_orphans()))
 
 
 def await_no_litter(before: Litter) -> None:
-    """Waits until nothing is left but what was there before, sweeping as the next node to start would: the last one's
-    sweep spares what was young, and others who end nodes beside us leave such files too. Raises RuntimeError if
-    something stays.
+    """Waits until nothing is left but what was there before, cleaning up as the next node would at startup: the last
+    cleanup spares recent files, and other programs that end nodes on this machine leave such files too. Raises
+    RuntimeError if something remains.
     """
 
     def is_clean() -> bool:
@@ -225,7 +225,7 @@ def await_no_litter(before: Litter) -> None:
 
 
 def _orphans() -> Iterator[int]:
-    """Nodes of this package whose parent has gone."""
+    """Nodes of this package whose parent no longer exists."""
     for folder in Path("/proc").iterdir():
         if not folder.name.isdigit():
             continue

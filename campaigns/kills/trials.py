@@ -1,4 +1,4 @@
-"""Runs of a scene in which somebody is killed, each compared byte by byte with one that nobody disturbed."""
+"""Runs of a scene in which a node is killed, each compared byte by byte with an undisturbed run."""
 
 from __future__ import annotations
 
@@ -33,26 +33,26 @@ from fracture_collision.ros.fastdds.participant_process import age_of
 from fracture_collision.ros.processes.node_process import NodeProcess
 
 Progress = Callable[[str], None]
-MOST_RUNS = 100  # more without the kills that were asked for: the scene is too short
+MOST_RUNS = 100  # if these do not contain the requested kills, the scene is too short
 LONGEST_WAIT = 1.5  # [s]
 
 
 class Return(NamedTuple):
-    """A service that was killed and started again. Seconds."""
+    """A service that was killed and restarted. Seconds."""
 
-    step: int  # that the simulator had done when it was killed
-    ready: float  # from its process being started, as /proc tells, to its saying that it is ready
-    answered: float  # from its process being started to its first answer being there; nan: the scene was over
+    step: int  # last step completed by the simulator before the kill
+    ready: float  # from the start of its process, from /proc, until it reports that it is ready
+    answered: float  # from the start of its process to the arrival of its first answer; nan: the scene was over
 
 
 class KilledServices(NamedTuple):
     returns: list[Return]
     different: int  # runs
-    lost: int  # answers that no recorder has, as the service was killed while it said them
+    lost: int  # answers missing in the recording, as the service was killed while publishing them
 
 
 def undisturbed(folder: Path, scene: str) -> Digests:
-    """What a run says that nobody disturbs."""
+    """The output of an undisturbed run."""
     with stage(folder) as nodes:
         recorder, service, simulator = _start(nodes, folder, scene)
         _end(simulator, recorder, service)
@@ -63,7 +63,7 @@ def kill_services(
     folder: Path, scene: str, times: int, seed: int, reference: Digests, progress: Progress,
     longest_wait: float = LONGEST_WAIT,
 ) -> KilledServices:  # fmt: skip
-    """SIGKILL to the service at random instants of as many runs as `times` kills take, started again at once.
+    """SIGKILL to the service at random instants, in as many runs as `times` kills take, followed by a restart.
 
     longest_wait [s]: from one answer after a kill to the next kill, at most.
     """
@@ -97,7 +97,7 @@ def kill_services(
 
 
 def kill_simulators(folder: Path, scene: str, times: int, seed: int, reference: Digests, progress: Progress) -> int:
-    """The simulator is killed and started again, each time beside the same service; then one run is made to its end.
+    """The simulator is killed and restarted, each time with the same service; then one run is completed.
 
     Returns 1 if that differed from `reference`, else 0.
     """
@@ -117,7 +117,7 @@ def kill_simulators(folder: Path, scene: str, times: int, seed: int, reference: 
 
 
 def kill_listeners(folder: Path, scene: str, times: int, seed: int, reference: Digests, progress: Progress) -> int:
-    """Somebody else who listens to everything is killed again and again; returns 1 if a run differed."""
+    """A further subscriber to everything is killed again and again; returns the number of runs that differed."""
     random = np.random.default_rng(seed)
     killed, different = 0, 0
     for run in range(MOST_RUNS):
@@ -141,7 +141,7 @@ def kill_listeners(folder: Path, scene: str, times: int, seed: int, reference: D
 
 
 def orders_of_ending(folder: Path, scene: str, progress: Progress) -> Iterator[str]:
-    """Ctrl-C and SIGTERM to all three nodes in all orders, in mid-run; yields what went wrong, in words."""
+    """Ctrl-C and SIGTERM to all three nodes in all orders, in mid-run; yields descriptions of what went wrong."""
     orders = list(itertools.permutations(range(3)))
     for i, (order, sign) in enumerate(itertools.product(orders, (signal.SIGINT, signal.SIGTERM))):
         progress(f"{i} of {2 * len(orders)} orders of ending")
@@ -166,7 +166,7 @@ def _start(
 
 
 def _ends_before(simulator: NodeProcess, seconds: float, *alive: NodeProcess) -> bool:
-    """Waits for so long, from the first step on; whether the scene has ended by then."""
+    """Waits for `seconds` after the first step; returns whether the scene has ended by then."""
     await_step(simulator, 0, *alive)
     deadline = time.monotonic() + seconds
     await_that(lambda: simulator.exit_status() is not None or time.monotonic() > deadline, "an instant", *alive)

@@ -1,4 +1,4 @@
-"""Bags: what goes in comes out, in other people's readers, and equal content gives equal bytes."""
+"""Bags round-trip, also through third-party readers, and equal content gives equal bytes."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def write(folder: Path, content: list[tuple[str, bytes, int]]) -> Path:
 
 
 def shuffled_across_topics(content: list[tuple[str, bytes, int]]) -> list[tuple[str, bytes, int]]:
-    """As DDS may deliver it: in order on each topic, a few messages early or late across topics."""
+    """A possible DDS delivery: in order on each topic, a few messages early or late across topics."""
     keys = [i + RANDOM.uniform(0, 6) * (entry[0] == "/contact_constraints") for i, entry in enumerate(content)]
     latest: dict[str, float] = {}
     for i, (name, _, _) in enumerate(content):
@@ -87,7 +87,7 @@ def test_equal_content_gives_equal_bytes(tmp_path: Path) -> None:
 
 
 def test_what_goes_in_comes_out(tmp_path: Path) -> None:
-    content = recording(400)  # more than is held back for sorting
+    content = recording(400)  # more than the sorting buffer holds
     bag = write(tmp_path / "bag", content)
     assert [tuple(message) for message in read_messages(bag)] == [(name, time, data) for name, data, time in content]
     assert message_counts(bag) == {"/bodies": 1, "/fragment_states": 400, "/contact_constraints": 400}

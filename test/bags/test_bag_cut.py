@@ -1,4 +1,4 @@
-"""Bags that are cut, damaged or written by others: read as far as they go, and mended."""
+"""Bags that are truncated, damaged or written by other programs: the readable part is read, and they are mended."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def chunky(tmp_path_factory: pytest.TempPathFactory, whole: Path) -> Path:
-    """The same in chunks of a few kilobytes."""
+    """The same bag in chunks of a few kilobytes."""
     folder = tmp_path_factory.mktemp("chunky") / "pane"
     folder.mkdir()
     shutil.copy(whole / "metadata.yaml", folder)
@@ -94,7 +94,7 @@ def test_mending_leaves_out_what_is_damaged_and_says_where(bag: Path) -> None:
     messages = list(read_messages(bag))
     begin, size = [(begin, size) for opcode, begin, size in records(bytes(data)) if opcode == CHUNK][4]
     data[begin + size // 2] ^= 0xFF
-    (bag / FILE).write_bytes(data[:-2000])  # and cut
+    (bag / FILE).write_bytes(data[:-2000])  # and truncated
     with pytest.raises(BagError, match=f"damaged at byte {begin}"):
         list(read_messages(bag))
     mended = mend_bag(bag)
@@ -136,7 +136,7 @@ def test_bags_of_other_writers(bag: Path, whole: Path, writing: dict[str, Any]) 
 
 
 def test_messages_come_in_the_order_of_their_times(bag: Path, whole: Path) -> None:
-    """Also where the file has them in another, across chunks."""
+    """Even if the file stores them in a different order, across chunks."""
     messages = list(read_messages(whole))
     random = np.random.default_rng(2)
     shuffled = [messages[i] for i in np.argsort(np.arange(len(messages)) + random.uniform(0, 40, len(messages)))]

@@ -1,4 +1,4 @@
-"""Bags made to do harm: refused in words, never more memory than they have bytes, no file but their own."""
+"""Malicious bags: rejected with an explanation, within a memory limit, and without reading any other file."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def bag(whole: Path, tmp_path: Path) -> Path:
 
 
 def mcap_files_that_lie() -> dict[str, tuple[bytes, str]]:
-    """File contents, and a word of the error."""
+    """File contents, and a substring of the error."""
     head = MAGIC + record(0x01, text("ros2") + text("x"))
     schema = record(SCHEMA, struct.pack("<H", 1) + text("fracture_collision/msg/FragmentStates") + text("ros2msg")
                     + text("uint64 run_id"))  # fmt: skip
@@ -98,7 +98,7 @@ def test_files_that_lie_are_refused_in_words(name: str, tmp_path: Path) -> None:
 
 
 def test_their_memory_stays_small(tmp_path: Path) -> None:
-    """All of them in one process; the bombs come to 256 MB each."""
+    """All files in one process; the bombs expand to 64 or 256 MB each."""
     for i, (content, _) in enumerate(LIES.values()):
         (tmp_path / f"{i}.mcap").write_bytes(content)
     code = f"""

@@ -1,4 +1,4 @@
-"""Bags that a person asks for: which nodes are recorded, and what is said where it cannot be."""
+"""Recordings on request: which nodes are recorded, and the error if recording is impossible."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A recorded run asked again: one digest, whatever the order, the pace and the threads; and what is not as recorded."""
+"""Replay of a recorded run: one digest for any order, rate and thread count; and reports of differences."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def test_ten_times_over(runs: list[Run], digest: str) -> None:
 
 
 def test_from_the_middle(runs: list[Run], digest: str) -> None:
-    """In a service that never saw the first half; the second half's own digest, since it has no others' answers."""
+    """In a service that never received the first half; the digest differs, as it covers the second half only."""
     forwards = replayed(runs, Order(first=STEPS // 2))
     backwards = replayed(runs, Order(first=STEPS // 2, backwards=True), threads=2)
     assert forwards.exact and forwards.steps == STEPS - STEPS // 2
@@ -85,7 +85,7 @@ def test_at_a_rate(runs: list[Run], digest: str) -> None:
 
 
 def test_it_takes_the_time_of_the_recording(runs: list[Run], monkeypatch: pytest.MonkeyPatch) -> None:
-    """By a clock that only sleeping moves."""
+    """On a clock that only sleep advances."""
     now = [100.0]
     monkeypatch.setattr("fracture_collision.replay.time.monotonic", lambda: now[0])
     monkeypatch.setattr("fracture_collision.replay.time.sleep", lambda seconds: now.__setitem__(0, now[0] + seconds))
@@ -105,7 +105,7 @@ def test_a_range_without_steps_is_an_error_in_words(runs: list[Run]) -> None:
 
 
 def test_a_flipped_byte_is_caught_and_located(bag: Path, tmp_path: Path, digest: str) -> None:
-    """In every field of a step's answer, one after the other."""
+    """In each array field of a step's answer in turn."""
     answers = {m.nanoseconds: m for m in read_messages(bag, [CONTACTS])}
     time, message = list(answers.items())[20]
     heading_, run_id, contacts = deserialize_record(message.data, CLASSES[CONTACTS])
@@ -154,13 +154,13 @@ def test_other_lengths_numbers_and_headings_are_named(bag: Path, tmp_path: Path)
 
 
 def test_what_stands_in_the_gaps_of_a_serialization_does_not_matter(bag: Path, tmp_path: Path, digest: str) -> None:
-    """As in bags of recorders that do not clear it."""
+    """Padding bytes, which some recorders do not clear."""
 
     def noisy(each: BagMessage) -> list[BagMessage]:
         if each.topic != CONTACTS:
             return [each]
         data = bytearray(each.data + b"\x01\x02\x03")
-        assert data[4 + 18 : 4 + 24] == bytes(6)  # between "world" and the run's id
+        assert data[4 + 18 : 4 + 24] == bytes(6)  # between "world" and run_id
         data[4 + 18 : 4 + 24] = b"noises"
         return [each._replace(data=bytes(data))]
 
@@ -175,7 +175,7 @@ def test_steps_without_a_recorded_answer_are_counted(bag: Path, tmp_path: Path, 
     assert report.exact and (report.unrecorded, report.recorded_digest, report.digest) == (1, "", digest)
 
 
-# --- recordings as they happen --------------------------------------------------------------------------------------
+# --- recordings as they occur --------------------------------------------------------------------------------------
 
 
 def test_questions_asked_again_and_latched_messages_delivered_again_count_once(
@@ -203,7 +203,7 @@ def test_one_step_asked_with_different_states_is_refused_in_words(bag: Path, tmp
 
 
 def test_two_runs_in_one_bag(bag: Path, tmp_path: Path, digest: str) -> None:
-    """One after the other, and mixed as no simulator would: runs know nothing of each other."""
+    """In sequence, and interleaved as no simulator would: runs are independent."""
     other = record_pane(tmp_path / "other", seed=5)
     one, two = list(read_messages(bag)), list(read_messages(other))
     after = [m._replace(nanoseconds=m.nanoseconds + one[-1].nanoseconds + 1) for m in two]
@@ -226,7 +226,7 @@ def test_a_bag_of_several_services_needs_a_namespace(bag: Path, tmp_path: Path, 
 
 
 def test_bodies_and_events_that_stand_behind_the_states_that_need_them(bag: Path, tmp_path: Path, digest: str) -> None:
-    """Recorders keep no order across topics."""
+    """Recorders do not preserve order across topics."""
     late = [m._replace(nanoseconds=m.nanoseconds + 4 * 2_500_000) if m.topic in (BODIES, EVENTS) else m
             for m in read_messages(bag)]  # fmt: skip
     runs = read_runs(write_bag(tmp_path / "late", late))
@@ -236,7 +236,7 @@ def test_bodies_and_events_that_stand_behind_the_states_that_need_them(bag: Path
 
 
 def test_bodies_that_come_and_go(tmp_path: Path) -> None:
-    """A static block stands there for a while: unnamed, it takes part in what was asked while it stood there."""
+    """A static block exists for a while; although states do not list it, it takes part in the answers of that time."""
     block = CollisionBody(1, 1, primitive=SolidPrimitive(1, (1.0, 1.0, 0.2)), is_static=True)
     ball = CollisionBody(2, 2, primitive=SolidPrimitive(2, (0.1,)))
     orders = {0: [ball], 3: [block], 6: [block._replace(operation=REMOVE)]}

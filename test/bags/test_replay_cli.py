@@ -1,4 +1,4 @@
-"""The commands about bags, as typed: exit status and words."""
+"""The bag commands as typed: exit status and messages."""
 
 from __future__ import annotations
 
@@ -103,9 +103,9 @@ def test_stopped_it_tells_what_it_has(bag: Path, tmp_path: Path, order: signal.S
     said = tmp_path / "said.txt"
     with said.open("w") as stream:
         process = subprocess.Popen(
-            command("replay", bag, "--rate", "1e-6"),  # a step in forty minutes
+            command("replay", bag, "--rate", "1e-6"),  # one step in forty minutes
             stdout=stream, stderr=stream, start_new_session=True,
-            env=os.environ | {"COLUMNS": "120", "FORCE_COLOR": "1"},  # the bar is drawn for terminals only
+            env=os.environ | {"COLUMNS": "120", "FORCE_COLOR": "1"},  # otherwise the bar is drawn on terminals only
         )  # fmt: skip
         try:
             deadline = time.monotonic() + 120.0
@@ -179,7 +179,7 @@ def test_where_the_answers_are_of_another_type_it_fails(bag: Path, tmp_path: Pat
 
 
 def test_questions_and_answers_that_are_missing_are_noticed(bag: Path, tmp_path: Path) -> None:
-    """A bag may lack either: of a step in the middle, and of the last."""
+    """A bag may lack states or answers: here those of a step in the middle and of the last."""
     for name, topic in (("answers", CONTACTS), ("questions", "/fragment_states")):
         lost = [list(read_messages(bag, [topic]))[step] for step in (12, STEPS - 1)]
         spoilt = changed_bag(tmp_path / name, bag, lambda m, lost=lost: [m] if m not in lost else [])

@@ -1,4 +1,4 @@
-"""The golden bags of bags/: the service answers what it answered when they were made."""
+"""The golden bags in bags/: the service's answers are those recorded."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from fracture_collision.simulation.scene.scene import scene_files
 
 BAGS = Path(__file__).parents[2] / "bags"
 GOLDEN: dict[str, dict[str, Any]] = yaml.safe_load((BAGS / "digests.yaml").read_text())
-MOST_BYTES = 6_000_000  # all of them together
+MOST_BYTES = 6_000_000  # [bytes] in total
 
 OTHER_ANSWERS = """
 The service answers otherwise than when this bag was made: {words}
@@ -41,7 +41,7 @@ def test_answers_are_those_of_the_golden_bag(name: str) -> None:
 
 
 def test_they_show_something() -> None:
-    """Contacts in all of them, fractures where the scene has them, flat and curved cracks, and not only defaults."""
+    """Contacts in all bags, fractures where the scene has them, flat and curved cracks, and non-default settings."""
     events = {}
     for name in GOLDEN:
         (run,) = read_runs(BAGS / name)

@@ -1,4 +1,4 @@
-"""Replay over DDS, and what the recording node leaves: the bytes of the library's own recording, and the settings."""
+"""Replay over DDS; the recorder node writes the bytes of the library's own recording, and the settings."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ from fracture_collision.ros.wire import qos
 from fracture_collision.simulation.scene.scene import load_scene
 from fracture_collision.world import Settings
 
-PATIENCE = 60.0  # [s] for a machine that is busy with other things
+PATIENCE = 60.0  # [s] on a loaded machine
 
 
 def await_(condition, what: str) -> None:
@@ -82,7 +82,7 @@ class Recording:
 
 
 def test_nodes_record_what_the_library_records(tmp_path: Path) -> None:
-    """Bodies, events, states and contacts byte for byte; and the settings that the service was given."""
+    """Bodies, events, states and contacts byte for byte, and the settings given to the service."""
     settings = Settings(contacts_per_pair=6, penetration_tolerance=0.003, threads=1)
     recording = Recording(tmp_path, "pane", {"contacts_per_pair": 6, "penetration_tolerance": 0.003, "threads": 1})
     try:
@@ -132,7 +132,7 @@ def test_a_recorder_killed_in_mid_run_leaves_a_bag_that_opens(tmp_path: Path) ->
     done = subprocess.run([*command, "digest", bag], capture_output=True, text=True, timeout=PATIENCE)
     assert done.returncode == 0 and "ends before its end" in done.stderr and CONTACTS in done.stdout
 
-    # Cut in the middle of a record as well, as a machine that loses its power may leave it.
+    # Truncated in the middle of a record as well, as after a power failure.
     half = tmp_path / "half"
     shutil.copytree(bag, half)
     data = file.read_bytes()
@@ -158,7 +158,7 @@ def test_a_recorder_killed_in_mid_run_leaves_a_bag_that_opens(tmp_path: Path) ->
 
 
 def test_settings_are_asked_for_and_asked_again_when_they_change() -> None:
-    """Of a node that lets its parameters be changed."""
+    """From a node whose parameters may change."""
     context = own_context(free_domain_id())
     service, recorder = (rclpy.create_node(name, context=context, namespace="/arm") for name in ("service", "recorder"))
     executor = SingleThreadedExecutor(context=context)
@@ -175,7 +175,7 @@ def test_settings_are_asked_for_and_asked_again_when_they_change() -> None:
         assert len(told) == count
 
     try:
-        asked.look()  # nobody there yet
+        asked.look()  # no service yet
         for name, value in Settings()._asdict().items():
             service.declare_parameter(name, value)
         topic = qos.CONTACT_CONSTRAINTS
@@ -287,6 +287,6 @@ def children(pid: int) -> list[int]:
 
 
 def busy(pid: int) -> bool:
-    """Whether it has taken more than three seconds of processor time: loaded its kernels and answered."""
+    """Whether it has used more than three seconds of processor time, so has loaded its kernels and answered."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return int(fields[11]) + int(fields[12]) > 300

@@ -1,4 +1,4 @@
-"""The command line: three processes over DDS, a bag, pictures and a report; and nothing left behind."""
+"""The command line: three processes over DDS write a bag, pictures and a report, and leave nothing else behind."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def run(*words: str | Path, timeout: float = 240.0) -> subprocess.CompletedProce
 
 
 def nodes_of(out: Path) -> list[str]:
-    """Command lines of all processes on this machine that write into `out`."""
+    """Command lines of all node processes on this machine that write into `out`."""
     found = []
     for process in Path("/proc").glob("[0-9]*"):
         try:
@@ -44,7 +44,7 @@ def nodes_of(out: Path) -> list[str]:
 
 
 def write_earlier_run(out: Path) -> None:
-    """All that an earlier run may have left in `out`, and a file of somebody else."""
+    """Writes all outputs that an earlier run may have left in `out`, and an unrelated file."""
     for folder in ("bag", "logs"):
         (out / folder).mkdir(parents=True)
         (out / folder / "earlier").write_text("earlier")
@@ -53,7 +53,7 @@ def write_earlier_run(out: Path) -> None:
 
 
 def await_a_step(out: Path) -> None:
-    """Until a run into `out` is answered: its recorder has written some."""
+    """Waits until the run into `out` gets answers: its recorder has written more than 100 kB."""
     deadline = time.monotonic() + 120.0
     while not any(file.stat().st_size > 100_000 for file in out.glob(".new-*/bag/*.mcap")):
         assert time.monotonic() < deadline
@@ -172,7 +172,7 @@ def test_stopped_in_the_middle_it_leaves_no_process(tmp_path: Path, order: signa
         (("--scene", "no_such_scene"), "", "no_such_scene"),
         (("--scene", "reference_sphere:nope"), "", "no variant"),
         (("--mesh", "nowhere.obj"), "", "nowhere.obj"),
-        (("--scene", SCENE), "9999", "ended with status"),  # a domain that has no ports: no node gets as far as a step
+        (("--scene", SCENE), "9999", "ended with status"),  # no ports exist for this domain: no node reaches a step
     ],
 )
 def test_a_run_that_cannot_start_changes_nothing(

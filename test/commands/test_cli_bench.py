@@ -1,4 +1,4 @@
-"""`fracture-collision bench`: help, nonsense refused in words, and an end by Ctrl-C that leaves no process behind."""
+"""`fracture-collision bench`: help, errors for invalid arguments, and Ctrl-C, which leaves no process behind."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_nonsense_is_refused_in_words(tmp_path: Path, words: list[str], said: st
 
 
 def test_without_the_sources_beside_it_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    # the package's attribute of this name is the command
+    # fracture_collision.cli.bench as an attribute is the command, not the module
     module = sys.modules["fracture_collision.cli.bench"]
     monkeypatch.setattr(module, "__file__", str(tmp_path / "fracture_collision" / "cli" / "bench.py"))
     done = call("fig5", "--out", tmp_path / "out")
@@ -64,7 +64,7 @@ def processes_of(session: int) -> list[str]:
     found = []
     for process in Path("/proc").glob("[0-9]*"):
         try:
-            # after the command's name, in brackets: state, parent, group, session
+            # after the command's name in parentheses: state, parent, group, session
             state, _, _, its = (process / "stat").read_text().rpartition(")")[2].split()[:4]
             if int(its) == session and state != "Z":
                 found.append((process / "cmdline").read_text().replace("\0", " "))
@@ -81,16 +81,16 @@ def test_stopped_in_the_middle_it_leaves_no_process(tmp_path: Path, order: signa
             [sys.executable, "-m", "fracture_collision.cli", "bench", "fig16", "--full", "--workers", "2",
              "--out", str(tmp_path / "out")],
             stdout=stream, stderr=stream, start_new_session=True,
-            env=os.environ | {"COLUMNS": "120", "FORCE_COLOR": "1"},  # the bar is drawn for terminals only
+            env=os.environ | {"COLUMNS": "120", "FORCE_COLOR": "1"},  # otherwise the bar is drawn on terminals only
         )  # fmt: skip
         try:
             deadline = time.monotonic() + 240.0
-            while "contacts, " not in said.read_text():  # a first trial is done
+            while "contacts, " not in said.read_text():  # until the first trial is done
                 assert process.poll() is None and time.monotonic() < deadline, said.read_text()
                 time.sleep(0.05)
             assert len(processes_of(process.pid)) >= 3
             if order == signal.SIGINT:
-                os.killpg(process.pid, order)  # as a terminal does
+                os.killpg(process.pid, order)  # to the whole group, as a terminal does
             else:
                 os.kill(process.pid, order)
             assert process.wait(60.0) == 130

@@ -1,4 +1,4 @@
-"""`fracture-collision scene`: a report, a CSV, pictures, tables; clean words when it is stopped or asked nonsense."""
+"""`fracture-collision scene`: report, CSV, pictures, tables; clear messages when stopped or given bad arguments."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_figures_hang_together(pane: tuple[Path, str]) -> None:
     parts = sum(columns[name] for name in ("collision_ms", "physics_ms", "update_ms", "fracture_ms"))
     assert np.abs(columns["total_ms"] - parts).max() < 0.5
     assert (columns["solver_ms"] <= columns["physics_ms"]).all() and (columns["collision_ms"] > 0.0).all()
-    # an event of one step reaches the service with the next
+    # an event of one step reaches the service in the next step
     broke = np.flatnonzero(columns["fractures"])
     assert (columns["fracture_ms"][broke] > 0.0).all()
     assert len(broke) and set(np.flatnonzero(columns["update_ms"] > 0.0)) == set(broke + 1)
@@ -75,7 +75,7 @@ def test_figures_hang_together(pane: tuple[Path, str]) -> None:
     assert (size["object"], size["bodies"], size["triangles"], size["tetrahedra"]) == ("brick", 1, 320, 384)
     totals = report["totals"]
     assert totals["triangles_before"] == 320 < totals["triangles_after"]
-    assert totals["fragments"] == columns["fragments"][-1] - 1  # the ball is none
+    assert totals["fragments"] == columns["fragments"][-1] - 1  # the ball is not a fragment
     assert report["summary"]["contacts"]["worst"] == columns["contacts"].max()
 
 
@@ -166,7 +166,7 @@ def test_stopped_in_the_middle_it_says_so_and_keeps_what_was_done(tmp_path: Path
         process = subprocess.Popen(
             [sys.executable, "-m", "fracture_collision.cli", "scene", str(scene), "--out", str(out)],
             stdout=stream, stderr=stream, start_new_session=True,
-            env=os.environ | {"COLUMNS": "120", "FORCE_COLOR": "1"},  # the bar is drawn for terminals only
+            env=os.environ | {"COLUMNS": "120", "FORCE_COLOR": "1"},  # otherwise the bar is drawn on terminals only
         )  # fmt: skip
         try:
             deadline = time.monotonic() + 240.0
@@ -186,7 +186,7 @@ def test_stopped_in_the_middle_it_says_so_and_keeps_what_was_done(tmp_path: Path
     assert len((out / "steps.csv").read_text().splitlines()) == done + 1
 
 
-# SIGINT where numba hands LLVM a kernel: an exception there is swallowed, and the kernel's address is null.
+# SIGINT while numba passes a kernel to LLVM: an exception there is swallowed and the kernel's address is null.
 SIGNAL_WHILE_LOADING = """
 import os, signal, sys
 from numba.core.codegen import CPUCodeLibrary
@@ -229,7 +229,7 @@ def test_a_signal_that_is_held_interrupts_no_kernel() -> None:
         "            interruption.check()",
         "            print('not checked')",
         "    except KeyboardInterrupt:",
-        "        print('checked', flush=True)",  # ending at once flushes nothing
+        "        print('checked', flush=True)",  # an immediate exit flushes nothing
         "        os.kill(os.getpid(), signal.SIGTERM)",
         "command()",
     )

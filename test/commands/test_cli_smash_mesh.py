@@ -1,4 +1,4 @@
-"""`fracture-collision smash --mesh`: the scene made of a mesh of one's own, and words for what cannot be one."""
+"""`fracture-collision smash --mesh`: the scene made from a user's mesh, and errors for unusable meshes."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_a_surface_is_filled(tmp_path: Path) -> None:
 
 
 def test_a_scene_that_smash_has_left_goes_into_the_next_run(tmp_path: Path) -> None:
-    """Where the earlier run's outputs are replaced."""
+    """Even though the new run replaces the earlier run's outputs."""
     old, new = tmp_path / "old", tmp_path / "new"
     old.mkdir()
     new.mkdir()

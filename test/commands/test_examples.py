@@ -1,4 +1,4 @@
-"""The examples as a learner runs them: each in its own process beside a real service."""
+"""The examples as a user runs them: each in its own process beside a real service."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def test_the_readme_shows_the_subscriber_as_it_is() -> None:
 def test_the_subscriber_ends_without_a_traceback(tmp_path: Path, order: signal.Signals) -> None:
     stage = StageWithClients(tmp_path)
     command = [sys.executable, str(EXAMPLES / "deepest_contact.py")]
-    # with the faulthandler one that hangs says where, on SIGABRT
+    # with faulthandler, an example that hangs prints its stack on SIGABRT
     environment = {**loopback_environment(stage.domain_id), "PYTHONFAULTHANDLER": "1"}
     listener = subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True)
     try:

@@ -1,4 +1,4 @@
-"""Memory that a process has touched before it is needed; each case in a process of its own."""
+"""Memory that a process pre-faults before it is needed; each case runs in its own process."""
 
 from __future__ import annotations
 

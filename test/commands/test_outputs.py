@@ -1,4 +1,4 @@
-"""Outputs of runs: the last run that started has all, whatever becomes of the next."""
+"""Outputs of runs: those of the last run that started stay complete, whatever happens to the next run."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def contents(folder: Path) -> dict[str, str]:
 
 @pytest.fixture
 def out(tmp_path: Path) -> Path:
-    """With the outputs of a run, and a file of somebody else."""
+    """A folder with the outputs of a run and an unrelated file."""
     with NewOutputs(tmp_path / "deep" / "out", NAMES) as new:
         write_run(new.folder, "first", *NAMES)
         new.started = True

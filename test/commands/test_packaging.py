@@ -1,4 +1,4 @@
-"""The package as its users get it: installed by pip and by colcon, from a copy of the sources without any leftovers."""
+"""The package as users get it: installed by pip and by colcon, from a clean copy of the sources."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ EXECUTABLES = ("collision_node", "simulator_node", "live_simulator_node", "page_
 UNOPTIMIZED = {"CFLAGS": "-O0", "CXXFLAGS": "-O0", "CMAKE_BUILD_TYPE": ""}  # compiled in half the time
 NOT_SOURCES = (".git", ".venv", "build", "install", "log", "out", "*.egg-info", "__pycache__", ".*_cache")
 
-# Run in the installed package's environment, away from the sources: uses a message for real, says where it comes from.
+# Runs in the installed package's environment, away from the sources: uses a message, prints where it was loaded from.
 USE_MESSAGES = """
 import array, pathlib, fracture_collision
 from fracture_collision.msg import ContactConstraintArray
@@ -30,7 +30,7 @@ print(pathlib.Path(fracture_collision.records.__file__).resolve())
 
 
 def clean_environment(**changes: str) -> dict[str, str]:
-    """The caller's environment less what its own Python environment put there."""
+    """The caller's environment without the variables of its own Python environment."""
     own = ("LD_LIBRARY_PATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE", "PYTHONPATH", "VIRTUAL_ENV", "AMENT_PREFIX_PATH")
     kept = {name: value for name, value in os.environ.items() if name not in own}
     return kept | UNOPTIMIZED | changes
@@ -46,7 +46,7 @@ def run(*command: str | Path, cwd: Path, environment: dict[str, str]) -> str:
 
 @pytest.fixture(scope="module")
 def workplace() -> Iterator[Path]:
-    """A folder on the file system of the .venv, so that the .venv can be copied by hard links."""
+    """A folder on the same file system as the .venv, so that the .venv can be copied with hard links."""
     folder = ROOT / "build" / f"test-packaging-{os.getpid()}"
     folder.mkdir(parents=True)
     yield folder
@@ -62,7 +62,7 @@ def sources(workplace: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def environment_copy(workplace: Path) -> Path:
-    """The .venv's packages in an environment of their own, with nothing of this project in it."""
+    """A separate environment with the .venv's packages but without this project."""
     copy = workplace / "venv"
     shutil.copytree(sys.prefix, copy, symlinks=True, copy_function=os.link)
     run(copy / "bin" / "python", "-m", "pip", "uninstall", "--yes", "fracture-collision",
@@ -100,7 +100,7 @@ def test_colcon_build(workplace: Path, sources: Path, environment_copy: Path) ->
     installed = workplace / "install" / "fracture_collision"
 
     def in_workspace(command: str) -> str:
-        """As a ROS user does: source the workspace, then use it."""
+        """As a ROS user would: source the workspace, then run a command in it."""
         sourced = f". {workplace}/install/setup.sh && {command}"
         return run("sh", "-c", sourced, cwd=workplace / "src", environment=environment)
 

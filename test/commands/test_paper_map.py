@@ -1,4 +1,4 @@
-"""docs/paper.md names code for every section of the paper, CONTRIBUTING.md where things are: the names exist."""
+"""The names of code in docs/paper.md, for each section of the paper, and in CONTRIBUTING.md exist."""
 
 from __future__ import annotations
 

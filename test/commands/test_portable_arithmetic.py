@@ -1,4 +1,4 @@
-"""Functions that round alike on every processor, and the lint rule that keeps others out."""
+"""Functions that round identically on every processor, and the lint rule that bans others."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def test_linear_algebra_agrees_with_lapack():
 
 
 def test_products_are_rounded_as_they_are_written():
-    """Against sums of exact fractions, each operation rounded on its own: no fused multiply-add, no other order."""
+    """Against exact fractions with each operation rounded separately: no fused multiply-add, no reordering."""
     a, b = RNG.normal(size=(2, 200, 3))
 
     def rounded(p, q):

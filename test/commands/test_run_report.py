@@ -1,4 +1,4 @@
-"""What a run's figures come to, and the paper's tables of it."""
+"""Summaries of a run's figures, and the paper's tables made from them."""
 
 from __future__ import annotations
 

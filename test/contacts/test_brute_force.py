@@ -26,8 +26,8 @@ def test_owners_are_the_oracles(case: FracturedWorld) -> None:
 
 
 def test_owners_are_the_oracles_close_to_cracks(case: FracturedWorld) -> None:
-    """The one looks from the hub of a tetrahedron, the other for the part that holds a point: a few rounding errors
-    from a crack they still agree.
+    """One works from the hub of a tetrahedron, the other finds the part that contains a point: they agree up to a few
+    rounding errors from a crack.
     """
     random, oracle = np.random.default_rng(4), case.oracle
     triangles = np.concatenate([oracle.surface_triangles(f, (CRACK,)) for f in oracle.fragment_ids])
@@ -52,7 +52,7 @@ def test_nodes_and_points_of_inner_faces_have_one_owner(case: FracturedWorld) ->
     points = np.einsum("nij,ni->nj", oracle.vertices[inner], weights)
     found, certain = owners(partition, points)
     cracks = np.concatenate([oracle.surface_triangles(f, (CRACK,)) for f in oracle.fragment_ids])
-    # rounding decides about points on a crack
+    # for points on a crack rounding decides
     assert distances(points[~certain], cracks).max(initial=0.0) < 1e-9 and (found > 0).all()
 
 
@@ -67,7 +67,7 @@ def test_distances_are_the_oracles(case: FracturedWorld) -> None:
 
 
 def test_volumes_by_counting_points(case: FracturedWorld) -> None:
-    """Shares of random points against the oracle's volumes: an error of the rule would show."""
+    """Shares of random points against the oracle's volumes: an error in the rule would show."""
     random, oracle = np.random.default_rng(3), case.oracle
     volumes, count = tetrahedron_volumes(oracle.vertices, oracle.tetrahedra), 200_000
     chosen = oracle.tetrahedra[random.choice(len(volumes), count, p=volumes / volumes.sum())]

@@ -1,4 +1,4 @@
-"""Contacts against the slow truth: depth, witness, what was left out, and what does not change the answer."""
+"""Contacts against the slow truth: depth, witness, omissions, and independence of irrelevant inputs."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def case(request) -> FracturedWorld:
 
 @pytest.mark.parametrize("jitter", [0.0, 0.02, 0.15])
 def test_contacts_are_true_and_the_bound_holds(case: FracturedWorld, jitter: float) -> None:
-    """With plain normals, so that each depth is that to the nearest surface; test_crack_normal has the others."""
+    """With nearest normals, so that each depth is to the nearest surface; test_crack_normal covers the others."""
     plain = with_settings(case, case.world.settings._replace(normals="nearest"))
     states = case.states(jitter, seed=1)
     checks = check_all_pairs(ContactTruth(case), states, plain)
@@ -82,7 +82,7 @@ def test_the_answer_is_the_same_bytes_for_any_number_of_threads(case: FracturedW
 
 
 def test_a_full_list_does_not_depend_on_tree_or_traversal() -> None:
-    """With room for every contact all searches list the same samples, in their own order."""
+    """With room for every contact, all searches list the same samples, each in its own order."""
     case = fractured_world(COARSE_SHAPES["bowl"](), seeds=6, generations=3, curved=True)
     states = case.states(0.03, seed=6)
     listed = []
@@ -132,7 +132,7 @@ def _children(size: np.ndarray, entry: int) -> list[int]:
 
 
 def test_the_answer_has_no_memory(case: FracturedWorld) -> None:
-    """Other states, and states of earlier registries, in between change nothing."""
+    """Interleaving other states, and states of earlier registries, changes nothing."""
     states = case.states(0.05, seed=4)
     reference = _bytes(case.world.contacts(states))
     digest = case.world.fragments().digest

@@ -1,4 +1,4 @@
-"""Contacts against brute force on bodies that are not convex: nothing missed, nothing invented, nothing less deep."""
+"""Contacts against brute force on concave bodies: none missed, none false, none too shallow."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ FRAMES: dict[str, Callable[[ContactTruth, int], FragmentStates]] = {
 
 
 def excess_of(checks: list[PairCheck]) -> str:
-    """Of samples inside the other fragment: how many are reported deeper than the nearest surface, and how much."""
+    """For samples inside the other fragment: how many are reported deeper than the nearest surface, and by how much."""
     excess = np.concatenate([check.excess for check in checks])
     more = excess > BORDER
     largest, mean = excess.max(initial=0.0), excess[more].mean() if more.any() else 0.0

@@ -1,4 +1,4 @@
-"""surfaces: edges. Where edges of two fragments cross between samples is a contact, with the normal across both."""
+"""surfaces: edges. Crossing edges of two fragments between samples make a contact, with the normal across both."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def rows_of(case: FracturedWorld, fragment: int) -> np.ndarray:
 
 
 def test_ridges_are_the_convex_edges_of_a_surface(case: FracturedWorld) -> None:
-    last = max(case.oracle.fragment_ids)  # nothing broke beside it since
+    last = max(case.oracle.fragment_ids)  # no neighbour broke since
     triangles, _ = surface_triangles(case.geometry.pools, case.row(last), case.geometry.tet_range(case.row(last)))
     rows, truth = rows_of(case, last), ridges_by_hand(triangles, 1.0)
     found = {frozenset((tuple(r[:3]), tuple(r[3:6]))): r[TURN] for r in rows.tolist()}
@@ -73,7 +73,7 @@ def test_ridges_are_the_convex_edges_of_a_surface(case: FracturedWorld) -> None:
 
 
 def crossings_by_hand(case, a: int, b: int, states: FragmentStates, near: float) -> dict[int, float]:
-    """Every ridge of a with every one of b: number and gap of those that cross, whatever else is there."""
+    """Every ridge of a against every ridge of b: number and gap of the crossings, regardless of anything else."""
     poses, found = Poses(states), {}
     of_a, of_b = rows_of(case, a), rows_of(case, b)
 
@@ -103,7 +103,7 @@ def crossings_by_hand(case, a: int, b: int, states: FragmentStates, near: float)
 
 @pytest.mark.parametrize("jitter", [0.003, 0.02])
 def test_no_crossing_is_left_out(case: FracturedWorld, jitter: float) -> None:
-    """All those that are apart, and of those that overlap no others."""
+    """All crossings with a gap are listed; overlapping ones may be left out, and listed gaps are correct."""
     near = 0.01
     world = with_settings(case, EDGES._replace(detection_tolerance=near, contacts_per_pair=1000))
     states = case.states(jitter, 4)
@@ -148,7 +148,7 @@ def test_rods_that_will_touch_within_a_step_have_a_contact(kind: str) -> None:
     answer = answer_of_rods(kind, EDGES._replace(lookahead=0.01), states)
     assert answer.gaps.tolist() == [pytest.approx(0.2, abs=1e-9)]
     np.testing.assert_allclose(answer.normals, [0.0, 0.0, 1.0], atol=1e-9)
-    # samples see nothing till one is in, and then from the side
+    # samples find nothing until one is inside, and then from the side
     sampled = answer_of_rods(kind, Settings(threads=1, lookahead=0.01), states)
     assert not (np.abs(sampled.normals.reshape(-1, 3)[:, 2]) > 0.9).any()
 
@@ -159,7 +159,7 @@ def test_a_contact_keeps_its_id_while_rods_move() -> None:
 
 
 def test_planks_that_cross_flat_hold_each_other_at_their_four_crossings() -> None:
-    """Where both outlines cross no sample need be."""
+    """There need not be a sample where both outlines cross."""
     world = CollisionWorld(EDGES._replace(contacts_per_pair=100))
     for body_id in (1, 2):
         world.add_body(CollisionBody(body_id, body_id, primitive=SolidPrimitive(BOX, (2.0, 0.18, 0.06))))
@@ -176,13 +176,13 @@ def test_planks_that_cross_flat_hold_each_other_at_their_four_crossings() -> Non
 
 
 def counts(judged: Iterable[PairDepth]) -> tuple[int, int]:
-    """How many pairs are missed, and too shallow."""
+    """Number of missed and of too shallow pairs."""
     judged = list(judged)
     return sum(it.is_missed for it in judged), sum(it.is_too_shallow for it in judged)
 
 
 def test_most_of_what_samples_leave_out_is_found() -> None:
-    """But for what is deep, in the middle of a body: there the deepest point is of a face."""
+    """Except deep penetration in the middle of a body, where the deepest point is on a face."""
     shapes = {name: COARSE_SHAPES[name] for name in ("brick", "l_block")}
     sampled, edges = (
         counts(
@@ -252,6 +252,6 @@ def test_by_the_papers_rule_samples_alone_are_asked(case: FracturedWorld, other:
     states = case.states(0.01, 4)
     worlds = [with_settings(case, EDGES._replace(surfaces=surfaces, **other)) for surfaces in ("edges", "sampled")]
     assert_same(*(world.contacts(states) for world in worlds))
-    # the registry has the ridges: they are asked for again as soon as the rule is another
+    # the ridges are part of the registry: changing the rule requests them again
     worlds[0].change_settings(EDGES)
     assert_same(worlds[0].contacts(states), with_settings(case, EDGES).contacts(states))

@@ -1,4 +1,4 @@
-"""Contacts between bodies turn to the surface that faces the sample: against brute force over all triangles."""
+"""Contact normals between bodies point to the surface that faces the sample: brute force over all triangles."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from fracture_collision.records import FragmentStates
 from fracture_collision.world import CollisionWorld, Settings
 
 SETTINGS = Settings(threads=1, contacts_per_pair=10_000, normals="facing")
-# facing_normal.py: which normals point the same way, how much farther a facing surface may be, what is rounding (R).
+# facing_normal.py: limits for parallel normals, for how much farther a facing surface may be, for rounding (R).
 SAME_WAY, FARTHER, SLACK = 0.25, 0.03, 1e-12
 SIZE = np.array([2.0, 1.6, 1.0])
 KINDS = ("tetrahedra", "triangles", "box")
 
 
 class Solid:
-    """A block by its triangles, and the normals of its samples."""
+    """A block as triangles, and the normals of its samples."""
 
     def __init__(self, kind: str, number: int) -> None:
         self.body = block(kind, number, tuple(SIZE.tolist()))
@@ -44,7 +44,7 @@ class Solid:
         return np.where(np.abs(points) >= 0.5 * SIZE * (1.0 - 1e-9), np.sign(points), 0.0)
 
     def nearest_facing(self, x: np.ndarray, toward: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-        """(point, normal) of the triangles that point against `toward` and hold the nearest point of all such."""
+        """(point, normal) of the triangles that face `toward` and contain the nearest point of all such."""
         normals = np.asarray(self.mesh.face_normals)
         faces = np.flatnonzero(normals @ toward < -1e-15)
         distance, feet = distances_to_triangles(x, np.asarray(self.mesh.triangles)[faces])
@@ -101,7 +101,7 @@ def _samples(world: CollisionWorld, fragment: int) -> tuple[np.ndarray, np.ndarr
 
 
 def _right(other: Solid, x, own_normal, before, d: float, near: float) -> list | None:
-    """All right (witness, normal), None: as it was."""
+    """All correct (witness, normal); None: unchanged."""
     along = own_normal @ before
     if along <= SAME_WAY:
         return None

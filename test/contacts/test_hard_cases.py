@@ -1,9 +1,9 @@
 """Hard cases of cracks and fragments. Lengths in units of R = 1 m.
 
-Fragments that are not convex: test_hard_shapes.py; scales, positions and turns: test_hard_scales.py.
+Concave fragments: test_hard_shapes.py; scales, positions and rotations: test_hard_scales.py.
 
-The truth is the slow oracle's: all polygons of FragmentedBody, all samples. A flat or an inverted tetrahedron is no
-case here; the gate refuses both in words (test_world_gate.py).
+The truth is the slow oracle's: all polygons of FragmentedBody, all samples. Flat and inverted tetrahedra are not
+covered here; the gate rejects both with an explanation (test_world_gate.py).
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def test_parallel_faces_of_two_blocks_at_zero_gap(lower: str, upper: str) -> Non
     world = CollisionWorld(EVERY_CONTACT)
     world.add_body(block(lower, 1, (2.0, 2.0, 1.0)))
     world.add_body(block(upper, 2, (1.0, 0.75, 0.5)))
-    shift = np.array([0.07, -0.11, 0.75])  # no sample of either stands on a rim of the other's face
+    shift = np.array([0.07, -0.11, 0.75])  # no sample of either is on a rim of the other's face
     answer = world.contacts(FragmentStates(1, 0, np.array([1, 2]), np.append(np.zeros(3), shift), np.tile(UPRIGHT, 2)))
     reach = SETTINGS.detection_tolerance * 0.5  # of the smaller R
     expected = 0
@@ -89,7 +89,7 @@ def test_equal_blocks_flush_at_zero_gap(kind: str) -> None:
 @pytest.mark.parametrize("deep", [0.0, 1e-6, 1e-3, -1e-3])
 @pytest.mark.parametrize(("lower", "upper"), [*product(("tetrahedra", "triangles", "box"), repeat=2)])
 def test_equal_blocks_flush_push_upright(lower: str, upper: str, deep: float) -> None:
-    """Two blocks stacked flush, just apart or a little in each other, part along the face they share: all normals up.
+    """Two blocks stacked flush, just apart or slightly penetrating, separate along their common face: all normals up.
 
     The nearest surface of a rim's sample is the other's side, at distance 0: with normals `nearest` 25 % point sideways
     for tetrahedra, 40 % for triangles, all for boxes, and the upper block sinks in.
@@ -177,7 +177,7 @@ def test_cracks_that_cross_in_nodes_and_edges() -> None:
 # --- planes that do not agree -----------------------------------------------------------------------------------------
 
 
-# with label seeds that leave every fragment volume: others are refused (test_world_volume.py)
+# with label seeds that give every fragment a volume: others are rejected (test_world_volume.py)
 @pytest.mark.parametrize(("cells", "seed"), [(2, 2), (3, 6), (6, 14)])
 @pytest.mark.parametrize("kind", ["any", "lattice"])
 def test_planes_that_do_not_agree_still_make_a_partition(kind: str, cells: int, seed: int) -> None:
@@ -190,7 +190,7 @@ def test_planes_that_do_not_agree_still_make_a_partition(kind: str, cells: int, 
     planes = own_planes(body.vertices, cells, 0.7) if kind == "any" else lattice_planes(body.vertices, cells)
     case = broken_world(body, [by_labels(labels, planes)])
     assert_geometry(case, snug=False)
-    # in place, samples lie on faces whose two sides disagree about them
+    # in place, samples lie on faces whose two sides assign them to different fragments
     assert assert_contacts(case, ("jittered", "deep")) > 0
 
 
@@ -231,7 +231,7 @@ def test_slivers(flatness: float) -> None:
     a, b, c = (vertices[v] for v in around[0] if v != inner[0])
     normal = np.cross(b - a, c - a)
     normal /= np.linalg.norm(normal)
-    # the foot of the node on that face, and a hair back
+    # the foot of the node on that face, and slightly back
     height = normal @ (vertices[inner[0]] - a)
     vertices[inner[0]] -= (height - np.sign(height) * flatness) * normal
     case = broken_world(body._replace(vertices=vertices), [

@@ -1,4 +1,4 @@
-"""Hard scales, positions and turns: the same contacts, near or far, small or large, however the poses came about."""
+"""Hard scales, positions and rotations: the same contacts, near or far, small or large, for any pose history."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ LAST_BIT_FAR = 2.0**-39  # [m] 10 km and multiples of it add up without rounding
 
 
 def rounded(values: np.ndarray) -> np.ndarray:
-    """To coordinates that stay what they are when FAR is added."""
+    """Rounded to coordinates that are unchanged by adding FAR."""
     return np.round(values / LAST_BIT_FAR) * LAST_BIT_FAR
 
 

@@ -1,4 +1,4 @@
-"""The oracles themselves: partition, closed surfaces, volumes, and independent cross-checks of all three."""
+"""Tests of the oracles: partition, closed surfaces, volumes, and independent cross-checks of all three."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def test_neighbouring_tetrahedra_agree_on_the_faces_between_them(shape: str, cra
     points = np.einsum("nij,ni->nj", body.vertices[faces], random.dirichlet(np.ones(3), len(t)))
     here, behind = body.owner_in(t, points), body.owner_in(body.neighbours[t, k], points)
     assert len(t) > 1000
-    # whom a point of a crack belongs to is a matter of rounding
+    # the owner of a point on a crack depends on rounding
     for f in np.unique(here[here != behind]).tolist():
         tied = points[(here == f) & (behind != f)]
         assert body.distance_to_surface(f, tied)[0].max() < 1e-12
@@ -124,7 +124,7 @@ def test_neighbouring_tetrahedra_agree_on_the_faces_between_them(shape: str, cra
 
 @every_case
 def test_every_crack_is_seen_from_both_sides(shape: str, crack: str) -> None:
-    """And nothing of the old surface is lost or doubled."""
+    """Moreover, no part of the old surface is lost or doubled."""
     body = broken(shape, crack)
     sides = {}
     for f in body.fragment_ids:
@@ -167,7 +167,7 @@ def test_a_fracture_changes_nothing_of_the_others(shape: str, crack: str) -> Non
 @pytest.mark.parametrize("shares", [(0.0, 1.0), (0.0, 0.5, 1.0), (1e-8, 1.0 - 1e-8)], ids=str)
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_crossings_at_nodes_and_any_labels_leave_a_partition(shares: tuple[float, ...], seed: int) -> None:
-    """Most regions have no volume in some tetrahedron; the two oracles find owners in ways of their own."""
+    """Most regions have no volume in some tetrahedron; the two oracles find owners by different methods."""
     mesh = ball(1.0, 0.5)
     body = FragmentedBody(*mesh)
     random = np.random.default_rng(seed)
@@ -209,7 +209,7 @@ def test_a_flat_crack_is_the_section_of_its_plane() -> None:
 
 @every_case
 def test_depth_against_many_samples_of_the_owner_function(shape: str, crack: str) -> None:
-    """No point of another fragment is nearer than the depth, and just behind the nearest point there is one."""
+    """No point of another fragment is nearer than the depth, and one lies just behind the nearest point."""
     body = broken(shape, crack)
     points = points_inside(BODIES[shape], 12)
     owners = body.owner(points)

@@ -1,7 +1,7 @@
-"""Every place where a sphere meets another's surface: against all triangles tried one by one, and all over the sphere.
+"""Every contact of a sphere with another surface: against each triangle in turn, and all over the sphere.
 
-The slow twin knows which triangles share a corner or an edge from their indices: a nearest point counts if no triangle
-that has it comes nearer to the centre.
+The slow twin gets shared corners and edges from the triangles' indices: a nearest point counts if no triangle that
+contains it is nearer to the centre.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def answer_at(world: CollisionWorld, center, step: int = 1) -> ContactConstraint
 
 
 def places_of(answer: ContactConstraintArray, center: np.ndarray, radius: float, other: int = 1) -> np.ndarray:
-    """Witnesses (n, 3) on the other body of those contacts whose own point is on the sphere, by id."""
+    """Witnesses (n, 3) on the other body, for contacts whose own point is on the sphere, by id."""
     numbers = np.arange(-1, 1_000_000)
     own = np.isin(answer.contact_ids, sample_ids(BALL, other, numbers))
     on_ball = answer.points_b.reshape(-1, 3)[own]
@@ -75,8 +75,8 @@ def places_of(answer: ContactConstraintArray, center: np.ndarray, radius: float,
 
 
 def true_places(corners: np.ndarray, is_solid: Solid, center: np.ndarray, reach: float) -> np.ndarray:
-    """Points (n, 3) of the surface of triangles (t, 3, 3) within `reach` [m] where it comes nearest to a centre
-    outside, and faces it.
+    """Points (n, 3) of the surface of triangles (t, 3, 3) within `reach` [m] that are locally nearest to a centre
+    outside, and face it.
     """
     distance, feet = distances_to_triangles(center, corners)
     found: list[np.ndarray] = []
@@ -99,7 +99,7 @@ def assert_same_places(found: np.ndarray, truth: np.ndarray) -> None:
 def assert_each_depth_is_behind_a_contact(
     answer: ContactConstraintArray, shape: RigidShape, center: np.ndarray, radius: float
 ) -> None:
-    """A point of the sphere that is deeper than the bound is as deep behind a contact's plane (faces that are flat)."""
+    """Each point of the sphere deeper than the bound is as deep behind some contact's plane (for flat faces)."""
     points = center + radius * DIRECTIONS
     depth = -true_distance(shape, points)
     deep = depth > max(answer.missed_depth_bound.max(initial=0.0), ROUNDING)
@@ -154,7 +154,7 @@ def test_places_are_those_of_brute_force(body: TetGeometry, concave: int, as_tet
 
 
 def test_places_on_thorns() -> None:
-    """Convex and concave edges and corners, many of them in reach at once."""
+    """Convex and concave edges and corners, many of them within reach at once."""
     shape, random, several = noisy_ball(), np.random.default_rng(4), 0
     world = world_of(shape, 0.4, contacts_per_pair=1000)
     for direction in random.normal(size=(15, 3)):
@@ -171,7 +171,7 @@ def test_places_on_thorns() -> None:
 
 @pytest.mark.parametrize("curved", [False, True])
 def test_places_on_fragments(curved: bool) -> None:
-    """In the gap between fragments that have come apart: each side's own places, on its crack and its old surface."""
+    """In the gap between separated fragments: contacts on both sides, on crack and old surface."""
     case = fractured_world(ball(1.0, 0.4), seeds=4, generations=2, curved=curved)
     world = CollisionWorld(SETTINGS._replace(contacts_per_pair=1000))
     for body in (*case.messages[0], CollisionBody(9, BALL, primitive=SolidPrimitive(SPHERE, (0.3,)))):
@@ -199,7 +199,7 @@ def test_places_on_fragments(curved: bool) -> None:
 
 
 def test_within_a_hollow_sphere_the_bound_says_what_is_left() -> None:
-    """Hundreds of facets in reach; the deeper ones are listed, eight of the others far apart."""
+    """Hundreds of facets within reach; the deeper ones are listed, and eight of the others, far apart."""
     shape = boundary_of(shell(1.0, 0.8, 0.25))
     reach = 0.79
     center = np.array([0.01, 0.02, -0.005])
@@ -239,7 +239,7 @@ def test_the_bound_holds_where_few_triangles_are_looked_at(visits: int) -> None:
 
 
 def test_ids_stay_with_the_face() -> None:
-    """Whichever of wall and floor is deeper, and whatever else is touched."""
+    """Regardless of whether wall or floor is deeper, and of other contacts."""
     world, ids = world_of(room(), 0.5), []
     for center in ((0.47, 2.0, 0.48), (0.48, 2.01, 0.47), (0.47, 1.99, 0.6), (0.47, 0.49, 0.48)):
         answer = answer_at(world, center)
@@ -264,7 +264,7 @@ def test_ids_do_not_depend_on_other_bodies() -> None:
 
 
 def test_contacts_beyond_the_room_are_not_written() -> None:
-    """64 slabs of 1,024 samples fill the rows of one thread and of two to the last; then come spheres."""
+    """64 slabs of 1,024 samples fill the buffers of one and of two threads completely; then spheres follow."""
     slab = box_of_quads(
         np.linspace(-0.5, 0.5, 32), np.linspace(-0.5, 0.5, 16), np.array([-0.05, 0.05]), np.ones((31, 15, 1), bool)
     )

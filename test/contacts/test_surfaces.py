@@ -1,4 +1,4 @@
-"""surfaces: searched. No point of either surface is deeper than the answer says; edges that cross are contacts."""
+"""surfaces: searched. No point of either surface is deeper than the answer's bound; crossing edges are contacts."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_no_point_of_a_surface_is_deeper_than_the_answer_says() -> None:
 
 
 def test_samples_alone_miss_some() -> None:
-    """Or the test above could not fail."""
+    """Otherwise the test above could not fail."""
     sampled = SEARCHED._replace(surfaces="sampled")
     judged = list(campaign(120, 3, {"brick": QUICK["brick"]}, generations=1, settings=sampled))
     assert any(it.is_too_shallow for it in judged)
@@ -48,7 +48,7 @@ def test_crossed_rods_part_across_both_edges(kind: str) -> None:
     answer = answer_of_rods(kind, Settings(threads=1, surfaces="searched"), states)
     (k,) = np.flatnonzero(answer.gaps < 0.0)
     np.testing.assert_allclose(answer.normals[3 * k : 3 * k + 3], [0.0, 0.0, 1.0], atol=1e-9)
-    # the point is where the edges cross to a tenth of epsilon
+    # the point is at the crossing of the edges, to a tenth of epsilon
     assert answer.gaps[k] == pytest.approx(-OVERLAP, abs=2e-4)
     np.testing.assert_allclose(answer.points_a[3 * k : 3 * k + 2], [0.011, 0.0], atol=2e-4)
     assert answer.missed_depth_bound[0] >= OVERLAP
@@ -74,7 +74,7 @@ def case() -> FracturedWorld:
 
 
 def wandering(case: FracturedWorld, steps: int) -> list[FragmentStates]:
-    """From one jittered place to another, first slowly, then fast."""
+    """States from one jittered place to another, first slowly, then fast."""
     start, end = case.states(0.01, 1), case.states(0.02, 2)
     shares = np.concatenate([np.linspace(0.0, 0.05, steps // 2), np.linspace(0.1, 1.0, steps - steps // 2)])
     return [

@@ -2,7 +2,7 @@
 
 A digest covers every state and every answer of a run (scene_run.SceneRun.report). test_scene_courses.py compares them
 with scene_courses.yaml, in this process's environment and in others. After a change that is meant to change a course,
-pin them anew: `python test/courses/scene_courses.py --pin`.
+pin them again: `python test/courses/scene_courses.py --pin`.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""The same course and the same answers, to the bit, on any x86-64 processor.
+"""The same course and the same answers, bit for bit, on any x86-64 processor.
 
-Other processors are imitated by what libraries choose their code by: OpenBLAS's kernels, numpy's dispatch, glibc's
-variants of sin, exp and the like. numba's code generation for another processor is tried with the slow tests, as it
-compiles every kernel once more.
+Other processors are emulated by the variables that select a library's code path: OpenBLAS's kernels, numpy's
+dispatch, glibc's variants of sin, exp and others. numba's code generation for another processor is a slow test, as
+it recompiles every kernel.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from scene_courses import PINNED
 
 PROGRAM = Path(__file__).with_name("scene_courses.py")
 EXPECTED = yaml.safe_load(PINNED.read_text())
-# Shards, cracks of both kinds, a robot arm, thin walls: what went apart when kernels of BLAS and libm took part.
+# Shards, flat and curved cracks, a robot arm, thin walls: these diverged while BLAS and libm kernels were in use.
 SOME = ["plates", "piggy_bank", "vase", "pane@0.25"]
 ENVIRONMENTS = {
     "as it is": {},
@@ -26,7 +26,7 @@ ENVIRONMENTS = {
     "OpenBLAS for SkylakeX": {"OPENBLAS_CORETYPE": "SkylakeX"},
     "OpenBLAS for Zen": {"OPENBLAS_CORETYPE": "Zen"},
     "OpenBLAS for Prescott": {"OPENBLAS_CORETYPE": "Prescott"},
-    # numpy 2.4 on names groups of features; older ones take single ones and warn of those they do not know
+    # numpy 2.4 and later names groups of features; older versions take single ones and warn of unknown ones
     "numpy's baseline": {"NPY_DISABLE_CPU_FEATURES": "X86_V3 X86_V4 AVX2 FMA3 AVX512F AVX512_SKX"},
     "glibc without FMA": {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-FMA,-FMA4,-AVX2,-AVX2_Usable,-FMA_Usable"},
 }
@@ -67,7 +67,7 @@ def test_kernels_compiled_for_any_processor_take_the_same_course(tmp_path):
 
 
 def test_the_environments_do_make_libraries_round_differently():
-    """What is compared must be able to fail: BLAS, numpy and libm do differ here, where the processor has a choice."""
+    """The comparison can fail: BLAS, numpy and libm do round differently here, if the processor offers a choice."""
     program = (
         "import hashlib, math, numpy as np; r = np.random.default_rng(1); a = r.normal(size=(300, 300));"
         "x = r.uniform(0, 9, 20000); d = lambda v: hashlib.sha256(np.asarray(v).tobytes()).hexdigest();"

@@ -1,4 +1,4 @@
-"""The averaged field of Glondu 2014 against its slow twin, and what is certain about it against the exact truth."""
+"""The averaged field of Glondu 2014 against its slow twin, and its bounds against the exact truth."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ ROUNDING = 1e-12  # of R, which is about 1 m for all shapes here
 
 
 def _irregular(body: TetGeometry, edge: float = 0.4) -> TetGeometry:
-    """Nodes moved a little: in a regular mesh many are as far from one surface as from another."""
+    """Jittered nodes: in a regular mesh many are equally far from two surfaces."""
     random = np.random.default_rng(17)
     return body._replace(vertices=body.vertices + random.uniform(-0.03 * edge, 0.03 * edge, body.vertices.shape))
 
@@ -80,7 +80,7 @@ def _points_within(case: FracturedWorld, count: int) -> np.ndarray:
 
 
 def test_five_generations_are_the_slow_twins() -> None:
-    """On meshes deep enough for the fronts to travel."""
+    """On meshes with enough layers for the fronts to propagate."""
     for body, cracks in ((ball(1.0, 0.25), "flat"), (ball(1.0, 0.25), "curved"), (brick((2.0, 1.4, 1.2), 0.2), "flat")):
         twins = Twins(fractured_world(_irregular(body, 0.2), 2, 5, cracks == "curved", AVERAGED))
         steps = []
@@ -169,7 +169,8 @@ def test_the_certain_depth_is_never_below_the_true_one(case: FracturedWorld) -> 
 
 
 def _assert_certain(case: FracturedWorld) -> int:
-    """The true depth: the distance of the nearest point that belongs to another. Returns how many points were asked."""
+    """Asserts that no bound is below the true depth, the distance to the nearest point of another owner. Returns the
+    number of points."""
     points = _points_within(case, 400)
     owners = case.oracle.owner(points)
     scratch = make_scratch(1, len(case.oracle.tetrahedra), 8)
@@ -193,7 +194,7 @@ def _assert_certain(case: FracturedWorld) -> int:
 
 @pytest.mark.parametrize("shape", ["ball", "bowl"])
 def test_certain_points_survive_planes_that_agree_on_nothing(shape: str) -> None:
-    """Four generations of cracks whose every edge has a plane of its own, at any angle and place."""
+    """Four generations of cracks in which every edge has its own plane, at a random angle and place."""
     body = _irregular(SHAPES[shape]())
     for seed in range(3):
         random = np.random.default_rng(seed)
@@ -255,7 +256,7 @@ def test_no_unlisted_sample_is_deeper_than_the_bound(case: FracturedWorld, jitte
     normals = answer.normals.reshape(-1, 3)
     assert np.allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-12)
     assert np.allclose(answer.gaps, ((witnesses["b"] - witnesses["a"]) * normals).sum(axis=1), atol=1e-12)
-    # the witness is the sample moved by the gap along the normal, wherever that is
+    # the witness is the sample moved by the gap along the normal, even off the surface
     assert np.allclose(witnesses["b"], witnesses["a"] + answer.gaps[:, None] * normals, atol=1e-9)
     ids = case.oracle.fragment_ids
     for i, a in enumerate(ids):
@@ -286,7 +287,7 @@ def _bytes(answer) -> bytes:
 
 
 def test_what_is_not_asked_for_is_not_made() -> None:
-    """The exact field stores nothing of the averaged one, and under that a body that never breaks neither."""
+    """The exact field stores no averaged field; under the averaged field an unbroken body stores no interior."""
     case = fractured_world(SHAPES["ball"](), 4, 1)
     assert case.geometry.pools.field == EXACT
     assert not len(case.geometry.pools.body.node_field) and not len(case.geometry.pools.mesh.grid_depth)

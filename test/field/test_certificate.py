@@ -1,4 +1,4 @@
-"""missed_depth_bound: no sample of either fragment lies deeper in the other without being listed. Not once."""
+"""missed_depth_bound: no unlisted sample of either fragment lies deeper in the other, without exception."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def assert_holds(parts: list[Part], pairs: int) -> None:
     assert sum(p.full.pairs + p.budgeted.pairs for p in parts) >= pairs
     assert not [violation for part in parts for violation in part.violations]
     assert sum(p.full.touching for p in parts) > 0 and sum(p.budgeted.touching for p in parts) > 0
-    # a budget has its price, and the bound says so
+    # a budget costs accuracy, which the bound shows
     full, budgeted = (np.concatenate([getattr(p, kind).looseness for p in parts]) for kind in ("full", "budgeted"))
     assert np.median(full) < np.median(budgeted)
 

@@ -1,4 +1,4 @@
-"""The field against brute force: who owns a point, exact depth and distance, masses - equal, not close."""
+"""The field against brute force: owner of a point, exact depth and distance, masses, all to rounding."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SHAPES = {
     "plate": lambda: plate(2.0, 0.2, 0.4, 0.2),
     "bowl": lambda: bowl(2.0, 0.2, 0.4, 0.6),
 }
-# Where planes disagree from one tetrahedron to the next, regions have steps at the face between; they are surface too.
+# Where planes disagree between neighbouring tetrahedra, regions have steps at the shared face, also surface.
 SURFACE = ALL_KINDS
 CASES = [(shape, cracks) for shape in SHAPES for cracks in ("flat", "curved")]
 
@@ -63,7 +63,7 @@ def test_depth_equals_brute_force_over_all_polygons(case: FracturedWorld) -> Non
             assert status == INSIDE
             assert abs(-distance - depth) <= 1e-12
             normal, closest = np.array(rest[:3]), np.array(rest[3:])
-            # the closest point is on the surface, and the normal leads to it
+            # the closest point is on the surface, and the normal points to it
             assert case.oracle.distance_to_surface(fragment, closest[None], SURFACE)[0][0] <= 1e-12
             assert np.allclose(point + depth * normal, closest, atol=1e-9)
 

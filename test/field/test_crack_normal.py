@@ -1,4 +1,4 @@
-"""Normals at cracks: against the slow twin, and against the direction in which the pattern parted the fragments."""
+"""Normals at cracks: against the slow twin, and against the direction of the pattern's cracks."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_contacts_are_the_slow_twins(shape: str, cracks: str) -> None:
     near = SETTINGS.detection_tolerance
     shared: dict[tuple[int, int], SharedCrack] = {}
     turned = kept = 0
-    # far enough to meet others than neighbours, near enough to meet cracks
+    # far enough to touch fragments that are not neighbours, near enough to touch cracks
     for seed, distance in enumerate((0.01, 0.05, 0.3)):
         states = case.states(distance, seed)
         poses = Poses(states)
@@ -87,22 +87,22 @@ def test_few_point_away_from_the_crack(shape: str, cracks: str) -> None:
     crack = measure(broken, worlds[1], frames, deeper, lambda answer: ~is_corner(answer))
     corners = measure(broken, worlds[1], frames, deeper, is_corner)
     assert len(crack.angles) > 500
-    assert nearest.off > 0.04  # the rims are there
-    # where a curved crack bends within a tetrahedron, the planes of its edges are no direction for all of it
+    assert nearest.off > 0.04  # rims are affected
+    # where a curved crack bends within a tetrahedron, its edges' planes do not give one direction for all of it
     curved = cracks == "curved"
     assert crack.off < (0.06 if curved else 0.01)
     assert crack.opposed < (0.004 if curved else 0.001)
-    # where three cracks meet, each of them is as near
+    # where three cracks meet, all are equally near
     assert len(corners.angles) > 500
     assert corners.off < (0.16 if curved else 0.025)
     assert corners.opposed < (0.04 if curved else 0.01)
-    # half of the pairs turn hardly more than the crack itself does
+    # for half of the pairs, normals turn hardly more than the crack itself
     assert np.median(crack.apart) <= np.median(crack.apart_in_truth) + (3.0 if curved else 2.0)
     assert np.quantile(crack.apart, 0.95) <= np.quantile(crack.apart_in_truth, 0.95) + (15.0 if curved else 10.0)
 
 
 def _corners_of(world: CollisionWorld) -> Callable[[ContactConstraintArray], np.ndarray]:
-    """Which contacts of its answers are of samples where three cracks and more meet."""
+    """Mask of the contacts whose samples are where three or more cracks meet."""
     mesh, fragments = world.geometry.pools.mesh.first[0], world.fragments().fragment_ids.tolist()
     count = len(fragments)
     in_place = FragmentStates(1, 1, np.array(fragments), np.zeros(3 * count), np.tile((0.0, 0.0, 0.0, 1.0), count))
@@ -116,7 +116,7 @@ def _corners_of(world: CollisionWorld) -> Callable[[ContactConstraintArray], np.
 
 
 def test_fragments_in_place_touch_along_their_cracks() -> None:
-    """All gaps are 0: the nearest surface is a matter of rounding there, and the crack's direction is not."""
+    """All gaps are 0: there the nearest surface depends on rounding, but the crack's direction does not."""
     broken = broken_body(BODIES["shell"](), 16, curved=True)
     off = []
     for normals in ("nearest", "facing"):

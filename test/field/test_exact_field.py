@@ -15,27 +15,27 @@ from fracture_collision.core.search.scratch import make_scratch
 from fracture_collision.geometry.tetrahedra import tetrahedron_volumes
 
 TOLERANCE = 1e-9  # of R = 1 m
-NEAR_OUTSIDE = 0.05  # [m] how far outside the distance to another fragment is compared
+NEAR_OUTSIDE = 0.05  # [m] distances outside a fragment are compared up to this
 CAMPAIGN_POINTS, CAMPAIGN_GENERATIONS = 1_050_000, 5
 CASES = [(shape, cracks) for shape in SHAPES for cracks in ("flat", "curved")]
 
 
 class Compared(NamedTuple):
     inside: int  # points whose depth in their owner was compared
-    outside: int  # points whose distance to a fragment that is not theirs was compared
+    outside: int  # points whose distance to another fragment was compared
     wrong_owner: int
     worst: float  # [m] largest error of either
 
 
 def compare(case: FracturedWorld, count: int, seed: int) -> Compared:
-    """The field at `count` random points of the body, half of them close to cracks and old surface."""
+    """Compares the field at `count` random points of the body, half of them close to cracks and old surface."""
     random = np.random.default_rng(seed)
     oracle = case.oracle
     partition = partition_of(oracle)
     near = _near_surfaces(case, partition, count // 2, random)
     points = np.concatenate((_anywhere(case, count - count // 2, random), near))
     owner, certain = owners(partition, points)
-    # on a face whose two tetrahedra have different owners for the point, either is right
+    # on a face whose two tetrahedra give the point different owners, either is right
     points, owner = points[certain], owner[certain]
     assert len(points) > 0.998 * count
     stranger = random.choice(oracle.fragment_ids, len(points))

@@ -1,4 +1,4 @@
-"""What a fragment promises about its surface, also when its neighbours break later: a sample within sampling_gap,
+"""Guarantees of a fragment's surface, also after its neighbours break: a sample within sampling_gap,
 nothing outside its box, no cell of its grid left out, and with flat cracks no sample inside a neighbour."""
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from fracture_collision.geometry.generators import ball
 
 # R = 1 m for all shapes.
 ROUNDING = 1e-12
-# Points where planes meet solve normal equations; truth and service solve them each in its way.
+# Points where planes meet solve normal equations; truth and service solve them differently.
 SOLVED = 1e-11
-# A ball as coarse as this disagrees with itself most.
+# Planes disagree most in a ball this coarse.
 COARSEST = COARSE_SHAPES | {"ball": lambda: ball(1.0, 0.5)}
 POINTS_A_TRIANGLE = 4
 
@@ -31,7 +31,7 @@ class FragmentCheck(NamedTuple):
     gap: float  # [m] sampling_gap of the registry
     farthest: float  # [m] from a sample, of random points and corners of the surface
     outside_box: float  # [m] how far the surface reaches beyond the stored box
-    cells_missed: int  # corners of surface polygons that the occupancy grid takes for empty
+    cells_missed: int  # corners of surface polygons in cells marked empty
     samples_astray: float  # [m] depth of the fragment's own deepest sample in another fragment, in place
 
 

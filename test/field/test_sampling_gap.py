@@ -1,4 +1,4 @@
-"""sampling_gap of the closed forms: no point of a surface is farther than that from what is searched of it."""
+"""sampling_gap of the closed forms: no point of a surface is farther than that from a sample."""
 
 from __future__ import annotations
 
@@ -49,5 +49,5 @@ def test_gap_of_a_beam() -> None:
 
 
 def test_gap_of_a_sphere_is_nothing() -> None:
-    """What its surface meets is found wherever it is: test_sphere_contacts.py compares with points all over it."""
+    """A sphere's contacts are found anywhere on its surface: test_sphere_contacts.py compares points all over it."""
     assert published_gap(SolidPrimitive(SPHERE, (0.5,))) == 0.0

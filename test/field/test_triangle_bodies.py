@@ -1,4 +1,4 @@
-"""Rigid bodies of triangles alone: the field against brute force, contacts, masses, and what they share."""
+"""Rigid bodies of triangles only: the field against brute force, contacts, masses, and shared data."""
 
 from __future__ import annotations
 
@@ -43,14 +43,14 @@ def shape(request) -> RigidShape:
 @pytest.fixture(scope="module")
 def geometry(shape: RigidShape) -> CollisionGeometry:
     geometry = CollisionGeometry()
-    # another mesh first, so that no row of the pools is by chance its own index
+    # another mesh first, so that pool rows differ from indices
     geometry.add_triangles(prepare_surface(*noisy_ball(5)))
     assert geometry.add_triangles(prepare_surface(*shape)) == 1
     return geometry
 
 
 def _points(shape: RigidShape) -> np.ndarray:
-    """In and around the body, and hard by its faces, edges and corners on both sides."""
+    """Points in and around the body, and close to its faces, edges and corners on both sides."""
     random = np.random.default_rng(2)
     low, high = shape.vertices.min(axis=0), shape.vertices.max(axis=0)
     spread = random.uniform(low - 0.2, high + 0.2, (250, 3))

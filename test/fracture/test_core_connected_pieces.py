@@ -1,4 +1,4 @@
-"""What hangs together: by hand, in a mesh, and as scipy finds it."""
+"""Connected pieces: hand-made cases, in a mesh, and against scipy."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def test_pieces_of_one_label() -> None:
     edges = np.array([[0, 1], [1, 2], [2, 3], [3, 4], [4, 5], [0, 6]])
     labels = np.array([1, 1, 0, 1, 1, 0, 0, 0])
     assert connected_pieces(edges, labels).tolist() == [0, 0, 1, 2, 2, 3, 4, 5]
-    # each piece of a mesh cut by a slab is one, the slab's two sides are two
+    # a slab cut from a mesh is one piece, the two sides of the slab are two
     mesh = brick((1.0, 0.2, 0.2), 0.1)
     middle = np.abs(mesh.vertices[:, 0]) < 0.15
     assert connected_pieces(unique_edges(mesh.tetrahedra), middle).max() + 1 == 3

@@ -21,7 +21,7 @@ def _sphere(count: int) -> np.ndarray:
 
 
 def _lattice(*counts: int) -> np.ndarray:
-    """Shuffled, so that neither the hierarchy nor the ties follow the indices; no spacing is a binary fraction."""
+    """A shuffled lattice, so that neither hierarchy nor ties follow the indices; no spacing is a binary fraction."""
     axes = np.meshgrid(*[0.1 * np.arange(c) for c in counts], indexing="ij")
     return np.random.default_rng(3).permutation(np.stack(axes, axis=-1).reshape(-1, 3))
 
@@ -66,7 +66,7 @@ def test_points_of_any_scale(points: list) -> None:
 @settings(max_examples=100, deadline=None)
 @given(st.integers(2, 400), st.integers(0, 10_000), st.booleans())
 def test_the_papers_words(count: int, seed: int, on_lattice: bool) -> None:
-    """Levels by rank; a parent is the nearest of the level above; the furthest two lead."""
+    """Levels by rank; a parent is the nearest of the level above; the furthest two come first."""
     points = np.random.default_rng(seed).uniform(-1, 1, (count, 3))
     if on_lattice:
         points = np.round(points * 3) / 3

@@ -48,10 +48,10 @@ def test_trees_are_sphere_trees_after_each_of_five_fractures(body, curved: bool,
     corners: dict[int, dict[int, np.ndarray]] = {}
     for event in case.messages[1]:
         oracle.apply(event)
-        # what a neighbour's later crack adds to a fragment's border lies in it
+        # samples that a neighbour's later crack adds to a fragment's border lie in its spheres
         corners |= {int(new): corner_samples(oracle, int(new)) for new in event.new_fragment_ids}
         nobody = FragmentStates(1, event.sequence, np.zeros(0, int), np.zeros(0), np.zeros(0))
-        case.world.contacts(nobody)  # brings the registry there
+        case.world.contacts(nobody)  # activates the registry
         for fragment in oracle.fragment_ids:
             ends = [
                 len(body.vertices) + 2 * e + side

@@ -1,4 +1,4 @@
-"""Trees of fragments: splitting, restructuring and extending against the nested twin; where the three trees agree."""
+"""Fragments' trees: splitting, restructuring and extending against the nested twin; and agreement of the trees."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def pooled(tree: SphereTree) -> tuple[np.ndarray, np.ndarray]:
 
 
 def unpooled(spheres: np.ndarray, entries: np.ndarray) -> SphereTree:
-    """Likewise back; checks the marks, which say what the tree says."""
+    """The inverse of `pooled`; checks that the marks match the tree."""
     tree = SphereTree(
         spheres[:, :3].copy(), spheres[:, 3].copy(), entries[:, SIZE].copy(), entries[:, SAMPLE].copy(),
         (entries[:, SURFACE] == OWN_SAMPLE).astype(np.uint8),

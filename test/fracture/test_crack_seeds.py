@@ -1,4 +1,4 @@
-"""Contacts of two that have hardly parted come from seeds: they are contacts, spread, and bounded."""
+"""Contacts of nearly coincident pairs come from seeds: they are valid contacts, spread, and bounded."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from fracture_collision.world.inspection import EVERY_CONTACT
 EPSILON = 0.05  # [R]
 SEEDED = Settings(threads=1, neighbour_lists=False, penetration_tolerance=EPSILON)
 EVERYTHING = SEEDED._replace(contacts_per_pair=EVERY_CONTACT)
-NEAREST = {"normals": "nearest"}  # depths of the bound, which gaps along turned normals are not
+NEAREST = {"normals": "nearest"}  # gaps are then the depths that the bound refers to; along turned normals they are not
 Contact = tuple[float, ...]
 
 
@@ -26,7 +26,7 @@ def case(request) -> FracturedWorld:
 
 
 def contacts_by_pair(answer: ContactConstraintArray) -> dict[tuple[int, int], dict[int, Contact]]:
-    """Of each pair its contacts by their ids: witnesses, normal, gap."""
+    """Contacts by pair and id: witnesses, normal, gap."""
     points = zip(answer.points_a.reshape(-1, 3), answer.points_b.reshape(-1, 3), strict=True)
     rows = [(*a, *b) for a, b in points]
     rows = [(*row, *n, g) for row, n, g in zip(rows, answer.normals.reshape(-1, 3), answer.gaps, strict=True)]
@@ -44,7 +44,7 @@ def visits_and_answer(world: CollisionWorld, states) -> tuple[int, ContactConstr
 
 @pytest.mark.parametrize("jitter", [0.0, 0.004, 0.01])
 def test_seeds_are_among_all_contacts(case: FracturedWorld, jitter: float) -> None:
-    """The slow twin is the search for all contacts, which knows no seeds: none has so many."""
+    """The slow twin is the search for all contacts, which uses no seeds: no pair has that many."""
     states = case.states(jitter)
     visits, answer = visits_and_answer(with_settings(case, SEEDED), states)
     all_visits, everything = visits_and_answer(with_settings(case, EVERYTHING), states)
@@ -59,7 +59,7 @@ def test_seeds_are_among_all_contacts(case: FracturedWorld, jitter: float) -> No
 
 
 def test_in_place_nothing_is_searched(case: FracturedWorld) -> None:
-    """Two that share a crack cost eight questions, however large it is."""
+    """A pair that shares a crack costs eight visits, regardless of the crack's size."""
     world, states = with_settings(case, SEEDED), case.states(0.0)
     pairs = [pair for pair in contacts_by_pair(world.contacts(states)) if len(_seeds_of(world, pair)) >= 8]
     assert len(pairs) > 5
@@ -75,7 +75,7 @@ def test_in_place_nothing_is_searched(case: FracturedWorld) -> None:
 
 
 def test_contacts_are_spread(case: FracturedWorld) -> None:
-    """Farthest first: none of a pair's seeds is farther from its eight contacts in place than these are apart."""
+    """Farthest first: every seed of a pair is as near to one of its eight contacts as those are to each other."""
     world = with_settings(case, SEEDED)
     answer = world.contacts(case.states(0.0))
     checked = 0
@@ -92,7 +92,7 @@ def test_contacts_are_spread(case: FracturedWorld) -> None:
 
 
 def _seeds_of(world: CollisionWorld, pair: tuple[int, int]) -> np.ndarray:
-    """Crossings (n, 3) [m] of a pair's seeds; two that meet at a corner alone have none."""
+    """Crossings (n, 3) [m] of a pair's seeds; pairs that meet only at a corner have none."""
     pools, registry = world._registry.geometry.pools, world._registry
     a, b = sorted(registry.row_of(f) for f in pair)
     begin, end = pools.fragment.seeds[a]
@@ -107,7 +107,7 @@ def _seeds_of(world: CollisionWorld, pair: tuple[int, int]) -> np.ndarray:
 
 @pytest.mark.parametrize("budget", [1, 3, 20])
 def test_a_budget_counts_seeds_too(case: FracturedWorld, budget: int) -> None:
-    """A budget that not even the seeds fit in leaves contacts all the same, and the bound says how deep others are."""
+    """A budget too small for the seeds still yields contacts, and the bound covers the unlisted ones."""
     states = case.states(0.004)
     everything = with_settings(case, EVERYTHING._replace(**NEAREST)).contacts(states)
     pairs = len(everything.fragment_a)

@@ -1,4 +1,4 @@
-"""What an update does in a quick way of its own, here against the general one."""
+"""Fast paths of a fracture update against the general path."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ SHAPES = {
 
 @pytest.fixture(params=[(name, curved) for name in SHAPES for curved in (False, True)], ids=str)
 def pair(request, monkeypatch) -> tuple[FracturedWorld, FracturedWorld]:
-    """A world, the same one with every cut made about a hub."""
+    """A world, and the same world with every cut made about a hub."""
     name, curved = request.param
     find_touched = touched_tetrahedra.find_touched
 
@@ -48,7 +48,7 @@ def test_one_plane_parts_as_a_fan_does(pair) -> None:
     quick, general = pair
     rows = [quick.row(f) for f in quick.oracle.fragment_ids]
     assert rows == [general.row(f) for f in quick.oracle.fragment_ids]
-    told = [case.world.fragments()._replace(sampling_gaps=None) for case in (quick, general)]  # bounds, of other fans
+    told = [case.world.fragments()._replace(sampling_gaps=None) for case in (quick, general)]  # these depend on fans
     for own, other in zip(*told, strict=True):
         if isinstance(own, np.ndarray) and own.dtype == np.float64:
             np.testing.assert_allclose(own, other, rtol=1e-9, atol=1e-9 * np.abs(own).max(initial=0.0))
@@ -100,7 +100,7 @@ EVERY = SETTINGS._replace(penetration_tolerance=0.0, contacts_per_pair=10**6, no
 
 @pytest.mark.parametrize("curved", [False, True], ids=["flat", "curved"])
 def test_no_sample_is_deeper_than_it_has_moved(curved: bool) -> None:
-    """Fragments hardly moved: with epsilon above the way they went no search is needed, and the bound says how far."""
+    """Hardly moved fragments: if epsilon exceeds their motion, no search is needed, and the bound covers the motion."""
     case = fractured_world(ball(1.0, 0.25), 8, generations=2, curved=curved)
     coarse = SETTINGS._replace(penetration_tolerance=0.05, neighbour_lists=False)
     quick, every = with_settings(case, coarse), with_settings(case, EVERY._replace(neighbour_lists=False))

@@ -1,4 +1,4 @@
-"""Hard shapes, each with the number it must meet: fragments that are not convex, and penetration past the middle."""
+"""Hard shapes, each with its required accuracy: concave fragments, and penetration past the middle."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from fracture_collision.world import CollisionWorld
 
 
 def sphere_cracks(vertices: np.ndarray, radius: float):
-    """Each cut edge carries the plane that touches the sphere about the origin where the edge crosses it."""
+    """Each cut edge carries the tangent plane of the sphere about the origin at the edge's crossing."""
 
     def plane(a: int, b: int, _i: int, _j: int) -> tuple[np.ndarray, float]:
         start, along = vertices[a], vertices[b] - vertices[a]
@@ -43,7 +43,7 @@ def sphere_cracks(vertices: np.ndarray, radius: float):
 
 
 def test_shell_around_small_fragments() -> None:
-    """One fragment surrounds the others, its box and its middle theirs: contacts true, in place, jittered and deep."""
+    """One fragment surrounds the others and shares their box and centre: true contacts, in place, jittered, deep."""
     body = ball(1.0, 0.3)
     labels = np.linalg.norm(body.vertices, axis=1) > 0.7
     random = np.random.default_rng(6)
@@ -83,7 +83,7 @@ SPIRALS = pixels("AAAAAAAA", "ABBBBBBA", "ABAAAAAA", "ABBBBBBB")
 
 @pytest.mark.parametrize("label", [HOOKS, COMBS, SPIRALS], ids=["hooks", "combs", "spirals"])
 def test_interlocked_fragments(label) -> None:
-    """Each fragment reaches around the other, hulls and boxes overlap all over: contacts true, in place and moved."""
+    """Each fragment reaches around the other, so hulls and boxes overlap: true contacts, in place and moved."""
     case = interlocked(label)
     assert len(case.oracle.fragment_ids) == 2
     assert_geometry(case, snug=False)
@@ -105,7 +105,7 @@ def interlocked(label) -> FracturedWorld:
 
 
 def test_hooks_cannot_be_pulled_apart() -> None:
-    """A hull-based method would hold them apart in place; here pulling by 0.05 R is what makes contacts of 0.05 R.
+    """A hull-based method would report penetration in place; here pulling by 0.05 R makes contacts of 0.05 R.
 
     To 1e-12 R, with normals against the pull: lip on lip.
     """
@@ -131,7 +131,7 @@ def depth_in_box(points: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.nd
 
 
 def test_fragments_pushed_past_the_middle() -> None:
-    """The nearest way out is no longer where the fragment came from: depth is the box's, to 1e-12 R, none is missed."""
+    """The nearest exit is no longer where the fragment entered: depth is the box's, to 1e-12 R, none is missed."""
     case = broken_world(BRICK, [by_labels(BRICK.vertices[:, 0] > 0.1, common_plane(np.array([1.0, 0.0, 0.0]), 0.1))])
     left = int(case.oracle.labels[0])
     ids = np.array(case.oracle.fragment_ids)
@@ -153,7 +153,7 @@ def test_fragments_pushed_past_the_middle() -> None:
 
 @pytest.mark.parametrize("kind", ["tetrahedra", "triangles", "box"])
 def test_a_block_in_the_middle_of_another(kind: str) -> None:
-    """All samples of the one are far inside the other: all are listed, each as deep as the box says, to 1e-12 R."""
+    """All samples of one are far inside the other: all are listed, with the box's depth to 1e-12 R."""
     world = CollisionWorld(EVERY_CONTACT)
     world.add_body(block(kind, 1, (2.0, 2.0, 1.0)))
     world.add_body(block("tetrahedra", 2, (1.0, 0.75, 0.5)))

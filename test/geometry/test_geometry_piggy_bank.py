@@ -1,4 +1,4 @@
-"""The piggy bank: hollow, closed, no tetrahedron inside out, and a pig to look at from its radii."""
+"""The piggy bank: hollow, closed, without inverted tetrahedra, and with the radii of a pig's shape."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_hollow_and_closed(pig):
     assert enclosed(outside) > 0.0 > enclosed(inside)
     volume = tetrahedron_volumes(*pig)
     assert volume.min() > 0.0
-    # what the two surfaces enclose is what the tetrahedra fill: no overlap, no gap
+    # the volume between the two surfaces equals that of the tetrahedra: no overlap, no gap
     assert volume.sum() == pytest.approx(enclosed(outside) + enclosed(inside), rel=1e-9)
     edges = np.concatenate([boundary_triangles(pig.tetrahedra)[:, [i, (i + 1) % 3]] for i in range(3)])
     assert len(np.unique(edges, axis=0)) == len(edges)
@@ -63,7 +63,7 @@ def test_it_stands_on_four_legs_and_is_alike_left_and_right(pig):
     low = points[points[:, 2] < points[:, 2].min() + 0.004]
     quadrants = {(x > 0.0, y > 0.0) for x, y, _ in low}
     assert len(quadrants) == 4
-    # legs, ears, snout and tail reach beyond the barrel of the belly
+    # legs, ears, snout and tail extend beyond the belly
     belly = points[np.abs(points[:, 0]) < 0.01]
     assert points[:, 2].min() < belly[:, 2].min() - 0.01
     assert np.ptp(points[:, 1]) == pytest.approx(2.0 * points[:, 1].max(), rel=0.02)

@@ -1,4 +1,4 @@
-"""Bodies whose surface and interior are sampled apart."""
+"""Bodies whose surface and interior are sampled separately."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Surfaces from files: good ones are read, bad ones are refused in words that say what is wrong and where."""
+"""Surface files: valid ones are read, invalid ones raise errors that name the problem and its place."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def two_parts() -> trimesh.Trimesh:
 
 
 def fin() -> trimesh.Trimesh:
-    """A tetrahedron on an edge that two faces of the box have already."""
+    """A tetrahedron on an edge that already has two faces of the box."""
     a, b = BOX.vertices[BOX.faces[0, :2]]
     apart = np.array([(0.0, 0.0, 9.0), (0.0, 5.0, 9.0)])
     tip = trimesh.Trimesh(np.vstack(([a, b], apart)), [[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]], process=False)

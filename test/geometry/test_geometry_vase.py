@@ -1,4 +1,4 @@
-"""The vase: a closed solid of tetrahedra that stands, is hollow, and as thick as asked for."""
+"""The vase: a closed tetrahedral solid that stands, is hollow, and has the requested thickness."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Some hundred bad messages to a real node over DDS: each is counted under its kind, and the node is what it was."""
+"""Hundreds of bad messages to a real node over DDS: each is counted by kind, and the node's state is unchanged."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from fracture_collision.records import INVALID_STATES
 from fracture_collision.ros.processes.node_process import NodeProcess, free_domain_id
 
 RUN = 41
-WAITED_FOR = 4  # /diagnostics speaks once a second
+WAITED_FOR = 4  # /diagnostics is published once a second
 LATCHED = ("bodies", "fracture_events")
-MORE_MEMORY = 20e6  # [bytes] DDS keeps what it has received of a latched topic
-# Topics keep no order between them: the event is sent when its body is known to have come.
+MORE_MEMORY = 20e6  # [bytes] DDS keeps the received samples of a latched topic
+# There is no order across topics: the event is sent once its body is known to have arrived.
 BEGINNING = (*CLEAN[:-2], ("fragment_states", EARLIER), *CLEAN[-2:])
 LIMITS = {"threads": 1, "max_nodes": SETTINGS.max_nodes, "max_fragments": SETTINGS.max_fragments}
 
 
 def refused_cases(topic: str) -> list[tuple[Case, str]]:
-    """Cases that a message can say and that are refused for certain, and their kinds."""
+    """Cases that a message can encode and that must be rejected, with the kind of rejection."""
     twin, found = RunDoor(SETTINGS), []
     for door, case in (*every_case(seed=3), *every_case(seed=4)):
         if door == "messages" and case.topic == topic and case.must_fail and case.settings == SETTINGS:
@@ -41,7 +41,7 @@ def refused_cases(topic: str) -> list[tuple[Case, str]]:
 
 
 def counts(client: ServiceClient) -> Counter[str]:
-    """What /diagnostics says: 'topic: kind' -> how many."""
+    """Counts on /diagnostics by 'topic: kind'."""
     return Counter({key: int(value.split(",")[0]) for key, value in client._refusals.items()})
 
 
@@ -60,7 +60,7 @@ def resident(process: NodeProcess) -> int:
 
 
 def undisturbed() -> tuple[list[bytes], str]:
-    """Answers to the clean scene and its ending, from the library, and the digest then."""
+    """The library's answers to the clean scene and its ending, and the final digest."""
     door = RunDoor(SETTINGS)
     asked = [record for topic, record in ENDING if topic == "fragment_states"]
     answers = [record_bytes(door.run.answer(REFERENCE))]
@@ -91,7 +91,7 @@ def test_a_node_survives_bad_messages_and_counts_them(tmp_path: Path) -> None:
             assert refused.status == INVALID_STATES and len(refused.gaps) == 0
             expected[f"fragment_states: {kind}"] += 1
 
-        # another run's, without a body of it: its event waits, its states are not answered
+        # another run without bodies: its event is held and its states are not answered
         client.publish("fracture_events", FIRST, RUN + 1)
         expected["fracture_events: unknown_id"] += 1
         client.publish("fragment_states", EARLIER, RUN + 1)
@@ -112,11 +112,11 @@ def test_a_node_survives_bad_messages_and_counts_them(tmp_path: Path) -> None:
 
 
 def malformed(topic: str) -> Iterator[bytes]:
-    """Spoilt messages that are none any more."""
+    """Corrupted messages that cannot be deserialized."""
     twin = RunDoor(SETTINGS)
     for number in range(300):
         data = spoilt(topic, picking(11, number)).record
-        # nothing shorter than an encapsulation is handed on, and DDS fills up to a multiple of four bytes
+        # DDS drops data shorter than the encapsulation header and pads to a multiple of four bytes
         if len(data) >= 4 and len(data) % 4 == 0 and twin.deliver(topic, data).kind == "malformed":
             yield data
     for data in valid_messages(topic):
@@ -138,7 +138,7 @@ def test_a_node_survives_spoilt_bytes_and_counts_them(tmp_path: Path) -> None:
             for data in malformed(topic):
                 client.publish_bytes(topic, data)
                 sent[key := f"{topic}: malformed"] += 1
-                # of states only the newest is taken: the first ones are waited for, the others may go by unseen
+                # only the newest states are read: wait for the first few, the others may be dropped unread
                 if topic not in LATCHED and sent[key] <= WAITED_FOR:
                     client.spin_until(lambda key=key: counts(client)[key] == sent[key], f"{key} {sent[key]} times")
         assert min(sent.values()) > 40

@@ -1,4 +1,4 @@
-"""Signals while a command is still importing its modules: it ends at once, without a traceback. And help of nodes."""
+"""A signal during a command's imports ends it at once, without a traceback. Also: the nodes' --help."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from fracture_collision.ros.start import NODES, module_of
 
 ROOT = Path(__file__).resolve().parents[2]
 BAG = ROOT / "bags" / "pane"
-# Found first by every interpreter that is started: sends itself a signal when it is about to import a module.
+# sitecustomize.py of every child interpreter: sends itself a signal just before importing a given module.
 AT_AN_IMPORT = """
 import os, sys
 class Finder:
@@ -44,7 +44,7 @@ COMMANDS = [
 def run_interrupted(
     folder: Path, at: str, order: signal.Signals, *words: str | Path
 ) -> subprocess.CompletedProcess[str]:
-    """`python -m words` in `folder`, which is sent `order` when it is about to import `at`."""
+    """Runs `python -m words` in `folder` and sends it signal `order` just before it imports `at`."""
     (folder / "site").mkdir()
     (folder / "site" / "sitecustomize.py").write_text(AT_AN_IMPORT)
     path = os.pathsep.join((str(folder / "site"), str(ROOT)))

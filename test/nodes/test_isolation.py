@@ -1,4 +1,4 @@
-"""Nodes that the project starts cannot be met from another machine: tried with one made of network namespaces."""
+"""Nodes that the project starts cannot be discovered from another machine, emulated by network namespaces."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from fracture_collision.ros.processes.node_process import free_domain_id, loopba
 
 HERE, ELSEWHERE = "10.213.7.1", "10.213.7.2"
 
-# Run there: what a participant sees of the service within some seconds.
+# Runs on the other machine: counts the service's endpoints that a participant discovers within some seconds.
 STRANGER = """
 import sys, time, rclpy
 rclpy.init()
@@ -27,13 +27,13 @@ while time.monotonic() < deadline and not seen:
     time.sleep(0.05)
 print("saw", seen)
 """
-# Long enough for a service to start and for several of DDS's announcements, which come every 3 s: where it can be met,
-# it is within 5 s.
+# Covers a service's startup and several DDS announcements, one every 3 s; a discoverable service is discovered
+# within 5 s.
 PATIENCE = 15.0  # [s]
 
 
 class Machines(NamedTuple):
-    """Two network namespaces joined by a cable, each with its shared memory to itself."""
+    """Two network namespaces joined by a veth pair, each with its own shared memory."""
 
     here: str
     elsewhere: str
@@ -80,7 +80,7 @@ def machines() -> Iterator[Machines]:
 
 
 def seen_from_elsewhere(machines: Machines, environment: dict[str, str], where: str = "", **stranger: str) -> bool:
-    """Whether a participant of the other machine meets a service that is started in `environment`."""
+    """Whether a participant on the other machine discovers a service started in `environment`."""
     domain = {"ROS_DOMAIN_ID": environment["ROS_DOMAIN_ID"], "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}
     service = machines.start(machines.here, "-m", "fracture_collision.ros.service.collision_node", **environment)
     try:
@@ -97,7 +97,7 @@ def seen_from_elsewhere(machines: Machines, environment: dict[str, str], where: 
 
 @pytest.fixture
 def default_environment(monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
-    """What the project starts its nodes with where the user has said nothing."""
+    """The environment the project gives its nodes when the user has set nothing."""
     for name in ("ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE", "ROS_STATIC_PEERS"):
         monkeypatch.delenv(name, raising=False)
     return loopback_environment(free_domain_id())
@@ -126,7 +126,7 @@ def test_this_machine_finds_it(machines: Machines, default_environment: dict[str
 def test_another_machine_finds_one_that_speaks_on_the_network(
     machines: Machines, default_environment: dict[str, str]
 ) -> None:
-    """The control: else the tests above would prove nothing."""
+    """The control: without it the tests above would prove nothing."""
     open_to_all = default_environment | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}
     assert seen_from_elsewhere(machines, open_to_all)
 

@@ -1,4 +1,4 @@
-"""A writer serves those that come although many of its readers were killed while they read."""
+"""A writer still serves new readers after many readers were killed while reading."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import pytest
 
 from fracture_collision.ros.processes.node_process import free_domain_id
 
-KILLS = 60  # with Fast DDS's own segment of 512 kB the reader after 25 to 30 kills got nothing that is large
-PATIENCE = 20.0  # [s] on a machine that is busy with other things
+KILLS = 60  # with Fast DDS's default segment of 512 kB, readers got no large messages after 25 to 30 kills
+PATIENCE = 20.0  # [s] on a loaded machine
 LATCHED = 6
 WRITER = """
 import sys, time, array
@@ -61,7 +61,7 @@ def said(program: subprocess.Popen[str]) -> str:
 
 @pytest.mark.slow
 def test_a_writer_outlives_its_readers() -> None:
-    """Each is killed some milliseconds after it got all that is latched, while messages pour in."""
+    """Each is killed some milliseconds after receiving all latched messages, under continuous traffic."""
     domain = str(free_domain_id())
 
     def started(program: str) -> subprocess.Popen[str]:
@@ -76,7 +76,7 @@ def test_a_writer_outlives_its_readers() -> None:
                 with started(READER) as reader:
                     try:
                         assert said(reader) == "all\n", f"the reader after {kill} kills"
-                        time.sleep(0.001 * (kill % 20))  # another instant each time
+                        time.sleep(0.001 * (kill % 20))  # at a different time after each start
                     finally:
                         reader.kill()
         finally:

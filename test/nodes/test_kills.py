@@ -1,4 +1,4 @@
-"""Killed and back: a slice of `python -m campaigns.kills`, over real DDS, and what it stands on."""
+"""Kill and restart: a slice of `python -m campaigns.kills` over real DDS, and its building blocks."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from campaigns.soak import Cycle, growth, soak
 from fracture_collision.bag.reader import message_counts
 
 SCENE, STEPS = "pane", 60
-LONG_SCENE = "plates"  # seconds in which to kill
-SOON = 0.1  # [s] after the first step: a run takes less than a second
+LONG_SCENE = "plates"  # runs for seconds, long enough to kill nodes in
+SOON = 0.1  # [s] after the first step; the whole run takes less than a second
 pytestmark = pytest.mark.timeout(900)
 
 
 def no_progress(_text: str) -> None:
-    """Nobody looks."""
+    """Ignores progress."""
 
 
 @pytest.fixture(scope="module")
 def reference(tmp_path_factory: pytest.TempPathFactory) -> Digests:
     folder = tmp_path_factory.mktemp("undisturbed")
     found = undisturbed(folder, SCENE)
-    assert message_counts(folder / "bag")["/fragment_states"] >= STEPS  # more: some asked twice
+    assert message_counts(folder / "bag")["/fragment_states"] >= STEPS  # more if some states were resent
     return found
 
 
@@ -44,7 +44,7 @@ def test_a_killed_service_comes_back_and_nothing_is_different(tmp_path: Path, re
 def test_the_comparison_can_fail(tmp_path: Path, reference: Digests) -> None:
     other = reference._replace(registry="0" * 64)
     found = kill_services(tmp_path, SCENE, 1, 1, other, no_progress, SOON)
-    runs = list(tmp_path.glob("run_*"))  # more than one where a run was over before its service was killed
+    runs = list(tmp_path.glob("run_*"))  # several if a run ended before its service was killed
     assert len(found.returns) == 1 and found.different == len(runs)
 
 
@@ -102,7 +102,7 @@ def test_a_soak_measures_what_it_says(tmp_path: Path) -> None:
 
 
 def test_a_soak_in_the_background_ends_by_ctrl_c(tmp_path: Path) -> None:
-    """A shell starts it there with SIGINT ignored."""
+    """A shell starts background jobs with SIGINT ignored."""
     before = litter().processes
     command = [sys.executable, "-m", "campaigns.soak", "--scene", SCENE, "--seeds", "1", "--out", str(tmp_path)]
     process = subprocess.Popen(command, stderr=subprocess.DEVNULL, preexec_fn=_ignore_ctrl_c)

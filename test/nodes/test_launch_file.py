@@ -1,5 +1,5 @@
-"""The launch file, without ROS's launch, which is no wheel: executed against stand-ins of the documented interface, and
-what it comes to started for real. That launch itself takes it is not tested here.
+"""The launch file without ROS's launch, which is not available as a wheel: it is executed against stand-ins of the
+documented interface, and the resulting commands are run. Whether launch itself accepts it is not tested here.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def describe(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 def test_arguments_reach_the_nodes(describe) -> None:
     service, simulator = describe({}, scene="wall", seed="7", namespace="cell")
     assert [node.executable for node in (service, simulator)] == ["collision_node", "simulator_node"]
-    assert service.on_exit is None and simulator.on_exit is not None  # the scene's end is the end of all
+    assert service.on_exit is None and simulator.on_exit is not None  # the simulator's exit shuts down everything
     for node in (service, simulator):
         assert os.access(node.command[0], os.X_OK) and "__ns:=/cell" in node.command
         assert node.environment[RANGE] == "LOCALHOST"
@@ -73,4 +73,4 @@ def test_what_it_starts_runs_a_scene(describe, tmp_path: Path) -> None:
             process.wait()
     words = "".join(log.read_text() for log in logs.values())
     assert "begins, of /cell/simulator_node [" in words
-    assert "there is none of that name" not in words  # each parameter is one that its node has
+    assert "there is none of that name" not in words  # every parameter is declared by its node

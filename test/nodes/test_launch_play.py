@@ -1,4 +1,4 @@
-"""launch/play.launch.py and config/fracture_collision.rviz. As in test_launch_file.py: against stand-ins of launch."""
+"""launch/play.launch.py and config/fracture_collision.rviz, against stand-ins of launch as in test_launch_file.py."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def test_rviz_shows_the_markers_of_the_service() -> None:
     manager = yaml.safe_load((ROOT / "config" / "fracture_collision.rviz").read_text())["Visualization Manager"]
     (display,) = (each for each in manager["Displays"] if each["Class"] == "rviz_default_plugins/MarkerArray")
     assert display["Topic"]["Value"] == qos.MARKERS.name
-    assert display["Topic"]["Durability Policy"] == "Transient Local"  # as offered
+    assert display["Topic"]["Durability Policy"] == "Transient Local"  # the publisher's durability
     shown = {markers.OUTSIDE, markers.CRACK, markers.CONTACTS, markers.NORMALS}
     assert set(display["Namespaces"]) == shown
     assert manager["Global Options"]["Fixed Frame"] == "world"

@@ -1,4 +1,4 @@
-"""A live scene over DDS: commands of a person, and what becomes of them."""
+"""A live scene over DDS: a user's commands and their effects."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from fracture_collision.ros.nodes.live_client import LiveClient
 from fracture_collision.ros.wire import qos
 from fracture_collision.share import share_directory
 
-PLATE = np.array([-0.45, 0.0, 0.7227])  # the first of the scene
+PLATE = np.array([-0.45, 0.0, 0.7227])  # [m] the first plate
 
 
 class Player:
-    """A person at a live scene of plates."""
+    """A user of a live scene of plates."""
 
     def __init__(self, stage: StageWithClients) -> None:
         self.service = stage.start("collision_node")
@@ -48,7 +48,7 @@ class Player:
         return future.result()
 
     def steps_go_on(self, count: int = 10) -> None:
-        """They do, for so many more of the same run."""
+        """Waits for `count` more steps of the same run."""
         run_id, step = self.status.run_id, self.status.step
         self.until(lambda: self.status.run_id == run_id and self.status.step >= step + count, "more steps")
 
@@ -60,7 +60,7 @@ class Player:
         self.until(lambda: self.status.run_id != before and self.status.step > 5, "another run")
 
     def place(self, fragment_id: int) -> np.ndarray:
-        """Of its body frame [m]."""
+        """Position [m] of its body frame."""
         row = list(self.states[-1].fragment_ids).index(fragment_id)
         return np.array(self.states[-1].positions[3 * row : 3 * row + 3])
 
@@ -79,7 +79,7 @@ def one_player(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Player]:
 
 @pytest.fixture
 def player(one_player: Player) -> Player:
-    """With plates that nobody has touched."""
+    """A scene whose plates are untouched."""
     one_player.begin_again()
     return one_player
 
@@ -124,7 +124,7 @@ def test_a_run_that_begins_in_a_pause_makes_its_first_step(player: Player) -> No
 
 
 def test_a_hand_lifts_a_plate_and_lets_go(player: Player) -> None:
-    plate = 5  # ground, shelf, rack and wall come first
+    plate = 5  # after ground, shelf, rack and wall
     begin = player.place(plate)
     player.hands.drag(player.status.run_id, plate, [0.0, 0.0, 0.0], PLATE + [0.0, -0.3, 0.2])
     player.until(lambda: player.place(plate)[2] > begin[2] + 0.1, "a plate in the air")

@@ -1,4 +1,4 @@
-"""Nodes as child processes: who comes first on a processor that many want."""
+"""Nodes as child processes: scheduling priority."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def test_a_node_lets_others_come_first(tmp_path: Path, niceness: int) -> None:
                        niceness=niceness)  # fmt: skip
     try:
         assert os.getpriority(os.PRIO_PROCESS, node.pid) == min(own + niceness, 19)
-        of_session = Path(f"/proc/{node.pid}/autogroup")  # of Linux, and empty where it does not share by sessions
+        of_session = Path(f"/proc/{node.pid}/autogroup")  # Linux only; empty without autogroup scheduling
         words = of_session.read_text().split() if of_session.is_file() else []
         if words and os.access(of_session, os.W_OK):
             assert words[-1] == str(niceness)

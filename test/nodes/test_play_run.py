@@ -1,4 +1,4 @@
-"""What `play` leaves of itself: logs of the run that started last, and nothing of one that did not start."""
+"""Files left by `play`: the logs of the last run that started; a run that fails to start leaves none."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ NODES = ("collision_node.log", "live_simulator_node.log", "page_node.log")
 
 @pytest.fixture
 def out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """With logs of an earlier run and a recording, in a domain of its own."""
+    """A folder with an earlier run's logs and a recording; sets a free domain."""
     monkeypatch.setenv("ROS_DOMAIN_ID", str(free_domain_id()))
     for file in ("logs/page_node.log", "logs/other.log", "bag_1/bag_1_0.mcap"):
         (tmp_path / file).parent.mkdir(exist_ok=True)

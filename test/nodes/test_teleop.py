@@ -1,4 +1,4 @@
-"""`fracture-collision teleop`: keys of a real (pseudo) terminal become velocities."""
+"""`fracture-collision teleop`: keys from a pseudo-terminal become velocities."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from fracture_collision.ros.wire import qos
 
 
 class Terminal:
-    """A person at a keyboard, and a node that listens."""
+    """A keyboard on a pseudo-terminal, and a node subscribed to the velocities."""
 
     def __init__(self) -> None:
         domain_id = free_domain_id()
@@ -47,7 +47,7 @@ class Terminal:
 
     def until(self, condition: Callable[[], bool], what: str) -> None:
         def look() -> bool:
-            with suppress(OSError):  # nothing to read, or nobody there any more
+            with suppress(OSError):  # nothing to read, or the process has ended
                 self.shown += os.read(self._keyboard, 1 << 16)
             return condition()
 
@@ -78,7 +78,7 @@ def terminal() -> Iterator[Terminal]:
 def test_keys_drive_and_let_go(terminal: Terminal) -> None:
     terminal.press(b"\x1b[A")
     terminal.hears((0.0, 0.5, 0.0))
-    terminal.hears((0.0, 0.0, 0.0))  # nobody has pressed on
+    terminal.hears((0.0, 0.0, 0.0))  # no key is pressed any more
     terminal.press(b"+\x1b[5~")
     terminal.hears((0.0, 0.0, 0.625))
     terminal.press(b"a")

@@ -1,4 +1,4 @@
-"""Sockets of participants that keep to this machine: on loopback, all of them."""
+"""Participants restricted to this machine open all their sockets on loopback."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from stages.ros_stage import StageWithClients
 from fracture_collision.ros.fastdds.this_machine import PROFILES, RANGE, keep_to_this_machine
 from fracture_collision.ros.processes.node_process import free_domain_id, loopback_environment
 
-# A program that talks to nodes it started, as `teleop` and `replay --ros` do. Ends when its stdin does.
+# A program that communicates with nodes it started, as `teleop` and `replay --ros` do. Exits at end of stdin.
 OWN_CONTEXT = """
 import sys, rclpy
 from fracture_collision.ros.processes.own_context import own_context
@@ -27,12 +27,12 @@ sys.stdin.read()
 
 
 def udp_addresses(pid: int) -> set[str]:
-    """At which the process has sockets."""
+    """Local addresses of the process's UDP sockets."""
     links = set()
     for descriptor in Path(f"/proc/{pid}/fd").iterdir():
         try:
             links.add(os.readlink(descriptor))
-        except FileNotFoundError:  # closed meanwhile
+        except FileNotFoundError:  # closed in the meantime
             continue
     found = set()
     for family, table in ((socket.AF_INET, "udp"), (socket.AF_INET6, "udp6")):
@@ -47,7 +47,7 @@ def udp_addresses(pid: int) -> set[str]:
 
 @pytest.fixture(autouse=True)
 def nothing_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    """By the user, or by an earlier test of this process."""
+    """Clears settings made by the user or by an earlier test in this process."""
     for name in (RANGE, *PROFILES, "ROS_STATIC_PEERS"):
         monkeypatch.delenv(name, raising=False)
 
@@ -70,7 +70,7 @@ def test_so_has_a_program_that_talks_to_them() -> None:
 
 
 def test_nodes_are_found_by_those_that_the_user_starts_as_readme_says(stage: StageWithClients) -> None:
-    """With LOCALHOST and no profile."""
+    """With LOCALHOST and no XML profile."""
     stage.start("collision_node")
     look = """
 import time, rclpy

@@ -13,7 +13,7 @@ SHORTER = 1e-12  # of R: a smaller reduction is rounding
 
 
 class AveragedField:
-    """Distance [m] and direction of every node of an unbroken body, and what fractures make of them."""
+    """Distance [m] and direction of every node of an unbroken body, updated by fractures."""
 
     def __init__(self, body: FragmentedBody) -> None:
         self.body = body
@@ -38,7 +38,7 @@ class AveragedField:
             self._measure(node, body.vertices[surface])
 
     def apply(self, event: FractureEvent) -> int:
-        """Break the body and update the nodes of the broken fragment; returns the steps that the fronts made."""
+        """Break the body and update the nodes of the broken fragment; returns the number of steps of the fronts."""
         body = self.body
         body.apply(event)
         new_edges = {tuple(sorted(e)) for e in np.asarray(event.cut_edges).reshape(-1, 2).tolist()}

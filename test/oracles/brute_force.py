@@ -1,8 +1,8 @@
-"""The slow oracle's questions for millions of points: who owns a point, how far is a surface. Compiled loops over
-arrays; nothing is shared with fracture_collision.core.
+"""The slow oracle's queries for millions of points: the owner of a point, the distance to a surface. Compiled loops
+over arrays; nothing is shared with fracture_collision.core.
 
-Nothing is clever here: a point's tetrahedron is the best of all whose boxes hold it, a distance the smallest of those
-to all triangles. Triangles whose boxes are farther than the best so far are not measured, which changes no result. In a
+The method is plain: a point's tetrahedron is the best of all whose boxes contain it, a distance the minimum over all
+triangles. Triangles whose boxes are farther than the best so far are skipped, which changes no result. In a
 tetrahedron the owner is that of the best of its 24 parts.
 """
 
@@ -15,9 +15,9 @@ from numba import njit
 
 from oracles.fragmented_body import NO_VOLUME, FragmentedBody
 
-# A point this close to a face, in barycentric weight, may be answered from the tetrahedron on either side.
+# For a point this close to a face, in barycentric weight, the tetrahedron on either side may decide.
 SHARED = 1e-9
-# Thinner triangles (area against squared length) have no usable normal; their rims stand for them.
+# Thinner triangles (area against squared length) have no usable normal; their rims represent them.
 THIN = 1e-11
 
 
@@ -39,7 +39,7 @@ class Partition(NamedTuple):
 
 
 def partition_of(body: FragmentedBody) -> Partition:
-    """The present state of the slow oracle, as arrays: its vertices, tetrahedra, node labels and crack points."""
+    """The present state of the slow oracle as arrays: its vertices, tetrahedra, node labels and crack points."""
     corners = body.vertices[body.tetrahedra]
     to_weights = np.linalg.inv(np.concatenate((corners, np.ones((len(corners), 4, 1))), axis=2)).transpose(0, 2, 1)
     boxes = np.concatenate((corners.min(axis=1), corners.max(axis=1)), axis=1)
@@ -84,7 +84,7 @@ def _tetrahedra_of_cells(boxes, origin, cell, dims):
 
 @njit(cache=True)
 def _owner_in(labels, shares, to_part, w):
-    """The label of the part that holds the point of weights w best; the smaller one at a tie."""
+    """The label of the part that best contains the point of weights w; the smaller one at a tie."""
     owner, best = -1, -np.inf
     for p in range(len(labels)):
         if shares[p] <= NO_VOLUME:
@@ -99,10 +99,10 @@ def _owner_in(labels, shares, to_part, w):
 
 
 def owners(body: Partition, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The fragment id (n,) that each point [m] belongs to, 0 outside; and whether all tetrahedra that hold it agree.
+    """The fragment id (n,) that each point [m] belongs to, 0 outside; and whether all containing tetrahedra agree.
 
-    A point on a face that two tetrahedra share gets the owner of the one that holds it best; as near to a crack as
-    SHARED, rounding may part the two, and the second array is False.
+    A point on a face shared by two tetrahedra gets the owner of the one that contains it best. As near to a crack as
+    SHARED, the two may disagree by rounding, and the second array is False.
     """
     return _owners(body, np.ascontiguousarray(points, dtype=np.float64))
 
@@ -154,7 +154,7 @@ def _segment(x, y, z, p, q):
 
 @njit(cache=True)
 def _triangle(x, y, z, a, b, c):
-    """Squared distance [m2]: the rim, and the plane where the foot of the perpendicular is seen inside all sides."""
+    """Squared distance [m2]: to the rim, and to the plane if the foot of the perpendicular is inside all sides."""
     best = min(_segment(x, y, z, a, b), _segment(x, y, z, b, c), _segment(x, y, z, c, a))
     ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]

@@ -1,8 +1,8 @@
 """Convex polyhedra as lists of labelled faces: clipping by half-spaces, volume moments, nearest points.
 
 No tolerance enters a clip: a point is inside, outside or exactly on the plane by the sign of its computed value, and
-the two sides of one plane see values that are each other's exact negatives. Two complementary clips therefore divide a
-polyhedron without gap or overlap beyond the rounding of the new points.
+the two sides of one plane get exactly opposite values. Two complementary clips therefore divide a polyhedron without
+gap or overlap beyond the rounding of the new points.
 """
 
 from __future__ import annotations
@@ -58,8 +58,8 @@ def clip_polygon(points: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def _crossings(points: np.ndarray, values: np.ndarray) -> list[tuple[np.ndarray, int]]:
-    """Points where the outline crosses zero, with the index of the corner before. Seen from the inner end always, so
-    that two faces that share an edge get the same bytes."""
+    """Points where the outline crosses zero, with the index of the preceding corner. Always computed from the inner
+    end, so that two faces that share an edge get the same bytes."""
     found, values = [], values.tolist()
     for i in range(len(points)):
         j = i + 1 if i + 1 < len(points) else 0
@@ -108,7 +108,7 @@ def moments(cell: list[Face]) -> tuple[float, np.ndarray, np.ndarray]:
 
 
 def nearest_on_triangles(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distance (n,) and nearest point (n, 3) from each point to a set of triangles (t, 3, 3), all of them tried."""
+    """Distance (n,) and nearest point (n, 3) from each point to a set of triangles (t, 3, 3), over all of them."""
     best = np.full(len(points), np.inf)
     nearest = np.zeros((len(points), 3))
     for i, x in enumerate(points):

@@ -1,4 +1,4 @@
-"""Where the cracks of a fractured body meet, from its parts by brute force: the corners that have to be samples."""
+"""Points where the cracks of a fractured body meet, from its parts by brute force: corners that must be samples."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""The flood of core/field/flood.py once more, plainly and with counts: what it takes, sees and measures.
+"""A plain copy of the flood of core/field/flood.py that counts what it dequeues, visits and measures.
 
-Not cached: a cache would outlive a change of the service's functions that are called here.
+Not cached: a cache would outlive changes to the service's functions called here.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ def _counted_flood(pools, f, start, x, y, z, limit):
 
 @njit(error_model="numpy")
 def _height_squared(mesh, t, face, x, y, z):
-    """Of a point over the plane of a tetrahedron's face [m2]."""
+    """Squared height [m2] of a point over the plane of a tetrahedron's face."""
     a, b, c = mesh.nodes[mesh.tetrahedra[t][FACE_VERTICES[face]]]
     normal = np.cross(b - a, c - a)
     height = (x - a[0]) * normal[0] + (y - a[1]) * normal[1] + (z - a[2]) * normal[2]

@@ -1,8 +1,7 @@
-"""The slow twin of core/field/crack_normal: which way a contact between two fragments of one body points, and how deep
-it is.
+"""The slow twin of core/field/crack_normal: normal and depth of a contact between two fragments of one body.
 
-From the oracle's polygons and planes alone: all polygons that the two share are measured, and the way out is the ray's
-first crossing of any of the fragment's surface triangles.
+Uses the oracle's polygons and planes alone: all polygons that the two share are measured, and the exit point is the
+ray's first crossing of any of the fragment's surface triangles.
 """
 
 from __future__ import annotations
@@ -18,17 +17,17 @@ from oracles.fragmented_body import FragmentedBody, SurfacePolygon
 TIMES_NEAREST = 3.0
 FARTHER = 0.03
 OBLIQUE, LITTLE = 4.0, 1e-3
-# Two polygons this much of R apart in distance are equally near: rounding may choose either.
+# Two polygons whose distances differ by less than this share of R are equally near: rounding may choose either.
 TIE = 1e-9
 
 
 class Turned(NamedTuple):
-    normal: np.ndarray  # (3,) unit, out of the asked fragment
-    depth: float  # [m] along it, negative outside; NaN: the ray finds no way out near enough
+    normal: np.ndarray  # (3,) unit, out of the queried fragment
+    depth: float  # [m] along it, negative outside; NaN: the ray does not exit near enough
 
 
 class SharedCrack:
-    """What fragment `f` of a body shares with `g`, and all of f's border."""
+    """The polygons that fragment `f` of a body shares with `g`, and all of f's border."""
 
     def __init__(self, body: FragmentedBody, f: int, g: int) -> None:
         self._body, self._f, self._g = body, f, g
@@ -38,7 +37,7 @@ class SharedCrack:
         self._radius = 0.5 * float(np.ptp(body.vertices, axis=0).max())
 
     def turned(self, x: np.ndarray, depth: float, near: float) -> list[Turned]:
-        """All right answers for a sample of g at x (3,) [m], `depth` [m] from the border of f, negative outside.
+        """All correct answers for a sample of g at x (3,) [m], `depth` [m] from the border of f, negative outside.
 
         `near` [m]: the detection tolerance. Several where polygons are equally near; none where no crack is near, or x
         is outside the unbroken body.
@@ -62,7 +61,7 @@ class SharedCrack:
         return total / np.linalg.norm(total) if total.any() else _normal_of(polygon)
 
     def _sum_of_planes(self, t: int) -> np.ndarray:
-        """Of the cut edges of tetrahedron t between the two, each plane's normal out of f."""
+        """Sum over the cut edges of tetrahedron t between the two, of each plane's normal out of f."""
         total = np.zeros(3)
         for a, b in np.sort(self._body.tetrahedra[t][EDGE_VERTICES], axis=1).tolist():
             ends = int(self._body.labels[a]), int(self._body.labels[b])

@@ -1,8 +1,8 @@
-"""The crack surface of one tetrahedron: where cracks cross its edges, meet in its faces and meet inside it.
+"""The crack surface of one tetrahedron: the points where cracks cross its edges, meet in its faces and inside it.
 
-Written from docs/numerics.md alone. All points are barycentric weights: of an edge's crossing and a face's point they
-depend on that edge and face alone, so that neighbouring tetrahedra see the same point. An event is a number above 0
-that grows from fracture to fracture, 0 where nothing is cut.
+Written from docs/numerics.md alone. All points are barycentric weights. Those of an edge's crossing or a face's point
+depend on that edge or face alone, so that neighbouring tetrahedra get the same point. An event is a number above 0
+that increases with each fracture, 0 where nothing is cut.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 
 from fracture_collision.geometry.tetrahedra import EDGE_VERTICES, FACE_VERTICES
 
-ON_FACE = 1e-9  # weight of a hub off a face that it lies on
+ON_FACE = 1e-9  # largest weight off a face of a hub that lies on it
 FLAT = 1e-6  # normal equations with a smaller determinant, against their trace, have no one solution
 
 EDGE_BETWEEN = np.full((4, 4), -1)  # local nodes to local edge
@@ -31,7 +31,7 @@ class CrackSurface(NamedTuple):
 
 
 class Cuts(NamedTuple):
-    """The edges (e, 2) of a mesh, smaller node first, and what has cut them."""
+    """The edges (e, 2) of a mesh, smaller node first, and the planes and events that cut them."""
 
     ends: np.ndarray  # (e, 2)
     planes: np.ndarray  # (e, 4) unit normal from the first node to the second, offset [m]
@@ -90,7 +90,7 @@ def face_point(corners: np.ndarray, face: Cuts) -> np.ndarray:
     crossings = np.zeros((3, 3))
     for e, share in enumerate(shares):
         crossings[e, face.ends[e]] = 1.0 - share, share
-    crossings = crossings[[0, 2, 1]]  # the order in which least squares are solved is rounding, and seen
+    crossings = crossings[[0, 2, 1]]  # the order of the least squares affects rounding, visibly
     end = _nearest_to_planes(crossings @ corners, face.planes)
     of_nodes = end @ crossings
     if of_nodes.min() < 0.0:  # beyond an edge: at its crossing
@@ -113,7 +113,7 @@ def _on_the_older_crack(corners: np.ndarray, face: Cuts, newest: int) -> np.ndar
 
 
 def _hub(corners: np.ndarray, cuts: Cuts, edge_points: np.ndarray, face_points: np.ndarray) -> np.ndarray:
-    """The weights (4,) of the point inside a tetrahedron of three or four fragments from which its cracks spread."""
+    """The weights (4,) of the hub, the point inside a tetrahedron of three or four fragments where its cracks meet."""
     ages = np.unique(cuts.events[cuts.events > 0])
     groups = _groups(cuts.events, ages[0])
     oldest = cuts.events == ages[0]
@@ -129,12 +129,12 @@ def _hub(corners: np.ndarray, cuts: Cuts, edge_points: np.ndarray, face_points: 
         hub = _as_far_as_allowed(_nearest_to_planes(face_points @ corners, cuts.planes)) @ face_points
     else:
         hub = face_points[[k for k in faces if k not in lone]].mean(axis=0)
-    on_it = [k for k in faces if hub[k] <= ON_FACE]  # on a face: at its point, so that both divide it alike
+    on_it = [k for k in faces if hub[k] <= ON_FACE]  # on a face: at its point, so that both sides divide it alike
     return face_points[on_it[0]] if on_it else hub
 
 
 def _groups(events: np.ndarray, newest: int) -> list[int]:
-    """For each node of a tetrahedron the smallest of those that no event up to `newest` has parted it from."""
+    """For each node of a tetrahedron, the smallest node that no event up to `newest` has separated from it."""
     group = list(range(4))
     for a, b in EDGE_VERTICES[(events == 0) | (events > newest)].tolist():
         joined = {group[a], group[b]}
@@ -147,7 +147,7 @@ def _faces_of_three(groups: list[int]) -> list[int]:
 
 
 def _is_one_plane(cuts: Cuts, chosen: np.ndarray, groups: list[int]) -> bool:
-    """Whether the chosen edges between two groups carry one plane to the bit, seen from the same side."""
+    """Whether the chosen edges between two groups carry one plane, bit for bit, with the same orientation."""
     from_first = np.array([groups[a] == groups[0] for a in cuts.ends[:, 0]])
     planes = np.where(from_first[:, None], cuts.planes, -cuts.planes)[chosen]
     return bool(np.all(planes == planes[0]))
@@ -156,7 +156,7 @@ def _is_one_plane(cuts: Cuts, chosen: np.ndarray, groups: list[int]) -> bool:
 def _nearest_to_planes(corners: np.ndarray, planes: np.ndarray) -> np.ndarray:
     """Weights in the corners (k, 3) [m] of the point with the least sum of squared distances from the planes.
 
-    The centroid's where it is not one point.
+    The centroid's weights if that point is not unique.
     """
     slopes = planes[:, :3] @ (corners[1:] - corners[0]).T
     heights = planes[:, :3] @ corners[0] - planes[:, 3]
@@ -168,7 +168,7 @@ def _nearest_to_planes(corners: np.ndarray, planes: np.ndarray) -> np.ndarray:
 
 
 def _as_far_as_allowed(end: np.ndarray) -> np.ndarray:
-    """The last of the weights on the straight way to `end` from the centroid that are not negative."""
+    """The last non-negative weights on the straight line from the centroid to `end`."""
     centroid = np.full(len(end), 1.0 / len(end))
     low = end < 0.0
     share = (centroid[low] / (centroid[low] - end[low])).min(initial=1.0)

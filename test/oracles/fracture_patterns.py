@@ -1,4 +1,4 @@
-"""Fracture events for tests: flat Voronoi cracks, and curved ones whose planes agree with no common cell."""
+"""Fracture events for tests: flat Voronoi cracks, and curved ones whose planes bound no common cell."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def disagreeing_event(
     tilt: float,
     random: np.random.Generator,
 ) -> FractureEvent:
-    """As `voronoi_event`, but every cut edge has a plane of its own: across the edge, tilted at random and put anywhere
+    """As `voronoi_event`, but every cut edge has its own plane: across the edge, tilted at random, at a random place
     along it. `tilt`: the deviation of the normal from the edge's direction, as a ratio; no two planes agree.
     """
 

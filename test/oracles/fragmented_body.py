@@ -1,4 +1,4 @@
-"""A breakable body by brute force: who owns a point, the exact surface, depth and mass of each fragment.
+"""A breakable body by brute force: the owner of a point; the exact surface, depth and mass of each fragment.
 
 The rule is the one of the inside test (docs/numerics.md): cracks run through the points where they cross the mesh
 edges. Each tetrahedron with nodes of several fragments is divided into 24 small tetrahedra, one for each of its nodes
@@ -51,10 +51,10 @@ class SurfacePolygon(NamedTuple):
 
 
 class Parts(NamedTuple):
-    """The 24 parts of each tetrahedron with nodes of several fragments; rows of c such tetrahedra."""
+    """The 24 parts of each of the c tetrahedra with nodes of several fragments."""
 
     tetrahedra: np.ndarray  # (c,) ascending
-    row: np.ndarray  # (m,) of each tetrahedron of the body, -1 where one fragment has it all
+    row: np.ndarray  # (m,) of each tetrahedron of the body, -1 if it belongs to one fragment
     surface: CrackSurface
     labels: np.ndarray  # (c, 24)
     behind: np.ndarray  # (c, 24) the fragment beyond the edge's crossing, perhaps the same
@@ -74,7 +74,7 @@ class FragmentedBody:
         self.neighbours = face_neighbours(self.tetrahedra)
         self.labels = np.full(len(self.vertices), fragment_id, dtype=np.int64)
         self.planes: dict[tuple[int, int], np.ndarray] = {}  # (a, b), a < b: (normal from a to b, offset)
-        self.events: dict[tuple[int, int], int] = {}  # (a, b), a < b: how many events the body had seen with this cut
+        self.events: dict[tuple[int, int], int] = {}  # (a, b), a < b: number of events including the one that cut it
         self._event_count = 0
         self._edges_of = tetrahedron_edges(self.tetrahedra, self.edges)
         self._volumes = tetrahedron_volumes(self.vertices, self.tetrahedra)
@@ -88,7 +88,7 @@ class FragmentedBody:
         return sorted(set(self.labels.tolist()))
 
     def apply(self, event: FractureEvent) -> None:
-        """Take a fracture event over; the planes of earlier events stay."""
+        """Applies a fracture event; the planes of earlier events stay."""
         nodes = np.asarray(event.nodes, dtype=np.int64)
         if set(nodes.tolist()) != set(np.flatnonzero(self.labels == event.fragment_id).tolist()):
             raise ValueError(f"nodes: not those of fragment {event.fragment_id}")
@@ -111,7 +111,7 @@ class FragmentedBody:
 
     @cached_property
     def parts(self) -> Parts:
-        """What the tetrahedra with nodes of several fragments are made of now."""
+        """The present parts of the tetrahedra with nodes of several fragments."""
         labels = self.labels[self.tetrahedra]
         cut = np.flatnonzero(np.any(labels != labels[:, :1], axis=1))
         row = np.full(len(self.tetrahedra), -1)
@@ -135,7 +135,7 @@ class FragmentedBody:
                      np.linalg.inv(regular))  # fmt: skip
 
     def locate(self, points: np.ndarray) -> np.ndarray:
-        """The tetrahedron that holds each point best, -1 outside the body."""
+        """The tetrahedron that best contains each point, -1 outside the body."""
         result = np.empty(len(points), dtype=np.int64)
         for i, x in enumerate(np.column_stack((points, np.ones(len(points))))):
             depth = (x @ self._to_barycentric).min(axis=1)
@@ -151,7 +151,7 @@ class FragmentedBody:
         return owners
 
     def owner_in(self, tetrahedra: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """The fragment (n,) that each point (n, 3) belongs to as the tetrahedron (n,) has it that holds the point."""
+        """The fragment (n,) that each point (n, 3) belongs to, according to its containing tetrahedron (n,)."""
         owners = self.labels[self.tetrahedra[tetrahedra, 0]]
         cut = np.flatnonzero(self.parts.row[tetrahedra] >= 0)
         row, x = self.parts.row[tetrahedra[cut]], np.column_stack((points[cut], np.ones(len(cut))))

@@ -6,7 +6,7 @@ import numpy as np
 
 
 def squared_distances(points: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """(n,) [m2], summed x, y, z, in the order in which the fast code sums: ties are the same ties."""
+    """(n,) [m2], summed x, y, z as in the fast code, so that ties are the same."""
     x, y, z = (points - point).T
     return x * x + y * y + z * z
 

@@ -115,5 +115,5 @@ def _insert(root: Node, new: Node, under: int, ordered: bool) -> None:
 
 
 def _squared(p: tuple, q: tuple) -> float:
-    """For the nearest of several: a root could make two equal that are not."""
+    """Squared distance, for comparisons: a square root could make two different values equal."""
     return (p[0] - q[0]) ** 2 + (p[1] - q[1]) ** 2 + (p[2] - q[2]) ** 2

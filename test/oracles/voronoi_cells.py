@@ -1,4 +1,4 @@
-"""How far the fragments of a flat fracture are from the Voronoi cells that it was drawn by; these by clipping."""
+"""Deviation of the fragments of a flat fracture from their Voronoi cells, which are computed by clipping."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ class VoronoiCheck(NamedTuple):
     """A body's tetrahedra after one flat fracture, beside exact Voronoi cells. Volumes in parts of the body's."""
 
     cells: np.ndarray  # (k,) volume of each seed's cell
-    off: np.ndarray  # (k,) volume of the fragments of each seed, less that
-    misplaced: float  # volume that another fragment has than that of its cell
+    off: np.ndarray  # (k,) volume of the fragments of each seed minus its cell's
+    misplaced: float  # volume owned by a fragment of another cell
     fitting: int  # tetrahedra of several fragments whose edges and faces meet the cells of their own nodes alone
     other: int  # the rest of those
     worst_fitting: float  # largest difference in one of the fitting, in parts of the tetrahedron
@@ -42,7 +42,7 @@ def against_voronoi_cells(mesh: TetGeometry, seeds: np.ndarray) -> VoronoiCheck:
         cells += exact * volumes[t]
         off += (own - exact) * volumes[t]
         misplaced += 0.5 * np.abs(own - exact).sum() * volumes[t]
-        # two labels of one cell: another piece of it
+        # two labels of one cell: separate pieces of it
         fits = len(seed_of_label) == len(set(seed_of_label.values()))
         fits &= all(set(on_face[k]) == set(seed_of_node[nodes[FACE_VERTICES[k]]].tolist()) for k in range(4))
         for (a, b), point in zip(nodes[EDGE_VERTICES], body.parts.surface.edge_points[row], strict=True):

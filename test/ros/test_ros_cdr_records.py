@@ -1,4 +1,4 @@
-"""Records straight to CDR bytes and back: rclpy's bytes, bit for bit, and nothing read from what is no message."""
+"""Direct CDR serialization of records: bytes equal to rclpy's, and nothing is deserialized from invalid data."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ def test_words_name_the_field() -> None:
 
 
 def test_what_is_neither_true_nor_false_is_refused() -> None:
-    at = len(the_bytes(EXAMPLES[0])) - 32  # of is_static: three numbers stand behind it
+    at = len(the_bytes(EXAMPLES[0])) - 32  # offset of is_static, which three numbers follow
     for value in (2, 255):
         data = bytearray(the_bytes(EXAMPLES[0]))
         assert data[at] == 1
@@ -152,7 +152,7 @@ def test_a_count_beyond_the_message_is_refused_before_memory_is_taken() -> None:
 
 @pytest.mark.parametrize("record", EXAMPLES, ids=lambda record: type(record).__name__)
 def test_no_length_takes_more_memory_than_the_message_has(record: Any) -> None:
-    """Every four bytes in turn say that they count something huge."""
+    """Every four-byte word in turn is replaced by a huge count."""
     data, message_class = the_bytes(record), message_class_of(record)
     tracemalloc.start()
     try:
@@ -184,7 +184,7 @@ def test_noise_is_read_or_refused_and_nothing_else() -> None:
 
 
 def test_the_other_byte_order() -> None:
-    """A big-endian FragmentStates, written by hand."""
+    """A hand-written big-endian FragmentStates."""
     head = Struct(">iII4sQQQII").pack(3, 5, 4, b"map\0", 41, 7, 2, 1, 0xDEADBEEF)
     positions = Struct(">I4xddd").pack(3, 1.0, 2.0, 3.0)
     orientations = Struct(">I4xdddd").pack(4, 0.0, 0.0, 0.0, 1.0)

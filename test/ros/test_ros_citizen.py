@@ -1,4 +1,4 @@
-"""The service among others: whose run it follows, parameters that change, names, clocks, what it says of itself."""
+"""The service among other nodes: which run it follows, parameter changes, names, clocks and diagnostics."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def answer_of(settings: Settings) -> list[bytes]:
     return field_bytes(world.contacts(STATES))
 
 
-# --- two at once -------------------------------------------------------------------------------------------------
+# --- two simulators ---------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("second_run", [RUN + 1, RUN], ids=["another run id", "the same run id"])
@@ -68,13 +68,13 @@ def test_two_simulators_do_not_tear_a_scene_apart(stage: StageWithClients, secon
     second.publish("fracture_events", FIRST._replace(sequence=3, fragment_id=10), second_run)
     for topic in ("bodies", "fracture_events"):
         second.await_refusal(f"{topic}: other_publisher", f"run {second_run} of")
-    second.publish("fragment_states", TWO_BOXES, second_run)  # the service has met this publisher, too, by now
+    second.publish("fragment_states", TWO_BOXES, second_run)  # the service has discovered this publisher too by now
     second.await_refusal("fragment_states: other_publisher", f"run {second_run} of")
     assert field_bytes(first.ask(STATES, RUN)) == good
     assert [answer.step for answer in first.answers] == [STATES.step] * 2
-    assert second.diagnostics[ANSWERS] == "ready"  # nothing is held for the second either
+    assert second.diagnostics[ANSWERS] == "ready"  # no states are held for the second simulator either
 
-    # Its question is answered as soon as the first is gone, from its own bodies.
+    # The second simulator's states are answered, with its own bodies, as soon as the first leaves.
     def its_answers() -> list:
         return [answer for answer in second.answers if answer.step == TWO_BOXES.step]
 
@@ -97,7 +97,7 @@ def test_a_parameter_lets_another_in_at_once(stage: StageWithClients) -> None:
     second.publish("fragment_states", TWO_BOXES, RUN + 1)
     second.spin_until(lambda: second.answers and second.answers[-1].run_id == RUN + 1, "the answer to who took over")
     assert list(second.answers[-1].fragment_b) == [2]
-    # The first does not take it back.
+    # The first does not regain control.
     first.publish("fragment_states", STATES, RUN)
     first.await_refusal("fragment_states: other_publisher", f"run {RUN} of")
 
@@ -117,7 +117,7 @@ def test_bodies_and_states_may_come_from_two_processes(stage: StageWithClients) 
 
 
 def test_a_simulator_that_was_killed_gets_in_again_at_once(stage: StageWithClients) -> None:
-    """DDS misses who was killed when its lease has run out, after 20 s; the service when another speaks."""
+    """DDS detects a killed participant when its lease expires, after 20 s; the service, when another one publishes."""
     service = stage.start("collision_node", threads=1)
     first = stage.start("simulator_node", scene="pane", progress=True)
     await_step(first, 0, service)
@@ -218,7 +218,7 @@ def test_two_services_in_two_namespaces(stage: StageWithClients) -> None:
     for _ in range(3):
         assert field_bytes(clients["left"].ask(STATES, RUN)) == field_bytes(expected_contacts())
         assert clients["right"].ask(TWO_BOXES, RUN).fragment_b.tolist() == [2]
-    # /diagnostics is everybody's: they must not be taken for each other.
+    # /diagnostics is shared, so the two status names must differ.
     names = {f"{side}/{ANSWERS}" for side in clients}
     clients["left"].spin_until(lambda: names <= set(clients["left"].diagnostics), "diagnostics of both")
 
@@ -280,7 +280,7 @@ def test_a_thousand_refusals_are_a_few_lines(stage: StageWithClients) -> None:
 
 
 def test_who_sent_a_message_is_known_in_both_ways_of_the_executor(stage: StageWithClients) -> None:
-    """rclpy's own executor takes messages too, while it looks for timers that are due."""
+    """rclpy's own executor also takes messages, while it checks for due timers."""
     client = stage.client()
     came = []
     subscription = client.node.create_subscription(

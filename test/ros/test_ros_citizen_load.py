@@ -1,4 +1,4 @@
-"""More than the service can answer: the newest states are, the rest is counted; and a budget that keeps the cost."""
+"""Overload: the service answers the newest states and counts the dropped ones; a visit budget bounds the cost."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ANSWERS = "fracture_collision: answers"
 DROPPED = "states dropped for newer ones"
 FLOOD = 5.0  # [s]
 
-# Two breakable balls, one a third of its radius in the other: some hundred tree nodes are visited a step.
+# Two breakable balls that overlap by a third of a radius: several hundred tree nodes are visited per step.
 STATES = FragmentStates(
     1, 0, np.array([1, 2]), np.array([0.0, 0.0, 0.0, 0.7, 0.1, 0.05]), np.tile([0.0, 0.0, 0.0, 1.0], 2)
 )
@@ -35,7 +35,7 @@ def service_with_two_balls(stage: StageWithClients) -> ServiceClient:
 
 
 def cost(client: ServiceClient) -> float:
-    """[s] from asking to the answer, the least of some."""
+    """Round trip [s] from states to answer, the minimum of 15."""
     seconds = []
     for _ in range(15):
         began = time.perf_counter()
@@ -45,7 +45,7 @@ def cost(client: ServiceClient) -> float:
 
 
 def visits_told(client: ServiceClient) -> int:
-    """Of the last answer, once the service has told of all."""
+    """Tree nodes visited for the last answer, read once the service has reported all answers."""
     client.spin_until(lambda: int(client.details[ANSWERS]["answers"]) == len(client.answers), "its word on them")
     told = next(value for key, value in client.details[ANSWERS].items() if key.startswith("tree nodes visited"))
     return int(told.split(", ")[-1].split()[0])
@@ -53,7 +53,7 @@ def visits_told(client: ServiceClient) -> int:
 
 def test_a_flood_of_states(stage: StageWithClients) -> None:
     client = service_with_two_balls(stage)
-    # an answer takes far longer than a message
+    # computing an answer takes far longer than sending a message
     assert client.set_parameters(selection="complete", neighbour_lists=False, penetration_tolerance=0.0) == [""] * 3
     least = cost(client)
     answered_before = len(client.answers)
@@ -70,17 +70,17 @@ def test_a_flood_of_states(stage: StageWithClients) -> None:
             came[answer.step] = time.monotonic()
     client.spin_until(lambda: client.answers[-1].step == step, "the answer to the last states")
     sent, answered = len(published), len(client.answers)
-    assert answered < sent / 2  # else it was no flood
+    assert answered < sent / 2  # otherwise there was no overload
 
-    # What is not answered is counted.
+    # States that are not answered are counted.
     def all_counted() -> bool:
         details = client.details[ANSWERS]
         return int(details["answers"]) == answered_before + answered and int(details[DROPPED]) == sent - answered
 
     client.spin_until(all_counted, f"{sent} sent = {answered} answered + {sent - answered} dropped")
 
-    # Each answer is to states that were the newest when its computation began, as the answer before it was sent. From a
-    # queue would come older ones. (Now and then a message is late, or this process is.)
+    # Each answer is for the newest states at the start of its computation, when the previous answer was sent. A queue
+    # would deliver older ones. (Median, because a message or this process is late occasionally.)
     steps = list(came)
     assert steps == sorted(steps)
     newer = [

@@ -1,4 +1,4 @@
-"""Files of DDS security: they are what the nodes need and no more; and who asks for security gets no open node."""
+"""DDS security files grant what the nodes need and no more; if security is requested, no node starts without it."""
 
 from __future__ import annotations
 
@@ -84,13 +84,13 @@ def test_nodes_have_the_topics_and_services_they_are_permitted_and_no_others(
 ) -> None:
     stage.start("recorder_node", "-r", "__ns:=/cell", folder=str(tmp_path / "bag"))
     stage.start("collision_node", "-r", "__ns:=/cell", threads=1)
-    stage.start("simulator_node", "-r", "__ns:=/cell", scene="pane", wait_for_subscribers=50)  # it waits for ever
+    stage.start("simulator_node", "-r", "__ns:=/cell", scene="pane", wait_for_subscribers=50)  # it waits forever
     client = stage.client()
     for role in ROLES:
         if role.enclave == "viewer":
             continue
         permitted = dds_names(role, "/cell")
-        # The discovery topic is rmw's own, and of no node; the clock is for use_sim_time.
+        # The discovery topic belongs to rmw, not to a node; /clock is for use_sim_time.
         publishes = set(permitted.publishes) - {"ros_discovery_info"}
         subscribes = set(permitted.subscribes) - set(NODE_SUBSCRIBES)
 
@@ -101,13 +101,13 @@ def test_nodes_have_the_topics_and_services_they_are_permitted_and_no_others(
 
 
 def names_in_dds(client, node: str) -> tuple[set[str], set[str]]:
-    """What a node of /cell writes and reads."""
+    """DDS names that a node of /cell writes and reads."""
     try:
         publishers = client.node.get_publisher_names_and_types_by_node(node, "/cell")
         subscribers = client.node.get_subscriber_names_and_types_by_node(node, "/cell")
         services = [name for name, _ in client.node.get_service_names_and_types_by_node(node, "/cell")]
         called = [name for name, _ in client.node.get_client_names_and_types_by_node(node, "/cell")]
-    except Exception as error:  # rclpy's own kind, for a node that is not there yet
+    except Exception as error:  # rclpy raises its own type for a node not yet discovered
         assert "node" in str(error).lower(), error
         return set(), set()
     return (

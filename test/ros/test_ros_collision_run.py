@@ -1,4 +1,4 @@
-"""Messages in the order the topics happen to deliver them: the answers are those of the right order."""
+"""Messages in any order of delivery across topics give the same answers as in the right order."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def ground() -> CollisionBody:
 
 
 def cut(sequence: int, fragment_id: int, new_ids: tuple[int, int], offset: float, above: float) -> FractureEvent:
-    """The nodes of a fragment that spans x > `above`, parted by the plane x = offset."""
+    """Splits the nodes of the fragment at x > `above` by the plane x = offset."""
     mesh = brick((1.0, 0.5, 0.5), 0.25)
     x = mesh.vertices[:, 0]
     nodes = np.flatnonzero(x > above)
@@ -95,7 +95,7 @@ def test_an_event_of_an_unknown_body_blocks_nothing() -> None:
     assert run.add_fracture(SECOND) == []
     assert (run.held_event_count, run.event_count) == (0, 2)
     assert field_bytes(run.answer(STATES)) == field_bytes(expected_contacts())
-    # Nor does one that speaks of a sequence long applied.
+    # Nor does an event with a sequence number that was applied before.
     (refusal,) = run.add_fracture(SECOND._replace(sequence=1, body_id=77))
     assert refusal.kind == "sequence_repeat" and run.held_event_count == 0
 
@@ -127,7 +127,7 @@ def test_what_is_held_has_a_limit_in_bytes(monkeypatch) -> None:
     kinds = [run.add_fracture(FIRST._replace(sequence=k))[0].kind for k in (1, 2, 2, 3)]
     assert kinds == ["unknown_id", "unknown_id", "unknown_id", "limit_exceeded"]
     assert run.held_event_count == 2
-    run.add_body(breakable_body())  # what waited is applied, and makes room
+    run.add_body(breakable_body())  # the held events are applied, which frees their bytes
     assert run.held_event_count == 0
     assert run.add_fracture(FIRST._replace(sequence=9, body_id=77))[0].kind == "unknown_id"
 
@@ -155,7 +155,7 @@ def test_states_that_need_a_rejected_event_are_refused_until_it_is_corrected() -
     assert refusal.kind == "size_mismatch"
     words = f"event 1 was rejected: {refusal.reason}; a corrected event with sequence 1 is awaited"
     assert rejection(run) == f"fracture_sequence: 2, but {words}" and run.rejected_event == words
-    # a topic delivers the later one only once, and perhaps long before the corrected one
+    # the topic delivers the later event only once, possibly long before the corrected one
     (held,) = run.add_fracture(SECOND)
     assert held.kind == "sequence_gap" and words in held.reason
     assert words in rejection(run)
@@ -164,7 +164,7 @@ def test_states_that_need_a_rejected_event_are_refused_until_it_is_corrected() -
     assert run.add_fracture(FIRST) == []
     assert (run.held_event_count, run.event_count, run.rejected_event) == (0, 2, "")
     assert field_bytes(run.answer(STATES)) == field_bytes(expected_contacts())
-    (repeat,) = run.add_fracture(BAD)  # the latched topic has it still
+    (repeat,) = run.add_fracture(BAD)  # the latched topic still holds it
     assert repeat.kind == "size_mismatch" and run.rejected_event == ""
     assert field_bytes(run.answer(STATES)) == field_bytes(expected_contacts())
 
@@ -180,7 +180,7 @@ def test_earlier_states_are_answered_beside_a_rejected_event() -> None:
 
 
 def test_events_behind_one_that_is_rejected_late_are_kept() -> None:
-    """It waits for its body, is rejected when that comes, and the others wait on."""
+    """An event waits for its body and is rejected when the body arrives; the later events stay held."""
     run = CollisionRun(1, SETTINGS)
     run.add_body(ground())
     run.add_fracture(BAD)
@@ -200,7 +200,7 @@ def test_an_event_that_cannot_be_read_is_known_by_its_sequence() -> None:
     assert place_of_event(bytes(data[:20])) is None
     run = ready_run()
     run.reject_fracture(2, "too long")
-    assert run.rejected_event == "" and run.answer(STATES) is None  # event 1 may come yet
+    assert run.rejected_event == "" and run.answer(STATES) is None  # event 1 may still arrive
     assert run.add_fracture(FIRST) == []
     assert "event 2 was rejected: too long" in rejection(run)
     assert run.add_fracture(SECOND) == []
@@ -212,9 +212,9 @@ def test_events_beyond_the_limit_are_asked_for_again_when_they_are_due(monkeypat
     run = ready_run()
     third = SECOND._replace(sequence=3)
     assert run.add_fracture(third)[0].kind == "sequence_gap"
-    assert run.add_fracture(SECOND)[0].kind == "sequence_gap"  # takes the place of the later one
+    assert run.add_fracture(SECOND)[0].kind == "sequence_gap"  # replaces the later event
     assert run.held_event_count == 1 and not run.wants_log()
-    assert run.add_fracture(FIRST) == []  # and this that of the second
+    assert run.add_fracture(FIRST) == []  # replaces event 2
     assert run.event_count == 1 and run.wants_log() and not run.wants_log()
     assert run.add_fracture(FIRST) == [] and run.add_fracture(SECOND) == []
     assert run.event_count == 2
@@ -235,7 +235,7 @@ def test_states_are_looked_at_again_only_when_what_they_lack_is_there(monkeypatc
         run.add_body(ball)
     assert len(tried) == 1
     assert run.answer(states) is not None and len(tried) == 2
-    # other states are looked at, of course
+    # different states are tried immediately
     assert run.answer(states._replace(step=2)) is not None and len(tried) == 3
 
 

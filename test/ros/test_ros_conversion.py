@@ -1,4 +1,4 @@
-"""Records to messages and back: nothing changes, nothing is copied element by element."""
+"""Records to messages and back: values are preserved and no array is copied element by element."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def test_padding_is_zeroed_and_nothing_else(message: Any) -> None:
 
 
 def meaning(data: bytes, message_class: Any) -> str:
-    return str(deserialize_message(data, message_class))  # as text, where a NaN is the same as another
+    return str(deserialize_message(data, message_class))  # as text, in which NaNs compare equal
 
 
 def zero_padding_or_none(data: bytes, message_class: Any) -> bytes | None:
@@ -131,7 +131,7 @@ def test_what_is_no_message_has_no_padding() -> None:
 
 
 def test_large_arrays_are_converted_as_a_whole() -> None:
-    """As many calls as for small ones, and not even twice the memory of what is converted: no object an element."""
+    """As many calls as for small arrays and less than twice the memory of the data: no object per element."""
     calls = []
     for count in (10, 200_000):
         long = {name: floats(3 * count) for name in ("points_a", "points_b", "normals")}

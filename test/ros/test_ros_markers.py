@@ -1,4 +1,4 @@
-"""Markers for RViz and Foxglove: their bytes, what they show, and when they are sent."""
+"""Markers for RViz and Foxglove: their bytes, their content, and when they are published."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from fracture_collision.world import CollisionWorld, Settings
 
 
 def as_message(records: list[MarkerRecord], heading: Heading) -> MarkerArray:
-    """The slow way."""
+    """The slow twin: a MarkerArray built with rclpy's classes."""
     return MarkerArray(
         markers=[
             Marker(
@@ -82,7 +82,7 @@ def one_run() -> tuple[CollisionWorld, FragmentMarkers]:
 
 
 def shown(world: CollisionWorld, markers: FragmentMarkers, states: FragmentStates, complete: bool) -> list[Marker]:
-    """What a viewer is sent."""
+    """The markers published to a viewer."""
     contacts = world.contacts(states)
     record = world.fragments()
     markers.set_registry(record.fragment_ids, record.body_ids)
@@ -127,7 +127,7 @@ def test_a_viewer_sees_what_the_meshes_are() -> None:
             assert marker.pose.position.z == 0.24 and marker.pose.orientation.w == 1.0
         assert lightness(cracks.color) > lightness(outside.color) + 0.1
         outside_hues.add(round(hue(outside.color), 1))
-    assert len(outside_hues) == 1  # a family of colours
+    assert len(outside_hues) == 1  # one colour family per body
 
 
 def lightness(colour: ColorRGBA) -> float:
@@ -144,8 +144,8 @@ def test_only_what_has_changed_is_sent_again() -> None:
     assert set(by_name(shown(world, markers, whole(2), complete=False))) == {("contacts", 0), ("contact_normals", 0)}
     risen = by_name(shown(world, markers, whole(3, height=0.3), complete=False))
     assert risen["fragments", 1].pose.position.z == 0.3
-    assert risen["contacts", 0].action == risen["contact_normals", 0].action == Marker.DELETE  # it hangs in the air
-    # from a rewind to the time before the fracture, and from a body that is gone
+    assert risen["contacts", 0].action == risen["contact_normals", 0].action == Marker.DELETE  # no contacts in the air
+    # markers are deleted after a rewind to before the fracture, and after a body is removed
     world.add_fracture(FIRST)
     broken = STATES._replace(step=4, fracture_sequence=1, fragment_ids=np.array([10, 11]),
                              positions=np.tile([0.0, 0.0, 0.24], 2), orientations=np.tile([0.0, 0, 0, 1.0], 2))
@@ -192,7 +192,7 @@ def stage(tmp_path: Path) -> Iterator[StageWithClients]:
 
 
 class Viewer:
-    """What RViz would show."""
+    """The markers RViz would display."""
 
     def __init__(self, client: ServiceClient, durability: DurabilityPolicy) -> None:
         self.shown: dict[tuple[str, int], Marker] = {}
@@ -227,15 +227,15 @@ def test_over_dds(stage: StageWithClients) -> None:
         client.publish("fracture_events", event, 7)
     client.ask(STATES, 7)
     client.spin_until(lambda: viewer.fragments() == {2, 10, 12, 13}, "its fragments")
-    late = Viewer(client, DurabilityPolicy.TRANSIENT_LOCAL)  # while nothing runs
+    late = Viewer(client, DurabilityPolicy.TRANSIENT_LOCAL)  # joins while no states are published
     client.spin_until(lambda: late.shown.keys() == viewer.shown.keys(), "all for a late one")
 
-    # another run: nothing of the first is left
+    # a new run: all markers of the first are gone
     client.publish("bodies", breakable_body()._replace(body_id=5, fragment_id=5), 8)
     client.ask(whole(1)._replace(fragment_ids=np.array([5])), 8)
     client.spin_until(lambda: viewer.fragments() == late.fragments() == {5}, "the other run")
 
-    # nobody looks: nothing is sent; somebody looks again: all
+    # a subscriber that joins after all others have left gets the complete scene
     for each in (viewer, late):
         client.node.destroy_subscription(each.subscription)
     client.ask(whole(2, height=0.3)._replace(fragment_ids=np.array([5])), 8)

@@ -1,4 +1,4 @@
-"""Killed and stopped subscribers: whom the service and the simulator wait for, and what they say of it."""
+"""Killed and stopped subscribers: which ones the service and the simulator wait for, and how they report it."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def test_who_stops_reading_is_waited_for_once_and_named(stage: StageWithClients,
     assert said.startswith("contact_constraints: ") and "/recorder_node [" in said and "], stopped" in said
     before = int(client.details[ANSWERS][OVERTAKEN])
     assert 1 <= before <= 40
-    # One that is stopped is not waited for as one is that may only be slow.
+    # A stopped subscriber is not given the PATIENCE that a merely slow one gets.
     assert worst_of(client, "conversion and publishing") < PATIENCE
 
     recorder.send_signal(signal.SIGCONT)
@@ -105,7 +105,7 @@ def test_who_stops_reading_is_waited_for_once_and_named(stage: StageWithClients,
 
 
 class Clock:
-    """Of what is done without anybody waiting."""
+    """A clock that advances without real waiting."""
 
     def __init__(self) -> None:
         self.now = 100.0
@@ -115,8 +115,7 @@ class Clock:
 
 
 class StandIn:
-    """A publisher, its node and its neighbours, with one subscriber that acknowledges the last message when it is time.
-    """
+    """A publisher, its node and its neighbours, with one subscriber that acknowledges after a set time."""
 
     slow: dict[str, frozenset[bytes]]
 
@@ -135,18 +134,18 @@ class StandIn:
         return [SimpleNamespace(node_name="recorder_node", endpoint_gid=bytes(24), qos_profile=qos.FRAGMENTS.qos)]
 
     def publish(self, _message: bytes) -> None:
-        """Takes no time."""
+        """Publishing takes no time."""
 
     def wait_for_all_acked(self, duration) -> bool:
         seconds = duration.nanoseconds / 1e9
         waited = min(seconds, self.acknowledges_after)
         self.acknowledges_after -= waited
         self.waits.append(waited)
-        self.clock.now += waited + 1e-9  # looking takes a moment, too
+        self.clock.now += waited + 1e-9  # the check itself takes time too
         return self.acknowledges_after <= 0.0
 
     def look(self, *_infos) -> None:
-        """Nobody comes or goes."""
+        """No participant joins or leaves."""
 
     def are_some_stopped(self, _participants) -> bool:
         return self.is_stopped
@@ -171,7 +170,7 @@ def test_who_does_not_acknowledge_is_left_out_until_it_does(
     publisher = AcknowledgedPublisher(stand_in, qos.CONTACT_CONSTRAINTS, neighbours=stand_in)
 
     def waited(since_the_last: float) -> float:
-        """[s] at the next message."""
+        """Time [s] the next publish waits."""
         clock.now += since_the_last
         stand_in.waits.clear()
         publisher.publish(b"")
@@ -182,18 +181,18 @@ def test_who_does_not_acknowledge_is_left_out_until_it_does(
     stand_in.acknowledges_after, stand_in.is_stopped = math.inf, is_stopped
     first = waited(0.001)
     assert first <= (LOOK_INTERVAL if is_stopped else PATIENCE) + 1e-6
-    # neither 2 s again, nor 10 ms where the step has taken as long
+    # it waits neither 2 s again, nor 10 ms if the step has taken that long already
     assert [waited(0.02) for _ in range(50)] == [0.0] * 50
     assert waited(0.004) == pytest.approx(PATIENCE_WITH_THE_SLOW - 0.004, abs=1e-6)
     assert publisher.overtaken == 52 and stand_in.warnings == 1 and stand_in.slow
     stand_in.acknowledges_after, stand_in.is_stopped = 0.0, False
     assert waited(0.001) == 0.0 and not stand_in.slow
-    stand_in.acknowledges_after = 0.3  # it keeps up again, and nothing is published past it
+    stand_in.acknowledges_after = 0.3  # it keeps up again, so publishes wait for it
     assert waited(0.001) == pytest.approx(0.3, abs=1e-6) and publisher.overtaken == 52
 
 
 def test_a_subscriber_that_never_spins_is_not_waited_for(stage: StageWithClients) -> None:
-    """DDS acknowledges what it has taken in, whether or not anybody looks at it."""
+    """DDS acknowledges every sample it receives, even if the application never takes it."""
     client = service_with_bodies(stage)
     idle = stage.client()
     client.spin_until(lambda: client.node.count_subscribers("contact_constraints") == 2, "the other")
@@ -217,10 +216,10 @@ def test_a_process_is_told_from_its_participant() -> None:
         assert found and all(is_of_this_process(each) for each in found)
         (process,) = {process_of(each) for each in found}
         assert process.pid == os.getpid() and not is_dead(process) and not is_stopped(process)
-        assert is_dead(process._replace(started=process.started + 1))  # its number given to another
+        assert is_dead(process._replace(started=process.started + 1))  # its pid was reused by another process
         stranger = min(found)
         assert process_of(stranger[:4] + b"\xff\xff" + stranger[6:]) is None
-        assert not is_of_this_process(b"\x01\x10" + stranger[2:])  # another vendor counts otherwise
+        assert not is_of_this_process(b"\x01\x10" + stranger[2:])  # other vendors encode GUIDs differently
     finally:
         for context in contexts:
             context.try_shutdown()

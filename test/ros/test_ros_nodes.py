@@ -1,4 +1,4 @@
-"""The service in its own process, over DDS: its answers, what it refuses, its start and its end."""
+"""The service in its own process, over DDS: answers, rejections, startup and shutdown."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_answers_are_those_of_the_library(service: NodeProcess, client: ServiceC
     registry = client.await_registry(RUN, 2)
     assert registry.fragment_ids.tolist() == [2, 10, 12, 13] and len(registry.digest) == 64
 
-    # From the same log: an earlier registry, and back.
+    # From the same log: an earlier registry, then the current one again.
     early = STATES._replace(step=1, fracture_sequence=0, fragment_ids=np.array([1]),
                             positions=np.array([0.0, 0.0, 0.24]), orientations=np.array([0.0, 0.0, 0.0, 1.0]))
     assert client.ask(early, RUN).fragment_a.tolist() == [1]
@@ -81,7 +81,7 @@ def test_states_wait_for_what_they_speak_of(service: NodeProcess, client: Servic
 
 @pytest.mark.parametrize("how", ["a field", "its size", "its bytes"])
 def test_a_rejected_event_holds_up_nothing_for_ever(how: str, service: NodeProcess, client: ServiceClient) -> None:
-    """States that need it are answered at once; the corrected event brings what came meanwhile along."""
+    """States that need it are rejected at once; the corrected event also applies the events that arrived meanwhile."""
     client.await_service()
     for body in (breakable_body(), ground()):
         client.publish("bodies", body, RUN)
@@ -117,7 +117,7 @@ def test_a_new_run_id_is_a_new_scene(service: NodeProcess, client: ServiceClient
                             orientations=np.array([0.0, 0.0, 0.0, 1.0]))  # fmt: skip
     assert len(client.ask(alone, RUN + 1).gaps) == 0
     assert client.await_registry(RUN + 1, 0).fragment_ids.tolist() == [1]
-    # The first run again, as when a bag is looped.
+    # The first run again, as when a bag is played in a loop.
     tell_all(client, RUN)
     assert field_bytes(client.ask(STATES, RUN)) == field_bytes(first)
 
@@ -157,7 +157,7 @@ def test_bad_input_is_refused_in_words_and_changes_nothing(service: NodeProcess,
     client.await_refusal("fracture_events: unknown_id", "no body 77")
 
     assert field_bytes(client.ask(STATES, RUN)) == field_bytes(good)
-    # one line a second at most, whichever refusal came first in it
+    # at most one line per second is logged, for the first rejection in it
     assert "[collision_node]: refused, " in service.log_text()
 
 
@@ -171,7 +171,7 @@ def test_a_service_killed_and_started_again_goes_on(
     client.registries.clear()
     service.send_signal(signal.SIGKILL)
     service.wait(10.0)
-    # The new one shows itself by its first words; the killed one's subscription may linger until DDS misses it.
+    # The first diagnostics announce the new service; the killed one's subscription may linger until its lease expires.
     client.diagnostics.clear()
     successor = NodeProcess("collision_node", {"threads": 1}, domain_id, tmp_path / "successor.log")
     try:
@@ -194,7 +194,7 @@ def test_ends_cleanly_when_told(service: NodeProcess, client: ServiceClient, ord
 
 @pytest.mark.parametrize("order", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_while_kernels_are_loaded_ends_it_at_once(domain_id: int, order: signal.Signals) -> None:
-    """Sent where numba hands LLVM a kernel: an exception there is swallowed, and the kernel's address is null."""
+    """Sent while numba passes a kernel to LLVM: an exception there is swallowed and the kernel's address is null."""
     code = f"""
 import os, sys
 from numba.core.codegen import CPUCodeLibrary
@@ -217,8 +217,8 @@ sys.exit(main())
 
 
 def test_a_start_takes_little_work(client: ServiceClient, domain_id: int, tmp_path: Path) -> None:
-    """With kernels in the cache, no more than three seconds of processor time: on a busy machine the clock tells of
-    others' work."""
+    """With cached kernels, at most three seconds of processor time; on a busy machine wall time would include the work
+    of other processes."""
     tell_all(client, RUN)
     service = NodeProcess("collision_node", {"threads": 1}, domain_id, tmp_path / "service.log")
     try:

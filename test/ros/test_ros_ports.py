@@ -1,4 +1,4 @@
-"""Ports of DDS: what the dead left is removed from under nobody, and a node without working ports does not go on."""
+"""DDS ports: cleanup removes only files that no process uses, and a node without working ports exits."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def files(folder: Path) -> set[str]:
 
 def test_what_nobody_holds_is_removed(tmp_path: Path) -> None:
     left = made(tmp_path, "fastrtps_00ff00ff00ff00ff", "fastrtps_00ff00ff00ff00ff_el", "fastrtps_port7411")
-    left += made(tmp_path, "fastrtps_port7411_el", "fastrtps_port7413")  # of one the listener's lock went with it
+    left += made(tmp_path, "fastrtps_port7411_el", "fastrtps_port7413")  # the lock file of 7413 is gone already
     stays = made(tmp_path, "fastrtps_1111111111111111", "fastrtps_1111111111111111_el", "fastrtps_port7415")
     stays += made(tmp_path, "fastrtps_of_somebody_el", "fastrtps_", "other_el")
     stays += made(tmp_path, "fastrtps_2222222222222222", "fastrtps_2222222222222222_el", age=0.0)
@@ -62,7 +62,7 @@ def test_what_nobody_holds_is_removed(tmp_path: Path) -> None:
 
 
 def test_a_port_that_is_being_opened_is_left_alone(tmp_path: Path) -> None:
-    """Fast DDS holds its mutex then; one without a mutex may be opened at any time."""
+    """Fast DDS holds the port's mutex while opening it; a port without a mutex may be opened at any time."""
     ports = made(tmp_path, "fastrtps_port7417", "fastrtps_port7417_el", "fastrtps_port7419", "fastrtps_port7419_el")
     ports.append(mutex(tmp_path, 7417, TAKEN))
     assert remove_left_behind(tmp_path) == 0
@@ -70,7 +70,7 @@ def test_a_port_that_is_being_opened_is_left_alone(tmp_path: Path) -> None:
 
 
 def test_a_port_that_was_opened_meanwhile_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Between being judged and being removed: its new owner would be deaf."""
+    """Opened between the check and the removal: removing it would leave its new owner unable to receive."""
     ports = made(tmp_path, "fastrtps_port7421", "fastrtps_port7421_el") + [mutex(tmp_path, 7421)]
     real = shared_memory._port_mutex
     with ExitStack() as owner:
@@ -105,7 +105,7 @@ def test_the_mutex_is_held_while_a_port_is_removed_and_free_afterwards(
 
 
 def test_to_judge_tries_no_lock(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """To try one is to hold it for a moment, in which a participant that opens the port fails and is deaf."""
+    """Trying a lock holds it briefly; a participant that opens the port then would fail and receive nothing."""
     made(tmp_path, "fastrtps_port7425", "fastrtps_port7425_el")
     monkeypatch.setattr(shared_memory.fcntl, "flock", lambda *_: pytest.fail("a lock was tried"))
     assert len(left_behind(tmp_path)) == 2
@@ -117,7 +117,7 @@ def test_the_next_one_listens_at_other_ports_than_those_that_others_still_write_
     dead, just_dead, replaced, alive, unmapped, never_read, elsewhere = (
         first + 11, first + 13, first + 15, first + 17, first + 19, first + 21, first + PORTS_A_DOMAIN + 11
     )  # fmt: skip
-    flow = PORT_BASE - 1  # the highest, which nodes that run beside do not get to
+    flow = PORT_BASE - 1  # the highest, out of reach of nodes running in parallel
     for port in (dead, just_dead, replaced, alive, unmapped, never_read, elsewhere, flow):
         made(tmp_path, f"fastrtps_port{port}", f"fastrtps_port{port}_el", age=0.0 if port == just_dead else OLD)
     (tmp_path / f"fastrtps_port{never_read}_el").unlink()
@@ -125,7 +125,7 @@ def test_the_next_one_listens_at_other_ports_than_those_that_others_still_write_
         for port in (dead, just_dead, replaced, alive, never_read, elsewhere, flow):
             file = stack.enter_context((tmp_path / f"fastrtps_port{port}").open("rb"))
             stack.enter_context(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
-        for port in (replaced, alive):  # by who listens there now
+        for port in (replaced, alive):  # their current listeners hold the locks
             name = f"fastrtps_port{port}"
             if port == replaced:
                 (tmp_path / name).unlink()
@@ -144,7 +144,7 @@ def test_the_next_one_listens_at_other_ports_than_those_that_others_still_write_
 
 @contextmanager
 def all_ports_locked(domain_id: int) -> Iterator[None]:
-    """As by somebody else, in shared memory."""
+    """Locks all ports of the domain in shared memory, as another process would."""
     first = PORT_BASE + PORTS_A_DOMAIN * domain_id
     locks = [FOLDER / f"fastrtps_port{port}_el" for port in range(first, first + PORTS_A_DOMAIN)]
     with ExitStack() as stack:

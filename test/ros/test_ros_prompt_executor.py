@@ -1,4 +1,4 @@
-"""The short way for messages: nothing that rclpy's executor does is lost, and nothing is polled."""
+"""The executor's fast path for messages: it keeps all of rclpy's features and never polls."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Stage(NamedTuple):
     executor: PromptExecutor
 
     def spin_until(self, condition: Callable[[], bool]) -> int:
-        """How often something was ready until then."""
+        """Number of spins until the condition holds."""
         deadline, turns = time.monotonic() + PATIENCE, 0
         while not condition():
             assert time.monotonic() < deadline
@@ -96,7 +96,7 @@ def test_timers_services_guards_and_what_comes_while_it_spins(stage: Stage) -> N
 
 
 def test_it_waits_while_there_is_nothing_to_do(stage: Stage) -> None:
-    """After a timer has been served too, whose handling wakes rclpy's executor twice in vain."""
+    """Also after a timer callback, which wakes rclpy's executor twice for nothing."""
     ticks: list[float] = []
     stage.node.create_timer(0.1, lambda: ticks.append(time.monotonic()))
     publisher = stage.node.create_publisher(String, "words", 10)
@@ -109,7 +109,7 @@ def test_it_waits_while_there_is_nothing_to_do(stage: Stage) -> None:
 
     began = time.monotonic()
     stage.node.destroy_timer(next(stage.node.timers))
-    for _ in range(5):  # what is left over
+    for _ in range(5):  # drain remaining wake-ups
         stage.executor.spin_once(timeout_sec=0.0)
     stage.executor.spin_once(timeout_sec=0.2)
     assert time.monotonic() - began >= 0.2

@@ -1,4 +1,4 @@
-"""Whose run the service follows: the rules, without ROS."""
+"""Which publisher's run the service follows: the rules, without ROS."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ FIRST, SECOND, THIRD = b"first", b"second", b"third"
 
 
 def there(*simulators: bytes, **helpers: bytes) -> dict[str, set[bytes]]:
-    """Simulators publish on all topics, helpers on one."""
+    """Publishers by topic: simulators publish on all topics, helpers on one."""
     return {topic: {*simulators, *([helpers[topic]] if topic in helpers else [])} for topic in TOPICS}
 
 
 def followed(*simulators: bytes) -> RunGuard:
-    """A guard that follows the first of those that are there."""
+    """A guard that follows the first of the given simulators."""
     guard = RunGuard()
     guard.observe(there(*simulators), LOG)
     assert guard.judge(BODIES, simulators[0], False, False) is Verdict.FOLLOW
@@ -26,7 +26,7 @@ def followed(*simulators: bytes) -> RunGuard:
 def test_the_first_is_followed_and_the_second_refused_whatever_its_run() -> None:
     guard = followed(FIRST, SECOND)
     for topic in TOPICS:
-        assert guard.judge(topic, FIRST, False, False) is Verdict.FOLLOW  # a new run of its own
+        assert guard.judge(topic, FIRST, False, False) is Verdict.FOLLOW  # also when it starts a new run
         for same_run in (False, True):
             assert guard.judge(topic, SECOND, same_run, False) is Verdict.REFUSE
     assert guard.leader == FIRST and guard.waiting == {SECOND}
@@ -37,7 +37,7 @@ def test_the_second_gets_in_when_the_first_is_gone() -> None:
     guard.judge(STATES, SECOND, True, False)
     guard.observe(there(SECOND), LOG)
     assert guard.leader is None and guard.waiting == {SECOND}
-    assert guard.judge(BODIES, SECOND, True, False) is Verdict.BEGIN  # the same run id is another run
+    assert guard.judge(BODIES, SECOND, True, False) is Verdict.BEGIN  # although the run id is the same, it is a new run
     assert guard.judge(EVENTS, SECOND, True, False) is Verdict.FOLLOW
     assert guard.judge(BODIES, FIRST, True, False) is Verdict.REFUSE
 
@@ -68,7 +68,7 @@ def test_what_the_leader_does_not_publish_others_may_once_and_of_the_same_run() 
     assert guard.judge(STATES, SECOND, True, False) is Verdict.FOLLOW
     assert guard.judge(STATES, THIRD, True, False) is Verdict.REFUSE
     assert guard.judge(BODIES, SECOND, True, False) is Verdict.REFUSE
-    # Who published the bodies and went has left a run that others go on with.
+    # After the publisher of the bodies has left, others may continue its run.
     guard.observe({BODIES: set(), EVENTS: set(), STATES: {THIRD}}, LOG)
     assert guard.judge(STATES, THIRD, True, False) is Verdict.FOLLOW
 
@@ -76,7 +76,7 @@ def test_what_the_leader_does_not_publish_others_may_once_and_of_the_same_run() 
 def test_a_takeover_is_for_good() -> None:
     guard = followed(FIRST, SECOND)
     assert guard.judge(STATES, SECOND, False, True) is Verdict.BEGIN
-    assert guard.judge(STATES, FIRST, False, True) is Verdict.REFUSE  # else the two would take turns
+    assert guard.judge(STATES, FIRST, False, True) is Verdict.REFUSE  # otherwise the two would alternate
     assert guard.judge(BODIES, THIRD, False, True) is Verdict.BEGIN
     assert guard.judge(BODIES, SECOND, False, True) is Verdict.REFUSE
     guard.observe(there(FIRST), LOG)

@@ -1,4 +1,4 @@
-"""The simulator in its own process: what it refuses, and the states it sends."""
+"""The simulator in its own process: what it rejects, and the states it publishes."""
 
 from __future__ import annotations
 

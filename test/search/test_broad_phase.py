@@ -1,4 +1,4 @@
-"""The broad phase's quick way, which tests only what has moved, against its slow twin, which has nothing before it."""
+"""The incremental broad phase, which tests only moved fragments, against its slow twin without history."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ TOLERANCE, MOST = 0.01, 1 << 20
 
 
 def heap(count: int, random: np.random.Generator) -> tuple[FragmentPool, np.ndarray]:
-    """`count` fragments, two of them planes, with what a broad phase reads of them; and which are static."""
+    """`count` fragments, two of them planes, with the arrays a broad phase reads, and which are static."""
     half = random.uniform(0.02, 0.2, (count, 3))
     kind = np.full(count, TETRAHEDRA, np.int32)
     kind[[1, count - 2]] = PLANE
@@ -51,9 +51,9 @@ def test_pairs_of_what_moved_are_those_of_all(seed: int) -> None:
         rotations, positions = rotations.copy(), positions.copy()
         moving = random.choice(count, random.integers(0, 2 * count // FEW), replace=False)
         rotations[moving], positions[moving] = poses(len(moving), random)
-        if step == 20:  # others take part
+        if step == 20:  # different fragments take part
             rows = np.sort(random.choice(count + 5, count, replace=False))
-        if step % 10 >= 5:  # some of it looked ahead
+        if step % 10 >= 5:  # some steps with lookahead
             spins = np.where(np.isin(np.arange(count), moving)[:, None], random.normal(size=(count, 3)), 0.0)
             motion = Motion(0.01, positions, 5.0 * spins, spins, np.ones(count))
         else:

@@ -1,4 +1,4 @@
-"""Kernels are loaded without what only compiling needs, and what is compiled beside them and with them still works."""
+"""Cached kernels load without the compiler's modules, and compiling other code besides or with them still works."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def said(script: str) -> object:
 
 
 def test_a_loaded_kernel_and_one_that_is_compiled_with_it() -> None:
-    said(LOAD_THEN_COMPILE)  # where it is not in the cache yet, this puts it there
+    said(LOAD_THEN_COMPILE)  # fills the cache if necessary
     assert said(LOAD_THEN_COMPILE) == {
         "pieces": [0, 1, 0, 2, 2, 3], "hits": 1, "imported for compiling": [], "ring": 1, "compiled": True,
     }  # fmt: skip

@@ -1,4 +1,4 @@
-"""The plane sought between two fragments' hulls: what it says of them is true, and it is found where there is one."""
+"""The separating plane of two fragments' hulls: its bounds are valid, and it is found if one exists."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def case(request) -> FracturedWorld:
 
 
 class Placed(NamedTuple):
-    """Two fragments in b's frame: all vertices of their surfaces, and what parting_plane takes."""
+    """Two fragments in b's frame: all vertices of their surfaces, and the arguments of parting_plane."""
 
     a: np.ndarray
     b: np.ndarray
@@ -42,7 +42,7 @@ class Placed(NamedTuple):
 
 
 def placed(case: FracturedWorld, random: np.random.Generator) -> Placed:
-    """Any two, side by side: their boxes' middles about as far apart as they are large, more or less."""
+    """Two random fragments, their boxes' centres apart by 0.2 to 1.6 times the sum of their mean half sizes."""
     pools = case.geometry.pools
     first, second = (case.row(int(i)) for i in random.choice(case.oracle.fragment_ids, 2, replace=False))
     vertices, hulls, middles = [], [], []
@@ -67,7 +67,7 @@ def found_plane(pair: Placed) -> tuple[np.ndarray, float, float]:
 
 
 def widest_gap(a: np.ndarray, b: np.ndarray) -> float:
-    """Of all planes between two sets of points, a lower bound of the widest gap [m]; 0 if there is none."""
+    """Lower bound of the widest gap [m] of all planes between two sets of points; 0 if there is none."""
     n_a, n_b = np.ones((len(a), 1)), np.ones((len(b), 1))
     # n.x >= d + g / 2 for all of a, n.x <= d - g / 2 for all of b, |n| <= 1 by coordinates, g as large as may be
     rows = np.vstack([np.hstack([-a, n_a, 0.5 * n_a]), np.hstack([b, -n_b, 0.5 * n_b])])
@@ -85,7 +85,7 @@ def test_no_point_of_either_is_beyond_what_the_plane_says(case):
         assert abs(np.linalg.norm(normal) - 1.0) < 1e-12
         assert (pair.a @ normal).min() >= low - 1e-12
         assert (pair.b @ normal).max() <= high + 1e-12
-        # and no more is said than is true of some point
+        # and the bounds are tight
         assert (pair.a @ normal).min() <= low + 1e-9
         assert (pair.b @ normal).max() >= high - 1e-9
 

@@ -1,4 +1,4 @@
-"""Contacts that lie ahead: the slow twin goes the way in small steps and asks at each for what is near then."""
+"""Lookahead contacts: the slow twin advances in small steps and queries the contacts at each."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ AHEAD = 0.02  # [s]
 SETTINGS = Settings(threads=1, lookahead=AHEAD)
 MOMENTS = 400
 BALL, BLOCK, FLOOR = 3000, 3001, 3002
-SIZES = {BALL: 0.3, BLOCK: 0.25, FLOOR: np.inf}  # [m] R; of all others 1 m
+SIZES = {BALL: 0.3, BLOCK: 0.25, FLOOR: np.inf}  # [m] R; 1 m for all others
 
 
 @pytest.fixture(scope="module", params=["ball", "shell, curved"])
@@ -49,7 +49,7 @@ def with_others(case: FracturedWorld, settings: Settings) -> CollisionWorld:
 
 
 def thrown(case: FracturedWorld, seed: int, spin: float) -> FragmentStates:
-    """All of it blown apart, with a ball and a block among them, and sent somewhere; 4 to 40 % of R in AHEAD."""
+    """All fragments, a ball and a block, packed closely and moving at random: 4 to 40 % of R in AHEAD."""
     random = np.random.default_rng(seed)
     pieces = case.states(0.0)
     ids = np.append(pieces.fragment_ids, [BALL, BLOCK]).astype(np.uint32)
@@ -68,7 +68,7 @@ def thrown(case: FracturedWorld, seed: int, spin: float) -> FragmentStates:
 
 
 def later(world: CollisionWorld, states: FragmentStates, t: float) -> FragmentStates:
-    """Where all are after `t` [s]: centres of mass straight on, each turning about its own."""
+    """The states after `t` [s]: centres of mass move straight, and each body rotates about its own."""
     registry = world.fragments()
     centers = dict(zip(registry.fragment_ids.tolist(), registry.centers_of_mass.reshape(-1, 3), strict=True))
     arms = np.array([centers[i] for i in states.fragment_ids.tolist()])
@@ -89,7 +89,7 @@ def rows_of(answer: ContactConstraintArray) -> dict[tuple[int, int], slice]:
 
 @pytest.mark.parametrize(("spin", "surfaces"), [(0.0, "sampled"), (10.0, "sampled"), (10.0, "edges")])
 def test_lists_what_the_slow_way_meets(case: FracturedWorld, spin: float, surfaces: str) -> None:
-    """A pair that is apart now is listed if it will be deeper than epsilon, with points that meet when it is met."""
+    """A separate pair is listed if it will be deeper than epsilon, with points that meet at the time of contact."""
     settings = SETTINGS._replace(surfaces=surfaces)
     world, now = with_others(case, settings), with_others(case, settings._replace(lookahead=0.0))
     met = unmet = unfollowed = 0
@@ -109,12 +109,12 @@ def test_lists_what_the_slow_way_meets(case: FracturedWorld, spin: float, surfac
             assert np.linalg.norm(there[0] - there[1], axis=1).min() < reach
             assert listed.gaps[rows].max() > 0.0
             met += 1
-    # what only grazes the tolerance may be met between two moments of one way and not of the other
+    # a pair that only grazes the tolerance may touch between two time steps of one method and not of the other
     assert met > 10 and unmet <= 1 and unfollowed <= 1
 
 
 def test_what_spins_fast_is_not_missed(case: FracturedWorld) -> None:
-    """By three radians in the time: the ways of its points are far from straight."""
+    """Rotation by three radians in AHEAD: the paths of its points are far from straight."""
     world, now = with_others(case, SETTINGS), with_others(case, SETTINGS._replace(lookahead=0.0))
     met = unfollowed = 0
     for seed in range(10):
@@ -130,7 +130,7 @@ def test_what_spins_fast_is_not_missed(case: FracturedWorld) -> None:
 def test_a_gap_is_never_less_than_what_is_known_of_it(
     case: FracturedWorld, spin: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Along any direction, beside the gap at 200 moments; without spins it is the least of these."""
+    """The lower bound along random directions against the gap at 200 times; without spin it equals their minimum."""
     asked = []
     monkeypatch.setattr(collision_world, "query_pairs", lambda *a: asked.append(a) or narrow_phase.query_pairs(*a))
     world = with_others(case, SETTINGS)
@@ -166,7 +166,7 @@ def test_a_gap_is_never_less_than_what_is_known_of_it(
 def test_no_point_comes_nearer_than_its_way_says(
     case: FracturedWorld, spin: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Seen from the other, along any direction, beside 200 moments of a part of the time; without spins just so far."""
+    """Relative motion along random directions against 200 times of a part of AHEAD; without spin the bound is exact."""
     asked = []
     monkeypatch.setattr(collision_world, "query_pairs", lambda *a: asked.append(a) or narrow_phase.query_pairs(*a))
     with_others(case, SETTINGS).contacts(thrown(case, 0, spin))
@@ -196,7 +196,7 @@ def test_no_point_comes_nearer_than_its_way_says(
 
 
 def slow_way(now: CollisionWorld, states: FragmentStates) -> tuple[dict[tuple[int, int], float], set[tuple[int, int]]]:
-    """Who is met on the way and when first [s], and who is deeper than epsilon at some moment."""
+    """The pairs that touch and when first [s], and the pairs that are deeper than epsilon at some time."""
     first: dict[tuple[int, int], float] = {}
     deep = set()
     for k in range(1, MOMENTS + 1):
@@ -210,7 +210,7 @@ def slow_way(now: CollisionWorld, states: FragmentStates) -> tuple[dict[tuple[in
 
 
 def unlisted(listed: ContactConstraintArray, pairs: set[tuple[int, int]]) -> int:
-    """How many these are; who was not followed to the end says so."""
+    """The number of pairs; asserts that each was cut short by the budget and has a bound."""
     for pair in pairs:
         assert listed.status == BUDGET_EXHAUSTED and bound_of(listed, pair) > 0.01, pair
     return len(pairs)
@@ -222,7 +222,7 @@ def bound_of(answer: ContactConstraintArray, pair: tuple[int, int]) -> float:
 
 
 def _moved_points(world, states, answer, pair, rows, t) -> list[np.ndarray]:
-    """Points of a pair's contacts on a and on b, each carried along with its fragment until `t` [s]."""
+    """Points of a pair's contacts on a and on b, each moved with its fragment until `t` [s]."""
     there, found = later(world, states, t), []
     for fragment, points in zip(pair, (answer.points_a, answer.points_b), strict=True):
         p = points.reshape(-1, 3)[rows]
@@ -262,13 +262,13 @@ def test_what_touches_now_is_told_as_without(case: FracturedWorld) -> None:
 
 
 def case_positions(case: FracturedWorld, seed: int) -> np.ndarray:
-    """All fragments near where they broke, so that they touch; ball and block far away."""
+    """All fragments near their places before the fracture, so that they touch; ball and block far away."""
     random, n = np.random.default_rng(seed), len(case.states(0.0).fragment_ids)
     return np.concatenate([random.normal(0.0, 0.01, 3 * n), [9.0, 0.0, 5.0, -9.0, 0.0, 5.0]])
 
 
 def test_the_answer_does_not_depend_on_what_is_remembered(case: FracturedWorld) -> None:
-    """With lists and without, with one thread and with two, in the order of a flight and alone."""
+    """With and without lists, with one and two threads, along a sequence of states."""
     worlds = [
         with_others(case, SETTINGS._replace(neighbour_lists=lists, threads=threads))
         for lists, threads in ((True, 1), (False, 1), (True, 2))
@@ -276,10 +276,10 @@ def test_the_answer_does_not_depend_on_what_is_remembered(case: FracturedWorld) 
     states = thrown(case, 2, 10.0)
     still = states._replace(linear_velocities=np.zeros(0), angular_velocities=np.zeros(0))
     slow = states._replace(linear_velocities=0.02 * states.linear_velocities, angular_velocities=np.zeros(0))
-    worlds[0].contacts(states)  # brings the registry there
+    worlds[0].contacts(states)  # activates the registry
     flight = [later(worlds[0], states, t)._replace(step=k) for k, t in enumerate(np.linspace(0.0, 2.0 * AHEAD, 9))]
     flight += [states, still, states, slow, still, still, slow]
-    # in place, where many touch: the answer of the step before may hold, or what touches next is to be looked for
+    # in place, where many touch: the previous answer may hold, or the next contacts must be searched
     places = case_positions(case, 0)
     creeping = still._replace(linear_velocities=1e-4 * states.linear_velocities)
     flight += [
@@ -294,7 +294,7 @@ def test_the_answer_does_not_depend_on_what_is_remembered(case: FracturedWorld) 
 
 
 def test_what_turns_above_a_floor_meets_it() -> None:
-    """Its middle stays where it is; seen from it, the floor's far parts come up at any speed."""
+    """Its centre stays in place; relative to it, distant parts of the floor move at any speed."""
     world = CollisionWorld(SETTINGS._replace(lookahead=0.0025))
     world.add_body(tetrahedral_body(brick((0.06, 0.06, 0.004), 0.02), 1))
     world.add_body(CollisionBody(2, 2, plane=np.array([0.0, 0.0, 1.0, 0.0]), is_static=True))
@@ -307,7 +307,7 @@ def test_what_turns_above_a_floor_meets_it() -> None:
 
 
 def test_two_that_fly_as_one_do_not_meet() -> None:
-    """Two bricks a finger apart tumble about their common centre at 50 rad/s: fast, and never nearer."""
+    """Two bricks 4 cm apart tumble about their common centre at 50 rad/s: fast, but never closer."""
     world = CollisionWorld(SETTINGS._replace(lookahead=0.02))
     for i in (1, 2):
         world.add_body(tetrahedral_body(brick((1.0, 1.0, 0.5), 0.5), i))
@@ -317,7 +317,7 @@ def test_two_that_fly_as_one_do_not_meet() -> None:
         1, 0, np.array([1, 2], np.uint32), np.concatenate([-apart, apart]), np.tile([0.0, 0.0, 0.0, 1.0], 2),
         linear.ravel(), np.tile(spin, 2),
     )  # fmt: skip
-    # their centres go straight on, so they part as they turn
+    # their centres move straight, so they separate as they rotate
     assert len(world.contacts(states).gaps) == 0
     towards = states._replace(linear_velocities=(linear + [[0.0, 0.0, 15.0], [0.0, 0.0, 0.0]]).ravel())
     assert len(world.contacts(towards).gaps) > 0
@@ -342,7 +342,7 @@ def test_a_fast_ball_is_seen_before_it_is_through() -> None:
 
 
 def rod_on_one_end(world: CollisionWorld, degrees: float) -> FragmentStates:
-    """A rod of 10 cm stands on a plate on one end, tilted by 20 degrees, and turns down by so many about that end."""
+    """A rod of 10 cm on one end on a plate, tilted by 20 degrees, rotates down by `degrees` about that end."""
     world.add_body(tetrahedral_body(brick((0.5, 0.5, 0.01), 0.1), 1))
     world.add_body(tetrahedral_body(brick((0.1, 0.008, 0.008), 0.02), 2))
     turn, end = Rotation.from_rotvec([0.0, -np.radians(20.0), 0.0]), np.array([-0.05, 0.0, -0.004])
@@ -362,13 +362,13 @@ def test_what_touches_with_one_end_is_seen_to_hit_with_the_other(degrees: float,
     touching = now.contacts(rod_on_one_end(now, degrees))
     assert 0 < len(touching.gaps) == (listed.gaps < 1e-3).sum()
     assert np.array_equal(listed.contact_ids[: len(touching.gaps)], touching.contact_ids)
-    # its lower edge at the other end is 0.1 sin 20 above where it hits
+    # the lower edge of the other end is 0.1 sin 20 above the point of impact
     far = listed.gaps[listed.gaps > 1e-3]
     assert (len(far) > 0) == hits and (not hits or abs(far.max() - 0.1 * np.sin(np.radians(20.0))) < 2e-3)
 
 
 def test_the_answer_does_not_depend_on_the_room(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A pair that finds no room left is searched again, and again for what it touches next."""
+    """A pair that does not fit in the buffer is searched again, and again for its lookahead contacts."""
     worlds = [CollisionWorld(SETTINGS) for _ in range(2)]
     enough = worlds[0].contacts(rod_on_one_end(worlds[0], 40.0))
     monkeypatch.setattr(narrow_phase, "FIRST_ROOM", 1)

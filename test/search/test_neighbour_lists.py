@@ -1,4 +1,4 @@
-"""What is remembered from step to step makes the next one quicker and never different: the same bytes without it."""
+"""Memory between steps makes the next step faster but never different: the same bytes without it."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from fracture_collision.world import CollisionWorld, Settings
 
 LISTED, SEARCHED = Settings(threads=2), Settings(threads=1, neighbour_lists=False)
 SHAPES = {"ball": (ball(1.0, 0.35), False), "shell": (shell(1.0, 0.8, 0.5), True)}
-WALK = 0.0004  # [R] of a step: a list lasts some ten
-JUMP = 0.03  # [R] of one that no list outlives
+WALK = 0.0004  # [R] per step: a list lasts about ten steps
+JUMP = 0.03  # [R] a step that invalidates every list
 
 
 def random_turns(random: np.random.Generator, count: int, size: float) -> np.ndarray:
-    """Quaternions (count, 4) of turns by about `size`."""
+    """Quaternions (count, 4) of rotations by about `size`."""
     quaternions = np.column_stack([0.5 * random.uniform(-size, size, (count, 3)), np.ones(count)])
     return quaternions / np.linalg.norm(quaternions, axis=1)[:, None]
 
@@ -38,7 +38,7 @@ def turned(quaternions: np.ndarray, by: np.ndarray) -> np.ndarray:
 
 
 def world_around(case: FracturedWorld, settings: Settings) -> CollisionWorld:
-    """The fragments, a rigid box and a whole body beside them, on a ground."""
+    """The fragments, a rigid box and an unbroken body beside them, on a ground plane."""
     world = with_settings(case, settings)
     other = brick((1.0, 1.0, 0.5), 0.25)
     world.add_body(tetrahedral_body(other, 2000))
@@ -69,7 +69,7 @@ def test_same_answers(shape, contacts_per_pair) -> None:
     visits, listed, kept = np.zeros(2), 0, 0
     for step in range(1, 41):
         size = JUMP if step % 17 == 0 else 0.0 if step % 5 == 0 else WALK
-        # some stay where they are, and pairs of these have the contacts that they had
+        # some stay in place, and pairs of these keep their contacts
         move = np.flatnonzero(random.random(n) < (1.0 if step % 3 else 0.4))
         positions[move] += random.uniform(-size, size, (len(move), 3))
         if size:
@@ -83,7 +83,7 @@ def test_same_answers(shape, contacts_per_pair) -> None:
         kept = max(kept, int((answer.pair_of_slot >= 0).sum()))
         assert worlds[1]._remembered is NOTHING_REMEMBERED
         if step % 7 == 0:
-            for field in answers[0]:  # who got an answer may do with it what they like
+            for field in answers[0]:  # callers may overwrite an answer
                 if isinstance(field, np.ndarray):
                     field[:] = 7
     assert listed > 10 and kept > 10
@@ -98,7 +98,7 @@ def test_a_fracture_and_a_step_back_change_nothing() -> None:
     for event in case.messages[1]:
         living = oldest[event.sequence - 1]
         oldest[event.sequence] = [f for f in living if f != event.fragment_id] + event.new_fragment_ids.tolist()
-    # forward, and back to an earlier registry, as a bag that is played twice
+    # forward, and back to an earlier registry, as when a bag is played twice
     for step, sequence in enumerate([0, 1, 1, 1, 2, 2, 2, 3, 3, 3, 1, 1, 1, 2, 2, 3], 1):
         ids = np.array(oldest[sequence])
         shift = 1e-5 * step * np.outer(np.arange(len(ids)), [1.0, -1.0, 0.5])
@@ -129,7 +129,7 @@ def test_a_pair_keeps_its_slot_and_shares_it_with_nobody() -> None:
 
 
 def test_boxes_are_no_nearer_than_their_clearance() -> None:
-    """Against the distance itself, by least squares over both boxes."""
+    """Against the exact distance, by least squares over both boxes."""
     random = np.random.default_rng(4)
     apart = 0
     for _ in range(400):
@@ -167,7 +167,7 @@ def test_no_point_moves_farther_than_its_bound() -> None:
             moved = points @ (now[0][side] - before[0][side]).T + now[1][side] - before[1][side]
             farthest = max(farthest, np.linalg.norm(moved, axis=1).max())
         assert farthest <= bound * (1.0 + 1e-12)
-        assert bound < 3.0 * farthest  # it is no idle one
+        assert bound < 3.0 * farthest  # the bound is useful
 
 
 def _relative_poses(random: np.random.Generator, size: float) -> tuple[np.ndarray, np.ndarray]:

@@ -1,4 +1,4 @@
-"""The search among leaves: what algorithm 1 finds, byte for byte; and which of many contacts are listed."""
+"""The leaf search: the same bytes as algorithm 1; and which of many contacts are listed."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ SHAPES = {
     "shell": (shell(1.0, 0.8, 0.5), True),
     "brick": (brick((1.0, 0.8, 0.5), 0.2), False),
 }
-TREE = 1 << 40  # visits that no pair comes to: a budget is spent by algorithm 1
+TREE = 1 << 40  # visits that no pair reaches; any budget selects algorithm 1
 EVERY = 1 << 20
 EPSILON = NEAR = 0.002
 
 
 class Found(NamedTuple):
-    """What query_pairs says of one pair."""
+    """The result of query_pairs for one pair."""
 
     samples: np.ndarray  # (n, 2) side, sample
     points: np.ndarray  # (n, 3) [m] of the samples, in the world
@@ -37,7 +37,7 @@ class Found(NamedTuple):
 
 
 def found_by(world: CollisionWorld, states: FragmentStates, monkeypatch: pytest.MonkeyPatch) -> dict[tuple, Found]:
-    """By ids of the pair."""
+    """Results by pair of ids."""
     caught = []
 
     def listen(*arguments, **options):
@@ -61,7 +61,7 @@ def found_by(world: CollisionWorld, states: FragmentStates, monkeypatch: pytest.
 
 
 def by_the_rule(every: Found, wanted: int, most: int, epsilon: float, near: float) -> set[tuple[int, int]]:
-    """The slow twin of contact_choice.choose: sides and samples of those of `every` that are listed."""
+    """The slow twin of contact_choice.choose: sides and samples of the listed ones of `every`."""
     order = np.lexsort((every.samples[:, 1], every.samples[:, 0]))
     samples, points, gaps = every.samples[order], every.points[order], every.gaps[order]
     deep = gaps < -epsilon
@@ -78,7 +78,7 @@ def by_the_rule(every: Found, wanted: int, most: int, epsilon: float, near: floa
 
 
 def place_of_each(every: Found) -> dict[tuple[int, int], int]:
-    """By side and sample: the first of `every` that is at the same place, up to rounding."""
+    """By side and sample: the first of `every` at the same place, up to rounding."""
     same = ((every.points[:, None] - every.points[None]) ** 2).sum(axis=2) < 1e-24
     firsts = [int(np.flatnonzero(row)[0]) for row in same]
     return dict(zip(map(tuple, every.samples.tolist()), firsts, strict=True))
@@ -137,13 +137,13 @@ def test_lists_those_of_the_rule(shape, jitter, wanted, most, monkeypatch) -> No
         for pair, own in listed.items():
             all_near = every[pair]
             right = by_the_rule(all_near, wanted, most, EPSILON * radius, NEAR * radius)
-            # of samples at one place, where cracks meet, rounding says which is listed when only such are left
+            # among samples at one place, where cracks meet, rounding decides which is listed if only such are left
             places = place_of_each(all_near)
             assert len(own.samples) == len(right)
             assert {places[tuple(s)] for s in own.samples.tolist()} == {places[s] for s in right}
             is_listed = (all_near.samples[:, None] == own.samples[None]).all(axis=2).any(axis=1)
             left_out = max(-all_near.gaps[~is_listed].min(initial=0.0), 0.0)
-            # of many deep ones only those that are listed are known, and whether any other is deeper than epsilon
+            # of many deep samples, only the listed ones are known, and whether any other is deeper than epsilon
             known = left_out
             if (all_near.gaps < -EPSILON * radius).sum() > wanted:
                 known = -own.gaps.min() if left_out > EPSILON * radius else EPSILON * radius
@@ -153,7 +153,7 @@ def test_lists_those_of_the_rule(shape, jitter, wanted, most, monkeypatch) -> No
 
 
 def test_what_rests_keeps_its_contacts() -> None:
-    """A brick on a brick touches with a hundred samples, all as deep but for rounding: always the same are listed."""
+    """A brick on a brick touches with a hundred samples, equally deep up to rounding: always the same are listed."""
     lower, upper = (tetrahedral_body(brick((1.0, 1.0, 0.5), 0.1), i) for i in (1, 2))
     world, ids = CollisionWorld(Settings(threads=1)), []
     world.add_body(lower)

@@ -1,4 +1,4 @@
-"""Valid states that would cost more than any answer is worth: what limits leave out is bounded, and shares are pure."""
+"""Valid states of excessive cost: omissions by limits are bounded, and each pair's share is deterministic."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_a_hundred_at_one_place_are_answered(kind: str, spread: float) -> None:
     answer = world.contacts(states)
     assert len(answer.gaps) <= world.settings.max_contacts
     assert size_of(answer) < 20e6
-    # every pair has a contact or is in the answer for its bound
+    # every pair has a contact or is listed for its bound
     assert kind == "tetrahedra" or len(answer.fragment_a) >= 4900
     if kind != "spheres":
         assert answer.status == BUDGET_EXHAUSTED
@@ -47,7 +47,7 @@ def test_a_thousand_at_one_place_are_refused_in_words() -> None:
 @pytest.mark.parametrize("count", [300, 600, 1000])
 @pytest.mark.parametrize("kind", ["boxes", "mixed"])
 def test_memory_of_a_crowd(kind: str, count: int) -> None:
-    """The whole process with its answer stays below 500 MB."""
+    """The whole process, including its answer, stays below 500 MB."""
     (row,) = measure_crowds([(kind, count, CLOSE)])
     assert row.peak < 500.0 and row.refused in ("", "limit_exceeded")
     assert row.refused or row.contacts > 1000
@@ -71,7 +71,7 @@ def test_shares_do_not_depend_on_threads_lists_or_earlier_steps(kind: str) -> No
 
 
 def test_pairs_without_room_are_searched_again(monkeypatch) -> None:
-    """More contacts than the first buffer has rows: the same bytes as with rows to spare."""
+    """More contacts than rows in the first buffer: the same bytes as with enough rows."""
     world, states = crowd("boxes", 30, 0.05, contacts_per_pair=400, threads=2)
     reference = bytes_of(world.contacts(states))
     for room in (1, 100, 10_000):
@@ -92,7 +92,7 @@ def test_pairs_without_room_are_searched_again(monkeypatch) -> None:
     ids=str,
 )  # fmt: skip
 def test_the_bound_holds_whatever_a_limit_leaves_out(limits: dict, field: str) -> None:
-    """Against every sample by brute force; those that are kept are the deepest."""
+    """Against every sample by brute force; the deepest contacts are kept."""
     case = fractured_world(COARSE_SHAPES["ball"](), seeds=5, generations=2, curved=True)
     states, truth = case.states(0.2, seed=2), ContactTruth(case)
     chosen = SETTINGS._replace(normals="nearest", field=field, contacts_per_pair=2)

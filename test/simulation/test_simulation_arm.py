@@ -1,4 +1,4 @@
-"""A robot arm in a scene: it goes where it is told, breaks what it hits, is never stronger than it may be."""
+"""A robot arm in a scene: it follows commands, breaks what it hits, and never exceeds its force limit."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def kinematics() -> ArmKinematics:
 
 
 def places(what: Scene, states) -> np.ndarray:
-    """Of the parts that move, (n, 3) [m]."""
+    """Positions of the moving parts, (n, 3) [m]."""
     ids = [1 + [body.name for body in what.bodies].index(part.name) for part in MOVING]
     return states.positions.reshape(-1, 3)[np.searchsorted(states.fragment_ids, ids)]
 
@@ -51,13 +51,13 @@ def places(what: Scene, states) -> np.ndarray:
 class Smashed(NamedTuple):
     scene: Scene
     exchanges: tuple[Exchange, ...]
-    lags: np.ndarray  # (steps,) [m] of the part that is farthest off its place
-    asked: np.ndarray  # (steps, 7) [rad] of the joints
+    lags: np.ndarray  # (steps,) [m] largest position error of a part
+    asked: np.ndarray  # (steps, 7) [rad] commanded joint angles
 
 
 @cache
 def smashed() -> Smashed:
-    """The scene that comes with the package, to 0.4 s after the blow."""
+    """The package's scene, until 0.4 s after the impact."""
     what = load_scene("vase")
     exchanges, lags, asked = [], [], []
     kinematics = ArmKinematics(ORIGIN, UPRIGHT)
@@ -74,8 +74,8 @@ def smashed() -> Smashed:
 
 
 def test_places_are_those_of_the_urdf(kinematics: ArmKinematics) -> None:
-    """Stretched upwards the flange is 1.306 m above the foot, as the data sheet's 360 + 420 + 400 + 126 mm; bent by a
-    quarter at joint 2 it reaches what of that lies beyond the shoulder.
+    """Stretched upwards, the flange is 1.306 m above the base: the data sheet's 360 + 420 + 400 + 126 mm. Bent by 90
+    degrees at joint 2, it reaches the part of that length beyond the shoulder.
     """
     tool = np.array(PARTS[-1].center)
     up = kinematics.places(np.zeros(JOINTS))[0][-1]
@@ -88,7 +88,7 @@ def test_places_are_those_of_the_urdf(kinematics: ArmKinematics) -> None:
 
 
 def test_places_are_those_that_bullet_finds() -> None:
-    """Bullet's are of single precision."""
+    """Bullet computes in single precision."""
     position, orientation = np.array([0.1, -0.2, 0.3]), from_euler_angles(np.array([0.3, -0.4, 2.0]))
     chain = read_chain(Path(pybullet_data.getDataPath()) / URDF)
     client = pybullet.connect(pybullet.DIRECT)
@@ -166,7 +166,7 @@ def test_energy_is_what_the_arm_puts_in_and_never_more() -> None:
     rise = np.diff(energy) - [report.hand_energy + report.drift_energy for report in reports[1:]]
     broken = next(i for i, report in enumerate(reports) if report.events)
     assert np.ptp(energy[:broken]) > 5.0
-    # from when the vase has set itself on its plinth
+    # once the vase has settled on its plinth
     assert np.abs(rise[5 : broken - 3]).max() < 1e-12 * energy.max(), "nothing is hit: it is just that"
     assert rise.max() < 2e-5 * energy.max()
 
@@ -180,7 +180,7 @@ def test_the_same_bytes_twice() -> None:
 
 
 def test_parts_of_the_arm_do_not_push_each_other() -> None:
-    """They overlap by centimetres, and the service says so; standing still takes no energy and moves nothing."""
+    """They overlap by centimetres and the service reports it; at rest no energy is spent and nothing moves."""
     what = scene([[0.0, *POSTURE]], 0.2)
     with Lockstep(what, Settings(threads=1)) as run:
         exchanges = list(run)
@@ -191,7 +191,7 @@ def test_parts_of_the_arm_do_not_push_each_other() -> None:
 
 
 def test_held_up_it_presses_with_its_force_and_waits() -> None:
-    """Onto a wall that stands in its way: no part lags by more than the limit, none is faster than it was sent."""
+    """Against a wall in its way: no part lags by more than 1.5 times the limit, and the arm comes to rest."""
     wall = {"name": "wall", "material": "metal", "static": True, "position": [0.8, 0.2, 0.4],
             "shape": {"box": {"size": [0.8, 0.1, 0.8]}}}  # fmt: skip
     swing = [[0.0, -30.0, *POSTURE[1:]], [1.0, 60.0, *POSTURE[1:]]]
@@ -212,7 +212,7 @@ def test_held_up_it_presses_with_its_force_and_waits() -> None:
 
 
 class Played:
-    """The scene as a person plays it; looks_ahead: by its time step, as `play` does."""
+    """A live scene; looks_ahead: by its time step, as `play` does."""
 
     def __init__(self, looks_ahead: bool) -> None:
         scene = load_scene("vase")
@@ -220,7 +220,7 @@ class Played:
         self._world = CollisionWorld(Settings(threads=1, lookahead=scene.time_step if looks_ahead else 0.0))
 
     def step(self, count: int) -> tuple[list[int], np.ndarray]:
-        """Fragments at each step, and the joints' angles (count, 7)."""
+        """Number of fragments at each step, and joint angles (count, 7)."""
         fragments, angles = [], []
         for _ in range(count):
             request = self.live.simulation.begin_step()

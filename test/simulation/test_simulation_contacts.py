@@ -1,4 +1,4 @@
-"""The contact solver, through whole runs against closed-form contacts."""
+"""The contact solver in whole runs with closed-form contacts."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ def make_scene(*bodies, **changes):
     return parse_scene({**content, **changes}, "test")
 
 
-# Solved exactly, (1)-(3) never gain energy: dE <= -|du|^2_M / 2. Gauss-Seidel stops short of the solution; what is left
-# is this share of the energy of bodies whose potential energy counts from the ground.
+# Solved exactly, (1)-(3) never gain energy: dE <= -|du|^2_M / 2. Gauss-Seidel stops before the exact solution; the
+# remainder is this share of the energy, with potential energy measured from the ground.
 ENERGY_GAIN = 2e-5
 
 
@@ -54,7 +54,7 @@ def run(scene, energy_gain=ENERGY_GAIN):
 
 
 def movable(states):
-    """Without the ground, fragment 1."""
+    """The states without the ground, fragment 1."""
     rows = states.fragment_ids != 1
     names = ("positions", "orientations", "linear_velocities", "angular_velocities")
     columns = {name: getattr(states, name).reshape(len(rows), -1)[rows].ravel() for name in names}
@@ -157,7 +157,7 @@ def test_rolling_resistance_stops_a_ball():
 
 
 def test_a_fast_ball_stops_at_the_surface_it_has_not_reached():
-    """A gap may close within the step to that at rest and no further: the ball neither enters nor hovers."""
+    """A gap may close within the step to the rest gap and no further: the ball neither penetrates nor hovers."""
     scene = make_scene(
         ball("ball", 0.05, [0.0, 0.0, 0.0515], linear_velocity=[0.0, 0.0, -8.0]), duration=0.05
     )
@@ -167,7 +167,7 @@ def test_a_fast_ball_stops_at_the_surface_it_has_not_reached():
 
 
 def test_a_collision_keeps_momentum():
-    """Two balls off centre with friction in free space: linear and angular momentum to rounding."""
+    """Two balls collide off centre with friction in free space: linear and angular momentum to rounding."""
     pair = [
         ball("one", 0.05, [0.0, 0.0, 1.0], linear_velocity=[3.0, 0.0, 0.0], angular_velocity=[5.0, 40.0, -9.0]),
         ball("two", 0.03, [0.1, 0.03, 1.02], linear_velocity=[-1.0, 0.0, 0.0]),
@@ -198,7 +198,7 @@ def test_equal_runs_give_equal_bytes():
 
 
 def test_what_does_not_touch_has_no_influence():
-    """Islands are solved apart: boxes that tumble on each other do so byte for byte the same beside a rolling ball."""
+    """Islands are solved separately: tumbling boxes move byte for byte the same with and without a rolling ball."""
     boxes = [
         box(f"box {i}", [0.2, 0.15, 0.1], [0.02 * i, 0.0, 0.1 + 0.15 * i], rotation=[9.0 * i, 5.0, 0]) for i in range(4)
     ]

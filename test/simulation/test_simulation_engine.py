@@ -1,4 +1,4 @@
-"""The engine: frames, free motion, no damping, no clamps, no leaks between worlds; beside Bullet."""
+"""The engine: frames, free motion, no damping, no clamps, no leaks between worlds; compared with Bullet."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def test_a_free_tumbling_body_keeps_its_energy_and_flies_its_parabola(world):
     end = engine.states()
     energy = kinetic_energy(end.masses, end.inertias, np.hstack((0 * end.linear, end.angular)))
     assert energy == pytest.approx(spin_energy, rel=1e-10)
-    # The size of the angular momentum is kept; its direction follows with the method's first order.
+    # The magnitude of angular momentum is conserved; its direction is first-order accurate.
     after = end.inertias[0] @ end.angular[0]
     assert np.linalg.norm(after) == pytest.approx(np.linalg.norm(momentum), rel=1e-10)
     assert np.linalg.norm(after - momentum) < 0.1 * np.linalg.norm(momentum)
@@ -84,7 +84,7 @@ def test_a_free_tumbling_body_keeps_its_energy_and_flies_its_parabola(world):
 
 @pytest.mark.parametrize("spin", [10.0, 1e3, 1e4])
 def test_a_body_that_turns_many_times_in_a_step_gains_nothing(spin):
-    """At ten thousand radians a second Newton's method does not converge in one step of the whole."""
+    """At ten thousand radians a second Newton's method does not converge over the whole step at once."""
     rng = np.random.default_rng(7)
     inertias = np.repeat(np.diag([1e-5, 2e-5, 2.9e-5])[None], 200, axis=0)
     velocities = np.zeros((200, 6))

@@ -1,4 +1,4 @@
-"""Voronoi fracture: what the events say, and what of the motion survives them."""
+"""Voronoi fracture: the content of the events, and conservation of motion."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def test_pieces_are_those_that_scipy_finds(shape, minimum_nodes):
     for seeds in (2, 9, 60):
         centers = mesh.vertices[rng.choice(len(mesh.vertices), seeds, replace=False)]
         distances = np.linalg.norm(mesh.vertices[:, None] - centers, axis=2)
-        # some nodes go astray, so that seeds have more pieces than one
+        # some nodes get another seed, so that seeds have more than one piece
         labels = np.where(rng.random(len(distances)) < 0.05, rng.integers(seeds), distances.argmin(axis=1))
         pieces, count, cut = connected_pieces(labels, edges, minimum_nodes)
         expected = pieces_by_scipy(labels, edges, minimum_nodes)
@@ -141,7 +141,7 @@ def test_flat_cracks_share_one_plane_bit_for_bit():
     for pair in pairs:
         those = planes[(between == pair).all(axis=1)]
         assert len(np.unique(np.vstack((those, -those)).round(12), axis=0)) == 2 * len(np.unique(those, axis=0))
-    # Pieces of one seed apart from each other would have planes of their own; otherwise a pair has one.
+    # A pair of pieces has one plane, unless separate pieces of one seed add their own.
     assert len(np.unique(planes, axis=0)) <= len(pairs) + 2
 
 
@@ -185,7 +185,7 @@ def test_what_cannot_fall_into_two_holds_together():
 
 
 def test_no_pattern_walks_over_nodes_or_edges():
-    """In Python, that is: calls are as many on a mesh of fourteen times as many nodes."""
+    """In Python, that is: the number of calls does not grow with a mesh of fourteen times as many nodes."""
     coarse, fine = (generators.plate(0.25, 0.008, edge_length, 0.018, 2) for edge_length in (0.025, 0.00625))
     assert len(fine.vertices) > 10 * len(coarse.vertices)
     for mesh in (coarse, fine):
@@ -198,7 +198,7 @@ def test_no_pattern_walks_over_nodes_or_edges():
 
 
 class WatchedWorld(RigidBodyWorld):
-    """Keeps what it held before and after its last step."""
+    """Records its contents before and after its last step."""
 
     def advance(self, *velocities):
         self.before = self.states()
@@ -243,7 +243,7 @@ def touching(states, pairs):
 
 
 def momenta(states, fragment_ids):
-    """Linear and angular, about the world's origin, of these fragments together; and their mass."""
+    """Total linear and angular momentum of these fragments, about the world's origin, and their mass."""
     rows = np.isin(states.fragment_ids, fragment_ids)
     linear = states.masses[rows, None] * states.linear[rows]
     angular = np.cross(states.centers[rows], linear)
@@ -282,7 +282,7 @@ UP = np.array([0.0, 0.0, 1.0])
 
 
 def balls_on_plates(states, plates=1):
-    """Each ball, on its way down, touches its plate from above."""
+    """Each ball falls and touches its plate from above."""
     positions = states.positions.reshape(-1, 3)
     return [(1 + i, 1 + plates + i, positions[plates + i] - 0.03 * UP, UP) for i in range(plates)]
 
@@ -298,7 +298,7 @@ def test_pieces_keep_the_momentum_of_the_whole(start_run):
     assert 1 not in request.states.fragment_ids
     np.testing.assert_allclose(momenta(run.world.before, pieces), whole, rtol=0, atol=1e-12)
 
-    # The heaviest piece is the ball's next victim.
+    # The ball hits the heaviest piece next.
     now = run.world.after
     row = max(np.flatnonzero(np.isin(now.fragment_ids, pieces)), key=lambda i: now.masses[i])
     victim = int(now.fragment_ids[row])

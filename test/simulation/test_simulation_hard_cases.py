@@ -1,7 +1,7 @@
-"""The contact solver where it is hard: stacks, a wall, heavy on light, fresh cracks, a plate on its rim.
+"""Hard cases for the contact solver: stacks, a wall, heavy on light, fresh cracks, a plate on its rim.
 
-Energy is watched in all of them. Service and simulator run in lock-step. Each quick test has a longer twin marked slow
-that must meet the same numbers.
+All check energy. Service and simulator run in lock-step. Each quick test has a longer twin, marked slow, with the
+same limits.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ DRIFT_LIFT_TUMBLING = 5e-3
 
 
 class Track(NamedTuple):
-    """What a run left behind; arrays have a row a step."""
+    """Results of a run; arrays have one row per step."""
 
     states: list[FragmentStates]  # at the beginning of each step, and at the end of the last
-    nodes: dict[int, np.ndarray]  # of each fragment, the mesh nodes that are its own [m], body frame
+    nodes: dict[int, np.ndarray]  # by fragment: its own mesh nodes [m], body frame
     registry: FragmentRegistry
     energy: np.ndarray  # [J] kinetic and potential
     kinetic: np.ndarray  # [J]
@@ -43,7 +43,7 @@ class Track(NamedTuple):
     solver_seconds: float
 
     def displacement(self, since: int = 0) -> float:
-        """How far any node of any fragment is from where it was at a step [m]."""
+        """Largest distance [m] of any fragment's node from its place at a step."""
         before, after = (self._places(self.states[i]) for i in (since, -1))
         return max(float(np.linalg.norm(after[i] - before[i], axis=1).max()) for i in self.nodes)
 

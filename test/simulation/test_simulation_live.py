@@ -1,4 +1,4 @@
-"""A scene that is played with: balls, a hand, a hammer; what leaves the scene, and what is refused."""
+"""A live scene: balls, a hand, a hammer; bodies that leave the scene, and rejected commands."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def test_a_hand_keeps_what_breaks_in_it(run: Run) -> None:
     run.step()
     held = run.live.simulation.drag.held
     assert held not in (None, 5)
-    run.live.drag(5, STILL, PLATE + [0.0, -0.3, 0.3])  # as the page says it: it does not know of the piece
+    run.live.drag(5, STILL, PLATE + [0.0, -0.3, 0.3])  # as the page sends it, unaware of the fracture
     run.step(100)
     assert run.live.simulation.drag.held == held and run.place(held)[2] > lifted[2] + 0.1
     run.live.drag(0, STILL, STILL)
@@ -118,7 +118,7 @@ def test_a_hammer_goes_where_it_is_told_and_breaks_what_is_there(run: Run) -> No
     run.live.steer(np.array([0.0, 3.0, 0.0]))
     assert run.step(80).fragments > 10
     run.live.steer(STILL)
-    run.step(300)  # looking ahead it takes half a second to push through the pieces
+    run.step(300)  # with lookahead it takes half a second to push through the pieces
     there = run.place(hammer)
     assert run.step(50).fragments > 10
     assert np.linalg.norm(run.place(hammer) - there) < 5e-3

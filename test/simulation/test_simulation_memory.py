@@ -1,4 +1,4 @@
-"""Contacts that the service leaves out for a step are carried along with their bodies."""
+"""Contacts that the service omits for a step are remembered and move with their bodies."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_a_contact_left_out_moves_with_its_bodies():
     for got, expected in zip(merged, first, strict=True):
         np.testing.assert_array_equal(got, expected)
 
-    # Both turn and move as one; b lifts off by 1.5e-4 along the turned normal.
+    # Both rotate and move as one; b lifts off by 1.5e-4 along the rotated normal.
     turn = Rotation.from_rotvec([0.3, -0.5, 0.2])
     shift = np.array([1.0, 2.0, 3.0])
     lifted = shift + 1.5e-4 * turn.apply(UP)
@@ -60,7 +60,7 @@ def test_a_contact_left_out_moves_with_its_bodies():
     np.testing.assert_allclose(merged.normals[3:], turn.apply(UP), atol=1e-15)
     np.testing.assert_allclose(merged.gaps, [1.5e-4, 0.5e-4], atol=1e-15)
 
-    # Further than the reach it is forgotten, for good.
+    # Beyond the reach it is forgotten permanently.
     lifted = shift + 4.0e-4 * turn.apply(UP)
     far, memory = with_remembered(second, states_of({3: (shift, turn), 8: (lifted, turn)}), memory, REACH)
     assert far.contact_ids.tolist() == [1]
@@ -77,7 +77,7 @@ def test_what_slips_or_parts_is_forgotten_and_what_is_listed_is_not_doubled():
     slipped = states_of({3: STILL, 8: (np.array([3e-4, 0.0, 0.0]), Rotation.identity()), 9: STILL})
     one = contacts_of((3, 8, [contact(1, 0.0, 0.0)]))
     assert with_remembered(one, slipped, memory, REACH)[0].contact_ids.tolist() == [1]
-    # A pair that the service lists no more has parted, whatever was remembered.
+    # A pair that the service no longer lists has separated, whatever was remembered.
     kept, _ = with_remembered(one, states, memory, REACH)
     assert kept.fragment_b.tolist() == [8]
     assert kept.contact_ids.tolist() == [1, 2]
@@ -96,7 +96,7 @@ def test_static_bodies_that_no_state_names_stand_in_the_world_frame():
 
 
 def test_what_pushes_as_nothing_else_of_the_pair_does_is_forgotten():
-    """A sample has slipped over an edge: the pair touches at another face alone, and what is remembered is not."""
+    """A sample has slipped over an edge: the pair touches only at another face, so the old contact is dropped."""
     aside = np.array([1.0, 0.0, 0.0])
     point = np.array([0.1, 0.0, 0.0])
     both = contacts_of((3, 8, [contact(1, 0.0, 0.0), (2, point, point, aside)]))
@@ -105,17 +105,17 @@ def test_what_pushes_as_nothing_else_of_the_pair_does_is_forgotten():
     left, after = with_remembered(contacts_of((3, 8, [(2, point, point, aside)])), states, memory, REACH)
     assert left.contact_ids.tolist() == [2]
     assert after.contact_ids.tolist() == [2], "for good"
-    # One that leans a little, as on a curved face, stays.
+    # With a slightly tilted normal, as on a curved face, the old contact stays.
     leaning = np.array([np.sin(0.4), 0.0, np.cos(0.4)])
     kept, _ = with_remembered(contacts_of((3, 8, [(4, point, point, leaning)])), states, memory, REACH)
     assert kept.contact_ids.tolist() == [4, 1]
 
 
 def test_fragments_of_one_body_rest_in_contact_until_they_have_moved():
-    """Fragments 3 and 4 are of one body, 8 is of another; 4 has turned about the first of its contacts with 3."""
+    """Fragments 3 and 4 are of one body, 8 of another; 4 has rotated about the first of its contacts with 3."""
     turn = Rotation.from_euler("z", 0.01)
     near, far = np.array([0.1, 0.0, 0.0]), np.array([0.3, 0.0, 0.0])
-    moved = near - turn.apply(near)  # leaves the near point where it was
+    moved = near - turn.apply(near)  # keeps the near point fixed
     contacts = contacts_of((3, 4, [(1, near, near, UP), (2, far, far, UP)]), (3, 8, [(3, near, near, UP)]))
     states = states_of({3: STILL, 4: (moved, turn), 8: STILL})
     _, memory = with_remembered(contacts, states, NOTHING, REACH)

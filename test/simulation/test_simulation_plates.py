@@ -23,7 +23,7 @@ def smash(scene):
 
 
 def lowest_points(run: Lockstep) -> list[float]:
-    """Of each fragment and body in the states; not of their frames' origins, which may be anywhere."""
+    """Lowest point of each fragment and body in the states; frame origins would not do, as they may be anywhere."""
     states = run.states()
     run.world.contacts(states)
     poses = zip(

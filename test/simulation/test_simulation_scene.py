@@ -1,4 +1,4 @@
-"""Scene files: the plates scene as it is, and words for what cannot be."""
+"""Scene files: the plates scene as shipped, and errors for invalid scenes."""
 
 from __future__ import annotations
 

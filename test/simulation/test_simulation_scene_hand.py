@@ -1,4 +1,4 @@
-"""A hand drags bodies: by a track in the scene, or from outside; what it holds stays in it when it breaks."""
+"""A hand drags bodies along a track in the scene or by external commands; a held body stays held when it breaks."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ def test_what_is_held_follows_the_hand_and_hangs_below_it(gravity):
     lifted = [0.0, 0.0, 0.9]
     track = [[0.0, 1.0, 0.0, 0.5, "ball"], [0.5, *lifted, "ball"], [3.0, *lifted, "ball"]]
     reports, positions, _ = settled(scene(track, 2.99, gravity))
-    # a spring of frequency f gives way by g / (2 pi f)^2
+    # a spring of frequency f sags by g / (2 pi f)^2
     expected = np.array(lifted) - [0.0, 0.0, gravity / (2.0 * np.pi * HandSettings().frequency) ** 2]
     assert positions[1] == pytest.approx(expected, abs=1e-4)
     work = sum(report.hand_energy for report in reports)
     mass = 1000.0 * 4.0 / 3.0 * np.pi * 0.05**3
     assert reports[-1].max_speed == pytest.approx(gravity * reports[-1].time, rel=1e-6)  # the brick, falling free
-    # speeds change before places do: a step's gravity takes m (g h)^2 / 2 more than the place shows
+    # velocities are updated before positions: per step, gravity adds m (g h)^2 / 2 beyond the change in height
     lifting = mass * gravity * (expected[2] - 0.5) + len(reports) * 0.5 * mass * (gravity * 0.005) ** 2
     assert work == pytest.approx(lifting, rel=1e-3, abs=1e-6)
 

@@ -1,4 +1,4 @@
-"""The scenes that come with the package: each loads, breaks where it should, gains no energy, and comes to rest."""
+"""The package's scenes: each loads, breaks as expected, gains no energy, and comes to rest."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ SCENES = {
 
 
 def run(scene: Scene, steps: int) -> list[StepReport]:
-    """Reports of the first steps; asserts at each that energy comes from drift correction or a hand, or not at all."""
+    """Reports of the first steps. Energy rises only by drift correction or a hand, or when fragments change."""
     with Lockstep(scene._replace(duration=steps * scene.time_step), Settings(threads=1)) as lockstep:
         reports = [exchange.report for exchange in lockstep]
     energy = np.array([report.kinetic_energy + report.potential_energy for report in reports])
     assert np.isfinite(energy).all()
     given = np.array([report.drift_energy + report.hand_energy for report in reports])
-    # a body that comes late brings its energy along
+    # steps that change the fragment count are skipped: a body that is added later brings its own energy
     same = np.diff([report.fragments for report in reports]) == 0
     rise = (np.diff(energy) - given[1:])[same]
     assert rise.max(initial=0.0) <= 2e-5 * np.abs(energy).max()
@@ -49,8 +49,8 @@ def run(scene: Scene, steps: int) -> list[StepReport]:
 
 
 def assert_no_deeper_than_two_steps(reports: list[StepReport], scene: Scene) -> None:
-    """What hits enters by a step's way; where it breaks its impulse is capped, and the pieces enter by another step's.
-    A quarter more for bodies that spin: the speed is that of centres of mass.
+    """An impact penetrates by one step's motion; if the body breaks, the impulse is capped and its pieces penetrate by
+    another step's. A quarter more allows for spin, as the speed is that of centres of mass.
     """
     fastest = max(report.max_speed for report in reports)
     assert min(report.deepest_gap for report in reports) > -2.5 * fastest * scene.time_step
@@ -92,7 +92,7 @@ def test_to_the_end(name, curvature):
     assert at_least <= reports[-1].fragments <= at_most
     assert_no_deeper_than_two_steps(reports, scene)
     assert sum(report.drift_energy for report in reports) < 0.1 * max(report.kinetic_energy for report in reports)
-    # at rest, and out of each other again
+    # at rest, and no longer penetrating
     assert np.median([report.max_speed for report in reports[-40:]]) < 0.02
     assert reports[-1].deepest_gap > -1e-3
 

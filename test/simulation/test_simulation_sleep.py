@@ -1,4 +1,4 @@
-"""What has come to rest sleeps, to the last bit; what touches, pushes or holds it no longer wakes it."""
+"""Bodies at rest sleep, bit for bit; touching, pushing, grabbing or losing support wakes them."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def test_a_block_that_lands_wakes_the_stack(run_of) -> None:
     while run.asleep():
         run.step()
         assert run.simulation.time < 3.0
-    # not before it is there
+    # not before the block lands
     assert run.height(4) < 0.27
     run.until_asleep(3)
 
@@ -148,7 +148,7 @@ def test_what_breaks_wakes_what_it_touched(run_of) -> None:
 
 
 def test_islands_sleep_and_wake_as_one() -> None:
-    """Bodies 0 and 1 touch, 2 touches what never moves, 3 touches nothing."""
+    """Bodies 0 and 1 touch each other, 2 touches a static body, 3 touches nothing."""
     begin, a, b = np.array([0, 1, 2]), np.array([0, 2]), np.array([1, 4])
     ids = np.arange(10, 14, dtype=np.uint32)
     quiet = np.array([0.3, 0.1, 0.3, 0.3])
@@ -161,7 +161,7 @@ def test_islands_sleep_and_wake_as_one() -> None:
     woken = settled(roused(rest, ids, nobody_gone, pushed), begin, a, b, 0.25)
     assert woken.asleep.tolist() == [False, False, True, False] and woken.quiet[:2].tolist() == [0.0, 0.0]
     assert not woken.gone[0].any() and woken.gone[2].all()
-    # 12 is gone, and 13 lay on it
+    # 12 is gone, and 13 rested on it
     rest = rest._replace(asleep=np.ones(4, bool))
     touched = np.array([10, 12], np.uint32), np.array([11, 13], np.uint32)
     left = roused(rest, np.array([10, 11, 13], np.uint32), touched, np.zeros(3, bool))
@@ -170,7 +170,7 @@ def test_islands_sleep_and_wake_as_one() -> None:
 
 
 def test_who_is_quiet() -> None:
-    """At 0.9 and 1.1 mm/s, spinning, trembling at 16 mm/s about one place, and at rest."""
+    """At 0.9 and 1.1 mm/s, spinning, oscillating in place at 16 mm/s, and at rest."""
     n, steps, time_step = 5, 101, 0.0025
     rest = Rest(np.arange(n, dtype=np.uint32), np.zeros(n), np.zeros(n, bool), np.zeros((n, 6)))
     inertias = np.tile(1e-4 * np.eye(3), (n, 1, 1))

@@ -1,4 +1,4 @@
-"""What lies ahead holds bodies back: at the touch, not before, not through, and without taking their speed."""
+"""Lookahead contacts stop bodies exactly at the touch, neither earlier nor later, without reducing their speed."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ REST, SPARE = 1e-4, 5e-4
 
 
 def contacts(gaps: list[list[float]]) -> ContactConstraintArray:
-    """Pairs (1, 2), (1, 3) ... with such gaps along x."""
+    """Pairs (1, 2), (1, 3) ... with the given gaps along x."""
     counts, flat = [len(own) for own in gaps], np.array([gap for own in gaps for gap in own])
     n, zeros = len(flat), np.zeros(len(gaps))
     points = np.zeros((n, 3))
@@ -54,7 +54,7 @@ def shares(
 
 
 def test_a_body_goes_as_far_as_the_touch() -> None:
-    """10 m/s towards what cannot move, 3 cm away, in steps of 10 ms; one that goes away is free."""
+    """10 m/s towards a static obstacle 3 cm away, in steps of 10 ms; a body moving away is free."""
     moves = [[10.0, 0.0, 0.0, 0.0, 0.0, 0.0]]
     x = [[1.0, 0.0, 0.0]]
     own = shares([0], [1], [[0.0] * 3], [[0.03, 0.0, 0.0]], x, [[0.0] * 3], moves)
@@ -64,7 +64,7 @@ def test_a_body_goes_as_far_as_the_touch() -> None:
 
 
 def test_who_waits_is_not_run_through() -> None:
-    """1 would meet 2 late in the step, but 2 waits for a third: both stop."""
+    """The first body would never touch the second, but the second is stopped by a third: both stop."""
     rows = [0, 1], [1, 2]
     points = [[[0.0, 0.0, 0.0], [0.9, 0.0, 0.0]], [[0.85, 0.0, 0.0], [0.91, 0.0, 0.0]]]
     centers, moves = [[0.0] * 3, [0.9, 0.0, 0.0]], [[100.0, 0, 0, 0, 0, 0], [90.0, 0, 0, 0, 0, 0]]
@@ -76,7 +76,7 @@ def test_who_waits_is_not_run_through() -> None:
 
 
 def test_points_go_round() -> None:
-    """Against ten thousand moments: a point on a body that turns by 4 radians meets what lies on its circle."""
+    """Against 10,000 times: a point of a body that rotates by about 4 radians stops where its path meets a wall."""
     random = np.random.default_rng(1)
     for _ in range(20):
         spin, move = random.normal(0.0, 250.0, 3), random.normal(0.0, 5.0, 3)
@@ -93,8 +93,8 @@ def test_points_go_round() -> None:
 
 @pytest.mark.parametrize("is_round", [True, False])
 def test_a_plane_turns_with_the_body_whose_it_is(is_round: bool) -> None:
-    """A bar turns by half a radian about its middle and takes its face with it, into what is beside that. Where that is
-    a ball the face is the bar's; else it may be of either, and the gap that closes first counts.
+    """A bar rotates by half a radian about its middle, and its face rotates with it into its neighbour. If that is a
+    ball, the face is the bar's; otherwise it may belong to either, and the gap that closes first counts.
     """
     centers, moves = [[0.0] * 3, [0.1, 0.06, 0.0]], [[0, 0, 0, 0.0, 0.0, 50.0], [0.0] * 6]
     at_bar, beside, up = [[0.1, 0.01, 0.0]], [[0.1, 0.04, 0.0]], [[0.0, 1.0, 0.0]]
@@ -108,7 +108,7 @@ def test_a_plane_turns_with_the_body_whose_it_is(is_round: bool) -> None:
 
 
 def beside(shares: list[float], centers: list[list[float]], moves: np.ndarray) -> np.ndarray:
-    """Cubes of 4 cm, in a step of 2.5 ms."""
+    """Shares of the step for cubes of 4 cm, in a step of 2.5 ms."""
     count = len(shares)
     axes, halves = np.tile(np.eye(3), (count, 1, 1)), np.full((count, 3), 0.02)
     spare = np.full(count, SPARE)
@@ -118,7 +118,7 @@ def beside(shares: list[float], centers: list[list[float]], moves: np.ndarray) -
 def test_what_flies_beside_one_that_is_held_back_does_not_run_into_it() -> None:
     centers = [[0.0, 0.0, 0.0], [0.07, 0.0, 0.0], [0.14, 0.0, 0.0], [9.0, 0.0, 0.0], [0.0, 0.1, 0.0]]
     moves = np.zeros((5, 6))
-    moves[:4, 0] = 20.0  # 5 cm a step; the last stands still
+    moves[:4, 0] = 20.0  # 5 cm a step; the last is at rest
     held = beside([1.0, 0.5, 0.1, 1.0, 1.0], centers, moves)
     assert held[2:].tolist() == [0.1, 1.0, 1.0] and (held[:2] > 0.2).all()
     gone = np.linspace(0.0, 1.0, 1001)
@@ -136,7 +136,7 @@ def test_what_flies_away_from_one_that_is_held_back_or_past_it_goes_all_its_way(
 
 
 def test_boxes_of_inertias_are_the_bodies_own() -> None:
-    """Of boxes of any attitude."""
+    """For boxes in any orientation."""
     random = np.random.default_rng(5)
     sides, turns = random.uniform(0.01, 0.2, (20, 3)), Rotation.random(20, random_state=6)
     sides[:3] = [[0.1, 0.1, 0.1], [0.1, 0.1, 0.004], [0.004, 0.1, 0.1]]
@@ -156,7 +156,7 @@ def test_boxes_of_inertias_are_the_bodies_own() -> None:
 
 
 def test_bodies_turn_as_the_service_was_told() -> None:
-    """By the spins of the states: a shard's axis goes round by a radian in a step."""
+    """By the angular velocities in the states, although a shard's spin axis precesses by a radian in a step."""
     with Lockstep(scene_of(10.0, 3, True), Settings(threads=1, lookahead=TIME_STEP)) as lockstep:
         told = [lockstep.step().states for _ in range(2)]
         told.append(lockstep.states())
@@ -187,7 +187,7 @@ def test_a_ball_bounces_off_a_thin_wall_with_the_speed_it_came_with(speed: float
             farthest = max(farthest, float(exchange.states.positions[-2]))
             moments.append(exchange.report.kinetic_energy)
         velocity = exchange.states.linear_velocities[-3:]
-    assert -0.0335 < farthest <= -0.0325 + 1e-12  # it touches, and goes no farther, but for rounding
+    assert -0.0335 < farthest <= -0.0325 + 1e-12  # it touches and goes no farther, up to rounding
     assert velocity == pytest.approx([0.0, -speed, 0.0], rel=1e-9, abs=1e-9)
     assert max(moments) <= moments[0] * (1.0 + 1e-12)
 

@@ -1,4 +1,4 @@
-"""Rest means support: what lies still at the end of a scene is held up by what it touches, and falls when that goes."""
+"""Bodies at rest at the end of a scene are supported by their contacts, and fall when the support is removed."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def unsupported(name, curvature, seed, hooks=True):
         return support_of(run, scene, hooks)
 
 
-# Runs in which shards hung beside the rack by contacts that were no more, or by its edge.
+# Runs in which shards used to hang beside the rack by outdated contacts, or by its edge.
 @pytest.mark.parametrize(("curvature", "seed"), [(0.25, 7), (0.25, 9), (0.0, 0)])
 def test_no_shard_of_the_default_demo_floats(curvature, seed):
     support = unsupported("plates", curvature, seed, hooks=False)
@@ -66,7 +66,7 @@ def stand(support=True, wall=True):
 
 
 def hooked():
-    """A slab with samples 30 um below the upper edge of a leaning box and 40 um inside its front: too little to see."""
+    """A slab with samples 30 um below the upper edge of a leaning box and 40 um inside its front: invisibly little."""
     lean = [-15.0, 0.0, 0.0]
     place = Rotation.from_euler("xyz", lean, degrees=True).apply([0.0, -0.11 + 4e-5, 0.1 - 3e-5])
     stone = {"density": 2400.0, "friction": 0.3}
@@ -113,7 +113,7 @@ def test_a_body_falls_within_two_steps_when_its_support_is_removed():
 
 @pytest.mark.parametrize(("support", "wall", "falls"), [(True, False, False), (True, True, False), (False, True, True)])
 def test_the_linear_program_tells_what_floats(support, wall, falls):
-    """The block as it is placed, before it moves: on its pedestal, or beside a wall with nothing below it."""
+    """The block as placed, before it moves: on its pedestal, or beside a wall with nothing below it."""
     scene = stand(support, wall)
     with Lockstep(scene, Settings(threads=1)) as run:
         run.step()

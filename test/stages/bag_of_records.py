@@ -1,4 +1,4 @@
-"""Writes records as a rosbag2 folder through mcap alone, to test what reads bags without what writes them."""
+"""Writes records as a rosbag2 folder with mcap alone, to test the bag readers independently of the bag writer."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ TOPICS = {
 
 
 def write_bag(folder: Path, records: Iterable[tuple[float, Any]], namespace: str = "", run_id: int = 1) -> None:
-    """`records`: (simulated time [s], record) in order; `folder` is made, or gets the records after those it holds."""
+    """`records`: (simulated time [s], record) in order; `folder` is created, or the records are appended to it."""
     folder.mkdir(parents=True, exist_ok=True)
     name = f"{folder.name}_{len(list(folder.glob('*.mcap')))}.mcap"
     with (folder / name).open("wb") as stream:

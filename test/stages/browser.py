@@ -1,4 +1,4 @@
-"""A headless Chromium with WebGL in software, for tests of the page; where there is none they are left out in words."""
+"""A headless Chromium with software WebGL, for tests of the page; without one they are skipped with a reason."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ import pytest
 from matplotlib.image import imread
 
 PROGRAMS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-ARGUMENTS = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox")  # root has no other way
-PATIENCE = 120.0  # [s] with pictures drawn in software on a machine that does other things beside
+ARGUMENTS = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox")  # --no-sandbox: required as root
+PATIENCE = 120.0  # [s] with software rendering on a loaded machine
 WIDTH, HEIGHT = 800, 270
 PANEL = 340  # [px] on the right
-# What viser 1.1 says of its own listeners when something is dragged; nothing is wrong then.
+# viser 1.1's console error about its own listeners during a drag; harmless.
 KNOWN = "Unable to preventDefault inside passive event listener"
-# viser warns of a browser that draws in software, in a notice over the scene, whenever it gets around to it. Notices
-# are there and say what they say, but no picture shows them and clicks go through them.
+# viser warns of software rendering in a notice over the scene, at an unpredictable time. Notices stay in the
+# document, but are invisible in pictures and let clicks through.
 UNSEEN = """
 document.addEventListener("DOMContentLoaded", () => {
   const style = document.createElement("style");
@@ -50,8 +50,8 @@ def chromium() -> Iterator[Any]:
 
 @contextmanager
 def opened(browser: Any, address: str) -> Iterator[Any]:
-    """A page that has come to the scene. Whoever leaves it finds nothing wrong in its console, and nothing asked of
-    anybody but the address.
+    """A page that has loaded the scene. On exit it asserts that the console has no errors and that every request went
+    to the address.
     """
     context = browser.new_context(viewport={"width": WIDTH, "height": HEIGHT})
     context.add_init_script(UNSEEN)
@@ -81,19 +81,19 @@ def opened(browser: Any, address: str) -> Iterator[Any]:
 
 
 def picture_of(page: Any) -> np.ndarray:
-    """(height, width, 3) 0..1, of what the panel leaves free."""
+    """(height, width, 3) 0..1, of the part beside the panel."""
     shot = page.screenshot(clip={"x": 0, "y": 0, "width": WIDTH - PANEL, "height": HEIGHT}, timeout=1e3 * PATIENCE)
     return imread(io.BytesIO(shot))[..., :3]
 
 
 def knob(page: Any, label: str) -> Any:
-    """The input in the row of a label: of a slider its number, of a dropdown its text."""
+    """The input in a label's row: a slider's number or a dropdown's text."""
     row = page.locator("label", has_text=re.compile(f"^{re.escape(label)}$")).locator("xpath=ancestor::*[.//input][1]")
     return row.locator("input:visible").last
 
 
 def until(look: Callable[[], Found], good: Callable[[Found], bool], patience: float = PATIENCE) -> Found:
-    """Look again and again, each look taking its time, until what is seen is good."""
+    """Polls `look`, which may take time itself, until `good` accepts its result."""
     end = time.monotonic() + patience
     while not good(seen := look()):
         assert time.monotonic() < end, seen

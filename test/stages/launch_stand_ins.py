@@ -1,6 +1,6 @@
-"""The names that the launch file takes from launch and launch_ros, with the arguments that their documentation gives
-them (docs.ros.org, Jazzy), and what they come to: an environment and command lines. For tests where ROS's launch is not
-at hand: it is no wheel.
+"""Stand-ins for the names that the launch file imports from launch and launch_ros, with their documented arguments
+(docs.ros.org, Jazzy). Executing them gives an environment and command lines. For tests without ROS's launch, which
+is not available as a wheel.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from fracture_collision.share import share_directory
 
 
 class Context:
-    """What substitutions are resolved in."""
+    """The arguments and environment that substitutions are resolved in."""
 
     def __init__(self, arguments: Mapping[str, str], environment: Mapping[str, str]) -> None:
         self.given = dict(arguments)
@@ -93,7 +93,7 @@ class Shutdown:
 
 
 class Node:
-    """Of launch_ros.actions: dictionaries of parameters become files for all nodes of the process."""
+    """launch_ros.actions.Node: dictionaries of parameters become files for all nodes of the process."""
 
     def __init__(
         self, *, executable: str, package: str, namespace: Any = None, parameters: Sequence = (), output: str = "log",
@@ -123,7 +123,7 @@ class LaunchDescription(NamedTuple):
     entities: list
 
     def execute(self, context: Context, find: Callable[[str], Path], folder: Path) -> list[Node]:
-        """Its nodes, ready to be started."""
+        """The description's nodes, ready to start."""
         nodes = []
         for entity in self.entities:
             if isinstance(entity, Node):
@@ -139,7 +139,7 @@ def resolved(value: Any, context: Context) -> Any:
 
 
 def modules() -> Iterator[tuple[str, ModuleType]]:
-    """By the names under which the launch file imports them."""
+    """The stand-in modules with the names under which the launch file imports them."""
     names = {
         "launch": (LaunchDescription,),
         "launch.actions": (DeclareLaunchArgument, SetEnvironmentVariable, Shutdown),
@@ -157,7 +157,7 @@ def modules() -> Iterator[tuple[str, ModuleType]]:
 
 
 def load(file: Path, install: Callable[[dict, str, ModuleType], None]) -> LaunchDescription:
-    """What the launch file describes. `install`: puts a module into sys.modules for as long as it is needed."""
+    """The launch file's description. `install`: puts a module into sys.modules for as long as it is needed."""
     for name, module in modules():
         install(sys.modules, name, module)
     scope: dict[str, Any] = {"__name__": "launch_file"}

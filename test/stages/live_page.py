@@ -1,4 +1,4 @@
-"""A scene that is played, with its page in a browser: what its nodes say, and what a person does there. For tests."""
+"""A scene run by `play`, with its page in a browser: the nodes' messages and a user's actions. For tests."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from stages.ros_client import PATIENCE, ServiceClient
 
 
 class LivePage:
-    """A scene that is played, and what its nodes say of it."""
+    """A scene run by `play`, and the messages of its nodes."""
 
     def __init__(self, run: Played) -> None:
         self.address = run.address
@@ -53,7 +53,7 @@ class LivePage:
 
 @contextmanager
 def live_page(scene: str, folder: Path) -> Iterator[LivePage]:
-    """In a domain of its own; recordings go to `folder`."""
+    """In a separate domain; recordings go to `folder`."""
     before = os.environ.get("ROS_DOMAIN_ID")
     os.environ["ROS_DOMAIN_ID"] = str(free_domain_id())
     try:
@@ -71,14 +71,14 @@ def live_page(scene: str, folder: Path) -> Iterator[LivePage]:
 
 
 def colourful(picture: np.ndarray) -> np.ndarray:
-    """Where plates are: wood and carpet are nearly grey."""
+    """Mask of the plates: wood and carpet are nearly grey."""
     return picture.max(axis=2) - picture.min(axis=2) > 0.3
 
 
 def on_a_plate(page: Any) -> tuple[float, float]:
-    """A pixel amid many of one colour family."""
+    """A pixel amid many colourful ones."""
     seen = colourful(until(lambda: picture_of(page), lambda picture: np.count_nonzero(colourful(picture)) > 300))
-    # the pixel with the most others about it
+    # the pixel with the most of them around it
     sums = np.pad(seen.cumsum(0).cumsum(1), ((1, 0), (1, 0)))
     size = 15
     about = sums[size:, size:] - sums[:-size, size:] - sums[size:, :-size] + sums[:-size, :-size]

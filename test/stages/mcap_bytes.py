@@ -1,4 +1,4 @@
-"""MCAP files byte by byte, and by mcap's own writer. For tests of what reads bags."""
+"""MCAP files byte by byte, and by mcap's own writer. For tests of the bag readers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ CHUNK, SCHEMA, CHANNEL, MESSAGE = 0x06, 0x03, 0x04, 0x05  # opcodes
 
 
 def mcap_of(messages: list[BagMessage], like: Path, **writing: Any) -> bytes:
-    """An MCAP file of mcap's own writer, with the definitions of the file `like`."""
+    """An MCAP file by mcap's own writer, with the definitions of the file `like`."""
     path = like.with_name("written.mcap")
     with path.open("wb") as stream:
         writer = Writer(stream, **{"chunk_size": 30_000, **writing})
@@ -31,7 +31,7 @@ def mcap_of(messages: list[BagMessage], like: Path, **writing: Any) -> bytes:
 
 
 def records(data: bytes) -> list[tuple[int, int, int]]:
-    """Opcode, begin of the content, and size of each record of a whole file."""
+    """Opcode, start of the content, and size of each record of a complete file."""
     found, at = [], len(MAGIC)
     while at < len(data) - len(MAGIC):
         opcode, size = struct.unpack_from("<BQ", data, at)

@@ -1,4 +1,4 @@
-"""A program that speaks to the page as viser's own client does, and may send what no browser would. For tests."""
+"""A client that uses viser's protocol as its browser client does, and may send what no browser would. For tests."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ class PageClient:
         self._connection = connection
         self._knobs: dict[str, str] = {}  # by label
         self.notices: list[str] = []
-        self._send(CAMERA)  # before, viser takes it for nobody
+        self._send(CAMERA)  # viser ignores a client until it sends its camera
         self._thread = threading.Thread(target=self._take, daemon=True)
         self._thread.start()
 
     def set(self, label: str, value: Any) -> None:
-        """As if a person had moved the knob."""
+        """Sets a control as a user would."""
         wait_until(lambda: label in self._knobs)
         self._send({"type": "GuiUpdateMessage", "uuid": self._knobs[label], "updates": {"value": value}})
 
@@ -54,7 +54,7 @@ class PageClient:
 
 @contextmanager
 def page_client(address: str, **options: Any) -> Iterator[PageClient]:
-    """`options`: of websockets' client, such as `origin`. Raises InvalidStatus where the page refuses it."""
+    """`options`: of websockets' client, such as `origin`. Raises InvalidStatus if the page rejects the connection."""
     with connect(
         address.replace("http", "ws", 1), subprotocols=[f"viser-v{viser.__version__}"], compression=None,
         max_size=None, **options,

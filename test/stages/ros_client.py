@@ -1,4 +1,4 @@
-"""A stranger's view of the service: talks to it over DDS as any simulator would. For tests."""
+"""An external client of the service: communicates over DDS as any simulator would. For tests."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from fracture_collision.ros.processes.own_context import own_context
 from fracture_collision.ros.wire import qos
 from fracture_collision.ros.wire.conversion import heading, to_message, to_record
 
-PATIENCE = 120.0  # [s] for a machine that is busy with other things
+PATIENCE = 120.0  # [s] on a loaded machine
 ASK_AGAIN = 5.0  # [s]
 
 
@@ -25,7 +25,7 @@ class ServiceClient:
     """Publishes bodies, events and states; collects answers, registries and diagnostics."""
 
     def __init__(self, domain_id: int, ros_arguments: Sequence[str] = ()) -> None:
-        """`ros_arguments`: what would stand behind --ros-args: of namespace and remapping."""
+        """`ros_arguments`: arguments after --ros-args, for namespace and remapping."""
         self._context = own_context(domain_id)
         self.node = rclpy.create_node(
             "service_client", context=self._context, cli_args=["--ros-args", *ros_arguments] if ros_arguments else None
@@ -40,7 +40,7 @@ class ServiceClient:
         self.answers: list[Any] = []
         self.registries: list[Any] = []
         self.diagnostics: dict[str, str] = {}
-        self.details: dict[str, dict[str, str]] = {}  # of each status its values
+        self.details: dict[str, dict[str, str]] = {}  # status name -> its key-value pairs
         self.diagnostics_came: list[float] = []  # time.monotonic()
         self._refusals: dict[str, str] = {}
         for topic, collected in ((qos.CONTACT_CONSTRAINTS, self.answers), (qos.FRAGMENTS, self.registries)):
@@ -73,7 +73,7 @@ class ServiceClient:
         self._publishers[topic].publish(to_message(record, heading(time_stamp), run_id))
 
     def publish_bytes(self, topic: str, data: bytes) -> None:
-        """As they are, whatever they are."""
+        """Publishes raw bytes, valid or not."""
         self._publishers[topic].publish(data)
 
     def ask(self, states: Any, run_id: int) -> ContactConstraintArray:
@@ -98,7 +98,7 @@ class ServiceClient:
         self.spin_until(lambda: words in self._refusals.get(key, ""), f"a refusal under {key!r} with {words!r}")
 
     def set_parameters(self, **values: Any) -> list[str]:
-        """Of the service: why each was refused, "" where it was not."""
+        """Sets the service's parameters; returns the reason for each rejected one, "" for each accepted one."""
         wanted = [Parameter(name, value=value) for name, value in values.items()]
         answer = self._ask_parameters(lambda client: client.set_parameters(wanted))
         return [result.reason if not result.successful else "" for result in answer.results]
@@ -115,7 +115,7 @@ class ServiceClient:
         futures: list[Any] = []
 
         def is_answered() -> bool:
-            # rmw drops an answer whose reader it has not discovered yet, although it had the question from its writer.
+            # rmw drops a response if it has not yet discovered its reader, even though the request has arrived.
             if time.monotonic() >= began + len(futures) * ASK_AGAIN:
                 futures.append(ask(self._parameters))
             return any(future.done() for future in futures)

@@ -1,4 +1,4 @@
-"""Nodes and clients of one domain, on this machine alone, all ended at the end. For tests."""
+"""Nodes and clients of one domain, on this machine only, all stopped by `close`. For tests."""
 
 from __future__ import annotations
 

@@ -11,8 +11,8 @@ from fracture_collision.geometry.generators import ball
 
 RADIUS, POINTS = 1.0, 3000
 TOLERANCE = 1e-9  # of R
-# The averaged field promises no number. Twice what it gave on this mesh and these fractures, so that a change shows:
-# mean error [R] at points spread evenly; the same at points less than 2 % R from the surface; share of steps inwards,
+# The averaged field guarantees no error. To detect changes, twice its results on this mesh and these fractures:
+# mean error [R] at uniform points; the same at points less than 2 % R from the surface; share of steps inwards,
 # ending before the middle, on which the depth falls.
 LIMITS = {"flat": (0.026, 0.0025, 0.11), "curved": (0.025, 0.0031, 0.13)}
 
@@ -50,7 +50,7 @@ def test_exact_is_libigls_distance(sample: Sample) -> None:
 def test_exact_never_changes_faster_than_the_point_moves(sample: Sample) -> None:
     for rise in (sample.exact.rise, sample.exact.true_rise):
         assert np.nanmax(np.abs(rise)) <= INWARD + TOLERANCE
-    # straight away from the surface it grows by the step, until the middle, which is far from most points
+    # straight away from the surface depth grows by the step length, up to the middle, which is far from most points
     assert np.isclose(sample.exact.true_rise, INWARD, rtol=0.0, atol=TOLERANCE).mean() > 0.7
 
 
@@ -58,7 +58,7 @@ def test_averaged_stays_within_what_was_measured(sample: Sample) -> None:
     truth, said = sample.truth, sample.averaged
     most, most_near, most_falls = LIMITS[sample.cracks]
     error = np.abs(said.depth - truth.depth)
-    assert 0.001 < error[truth.is_uniform].mean() <= most  # it is another field than the exact one
+    assert 0.001 < error[truth.is_uniform].mean() <= most  # it differs from the exact field
     assert error[truth.depth < NEAR].mean() <= most_near
     before_middle = truth.is_uniform & (sample.exact.true_rise > 0.5 * INWARD)
     assert (said.true_rise < 0.0)[before_middle].mean() <= most_falls

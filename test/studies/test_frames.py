@@ -1,4 +1,4 @@
-"""Whole recorded runs: the same answers, byte for byte, whatever is remembered from step to step; their errors."""
+"""Whole recorded runs: the same answers, byte for byte, with and without memory between steps; and their errors."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def test_answers_of_a_whole_run(scene: str) -> None:
     assert len(remembered.query) == len(recording.steps) and (remembered.query > 0.0).all()
     assert np.array_equal(remembered.update > 0.0, [bool(step.events) for step in recording.steps])
     assert not np.isnan(remembered.again).any() and np.isnan(searched.again).all()
-    assert is_busy(recording).any() or scene == "pane"  # which falls apart slowly
+    assert is_busy(recording).any() or scene == "pane"  # the pane falls apart slowly
 
 
 def test_errors_at_steps_of_a_run() -> None:

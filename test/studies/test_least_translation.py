@@ -1,4 +1,4 @@
-"""The least translation that satisfies contacts, where it is known; needs no geometry library."""
+"""The least translation that satisfies contacts, for known cases; needs no geometry library."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_a_corner_needs_three() -> None:
 
 
 def test_a_gap_bounds_the_way() -> None:
-    # the second may move back by DEPTH only, so it slides off to the side
+    # the second may move back by DEPTH only, so it slides sideways
     normals = np.array([(X + Y) / np.sqrt(2.0), -X])
     shift = least_translation(normals, np.array([4.0 * DEPTH, -DEPTH]))
     assert normals @ shift == pytest.approx([4.0 * DEPTH, -DEPTH], abs=1e-12)

@@ -1,4 +1,4 @@
-"""The harness that compares with other libraries: truth, scores, meshes; needs none of these libraries."""
+"""The harness for comparison with other libraries: truth, scores, meshes; needs none of these libraries."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ TIP = np.array([0.5, 0.2, 0.1])  # a point of the first block's face towards the
 
 @pytest.fixture(scope="module")
 def blocks() -> Solids:
-    """Two cubes of side 1 m, divided, about their centres."""
+    """Two subdivided cubes of side 1 m, centred at the origin."""
     body = brick((1.0, 1.0, 1.0), 0.25)
     surface = Surface(body.vertices, boundary_triangles(body.tetrahedra).astype(np.int64))
     return Solids([surface, surface])
@@ -49,7 +49,7 @@ def one_contact(depth: float, normal: tuple[float, float, float] = (1.0, 0.0, 0.
 
 
 def test_truth_of_a_known_penetration(blocks: Solids) -> None:
-    # the second block lies inside the first one's face by its borders too, so that vertices of both are inside
+    # the second block's outline also lies within the first one's face, so that vertices of both are inside
     frame = placed((1.0 - OVERLAP, 0.05, 0.05))
     ((pair, true),) = blocks.truth(frame).items()
     assert pair == (0, 1)
@@ -99,7 +99,7 @@ def test_samples_count_apart(blocks: Solids) -> None:
 def test_a_contact_of_blocks_apart_is_false(blocks: Solids) -> None:
     got = judged(blocks, placed((1.0 + OVERLAP, 0.0, 0.0)), one_contact(OVERLAP))
     assert (got.penetrating, got.apart, got.false) == (0, 1, 1)
-    got = judged(blocks, placed((1.0 + OVERLAP, 0.0, 0.0)), one_contact(0.001))  # as much as is forgiven
+    got = judged(blocks, placed((1.0 + OVERLAP, 0.0, 0.0)), one_contact(0.001))  # within the allowed error
     assert (got.apart, got.false) == (1, 0)
 
 

@@ -1,4 +1,4 @@
-"""The benchmarks of growth, memory and time: that they measure what they say, on small work."""
+"""The benchmarks of growth, memory and time measure the intended quantities, on small inputs."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_a_pile_lies_on_the_floor_and_is_the_same_again(source: World) -> None:
     turns = Rotation.from_quat(pile.states.orientations.reshape(-1, 4))
     centres = np.tile([f.centre for f in source.fragments], (3, 1))[:count]
     heights = (pile.states.positions.reshape(-1, 3) + turns.apply(centres))[:, 2]
-    # the floor is at 0 and the first bodies began with their middles at 1.2
+    # the floor is at 0 and the first bodies started with their centres at 1.2
     assert heights.min() > 0.0 and np.median(heights) < 1.0
     answer = world_of(pile, Settings(threads=1)).contacts(pile.states)
     assert len(answer.gaps) > 0 and -0.1 < np.median(answer.gaps) < 0.0  # [R] slight overlaps
@@ -67,7 +67,7 @@ def test_a_known_exponent_is_found() -> None:
 
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whoever looks at it finds that a second has passed: what is timed takes as long as it is looked at."""
+    """A clock that advances by one second per reading, so a timed block lasts as many seconds as it reads the clock."""
     for module in ("growth", "heaps", "small_updates", "updates"):
         monkeypatch.setattr(f"benchmarks.scaling.{module}.perf_counter", count(0.0, 1.0).__next__)
 
@@ -79,7 +79,7 @@ def test_growth_and_threads(source: World, clock: None, monkeypatch: pytest.Monk
     for row in (small, large):
         assert row.contact_pairs <= min(row.close_pairs, row.contacts) and row.whole == 1e3
         assert row.microseconds_a_pair == 1e6 / row.close_pairs
-    # the work of a pair does not grow with the pile
+    # the work per pair does not grow with the pile
     assert large.visits / large.close_pairs < 1.5 * small.visits / small.close_pairs
     monkeypatch.setattr("benchmarks.scaling.growth.second_core", lambda: 2.0)
     (threads,) = measure_threads(source, 12, repeats=2)
@@ -129,7 +129,7 @@ def test_breaking_a_small_fragment_of_a_large_body(clock: None) -> None:
     assert row.worst >= row.whole
 
 
-# [ns] of a load, a sum and a wrong guess, each of another order of magnitude.
+# [ns] of a load, an addition and a branch misprediction, each of a different order of magnitude.
 MACHINE = Machine(1 << 16, load_latency=1e6, load=1e5, flop_latency=10.0, flop=1.0, wrong_guess=2e8)
 
 
@@ -143,7 +143,7 @@ def test_what_a_visit_cannot_do_without() -> None:
 
 
 def test_limits_are_put_together_of_what_is_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Contacts and samples counted in a world of its own, beside times that are given."""
+    """Contacts and samples are counted in a separate world; times are given."""
     monkeypatch.setattr("benchmarks.scaling.floors.limits._undisturbed", lambda _footprint: MACHINE)
     monkeypatch.setattr("benchmarks.scaling.floors.limits.least_update", lambda _world: (2.0, "passes"))
     monkeypatch.setattr("benchmarks.scaling.floors.limits.update_alone", lambda _world: 3.0)
@@ -168,7 +168,7 @@ def test_limits_are_put_together_of_what_is_counted(tmp_path: Path, monkeypatch:
     assert both.aim == pytest.approx(4.0) and both.ours == 27.0 and tight.ours_over_least == 20.0 / tight.least
     assert (update.least, update.alone, update.rests_on) == (2.0, 3.0, "passes")
     assert both.least == update.least + tight.least and both.alone == update.alone + tight.alone
-    # a tolerance of 5 % R leaves fewer contacts to be listed; of pairs with few, all shared samples are to be seen
+    # with a tolerance of 5 % R fewer contacts are listed; for pairs with few, all shared samples must be visited
     half = len(answers) // 2
     listed, apart = (floor_of(work, MACHINE).in_turn for work in (LISTED, LOCATED))
     for row, contacts in ((tight, answers[:half]), (loose, answers[half:])):
@@ -185,7 +185,7 @@ def test_memory_of_a_body_and_of_one_more() -> None:
     (row,) = measure_memory(("bunny",), (1,))
     assert row.nodes == 2010 and row.pieces >= 20
     assert 0.0 < row.whole_held < row.broken_held < row.peak_held
-    # the system sees no less than a half of what is counted, and one more whole body shares the preprocess
+    # resident memory is at least half of the counted memory, and another whole body shares the preprocessing
     assert 0.5 * row.broken_held < row.broken_resident
     assert row.one_more_held < 0.1 * row.whole_held
 

@@ -1,4 +1,4 @@
-"""What remains and what was unnecessary after the least translation, with boxes whose depths are known."""
+"""Remaining depth and unnecessary motion after the least translation, for boxes of known depth."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_a_turned_pair_moves_in_the_world(blocks: Solids) -> None:  # noqa: F811
         (INTO, contacts([X, X, X], [OVERLAP, 0.5 * OVERLAP, OVERLAP]), 0.0, RESOLVED),  # redundant
         (INTO, one_contact(3.0 * OVERLAP), 0.0, 2.0 * OVERLAP + RESOLVED),  # too far
         (INTO, one_contact(0.25 * OVERLAP), 0.75 * OVERLAP, 0.0),  # not far enough
-        (INTO, one_contact(OVERLAP, (0.0, 1.0, 0.0)), OVERLAP, OVERLAP),  # along the face: in vain
+        (INTO, one_contact(OVERLAP, (0.0, 1.0, 0.0)), OVERLAP, OVERLAP),  # along the face: no effect
         (INTO, contacts([X, Y], [OVERLAP, OVERLAP]), 0.0, np.sqrt(2.0) * RESOLVED),  # a false one beside the right one
         (INTO, no_contacts(), OVERLAP, 0.0),  # missed
         (INTO, one_contact(-0.001), OVERLAP, 0.0),  # a gap is no penetration
@@ -76,7 +76,7 @@ def test_of_many_pairs_some_are_judged(blocks: Solids, monkeypatch: pytest.Monke
 
 
 def test_translations_by_pair() -> None:
-    # the second named first, its normal turned with it; another pair in between
+    # the second listed first, with its normal reversed; another pair in between
     zero = np.zeros((3, 3))
     answer = contacts_of([1, 2, 0], [0, 1, 1], zero, zero, [-X, X, Y], [OVERLAP, 2.0 * OVERLAP, 2.0 * OVERLAP])
     found = translations(answer)

@@ -1,4 +1,4 @@
-"""Speed against error: the error of a pair's depth, what the CSV says, and pictures from made-up lines."""
+"""Speed against error: the error of a pair's depth, the CSV's content, and pictures from synthetic rows."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def test_points_and_settings_of_the_csv(lines: list[dict[str, str]]) -> None:
     assert [p.method for p in points].count("ours") == 1 and not any("field" in p.method for p in points)
     assert points[0].time == pytest.approx(24.0) and points[0].mean == pytest.approx(0.1)
     contacts = setting_lines(points)["contacts_per_pair"]
-    assert [words for words, _ in contacts] == ["1", "2", "", "32"]  # the default, 8, in its place
+    assert [words for words, _ in contacts] == ["1", "2", "", "32"]  # empty: the default, 8
     assert contacts[2][1].method == DEFAULTS
     assert [(family(p), peer_label(p)) for p in points[1:4]] == [
         ("convex hulls", "rapier"), ("triangle meshes", "fcl"), ("exact distances", "warp"),
@@ -96,7 +96,7 @@ def test_pictures_from_lines_alone(lines: list[dict[str, str]], tmp_path: Path) 
     for name in ("queries", "updates"):
         image = imread(tmp_path / f"{name}.png")[..., :3]
         assert image.shape[1] >= 900
-        # something of ours, of hulls and of meshes is there, each in its colour
+        # our method, hulls and meshes are drawn, each in its colour
         for color in ((0x00, 0x72, 0xB2), (0xD5, 0x5E, 0x00), (0xE6, 0x9F, 0x00)):
             assert np.any(np.all(np.abs(image - np.array(color) / 255.0) < 0.01, axis=-1))
 

@@ -1,4 +1,4 @@
-"""The paper's studies: equal tables with however many workers, pictures and a page made of the tables alone."""
+"""The paper's studies: equal tables for any number of workers, and pictures and a page made from the tables alone."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ from benchmarks.studies.table import (  # noqa: E402
 from fracture_collision.lockstep import Lockstep  # noqa: E402
 from fracture_collision.simulation.scene.scene import load_scene  # noqa: E402
 
-# Each study, as small as it can be and still have contacts and a fracture in it.
+# Each study at its smallest size that still has contacts and a fracture.
 TINY = {
     "tables": tables.Size(curved=("bricks",), counted=("flat",), scenes=("bricks",), duration=0.16, repeats=2),
     "fig5": fig5.Size(0.05, fig5.TOLERANCES[:1]),
@@ -76,7 +76,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 
 def untimed(csv_path: Path) -> list[list[str]]:
-    """Header and rows less their times, as they stand in the file."""
+    """Header and rows of the file without the times."""
     rows = list(csv.reader(line for line in csv_path.read_text().splitlines() if not line.startswith("#")))
     kept = [i for i, name in enumerate(rows[0]) if not is_time(name)]
     return [[row[i] for i in kept] for row in rows]
@@ -223,7 +223,7 @@ def test_sizes_of_both_efforts_name_trials() -> None:
 
 @pytest.fixture(scope="module")
 def scheduler() -> str:
-    """A cluster that is not ours: its address."""
+    """The address of an external cluster."""
     with LocalCluster(
         n_workers=1, threads_per_worker=1, processes=True, host="127.0.0.1", scheduler_port=0,
         dashboard_address="127.0.0.1:0", memory_limit=None, silence_logs=50,
@@ -272,10 +272,10 @@ def test_a_timing_worker_that_dies_is_told(monkeypatch: pytest.MonkeyPatch) -> N
 @pytest.mark.parametrize(
     ("thrown", "target", "speed", "number"),
     [
-        ("shard", "box", 100.0, 44),  # touches with one end, touches beside it, and comes in with the other
+        ("shard", "box", 100.0, 44),  # touches with one end, touches beside it, and penetrates with the other
         ("shard", "box", 20.0, 40),
         ("pane", "box", 5.0, 12),
-        ("shard", "heap", 100.0, 24),  # a corner, a metre away, in and out of a rim within two moments
+        ("shard", "heap", 100.0, 24),  # a corner, a metre away, enters and leaves a rim within two times
     ],
 )
 def test_what_once_went_through_no_longer_does(thrown: str, target: str, speed: float, number: int) -> None:

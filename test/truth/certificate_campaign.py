@@ -1,7 +1,7 @@
-"""Random pairs of fragments, piled up in any attitude: is any sample deeper than the bound and not listed?
+"""Random pairs of fragments, piled up in any orientation: is any unlisted sample deeper than the bound?
 
-A pair counts if the two fragments' boxes overlap. Many fragments in one step give many pairs; shapes, cracks,
-generations, settings and how close the fragments are piled take turns.
+A pair counts if the two fragments' boxes overlap. Many fragments in one step give many pairs. The campaign cycles
+through shapes, cracks, generations, settings and pile densities.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ SETTINGS = (
     Settings(threads=1),
     Settings(threads=1, contacts_per_pair=3, deep_contacts_per_pair=5, penetration_tolerance=0.01),
 )
-SPREADS = (0.15, 0.3, 0.5)  # [R] deviation of the fragments' middles from a common point
+SPREADS = (0.15, 0.3, 0.5)  # [R] standard deviation of the fragments' centres from a common point
 
 
 class Violation(NamedTuple):
@@ -41,16 +41,16 @@ class Violation(NamedTuple):
     states_seed: int
     settings: int  # index into SETTINGS
     pair: tuple[int, int]
-    depth: float  # [R] of the deepest sample that is not listed
+    depth: float  # [R] of the deepest unlisted sample
     bound: float  # [R]
 
 
 class Tally(NamedTuple):
-    """Of one kind of settings: with a budget that cut searches short, or none."""
+    """Results for one kind of settings: with a budget that cut searches short, or without."""
 
     pairs: int
     touching: int  # pairs with a sample of one inside the other
-    looseness: np.ndarray  # [R] bound less the deepest unlisted sample, pairs that the answer names
+    looseness: np.ndarray  # [R] bound minus deepest unlisted sample, for listed pairs
     bounds: np.ndarray  # [R] of the same pairs
 
 

@@ -1,4 +1,4 @@
-"""What the contacts of a fractured world have to be, by brute force: samples, who owns them, how deep they are."""
+"""The required contacts of a fractured world, by brute force: samples, their owners and depths."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from fracture_collision.records import ContactConstraintArray, FragmentStates
 from fracture_collision.world import CollisionWorld
 from fracture_collision.world.contact_ids import contact_ids
 
-# Samples nearer to a fragment's border than this [m] may be taken for inside or outside.
+# Samples nearer to a fragment's border than this [m] may count as inside or outside.
 BORDER = 1e-9
 
-# A witness this near to the other's surface [m] is on it.
+# A witness this near to the other fragment's surface [m] counts as on it.
 WITNESS = 1e-6
 
 # Half the longest side, R, is 1 [m] for all.
@@ -70,14 +70,14 @@ def surface_samples(case: FracturedWorld, fragment: int) -> tuple[np.ndarray, np
 
 
 def sample_ids(own: int, other: int, samples: np.ndarray) -> np.ndarray:
-    """contact_ids that samples of `own` have against `other`."""
+    """contact_ids of the samples of `own` against `other`."""
     out = np.empty(len(samples), np.uint64)
     contact_ids(np.full(len(samples), own), np.full(len(samples), other), samples.astype(np.int64), out)
     return out
 
 
 def pairs_of(answer: ContactConstraintArray) -> dict[tuple[int, int], tuple[slice, float]]:
-    """(fragment_a, fragment_b) to the rows of its contacts and its missed_depth_bound [m]."""
+    """(fragment_a, fragment_b) -> the rows of its contacts and its missed_depth_bound [m]."""
     return {
         (int(a), int(b)): (
             slice(int(answer.pair_begin[i]), int(answer.pair_begin[i + 1])),
@@ -88,14 +88,14 @@ def pairs_of(answer: ContactConstraintArray) -> dict[tuple[int, int], tuple[slic
 
 
 class SampleDepths(NamedTuple):
-    """Of all surface samples of one fragment against another; minus infinity where a sample is not inside it."""
+    """Depths of all surface samples of one fragment in another; minus infinity for samples outside."""
 
-    depth: np.ndarray  # (n,) [m] to the nearest point that is not the other's
-    certain: np.ndarray  # (n,) bool: not where rounding parts two tetrahedra that hold it
+    depth: np.ndarray  # (n,) [m] to the nearest point outside the other
+    certain: np.ndarray  # (n,) bool: False where two tetrahedra that contain the sample disagree by rounding
 
 
 class ContactTruth:
-    """Brute force for one registry of a world; surfaces are made when first asked for."""
+    """Brute force for one registry of a world; surfaces are computed on first use."""
 
     def __init__(self, case: FracturedWorld) -> None:
         self.case = case
@@ -118,7 +118,7 @@ class ContactTruth:
         return self.depths_of(other, points)
 
     def depths_of(self, other: int, points: np.ndarray) -> SampleDepths:
-        """The same of any points (n, 3) [m] in the frame of `other`."""
+        """The same for any points (n, 3) [m] in the frame of `other`."""
         depth, certain = np.full(len(points), -np.inf), np.ones(len(points), dtype=bool)
         low, high = self.box(other)
         near = np.flatnonzero(np.all((points >= low) & (points <= high), axis=1))
@@ -139,7 +139,7 @@ class ContactTruth:
 
 
 def piled(truth: ContactTruth, seed: int, spread: float) -> FragmentStates:
-    """Every fragment's middle at random about the origin (deviation `spread` [m]), in any attitude."""
+    """Every fragment's centre at random about the origin (standard deviation `spread` [m]), in any orientation."""
     random = np.random.default_rng(seed)
     ids = truth.fragment_ids
     turns = Rotation.from_quat(random.normal(size=(len(ids), 4)))
@@ -149,24 +149,24 @@ def piled(truth: ContactTruth, seed: int, spread: float) -> FragmentStates:
 
 
 class PairCheck(NamedTuple):
-    """One pair of fragments against the truth; lengths in metres. Zero violations is what has to come out."""
+    """One pair of fragments against the truth; lengths in metres. No violation is allowed."""
 
     contacts: int
-    bound: float  # missed_depth_bound, or epsilon for a pair that the answer leaves out
-    is_listed: bool  # the answer names the pair
-    deepest_unlisted: float  # depth of the deepest sample that is not listed, 0 if none is inside
-    misplaced: float  # largest distance of a listed sample from where it is
+    bound: float  # missed_depth_bound, or epsilon for an unlisted pair
+    is_listed: bool  # the answer lists the pair
+    deepest_unlisted: float  # depth of the deepest unlisted sample, 0 if none is inside
+    misplaced: float  # largest distance of a listed sample from its true place
     off_surface: float  # largest distance of a witness from the other's surface
-    apart: int  # penetrations reported of samples that are not inside
+    apart: int  # penetrations reported for samples that are not inside
     too_shallow: float  # largest (depth - reported depth)
-    excess: np.ndarray  # (inside,) reported depth less the distance to the nearest surface, of samples inside
+    excess: np.ndarray  # (inside,) reported depth minus distance to the nearest surface, for samples inside
 
 
 def check_pair(
     truth: ContactTruth, poses: Poses, answer: ContactConstraintArray, pair: tuple[int, int],
     listed: dict[tuple[int, int], tuple[slice, float]], epsilon: float,
 ) -> PairCheck:  # fmt: skip
-    """Compare what `answer` says of a pair (smaller id first) with brute force, both ways."""
+    """Compares a pair (smaller id first) of `answer` with brute force, in both directions."""
     rows, bound = listed.get(pair, (slice(0, 0), epsilon))
     ids, gaps = answer.contact_ids[rows], answer.gaps[rows]
     points = answer.points_a.reshape(-1, 3)[rows], answer.points_b.reshape(-1, 3)[rows]
@@ -204,7 +204,7 @@ def check_pair(
 def check_all_pairs(
     truth: ContactTruth, states: FragmentStates, world: CollisionWorld | None = None
 ) -> list[PairCheck]:
-    """What `world` (the truth's own, or one of the same messages) answers to `states`, for every pair of fragments."""
+    """Checks the answer of `world` (the truth's own, or one with the same messages) for every pair of fragments."""
     world = world or truth.case.world
     answer, poses, settings = world.contacts(states), Poses(states), world.settings
     listed = pairs_of(answer)
@@ -222,9 +222,9 @@ def check_all_pairs(
 
 
 def assert_true(checks: list[PairCheck], epsilon: float) -> None:
-    """Of a search without a budget; R = 1 m. `epsilon` [m]: the penetration tolerance."""
+    """For a search without a budget; R = 1 m. `epsilon` [m]: the penetration tolerance."""
     for check in checks:
-        # without a budget the bound is epsilon and rounding: nothing deeper than that is missing
+        # without a budget the bound is epsilon plus rounding: nothing deeper may be missing
         assert check.bound <= epsilon + BORDER
         assert check.deepest_unlisted <= check.bound, check
         assert check.apart == 0, check

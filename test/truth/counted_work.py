@@ -1,4 +1,4 @@
-"""Work counted instead of timed: what does not depend on the machine or on who else uses it."""
+"""Work counted instead of timed, so that results do not depend on the machine or its load."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from typing import Any
 
 
 def calls_of(act: Callable[[], Any]) -> int:
-    """Functions that the interpreter calls while `act` runs, in Python or in C. A loop over elements makes some for
-    each."""
+    """Number of function calls, in Python or C, while `act` runs. A loop over elements makes some per element."""
     count = 0
 
     def note(_frame: Any, event: str, _argument: Any) -> None:
@@ -27,7 +26,7 @@ def calls_of(act: Callable[[], Any]) -> int:
 
 
 def most_memory_of(act: Callable[[], Any]) -> int:
-    """[bytes] that `act` has allocated at its peak, arrays of numpy included."""
+    """Peak memory [bytes] allocated by `act`, including numpy arrays."""
     tracemalloc.start()
     try:
         act()

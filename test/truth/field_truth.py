@@ -1,8 +1,8 @@
-"""What either field says of points inside fragments, beside libigl's distance from independently built surfaces.
+"""Both fields at points inside fragments, against libigl's distance from independently built surfaces.
 
-The surfaces come from the slow oracle, tetrahedron by tetrahedron. libigl's winding number says whether they close
-around a point, its closest points are the truth. Nothing here is shared with fracture_collision.core but the probes
-that are asked. `igl` alone is used: its package `igl.copyleft` is under another licence.
+The surfaces come from the slow oracle, tetrahedron by tetrahedron. libigl's winding number checks that they close
+around a point, and its closest points are the truth. Nothing is shared with fracture_collision.core except the
+tested probes. Only `igl` is used: its package `igl.copyleft` has a different licence.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from fracture_collision.geometry.tetrahedra import tetrahedron_volumes
 FIELDS = {"averaged": AVERAGED, "exact": EXACT}
 NEAR = 0.02  # of R: below this depth a point is near the surface
 INWARD = 0.01  # of R: the length of a step inwards
-NO_DIRECTION = 1e-9  # of R: nearer to the surface, the line to the nearest point is rounding
+NO_DIRECTION = 1e-9  # of R: nearer to the surface, the direction to the nearest point is rounding noise
 
 
 class Truth(NamedTuple):
     """Points of fragments, and libigl's answers. Lengths in units of R."""
 
     points: np.ndarray  # (n, 3) [m]
-    fragments: np.ndarray  # (n,) fragment id that owns each
-    is_uniform: np.ndarray  # (n,) bool: one of those spread evenly over the body's volume
+    fragments: np.ndarray  # (n,) fragment id of each point's owner
+    is_uniform: np.ndarray  # (n,) bool: one of the points uniform over the body's volume
     depth: np.ndarray  # (n,) from the whole border of the fragment
     outward: np.ndarray  # (n, 3) unit, to the nearest point of it; 0 nearer than NO_DIRECTION
     open_by: float  # the largest distance of a winding number from 1
@@ -40,7 +40,7 @@ class Said(NamedTuple):
     """A field's answers at the points of a Truth. Lengths in units of R."""
 
     depth: np.ndarray  # (n,)
-    most: np.ndarray  # (n,) the depth that it says is certainly not exceeded
+    most: np.ndarray  # (n,) its upper bound of the depth
     outward: np.ndarray  # (n, 3) unit
     rise: np.ndarray  # (n,) growth of depth over a step INWARD against `outward`; nan if that leaves the fragment
     true_rise: np.ndarray  # (n,) the same over a step away from the nearest point of the border
@@ -62,16 +62,16 @@ def igl_winding(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 def uniform_points(
     vertices: np.ndarray, tetrahedra: np.ndarray, count: int, random: np.random.Generator
 ) -> np.ndarray:
-    """Points (count, 3) [m] spread evenly over the volume of a body."""
+    """Points (count, 3) [m] uniform over the volume of a body."""
     volumes = tetrahedron_volumes(vertices, tetrahedra)
     corners = vertices[tetrahedra[random.choice(len(volumes), count, p=volumes / volumes.sum())]]
     return np.einsum("nij,ni->nj", corners, random.dirichlet(np.ones(4), count))
 
 
 def make_truth(case: FracturedWorld, count: int, radius: float, seed: int) -> Truth:
-    """Half of `count` points spread evenly over the body, half within NEAR of its surfaces; each with its owner.
+    """Half of `count` points uniform over the body, half within NEAR of its surfaces; each with its owner.
 
-    radius: R [m]. Points where rounding parts two tetrahedra that hold them are left out.
+    radius: R [m]. Points for which two containing tetrahedra disagree by rounding are left out.
     """
     random = np.random.default_rng(seed)
     oracle = case.oracle
@@ -92,14 +92,14 @@ def make_truth(case: FracturedWorld, count: int, radius: float, seed: int) -> Tr
         depth[own], nearest = igl_closest(points[own], triangles)
         far = own[depth[own] > NO_DIRECTION * radius]
         outward[far] = (nearest[depth[own] > NO_DIRECTION * radius] - points[far]) / depth[far, None]
-        # on the surface itself the number jumps
+        # on the surface itself the winding number jumps
         inside = own[depth[own] > 1e-6 * radius]
         open_by = max(open_by, np.abs(igl_winding(points[inside[:50]], triangles) - 1.0).max(initial=0.0))
     return Truth(points, owner, is_uniform, depth / radius, outward, open_by)
 
 
 def ask(case: FracturedWorld, truth: Truth, field: str, radius: float) -> Said:
-    """What `field` says; `averaged` can be asked only of a world that was broken under it."""
+    """The answers of `field`; `averaged` requires a world that was broken with it."""
     depth, most, outward = _probe(case, truth.points, truth.fragments, field)
     assert np.isfinite(depth).all(), "a point is not inside the fragment that owns it"
     step = INWARD * radius

@@ -1,4 +1,4 @@
-"""Which way contacts between freshly broken neighbours point, against the crack that the pattern drew between them."""
+"""Normals of contacts between freshly broken neighbours, against the direction of the pattern's crack between them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from fracture_collision.geometry.generators import TetGeometry
 from fracture_collision.records import CollisionBody, ContactConstraintArray, FractureEvent, FragmentStates
 from fracture_collision.world import CollisionWorld, Settings
 
-AMPLITUDE = 0.15  # of a curved crack's warp, in parts of the body's longest side
+AMPLITUDE = 0.15  # of a curved crack's warp, as a share of the body's longest side
 # Contacts of a pair nearer than this share of R to each other are neighbours.
 NEIGHBOUR = 0.1
 
@@ -27,7 +27,7 @@ class BrokenBody(NamedTuple):
     event: FractureEvent
     seeds: np.ndarray  # (k, 3) [m] in the warped space
     warp_amplitude: float
-    cell: dict[int, int]  # of each fragment: row of seeds
+    cell: dict[int, int]  # by fragment: row of seeds
     neighbours: set[tuple[int, int]]  # fragments with a cut edge between them, smaller id first
     longest: float  # [m] longest side, 2 R
 
@@ -45,10 +45,10 @@ class BrokenBody(NamedTuple):
 
 
 class RimMeasure(NamedTuple):
-    """Contacts between neighbours; lengths in parts of R, angles in degrees."""
+    """Contacts between neighbours; lengths in R, angles in degrees."""
 
     angles: np.ndarray  # (contacts,) between the normal and the crack's direction
-    opposed: float  # share of pairs of neighbouring contacts whose normals point against each other
+    opposed: float  # share of pairs of neighbouring contacts with opposed normals
     apart: np.ndarray  # angles between the normals of neighbouring contacts
     apart_in_truth: np.ndarray  # and between the crack's directions at them
 
@@ -86,7 +86,7 @@ def world_of(broken: BrokenBody, settings: Settings) -> CollisionWorld:
 
 
 def jittered(broken: BrokenBody, world: CollisionWorld, distance: float, degrees: float, seed: int) -> FragmentStates:
-    """Every fragment moved by up to `distance` (of R) and turned by up to `degrees` about its centre of mass."""
+    """Every fragment moved by up to `distance` (of R) and rotated by up to `degrees` about its centre of mass."""
     random = np.random.default_rng(seed)
     registry = world.fragments()
     n = len(registry.fragment_ids)
@@ -103,7 +103,7 @@ def measure(
     broken: BrokenBody, world: CollisionWorld, frames: list[FragmentStates], deeper: float,
     is_counted: Callable[[ContactConstraintArray], np.ndarray] | None = None,
 ) -> RimMeasure:  # fmt: skip
-    """Over contacts between neighbours deeper than `deeper` (of R; minus infinity: all), that are counted."""
+    """Measures the contacts between neighbours deeper than `deeper` (of R; minus infinity: all)."""
     opposed, pairs = 0, 0
     normals, truths = [], []
     apart, apart_in_truth = [], []

@@ -1,7 +1,7 @@
 """A brute-force stand-in for the collision service: boxes and balls on planes and on each other, in closed form.
 
 Boxes are sampled at points on their surface (corners among them) against planes, boxes and spheres; no tree, no field.
-Tetrahedral bodies weigh what their nodes weigh, so that the parts of a body add up exactly.
+A tetrahedral body's mass is that of its nodes, so that the parts of a body add up exactly.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ def _samples_in(body_a, pose_a, body_b, pose_b, side):
     """Samples of a within REACH of b: (point on a, point on b, normal a to b, gap, id)."""
     if body_b.primitive.type == 1 and body_a.primitive.type == 2:
         return []
-    if body_a.primitive.type == 2:  # A ball against a plane or a ball is one sample, the point that goes deepest.
+    if body_a.primitive.type == 2:  # A ball against a plane or a ball has one sample, its deepest point.
         if np.any(body_b.plane):
             samples = pose_a[0] - body_a.primitive.dimensions[0] * body_b.plane[None, :3]
         elif side == 0:
@@ -147,7 +147,7 @@ def _samples_in(body_a, pose_a, body_b, pose_b, side):
 
 
 def _box_distance(points, size):
-    """Signed distance to the nearest face, and that face's outward normal; far outside the box's shadow: large."""
+    """Signed distance to the nearest face, and that face's outward normal; large outside the face's extent."""
     over = np.abs(points) - 0.5 * size
     axis = over.argmax(axis=1)
     rows = np.arange(len(points))

@@ -1,9 +1,9 @@
-"""Whether what rests is held up by what it touches: a linear program over friction cones.
+"""Static support of bodies at rest by their contacts: a linear program over friction cones.
 
 For all bodies at rest together: are there contact forces, each within its friction cone, whose sum and moment on each
 body balance its weight? A pair resists rolling by torques of up to its rolling arm times its normal force. Each body is
 granted TOLERANCE of its weight, and of its weight times its size as a moment; what is missing beyond that is minimised.
-What only hangs by an edge of a standing box (HOOK) may count for nothing.
+Optionally, contacts that only hook onto an edge of a standing box (HOOK) do not count.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ TOLERANCE = 0.05  # of the weight
 FACETS = 12  # of a friction cone
 SPEED_AT_REST = 2e-3  # [m/s] of any point of the body
 ROOM = 4096  # contacts a pair: all within the detection tolerance
-# [m] A sample on one face of a box and so little behind another would be free if it were moved by that. A true support,
-# but one that nobody can see: what hangs by it seems to float.
+# [m] A sample on one face of a box and this little behind another would be free if moved by that much. The support is
+# valid but invisible: a body that hangs by it seems to float.
 HOOK = 2e-4
 ON_FACE = 1e-9
 
 
 class Support(NamedTuple):
     fragment_ids: np.ndarray  # (n,) of the bodies at rest
-    missing: np.ndarray  # (n,) what their contacts cannot carry beyond TOLERANCE, as a share of their weight
+    missing: np.ndarray  # (n,) unsupported load beyond TOLERANCE, as a share of their weight
 
     @property
     def unsupported(self) -> list[int]:
@@ -37,7 +37,7 @@ class Support(NamedTuple):
 
 
 def support_of(run, scene, hooks: bool = True) -> Support:
-    """Of a Lockstep run as it stands; `hooks`: whether what only hangs by an edge is supported."""
+    """Support in the present state of a Lockstep run; `hooks`: whether contacts that only hook onto an edge count."""
     states = run.states()
     registry = run.world.fragments()
     contacts = asked_with(run.world, states, contacts_per_pair=ROOM)

@@ -1,4 +1,4 @@
-"""Random pairs of fragments, jittered, deep and piled: is any point of either surface deeper than the answer says?"""
+"""Random pairs of fragments, jittered, deep and piled: is any point of either surface deeper than the bound?"""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from fracture_collision.world import CollisionWorld, Settings
 from truth.contact_truth import SHAPES, ContactTruth, Poses, pairs_of, piled
 from truth.surface_truth import Solid
 
-# Depths are of the nearest surface here, so normals are, too.
+# Depths are to the nearest surface here, so normals are too.
 SEARCHED = Settings(threads=1, surfaces="searched", normals="nearest")
 EPSILON = SEARCHED.penetration_tolerance  # [R]; R is 1 m
 JITTERS = (0.003, 0.01, 0.03)  # [R]
 SPREADS = (0.3, 0.6)  # [R], of piles
 FINEST = 2e-3  # [R] between dense points
-LEAST = 0.9  # in epsilon beyond the deepest contact: of what is less deep the truth is not looked for
-# libigl's winding number and distances are not ours to the last bit.
+LEAST = 0.9  # [epsilon] beyond the deepest contact; less deep points are not searched
+# libigl's winding number and distances do not match ours to the last bit.
 ROUNDING = 1e-6  # [R]
 
 

@@ -1,7 +1,7 @@
-"""How deep the surfaces of two bodies are in each other: dense points, asked of libigl. Knows nothing of the service.
+"""Depth of two bodies' surfaces in each other, at dense points, by libigl. Independent of the service.
 
-Where a triangle could hold a point deeper than what is looked for, it is halved until its points are no farther apart
-than `finest`: depth is 1-Lipschitz.
+A triangle that could contain a deeper point than required is halved until its points are no farther apart than
+`finest`: depth is 1-Lipschitz.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ import igl
 import numpy as np
 
 SLIVER = 1e-3
-FOLDED = 1e-9  # [m] corners so near are one
+FOLDED = 1e-9  # [m] corners this near coincide
 
 
 class Deepest(NamedTuple):
-    depth: float  # [m] of the deepest point that was asked; 0: none is inside
-    point: np.ndarray  # (3,) [m] in the frame of the solid that was asked
+    depth: float  # [m] of the deepest tested point; 0: none is inside
+    point: np.ndarray  # (3,) [m] in the frame of the solid
 
 
 class Solid:
@@ -34,7 +34,7 @@ class Solid:
         area = np.linalg.norm(normals, axis=1)
         self._normals = normals / np.maximum(area, 1e-300)[:, None]
         longest = np.linalg.norm(self.triangles - np.roll(self.triangles, 1, axis=1), axis=2).max(axis=1)
-        self._is_sliver = area < SLIVER * longest**2  # of such a one nobody knows the normal
+        self._is_sliver = area < SLIVER * longest**2  # a sliver's normal is unreliable
         self.low, self.high = self._vertices.min(axis=0), self._vertices.max(axis=0)
 
     def holds(self, points: np.ndarray) -> np.ndarray:
@@ -51,8 +51,8 @@ class Solid:
         squared, face, closest = self._tree.squared_distance(self._vertices, self._faces, points)
         away, distance = points - np.atleast_2d(closest), np.sqrt(np.atleast_1d(squared))
         above = (away * self._normals[np.atleast_1d(face)]).sum(axis=1)
-        # the nearest triangle's own side is nearly certain where the way to it is along its normal: not at its rim, and
-        # not where the oracle's surface is folded
+        # the nearest triangle's side is reliable if the direction to it is along its normal: not at its rim, and not
+        # where the oracle's surface is folded
         unsure = np.flatnonzero((np.abs(above) < distance * (1.0 - 1e-9)) | self._is_sliver[np.atleast_1d(face)])
         inside = above < 0.0
         if len(unsure):
@@ -61,7 +61,7 @@ class Solid:
 
     def deepest_of(self, triangles: np.ndarray, more_than: float, finest: float) -> Deepest:
         """The deepest point of `triangles` (t, 3, 3) [m] in this solid, if any is deeper than `more_than` [m]; else
-        nothing. No point of them is farther than `finest` from one that was asked where that might be deeper.
+        depth 0. Wherever a point may be deeper, a tested point is within `finest`.
         """
         best, deepest = Deepest(0.0, np.zeros(3)), max(more_than, 0.0)
         corners = triangles
@@ -83,14 +83,14 @@ class Solid:
 
 
 def _without_folds(triangles: np.ndarray) -> np.ndarray:
-    """Less those that another covers the other way round: nothing is between the two."""
+    """Without triangles that another covers with opposite orientation: nothing is between the two."""
     places = np.sort(np.round(triangles / FOLDED).astype(np.int64).view("i8,i8,i8").reshape(-1, 3), axis=1)
     _, same, count = np.unique(places, axis=0, return_inverse=True, return_counts=True)
     return triangles[count[same.ravel()] == 1]
 
 
 def _halved(corners: np.ndarray) -> np.ndarray:
-    """Each triangle (t, 3, 3) by the middle of its longest side."""
+    """Each triangle (t, 3, 3) split at the middle of its longest side."""
     sides = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2)
     turned = (np.argmax(sides, axis=1)[:, None] + np.arange(3)) % 3
     a, b, c = (corners[np.arange(len(corners)), turned[:, k]] for k in range(3))

@@ -1,4 +1,4 @@
-"""`fracture-collision film`: files that other programs read, of the right length; none where something goes wrong."""
+"""`fracture-collision film`: files readable by other programs, of the right length; no file on failure."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def call(*words: str | Path) -> Result:
 
 
 def chunks_of_webp(data: bytes) -> list[bytes]:
-    """Names of the parts of a RIFF file, in order (the WebP container specification)."""
+    """Names of the chunks of a RIFF file, in order (the WebP container specification)."""
     assert data[:4] == b"RIFF" and data[8:12] == b"WEBP" and int.from_bytes(data[4:8], "little") == len(data) - 8
     names, at = [], 12
     while at < len(data):
@@ -49,7 +49,7 @@ def chunks_of_webp(data: bytes) -> list[bytes]:
 
 
 def frames_of_gif(data: bytes) -> tuple[int, int]:
-    """Images, and hundredths of a second (the GIF 89a specification)."""
+    """Number of images, and total duration in hundredths of a second (the GIF 89a specification)."""
     assert data[:6] == b"GIF89a"
     at = 13 + (3 << (data[10] % 8 + 1)) * (data[10] >> 7)
     images = hundredths = 0
@@ -73,7 +73,7 @@ def test_films_of_each_kind_have_the_right_number_of_frames(bag: Path, tmp_path:
     assert chunks_of_webp((tmp_path / "a.webp").read_bytes()).count(b"ANMF") == 12
     assert make_film(read_run(bag), tmp_path / "a.gif", SMALL) == 12
     images, hundredths = frames_of_gif((tmp_path / "a.gif").read_bytes())
-    assert hundredths == 120 and 6 <= images <= 12  # frames that are the same are one that lasts longer
+    assert hundredths == 120 and 6 <= images <= 12  # equal frames are merged into one of longer duration
     assert sorted(file.name for file in tmp_path.iterdir()) == ["a.gif", "a.webp"]
     assert (tmp_path / "a.gif").stat().st_mode & 0o444 == 0o444
 
@@ -130,7 +130,7 @@ def test_ctrl_c_leaves_no_half_film_and_keeps_the_old_one(bag: Path, tmp_path: P
     running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     try:
         watched = os.open(tmp_path, os.O_RDONLY)
-        while len(os.listdir(watched)) < 2:  # until the unfinished film is there
+        while len(os.listdir(watched)) < 2:  # until the unfinished film appears
             assert running.poll() is None, running.stdout.read()
         running.send_signal(signal.SIGINT)
         said, _ = running.communicate(timeout=120)

@@ -1,4 +1,4 @@
-"""The page without a browser: what it serves, keeps and sends."""
+"""The page without a browser: what it serves, stores and sends."""
 
 from __future__ import annotations
 
@@ -83,11 +83,11 @@ def test_fragments_are_shades_of_their_body_and_cracks_are_paler() -> None:
 
 
 class OneBrowser:
-    """In place of a server: keeps what a page would be sent."""
+    """Replaces the server: records what a browser would be sent."""
 
     def __init__(self) -> None:
         self.sent: list[Any] = []
-        self.flushed = 0  # of these, on their way at once
+        self.flushed = 0  # how many of these were flushed
         self._websock_connection = self
 
     def get_clients(self) -> dict[int, OneBrowser]:
@@ -114,7 +114,7 @@ def test_only_what_has_moved_is_sent_and_a_late_page_is_told_all() -> None:
     moved[2, 0] = 0.5 * STILL
     live.pose(["/a", "/b", "/c"], moved)
     assert [(message.name, message.position) for message in browser.sent[6:]] == [("/b", (0.0, 0.0, 0.5))]
-    for step in range(1, 10):  # what creeps is sent once it has crept far enough
+    for step in range(1, 10):  # slow motion is sent once it adds up to STILL
         moved[2, 0] = 0.3 * step * STILL
         live.pose(["/a", "/b", "/c"], moved)
     assert {message.name for message in browser.sent[7:]} == {"/c"}
@@ -143,7 +143,7 @@ def test_a_body_stays_until_its_pieces_are_there() -> None:
         page.show_states(states[-1])
         page.flush()
         assert not nodes[3].visible and all(nodes[mesh.fragment_id].visible for mesh in meshes)
-        page.show_states(states[0])  # and back
+        page.show_states(states[0])  # rewind
         page.flush()
         assert nodes[3].visible and not nodes[meshes[0].fragment_id].visible
         page.new_run()
@@ -154,7 +154,7 @@ def test_a_body_stays_until_its_pieces_are_there() -> None:
 def test_states_that_came_first_place_what_comes_later() -> None:
     states = records_of(FragmentStates)
     with Page() as page:
-        page.show_states(states[-1])  # and no more: a pause
+        page.show_states(states[-1])  # and no further states: a pause
         page.flush()
         for record in records_of(CollisionBody):
             page.add_body(record)
@@ -172,9 +172,9 @@ def test_a_floor_is_drawn_once_and_holds_nothing_up() -> None:
     with Page() as page:
         for body in records_of(CollisionBody):
             page.add_body(body)
-        page.add_fragment(meshes[0]._replace(fragment_id=1), 1)  # services make meshes of floors too
+        page.add_fragment(meshes[0]._replace(fragment_id=1), 1)  # services publish meshes of floors too
         floor = {"fragment_ids": [1], "positions": [0.0, 0.0, 0.0], "orientations": [0.0, 0.0, 0.0, 1.0]}
-        for fewer in (0, 1):  # the last body leaves
+        for fewer in (0, 1):  # in the second pass the last body is gone
             count = len(states.fragment_ids) - fewer
             named = {
                 name: np.concatenate((own, getattr(states, name)[: len(own) * count])) for name, own in floor.items()
@@ -199,6 +199,6 @@ def test_the_newest_states_are_shown_some_thirty_times_a_second() -> None:
             page.show_figures(Figures(1e-3 * step, contacts=step))
         page.flush()
         assert 1 <= page.pictures - before < 300
-        assert len(page._plots._rows) == 3000  # all figures count, also those between two pictures
+        assert len(page._plots._rows) == 3000  # all figures are kept, also those between two pictures
     with pytest.raises(ValueError, match="no figures of these names: beer"):
         Page(told=frozenset({"beer"}))

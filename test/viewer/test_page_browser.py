@@ -1,4 +1,4 @@
-"""The page in a real Chromium: what a person sees and does there."""
+"""The page in a real Chromium: what a user sees and does."""
 
 from __future__ import annotations
 
@@ -43,9 +43,9 @@ def run_of_records() -> RecordedRun:
 
 @pytest.fixture
 def player() -> Iterator[BagPlayer]:
-    """Stands at the beginning; a thread plays it once it is told to."""
+    """Paused at the beginning; a thread advances it while it plays."""
     with BagPlayer(run_of_records()) as made:
-        made.page.cast_shadows(False)  # shadows take a software renderer most of its time
+        made.page.cast_shadows(False)  # shadows dominate the time of a software renderer
         made.play(False)
         made.seek(0.0)
         stopped = threading.Event()
@@ -62,7 +62,7 @@ def player() -> Iterator[BagPlayer]:
 
 
 def blue(picture: np.ndarray) -> np.ndarray:
-    """Where the first brick is, whose family is blue."""
+    """Mask of the first brick, whose colour family is blue."""
     return (picture[..., 2] > picture[..., 0] + 0.15) & (picture[..., 2] > 0.3) & ~sky(picture)
 
 
@@ -81,14 +81,14 @@ def shows_bricks(picture: np.ndarray) -> bool:
 def test_a_run_is_played_reloaded_and_looked_at_twice(browser: Any, player: BagPlayer) -> None:
     with opened(browser, player.page.address) as page:
         until(lambda: picture_of(page), shows_bricks)
-        still = steady(page)  # bricks are there before all lights are
+        still = steady(page)  # bricks appear before all lights do
         page.get_by_role("button", name="play").click()
         page.get_by_text("1.18 s").wait_for()  # the end
         moved = until(lambda: picture_of(page), shows_bricks)
         changed = np.abs(moved - still).max(axis=2) > 0.15
         assert np.count_nonzero(changed) > 200
         assert np.count_nonzero(changed & blue(still)) > 25  # the brick that broke
-        until(lambda: page.get_by_role("button", name="play").count(), bool)  # it has stopped by itself
+        until(lambda: page.get_by_role("button", name="play").count(), bool)  # it stops by itself at the end
         page.get_by_role("button", name="back").click()
         page.get_by_text("1.16 s").wait_for()
 
@@ -100,7 +100,7 @@ def test_a_run_is_played_reloaded_and_looked_at_twice(browser: Any, player: BagP
         with opened(browser, player.page.address) as second:
             until(lambda: picture_of(second), shows_bricks)
             until(lambda: player.page.browsers, lambda count: count == 2)
-            # both are told the same
+            # both browsers get the same
             player.seek(0.0)
             for each in (page, second):
                 each.get_by_text("0.00 s").wait_for()
@@ -110,7 +110,7 @@ def test_a_run_is_played_reloaded_and_looked_at_twice(browser: Any, player: BagP
 
 
 def contacts_at(points: np.ndarray) -> ContactConstraintArray:
-    """One pair, of fragments 3 and 4, penetrating by a millimetre at all of the points."""
+    """One pair, fragments 3 and 4, penetrating by a millimetre at each point."""
     count = len(points)
     empty = refusal_of(FragmentStates(0, 0, *(np.zeros(0),) * 3))
     return empty._replace(
@@ -164,7 +164,7 @@ def test_a_person_clicks_drags_and_looks_closer(browser: Any) -> None:
                 steps.append(heard.get(timeout=PATIENCE))
             assert {name for name, _ in steps} <= {"moved", "ended"}
             (last,) = steps[-1][1]
-            # 40 pixels to the right, in the plane through the grip that faces the eye, 2.85 m away
+            # 40 pixels to the right, in the plane through the grip that faces the camera, 2.85 m away
             assert last.target - last.grip == pytest.approx(
                 [40 * 2.85 * 2.0 * np.tan(0.3) / HEIGHT, 0.0, 0.0], abs=0.03
             )
@@ -176,7 +176,7 @@ def test_a_person_clicks_drags_and_looks_closer(browser: Any) -> None:
             seen.keyboard.press("ArrowUp")
             assert heard.get(timeout=PATIENCE) == ("arrow", ("up",))
 
-            page.look_from(Camera(eye, target + [0.0, 0.0, 1e-3], 0.6))  # the key has turned the camera too
+            page.look_from(Camera(eye, target + [0.0, 0.0, 1e-3], 0.6))  # the arrow key has turned the camera too
             before = np.count_nonzero(bright_red(picture_of(seen)))
             seen.get_by_label("contact points").check()
             until(lambda: np.count_nonzero(bright_red(picture_of(seen))), lambda count: count > before + 10)
@@ -210,7 +210,7 @@ def test_a_person_looks_inside(browser: Any) -> None:
             until(lambda: changed(picture_of(seen), bare), lambda count: count > 1.2 * brick)
             both = Spheres(5, 7, np.array([3, 4]), np.zeros((2, 3)), np.array([0.3, 0.3]))
             page.show_inside(InsideView(both))
-            with opened(browser, page.address) as late:  # who comes later sees them too
+            with opened(browser, page.address) as late:  # a browser that connects later shows them too
                 until(lambda: changed(steady(late), bare), lambda count: count > 1.5 * brick)
             seen.get_by_label("sphere trees").uncheck()
             assert asked.get(timeout=PATIENCE) == InsideWanted()
@@ -218,7 +218,7 @@ def test_a_person_looks_inside(browser: Any) -> None:
 
             seen.get_by_label("field on a plane").check()
             assert asked.get(timeout=PATIENCE) == InsideWanted(plane=PlaneWanted(1, 0.5))
-            # the brick's section, all of which is in two fragments at once but for its left half
+            # the brick's section; its right half is in two fragments at once
             owners = np.full((30, 40), 4)
             shared = np.zeros((30, 40), dtype=bool)
             shared[:, 20:] = True
@@ -226,7 +226,7 @@ def test_a_person_looks_inside(browser: Any) -> None:
             page.show_inside(InsideView(plane=section))
             found = until(lambda: picture_of(seen), lambda picture: np.count_nonzero(bright_red(picture)) > 100)
             columns = np.flatnonzero(bright_red(found).any(axis=0))
-            assert columns.min() > WIDTH / 2 - 4  # on the right
+            assert columns.min() > WIDTH / 2 - 4  # only on the right
             seen.get_by_label("field on a plane").uncheck()
             assert asked.get(timeout=PATIENCE) == InsideWanted()
             until(lambda: changed(picture_of(seen), bare), lambda count: count < EDGES)
@@ -239,11 +239,11 @@ def test_a_person_looks_inside(browser: Any) -> None:
             until(lambda: seen.locator(".uplot").count(), lambda count: count == 1)
 
 
-EDGES = 500  # pixels that differ where edges are drawn anew
+EDGES = 500  # pixels that may differ when edges are redrawn
 
 
 def steady(page: Any) -> np.ndarray:
-    """A picture in which nothing changes any more: lights and sky come by and by."""
+    """A picture that no longer changes: lights and sky load gradually."""
     page.wait_for_load_state("networkidle")
     last, equal = picture_of(page), 0
     while equal < 5:
@@ -258,5 +258,5 @@ def changed(picture: np.ndarray, before: np.ndarray) -> int:
 
 
 def bright_red(picture: np.ndarray) -> np.ndarray:
-    """Of the points that penetrate."""
+    """Mask of penetrating points."""
     return (picture[..., 0] > 0.8) & (picture[..., 1] < 0.25) & (picture[..., 2] < 0.25)

@@ -1,4 +1,4 @@
-"""Who gets an answer from the page: its own origin, by its own address, and no web page from elsewhere."""
+"""Access to the page: only its own origin at its own address, and no web page from another site."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def port() -> Iterator[int]:
 
 
 def answer(port: int, host: str, origin: str | None = None, upgrade: bool = False, path: str = "/") -> tuple[int, str]:
-    """Status and head of what the page answers; `upgrade`: asked for a websocket, as viser's own client does."""
+    """Status and head of the page's response; `upgrade`: request a websocket, as viser's own client does."""
     lines = [f"GET {path} HTTP/1.1", f"Host: {host}"]
     lines += [f"Origin: {origin}"] if origin is not None else []
     if upgrade:
@@ -53,7 +53,7 @@ def test_its_own_address_is_served(port: int, name: str) -> None:
 
 @pytest.mark.parametrize("upgrade", [False, True])
 def test_a_foreign_host_gets_nothing(port: int, upgrade: bool) -> None:
-    """As with DNS rebinding, where Origin and Host agree."""
+    """As in DNS rebinding, where Origin and Host agree."""
     for host in ("evil.example", f"evil.example:{port}", f"127.0.0.1.evil.example:{port}", f"127.0.0.1:{port + 1}",
                  "127.0.0.1", f"10.0.0.1:{port}", ""):  # fmt: skip
         for origin in (None, f"http://{host}"):
@@ -73,7 +73,7 @@ def test_another_port_of_this_machine_is_foreign(port: int) -> None:
 
 
 def test_the_page_obeys_no_other_server(port: int) -> None:
-    """Which viser's client does where its address says so."""
+    """viser's client would connect to another server if the URL's query names one."""
     for query in ("?websocket=ws://evil.example", "?playbackPath=//evil.example/x", "?"):
         assert answer(port, f"127.0.0.1:{port}", path=f"/{query}")[0] == 403
 
@@ -101,7 +101,7 @@ def test_which_names_a_page_on_the_network_has() -> None:
 
 
 def test_only_scenes_that_are_offered_are_chosen() -> None:
-    """Whatever a client sends."""
+    """Regardless of what a client sends."""
     chosen: Queue[str] = Queue()
     start = Start(scenes=("plates", "pane"), scene="plates")
     with Page(Handlers(scene_chosen=chosen.put), start) as page, page_client(page.address) as client:
@@ -111,7 +111,7 @@ def test_only_scenes_that_are_offered_are_chosen() -> None:
 
 
 def test_another_viser_serves_no_page(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Rather than one that checks nothing."""
+    """Rather than a page without checks."""
     with pytest.raises(GateError, match="unchecked"), guarded(Gate("127.0.0.1")):
         pass
     stopped = []

@@ -1,4 +1,4 @@
-"""The inside of collision detection on the page, without a browser: what is drawn of what came."""
+"""The collision detection views of the page, without a browser: what is drawn for given data."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def page() -> Iterator[Page]:
 
 
 def show(page: Page, wanted: InsideWanted, view: InsideView) -> Any:
-    """As if a person had thrown the switches, and that were the answer."""
+    """Sets the switches as a user would and shows `view` as the answer."""
     page._inside._wanted = wanted
     page.show_inside(view)
     page.flush()
@@ -73,7 +73,7 @@ def test_it_is_offered_to_who_can_tell_and_to_nobody_else() -> None:
 
 def test_spheres_follow_their_fragments(page: Page) -> None:
     random = np.random.default_rng(1)
-    ids = np.repeat([3, 4, 77], 5)  # nobody knows 77
+    ids = np.repeat([3, 4, 77], 5)  # 77 is unknown
     spheres = Spheres(2, 6, ids, random.uniform(-0.2, 0.2, (15, 3)), random.uniform(0.01, 0.1, 15))
     inside = show(page, InsideWanted(level=2), InsideView(spheres))
     assert inside._balls.visible and inside._words.content == "level 2 of 6: 15 spheres"
@@ -91,7 +91,7 @@ def test_spheres_follow_their_fragments(page: Page) -> None:
     page.show_states(states_of(moved))
     page.flush()
     assert np.allclose(sent_spheres(page)["batched_positions"], expected(moved), atol=1e-6)
-    del moved[4]  # it broke
+    del moved[4]  # 4 broke
     page.show_states(states_of(moved))
     page.flush()
     assert np.allclose(sent_spheres(page)["batched_positions"], expected(moved), atol=1e-6)
@@ -99,14 +99,14 @@ def test_spheres_follow_their_fragments(page: Page) -> None:
     before = page.messages_sent
     page.show_states(states_of(moved))
     page.flush()
-    assert page.messages_sent == before  # at rest
+    assert page.messages_sent == before  # nothing has moved
     show(page, InsideWanted(), InsideView())
     assert not inside._balls.visible and not inside._words.content
 
 
 def test_the_largest_spheres_are_drawn_and_the_others_counted(page: Page) -> None:
     count = MOST_SPHERES + 250
-    radii = np.arange(count) * 1e-4  # the first is a single sample
+    radii = np.arange(count) * 1e-4  # the first is a single sample, of radius 0
     inside = show(
         page, InsideWanted(level=7), InsideView(Spheres(7, 9, np.full(count, 3), np.zeros((count, 3)), radii))
     )
@@ -115,7 +115,7 @@ def test_the_largest_spheres_are_drawn_and_the_others_counted(page: Page) -> Non
 
 
 def plane_picture(axis: int) -> PlanePicture:
-    """Four cells by two: fragment 3 on the left, 4 on the right, the lower right corner shared, nobody up left."""
+    """Four cells by two: fragment 3 on the left, 4 on the right; lower right corner shared, upper left empty."""
     owners = np.array([[3, 3, 4, 4], [NOBODY, 3, 4, 4]])
     depths = np.array([[0.01, 0.02, 0.03, 0.06], [0.0, 0.01, 0.001, 0.002]])
     shared = np.zeros((2, 4), dtype=bool)
@@ -145,8 +145,8 @@ def test_the_plane_is_where_it_cuts_and_the_way_it_is(page: Page, axis: int) -> 
                 colour = np.array(page._scene.colour(int(owner)))
                 assert np.argmax(image[row, column, :3]) == np.argmax(colour)
                 assert image[row, column, :3].max() <= 255.0 * colour.max()
-    assert np.array_equal(np.argwhere(image[..., 3] == 0), [[0, 0]])  # up left
-    assert image[0, 2, :3].max() > image[1, 2, :3].max()  # darker where it is deeper
+    assert np.array_equal(np.argwhere(image[..., 3] == 0), [[0, 0]])  # upper left
+    assert image[0, 2, :3].max() > image[1, 2, :3].max()  # deeper is darker
     assert f"{AXES[axis]} = 0.100 m: 60.0 mm deep inside, bands of 10 mm" in inside._words.content
 
 
@@ -156,20 +156,20 @@ def test_what_the_plane_cuts_and_what_is_before_it_is_not_in_the_way(page: Page)
     only_3 = plane_picture(1)._replace(owners=np.full((2, 4), 3))
     wanted = InsideWanted(plane=PlaneWanted(1, 0.5))
     inside = show(page, wanted, InsideView(plane=only_3))
-    # seen from where y is less: 4 is behind it, the shelf before it
+    # seen from smaller y: 4 is behind the plane, the shelf in front of it
     assert not nodes[3].visible and nodes[4].visible and not nodes[2].visible
     page.show_states(states_of(POSES))
     page.flush()
     assert not nodes[3].visible
-    # a fragment that comes while it is hidden stays so
+    # a fragment that arrives while hidden stays hidden
     page._scene._poses.pop(3)
     page.show_states(states_of(POSES))
     page.flush()
     assert not nodes[3].visible
-    show(page, wanted, InsideView(plane=None))  # it cuts nothing any more
+    show(page, wanted, InsideView(plane=None))  # the plane cuts nothing any more
     assert all(node.visible for node in nodes.values()) and not inside._picture.visible
     show(page, wanted, InsideView(plane=only_3))
-    show(page, InsideWanted(), InsideView(plane=only_3))  # what comes after the switch was thrown is late
+    show(page, InsideWanted(), InsideView(plane=only_3))  # a view that arrives after switching off is ignored
     assert all(node.visible for node in nodes.values()) and not inside._picture.visible
 
 
@@ -188,7 +188,7 @@ def test_figures_are_plotted_and_said_while_they_are_wanted(page: Page) -> None:
         assert said in inside._words.content
     show(page, InsideWanted(errors=True), figures(0.3, unlisted_mm=0.0))
     rows = list(inside._plots._rows)
-    assert [(row.time, row.unlisted_mm) for row in rows] == [(0.1, 0.03), (0.3, 0.0)]  # the newest of a moment
+    assert [(row.time, row.unlisted_mm) for row in rows] == [(0.1, 0.03), (0.3, 0.0)]  # the newest row per time
     page.new_run()
     page.flush()
     assert not inside._plots._rows and not inside._words.content and errors.visible

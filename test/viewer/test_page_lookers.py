@@ -1,4 +1,4 @@
-"""What benchmarks/page measures by: a looker that draws nothing gets what a browser gets."""
+"""The client used by benchmarks/page: without drawing, it receives what a browser receives."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ def test_a_taker_gets_meshes_and_poses_as_a_browser_does() -> None:
         with taker(page.address) as seen:
             until(lambda: sorted(mesh.fragment_id for mesh in seen.meshes()), lambda ids: ids == [2, 3, 4, 5])
             until(lambda: page.browsers, lambda count: count == 1)
-            until(lambda: seen.pictures().count, bool)  # what was there when it came
+            until(lambda: seen.pictures().count, bool)  # the state at its connection
             places, counted = states.positions.reshape(-1, 3), []
             for step in range(1, PICTURES + 1):
                 before = page.pictures
                 page.show_states(states._replace(positions=(places + [0.0, 0.0, 0.01 * step]).ravel()))
                 until(lambda before=before: page.pictures, lambda count, before=before: count > before)
-            # a newer place may overtake one that has not been sent
+            # a newer pose may replace one that has not been sent
             until(lambda: counted.append(seen.pictures()) or sum(each.count for each in counted), bool)
-    assert sum(each.count for each in counted) <= PICTURES + 1  # and one that may have been on its way
+    assert sum(each.count for each in counted) <= PICTURES + 1  # plus one that may have been in flight
     assert 0.0 < counted[-1].moved <= len(places)
     assert not seen.shown()

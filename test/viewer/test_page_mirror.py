@@ -1,4 +1,4 @@
-"""The copy of the service beside the page: it knows what the service knows, and works only while somebody looks."""
+"""The page's copy of the service: it has the service's bodies and events, and works only while a view is open."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def truth() -> ContactTruth:
 
 
 class Stage(NamedTuple):
-    """A mirror, what it shows, and a service beside it."""
+    """A mirror, the views it has shown, and a service beside it."""
 
     mirror: Mirror
     shown: queue.Queue[InsideView]
@@ -63,7 +63,7 @@ class Stage(NamedTuple):
             self.mirror.hear(to_message(event, heading(0.0), run_id))
 
     def tell_step(self, step: int, settings: Settings = SETTINGS, run_id: int = RUN) -> None:
-        """States, and the service's answer to them."""
+        """Passes states and the service's answer to the mirror."""
         states = self.states(step)
         self.mirror.hear_states(Received(Heading(step, 0, "world"), run_id, states))
         if self.mirror.wants_contacts:
@@ -107,7 +107,7 @@ def test_it_does_nothing_until_somebody_looks_and_then_knows_the_run(stage: Stag
     assert view.figures is None
     stage.tell_step(3)
     moved = stage.next_view()
-    assert moved.spheres is view.spheres and moved.plane.place == view.plane.place  # it stands still
+    assert moved.spheres is view.spheres and moved.plane.place == view.plane.place  # spheres and plane are unchanged
     assert not np.array_equal(moved.plane.owners, view.plane.owners)
     stage.mirror.want(InsideWanted(level=4))
     deeper = stage.next_view()
@@ -118,7 +118,7 @@ def test_an_answer_is_compared_with_all_there_is(stage: Stage) -> None:
     stage.mirror.want(BOTH)
     stage.mirror.hear_times(0.7)
     stage.tell_step(5)
-    while (figures := stage.next_view().figures) is None:  # before the answer had come
+    while (figures := stage.next_view().figures) is None:  # views from before the answer
         pass
     errors = stage.true_errors(5)
     assert (figures.time, figures.contacts, figures.colliding) == (5.0, errors.listed, errors.colliding)
@@ -156,7 +156,7 @@ def test_settings_show_at_once_also_while_the_scene_stands(stage: Stage) -> None
 
 def test_who_begins_to_look_while_the_scene_stands_sees_it(stage: Stage) -> None:
     stage.mirror.hear_paused(True)
-    stage.tell_step(7)  # nobody wanted the answer
+    stage.tell_step(7)  # the answer is not requested
     stage.mirror.want(BOTH)
     figures = stage.next_view().figures
     states = stage.states(7)
@@ -170,10 +170,10 @@ def test_another_run_begins_anew_and_who_looks_away_costs_nothing(stage: Stage) 
     stage.tell_step(1)
     assert stage.next_view().spheres is not None
     stage.tell_log(RUN + 1)
-    states = FragmentStates(1, 0, np.array([1]), np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))  # nothing broke yet
+    states = FragmentStates(1, 0, np.array([1]), np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))  # before any fracture
     stage.mirror.hear_states(Received(heading(0.0), RUN + 1, states))
     assert stage.next_view().spheres.fragment_ids.tolist() == [1]
-    # states of what is not known: the next ones may be
+    # states of an unknown registry are skipped; the next ones are answered
     stage.mirror.hear_states(Received(heading(0.0), RUN + 1, states._replace(step=2, fracture_sequence=9)))
     stage.mirror.hear_states(Received(heading(0.0), RUN + 1, states._replace(step=3)))
     assert stage.next_view().spheres.fragment_ids.tolist() == [1]

@@ -1,4 +1,4 @@
-"""`fracture-collision play` in a real Chromium: real nodes over DDS behind the page, and a person who smashes."""
+"""`fracture-collision play` in a real Chromium: a user smashes plates, with real nodes over DDS behind the page."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from stages.browser import chromium, opened, until
 from stages.live_page import LivePage, live_page, on_a_plate
 
 PLATES = 4
-TRIES, LIFT = 4, 60.0  # [s] in which what is dragged must be in the air
+TRIES, LIFT = 4, 60.0  # tries, and [s] per try to lift a dragged plate
 
 
 @pytest.fixture(scope="module")
@@ -23,25 +23,25 @@ def browser() -> Iterator[Any]:
 
 @pytest.fixture
 def scene(browser: Any, tmp_path: Path) -> Iterator[LivePage]:
-    """Only where there is a browser: else its nodes would start in vain."""
+    """Depends on `browser`, so that no nodes start without one."""
     with live_page("plates", tmp_path) as made:
         yield made
 
 
 def drawn_plot(page: Any) -> str:
-    """What the first of the plots shows."""
+    """The first plot as drawn."""
     page.wait_for_selector(".uplot canvas")
     return page.evaluate("document.querySelector('.uplot canvas').toDataURL()")
 
 
 def test_a_person_smashes_plates(browser: Any, scene: LivePage) -> None:
     with opened(browser, scene.address) as page:
-        page.get_by_label("shadows").uncheck()  # they take a software renderer most of its time
+        page.get_by_label("shadows").uncheck()  # they dominate the time of a software renderer
         x, y = on_a_plate(page)
         before = drawn_plot(page)
         page.mouse.click(x, y)
         scene.until(lambda: scene.status.fragments > PLATES + 5, "a ball and shards")
-        page.reload()  # in the middle of it all
+        page.reload()  # while shards are flying
         page.wait_for_selector("canvas")
         on_a_plate(page)
         until(lambda: drawn_plot(page), lambda picture: picture != before)
@@ -50,7 +50,7 @@ def test_a_person_smashes_plates(browser: Any, scene: LivePage) -> None:
         page.get_by_role("button", name="start over").click()
         scene.until(lambda: scene.status.run_id != run_id and scene.status.step > 5, "another run")
         assert scene.status.fragments == PLATES
-        page.get_by_text(f"· {PLATES} fragments").wait_for()  # until then what it shows are shards
+        page.get_by_text(f"· {PLATES} fragments").wait_for()  # until then the page still shows shards
 
         begin = scene.places()
 
@@ -65,13 +65,13 @@ def test_a_person_smashes_plates(browser: Any, scene: LivePage) -> None:
             with suppress(AssertionError):
                 scene.ears.spin_until(in_the_air, "a plate in the air", LIFT)
                 break
-            page.mouse.up()  # on a busy machine the page shows for a while what is not there any more
+            page.mouse.up()  # on a loaded machine the page shows an outdated picture for a while
         assert in_the_air()
-    # who leaves lets go
+    # closing the page releases the plate
     scene.until(lambda: not in_the_air(), "a plate that fell")
 
 
-@pytest.mark.slow  # as are other minutes in front of a page that a processor draws
+@pytest.mark.slow  # takes minutes with software rendering
 def test_two_people_look_at_a_scene_that_pauses(browser: Any, scene: LivePage) -> None:
     with opened(browser, scene.address) as page:
         page.get_by_label("shadows").uncheck()
@@ -80,14 +80,14 @@ def test_two_people_look_at_a_scene_that_pauses(browser: Any, scene: LivePage) -
         page.reload()
         page.wait_for_selector("canvas")
         until(lambda: page.get_by_label("pause").is_checked(), bool)
-    # nobody looks, and all goes on
+    # the run continues while no browser is connected
     with opened(browser, scene.address) as page, opened(browser, scene.address) as second:
         on_a_plate(page)
         on_a_plate(second)
         step = scene.status.step
         page.get_by_role("button", name="one step").click()
         scene.until(lambda: scene.status.step == step + 1, "one step")
-        # a run that begins in a pause is there to be seen
+        # a run that begins paused is shown
         run_id = scene.status.run_id
         second.get_by_role("button", name="start over").click()
         scene.until(lambda: scene.status.run_id != run_id and scene.status.step == 1, "the first step of another run")

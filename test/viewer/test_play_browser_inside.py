@@ -1,4 +1,4 @@
-"""`fracture-collision play` in a real Chromium: what a person sees inside collision detection."""
+"""`fracture-collision play` in a real Chromium: the collision detection views."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from stages.browser import chromium, knob, opened, until
 from stages.live_page import LivePage, live_page, on_a_plate
 
 PLATES = 4
-# A browser that draws in software, on the processors of the nodes, takes minutes for these.
+# With software rendering, on the processors that run the nodes, these take minutes.
 pytestmark = pytest.mark.slow
 
 
 @pytest.fixture
 def scene(tmp_path: Path) -> Iterator[tuple[Any, LivePage]]:
-    """Only where there is a browser: else its nodes would start in vain."""
+    """Starts the browser first, so that no nodes start without one."""
     with chromium() as browser, live_page("plates", tmp_path) as made:
         yield browser, made
 
@@ -48,7 +48,7 @@ def test_a_person_looks_inside(scene: tuple[Any, LivePage]) -> None:
         page.get_by_label("sphere trees").check()
         page.get_by_text("level 2 of").wait_for()
         knob(page, "level").fill("0")
-        page.get_by_text(re.compile(f"level 0 of .*: {PLATES} spheres")).wait_for()  # the shelf does not move
+        page.get_by_text(re.compile(f"level 0 of .*: {PLATES} spheres")).wait_for()  # the static shelf is left out
         page.get_by_label("sphere trees").uncheck()
         page.get_by_label("field on a plane").check()
         page.get_by_text("mm deep inside").wait_for()
@@ -60,12 +60,12 @@ def test_a_person_looks_inside(scene: tuple[Any, LivePage]) -> None:
         scene.until(lambda: scene.status.fragments > PLATES + 5, "a ball and shards")
         page.get_by_text("promised: no more than").wait_for()
         until(lambda: len(shown_plots(page)), lambda count: count == plots + 2)
-        # on the run the service's own answers are judged
+        # while running, the figures are of the service's own answers
         knob(page, "contacts a pair").fill("32")
         many, colliding = until(lambda: listed_and_colliding(page), lambda counts: counts[0] > 20)
         assert many <= colliding
 
-        # and at rest the slider says what it would do
+        # while paused, they show the effect of a changed setting
         page.get_by_label("pause").check()
         scene.until(lambda: scene.status.paused, "a pause")
         knob(page, "contacts a pair").fill("1")

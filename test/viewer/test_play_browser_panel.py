@@ -1,4 +1,4 @@
-"""The panel of `fracture-collision play` in a real Chromium: each knob reaches the nodes it is about."""
+"""The panel of `fracture-collision play` in a real Chromium: each control reaches its nodes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from fracture_collision.ros.wire import qos
 from fracture_collision.viewer.film.recorded_run import read_run
 
 PLATES = 4
-# A browser that draws in software, on the processors of the nodes, takes minutes for these.
+# With software rendering, on the processors that run the nodes, these take minutes.
 pytestmark = pytest.mark.slow
 BUDGET_EXHAUSTED = 1
 
@@ -46,13 +46,13 @@ def one_scene(browser: Any, folder: Path) -> Iterator[LivePage]:
 @pytest.fixture
 def page(browser: Any, one_scene: LivePage) -> Iterator[Any]:
     with opened(browser, one_scene.address) as shown:
-        shown.get_by_label("shadows").uncheck()  # they take a software renderer most of its time
+        shown.get_by_label("shadows").uncheck()  # they dominate the time of a software renderer
         yield shown
 
 
 @pytest.fixture
 def scene(one_scene: LivePage, page: Any) -> LivePage:
-    """Plates that nobody has touched."""
+    """A scene of untouched plates."""
     if one_scene.status.scene == "plates" and one_scene.status.fragments == PLATES:
         return one_scene
     begin_plates(one_scene, page)
@@ -86,10 +86,10 @@ def test_what_is_recorded_opens_and_replays(scene: LivePage, page: Any, folder: 
     assert run.states[-1].fracture_sequence >= broken > 0
     assert set(run.states[-1].fragment_ids) <= run.body_of.keys()
     done = CliRunner().invoke(main, ["replay", str(bag)])
-    # The recording begins and ends between a question and its answer, and a busy recorder may miss one (INCOMPLETE).
+    # The recording may begin or end between states and their answer, and a busy recorder may miss one (INCOMPLETE).
     assert done.exit_code in (0, INCOMPLETE), done.output
     assert "answers are those recorded, byte for byte" in done.output, done.output
-    # another one beside it
+    # a second recording beside it
     page.get_by_label("record").check()
     until(lambda: (folder / "bag_2" / "metadata.yaml").exists(), bool)
     page.get_by_label("record").uncheck()
@@ -138,7 +138,7 @@ def test_sliders_reach_the_service_and_its_answers(scene: LivePage, page: Any) -
     choose(page, "field", "exact")
     has("field", "exact")
 
-    # and back: what somebody else sets is seen here, what cannot be is told
+    # the other direction: parameters set by another client appear on the panel
     assert scene.ears.set_parameters(contacts_per_pair=5) == [""]
     until(lambda: knob(page, "contacts a pair").input_value(), lambda value: value == "5")
     assert scene.ears.set_parameters(contacts_per_pair=8) == [""]

@@ -1,4 +1,4 @@
-"""`fracture-collision view`: serves a page until Ctrl-C, and ends in order; words where it cannot."""
+"""`fracture-collision view`: serves a page until Ctrl-C and exits cleanly; an error message where it cannot."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def test_a_signal_as_soon_as_the_address_is_known_ends_it_as_later_ones_do(
 def test_what_cannot_be_shown_is_refused_in_words(bag: Path, tmp_path: Path) -> None:
     done = CliRunner().invoke(main, ["view", str(tmp_path), "--no-open"])
     assert done.exit_code == 2 and "neither an .mcap file nor a folder" in done.output.replace("\n", " ")
-    done = CliRunner().invoke(main, ["view", str(bag), "--no-open", "--host", "192.0.2.1"])  # nobody's (RFC 5737)
+    done = CliRunner().invoke(main, ["view", str(bag), "--no-open", "--host", "192.0.2.1"])  # reserved (RFC 5737)
     assert done.exit_code == 1 and "cannot be served at 192.0.2.1" in done.output.replace("\n", " ")
     assert "Traceback" not in done.output
     with socket.create_server(("127.0.0.1", 0)) as taken:

@@ -1,4 +1,4 @@
-"""Film strip and plot: made from a small bag, looked at pixel by pixel."""
+"""Film strip and plot: made from a small bag and checked by pixels."""
 
 from __future__ import annotations
 
@@ -45,13 +45,13 @@ def test_film_strip_shows_the_run(bag: Path, tmp_path: Path) -> None:
     for frame in frames:
         assert frame.std() > 0.1
         red, green, blue = frame[..., 0], frame[..., 1], frame[..., 2]
-        # the two bricks' families of colour: the first is blue, the second red
+        # the bricks' colour families: the first is blue, the second red
         assert np.count_nonzero((blue > red + 0.2) & (blue > green)) > 60
         assert np.count_nonzero((red > blue + 0.2) & (red > green + 0.1)) > 60
     for before, after in zip(frames[:-1], frames[1:], strict=True):
         assert np.abs(before - after).max() > 0.2
 
-    # the pale crack faces come with the break
+    # the pale crack faces appear with the fracture
     def pale_blue(frame: np.ndarray) -> int:
         return np.count_nonzero((frame[..., 2] > 0.6) & (frame[..., 2] > frame[..., 0] + 0.08))
 

@@ -1,5 +1,5 @@
-"""A slice of the campaign of bad input: every mutation of every field once, hypothesis's choice of several at once, and
-spoilt bytes; the whole campaign is a slow test.
+"""A slice of the bad-input campaign: every mutation of every field once, several at once as chosen by hypothesis, and
+corrupted bytes. The whole campaign is a slow test.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def test_every_mutation_of_every_field_through_both_doors() -> None:
 
 
 def test_the_rules_of_the_gate_reach_what_they_can_of_it() -> None:
-    """The sites are read from the source: were they not, nothing would be missed."""
+    """The sites are read from the source; otherwise a rule without a case would go unnoticed."""
     assert len(refusal_sites()) > 60
     assert len(BODIES) + len(EVENTS) + len(STATES) > 130
 
@@ -86,8 +86,8 @@ def test_refused_messages_leave_nothing_in_memory() -> None:
         if door == "records" and bench.judge(case) == "" and bench.verdict.outcome == REFUSED:
             kept.append(case)
     assert len(kept) > 600
-    # What leaks grows with every round. What the interpreter keeps for reuse (its free lists of tuples) fills up, in
-    # some rounds: each full garbage collection empties it.
+    # A leak grows with every round. The interpreter's free lists of tuples fill up within some rounds, as each full
+    # garbage collection empties them.
     grown: list[int] = []
     tracemalloc.start()
     try:
@@ -102,7 +102,7 @@ def test_refused_messages_leave_nothing_in_memory() -> None:
 
 
 def test_a_case_that_does_not_come_to_what_it_must_is_found() -> None:
-    """The judge itself: what is legal is said to be refused, what is refused to be legal, or under another name."""
+    """Tests the judge: legal cases labelled as rejected, rejected ones as legal, or with a wrong kind or field name."""
     bench = Bench("records", SETTINGS)
     (_, refused), (_, taken) = next(c for c in every_case(1) if c[1].kinds == {"retired_id"}), next(
         c for c in every_case(1) if c[1].must_pass

@@ -1,4 +1,4 @@
-"""Files that mean harm, or are merely broken: errors in words, quickly, and nothing run or written."""
+"""Malicious or broken files: a clear error, quickly, without running code or writing files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is seen inside a world, against the slow oracles: spheres, the field on a plane, how far an answer is off."""
+"""Inspection of a world against the slow oracles: spheres, the field on a plane, the errors of an answer."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ def truth(request: pytest.FixtureRequest) -> ContactTruth:
 
 
 def samples_of(truth: ContactTruth, fragment: int) -> np.ndarray:
-    """(n, 3) [m] the oracle's: the fragment's mesh nodes, where its cut edges are crossed, and where cracks meet."""
+    """(n, 3) [m] the oracle's samples: the fragment's mesh nodes, its cut edges' crossings, and where cracks meet."""
     oracle = truth.case.oracle
     points = list(oracle.vertices[oracle.labels == fragment])
     for ends, plane in oracle.planes.items():
         if fragment in oracle.labels[list(ends)]:
             a, b = oracle.vertices[list(ends)]
             points.append(a + (plane[3] - plane[:3] @ a) / (plane[:3] @ (b - a)) * (b - a))
-    # a crack of a neighbour's adds corners to the border that this one has
+    # a neighbour's later crack adds corners to this fragment's border; keep only those that the fragment samples
     known = set(truth.case.geometry.sphere_tree(truth.case.row(fragment)).sample.tolist())
     return np.array([*points, *(point for k, point in corner_samples(oracle, fragment).items() if k in known)])
 
@@ -61,7 +61,7 @@ def test_spheres_of_a_level_hold_all_samples_and_shrink_to_them(truth: ContactTr
         for fragment in truth.fragment_ids:
             own = spheres.fragment_ids == fragment
             assert within(samples[fragment], spheres.centres[own], spheres.radii[own]).all()
-            if last is not None:  # what is below is within
+            if last is not None:  # lower levels lie within
                 above = last.fragment_ids == fragment
                 assert within(spheres.centres[own], last.centres[above], last.radii[above]).all()
         counts.append(len(spheres.radii))
@@ -86,7 +86,7 @@ def test_the_field_on_a_plane_is_that_of_the_oracle(truth: ContactTruth, axis: i
     assert (found.axis, found.place) == (axis, place) and max(found.owners.shape) == 40
     rows, columns = found.owners.shape
     across, up = PLANE_AXES[axis]
-    # two cells more on each side: nobody is there
+    # two extra cells on each side, which must be empty
     column, row = np.meshgrid(np.arange(-2, columns + 2) + 0.5, np.arange(-2, rows + 2) + 0.5)
     points = np.full((*row.shape, 3), place)
     points[..., across], points[..., up] = found.corner[0] + found.cell * column, found.corner[1] + found.cell * row
@@ -106,7 +106,7 @@ def test_the_field_on_a_plane_is_that_of_the_oracle(truth: ContactTruth, axis: i
     assert np.array_equal(found.owners[certain], expected[certain])
     assert np.abs(found.depths - np.maximum(deepest[within], 0.0))[certain].max() < BORDER
     assert np.array_equal(found.shared[certain], inside[within][certain] > 1)
-    # so that all of that was seen
+    # guards against a vacuous comparison
     assert (expected != NOBODY).sum() > 50 and found.shared.any() and len(np.unique(expected)) > 3
 
 
@@ -130,8 +130,8 @@ def test_shapes_without_a_mesh_are_on_the_plane_and_the_ground_is_not() -> None:
     assert np.array_equal(found.owners, expected) and {NOBODY, 2, 3} == set(np.unique(expected).tolist())
     assert np.allclose(found.depths, np.maximum(np.maximum(of_ball, of_box), 0.0), atol=1e-12)
     assert np.array_equal(found.shared, (of_ball > 0.0) & (of_box > 0.0))
-    assert field_on_plane(world, here, 2, 0.9) is None  # cuts the box alone
-    assert not len(spheres_of_level(world, here, 0).radii)  # the box stands, a ball has no tree
+    assert field_on_plane(world, here, 2, 0.9) is None  # intersects only the box
+    assert not len(spheres_of_level(world, here, 0).radii)  # the box is static, a ball has no tree
     world.add_body(CollisionBody(4, 4, primitive=SolidPrimitive(BOX, (2.0, 2.0, 1.0))))
     here = world.present(FragmentStates(2, 0, np.array([3, 4]), np.zeros(6), np.tile(turned, 2)))
     spheres = spheres_of_level(world, here, 0)

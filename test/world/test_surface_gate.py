@@ -1,4 +1,4 @@
-"""Cavities of a closed surface: the gate's verdict against that of solid angles, and what many cavities cost."""
+"""Cavities of a closed surface: the gate's verdict against solid angles, and the cost of many cavities."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def pieces_of(*shapes: RigidShape) -> np.ndarray:
 
 @pytest.mark.parametrize("make", [noisy_ball, torus, hollow_box, cube])
 def test_windings_are_the_solid_angles(make: Callable[[], RigidShape]) -> None:
-    """At points inside and outside, of pieces that wind both ways and lie in each other."""
+    """At points inside and outside of nested pieces with both orientations."""
     outer = make()
     random = np.random.default_rng(3)
     inner = [cavity(TETRAHEDRON, 0.2, at) for at in random.uniform(-1.0, 1.0, (10, 3))]
@@ -100,12 +100,12 @@ def test_verdicts_are_those_of_solid_angles() -> None:
 
 
 def test_three_thousand_cavities_cost_what_is_near_each() -> None:
-    """Comparing each with all others took 9 s of processor time, looking along rays 0.03 s."""
+    """Comparing all pairs took 9 s of processor time, casting rays 0.03 s."""
     at = np.stack(np.meshgrid(*[np.arange(15) / 15.0 - 0.48] * 3), axis=-1).reshape(-1, 3)[:3000]
     sizes = np.random.default_rng(1).uniform(0.02, 0.04, len(at))
     shapes = [cube(), *(cavity(TETRAHEDRON, size, x) for size, x in zip(sizes, at, strict=True))]
     shape, nested = together(*shapes), together(*shapes, cavity(TETRAHEDRON, 0.003, at[-1] + 0.002))
-    check_surface(*cube())  # kernels are loaded
+    check_surface(*cube())  # loads kernels
     begun = process_time()
     check_surface(shape.vertices, shape.triangles)
     with pytest.raises(InvalidMessage, match="triangle 12012 is inside out and no cavity"):

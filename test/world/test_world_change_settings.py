@@ -1,4 +1,4 @@
-"""Settings changed in mid-run: from then on the answers are those of a world that had them from the beginning."""
+"""Settings changed during a run: from then on the answers equal those of a world created with them."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ CHANGES = [
     {"neighbour_lists": False}, {"threads": 3}, {"visit_budget": 40}, {"max_bodies": 1}, {"max_nodes": 1},
     {"max_fragments": 1},
 ]  # fmt: skip
-# In no answer: the next body or fracture meets them, or the time it takes.
+# No effect on answers: these affect the next body or fracture, or only the time.
 UNSEEN = {"neighbour_lists", "threads", "max_bodies", "max_nodes", "max_fragments"}
 
-# As STATES, and with the pieces sunk into each other and lifted off the ground.
+# STATES, and variants with the pieces pushed into each other and lifted off the ground.
 MOVED = STATES._replace(positions=STATES.positions + np.array([0, 0, 0, 0, 0, 0.02, -0.03, 0.01, 0.02, -0.05, 0, 0.02]))
 
 
 def answers(world: CollisionWorld) -> list[list[bytes]]:
-    """The repeated states let slow pairs get their lists of neighbours."""
+    """Repeated states give slow pairs their neighbour lists."""
     return [field_bytes(world.contacts(states)) for states in (STATES, STATES, STATES, MOVED)]
 
 
@@ -58,7 +58,7 @@ def made_with_it_digest(world: CollisionWorld) -> str:
 
 @pytest.mark.parametrize("change", [change for change in CHANGES if not UNSEEN & set(change)], ids=str)
 def test_these_changes_show_in_the_answer(change: dict) -> None:
-    """So that the test above can fail."""
+    """Shows that the test above can fail."""
     world = told_world(START)
     before = answers(world)
     world.change_settings(START._replace(**change))

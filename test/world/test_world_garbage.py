@@ -1,4 +1,4 @@
-"""Random garbage in every field: refused as InvalidMessage or taken as good, never anything else."""
+"""Random garbage in every field: raises InvalidMessage or is accepted, never anything else."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def _never_anything_but_invalid_message(record, deliver, changes: dict) -> None:
         assert refusal.kind and str(refusal)
         assert observed(world) == before
     else:
-        GARBAGE_WORLD.clear()  # taken: garbage that is none
+        GARBAGE_WORLD.clear()  # accepted, so this world has changed
 
 
 BODY_ARRAYS = ("vertices", "triangles", "tetrahedra", "plane", "primitive")
@@ -61,7 +61,7 @@ def _changes(array_fields: tuple[str, ...], scalar_fields: tuple[str, ...]):
     )
 
 
-# Less those of what earlier tests left open, which comes to light whenever garbage is collected.
+# Except ResourceWarning: files left open by earlier tests warn at any garbage collection.
 warnings_are_errors = pytest.mark.filterwarnings("error", "ignore::ResourceWarning")
 
 

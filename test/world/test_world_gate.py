@@ -1,4 +1,4 @@
-"""Every rule of the protocol broken once: refused in words that name the field, whole, and nothing changes."""
+"""Every rule of the protocol broken once: the message is rejected, naming the field, and nothing changes."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_bodies(world: CollisionWorld, rule: str) -> None:
 def test_events(world: CollisionWorld, rule: str) -> None:
     event, kind, words = EVENTS[rule]
     refused(world, lambda: world.add_fracture(event), kind, words)
-    world.add_fracture(FIRST)  # delivered again: nothing
+    world.add_fracture(FIRST)  # delivered again: ignored
     world.add_fracture(SECOND)
     states = REFERENCE._replace(fracture_sequence=2, fragment_ids=np.array([3, 10, 12, 13]))
     assert len(world.contacts(states).gaps) > 0

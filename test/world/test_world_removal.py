@@ -1,4 +1,4 @@
-"""REMOVE costs what it removes: nothing is replayed, memory is reclaimed, and answers are those of a replayed log."""
+"""REMOVE without replay: memory is reclaimed, and answers equal those of a replayed log."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def box(number: int) -> CollisionBody:
 
 
 class Twins:
-    """A world that lives through everything, and the log from which another one is made at any time."""
+    """A world that receives all messages, and the log from which a second world can be built at any time."""
 
     def __init__(self, settings: Settings = SETTINGS) -> None:
         self.settings = settings
@@ -52,7 +52,7 @@ class Twins:
         self.world.add_fracture(event)
 
     def agree(self) -> int:
-        """Both answer with the same bytes; returns how many contacts there are."""
+        """Asserts that both answer with the same bytes; returns the number of contacts."""
         slow = CollisionWorld(self.settings)
         removed = {b.body_id for b in self.bodies if b.operation == REMOVE}
         for body in self.bodies:
@@ -82,7 +82,7 @@ class Twins:
 
 @pytest.fixture
 def counted(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """What is done to geometries from here on, by name."""
+    """Names of the CollisionGeometry methods called from here on."""
     done: list[str] = []
     adds = "add_tetrahedra", "add_triangles", "add_box", "add_sphere", "add_plane"
     for name in ("apply_fracture", "keep_only", *adds):
@@ -108,7 +108,7 @@ def test_remove_replays_nothing(counted: list[str]) -> None:
         twins.world.fragments()
         assert counted == []
         twins.agree()
-    # nor does one that came and went between two answers
+    # a body added and removed between two answers costs nothing either
     twins.add(sphere(30), removal(30))
     counted.clear()
     twins.world.fragments()
@@ -120,7 +120,7 @@ def test_remove_replays_nothing(counted: list[str]) -> None:
 def test_what_is_reclaimed_changes_no_byte(
     settings: Settings, counted: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Bodies of all kinds break, are removed and are followed by others; the pools are compacted each time."""
+    """Bodies of all kinds break, are removed and replaced by others; the pools are compacted each time."""
     monkeypatch.setattr(CollisionGeometry, "is_mostly_garbage", lambda self: True)
     twins = Twins(settings)
     twins.add(breakable(20), tetrahedral(1), plane(2), rigid(3), box(4), breakable(5), sphere(6), rigid(7))

@@ -1,4 +1,4 @@
-"""What a run of messages leaves behind: limits, removal, repetition, earlier registries, and mass through fractures."""
+"""Sequences of messages: limits, removal, repetition, earlier registries, and conservation of mass in fractures."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def world() -> CollisionWorld:
 
 
 def test_a_refusal_does_not_move_a_registry_that_looks_back(world: CollisionWorld) -> None:
-    """States of an earlier registry stand; what is refused of a later one must not bring the later one in."""
+    """After states of an earlier registry, rejected states of a later one must not activate the later registry."""
     world.contacts(EARLIER)
     before = record_bytes(world.fragments())
     unknown = REFERENCE._replace(fragment_ids=with_entry(IDS, 0, 50))
@@ -90,7 +90,7 @@ def test_remove_and_what_follows(world: CollisionWorld) -> None:
     assert record_bytes(world.contacts(remaining)) == expected
     assert world.fragments().fragment_ids.tolist() == [2, 3, 4]
     digest = world.fragments().digest
-    # a latched topic that delivers all again changes nothing
+    # a latched topic that redelivers everything changes nothing
     world.add_body(tetrahedral(1))
     world.add_body(CollisionBody(1, 1, operation=REMOVE))
     world.add_fracture(FIRST)
@@ -105,7 +105,7 @@ def test_remove_and_what_follows(world: CollisionWorld) -> None:
 
 
 def test_events_of_a_removed_body_keep_their_place_in_the_sequence(world: CollisionWorld) -> None:
-    """A service started late may get REMOVE before the events: topics keep no order between them."""
+    """A service started late may get REMOVE before the events, as there is no order across topics."""
     world.add_fracture(SECOND)
     world.add_body(tetrahedral(30))
     third = FIRST._replace(sequence=3, body_id=30, fragment_id=30, new_fragment_ids=np.array([31, 32]))
@@ -152,7 +152,7 @@ BREAKABLE = {
 
 @pytest.mark.parametrize("body", BREAKABLE.values(), ids=BREAKABLE)
 def test_mass_and_first_moment_pass_from_parent_to_pieces(body) -> None:
-    """Flat cracks, each generation: what the pieces have together the parent had, to 1e-12."""
+    """Flat cracks, each generation: the sum over the pieces equals the parent's value to 1e-12."""
     case = fractured_world(body, seeds=6, generations=4)
     whole = CollisionWorld(SETTINGS)
     whole.add_body(case.messages[0][0])

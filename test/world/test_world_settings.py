@@ -1,4 +1,4 @@
-"""Settings are checked in words; the warm-up reaches every kernel of a fracture."""
+"""Invalid settings raise clear errors; the warm-up compiles every kernel of a fracture."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A fracture that leaves a fragment nothing of the body is refused whole, one that leaves it next to nothing is not."""
+"""A fracture with a fragment of zero volume is rejected as a whole; one with a tiny fragment is accepted."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from fracture_collision.world import CollisionWorld, InvalidMessage
 
 
 def moved(event: FractureEvent, at: float) -> FractureEvent:
-    """The same parts, cut by the plane x = at."""
+    """The same event with its cut planes moved to x = at."""
     planes = event.cut_planes.reshape(-1, 4).copy()
     planes[:, 3] = planes[:, 0] * at
     return event._replace(cut_planes=planes.ravel())

@@ -1,6 +1,6 @@
-"""Every rule of the protocol broken once: the message, the kind of refusal, and words that must stand in its text.
+"""Every rule of the protocol broken once: the message, the kind of rejection, and a required part of its text.
 
-They fit the world of gate_world.
+The messages fit the world of gate_world.
 """
 
 from __future__ import annotations
@@ -147,7 +147,7 @@ BODIES = {
 
 
 def plane_along(start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """A plane (4,) that holds both points."""
+    """A plane (4,) through both points."""
     normal = np.cross(end - start, [0.6, 0.8, 0.1])
     normal /= np.linalg.norm(normal)
     return np.append(normal, normal @ start)

@@ -1,4 +1,4 @@
-"""Fractured bodies for tests: the service's world and the slow oracle, fed the same events."""
+"""Fractured bodies for tests: the service's world and the slow oracle, given the same events."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class FracturedWorld(NamedTuple):
     messages: tuple[list[CollisionBody], list[FractureEvent]]  # what built the world
 
     def states(self, jitter: float = 0.0, seed: int = 0, step: int = 1) -> FragmentStates:
-        """All fragments in place, moved by up to about `jitter` [m] and turned by as much over the body's size."""
+        """All fragments in place, moved by up to about `jitter` [m] and rotated by as much over the body's size."""
         ids = np.array(self.oracle.fragment_ids)
         random = np.random.default_rng(seed)
         positions = random.uniform(-jitter, jitter, (len(ids), 3))
@@ -75,7 +75,7 @@ def fractured_world(
 
 
 def after_each_fracture(case: FracturedWorld) -> Iterator[FracturedWorld]:
-    """The same world as it was after its first, second ... fracture; each is valid until the next is asked for."""
+    """The same world after its first, second ... fracture; each is valid until the next is requested."""
     oracle = FragmentedBody(case.oracle.vertices, case.oracle.tetrahedra)
     for event in case.messages[1]:
         oracle.apply(event)

@@ -1,4 +1,4 @@
-"""A world with one of each kind of body and a fracture, messages that fit it, and what its outside sees of it."""
+"""A world with one body of each kind and a fracture, messages that fit it, and its observable state."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def plane(number: int, **fields) -> CollisionBody:
 def crack(
     sequence: int, fragment_id: int, new_ids: tuple[int, int], at: float, above: float = -np.inf
 ) -> FractureEvent:
-    """The nodes with x > `above`, parted by the plane x = at."""
+    """Splits the nodes with x > `above` by the plane x = at."""
     nodes = np.flatnonzero(above < X)
     inside = EDGES[(above < X[EDGES]).all(axis=1)]
     beyond = at < X
@@ -84,7 +84,7 @@ def record_bytes(record) -> bytes:
 
 
 def observed(world: CollisionWorld) -> tuple[bytes, bytes]:
-    """All that the outside can see: the registry as it stands, and the answer to a reference state."""
+    """The observable state: the current registry and the answer to a reference state."""
     return record_bytes(world.fragments()), record_bytes(world.contacts(REFERENCE))
 
 

@@ -1,4 +1,4 @@
-"""Worlds for the hard cases, cracks of any labels and planes, and what has to hold for each of them."""
+"""Worlds for the hard cases, cracks with arbitrary labels and planes, and the invariants of each."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from worlds.rigid_shapes import boundary_of
 
 EventMaker = Callable[[FragmentedBody, int, int], FractureEvent]  # the body, first new fragment id, sequence
 
-# Half the longest side, R, is 1 m where nothing else is said.
+# Half the longest side, R, is 1 m unless stated otherwise.
 ROUNDING = 1e-12
-# Depth to the nearest surface is what brute force measures; along a crack it may be more, and changes from one to the
-# other at once.
+# Brute force measures depth to the nearest surface; depth along a crack's normal may be larger, and the switch
+# between the two is discontinuous.
 SETTINGS = DEFAULTS._replace(normals="nearest")
 EVERY_CONTACT = SETTINGS._replace(contacts_per_pair=100_000)
 UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
@@ -47,7 +47,7 @@ def tetrahedral_body(body: TetGeometry, number: int = 1, **fields) -> CollisionB
 
 
 def broken_world(body: TetGeometry, makers: Iterable[EventMaker], settings: Settings = SETTINGS) -> FracturedWorld:
-    """The service's world and the slow oracle after the events that `makers` make one after the other."""
+    """The service's world and the slow oracle after the events of `makers`, in turn."""
     world, oracle = CollisionWorld(settings), FragmentedBody(body.vertices, body.tetrahedra)
     message = tetrahedral_body(body)
     world.add_body(message)
@@ -72,7 +72,7 @@ def by_labels(labels: np.ndarray, plane: CrackPlane) -> EventMaker:
 
 
 def common_plane(normal: np.ndarray, offset: float) -> CrackPlane:
-    """All edges from label 0 to label 1 carry this plane, normal towards 1."""
+    """All edges between label 0 and label 1 carry this plane, with its normal towards 1."""
 
     def plane(_a: int, _b: int, i: int, j: int) -> tuple[np.ndarray, float]:
         return (normal, offset) if i < j else (-normal, -offset)
@@ -81,7 +81,7 @@ def common_plane(normal: np.ndarray, offset: float) -> CrackPlane:
 
 
 def own_planes(vertices: np.ndarray, seed: int, tilt: float) -> CrackPlane:
-    """Each cut edge has a plane of its own: no two agree. It crosses the edge anywhere, `tilt` away from square."""
+    """Each cut edge has its own plane, and no two agree. It crosses the edge at a random point, tilted by `tilt`."""
     random = np.random.default_rng(seed)
 
     def plane(a: int, b: int, _i: int, _j: int) -> tuple[np.ndarray, float]:
@@ -108,7 +108,7 @@ def lattice_planes(vertices: np.ndarray, seed: int) -> CrackPlane:
 
 
 def anywhere(case: FracturedWorld, count: int, seed: int) -> np.ndarray:
-    """Points (count, 3) [m] spread evenly over the body."""
+    """Points (count, 3) [m] distributed uniformly over the body."""
     random = np.random.default_rng(seed)
     volumes = tetrahedron_volumes(case.oracle.vertices, case.oracle.tetrahedra)
     tets = case.oracle.tetrahedra[random.choice(len(volumes), count, p=volumes / volumes.sum())]
@@ -116,14 +116,14 @@ def anywhere(case: FracturedWorld, count: int, seed: int) -> np.ndarray:
 
 
 def fragments_with(case: FracturedWorld, points: np.ndarray) -> np.ndarray:
-    """Whether the service has each point (n, 3) inside each fragment, by ascending id: (n, fragments) bool."""
+    """The service's inside test of each point (n, 3) in each fragment, by ascending id: (n, fragments) bool."""
     scratch, pools = make_scratch(1, len(case.oracle.tetrahedra), 8), case.geometry.pools
     rows = [case.row(f) for f in case.oracle.fragment_ids]
     return np.array([[inside_tetrahedron(pools, row, *x, scratch, 0) >= 0 for row in rows] for x in points.tolist()])
 
 
 def assert_partition(case: FracturedWorld, points: int = 500) -> None:
-    """Volumes are the oracle's and add up to the body's; a point of the body is in one fragment and in no other."""
+    """Volumes equal the oracle's and add up to the body's; each point of the body is in exactly one fragment."""
     whole = tetrahedron_volumes(case.oracle.vertices, case.oracle.tetrahedra).sum()
     mine = case.world.fragments().masses / DENSITY
     theirs = np.array([case.oracle.volume(f) for f in case.oracle.fragment_ids])
@@ -138,7 +138,7 @@ def assert_partition(case: FracturedWorld, points: int = 500) -> None:
 
 
 def assert_geometry(case: FracturedWorld, points: int = 1000, snug: bool = True) -> None:
-    """A partition; depths are brute force's to 1e-9 R; samples, boxes and grids keep what they promise.
+    """A partition; depths equal brute force's to 1e-9 R; the guarantees of samples, boxes and grids hold.
 
     snug: all planes agree, so that no fragment in place has a sample inside another.
     """
@@ -153,7 +153,7 @@ def assert_geometry(case: FracturedWorld, points: int = 1000, snug: bool = True)
 def assert_contacts(
     case: FracturedWorld, frames: Iterable[str | FragmentStates] = ("touching", "jittered", "deep")
 ) -> int:
-    """Contacts are true in each frame, nothing is missed, no number is not one; returns how many contacts."""
+    """Contacts are true in each frame, none is missed, all numbers are finite; returns the number of contacts."""
     truth, found = ContactTruth(case), 0
     for frame in frames:
         states = FRAMES[frame](truth, 1) if isinstance(frame, str) else frame

@@ -1,4 +1,4 @@
-"""A recorded run of the smallest scene, and bags made of it by changing messages. For tests."""
+"""A recorded run of the smallest scene, and bags made from it by changing messages. For tests."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def record_pane(bag: Path, settings: Settings | None = None, seed: int | None = 
 
 
 def write_bag(folder: Path, messages: Iterable[BagMessage], namespaces: Iterable[str] = ("",)) -> Path:
-    """A bag of these messages, in this order where their times do not say another."""
+    """A bag of these messages, ordered by time and, at equal times, as given."""
     topics = [bag_topic(f"{namespace}/{topic.name}", topic) for namespace in namespaces for topic in TOPICS]
     with BagWriter(folder, topics) as writer:
         for topic, nanoseconds, data in messages:
@@ -36,7 +36,7 @@ def write_bag(folder: Path, messages: Iterable[BagMessage], namespaces: Iterable
 
 
 def changed_bag(folder: Path, bag: Path, change: Callable[[BagMessage], Iterable[BagMessage]]) -> Path:
-    """`bag` with each message replaced by what `change` makes of it."""
+    """`bag` with each message replaced by the messages of `change(message)`."""
     return write_bag(folder, (new for message in read_messages(bag) for new in change(message)))
 
 

@@ -1,4 +1,4 @@
-"""Closed triangle meshes for tests, and the slow truth about them: all triangles, and the winding number over all."""
+"""Closed triangle meshes for tests, with brute-force distances and winding numbers over all triangles."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def l_block() -> RigidShape:
 
 
 def hollow_box() -> RigidShape:
-    """A box with a cavity: two surfaces, the inner one seen from within."""
+    """A box with a cavity: two surfaces, the inner one oriented towards the cavity."""
     solid = np.ones((3, 3, 3), bool)
     solid[1, 1, 1] = False
     steps = np.array([-0.9, -0.5, 0.4, 0.9])
@@ -80,14 +80,14 @@ def torus(major: float = 1.0, minor: float = 0.35, around: int = 40, across: int
 
 
 def noisy_ball(seed: int = 8) -> RigidShape:
-    """Bumps and thorns: sharp convex and concave edges and corners everywhere."""
+    """A ball with bumps and spikes: sharp convex and concave edges and corners everywhere."""
     shape = boundary_of(ball(1.0, 0.2))
     random = np.random.default_rng(seed)
     return shape._replace(vertices=shape.vertices * random.uniform(0.75, 1.25, (len(shape.vertices), 1)))
 
 
 def true_distance(shape: RigidShape, points: np.ndarray) -> np.ndarray:
-    """Signed distance (n,) [m], positive outside, by trying all triangles."""
+    """Signed distance (n,) [m], positive outside, over all triangles."""
     distance, _ = nearest_on_triangles(points, shape.corners)
     return np.where(winding_number(shape, points) > 0.5, -distance, distance)
 

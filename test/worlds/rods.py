@@ -1,4 +1,4 @@
-"""Two rods of every kind of body that cross edge over edge, far from all of their samples."""
+"""Two crossing rods, edge over edge, far from all of their samples, for every kind of body."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A scene of config/scenes that lasts as long as a test needs it."""
+"""A scene of config/scenes with a given duration."""
 
 from __future__ import annotations
 

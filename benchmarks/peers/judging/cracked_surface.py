@@ -1,8 +1,8 @@
 """Closed triangle meshes of the fragments of a labelled tetrahedral body, one vertex a cut edge (marching tetrahedra).
 
-What a user of any other library would make first, and of the size that Glondu et al. 2014 count (their virtual nodes).
-Neighbours share their crack to the bit. Where planes differ from edge to edge, the service's own regions have steps of
-second order that such a mesh has not, and thirty times its triangles.
+A user of any other library would make these first; their size is as counted by Glondu et al. 2014 (virtual nodes).
+Neighbours share their crack to the bit. Where planes differ from edge to edge, the service's own regions have
+second-order steps, which such a mesh lacks, and thirty times as many triangles.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ def cracked_surfaces(
 ) -> dict[int, tuple[np.ndarray, np.ndarray]]:
     """For each label its mesh: vertices (n, 3) [m] and triangles (t, 3), counter-clockwise from outside.
 
-    `labels` (v,): the fragment of each vertex; `crossings`: for each edge (a, b), a < b, of two fragments the point
-    where it is cut. Raises KeyError for an edge without one, ValueError if a mesh does not close.
+    `labels` (v,): the fragment of each vertex; `crossings`: for each edge (a, b), a < b, between two fragments, the
+    point where it is cut. Raises KeyError for an edge without one, ValueError if a mesh does not close.
     """
     builder = _Builder(vertices, labels, crossings)
     neighbours = face_neighbours(tetrahedra)
@@ -55,10 +55,10 @@ class _Builder:
 
     def _interface(self, own: list[int], other: list[int], labels: int, nodes: list[int]) -> list[Polygon]:
         """Between two of a tetrahedron's labels."""
-        if labels == 2:  # a triangle, or a quadrangle about the two edges that are whole
+        if labels == 2:  # a triangle, or a quadrangle around the two uncut edges
             cuts = [_cut(a, b) for a in own for b in (other if a == own[0] else other[::-1])]
             return [cuts]
-        if labels == 3 and len(own) + len(other) == 2:  # up to the line where three meet
+        if labels == 3 and len(own) + len(other) == 2:  # up to the line where three fragments meet
             return [[_cut(*own, *other), *(self._meeting((*own, *other, n)) for n in nodes if n not in own + other)]]
         third = [n for n in nodes if n not in own + other]
         if labels == 3:
@@ -89,7 +89,7 @@ class _Builder:
                 self._add(self._label[a], [(a,), (b,), _cut(n, b), _cut(n, a)], outward)
 
     def _meeting(self, nodes: tuple[int, ...]) -> tuple[int, ...]:
-        """The point where three or four fragments meet: the mean of the cuts of the edges between them."""
+        """The point where three or four fragments meet: the mean of the cut points of the edges between them."""
         name = tuple(sorted(nodes))
         if name not in self._places:
             cuts = [self._places[edge] for edge in combinations(name, 2) if edge in self._places]

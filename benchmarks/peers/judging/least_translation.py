@@ -10,26 +10,26 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import nnls
 
-SATISFIED = 1e-9  # of the deepest contact: a violation up to this is none
-INCOMPATIBLE = 1e-9  # length of the dual's residual that is taken for zero: no translation satisfies all contacts
-# Of the deepest contact. Contacts that need more face each other within a few degrees, as in a slot; a solver resolves
-# these by turning bodies, or not at all.
+SATISFIED = 1e-9  # of the deepest contact: smaller violations count as satisfied
+INCOMPATIBLE = 1e-9  # length of the dual's residual that counts as zero: no translation satisfies all contacts
+# In multiples of the deepest contact. Contacts that need more face each other within a few degrees, as in a slot; a
+# solver resolves these by turning bodies, or not at all.
 FARTHEST = 10.0
 NEWTON_STEPS, HALVINGS = 50, 30
-DAMPING = 1e-9, 1e4  # from hardly any to next to no translation
+DAMPING = 1e-9, 1e4  # from almost undamped to almost no translation
 
 
 def least_translation(normals: np.ndarray, depths: np.ndarray) -> np.ndarray:
     """(3,) [m] of the second body. normals (n, 3), unit, from the first; depths (n,) [m], negative: a gap.
 
-    Where no translation up to FARTHEST times the deepest contact satisfies all contacts: among these the one of the
-    least sum of squared violations.
+    If no translation up to FARTHEST times the deepest contact satisfies all contacts: the translation within that
+    length that minimises the sum of squared violations.
     """
     deepest = depths.max(initial=0.0)
     if deepest <= 0.0:
         return np.zeros(3)
     needed = depths / deepest
-    # few of many contacts bind: start with the deepest and add the most violated one until none is
+    # few of many contacts bind: start with the deepest, then add the most violated one until none is violated
     rows = [int(np.argmax(needed))]
     while True:
         shift = _least_distance(normals[rows], needed[rows])
@@ -54,8 +54,8 @@ def _least_distance(normals: np.ndarray, needed: np.ndarray) -> np.ndarray | Non
 
 
 def _least_violation(normals: np.ndarray, needed: np.ndarray) -> np.ndarray:
-    """(3,) no longer than FARTHEST, least sum of max(0, needed - normals . d)^2: by the damping that makes it so
-    short."""
+    """(3,) no longer than FARTHEST, minimising the sum of max(0, needed - normals . d)^2; the damping is chosen to meet
+    that length."""
     low, high = DAMPING
     shift = _damped(normals, needed, low)
     if shift @ shift <= FARTHEST**2:
@@ -68,8 +68,8 @@ def _least_violation(normals: np.ndarray, needed: np.ndarray) -> np.ndarray:
 
 
 def _damped(normals: np.ndarray, needed: np.ndarray, damping: float) -> np.ndarray:
-    """(3,) least sum of squared violations + damping |d|^2, by Newton's method with halved steps: convex, and
-    quadratic where the same contacts are violated."""
+    """(3,) minimum of the sum of squared violations + damping |d|^2, by Newton's method with step halving: convex, and
+    quadratic while the set of violated contacts stays the same."""
     shift = np.zeros(3)
     violation = np.maximum(needed, 0.0)
     for _ in range(NEWTON_STEPS):

@@ -1,4 +1,4 @@
-"""True depth of pairs after a translation of one of the two: as of `truth`, for many pairs and shares of their ways."""
+"""True depth of pairs after one of the two is translated: as in `truth`, for many pairs and fractions."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from benchmarks.peers.worlds import Frame
 
 
 class Way(NamedTuple):
-    """A pair, and where the second is moved against the first."""
+    """A pair, and the translation of the second against the first."""
 
     frame: Frame
     first: int
     second: int
     shift: np.ndarray  # (3,) [m] world, of the second
-    depth: float  # [m] true one before, 0 if they have nothing in common
+    depth: float  # [m] true depth before, 0 if they do not overlap
 
 
 class MovedPairs:
-    """Points of k pairs, gathered once. Few and large calls: each makes a winding number's tree anew."""
+    """Points of k pairs, gathered once. Few large calls: each call rebuilds a winding-number tree."""
 
     def __init__(self, solids: Solids, ways: Sequence[Way]) -> None:
         self._solids = solids
@@ -37,10 +37,10 @@ class MovedPairs:
         self._keep_points_in_reach(np.array([max(way.depth, np.linalg.norm(way.shift)) for way in ways]))
 
     def _points_of(self, row: int, way: Way, turned: bool) -> tuple[np.ndarray, ...]:
-        """Points (n, 3) [m] of one of the two in the other's frame, their way (n, 3) [m], row (n,) and other (n,)."""
+        """Points (n, 3) [m] of one of the two in the other's frame, translation (n, 3) [m], row (n,), other (n,)."""
         own, other = (way.second, way.first) if turned else (way.first, way.second)
         frame, into = way.frame, way.frame.rotations[other]
-        along = (way.shift if turned else -way.shift) @ into  # the first's points recede as the second moves
+        along = (way.shift if turned else -way.shift) @ into  # as the second moves, the first's points recede
         moved = self._solids.points(own) @ frame.rotations[own].T + frame.positions[own] - frame.positions[other]
         local = moved @ into
         low, high = self._low[other] - np.maximum(along, 0.0), self._high[other] - np.minimum(along, 0.0)
@@ -49,7 +49,7 @@ class MovedPairs:
         return local, np.broadcast_to(along, shape), np.full(shape[0], row), np.full(shape[0], other)
 
     def _keep_points_in_reach(self, reach: np.ndarray) -> None:
-        """`reach` (k,) [m] of points that are inside, or come in on their way: as deep, or as far."""
+        """Drops points farther than `reach` (k,) [m] from the surface: none of them is inside, or gets inside."""
         keep = np.zeros(len(self._start), bool)
         for v, rows in self._by_other(np.arange(len(self._start))):
             distance, _ = self._solids.nearest(v, self._start[rows])
@@ -58,7 +58,7 @@ class MovedPairs:
         self._start, self._along, self._way, self._other = (column[keep] for column in columns)
 
     def depths(self, shares: np.ndarray) -> np.ndarray:
-        """(k,) [m] after `shares` (k,) of each way; nan: not asked, nan returned."""
+        """(k,) [m] after `shares` (k,) of each translation; nan: not computed, returns nan."""
         found = np.where(np.isnan(shares), np.nan, 0.0)
         points = self._start + shares[self._way, None] * self._along
         low, high = self._low[self._other], self._high[self._other]
@@ -70,6 +70,6 @@ class MovedPairs:
         return found
 
     def _by_other(self, rows: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
-        """Each fragment whose surface is asked, and its part of `rows`, which ascend."""
+        """Each fragment whose surface is queried, and its part of `rows`, which ascend."""
         others, begin = np.unique(self._other[rows], return_index=True)
         return zip(others.tolist(), np.split(rows, begin)[1:], strict=True)

@@ -1,7 +1,7 @@
-"""Closed meshes of flat fragments as a modeller cuts them: the body's surface trimmed by planes (manifold3d).
+"""Closed meshes of flat fragments, built as in a solid modeller: the body's surface trimmed by planes (manifold3d).
 
-Exact Voronoi cells, so that their convex hulls are as good as hulls can be. The service's own regions differ near rims:
-where a cell reaches into a tetrahedron without having a node there, its neighbours take that corner.
+The meshes are exact Voronoi cells, so their convex hulls are as good as hulls can be. The service's own regions differ
+near rims: where a cell reaches into a tetrahedron without having a node there, its neighbours take that corner.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import numpy as np
 
 from fracture_collision.geometry.tetrahedra import boundary_triangles
 
-EDGE = 0.11  # [m] crack faces are divided to about the tetrahedra's edges, as the paper's virtual nodes would
+EDGE = 0.11  # [m] crack faces are divided to about the length of the tetrahedra's edges, like the paper's virtual nodes
 
 
 def planar_cells(

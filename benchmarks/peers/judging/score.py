@@ -1,4 +1,4 @@
-"""Answers against the truth; lengths in R, which is 1 m."""
+"""Scores answers against the ground truth; lengths in R, which is 1 m."""
 
 from __future__ import annotations
 
@@ -13,47 +13,47 @@ from benchmarks.peers.judging.truth import PairTruth, Solids
 from benchmarks.peers.method import Contacts
 from benchmarks.peers.worlds import Frame
 
-TOLERANCE = 0.002  # the paper's delta: penetrations up to this need not be reported, nor do they count as false
-WITNESSES = 1000  # a frame; more are thinned out evenly
-# Pairs near each other, of all frames, for which solver errors are computed; of more, a random choice, the same for
-# every method. It holds all pairs of 20 fragments; those of 60 would take a quarter of a minute a method.
+TOLERANCE = 0.002  # the paper's delta: penetrations up to this need not be reported and do not count as false
+WITNESSES = 1000  # per frame; more are thinned evenly
+# Pairs near each other, over all frames, for which solver errors are computed; of more, a random sample, the same for
+# every method. The limit holds all pairs of 20 fragments; those of 60 would take a quarter of a minute per method.
 SOLVER_PAIRS, SEED = 1000, 1
 WRONG_WAY = 30.0  # [degrees]
 
 
 class Score(NamedTuple):
-    """Of all frames of one kind. nan: there was nothing to judge."""
+    """All frames of one kind. nan: there was nothing to judge."""
 
-    contacts: float  # a frame
+    contacts: float  # per frame
     deepest: float  # [R] reported
     penetrating: int  # pairs deeper than TOLERANCE, all frames together
     missed: int  # of these, without a contact of positive depth
-    missed_deepest: float  # [R] true depth of the worst of them
+    missed_deepest: float  # [R] true depth of the worst missed pair
     samples_penetrating: int  # pairs with a sample of the service deeper than TOLERANCE; 0 for meshes, which have none
     samples_missed: int  # of these, without a contact of positive depth
-    samples_error_mean: float  # [R] as error_mean below, against the deepest sample
+    samples_error_mean: float  # [R] like error_mean below, against the deepest sample
     samples_error_max: float
-    apart: int  # pairs near each other, by their boxes, that have nothing in common
-    false: int  # pairs that have nothing in common and are reported deeper than TOLERANCE
-    error_mean: float  # [R] deepest contact's depth less the true one, without sign, of penetrating pairs found
+    apart: int  # pairs with overlapping boxes that do not overlap themselves
+    false: int  # pairs that do not overlap and are reported deeper than TOLERANCE
+    error_mean: float  # [R] absolute error of the deepest contact's depth, over penetrating pairs found
     error_max: float
-    nearest_median: float  # [degrees] deepest contact's normal off the truth's `nearest`
+    nearest_median: float  # [degrees] between the deepest contact's normal and the truth's `nearest`
     nearest_wrong: float  # share off by more than WRONG_WAY
-    parting_median: float  # the same off the truth's `parting`
+    parting_median: float  # the same for the truth's `parting`
     parting_wrong: float
-    witness_mean: float  # [R] distance of witnesses to the surface that they are said to be on
+    witness_mean: float  # [R] distance of witnesses to the surface that they are reported on
     witness_max: float
-    # [R] reported depth less the true one, without sign, of all pairs near each other, overlapping or reported; a pair
-    # missed counts with its true depth, a false one with the reported depth. Left out: false ones whose edges cross.
+    # [R] absolute error of the depth, over all pairs near each other, overlapping or reported; a missed pair counts
+    # with its true depth, a false one with the reported depth. Left out: false pairs whose edges cross.
     pair_error_mean: float
     pair_error_max: float
-    # [R] of the same pairs, or SOLVER_PAIRS of them, as of `solver_error`: after the least translation that satisfies
-    # the contacts reported
+    # [R] of the same pairs, or SOLVER_PAIRS of them, as in `solver_error`: after the least translation that satisfies
+    # the reported contacts
     remaining_mean: float
     remaining_max: float
     unnecessary_mean: float
     unnecessary_max: float
-    solver_error_mean: float  # both together
+    solver_error_mean: float  # sum of both
     solver_error_max: float
 
 
@@ -61,18 +61,18 @@ class FrameTruth(NamedTuple):
     frame: Frame
     pairs: dict[tuple[int, int], PairTruth]
     near: set[tuple[int, int]]  # pairs whose boxes overlap
-    crossing: dict[tuple[int, int], bool]  # of pairs asked about before: whether edges cross, which takes long to say
+    crossing: dict[tuple[int, int], bool]  # cache, by pair: whether edges cross, which is slow to compute
 
 
 class JudgedPair(NamedTuple):
-    """A pair whose boxes overlap, that overlaps, or that is reported."""
+    """A pair that overlaps, is reported, or has overlapping boxes."""
 
     pair: tuple[int, int]
     true: PairTruth | None  # None: neither has a vertex in the other
     contact: int | None  # row of its deepest contact
     depth: float  # [m] of that, negative: a gap; 0 if none is reported
-    crosses: bool  # reported, and though neither has a vertex in the other, edges cross: what is true is not known
-    way: Way  # where a solver would move it
+    crosses: bool  # reported, no vertex of either is in the other, but edges cross: the truth is unknown
+    way: Way  # the translation a solver would apply
 
 
 def judged_pairs(solids: Solids, truth: FrameTruth, answer: Contacts) -> Iterator[JudgedPair]:
@@ -86,7 +86,7 @@ def judged_pairs(solids: Solids, truth: FrameTruth, answer: Contacts) -> Iterato
 
 
 def score(solids: Solids, truths: list[FrameTruth], answers: list[Contacts]) -> Score:
-    """`truths` and `answers` frame by frame."""
+    """`truths` and `answers`, by frame."""
     penetrating = missed = samples_penetrating = samples_missed = apart = false = 0
     missed_deepest = 0.0
     errors, sample_errors, pair_errors, nearest, parting, witness = [], [], [], [], [], [np.zeros(0)]
@@ -132,7 +132,7 @@ def score(solids: Solids, truths: list[FrameTruth], answers: list[Contacts]) -> 
 
 
 def _solver_pairs(truths: list[FrameTruth]) -> set[tuple[int, int, int]] | None:
-    """Frame, first and second of pairs whose solver error is computed; None: of all."""
+    """Frame, first and second of pairs whose solver error is computed; None: all pairs."""
     near = [(k, *pair) for k, truth in enumerate(truths) for pair in sorted(truth.near)]
     if len(near) <= SOLVER_PAIRS:
         return None
@@ -148,7 +148,7 @@ def _edges_cross(solids: Solids, truth: FrameTruth, pair: tuple[int, int]) -> bo
 def deepest_contacts(answer: Contacts) -> dict[tuple[int, int], int]:
     """(smaller, larger fragment) to the row of the pair's deepest contact."""
     low, high = np.minimum(answer.first, answer.second), np.maximum(answer.first, answer.second)
-    order = np.argsort(answer.depths, kind="stable")  # a later one takes its pair's place
+    order = np.argsort(answer.depths, kind="stable")  # a later contact replaces an earlier one of its pair
     return {(int(low[i]), int(high[i])): int(i) for i in order}
 
 
@@ -169,7 +169,7 @@ def _off_surface(solids: Solids, frame: Frame, answer: Contacts) -> np.ndarray:
 
 
 def mean_max(values) -> tuple[float, float]:
-    """nan of none."""
+    """nan if empty."""
     return (float(np.mean(values)), float(np.max(values))) if len(values) else (np.nan, np.nan)
 
 

@@ -1,5 +1,5 @@
-"""The error that matters to a solver: what penetration remains, and what displacement was unnecessary, after the
-smallest translation that satisfies the contacts reported of a pair (`least_translation`)."""
+"""The error that matters to a solver: the penetration that remains, and the unnecessary displacement, after the
+smallest translation that satisfies the contacts reported for a pair (`least_translation`)."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from benchmarks.peers.judging.moved_pairs import MovedPairs, Way
 from benchmarks.peers.judging.truth import Solids
 from benchmarks.peers.method import Contacts
 
-RESOLVED = 0.0002  # [R] a pair no deeper than this is parted: a tenth of what contacts need not be reported
-HALVINGS = 7  # of a translation, in the search for its necessary share
+RESOLVED = 0.0002  # [R] a pair no deeper than this counts as separated: a tenth of the depth that must be reported
+HALVINGS = 7  # bisection steps in the search for a translation's necessary fraction
 
 
 class SolverErrors(NamedTuple):
-    """Of k pairs."""
+    """For k pairs."""
 
     remaining: np.ndarray  # (k,) [m] true depth after the whole translation
-    unnecessary: np.ndarray  # (k,) [m] of the translation, beyond the share that parts the pair as well
+    unnecessary: np.ndarray  # (k,) [m] of the translation, beyond the fraction that separates the pair as well
 
 
 def translations(answer: Contacts) -> dict[tuple[int, int], np.ndarray]:
@@ -42,8 +42,8 @@ def solver_errors(
 ) -> SolverErrors:  # fmt: skip
     """`resolved` [m], one or (k,).
 
-    Necessary is the smallest share of a translation, to 1 / 2^HALVINGS, after which the pair is no deeper than
-    `resolved` or than after the whole. Of a pair with nothing in common nothing is; a missed one keeps its depth.
+    The necessary part is the smallest fraction of a translation, to 1 / 2^HALVINGS, after which the pair is no deeper
+    than `resolved` or than after the whole. It is zero for a pair without overlap; a missed pair keeps its depth.
     """
     lengths = np.array([np.linalg.norm(way.shift) for way in ways])
     moved = np.flatnonzero(lengths > 0.0)

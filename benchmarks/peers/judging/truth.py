@@ -1,12 +1,12 @@
-"""What contacts have to say, from closed surfaces alone: libigl's winding numbers and distances, no other code of ours.
+"""Ground truth for contacts, from closed surfaces alone: libigl's winding numbers and distances, none of our own code.
 
-Depth: of all vertices (and samples) of either surface that lie inside the other, the largest distance to the other.
-Two directions from the first fragment to the second are kept, because what is right differs with what one asks for:
+Depth: over all vertices (and samples) of either surface that lie inside the other, the largest distance to the other.
+Two directions from the first fragment to the second are kept, because the correct one depends on the purpose:
 
 - `nearest`: from that deepest vertex to the nearest point of the other's surface. Near rims that is often not the crack
-  but the surface beside it, so that even the exact answer need not separate the pair.
-- `parting`: along which the common volume shrinks fastest. Its derivative under a shift of one body is the area vector
-  of that body's surface inside the other, summed here over triangles with their middle inside.
+  but the adjacent outer surface, so even the exact answer need not separate the pair.
+- `parting`: along which the common volume shrinks fastest. Its derivative under a translation of one body is the area
+  vector of that body's surface inside the other, summed here over triangles whose centroid is inside.
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ import numpy as np
 from benchmarks.peers.boxes import all_vertices, candidates
 from benchmarks.peers.worlds import Frame, Surface
 
-INSIDE = 1e-9  # [m] a vertex less deep is on the surface
-EDGES_AT_ONCE = 2_000_000  # pairs of an edge and a triangle
+INSIDE = 1e-9  # [m] a vertex less deep counts as on the surface
+EDGES_AT_ONCE = 2_000_000  # edge-triangle pairs
 
 
 class PairTruth(NamedTuple):
     depth: float  # [m], 0 if no vertex of either is inside the other
-    sample_depth: float  # [m] the same of the service's samples alone; a hierarchy of samples can see no more
+    sample_depth: float  # [m] the same from the service's samples alone, the upper limit for a hierarchy of samples
     nearest: np.ndarray  # (3,) unit, zero if depth is
-    parting: np.ndarray  # (3,) unit, zero if no triangle's middle is inside
+    parting: np.ndarray  # (3,) unit, zero if no triangle's centroid is inside
 
 
 class Solids:
-    """All fragments of a world by one kind of surface, ready to be asked."""
+    """All fragments of a world, with one kind of surface, ready for queries."""
 
     def __init__(self, surfaces: list[Surface], samples: list[np.ndarray] | None = None) -> None:
-        """`samples`: of each fragment (s, 3) [m], about its centre."""
+        """`samples`: for each fragment (s, 3) [m], relative to its centre."""
         self.surfaces = surfaces
         self._trees = [igl.AABB() for _ in surfaces]
         middles, self._areas = [], []
@@ -44,19 +44,19 @@ class Solids:
             middles.append((a + b + c) / 3.0)
             self._areas.append(0.5 * np.cross(b - a, c - a))
         samples = samples or [np.zeros((0, 3))] * len(surfaces)
-        # one pass asks about all: vertices first, then samples, then the triangles' middles
+        # one pass queries all points: vertices first, then samples, then triangle centroids
         self._first_sample = np.array([len(s.vertices) for s in surfaces])
         self._first_middle = self._first_sample + [len(s) for s in samples]
         parts = [s.vertices for s in surfaces], samples, middles
         self._asked = all_vertices([np.concatenate(points) for points in zip(*parts, strict=True)])
 
     def points(self, fragment: int) -> np.ndarray:
-        """Its vertices and samples (n, 3) [m], about its centre."""
+        """Its vertices and samples (n, 3) [m], relative to its centre."""
         begin = self._asked.begin[fragment]
         return self._asked.points[begin : begin + self._first_middle[fragment]]
 
     def nearest(self, fragment: int, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Distance (n,) [m] of points about its centre to its surface, and the nearest points (n, 3)."""
+        """Distance (n,) [m] from points, relative to its centre, to its surface, and the nearest points (n, 3)."""
         s = self.surfaces[fragment]
         squared, _, closest = self._trees[fragment].squared_distance(s.vertices, s.triangles, points)
         return np.sqrt(np.atleast_1d(squared)), np.atleast_2d(closest)
@@ -66,9 +66,9 @@ class Solids:
         return np.atleast_1d(igl.fast_winding_number(s.vertices, s.triangles, points)) > 0.5
 
     def truth(self, frame: Frame) -> dict[tuple[int, int], PairTruth]:
-        """Of all pairs (first < second) that have something of one within the other."""
+        """All pairs (first < second) where one has a vertex, sample or centroid inside the other."""
         near = candidates(self._asked, frame)
-        index = near.row - self._asked.begin[near.own]  # among its fragment's vertices and middles
+        index = near.row - self._asked.begin[near.own]  # among its fragment's vertices, samples and centroids
         found: dict[tuple[int, int], _Pair] = {}
         for v in np.unique(near.other).tolist():
             rows = np.flatnonzero(near.other == v)
@@ -84,7 +84,7 @@ class Solids:
                 local = index[rows[mine]]
                 is_middle = local >= self._first_middle[u]
                 is_sample = (local >= self._first_sample[u]) & ~is_middle
-                # a point of the first leaves the second along `outward`, so the second lies the other way
+                # a point of the first leaves the second along `outward`, so the second lies in the opposite direction
                 pair.add_points(distance[mine][~is_middle], -sign * outward[mine][~is_middle])
                 pair.sample_depth = max(pair.sample_depth, distance[mine][is_sample].max(initial=0.0))
                 area = self._areas[u][local[is_middle] - self._first_middle[u]].sum(axis=0)
@@ -92,7 +92,7 @@ class Solids:
         return {pair: found[pair].truth() for pair in sorted(found)}
 
     def edges_cross(self, first: int, second: int, frame: Frame) -> bool:
-        """Whether an edge of either goes through a triangle of the other."""
+        """Whether an edge of either crosses a triangle of the other."""
         world = [self.surfaces[f].vertices @ frame.rotations[f].T + frame.positions[f] for f in (first, second)]
         triangles = [world[i][self.surfaces[f].triangles] for i, f in enumerate((first, second))]
         low = np.maximum(world[0].min(axis=0), world[1].min(axis=0))
@@ -102,7 +102,7 @@ class Solids:
 
 
 class _Pair:
-    """Gathers what both directions find."""
+    """Accumulates the results of both directions."""
 
     def __init__(self) -> None:
         self.depth, self.sample_depth = 0.0, 0.0
@@ -123,7 +123,7 @@ def _unit(vector: np.ndarray) -> np.ndarray:
 
 
 def _crosses(of_edges: np.ndarray, triangles: np.ndarray) -> bool:
-    """Whether an edge of the triangles (e, 3, 3) goes through the inside of one of `triangles` (t, 3, 3)."""
+    """Whether an edge of the triangles (e, 3, 3) crosses the interior of one of `triangles` (t, 3, 3)."""
     starts, ends = of_edges.reshape(-1, 3), of_edges[:, [1, 2, 0]].reshape(-1, 3)
     a, u, v = triangles[:, 0], triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
     normal = np.cross(u, v)

@@ -1,4 +1,4 @@
-"""PyBullet: hulls, asked pair by pair or as a world, and concave meshes."""
+"""PyBullet: hulls, queried pair by pair or as a world, and concave meshes."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Bullet(Method):
         for fragment in world.fragments:
             shape = {"vertices": fragment.mesh.vertices.tolist(), "physicsClientId": before}
             if self._is_concave:
-                # between two such meshes Bullet has no narrow phase: it finds nothing, and says nothing
+                # Bullet has no narrow phase between two such meshes: it returns no contacts, without an error
                 shape["indices"] = fragment.mesh.triangles.ravel().tolist()
                 shape["flags"] = pybullet.GEOM_FORCE_CONCAVE_TRIMESH
             made = pybullet.createCollisionShape(pybullet.GEOM_MESH, **shape)

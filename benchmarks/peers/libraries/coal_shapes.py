@@ -15,7 +15,7 @@ from benchmarks.peers.worlds import Frame, Surface, World
 
 class _State(NamedTuple):
     geometries: list
-    owners: list  # models that hulls were made of, and go with
+    owners: list  # models that own the hulls and must outlive them
     boxes: LocalBoxes
 
 

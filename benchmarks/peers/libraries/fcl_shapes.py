@@ -1,4 +1,4 @@
-"""FCL by python-fcl: bounding volume hierarchies of triangles, and hulls."""
+"""FCL through python-fcl: bounding volume hierarchies of triangles, and hulls."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from benchmarks.peers.boxes import LocalBoxes, local_boxes, near_pairs
 from benchmarks.peers.method import Contacts, Method, about_middle
 from benchmarks.peers.worlds import Frame, Surface, World
 
-CONTACTS = 100  # a pair
+CONTACTS = 100  # per pair
 
 
 class _State(NamedTuple):
@@ -58,7 +58,7 @@ class Fcl(Method):
 
 
 def _hull(points: np.ndarray):
-    """Qhull's, its triangles turned outwards."""
+    """Qhull's hull, with its triangles oriented outwards."""
     hull = ConvexHull(points)
     corners = hull.points[hull.simplices]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

@@ -12,9 +12,9 @@ import numpy as np
 from benchmarks.peers.method import Contacts, Method, about_middle, no_contacts
 from benchmarks.peers.worlds import Frame, Surface, World
 
-MEMORY = 512 << 20  # [bytes] of MuJoCo's arena: contacts of decompositions need more than it takes by itself
-HULLS, VOXELS = 8, 20_000  # of V-HACD a fragment; its own 64 and 400,000 take seven times as long
-CONCAVITY = 0.2  # CoACD's threshold; its own 0.05 takes three times as long
+MEMORY = 512 << 20  # [bytes] of MuJoCo's arena: contacts of decompositions need more than its default
+HULLS, VOXELS = 8, 20_000  # per fragment in V-HACD; its defaults, 64 and 400,000, take seven times as long
+CONCAVITY = 0.2  # CoACD's threshold; its default, 0.05, takes three times as long
 
 Parts = Callable[[Surface], list[Surface]]
 
@@ -50,7 +50,7 @@ class MuJoCo(Method):
 
     def query(self, world: World, state: _State, frame: Frame) -> Contacts:
         model, data = state
-        # the compiler moves geoms to their own middle, and says so in the model: poses are those of bodies
+        # the compiler moves geoms to their own centre and records that in the model: poses are those of bodies
         data.qpos[:] = np.hstack([frame.positions, frame.quaternions[:, [3, 0, 1, 2]]]).ravel()
         started = perf_counter()
         mujoco.mj_kinematics(model, data)
@@ -63,7 +63,7 @@ class MuJoCo(Method):
 def listed_contacts(
     model: mujoco.MjModel, data: mujoco.MjData, numbers: np.ndarray, native: float = np.nan
 ) -> Contacts:  # fmt: skip
-    """`numbers`: fragments by MuJoCo's body, the first of which is the world."""
+    """`numbers`: fragments by MuJoCo body; the first body is the world."""
     if not data.ncon:
         return no_contacts(native)
     contact = data.contact

@@ -12,7 +12,7 @@ import warp
 from benchmarks.peers.method import Contacts, Method, contacts_of, no_contacts
 from benchmarks.peers.worlds import Frame, World
 
-MOST_CONTACTS = 200_000  # of a frame
+MOST_CONTACTS = 200_000  # per frame
 
 
 class _State(NamedTuple):

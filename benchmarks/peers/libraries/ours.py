@@ -1,4 +1,4 @@
-"""The service through its Python face, one thread."""
+"""The service through its Python API, one thread."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ class Ours(Method):
 
     def __init__(self, name: str, is_quick: bool = True, **settings) -> None:
         self.name, self.is_quick = name, is_quick
-        # frames are asked about several times: each time as if all had moved
+        # frames are queried several times, each time as if everything had moved
         self._settings = Settings(threads=1, neighbour_lists=False, selection="complete")._replace(**settings)
 
     def prepare(self, world: World) -> CollisionWorld:
-        """The whole body, asked about once."""
+        """The unbroken body, queried once."""
         service = CollisionWorld(self._settings)
         service.add_body(world.body)
         service.contacts(empty_states(0))
@@ -47,7 +47,7 @@ class Ours(Method):
 
 
 def listed_contacts(answer: ContactConstraintArray, ids: np.ndarray, native: float = np.nan) -> Contacts:
-    """`ids` (n,) ascending: those of the fragments, by number."""
+    """`ids` (n,) ascending: fragment ids, by number."""
     counts = np.diff(answer.pair_begin.astype(np.int64))
     return contacts_of(
         np.searchsorted(ids, np.repeat(answer.fragment_a, counts)),
@@ -57,12 +57,12 @@ def listed_contacts(answer: ContactConstraintArray, ids: np.ndarray, native: flo
 
 
 def methods() -> list[Method]:
-    """The defaults, and each setting that trades time for error on its own."""
+    """The defaults, and one method for each setting that trades accuracy for time."""
     return [
         Ours("ours"),
         Ours("ours, sufficient", selection="sufficient"),
         Ours("ours, nearest normals", normals="nearest"),
-        # its first fracture makes the grid of the whole body: half a minute in the ball
+        # its first fracture builds the grid of the unbroken body: half a minute for the ball
         Ours("ours, averaged field", is_quick=False, field="averaged"),
         Ours("ours, 2 contacts", contacts_per_pair=2),
         Ours("ours, 32 contacts", contacts_per_pair=32),

@@ -1,22 +1,22 @@
-"""Which of our settings trade time for error, and what the methods that have them are called."""
+"""Our settings that trade accuracy for time, and the names of the methods that use them."""
 
 from __future__ import annotations
 
 DEFAULTS = "ours"
-EVERY_CONTACT = 100_000  # a pair: more than any has samples
-# Beside the default of each.
+EVERY_CONTACT = 100_000  # per pair: more than any pair has samples
+# In addition to the default of each.
 SETTINGS = {
     "contacts_per_pair": (1, 2, 4, 32, EVERY_CONTACT),
     "penetration_tolerance": (0.01, 0.02, 0.05),
     "visit_budget": (5_000, 10_000, 20_000, 30_000),
-    "selection": ("sufficient",),  # the service's default; `ours` lists by the paper's rule, `complete`
+    "selection": ("sufficient",),  # the service's default; `ours` uses the paper's rule, `complete`
     "normals": ("nearest",),
     "field": ("averaged",),
     "tree": ("rebuilt",),
 }
-RESOLUTION = "resolution"  # not a setting of the service: of the body that it is given
+RESOLUTION = "resolution"  # not a setting of the service but of its input body
 
 
 def named(setting: str, value: float | str) -> str:
-    """The name of the method that has all but `setting` at its default."""
+    """The name of the method with all settings but `setting` at their defaults."""
     return f"{DEFAULTS}, {setting}={value}"

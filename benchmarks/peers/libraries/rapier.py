@@ -1,4 +1,4 @@
-"""Rapier (parry) by its Python binding: convex hulls, triangle meshes, its own convex decomposition."""
+"""Rapier (parry) through its Python binding: convex hulls, triangle meshes, its own convex decomposition."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Rapier(Method):
         if self._shape == "hull":
             try:
                 return rapier3d.Collider.convex_hull(vertices)
-            except rapier3d.MeshConversionError:  # parry gives up on one in a hundred; the points in another order help
+            except rapier3d.MeshConversionError:  # parry fails on one hull in a hundred; reordering the points helps
                 return rapier3d.Collider.convex_hull(np.ascontiguousarray(vertices[::-1]))
         if self._shape == "mesh":
             return rapier3d.Collider.trimesh(vertices, triangles, flags=rapier3d.TriMeshFlags.FIX_INTERNAL_EDGES)
@@ -70,7 +70,7 @@ class Rapier(Method):
 def touching_contacts(
     narrow_phase: rapier3d.NarrowPhase, number: dict, frame: Frame, native: float = np.nan
 ) -> Contacts:  # fmt: skip
-    """Contacts that are no gaps. `number`: collider to fragment."""
+    """Contacts without gaps. `number`: collider to fragment."""
     first, second, own, other, normals, depths = [], [], [], [], [], []
     for pair in narrow_phase.contact_pairs():
         a, b = number[pair.collider1], number[pair.collider2]

@@ -1,6 +1,6 @@
-"""Distances at vertices: every vertex in another fragment's box is asked how deep it is. Exact, or by grids.
+"""Distances at vertices: the depth of every vertex in another fragment's box. Exact, or from grids.
 
-libigl's and the grids' share what is done in numpy; `warp_distances` has another exact one.
+libigl's and the grids' method share the numpy part; `warp_distances` is another exact method.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from benchmarks.peers.method import Contacts, Method, contacts_of
 from benchmarks.peers.worlds import Frame, Surface, World
 
 CELLS = 24  # nodes along each axis of a fragment's grid
-PADDING = 0.02  # [R] about its box
+PADDING = 0.02  # [R] around its box
 SIGNED = igl.SignedDistanceType.SIGNED_DISTANCE_TYPE_FAST_WINDING_NUMBER
 
 
@@ -27,13 +27,13 @@ class _State(NamedTuple):
 
 
 class VertexDistances(Method):
-    """`make_field` and `depths` are what differs."""
+    """Subclasses differ in `make_field` and `depths`."""
 
     def make_field(self, surface: Surface):
         raise NotImplementedError
 
     def depths(self, surface: Surface, field, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Depth (n,) [m], negative outside, and the way out (n, 3), unit, of points in the fragment's frame."""
+        """Depth (n,) [m], negative outside, and the outward direction (n, 3), unit, of points in the fragment frame."""
         raise NotImplementedError
 
     def update(self, world: World, before) -> _State:
@@ -66,7 +66,7 @@ class Exact(VertexDistances):
         return tree
 
     def depths(self, surface: Surface, field, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        # the binding keeps no winding number's tree: each call makes it anew
+        # the binding does not keep the winding-number tree: each call rebuilds it
         numbers = np.atleast_1d(igl.fast_winding_number(surface.vertices, surface.triangles, points))
         depths, outward, inside = np.full(len(points), -1.0), np.zeros((len(points), 3)), numbers > 0.5
         if inside.any():
@@ -78,7 +78,7 @@ class Exact(VertexDistances):
 
 
 class Grid(VertexDistances):
-    """Signed distances on a grid about each fragment, and their gradient, interpolated linearly."""
+    """Signed distances and their gradient on a grid around each fragment, interpolated linearly."""
 
     name = f"grids {CELLS}^3"
     is_quick = False
@@ -97,7 +97,7 @@ class Grid(VertexDistances):
 
 
 class NodeField(Method):
-    """The full exact field anew: each tetrahedral node's signed distance to its fragment's surface. An update only."""
+    """The full exact field, recomputed: each node's signed distance to its fragment's surface. Has an update only."""
 
     name = "exact field at nodes (libigl)"
     answers = False

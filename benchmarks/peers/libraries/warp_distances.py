@@ -1,4 +1,4 @@
-"""Exact distances at vertices by Warp's mesh queries on the CPU, the sign by fast winding numbers."""
+"""Exact distances at vertices by Warp's mesh queries on the CPU, the sign from fast winding numbers."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from benchmarks.peers.boxes import Vertices, all_vertices, candidates
 from benchmarks.peers.method import Contacts, Method, contacts_of
 from benchmarks.peers.worlds import Frame, World
 
-FAR = 0.5  # [m] deeper than any vertex is
+FAR = 0.5  # [m] deeper than any vertex
 
-warp.config.log_level = warp.LOG_ERROR  # no greeting among the tables, no warning that there is no GPU
+warp.config.log_level = warp.LOG_ERROR  # no banner among the tables, no warning about the missing GPU
 warp.init()
 
 

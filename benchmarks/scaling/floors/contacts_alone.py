@@ -1,4 +1,4 @@
-"""What contacts take that nobody has to look for: the samples of an answer asked again, and no others."""
+"""Our time when the contacting samples are known in advance: an answer's samples are queried again, and no others."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def _seconds(once: Callable[[], None]) -> float:
 
 
 def _entries(pools: Pools, rows: np.ndarray, pairs: np.ndarray, found: PairContacts) -> np.ndarray:
-    """(n,) int32 as neighbour lists have them: 2 (row of TreePool that stands on the sample) + side."""
+    """(n,) int32 in neighbour-list format: 2 (row of TreePool that holds the sample) + side."""
     of_pair = np.repeat(pairs, found.counts, axis=0)
     own = rows[np.where(found.samples[:, 0] == 0, of_pair[:, 0], of_pair[:, 1])]
     listed = np.empty(len(own), np.int32)
@@ -71,7 +71,7 @@ def _entries(pools: Pools, rows: np.ndarray, pairs: np.ndarray, found: PairConta
 
 @threaded_kernel
 def _ask(pools, rows, rotations, positions, pairs, begin, listed, near, contacts, ids, scratch):
-    """Fills contacts (n, 10) and ids (n, 5) as query_pair does; returns how many there are."""
+    """Fills contacts (n, 10) and ids (n, 5) like query_pair; returns their number."""
     rotation, translation = scratch.rotation[0], scratch.translation[0]
     total = 0
     for p in range(len(pairs)):

@@ -1,5 +1,5 @@
-"""The least that an update at a fracture can take on this machine, and what this program takes for the part of it that
-every answer rests on.
+"""Lower bound for an update at a fracture on this machine, and our time for the part of an update that every answer
+depends on.
 """
 
 from __future__ import annotations
@@ -22,19 +22,20 @@ from fracture_collision.core.memory.compiled import threaded_kernel
 from fracture_collision.core.mesh.moments import add_row, tetrahedron_terms
 from fracture_collision.world import CollisionWorld
 
-COLD = 64 << 20  # [bytes] walked through between two passes, more than a core's caches hold
+COLD = 64 << 20  # [bytes] traversed between two passes, more than a core's caches hold
 TRIALS = 9
-# Polygons and masses of the cut tetrahedra, corners of their hulls, and the fragments' trees with their leaves: what a
-# query is asked of.
+# Polygons and masses of the cut tetrahedra, corners of their hulls, and the fragments' trees with their leaves: the
+# input of a query.
 OUTPUTS = ((collision_geometry, "rebuild_surfaces"), (collision_geometry, "split_trees"))
 
 
 def least_update(world: World) -> tuple[float, str]:
-    """[ms] of a fracture, and words: its bytes hashed, its cut edges found among the mesh's and its labels' pieces
-    counted (else it could not be refused), its planes put to the ends of their edges, each tetrahedron of what breaks
-    read once and its moments added to a mass (of one that is cut: two, from the moments of one corner), for each node
-    of the new trees one distance (its radius holds what is below it), the rows that all this leaves written. Left out:
-    all other checks, who owns what in a cut tetrahedron, corners of triangles, cells, the way of a node into its tree.
+    """[ms] of a fracture, and a description. Hashes the event's bytes; finds its cut edges among the mesh's and counts
+    the pieces of its labels (needed to reject an event); evaluates its planes at the ends of their edges; reads each
+    tetrahedron of what breaks once and adds its moments to a mass (a cut one: to two, from the moments of one corner);
+    computes one distance per node of the new trees (a radius bounds everything below it), and the planes of triangles
+    that lie in no given plane; writes all resulting rows. Left out: all other checks, ownership in cut tetrahedra,
+    corners of triangles, cells, a node's way into its tree.
     """
     service = CollisionWorld(SEARCHED)
     service.add_body(world.body)
@@ -93,8 +94,8 @@ def least_update(world: World) -> tuple[float, str]:
 
 
 def update_alone(world: World) -> float:
-    """[ms], one thread, median, within real updates: what this program takes for `OUTPUTS`; not for checks and hashes,
-    which tetrahedra are touched, cells and seeds.
+    """[ms], one thread, median, within real updates: our time for `OUTPUTS`. Excludes checks and hashes, the search for
+    touched tetrahedra, cells and seeds.
     """
     sums = []
     for _ in range(TRIALS + 1):
@@ -111,7 +112,7 @@ def update_alone(world: World) -> float:
 
 @contextmanager
 def _timed(functions: Iterable[tuple[ModuleType, str]]) -> Iterator[list[float]]:
-    """[s] of each call of these functions, as their modules know them."""
+    """[s] of each call of these functions, patched in their modules."""
     seconds: list[float] = []
 
     def watched(call: Callable) -> Callable:
@@ -130,7 +131,7 @@ def _timed(functions: Iterable[tuple[ModuleType, str]]) -> Iterator[list[float]]
 
 
 def _columns(service: CollisionWorld) -> Iterator[tuple[str, np.ndarray]]:
-    """All columns of its pools."""
+    """All columns of the service's pools."""
     for pool, rows in service._registry.geometry.pools._asdict().items():
         if isinstance(rows, np.ndarray):
             yield pool, rows
@@ -152,7 +153,7 @@ def _cold_median(once: Callable[[], object]) -> float:
 
 
 def _edge_table(edges: np.ndarray, nodes: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Edges by their smaller end: first row of each node (nodes + 1,), the larger ends, rows of `edges`."""
+    """Edges by their smaller node: first row of each node (nodes + 1,), the larger nodes, rows of `edges`."""
     small, large = edges.min(axis=1), edges.max(axis=1)
     order = np.argsort(small, kind="stable")
     return np.searchsorted(small[order], np.arange(nodes + 1)), large[order], order
@@ -171,7 +172,7 @@ def _find_edges(ends, begin, larger, rows, found):
 
 @threaded_kernel
 def _pieces(edges, parts, roots):
-    """How many connected pieces the labels `parts` leave of a mesh's nodes."""
+    """Number of connected pieces of a mesh's nodes under the labels `parts`."""
     pieces = len(roots)
     for i in range(len(roots)):
         roots[i] = i
@@ -193,7 +194,7 @@ def _pieces(edges, parts, roots):
 
 @threaded_kernel
 def _radii(spheres):
-    """Largest of one distance a tree node."""
+    """Maximum of one distance per tree node."""
     largest = 0.0
     for i in range(1, len(spheres)):
         p, q = spheres[i], spheres[i // 2]
@@ -204,7 +205,7 @@ def _radii(spheres):
 
 @threaded_kernel
 def _planes(points, corners, bent, faces):
-    """Of triangles whose corners are rows of `points`: of those that are `bent` unit normal and offset."""
+    """Unit normals and offsets of the `bent` triangles; the corners of all are rows of `points`."""
     total = 0.0
     for i in range(len(corners)):
         a, b, c = points[corners[i, 0]], points[corners[i, 1]], points[corners[i, 2]]
@@ -231,8 +232,8 @@ def _shares(ends, planes, nodes, shares):
 
 @threaded_kernel
 def _sums(tetrahedra, edges, moments, nodes, shares, parts, sums):
-    """Moments: of a tetrahedron that one fragment has alone those it has; of one that is cut, those of the corner that
-    its first cut edges leave, and of the rest what remains. Returns how many are whole.
+    """Moments: an uncut tetrahedron adds its own to its fragment; a cut one adds those of the corner cut off by its
+    first edges, and the remainder to the other fragment. Returns the number of uncut ones.
     """
     whole = 0
     for t in range(len(tetrahedra)):

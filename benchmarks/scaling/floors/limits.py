@@ -1,8 +1,8 @@
-"""What the aims against other libraries leave room for: the least that an answer can take on this machine.
+"""What the targets against other libraries leave room for: a lower bound for an answer on this machine.
 
-Least times are those of programs that do nothing but read and write what the answer rests on (`visits.Work` for
-queries; for updates the passes of `least_update.py`). Where an aim lies below them, nobody meets it who gives the same
-answer; where it lies above, the distance is what is left to do.
+The lower bounds are times of programs that only read and write what the answer depends on (`visits.Work` for queries;
+the passes of `least_update.py` for updates). A target below its bound cannot be met with the same answer; above it, the
+difference is the remaining potential.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ from fracture_collision.records import ContactConstraintArray, FragmentStates
 from fracture_collision.world import CollisionWorld
 from fracture_collision.world.inspection import EVERY_CONTACT
 
-# As `python -m benchmarks.peers --csv` leaves it: the aims are ratios to its times.
+# As written by `python -m benchmarks.peers --csv`: the targets are ratios to its times.
 PEERS = Path(__file__).resolve().parents[3] / "docs" / "peers.csv"
 TIGHT, LOOSE = OURS, "ours, epsilon 5 % R"  # settings
 UPDATE, FIRST = "update", "update and first query"
-COLUMNS = {UPDATE: ("update",), FIRST: ("update", "first_query")}  # of peers.csv; of queries: jitter_query
+COLUMNS = {UPDATE: ("update",), FIRST: ("update", "first_query")}  # of peers.csv; for queries: jitter_query
 LOOSE_TOLERANCE = 0.05
-LOOKS, PAUSE = 16, 0.5  # [s] between two looks at what the machine can
+LOOKS, PAUSE = 16, 0.5  # [s] between two measurements of the machine
 
 
 class Aim(NamedTuple):
-    """`what` of one world is to take no longer than `times` what `peer` takes."""
+    """Target: `what` in one world takes at most `times` the time of `peer`."""
 
     what: str  # UPDATE, FIRST, or the setting of a query of jittered frames
     world: str
@@ -63,19 +63,19 @@ class LimitRow(NamedTuple):
     what: str
     world: str
     peer: str
-    times: float  # that the peer's time may be taken
-    aim: float  # by peers.csv
+    times: float  # allowed multiple of the peer's time
+    aim: float  # from peers.csv
     least: float
-    alone: float  # what this program takes for what is asked for, nothing looked for: contacts_alone, update_alone
-    ours: float  # by peers.csv
+    alone: float  # our time when the contacting samples are known in advance: contacts_alone, update_alone
+    ours: float  # from peers.csv
     ours_over_least: float
-    rests_on: str  # what `least` has to do
+    rests_on: str  # the work in `least`
 
 
 def measure_limits(
     aims: Sequence[Aim] = AIMS, peers: Path = PEERS, progress: Progress = silent
 ) -> list[LimitRow]:
-    """Raises FileNotFoundError without peers.csv, KeyError where it lacks a world or method."""
+    """Raises FileNotFoundError without peers.csv, KeyError if it lacks a world or method."""
     with peers.open(newline="", encoding="utf-8") as stream:
         times = {(row["world"], row["method"]): row for row in csv.DictReader(stream)}
     rows = []
@@ -99,7 +99,7 @@ def measure_limits(
 
 
 def _floors(world: World, whats: set[str]) -> dict[str, tuple[float, float, str]]:
-    """Of each the least and the answer alone [ms], and words."""
+    """For each: lower bound and answer alone [ms], and a description."""
     found = {
         what: _least_query(world, 0.0 if what == TIGHT else LOOSE_TOLERANCE)
         for what in (TIGHT, LOOSE)
@@ -115,10 +115,10 @@ def _floors(world: World, whats: set[str]) -> dict[str, tuple[float, float, str]
 
 
 def _least_query(world: World, tolerance: float) -> tuple[float, float, str]:
-    """[ms] of a jittered frame, of its contacts alone, and words. `tolerance`: 0: the service's default.
+    """[ms] of a jittered frame, [ms] of its contacts alone, and a description. `tolerance`: 0: the service's default.
 
-    Contacts have to be located and listed. In a pair that has fewer than it wants, no sample of the crack that the two
-    share is left out unseen: in place it touches, so only where it is now says that it no longer does.
+    Contacts must be located and listed. In a pair with fewer contacts than allowed, every other sample of the shared
+    crack must be located too: in place it touches, so only its current position shows that it no longer does.
     """
     settings = SEARCHED._replace(penetration_tolerance=tolerance) if tolerance else SEARCHED
     everything = SEARCHED._replace(contacts_per_pair=EVERY_CONTACT)
@@ -144,8 +144,8 @@ def _least_query(world: World, tolerance: float) -> tuple[float, float, str]:
 
 @cache
 def _undisturbed(footprint: int) -> Machine:
-    """What the machine can, not what it was left to do: whoever else uses the common cache makes a load five times as
-    slow, for seconds on end.
+    """The machine's best figures: other users of the shared cache make a load five times as slow, for seconds at a
+    time.
     """
     measured = []
     for _ in range(LOOKS):

@@ -1,10 +1,10 @@
-"""The least that rclpy takes: a node that answers states with bytes made beforehand, as rclpy's own examples would.
+"""Lower bound for rclpy: a node that answers states with precomputed bytes, written like rclpy's own examples.
 
     python -m benchmarks.scaling.floors.plain_echo ANSWER_FILE SECONDS TIMES_FILE
 
-No parameters, no records, nobody else to look after; for SECONDS a question it goes through memory in place of the
-computation, as that is what leaves no code in any cache. When told to end it writes how long it really took each time
-[s]. round_trips.py asks it.
+No parameters, no records, no other clients. In place of the computation it walks through memory for SECONDS per query,
+as that is what evicts code from all caches. On shutdown it writes the actual durations [s] to TIMES_FILE. Used by
+round_trips.py.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from rclpy.executors import ExternalShutdownException
 
 from fracture_collision.ros.wire import qos
 
-FOOTPRINT = 8 << 20  # [bytes], about what an answer's geometry takes
+FOOTPRINT = 8 << 20  # [bytes], about the size of an answer's geometry
 
 
 def main(answer_file: str, seconds: str, times_file: str) -> None:

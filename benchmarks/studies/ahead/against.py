@@ -1,4 +1,4 @@
-"""What the studies of things thrown at things share: how these fly, trials, the rows of tables."""
+"""Shared by the studies of thrown bodies: how these fly, trials, the rows of tables."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ SPEEDS = (1.0, 5.0, 20.0, 50.0, 100.0, 200.0)  # [m/s]
 STEPS = (0.001, 0.0025, 0.005, 0.01)  # [s]
 MOST_SPIN, SPIN_OF_TARGET, SPEED_OF_TARGET = 200.0, 20.0, 1.0  # [rad/s], [rad/s], [m/s]
 
-# Runs those first .. end - 1 of (thrown, target, speed, first, end), which differ in their random numbers.
+# Runs throws first .. end - 1 of (thrown, target, speed, first, end), which differ in their random numbers.
 Run = Callable[[str, str, float, int, int], list[Any]]
 
 
 class Size(NamedTuple):
-    count: int  # of each thing thrown, target and speed
+    count: int  # per thrown body, target and speed
     thrown: tuple[str, ...]
     targets: tuple[str, ...]
     speeds: tuple[float, ...] = SPEEDS  # [m/s]
 
 
 def trials_of(run: Run, together: int, size: Size) -> list[Trial]:
-    """All of a size, `together` of them in a trial."""
+    """All of a size, in trials of `together` throws each."""
     return [
         trial
         for thrown in size.thrown
@@ -47,7 +47,7 @@ def _trials(run: Run, together: int, count: int, thrown: str, target: str, speed
 def tables_of(
     run: Run, together: int, size: Size, results: Mapping[Trial, Any], row: Callable[[list[Any]], Row]
 ) -> dict[str, list[Row]]:
-    """Rows by what is thrown at what, and table "speeds"; row: of a list of what was found."""
+    """Rows by thrown body and target, and table "speeds"; row: makes a row from a list of results."""
 
     def found(thrown: tuple[str, ...], targets: tuple[str, ...], speeds: tuple[float, ...]) -> list[Any]:
         return [

@@ -1,7 +1,6 @@
-"""When two rigid bodies that move within a step touch first, by another library's continuous collision detection.
-
-ipctk (MIT; tight inclusion, Wang et al. 2021) asks all vertices, edges and faces along straight ways. A turning body
-goes along so many of them that it is nowhere farther off its arc than SAG of its size.
+"""Time of first contact of two rigid bodies that move within a step, from another library's continuous collision
+detection: ipctk (MIT; tight inclusion, Wang et al. 2021) tests all vertices, edges and faces along straight segments. A
+rotating body gets enough of them that its path is nowhere farther off the arc than SAG of its size.
 """
 
 from __future__ import annotations
@@ -15,17 +14,17 @@ from scipy.spatial.transform import Rotation
 ipctk.set_num_threads(1)
 
 SAG = 1e-5
-# Of the times it tells [share of a straight way]; finer takes a thousand times as long where faces slide past each
-# other.
+# Of the reported times [share of a segment]; a finer tolerance takes a thousand times as long where faces slide past
+# each other.
 TOLERANCE, MOST_ITERATIONS = 1e-5, 100_000
 
 
 class Mover(NamedTuple):
-    """A closed surface and how it moves."""
+    """A closed surface and its motion."""
 
     vertices: np.ndarray  # (n, 3) [m] body frame
     triangles: np.ndarray  # (t, 3)
-    center: np.ndarray  # (3,) [m] of mass, body frame; what turns turns about it
+    center: np.ndarray  # (3,) [m] of mass, body frame; the centre of rotation
     position: np.ndarray  # (3,) [m] of the body frame in the world
     turn: Rotation
     velocity: np.ndarray  # (3,) [m/s] of the body frame's origin
@@ -40,7 +39,7 @@ class Mover(NamedTuple):
 
 
 class Flight:
-    """Two movers, asked together."""
+    """Two movers, tested against each other."""
 
     def __init__(self, one: Mover, other: Mover) -> None:
         self._movers = one, other
@@ -70,7 +69,7 @@ class Flight:
         return np.inf
 
     def _are_apart(self, before: np.ndarray, after: np.ndarray, near: float) -> bool:
-        """By the boxes of the ways gone."""
+        """Tests the boxes of the paths."""
         count = len(self._movers[0].vertices)
         one, other = (np.vstack([before[part], after[part]]) for part in (slice(count), slice(count, None)))
         gaps = np.maximum(one.min(axis=0) - other.max(axis=0), other.min(axis=0) - one.max(axis=0))

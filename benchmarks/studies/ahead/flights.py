@@ -1,6 +1,6 @@
-"""Within a step: do two bodies that are apart touch, and does the service say so? Against another library's answer.
+"""Within a step: do two separated bodies touch, and does the service report it? Compared with another library.
 
-Something is thrown at something, spinning, from so near that about half of the flights end in a touch within the step.
+A body is thrown at another, spinning, from so near that about half of the flights end in contact within the step.
 `lookahead` is the step. *Missed*: they touch, deeper than epsilon before the step ends, and nothing is listed; *ghost*:
 something is listed, and they come no nearer than one and a half detection tolerances.
 """
@@ -35,7 +35,7 @@ from fracture_collision.geometry.tetrahedra import boundary_triangles
 from fracture_collision.records import BOX, SPHERE, CollisionBody, FragmentStates, SolidPrimitive
 from fracture_collision.world import CollisionWorld, Settings
 
-sys.path.append(str(Path(__file__).resolve().parents[3] / "test"))  # the truth lives with the tests
+sys.path.append(str(Path(__file__).resolve().parents[3] / "test"))  # the ground truth lives with the tests
 
 # [m]
 THROWN: dict[str, Callable[[], TetGeometry]] = {
@@ -47,15 +47,15 @@ THROWN: dict[str, Callable[[], TetGeometry]] = {
 THROWN_ID, TARGET_ID, HEAP_PIECES = 5000, 1, 6
 TARGETS = ("plate", "rod", "plane", "box", "sphere", "triangles", "heap")
 BOX_SIZE, SPHERE_RADIUS = (0.1, 0.08, 0.06), 0.05  # [m]
-PLANE_SIZE = 4.0  # [m] of what stands for a plane to the other library
+PLANE_SIZE = 4.0  # [m] of what represents a plane in the other library
 MODES = ("sampled", "edges")
-FROM = 0.6  # [m] away is surely apart
-LATEST = 1.8  # [steps] to go straight on before the touch: a good half of the flights touch
+FROM = 0.6  # [m] at this distance they are surely apart
+LATEST = 1.8  # [steps] of straight motion before contact: a good half of the flights touch
 NEAR, EPSILON = Settings().detection_tolerance, Settings().penetration_tolerance  # of the smaller R
-GRAZES = 1.5  # detection tolerances: so near is near
-MOMENTS = 200  # at which it is looked how deep two are that touch and are not listed
+GRAZES = 1.5  # detection tolerances: the distance that counts as near
+MOMENTS = 200  # sampled to find the depth of two bodies that touch and are not listed
 MOST_DRAWS = 50
-TOGETHER = 6  # flights of a trial
+TOGETHER = 6  # flights per trial
 
 
 class Target(NamedTuple):
@@ -65,15 +65,15 @@ class Target(NamedTuple):
     events: list[Any]
     parts: list[tuple[int, np.ndarray, np.ndarray]]  # fragment id, vertices (n, 3) [m], triangles (t, 3)
     center: np.ndarray  # (3,) [m] of mass
-    low: np.ndarray  # of the box that is aimed at
+    low: np.ndarray  # of the box that throws aim at
     high: np.ndarray
-    radius: float  # [m] R of the service
+    radius: float  # [m] R in the service
 
 
 class Flight(NamedTuple):
     touches: bool
     is_near: bool  # they come within GRAZES tolerances
-    depth: float  # [R] at most before the step ends, where they touch and one mode lists nothing; else 0
+    depth: float  # [R] maximum before the step ends, if they touch and one mode lists nothing; else 0
     listed: tuple[bool, ...]  # of MODES
 
 
@@ -82,7 +82,7 @@ def trials(size: Size) -> list[Trial]:
 
 
 def fly(thrown: str, target: str, speed: float, first: int, end: int) -> list[Flight]:
-    """Flights first .. end - 1, that differ in their random numbers."""
+    """Flights first .. end - 1, which differ in their random numbers."""
     made, aim = THROWN[thrown](), _target(target)
     worlds = {mode: _world(made, aim, mode) for mode in MODES}
     key = [list(THROWN).index(thrown), TARGETS.index(target), int(speed)]
@@ -156,7 +156,7 @@ def _is_listed(world: CollisionWorld, aim: Target, mover, moving, step: float, t
 
 
 def _deepest(mover, parts, first: float, step: float) -> float:
-    """[m] that a point of either surface is in the other at most, from the first touch to the end of the step."""
+    """[m] Maximum depth of a point of either surface in the other, from the first contact to the end of the step."""
     from truth.surface_truth import Solid
 
     deepest = 0.0
@@ -287,18 +287,22 @@ def section(tables: Mapping[str, Table]) -> str:
     speeds = ", ".join(f"{speed:g}" for speed in tables["speeds"].values("speed"))
     steps = ", ".join(f"{1e3 * step:g}" for step in STEPS)
     return f"""\
-{total["flights"]} flights of one step of {steps} ms at {speeds} m/s, spinning at up to {MOST_SPIN:g} rad/s, half of the
-targets moving, from so near that {total["touch"]} of them touch within the step, by ipctk's continuous collision
-detection. Missed: they touch, get deeper than 0.2 % of the smaller R before the step ends, and nothing is listed:
-{total["missed_sampled"]} with `surfaces: sampled`, {total["missed_edges"]} with `edges`. Ghost: something is listed,
-and they come no nearer than one and a half detection tolerances: {total["ghosts_sampled"]} and
-{total["ghosts_edges"]}. In the table: missed, the deepest of what touches and is not listed in % R, and behind the
-slash ghosts.
+{total["flights"]} flights of one step of {steps} ms at {speeds} m/s, spinning at up to {MOST_SPIN:g} rad/s. Half of the
+targets move. Flights start so near that, by ipctk's continuous collision detection, {total["touch"]} of them touch
+within the step.
+
+- *Missed:* the bodies touch and get deeper than 0.2 % of the smaller R before the step ends, but no contact is listed:
+  {total["missed_sampled"]} with `surfaces: sampled`, {total["missed_edges"]} with `edges`.
+- *Ghost:* a contact is listed, but the bodies come no nearer than 1.5 detection tolerances:
+  {total["ghosts_sampled"]} and {total["ghosts_edges"]}.
+
+Each cell gives the number missed, the depth in % R of the deepest touch that is not listed, and, after the slash, the
+number of ghosts.
 
 {markdown_table(("", "flights", "touch", "sampled", "edges"), body)}"""
 
 
 STUDY = Study(
-    "flights", "What touches within a step (`lookahead`)", Size(2, tuple(THROWN), TARGETS),
+    "flights", "Lookahead: contacts within a step", Size(2, tuple(THROWN), TARGETS),
     Size(60, tuple(THROWN), TARGETS), trials, tables, {"": draw}, section,
 )  # fmt: skip

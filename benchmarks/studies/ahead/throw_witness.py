@@ -1,7 +1,7 @@
-"""What is near what is thrown at each moment of a simulation's steps, and how deep: the judge of throws.py.
+"""Gaps around the thrown body at each moment of a simulation's steps, and penetration depths: the judge of throws.py.
 
-The service says what is near. How deep, where it is deep, libigl says: a crossing of edges is deep along the direction
-across both, which may be far more than either is in the other.
+The service reports what is near. If it is deep, libigl computes the depth: for crossing edges the service measures
+along the direction across both, which may far exceed the depth of either body in the other.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from fracture_collision.simulation.scene.scene import Scene
 from fracture_collision.simulation.simulation import Simulation
 from fracture_collision.world import CollisionWorld, Settings
 
-sys.path.append(str(Path(__file__).resolve().parents[3] / "test"))  # the truth lives with the tests
+sys.path.append(str(Path(__file__).resolve().parents[3] / "test"))  # the ground truth lives with the tests
 from truth.surface_truth import Solid  # noqa: E402
 
 DEEP = 5e-4  # [m]
@@ -29,20 +29,20 @@ TARGET_ID, THROWN_ID = 1, 2
 
 class Step(NamedTuple):
     states: FragmentStates  # at its beginning
-    time: float  # [s] it takes
+    time: float  # [s] duration
     before: BodyStates
-    linear: np.ndarray  # (n, 3) [m/s] by which centres move within it
+    linear: np.ndarray  # (n, 3) [m/s] velocity of centres within it
     angular: np.ndarray  # (n, 3) [rad/s]
-    shares: np.ndarray  # (n,) of it, after which they stand still
+    shares: np.ndarray  # (n,) fraction of the step after which they stand still
     energy: float  # [J] after it
 
 
 class Witness:
-    """Is asked at each moment what is near what is thrown; `world` knows what the first run has told it."""
+    """Queried at each moment for what is near the thrown body; `world` gets its input from the first run."""
 
     def __init__(self, scene: Scene) -> None:
         self.world = CollisionWorld(Settings(threads=1, surfaces="edges", normals="nearest"))
-        self._reach = dict.fromkeys((TARGET_ID, THROWN_ID), np.inf)  # [m] about the body frame's origin
+        self._reach = dict.fromkeys((TARGET_ID, THROWN_ID), np.inf)  # [m] around the body frame's origin
         self._solids: dict[int, Solid | None] = {}
         simulation = Simulation(scene)
         for body in simulation.start_bodies():
@@ -53,8 +53,8 @@ class Witness:
         simulation.close()
 
     def gaps(self, steps: list[Step], leap: float) -> Iterator[float]:
-        """[m] the least one of what is thrown to anything, of each moment at which it is within epsilon of anything; no
-        two moments between which it moves farther than `leap` [m] against anything.
+        """[m] The least gap of the thrown body to any other, at each moment at which it is within epsilon of one.
+        Between two moments it moves no farther than `leap` [m] relative to any other.
         """
         for step in steps:
             yield from self._gaps_within(step, leap)
@@ -104,7 +104,7 @@ class Witness:
         self, answer: ContactConstraintArray, pair: int, contact: int, ids: np.ndarray, positions: np.ndarray,
         orientations: np.ndarray,
     ) -> float:  # fmt: skip
-        """[m] of a contact's points, each in the other one's surface, the deeper; infinite where one has no mesh."""
+        """[m] Depth of a contact's points, each in the other's surface, the larger; infinite if one has no mesh."""
         fragments = int(answer.fragment_a[pair]), int(answer.fragment_b[pair])
         points = answer.points_a.reshape(-1, 3)[contact], answer.points_b.reshape(-1, 3)[contact]
         depth = 0.0
@@ -125,7 +125,7 @@ class Witness:
         return self._solids[fragment]
 
     def _may_touch(self, mine: np.ndarray, others: np.ndarray, way: float) -> bool:
-        """By balls about the frames' origins (1, 3), (n, 3); `way` [m] they may still go."""
+        """Tests balls around the frames' origins (1, 3), (n, 3); `way` [m] is the remaining motion."""
         reach, other_reach = self._reach[THROWN_ID], self._reach[TARGET_ID]
         if np.isinf(other_reach):
             return bool(mine[0, 2] <= 1.01 * reach + way)

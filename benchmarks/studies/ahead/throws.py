@@ -1,10 +1,9 @@
-"""Between steps: does anything fast go through anything, in a simulation that looks a step ahead?
+"""Between steps: does a fast body pass through another in a simulation with a lookahead of one step?
 
-Something is thrown at something and simulated with `lookahead` at the time step. Judged is the motion within steps,
-what will touch moving until it does, at moments between which nothing moves farther than LEAP of its thickness.
+A body is thrown at another and simulated with `lookahead` at the time step. Judged is the motion within steps (a body
+that will touch moves until it does), at moments between which nothing moves farther than LEAP of its thickness.
 *Through*: more than half way through the thinner of the two at some moment. *Deep*: deeper than DEEP. The same throw is
-simulated with nobody told of contacts: who passes at more than epsilon there, and does not move so here, has met a
-*ghost*.
+simulated without contacts: a body that passes at more than epsilon there, and does not move so here, has met a *ghost*.
 """
 
 from __future__ import annotations
@@ -50,33 +49,33 @@ SHAPES: dict[str, dict[str, Any]] = {
 }
 THROWN = ("shard", "rod", "pane", "bunny")
 TARGETS = ("plate", "fixed plate", "rod", "bunny", "plane", "box", "sphere", "heap")
-# [m] where they are thinnest; of a bunny, its ears; of a heap, what its pieces are like
+# [m] thickness at the thinnest part; of a bunny, its ears; of a heap, that of its pieces
 THINNEST = {
     "shard": 0.004, "rod": 0.008, "pane": 0.006, "bunny": 0.01, "plate": 0.006, "plane": np.inf, "box": 0.06,
     "sphere": 0.1, "heap": 0.02,
 }  # fmt: skip
-ATTITUDES = ("flat on", "edge on", "turning", "turning")  # of what is thrown; half of the throws spin
-BESIDE = 0.6  # of the thrown one's reach: so far beside the target's box is aimed, too
+ATTITUDES = ("flat on", "edge on", "turning", "turning")  # of the thrown body; half of the throws spin
+BESIDE = 0.6  # of the thrown body's reach: aim points lie up to this far beyond the target's box
 STEPS_AFTER = 12
-OVERLOAD = 2.0  # of the blow that breaks a heap
-LEAP, FINER = 0.25, 25.0  # a small step as a share of what is thinnest; and for ghosts so much smaller
-HALF_WAY = 0.9  # of half of what is thinner: no sample is quite in the middle
+OVERLOAD = 2.0  # of the impact that breaks a heap
+LEAP, FINER = 0.25, 25.0  # a small step as a share of the smallest thickness; for ghosts smaller by this factor
+HALF_WAY = 0.9  # of half of the smaller thickness: no sample is exactly in the middle
 SAME = 1e-9  # [m, m/s, rad/s] rounding
-TINY = 1e-12  # who moves for less of a step does not move
-TOGETHER = 8  # throws of a trial
+TINY = 1e-12  # a body that moves for a smaller share of a step does not move
+TOGETHER = 8  # throws per trial
 
 
 class Throw(NamedTuple):
-    touches: bool  # they come within epsilon of each other, if nobody is told
-    deviates: bool  # what is thrown moves otherwise than so
+    touches: bool  # they come within epsilon of each other when simulated without contacts
+    deviates: bool  # the thrown body moves differently from that
     is_ghost: bool
     is_through: bool
     deepest: float  # [m] at any moment
-    energy_gain: float  # of any step, as a share of the energy at first
+    energy_gain: float  # in any step, as a share of the initial energy
 
 
 class _Engine(RigidBodyWorld):
-    """Keeps how bodies move within each step."""
+    """Records how bodies move within each step."""
 
     def __init__(self, time_step: float) -> None:
         super().__init__(time_step)
@@ -92,7 +91,7 @@ def trials(size: Size) -> list[Trial]:
 
 
 def throw(thrown: str, target: str, speed: float, first: int, end: int) -> list[Throw]:
-    """Throws first .. end - 1, that differ in their random numbers."""
+    """Throws first .. end - 1, which differ in their random numbers."""
     key = [THROWN.index(thrown), TARGETS.index(target), int(speed)]
     return [_one(thrown, target, speed, np.random.default_rng([*key, k])) for k in range(first, end)]
 
@@ -114,7 +113,7 @@ def _one(thrown: str, target: str, speed: float, random: np.random.Generator) ->
 
 
 def _differ(one: Step, other: Step) -> bool:
-    """Whether what is thrown is elsewhere, or moves otherwise."""
+    """Whether the thrown body is elsewhere or moves differently."""
     own, its = _motion_of_thrown(one.before), _motion_of_thrown(other.before)
     return bool(np.abs(own - its).max() > SAME)
 
@@ -125,7 +124,7 @@ def _motion_of_thrown(bodies: BodyStates) -> np.ndarray:
 
 
 def _scene(thrown: str, target: str, speed: float, random: np.random.Generator) -> Scene:
-    """What is thrown flies towards the origin, where the target is."""
+    """The thrown body flies towards the origin, where the target is."""
     time_step, attitude = float(random.choice(STEPS)), ATTITUDES[random.integers(len(ATTITUDES))]
     way = random.normal(size=3)
     way /= np.linalg.norm(way)
@@ -144,7 +143,7 @@ def _scene(thrown: str, target: str, speed: float, random: np.random.Generator) 
     away = reach + float(np.linalg.norm(aim)) + float(np.linalg.norm(half)) + 0.01
     if target == "plane":
         away /= abs(way[2])
-    before = away + random.uniform(1.0, 2.0) * speed * time_step  # the spin of the first step is not yet told
+    before = away + random.uniform(1.0, 2.0) * speed * time_step  # the spin of the first step is not published yet
     steps = int(np.ceil(2.0 * before / speed / time_step)) + STEPS_AFTER
     porcelain = {"density": 2400.0, "friction": 0.5, "restitution": 0.1}
     brittle = porcelain | {"fracture": {"strength": 1e9, "minimum_mass": 0.02}}
@@ -169,13 +168,13 @@ def _scene(thrown: str, target: str, speed: float, random: np.random.Generator) 
 
 
 def _reach(thrown: str) -> float:
-    """[m] about its middle, roughly."""
+    """[m] from its centre, approximately."""
     size = next(iter(SHAPES[thrown].values()))
     return 0.5 * float(np.linalg.norm(size.get("size_xyz", (0.1, 0.1, 0.1))))
 
 
 def _half(target: str) -> np.ndarray:
-    """[m] (3,) of the box that is aimed at."""
+    """[m] (3,) of the box that throws aim at."""
     ((kind, size),) = SHAPES[target.removeprefix("fixed ")].items()
     if kind == "plane":
         return np.array([0.05, 0.05, 0.0])
@@ -188,7 +187,7 @@ _NO_CONTACTS = CollisionWorld(Settings(threads=1)).contacts(
 
 
 def _run(scene: Scene, target: str, world: CollisionWorld, is_told: bool) -> Iterator[Step]:
-    """The scene's steps; whether the simulation is told of the world's contacts. A heap breaks after the first step."""
+    """The scene's steps, `is_told`: the simulation gets the world's contacts. A heap breaks after the first step."""
     engine = _Engine(scene.time_step)
     simulation = Simulation(scene, None, engine, looks_ahead=True)
     for body in simulation.start_bodies():
@@ -251,18 +250,22 @@ def section(tables: Mapping[str, Table]) -> str:
     steps = ", ".join(f"{1e3 * step:g}" for step in STEPS)
     gain = float(tables["speeds"].column("energy_gain").max())
     return f"""\
-{total["throws"]} throws at {speeds} m/s, in steps of {steps} ms, a quarter flat on, a quarter edge on, the others
-spinning at up to {MOST_SPIN:g} rad/s, simulated with `surfaces: edges` and `lookahead` at the step, and judged at
-moments between which nothing moves farther than a quarter of the thinner one's thickness; what will touch moves until
-it does, and waits. How deep what is deep is, libigl says. {total["touch"]} touch.
-Through, that is, more than half way through the thinner one at any moment: {total["through"]}. Deeper than 0.5 mm at
-any moment: {total["deep"]}. Ghosts, that is, held back or turned aside by what they would have passed at more than
-0.2 % R: {total["ghosts"]}. The largest rise of the energy in a step, as a share of the energy at first: {gain:.1g}.
+{total["throws"]} throws at {speeds} m/s, in steps of {steps} ms: a quarter flat on, a quarter edge on, the others
+spinning at up to {MOST_SPIN:g} rad/s. They are simulated with `surfaces: edges` and `lookahead` set to the time step.
+The motion within each step is checked at times between which nothing moves farther than a quarter of the thinner body's
+thickness. A body that will touch moves until it does, then waits for the end of the step. Deep penetrations are
+measured with libigl. {total["touch"]} throws touch.
+
+- *Through:* more than half way through the thinner body at any time: {total["through"]}.
+- *Deep:* deeper than 0.5 mm at any time: {total["deep"]}.
+- *Ghosts:* held back or deflected by a body that they would have passed at more than 0.2 % R: {total["ghosts"]}.
+
+The largest rise of the energy in a step, as a fraction of the initial energy, is {gain:.1g}.
 
 {markdown_table(("", "throws", "touch", "through", "deep", "deepest, mm", "ghosts"), body)}"""
 
 
 STUDY = Study(
-    "throws", "What goes through what between steps", Size(4, THROWN, TARGETS), Size(53, THROWN, TARGETS), trials,
+    "throws", "Lookahead: tunnelling between steps", Size(4, THROWN, TARGETS), Size(53, THROWN, TARGETS), trials,
     tables, {"": draw}, section,
 )  # fmt: skip

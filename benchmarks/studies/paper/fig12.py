@@ -1,4 +1,4 @@
-"""Fig. 12: contacts, colliding points, pairs and times over two runs, and whether fractures make queries dearer."""
+"""Fig. 12: contacts, colliding points, pairs and times in two runs, and whether fractures slow queries down."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ from fracture_collision.run_report import PAPER
 SCENES = ("drop_bunnies", "bricks")
 COLUMNS = ("contacts", "pairs", "fragments", "fractures", "total_ms", "collision_ms", "physics_ms", "update_ms",
            "fracture_ms")  # fmt: skip
-NEIGHBOURS = 10  # steps on either side of a fracture that its query is compared to
-SMOOTH = 9  # steps of the running median in the picture
+NEIGHBOURS = 10  # steps on either side of a fracture with which its query is compared
+SMOOTH = 9  # steps of the running median in the plot
 
 
 class Size(NamedTuple):
     cracks: tuple[str, ...]
     scenes: tuple[str, ...] = SCENES
     duration: float | None = None  # [s]
-    repeats: int = 1  # of each timed run
+    repeats: int = 1  # per timed run
 
 
 def trials(size: Size) -> list[Trial]:
@@ -46,7 +46,7 @@ def trials(size: Size) -> list[Trial]:
 
 
 def _trials(size: Size, scene: str, cracks: str) -> tuple[Trial, Trial]:
-    """One that is timed, and one that counts."""
+    """One timed, one that counts."""
     return (
         scene_trial(scene, cracks, duration=size.duration, repeats=size.repeats),
         scene_trial(scene, cracks, duration=size.duration, is_timed=False, count_colliding=True),
@@ -85,8 +85,8 @@ def _summary(steps: Table) -> dict[str, Any]:
 
 
 def spikes(steps: Table) -> tuple[np.ndarray, np.ndarray]:
-    """The query time of each step over the median of its neighbourhood: of the steps that are the first after a
-    fracture, and of all others. The neighbourhood has no first steps after fractures in it.
+    """The query time of each step over the median of its neighbourhood: for the steps that are the first after a
+    fracture, and for all others. The neighbourhood excludes first steps after fractures.
     """
     collision, first = steps.column("collision_ms"), steps.column("update_ms") > 0.0
     touching = steps.column("contacts") > 0
@@ -101,7 +101,7 @@ def spikes(steps: Table) -> tuple[np.ndarray, np.ndarray]:
 
 
 def draw(tables: Mapping[str, Table]) -> Figure:
-    """As the paper's: statistics and times of each scene, flat cracks."""
+    """Like the paper's: statistics and times of each scene, flat cracks."""
     steps = tables["steps"].where(cracks="flat")
     scenes = steps.values("scene")
     figure, axes = new_figure(2, len(scenes), sharex="col", width=5.2 * len(scenes) + 0.4)
@@ -139,7 +139,7 @@ def draw(tables: Mapping[str, Table]) -> Figure:
 
 
 def draw_spikes(tables: Mapping[str, Table]) -> Figure:
-    """How much longer a step's query takes than those about it, after a fracture and elsewhere."""
+    """How much longer a step's query takes than its neighbours', after a fracture and elsewhere."""
     steps = tables["steps"]
     scenes = steps.values("scene")
     figure, (axes,) = new_figure(1, len(scenes), sharey=True, width=5.2 * len(scenes) + 0.4)
@@ -184,20 +184,20 @@ def section(tables: Mapping[str, Table]) -> str:
         for name, words in (("after_fracture", "first step after a fracture"), ("elsewhere", "all other steps"))
     ]
     return f"""\
-Contacts are those that the service listed, colliding points all that it could have listed, counted in a second run of
-the same course. Average / worst of a step:
+Contacts are those that the service listed. Colliding points are all that it could have listed, counted in a second,
+identical run. Average / worst per step:
 
 {markdown_table(("scene, cracks", "fractures", "contacts", "colliding points", "close pairs", "paper's contacts"),
                 statistics)}
-Is there a spike at fractures? The query time of a step over the median of the {2 * NEIGHBOURS} steps about it: a first
-query after a fracture meets fresh surfaces and more pairs than the steps before; all other steps show what the
-machine's own noise is. {in_words(rows[0]["repeats"])}
+Spikes at fractures: the query time of a step divided by the median of the {2 * NEIGHBOURS} steps around it. The first
+query after a fracture tests new surfaces and more pairs than the steps before. The other steps show the noise of the
+machine. {in_words(rows[0]["repeats"])}
 
-{markdown_table(("query time over its neighbours'", "median", "90 %", "worst"), ratios)}"""
+{markdown_table(("query time / its neighbours'", "median", "90 %", "worst"), ratios)}"""
 
 
 STUDY = Study(
-    "fig12", "Two runs step by step, and spikes at fractures (Fig. 12)",
+    "fig12", "Statistics per step, and spikes at fractures (Fig. 12)",
     Size(("flat",)), Size(("flat", "curved"), repeats=3),
     trials, tables, {"": draw, "spikes": draw_spikes}, section,
 )  # fmt: skip

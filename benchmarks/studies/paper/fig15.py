@@ -1,8 +1,8 @@
-"""Fig. 15: field and tree updated at a fracture against made anew, on one trajectory of the piggy bank.
+"""Fig. 15: field and tree updated at a fracture against rebuilt ones, on one trajectory of the piggy bank.
 
 D is the distance field, S the sphere tree. The paper's updated D is the `averaged` field; its exact one, which the
-paper computes anew at each fracture, is here the `exact` field, which measures where it is asked. S is the restructured
-tree, or one built from nothing on the samples of the new surface.
+paper recomputes at each fracture, is here the `exact` field, which is evaluated per query. S is the restructured tree,
+or one rebuilt from scratch on the samples of the new surface.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from benchmarks.studies.table import Row, Table, average_and_worst, markdown_tab
 from fracture_collision.simulation.scene.scene import load_scene
 
 SCENE = "piggy_bank"
-# Normals by the paper's way for all but the last.
+# Normals as in the paper for all but the last.
 PAPERS = SEARCHED._replace(normals="nearest")
 COMBINATIONS = {
     "D updated, S updated": PAPERS._replace(field="averaged", tree="restructured"),
@@ -30,10 +30,10 @@ COMBINATIONS = {
     "D exact, S rebuilt": PAPERS._replace(field="exact", tree="rebuilt"),
     "the service's own settings": SEARCHED,
 }
-# Lines that lie on each other stay to be told apart by their widths.
+# Overlapping lines stay distinguishable by their widths.
 COLOURS = dict(zip(COMBINATIONS, (BLUE, ORANGE, GREEN, RED, "black"), strict=True))
 WIDTHS = dict(zip(COMBINATIONS, (5.0, 5.0, 2.4, 2.4, 0.9), strict=True))
-WINDOW = 5  # steps: rows of the table of steps are means over so many
+WINDOW = 5  # steps averaged in each row of the table of steps
 
 
 class Size(NamedTuple):
@@ -112,17 +112,17 @@ def section(tables: Mapping[str, Table]) -> str:
     ]  # fmt: skip
     fractures, repeats = tables[""].rows[0]["fractures"], tables[""].rows[0]["repeats"]
     return f"""\
-The piggy bank falls once; its states and events ({fractures} steps with fractures) are then put to worlds with other
-settings, so that all answer the same questions. D is the distance field: updated as in the paper (`averaged`) or exact
-(`exact`, measured where it is asked: no field is made anew). S is the sphere tree: restructured, or built from nothing
-on the new surface. Normals as in the paper (`nearest`) but in the last row. Times are the
-shortest of {repeats}, taken in turns. Average / worst:
+The piggy bank falls once. Its states and events ({fractures} steps with fractures) are then replayed with different
+settings, so that all runs process the same queries. D is the distance field: updated as in the paper (`averaged`) or
+exact (`exact`, evaluated at each query point: no field is rebuilt). S is the sphere tree: restructured, or rebuilt on
+the new surface. Normals are the paper's (`nearest`) except in the last row. Times are the shortest of {repeats}
+interleaved runs. Average / worst:
 
-{markdown_table(("field and tree; cracks", "query, ms", "visited nodes a step", "ns a visit", "contacts", "update, ms"),
-                rows)}"""
+{markdown_table(("field and tree; cracks", "query, ms", "visited nodes per step", "ns per visit", "contacts",
+                 "update, ms"), rows)}"""
 
 
 STUDY = Study(
-    "fig15", "Updated against made anew (Fig. 15)", Size(3, ("flat",), 0.8), Size(5, ("flat", "curved")),
+    "fig15", "Updating against rebuilding (Fig. 15)", Size(3, ("flat",), 0.8), Size(5, ("flat", "curved")),
     trials, tables, {"": draw}, section,
 )  # fmt: skip

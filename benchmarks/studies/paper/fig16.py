@@ -1,8 +1,8 @@
-"""Fig. 16: how deep a plate goes into a bowl, and how many nodes are visited, by the contacts allowed a pair.
+"""Fig. 16: penetration depth of a plate in a bowl, and nodes visited, by the number of contacts allowed per pair.
 
 Random drops of scene plate_in_bowl. `adaptive` is the paper's selection: once a pair has its contacts, those deeper
-than epsilon still count. `fixed` has no such tolerance: there are never more than allowed. `sufficient` is the
-service's: as many, spread over all samples near, and some more where more are deep; its visits are leaves and samples.
+than epsilon still count. `fixed` has no such tolerance: it never lists more than allowed. `sufficient` is the service's
+selection: as many, spread over all near samples, and some more if more are deep; its visits are leaves and samples.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from fracture_collision.simulation.scene.scene_changes import random_drop
 SCENE = "plate_in_bowl"
 SELECTIONS = {
     "adaptive": SEARCHED,
-    "fixed": SEARCHED._replace(penetration_tolerance=1.0),  # [R] deeper than anything is
+    "fixed": SEARCHED._replace(penetration_tolerance=1.0),  # [R] deeper than anything
     "sufficient": SEARCHED._replace(selection="sufficient"),
 }
 COLOURS = {"adaptive": BLUE, "fixed": RED, "sufficient": GREEN}
@@ -39,15 +39,15 @@ class Size(NamedTuple):
 
 
 class Drop(NamedTuple):
-    """Of the frames of one drop from the first in which plate and bowl come within the detection tolerance."""
+    """One drop, over its frames from the first in which plate and bowl come within the detection tolerance."""
 
     frames: int
-    deepest: float  # [m] of all samples, those of either in the other; mean over frames, 0 in one without any inside
-    worst: float  # [m] of all frames
+    deepest: float  # [m] maximum over samples of either in the other; mean over frames, 0 in one without any inside
+    worst: float  # [m] maximum over frames
     depth: float  # [m] mean of all samples inside; mean over frames as above
-    visits: float  # a frame
-    contacts: float  # a frame
-    colliding: float  # samples of either inside the other, a frame
+    visits: float  # per frame
+    contacts: float  # per frame
+    colliding: float  # samples of either inside the other, per frame
 
 
 def trials(size: Size) -> list[Trial]:
@@ -149,17 +149,17 @@ def section(tables: Mapping[str, Table]) -> str:
     ]  # fmt: skip
     first = tables[""].rows[0]
     return f"""\
-{first["drops"]} random drops of a plate (R = 100 mm) into a bowl for each number of contacts; the paper made 10,000.
-Depths by full detection in each frame, means over the frames from the first touch on, then over the drops, ± their
-standard error. *Adaptive*: beyond the contacts allowed, those deeper than ε = {SEARCHED.penetration_tolerance} R are
-listed too; *fixed*: never more than allowed; *sufficient*, the service's own: as many, spread over all samples that are
-near, up to {SEARCHED.deep_contacts_per_pair} where more are deeper than ε (its visits are leaves and samples).
+{first["drops"]} random drops of a plate (R = 100 mm) into a bowl for each contact limit; the paper made 10,000.
+Depths come from full detection in each frame. They are averaged over the frames from the first touch on, then over the
+drops, ± the standard error. *Adaptive*: contacts deeper than ε = {SEARCHED.penetration_tolerance} R are listed beyond
+the limit. *Fixed*: the limit is never exceeded. *Sufficient*, the service's default: up to the limit, spread over all
+near samples, or up to {SEARCHED.deep_contacts_per_pair} if more are deeper than ε (its visits are leaves and samples).
 
-{markdown_table(("contacts allowed", "listed a frame", "inside a frame", "deepest, mm", "worst, mm", "mean depth, mm",
-                 "visited nodes a frame"), rows)}"""
+{markdown_table(("contact limit", "listed per frame", "inside per frame", "deepest, mm", "worst, mm", "mean depth, mm",
+                 "visited nodes per frame"), rows)}"""
 
 
 STUDY = Study(
-    "fig16", "Penetration and visits by contacts allowed (Fig. 16)", Size(4, (2, 3, 4, 6, 8, 12, 20, 50), 0.9),
+    "fig16", "Penetration and visits by contact limit (Fig. 16)", Size(4, (2, 3, 4, 6, 8, 12, 20, 50), 0.9),
     Size(100, (2, 3, 4, 5, 6, 7, 8, 10, 12, 16, 20, 30, 50)), trials, tables, {"": draw}, section,
 )  # fmt: skip

@@ -25,19 +25,19 @@ METHODS = {
     FIXED: SEARCHED._replace(contacts_per_pair=8, penetration_tolerance=1.0),
 }
 COLOURS = dict(zip(METHODS, (BLUE, GREEN, ORANGE, RED, PURPLE), strict=True))
-# Contacts a step, average and worst (7.4).
+# Contacts per step, average and worst (7.4).
 PAPERS_CONTACTS = {NEW: PAPER[SCENE]["contacts"], OLD: (1235, 3245), FIXED: (755, 1974)}
-SMOOTH = 15  # steps of the running median in the picture
-EVERY = 3  # steps: rows of the table of steps
+SMOOTH = 15  # steps of the running median in the plot
+EVERY = 3  # steps per row of the table of steps
 
 
 class Size(NamedTuple):
     methods: tuple[str, ...]  # each runs the scene
     cracks: tuple[str, ...]
     duration: float | None  # [s] of the runs
-    replayed: float | None  # [s] of one run that all methods answer
-    replays: int  # of each method
-    repeats: int = 1  # of each run
+    replayed: float | None  # [s] of one run, replayed by all methods
+    replays: int  # per method
+    repeats: int = 1  # per run
 
 
 def trials(size: Size) -> list[Trial]:
@@ -129,17 +129,17 @@ def section(tables: Mapping[str, Table]) -> str:
         for row in tables["replay"].rows
     ]  # fmt: skip
     return f"""\
-New: trees restructured at fractures (6.2), children of different parents first (5.3). Old: the paper's earlier version
-[27] (`tree: plain`, `traversal: queue`). Fixed: 8 contacts a pair, however deep the others. Each runs the scene on a
-course of its own, as in the paper. {in_words(tables[""].rows[0]["repeats"])}
-Average / worst of a step; depths are those of the contacts listed:
+New: trees restructured at fractures (6.2), children of different parents visited first (5.3). Old: the paper's earlier
+version [27] (`tree: plain`, `traversal: queue`). Fixed: 8 contacts per pair, however deep the others are. Each method
+runs its own simulation, as in the paper. {in_words(tables[""].rows[0]["repeats"])}
+Average / worst per step; depths are those of the listed contacts:
 
 {markdown_table(("method; cracks", "contacts", "paper's contacts", "visited nodes", "collision, ms", "whole step, ms",
                  "update, ms", "deepest, mm"), runs)}
 The paper's whole step takes {PAPER[SCENE]["total_ms"][0]} ms on average and {PAPER[SCENE]["total_ms"][1]} ms at worst.
 
-All on one course, that of the new methods, {tables["replay"].rows[0]["steps"]} steps of it in which anything is close;
-times are the shortest of {tables["replay"].rows[0]["repeats"]}, taken in turns:
+All methods on the trajectory of the new ones, {tables["replay"].rows[0]["steps"]} steps with close pairs. Times are the
+shortest of {tables["replay"].rows[0]["repeats"]} interleaved runs:
 
 {markdown_table(("method; cracks", "contacts", "visited nodes", "query, ms", "update, ms"), replays)}"""
 

@@ -1,7 +1,7 @@
-"""Fig. 5: a plate that rolls, with up to 6 and up to 128 contacts a pair.
+"""Fig. 5: a rolling plate, with up to 6 and up to 128 contacts per pair.
 
-The paper shows where the contacts are. What matters is whether the plate rolls the same: its height, its energy, how it
-bumps. Which contacts there are to choose from depends on the detection tolerance, so it is varied too.
+The paper shows where the contacts are. What matters is whether the plate rolls the same way: its height, its energy,
+its bumps. The choice of contacts depends on the detection tolerance, so that is varied too.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from fracture_collision.lockstep import Lockstep
 from fracture_collision.simulation.scene.scene import load_scene
 
 FEW, MANY = 6, 128
-TOLERANCES = (ONE_THREAD.detection_tolerance, 0.02)  # of R: the service's own, and one that reaches along the rim
-ROLLING = 2.0  # [s] from its start the plate rolls upright; then it begins to swing
-EVERY = 15  # steps: rows of the table of steps
+TOLERANCES = (ONE_THREAD.detection_tolerance, 0.02)  # of R: the service's default, and one that reaches along the rim
+ROLLING = 2.0  # [s] from its start, the plate rolls upright; then it begins to swing
+EVERY = 15  # steps per row of the table of steps
 MILLI = 1e3
 COLOURS = {(TOLERANCES[0], FEW): BLUE, (TOLERANCES[0], MANY): ORANGE,
            (TOLERANCES[1], FEW): RED, (TOLERANCES[1], MANY): GREEN}  # fmt: skip
@@ -35,7 +35,7 @@ class Size(NamedTuple):
 
 
 class Roll(NamedTuple):
-    """Of each step, (n,)."""
+    """For each step, (n,)."""
 
     center: np.ndarray  # (n, 3) [m], of mass
     energy: np.ndarray  # [J]
@@ -57,7 +57,7 @@ def _trial(duration: float, tolerance: float, contacts: int) -> Trial:
 
 
 def roll(duration: float, tolerance: float, contacts: int) -> Roll:
-    """The one body that moves in rolling_plate."""
+    """The only moving body in rolling_plate."""
     scene = load_scene("rolling_plate")._replace(duration=duration)
     settings = ONE_THREAD._replace(detection_tolerance=tolerance, contacts_per_pair=contacts)
     rows = []
@@ -117,7 +117,7 @@ def _farthest(some: np.ndarray, others: np.ndarray) -> float:
 def draw(tables: Mapping[str, Table]) -> Figure:
     figure, ((height, energy), (path, contacts)) = new_figure(2, 2)
     steps = tables["steps"]
-    # the many lie below as broad bands, so that the few can be seen on them
+    # the many are broad bands in the background, so that the few stay visible on them
     for allowed in (MANY, FEW):
         for tolerance in steps.values("tolerance_R"):
             own = steps.where(tolerance_R=tolerance, contacts_allowed=allowed)
@@ -156,16 +156,16 @@ def section(tables: Mapping[str, Table]) -> str:
         for tolerance in tables[""].values("tolerance_R")
         if tables[""].where(tolerance_R=tolerance, contacts_allowed=FEW).rows[0]["off_path_mm"] == 0.0
     ]
-    verdict = f"Within {' and '.join(equal)} both runs are the same to the last digit: there is nothing to leave out. "
+    verdict = f"At {' and '.join(equal)} both runs are identical to the last digit: no contact is dropped. "
     return f"""\
-A plate rolls on its rim over the ground for {ROLLING:g} s, then begins to swing and falls ({seconds:.1f} s in all;
-scene `rolling_plate`). Contacts are sought within the detection tolerance; the plate stands on a polygon of 120
-corners, so few of them are that near. {verdict if equal else ""}Where more lie within the tolerance than are allowed,
-those that come first are taken, near or touching. Bumps: rms of the vertical acceleration in {ROLLING:g} s. Average /
-worst of contacts and times:
+A plate rolls on its rim over the ground for {ROLLING:g} s, then begins to wobble and falls ({seconds:.1f} s in all;
+scene `rolling_plate`). Contacts are detected within the detection tolerance. The rim is a polygon of 120 corners, so
+few of them are that near. {verdict if equal else ""}If more samples are within the tolerance than the limit allows, the
+first ones found are listed, whether near or touching. Bumps: rms of the vertical acceleration in the first {ROLLING:g}
+s. Contacts and times are average / worst:
 
 {markdown_table(
-    ("tolerance, contacts a pair", "contacts", f"energy lost in {ROLLING:g} s, %", "bumps, m/s²",
+    ("tolerance, contact limit", "contacts", f"energy lost in {ROLLING:g} s, %", "bumps, m/s²",
      f"off the path with {MANY}: in {ROLLING:g} s, mm", "at any time, mm", "collision, ms", "whole step, ms"), rows)}"""
 
 

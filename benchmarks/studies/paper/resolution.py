@@ -1,4 +1,4 @@
-"""Section 7.2: what surface and interior resolution cost, on the reference sphere of Fig. 11."""
+"""Section 7.2: cost of surface and interior resolution, on the reference sphere of Fig. 11."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ VARIANTS = ("reference_sphere", "reference_sphere:fine_surface", "reference_sphe
 
 
 class Size(NamedTuple):
-    seeds: int  # runs with other cracks
+    seeds: int  # runs with different cracks
     cracks: tuple[str, ...]
     duration: float | None  # [s]
     variants: tuple[str, ...] = VARIANTS
-    repeats: int = 1  # of each run
+    repeats: int = 1  # per run
 
 
 def trials(size: Size) -> list[Trial]:
-    # in turns, so that a slow minute of the machine is not one variant's
+    # interleaved, so that a slow minute of the machine does not hit one variant alone
     return [
         _trial(size, variant, cracks, seed)
         for seed in range(1, size.seeds + 1)
@@ -112,14 +112,14 @@ def section(tables: Mapping[str, Table]) -> str:
         ))  # fmt: skip
     runs, repeats = tables[""].rows[0]["runs"], tables[""].rows[0]["repeats"]
     return f"""\
-The reference sphere falls and breaks, in {runs} runs with other cracks each. Queries are those of the steps after the
-first fracture. {in_words(repeats)} Average / worst:
+The reference sphere falls and breaks, in {runs} runs with different cracks. Queries are those after the first fracture.
+{in_words(repeats)} Average / worst:
 
 {markdown_table(("sphere; cracks", "fractures", "contacts", "visited nodes", "update, ms", "paper", "query, ms",
                  "paper"), rows)}"""
 
 
 STUDY = Study(
-    "resolution", "Resolution of surface and inside (section 7.2)", Size(2, ("flat",), 0.6),
+    "resolution", "Surface and interior resolution (section 7.2)", Size(2, ("flat",), 0.6),
     Size(10, ("flat", "curved"), None, repeats=3), trials, tables, {"": draw}, section,
 )  # fmt: skip

@@ -19,16 +19,16 @@ SIZES = ("object", "bodies", "triangles", "tetrahedra", "points", "interior_poin
 TOTALS = ("triangles_before", "triangles_after", "fragments")
 SUMMARIES = ("contacts", "colliding_points", "pairs", "total_ms", "collision_ms", "physics_ms", "update_ms",
              "fracture_ms")  # fmt: skip
-# Colliding points are counted in these; the paper has none of its interactive scenes.
+# Scenes in which colliding points are counted; the paper has no counts for its interactive scenes.
 COUNTED = ("piggy_bank", "drop_bunnies", "bricks")
 
 
 class Size(NamedTuple):
-    curved: tuple[str, ...]  # scenes that run with curved cracks too
-    counted: tuple[str, ...]  # kinds of cracks with which colliding points are counted
+    curved: tuple[str, ...]  # scenes that also run with curved cracks
+    counted: tuple[str, ...]  # kinds of cracks for which colliding points are counted
     scenes: tuple[str, ...] = SCENES
     duration: float | None = None  # [s]
-    repeats: int = 1  # of each timed run
+    repeats: int = 1  # per timed run
 
     @property
     def runs(self) -> list[tuple[str, str]]:
@@ -74,7 +74,7 @@ def tables(size: Size, results: Mapping[Trial, Any]) -> dict[str, list[Row]]:
 
 
 def draw(tables: Mapping[str, Table]) -> Figure:
-    """The whole step of each scene, beside the paper's."""
+    """The whole step of each scene, next to the paper's."""
     table = tables[""]
     scenes = table.values("scene")
     figure, ((axes,),) = new_figure(1, 1, width=9.0, height=3.8)
@@ -116,18 +116,18 @@ def section(tables: Mapping[str, Table]) -> str:
             *(average_and_worst(row, f"{part}_ms") for part in ("collision", "physics", "update", "fracture")),
         ))  # fmt: skip
     return f"""\
-The paper's own figures stand in brackets where its text says them; the cells of its tables are pictures. Its times are
-of one core of a Core i7-2600 at 3.4 GHz: a mark to stay below, no comparison of code. One thread here too.
+The paper's figures are in brackets where its text gives them; its tables are images. Its times are from one core of a
+Core i7-2600 at 3.4 GHz: a limit to stay below, not a comparison of code. Our times are on one thread too.
 {in_words(rows[0]["repeats"])}
 
-**Table 1**, sizes of the objects
+**Table 1:** sizes of the objects
 
-{markdown_table(("scene", "object", "bodies", "triangles", "tetrahedra", "points", "of these inside"), sizes.values())}
-**Table 2**, statistics; of a step: average / worst
+{markdown_table(("scene", "object", "bodies", "triangles", "tetrahedra", "points", "interior points"), sizes.values())}
+**Table 2:** statistics, average / worst per step
 
 {markdown_table(("scene, cracks", "triangles before", "after", "fragments", "fractures", "contacts", "colliding points",
                  "close pairs"), statistics)}
-**Table 3**, milliseconds a step: average / worst; update and fracture computation in the steps that have them
+**Table 3:** ms per step, average / worst; update and fracture computation in the steps that have them
 
 {markdown_table(("scene, cracks", "time step", "whole step", "collision detection", "physics", "update",
                  "fracture computation"), times)}"""
