@@ -37,11 +37,12 @@ test: build lint ## all tests but the slow ones, and lint
 test-full: build lint ## all tests, the slow ones too
 	@$(PYTEST)
 
-lint: $(STAMPS)/messages ## style, spelling, one-way imports, arithmetic that is the same on every processor
+lint: $(STAMPS)/messages ## style, spelling, sizes, one-way imports, arithmetic that is the same on every processor
 	@$(BIN)/ruff check .
 	@$(BIN)/codespell
 	@$(BIN)/lint-imports --no-cache
 	@$(BIN)/python -m lint.portable_arithmetic
+	@$(BIN)/python -m lint.sizes
 
 peers: build $(STAMPS)/peers ## ours beside the libraries people would use instead: table, ratios and out/peers.csv, some minutes
 	@$(BIN)/python -m benchmarks.peers

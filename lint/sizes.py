@@ -1,0 +1,53 @@
+"""Folders that can be scanned and files that can be read in one go: limits, and the files that exceed them.
+
+A folder has at most FILES Python files, a file at most LINES lines.
+
+    python -m lint.sizes
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+PLACES = ("fracture_collision", "test", "benchmarks", "campaigns", "lint", "bags", "examples", "launch")
+FILES, LINES = 15, 350
+
+# Files that are longer, and are to be split: none may be added.
+LONGER = {
+    "fracture_collision/core/bodies/collision_geometry.py",
+    "fracture_collision/core/bodies/pool_compaction.py",
+    "fracture_collision/core/edges/ridge_contacts.py",
+    "fracture_collision/core/field/flood.py",
+    "fracture_collision/core/fracture/fracture_update.py",
+    "fracture_collision/core/pair/narrow_phase.py",
+    "fracture_collision/core/search/sample_search.py",
+    "fracture_collision/ros/nodes/page_node.py",
+    "fracture_collision/simulation/simulation.py",
+    "test/search/test_lookahead.py",
+    "test/simulation/test_simulation_fracture.py",
+}
+
+
+def problems(root: Path = ROOT) -> list[str]:
+    """A line for each folder or file beyond its limit, and for each file of LONGER that no longer is."""
+    found, needed = [], set()
+    files = [file for place in PLACES for file in sorted((root / place).rglob("*.py"))]
+    for folder in sorted({file.parent for file in files}):
+        count = sum(file.parent == folder and file.stat().st_size > 0 for file in files)
+        if count > FILES:
+            found.append(f"{folder.relative_to(root)}: {count} files, more than {FILES}")
+    for file in files:
+        name, lines = str(file.relative_to(root)), len(file.read_text(encoding="utf-8").splitlines())
+        if lines > LINES:
+            needed.add(name)
+            if name not in LONGER:
+                found.append(f"{name}: {lines} lines, more than {LINES}")
+    return found + [f"{name}: short enough, remove it from LONGER" for name in sorted(LONGER - needed)]
+
+
+if __name__ == "__main__":
+    told = problems()
+    print("\n".join(told) or "Sizes: kept")
+    sys.exit(bool(told))
