@@ -128,6 +128,24 @@ def test_an_answer_is_compared_with_all_there_is(stage: Stage) -> None:
     assert figures.collision_ms == 0.7 and not figures.is_replayed
 
 
+def test_contacts_of_a_time_to_come_do_not_collide(stage: Stage) -> None:
+    settings = SETTINGS._replace(lookahead=0.1)
+    states = stage.states(5)
+    places = np.reshape(states.positions, (-1, 3))
+    states = states._replace(linear_velocities=(3.0 * (places.mean(axis=0) - places)).ravel())
+    answer = with_settings(stage.case, settings).contacts(states)
+    touching = with_settings(stage.case, SETTINGS).contacts(states)
+    assert len(answer.gaps) > len(touching.gaps)
+    stage.mirror.hear_settings(settings._asdict())
+    stage.mirror.want(BOTH)
+    stage.mirror.hear_states(Received(Heading(5, 0, "world"), RUN, states))
+    stage.mirror.hear_contacts(answer)
+    while (figures := stage.next_view().figures) is None:  # views from before the answer
+        pass
+    assert figures.contacts == len(touching.gaps)
+    assert figures.colliding == len(every_contact(with_settings(stage.case, TRUE), states).gaps)
+
+
 def test_settings_show_at_once_also_while_the_scene_stands(stage: Stage) -> None:
     stage.mirror.want(BOTH)
     stage.mirror.hear_paused(True)

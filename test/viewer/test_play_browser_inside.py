@@ -68,14 +68,13 @@ def test_a_person_looks_inside(scene: tuple[Any, LivePage]) -> None:
         # while paused, they show the effect of a changed setting
         page.get_by_label("pause").check()
         scene.until(lambda: scene.status.paused, "a pause")
+        drawn = shown_plots(page)
         knob(page, "contacts a pair").fill("1")
         page.get_by_text("asked of a copy here").wait_for()
-        knob(page, "epsilon, share of R").fill("0")
-        until(lambda: unlisted_and_promised(page), lambda depths: depths[0] == 0.0)
-        (exact, colliding), drawn = listed_and_colliding(page), shown_plots(page)
-        knob(page, "epsilon, share of R").fill("0.02")
-        deep, promised = until(lambda: unlisted_and_promised(page), lambda depths: depths[0] > 0.0)
-        assert deep <= promised
-        few, still = until(lambda: listed_and_colliding(page), lambda counts: counts[0] < exact)
-        assert still == colliding
+        few, colliding = until(lambda: listed_and_colliding(page), lambda counts: counts[0] < counts[1])
+        unlisted, promised = unlisted_and_promised(page)
+        assert unlisted <= promised
+        knob(page, "contacts a pair").fill("32")
+        more, still = until(lambda: listed_and_colliding(page), lambda counts: counts[0] > few)
+        assert still == colliding >= more
         until(lambda: shown_plots(page), lambda plots: plots != drawn)

@@ -202,7 +202,10 @@ class Mirror:
 
     def _world(self, job: _Job) -> CollisionWorld:
         """With the job's bodies and events applied."""
-        truth = job.settings._replace(field="exact", normals="nearest", threads=1, neighbour_lists=False)
+        # contacts of a time to come collide with nothing now
+        truth = job.settings._replace(
+            field="exact", normals="nearest", lookahead=0.0, threads=1, neighbour_lists=False
+        )
         if self._run is None or self._run.run_id != job.run_id:
             self._run, self._fed = CollisionRun(job.run_id, truth), 0
         if self._run.world.settings != truth:
@@ -239,10 +242,12 @@ class Mirror:
 
 def _figures(job: _Job, world: CollisionWorld, here: Present) -> InsideFigures:
     states, answer, collision_ms = job.states.record, job.answer, job.collision_ms
-    if answer is None:
+    if answer is None or job.settings.lookahead:
+        # without the contacts of a time to come, the service's answer is this one
         chosen = {name: getattr(job.settings, name) for name in ANSWER_SETTINGS}
         answer = asked_with(world, states, **chosen)
-        collision_ms = 1e3 * (world.last_timings["broad_phase"] + world.last_timings["narrow_phase"])
+        if job.answer is None:
+            collision_ms = 1e3 * (world.last_timings["broad_phase"] + world.last_timings["narrow_phase"])
     every = every_contact(world, states)
     errors = errors_of(answer, every, world, world.present(states), job.settings.penetration_tolerance)
     head = job.states.heading
