@@ -8,11 +8,12 @@ from scipy.spatial.transform import Rotation
 from worlds.fractured_worlds import FracturedWorld, fractured_world, with_settings
 from worlds.hard_worlds import tetrahedral_body
 
-from fracture_collision.core.lookahead.motion import put_pose, put_way
+from fracture_collision.core.lookahead.motion import Motion, put_pose, put_way
 from fracture_collision.core.lookahead.staying_apart import least_gap_ahead
 from fracture_collision.core.memory import kinds
-from fracture_collision.core.memory.pools import SIZE
+from fracture_collision.core.memory.pools import SIZE, Pools
 from fracture_collision.core.pair import narrow_phase
+from fracture_collision.core.search.scratch import Scratch
 from fracture_collision.core.separation.approach import WAY, nearer_along
 from fracture_collision.geometry.generators import ball, brick, shell
 from fracture_collision.records import (
@@ -131,11 +132,7 @@ def test_a_gap_is_never_less_than_what_is_known_of_it(
     case: FracturedWorld, spin: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The lower bound along random directions against the gap at 200 times; without spin it equals their minimum."""
-    asked = []
-    monkeypatch.setattr(collision_world, "query_pairs", lambda *a: asked.append(a) or narrow_phase.query_pairs(*a))
-    world = with_others(case, SETTINGS)
-    world.contacts(thrown(case, 0, spin))
-    (pools, rows, rotations, positions, pairs), scratch, motion = asked[0][:5], asked[0][10], asked[0][16]
+    (pools, rows, rotations, positions, pairs), scratch, motion = _query(case, spin, monkeypatch)
     random, known = np.random.default_rng(1), []
     for i, j in pairs[:40]:
         a, b = rows[i], rows[j]
@@ -145,8 +142,7 @@ def test_a_gap_is_never_less_than_what_is_known_of_it(
         n /= np.linalg.norm(n)
         ways = []
         for f, k, sign in ((a, i, 1.0), (b, j, -1.0)):
-            begin, end = pools.fragment.tree_begin[f], pools.fragment.tree_end[f]
-            points = pools.tree.spheres[begin:end][pools.tree.entries[begin:end, SIZE] == 1, :3]
+            points = _leaf_points(pools, f)
             ways.append([])
             for t in np.linspace(0.0, AHEAD, 200):
                 turn, place = np.zeros((3, 3)), np.zeros(3)
@@ -167,18 +163,13 @@ def test_no_point_comes_nearer_than_its_way_says(
     case: FracturedWorld, spin: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Relative motion along random directions against 200 times of a part of AHEAD; without spin the bound is exact."""
-    asked = []
-    monkeypatch.setattr(collision_world, "query_pairs", lambda *a: asked.append(a) or narrow_phase.query_pairs(*a))
-    with_others(case, SETTINGS).contacts(thrown(case, 0, spin))
-    (pools, rows, rotations, positions, pairs), motion = asked[0][:5], asked[0][16]
+    (pools, rows, rotations, positions, pairs), _, motion = _query(case, spin, monkeypatch)
     random, way, unused = np.random.default_rng(2), np.zeros(WAY), []
     start, time = 0.3 * AHEAD, 0.4 * AHEAD
     for i, j in pairs[:40]:
         if pools.fragment.kind[rows[i]] in {kinds.PLANE, kinds.SPHERE}:
             continue
-        begin, end = pools.fragment.tree_begin[rows[i]], pools.fragment.tree_end[rows[i]]
-        points = pools.tree.spheres[begin:end][pools.tree.entries[begin:end, SIZE] == 1, :3]
-        seen = []
+        points, seen = _leaf_points(pools, rows[i]), []
         for t in np.linspace(start, start + time, 200):
             own, other = (np.zeros((3, 3)), np.zeros(3)), (np.zeros((3, 3)), np.zeros(3))
             put_pose(motion, rotations, positions, i, t, *own)
@@ -193,6 +184,22 @@ def test_no_point_comes_nearer_than_its_way_says(
             assert spin > 0.0 or most < nearer + 1e-9
             unused.append(most - nearer)
     assert len(unused) > 50
+
+
+def _query(
+    case: FracturedWorld, spin: float, monkeypatch: pytest.MonkeyPatch
+) -> tuple[tuple[Pools, np.ndarray, np.ndarray, np.ndarray, np.ndarray], Scratch, Motion]:
+    """What query_pairs gets: (pools, rows, rotations, positions, pairs), scratch and motion."""
+    asked = []
+    monkeypatch.setattr(collision_world, "query_pairs", lambda *a: asked.append(a) or narrow_phase.query_pairs(*a))
+    with_others(case, SETTINGS).contacts(thrown(case, 0, spin))
+    return asked[0][:5], asked[0][10], asked[0][16]
+
+
+def _leaf_points(pools: Pools, row: int) -> np.ndarray:
+    """(n, 3) float64 [m]: points of the leaves of a fragment's tree."""
+    begin, end = pools.fragment.tree_begin[row], pools.fragment.tree_end[row]
+    return pools.tree.spheres[begin:end][pools.tree.entries[begin:end, SIZE] == 1, :3]
 
 
 def slow_way(now: CollisionWorld, states: FragmentStates) -> tuple[dict[tuple[int, int], float], set[tuple[int, int]]]:
