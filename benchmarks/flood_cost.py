@@ -104,7 +104,7 @@ def place(pools, fragment, points, tets, rows):
 def flood(pools, rows, tets, points, limits, scratch, depths):
     for i in range(len(points)):
         x, y, z = points[i]
-        best = nearest_from_inside(pools, rows[i], tets[i], x, y, z, limits[i], EVERYTHING, scratch, 0)
+        best = nearest_from_inside(pools, rows[i], tets[i], (x, y, z), limits[i], EVERYTHING, scratch)
         depths[i] = math.sqrt(best[0])
 
 
@@ -114,13 +114,13 @@ def rings(pools, rows, tets, points, limits, scratch, depths):
 
     The result is equally exact: every tetrahedron nearer than the best distance so far is visited, in any order.
     """
-    mesh, visited = pools.mesh, scratch.visited[0]
-    keys, items = scratch.heap_key[0], scratch.heap_tet[0]
+    mesh, visited = pools.mesh, scratch.visited
+    keys, items = scratch.heap_key, scratch.heap_tet
     taken = 0
     for i in range(len(points)):
         x, y, z = points[i]
         best = nothing_within(limits[i])
-        stamp = next_stamp(scratch, 0)
+        stamp = next_stamp(scratch)
         keys[0], items[0], visited[tets[i]] = 0.0, tets[i], stamp
         first, behind = 0, 1
         while first < behind:
@@ -174,7 +174,7 @@ def measure_nodes(pools, shift, scratch, nearest):
         if not pools.mesh.on_surface[v]:
             t = pools.mesh.node_tets[pools.mesh.node_tets_begin[v]]
             f = pools.body.node_fragment[row]
-            best = nearest_from_inside(pools, f, t, x, y, z, math.inf, EVERYTHING, scratch, 0)
+            best = nearest_from_inside(pools, f, t, (x, y, z), math.inf, EVERYTHING, scratch)
             nearest[row, 0], nearest[row, 1], nearest[row, 2] = best[1], best[2], best[3]
             floods += 1
     return floods
@@ -195,7 +195,7 @@ def main() -> None:
 
 def measure(case: FracturedWorld) -> list[Cost]:
     pools = case.geometry.pools
-    scratch = make_scratch(1, len(pools.mesh.tetrahedra), 8)
+    scratch = make_scratch(len(pools.mesh.tetrahedra), 8)
     places = inside(case)
     shift = int(pools.fragment.node_shift[case.row(case.oracle.fragment_ids[0])])
     exact = np.zeros((len(pools.body.node_field), 3))

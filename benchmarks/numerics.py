@@ -15,7 +15,8 @@ from oracles.voronoi_cells import against_voronoi_cells  # noqa: E402
 from worlds.fractured_worlds import SETTINGS, FracturedWorld, fractured_world  # noqa: E402
 from worlds.rigid_shapes import RigidShape, cube, l_block, noisy_ball, torus, true_distance  # noqa: E402
 
-from fracture_collision.core.bodies.collision_geometry import CollisionGeometry, prepare_surface  # noqa: E402
+from fracture_collision.core.bodies.collision_geometry import CollisionGeometry  # noqa: E402
+from fracture_collision.core.bodies.prepared import prepare_surface  # noqa: E402
 from fracture_collision.core.field.elementary_queries import INSIDE, OUTSIDE, probe  # noqa: E402
 from fracture_collision.core.memory.pools import OWNER, PARTED  # noqa: E402
 from fracture_collision.core.mesh.point_location import owner_in_tetrahedron  # noqa: E402
@@ -111,11 +112,11 @@ def _points_within(case: FracturedWorld) -> np.ndarray:
 def _field(case: FracturedWorld, radius: float) -> tuple[int, float]:
     points = _points_within(case)
     owners = case.oracle.owner(points)
-    scratch = make_scratch(1, len(case.oracle.tetrahedra), 8)
+    scratch = make_scratch(len(case.oracle.tetrahedra), 8)
     wrong, error = 0, 0.0
     for fragment in case.oracle.fragment_ids:
         own = owners == fragment
-        answers = [probe(case.geometry.pools, case.row(fragment), *p, 0.0, np.inf, scratch, 0)[:2] for p in points]
+        answers = [probe(case.geometry.pools, case.row(fragment), tuple(p), 0.0, np.inf, scratch)[:2] for p in points]
         wrong += sum((status == INSIDE) != mine for (status, _), mine in zip(answers, own, strict=True))
         if not own.any():
             continue
@@ -153,11 +154,11 @@ def _steps(case: FracturedWorld) -> int:
     points = np.einsum("nij,ni->nj", mesh.nodes[nodes[chosen]], random.dirichlet(np.ones(3), POINTS_OF_FACES))
     before, behind = before[chosen], mesh.neighbours[before[chosen], face[chosen]]
     sides = np.column_stack((_owners(pools, row, before, points), _owners(pools, row, behind, points)))
-    scratch, near = make_scratch(1, len(mesh.tetrahedra), 8), ON_SURFACE * pools.fragment.radius[row]
+    scratch, near = make_scratch(len(mesh.tetrahedra), 8), ON_SURFACE * pools.fragment.radius[row]
     steps = 0
     for i in np.flatnonzero(sides[:, 0] != sides[:, 1]).tolist():
         # on a crack that lies in the face, either owner is correct
-        answers = (probe(pools, owner, *points[i], near, np.inf, scratch, 0)[:2] for owner in sides[i].tolist())
+        answers = (probe(pools, owner, tuple(points[i]), near, np.inf, scratch)[:2] for owner in sides[i].tolist())
         steps += not all(status != OUTSIDE and abs(distance) <= near for status, distance in answers)
     return steps
 
@@ -223,8 +224,8 @@ def _triangle_field(shape: RigidShape) -> tuple[float, int]:
     weights = random.dirichlet(np.ones(3), 1000)
     near = np.einsum("ij,ijk->ik", weights, shape.corners[random.integers(0, len(shape.corners), 1000)])
     points = near + random.normal(size=near.shape) * 10.0 ** random.uniform(-6, 0, (1000, 1))
-    scratch = make_scratch(1, 1, 8)
-    measured = np.array([probe(geometry.pools, 0, *p, np.inf, np.inf, scratch, 0)[1] for p in points])
+    scratch = make_scratch(1, 8)
+    measured = np.array([probe(geometry.pools, 0, tuple(p), np.inf, np.inf, scratch)[1] for p in points])
     expected = true_distance(shape, points)
     return float(np.abs(np.abs(measured) - np.abs(expected)).max()), int((measured * expected < 0.0).sum())
 

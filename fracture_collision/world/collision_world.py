@@ -9,26 +9,23 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.core.bodies.collision_geometry import CollisionGeometry
-from fracture_collision.core.edges.ridge_contacts import (
-    MOST_CROSSINGS,
-    NO_RIDGE_SEARCH,
-    RidgeSearch,
-    RidgeWork,
-    make_ridge_work,
-)
+from fracture_collision.core.contacts.contact_choice import Rule
+from fracture_collision.core.edges.ridges import NO_RIDGES, Ridges
 from fracture_collision.core.lookahead.motion import NO_MOTION, Motion, fastest, motion_of
 from fracture_collision.core.memory.crew import Crew
+from fracture_collision.core.memory.pair import Step
 from fracture_collision.core.mesh.surface_elements import ElementTable
 from fracture_collision.core.pair.broad_phase import NOTHING_PAIRED, Paired, pairs_within_reach
 from fracture_collision.core.pair.narrow_phase import (
     NOTHING_REMEMBERED,
+    UNLIMITED,
     Remembered,
+    Scene,
     WorkLimits,
     query_pairs,
 )
+from fracture_collision.core.pair.pair_search import Geometry
 from fracture_collision.core.search.scratch import Scratch, scratch_for
-from fracture_collision.core.surfaces.surface_certificate import make_surface_work
-from fracture_collision.core.surfaces.surface_pass import Surfaces
 from fracture_collision.records import (
     CollisionBody,
     ContactConstraintArray,
@@ -85,11 +82,10 @@ class CollisionWorld:
         self._registry = Registry(self.settings)
         self._built_for = geometry_settings(self.settings)
         self._crew = _crew_of(self.settings)
-        self._scratch: Scratch | None = None
+        self._scratch: tuple[Scratch, ...] = ()
         # Caches of the last answer, each with the state it is valid for; they speed up the next one, never change it
         self._remembered, self._remembered_of = NOTHING_REMEMBERED, self._what_is_remembered_of()
         self._surfaces, self._surfaces_of = None, self._what_is_remembered_of()
-        self._ridge_work: RidgeWork | None = None
         self._paired, self._paired_of = NOTHING_PAIRED, self._asked_of()
         self._answered = _NOTHING_ANSWERED
         self.last_timings: dict[str, float] = {"update": 0.0, "broad_phase": 0.0, "narrow_phase": 0.0}  # [s]
@@ -125,7 +121,7 @@ class CollisionWorld:
         """
         check_settings(settings)
         if settings.threads != self.settings.threads:
-            self._crew, self._scratch = _crew_of(settings), None
+            self._crew, self._scratch = _crew_of(settings), ()
         self._ledger.change_limits(settings)
         self._remembered, self._answered = NOTHING_REMEMBERED, _NOTHING_ANSWERED
         self.settings = settings
@@ -147,9 +143,8 @@ class CollisionWorld:
         here = take_places(checked, self._registry.living(), moving)
         rows, positions, rotations = here.rows, here.positions, here.rotations
         pools = self._registry.geometry.pools
-        edges = self._edges_to_search(rows)
-        crossings = MOST_CROSSINGS if edges is not NO_RIDGE_SEARCH else 0
-        self._scratch = scratch_for(pools, rows, self._crew.threads, self._scratch, crossings)
+        edges = self._edges_to_search()
+        self._scratch = scratch_for(pools, rows, self._crew.threads, self._scratch, edges)
         motion = self._motion_of(here)
         radius, paired = pairs_within_reach(
             pools.fragment, rows, rotations, positions, motion, here.is_static, self.settings.detection_tolerance,
@@ -163,14 +158,13 @@ class CollisionWorld:
             )
         pairs_found = perf_counter()
         remembered = self._take_remembered() if self.settings.neighbour_lists else None
-        budget = max(self.settings.visit_budget // len(pairs), 1) if self.settings.visit_budget and len(pairs) else 0
-        found, now_remembered = query_pairs(
-            pools, rows, rotations, positions, pairs, self.settings.contacts_per_pair, most_listed(self.settings),
-            self.settings.penetration_tolerance, self.settings.detection_tolerance, budget,
-            self._scratch, self._crew, remembered, self._registry.changes,
-            _work_limits(self.settings), paired.overlaps, motion, self._surfaces_to_search(),
-            edges,
+        scene = Scene(
+            Geometry(pools, edges), Step(rows, rotations, positions, pairs), motion, paired.overlaps,
+            self._surfaces_to_search(), self._registry.changes,
         )  # fmt: skip
+        found, now_remembered = query_pairs(
+            scene, _rule(self.settings), self._scratch, self._crew, remembered, _work_limits(self.settings, len(pairs))
+        )
         answer = contact_answer(checked, here, radius, pairs, found, self.settings.penetration_tolerance)
         if remembered is not None:
             self._remembered, self._paired = now_remembered, paired
@@ -275,25 +269,17 @@ class CollisionWorld:
         self._remembered, self._remembered_of = NOTHING_REMEMBERED, holds_for
         return remembered
 
-    def _edges_to_search(self, rows: np.ndarray) -> RidgeSearch:
-        """Ridges of all fragments, with buffers large enough for those of `rows`."""
-        if not has_edges(self.settings):
-            return NO_RIDGE_SEARCH
-        ridges, threads = self._registry.geometry.ridges, self._crew.threads
-        most = int(ridges.count[rows].max(initial=0))
-        work = self._ridge_work
-        if work is None or len(work.worst) != threads or work.worst.shape[1] < most:
-            work = self._ridge_work = make_ridge_work(threads, 2 * most)
-        return RidgeSearch(ridges, work)
+    def _edges_to_search(self) -> Ridges:
+        """Ridges of all fragments; none where their crossings are not searched."""
+        return self._registry.geometry.ridges if has_edges(self.settings) else NO_RIDGES
 
-    def _surfaces_to_search(self) -> Surfaces | None:
+    def _surfaces_to_search(self) -> ElementTable | None:
         """Surface elements, built on demand and kept as long as rows keep their numbers."""
         if self.settings.surfaces != SEARCHED:
             return None
         holds_for = self._what_is_remembered_of()
-        threads = self._crew.threads
-        if self._surfaces is None or self._surfaces_of != holds_for or len(self._surfaces.work.best) != threads:
-            self._surfaces, self._surfaces_of = Surfaces(ElementTable(), make_surface_work(threads)), holds_for
+        if self._surfaces is None or self._surfaces_of != holds_for:
+            self._surfaces, self._surfaces_of = ElementTable(), holds_for
         return self._surfaces
 
     def _what_is_remembered_of(self) -> tuple[Registry, int, Settings]:
@@ -312,9 +298,18 @@ def _copy_of(answer: ContactConstraintArray) -> ContactConstraintArray:
     return ContactConstraintArray(*[v.copy() if isinstance(v, np.ndarray) else v for v in answer])
 
 
-def _work_limits(settings: Settings) -> WorkLimits:
+def _rule(settings: Settings) -> Rule:
+    return Rule(
+        settings.contacts_per_pair, most_listed(settings), settings.penetration_tolerance,
+        settings.detection_tolerance, UNLIMITED,
+    )  # fmt: skip
+
+
+def _work_limits(settings: Settings, pairs: int) -> WorkLimits:
+    """Limits for a step of so many pairs."""
+    budget = max(settings.visit_budget // pairs, 1) if settings.visit_budget and pairs else 0
     return WorkLimits(
-        settings.max_visits, settings.max_further_visits,
+        budget, settings.max_visits, settings.max_further_visits,
         max(settings.max_contacts_per_pair, settings.contacts_per_pair), settings.max_contacts,
     )  # fmt: skip
 

@@ -158,7 +158,7 @@ def field_on_plane(
     columns, rows = (max(math.ceil((high[k] - low[k]) / cell), 1) for k in range(2))
     owners, depths = np.full((rows, columns), NOBODY), np.full((rows, columns), -np.inf)
     shared = np.zeros((rows, columns), dtype=bool)
-    scratch = make_scratch(1, len(pools.mesh.tetrahedra), 1)
+    scratch = make_scratch(len(pools.mesh.tetrahedra), 1)
     for i in np.flatnonzero(cut).tolist():
         first = np.floor((boxes[i, :3][across] - low) / cell).astype(int).clip(0, (columns, rows))
         last = np.ceil((boxes[i, 3:][across] - low) / cell).astype(int).clip(0, (columns, rows))
@@ -180,7 +180,7 @@ def field_on_plane(
 def _depths_inside(pools, row, points, depths, scratch):
     """Depth (n,) [m] of points (n, 3) [m] in the body frame of fragment `row`; minus infinity outside."""
     for i in range(len(points)):
-        answer = probe(pools, row, points[i, 0], points[i, 1], points[i, 2], 0.0, math.inf, scratch, 0)
+        answer = probe(pools, row, (points[i, 0], points[i, 1], points[i, 2]), 0.0, math.inf, scratch)
         depths[i] = -answer[1] if answer[0] == INSIDE else -math.inf
 
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.core.memory.compiled import kernel
-from fracture_collision.core.pair.narrow_phase import put_rotation
+from fracture_collision.core.memory.rotations import put_rotation
 from fracture_collision.world.gates.states_gate import CheckedStates
 from fracture_collision.world.living_fragments import Columns
 

@@ -141,10 +141,10 @@ def test_depth_is_eq_1_local_surfaces_and_the_grids_cap(case: FracturedWorld) ->
     cap = RegularGridInterpolator(axes, interior.depth.reshape(interior.dims))
     points = _points_within(case, 200)
     owners, tets = case.oracle.owner(points), case.oracle.locate(points)
-    scratch = make_scratch(1, len(case.oracle.tetrahedra), 8)
+    scratch = make_scratch(len(case.oracle.tetrahedra), 8)
     capped, cut = 0, 0
     for x, fragment, t in zip(points, owners.tolist(), tets.tolist(), strict=True):
-        status, distance, *rest = probe(case.geometry.pools, case.row(fragment), *x, 0.0, np.inf, scratch, 0)
+        status, distance, *rest = probe(case.geometry.pools, case.row(fragment), tuple(x), 0.0, np.inf, scratch)
         depth, direction = twins.slow.penetration(fragment, t, x)
         limit = max(float(cap(x)[0]), 0.0)
         assert status == INSIDE and distance <= 0.0
@@ -173,7 +173,7 @@ def _assert_certain(case: FracturedWorld) -> int:
     number of points."""
     points = _points_within(case, 400)
     owners = case.oracle.owner(points)
-    scratch = make_scratch(1, len(case.oracle.tetrahedra), 8)
+    scratch = make_scratch(len(case.oracle.tetrahedra), 8)
     asked = 0
     for fragment in case.oracle.fragment_ids:
         own = points[owners == fragment]
@@ -181,7 +181,7 @@ def _assert_certain(case: FracturedWorld) -> int:
             continue
         true, _ = case.oracle.depth(fragment, own, ALL_KINDS)
         pools, row = case.geometry.pools, case.row(fragment)
-        most = [bounded_probe(pools, row, *x, 0.0, np.inf, -1, False, scratch, 0)[8] for x in own]
+        most = [bounded_probe(pools, row, tuple(x), 0.0, np.inf, -1, False, scratch).most_depth for x in own]
         assert (np.array(most) >= true - ROUNDING).all()
         asked += len(own)
     field = case.geometry.pools.body.node_field

@@ -33,7 +33,7 @@ def _fragments(shape: str, beside: float, seed: int) -> tuple[Pools, Scratch, li
         nodes = pools.mesh.nodes[random.integers(0, len(pools.mesh.nodes), 100)]
         anywhere = random.uniform(box[:3] - beside, box[3:] + beside, (500, 3))
         fragments.append((f, np.vstack([anywhere, nodes])))
-    return pools, make_scratch(1, len(pools.mesh.tetrahedra), 1), fragments
+    return pools, make_scratch(len(pools.mesh.tetrahedra), 1), fragments
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -44,8 +44,8 @@ def test_what_is_said_to_be_far_is(shape: str) -> None:
         assert may_be_clear(pools, f)
         last = -1
         for point in points:
-            least, last = clearance(pools, f, last, *point, WITHIN, ROUNDING, scratch, 0)
-            status, distance = probe(pools, f, *point, 10.0, np.inf, scratch, 0)[:2]
+            least, last = clearance(pools, f, last, tuple(point), WITHIN, ROUNDING, scratch)
+            status, distance = probe(pools, f, tuple(point), 10.0, np.inf, scratch)[:2]
             assert least == 0.0 or (status != INSIDE and WITHIN <= least <= distance)
             far += status != INSIDE and distance > 1.1 * WITHIN
             said += least > 0.0
@@ -60,7 +60,7 @@ def test_what_is_said_to_be_inside_or_beyond_is(shape: str) -> None:
         last = -1
         for point in points:
             side, last = side_of_surface(pools, f, last, *point, DEPTH, ROUNDING)
-            status, distance = probe(pools, f, *point, 1.0, np.inf, scratch, 0)[:2]
+            status, distance = probe(pools, f, tuple(point), 1.0, np.inf, scratch)[:2]
             is_inside = status == INSIDE
             assert side != BEYOND or not is_inside
             assert side != DEEP or (is_inside and -distance > DEPTH)
@@ -72,9 +72,11 @@ def test_what_is_said_to_be_inside_or_beyond_is(shape: str) -> None:
 def test_no_answer_is_better_than_one_about_a_point_that_is_not_known_well() -> None:
     case = fractured_world(SHAPES["ball"][0], 4)
     pools, f = case.geometry.pools, case.row(case.oracle.fragment_ids[0])
-    scratch = make_scratch(1, len(pools.mesh.tetrahedra), 1)
+    scratch = make_scratch(len(pools.mesh.tetrahedra), 1)
     points = np.random.default_rng(6).normal(size=(200, 3)) * 0.5
-    told = [clearance(pools, f, -1, *p, WITHIN, rounding, scratch, 0)[0] for rounding in (1e-9, 0.05) for p in points]
+    told = [
+        clearance(pools, f, -1, tuple(p), WITHIN, rounding, scratch)[0] for rounding in (1e-9, 0.05) for p in points
+    ]
     exact, vague = np.array(told).reshape(2, -1)
     assert (vague > 0.0).sum() < (exact > 0.0).sum()
     assert (exact[vague > 0.0] > 0.0).all() and (vague <= exact).all()

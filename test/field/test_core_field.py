@@ -42,24 +42,24 @@ def _points_within(case: FracturedWorld, count: int) -> np.ndarray:
 def test_every_point_has_the_oracles_owner(case: FracturedWorld) -> None:
     points = _points_within(case, 400)
     owners = case.oracle.owner(points)
-    scratch = make_scratch(1, len(case.oracle.tetrahedra), 8)
+    scratch = make_scratch(len(case.oracle.tetrahedra), 8)
     for fragment in case.oracle.fragment_ids:
         row = case.row(fragment)
-        inside = [inside_tetrahedron(case.geometry.pools, row, *p, scratch, 0) >= 0 for p in points]
+        inside = [inside_tetrahedron(case.geometry.pools, row, *p, scratch) >= 0 for p in points]
         assert np.array_equal(inside, owners == fragment)
 
 
 def test_depth_equals_brute_force_over_all_polygons(case: FracturedWorld) -> None:
     points = _points_within(case, 150)
     owners = case.oracle.owner(points)
-    scratch = make_scratch(1, len(case.oracle.tetrahedra), 8)
+    scratch = make_scratch(len(case.oracle.tetrahedra), 8)
     for fragment in case.oracle.fragment_ids:
         own = points[owners == fragment]
         if not len(own):
             continue
         expected, _ = case.oracle.depth(fragment, own, SURFACE)
         for point, depth in zip(own, expected, strict=True):
-            status, distance, *rest = probe(case.geometry.pools, case.row(fragment), *point, 0.0, np.inf, scratch, 0)
+            status, distance, *rest = probe(case.geometry.pools, case.row(fragment), tuple(point), 0.0, np.inf, scratch)
             assert status == INSIDE
             assert abs(-distance - depth) <= 1e-12
             normal, closest = np.array(rest[:3]), np.array(rest[3:])
@@ -71,13 +71,13 @@ def test_depth_equals_brute_force_over_all_polygons(case: FracturedWorld) -> Non
 def test_distance_outside_equals_brute_force(case: FracturedWorld) -> None:
     points = np.vstack([_points_within(case, 60), 1.15 * case.oracle.vertices[::7]])
     owners = case.oracle.owner(points)
-    scratch = make_scratch(1, len(case.oracle.tetrahedra), 8)
+    scratch = make_scratch(len(case.oracle.tetrahedra), 8)
     near = 0.3
     for fragment in case.oracle.fragment_ids[:4]:
         outside = points[owners != fragment]
         expected, _ = case.oracle.distance_outside(fragment, outside, SURFACE)
         for point, true in zip(outside, expected, strict=True):
-            status, distance, *_ = probe(case.geometry.pools, case.row(fragment), *point, near, np.inf, scratch, 0)
+            status, distance, *_ = probe(case.geometry.pools, case.row(fragment), tuple(point), near, np.inf, scratch)
             assert (status == NEAR) == (true < near)
             if status == NEAR:
                 assert abs(distance - true) <= 1e-12

@@ -39,19 +39,19 @@ def compare(case: FracturedWorld, count: int, seed: int) -> Compared:
     points, owner = points[certain], owner[certain]
     assert len(points) > 0.998 * count
     stranger = random.choice(oracle.fragment_ids, len(points))
-    scratch, pools = make_scratch(1, len(oracle.tetrahedra), 8), case.geometry.pools
+    scratch, pools = make_scratch(len(oracle.tetrahedra), 8), case.geometry.pools
     inside = outside = wrong = 0
     worst = 0.0
     for fragment in oracle.fragment_ids:
         row, surface = case.row(fragment), oracle.surface_triangles(fragment)
         own = points[owner == fragment]
-        answers = [probe(pools, row, *p, 0.0, np.inf, scratch, 0)[:2] for p in own.tolist()]
+        answers = [probe(pools, row, tuple(p), 0.0, np.inf, scratch)[:2] for p in own.tolist()]
         wrong += sum(status != INSIDE for status, _ in answers)
         depth = -np.array([distance for _, distance in answers])
         worst = max(worst, np.abs(depth - distances(own, surface)).max(initial=0.0))
         inside += len(own)
         others = points[(stranger == fragment) & (owner != fragment)]
-        answers = [probe(pools, row, *p, NEAR_OUTSIDE, np.inf, scratch, 0)[:2] for p in others.tolist()]
+        answers = [probe(pools, row, tuple(p), NEAR_OUTSIDE, np.inf, scratch)[:2] for p in others.tolist()]
         wrong += sum(status == INSIDE for status, _ in answers)
         distance, true = np.array([d for _, d in answers]), distances(others, surface)
         is_near = np.array([status == NEAR for status, _ in answers], dtype=bool)

@@ -20,7 +20,8 @@ from worlds.rigid_shapes import (
     true_distance,
 )
 
-from fracture_collision.core.bodies.collision_geometry import CollisionGeometry, prepare_surface
+from fracture_collision.core.bodies.collision_geometry import CollisionGeometry
+from fracture_collision.core.bodies.prepared import prepare_surface
 from fracture_collision.core.field.crack_normal import FARTHER
 from fracture_collision.core.field.elementary_queries import INSIDE, NEAR, OUTSIDE, probe, sphere_test
 from fracture_collision.core.mesh.triangle_field import STACK, triangle_distance, triangle_within
@@ -101,10 +102,10 @@ def test_direction_on_edges_and_corners_is_the_pseudonormal() -> None:
 def test_probe_and_sphere_test_keep_their_word(shape: RigidShape, geometry: CollisionGeometry) -> None:
     points = _points(shape)[::3]
     expected = true_distance(shape, points)
-    scratch = make_scratch(1, 1, 8)
+    scratch = make_scratch(1, 8)
     for point, true in zip(points, expected, strict=True):
         for near in (0.0, 0.05, 0.3):
-            status, d, *_ = probe(geometry.pools, 1, *point, near, np.inf, scratch, 0)
+            status, d, *_ = probe(geometry.pools, 1, tuple(point), near, np.inf, scratch)
             if true > 1e-12:
                 assert status == (NEAR if true <= near else OUTSIDE)
                 assert d <= true + 1e-12
@@ -113,7 +114,7 @@ def test_probe_and_sphere_test_keep_their_word(shape: RigidShape, geometry: Coll
         for r in (1e-3, 0.05, 0.4):
             assert triangle_within(geometry.pools.triangles, 1, *point, r) == (abs(true) <= r)
             for lower_bound in (-np.inf, min(true, 0.0), true):
-                assert sphere_test(geometry.pools, 1, lower_bound, *point, r, scratch, 0) == (true <= r)
+                assert sphere_test(geometry.pools, 1, lower_bound, *point, r, scratch) == (true <= r)
 
 
 def test_hierarchy_holds_every_triangle_once(geometry: CollisionGeometry, shape: RigidShape) -> None:

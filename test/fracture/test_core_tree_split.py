@@ -13,9 +13,10 @@ from worlds.fractured_worlds import SETTINGS, fractured_world
 from fracture_collision.core.bodies.fragment_trees import TREES
 from fracture_collision.core.bodies.pool_tables import PoolTables
 from fracture_collision.core.memory.pools import ALTERNATING, EXACT, FACING, OWN_SAMPLE, SAMPLE, SIZE, SURFACE
+from fracture_collision.core.mesh.sample_numbers import NewSamples
 from fracture_collision.core.tree.sphere_tree import SphereTree, build_sphere_tree, validate_sphere_tree
 from fracture_collision.core.tree.sphere_tree_deal import BATCH
-from fracture_collision.core.tree.sphere_tree_split import rows_of_split, split_sphere_tree
+from fracture_collision.core.tree.sphere_tree_split import TreeArrays, rows_of_split, split_sphere_tree
 from fracture_collision.geometry.generators import brick
 
 
@@ -57,9 +58,10 @@ class Fracture:
         spheres, entries = pooled(tree)
         room = rows_of_split(entries, len(self.points))
         out_spheres, out_entries = np.full((room, 4), np.nan), np.full((room, 3), 99, np.int32)
+        added = NewSamples(self.points, self.samples, self.parents, self.fragments)
         begin = split_sphere_tree(
-            spheres, entries, self.of_entry, self.count, self.points, self.samples, self.parents, self.fragments,
-            ordered, out_spheres, out_entries,
+            TreeArrays(spheres, entries), self.of_entry, self.count, added, ordered,
+            TreeArrays(out_spheres, out_entries),
         )  # fmt: skip
         return [unpooled(out_spheres[a:b], out_entries[a:b]) for a, b in itertools.pairwise(begin)]
 

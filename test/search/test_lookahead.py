@@ -149,9 +149,9 @@ def test_a_gap_is_never_less_than_what_is_known_of_it(
                 put_pose(motion, rotations, positions, k, t, turn, place)
                 ways[-1].append(sign * (sign * (points @ turn.T + place) @ n).min())
         gaps = np.subtract(*ways)
-        least = least_gap_ahead(
-            pools, a, b, i, j, rotations, positions, motion, 0.0, gaps[0], tuple(n), 0.0, scratch, 0
-        )  # fmt: skip
+        pair = Pair(a, b, scratch.rotation, scratch.translation)
+        moving = Moving(i, j, step.rotations, step.positions, motion)
+        least = least_gap_ahead(pools, pair, moving, 0.0, gaps[0], tuple(n), 0.0, scratch)
         assert least <= gaps.min() + 1e-12
         assert spin > 0.0 or least > gaps.min() - 1e-5
         known.append(gaps.min() - least)

@@ -41,7 +41,7 @@ def found_by(world: CollisionWorld, states: FragmentStates, monkeypatch: pytest.
     caught = []
 
     def listen(*arguments, **options):
-        caught[:] = query_pairs(*arguments, **options)[0], arguments[4]
+        caught[:] = query_pairs(*arguments, **options)[0], arguments[0].step.pairs
         return query_pairs(*arguments, **options)
 
     with monkeypatch.context() as patch:

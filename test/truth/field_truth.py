@@ -115,15 +115,13 @@ def _probe(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Depth (n,) [m], most (n,) [m] and direction (n, 3) of each point in its fragment; nan if it is not inside."""
     pools = case.geometry.pools._replace(field=FIELDS[field])
-    scratch = make_scratch(1, len(case.oracle.tetrahedra), 8)
+    scratch = make_scratch(len(case.oracle.tetrahedra), 8)
     rows = {f: case.row(f) for f in case.oracle.fragment_ids}
     answers = np.full((len(points), 5), np.nan)
     for i, (point, fragment) in enumerate(zip(points.tolist(), fragments.tolist(), strict=True)):
-        status, distance, nx, ny, nz, _, _, _, most, *_ = bounded_probe(
-            pools, rows[fragment], *point, 0.0, np.inf, -1, False, scratch, 0
-        )
-        if status == INSIDE:
-            answers[i] = -distance, most, nx, ny, nz
+        found = bounded_probe(pools, rows[fragment], tuple(point), 0.0, np.inf, -1, False, scratch)
+        if found.status == INSIDE:
+            answers[i] = -found.distance, found.most_depth, found.nx, found.ny, found.nz
     return answers[:, 0], answers[:, 1], answers[:, 2:]
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from fracture_collision.core.fracture import fracture_update
+from fracture_collision.core.fracture import crack_surfaces
 from fracture_collision.world import CollisionWorld, Settings
 from fracture_collision.world.warm_up import compile_kernels
 
@@ -26,4 +26,4 @@ def test_the_warm_up_compiles_what_only_a_second_fracture_needs() -> None:
     said: list[str] = []
     compile_kernels(said.append)
     assert len(said) == 3
-    assert fracture_update.rebuild_surfaces.signatures
+    assert crack_surfaces.rebuild_surfaces.signatures

@@ -117,9 +117,9 @@ def anywhere(case: FracturedWorld, count: int, seed: int) -> np.ndarray:
 
 def fragments_with(case: FracturedWorld, points: np.ndarray) -> np.ndarray:
     """The service's inside test of each point (n, 3) in each fragment, by ascending id: (n, fragments) bool."""
-    scratch, pools = make_scratch(1, len(case.oracle.tetrahedra), 8), case.geometry.pools
+    scratch, pools = make_scratch(len(case.oracle.tetrahedra), 8), case.geometry.pools
     rows = [case.row(f) for f in case.oracle.fragment_ids]
-    return np.array([[inside_tetrahedron(pools, row, *x, scratch, 0) >= 0 for row in rows] for x in points.tolist()])
+    return np.array([[inside_tetrahedron(pools, row, *x, scratch) >= 0 for row in rows] for x in points.tolist()])
 
 
 def assert_partition(case: FracturedWorld, points: int = 500) -> None:

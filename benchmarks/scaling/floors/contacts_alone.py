@@ -8,13 +8,16 @@ from time import perf_counter
 
 import numpy as np
 
-from fracture_collision.core.contacts.contact_choice import ANSWER, ENTRY, SIDE, put_chosen
+from fracture_collision.core.contacts.contact_choice import ANSWER, ENTRY, SIDE, Rule, put_chosen
 from fracture_collision.core.contacts.facing_normal import turn_contacts
 from fracture_collision.core.contacts.known_samples import rounding_slack
+from fracture_collision.core.edges.ridges import NO_RIDGES
 from fracture_collision.core.memory.compiled import threaded_kernel
 from fracture_collision.core.memory.crew import Crew
+from fracture_collision.core.memory.pair import Sink, Step, make_sink, put_pair
 from fracture_collision.core.memory.pools import OWN_SAMPLE, SAMPLE, SURFACE, Pools
-from fracture_collision.core.pair.narrow_phase import PairContacts, query_pairs, relative_pose
+from fracture_collision.core.pair.narrow_phase import UNLIMITED, PairContacts, Scene, query_pairs
+from fracture_collision.core.pair.pair_search import Geometry
 from fracture_collision.core.search.scratch import make_scratch
 from fracture_collision.records import ContactConstraintArray, FragmentStates
 from fracture_collision.world import CollisionWorld
@@ -30,18 +33,19 @@ def contacts_alone(service: CollisionWorld, states: FragmentStates, answer: Cont
     ends = (order[np.searchsorted(here.ids[order], end)] for end in (answer.fragment_a, answer.fragment_b))
     pairs = np.column_stack(tuple(ends)).astype(np.int64)
     nodes = 2 * max(service.geometry.tree_entries(row) for row in here.rows.tolist()) + 2
-    scratch = make_scratch(1, len(pools.mesh.tetrahedra), nodes)
-    placed = pools, here.rows, here.rotations, here.positions, pairs
-    found, _ = query_pairs(
-        *placed, settings.contacts_per_pair, most_listed(settings), settings.penetration_tolerance,
-        settings.detection_tolerance, 0, scratch, Crew(1),
+    scratch = make_scratch(len(pools.mesh.tetrahedra), nodes)
+    step = Step(here.rows, here.rotations, here.positions, pairs)
+    rule = Rule(
+        settings.contacts_per_pair, most_listed(settings), settings.penetration_tolerance,
+        settings.detection_tolerance, UNLIMITED,
     )  # fmt: skip
+    found, _ = query_pairs(Scene(Geometry(pools, NO_RIDGES), step), rule, (scratch,), Crew(1))
     begin = np.concatenate(([0], np.cumsum(found.counts)))
     listed = _entries(pools, here.rows, pairs, found)
-    contacts, ids = np.empty((begin[-1], 10)), np.empty((begin[-1], 5), np.int64)
+    sink = make_sink(int(begin[-1]))
 
     def ask() -> None:
-        asked = _ask(*placed, begin, listed, settings.detection_tolerance, contacts, ids, scratch)
+        asked = _ask(pools, step, begin, listed, settings.detection_tolerance, sink, scratch)
         assert asked == begin[-1] == len(answer.gaps)
 
     ask()
@@ -70,23 +74,19 @@ def _entries(pools: Pools, rows: np.ndarray, pairs: np.ndarray, found: PairConta
 
 
 @threaded_kernel
-def _ask(pools, rows, rotations, positions, pairs, begin, listed, near, contacts, ids, scratch):
-    """Fills contacts (n, 10) and ids (n, 5) like query_pair; returns their number."""
-    rotation, translation = scratch.rotation[0], scratch.translation[0]
+def _ask(pools, step, begin, listed, near, found, scratch):
+    """Fill the Sink `found`, each pair's from begin[p] on; returns the number of contacts."""
     total = 0
-    for p in range(len(pairs)):
-        i, j, first, last = pairs[p, 0], pairs[p, 1], begin[p], begin[p + 1]
-        a, b = rows[i], rows[j]
-        relative_pose(rotations[i], positions[i], rotations[j], positions[j], rotation[0], translation[0])
-        relative_pose(rotations[j], positions[j], rotations[i], positions[i], rotation[1], translation[1])
-        within = near * min(pools.fragment.radius[a], pools.fragment.radius[b])
-        out, out_ids = contacts[first:last], ids[first:last]
-        count = last - first
+    for p in range(len(step.pairs)):
+        pair = put_pair(step, p, scratch.rotation, scratch.translation)
+        first, last = begin[p], begin[p + 1]
+        within = near * min(pools.fragment.radius[pair.a], pools.fragment.radius[pair.b])
+        sink, count = Sink(found.contacts[first:last], found.ids[first:last]), last - first
         for k in range(count):
-            scratch.node_int[0, k, ENTRY], scratch.node_int[0, k, SIDE] = listed[first + k] >> 1, listed[first + k] & 1
-            scratch.node_int[0, k, ANSWER] = -1
-        slack = rounding_slack(pools, a, b, translation)
-        put_chosen(pools, a, b, rotation, translation, within, slack, out, out_ids, count, scratch, 0)
-        turn_contacts(pools, a, b, rotation, translation, within, out, out_ids, count, scratch, 0)
+            scratch.node_int[k, ENTRY], scratch.node_int[k, SIDE] = listed[first + k] >> 1, listed[first + k] & 1
+            scratch.node_int[k, ANSWER] = -1
+        slack = rounding_slack(pools, pair.a, pair.b, pair.translation)
+        put_chosen(pools, pair, within, slack, sink, count, scratch)
+        turn_contacts(pools, pair, within, sink, count, scratch)
         total += count
     return total

@@ -3,28 +3,28 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.core.bodies.fragment_trees import REBUILT, RESTRUCTURED, rebuilt_trees, split_trees
+from fracture_collision.core.bodies.fragment_trees import REBUILT, RESTRUCTURED, append_rebuilt_trees, split_trees
 from fracture_collision.core.bodies.interior_field import InteriorField, make_interior_field
-from fracture_collision.core.bodies.pool_compaction import (
+from fracture_collision.core.bodies.pool_compaction import compact
+from fracture_collision.core.bodies.pool_rows import (
     MeshRows,
     SurfaceMeshRows,
     TreeRows,
     bytes_of_fragments,
     bytes_of_mesh,
-    compact,
 )
 from fracture_collision.core.bodies.pool_tables import PoolTables
+from fracture_collision.core.bodies.prepared import MassProperties, PreparedMesh, PreparedSurface, mass_of_shape
 from fracture_collision.core.edges.ridges import NO_RIDGES, Ridges, RidgeTable
 from fracture_collision.core.field.front_propagation import update_averaged_field
 from fracture_collision.core.fracture import touched_tetrahedra
 from fracture_collision.core.fracture.crack_seeds import choose_seeds
-from fracture_collision.core.fracture.fracture_update import rebuild_surfaces
-from fracture_collision.core.fracture.surface_rows import SurfaceRows
-from fracture_collision.core.fracture.touched_tetrahedra import touched_room
+from fracture_collision.core.fracture.crack_surfaces import rebuild_surfaces
+from fracture_collision.core.fracture.surface_rows import Broken, Sums, SurfaceRows
+from fracture_collision.core.fracture.touched_tetrahedra import Cut, Touched, touched_room
 from fracture_collision.core.memory.kinds import BOX, PLANE, SPHERE, TETRAHEDRA, TRIANGLES
 from fracture_collision.core.memory.pools import (
     ALTERNATING,
@@ -42,64 +42,16 @@ from fracture_collision.core.memory.pools import (
     Pools,
 )
 from fracture_collision.core.mesh.cut_tetrahedron import make_cut_scratch
-from fracture_collision.core.mesh.moments import (
-    box_mass_properties,
-    mass_properties,
-    sphere_mass_properties,
-    surface_moments,
-)
+from fracture_collision.core.mesh.moments import mass_properties
 from fracture_collision.core.mesh.occupancy import cells_of_boxes, mark_all, mark_fragments
 from fracture_collision.core.mesh.primitives import box_edge_points, box_sampling_gap
 from fracture_collision.core.mesh.sample_numbers import NewSamples
-from fracture_collision.core.mesh.tet_mesh import TetMesh
-from fracture_collision.core.mesh.triangle_field import TriangleMesh, append_triangle_mesh, build_triangle_mesh
+from fracture_collision.core.mesh.triangle_field import append_triangle_mesh
 from fracture_collision.core.tree.sphere_tree import SphereTree, build_sphere_tree
-from fracture_collision.portable_math import lengths
 
 # [bytes] Less garbage is not worth a compaction.
 LEAST_GARBAGE = 1 << 20
 NO_TREE = TreeRows(0, 0, 0, 0, np.zeros(4))
-
-
-class MassProperties(NamedTuple):
-    mass: float  # [kg]
-    center: np.ndarray  # (3,) [m], body frame
-    inertia: np.ndarray  # (6,) [kg m2] about the centre, body axes: xx xy xz yy yz zz
-
-
-class PreparedMesh(NamedTuple):
-    """A tetrahedral mesh with the sphere tree of the whole body: the preprocess that equal geometries share."""
-
-    mesh: TetMesh
-    tree: SphereTree
-    interior: list[InteriorField]  # empty until a body of this geometry breaks under the averaged field
-
-
-class PreparedSurface(NamedTuple):
-    """The same preprocess for a rigid body with a closed triangle mesh."""
-
-    mesh: TriangleMesh
-    tree: SphereTree
-    moments: np.ndarray  # (10,), see moments.py
-    sampling_gap: float  # [m]
-
-
-def prepare_mesh(mesh: TetMesh) -> PreparedMesh:
-    """Build the tree over all nodes, surface and interior (section 6.1)."""
-    return PreparedMesh(mesh, build_sphere_tree(mesh.nodes, mesh.on_surface), [])
-
-
-def prepare_surface(vertices: np.ndarray, triangles: np.ndarray) -> PreparedSurface:
-    """Preprocess a closed mesh (vertices (n, 3) [m], triangles (t, 3)); every vertex is a sample."""
-    corners = vertices[triangles]
-    longest = lengths(corners - np.roll(corners, -1, axis=1)).max()
-    return PreparedSurface(
-        build_triangle_mesh(vertices, triangles),
-        build_sphere_tree(vertices, np.ones(len(vertices), np.uint8)),
-        surface_moments(corners),
-        # the corners of a triangle with longest side L cover it with balls of radius L / sqrt(3)
-        float(longest / np.sqrt(3.0)),
-    )
 
 
 class CollisionGeometry:
@@ -166,21 +118,14 @@ class CollisionGeometry:
 
     def mass_properties(self, rows: np.ndarray, density: np.ndarray) -> list[MassProperties]:
         """Mass properties of fragments `rows` (n,) with `density` (n,) [kg/m3] each."""
-        kind = self._tables.fragment["kind"].view[rows]
+        kinds, shapes = (self._tables.fragment[name].view for name in ("kind", "shape"))
+        kind = kinds[rows]
         is_shape = (kind == PLANE) | (kind == SPHERE) | (kind == BOX)
         meshed = iter(zip(*mass_properties(self._moments.view[rows[~is_shape]], density[~is_shape]), strict=True))
         return [
-            self._mass_of_shape(row, float(own)) if shape else MassProperties(*next(meshed))
+            mass_of_shape(int(kinds[row]), shapes[row], float(own)) if shape else MassProperties(*next(meshed))
             for row, own, shape in zip(rows.tolist(), density, is_shape.tolist(), strict=True)
         ]
-
-    def _mass_of_shape(self, row: int, density: float) -> MassProperties:
-        kind, shape = self._tables.fragment["kind"].view[row], self._tables.fragment["shape"].view[row]
-        if kind == SPHERE:
-            return MassProperties(*sphere_mass_properties(float(shape[0]), density))
-        if kind == BOX:
-            return MassProperties(*box_mass_properties(shape[:3], density))
-        return MassProperties(0.0, np.zeros(3), np.zeros(6))
 
     def retire_body(self, rows: np.ndarray) -> None:
         """Retire `rows` (n,), all fragments of one body: no query uses them again. `keep_only` frees their memory."""
@@ -236,7 +181,7 @@ class CollisionGeometry:
         mesh = prepared.mesh
         row = self._add_row(
             TETRAHEDRA, mesh.box, np.zeros(4), 0.5 * float((mesh.box[3:] - mesh.box[:3]).max()), rows.tree,
-            mesh.sampling_gap, rows.index, rows.cells,
+            mesh.sampling_gap, rows.number, rows.cells,
         )  # fmt: skip
         # summed one by one, as in a fracture, so that parts add up to the whole
         self._moments.view[row] = mesh.moments.sum(axis=0)
@@ -255,7 +200,7 @@ class CollisionGeometry:
         box = prepared.mesh.node_box[0]
         row = self._add_row(
             TRIANGLES, box, np.zeros(4), 0.5 * float((box[3:] - box[:3]).max()), rows.tree, prepared.sampling_gap,
-            rows.index,
+            rows.number,
         )  # fmt: skip
         self._moments.view[row] = prepared.moments
         return row
@@ -271,73 +216,68 @@ class CollisionGeometry:
         tables = self._tables
         prepared, rows = self._meshes[int(tables.fragment["mesh"].view[row])]
         self._own_body_rows(row, prepared, rows)
-        for column in (*tables.fragment.values(), self._moments, self._gaps):
-            column.reserve(count)
-            first = column.advance(count)
-        end = first + count
-        first_plane = tables.body["planes"].append(planes)
+        first = [self._append(column, count) for column in (*tables.fragment.values(), self._moments, self._gaps)][-1]
+        cut = Cut(nodes, parts, edges, tables.body["planes"].append(planes))
+        broken = Broken(
+            row, first, first + count,
+            *(int(tables.fragment[name].view[row]) for name in ("mesh", "node_shift", "tet_shift", "edge_shift")),
+        )  # fmt: skip
         tetrahedra = len(prepared.mesh.tetrahedra)
         if len(self._room.kinds) < tetrahedra:
             self._room = touched_room(tetrahedra)
-        touched = touched_tetrahedra.find_touched(
-            tables.roomy, row, tetrahedra, nodes, parts, edges, first_plane, first, end, self._moments.view,
-            self._gaps.view, self._room,
-        )  # fmt: skip
-        corners = self._rebuild_surfaces(row, touched, first, end)
+        touched = touched_tetrahedra.find_touched(tables.roomy, broken, cut, tetrahedra, self._sums(), self._room)
+        corners = self._rebuild_surfaces(broken, touched)
         if self._tree_kind == REBUILT:
-            self._rebuild_trees(row, prepared.mesh, rows, nodes, parts, corners, first, count)
+            append_rebuilt_trees(tables, broken, prepared.mesh, rows.edge, cut, corners)
         else:
-            split_trees(tables, row, edges, corners, first, count, self._tree_kind == RESTRUCTURED)
-        self._choose_seeds(row, rows, touched, first)
+            split_trees(tables, broken, edges, corners, self._tree_kind == RESTRUCTURED)
+        self._choose_seeds(broken, rows, touched)
         if self._field == AVERAGED:
-            pools = self.pools
+            interior = prepared.interior[0]
+            neighbours = interior.neighbours_begin, interior.neighbours
             update_averaged_field(
-                pools, prepared, rows.node, pools.fragment.node_shift[row], pools.fragment.edge_shift[row], touched,
-                first, end, first_plane,
-            )  # fmt: skip
-        self._find_ridges(first, end)
-        return first
+                self.pools, prepared.mesh.nodes, neighbours, broken, touched.rows, cut.first_plane
+            )
+        self._find_ridges(broken.first, broken.end)
+        return broken.first
 
-    def _rebuild_surfaces(self, row, touched, first, end) -> NewSamples:
+    @staticmethod
+    def _append(column: GrowableArray, count: int) -> int:
+        """Append `count` rows, not initialized; returns the first."""
+        column.reserve(count)
+        return column.advance(count)
+
+    def _sums(self) -> Sums:
+        """Sums of all fragments, to be changed in place."""
+        return Sums(self._moments.view, self._gaps.view, self._tables.roomy.fragment.box)
+
+    def _rebuild_surfaces(self, broken: Broken, touched: Touched) -> NewSamples:
         """Rebuild the polygons in the touched tetrahedra, and moments, boxes, gaps, cells of their fragments. Returns
         the samples at their corners.
         """
         tables = self._tables
-        columns = [tables.body[name] for name in SurfaceRows._fields]
-        room = SurfaceRows(*(column.reserve(touched.room) for column in columns))
+        columns = [tables.body[name] for name in ("triangles", "faces", "sides")]
+        first = columns[0].used
+        room = SurfaceRows(first, *(column.reserve(touched.room) for column in columns))
         pools = tables.roomy
         written, corners, words = rebuild_surfaces(
-            pools.mesh, pools.body, pools.fragment, row, touched, first, end, columns[0].used, room,
-            tables.occupancy.used, self._moments.view, self._gaps.view, self._scratch,
+            (pools.mesh, pools.body, pools.fragment), broken, touched, room, tables.occupancy.used, self._sums(),
+            self._scratch,
         )  # fmt: skip
         for column in columns:
             column.advance(written)
         tables.occupancy.reserve(words)
         tables.occupancy.advance(words)
-        mark_fragments(pools.mesh, pools.body, pools.fragment, tables.occupancy.whole, row, first, end)
+        mark_fragments(
+            pools.mesh, pools.body, pools.fragment, tables.occupancy.whole, broken.parent, broken.first, broken.end
+        )
         return corners
 
-    def _rebuild_trees(self, row, mesh, rows, nodes, parts, corners, first, count) -> None:
-        """Append REBUILT trees of fragments first .. first + count - 1, into which `row` broke."""
-        tables = self._tables
-        begin = rows.edge + int(tables.fragment["edge_shift"].view[row])
-        own = slice(begin, begin + len(mesh.edges))
-        part_of_node = np.full(len(mesh.nodes), -1, dtype=np.int32)
-        part_of_node[nodes] = parts
-        sampled = (tables.body["edge_plane"].view[own] >= 0)[:, None] & (part_of_node[mesh.edges] >= 0)
-        forest = rebuilt_trees(mesh, part_of_node, tables.body["edge_share"].view[own], sampled, corners, count)
-        begins = forest.begin + tables.append_tree(forest.trees)
-        leaves, middles = tables.append_leaves(begins)
-        for name, rows_of in (("tree", begins), ("leaf", leaves)):
-            tables.fragment[f"{name}_begin"].view[first : first + count] = rows_of[:-1]
-            tables.fragment[f"{name}_end"].view[first : first + count] = rows_of[1:]
-        tables.fragment["middle"].view[first : first + count] = middles
-
-    def _choose_seeds(self, row, rows, touched, first) -> None:
-        """Append the seeds of the body's pairs, after fragment `row` broke into those from row `first` on."""
+    def _choose_seeds(self, broken: Broken, rows: MeshRows, touched: Touched) -> None:
+        """Append the seeds of the body's pairs, after one of its fragments broke."""
         seeds, pools = self._tables.seeds, self._tables.roomy
         keys, ranges, edges = choose_seeds(
-            pools.mesh, pools.body, pools.fragment, pools.seeds, row, rows.counts[2], touched.cut, first,
+            (pools.mesh, pools.body, pools.fragment, pools.seeds), broken, rows.counts[2], touched.cut,
             seeds["keys"].used, seeds["edges"].used,
         )  # fmt: skip
         seeds["keys"].append(keys)
@@ -369,10 +309,10 @@ class CollisionGeometry:
         if not prepared.interior:
             prepared.interior.append(make_interior_field(prepared.mesh))
         interior = prepared.interior[0]
-        if self._tables.mesh["depth_grid_dims"].view[rows.index, 0] == 0:
-            self._tables.mesh["depth_grid"].view[rows.index] = np.append(interior.origin, interior.cell)
+        if self._tables.mesh["depth_grid_dims"].view[rows.number, 0] == 0:
+            self._tables.mesh["depth_grid"].view[rows.number] = np.append(interior.origin, interior.cell)
             first = self._tables.mesh["grid_depth"].append(interior.depth)
-            self._tables.mesh["depth_grid_dims"].view[rows.index] = np.append(interior.dims, first)
+            self._tables.mesh["depth_grid_dims"].view[rows.number] = np.append(interior.dims, first)
         return interior
 
     def _append_tree(self, tree: SphereTree) -> TreeRows:

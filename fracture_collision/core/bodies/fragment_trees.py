@@ -13,6 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.core.bodies.pool_tables import PoolTables
+from fracture_collision.core.fracture.surface_rows import Broken
+from fracture_collision.core.fracture.touched_tetrahedra import Cut
 from fracture_collision.core.memory.compiled import kernel
 from fracture_collision.core.memory.pools import SAMPLE
 from fracture_collision.core.mesh.cut_tetrahedron import point_on_edge
@@ -29,7 +31,7 @@ from fracture_collision.core.mesh.tet_mesh import TetMesh
 from fracture_collision.core.tree.sample_leaves import count_leaves, fill_leaves, most_leaves
 from fracture_collision.core.tree.sphere_tree import SphereTree, build_sphere_tree
 from fracture_collision.core.tree.sphere_tree_deal import NOBODYS
-from fracture_collision.core.tree.sphere_tree_split import rows_of_split, split_sphere_tree
+from fracture_collision.core.tree.sphere_tree_split import TreeArrays, rows_of_split, split_sphere_tree
 
 RESTRUCTURED = "restructured"
 PLAIN = "plain"
@@ -44,27 +46,37 @@ class Forest(NamedTuple):
     begin: np.ndarray  # (fragments + 1,) int64
 
 
-def split_trees(
-    tables: PoolTables, row: int, edges: np.ndarray, corners: NewSamples, first: int, count: int, ordered: bool
-) -> None:
-    """Append the RESTRUCTURED (`ordered`) or PLAIN trees of fragments first .. first + count - 1, into which fragment
-    `row` broke, and their leaves. edges (k,): mesh edges that this fracture cuts, ascending; corners: all corners of
-    the new fragments, including those of earlier cracks.
+class _Room(NamedTuple):
+    """Where new trees and leaves are written."""
+
+    begin: int  # first free row of TreePool
+    values: np.ndarray  # of SamplePool, with the rows behind
+    entries: np.ndarray  # likewise
+    first_leaf: int  # first free row of these
+
+
+def split_trees(tables: PoolTables, broken: Broken, edges: np.ndarray, corners: NewSamples, ordered: bool) -> None:
+    """Append the RESTRUCTURED (`ordered`) or PLAIN trees of the new fragments of a Broken, and their leaves.
+
+    edges (k,): mesh edges that this fracture cuts, ascending; corners: all corners of the new fragments, including
+    those of earlier cracks.
     """
-    fragment, new = tables.fragment, 2 * len(edges) + len(corners.points)
+    fragment, row, new = tables.fragment, broken.parent, 2 * len(edges) + len(corners.points)
     old = slice(int(fragment["tree_begin"].view[row]), int(fragment["tree_end"].view[row]))
     leaves = int(fragment["leaf_end"].view[row] - fragment["leaf_begin"].view[row])
     room = rows_of_split(tables.tree["entries"].view[old], new)
     for column in tables.tree.values():
         column.reserve(room)  # this may reallocate the pool
     for column in tables.samples.values():
-        column.reserve(most_leaves(leaves, new, count))
-    pools = tables.roomy
+        column.reserve(most_leaves(leaves, new, broken.end - broken.first))
+    pools, samples = tables.roomy, tables.samples
+    free = _Room(
+        tables.tree["entries"].used, samples["values"].whole, samples["entries"].whole, samples["entries"].used
+    )
+    of_nodes = pools.body.node_fragment, pools.body.edge_share
     trees, leaves = _split_trees(
-        pools.mesh, pools.body.node_fragment, pools.body.edge_share, pools.fragment, pools.tree, row, edges, corners,
-        first, first + count, ordered, tables.tree["entries"].used, tables.samples["values"].whole,
-        tables.samples["entries"].whole, tables.samples["entries"].used,
-    )  # fmt: skip
+        (pools.mesh, pools.fragment, pools.tree), of_nodes, broken, edges, corners, ordered, free
+    )
     for column in tables.tree.values():
         column.advance(trees)
     for column in tables.samples.values():
@@ -72,35 +84,55 @@ def split_trees(
 
 
 @kernel
-def _split_trees(
-    mesh, node_fragment, edge_share, fragment, tree, row, edges, corners, low, high, ordered, begin, values, entries,
-    first_leaf,
-):  # fmt: skip
-    """split_trees, to the rows from `begin` and `first_leaf` on; returns the numbers of entries and leaves written."""
-    first = mesh.first[fragment.mesh[row]]
-    labels = node_fragment[first[FIRST_NODE] + fragment.node_shift[row] :]
+def _split_trees(pools, cut, broken, edges, corners, ordered, room):
+    """split_trees, to the rows of a _Room; returns the numbers of entries and leaves written.
+
+    pools: mesh, fragment and tree; cut: BodyPool's node_fragment and edge_share.
+    """
+    mesh, fragment, tree = pools
+    node_fragment, edge_share = cut
+    row, low, high = broken.parent, broken.first, broken.end
+    first = mesh.first[broken.mesh]
+    labels = node_fragment[first[FIRST_NODE] + broken.node_shift :]
     # a shift may be negative
-    share = edge_share[first[FIRST_EDGE] + fragment.edge_shift[row] :]
+    share = edge_share[first[FIRST_EDGE] + broken.edge_shift :]
     new = _new_samples(mesh, first, labels, share, edges, corners, low)
-    old = tree.entries[fragment.tree_begin[row] : fragment.tree_end[row]]
-    ends = split_sphere_tree(
-        tree.spheres[fragment.tree_begin[row] : fragment.tree_end[row]], old,
-        _parts_of_entries(mesh, first, old, labels, low), high - low, new.points, new.samples, new.parents, new.parts,
-        ordered, tree.spheres[begin:], tree.entries[begin:],
-    )  # fmt: skip
+    old = slice(fragment.tree_begin[row], fragment.tree_end[row])
+    rows = TreeArrays(tree.spheres[old], tree.entries[old])
+    out = TreeArrays(tree.spheres[room.begin :], tree.entries[room.begin :])
+    parts = _parts_of_entries(mesh, first, rows.entries, labels, low)
+    ends = split_sphere_tree(rows, parts, high - low, new, ordered, out)
     trees = ends[high - low]
     for f in range(len(ends)):
-        ends[f] += begin
+        ends[f] += room.begin
     counts = count_leaves(tree.entries, ends)
-    fill_leaves(
-        tree.spheres, tree.entries, ends, counts, values[first_leaf:], entries[first_leaf:], fragment.middle[low:high]
-    )
-    leaf = first_leaf
+    values, entries = room.values[room.first_leaf :], room.entries[room.first_leaf :]
+    fill_leaves(tree.spheres, tree.entries, ends, counts, values, entries, fragment.middle[low:high])
+    leaf = room.first_leaf
     for f in range(low, high):
         fragment.tree_begin[f], fragment.tree_end[f] = ends[f - low], ends[f - low + 1]
         fragment.leaf_begin[f], leaf = leaf, leaf + counts[f - low]
         fragment.leaf_end[f] = leaf
-    return trees, leaf - first_leaf
+    return trees, leaf - room.first_leaf
+
+
+def append_rebuilt_trees(
+    tables: PoolTables, broken: Broken, mesh: TetMesh, first_edge: int, cut: Cut, corners: NewSamples
+) -> None:
+    """Append REBUILT trees of the new fragments; first_edge: row of the mesh's first edge."""
+    first, count = broken.first, broken.end - broken.first
+    begin = first_edge + broken.edge_shift
+    own = slice(begin, begin + len(mesh.edges))
+    part_of_node = np.full(len(mesh.nodes), -1, dtype=np.int32)
+    part_of_node[cut.nodes] = cut.parts
+    sampled = (tables.body["edge_plane"].view[own] >= 0)[:, None] & (part_of_node[mesh.edges] >= 0)
+    forest = rebuilt_trees(mesh, part_of_node, tables.body["edge_share"].view[own], sampled, corners, count)
+    begins = forest.begin + tables.append_tree(forest.trees)
+    leaves, middles = tables.append_leaves(begins)
+    for name, rows_of in (("tree", begins), ("leaf", leaves)):
+        tables.fragment[f"{name}_begin"].view[first : first + count] = rows_of[:-1]
+        tables.fragment[f"{name}_end"].view[first : first + count] = rows_of[1:]
+    tables.fragment["middle"].view[first : first + count] = middles
 
 
 def rebuilt_trees(

@@ -10,6 +10,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fracture_collision.core.bodies.pool_rows import (
+    OF_BODY_EDGES,
+    OF_BODY_TETRAHEDRA,
+    OF_POLYGONS,
+    MeshRows,
+    SurfaceMeshRows,
+    TreeRows,
+)
 from fracture_collision.core.bodies.pool_tables import PoolTables
 from fracture_collision.core.memory.kinds import TETRAHEDRA, TRIANGLES
 from fracture_collision.core.memory.pools import (
@@ -33,72 +41,6 @@ _ON_TETRAHEDRA = ("tetrahedra", "neighbours", "tetrahedron_edges", "boxes", "bar
 _ON_EDGES = ("edges", "edge_tets")
 _ON_CELLS = ("cell_tets", "cell_parts")
 _ON_MESHES = ("first", "grid", "grid_dims", "depth_grid", "depth_grid_dims")
-_OF_BODY_EDGES = ("edge_plane", "edge_event", "edge_share")
-_OF_BODY_TETRAHEDRA = ("regions", "cut_count")
-_MOMENTS_AND_GAP = 88  # [bytes] per fragment outside its table
-_OF_POLYGONS = ("triangles", "faces", "sides")
-
-
-class TreeRows(NamedTuple):
-    """Rows of a tree in the pools, and of its leaves of samples."""
-
-    begin: int
-    end: int
-    leaf_begin: int
-    leaf_end: int
-    middle: np.ndarray  # (4,) see sample_leaves.Leaves
-
-
-class MeshRows(NamedTuple):
-    """Rows of a tetrahedral mesh in the pools."""
-
-    index: int
-    node: int
-    tet: int
-    edge: int
-    tree: TreeRows
-    cells: np.ndarray
-    counts: tuple[int, int, int]  # nodes, tetrahedra, edges
-
-
-class SurfaceMeshRows(NamedTuple):
-    """Rows of the mesh of a rigid body of triangles."""
-
-    index: int
-    tree: TreeRows
-
-
-def bytes_of_fragments(tables: PoolTables, rows: np.ndarray, mesh: MeshRows | None, has_own_tree: bool) -> int:
-    """Bytes that `compact` would free without `rows` (n,), all fragments of one body, except its mesh, which may be
-    shared.
-
-    mesh: of a body of tetrahedra. has_own_tree: false if its tree belongs to the mesh, even before it breaks.
-    """
-    fragment = tables.fragment
-    one = sum(column.row_bytes for column in fragment.values()) + _MOMENTS_AND_GAP
-    total = len(rows) * one
-    row = int(rows[0])
-    is_broken = fragment["node_shift"].view[row] != NEVER_BROKEN
-    if is_broken or (mesh is None and has_own_tree):
-        for name, table in (("tree", tables.tree), ("leaf", tables.samples)):
-            count = fragment[f"{name}_end"].view[rows].astype(np.int64) - fragment[f"{name}_begin"].view[rows]
-            total += int(count.sum()) * sum(column.row_bytes for column in table.values())
-    if mesh is None or not is_broken:
-        return total
-    nodes, tets, edges = mesh.counts
-    body = tables.body
-    for names, count in ((("node_fragment",), nodes), (_OF_BODY_TETRAHEDRA, tets), (_OF_BODY_EDGES, edges)):
-        total += count * sum(body[name].row_bytes for name in names)
-    first = mesh.tet + int(fragment["tet_shift"].view[row])
-    polygons = int(body["cut_count"].view[first : first + tets].sum())
-    total += polygons * sum(body[name].row_bytes for name in _OF_POLYGONS)
-    return total + 8 * sum(pyramid_words(cells) for cells in fragment["cells"].view[rows])
-
-
-def bytes_of_mesh(prepared: NamedTuple) -> int:
-    """Approximate bytes of a mesh, or a surface, in the pools: the size of its preprocess."""
-    parts = [array for part in prepared if isinstance(part, tuple) for array in part]
-    return sum(array.nbytes for array in parts if isinstance(array, np.ndarray))
 
 
 class Moves(NamedTuple):
@@ -107,7 +49,7 @@ class Moves(NamedTuple):
     stays: np.ndarray  # (n,) bool
     position: np.ndarray  # (n + 1,) int64; includes the end row
 
-    def of(self, rows: np.ndarray) -> np.ndarray:
+    def of(self, rows: np.ndarray | int) -> np.ndarray:
         """New positions of `rows`; negative values are not rows and stay unchanged."""
         return np.where(rows < 0, rows, self.position[np.maximum(rows, 0)])
 
@@ -141,8 +83,8 @@ def compact(
     fragment = tables.fragment
     kind, mesh = fragment["kind"].view[rows], fragment["mesh"].view[rows]
     used_meshes, used_surfaces = set(mesh[kind == TETRAHEDRA].tolist()), set(mesh[kind == TRIANGLES].tolist())
-    meshes = [each for each in meshes if each.index in used_meshes]
-    surfaces = [each for each in surfaces if each.index in used_surfaces]
+    meshes = [each for each in meshes if each.number in used_meshes]
+    surfaces = [each for each in surfaces if each.number in used_surfaces]
     stays = np.zeros(fragment["kind"].used, bool)
     stays[rows] = True
     moved = _moves(stays)
@@ -153,22 +95,22 @@ def compact(
     mesh_moves = _compact_meshes(tables, meshes)
     # the seeds' edges are rows of the mesh pool
     seeds = _compact_seeds(tables, bodies, moved, mesh_moves.edges)
-    body = _compact_bodies(tables, bodies, {each.index: each for each in meshes}, moved)
+    body = _compact_bodies(tables, bodies, {each.number: each for each in meshes}, moved)
     triangles = _compact_triangles(tables, surfaces)
     new_meshes = [
         each._replace(
-            index=int(mesh_moves.meshes.of(each.index)), node=int(mesh_moves.nodes.of(each.node)),
+            number=int(mesh_moves.meshes.of(each.number)), node=int(mesh_moves.nodes.of(each.node)),
             tet=int(mesh_moves.tetrahedra.of(each.tet)), edge=int(mesh_moves.edges.of(each.edge)),
             tree=_moved_tree(each.tree, trees, leaves), cells=_moved_cells(each.cells[None], words)[0],
         )  # fmt: skip
         for each in meshes
     ]
     new_surfaces = [
-        SurfaceMeshRows(int(triangles.of(each.index)), _moved_tree(each.tree, trees, leaves)) for each in surfaces
+        SurfaceMeshRows(int(triangles.of(each.number)), _moved_tree(each.tree, trees, leaves)) for each in surfaces
     ]
 
-    old_first = {each.index: (each.node, each.tet, each.edge) for each in meshes}
-    new_first = {each.index: (new.node, new.tet, new.edge) for each, new in zip(meshes, new_meshes, strict=True)}
+    old_first = {each.number: (each.node, each.tet, each.edge) for each in meshes}
+    new_first = {each.number: (new.node, new.tet, new.edge) for each, new in zip(meshes, new_meshes, strict=True)}
     moved.keep(fragment, *fragment)
     for column in more:
         column.keep(stays)
@@ -190,8 +132,8 @@ def compact(
     tables.occupancy.keep(words.stays)
     return (
         moved,
-        [(each.index, new) for each, new in zip(meshes, new_meshes, strict=True)],
-        [(each.index, new) for each, new in zip(surfaces, new_surfaces, strict=True)],
+        [(each.number, new) for each, new in zip(meshes, new_meshes, strict=True)],
+        [(each.number, new) for each, new in zip(surfaces, new_surfaces, strict=True)],
     )
 
 
@@ -242,7 +184,7 @@ class _MeshMoves(NamedTuple):
 
 def _compact_meshes(tables: PoolTables, meshes: list[MeshRows]) -> _MeshMoves:
     table = tables.mesh
-    index = np.array([m.index for m in meshes], np.int64)
+    index = np.array([m.number for m in meshes], np.int64)
     counts = np.array([m.counts for m in meshes], np.int64).reshape(-1, 3)
     node, tet, edge = (np.array([getattr(m, n) for m in meshes], np.int64) for n in ("node", "tet", "edge"))
     moves = _MeshMoves(
@@ -332,8 +274,8 @@ def _compact_bodies(
     nodes.keep(body, "node_fragment")
     if body["node_field"].used:
         nodes.keep(body, "node_field")
-    tetrahedra.keep(body, *_OF_BODY_TETRAHEDRA)
-    edges.keep(body, *_OF_BODY_EDGES)
+    tetrahedra.keep(body, *OF_BODY_TETRAHEDRA)
+    edges.keep(body, *OF_BODY_EDGES)
     regions, count = body["regions"].view, body["cut_count"].view
     begin = regions[:, ROW].astype(np.int64)
     has = count > 0
@@ -342,7 +284,7 @@ def _compact_bodies(
     stays = np.zeros(body["planes"].used, bool)
     stays[body["edge_plane"].view[is_cut]] = True
     planes = _moves(stays)
-    polygons.keep(body, *_OF_POLYGONS)
+    polygons.keep(body, *OF_POLYGONS)
     planes.keep(body, "planes")
     for name, of in (
         ("node_fragment", moved), ("edge_plane", planes),
@@ -363,7 +305,7 @@ def _compact_bodies(
 def _compact_triangles(tables: PoolTables, surfaces: list[SurfaceMeshRows]) -> Moves:
     """Returns the moves of the rows of `node_range`."""
     table = tables.triangles
-    index = np.array([s.index for s in surfaces], np.int64)
+    index = np.array([s.number for s in surfaces], np.int64)
     meshes = moves_of_ranges(table["node_range"].used, index, index + 1)
     node, triangle = table["node_range"].view[index], table["triangle_range"].view[index]
     nodes = moves_of_ranges(table["node_box"].used, node[:, 0], node[:, 1])

@@ -9,6 +9,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from fracture_collision.core.contacts.deepest_contacts import sort_by_sample
 from fracture_collision.core.contacts.known_samples import (
     ask_sample,
@@ -16,6 +18,7 @@ from fracture_collision.core.contacts.known_samples import (
     moved_since,
     put_contact,
     share_a_body,
+    side_of,
 )
 from fracture_collision.core.field.elementary_queries import INSIDE, NEAR
 from fracture_collision.core.memory.compiled import inlined_kernel
@@ -36,20 +39,31 @@ class Rule(NamedTuple):
     """Which of a pair's contacts are listed (Glondu 2014, section 5.2, and `choose`)."""
 
     wanted: int  # m
-    most: int  # most contacts listed where more than m are deeper than epsilon; 0: the paper's rule
+    most: int  # most contacts listed where more than m are deeper than epsilon, up to `limit`; 0: the paper's rule
     epsilon: float  # [m]
     near: float  # [m] the detection tolerance
+    limit: int  # most contacts kept of a pair, the deepest
+
+
+class Placed(NamedTuple):
+    """A sample in the frame of the fragment that it is queried in."""
+
+    number: int
+    x: float  # [m]
+    y: float
+    z: float
+    start: int  # a tetrahedron to start the search from, -1: none is known
+    deep: float  # [m] bound on its depth: how far it has moved since the body broke
 
 
 @inlined_kernel
-def placed(pools, rotation, translation, entry, side, other, one_body, slack):
-    """For a row of TreePool: (its sample, x, y, z [m] in the other's frame, a tetrahedron of the other to start from,
-    bound [m] on its depth: how far it has moved since the body broke).
-    """
+def placed(pools, side, entry):
+    """The sample of row `entry` of TreePool, which is on this Side: Placed."""
     c, sample = pools.tree.spheres[entry], pools.tree.entries[entry, SAMPLE]
-    x, y, z = to_other(rotation[side], translation[side], c[0], c[1], c[2])
-    start = home_tetrahedron(pools, other, sample) if one_body else -1
-    return sample, x, y, z, start, moved_since(c, x, y, z) + slack if one_body else math.inf
+    x, y, z = to_other(side.rotation, side.translation, c[0], c[1], c[2])
+    start = home_tetrahedron(pools, side.other, sample) if side.one_body else -1
+    deep = moved_since(c, x, y, z) + side.slack if side.one_body else math.inf
+    return Placed(np.int64(sample), x, y, z, np.int64(start), deep)
 
 
 @inlined_kernel
@@ -59,25 +73,25 @@ def way_out_of_box(box, x, y, z):
 
 
 @inlined_kernel
-def keep(pools, entry, side, sample, x, y, z, distance, deep, k, scratch, thread):
-    """Store a sample at (x, y, z) in the other's frame as candidate k, without an answer: at `distance` [m], or
-    UNASKED, and no deeper than `deep` [m].
+def keep(pools, side, entry, sample, distance, deep, k, scratch):
+    """Store a Placed sample as candidate k, without an answer: at `distance` [m], or UNASKED, and no deeper than `deep`
+    [m].
     """
-    node, point = scratch.node_int[thread, k], scratch.node_float[thread, k]
-    node[ENTRY], node[SIDE], node[NUMBER], node[ANSWER] = entry, side, sample, -1
-    point[0], point[1], point[2], point[DISTANCE] = x, y, z, distance
-    if side == 1:
+    node, point = scratch.node_int[k], scratch.node_float[k]
+    node[ENTRY], node[SIDE], node[NUMBER], node[ANSWER] = entry, side.number, sample.number, -1
+    point[0], point[1], point[2], point[DISTANCE] = sample.x, sample.y, sample.z, distance
+    if side.number == 1:
         own = pools.tree.spheres[entry]
         point[0], point[1], point[2] = own[0], own[1], own[2]
-    scratch.spread[thread, MOST_DEPTH, k] = deep
+    scratch.spread[MOST_DEPTH, k] = deep
 
 
 @inlined_kernel
-def keep_answer(answer, k, sample, x, y, z, scratch, thread):
-    """Store the answer of bounded_probe for candidate k as final."""
-    node = scratch.node_int[thread, k]
+def keep_answer(answer, k, sample, scratch):
+    """Store the Probe of a Placed sample, candidate k, as final."""
+    node = scratch.node_int[k]
     node[ANSWER] = k
-    put_contact(scratch.kept[thread], scratch.kept_ids[thread], k, node[SIDE], sample, x, y, z, answer)
+    put_contact(scratch.kept, np.int64(k), np.int64(node[SIDE]), sample.number, (sample.x, sample.y, sample.z), answer)
 
 
 @inlined_kernel
@@ -85,11 +99,11 @@ def is_final(answer, looked, rule):
     """Whether put_chosen would get the same answer. It may not if the probe searched farther than the tolerance, or
     less deep than the point may be: of surfaces equally near it may then find another.
     """
-    return (answer[0] == NEAR and looked == rule.near) or (answer[0] == INSIDE and rule.most == 0)
+    return (answer.status == NEAR and looked == rule.near) or (answer.status == INSIDE and rule.most == 0)
 
 
 @inlined_kernel
-def choose(rule, count, scratch, thread):
+def choose(rule, count, scratch):
     """Choose which of `count` near samples, at most `wanted` of them deeper than epsilon, to list: they come first.
     Returns (how many, bound [m] on the depth of the others).
 
@@ -101,20 +115,20 @@ def choose(rule, count, scratch, thread):
     """
     if count <= rule.wanted:
         return count, 0.0
-    point, spread = scratch.node_float[thread], scratch.spread[thread]
+    point, spread = scratch.node_float, scratch.spread
     deep, nearest = 0, math.inf
     for k in range(count):
         nearest = min(nearest, point[k, DISTANCE])
         spread[FAR, k] = math.inf
         if point[k, DISTANCE] < -rule.epsilon:
-            swap(scratch, thread, k, deep)
+            swap(scratch, k, deep)
             deep += 1
     for chosen in range(rule.wanted):
         pick = chosen if chosen < deep else -1
         if pick < 0 and chosen == 0:
             limit = nearest + 0.5 * rule.epsilon
             for k in range(count):
-                if point[k, DISTANCE] <= limit and (pick < 0 or is_before(scratch, thread, k, pick)):
+                if point[k, DISTANCE] <= limit and (pick < 0 or is_before(scratch, k, pick)):
                     pick = k
         elif pick < 0:
             best = 0.0
@@ -122,10 +136,10 @@ def choose(rule, count, scratch, thread):
                 best = max(best, _worth(rule, point[k, DISTANCE], spread[FAR, k]))
             for k in range(chosen, count):
                 its = _worth(rule, point[k, DISTANCE], spread[FAR, k])
-                if its >= EQUAL * best and (pick < 0 or is_before(scratch, thread, k, pick)):
+                if its >= EQUAL * best and (pick < 0 or is_before(scratch, k, pick)):
                     pick = k
-        swap(scratch, thread, pick, chosen)
-        _see_chosen(chosen, count, scratch, thread)
+        swap(scratch, pick, chosen)
+        _see_chosen(chosen, count, scratch)
     missed = 0.0
     for k in range(rule.wanted, count):
         missed = max(missed, spread[MOST_DEPTH, k])
@@ -133,9 +147,9 @@ def choose(rule, count, scratch, thread):
 
 
 @inlined_kernel
-def _see_chosen(chosen, end, scratch, thread):
+def _see_chosen(chosen, end, scratch):
     """Update how far the samples up to `end` are from the chosen ones; the last chosen is row `chosen`."""
-    point, far = scratch.node_float[thread], scratch.spread[thread, FAR]
+    point, far = scratch.node_float, scratch.spread[FAR]
     x, y, z = point[chosen, 0], point[chosen, 1], point[chosen, 2]
     for k in range(chosen + 1, end):
         dx, dy, dz = point[k, 0] - x, point[k, 1] - y, point[k, 2] - z
@@ -149,15 +163,15 @@ def _worth(rule, distance, far):
 
 
 @inlined_kernel
-def is_before(scratch, thread, i, j):
+def is_before(scratch, i, j):
     """Order by side and sample."""
-    one, other = scratch.node_int[thread, i], scratch.node_int[thread, j]
+    one, other = scratch.node_int[i], scratch.node_int[j]
     return one[SIDE] < other[SIDE] or (one[SIDE] == other[SIDE] and one[NUMBER] < other[NUMBER])
 
 
 @inlined_kernel
-def swap(scratch, thread, i, j):
-    node, point, spread = scratch.node_int[thread], scratch.node_float[thread], scratch.spread[thread]
+def swap(scratch, i, j):
+    node, point, spread = scratch.node_int, scratch.node_float, scratch.spread
     for c in range(4):
         node[i, c], node[j, c] = node[j, c], node[i, c]
     for c in range(4):
@@ -167,20 +181,21 @@ def swap(scratch, thread, i, j):
 
 
 @inlined_kernel
-def put_chosen(pools, a, b, rotation, translation, near, slack, contacts, ids, count, scratch, thread):
+def put_chosen(pools, pair, near, slack, sink, count, scratch):
     """Write the first `count` candidates as contacts, sorted by side and sample."""
-    one_body = share_a_body(pools, a, b)
+    contacts, ids = sink
+    one_body = share_a_body(pools, pair.a, pair.b)
     for k in range(count):
-        kept = scratch.node_int[thread, k, ANSWER]
+        kept = scratch.node_int[k, ANSWER]
         if kept >= 0:
             for i in range(contacts.shape[1]):
-                contacts[k, i] = scratch.kept[thread, kept, i]
+                contacts[k, i] = scratch.kept.contacts[kept, i]
             for i in range(ids.shape[1]):
-                ids[k, i] = scratch.kept_ids[thread, kept, i]
+                ids[k, i] = scratch.kept.ids[kept, i]
             continue
-        entry, side = scratch.node_int[thread, k, ENTRY], scratch.node_int[thread, k, SIDE]
-        other = b if side == 0 else a
-        sample, x, y, z, start, deep = placed(pools, rotation, translation, entry, side, other, one_body, slack)
-        answer = ask_sample(pools, other, x, y, z, near, deep, start, True, scratch, thread)
-        put_contact(contacts, ids, k, side, sample, x, y, z, answer)
+        side = side_of(pair, np.int64(scratch.node_int[k, SIDE]), one_body, slack)
+        sample = placed(pools, side, scratch.node_int[k, ENTRY])
+        point = sample.x, sample.y, sample.z
+        answer = ask_sample(pools, side.other, point, near, sample.deep, sample.start, True, scratch)
+        put_contact(sink, k, side.number, sample.number, point, answer)
     sort_by_sample(contacts, ids, count)

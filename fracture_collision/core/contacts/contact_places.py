@@ -2,16 +2,39 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
+import numpy as np
+
 from fracture_collision.core.contacts.known_samples import ID_SAMPLE, ID_SIDE
 from fracture_collision.core.memory.compiled import inlined_kernel
 
 
+class WorldContacts(NamedTuple):
+    """Columns of n contacts in the world."""
+
+    points_a: np.ndarray  # (n, 3) float64 [m]
+    points_b: np.ndarray  # (n, 3) float64 [m]
+    normals: np.ndarray  # (n, 3) float64, from a to b
+    gaps: np.ndarray  # (n,) float64 [m]
+    samples: np.ndarray  # (n, 2) int64: side whose sample it is (0: a), sample index, see Sink
+
+
+def make_world_contacts(n: int) -> WorldContacts:
+    """Columns for n contacts, not initialized."""
+    return WorldContacts(
+        np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3)), np.empty(n), np.empty((n, 2), np.int64)
+    )
+
+
 @inlined_kernel
-def put_in_world(pair, rotations, positions, row, ids, o, points_a, points_b, normals, gaps, samples):
-    """Write a contact of `pair` (i, j), a row of query_pair's with its ids, to row `o` of PairContacts' columns."""
+def put_in_world(step, p, sink, c, out, o):
+    """Write contact `c` of a Sink, of pair `p` of a Step, to row `o` of WorldContacts."""
+    row, ids = sink.contacts[c], sink.ids[c]
     side = ids[ID_SIDE]
-    other = pair[1] if side == 0 else pair[0]
-    r, t = rotations[other], positions[other]
+    other = step.pairs[p, 1] if side == 0 else step.pairs[p, 0]
+    r, t = step.rotations[other], step.positions[other]
+    points_a, points_b, normals, gaps, samples = out
     own_point, other_point = (points_a[o], points_b[o]) if side == 0 else (points_b[o], points_a[o])
     _to_world(r, t, row[0], row[1], row[2], own_point)
     _to_world(r, t, row[3], row[4], row[5], other_point)

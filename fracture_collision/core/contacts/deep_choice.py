@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from fracture_collision.core.contacts.contact_choice import (
     DISTANCE,
     ENTRY,
@@ -22,10 +24,11 @@ from fracture_collision.core.contacts.contact_choice import (
     placed,
     swap,
 )
-from fracture_collision.core.contacts.known_samples import ask_sample, share_a_body
+from fracture_collision.core.contacts.known_samples import ask_sample, share_a_body, side_of
 from fracture_collision.core.field.elementary_queries import INSIDE, bounded_probe
-from fracture_collision.core.field.flood import EVERYTHING, nearest_in_tetrahedron, nothing_within, pop, push
+from fracture_collision.core.field.flood import EVERYTHING, nearest_in_tetrahedron, nothing_within
 from fracture_collision.core.memory.compiled import inlined_kernel
+from fracture_collision.core.memory.heap import pop, push
 from fracture_collision.core.memory.kinds import TETRAHEDRA, TRIANGLES
 from fracture_collision.core.memory.pools import EXACT
 from fracture_collision.core.tree.sample_leaves import farthest_sample, leaves_of, nearest_sample
@@ -46,25 +49,23 @@ def may_wait(pools, other, rule, deep):
 
 
 @inlined_kernel
-def choose_deep(pools, a, b, rotation, translation, rule, slack, count, scratch, thread):
+def choose_deep(pools, pair, rule, slack, count, scratch):
     """Like contact_choice.choose, where more than wanted of the samples are deeper than epsilon: the deepest, then of
-    these those farthest from the ones already chosen, up to rule.most.
+    these those farthest from the ones already chosen, up to rule.most and rule.limit.
     """
-    point, most_depth = scratch.node_float[thread], scratch.spread[thread, MOST_DEPTH]
-    picked = scratch.queue[thread, 1]
-    deepest = _find_deepest(pools, a, b, rotation, translation, rule, slack, count, scratch, thread)
-    first, aim = -1, max(rule.most, rule.wanted)
+    point, most_depth = scratch.node_float, scratch.spread[MOST_DEPTH]
+    picked = scratch.queue[1]
+    deepest = _find_deepest(pools, pair, rule, slack, count, scratch)
+    first, aim = -1, max(min(rule.most, rule.limit), rule.wanted)
     for k in range(count):
-        if point[k, DISTANCE] == -deepest and (first < 0 or is_before(scratch, thread, k, first)):
+        if point[k, DISTANCE] == -deepest and (first < 0 or is_before(scratch, k, first)):
             first = k
     picked[0] = first
-    waiting = _line_up(rule, count, first, scratch, thread)
+    waiting = _line_up(rule, count, first, scratch)
     # one more than is listed, to find out whether any is left
     chosen = 1
     while chosen <= aim:
-        pick, waiting = _farthest(
-            pools, a, b, rotation, translation, rule, slack, count, chosen, waiting, scratch, thread
-        )
+        pick, waiting = _farthest(pools, pair, rule, slack, count, chosen, waiting, scratch)
         if pick < 0:
             break
         picked[chosen] = pick
@@ -75,7 +76,7 @@ def choose_deep(pools, a, b, rotation, translation, rule, slack, count, scratch,
             bound = max(bound, most_depth[k])
     chosen = min(chosen, aim)
     for k in range(chosen):
-        swap(scratch, thread, picked[k], k)
+        swap(scratch, picked[k], k)
         for later in range(k + 1, chosen):
             if picked[later] == k:
                 picked[later] = picked[k]
@@ -83,12 +84,12 @@ def choose_deep(pools, a, b, rotation, translation, rule, slack, count, scratch,
 
 
 @inlined_kernel
-def _line_up(rule, count, first, scratch, thread):
+def _line_up(rule, count, first, scratch):
     """Queue those of `count` samples that may be deeper than epsilon, except `first`, by their distance from it: a
     heap, farthest first; returns how many.
     """
-    point, most_depth = scratch.node_float[thread], scratch.spread[thread, MOST_DEPTH]
-    keys, items, known = scratch.spread[thread, FAR], scratch.queue[thread, 0], scratch.queue[thread, 0, count:]
+    point, most_depth = scratch.node_float, scratch.spread[MOST_DEPTH]
+    keys, items, known = scratch.spread[FAR], scratch.queue[0], scratch.queue[0, count:]
     waiting = 0
     for k in range(count):
         distance = point[k, DISTANCE]
@@ -100,15 +101,15 @@ def _line_up(rule, count, first, scratch, thread):
 
 
 @inlined_kernel
-def _farthest(pools, a, b, rotation, translation, rule, slack, count, chosen, waiting, scratch, thread):
+def _farthest(pools, pair, rule, slack, count, chosen, waiting, scratch):
     """(the queued sample farthest from the `chosen` ones, -1: none is deeper than epsilon; how many are left in the
     queue). Ties as in contact_choice.choose.
 
     A sample's key is its distance from the first `known` chosen ones, an upper bound of the present distance (as in the
     lazy greedy algorithm of Minoux 1978).
     """
-    point, keys, items = scratch.node_float[thread], scratch.spread[thread, FAR], scratch.queue[thread, 0]
-    known, picked, ties = scratch.queue[thread, 0, count:], scratch.queue[thread, 1], scratch.queue[thread, 1, count:]
+    point, keys, items = scratch.node_float, scratch.spread[FAR], scratch.queue[0]
+    known, picked, ties = scratch.queue[0, count:], scratch.queue[1], scratch.queue[1, count:]
     best, tied, pick = -1.0, 0, -1
     while waiting and -keys[0] >= EQUAL * best:
         k, far = items[0], -keys[0]
@@ -122,13 +123,13 @@ def _farthest(pools, a, b, rotation, translation, rule, slack, count, chosen, wa
             waiting += 1
             continue
         if point[k, DISTANCE] == UNASKED:
-            if not _is_deep(pools, a, b, rotation, translation, rule, slack, k, scratch, thread):
+            if not _is_deep(pools, pair, rule, slack, k, scratch):
                 continue
             point[k, DISTANCE] = -math.inf
         best = max(best, far)
         ties[tied] = k
         tied += 1
-        if pick < 0 or is_before(scratch, thread, k, pick):
+        if pick < 0 or is_before(scratch, k, pick):
             pick = k
     for i in range(tied):
         if ties[i] != pick:
@@ -146,20 +147,17 @@ def _apart(point, i, j):
 
 
 @inlined_kernel
-def _is_deep(pools, a, b, rotation, translation, rule, slack, k, scratch, thread):
+def _is_deep(pools, pair, rule, slack, k, scratch):
     """Whether the k-th sample is deeper than epsilon."""
-    entry, side = scratch.node_int[thread, k, ENTRY], scratch.node_int[thread, k, SIDE]
-    other = b if side == 0 else a
-    one_body = share_a_body(pools, a, b)
-    _, x, y, z, start, deep = placed(pools, rotation, translation, entry, side, other, one_body, slack)
-    answer = bounded_probe(
-        pools, other, x, y, z, 0.0, min(deep, rule.epsilon), start, True, scratch, thread
-    )
-    return answer[0] == INSIDE and answer[1] < -rule.epsilon
+    side = side_of(pair, np.int64(scratch.node_int[k, SIDE]), share_a_body(pools, pair.a, pair.b), slack)
+    sample = placed(pools, side, scratch.node_int[k, ENTRY])
+    point, deep = (sample.x, sample.y, sample.z), min(sample.deep, rule.epsilon)
+    answer = bounded_probe(pools, side.other, point, 0.0, deep, sample.start, True, scratch)
+    return answer.status == INSIDE and answer.distance < -rule.epsilon
 
 
 @inlined_kernel
-def _find_deepest(pools, a, b, rotation, translation, rule, slack, count, scratch, thread):
+def _find_deepest(pools, pair, rule, slack, count, scratch):
     """Query those of the first `count` samples that may be the deepest; returns its depth [m].
 
     The depth of a sample inside is at most its distance from any part of the other's surface: the part in the
@@ -167,8 +165,9 @@ def _find_deepest(pools, a, b, rotation, translation, rule, slack, count, scratc
     distance along a direction n from n . x to the other's farthest point; the exit direction of a deep sample is a good
     n for its neighbours.
     """
-    point, spread, node = scratch.node_float[thread], scratch.spread[thread], scratch.node_int[thread]
-    keys, items, ways = spread[FAR], scratch.queue[thread, 0], scratch.ways[thread]
+    a, b, rotation, translation = pair
+    point, spread, node = scratch.node_float, scratch.spread, scratch.node_int
+    keys, items, ways = spread[FAR], scratch.queue[0], scratch.ways
     one_body, deepest, waiting, known = share_a_body(pools, a, b), 0.0, 0, 0
     for k in range(count):
         if -math.inf < point[k, DISTANCE] < UNASKED:
@@ -180,22 +179,20 @@ def _find_deepest(pools, a, b, rotation, translation, rule, slack, count, scratc
         k, key = items[0], -keys[0]
         pop(keys, items, waiting)
         waiting -= 1
-        side = node[k, SIDE]
-        other = b if side == 0 else a
-        sample, x, y, z, start, moved = placed(
-            pools, rotation, translation, node[k, ENTRY], side, other, one_body, slack
-        )
+        side = side_of(pair, np.int64(node[k, SIDE]), one_body, slack)
+        other, sample = side.other, placed(pools, side, node[k, ENTRY])
+        x, y, z = sample.x, sample.y, sample.z
         leaves = leaves_of(pools, other)
         m = leaves.middle
         if key == spread[MOST_DEPTH, k]:  # its key is still the initial bound
             deep = key
             if one_body:
-                best = nearest_in_tetrahedron(pools, other, start, x, y, z, EVERYTHING, nothing_within(key))
+                best = nearest_in_tetrahedron(pools, other, sample.start, x, y, z, EVERYTHING, nothing_within(key))
                 deep = min(key, math.sqrt(best[0]) + slack)
             if deep == key and key > SAMPLES_HELP * pools.fragment.radius[other]:
-                deep = min(key, nearest_sample(leaves, x - m[0], y - m[1], z - m[2], scratch.along[thread]) + slack)
+                deep = min(key, nearest_sample(leaves, x - m[0], y - m[1], z - m[2], scratch.along) + slack)
             for w in range(known):
-                if ways[w, 4] == side:
+                if ways[w, 4] == side.number:
                     along = ways[w, 0] * x + ways[w, 1] * y + ways[w, 2] * z
                     deep = min(deep, ways[w, 3] - along)
             if deep < key:
@@ -204,19 +201,20 @@ def _find_deepest(pools, a, b, rotation, translation, rule, slack, count, scratc
                     waiting += 1
                 continue
         # a probe down to `deepest` is faster than one for the exact depth
-        answer = bounded_probe(pools, other, x, y, z, 0.0, min(moved, deepest), start, True, scratch, thread)
-        if answer[0] != INSIDE:
+        deep = min(sample.deep, deepest)
+        answer = bounded_probe(pools, other, (x, y, z), 0.0, deep, sample.start, True, scratch)
+        if answer.status != INSIDE:
             point[k, DISTANCE] = 0.0
             continue
-        if answer[1] == -math.inf:
-            answer = ask_sample(pools, other, x, y, z, 0.0, moved, start, True, scratch, thread)
-            keep_answer(answer, k, sample, x, y, z, scratch, thread)
-        point[k, DISTANCE], spread[MOST_DEPTH, k] = answer[1], answer[8]
-        deepest = max(deepest, -answer[1])
+        if answer.distance == -math.inf:
+            answer = ask_sample(pools, other, (x, y, z), 0.0, sample.deep, sample.start, True, scratch)
+            keep_answer(answer, k, sample, scratch)
+        point[k, DISTANCE], spread[MOST_DEPTH, k] = answer.distance, answer.most_depth
+        deepest = max(deepest, -answer.distance)
         if known < MOST_WAYS:
-            n, way = (answer[2], answer[3], answer[4]), ways[known]
-            _, reach = farthest_sample(leaves, n, 0, scratch.along[thread])
+            n, way = (answer.nx, answer.ny, answer.nz), ways[known]
+            _, reach = farthest_sample(leaves, n, 0, scratch.along)
             farthest = n[0] * m[0] + n[1] * m[1] + n[2] * m[2] + reach + m[3] + slack
-            way[0], way[1], way[2], way[3], way[4] = n[0], n[1], n[2], farthest, side
+            way[0], way[1], way[2], way[3], way[4] = n[0], n[1], n[2], farthest, side.number
             known += 1
     return deepest

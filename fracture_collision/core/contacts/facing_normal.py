@@ -50,12 +50,14 @@ ROUNDING = 1e-12
 
 
 @query_kernel
-def turn_contacts(pools, a, b, rotation, translation, near, contacts, ids, count, scratch, thread):
-    """Turn the `count` contacts of a pair, as query_pair leaves them, to surfaces that face their samples.
+def turn_contacts(pools, pair, near, sink, count, scratch):
+    """Turn the first `count` contacts of a Sink to surfaces that face their samples.
 
-    Sets witness, normal and gap in rows of `contacts` (., 10); rotation (2, 3, 3), translation (2, 3): as query_pair's;
-    `near` [m] is the detection tolerance. Where ridges cross they already have the direction across both.
+    Sets witness, normal and gap; `near` [m] is the detection tolerance. Where ridges cross they already have the
+    direction across both.
     """
+    a, b, rotation, translation = pair
+    contacts, ids = sink
     one_body = share_a_body(pools, a, b)
     for c in range(count):
         side, sample = ids[c, ID_SIDE], ids[c, ID_SAMPLE]
@@ -63,31 +65,33 @@ def turn_contacts(pools, a, b, rotation, translation, near, contacts, ids, count
             continue
         f, own = (b, a) if side == 0 else (a, b)
         if one_body:
-            source, where, at = ids[c, ID_SOURCE], ids[c, ID_TETRAHEDRON], ids[c, ID_AT]
-            turn_to_crack(pools, f, own, near, contacts[c], source, where, at, scratch, thread)
+            witness = ids[c, ID_SOURCE], ids[c, ID_TETRAHEDRON], ids[c, ID_AT]
+            turn_to_crack(pools, f, own, near, contacts[c], witness, scratch)
         elif pools.fragment.kind[own] != SPHERE and pools.fragment.kind[f] in (BOX, TETRAHEDRA, TRIANGLES):
             row = contacts[c]
             px, py, pz = to_other(rotation[1 - side], translation[1 - side], row[0], row[1], row[2])
             ux, uy, uz = own_normal(pools, own, sample, px, py, pz)
             outward = rotated(rotation[side], ux, uy, uz)
-            _turn_to_facing(pools, f, own, outward, near, row, scratch, thread)
+            _turn_to_facing(pools, f, own, outward, near, row, scratch)
 
 
 @inlined_kernel
-def turn_surface_point(pools, a, b, side, outward, near, row, ids, scratch, thread):
-    """Like turn_contacts, for one contact that is not at a sample: `outward` (x, y, z) is the normal of its own
-    surface, in the other's frame.
+def turn_surface_point(pools, pair, side, outward, near, sink, scratch):
+    """Like turn_contacts, for the one contact of row 0, which is not at a sample: `outward` (x, y, z) is the normal of
+    its own surface, in the other's frame.
     """
+    a, b, _, _ = pair
+    row, ids = sink.contacts[0], sink.ids[0]
     f, own = (b, a) if side == 0 else (a, b)
     if share_a_body(pools, a, b):
-        source, where, at = ids[ID_SOURCE], ids[ID_TETRAHEDRON], ids[ID_AT]
-        turn_to_crack(pools, f, own, near, row, source, where, at, scratch, thread)
+        witness = ids[ID_SOURCE], ids[ID_TETRAHEDRON], ids[ID_AT]
+        turn_to_crack(pools, f, own, near, row, witness, scratch)
     elif pools.fragment.kind[f] in (BOX, TETRAHEDRA, TRIANGLES):
-        _turn_to_facing(pools, f, own, outward, near, row, scratch, thread)
+        _turn_to_facing(pools, f, own, outward, near, row, scratch)
 
 
 @inlined_kernel
-def _turn_to_facing(pools, f, own, outward, near, row, scratch, thread):
+def _turn_to_facing(pools, f, own, outward, near, row, scratch):
     """outward (x, y, z): the normal of own's surface in f's frame, not unit; zeros if unknown."""
     x, y, z, d = row[0], row[1], row[2], row[9]
     ox, oy, oz = outward
@@ -101,7 +105,7 @@ def _turn_to_facing(pools, f, own, outward, near, row, scratch, thread):
             return
         # where the two just touch, rounding decides the direction: of surfaces equally near take one that faces
         limit = 2.0 * slack
-    found, qx, qy, qz, nx, ny, nz = _nearest_facing(pools, f, inside, x, y, z, limit, outward, scratch, thread)
+    found, qx, qy, qz, nx, ny, nz = _nearest_facing(pools, f, inside, (x, y, z), limit, outward, scratch)
     if not found:
         return
     gap = nx * (x - qx) + ny * (y - qy) + nz * (z - qz)
@@ -146,16 +150,17 @@ def _face_sign(x, half):
 
 
 @inlined_kernel
-def _nearest_facing(pools, f, inside, x, y, z, limit, toward, scratch, thread):
+def _nearest_facing(pools, f, inside, point, limit, toward, scratch):
     """Nearest point within `limit` [m] of f's surface whose outward normal points against `toward`: (found, point,
     normal).
     """
+    x, y, z = point
     kind = pools.fragment.kind[f]
     if kind == BOX:
         return _facing_side(pools.fragment.shape[f], x, y, z, limit, toward)
     k = pools.fragment.mesh[f]
     if kind == TRIANGLES:
-        _, qx, qy, qz, _, i = nearest_triangle(pools.triangles, k, x, y, z, limit, toward, scratch.stack[thread])
+        _, qx, qy, qz, _, i = nearest_triangle(pools.triangles, k, x, y, z, limit, toward, scratch.stack)
         if i < 0:
             return False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         c = pools.triangles.corners[i]
@@ -164,9 +169,9 @@ def _nearest_facing(pools, f, inside, x, y, z, limit, toward, scratch, thread):
     t = tetrahedron_at(pools.mesh, k, x, y, z)
     only = (TOWARD, toward[0], toward[1], toward[2])
     if inside and t >= 0 and holds_fragment(pools, f, t):
-        best = nearest_from_inside(pools, f, t, x, y, z, limit, only, scratch, thread)
+        best = nearest_from_inside(pools, f, t, point, limit, only, scratch)
     else:
-        best = nearest_from_outside(pools, f, t, x, y, z, limit, only, scratch, thread)
+        best = nearest_from_outside(pools, f, t, point, limit, only, scratch)
     if best[5] == NO_SOURCE:
         return False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     nx, ny, nz = source_normal(pools, f, best[5])

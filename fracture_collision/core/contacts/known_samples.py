@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -51,6 +52,25 @@ def share_a_body(pools, a, b):
     )  # fmt: skip
 
 
+class Side(NamedTuple):
+    """One of the two sides of a pair: the samples of `own`, to be queried in `other`."""
+
+    number: int  # 0: own is a, 1: own is b
+    own: int
+    other: int
+    rotation: np.ndarray  # (3, 3) float64: from own's body frame to the other's
+    translation: np.ndarray  # (3,) float64 [m], likewise
+    one_body: bool  # whether the two come from one body that broke
+    slack: float  # [m] rounding_slack of the pair
+
+
+@inlined_kernel
+def side_of(pair, number, one_body, slack):
+    """The Side `number` of a Pair."""
+    own, other = (pair.a, pair.b) if number == 0 else (pair.b, pair.a)
+    return Side(number, own, other, pair.rotation[number], pair.translation[number], one_body, slack)
+
+
 @inlined_kernel
 def home_tetrahedron(pools, f, sample):
     """A tetrahedron of fragment f's mesh that holds the sample, or has it on a node or edge."""
@@ -84,40 +104,41 @@ def rounding_slack(pools, a, b, translation):
 
 
 @inlined_kernel
-def put_contact(contacts, ids, count, side, sample, x, y, z, answer):
-    """Write row `count` from a sample's point and the answer of bounded_probe."""
-    row = contacts[count]
-    row[0], row[1], row[2] = x, y, z
-    row[3], row[4], row[5] = answer[5], answer[6], answer[7]
-    row[6], row[7], row[8] = answer[2], answer[3], answer[4]
-    row[9] = answer[1]
-    ids[count, ID_SIDE], ids[count, ID_SAMPLE] = side, sample
-    ids[count, ID_SOURCE], ids[count, ID_TETRAHEDRON], ids[count, ID_AT] = answer[9], answer[10], answer[11]
+def put_contact(sink, row, side, sample, point, answer):
+    """Write row `row` of a Sink from sample number `sample`, its point (x, y, z) and its Probe."""
+    contact, ids = sink.contacts[row], sink.ids[row]
+    contact[0], contact[1], contact[2] = point
+    contact[3], contact[4], contact[5] = answer.x, answer.y, answer.z
+    contact[6], contact[7], contact[8] = answer.nx, answer.ny, answer.nz
+    contact[9] = answer.distance
+    ids[ID_SIDE], ids[ID_SAMPLE] = side, sample
+    ids[ID_SOURCE], ids[ID_TETRAHEDRON], ids[ID_AT] = answer.source, answer.source_tetrahedron, answer.tetrahedron
 
 
 @inlined_kernel
-def ask_sample(pools, other, x, y, z, near, deep, start, asked, scratch, thread):
+def ask_sample(pools, other, point, near, deep, start, reached, scratch):
     """bounded_probe, repeated without a limit if a point inside has no surface within `deep` [m]."""
-    answer = bounded_probe(pools, other, x, y, z, near, deep, start, asked, scratch, thread)
-    if answer[0] == INSIDE and answer[1] == -math.inf:
-        answer = bounded_probe(pools, other, x, y, z, near, math.inf, start, True, scratch, thread)
+    answer = bounded_probe(pools, other, point, near, deep, start, reached, scratch)
+    if answer.status == INSIDE and answer.distance == -math.inf:
+        answer = bounded_probe(pools, other, point, near, math.inf, start, True, scratch)
     return answer
 
 
 @query_kernel
-def query_seeds(pools, a, b, rotation, translation, wanted, near, most, contacts, ids, capacity, scratch, thread):
+def query_seeds(pools, pair, wanted, near, most, sink, scratch):
     """Contacts at the crossings of the crack that two fragments of one body share, until there are `wanted`.
 
-    `most`: crossings queried at most, 0: all seeds. Fills contacts and ids as query_pair does; returns (contacts,
-    crossings queried). A crossing is a sample of both: the two alternate as its owner.
+    `most`: crossings queried at most, 0: all seeds. Returns (contacts, crossings queried). A crossing is a sample of
+    both: the two alternate as its owner.
     """
+    a, b, rotation, translation = pair
     mesh, body, fragment = pools.mesh, pools.body, pools.fragment
     slack = rounding_slack(pools, a, b, translation)
     begin, end = find_seeds(fragment, pools.seeds, a, b)
     if end - begin < wanted:
         return 0, 0
     count, asked = 0, 0
-    point = scratch.point[thread]
+    point = scratch.point
     for k in range(begin, end):
         if count == wanted or (most and asked == most):
             break
@@ -130,11 +151,12 @@ def query_seeds(pools, a, b, rotation, translation, wanted, near, most, contacts
         point_on_edge(mesh.nodes, mesh.edges[e, 0], mesh.edges[e, 1], share, point)
         x, y, z = to_other(rotation[side], translation[side], point[0], point[1], point[2])
         deep = moved_since(point, x, y, z) + slack
-        answer = ask_sample(pools, other, x, y, z, near, deep, mesh.edge_tets[e], False, scratch, thread)
-        if answer[0] == OUTSIDE:
+        start = np.int64(mesh.edge_tets[e])
+        answer = ask_sample(pools, other, (x, y, z), near, deep, start, False, scratch)
+        if answer.status == OUTSIDE:
             continue
-        if count < capacity:
+        if count < len(sink.contacts):
             sample = crossing_number(mesh.first[fragment.mesh[a]], e, end_of_own)
-            put_contact(contacts, ids, count, side, sample, x, y, z, answer)
+            put_contact(sink, count, side, np.int64(sample), (x, y, z), answer)
         count += 1
     return count, asked

@@ -13,12 +13,13 @@ triangle, whatever else the sphere touches.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from fracture_collision.core.contacts.deepest_contacts import GAP, make_heap, sort_heap, swap_contacts
 from fracture_collision.core.contacts.known_samples import ID_AT, ID_SAMPLE, ID_SIDE, ID_SOURCE, ID_TETRAHEDRON
-from fracture_collision.core.field.elementary_queries import INSIDE, OUTSIDE, inside_tetrahedron, probe
+from fracture_collision.core.field.elementary_queries import INSIDE, OUTSIDE, bounded_probe, inside_tetrahedron
 from fracture_collision.core.field.flood import NO_SOURCE, next_stamp
 from fracture_collision.core.memory.compiled import inlined_kernel, query_kernel
 from fracture_collision.core.memory.kinds import TETRAHEDRA, TRIANGLES
@@ -54,84 +55,102 @@ HALVINGS = 12
 SPREAD = 16
 
 
+class Place(NamedTuple):
+    """Where a sphere may touch: a point of the other's surface, seen from the sphere's centre."""
+
+    is_place: bool  # whether it is a local minimum of the distance, and its triangle the first that contains it
+    distance: float  # [m] signed
+    nx: float  # outward unit direction
+    ny: float
+    nz: float
+    x: float  # [m] the point
+    y: float
+    z: float
+
+
 @query_kernel
-def sphere_contacts(
-    pools, ball, other, x, y, z, near, wanted, epsilon, most_within, most, contacts, ids, side, scratch, thread
-):  # fmt: skip
-    """The contacts of sphere `ball`, centre (x, y, z) in the other's frame.
+def sphere_contacts(pools, pair, number, rule, most_within, sink, scratch):
+    """The contacts of the sphere on side `number` (0: a) of a Pair, by a Rule.
 
-    Those within `near` [m]: the deepest, then others as far apart in direction as possible until there are `wanted`,
-    and all that are deeper than `epsilon` [m], at most `most`. If more than `most_within` triangles are within reach,
-    only the nearer ones are tested.
+    Those within rule.near: the deepest, then others as far apart in direction as possible until there are rule.wanted,
+    and all that are deeper than rule.epsilon, at most rule.limit. If more than `most_within` triangles are within
+    reach, only the nearer ones are tested.
 
-    Fills the first rows of contacts and ids as far as they go. Returns (contacts found, missed depth bound [m] of all
-    other places of the sphere, whether a limit left out any that are deeper than `epsilon`).
+    Fills the first rows of a Sink as far as they go. Returns (contacts found, missed depth bound [m] of all other
+    places of the sphere, whether a limit left out any that are deeper than epsilon).
     """
+    ball, other = (pair.a, pair.b) if number == 0 else (pair.b, pair.a)
+    center = pair.translation[number, 0], pair.translation[number, 1], pair.translation[number, 2]
+    contacts, ids = sink
     radius, size = pools.fragment.shape[ball, 0], pools.fragment.radius[other]
-    status, d, nx, ny, nz, qx, qy, qz = probe(pools, other, x, y, z, radius + near, math.inf, scratch, thread)
-    if status == OUTSIDE or d - radius > near:
+    answer = bounded_probe(pools, other, center, radius + rule.near, math.inf, -1, False, scratch)
+    d = answer.distance
+    if answer.status == OUTSIDE or d - radius > rule.near:
         return 0, 0.0, False
-    within, touching = scratch.within[thread], scratch.touching[thread]
-    rows, row_ids = scratch.row[thread], scratch.row_ids[thread]
+    within, touching, places = scratch.within, scratch.touching, scratch.places
     kind, sample = pools.fragment.kind[other], NO_TRIANGLE
     if kind in (TETRAHEDRA, TRIANGLES):
-        sample = _first_at(pools, other, qx, qy, qz, touching, scratch, thread)
-    _put(rows, row_ids, 0, side, sample, x, y, z, radius, d, nx, ny, nz, qx, qy, qz)
+        sample = _first_at(pools, other, (answer.x, answer.y, answer.z), touching, scratch)
+    nearest = Place(True, d, answer.nx, answer.ny, answer.nz, answer.x, answer.y, answer.z)
+    _put(places, 0, number, sample, center, radius, nearest)
     found, kept, bound, cut = 1, 1, 0.0, False
-    if sample != NO_TRIANGLE and status != INSIDE:
-        reach, room = radius + near, min(most_within, len(within))
-        count = _triangles_within(pools, other, x, y, z, reach, within[:room], scratch, thread)
+    if sample != NO_TRIANGLE and answer.status != INSIDE:
+        reach, room = radius + rule.near, min(most_within, len(within))
+        count = _triangles_within(pools, other, center, reach, within[:room], scratch)
         for _ in range(HALVINGS):
             if count <= room:
                 break
             cut = True
             reach = d + 0.5 * (reach - d)
-            count = _triangles_within(pools, other, x, y, z, reach, within[:room], scratch, thread)
+            count = _triangles_within(pools, other, center, reach, within[:room], scratch)
         if count > room:
             reach, count = d, 0
         if cut:
             bound = max(radius - reach, 0.0)
-            cut = bound > epsilon
+            cut = bound > rule.epsilon
         for k in range(count):
-            is_place, e, mx, my, mz, px, py, pz = _place_of(pools, other, within[k], x, y, z, touching, scratch, thread)
-            if not is_place or _is_listed(rows, found, px, py, pz, ONE_PLACE * size):
+            place = _place_of(pools, other, within[k], center, touching, scratch)
+            if not place.is_place or _is_listed(places.contacts, found, place, ONE_PLACE * size):
                 continue
-            if found == len(rows):
-                bound = max(bound, radius - e)
-                cut = bound > epsilon
+            if found == len(places.contacts):
+                bound = max(bound, radius - place.distance)
+                cut = bound > rule.epsilon
             else:
-                sample = _number(pools, other, within[k])
-                _put(rows, row_ids, found, side, sample, x, y, z, radius, e, mx, my, mz, px, py, pz)
+                _put(places, found, number, _number(pools, other, within[k]), center, radius, place)
                 found += 1
         kept = found
-    if found > min(wanted, most):
-        kept, left_out = _choose(rows[:found], row_ids[:found], wanted, epsilon, most)
-        bound, cut = max(bound, left_out), cut or left_out > epsilon
+    if found > min(rule.wanted, rule.limit):
+        kept, left_out = _choose(
+            places.contacts[:found], places.ids[:found], rule.wanted, rule.epsilon, rule.limit
+        )
+        bound, cut = max(bound, left_out), cut or left_out > rule.epsilon
     for k in range(min(kept, len(contacts))):
         for c in range(contacts.shape[1]):
-            contacts[k, c] = rows[k, c]
+            contacts[k, c] = places.contacts[k, c]
         for c in range(ids.shape[1]):
-            ids[k, c] = row_ids[k, c]
+            ids[k, c] = places.ids[k, c]
     return kept, bound, cut
 
 
 @inlined_kernel
-def _put(contacts, ids, at, side, sample, x, y, z, radius, d, nx, ny, nz, qx, qy, qz):
-    row = contacts[at]
-    row[0], row[1], row[2] = x - radius * nx, y - radius * ny, z - radius * nz
-    row[3], row[4], row[5] = qx, qy, qz
+def _put(sink, at, number, sample, center, radius, place):
+    """Write the contact at a Place to row `at`."""
+    row, ids = sink.contacts[at], sink.ids[at]
+    nx, ny, nz = place.nx, place.ny, place.nz
+    row[0], row[1], row[2] = center[0] - radius * nx, center[1] - radius * ny, center[2] - radius * nz
+    row[3], row[4], row[5] = place.x, place.y, place.z
     row[6], row[7], row[8] = nx, ny, nz
-    row[GAP] = d - radius
-    ids[at, ID_SIDE], ids[at, ID_SAMPLE] = side, sample
-    ids[at, ID_SOURCE], ids[at, ID_TETRAHEDRON], ids[at, ID_AT] = NO_SOURCE, -1, -1
+    row[GAP] = place.distance - radius
+    ids[ID_SIDE], ids[ID_SAMPLE] = number, sample
+    ids[ID_SOURCE], ids[ID_TETRAHEDRON], ids[ID_AT] = NO_SOURCE, -1, -1
 
 
 @inlined_kernel
-def _is_listed(contacts, count, px, py, pz, one_place):
-    """Whether one of `count` rows has its witness within `one_place` [m] of a point."""
+def _is_listed(contacts, count, place, one_place):
+    """Whether one of `count` rows has its witness within `one_place` [m] of a Place."""
     for i in range(count):
         row = contacts[i]
-        if (row[3] - px) ** 2 + (row[4] - py) ** 2 + (row[5] - pz) ** 2 <= one_place * one_place:
+        if (row[3] - place.x) ** 2 + (row[4] - place.y) ** 2 + (row[5] - place.z) ** 2 <= one_place * one_place:
             return True
     return False
 
@@ -162,46 +181,45 @@ def _choose(contacts, ids, wanted, epsilon, most):
 
 
 @query_kernel
-def _place_of(pools, f, code, x, y, z, touching, scratch, thread):
-    """Whether the point of f's triangle `code` nearest to (x, y, z), outside f, is a local minimum of the distance, and
-    `code` the first triangle that contains it: (is it, distance [m], outward unit direction, point).
-    """
+def _place_of(pools, f, code, center, touching, scratch):
+    """The point of f's triangle `code` nearest to a sphere's centre outside f: a Place."""
+    x, y, z = center
     c, nx, ny, nz = _triangle(pools, f, code)
     d2, qx, qy, qz, feature = closest_on_triangle(x, y, z, c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8])
     d = math.sqrt(d2)
     size = pools.fragment.radius[f]
-    nothing = False, d, nx, ny, nz, qx, qy, qz
+    nothing = Place(False, d, nx, ny, nz, qx, qy, qz)
     if feature == ON_FACE:
         if not (x - qx) * nx + (y - qy) * ny + (z - qz) * nz > 0.0:
             return nothing
     elif not d > TOUCHES * size:
         return nothing
     nearer = d - DISTANCE_ROUNDING * (d + size)
-    count = _triangles_within(pools, f, qx, qy, qz, TOUCHES * size, touching, scratch, thread)
+    count = _triangles_within(pools, f, (qx, qy, qz), TOUCHES * size, touching, scratch)
     for k in range(min(count, len(touching))):
         if touching[k] < code or (touching[k] != code and _distance(pools, f, touching[k], x, y, z) < nearer):
             return nothing
     if feature != ON_FACE:
         nx, ny, nz = (x - qx) / d, (y - qy) / d, (z - qz) / d
         step = min(BEFORE * size, 0.5 * d)
-        if _holds(pools, f, qx + step * nx, qy + step * ny, qz + step * nz, scratch, thread):
+        if _holds(pools, f, qx + step * nx, qy + step * ny, qz + step * nz, scratch):
             return nothing
-    return True, d, nx, ny, nz, qx, qy, qz
+    return Place(True, d, nx, ny, nz, qx, qy, qz)
 
 
 @inlined_kernel
-def _holds(pools, f, x, y, z, scratch, thread):
+def _holds(pools, f, x, y, z, scratch):
     if pools.fragment.kind[f] == TETRAHEDRA:
-        return inside_tetrahedron(pools, f, x, y, z, scratch, thread) >= 0
+        return inside_tetrahedron(pools, f, x, y, z, scratch) >= 0
     k, radius = pools.fragment.mesh[f], pools.fragment.radius[f]
-    return triangle_distance(pools.triangles, k, radius, x, y, z, scratch.stack[thread])[0] < 0.0
+    return triangle_distance(pools.triangles, k, radius, x, y, z, scratch.stack)[0] < 0.0
 
 
 @inlined_kernel
-def _first_at(pools, f, x, y, z, touching, scratch, thread):
+def _first_at(pools, f, point, touching, scratch):
     """Number of the first triangle of f at a point of its surface; NO_TRIANGLE if the point is on none."""
     touches = TOUCHES * pools.fragment.radius[f]
-    count = _triangles_within(pools, f, x, y, z, touches, touching, scratch, thread)
+    count = _triangles_within(pools, f, point, touches, touching, scratch)
     first = NO_SOURCE
     for k in range(min(count, len(touching))):
         first = min(first, touching[k])
@@ -243,8 +261,9 @@ def _distance(pools, f, code, x, y, z):
 
 
 @query_kernel
-def _triangles_within(pools, f, x, y, z, r, found, scratch, thread):
+def _triangles_within(pools, f, point, r, found, scratch):
     """Triangles of f's surface within `r` [m] of a point, as many as `found` has room for; returns their number."""
+    x, y, z = point
     count, r2 = 0, r * r
     if pools.fragment.kind[f] == TRIANGLES:
         meshes = pools.triangles
@@ -255,10 +274,10 @@ def _triangles_within(pools, f, x, y, z, r, found, scratch, thread):
                 continue
             begin = meshes.node_first[node]
             for t in range(begin, begin + meshes.node_count[node]):
-                count = _note(pools, f, t, x, y, z, r, found, count)
+                count = _note(pools, f, t, point, r, found, count)
             node += 1
         return count
-    mesh, visited, stamp = pools.mesh, scratch.visited[thread], next_stamp(scratch, thread)
+    mesh, visited, stamp = pools.mesh, scratch.visited, next_stamp(scratch)
     k, cells = pools.fragment.mesh[f], pools.fragment.cells[f]
     ny, nz, first = mesh.grid_dims[k, 1:]
     per_cell = 1.0 / mesh.grid[k, 3]
@@ -282,13 +301,13 @@ def _triangles_within(pools, f, x, y, z, r, found, scratch, thread):
                         continue
                     visited[t] = stamp
                     if box_distance_squared(x, y, z, mesh.boxes[t]) <= r2 and holds_fragment(pools, f, t):
-                        count = _note_tetrahedron(pools, f, t, x, y, z, r, found, count)
+                        count = _note_tetrahedron(pools, f, t, point, r, found, count)
     return count
 
 
 @inlined_kernel
-def _note(pools, f, code, x, y, z, r, found, count):
-    if not _distance(pools, f, code, x, y, z) <= r:
+def _note(pools, f, code, point, r, found, count):
+    if not _distance(pools, f, code, point[0], point[1], point[2]) <= r:
         return count
     if count < len(found):
         found[count] = code
@@ -296,16 +315,16 @@ def _note(pools, f, code, x, y, z, r, found, count):
 
 
 @inlined_kernel
-def _note_tetrahedron(pools, f, t, x, y, z, r, found, count):
+def _note_tetrahedron(pools, f, t, point, r, found, count):
     mesh, body, shift = pools.mesh, pools.body, pools.fragment.tet_shift[f]
     if shift == NEVER_BROKEN or body.regions[t + shift, OWNER] >= 0:
         for face in range(4):
             if mesh.neighbours[t, face] < 0:
-                count = _note(pools, f, ROWS_EACH * t + face, x, y, z, r, found, count)
+                count = _note(pools, f, ROWS_EACH * t + face, point, r, found, count)
     if shift == NEVER_BROKEN:
         return count
     begin = body.regions[t + shift, ROW]
     for i in range(begin, begin + body.cut_count[t + shift]):
         if body.sides[i, FRONT_SIDE] == f or body.sides[i, BACK_SIDE] == f:
-            count = _note(pools, f, ROWS_EACH * t + 4 + i - begin, x, y, z, r, found, count)
+            count = _note(pools, f, ROWS_EACH * t + 4 + i - begin, point, r, found, count)
     return count

@@ -136,12 +136,12 @@ def _into_wedge(r, s, k, n, deep):
 
 
 @query_kernel
-def overlap(pools, a, b, r, s, c, rotation, translation, scratch, thread):
+def overlap(pools, pair, r, s, c, scratch):
     """Whether ridges r, of a, and s, of b, in b's frame, are each inside the other's fragment next to their crossing
-    `c`; rotation (3, 3), translation (3,): to a's frame.
+    `c`.
     """
     for side in range(2):
-        own, other, f, at, sign = (r, s, b, 0, 1.0) if side == 0 else (s, r, a, 3, -1.0)
+        own, other, f, at, sign = (r, s, pair.b, 0, 1.0) if side == 0 else (s, r, pair.a, 3, -1.0)
         k = math.sqrt((c[at] - own[0]) ** 2 + (c[at + 1] - own[1]) ** 2 + (c[at + 2] - own[2]) ** 2)
         way, behind = _into_wedge(own, other, k, (sign * c[6], sign * c[7], sign * c[8]), -c[9])
         if not behind > 0.0:
@@ -150,8 +150,8 @@ def overlap(pools, a, b, r, s, c, rotation, translation, scratch, thread):
         x, y, z = c[at], c[at + 1], c[at + 2]
         x, y, z = x + part * (own[3] - own[0]), y + part * (own[4] - own[1]), z + part * (own[5] - own[2])
         if side == 1:
-            x, y, z = to_other(rotation, translation, x, y, z)
-        answer = bounded_probe(pools, f, x, y, z, 0.0, least, -1, False, scratch, thread)
-        if answer[0] != INSIDE or answer[1] > -least:
+            x, y, z = to_other(pair.rotation[1], pair.translation[1], x, y, z)
+        answer = bounded_probe(pools, f, (x, y, z), 0.0, least, -1, False, scratch)
+        if answer.status != INSIDE or answer.distance > -least:
             return False
     return True

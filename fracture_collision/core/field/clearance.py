@@ -48,10 +48,11 @@ def may_be_clear(pools, f):
 
 
 @inlined_kernel
-def _heights(walls, t, x, y, z):
+def _heights(walls, t, local):
     """Heights [m], positive outside, above the four walls of tetrahedron `t` of a point relative to the grid's corner.
     """
     w = walls[t]
+    x, y, z = local
     return (
         w[0] * x + w[4] * y + w[8] * z - w[12], w[1] * x + w[5] * y + w[9] * z - w[13],
         w[2] * x + w[6] * y + w[10] * z - w[14], w[3] * x + w[7] * y + w[11] * z - w[15],
@@ -59,13 +60,13 @@ def _heights(walls, t, x, y, z):
 
 
 @inlined_kernel
-def _held_by(mesh, k, last, x, y, z, px, py, pz, slack):
+def _held_by(mesh, k, last, point, local, slack):
     """(tetrahedron of mesh `k` that holds a point, -1: none; its distance [m] behind the nearest wall, a lower bound
-    up to rounding); last: see `clearance`; (px, py, pz): the point relative to the grid's corner.
+    up to rounding); last: see `clearance`; local: the point relative to the grid's corner.
     """
     t, steps = last, 0
     while t >= 0:
-        h0, h1, h2, h3 = _heights(mesh.walls, t, px, py, pz)
+        h0, h1, h2, h3 = _heights(mesh.walls, t, local)
         highest, face = h0, 0
         if h1 > highest:
             highest, face = h1, 1
@@ -77,51 +78,53 @@ def _held_by(mesh, k, last, x, y, z, px, py, pz, slack):
             return t, -highest
         steps += 1
         t = mesh.neighbours[t, face] if steps < MOST_STEPS else -1
-    t = tetrahedron_at(mesh, k, x, y, z)
+    t = tetrahedron_at(mesh, k, point[0], point[1], point[2])
     if t < 0:
         return t, np.float32(0.0)
-    h0, h1, h2, h3 = _heights(mesh.walls, t, px, py, pz)
+    h0, h1, h2, h3 = _heights(mesh.walls, t, local)
     return t, -max(h0, h1, h2, h3)
 
 
 @inlined_kernel
-def clearance(pools, f, last, x, y, z, within, rounding, scratch, thread):
+def clearance(pools, f, last, point, within, rounding, scratch):
     """(lower bound [m] of a point's distance from fragment `f`, 0: it may be within `within` [m]; a tetrahedron near
     the point).
 
     last: a tetrahedron near the point, -1: none is known. f: must satisfy may_be_clear. rounding [m]: error bound of
-    (x, y, z).
+    the point (x, y, z).
     """
+    x, y, z = point
     mesh = pools.mesh
     k = pools.fragment.mesh[f]
     slack = np.float32(WALL_ROUNDING * pools.fragment.radius[f] + rounding)
-    px, py, pz = np.float32(x - mesh.grid[k, 0]), np.float32(y - mesh.grid[k, 1]), np.float32(z - mesh.grid[k, 2])
-    t, behind = _held_by(mesh, k, last, x, y, z, px, py, pz, slack)
+    local = np.float32(x - mesh.grid[k, 0]), np.float32(y - mesh.grid[k, 1]), np.float32(z - mesh.grid[k, 2])
+    t, behind = _held_by(mesh, k, last, point, local, slack)
     far = np.float32(within) + slack
     if t < 0:
-        clear = _is_clear_of_cells(pools, f, x, y, z, px, py, pz, far, scratch, thread)
+        clear = _is_clear_of_cells(pools, f, point, local, far, scratch)
         return (within if clear else 0.0), last
-    apart = _way_within(pools, f, t, x, y, z, px, py, pz, far, slack)
+    apart = _way_within(pools, f, t, point, local, far, slack)
     if behind < slack or apart < far:
         return 0.0, t
     if behind > far:
         return max(within, np.float64(min(apart, behind) - slack)), t
-    around = _around(pools, f, t, x, y, z, px, py, pz, far, scratch.stack[thread])
-    if around == UNKNOWN and _is_clear_of_cells(pools, f, x, y, z, px, py, pz, far, scratch, thread):
+    around = _around(pools, f, t, point, local, far, scratch.stack)
+    if around == UNKNOWN and _is_clear_of_cells(pools, f, point, local, far, scratch):
         around = CLEAR
     return (within if around == CLEAR else 0.0), t
 
 
 @inlined_kernel
-def side_of_surface(pools, f, last, x, y, z, deep, rounding):
+def side_of_surface(pools, f, last, point, deep, rounding):
     """(BEYOND if a point is certainly not in fragment `f`; DEEP if it certainly is, with nothing else within `deep` [m]
     of it; else UNKNOWN; a tetrahedron near the point). Arguments as in `clearance`.
     """
+    x, y, z = point
     mesh = pools.mesh
     k = pools.fragment.mesh[f]
     slack = np.float32(WALL_ROUNDING * pools.fragment.radius[f] + rounding)
-    px, py, pz = np.float32(x - mesh.grid[k, 0]), np.float32(y - mesh.grid[k, 1]), np.float32(z - mesh.grid[k, 2])
-    t, behind = _held_by(mesh, k, last, x, y, z, px, py, pz, slack)
+    local = np.float32(x - mesh.grid[k, 0]), np.float32(y - mesh.grid[k, 1]), np.float32(z - mesh.grid[k, 2])
+    t, behind = _held_by(mesh, k, last, point, local, slack)
     if t < 0 or behind < slack:
         return UNKNOWN, last
     tet = t + pools.fragment.tet_shift[f]
@@ -129,7 +132,7 @@ def side_of_surface(pools, f, last, x, y, z, deep, rounding):
     if not region_holds(region, f):
         return BEYOND, t
     if region[OWNER] == PARTED:
-        above = _above_plane(pools.body.region_planes[tet], px, py, pz)
+        above = _above_plane(pools.body.region_planes[tet], local)
         if region[FRONT] == f:
             above = -above
         if above < -slack:
@@ -141,27 +144,27 @@ def side_of_surface(pools, f, last, x, y, z, deep, rounding):
 
 
 @inlined_kernel
-def _is_clear_of_cells(pools, f, x, y, z, px, py, pz, far, scratch, thread):
+def _is_clear_of_cells(pools, f, point, local, far, scratch):
     """Whether no surface of `f` in the cells around a point outside f, wherever it lies, is within `far` [m]."""
-    mesh, near = pools.mesh, scratch.heap_tet[thread]
-    for k in range(tetrahedra_near(pools, f, x, y, z, np.float64(far), scratch, thread)):
+    mesh, near = pools.mesh, scratch.heap_tet
+    for k in range(tetrahedra_near(pools, f, point[0], point[1], point[2], np.float64(far), scratch)):
         t = near[k]
-        h0, h1, h2, h3 = _heights(mesh.walls, t, px, py, pz)
+        h0, h1, h2, h3 = _heights(mesh.walls, t, local)
         if max(h0, h1, h2, h3) > far:
             continue
-        if _has_surface_near(pools, f, t, x, y, z, px, py, pz, far):
+        if _has_surface_near(pools, f, t, point, local, far):
             return False
     return True
 
 
 @inlined_kernel
-def _above_plane(region, px, py, pz):
+def _above_plane(region, local):
     """Height [m] of a point, relative to the grid's corner, above a tetrahedron's dividing plane, out of its front."""
-    return region[PLANE] * px + region[PLANE + 1] * py + region[PLANE + 2] * pz - region[PLANE + 3]
+    return region[PLANE] * local[0] + region[PLANE + 1] * local[1] + region[PLANE + 2] * local[2] - region[PLANE + 3]
 
 
 @inlined_kernel
-def _around(pools, f, start, x, y, z, px, py, pz, far, reached):
+def _around(pools, f, start, point, local, far, reached):
     """CLEAR if no tetrahedron around the point in `start` has surface of `f` within reach, NEAR if one may have;
     UNKNOWN if the outside of the body, or too many tetrahedra, are within reach.
     """
@@ -171,12 +174,12 @@ def _around(pools, f, start, x, y, z, px, py, pz, far, reached):
     while done < count:
         t = reached[done]
         done += 1
-        heights = _heights(mesh.walls, t, px, py, pz)
+        heights = _heights(mesh.walls, t, local)
         if t != start:
             # farther than `far` beyond one of its walls: neither it nor anything behind it is near
             if max(heights[0], heights[1], heights[2], heights[3]) > far:
                 continue
-            if _has_surface_near(pools, f, t, x, y, z, px, py, pz, far):
+            if _has_surface_near(pools, f, t, point, local, far):
                 return NEAR
         for face in range(4):
             h = heights[0] if face == 0 else heights[1] if face == 1 else heights[2] if face == 2 else heights[3]
@@ -197,16 +200,17 @@ def _around(pools, f, start, x, y, z, px, py, pz, far, reached):
 
 
 @inlined_kernel
-def _has_surface_near(pools, f, t, x, y, z, px, py, pz, far):
-    """Whether surface of `f` in tetrahedron `t` may be within `far` [m] of a point outside f; (px, py, pz): the point
+def _has_surface_near(pools, f, t, point, local, far):
+    """Whether surface of `f` in tetrahedron `t` may be within `far` [m] of a point outside f; local: the point
     relative to the grid's corner.
     """
+    x, y, z = point
     tet = t + pools.fragment.tet_shift[f]
     region = pools.body.regions[tet]
     if not region_holds(region, f):
         return False
     if region[OWNER] == PARTED:
-        above = _above_plane(pools.body.region_planes[tet], px, py, pz)
+        above = _above_plane(pools.body.region_planes[tet], local)
         if (above if region[FRONT] == f else -above) > far:
             return False
     best = nearest_in_tetrahedron(pools, f, t, x, y, z, EVERYTHING, nothing_within(np.float64(far)))
@@ -214,10 +218,11 @@ def _has_surface_near(pools, f, t, x, y, z, px, py, pz, far):
 
 
 @inlined_kernel
-def _way_within(pools, f, t, x, y, z, px, py, pz, far, slack):
+def _way_within(pools, f, t, point, local, far, slack):
     """Lower bound [m], up to rounding, of the distance from a point in tetrahedron `t` to f's part of `t`, if that is
     below `far` [m]; 0 if the point may be in f.
     """
+    x, y, z = point
     tet = t + pools.fragment.tet_shift[f]
     region = pools.body.regions[tet]
     if not region_holds(region, f):
@@ -225,7 +230,7 @@ def _way_within(pools, f, t, x, y, z, px, py, pz, far, slack):
     if region[OWNER] >= 0:
         return np.float32(0.0)
     if region[OWNER] == PARTED:
-        above = _above_plane(pools.body.region_planes[tet], px, py, pz)
+        above = _above_plane(pools.body.region_planes[tet], local)
         if region[FRONT] != f:
             above = -above
         if above > far or not above > slack:

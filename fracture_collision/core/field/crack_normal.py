@@ -39,13 +39,14 @@ ANYBODY = -1
 
 
 @inlined_kernel
-def turn_to_crack(pools, f, g, near, row, source, where, t, scratch, thread):
+def turn_to_crack(pools, f, g, near, row, witness, scratch):
     """Turn the contact of a sample of `g` with `f`, of the same body, to the crack that separates them, if it is near.
 
-    Sets witness, normal and gap of `row` (10,), see query_pair; `near` [m] is the detection tolerance; `source`,
-    `where`: surface triangle and tetrahedron of the witness; `t`: tetrahedron of the sample. Samples outside the
-    unbroken body (t = -1) are left unchanged: they are not between the two.
+    Sets witness, normal and gap of `row` (10,), see Sink; `near` [m] is the detection tolerance; `witness`: its surface
+    triangle, its tetrahedron and the sample's. Samples outside the unbroken body (-1) are left unchanged: they are not
+    between the two.
     """
+    source, where, t = witness
     x, y, z, d = row[0], row[1], row[2], row[9]
     radius = pools.fragment.radius[f]
     if t < 0:
@@ -57,9 +58,9 @@ def turn_to_crack(pools, f, g, near, row, source, where, t, scratch, thread):
     away = abs(d)
     if not _parts(pools, f, g, source):
         if inside:
-            best = nearest_from_inside(pools, f, t, x, y, z, within, only, scratch, thread)
+            best = nearest_from_inside(pools, f, t, (x, y, z), within, only, scratch)
         else:
-            best = nearest_from_outside(pools, f, t, x, y, z, max(TIMES_NEAREST * d, near), only, scratch, thread)
+            best = nearest_from_outside(pools, f, t, (x, y, z), max(TIMES_NEAREST * d, near), only, scratch)
         source, where, away = best[5], best[6], math.sqrt(best[0])
         if source == NO_SOURCE:
             return
@@ -67,7 +68,7 @@ def turn_to_crack(pools, f, g, near, row, source, where, t, scratch, thread):
     nx, ny, nz = crack_direction(pools, f, g, source, where)
     # where the two just touch, keep the witness
     if abs(d) > DIRECTION_FLOOR * radius:
-        s = way_through(pools, f, t, x, y, z, sign * nx, sign * ny, sign * nz, within, inside, scratch, thread)
+        s = way_through(pools, f, t, (x, y, z), (sign * nx, sign * ny, sign * nz), within, inside, scratch)
         if s > min(within, OBLIQUE * away + LITTLE * radius):
             return
         s *= sign
@@ -120,12 +121,14 @@ def sum_of_planes(pools, f, g, t):
 
 
 @inlined_kernel
-def way_through(pools, f, t, x, y, z, nx, ny, nz, limit, leaves, scratch, thread):
-    """Length [m] of the ray from a point in tetrahedron `t` to where it leaves `f` (`leaves`), or else enters it.
+def way_through(pools, f, t, point, way, limit, leaves, scratch):
+    """Length [m] of the ray from a point in tetrahedron `t` along a unit vector to where it leaves `f`, or enters it.
 
-    Infinity: not within `limit` [m]. Walks from tetrahedron to tetrahedron; in each it tests the owner of points, not
-    polygons, so that no ray slips between two polygons.
+    leaves: which of both. Infinity: not within `limit` [m]. Walks from tetrahedron to tetrahedron; in each it tests the
+    owner of points, not polygons, so that no ray slips between two polygons.
     """
+    x, y, z = point
+    nx, ny, nz = way
     mesh, body = pools.mesh, pools.body
     tet_shift = pools.fragment.tet_shift[f]
     s, came_from = 0.0, NOWHERE
@@ -144,17 +147,16 @@ def way_through(pools, f, t, x, y, z, nx, ny, nz, limit, leaves, scratch, thread
             else:
                 w, r = weight, rate
             if r < 0.0 and mesh.neighbours[t, corner] != came_from:
-                end = max(-w / r, s)
-                if end < out:
-                    out, face = end, corner
+                until = max(-w / r, s)
+                if until < out:
+                    out, face = until, corner
         if face < 0:
             return math.inf
         alone = f if tet_shift == NEVER_BROKEN else body.regions[t + tet_shift, OWNER]
         if alone < 0:
-            share = _share_of_segment(
-                pools, f, t, leaves, x + s * nx, y + s * ny, z + s * nz, x + out * nx, y + out * ny, z + out * nz,
-                scratch.roots[thread],
-            )  # fmt: skip
+            begin = x + s * nx, y + s * ny, z + s * nz
+            end = x + out * nx, y + out * ny, z + out * nz
+            share = _share_of_segment(pools, f, t, leaves, begin, end, scratch.roots)
             if share < 1.0:
                 s += share * (out - s)
                 return s if s <= limit else math.inf
@@ -165,9 +167,9 @@ def way_through(pools, f, t, x, y, z, nx, ny, nz, limit, leaves, scratch, thread
 
 
 @inlined_kernel
-def _share_by_plane(body, row, f, leaves, x0, y0, z0, x1, y1, z1):
+def _share_by_plane(body, row, f, leaves, begin, end):
     """_share_of_segment where a single plane, that of `row`, separates two fragments."""
-    at_start, at_end = height(body, row, x0, y0, z0), height(body, row, x1, y1, z1)
+    at_start, at_end = height(body, row, begin[0], begin[1], begin[2]), height(body, row, end[0], end[1], end[2])
     front, back = body.sides[row, FRONT_SIDE], body.sides[row, BACK_SIDE]
     before, after = back if at_start > 0.0 else front, back if at_end > 0.0 else front
     root = 1.0
@@ -179,15 +181,17 @@ def _share_by_plane(body, row, f, leaves, x0, y0, z0, x1, y1, z1):
 
 
 @inlined_kernel
-def _share_of_segment(pools, f, t, leaves, x0, y0, z0, x1, y1, z1, roots):
+def _share_of_segment(pools, f, t, leaves, start, end, roots):
     """Share of a segment in cut tetrahedron `t`, from its start to where f's region ends (`leaves`) or begins: 0 .. 1.
 
     The owner is constant between neighbouring roots of the planes between fragments. `roots` (ROOTS,): working space.
     """
+    x0, y0, z0 = start
+    x1, y1, z1 = end
     body = pools.body
     begin, used = body.regions[t + pools.fragment.tet_shift[f], ROW], 0
     if body.regions[t + pools.fragment.tet_shift[f], OWNER] == PARTED:
-        return _share_by_plane(body, begin, f, leaves, x0, y0, z0, x1, y1, z1)
+        return _share_by_plane(body, begin, f, leaves, start, end)
     for i in range(begin, begin + body.cut_count[t + pools.fragment.tet_shift[f]]):
         if body.sides[i, KIND] >= OLD_FACE:
             break

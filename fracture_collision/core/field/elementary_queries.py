@@ -8,6 +8,7 @@ x - distance * normal (exact for planes, spheres, boxes and the averaged field, 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from fracture_collision.core.field.averaged_field import averaged_penetration
 from fracture_collision.core.field.flood import (
@@ -31,8 +32,25 @@ NEAR = 1  # not inside, closest point within the requested distance
 INSIDE = 2  # inside; closest point only if requested
 
 
+class Probe(NamedTuple):
+    """Answer for one point. The closest point and the normal are zeros unless `status` says that they were found."""
+
+    status: int  # OUTSIDE, NEAR or INSIDE
+    distance: float  # [m] signed; OUTSIDE: a lower bound; minus infinity: INSIDE, deeper than searched
+    nx: float  # outward normal at the closest point
+    ny: float
+    nz: float
+    x: float  # [m] closest point of the surface
+    y: float
+    z: float
+    most_depth: float  # [m] upper bound of the depth: -distance where that is exact or a lower bound; see bounded_probe
+    source: int  # surface triangle of the closest point, flood.NO_SOURCE: not from a flood
+    source_tetrahedron: int  # the tetrahedron that it is in, -1: none
+    tetrahedron: int  # the tetrahedron that holds the point, -1: none, or not searched
+
+
 @inlined_kernel
-def inside_tetrahedron(pools, f, x, y, z, scratch, thread):
+def inside_tetrahedron(pools, f, x, y, z, scratch):
     """insideTest: the tetrahedron row in which the point belongs to fragment `f`, -1 if it does not."""
     t = tetrahedron_at(pools.mesh, pools.fragment.mesh[f], x, y, z)
     if t >= 0 and owner_in_tetrahedron(pools, f, t, x, y, z) != f:
@@ -41,63 +59,62 @@ def inside_tetrahedron(pools, f, x, y, z, scratch, thread):
 
 
 @inlined_kernel
-def probe(pools, f, x, y, z, near, deep, scratch, thread):
-    """All queries for one point: (status, distance [m], nx, ny, nz, closest x, y, z).
+def probe(pools, f, point, near, deep, scratch):
+    """All queries for one point (x, y, z): (status, distance [m], nx, ny, nz, closest x, y, z).
 
     `near` [m]: search limit of the closest point from outside; `deep` [m]: the same from inside (infinity: no limit;
     the averaged field has none). The distance of an OUTSIDE point is a lower bound, that of an INSIDE point deeper than
     `deep` is minus infinity.
     """
-    answer = bounded_probe(pools, f, x, y, z, near, deep, -1, False, scratch, thread)
-    return answer[0], answer[1], answer[2], answer[3], answer[4], answer[5], answer[6], answer[7]
+    answer = bounded_probe(pools, f, point, near, deep, -1, False, scratch)
+    return answer.status, answer.distance, answer.nx, answer.ny, answer.nz, answer.x, answer.y, answer.z
 
 
 @inlined_kernel
-def bounded_probe(pools, f, x, y, z, near, deep, start, reached, scratch, thread):
-    """As `probe`, followed by an upper bound [m] of the point's depth: minus the distance where that is exact or a
-    lower bound. The averaged field has no error bound, so inside a broken body the two differ. Then the surface
-    triangle and the tetrahedron of the closest point (flood.NO_SOURCE: not from a flood), and the tetrahedron that
-    holds the point (-1: none, or not searched).
-    `start`: a tetrahedron near the point, -1 if none is known; `reached`: sphere_test returned that f may be within
-    `near`.
+def bounded_probe(pools, f, point, near, deep, start, reached, scratch):
+    """`probe` with all that is known of the point: a Probe.
+
+    Inside a broken body, the averaged field has no error bound: most_depth is then more than minus the distance.
+    start: a tetrahedron near the point, -1 if none is known; reached: sphere_test returned that f may be within `near`.
     """
+    x, y, z = point
     kind = pools.fragment.kind[f]
     if kind != TETRAHEDRA and kind != TRIANGLES:
         d, nx, ny, nz = primitive_distance(kind, pools.fragment.shape[f], x, y, z)
         status = INSIDE if d <= 0.0 else NEAR if d <= near else OUTSIDE
-        return status, d, nx, ny, nz, x - d * nx, y - d * ny, z - d * nz, -d, NO_SOURCE, -1, -1
+        return Probe(status, d, nx, ny, nz, x - d * nx, y - d * ny, z - d * nz, -d, NO_SOURCE, -1, -1)
     reach = math.sqrt(box_distance_squared(x, y, z, pools.fragment.box[f]))
     if reach > near:
-        return OUTSIDE, reach, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -reach, NO_SOURCE, -1, -1
+        return Probe(OUTSIDE, reach, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -reach, NO_SOURCE, -1, -1)
     if kind == TRIANGLES:
         d, nx, ny, nz, qx, qy, qz = triangle_distance(
-            pools.triangles, pools.fragment.mesh[f], pools.fragment.radius[f], x, y, z, scratch.stack[thread]
+            pools.triangles, pools.fragment.mesh[f], pools.fragment.radius[f], x, y, z, scratch.stack
         )
         status = INSIDE if d <= 0.0 else NEAR if d <= near else OUTSIDE
-        return status, d, nx, ny, nz, qx, qy, qz, -d, NO_SOURCE, -1, -1
+        return Probe(status, d, nx, ny, nz, qx, qy, qz, -d, NO_SOURCE, -1, -1)
     # saves most points the search for their tetrahedron
     if not reached and not sphere_may_touch(pools, f, x, y, z, near):
-        return OUTSIDE, max(reach, near), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -max(reach, near), NO_SOURCE, -1, -1
+        return Probe(OUTSIDE, max(reach, near), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -max(reach, near), NO_SOURCE, -1, -1)
     k = pools.fragment.mesh[f]
     t = tetrahedron_at(pools.mesh, k, x, y, z) if start < 0 else tetrahedron_from(pools.mesh, k, start, x, y, z)
     if t >= 0 and owner_in_tetrahedron(pools, f, t, x, y, z) == f:
         if pools.field == AVERAGED and pools.fragment.node_shift[f] != NEVER_BROKEN:
             d, nx, ny, nz, most = averaged_penetration(pools, f, t, x, y, z)
-            return INSIDE, -d, nx, ny, nz, x + d * nx, y + d * ny, z + d * nz, most, NO_SOURCE, -1, t
-        best = nearest_from_inside(pools, f, t, x, y, z, deep, EVERYTHING, scratch, thread)
+            return Probe(INSIDE, -d, nx, ny, nz, x + d * nx, y + d * ny, z + d * nz, most, NO_SOURCE, -1, t)
+        best = nearest_from_inside(pools, f, t, point, deep, EVERYTHING, scratch)
         if best[5] == NO_SOURCE:
-            return INSIDE, -math.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, math.inf, NO_SOURCE, -1, t
+            return Probe(INSIDE, -math.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, math.inf, NO_SOURCE, -1, t)
         nx, ny, nz = outward_direction(pools, f, x, y, z, best, True)
         d = math.sqrt(best[0])
-        return INSIDE, -d, nx, ny, nz, best[1], best[2], best[3], d, best[5], best[6], t
+        return Probe(INSIDE, -d, nx, ny, nz, best[1], best[2], best[3], d, best[5], best[6], t)
     if near <= 0.0:
-        return OUTSIDE, reach, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -reach, NO_SOURCE, -1, t
-    best = nearest_from_outside(pools, f, t, x, y, z, near, EVERYTHING, scratch, thread)
+        return Probe(OUTSIDE, reach, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -reach, NO_SOURCE, -1, t)
+    best = nearest_from_outside(pools, f, t, point, near, EVERYTHING, scratch)
     if best[5] == NO_SOURCE:
-        return OUTSIDE, max(reach, near), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -max(reach, near), NO_SOURCE, -1, t
+        return Probe(OUTSIDE, max(reach, near), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -max(reach, near), NO_SOURCE, -1, t)
     nx, ny, nz = outward_direction(pools, f, x, y, z, best, False)
     d = math.sqrt(best[0])
-    return NEAR, d, nx, ny, nz, best[1], best[2], best[3], -d, best[5], best[6], t
+    return Probe(NEAR, d, nx, ny, nz, best[1], best[2], best[3], -d, best[5], best[6], t)
 
 
 @inlined_kernel
@@ -111,7 +128,7 @@ def least_distance(pools, f, x, y, z):
 
 
 @inlined_kernel
-def sphere_test(pools, f, distance, x, y, z, r, scratch, thread):
+def sphere_test(pools, f, distance, x, y, z, r, scratch):
     """sphereTest: False only if fragment `f` is farther than `r` [m] from the point.
 
     `distance`: a lower bound of the point's signed distance.
@@ -123,5 +140,5 @@ def sphere_test(pools, f, distance, x, y, z, r, scratch, thread):
         k = pools.fragment.mesh[f]
         if distance > 0.0:
             return triangle_within(pools.triangles, k, x, y, z, r)
-        return triangle_distance(pools.triangles, k, pools.fragment.radius[f], x, y, z, scratch.stack[thread])[0] <= r
+        return triangle_distance(pools.triangles, k, pools.fragment.radius[f], x, y, z, scratch.stack)[0] <= r
     return kind != TETRAHEDRA or sphere_may_touch(pools, f, x, y, z, r)

@@ -14,6 +14,7 @@ import math
 import numpy as np
 
 from fracture_collision.core.memory.compiled import inlined_kernel
+from fracture_collision.core.memory.heap import pop, push
 from fracture_collision.core.memory.pools import BACK_SIDE, FRONT_SIDE, KIND, NEVER_BROKEN, OLD_FACE, OWNER, PARTED, ROW
 from fracture_collision.core.mesh.closest_point import (
     DIRECTION_FLOOR,
@@ -153,58 +154,28 @@ def nearest_in_tetrahedron(pools, f, t, x, y, z, only, best):
 
 
 @inlined_kernel
-def push(keys, items, count, key, item):
-    i = count
-    while i > 0:
-        parent = (i - 1) >> 1
-        if keys[parent] <= key:
-            break
-        keys[i], items[i] = keys[parent], items[parent]
-        i = parent
-    keys[i], items[i] = key, item
+def next_stamp(scratch):
+    """A stamp that no entry of `visited` holds."""
+    if scratch.stamp[0] == np.iinfo(np.int32).max:
+        scratch.visited[:] = 0
+        scratch.stamp[0] = 0
+    scratch.stamp[0] += 1
+    return scratch.stamp[0]
 
 
 @inlined_kernel
-def pop(keys, items, count):
-    """Remove the root of a heap of `count` entries; the caller reads it first."""
-    last = count - 1
-    key, item = keys[last], items[last]
-    i = 0
-    while True:
-        child = 2 * i + 1
-        if child >= last:
-            break
-        if child + 1 < last and keys[child + 1] < keys[child]:
-            child += 1
-        if keys[child] >= key:
-            break
-        keys[i], items[i] = keys[child], items[child]
-        i = child
-    keys[i], items[i] = key, item
-
-
-@inlined_kernel
-def next_stamp(scratch, thread):
-    """A stamp that no entry of this thread's `visited` holds."""
-    if scratch.stamp[thread] == np.iinfo(np.int32).max:
-        scratch.visited[thread, :] = 0
-        scratch.stamp[thread] = 0
-    scratch.stamp[thread] += 1
-    return scratch.stamp[thread]
-
-
-@inlined_kernel
-def nearest_from_inside(pools, f, start, x, y, z, limit, only, scratch, thread):
+def nearest_from_inside(pools, f, start, point, limit, only, scratch):
     """Nearest point of f's surface closer than `limit` [m] (infinity: no limit) to a point of f in `start`.
 
     only: see EVERYTHING. Returns (squared distance [m2], x, y, z, feature, source, tetrahedron); NO_SOURCE if none is
     that close.
     """
+    x, y, z = point
     mesh = pools.mesh
-    keys = scratch.heap_key[thread]
-    items = scratch.heap_tet[thread]
-    visited = scratch.visited[thread]
-    stamp = next_stamp(scratch, thread)
+    keys = scratch.heap_key
+    items = scratch.heap_tet
+    visited = scratch.visited
+    stamp = next_stamp(scratch)
     best = nothing_within(limit)
     keys[0], items[0] = 0.0, start
     visited[start] = stamp
@@ -228,21 +199,22 @@ def nearest_from_inside(pools, f, start, x, y, z, limit, only, scratch, thread):
 
 
 @inlined_kernel
-def nearest_from_outside(pools, f, at, x, y, z, limit, only, scratch, thread):
+def nearest_from_outside(pools, f, at, point, limit, only, scratch):
     """Nearest point of f's surface closer than `limit` [m] to a point outside f; NO_SOURCE if none is.
 
     `at`: the tetrahedron that holds the point, -1 outside the body. `only` and the result as in nearest_from_inside.
     """
+    x, y, z = point
     mesh = pools.mesh
     best = nothing_within(limit)
     if at >= 0:
         if _is_clear_within(pools, f, at, x, y, z, limit):
             return best
-        best, complete = _nearest_around(pools, f, at, x, y, z, only, scratch, thread, best)
+        best, complete = _nearest_around(pools, f, at, point, only, scratch, best)
         if complete:
             return best
-    near = scratch.heap_tet[thread]
-    for k in range(tetrahedra_near(pools, f, x, y, z, limit, scratch, thread)):
+    near = scratch.heap_tet
+    for k in range(tetrahedra_near(pools, f, x, y, z, limit, scratch)):
         t = near[k]
         if box_distance_squared(x, y, z, mesh.boxes[t]) >= best[0]:
             continue
@@ -254,12 +226,12 @@ def nearest_from_outside(pools, f, at, x, y, z, limit, only, scratch, thread):
 
 
 @inlined_kernel
-def tetrahedra_near(pools, f, x, y, z, limit, scratch, thread):
+def tetrahedra_near(pools, f, x, y, z, limit, scratch):
     """Write the tetrahedra that hold part of f and may be within `limit` [m] of a point to scratch.heap_tet; returns
     their number. None is missed: the parts of the location grid's cells bound them.
     """
     mesh, k = pools.mesh, pools.fragment.mesh[f]
-    near, visited, stamp, count = scratch.heap_tet[thread], scratch.visited[thread], next_stamp(scratch, thread), 0
+    near, visited, stamp, count = scratch.heap_tet, scratch.visited, next_stamp(scratch), 0
     nx, ny, nz, first = mesh.grid_dims[k]
     cells = pools.fragment.cells[f]
     per_cell = 1.0 / mesh.grid[k, 3]
@@ -330,12 +302,13 @@ def _region_is_farther(pools, f, t, x, y, z, d2):
 
 
 @inlined_kernel
-def _nearest_around(pools, f, at, x, y, z, only, scratch, thread, best):
+def _nearest_around(pools, f, at, point, only, scratch, best):
     """nearest_from_outside for a point in tetrahedron `at`, across faces within reach: (improved `best`, whether the
     search is complete). It is not if the old surface is within reach: f may be near across the air.
     """
+    x, y, z = point
     mesh = pools.mesh
-    stack, visited, stamp = scratch.heap_tet[thread], scratch.visited[thread], next_stamp(scratch, thread)
+    stack, visited, stamp = scratch.heap_tet, scratch.visited, next_stamp(scratch)
     stack[0] = at
     visited[at] = stamp
     count = 1

@@ -22,20 +22,24 @@ from fracture_collision.core.field.flood import (
     nothing_within,
     outward_direction,
 )
+from fracture_collision.core.fracture.surface_rows import Broken
 from fracture_collision.core.memory.compiled import kernel, query_kernel
+from fracture_collision.core.memory.pools import Pools
+from fracture_collision.core.mesh.sample_numbers import FIRST_NODE
 
 # A distance counts as shorter by more than this share of R only: two nodes must not exchange rounding errors forever.
 SHORTER = 1e-12
 
 
 @query_kernel
-def measure_at_cracks(pools, tets, first_node, node_shift, edge_shift, low, high, first_plane, in_front, front):
-    """Measure the nodes of fragments low .. high - 1 in those of `tets` that planes from row `first_plane` on cut.
+def measure_at_cracks(pools, broken, tets, first_plane, in_front, front):
+    """Measure the nodes of the new fragments in those of `tets` that planes from row `first_plane` on cut.
 
     Lowers their stored distances to those of their fragment's surface in the tetrahedron. Marks them in `in_front` (n,)
     and lists them in `front` (n,), by mesh node; returns their number.
     """
     mesh, body = pools.mesh, pools.body
+    node_shift, edge_shift, first_node = broken.node_shift, broken.edge_shift, mesh.first[broken.mesh, FIRST_NODE]
     used = 0
     for t in tets:
         crossed = False
@@ -46,7 +50,7 @@ def measure_at_cracks(pools, tets, first_node, node_shift, edge_shift, low, high
         for i in range(4):
             v = mesh.tetrahedra[t, i]
             f = body.node_fragment[v + node_shift]
-            if f < low or f >= high:
+            if f < broken.first or f >= broken.end:
                 continue
             if not in_front[v - first_node]:
                 in_front[v - first_node] = 1
@@ -67,15 +71,16 @@ def measure_at_cracks(pools, tets, first_node, node_shift, edge_shift, low, high
 
 
 @kernel
-def propagate_fronts(
-    nodes, labels, node_field, neighbours_begin, neighbours, in_front, front, used, shorter
-):  # fmt: skip
+def propagate_fronts(body, neighbours, in_front, front, used, shorter):
     """Propagate from the first `used` nodes of `front` until no distance is reduced; returns the number of steps.
 
-    nodes (n, 3) [m], labels (n,), node_field (n, 7): the rows of one body; neighbours: of
-    InteriorField; in_front (n,) marks the front, `front` (n,) lists it; shorter [m]: the least reduction that counts.
-    Each step computes its values from the previous step's only, so the order of the nodes does not matter.
+    body: nodes (n, 3) [m], labels (n,) and node_field (n, 7), the rows of one body; neighbours: of InteriorField, where
+    each node's begin and all of them; in_front (n,) marks the front, `front` (n,) lists it; shorter [m]: the least
+    reduction that counts. Each step computes its values from the previous step's only, so the order of the nodes does
+    not matter.
     """
+    nodes, labels, node_field = body
+    neighbours_begin, neighbour = neighbours
     n = len(nodes)
     seen = np.zeros(n, np.uint8)
     reached = np.empty(n, np.int32)
@@ -87,13 +92,13 @@ def propagate_fronts(
         for k in range(used):
             j = front[k]
             for e in range(neighbours_begin[j], neighbours_begin[j + 1]):
-                p = neighbours[e]
+                p = neighbour[e]
                 if labels[p] == labels[j] and not seen[p]:
                     seen[p] = 1
                     reached[count] = p
                     count += 1
         for k in range(count):
-            _average_of_front(nodes, labels, node_field, neighbours_begin, neighbours, in_front, reached[k], value[k])
+            _average_of_front(body, neighbours, in_front, reached[k], value[k])
         for k in range(used):
             in_front[front[k]] = 0
         used = 0
@@ -113,11 +118,13 @@ def propagate_fronts(
 
 
 @query_kernel
-def _average_of_front(nodes, labels, node_field, neighbours_begin, neighbours, in_front, p, value):
+def _average_of_front(body, neighbours, in_front, p, value):
     """Eq. 1 and 2 at node `p` over its neighbours in the front, and the nearest of their certain points and its own.
 
     Writes value (7,), a row of node_field.
     """
+    nodes, labels, node_field = body
+    neighbours_begin, neighbour = neighbours
     x, y, z = nodes[p]
     own = node_field[p]
     cx, cy, cz = own[4], own[5], own[6]
@@ -125,7 +132,7 @@ def _average_of_front(nodes, labels, node_field, neighbours_begin, neighbours, i
     nearest = sx * sx + sy * sy + sz * sz
     d, nx, ny, nz, total = 0.0, 0.0, 0.0, 0.0, 0.0
     for e in range(neighbours_begin[p], neighbours_begin[p + 1]):
-        j = neighbours[e]
+        j = neighbour[e]
         if not in_front[j] or labels[j] != labels[p]:
             continue
         row = node_field[j]
@@ -149,21 +156,17 @@ def _average_of_front(nodes, labels, node_field, neighbours_begin, neighbours, i
 
 
 def update_averaged_field(
-    pools, prepared, first_node, node_shift, edge_shift, touched, first, end, first_plane
-) -> None:
-    """Update the field of fragments first .. end - 1, made by planes from row `first_plane` on (Glondu 2014, 4.2).
+    pools: Pools, nodes: np.ndarray, neighbours: tuple[np.ndarray, np.ndarray], broken: Broken, touched: np.ndarray,
+    first_plane: int,
+) -> None:  # fmt: skip
+    """Update the field of the fragments that planes from row `first_plane` on have made (Glondu 2014, 4.2).
 
-    prepared: the body's PreparedMesh, with its interior field; first_node: its first row of nodes; `touched`: the
-    result of touched_tetrahedra.
+    nodes (n, 3) [m]: of the body's mesh; neighbours: of its InteriorField, where each node's begin and all of them;
+    touched (m,): rows of the tetrahedra that the fracture affects.
     """
-    mesh, interior = prepared.mesh, prepared.interior[0]
-    n = len(interior.node_field)
+    n, first_node = len(nodes), int(pools.mesh.first[broken.mesh, FIRST_NODE])
     in_front, front = np.zeros(n, np.uint8), np.empty(n, np.int32)
-    used = measure_at_cracks(
-        pools, touched.rows, first_node, node_shift, edge_shift, first, end, first_plane, in_front, front
-    )
-    own = slice(first_node + node_shift, first_node + node_shift + n)
-    propagate_fronts(
-        mesh.nodes, pools.body.node_fragment[own], pools.body.node_field[own],
-        interior.neighbours_begin, interior.neighbours, in_front, front, used, SHORTER * pools.fragment.radius[first],
-    )  # fmt: skip
+    used = measure_at_cracks(pools, broken, touched, first_plane, in_front, front)
+    own = slice(first_node + broken.node_shift, first_node + broken.node_shift + n)
+    body = nodes, pools.body.node_fragment[own], pools.body.node_field[own]
+    propagate_fronts(body, neighbours, in_front, front, used, SHORTER * pools.fragment.radius[broken.first])

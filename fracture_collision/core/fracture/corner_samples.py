@@ -30,18 +30,19 @@ def room_for_corners(tetrahedra):
 
 
 @inlined_kernel
-def add_corners(mesh, first, t, work, pattern, at_once, low, high, new, used):
-    """Append to `new` the corners that fragments low .. high - 1 have in tetrahedron t; returns its new length.
+def add_corners(mesh, broken, t, work, pattern, at_once, new, used):
+    """Append to `new` the corners that the new fragments of a Broken have in tetrahedron t; returns its new length.
 
-    first (5,): MeshPool.first of the mesh; work, pattern: the divided tetrahedron; at_once: divided by one fracture.
+    work, pattern: the divided tetrahedron; at_once: divided by one fracture.
     Face points are numbered with one of the two tetrahedra that share them.
     """
     if GROUPS[pattern] < 3:
         return used
+    first = mesh.first[broken.mesh]
     for i in range(4):
         if GROUP[pattern, i] == i and not (at_once and GROUPS[pattern] == 3):
             number = corner_number(first, t, OF_HUB)
-            used = _append(mesh, first, t, i, work.labels[i], work.points[HUB], number, low, high, new, used)
+            used = _append(mesh, broken, t, (i, work.labels[i], number), work.points[HUB], new, used)
     for face in range(4):
         v = FACE_NODES[pattern, face]
         a, b, c = GROUP[pattern, v[0]], GROUP[pattern, v[1]], GROUP[pattern, v[2]]
@@ -50,16 +51,18 @@ def add_corners(mesh, first, t, work, pattern, at_once, low, high, new, used):
         number = corner_number(first, t, OF_FACE + face)
         for k in range(3):
             point = work.points[FACE_POINT + face]
-            used = _append(mesh, first, t, v[k], work.labels[v[k]], point, number, low, high, new, used)
+            used = _append(mesh, broken, t, (v[k], work.labels[v[k]], number), point, new, used)
     return used
 
 
 @inlined_kernel
-def _append(mesh, first, t, i, label, point, number, low, high, new, used):
-    if low <= label < high:
+def _append(mesh, broken, t, corner, point, new, used):
+    """Append a corner (node of the tetrahedron, its fragment, sample number) if its fragment is new."""
+    i, label, number = corner
+    if broken.first <= label < broken.end:
         for d in range(3):
             new.points[used, d] = point[d]
-        new.samples[used], new.parts[used] = number, label - low
-        new.parents[used] = mesh.tetrahedra[t, i] - first[FIRST_NODE]
+        new.samples[used], new.parts[used] = number, label - broken.first
+        new.parents[used] = mesh.tetrahedra[t, i] - mesh.first[broken.mesh, FIRST_NODE]
         return used + 1
     return used

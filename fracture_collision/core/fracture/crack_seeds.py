@@ -41,19 +41,17 @@ def find_seeds(fragment, seeds, a, b):
 
 
 @kernel
-def choose_seeds(mesh, body, fragment, seeds, parent, edges, cut_tetrahedra, first_fragment, first_key, first_seed):
-    """The body's rows of SeedPool, from `first_key` and `first_seed` on, after `parent` broke into the fragments from
-    row `first_fragment` on: kept rows of pairs without `parent`, new rows of pairs that share edges of
-    `cut_tetrahedra` (n,).
+def choose_seeds(pools, broken, edges, cut_tetrahedra, first_key, first_seed):
+    """The body's rows of SeedPool, from `first_key` and `first_seed` on, after a fragment broke: kept rows of pairs
+    without it, new rows of pairs that share edges of `cut_tetrahedra` (n,).
 
-    edges: number of the mesh's edges; labels and crossings are those after the fracture. Writes FragmentPool.seeds of
-    all fragments with rows. Returns (keys, ranges, edges).
+    pools: mesh, body, fragment and seeds; broken: Broken; edges: number of the mesh's edges; labels and crossings are
+    those after the fracture. Writes FragmentPool.seeds of all fragments with rows. Returns (keys, ranges, edges).
     """
-    first_edge = mesh.first[fragment.mesh[parent], 1]
-    new_keys, new_ranges, chosen = _choose_seeds(
-        mesh, body, fragment.node_shift[parent], fragment.edge_shift[parent], first_edge, first_edge + edges,
-        cut_tetrahedra, first_fragment, first_seed,
-    )  # fmt: skip
+    mesh, body, fragment, seeds = pools
+    parent, first_edge = broken.parent, mesh.first[broken.mesh, 1]
+    own = first_edge, first_edge + edges
+    new_keys, new_ranges, chosen = _choose_seeds(mesh, body, broken, own, cut_tetrahedra, first_seed)
     begin, end = fragment.seeds[parent, 0], fragment.seeds[parent, 1]
     room = end - begin + len(new_keys)
     keys, ranges, used, new = np.empty(room, np.int64), np.empty((room, 2), np.int32), 0, 0
@@ -73,13 +71,12 @@ def choose_seeds(mesh, body, fragment, seeds, parent, edges, cut_tetrahedra, fir
 
 
 @kernel
-def _choose_seeds(
-    mesh, body, node_shift, edge_shift, first_edge, last_edge, cut_tetrahedra, first_fragment, first_seed
-):  # fmt: skip
-    """choose_seeds for the new pairs alone. Returns (sorted keys, ranges, edges)."""
-    cut, low, high = _cut_edges(
-        mesh, body, node_shift, edge_shift, first_edge, last_edge, cut_tetrahedra, first_fragment
-    )
+def _choose_seeds(mesh, body, broken, own, cut_tetrahedra, first_seed):
+    """choose_seeds for the new pairs alone; own: first and end row of the mesh's edges. Returns (sorted keys, ranges,
+    edges).
+    """
+    edge_shift = broken.edge_shift
+    cut, low, high = _cut_edges(mesh, body, broken, own, cut_tetrahedra)
     # order by the smaller label, then the larger: stable sorts, the larger label first
     order = _by_label(cut, 1, low, high, _by_label(cut, 2, low, high, np.arange(len(cut))))
     keys, ranges = np.empty(len(cut), np.int64), np.empty((len(cut), 2), np.int32)
@@ -105,10 +102,12 @@ def _choose_seeds(
 
 
 @kernel
-def _cut_edges(mesh, body, node_shift, edge_shift, first_edge, last_edge, cut_tetrahedra, first_fragment):
+def _cut_edges(mesh, body, broken, own, cut_tetrahedra):
     """Cut edges with the smaller and the larger label of their ends (n, 3) int32, ascending; least and largest label
     overall.
     """
+    first_edge, last_edge = own
+    node_shift, edge_shift = broken.node_shift, broken.edge_shift
     words = np.zeros((last_edge - first_edge + 63) // 64, np.uint64)  # a bit per edge, as edges occur several times
     for t in cut_tetrahedra:
         for k in range(6):
@@ -126,7 +125,7 @@ def _cut_edges(mesh, body, node_shift, edge_shift, first_edge, last_edge, cut_te
             e = first_edge + 64 * w + bit
             a = body.node_fragment[mesh.edges[e, 0] + node_shift]
             b = body.node_fragment[mesh.edges[e, 1] + node_shift]
-            if max(a, b) < first_fragment:
+            if max(a, b) < broken.first:
                 continue
             cut[count, 0], cut[count, 1], cut[count, 2] = e, min(a, b), max(a, b)
             low, high = min(low, a, b), max(high, a, b)

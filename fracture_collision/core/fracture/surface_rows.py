@@ -17,9 +17,30 @@ RESIDUE = 1e-13
 class SurfaceRows(NamedTuple):
     """New rows of BodyPool's polygon arrays."""
 
+    first: int  # where they begin
     triangles: np.ndarray
     faces: np.ndarray
     sides: np.ndarray
+
+
+class Broken(NamedTuple):
+    """A fragment that breaks, and the fragments that it breaks into, by their rows of FragmentPool."""
+
+    parent: int
+    first: int
+    end: int
+    mesh: int  # row of the body's mesh
+    node_shift: int  # see FragmentPool
+    tet_shift: int
+    edge_shift: int
+
+
+class Sums(NamedTuple):
+    """What an update accumulates for each fragment, by rows of FragmentPool."""
+
+    moments: np.ndarray  # (F, 10) float64, see moments.py
+    gaps: np.ndarray  # (F,) float64 [m]: no point of the surface is farther from a sample
+    boxes: np.ndarray  # (F, 6) float64 [m]
 
 
 @inlined_kernel
@@ -67,26 +88,31 @@ def grow_by_box(box, low, high):
 
 
 @inlined_kernel
-def write_row(a, b, c, nx, ny, nz, offset, front, back, kind, out, at):
-    """Write a triangle of the plane n . x = offset to row `at`."""
+def write_row(corners, plane_of_it, owners, out, at):
+    """Write a triangle to row `at` of SurfaceRows: its corners, its plane (nx, ny, nz, offset), and the fragments in
+    front and behind with the kind.
+    """
+    a, b, c = corners
     triangle, plane = out.triangles[at], out.faces[at]
     triangle[0], triangle[1], triangle[2] = a[0], a[1], a[2]
     triangle[3], triangle[4], triangle[5] = b[0], b[1], b[2]
     triangle[6], triangle[7], triangle[8] = c[0], c[1], c[2]
-    plane[0], plane[1], plane[2], plane[3] = nx, ny, nz, offset
+    plane[0], plane[1], plane[2], plane[3] = plane_of_it
     sides = out.sides[at]
-    sides[FRONT_SIDE], sides[BACK_SIDE], sides[KIND] = front, back, kind
+    sides[FRONT_SIDE], sides[BACK_SIDE], sides[KIND] = owners
 
 
 @inlined_kernel
-def write_fan_row(a, b, c, nx, ny, nz, ab, ac, front, back, kind, out, at):
-    """Write a triangle with the normal (nx, ny, nz) out of `front`, of the length from measure_triangle, to row `at`.
+def write_fan_row(corners, measures, owners, out, at):
+    """write_row for a triangle whose plane follows from its own `measures`: measure_triangle, the normal out of front.
 
     Writes a residue, too, with a plane of NaN: every comparison with it is false.
     """
+    nx, ny, nz, ab, ac, _ = measures
+    a = corners[0]
     length = math.sqrt(nx * nx + ny * ny + nz * nz)
     nx, ny, nz = nx / length, ny / length, nz / length
     offset = nx * a[0] + ny * a[1] + nz * a[2]
     if length <= RESIDUE * max(ab, ac):
         nx = ny = nz = offset = math.nan
-    write_row(a, b, c, nx, ny, nz, offset, front, back, kind, out, at)
+    write_row(corners, (nx, ny, nz, offset), owners, out, at)

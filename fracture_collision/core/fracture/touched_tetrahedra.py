@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.core.fracture.cut_patterns import FAN_COUNT, GROUPS, PATTERN_OF_CUTS, PIECE_COUNT
-from fracture_collision.core.fracture.surface_rows import gap_of_triangle, grow, measure_triangle
+from fracture_collision.core.fracture.surface_rows import Broken, Sums, gap_of_triangle, grow, measure_triangle
 from fracture_collision.core.memory.compiled import inlined_kernel, query_kernel
-from fracture_collision.core.memory.pools import OWNER
+from fracture_collision.core.memory.pools import OWNER, Pools
 from fracture_collision.core.mesh.cut_tetrahedron import CUT, DIVIDED, FACE_VERTICES, LONE, crossing_share
 from fracture_collision.core.mesh.moments import add_row
 
@@ -42,51 +42,50 @@ def touched_room(tetrahedra: int) -> TouchedRoom:
     )  # fmt: skip
 
 
-def find_touched(
-    pools, parent, tetrahedra, nodes, parts, edges, first_plane, low, high, moments, gaps, room
-) -> Touched:
-    """Cut fragment `parent` into fragments low .. high - 1, whose rows exist; returns the touched tetrahedra.
+class Cut(NamedTuple):
+    """Where a fragment is cut."""
 
-    tetrahedra: number in its mesh; nodes (n,): all mesh nodes of `parent`; parts (n,): the new fragment of each,
-    relative to `low`; edges (k,): mesh edges that the planes from row `first_plane` on cut; moments (F, 10), gaps
-    (F,). Tetrahedra of one fragment are complete after this: their owner is written, their moments added, the gap
-    grown by their faces of the old surface, the box by their nodes.
+    nodes: np.ndarray  # (n,) int: all mesh nodes of the fragment
+    parts: np.ndarray  # (n,) int: the new fragment of each, relative to the first
+    edges: np.ndarray  # (k,) int: mesh edges cut, ascending
+    first_plane: int  # row of the first one's plane
+
+
+def find_touched(pools: Pools, broken: Broken, cut: Cut, tetrahedra: int, sums: Sums, room: TouchedRoom) -> Touched:
+    """Cut a fragment into new ones, whose rows exist; returns the touched tetrahedra.
+
+    tetrahedra: number in its mesh. Tetrahedra of one fragment are complete after this: their owner is written, their
+    moments added, the gap grown by their faces of the old surface, the box by their nodes.
     """
-    used, cuts, rows, first = _find_touched(
-        pools.mesh, pools.body, pools.fragment, parent, tetrahedra, nodes, parts, edges, first_plane, low, high,
-        moments, gaps, room,
-    )  # fmt: skip
+    used, cuts, rows, first = _find_touched(pools.mesh, pools.body, pools.fragment, broken, cut, tetrahedra, sums, room)
     return Touched(room.rows[:used], first, room.kinds, room.cut[:cuts], rows)
 
 
 @query_kernel
-def _find_touched(
-    mesh, body, fragment, parent, tetrahedra, nodes, parts, edges, first_plane, low, high, moments, gaps, room
-):
-    k = fragment.mesh[parent]
-    first_node, first_edge, _, first_tet, _ = mesh.first[k]
-    _inherit(fragment, parent, low, high)
-    for f in range(low, high):
-        gaps[f] = 0.0
-        for i in range(moments.shape[1]):
-            moments[f, i] = 0.0
-    _label(mesh, body, fragment, parent, first_node, nodes, parts, low)
-    _place_crossings(mesh, body, fragment.edge_shift[parent], edges, first_edge, first_plane)
+def _find_touched(mesh, body, fragment, broken, cut, tetrahedra, sums, room):
+    """find_touched on the parts of the pools that it needs: (touched, cut, upper bound of surface rows, first row)."""
+    first_node, first_edge, _, first_tet, _ = mesh.first[broken.mesh]
+    _inherit(fragment, broken)
+    for f in range(broken.first, broken.end):
+        sums.gaps[f] = 0.0
+        for i in range(sums.moments.shape[1]):
+            sums.moments[f, i] = 0.0
+    _label(mesh, body, fragment, broken, first_node, cut)
+    _place_crossings(mesh, body, broken.edge_shift, first_edge, cut)
     for i in range(room.used[0]):
         room.kinds[room.rows[i] - room.used[1]] = 0
     room.used[0], room.used[1] = 0, first_tet
-    used, cuts, rows = _sort_all(
-        mesh, body, fragment.node_shift[parent], fragment.tet_shift[parent], first_node, k, first_tet,
-        first_tet + tetrahedra, nodes, low, moments, gaps, room,
-    )  # fmt: skip
+    own = first_node, first_tet, first_tet + tetrahedra
+    used, cuts, rows = _sort_all(mesh, body, broken, own, cut.nodes, sums, room)
     room.used[0] = used
     return used, cuts, rows, first_tet
 
 
 @inlined_kernel
-def _inherit(fragment, parent, low, high):
+def _inherit(fragment, broken):
     """Copy the body's values to each fragment; set its box empty."""
-    for f in range(low, high):
+    parent = broken.parent
+    for f in range(broken.first, broken.end):
         fragment.kind[f], fragment.mesh[f], fragment.radius[f] = (
             fragment.kind[parent], fragment.mesh[parent], fragment.radius[parent]
         )  # fmt: skip
@@ -101,8 +100,9 @@ def _inherit(fragment, parent, low, high):
 
 
 @inlined_kernel
-def _label(mesh, body, fragment, parent, first_node, nodes, parts, low):
-    shift = fragment.node_shift[parent]
+def _label(mesh, body, fragment, broken, first_node, cut):
+    """Label the nodes with their new fragments, and grow these fragments' boxes."""
+    nodes, parts, low, shift = cut.nodes, cut.parts, broken.first, broken.node_shift
     for i in range(len(nodes)):
         n = nodes[i] + first_node
         p = mesh.nodes[n]
@@ -111,62 +111,65 @@ def _label(mesh, body, fragment, parent, first_node, nodes, parts, low):
 
 
 @inlined_kernel
-def _place_crossings(mesh, body, edge_shift, edges, first_edge, first_plane):
-    """Cut `edges` of a mesh by the planes from row `first_plane` on: edge_plane, edge_event, edge_share.
+def _place_crossings(mesh, body, edge_shift, first_edge, cut):
+    """Cut the edges of a mesh by their planes: edge_plane, edge_event, edge_share.
 
     Glondu 2014, section 6.3: the crossing is a sample of both fragments.
     """
-    for i in range(len(edges)):
-        e = edges[i] + first_edge
+    first_plane = cut.first_plane
+    for i in range(len(cut.edges)):
+        e = cut.edges[i] + first_edge
         a, b = mesh.edges[e, 0], mesh.edges[e, 1]
         body.edge_plane[e + edge_shift], body.edge_event[e + edge_shift] = first_plane + i, first_plane
         body.edge_share[e + edge_shift] = crossing_share(mesh.nodes, a, b, body.planes[first_plane + i])
 
 
 @inlined_kernel
-def _sort_all(
-    mesh, body, node_shift, tet_shift, first_node, k, first_tet, last_tet, nodes, low, moments, gaps, room
-):
-    """Fill `room` with the tetrahedra of `nodes`; returns (their number, number cut, upper bound of surface rows)."""
+def _sort_all(mesh, body, broken, own, nodes, sums, room):
+    """Fill `room` with the tetrahedra of `nodes`; returns (their number, number cut, upper bound of surface rows).
+
+    own: the mesh's first node, its first tetrahedron, and the end of these.
+    """
+    first_node, first_tet, last_tet = own
     kinds, rows, cut = room.kinds, room.rows, room.cut
     used = cuts = most = 0
     if 24 * len(nodes) > last_tet - first_tet:
         # most tetrahedra have such a node: reading all labels in order is faster than gathering
         for t in range(first_tet, last_tet):
-            kind, more = _sort_in(mesh, body, node_shift, tet_shift, t, low, moments, gaps)
+            kind, more = _sort_in(mesh, body, broken, t, sums)
             # branchless, as the outcome is unpredictable: always written, kept only if counted
             kinds[t - first_tet], rows[used], cut[cuts] = kind, t, t
             used, cuts, most = used + (kind > 0), cuts + (kind > LONE), most + more
     else:
         for node in nodes:
             # node_tets_begin has one row more than nodes in each mesh before this one
-            n = node + first_node + k
+            n = node + first_node + broken.mesh
             for e in range(mesh.node_tets_begin[n], mesh.node_tets_begin[n + 1]):
                 t = mesh.node_tets[e]
                 if kinds[t - first_tet] == 0:
-                    kind, more = _sort_in(mesh, body, node_shift, tet_shift, t, low, moments, gaps)
+                    kind, more = _sort_in(mesh, body, broken, t, sums)
                     kinds[t - first_tet], rows[used], cut[cuts] = kind, t, t
                     used, cuts, most = used + 1, cuts + (kind > LONE), most + more
     return used, cuts, most
 
 
 @inlined_kernel
-def _sort_in(mesh, body, node_shift, tet_shift, t, first_fragment, moments, gaps):
+def _sort_in(mesh, body, broken, t, sums):
     """(kind, 0 if the fracture does not affect it; upper bound of surface rows) of tetrahedron `t`."""
-    v = mesh.tetrahedra[t]
+    v, node_shift, tet_shift = mesh.tetrahedra[t], broken.node_shift, broken.tet_shift
     a, b = body.node_fragment[v[0] + node_shift], body.node_fragment[v[1] + node_shift]
     c, d = body.node_fragment[v[2] + node_shift], body.node_fragment[v[3] + node_shift]
     low, high = min(a, b, c, d), max(a, b, c, d)
-    if high < first_fragment:
+    if high < broken.first:
         return 0, 0
     n = mesh.neighbours[t]
     outer = n[0] < 0 or n[1] < 0 or n[2] < 0 or n[3] < 0
     if low == high:
         body.regions[t + tet_shift, OWNER], body.cut_count[t + tet_shift] = a, 0
         m = mesh.moments[t]
-        add_row(moments[a], m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8], m[9])
+        add_row(sums.moments[a], m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8], m[9])
         if outer:
-            gaps[a] = max(gaps[a], _gap_of_old_faces(mesh, t))
+            sums.gaps[a] = max(sums.gaps[a], _gap_of_old_faces(mesh, t))
         return LONE, 0
     pattern = PATTERN_OF_CUTS[
         (a != b) + 2 * (a != c) + 4 * (a != d) + 8 * (b != c) + 16 * (b != d) + 32 * (c != d)

@@ -32,6 +32,16 @@ class Motion(NamedTuple):
     reach: np.ndarray  # (n,) float64 [m] of a fragment about its centre; of a plane ENDLESS
 
 
+class Moving(NamedTuple):
+    """Two of the fragments of a Motion, the i-th and the j-th, with the world poses of all now."""
+
+    i: int
+    j: int
+    rotations: np.ndarray  # (n, 3, 3) float64
+    positions: np.ndarray  # (n, 3) float64 [m]
+    motion: Motion
+
+
 NO_MOTION = Motion(0.0, np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
 
 

@@ -25,10 +25,13 @@ ABOUT_TO = 0.1
 
 
 @inlined_kernel
-def boxes_stay_apart(pools, a, b, i, j, rotation, translation, rotations, motion, near):
+def boxes_stay_apart(pools, pair, moving, near):
     """Whether two stay more than `near` [m] apart along an axis of either box; negative: penetrate no deeper than that.
-    rotation (2, 3, 3), translation (2, 3): relative poses now; rotations (n, 3, 3): world rotations now.
+
+    pair: with relative poses now; moving: a Moving.
     """
+    a, b, rotation, translation = pair
+    i, j, rotations, _, motion = moving
     if pools.fragment.kind[a] == PLANE or pools.fragment.kind[b] == PLANE:
         return False
     near += rounding_slack(pools, a, b, translation)
@@ -53,20 +56,20 @@ def boxes_stay_apart(pools, a, b, i, j, rotation, translation, rotations, motion
 
 
 @inlined_kernel
-def hulls_stay_apart(
-    pools, a, b, i, j, rotation, translation, rotations, positions, motion, near, toward, scratch, thread
-):  # fmt: skip
+def hulls_stay_apart(pools, pair, moving, near, toward, scratch):
     """The same for the hulls along `toward` (3,), b's frame, or, where it is zero, along the line between box centres.
     A cheap test before first_touch: any direction is valid, and a pair it settles is never near.
     """
-    gap, x, y, z = gap_of_hulls(pools, a, b, rotation, translation, 0.0, toward, scratch, thread, 1)
+    a, b, _, translation = pair
+    i, j, rotations, _, motion = moving
+    gap, x, y, z = gap_of_hulls(pools, pair, 0.0, toward, scratch, 1)
     if not gap > near:
         return False
     n = rotated(rotations[j], x, y, z)
     if gap - near > closing_along(motion, i, j, 0.0, motion.time, n[0], n[1], n[2]) * motion.time:
         return True
     slack = rounding_slack(pools, a, b, translation)
-    return least_gap_ahead(pools, a, b, i, j, rotations, positions, motion, 0.0, gap, n, slack, scratch, thread) > near
+    return least_gap_ahead(pools, pair, moving, 0.0, gap, n, slack, scratch) > near
 
 
 @inlined_kernel
@@ -78,36 +81,33 @@ def may_get_through(boxes, a, b, i, j, motion):
 
 
 @inlined_kernel
-def may_touch_again(
-    pools, a, b, i, j, rotation, translation, rotations, positions, motion, moment, contacts, count, scratch, thread
-):  # fmt: skip
-    """Whether two that touch at `moment` [s], or are about to, by their `count` contacts, may pass through each other
-    elsewhere before the time is over. rotation, translation: relative poses at that moment; rotations (n, 3, 3),
-    positions (n, 3): world poses now.
+def may_touch_again(pools, pair, moving, moment, contacts, scratch):
+    """Whether two that touch at `moment` [s], or are about to, by their `contacts`, may pass through each other
+    elsewhere before the time is over. pair: with relative poses at that moment; moving: a Moving.
     """
+    a, b, _, translation = pair
+    i, j, rotations, _, motion = moving
     least = ABOUT_TO * min(pools.fragment.radius[a], pools.fragment.radius[b])
     least_gap = math.inf
-    for c in range(count):
+    for c in range(len(contacts)):
         least_gap = min(least_gap, contacts[c, 9])
     # a pair that already penetrates deeper than that may be anywhere
     thin = THIN * thickness(pools.fragment.box, a, b)
     if least_gap > least or -least_gap > thin or not may_get_through(pools.fragment.box, a, b, i, j, motion):
         return False
     # most pairs slide along their separating plane, or separate
-    toward = scratch.ahead_toward[thread]
+    toward = scratch.ahead_toward
     toward[0] = toward[1] = toward[2] = 0.0
-    gap, x, y, z = gap_of_hulls(pools, a, b, rotation, translation, 0.0, toward, scratch, thread)
+    gap, x, y, z = gap_of_hulls(pools, pair, 0.0, toward, scratch)
     if gap < -thin:
         return True
-    of_b = rotations[j] if moment == 0.0 else scratch.world_rotation[thread, 1]
+    of_b = rotations[j] if moment == 0.0 else scratch.world_rotation[1]
     n = rotated(of_b, x, y, z)
     left = motion.time - moment
     if max(closing_along(motion, i, j, moment, left, n[0], n[1], n[2]), 0.0) * left - gap <= thin:
         return False
     slack = rounding_slack(pools, a, b, translation)
-    return (
-        least_gap_ahead(pools, a, b, i, j, rotations, positions, motion, moment, gap, n, slack, scratch, thread) < -thin
-    )
+    return least_gap_ahead(pools, pair, moving, moment, gap, n, slack, scratch) < -thin
 
 
 @inlined_kernel
@@ -121,12 +121,13 @@ def thickness(boxes, a, b):
 
 
 @inlined_kernel
-def gap_of_hulls(pools, a, b, rotation, translation, enough, toward, scratch, thread, most_steps=MOST_STEPS):
+def gap_of_hulls(pools, pair, enough, toward, scratch, most_steps=MOST_STEPS):
     """Lower bound [m] of the distance between the hulls of two fragments (the search stops once it exceeds `enough`),
     and its direction (x, y, z) from b to a, in b's frame; minus infinity: spheres are not handled.
 
     toward, most_steps: see leaf_separation.
     """
+    a, b, rotation, translation = pair
     kind_a, kind_b = pools.fragment.kind[a], pools.fragment.kind[b]
     if kind_a == SPHERE or kind_b == SPHERE:
         return -math.inf, 0.0, 0.0, 0.0
@@ -136,7 +137,7 @@ def gap_of_hulls(pools, a, b, rotation, translation, enough, toward, scratch, th
         shape, t = pools.fragment.shape[plane], translation[side]
         x, y, z = rotated(rotation[1 - side], -shape[0], -shape[1], -shape[2])
         gap = shape[0] * t[0] + shape[1] * t[1] + shape[2] * t[2] - shape[3] - slack
-        gap -= _reach_of_hull(pools, other, x, y, z, scratch.along[thread])
+        gap -= _reach_of_hull(pools, other, x, y, z, scratch.along)
         if side == 0:
             return gap, shape[0], shape[1], shape[2]
         return gap, x, y, z
@@ -144,9 +145,7 @@ def gap_of_hulls(pools, a, b, rotation, translation, enough, toward, scratch, th
     if len(leaves[0].entries) == 0 or len(leaves[1].entries) == 0:
         return -math.inf, 0.0, 0.0, 0.0
     rounding = slack + leaves[0].middle[3] + leaves[1].middle[3]
-    n, low, high = parting_plane_of_leaves(
-        pools, a, b, leaves, rotation, translation, enough + rounding, toward, scratch, thread, most_steps
-    )
+    n, low, high = parting_plane_of_leaves(pools, pair, leaves, enough + rounding, toward, scratch.along, most_steps)
     return low - high - rounding, n[0], n[1], n[2]
 
 
@@ -160,15 +159,17 @@ def _reach_of_hull(pools, f, x, y, z, bounds):
 
 
 @inlined_kernel
-def least_gap_ahead(pools, a, b, i, j, rotations, positions, motion, t, gap, n, slack, scratch, thread):
+def least_gap_ahead(pools, pair, moving, t, gap, n, slack, scratch):
     """Lower bound [m] of the gap between two hulls along n, a world unit vector from b to a, from `t` [s], when it is
-    `gap` [m], to the end of the time. slack [m]: rounding of poses.
+    `gap` [m], to the end of the time. slack [m]: rounding of poses. moving: a Moving.
     """
+    a, b, _, _ = pair
+    i, j, rotations, positions, motion = moving
     left = motion.time - t
     at_end, bend = -slack, 0.0
     for side in range(2):
         f, k, sign = (a, i, -1.0) if side == 0 else (b, j, 1.0)
-        turn, place = scratch.world_rotation[thread, 2], scratch.world_position[thread, 2]
+        turn, place = scratch.world_rotation[2], scratch.world_position[2]
         put_pose(motion, rotations, positions, k, motion.time, turn, place)
         # a point's acceleration is at most its distance from the axis times the square of the spin
         spin = turned_in(motion, k, left)
@@ -178,7 +179,7 @@ def least_gap_ahead(pools, a, b, i, j, rotations, positions, motion, t, gap, n, 
         if pools.fragment.kind[f] == PLANE:  # it stands still, and n is its normal
             at_end -= pools.fragment.shape[f, 3]
             continue
-        at_end -= _reach_of_hull(pools, f, x, y, z, scratch.along[thread])
+        at_end -= _reach_of_hull(pools, f, x, y, z, scratch.along)
     # after a share s of the time left: gap + s (at_end - gap) - bend s (1 - s)
     change = at_end - gap
     if abs(change) >= bend:

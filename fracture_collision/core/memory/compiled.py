@@ -10,7 +10,7 @@ from typing import Any
 TRIED_WITH = "0.68."
 
 if version("numba").startswith(TRIED_WITH):
-    from fracture_collision.core.memory.kernel_cache import KernelCache, njit
+    from fracture_collision.core.memory.kernel_cache import KernelCache, WithoutLiterals, njit
 else:
     from numba import njit
 
@@ -26,6 +26,7 @@ def _cached(**options: Any) -> Callable[[Callable], Any]:
         dispatcher = compiled(function)
         if dispatcher is not function:  # they are the same under NUMBA_DISABLE_JIT
             dispatcher._cache = KernelCache(function)  # replaces the cache that cache=True would set
+            dispatcher.get_call_template = WithoutLiterals(dispatcher.get_call_template)
         return dispatcher
 
     return decorate

@@ -1,8 +1,8 @@
-"""A thread pool that splits one kernel's work; each thread has its own slots (prange takes no nested tuples)."""
+"""A thread pool that splits one kernel's work; each thread has its own memory (prange takes no nested tuples)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 
@@ -13,9 +13,12 @@ class Crew:
         self.threads = threads
         self._pool = ThreadPoolExecutor(threads - 1, thread_name_prefix="narrow_phase") if threads > 1 else None
 
-    def share(self, kernel: Callable[..., None], *arguments: object) -> None:
-        """Call kernel(*arguments, threads, thread) for every thread 0 .. threads - 1 in parallel; wait for all."""
-        others = [self._pool.submit(kernel, *arguments, self.threads, t) for t in range(1, self.threads)]
-        kernel(*arguments, self.threads, 0)
+    def share(self, kernel: Callable[..., None], *arguments: object, own: Sequence[object]) -> None:
+        """Call kernel(*arguments, own[thread], (thread, threads)) for each thread from 0 on in parallel; wait for all.
+
+        own: one thread's working memory each.
+        """
+        others = [self._pool.submit(kernel, *arguments, own[t], (t, self.threads)) for t in range(1, self.threads)]
+        kernel(*arguments, own[0], (0, self.threads))
         for other in others:
             other.result()

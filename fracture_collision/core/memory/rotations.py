@@ -44,3 +44,18 @@ def relative_pose(rotation_from, position_from, rotation_to, position_to, rotati
                 + rotation_to[1, i] * rotation_from[1, j]
                 + rotation_to[2, i] * rotation_from[2, j]
             )
+
+
+@inlined_kernel
+def put_rotation(x, y, z, w, out):
+    """Write the rotation matrix (3, 3) of a quaternion of any length."""
+    s = 2.0 / (x * x + y * y + z * z + w * w)
+    out[0, 0] = 1.0 - s * (y * y + z * z)
+    out[0, 1] = s * (x * y - z * w)
+    out[0, 2] = s * (x * z + y * w)
+    out[1, 0] = s * (x * y + z * w)
+    out[1, 1] = 1.0 - s * (x * x + z * z)
+    out[1, 2] = s * (y * z - x * w)
+    out[2, 0] = s * (x * z - y * w)
+    out[2, 1] = s * (y * z + x * w)
+    out[2, 2] = 1.0 - s * (x * x + y * y)

@@ -21,10 +21,12 @@ class PairContacts(NamedTuple):
     points_b: np.ndarray  # (N, 3) float64 [m], world
     normals: np.ndarray  # (N, 3) float64, from a to b
     gaps: np.ndarray  # (N,) float64 [m]
-    samples: np.ndarray  # (N, 2) int64: side whose sample it is (0: a), sample index, see query_pair
+    samples: np.ndarray  # (N, 2) int64: side whose sample it is (0: a), sample index, see Sink
 
 
 class KeptAnswer(NamedTuple):
+    """An answer and what it depends on."""
+
     stamp: int  # of the geometry queried: after any change of it the answer is invalid
     index_of_row: np.ndarray  # (r,) int64: index into `poses` for a row of FragmentPool, -1: none
     poses: np.ndarray  # (n, 12) uint64: the bits of rotations and positions in the world
@@ -58,13 +60,13 @@ def _keep(rows, slots, room, exhausted):
     return index_of_row, pair_of_slot
 
 
-def keep(
-    stamp: int, rows: np.ndarray, poses: np.ndarray, slots: np.ndarray, room: int, searched: np.ndarray,
-    shares: np.ndarray, further: int, offsets: np.ndarray, contacts: PairContacts,
-) -> KeptAnswer:  # fmt: skip
-    """A KeptAnswer. slots (p,), -1: do not keep; `room` slots in all. `contacts` must not be modified afterwards."""
-    index_of_row, pair_of_slot = _keep(rows, slots, room, contacts.exhausted)
-    return KeptAnswer(stamp, index_of_row, poses, pair_of_slot, searched, shares, further, offsets, contacts)
+def keep(answer: KeptAnswer, rows: np.ndarray, slots: np.ndarray, room: int) -> KeptAnswer:
+    """The answer with its indices. slots (p,), -1: do not keep; `room` slots in all.
+
+    Its contacts must not be modified afterwards.
+    """
+    index_of_row, pair_of_slot = _keep(rows, slots, room, answer.contacts.exhausted)
+    return answer._replace(index_of_row=index_of_row, pair_of_slot=pair_of_slot)
 
 
 @kernel
@@ -80,13 +82,18 @@ def pose_bits(rotations, positions):
 
 
 @kernel
-def pairs_in_place(kept, kinds, rows, poses, pairs, slots, known, shares, further, counts, bounds):
-    """Index in `kept` of each of `pairs` (p, 2) of indices into `rows`, -1: absent, or the answer may differ; and the
-    pairs with -1 (m,). For the others, `counts` and `bounds` (p,) are written.
+def pairs_in_place(kept, kinds, step, poses, slots, limits, out):
+    """Index in `kept` of each pair of a Step, -1: absent, or the answer may differ; and the pairs with -1 (m,). For the
+    others, `out`: counts and bounds (p,), are written.
 
-    poses (n, 12): pose_bits; slots, known (p,): of with_pairs; shares (p,), further: visit limits of each pair, in all
-    and after it has the contacts wanted. From then on, the search handles a node at most twice per visit.
+    poses (n, 12): pose_bits; slots: slots and known (p,) of with_pairs; limits: shares (p,) and further, the visit
+    limits of each pair, in all and after it has the contacts wanted. From then on, the search handles a node at most
+    twice per visit.
     """
+    rows, pairs = step.rows, step.pairs
+    slot_of, known = slots
+    shares, further = limits
+    counts, bounds = out
     has_moved = np.ones(len(rows), np.bool_)
     for i in range(len(rows)):
         before = kept.index_of_row[rows[i]] if rows[i] < len(kept.index_of_row) else -1
@@ -98,9 +105,9 @@ def pairs_in_place(kept, kinds, rows, poses, pairs, slots, known, shares, furthe
     stands_at = np.full(len(pairs), -1)
     for p in range(len(pairs)):
         i, j = pairs[p, 0], pairs[p, 1]
-        if slots[p] < 0 or not known[p] or slots[p] >= len(kept.pair_of_slot) or has_moved[i] or has_moved[j]:
+        if slot_of[p] < 0 or not known[p] or slot_of[p] >= len(kept.pair_of_slot) or has_moved[i] or has_moved[j]:
             continue
-        q = kept.pair_of_slot[slots[p]]
+        q = kept.pair_of_slot[slot_of[p]]
         if q < 0 or kept.shares[q] != shares[p]:
             continue
         of_sphere = kinds[rows[i]] == SPHERE or kinds[rows[j]] == SPHERE
@@ -110,8 +117,11 @@ def pairs_in_place(kept, kinds, rows, poses, pairs, slots, known, shares, furthe
 
 
 @kernel
-def gather_kept(kept, stands_at, offsets, points_a, points_b, normals, gaps, samples, searched):
-    """Copy the contacts of the pairs that are in `kept`, from offsets[p] on, and their `searched` (p,)."""
+def gather_kept(kept, stands_at, offsets, out, searched):
+    """Copy the contacts of the pairs that are in `kept` to WorldContacts, from offsets[p] on, and their `searched`
+    (p,).
+    """
+    points_a, points_b, normals, gaps, samples = out
     old = kept.contacts
     for p in range(len(stands_at)):
         q = stands_at[p]

@@ -50,6 +50,18 @@ PLACE_ROUNDING = 1e-6
 LEAST_ROOM = 64
 
 
+class Listing(NamedTuple):
+    """What a search of a pair lists for later queries, and how far it searches for that."""
+
+    reach: float  # [m] samples that may be within near + reach are listed; 0: no list
+    ahead: float  # [m] distances of samples are searched up to so far beyond near
+    ways: np.ndarray  # (2, WAY) float64: motion of a's points relative to b, of b's relative to a (motion.put_way)
+    samples: np.ndarray  # (n, 2) int32: WHO and WHERE, those of a before those of b
+    places: np.ndarray  # (n, PLACE) float32 [m]
+    ridges: np.ndarray  # (m, 2) int32: pairs of ridges that may cross
+    toward: np.ndarray  # (3,) float64: a direction in b's frame that may separate the two, zeros: unknown
+
+
 class NeighbourLists(NamedTuple):
     """Columns have one row per slot; a pair keeps its slot as long as its boxes overlap."""
 
@@ -258,8 +270,9 @@ def spin(rotation, before):
 
 
 @inlined_kernel
-def displacement(pools, a, b, rotation, translation, before):
+def displacement(pools, pair, before):
     """Upper bound [m] of how far a point of either fragment has moved in the other's frame since poses (2, 12)."""
+    a, b, rotation, translation = pair
     farthest = 0.0
     for side in range(2):
         f = a if side == 0 else b

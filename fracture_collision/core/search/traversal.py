@@ -13,6 +13,7 @@ m grows by one with each. A branch is skipped when nothing below it can count. S
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -76,23 +77,21 @@ def most_depth(pools, other, x, y, z, plane):
     return -max(least, beyond) if beyond > 0.0 else -least
 
 
+class VisitLimits(NamedTuple):
+    """How many tree nodes a search may visit."""
+
+    budget: int  # in all, 0: no limit
+    further: int  # once there are the contacts wanted
+
+
 @query_kernel
-def query_pair(
-    pools, a, b, rotation, translation, wanted, epsilon, near, budget, further, limit, contacts, ids, capacity,
-    scratch, thread,
-):  # fmt: skip
-    """All contacts of fragments `a` and `b`.
+def query_pair(pools, pair, rule, limits, sink, scratch):
+    """All contacts of a Pair, by the paper's rule, written to a Sink; limits: VisitLimits.
 
-    rotation (2, 3, 3), translation (2, 3): [0] from a's body frame to b's, [1] back. `wanted` m, `epsilon` and `near`
-    [m], `budget` visits (0: none), `further` visits once there are m contacts; the `limit` deepest contacts are kept.
-
-    Fills contacts (capacity, 10): sample point, witness on the other, the other's outward normal, all in the other's
-    frame, gap [m]; ids (capacity, 5): side (0: a's sample in b), sample (of a sphere: sphere_contacts.py), source and
-    tetrahedron of the witness, tetrahedron of the sample (bounded_probe). Returns (contacts, missed depth bound [m],
-    visits, one of COMPLETE, BY_LIMIT, BY_FURTHER, clearance [m]); if the contacts exceed `capacity`, retry with a
-    larger buffer. Fewer contacts than wanted are sorted by side and sample; those kept of more than `limit`, by depth;
-    others are in search order. The clearance is a lower bound, beyond rounding, of the distance in excess of `near`; 0:
-    unknown.
+    Returns (contacts, missed depth bound [m], visits, one of COMPLETE, BY_LIMIT, BY_FURTHER, clearance [m]); the
+    rule.limit deepest contacts are kept. Fewer contacts than wanted are sorted by side and sample; those kept of more
+    than rule.limit, by depth; others are in search order. The clearance is a lower bound, beyond rounding, of the
+    distance in excess of rule.near; 0: unknown.
 
     The queues hold rows of node_int and node_float, one per node reached. A child whose sphere is out of reach of the
     other counts as visited but takes no row.
@@ -103,40 +102,33 @@ def query_pair(
     than they have moved. For all other pairs a separating plane of the hulls is searched (hull_separation.py). If there
     is none, the best plane found still bounds the depth of everything beyond the other along it.
     """
+    a, b, rotation, translation = pair
+    wanted, epsilon, near, limit = rule.wanted, rule.epsilon, rule.near, rule.limit
+    budget, further = limits
+    contacts, ids = sink
+    capacity = len(contacts)
     fragment, tree = pools.fragment, pools.tree
     slack = rounding_slack(pools, a, b, translation)
     one_body = share_a_body(pools, a, b)
     turned = spin(rotation[0], UNTURNED) if one_body else 0.0
-    bounded = fragment.kind[a] != PLANE and fragment.kind[b] != PLANE
-    if bounded:
-        parted = box_clearance(fragment.box[a], fragment.box[b], rotation[0], translation[0], near + slack)
-        if parted > near + slack:
-            return 0, slack, 0, COMPLETE, parted - near - slack
+    parted = _clearance_of_boxes(pools, pair, near + slack)
+    if parted > near + slack:
+        return 0, slack, 0, COMPLETE, parted - near - slack
     visits, apart = 0, math.inf
     if one_body:
-        apart = displacement(pools, a, b, rotation, translation, IN_PLACE)
+        apart = displacement(pools, pair, IN_PLACE)
         if apart <= epsilon:
-            count, visits = query_seeds(
-                pools, a, b, rotation, translation, min(wanted, limit), near, budget, contacts, ids, capacity,
-                scratch, thread,
-            )  # fmt: skip
+            count, visits = query_seeds(pools, pair, min(wanted, limit), near, budget, sink, scratch)
             if count == min(wanted, limit) or (budget and visits >= budget):
                 return count, apart + slack, visits, COMPLETE if count == wanted else BY_LIMIT, 0.0
-    beyond_b, beyond_a = NO_PLANE, NO_PLANE
+    parted, beyond_b, beyond_a = 0.0, NO_PLANE, NO_PLANE
     if apart > near and _has_hull(fragment.kind[a]) and _has_hull(fragment.kind[b]):
-        way = way_between(fragment.box[a], fragment.box[b], rotation[0], translation[0])
-        x, y, z, low, high = parting_plane(
-            hull_of(pools, a), hull_of(pools, b), way, rotation, translation, near + slack
-        )
-        if low - high > near + slack:
-            return 0, slack, visits, COMPLETE, low - high - near - slack
-        t = translation[0]
-        beyond_b = x, y, z, high + slack
-        x, y, z = rotated(rotation[1], -x, -y, -z)
-        beyond_a = x, y, z, beyond_b[0] * t[0] + beyond_b[1] * t[1] + beyond_b[2] * t[2] - low + slack
-    node, node_point = scratch.node_int[thread], scratch.node_float[thread]
-    queue = scratch.queue[thread]
-    spare, spare_ids = scratch.row[thread], scratch.row_ids[thread]
+        parted, beyond_b, beyond_a = _planes_between(pools, pair, near, slack)
+        if parted > 0.0:
+            return 0, slack, visits, COMPLETE, parted
+    node, node_point = scratch.node_int, scratch.node_float
+    queue = scratch.queue
+    spare = scratch.places
     current, following = 0, 1
     nodes, size = 0, 0
     count = 0
@@ -147,11 +139,8 @@ def query_pair(
         own, other = (a, b) if side == 0 else (b, a)
         if fragment.kind[own] == SPHERE:
             if side == 0 or fragment.kind[other] != SPHERE:
-                p = translation[side]
-                count, bound, left_out = sphere_contacts(
-                    pools, own, other, p[0], p[1], p[2], near, wanted, epsilon, max(further, LEAST_WITHIN), limit,
-                    contacts, ids, side, scratch, thread,
-                )  # fmt: skip
+                most_within = max(further, LEAST_WITHIN)
+                count, bound, left_out = sphere_contacts(pools, pair, side, rule, most_within, sink, scratch)
                 exhausted = BY_LIMIT if left_out else COMPLETE
         elif fragment.tree_end[own] > fragment.tree_begin[own]:
             root = fragment.tree_begin[own]
@@ -200,25 +189,24 @@ def query_pair(
                     elif -node_point[k, DEPTH] <= near:
                         full, leaf = count < m, end == entry + 1
                         sample = tree.entries[entry, SAMPLE]
-                        start = home_tetrahedron(pools, other, sample) if one_body else -1
+                        start = np.int64(home_tetrahedron(pools, other, sample) if one_body else -1)
                         # one body: searching as far as it has moved is enough, and fast
                         deep = moved + slack if one_body else math.inf if full else epsilon
                         # with m contacts, a sample outside counts only for the branch below it, however near
                         outside = 0.0 if leaf and not full else near
-                        answer = ask_sample(pools, other, x, y, z, outside, deep, start, leaf, scratch, thread)
-                        status, most = answer[0], answer[8]
+                        answer = ask_sample(pools, other, (x, y, z), outside, deep, start, leaf, scratch)
+                        status, most = answer.status, answer.most_depth
                         if status != OUTSIDE:
-                            if full or -answer[1] > epsilon:
+                            if full or -answer.distance > epsilon:
                                 if count < min(capacity, limit):
-                                    put_contact(contacts, ids, count, side, sample, x, y, z, answer)
+                                    put_contact(sink, count, np.int64(side), np.int64(sample), (x, y, z), answer)
                                 elif capacity >= limit:
                                     if count == limit:
                                         make_heap(contacts, ids, limit)
-                                    put_contact(spare, spare_ids, 0, side, sample, x, y, z, answer)
-                                    dropped = max(
-                                        dropped, keep_if_deeper(contacts, ids, limit, spare[0], spare_ids[0])
-                                    )
-                                deeper_by = max(deeper_by, most + answer[1])
+                                    put_contact(spare, 0, np.int64(side), np.int64(sample), (x, y, z), answer)
+                                    lost = keep_if_deeper(contacts, ids, limit, spare.contacts[0], spare.ids[0])
+                                    dropped = max(dropped, lost)
+                                deeper_by = max(deeper_by, most + answer.distance)
                                 count += 1
                                 m = max(m, count)
                             else:
@@ -241,7 +229,7 @@ def query_pair(
                     enter = around >= -depth and around >= 0.0 and moved > least
                     if enter and count >= m:
                         # with fewer, this is the sphere test that the node passed when it was reached
-                        enter = sphere_test(pools, other, -depth, x, y, z, around, scratch, thread)
+                        enter = sphere_test(pools, other, -depth, x, y, z, around, scratch)
                 if not enter or moved <= least:
                     # inside: 1-Lipschitz; outside: the test shows that no point below is deeper than `least`
                     bound = max(bound, min(depth + radius, moved, max(least, 0.0)))
@@ -274,7 +262,7 @@ def query_pair(
             # on a rigid mesh, the sphere test of a lone sample does the same work as its probe
             asked = status != INSIDE and (child_size > 1 or fragment.kind[other] != TRIANGLES)
             around = c[3] + near if count < m else c[3]  # with m contacts, only samples inside count
-            if asked and not sphere_test(pools, other, -depth, x, y, z, around, scratch, thread):
+            if asked and not sphere_test(pools, other, -depth, x, y, z, around, scratch):
                 visits += 1
                 continue
             _reach_node(node, node_point, nodes, child, side, status, x, y, z, depth)
@@ -295,6 +283,31 @@ def query_pair(
     if count < m:
         sort_by_sample(contacts, ids, min(count, capacity))
     return count, bound + slack, visits, exhausted, 0.0
+
+
+@inlined_kernel
+def _clearance_of_boxes(pools, pair, enough):
+    """oriented_boxes.box_clearance [m] of a Pair; minus infinity: one is a plane."""
+    a, b, rotation, translation = pair
+    if pools.fragment.kind[a] == PLANE or pools.fragment.kind[b] == PLANE:
+        return -math.inf
+    return box_clearance(pools.fragment.box[a], pools.fragment.box[b], rotation[0], translation[0], enough)
+
+
+@inlined_kernel
+def _planes_between(pools, pair, near, slack):
+    """(distance of the hulls beyond `near` and rounding `slack` [m], 0: none; a plane that all of b is behind, in b's
+    frame; likewise for a).
+    """
+    a, b, rotation, translation = pair
+    way = way_between(pools.fragment.box[a], pools.fragment.box[b], rotation[0], translation[0])
+    x, y, z, low, high = parting_plane(hull_of(pools, a), hull_of(pools, b), way, rotation, translation, near + slack)
+    if low - high > near + slack:
+        return low - high - near - slack, NO_PLANE, NO_PLANE
+    t = translation[0]
+    beyond_b = x, y, z, high + slack
+    x, y, z = rotated(rotation[1], -x, -y, -z)
+    return 0.0, beyond_b, (x, y, z, beyond_b[0] * t[0] + beyond_b[1] * t[1] + beyond_b[2] * t[2] - low + slack)
 
 
 @inlined_kernel

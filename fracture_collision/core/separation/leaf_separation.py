@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,15 +22,13 @@ from fracture_collision.core.tree.sample_leaves import farthest_sample, sample_a
 
 
 @inlined_kernel
-def parting_plane_of_leaves(
-    pools, a, b, leaves, rotation, translation, distance, toward, scratch, thread, most_steps=MOST_STEPS
-):
+def parting_plane_of_leaves(pools, pair, leaves, distance, toward, bounds, most_steps=MOST_STEPS):
     """hull_separation.parting_plane over leaves: ((x, y, z), low, high), in single precision: the bounds may be off by
     the rounding given in both middles.
 
-    toward (3,): see sample_search.search_samples. most_steps: 1: along `toward` only.
+    toward (3,): see neighbour_lists.Listing. bounds: working space, scratch.along. most_steps: 1: along `toward` only.
     """
-    bounds = scratch.along[thread]
+    a, b, rotation, translation = pair
     of_a, of_b = leaves
     ax, ay, az = to_other(rotation[0], translation[0], of_a.middle[0], of_a.middle[1], of_a.middle[2])
     # from b's middle to a's, in b's frame
@@ -71,38 +70,48 @@ def parting_plane_of_leaves(
     return found, best_low, best_high
 
 
+class Approach(NamedTuple):
+    """Where samples of a fragment may come near the other while the two move."""
+
+    plane: tuple[float, float, float, float]  # all of the other is behind it: unit normal, offset [m]; zeros: unknown
+    within: float  # [m] near
+    reach: float  # [m] no point moves farther, relative to the other
+    way: np.ndarray  # (WAY,) float64: how they move (motion.put_way)
+
+
 @inlined_kernel
-def half_spaces(pools, own, other, middle, side, rotation, translation, plane, within, reach, way, planes):
-    """Bounds on where `own` samples may come within `within` [m] of `other` when they move by no more than `reach` [m],
-    and by `way` (WAY,) (motion.put_way): writes half-spaces n . x <= o about own's middle to `planes` (8, 4) float32;
-    returns how many.
+def half_spaces(pools, pair, side, middle, approach, planes):
+    """Bounds on where samples of one side's fragment may be near the other by an Approach: writes half-spaces n . x <=
+    o about its `middle` to `planes` (8, 4) float32; returns how many.
     """
+    other = pair.b if side == 0 else pair.a
     kind, box, used = pools.fragment.kind[other], pools.fragment.box[other], 0
-    mx, my, mz = to_other(rotation[side], translation[side], middle[0], middle[1], middle[2])
-    within += middle[3]
+    m = to_other(pair.rotation[side], pair.translation[side], middle[0], middle[1], middle[2])
+    within = approach.within + middle[3]
+    back = pair.rotation[1 - side]
     if kind == PLANE:
-        shape, back = pools.fragment.shape[other], rotation[1 - side]
-        x, y, z, offset = shape[0], shape[1], shape[2], shape[3] + within
-        return _put_half_space(back, x, y, z, offset, reach, way, mx, my, mz, planes, 0)
-    back = rotation[1 - side]
-    if plane[0] != 0.0 or plane[1] != 0.0 or plane[2] != 0.0:  # most samples are beyond this one
-        x, y, z, offset = plane
-        used = _put_half_space(back, x, y, z, offset + within, reach, way, mx, my, mz, planes, used)
+        shape = pools.fragment.shape[other]
+        n = shape[0], shape[1], shape[2]
+        return _put_half_space(back, n, shape[3] + within, approach, m, planes, 0)
+    x, y, z, offset = approach.plane
+    if x != 0.0 or y != 0.0 or z != 0.0:  # most samples are beyond this one
+        used = _put_half_space(back, (x, y, z), offset + within, approach, m, planes, used)
     for d in range(3):
         x, y, z = 1.0 if d == 0 else 0.0, 1.0 if d == 1 else 0.0, 1.0 if d == 2 else 0.0
-        used = _put_half_space(back, x, y, z, box[d + 3] + within, reach, way, mx, my, mz, planes, used)
-        used = _put_half_space(back, -x, -y, -z, -box[d] + within, reach, way, mx, my, mz, planes, used)
+        used = _put_half_space(back, (x, y, z), box[d + 3] + within, approach, m, planes, used)
+        used = _put_half_space(back, (-x, -y, -z), -box[d] + within, approach, m, planes, used)
     return used
 
 
 @inlined_kernel
-def _put_half_space(back, nx, ny, nz, offset, reach, way, mx, my, mz, planes, row):
+def _put_half_space(back, normal, offset, approach, m, planes, row):
     """Write n . x <= offset of the other's frame, extended by the motion, about own's middle, which is at m there; back
     (3, 3): to own's frame.
     """
-    if reach > 0.0:
-        offset += min(reach, nearer_along(way, nx, ny, nz))
+    nx, ny, nz = normal
+    if approach.reach > 0.0:
+        offset += min(approach.reach, nearer_along(approach.way, nx, ny, nz))
     x, y, z = rotated(back, nx, ny, nz)
     planes[row, 0], planes[row, 1], planes[row, 2] = np.float32(x), np.float32(y), np.float32(z)
-    planes[row, 3] = np.float32(offset - (nx * mx + ny * my + nz * mz))
+    planes[row, 3] = np.float32(offset - (nx * m[0] + ny * m[1] + nz * m[2]))
     return row + 1

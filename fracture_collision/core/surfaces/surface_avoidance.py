@@ -44,17 +44,18 @@ def room_for_rounding(pools, f, own):
 
 
 @inlined_kernel
-def gather_near(pools, f, x, y, z, r, slack, scratch, thread):
-    """Write the tetrahedra that hold some of fragment `f` and may come within `r` [m] of a point in f's frame to
+def gather_near(pools, f, ball, slack, scratch):
+    """Write the tetrahedra that hold some of fragment `f` and may reach a ball (x, y, z, r) [m] in f's frame to
     scratch.heap_tet; returns how many. Of other kinds: 1.
     """
     if pools.fragment.kind[f] != TETRAHEDRA:
         return 1
-    mesh, near, count = pools.mesh, scratch.heap_tet[thread], 0
+    mesh, near, count = pools.mesh, scratch.heap_tet, 0
+    x, y, z, r = ball
     k = pools.fragment.mesh[f]
     px, py, pz = np.float32(x - mesh.grid[k, 0]), np.float32(y - mesh.grid[k, 1]), np.float32(z - mesh.grid[k, 2])
     far = np.float32(r + slack)
-    for i in range(tetrahedra_near(pools, f, x, y, z, r, scratch, thread)):
+    for i in range(tetrahedra_near(pools, f, x, y, z, r, scratch)):
         w = mesh.walls[near[i]]
         if (
             w[0] * px + w[4] * py + w[8] * pz - w[12] > far or w[1] * px + w[5] * py + w[9] * pz - w[13] > far
@@ -67,14 +68,14 @@ def gather_near(pools, f, x, y, z, r, slack, scratch, thread):
 
 
 @inlined_kernel
-def hull_avoids(pools, f, near, points, count, way, x, y, z, r, slack):
-    """Whether the hull of `count` points (., 3) [m] in f's frame, which is within `r` [m] of (x, y, z), avoids f.
+def hull_avoids(pools, f, near, points, way, ball, slack):
+    """Whether the hull of points (n, 3) [m] in f's frame, which lies in a ball (x, y, z, r) [m], avoids f.
 
-    near (n,): the tetrahedra that gather_near has found about it; way: the unit vector that leads out of f. f: of
+    near: the tetrahedra that gather_near has found about it; way: the unit vector that leads out of f. f: of
     tetrahedra, or a box.
     """
     if pools.fragment.kind[f] == BOX:
-        return _avoids_box(pools.fragment.shape[f], points, count, slack)
+        return _avoids_box(pools.fragment.shape[f], points, slack)
     if pools.fragment.kind[f] != TETRAHEDRA:
         return False
     mesh, body = pools.mesh, pools.body
@@ -82,12 +83,12 @@ def hull_avoids(pools, f, near, points, count, way, x, y, z, r, slack):
     # separating planes are relative to the grid's corner
     ox, oy, oz = mesh.grid[k, 0], mesh.grid[k, 1], mesh.grid[k, 2]
     lowest = math.inf
-    for q in range(count):
+    for q in range(len(points)):
         lowest = min(lowest, way[0] * points[q, 0] + way[1] * points[q, 1] + way[2] * points[q, 2])
     for t in near:
-        if _is_below(mesh, t, way[0], way[1], way[2], lowest - slack):
+        if _is_below(mesh, t, way, lowest - slack):
             continue
-        if _is_beyond_a_wall(mesh, t, k, points, count, x, y, z, r, slack):
+        if _is_beyond_a_wall(mesh, t, k, points, ball, slack):
             continue
         if shift == NEVER_BROKEN:
             return False
@@ -99,7 +100,7 @@ def hull_avoids(pools, f, near, points, count, way, x, y, z, r, slack):
             sign = 1.0 if region[FRONT] == f else -1.0
             nx, ny, nz = sign * np.float64(p[PLANE]), sign * np.float64(p[PLANE + 1]), sign * np.float64(p[PLANE + 2])
             offset = sign * np.float64(p[PLANE + 3]) + nx * ox + ny * oy + nz * oz
-            if not _is_beyond(points, count, x, y, z, r, nx, ny, nz, offset, slack):
+            if not _is_beyond(points, ball, (nx, ny, nz), offset, slack):
                 return False
             continue
         if _has_whole_face(region, f):
@@ -112,27 +113,29 @@ def hull_avoids(pools, f, near, points, count, way, x, y, z, r, slack):
             p = body.faces[row]
             if sign == 0.0 or math.isnan(p[3]):  # a part behind such a face has no volume
                 continue
-            if not _is_beyond(points, count, x, y, z, r, sign * p[0], sign * p[1], sign * p[2], sign * p[3], slack):
+            if not _is_beyond(points, ball, (sign * p[0], sign * p[1], sign * p[2]), sign * p[3], slack):
                 return False
     return True
 
 
 @inlined_kernel
-def triangle_avoids(pools, f, near, p, x, y, z, r, slack, scratch, thread):
-    """The same for the triangle p (9,) [m] in f's frame, which is within `r` [m] of its middle (x, y, z)."""
+def triangle_avoids(pools, f, near, p, ball, slack, scratch):
+    """The same for the triangle p (9,) [m] in f's frame; the ball is about its middle."""
+    x, y, z, _ = ball
     kind, points = pools.fragment.kind[f], p[:9].reshape(3, 3)
     if kind == BOX:
-        return _avoids_box(pools.fragment.shape[f], points, 3, slack)
+        return _avoids_box(pools.fragment.shape[f], points, slack)
     hx, hy, hz = triangle_normal(p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8])
+    up, down = (hx, hy, hz), (-hx, -hy, -hz)
     if kind == TRIANGLES:
-        return _avoids_triangles(pools, f, p, x, y, z, r, slack, hx, hy, hz, scratch, thread)
+        return _avoids_triangles(pools, f, p, ball, slack, up, scratch)
     mesh, body = pools.mesh, pools.body
     shift, k = pools.fragment.tet_shift[f], pools.fragment.mesh[f]
     is_outside, height = True, hx * x + hy * y + hz * z
     for t in near:
-        if _is_below(mesh, t, hx, hy, hz, height - slack) or _is_below(mesh, t, -hx, -hy, -hz, -height - slack):
+        if _is_below(mesh, t, up, height - slack) or _is_below(mesh, t, down, -height - slack):
             continue
-        if _is_beyond_a_wall(mesh, t, k, points, 3, x, y, z, r, slack):
+        if _is_beyond_a_wall(mesh, t, k, points, ball, slack):
             continue
         if shift == NEVER_BROKEN:
             return False
@@ -147,7 +150,7 @@ def triangle_avoids(pools, f, near, p, x, y, z, r, slack, scratch, thread):
             sign, g = _side_of(body.sides[row], f), body.faces[row]
             if sign != 0.0 and not math.isnan(g[3]):
                 nx, ny, nz, offset = sign * g[0], sign * g[1], sign * g[2], sign * g[3]
-                is_over = _is_beyond(points, 3, x, y, z, r, nx, ny, nz, offset, slack)
+                is_over = _is_beyond(points, ball, (nx, ny, nz), offset, slack)
         if is_over:
             continue
         is_outside = False
@@ -155,9 +158,9 @@ def triangle_avoids(pools, f, near, p, x, y, z, r, slack, scratch, thread):
             sign, g = _side_of(body.sides[row], f), body.faces[row]
             if sign == 0.0 or math.isnan(g[3]):
                 continue
-            if _is_beyond(points, 3, x, y, z, r, sign * g[0], sign * g[1], sign * g[2], sign * g[3], slack):
+            if _is_beyond(points, ball, (sign * g[0], sign * g[1], sign * g[2]), sign * g[3], slack):
                 continue
-            if not _is_off(body.triangles[row], p, x, y, z, hx, hy, hz, slack):
+            if not _is_off(body.triangles[row], p, ball, up, slack):
                 return False
     if is_outside:
         return True
@@ -166,20 +169,21 @@ def triangle_avoids(pools, f, near, p, x, y, z, r, slack, scratch, thread):
 
 
 @inlined_kernel
-def _is_beyond_a_wall(mesh, t, k, points, count, x, y, z, r, slack):
+def _is_beyond_a_wall(mesh, t, k, points, ball, slack):
     """Whether all points are beyond a wall of tetrahedron `t` of mesh `k`; walls are relative to the grid's corner."""
     w = mesh.walls[t]
     for q in range(4):
         nx, ny, nz = np.float64(w[q]), np.float64(w[4 + q]), np.float64(w[8 + q])
         offset = np.float64(w[12 + q]) + nx * mesh.grid[k, 0] + ny * mesh.grid[k, 1] + nz * mesh.grid[k, 2]
-        if _is_beyond(points, count, x, y, z, r, nx, ny, nz, offset, slack):
+        if _is_beyond(points, ball, (nx, ny, nz), offset, slack):
             return True
     return False
 
 
 @inlined_kernel
-def _is_below(mesh, t, nx, ny, nz, height):
+def _is_below(mesh, t, n, height):
     """Whether tetrahedron `t` is below a plane."""
+    nx, ny, nz = n
     for k in range(4):
         p = mesh.nodes[mesh.tetrahedra[t, k]]
         if not nx * p[0] + ny * p[1] + nz * p[2] < height:
@@ -205,14 +209,16 @@ def _side_of(sides, f):
 
 
 @inlined_kernel
-def _is_beyond(points, count, x, y, z, r, nx, ny, nz, offset, slack):
+def _is_beyond(points, ball, n, offset, slack):
     """Whether all points are more than `slack` above a plane; the ball around them is tested first."""
+    x, y, z, r = ball
+    nx, ny, nz = n
     above = nx * x + ny * y + nz * z - offset
     if above > r + slack:
         return True
     least = above if above <= 0.0 else math.inf
     k = 0
-    while k < count and least > slack:
+    while k < len(points) and least > slack:
         least = min(least, nx * points[k, 0] + ny * points[k, 1] + nz * points[k, 2] - offset)
         k += 1
     return least > slack
@@ -226,8 +232,10 @@ def _least_of_three(p, nx, ny, nz, offset):
 
 
 @inlined_kernel
-def _is_off(c, p, x, y, z, hx, hy, hz, slack):
-    """Whether triangle `c` is on one side of the plane of `p`, with normal (hx, hy, hz), or beyond a side of `p`."""
+def _is_off(c, p, ball, normal, slack):
+    """Whether triangle `c` is on one side of the plane of `p`, with a normal, or beyond a side of `p`."""
+    x, y, z, _ = ball
+    hx, hy, hz = normal
     height = hx * x + hy * y + hz * z
     if _least_of_three(c, hx, hy, hz, height) > slack or _least_of_three(c, -hx, -hy, -hz, -height) > slack:
         return True
@@ -243,10 +251,10 @@ def _is_off(c, p, x, y, z, hx, hy, hz, slack):
 
 
 @inlined_kernel
-def _avoids_box(half, points, count, slack):
+def _avoids_box(half, points, slack):
     for d in range(3):
         low, high = math.inf, -math.inf
-        for k in range(count):
+        for k in range(len(points)):
             low, high = min(low, points[k, d]), max(high, points[k, d])
         if low > half[d] + slack or high < -half[d] - slack:
             return True
@@ -254,7 +262,8 @@ def _avoids_box(half, points, count, slack):
 
 
 @inlined_kernel
-def _avoids_triangles(pools, f, p, x, y, z, r, slack, hx, hy, hz, scratch, thread):
+def _avoids_triangles(pools, f, p, ball, slack, normal, scratch):
+    x, y, z, r = ball
     meshes, k = pools.triangles, pools.fragment.mesh[f]
     node, end = meshes.node_range[k]
     r2 = (r + slack) * (r + slack)
@@ -270,8 +279,8 @@ def _avoids_triangles(pools, f, p, x, y, z, r, slack, hx, hy, hz, scratch, threa
             if not (
                 _least_of_three(p, nx, ny, nz, offset) > slack
                 or _least_of_three(p, -nx, -ny, -nz, -offset) > slack
-                or _is_off(c, p, x, y, z, hx, hy, hz, slack)
+                or _is_off(c, p, ball, normal, slack)
             ):
                 return False
         node += 1
-    return triangle_distance(meshes, k, pools.fragment.radius[f], x, y, z, scratch.stack[thread])[0] > 0.0
+    return triangle_distance(meshes, k, pools.fragment.radius[f], x, y, z, scratch.stack)[0] > 0.0

@@ -20,7 +20,7 @@ from fracture_collision.core.memory.compiled import inlined_kernel, query_kernel
 from fracture_collision.core.memory.kinds import TETRAHEDRA
 from fracture_collision.core.memory.rotations import rotated, to_other
 from fracture_collision.core.mesh.occupancy import sphere_may_touch
-from fracture_collision.core.mesh.surface_elements import MOST_CORNERS, count_triangles, put_triangle
+from fracture_collision.core.mesh.surface_elements import count_triangles, put_triangle
 from fracture_collision.core.search.neighbour_lists import displacement
 from fracture_collision.core.search.traversal import IN_PLACE
 from fracture_collision.core.separation.leaf_separation import parting_plane_of_leaves
@@ -30,7 +30,8 @@ from fracture_collision.core.surfaces.surface_avoidance import (
     room_for_rounding,
 )
 from fracture_collision.core.surfaces.surface_search import (
-    DEPTH_OF_STACK,
+    Margins,
+    along,
     inward,
     middle_of,
     moved_triangle_avoids,
@@ -48,24 +49,6 @@ SHARPEST = 0.05
 NOBODY = -1
 
 
-class SurfaceWork(NamedTuple):
-    """Working memory; leading dimension: thread."""
-
-    points: np.ndarray  # (threads, MOST_CORNERS, 3) float64 [m]: corners of an element
-    stack: np.ndarray  # (threads, DEPTH_OF_STACK, 9) float64 [m]: triangles
-    moved: np.ndarray  # (threads, 16) float64 [m]
-    triangle: np.ndarray  # (threads, 16) float64 [m]
-    found: np.ndarray  # (threads, 16) float64 [m]
-    best: np.ndarray  # (threads, 16) float64 [m]
-
-
-def make_surface_work(threads: int) -> SurfaceWork:
-    return SurfaceWork(
-        np.zeros((threads, MOST_CORNERS, 3)), np.zeros((threads, DEPTH_OF_STACK, 9)), np.zeros((threads, 16)),
-        np.zeros((threads, 16)), np.zeros((threads, 16)), np.zeros((threads, 16)),
-    )  # fmt: skip
-
-
 class Judgement(NamedTuple):
     """Result for a pair."""
 
@@ -78,34 +61,33 @@ class Judgement(NamedTuple):
 
 
 @query_kernel
-def judge_surfaces(pools, elements, a, b, rotation, translation, deepest, normal, epsilon, work, scratch, thread):
+def judge_surfaces(pools, elements, pair, deepest, normal, epsilon, scratch):
     """The Judgement of fragments `a` and `b` with relative poses as query_pair's.
 
     deepest [m]: the depth of their deepest contact; negative: none touches. normal (x, y, z): its normal, unit, out of
-    b in b's frame; zeros: there is none. A point that is deeper by LISTED epsilon [m] is found; then work.best (3,) [m]
-    is its place in the frame of the other fragment.
+    b in b's frame; zeros: there is none. A point that is deeper by LISTED epsilon [m] is found; then surface_work.best
+    (3,) [m] is its place in the frame of the other fragment.
     """
+    a, b, rotation, translation = pair
     slack = rounding_slack(pools, a, b, translation)
     deepest, shown, listed = max(deepest, 0.0), SHOWN * epsilon, LISTED * epsilon
     if share_a_body(pools, a, b):
-        apart = displacement(pools, a, b, rotation, translation, IN_PLACE) + slack
+        apart = displacement(pools, pair, IN_PLACE) + slack
         if apart <= deepest + listed:
             return Judgement(apart, deepest, NOBODY, 0, 0, 0)
     leaves = leaves_of(pools, a), leaves_of(pools, b)
     rounding = slack + leaves[0].middle[3] + leaves[1].middle[3]
     if normal[0] == 0.0 and normal[1] == 0.0 and normal[2] == 0.0:
         # no warm start: the same poses must give the same direction
-        toward = scratch.point[thread]
+        toward = scratch.point
         toward[0] = toward[1] = toward[2] = 0.0
-        normal, low, high = parting_plane_of_leaves(
-            pools, a, b, leaves, rotation, translation, rounding, toward, scratch, thread
-        )
+        normal, low, high = parting_plane_of_leaves(pools, pair, leaves, rounding, toward, scratch.along)
     else:
-        low, high = _extents(leaves, rotation, translation, normal, scratch.along[thread])
+        low, high = _extents(leaves, rotation, translation, normal, scratch.along)
     overlap = high - low + rounding
     if overlap <= deepest + listed:
         return Judgement(overlap, deepest, NOBODY, 0, 0, 0)
-    best, stack, moved = work.best[thread], work.stack[thread], work.moved[thread]
+    best, stack, deeper = scratch.surface_work.best, scratch.surface_work.stack, scratch.surface_work.found
     bound, side_of, piece_of, triangle_of, asked = deepest + shown, NOBODY, 0, 0, 0
     for side in range(2):
         own, other = (a, b) if side == 0 else (b, a)
@@ -117,17 +99,17 @@ def judge_surfaces(pools, elements, a, b, rotation, translation, deepest, normal
         origin, corner_slack = elements.origin[own], room_for_rounding(pools, other, own)
         ox, oy, oz = to_other(rotation[side], translation[side], origin[0], origin[1], origin[2])
         for e in range(elements.begin[own], elements.end[own]):
-            ball = elements.spheres[e]
-            x, y, z = rotated(rotation[side], np.float64(ball[0]), np.float64(ball[1]), np.float64(ball[2]))
-            x, y, z, r = x + ox, y + oy, z + oz, np.float64(ball[3]) + corner_slack
-            if not _may_be_deeper(pools, other, x, y, z, r, deepest + listed, way, highest, scratch, thread):
+            sphere = elements.spheres[e]
+            x, y, z = rotated(rotation[side], np.float64(sphere[0]), np.float64(sphere[1]), np.float64(sphere[2]))
+            x, y, z, r = x + ox, y + oy, z + oz, np.float64(sphere[3]) + corner_slack
+            if not _may_be_deeper(pools, other, (x, y, z, r), deepest + listed, way, highest):
                 continue
             s = deepest + shown
-            near = scratch.heap_tet[thread][: gather_near(pools, other, x, y, z, r + s, corner_slack, scratch, thread)]
-            if len(near) == 0 or _element_avoids(
-                pools, elements, e, other, near, rotation[side], ox, oy, oz, s, way, x, y, z, r, corner_slack,
-                work.points[thread],
-            ):  # fmt: skip
+            near = scratch.heap_tet[: gather_near(pools, other, (x, y, z, r + s), corner_slack, scratch)]
+            origin_there, shift = (ox, oy, oz), along(way, s)
+            points = _moved_corners(elements, e, rotation[side], origin_there, shift, scratch.surface_work.points)
+            ball = x + shift[0], y + shift[1], z + shift[2], r
+            if len(near) == 0 or hull_avoids(pools, other, near, points, way, ball, corner_slack):
                 bound = max(bound, s)
                 continue
             piece, count = elements.piece[e], len(near)
@@ -136,25 +118,25 @@ def judge_surfaces(pools, elements, a, b, rotation, translation, deepest, normal
                     continue
                 s = deepest + shown
                 if count < 0:
-                    count = gather_near(pools, other, x, y, z, r + s, corner_slack, scratch, thread)
-                near, p = scratch.heap_tet[thread][:count], stack[0]
-                tx, ty, tz, tr = middle_of(p)
+                    count = gather_near(pools, other, (x, y, z, r + s), corner_slack, scratch)
+                near, p = scratch.heap_tet[:count], stack[0]
+                ball = middle_of(p)
                 if moved_triangle_avoids(
-                    pools, other, near, p, s, way, tx, ty, tz, tr, corner_slack, moved, scratch, thread
+                    pools, other, near, p, along(way, s), ball, corner_slack, scratch
                 ) or moved_triangle_avoids(
-                    pools, other, near, p, s, inward(p), tx, ty, tz, tr, corner_slack, moved, scratch, thread
+                    pools, other, near, p, along(inward(p), s), ball, corner_slack, scratch
                 ):
                     bound = max(bound, s)
                     continue
+                margins = Margins(shown, listed, FINEST * epsilon, MOST_ASKED - asked)
                 most, depth, more = search_triangle(
-                    pools, other, stack, deepest, shown, listed, FINEST * epsilon, MOST_ASKED - asked, corner_slack,
-                    way, work.found[thread], moved, scratch, thread,
-                )  # fmt: skip
+                    pools, other, deepest, margins, way, corner_slack, deeper, scratch
+                )
                 bound, asked, count = max(bound, most), asked + more, -1  # the search overwrites them
                 if depth > deepest:
                     deepest, side_of, piece_of, triangle_of = depth, side, piece, k
                     for d in range(3):
-                        best[d] = work.found[thread, d]
+                        best[d] = deeper[d]
                 if most == math.inf:
                     return Judgement(most, deepest, side_of, piece_of, triangle_of, asked)
     return Judgement(bound + slack, deepest, side_of, piece_of, triangle_of, asked)
@@ -173,10 +155,11 @@ def _extents(leaves, rotation, translation, n, bounds):
 
 
 @inlined_kernel
-def _may_be_deeper(pools, f, x, y, z, r, depth, way, highest, scratch, thread):
-    """Whether something within `r` [m] of a point may be deeper than `depth` [m] in fragment f, all of which is below
+def _may_be_deeper(pools, f, ball, depth, way, highest):
+    """Whether something in a ball (x, y, z, r) [m] may be deeper than `depth` [m] in fragment f, all of which is below
     `highest` along `way`.
     """
+    x, y, z, r = ball
     inner, box = r - depth, pools.fragment.box[f]
     if way[0] * x + way[1] * y + way[2] * z - highest >= inner:
         return False
@@ -188,17 +171,16 @@ def _may_be_deeper(pools, f, x, y, z, r, depth, way, highest, scratch, thread):
 
 
 @inlined_kernel
-def _element_avoids(
-    pools, elements, e, other, near, rotation, ox, oy, oz, s, way, x, y, z, r, slack, points
-):
-    """Whether the hull of an element, displaced by `s` [m] along `way`, avoids `other`; (ox, oy, oz): origin of its
-    corners.
+def _moved_corners(elements, e, rotation, origin, shift, points):
+    """Write the corners of an element, which are about `origin` (x, y, z) [m], displaced by `shift` to `points` (., 3);
+    returns the rows used.
     """
-    mx, my, mz, count = s * way[0], s * way[1], s * way[2], 0
-    first = elements.first[e]
+    mx, my, mz = shift
+    ox, oy, oz = origin
+    count, first = 0, elements.first[e]
     for k in range(first, elements.first[e + 1]):
         p = elements.corners[k]
         px, py, pz = rotated(rotation, np.float64(p[0]), np.float64(p[1]), np.float64(p[2]))
         points[count, 0], points[count, 1], points[count, 2] = px + ox + mx, py + oy + my, pz + oz + mz
         count += 1
-    return hull_avoids(pools, other, near, points, count, way, x + mx, y + my, z + mz, r, slack)
+    return points[:count]

@@ -19,7 +19,7 @@ from fracture_collision.core.mesh.sample_numbers import FIRST_OF_SURFACES
 from fracture_collision.core.mesh.surface_elements import put_triangle
 from fracture_collision.core.surfaces.surface_avoidance import room_for_rounding
 from fracture_collision.core.surfaces.surface_certificate import FINEST, SHARPEST
-from fracture_collision.core.surfaces.surface_search import inward, search_triangle
+from fracture_collision.core.surfaces.surface_search import Margins, inward, search_triangle
 
 # Contact numbers reserved for each element of a surface.
 TRIANGLES_EACH = 64
@@ -34,42 +34,39 @@ OBLIQUE = 3.0
 
 
 @query_kernel
-def put_surface_contact(
-    pools, a, b, rotation, translation, judgement, epsilon, near, work, contacts, ids, scratch, thread
-):
-    """Write the contact of `judgement`, for which work.best holds a point, to row 0 of contacts (., 10) and ids (., 5),
-    as query_pair does; near [m]: the detection tolerance.
+def put_surface_contact(pools, pair, judgement, epsilon, near, sink, scratch):
+    """Write the contact of `judgement`, for which surface_work.best holds a point, to row 0 of a Sink; near [m]: the
+    detection tolerance.
     """
-    side = judgement.side
-    own, other = (a, b) if side == 0 else (b, a)
-    stack, best = work.stack[thread], work.best[thread]
-    triangle = work.triangle[thread]
-    put_triangle(pools, own, judgement.piece, judgement.triangle, rotation[side], translation[side], triangle)
+    number = judgement.side
+    own, other = (pair.a, pair.b) if number == 0 else (pair.b, pair.a)
+    stack, best, triangle = scratch.surface_work.stack, scratch.surface_work.best, scratch.surface_work.triangle
+    rotation, translation = pair.rotation[number], pair.translation[number]
+    put_triangle(pools, own, judgement.piece, judgement.triangle, rotation, translation, triangle)
     for k in range(9):
         stack[0, k] = triangle[k]
     sharp = SHARPEST * epsilon
     way = inward(triangle)
     slack = room_for_rounding(pools, other, own)
-    _, depth, _ = search_triangle(
-        pools, other, stack, judgement.depth, sharp, sharp, FINEST * sharp, MOST_SHARPENED, slack, way, best,
-        work.moved[thread], scratch, thread,
-    )  # fmt: skip
-    x, y, z = best[0], best[1], best[2]
-    answer = bounded_probe(pools, other, x, y, z, 0.0, math.inf, -1, False, scratch, thread)
-    number = FIRST_OF_SURFACES + TRIANGLES_EACH * judgement.piece + min(judgement.triangle, TRIANGLES_EACH - 1)
-    put_contact(contacts, ids, 0, side, number, x, y, z, answer)
+    margins = Margins(sharp, sharp, FINEST * sharp, MOST_SHARPENED)
+    _, depth, _ = search_triangle(pools, other, judgement.depth, margins, way, slack, best, scratch)
+    point = best[0], best[1], best[2]
+    answer = bounded_probe(pools, other, point, 0.0, math.inf, -1, False, scratch)
+    sample = FIRST_OF_SURFACES + TRIANGLES_EACH * judgement.piece + min(judgement.triangle, TRIANGLES_EACH - 1)
+    put_contact(sink, 0, number, sample, point, answer)
     if pools.normals != FACING:
         return
-    row = contacts[0]
-    if _turn_across_edges(pools, own, other, side, rotation, translation, triangle, sharp, row, scratch, thread):
+    if _turn_across_edges(pools, pair, number, triangle, sharp, sink.contacts[0], scratch):
         return
     outward = (-way[0], -way[1], -way[2])
-    turn_surface_point(pools, a, b, side, outward, near, row, ids[0], scratch, thread)
+    turn_surface_point(pools, pair, number, outward, near, sink, scratch)
 
 
 @inlined_kernel
-def _turn_across_edges(pools, own, other, side, rotation, translation, p, sharp, row, scratch, thread):
-    """Turn a contact where a side of the triangle p (9,) of `own` crosses an edge of `other`; returns whether."""
+def _turn_across_edges(pools, pair, side, p, sharp, row, scratch):
+    """Turn a contact where an edge of the triangle p (9,), of side `side`, crosses one of the other; returns whether.
+    """
+    own, other = (pair.a, pair.b) if side == 0 else (pair.b, pair.a)
     x, y, z, depth = row[0], row[1], row[2], -row[9]
     least, k = math.inf, 0
     for i in range(3):
@@ -84,15 +81,13 @@ def _turn_across_edges(pools, own, other, side, rotation, translation, p, sharp,
     tx, ty, tz = tx / length, ty / length, tz / length
     # before and behind the point along the own edge, different sides of the other's edge are nearest
     step = 0.5 * depth
-    before = bounded_probe(
-        pools, other, x - step * tx, y - step * ty, z - step * tz, 0.0, math.inf, -1, False, scratch, thread
-    )
-    behind = bounded_probe(
-        pools, other, x + step * tx, y + step * ty, z + step * tz, 0.0, math.inf, -1, False, scratch, thread
-    )
-    if before[0] != INSIDE or behind[0] != INSIDE:
+    point = x - step * tx, y - step * ty, z - step * tz
+    before = bounded_probe(pools, other, point, 0.0, math.inf, -1, False, scratch)
+    point = x + step * tx, y + step * ty, z + step * tz
+    behind = bounded_probe(pools, other, point, 0.0, math.inf, -1, False, scratch)
+    if before.status != INSIDE or behind.status != INSIDE:
         return False
-    ux, uy, uz, vx, vy, vz = before[2], before[3], before[4], behind[2], behind[3], behind[4]
+    ux, uy, uz, vx, vy, vz = before.nx, before.ny, before.nz, behind.nx, behind.ny, behind.nz
     if ux * vx + uy * vy + uz * vz > EDGE:
         return False
     ex, ey, ez = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
@@ -107,15 +102,15 @@ def _turn_across_edges(pools, own, other, side, rotation, translation, p, sharp,
         return False
     # a point of the other's edge: on both planes, next to the point
     c = ux * vx + uy * vy + uz * vz
-    of_u = ux * (before[5] - x) + uy * (before[6] - y) + uz * (before[7] - z)
-    of_v = vx * (behind[5] - x) + vy * (behind[6] - y) + vz * (behind[7] - z)
+    of_u = ux * (before.x - x) + uy * (before.y - y) + uz * (before.z - z)
+    of_v = vx * (behind.x - x) + vy * (behind.y - y) + vz * (behind.z - z)
     s, t = (of_u - c * of_v) / (1.0 - c * c), (of_v - c * of_u) / (1.0 - c * c)
     way = nx * (s * ux + t * vx) + ny * (s * uy + t * vy) + nz * (s * uz + t * vz)
     if not depth <= way * (1.0 + 1e-9) + sharp or way > OBLIQUE * depth:
         return False
     # the interior of own must be behind its edge
-    px, py, pz = to_other(rotation[1 - side], translation[1 - side], x + way * nx, y + way * ny, z + way * nz)
-    if bounded_probe(pools, own, px, py, pz, 0.0, 0.0, -1, False, scratch, thread)[0] != INSIDE:
+    px, py, pz = to_other(pair.rotation[1 - side], pair.translation[1 - side], x + way * nx, y + way * ny, z + way * nz)
+    if bounded_probe(pools, own, (px, py, pz), 0.0, 0.0, -1, False, scratch).status != INSIDE:
         return False
     row[3], row[4], row[5] = x + way * nx, y + way * ny, z + way * nz
     row[6], row[7], row[8], row[9] = nx, ny, nz, -way

@@ -8,20 +8,17 @@ that neither test settles is halved.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from fracture_collision.core.field.elementary_queries import INSIDE, OUTSIDE, bounded_probe
 from fracture_collision.core.memory.compiled import inlined_kernel, query_kernel
 from fracture_collision.core.mesh.closest_point import triangle_normal
 from fracture_collision.core.surfaces.surface_avoidance import gather_near, triangle_avoids
 
-# Capacity for waiting triangles: one for each halving of the first. After so many halvings no side is as long as a
-# millionth of the first's.
-DEPTH_OF_STACK = 64
-
 
 @inlined_kernel
 def middle_of(p):
-    """Middle (x, y, z) [m] of a triangle (9,), and an upper bound of its corners' distance from there [m]."""
+    """Middle (x, y, z) [m] of a triangle (9,), and an upper bound r of its corners' distance from there [m]."""
     x, y, z, r2 = (p[0] + p[3] + p[6]) / 3.0, (p[1] + p[4] + p[7]) / 3.0, (p[2] + p[5] + p[8]) / 3.0, 0.0
     for k in range(3):
         r2 = max(r2, (p[3 * k] - x) ** 2 + (p[3 * k + 1] - y) ** 2 + (p[3 * k + 2] - z) ** 2)
@@ -29,51 +26,65 @@ def middle_of(p):
 
 
 @inlined_kernel
-def moved_triangle_avoids(pools, other, near, p, s, way, x, y, z, r, slack, moved, scratch, thread):
-    """Whether the triangle p (9,) with its middle (x, y, z), displaced by `s` [m] along `way`, avoids `other`; moved
-    (9,): working space.
-    """
-    mx, my, mz = s * way[0], s * way[1], s * way[2]
+def moved_triangle_avoids(pools, other, near, p, shift, ball, slack, scratch):
+    """Whether the triangle p (9,) in a ball about its middle, displaced by `shift` (x, y, z) [m], avoids `other`."""
+    mx, my, mz = shift
+    x, y, z, r = ball
+    moved = scratch.surface_work.moved
     for k in range(3):
         moved[3 * k], moved[3 * k + 1], moved[3 * k + 2] = p[3 * k] + mx, p[3 * k + 1] + my, p[3 * k + 2] + mz
-    return triangle_avoids(pools, other, near, moved, x + mx, y + my, z + mz, r, slack, scratch, thread)
+    return triangle_avoids(pools, other, near, moved, (x + mx, y + my, z + mz, r), slack, scratch)
+
+
+class Margins(NamedTuple):
+    """What a search for a deeper point has to find or to show, in addition to the deepest depth known [m]."""
+
+    prove: float  # margin to prove as a depth bound
+    limit: float  # a point that is deeper by more is found
+    finest: float  # [m] a triangle within that of its middle is not halved
+    most_asked: int  # points queried at most; if they do not suffice, the bound is infinite
+
+
+@inlined_kernel
+def along(way, s):
+    """The displacement by `s` [m] along a unit vector."""
+    return s * way[0], s * way[1], s * way[2]
 
 
 @query_kernel
-def search_triangle(
-    pools, other, stack, deepest, prove, limit, finest, most_asked, slack, way, found, moved, scratch, thread
-):
-    """For the triangle in stack[0], in the frame of `other`: (a bound [m] on the depth of its points, unless a deeper
-    one was found; depth of the deepest point found, or else `deepest`; points queried).
+def search_triangle(pools, other, deepest, margins, way, slack, found, scratch):
+    """For the triangle in row 0 of surface_work.stack, in the frame of `other`: (a bound [m] on the depth of its
+    points, unless a deeper one was found; depth of the deepest point found, or else `deepest`; points queried).
 
-    A point deeper than `deepest` + `limit` is written to `found` (3,), and `deepest` is its depth from then on. prove
-    [m]: margin beyond `deepest` to prove as a depth bound; finest [m]: a triangle within that of its middle is not
-    halved. most_asked: points; if they do not suffice, the bound is infinite. way: a unit vector along which the
-    triangle may be displaced. stack (DEPTH_OF_STACK, 9), moved (9,): working space.
+    margins: Margins; a point beyond the limit is written to `found` (3,), and `deepest` is its depth from then on. way:
+    a unit vector along which the triangle may be displaced.
     """
+    prove, limit, finest, most_asked = margins
+    stack = scratch.surface_work.stack
     top, bound, asked, at = 1, 0.0, 0, -1
     while top:
         if asked == most_asked:
             return math.inf, deepest, asked
         p = stack[top - 1]
         x, y, z, r = middle_of(p)
-        answer = bounded_probe(pools, other, x, y, z, r, math.inf, at, False, scratch, thread)
-        at, asked, depth = answer[11] if answer[11] >= 0 else at, asked + 1, -answer[1]
-        if answer[0] == INSIDE and depth > deepest + limit:
+        answer = bounded_probe(pools, other, (x, y, z), r, math.inf, at, False, scratch)
+        at, asked, depth = answer.tetrahedron if answer.tetrahedron >= 0 else at, asked + 1, -answer.distance
+        if answer.status == INSIDE and depth > deepest + limit:
             deepest = depth
             found[0], found[1], found[2] = x, y, z
-        most, is_settled = depth + r, answer[0] == OUTSIDE
+        most, is_settled = depth + r, answer.status == OUTSIDE
         if is_settled:
             most = 0.0
         elif most <= deepest + limit or r <= finest or top == len(stack):
             is_settled = True
         elif depth <= deepest + prove:
             s = deepest + prove
-            near = scratch.heap_tet[thread][: gather_near(pools, other, x, y, z, r + s, slack, scratch, thread)]
-            outward = (answer[2], answer[3], answer[4])
+            near = scratch.heap_tet[: gather_near(pools, other, (x, y, z, r + s), slack, scratch)]
+            outward = (answer.nx, answer.ny, answer.nz)
+            ball = x, y, z, r
             if moved_triangle_avoids(
-                pools, other, near, p, s, outward, x, y, z, r, slack, moved, scratch, thread
-            ) or moved_triangle_avoids(pools, other, near, p, s, way, x, y, z, r, slack, moved, scratch, thread):
+                pools, other, near, p, along(outward, s), ball, slack, scratch
+            ) or moved_triangle_avoids(pools, other, near, p, along(way, s), ball, slack, scratch):
                 most, is_settled = s, True
         if is_settled:
             bound, top = max(bound, most), top - 1

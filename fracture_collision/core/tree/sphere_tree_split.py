@@ -56,19 +56,24 @@ class _New(NamedTuple):
     z: np.ndarray  # (q,)
 
 
+class TreeArrays(NamedTuple):
+    """Rows of TreePool."""
+
+    spheres: np.ndarray  # (s, 4) float64 [m]
+    entries: np.ndarray  # (s, 3) int32
+
+
 @kernel
-def split_sphere_tree(
-    spheres, entries, fragment_of_entry, fragments, points, samples, parents, new_fragments, ordered, out_spheres,
-    out_entries,
-):  # fmt: skip
+def split_sphere_tree(tree, fragment_of_entry, fragments, added, ordered, out):
     """Write one tree per fragment, consecutively, from the tree of the broken fragment; returns where each begins
     (fragments + 1,) int64.
 
-    Trees are given as in TreePool: `spheres` (s, 4), `entries` (s, 3); fragment_of_entry (s,) int32: the fragment that
-    gets each entry's point, or NOBODYS. The new surface points: `points` (q, 3) [m], their `samples`, the mesh nodes
-    they are inserted under, `parents`, and their fragments (q,), int32. ordered: keep the maximum-distance order.
-    `out_spheres`, `out_entries`: of rows_of_split rows.
+    tree, out: TreeArrays, `out` of rows_of_split rows; fragment_of_entry (s,) int32: the fragment that gets each
+    entry's point, or NOBODYS; added: NewSamples, inserted under their parents; ordered: keep the maximum-distance
+    order.
     """
+    spheres, entries = tree
+    points, parents = added.points, added.parents
     deal = deal_tree(entries, fragment_of_entry, fragments)
     room = 0
     for f in range(fragments):
@@ -79,7 +84,7 @@ def split_sphere_tree(
         np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room, np.int32),
         np.empty(room, np.int32), np.empty(room, np.int32),
     )  # fmt: skip
-    order, bounds = _grouped(new_fragments, fragments)
+    order, bounds = _grouped(added.parts, fragments)
     q = len(points)
     new = _New(
         np.empty(q, np.int32), np.empty(q), np.empty(q, np.int32), np.empty(q), np.empty(q), np.empty(q)
@@ -97,10 +102,10 @@ def split_sphere_tree(
         own = order[bounds[f] : bounds[f + 1]]
         _place(size, share, own, points, parents, ordered, leaf_of, new)
         _grow(size, share, own, points, new)
-        added = _make_room(size, share)
+        more = _make_room(size, share)
         at = begin[f]
-        _write(size, share, own, points, samples, new, out_spheres[at:], out_entries[at:])
-        begin[f + 1] = at + len(size) + added
+        _write(size, share, own, added, new, TreeArrays(out.spheres[at:], out.entries[at:]))
+        begin[f + 1] = at + len(size) + more
     return begin
 
 
@@ -301,8 +306,8 @@ def _make_room(size, share):
 
 
 @query_kernel
-def _write(size, share, own, points, samples, new, out_spheres, out_entries):
-    """Write the share's entries and its `own` new points to the first rows of `out_spheres` and `out_entries`."""
+def _write(size, share, own, added_points, new, out):
+    """Write the share's entries and its `own` new points to the first rows of `out`."""
     before = share.surface_before
     for i in range(len(size)):
         end, added, at = i + size[i], share.added[i], i + share.shift[i]
@@ -311,16 +316,17 @@ def _write(size, share, own, points, samples, new, out_spheres, out_entries):
         p, own_mark = share.spheres[i], OWN_SAMPLE if share.on_surface[i] else NONE_BELOW
         # new points are on the surface
         mark = 0 if own_mark == NONE_BELOW and (before[end] > before[i] or rows > size[i]) else own_mark
-        _write_entry(out_spheres, out_entries, at, p[0], p[1], p[2], p[3], rows, share.sample[i], mark)
+        _write_entry(out, at, p, p[3], (rows, share.sample[i], mark))
         # the new leaf of a leaf that becomes an inner node; for other entries the next row overwrites it
-        _write_entry(out_spheres, out_entries, at + 1, p[0], p[1], p[2], 0.0, 1, share.sample[i], own_mark)
+        _write_entry(out, at + 1, p, 0.0, (1, share.sample[i], own_mark))
     for q in own:
-        p, at = points[q], share.start[new.entry[q]] + new.rank[q]
-        _write_entry(out_spheres, out_entries, at, p[0], p[1], p[2], 0.0, 1, samples[q], OWN_SAMPLE)
+        p, at = added_points.points[q], share.start[new.entry[q]] + new.rank[q]
+        _write_entry(out, at, p, 0.0, (1, added_points.samples[q], OWN_SAMPLE))
 
 
 @inlined_kernel
-def _write_entry(out_spheres, out_entries, at, x, y, z, radius, size, sample, mark):
-    s, e = out_spheres[at], out_entries[at]
-    s[0], s[1], s[2], s[3] = x, y, z, radius
-    e[SIZE], e[SAMPLE], e[SURFACE] = size, sample, mark
+def _write_entry(out, at, center, radius, entry):
+    """Write a sphere, and its size, sample and mark, to row `at`."""
+    s, e = out.spheres[at], out.entries[at]
+    s[0], s[1], s[2], s[3] = center[0], center[1], center[2], radius
+    e[SIZE], e[SAMPLE], e[SURFACE] = entry

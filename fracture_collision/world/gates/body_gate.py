@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.core.bodies.collision_geometry import (
+from fracture_collision.core.bodies.prepared import (
     PreparedMesh,
     PreparedSurface,
     prepare_mesh,

@@ -1,0 +1,78 @@
+"""Where a mesh, a tree and a fragment are in the pools, and how many bytes they take there."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fracture_collision.core.bodies.pool_tables import PoolTables
+from fracture_collision.core.memory.pools import NEVER_BROKEN
+from fracture_collision.core.mesh.occupancy import pyramid_words
+
+OF_BODY_EDGES = ("edge_plane", "edge_event", "edge_share")
+OF_BODY_TETRAHEDRA = ("regions", "cut_count")
+OF_POLYGONS = ("triangles", "faces", "sides")
+_MOMENTS_AND_GAP = 88  # [bytes] per fragment outside its table
+
+
+class TreeRows(NamedTuple):
+    """Rows of a tree in the pools, and of its leaves of samples."""
+
+    begin: int
+    end: int
+    leaf_begin: int
+    leaf_end: int
+    middle: np.ndarray  # (4,) see sample_leaves.Leaves
+
+
+class MeshRows(NamedTuple):
+    """Rows of a tetrahedral mesh in the pools."""
+
+    number: int  # of the mesh
+    node: int
+    tet: int
+    edge: int
+    tree: TreeRows
+    cells: np.ndarray
+    counts: tuple[int, int, int]  # nodes, tetrahedra, edges
+
+
+class SurfaceMeshRows(NamedTuple):
+    """Rows of the mesh of a rigid body of triangles."""
+
+    number: int  # of the mesh
+    tree: TreeRows
+
+
+def bytes_of_fragments(tables: PoolTables, rows: np.ndarray, mesh: MeshRows | None, has_own_tree: bool) -> int:
+    """Bytes that `compact` would free without `rows` (n,), all fragments of one body, except its mesh, which may be
+    shared.
+
+    mesh: of a body of tetrahedra. has_own_tree: false if its tree belongs to the mesh, even before it breaks.
+    """
+    fragment = tables.fragment
+    one = sum(column.row_bytes for column in fragment.values()) + _MOMENTS_AND_GAP
+    total = len(rows) * one
+    row = int(rows[0])
+    is_broken = fragment["node_shift"].view[row] != NEVER_BROKEN
+    if is_broken or (mesh is None and has_own_tree):
+        for name, table in (("tree", tables.tree), ("leaf", tables.samples)):
+            count = fragment[f"{name}_end"].view[rows].astype(np.int64) - fragment[f"{name}_begin"].view[rows]
+            total += int(count.sum()) * sum(column.row_bytes for column in table.values())
+    if mesh is None or not is_broken:
+        return total
+    nodes, tets, edges = mesh.counts
+    body = tables.body
+    for names, count in ((("node_fragment",), nodes), (OF_BODY_TETRAHEDRA, tets), (OF_BODY_EDGES, edges)):
+        total += count * sum(body[name].row_bytes for name in names)
+    first = mesh.tet + int(fragment["tet_shift"].view[row])
+    polygons = int(body["cut_count"].view[first : first + tets].sum())
+    total += polygons * sum(body[name].row_bytes for name in OF_POLYGONS)
+    return total + 8 * sum(pyramid_words(cells) for cells in fragment["cells"].view[rows])
+
+
+def bytes_of_mesh(prepared: NamedTuple) -> int:
+    """Approximate bytes of a mesh, or a surface, in the pools: the size of its preprocess."""
+    parts = [array for part in prepared if isinstance(part, tuple) for array in part]
+    return sum(array.nbytes for array in parts if isinstance(array, np.ndarray))

@@ -1,0 +1,55 @@
+"""What queries take and fill: the fragments of a step, a pair with its relative poses, and room for its contacts."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fracture_collision.core.memory.compiled import inlined_kernel
+from fracture_collision.core.memory.rotations import relative_pose
+
+
+class Pair(NamedTuple):
+    """Two fragments, by their rows in the pools, and their relative poses."""
+
+    a: int
+    b: int
+    rotation: np.ndarray  # (2, 3, 3) float64: [0] from a's body frame to b's, [1] back
+    translation: np.ndarray  # (2, 3) float64 [m], likewise
+
+
+class Step(NamedTuple):
+    """The n fragments that take part in a step, their world poses, and the pairs to be searched."""
+
+    rows: np.ndarray  # (n,) int64: their rows in the pools
+    rotations: np.ndarray  # (n, 3, 3) float64
+    positions: np.ndarray  # (n, 3) float64 [m]
+    pairs: np.ndarray  # (p, 2) int64: indices into `rows`
+
+
+@inlined_kernel
+def put_pair(step, p, rotation, translation):
+    """The Pair number p of a Step; its relative poses are written to rotation (2, 3, 3) and translation (2, 3) [m]."""
+    i, j = step.pairs[p, 0], step.pairs[p, 1]
+    rotations, positions = step.rotations, step.positions
+    relative_pose(rotations[i], positions[i], rotations[j], positions[j], rotation[0], translation[0])
+    relative_pose(rotations[j], positions[j], rotations[i], positions[i], rotation[1], translation[1])
+    return Pair(step.rows[i], step.rows[j], rotation, translation)
+
+
+class Sink(NamedTuple):
+    """Room for the contacts of one pair. A query that finds more returns their number, to be repeated with more room.
+
+    contacts: sample point, witness on the other, the other's outward normal, all in the other's body frame, gap [m].
+    ids: side (0: a's sample in b), sample (of a sphere: sphere_contacts.py), source and tetrahedron of the witness,
+    tetrahedron of the sample (elementary_queries.Probe); columns ID_... of known_samples.py.
+    """
+
+    contacts: np.ndarray  # (n, 10) float64
+    ids: np.ndarray  # (n, 5) int64
+
+
+def make_sink(room: int) -> Sink:
+    """A Sink of `room` rows."""
+    return Sink(np.zeros((room, 10)), np.zeros((room, 5), np.int64))

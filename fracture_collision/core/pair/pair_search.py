@@ -1,0 +1,206 @@
+"""The search of one pair: from its neighbour list, among its leaves of samples, or by Algorithm 1; then ahead in time.
+
+Which of them is used never changes the contacts, only the work.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from fracture_collision.core.contacts.contact_choice import Rule
+from fracture_collision.core.contacts.known_samples import rounding_slack
+from fracture_collision.core.edges.ridge_contacts import least_apart
+from fracture_collision.core.edges.ridges import Ridges
+from fracture_collision.core.lookahead.first_touch import first_touch
+from fracture_collision.core.lookahead.motion import between_balls, closing_speed
+from fracture_collision.core.lookahead.staying_apart import boxes_stay_apart, hulls_stay_apart, may_touch_again
+from fracture_collision.core.memory.compiled import inlined_kernel
+from fracture_collision.core.memory.pools import Pools
+from fracture_collision.core.pair.crowds import UNSHARED
+from fracture_collision.core.search.neighbour_lists import (
+    FAST,
+    FULL,
+    MOST_LISTED,
+    MOST_RIDGES,
+    NOT_LISTED,
+    Listing,
+    NeighbourLists,
+    displacement,
+    keep_pose,
+    least_left,
+    reach_of,
+)
+from fracture_collision.core.search.sample_search import begins_with_seeds, may_search, query_listed, search_samples
+from fracture_collision.core.search.traversal import BY_LIMIT, COMPLETE, query_pair
+
+NOT_FOUND = -1  # contacts, where another search must be run
+
+
+class Geometry(NamedTuple):
+    """What is searched."""
+
+    pools: Pools
+    edges: Ridges  # of all rows; NO_RIDGES where crossings are not searched
+
+
+class Slot(NamedTuple):
+    """Where a pair's list is kept."""
+
+    lists: NeighbourLists
+    row: int  # -1: nowhere
+    is_known: bool  # whether the pair had the slot at the last step
+    for_motion: bool  # whether the clearance beyond the list is wanted, too
+
+
+class Found(NamedTuple):
+    """Result of a search."""
+
+    count: int  # contacts, NOT_FOUND: none was run
+    bound: float  # [m] missed depth bound
+    visits: int
+    exhausted: int  # COMPLETE, BY_LIMIT or BY_FURTHER
+    clear: float  # [m] lower bound of the distance in excess of the detection tolerance, 0: unknown
+
+
+@inlined_kernel
+def search_pair(geometry, pair, rule, limits, slot, sink, scratch):
+    """The contacts of a Pair at its present poses, by a Rule, written to a Sink: Found. limits: VisitLimits."""
+    pools = geometry.pools
+    a, b, rotation, translation = pair
+    radius = min(pools.fragment.radius[a], pools.fragment.radius[b])
+    # under the paper's rule, a pair without a list runs the paper's algorithm
+    is_quick = limits.budget == UNSHARED and rule.limit >= rule.wanted and may_search(pools, a, b)
+    is_quick = is_quick and (rule.most > 0 or slot.row >= 0)
+    found, moves = Found(NOT_FOUND, 0.0, 0, COMPLETE, 0.0), FAST * radius
+    if slot.row >= 0 and slot.is_known:
+        rounding = 2.0 * rounding_slack(pools, a, b, translation)
+        moves = displacement(pools, pair, slot.lists.poses[slot.row]) + rounding
+        if slot.lists.counts[slot.row] >= 0:
+            found = _from_list(geometry, pair, rule, moves, slot, sink, scratch)
+        is_quick = is_quick and slot.lists.counts[slot.row] != FULL
+    if slot.row >= 0:
+        keep_pose(rotation, translation, slot.lists.poses[slot.row])
+    if found.count == NOT_FOUND and is_quick:
+        found = _among_samples(geometry, pair, rule, moves, slot, sink, scratch)
+    if found.count == NOT_FOUND:
+        count, bound, visits, exhausted, clear = query_pair(pools, pair, rule, limits, sink, scratch)
+        found = Found(count, bound, visits, exhausted, clear)
+        if slot.row >= 0:
+            lists = slot.lists
+            lists.counts[slot.row] = FULL if count >= rule.wanted else NOT_LISTED
+            if clear > 0.0:
+                lists.counts[slot.row], lists.ridges[slot.row], lists.reach[slot.row] = 0, 0, clear
+                keep_pose(rotation, translation, lists.listed_at[slot.row])
+    return found
+
+
+@inlined_kernel
+def _from_list(geometry, pair, rule, moves, slot, sink, scratch):
+    """Found of a pair that has a list, if it still holds; moves [m]: how far the two moved since the last step."""
+    pools = geometry.pools
+    a, b, _, translation = pair
+    lists, row = slot.lists, slot.row
+    n, rounding = lists.counts[row], 2.0 * rounding_slack(pools, a, b, translation)
+    moved = displacement(pools, pair, lists.listed_at[row])
+    if not moved + rounding < lists.reach[row]:
+        return Found(NOT_FOUND, 0.0, 0, COMPLETE, 0.0)
+    if n > 0 and rule.most > 0 and begins_with_seeds(pools, pair, rule):
+        return Found(NOT_FOUND, 0.0, 0, COMPLETE, 0.0)
+    radius = min(pools.fragment.radius[a], pools.fragment.radius[b])
+    ahead = min(reach_of(moves, radius)[1], lists.reach[row] - moved)
+    listing = Listing(
+        0.0, ahead, scratch.any_way, lists.listed[row, :n], lists.places[row, :n],
+        lists.ridge_pairs[row, : lists.ridges[row]], lists.toward[row],
+    )  # fmt: skip
+    count, bound, visits = query_listed(pools, geometry.edges, pair, rule, listing, sink, scratch)
+    clear = 0.0
+    if slot.for_motion and count == 0:
+        clear = min(_left_of(geometry, pair, rule, listing, n, scratch), lists.reach[row] - moved - rounding)
+    return Found(count, bound, visits, _ended(count, rule), clear)
+
+
+@inlined_kernel
+def _among_samples(geometry, pair, rule, moves, slot, sink, scratch):
+    """Found of a pair whose samples are searched, with a new list if it has a slot."""
+    pools = geometry.pools
+    radius = min(pools.fragment.radius[pair.a], pools.fragment.radius[pair.b])
+    listed, places, ridges = scratch.none_listed, scratch.no_places, scratch.none_listed
+    toward, reach, ahead = scratch.toward, 0.0, 0.0
+    lists, row = slot.lists, slot.row
+    if row >= 0:
+        listed, places, toward = lists.listed[row], lists.places[row], lists.toward[row]
+        ridges = lists.ridge_pairs[row]
+        reach, ahead = reach_of(moves, radius)
+    else:
+        toward[0] = toward[1] = toward[2] = 0.0
+    listing = Listing(reach, ahead, scratch.any_way, listed, places, ridges, toward)
+    count, bound, visits, samples, crossings, clear = search_samples(
+        pools, geometry.edges, pair, rule, listing, sink, scratch
+    )
+    if row >= 0:
+        lists.counts[row] = NOT_LISTED if count >= 0 else FULL
+        has_room = samples <= MOST_LISTED and crossings <= MOST_RIDGES
+        if count >= 0 and has_room and max(reach, clear) > 0.0:
+            lists.counts[row], lists.ridges[row] = samples, crossings
+            lists.reach[row] = max(reach, clear)
+            keep_pose(pair.rotation, pair.translation, lists.listed_at[row])
+            if slot.for_motion and count == 0:
+                made = Listing(reach, ahead, scratch.any_way, listed, places, ridges[:crossings], toward)
+                clear = min(_left_of(geometry, pair, rule, made, samples, scratch), lists.reach[row])
+    return Found(count, bound, visits, _ended(count, rule), clear)
+
+
+@inlined_kernel
+def _ended(count, rule):
+    """How a search of samples ended: the limit cut it short only where more contacts could be listed."""
+    return BY_LIMIT if count == rule.limit < rule.most else COMPLETE
+
+
+@inlined_kernel
+def _left_of(geometry, pair, rule, listing, count, scratch):
+    """Lower bound [m] of how far the first `count` listed samples, and all listed ridges, are from being near."""
+    middles = geometry.pools.fragment.middle
+    left = least_left(
+        listing.samples, listing.places, count, middles[pair.a], middles[pair.b], pair.rotation, pair.translation, False
+    )
+    return min(left, least_apart(geometry.edges, pair, listing.ridges, rule.near, False, scratch))
+
+
+@inlined_kernel
+def look_ahead(geometry, pair, moving, rule, found, slot, sink, scratch):
+    """Contacts of the time ahead, written to a Sink after those `found` now: (Found of both, whether any was added).
+
+    It runs its own searches: remembered state cannot change its result.
+    """
+    pools, edges = geometry.pools, geometry.edges
+    i, j, _, _, motion = moving
+    room, count, visits, bound, exhausted = len(sink.contacts), found.count, found.visits, found.bound, found.exhausted
+    moment, clear = 0.0, found.clear
+    # where contacts have to be chosen, our rule does it
+    ahead = Rule(rule.wanted, max(rule.most, rule.wanted), rule.epsilon, rule.near, rule.limit)
+    toward = scratch.toward
+    if count == 0:
+        clear = max(clear, between_balls(motion, i, j) - rule.near)
+        if slot.row >= 0:
+            toward = slot.lists.toward[slot.row]
+        else:
+            toward[0] = toward[1] = toward[2] = 0.0
+    is_ahead = False
+    if not (
+        count != 0
+        or closing_speed(motion, i, j, 0.0, motion.time) * motion.time <= clear + rule.near + rule.epsilon
+        or boxes_stay_apart(pools, pair, moving, -rule.epsilon)
+        or hulls_stay_apart(pools, pair, moving, -rule.epsilon, toward, scratch)
+    ):
+        count, moment, more, unseen = first_touch(pools, edges, pair, moving, (0.0, 0), ahead, sink, scratch)
+        visits += more
+        is_ahead = count > 0
+        for d in range(3):
+            toward[d] = scratch.ahead_toward[d]  # warm start of hulls_stay_apart at the next step
+        if count == 0 and unseen > 0.0:
+            exhausted, bound = BY_LIMIT, max(bound, unseen)
+    if 0 < count <= room and may_touch_again(pools, pair, moving, moment, sink.contacts[:count], scratch):
+        again, _, more, _ = first_touch(pools, edges, pair, moving, (moment, count), ahead, sink, scratch)
+        visits += more
+        count, is_ahead = count + again, is_ahead or again > 0
+    return Found(count, bound, visits, exhausted, clear), is_ahead
