@@ -35,7 +35,7 @@ def stored_mesh(file: str) -> TetGeometry:
 
 
 def read_tetrahedra(file: Path) -> TetGeometry:
-    """vertices (n, 3) float64 and tetrahedra (m, 4) of a .npz file, in the file's own unit.
+    """Vertices (n, 3) float64 and tetrahedra (m, 4) of a .npz file, in the file's own unit.
 
     Raises ValueError, naming file and array, for other files, meshes larger than TETRAHEDRA_LIMIT, vertices that are
     not finite, and indices out of range.

@@ -1,5 +1,6 @@
-"""Closed surfaces from the user's files (OBJ, STL, PLY, OFF, by trimesh), checked to bound one solid, with an
-explanation of what is wrong with a rejected one.
+"""Closed surfaces from the user's files (OBJ, STL, PLY, OFF, by trimesh), checked to bound one solid.
+
+The error names what is wrong with a rejected surface.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ _PAIRS_AT_ONCE = 2_000_000
 
 
 class Surface(NamedTuple):
+    """A closed surface of triangles."""
+
     vertices: np.ndarray  # (n, 3) float64 [m]
     triangles: np.ndarray  # (t, 3) int64, closed, counter-clockwise from outside
 
@@ -67,8 +70,9 @@ def _read(file: Path) -> Surface:
 
 
 def require_solid(vertices: np.ndarray, triangles: np.ndarray) -> None:
-    """Raise ValueError unless the triangles (t, 3) bound one solid, hollow or not, with counter-clockwise winding seen
-    from outside, and meet nowhere but at their edges.
+    """Raise ValueError unless the triangles (t, 3) bound one solid, hollow or not, and meet nowhere but at their edges.
+
+    The winding is counter-clockwise seen from outside.
     """
     directed = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     ends, edge_of, faces = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True, return_counts=True)

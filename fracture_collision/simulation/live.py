@@ -93,8 +93,9 @@ class LiveScene:
         hand.move(np.asarray(target, np.float64), np.zeros(3))
 
     def steer(self, velocity: np.ndarray) -> None:
-        """Move the hammer with `velocity` (3,) [m/s], world axes, until the next command; the first non-zero one brings
-        it into the scene. Raises CommandRefused.
+        """Move the hammer with `velocity` (3,) [m/s], world axes, until the next command. Raises CommandRefused.
+
+        The first non-zero velocity brings the hammer into the scene.
         """
         _finite("linear", velocity)
         _within("linear", float(lengths(velocity)), (0.0, MOST_HAMMER_SPEED), "m/s")
@@ -119,6 +120,7 @@ class LiveScene:
             raise CommandRefused(str(error)) from error
 
     def close(self) -> None:
+        """Release the simulation's resources."""
         self.simulation.close()
 
 

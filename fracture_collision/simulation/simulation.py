@@ -65,6 +65,8 @@ class StepRequest(NamedTuple):
 
 
 class StepReport(NamedTuple):
+    """Figures of one step."""
+
     step: int
     time: float  # [s] at the end of the step
     contacts: int  # listed by the service
@@ -123,9 +125,11 @@ class Simulation:
 
     @property
     def finished(self) -> bool:
+        """Whether all steps of the scene are done."""
         return self._step >= self._scene.step_count
 
     def close(self) -> None:
+        """Release the engine's resources."""
         self._engine.close()
 
     def grab(self, name: str, position: np.ndarray) -> bool:
@@ -141,8 +145,9 @@ class Simulation:
         self._pushers.append(pusher)
 
     def throw(self, body: SceneBody) -> int:
-        """Add a body to the scene with the next step, whatever its `start_time`. Returns its id, which is also that of
-        its one fragment. ValueError for a static body.
+        """Add a body to the scene with the next step, whatever its `start_time`. ValueError for a static body.
+
+        Returns its id, which is also that of its one fragment.
         """
         return self._cast.throw(body)
 
@@ -262,8 +267,10 @@ class Simulation:
         return pushes_of(self._pushers, states, self.time, self._scene.time_step, self._scene.gravity)
 
     def _told(self, states: BodyStates) -> BodyStates:
-        """`states` with the velocities of the coming step before contacts and gravity. Otherwise the look-ahead would
-        miss what a hand adds, and the gyroscopic torque, which turns the axis of a fast shard by a radian.
+        """`states` with the velocities of the coming step before contacts and gravity.
+
+        Otherwise the look-ahead would miss what a hand adds, and the gyroscopic torque, which turns the axis of a fast
+        shard by a radian.
         """
         velocities = _velocities(states)
         if self._planned is not None:
@@ -360,7 +367,7 @@ class Simulation:
 
 
 def _velocities(states: BodyStates) -> np.ndarray:
-    """(n, 6) [m/s, rad/s]"""
+    """Linear and angular velocities, (n, 6) [m/s, rad/s]."""
     return np.hstack((states.linear, states.angular))
 
 

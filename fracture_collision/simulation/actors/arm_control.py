@@ -51,6 +51,7 @@ class ArmControl:
 
     @property
     def limits(self) -> JointLimits:
+        """Names and limits of the joints, in their order."""
         return self._kinematics.limits
 
     @property
@@ -60,7 +61,7 @@ class ArmControl:
 
     @property
     def speeds(self) -> np.ndarray:
-        """(7,) [rad/s]"""
+        """The controller's joint speeds, (7,) [rad/s]."""
         return self._speeds.copy()
 
     def command(self, names: Sequence[str], positions: Sequence[float]) -> None:
@@ -86,6 +87,7 @@ class ArmControl:
     def pull(
         self, states: BodyStates, time: float, time_step: float, gravity: np.ndarray
     ) -> tuple[np.ndarray, float]:
+        """Additions in the step at `time` [s]: to all velocities, (n, 6) [m/s, rad/s], and to the energy [J]."""
         rows = np.searchsorted(states.fragment_ids, self._own[1:])
         h, settings = time_step, self._settings
         before = np.hstack((states.linear[rows], states.angular[rows]))

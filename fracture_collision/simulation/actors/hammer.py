@@ -32,6 +32,7 @@ class Hammer:
     def pull(
         self, states: BodyStates, time: float, time_step: float, gravity: np.ndarray
     ) -> tuple[np.ndarray, float]:
+        """Additions in the step at `time` [s]: to all velocities, (n, 6) [m/s, rad/s], and to the energy [J]."""
         pushes = np.zeros((len(states.fragment_ids), 6))
         i = int(np.searchsorted(states.fragment_ids, self.fragment_id))
         if i == len(states.fragment_ids) or states.fragment_ids[i] != self.fragment_id:

@@ -26,6 +26,8 @@ COLUMNS = ["time", "x", "y", "z", "holds"]
 
 
 class HandSettings(NamedTuple):
+    """The spring between the hand and the fragment that it holds."""
+
     frequency: float = 4.0  # f [Hz] natural frequency of the held fragment about the hand
     damping_ratio: float = 1.0  # zeta; 1: critical
     force_limit: float = 200.0  # [N] largest pull of the hand

@@ -49,8 +49,9 @@ class Shape(NamedTuple):
 
 
 def parse_shape(fields: Fields, made: dict[tuple, TetGeometry], folder: Path | None = None) -> Shape:
-    """The shape described by exactly one field, named by a kind. `made` caches meshes, so that equal ones are shared.
-    Files it names lie in `folder`.
+    """The shape described by exactly one field, named by a kind; raises SceneError.
+
+    `made` caches meshes, so that equal ones are shared. Files it names lie in `folder`.
     """
     kinds = fields.keys()
     if len(kinds) != 1 or kinds[0] not in KINDS:

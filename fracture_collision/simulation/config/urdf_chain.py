@@ -17,6 +17,8 @@ from fracture_collision.simulation.rotations import from_euler_angles, quaternio
 
 
 class JointLimits(NamedTuple):
+    """Of k joints, in the order of the chain."""
+
     names: tuple[str, ...]
     lower: np.ndarray  # (k,) [rad]
     upper: np.ndarray  # (k,) [rad]

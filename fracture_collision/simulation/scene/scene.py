@@ -37,6 +37,8 @@ class Fracture(NamedTuple):
 
 
 class Material(NamedTuple):
+    """What a body consists of."""
+
     density: float  # [kg/m3]
     friction: float  # Coulomb coefficient
     restitution: float  # 0..1
@@ -45,6 +47,8 @@ class Material(NamedTuple):
 
 
 class SceneBody(NamedTuple):
+    """A body of a scene, at its start."""
+
     name: str
     shape: Shape
     material: Material
@@ -57,6 +61,8 @@ class SceneBody(NamedTuple):
 
 
 class Scene(NamedTuple):
+    """A scene: its bodies, and all settings of the simulation."""
+
     name: str
     seed: int
     gravity: np.ndarray  # (3,) [m/s2]
@@ -69,10 +75,13 @@ class Scene(NamedTuple):
 
     @property
     def step_count(self) -> int:
+        """Number of steps that cover `duration`."""
         return math.ceil(self.duration / self.time_step - 1e-9)
 
 
 class SceneFile(NamedTuple):
+    """A scene file of the package."""
+
     path: Path
     title: str  # its first line
     variants: tuple[str, ...]

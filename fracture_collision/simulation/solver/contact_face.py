@@ -42,8 +42,11 @@ class Live(NamedTuple):
 
 
 class Face(NamedTuple):
-    """What the last visit of a contact found within its bounds. A tangent's bound moves with lambda: comparing them
-    afterwards would let sliding contacts stick, and friction take part in finding lambda."""
+    """What the last visit of a contact found within its bounds.
+
+    A tangent's bound moves with lambda: comparing them afterwards would let sliding contacts stick, and friction take
+    part in finding lambda.
+    """
 
     presses: np.ndarray  # (N,) bool, the normal impulse
     sticks: np.ndarray  # (N,) bool, the tangents
@@ -261,7 +264,7 @@ def go(rows, live, surfaces, targets, u, impulses, rolling, step, path, along_st
 
 @uncounted
 def doubled_energy(rows, way):
-    """u M u of a direction; also computes its momenta."""
+    """Twice the energy of a direction, u M u; also computes its momenta."""
     _find_momenta(rows, way)
     return dot(way.momenta, way.u)
 
@@ -279,6 +282,7 @@ def _find_momenta(rows, way):
 
 @uncounted
 def dot(x, y):
+    """Sum of the products of x and y, both (n + 1, 6)."""
     result = 0.0
     for i in range(x.shape[0]):
         result += (x[i, 0] * y[i, 0] + x[i, 1] * y[i, 1] + x[i, 2] * y[i, 2]) + (

@@ -58,6 +58,8 @@ class Islands(NamedTuple):
 
 
 class Result(NamedTuple):
+    """The solved step."""
+
     velocities: np.ndarray  # (n, 6) u(t + h)
     drift: np.ndarray  # (n, 6) u_d
     normal_impulses: np.ndarray  # (N,) lambda [N s]
@@ -105,6 +107,7 @@ def islands_of(begin, body_a, body_b, count):
 
 @uncounted
 def root_of(root, i):
+    """Root of i in a forest of parents `root` (n,) int64; halves the path to it (union-find)."""
     while root[i] != i:
         root[i] = root[root[i]]
         i = root[i]

@@ -94,6 +94,8 @@ class WarmStart(NamedTuple):
 
 
 class Solution(NamedTuple):
+    """Velocities and impulses of one step."""
+
     velocities: np.ndarray  # (n, 6) u(t + h)
     drift: np.ndarray  # (n, 6) u_d, for the poses of this step only
     normal_impulses: np.ndarray  # (N,) lambda [N s]

@@ -122,7 +122,7 @@ def _gravity(before, free):
 
 @uncounted
 def _inner(rows, x, y):
-    """x M y."""
+    """Inner product x M y of velocities (n + 1, 6)."""
     result = 0.0
     for i in range(x.shape[0]):
         inertia = rows.inertias[i]

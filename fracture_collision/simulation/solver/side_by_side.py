@@ -50,8 +50,9 @@ def shares_side_by_side(shares, centers, axes, halves, spare, velocities, time_s
 
 @uncounted
 def _alone(i, j, share, later, centers, axes, halves, free, velocities, time_step):
-    """Share of the step, at most `later`, for which body j may move on alone after i has stopped at `share`: all of it
-    if balls about them stay apart, else as long as a side of a box separates them; 0 if none does.
+    """Share of the step, at most `later`, for which body j may move on alone after i has stopped at `share`.
+
+    All of it if balls about them stay apart, else as long as a side of a box separates them; 0 if none does.
     """
     t, u = share * time_step, velocities[j]
     d = (
@@ -79,8 +80,9 @@ def _alone(i, j, share, later, centers, axes, halves, free, velocities, time_ste
 
 @uncounted
 def _until(x, y, z, most, u, reach, later, time_step):
-    """Share of the step, at most `later`, for which a body with velocities u and extent `reach` [m] may move until it
-    has advanced by `most` [m] against the unit vector (x, y, z).
+    """Share of the step, at most `later`, until a body has advanced by `most` [m] against the unit vector (x, y, z).
+
+    The body has the velocities u and the extent `reach` [m].
     """
     turning = length(y * u[5] - z * u[4], z * u[3] - x * u[5], x * u[4] - y * u[3])
     nearer = turning * reach - (x * u[0] + y * u[1] + z * u[2])

@@ -17,6 +17,7 @@ _sine_after = njit(cache=True)(portable_math.sine_after)
 
 @uncounted
 def length(x, y, z):
+    """Length of a vector."""
     return math.sqrt(x * x + y * y + z * z)
 
 

@@ -90,9 +90,11 @@ def held_back(
     told: np.ndarray | None, is_round: np.ndarray, velocities: np.ndarray, drift: np.ndarray, gravity: np.ndarray,
     settings: SolverSettings, time_step: float,
 ) -> HeldBack:  # fmt: skip
-    """Velocities and drift (n, 6) that move bodies no farther than to where they touch. Gravity (3,) [m/s2] acts only
-    while a body moves: its share for the rest of the step is subtracted, as energy without a loss of height. From a
-    body in contact no more than its falling speed is subtracted: contacts already bear the weight of a resting body.
+    """Velocities and drift (n, 6) that move bodies no farther than to where they touch.
+
+    Gravity (3,) [m/s2] acts only while a body moves: its share for the rest of the step is subtracted, or the body
+    would gain energy without a loss of height. From a body in contact no more than its falling speed is subtracted:
+    contacts already bear the weight of a resting body.
 
     contacts, pairs: those solved. told (n, 6): the velocities that the service looked ahead with; None: it does not
     look ahead. is_round (n + 1,): spheres; the last, False, for what cannot move.
@@ -135,8 +137,10 @@ def held_back(
 def _shares_as_told(
     pairs: BodyPairs, told: np.ndarray, moves: np.ndarray, reach: np.ndarray, spare: np.ndarray, time_step: float
 ) -> np.ndarray:
-    """(n,) share of the step for which each body may move, so that no point of two touching bodies deviates from its
-    path at the velocities `told` by more than `spare` (n,) [m] of either.
+    """(n,) share of the step for which each body may move along another path than the searched one.
+
+    No point of two touching bodies deviates from its path at the velocities `told` by more than `spare` (n,) [m] of
+    either.
     """
     change = moves - told
     astray = np.append(time_step * (lengths(change[:, :3]) + reach * lengths(change[:, 3:])), 0.0)
@@ -170,8 +174,9 @@ def _goes_astray(
 def _touching(
     contacts: ContactConstraintArray, pairs: BodyPairs, chosen: np.ndarray, settings: SolverSettings, deeper: float
 ) -> tuple[np.ndarray, ...] | None:
-    """The contacts of the `chosen` (p,) pairs, as the columns of shares_until_touch; None without any. deeper: a
-    contact as deep as `ahead_gap` deepens by no more than this share of it.
+    """The contacts of the `chosen` (p,) pairs, as the columns of shares_until_touch; None without any.
+
+    deeper: a contact as deep as `ahead_gap` deepens by no more than this share of it.
     """
     if not chosen.any():
         return None
@@ -189,8 +194,9 @@ def _by_middles_of_spheres(
     body_a: np.ndarray, body_b: np.ndarray, points_a: np.ndarray, points_b: np.ndarray, normals: np.ndarray,
     least: np.ndarray, centers: np.ndarray, is_round: np.ndarray,
 ) -> tuple[np.ndarray, ...]:  # fmt: skip
-    """The columns of shares_until_touch with a sphere's contact point replaced by its centre, which stays a radius
-    away from what the sphere touches, whichever point touches.
+    """The columns of shares_until_touch with a sphere's contact point replaced by its centre.
+
+    The centre stays a radius away from what the sphere touches, whichever point touches.
     """
     points = []
     for body, at, sign in ((body_a, points_a, 1.0), (body_b, points_b, -1.0)):
@@ -204,8 +210,9 @@ def _by_middles_of_spheres(
 def shares_until_touch(
     body_a, body_b, points_a, points_b, normals, least, centers, velocities, most, is_turning, is_round, time_step
 ):
-    """(n,) share of a step of `time_step` [s] for which each body may move, at most `most` (n,), so that no contact's
-    gap falls below `least` (N,) [m].
+    """(n,) share of a step of `time_step` [s] for which each body may move, at most `most` (n,).
+
+    No contact's gap falls below `least` (N,) [m].
 
     body_a, body_b (N,): rows of the contacts' bodies, n for what cannot move; points_a, points_b, normals (N, 3);
     centers (n, 3) [m]; velocities (n, 6): v [m/s], w [rad/s] of the motion. is_turning: normals turn with one of the
@@ -260,8 +267,9 @@ def _bodies_of_plane(a, b, is_round):
 
 @uncounted
 def _gap(a, b, contact, of, other, centers, velocities, time_a, time_b):
-    """Gap [m] of a contact (points, normal) after a has moved for `time_a` [s] and b for `time_b`; its plane turns with
-    the body `of` or `other`, whichever gives the smaller gap.
+    """Gap [m] of a contact (points, normal) after a has moved for `time_a` [s] and b for `time_b`.
+
+    Its plane turns with the body `of` or `other`, whichever gives the smaller gap.
     """
     point_a, point_b, normal = contact
     xa = _moved(a, point_a, centers, velocities, time_a)

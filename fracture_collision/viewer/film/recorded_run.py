@@ -17,6 +17,8 @@ NO_ANSWERS: Mapping[int, bytes] = {}
 
 
 class RecordedStates(NamedTuple):
+    """States of n fragments at one step of a recording."""
+
     time: float  # [s], simulated
     step: int
     fracture_sequence: int
@@ -26,6 +28,8 @@ class RecordedStates(NamedTuple):
 
 
 class RecordedRun(NamedTuple):
+    """A recorded run, as films and the page show it."""
+
     bodies: dict[int, CollisionBody]  # by body_id
     body_of: dict[int, int]  # fragment_id -> body_id
     meshes: dict[int, FragmentMesh]  # by fragment_id

@@ -60,6 +60,7 @@ class RunScene:
         return float(np.median([0.5 * np.ptp(mesh.triangles, axis=(0, 1)).max() for mesh in meshes] or [0.0]))
 
     def is_breakable(self, fragment_id: int) -> bool:
+        """Whether the fragment's body can break."""
         return self._palette.is_breakable(self.run.body_of[fragment_id])
 
     def mesh(self, fragment_id: int) -> BodyMesh:

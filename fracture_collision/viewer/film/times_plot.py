@@ -23,8 +23,10 @@ SMALLEST_MS = 1e-3  # a logarithmic axis has no zero; nothing measured here is s
 
 
 def plot_times(report: Mapping[str, Sequence[float]], png_path: Path | str) -> None:
-    """Plot per-step lists of equal length: time [s], contacts, fragments, collision_ms, update_ms, solver_ms, and those
-    of OPTIONAL_CURVES that the report has.
+    """Plot the times of each step of a run to a PNG.
+
+    `report` has lists of equal length: time [s], contacts, fragments, collision_ms, update_ms, solver_ms, and those of
+    OPTIONAL_CURVES that were measured.
 
     The upper panel has milliseconds a step on a logarithmic axis (each step pale, the running median bold; updates at
     fractures as dots, as most steps have none), the lower one contacts and fragments. Raises ValueError if a list is

@@ -29,8 +29,9 @@ class BagPlayer:
     """
 
     def __init__(self, run: RecordedRun, host: str = LOCALHOST, port: int = 0, speed: float = 1.0) -> None:
-        """`speed`: simulated seconds a second. Raises BagError if the run lacks a body, OSError if the page cannot be
-        served.
+        """Serve the page. `speed`: simulated seconds a second.
+
+        Raises BagError if the run lacks a body, OSError if the page cannot be served.
         """
         self._run = run
         self._moments = [states.time for states in run.states]
@@ -57,6 +58,7 @@ class BagPlayer:
         self.close()
 
     def close(self) -> None:
+        """Stop playing and close the page."""
         self.page.close()
 
     @property

@@ -42,6 +42,7 @@ class LocalServer(viser.ViserServer):
     """Serves only this machine, or the interface of its host: sharing through a public relay is disabled."""
 
     def request_share_url(self, verbose: bool = True) -> str | None:
+        """Always None: there is no public address."""
         return None
 
 
@@ -57,9 +58,11 @@ class Page:
         told: frozenset[str] = frozenset(),
         add_controls: Callable[[viser.GuiApi], None] = lambda gui: None,
     ) -> None:
-        """`port` 0: any free one. `told`: the fields of Figures that will be set; only those get a plot. `add_controls`
-        adds the caller's own controls above all others. Raises OSError if the address cannot be served, ValueError if
-        `told` contains a name that is not a figure.
+        """Serve the page; `port` 0: any free one.
+
+        `told`: the fields of Figures that will be set; only those get a plot. `add_controls` adds the caller's own
+        controls above all others. Raises OSError if the address cannot be served, ValueError if `told` contains a name
+        that is not a figure.
         """
         handlers = handlers or Handlers()
         check_told(told)
@@ -135,6 +138,7 @@ class Page:
         self._order(lambda: self._scene.add_body(body))
 
     def remove_body(self, body_id: int) -> None:
+        """Remove a body with all its fragments."""
         self._order(lambda: self._scene.remove_body(body_id))
 
     def add_fragment(self, mesh: FragmentMesh, body_id: int) -> None:
@@ -167,11 +171,13 @@ class Page:
             client.add_notification(TITLE, words, auto_close_seconds=NOTICE)
 
     def show_states(self, states: FragmentStates) -> None:
+        """Show states; those not yet shown are skipped."""
         with self._news:
             self._states = states
             self._news.notify()
 
     def show_contacts(self, contacts: ContactConstraintArray | None) -> None:
+        """Show contacts in the layers that are switched on; None: show none."""
         with self._news:
             self._contacts, self._contacts_are_new = contacts, True
             self._news.notify()
@@ -312,8 +318,9 @@ class Page:
 
 
 def _check_free(host: str, port: int) -> None:
-    """Raise OSError if the address cannot be bound. viser would wait for ever on a host that is not this machine's, and
-    use the next port if this one is taken.
+    """Raise OSError if the address cannot be bound.
+
+    viser would wait for ever on a host that is not this machine's, and use the next port if this one is taken.
     """
     with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as trial:
         trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

@@ -57,6 +57,7 @@ class ContactLayers:
 
     @property
     def wanted(self) -> bool:
+        """Whether any layer is switched on."""
         return any(switch.value for switch in self._switches.values())
 
     def draw(self, contacts: ContactConstraintArray | None, centre: Centre) -> None:

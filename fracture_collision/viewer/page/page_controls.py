@@ -18,8 +18,10 @@ SMALLEST_BALL = 0.01  # [m]
 
 
 class Controls:
-    """Creates the controls and handles their events. Callbacks are coroutines because viser runs those one after
-    another; it would run plain functions in threads of a pool, in any order.
+    """Creates the controls and handles their events.
+
+    Callbacks are coroutines because viser runs those one after another; it would run plain functions in threads of a
+    pool, in any order.
     """
 
     def __init__(self, server: viser.ViserServer, handlers: Handlers, start: Start) -> None:

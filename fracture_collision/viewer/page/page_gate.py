@@ -74,8 +74,9 @@ class Gate:
 
 @contextmanager
 def guarded(gate: Gate) -> Iterator[None]:
-    """A viser server created inside answers only requests that `gate` accepts. Raises GateError; then the server must
-    not be used: it may listen without any check.
+    """A viser server created inside answers only requests that `gate` accepts.
+
+    Raises GateError; then the server must not be used: it may listen without any check.
     """
     served = False
 

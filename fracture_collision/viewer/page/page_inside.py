@@ -1,5 +1,6 @@
-"""The internals of collision detection on the page: sphere trees, the field on a plane, all contacts and what answers
-leave out. Handlers.looking_inside supplies the data while a switch is on.
+"""The internals of collision detection on the page: sphere trees, the field on a plane, unlisted contacts.
+
+Handlers.looking_inside supplies the data while a switch is on.
 """
 
 from __future__ import annotations

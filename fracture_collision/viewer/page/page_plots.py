@@ -44,8 +44,9 @@ PLOTS: tuple[Group, ...] = (
 
 
 def plots_of(told: frozenset[str]) -> list[Group]:
-    """The groups of PLOTS with curves in `told`, and only those curves. `told`: names of the fields of Figures that
-    will not be None; `time` may be omitted.
+    """The groups of PLOTS with curves in `told`, and only those curves.
+
+    `told`: names of the fields of Figures that will not be None; `time` may be omitted.
     """
     groups = [(title, tuple(name for name in names if name in told)) for title, names in PLOTS]
     return [(title, names) for title, names in groups if names]
@@ -76,6 +77,7 @@ class Plots:
             plot.visible = is_seen
 
     def clear(self) -> None:
+        """Remove all rows."""
         self._rows.clear()
         self._next = 0.0
 

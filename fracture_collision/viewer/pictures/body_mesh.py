@@ -18,7 +18,7 @@ class BodyMesh:
     """Triangles of one fragment or unbroken body, in its body frame, with the normals of their corners."""
 
     def __init__(self, vertices: np.ndarray, triangles: np.ndarray, is_crack: np.ndarray | None = None) -> None:
-        """vertices (n, 3), triangles (t, 3), is_crack (t,); vertices at the same place count as one."""
+        """From vertices (n, 3), triangles (t, 3), is_crack (t,); vertices at the same place count as one."""
         self.triangles = vertices[triangles].astype(np.float64)  # (t, 3, 3)
         self.is_crack = np.zeros(len(triangles), dtype=np.bool_) if is_crack is None else is_crack
         self.normals = np.empty((3 * len(triangles), 3))
@@ -50,4 +50,5 @@ def mesh_of_body(body: CollisionBody) -> BodyMesh:
 
 
 def mesh_of_fragment(mesh: FragmentMesh) -> BodyMesh:
+    """The mesh that the service published for a fragment, in the body frame."""
     return BodyMesh(mesh.vertices.reshape(-1, 3), mesh.triangles.reshape(-1, 3), mesh.is_crack)

@@ -22,6 +22,8 @@ class TriangleScene(NamedTuple):
 
 
 class Camera(NamedTuple):
+    """A pinhole camera; z points up."""
+
     position: np.ndarray  # (3,) [m]
     target: np.ndarray  # (3,) [m]
     opening: float  # vertical angle of view [rad]
