@@ -6,7 +6,7 @@ The error names what is wrong with a rejected surface.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -55,7 +55,7 @@ def _read(file: Path) -> Surface:
     import trimesh  # late: the import is slow
 
     try:
-        mesh = trimesh.load(file, force="mesh", process=False)
+        mesh: Any = trimesh.load(file, force="mesh", process=False)
         places, triangles = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
     except Exception as error:  # of any kind, depending on the fault of the file
         raise ValueError(f"{file}: cannot be read as {file.suffix[1:].upper()}: {error}") from error

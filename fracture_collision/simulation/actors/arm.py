@@ -138,7 +138,7 @@ def parse_arm(fields: Fields, folder: Path | None) -> Arm:
     return arm
 
 
-def require_within(limits: JointLimits, angles: Sequence[float]) -> None:
+def require_within(limits: JointLimits, angles: Sequence[float] | np.ndarray) -> None:
     """Raise ValueError if one of the seven `angles` [rad] is beyond its joint's limits."""
     for name, angle, lower, upper in zip(limits.names, angles, limits.lower, limits.upper, strict=True):
         if not lower <= angle <= upper:

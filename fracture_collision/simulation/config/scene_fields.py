@@ -78,8 +78,8 @@ class Fields:
         value = self.take(key, default)
         if not isinstance(value, list | tuple) or len(value) != size:
             raise SceneError(f"{self.name(key)}: needs {size} numbers, got {quoted(value)}")
-        parts = Fields(dict(enumerate(value)), self.name(key))
-        return np.array([parts.number(i) for i in range(size)])
+        parts = Fields({str(i): part for i, part in enumerate(value)}, self.name(key))
+        return np.array([parts.number(str(i)) for i in range(size)])
 
     def mapping(self, key: str, default: Any = ...) -> Mapping:
         """A mapping, of further fields; raises SceneError."""

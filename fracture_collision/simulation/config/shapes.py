@@ -85,10 +85,10 @@ def _mesh(kind: str, fields: Fields, made: dict[tuple, TetGeometry], folder: Pat
         arguments[key] = tuple(value) if isinstance(value, list) else value
     if kind == "stored_mesh" and isinstance(arguments["file"], str):
         arguments["file"] = str((folder or Path()) / arguments["file"])
-    key = (kind, *arguments.values())
+    mesh = (kind, *arguments.values())
     try:
-        if key not in made:
-            made[key] = make(**arguments)
+        if mesh not in made:
+            made[mesh] = make(**arguments)
     except (ValueError, TypeError) as error:
         raise SceneError(f"{fields.name('')}{error}") from error
-    return made[key]
+    return made[mesh]

@@ -35,14 +35,14 @@ class Chain(NamedTuple):
 
 
 def read_chain(file: Path) -> Chain:
-    """The revolute joints of a URDF file, in its order. ValueError if they do not form one chain."""
+    """The revolute joints of a URDF file, in its order. ValueError if they do not form one chain or lack an element."""
     joints = [joint for joint in ElementTree.parse(file).getroot().iter("joint") if joint.get("type") == "revolute"]
     for before, after in zip(joints[:-1], joints[1:], strict=True):
-        if before.find("child").get("link") != after.find("parent").get("link"):
+        if _attribute(before, "child", "link") != _attribute(after, "parent", "link"):
             raise ValueError(f"{file}: joint {after.get('name')} does not follow {before.get('name')}: no chain")
     lower, upper, speeds = (np.concatenate([_numbers(joint, "limit", key) for joint in joints])
                             for key in ("lower", "upper", "velocity"))  # fmt: skip
-    limits = JointLimits(tuple(joint.get("name") for joint in joints), lower, upper, speeds)
+    limits = JointLimits(tuple(joint.get("name", "") for joint in joints), lower, upper, speeds)
     axes = np.array([_numbers(joint, "axis", "xyz") for joint in joints])
     return Chain(
         limits,
@@ -68,4 +68,12 @@ def link_frames(
 
 
 def _numbers(joint: ElementTree.Element, tag: str, key: str) -> np.ndarray:
-    return np.array([float(number) for number in joint.find(tag).get(key).split()])
+    return np.array([float(number) for number in _attribute(joint, tag, key).split()])
+
+
+def _attribute(joint: ElementTree.Element, tag: str, key: str) -> str:
+    element = joint.find(tag)
+    value = None if element is None else element.get(key)
+    if value is None:
+        raise ValueError(f"joint {joint.get('name')}: needs <{tag} {key}=...>")
+    return value

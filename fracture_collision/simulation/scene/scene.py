@@ -182,8 +182,7 @@ def _variants(content: Any) -> Mapping[str, Any]:
 def _merged(content: Any, change: Any, path: str) -> Any:
     """`content` with the fields of `change` in place of its own; in a list, `change` selects bodies by name."""
     if isinstance(content, Mapping) and isinstance(change, Mapping):
-        changed = {key: _merged(content.get(key), value, f"{path}.{key}") for key, value in change.items()}
-        return {**content, **changed}
+        return {**content, **{key: _merged(content.get(key), new, f"{path}.{key}") for key, new in change.items()}}
     if isinstance(content, list) and isinstance(change, Mapping):
         places = {item.get("name"): i for i, item in enumerate(content) if isinstance(item, Mapping)}
         changed = list(content)
@@ -229,7 +228,7 @@ def _material_of(fields: Fields, materials: Mapping[str, Material]) -> Material:
 def _arm_bodies(arm: Arm, material: Material) -> tuple[SceneBody, ...]:
     """The arm's parts as bodies, at the start of its swing."""
     centers, turns = ArmKinematics(arm.position, arm.orientation).places(arm.swing()(0.0))
-    foot = arm.position + turned_by(arm.orientation, PARTS[0].center)
+    foot = arm.position + turned_by(arm.orientation, np.array(PARTS[0].center))
     places = [(foot, arm.orientation), *zip(centers, turns, strict=True)]
     return tuple(
         SceneBody(

@@ -127,6 +127,7 @@ def _write_mp4(frames: Iterator[np.ndarray], path: Path, cut: Cut) -> None:
     ]  # fmt: skip
     # Ctrl-C goes to this process only, which kills ffmpeg
     with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True) as ffmpeg:
+        assert ffmpeg.stdin is not None and ffmpeg.stderr is not None  # pipes, see above
         try:
             for frame in frames:
                 ffmpeg.stdin.write(frame.tobytes())

@@ -35,7 +35,10 @@ class RunScene:
             shine.append(np.where(mesh.is_crack, 0.0, paint.shine))
         if not triangles:
             return TriangleScene(np.zeros((0, 3, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros(0), self.ground)
-        return TriangleScene(*map(np.concatenate, (triangles, normals, colours, shine)), self.ground)
+        return TriangleScene(
+            np.concatenate(triangles), np.concatenate(normals), np.concatenate(colours), np.concatenate(shine),
+            self.ground,
+        )  # fmt: skip
 
     @property
     def ground(self) -> float | None:

@@ -87,7 +87,7 @@ class BagPlayer:
             if now - self._slider_at > SLIDER_INTERVAL or not self._playing:
                 self._slider_at = now
                 if abs(self._bar.value - self._at) > 0.5 * self._bar.step:
-                    self._bar.value = round(self._at, 3)
+                    self._bar.value = round(self._at, 3)  # type: ignore[misc]  # mypy misses viser's setter
 
     def seek(self, moment: float) -> None:
         """Go to `moment` [s] simulated, since the first states."""

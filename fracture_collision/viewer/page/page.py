@@ -26,7 +26,7 @@ from fracture_collision.viewer.page.page_events import Handlers, ServiceSliders,
 from fracture_collision.viewer.page.page_gate import Gate, GateError, bracketed, guarded
 from fracture_collision.viewer.page.page_inside import Inside, InsideView
 from fracture_collision.viewer.page.page_plots import Figures, Plots, check_told, plots_of
-from fracture_collision.viewer.page.page_scene import SceneNodes
+from fracture_collision.viewer.page.page_scene import DragHandlers, SceneNodes
 from fracture_collision.viewer.page.page_stream import LiveValues
 from fracture_collision.viewer.pictures.ray_picture import Camera
 
@@ -71,8 +71,10 @@ class Page:
         self.address = f"http://{bracketed(host)}:{self._server.get_port()}"
         self._server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=BRAND)
         self._live = LiveValues(self._server)
-        drag = {"start": handlers.drag_begun, "update": handlers.drag_moved, "end": handlers.drag_ended}
-        self._scene = SceneNodes(self._server, self._live, drag if all(drag.values()) else {})
+        drag: DragHandlers = {}
+        if handlers.drag_begun and handlers.drag_moved and handlers.drag_ended:
+            drag = {"start": handlers.drag_begun, "update": handlers.drag_moved, "end": handlers.drag_ended}
+        self._scene = SceneNodes(self._server, self._live, drag)
         self._summary = self._server.gui.add_markdown("")
         add_controls(self._server.gui)
         self._controls = Controls(self._server, handlers, start or Start())
@@ -155,7 +157,7 @@ class Page:
 
     def cast_shadows(self, on: bool) -> None:
         """Same as the switch on the page."""
-        self._shadows.value = on
+        self._shadows.value = on  # type: ignore[misc]  # mypy misses viser's setter
 
     def show_service(self, service: ServiceSliders) -> None:
         """Move the service sliders; calls no handler."""
@@ -269,8 +271,10 @@ class Page:
             began = time.thread_time()
             try:
                 self._show(orders, states, figures, contacts, redraw)
-                if self._inside is not None:
-                    self._show_inside(view, look, states is not None)
+                if self._inside is not None and look:
+                    self._inside.draw(view)
+                elif self._inside is not None and states is not None:
+                    self._inside.move()
             except Exception:  # one frame failed; the next may succeed
                 traceback.print_exc()
             self.paint_seconds += time.thread_time() - began
@@ -303,12 +307,6 @@ class Page:
             self._plots.draw()
             self._say(figures[-1])
 
-    def _show_inside(self, view: InsideView | None, look: bool, has_moved: bool) -> None:
-        if look:
-            self._inside.draw(view)
-        elif has_moved:
-            self._inside.move()
-
     def _say(self, figures: Figures) -> None:
         counts = {"fragments": figures.fragments, "contacts": figures.contacts}
         known = (f"{count} {name}" for name, count in counts.items() if count is not None)
@@ -335,7 +333,8 @@ def _server(host: str, port: int) -> LocalServer:
             with guarded(Gate(host)):
                 server = LocalServer(host=host, port=port, label=TITLE, verbose=False)
         except GateError:
-            server.stop()
+            if server is not None:
+                server.stop()
             raise
     return server
 

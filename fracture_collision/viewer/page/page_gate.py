@@ -100,7 +100,8 @@ def guarded(gate: Gate) -> Iterator[None]:
     with _one_at_a_time:
         theirs = viser_infra.websockets
         server = _Instead(websockets.asyncio.server, serve=serve)
-        viser_infra.websockets = _Instead(theirs, asyncio=_Instead(theirs.asyncio, server=server))
+        instead: Any = _Instead(theirs, asyncio=_Instead(theirs.asyncio, server=server))
+        viser_infra.websockets = instead
         try:
             yield
         finally:

@@ -34,6 +34,7 @@ SHARED_COLOUR = np.array([235, 20, 20])  # inside two fragments at once
 LINES = 6  # of equal depth, approximately
 DARKEST = 0.35  # share of the surface colour, at the deepest point
 DARKER_BAND = 0.85  # share of brightness of every other band
+UNTURNED = np.array([1.0, 0.0, 0.0, 0.0], dtype=np.float32)  # quaternion w x y z
 NOTHING = np.zeros((1, 1, 4), dtype=np.uint8)  # a picture
 
 PLOTS: tuple[Group, ...] = (
@@ -100,6 +101,11 @@ class Inside:
         self._server, self._live, self._scene = server, live, scene
         self._view = InsideView()
         self._wanted = InsideWanted()
+        self._spheres: Spheres | None = None  # received
+        self._drawn: Spheres | None = None  # those of them that are drawn
+        self._positions: np.ndarray | None = None  # (n, 3) [m] world, of the drawn ones, last sent
+        self._colours = np.zeros((0, 3))  # of the drawn ones
+        self._plane: PlanePicture | None = None  # shown in the picture
         gui = server.gui
         with gui.add_folder("Look inside"):
             self._trees = gui.add_checkbox("sphere trees", False, hint="bounding spheres of one level of all trees")
@@ -126,8 +132,8 @@ class Inside:
 
         for knob in (self._trees, self._level, self._cut, self._axis, self._share, self._count, self._errors):
             on_update(knob, told)
-        self._add_nodes()
-        self._plots: Plots | None = None
+        self._balls, self._picture = _add_balls(server), _add_picture(server)
+        self._plots: Plots  # by add_plots
         self._said = ""
 
     def add_plots(self) -> None:
@@ -199,7 +205,7 @@ class Inside:
             self._live.properties(
                 self._balls.name,
                 batched_positions=positions.astype(np.float32),
-                batched_wxyzs=np.tile(np.float32([1.0, 0.0, 0.0, 0.0]), (len(positions), 1)),
+                batched_wxyzs=np.tile(UNTURNED, (len(positions), 1)),
                 batched_scales=self._drawn.radii[here].astype(np.float32),
                 batched_colors=(255.0 * self._colours).astype(np.uint8),
             )
@@ -232,22 +238,24 @@ class Inside:
         """Fragments that the plane cuts, and those on its near side."""
         cut = set(np.unique(plane.owners[plane.owners >= 0]).tolist())
         side = NEAR_SIDE[plane.axis]
-        beyond = {f for f in self._scene.poses if side * (self._scene.centre(f)[plane.axis] - plane.place) > 0.0}
+        centres = ((f, self._scene.centre(f)) for f in self._scene.poses)
+        beyond = {f for f, centre in centres if centre is not None and side * (centre[plane.axis] - plane.place) > 0.0}
         return frozenset(cut | beyond)
 
-    def _add_nodes(self) -> None:
-        ball = trimesh.creation.icosphere(ROUNDNESS, 1.0)
-        self._spheres = self._drawn = None  # received, and the drawn ones of them
-        self._positions: np.ndarray | None = None  # (n, 3) [m] world, of the drawn ones, last sent
-        self._balls = self._server.scene.add_batched_meshes_simple(
-            "/spheres", ball.vertices, ball.faces, np.array([[1.0, 0.0, 0.0, 0.0]]), np.zeros((1, 3)),
-            batched_scales=np.ones(1), batched_colors=np.full((1, 3), 128, dtype=np.uint8), opacity=SPHERE_OPACITY,
-            lod="off", cast_shadow=False, receive_shadow=False, visible=False,
-        )  # fmt: skip
-        self._plane: PlanePicture | None = None  # shown in the picture
-        self._picture = self._server.scene.add_image(
-            "/plane_field", NOTHING, 1.0, 1.0, format="png", cast_shadow=False, receive_shadow=False, visible=False
-        )
+
+def _add_balls(server: viser.ViserServer) -> viser.BatchedMeshHandle:
+    ball = trimesh.creation.icosphere(ROUNDNESS, 1.0)
+    return server.scene.add_batched_meshes_simple(
+        "/spheres", ball.vertices, ball.faces, np.array([[1.0, 0.0, 0.0, 0.0]]), np.zeros((1, 3)),
+        batched_scales=np.ones(1), batched_colors=np.full((1, 3), 128, dtype=np.uint8), opacity=SPHERE_OPACITY,
+        lod="off", cast_shadow=False, receive_shadow=False, visible=False,
+    )  # fmt: skip
+
+
+def _add_picture(server: viser.ViserServer) -> viser.ImageHandle:
+    return server.scene.add_image(
+        "/plane_field", NOTHING, 1.0, 1.0, format="png", cast_shadow=False, receive_shadow=False, visible=False
+    )
 
 
 def _largest(spheres: Spheres) -> Spheres:

@@ -46,18 +46,23 @@ class SceneNodes:
         self._live = live
         self._drag = drag
         self._round = 0  # node names are not reused in the next run: browsers may still have messages of the old one
-        self._root: viser.FrameHandle | None = None
         self._light_up()
-        self.clear()
+        self._root = self._new_root()
+        self._forget()
 
     def clear(self) -> None:
         """Remove everything for the next run."""
-        for fragment_id in list(getattr(self, "_fragments", ())):
+        for fragment_id in list(self._fragments):
             self.remove(fragment_id)
-        if self._root is not None:
-            self._root.remove()
+        self._root.remove()
+        self._root = self._new_root()
+        self._forget()
+
+    def _new_root(self) -> viser.FrameHandle:
         self._round += 1
-        self._root = self._server.scene.add_frame(f"/run{self._round}", show_axes=False)
+        return self._server.scene.add_frame(f"/run{self._round}", show_axes=False)
+
+    def _forget(self) -> None:
         self._palette = Palette()
         self._bodies: dict[int, CollisionBody] = {}
         self._fragments: dict[int, _Fragment] = {}
