@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from fracture_collision.portable_math import lengths
-from fracture_collision.simulation.actors.hand import HandSettings, kick
+from fracture_collision.simulation.actors.hand import HandSettings, HeldBody, kick
 from fracture_collision.simulation.engine.engine import BodyStates
 from fracture_collision.simulation.solver.contact_solver import kinetic_energy
 
@@ -43,10 +43,8 @@ class Hammer:
         self._position = center + ahead * min(1.0, LEAD / distance if distance > 0.0 else 1.0)
         before = np.concatenate((states.linear[i], states.angular[i]))
         falling = before + np.concatenate((time_step * gravity, np.zeros(3)))
-        pushes[i] = kick(
-            ARM, states.masses[i], states.inertias[i], center, falling, center, self._position, self._velocity,
-            time_step,
-        )  # fmt: skip
+        body = HeldBody(states.masses[i], states.inertias[i], center, falling, center)
+        pushes[i] = kick(ARM, body, self._position, self._velocity, time_step)
         # The arm always bears the ball's weight and stops its spin.
         pushes[i, :3] -= time_step * gravity
         pushes[i, 3:] = -before[3:]

@@ -24,6 +24,14 @@ NO_ENERGY = 1.0e-20
 NO_WAY = 1.0e-8
 
 
+class Iterate(NamedTuple):
+    """The impulses that the iterations have reached, and the velocities that they give; kernels change both."""
+
+    impulses: np.ndarray  # (N, 3)
+    rolling: np.ndarray  # (p, 3)
+    u: np.ndarray  # (n + 1, 6)
+
+
 class Way(NamedTuple):
     """A direction: impulses, or a change of them, and their effect on the bodies."""
 
@@ -67,8 +75,9 @@ def list_live(rows, live):
 
 
 @uncounted
-def difference(impulses, rolling, before, live, way):
+def difference(iterate, before, live, way):
     """The direction from `before` to the present impulses; `keep_to_face` computes its effect on the bodies."""
+    impulses, rolling = iterate.impulses, iterate.rolling
     for c in live.contacts[: live.begin[-1]]:
         for k in range(3):
             way.impulses[c, k] = impulses[c, k] - before.impulses[c, k]
@@ -78,8 +87,9 @@ def difference(impulses, rolling, before, live, way):
 
 
 @uncounted
-def add_up(rows, live, start, u, impulses, rolling):
+def add_up(rows, live, start, iterate):
     """Recompute u from its value at `start` and the impulses since."""
+    impulses, rolling, u = iterate
     for i in range(u.shape[0]):
         for k in range(6):
             u[i, k] = start.u[i, k]
@@ -179,11 +189,12 @@ def _slope_and_curvature(rows, live, targets, u, way, scale):
 
 
 @uncounted
-def leave_face(rows, live, surfaces, impulses, step, path, along_step, along_path, face):
-    """Remove from the face what these multiples of two directions would carry beyond its bounds.
+def leave_face(rows, live, surfaces, impulses, step, path, along, face):
+    """Remove from the face what the multiples `along` of two directions would carry beyond its bounds.
 
     Returns whether anything left it, and the part of the step up to which every normal impulse stays within its bounds.
     """
+    along_step, along_path = along
     left, part = False, 1.0
     for pair in range(rows.body_a.size):
         friction = surfaces.friction[pair]
@@ -205,8 +216,13 @@ def leave_face(rows, live, surfaces, impulses, step, path, along_step, along_pat
 
 
 @uncounted
-def go(rows, live, surfaces, targets, u, impulses, rolling, step, path, along_step, along_path):
-    """Step by these multiples of two directions, projected onto the cones; no step, and False, if f did not fall."""
+def take_step(rows, live, surfaces, targets, iterate, step, path, along):
+    """Step by the multiples `along` of two directions, projected onto the cones; no step, and False, if f did not fall.
+
+    The step as made is written into `step`.
+    """
+    impulses, rolling, u = iterate
+    along_step, along_path = along
     work = 0.0
     for i in range(u.shape[0]):
         for k in range(6):

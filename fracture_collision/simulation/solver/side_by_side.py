@@ -19,17 +19,18 @@ ENOUGH = 1.01
 
 
 @njit(cache=True)
-def shares_side_by_side(shares, centers, axes, halves, spare, velocities, time_step):
+def shares_side_by_side(shares, motion, boxes, spare):
     """`shares` (n,) of the step for which bodies move, reduced where one may run into another that is held back more.
 
-    centers (n, 3) [m]; axes (n, 3, 3), halves (n, 3): of Boxes; spare (n,) [m]: allowed deviation from the searched
-    motion; velocities (n, 6) of the motion.
+    motion: Motion; boxes: Boxes of the bodies; spare (n,) [m]: allowed deviation from the searched motion.
     """
     n, shares = len(shares), shares.copy()
     ways = np.empty(n)
     for i in range(n):
-        u = velocities[i]
-        ways[i] = time_step * (length(u[0], u[1], u[2]) + length(u[3], u[4], u[5]) * _reach(halves[i]))
+        u = motion.velocities[i]
+        ways[i] = motion.time_step * (
+            length(u[0], u[1], u[2]) + length(u[3], u[4], u[5]) * _reach(boxes.halves[i])
+        )
     changed = True
     while changed:
         changed = False
@@ -42,18 +43,20 @@ def shares_side_by_side(shares, centers, axes, halves, spare, velocities, time_s
                 if later * ways[i] <= ENOUGH * free or later * ways[j] <= ENOUGH * free:
                     continue
                 least = free / max(min(ways[i], ways[j]), free)
-                alone = _alone(i, j, shares[i], later, centers, axes, halves, free, velocities, time_step)
+                alone = _alone(i, j, shares[i], later, motion, boxes, free)
                 if later > ENOUGH * max(least, alone):
                     shares[j], changed = shares[i] + max(least, alone), True
     return shares
 
 
 @uncounted
-def _alone(i, j, share, later, centers, axes, halves, free, velocities, time_step):
+def _alone(i, j, share, later, motion, boxes, free):
     """Share of the step, at most `later`, for which body j may move on alone after i has stopped at `share`.
 
     All of it if balls about them stay apart, else as long as a side of a box separates them; 0 if none does.
     """
+    centers, velocities, time_step = motion.centers, motion.velocities, motion.time_step
+    axes, halves = boxes.axes, boxes.halves
     t, u = share * time_step, velocities[j]
     d = (
         centers[j, 0] - centers[i, 0] + t * (u[0] - velocities[i, 0]),
@@ -72,7 +75,7 @@ def _alone(i, j, share, later, centers, axes, halves, free, velocities, time_ste
             along = x * d[0] + y * d[1] + z * d[2]
             if along < 0.0:
                 x, y, z, along = -x, -y, -z, -along
-            apart = along - LARGER * (halves[k, side] + _half_along(other, axes, halves, velocities, t, x, y, z))
+            apart = along - LARGER * (halves[k, side] + _half_along(other, boxes, velocities, t, x, y, z))
             if apart >= 0.0:
                 best = max(best, _until(x, y, z, apart + free, u, reach, later, time_step))
     return best
@@ -92,13 +95,13 @@ def _until(x, y, z, most, u, reach, later, time_step):
 
 
 @uncounted
-def _half_along(k, axes, halves, velocities, t, x, y, z):
+def _half_along(k, boxes, velocities, t, x, y, z):
     """[m] half extent of box k, turned for `t` [s], along a unit vector."""
     half = 0.0
     for side in range(3):
-        axis = axes[k, side]
+        axis = boxes.axes[k, side]
         ax, ay, az = turned(velocities[k], t, axis[0], axis[1], axis[2])
-        half += halves[k, side] * abs(ax * x + ay * y + az * z)
+        half += boxes.halves[k, side] * abs(ax * x + ay * y + az * z)
     return half
 
 
