@@ -65,7 +65,7 @@ class Cast:
     def throw(self, body: SceneBody) -> int:
         """Add a body with the next step, whatever its `start_time`. Returns its id. ValueError for a static body."""
         if body.is_static:
-            raise ValueError(f"{body.name!r} cannot move, so it cannot be thrown")
+            raise ValueError(f"{body.name!r} is static: only movable bodies can be thrown")
         number = self._next_fragment_id
         self._next_fragment_id += 1
         self.body_of[number], self.body_id_of[number] = body, number

@@ -89,7 +89,7 @@ class LiveScene:
             self._taken = fragment_id
             if not self.simulation.hold(fragment_id, grip, target):
                 self._taken = 0
-                raise CommandRefused(f"fragment_id: {fragment_id} is nothing that can move")
+                raise CommandRefused(f"fragment_id: {fragment_id} is not a movable fragment")
         hand.move(np.asarray(target, np.float64), np.zeros(3))
 
     def steer(self, velocity: np.ndarray) -> None:
@@ -149,4 +149,4 @@ def _finite(name: str, values: np.ndarray) -> None:
 
 def _within(name: str, value: float, limits: tuple[float, float], unit: str) -> None:
     if not limits[0] <= value <= limits[1]:
-        raise CommandRefused(f"{name}: {value:.4g} {unit} is not within {limits[0]:g} and {limits[1]:g} {unit}")
+        raise CommandRefused(f"{name}: {value:.4g} {unit} is not between {limits[0]:g} and {limits[1]:g} {unit}")

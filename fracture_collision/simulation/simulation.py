@@ -202,10 +202,10 @@ class Simulation:
         """The requested states; ValueError if contacts and registry belong to others."""
         asked = (self._step, self._sequence)
         if self._asked is None or self._asked.step != self._step:
-            raise ValueError(f"step {self._step} has not begun")
+            raise ValueError(f"step {self._step} has not begun: call begin_step first")
         if (contacts.step, contacts.fracture_sequence) != asked or registry.fracture_sequence != self._sequence:
             raise ValueError(
-                f"asked for (step, fracture_sequence) {asked}, got contacts of"
+                f"needs the answer to (step, fracture_sequence) {asked}, got contacts of"
                 f" {(contacts.step, contacts.fracture_sequence)} and the registry of {registry.fracture_sequence}"
             )
         return self._asked
@@ -264,7 +264,7 @@ class Simulation:
     def _fracture_of(self, fragment_id: int) -> Fracture:
         body = self._cast.scene_body(fragment_id)
         if body.material.fracture is None or self._cast.body_id_of[fragment_id] not in self._cast.breakable:
-            raise ValueError(f"fragment {fragment_id}, of {body.name!r}, is of a kind that does not break")
+            raise ValueError(f"fragment {fragment_id} of {body.name!r} cannot break")
         return body.material.fracture
 
     def _pushes(self, states: BodyStates) -> Pushes:

@@ -142,7 +142,7 @@ def require_within(limits: JointLimits, angles: Sequence[float] | np.ndarray) ->
     """Raise ValueError if one of the seven `angles` [rad] is beyond its joint's limits."""
     for name, angle, lower, upper in zip(limits.names, angles, limits.lower, limits.upper, strict=True):
         if not lower <= angle <= upper:
-            raise ValueError(f"{name}: {angle:.4g} rad is not within {lower:.4g} and {upper:.4g} rad")
+            raise ValueError(f"{name}: {angle:.4g} rad is not between {lower:.4g} and {upper:.4g} rad")
 
 
 def _rows(swing: list, path: str) -> np.ndarray:

@@ -71,11 +71,11 @@ class ArmControl:
         """
         names = names or self.limits.names
         if len(positions) != len(names):
-            raise ValueError(f"position: {len(positions)} for {len(names)} joints")
+            raise ValueError(f"position: {len(positions)} values for {len(names)} joints")
         goal = self._angles.copy() if self._goal is None else self._goal.copy()
         for name, position in zip(names, positions, strict=True):
             if name not in self.limits.names:
-                raise ValueError(f"name: no joint {name!r}; there is {', '.join(self.limits.names)}")
+                raise ValueError(f"name: no joint {name!r}; there are {', '.join(self.limits.names)}")
             if not math.isfinite(position):
                 raise ValueError(f"position: {name}: {position} is not finite")
             goal[self.limits.names.index(name)] = position

@@ -67,10 +67,10 @@ class RigidBodyWorld:
         if fragment_id in self._newcomers or self._row_of(fragment_id) is not None:
             raise ValueError(f"fragment {fragment_id} is already in the world")
         if not properties.mass > 0.0:
-            raise ValueError(f"fragment {fragment_id}: mass {properties.mass} kg: not positive")
+            raise ValueError(f"fragment {fragment_id}: mass {properties.mass} kg is not positive")
         minors = _leading_minors(properties.inertia)
         if not all(minor > 0.0 for minor in minors):
-            raise ValueError(f"fragment {fragment_id}: inertia {properties.inertia.tolist()} kg m2: not positive")
+            raise ValueError(f"fragment {fragment_id}: inertia {properties.inertia.tolist()} kg m2 is not positive definite")
         self._newcomers[fragment_id] = properties, frame
 
     def remove(self, fragment_id: int) -> None:

@@ -120,7 +120,7 @@ def parse_scene(content: Any, name: str, variant: str = "", folder: Path | None 
     if variant:
         known = _variants(content)
         if variant not in known:
-            raise SceneError(f"{name}: has no variant {variant!r}; there is {', '.join(known) or 'none'}")
+            raise SceneError(f"{name}: has no variant {variant!r}; there are {', '.join(known) or 'none'}")
         content, name = _merged(content, known[variant], "variants." + variant), f"{name}:{variant}"
     root = Fields(content, "")
     root.mapping("variants", {})
@@ -172,7 +172,7 @@ def _find(name: str) -> tuple[Path, str]:
     for path, wanted in candidates:
         if path.is_file():
             return path, wanted
-    raise SceneError(f"no scene {name!r}: looked for {' and '.join(str(path) for path, _ in candidates)}")
+    raise SceneError(f"no scene {name!r}: no file {' or '.join(str(path) for path, _ in candidates)}")
 
 
 def _variants(content: Any) -> Mapping[str, Any]:

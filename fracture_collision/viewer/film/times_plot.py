@@ -53,7 +53,7 @@ def plot_times(report: Mapping[str, Sequence[float]], png_path: Path | str) -> N
     above.plot(time[updated], series["update_ms"][updated], "o", color="#ff7f0e", markersize=6, markeredgecolor="white",
                label=f"update at fractures: {_summary(series['update_ms'][updated])}")  # fmt: skip
     above.set_yscale("log")
-    above.set_ylabel("milliseconds a step")
+    above.set_ylabel("milliseconds per step")
     above.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, fontsize=9, frameon=False)
     counts_axes = (below, below.twinx())
     for axes, (name, label, colour) in zip(counts_axes, COUNTS, strict=True):

@@ -139,8 +139,8 @@ class BagPlayer:
             step = max(self.duration / 1000.0, 1e-3)
             self._bar = gui.add_slider("time, s", 0.0, max(round(self.duration, 3), step), round(step, 6), 0.0)
             self._button = gui.add_button("pause", icon=viser.Icon.PLAYER_PAUSE)
-            steps = gui.add_button_group("one step", ("back", "on"))
-            speed = gui.add_slider("speed", SLOWEST, FASTEST, 0.02, self._speed, hint="simulated seconds a second")
+            steps = gui.add_button_group("one step", ("back", "forward"))
+            speed = gui.add_slider("speed", SLOWEST, FASTEST, 0.02, self._speed, hint="Simulated seconds per second.")
 
         # Coroutines, because viser calls those in order; its thread pool would not.
         @self._bar.on_update
@@ -154,7 +154,7 @@ class BagPlayer:
 
         @steps.on_click
         async def _(_event: viser.GuiEvent) -> None:
-            self.step(1 if steps.value == "on" else -1)
+            self.step(1 if steps.value == "forward" else -1)
 
         @speed.on_update
         async def _(event: viser.GuiEvent) -> None:

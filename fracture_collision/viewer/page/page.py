@@ -79,7 +79,7 @@ class Page:
         add_controls(self._server.gui)
         self._controls = Controls(self._server, handlers, start or Start())
         self._layers = ContactLayers(self._server, self._live, self._redraw_contacts)
-        shadows = self._server.gui.add_checkbox("shadows", True, hint="off for graphics processors that are slow")
+        shadows = self._server.gui.add_checkbox("shadows", True, hint="Switch off on a slow graphics processor.")
         shadows.on_update(lambda _event: self._order(lambda: self._scene.cast_shadows(shadows.value)))
         self._shadows = shadows
         self._inside: Inside | None = None
@@ -200,7 +200,7 @@ class Page:
         """Wait until everything handed over has been passed on to the browsers. Raises TimeoutError."""
         with self._news:
             if not self._news.wait_for(lambda: self._closed or not (self._busy or self._has_news()), timeout):
-                raise TimeoutError(f"the page was not done within {timeout} s")
+                raise TimeoutError(f"the page has not sent everything within {timeout} s")
 
     def close(self) -> None:
         """End the page for all browsers."""
@@ -230,7 +230,7 @@ class Page:
         groups = plots_of(told)
         if not groups and self._inside is None:
             return Plots(self._server.gui, ())
-        with self._server.gui.add_folder("The last seconds"):
+        with self._server.gui.add_folder("Last seconds"):
             plots = Plots(self._server.gui, groups)
             if self._inside is not None:
                 self._inside.add_plots()

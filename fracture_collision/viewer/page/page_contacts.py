@@ -27,14 +27,14 @@ class ContactLayers:
     def __init__(self, server: viser.ViserServer, live: LiveValues, changed: Callable[[], None]) -> None:
         """`changed` is called when a switch changes."""
         self._live = live
-        with server.gui.add_folder("Look closer"):
+        with server.gui.add_folder("Contacts"):
             self._switches = {
-                "points": server.gui.add_checkbox("contact points", False, hint="red: penetrating, green: apart"),
+                "points": server.gui.add_checkbox("contact points", False, hint="Red: penetrating; green: apart."),
                 "normals": server.gui.add_checkbox("contact normals", False),
-                "pairs": server.gui.add_checkbox("pairs that touch", False),
+                "pairs": server.gui.add_checkbox("touching pairs", False),
                 "bounds": server.gui.add_checkbox(
                     "missed depth bound", False,
-                    hint="Of each pair: nothing deeper than this is left out. Blue: nothing; magenta: 2 mm or more.",
+                    hint="No unlisted penetration of a pair is deeper than its bound. Blue: 0; magenta: 2 mm or more.",
                 ),
             }  # fmt: skip
             self._words = server.gui.add_markdown("")
@@ -119,4 +119,4 @@ def _bound_words(contacts: ContactConstraintArray) -> str:
         return "no pairs"
     worst = int(np.argmax(bounds))
     pair = f"{contacts.fragment_a[worst]} and {contacts.fragment_b[worst]}"
-    return f"no penetration deeper than **{MILLI * bounds[worst]:.3f} mm** is left out (fragments {pair})"
+    return f"unlisted penetrations are at most **{MILLI * bounds[worst]:.3f} mm** deep (fragments {pair})"

@@ -72,7 +72,7 @@ class Controls:
             slider = self._gui.add_slider("slow motion", SLOWEST, 1.0, 0.01, start.slow_motion)
             on_update(slider, handlers.slow_motion)
         if handlers.recording:
-            on_update(self._gui.add_checkbox("record", False, hint="writes a bag"), handlers.recording)
+            on_update(self._gui.add_checkbox("record", False, hint="Records a bag."), handlers.recording)
 
     def _add_ball(self, server: viser.ViserServer, ball: Ball, clicked: Callable[[Ray, Ball], None]) -> None:
         with self._gui.add_folder("Ball: click to throw"):
@@ -97,15 +97,15 @@ class Controls:
     def _add_service(self, service: ServiceSliders, service_set: Callable[[ServiceSliders], None]) -> None:
         with self._gui.add_folder("Collision service"):
             knobs: dict[str, Any] = {
-                "contacts_per_pair": self._gui.add_slider("contacts a pair", 1, 32, 1, service.contacts_per_pair),
+                "contacts_per_pair": self._gui.add_slider("contacts per pair", 1, 32, 1, service.contacts_per_pair),
                 "penetration_tolerance": self._gui.add_slider(
                     "epsilon, share of R", 0.0, 0.02, 0.0005, service.penetration_tolerance,
-                    hint="Penetrations up to this may stay unlisted once a pair has its contacts.",
+                    hint="Once a pair has its contacts, penetrations up to this depth may stay unlisted.",
                 ),
                 "field": self._gui.add_dropdown("field", FIELDS, initial_value=service.field),
                 "visit_budget": self._gui.add_slider(
                     "visit budget", 0, 200_000, 1000, service.visit_budget,
-                    hint="Tree nodes a step may test; 0: no limit. The bound says what a limit left out.",
+                    hint="Limit of tree nodes tested per step; 0: none. The missed depth bound covers what it leaves out.",
                 ),
             }  # fmt: skip
         self._service = knobs

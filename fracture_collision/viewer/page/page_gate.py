@@ -55,11 +55,11 @@ class Gate:
         """The reason to reject a request for `path` at this `port`; "": accepted."""
         hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
         if len(hosts) != 1 or not self._is_own(hosts[0].lower(), port):
-            return "this is not the page's address"
+            return "the Host header is not the page's address"
         if origins and [origin.lower() for origin in origins] != [f"http://{hosts[0].lower()}"]:
-            return "the page takes commands from itself only"
+            return "commands are accepted from the page itself only"
         if "?" in path:
-            return "the page's address has no query"
+            return "an address with a query is not accepted"
         return ""
 
     def _is_own(self, host: str, port: int) -> bool:
@@ -107,7 +107,7 @@ def guarded(gate: Gate) -> Iterator[None]:
         finally:
             viser_infra.websockets = theirs
     if not served:
-        raise GateError(f"viser {viser.__version__} listens in a way that leaves requests unchecked; 1.1 is expected")
+        raise GateError(f"requests to viser {viser.__version__} cannot be checked: install viser 1.1")
 
 
 class _Instead:

@@ -38,8 +38,8 @@ UNTURNED = np.array([1.0, 0.0, 0.0, 0.0], dtype=np.float32)  # quaternion w x y 
 NOTHING = np.zeros((1, 1, 4), dtype=np.uint8)  # a picture
 
 PLOTS: tuple[Group, ...] = (
-    ("contacts listed, of all there are", ("contacts", "colliding")),
-    ("left out, mm deep", ("promised_mm", "unlisted_mm", "too_shallow_mm")),
+    ("contacts: listed, and all that collide", ("contacts", "colliding")),
+    ("unlisted penetration, mm", ("promised_mm", "unlisted_mm", "too_shallow_mm")),
 )
 
 
@@ -107,21 +107,22 @@ class Inside:
         self._colours = np.zeros((0, 3))  # of the drawn ones
         self._plane: PlanePicture | None = None  # shown in the picture
         gui = server.gui
-        with gui.add_folder("Look inside"):
-            self._trees = gui.add_checkbox("sphere trees", False, hint="bounding spheres of one level of all trees")
+        with gui.add_folder("Inside the service"):
+            self._trees = gui.add_checkbox("sphere trees", False, hint="Bounding spheres of one level of all trees.")
             self._level = gui.add_slider("level", 0, DEEPEST_LEVEL, 1, 2)
             self._cut = gui.add_checkbox(
                 "field on a plane", False,
-                hint="Depths inside the fragments, exact; those that are cut or in the way are not shown.",
+                hint="Exact depths inside the fragments. Fragments that the plane cuts, or that hide it, are not drawn.",
             )  # fmt: skip
             self._axis = gui.add_dropdown("across", AXES, initial_value=AXES[1])
             self._share = gui.add_slider(
                 "place", 0.0, 1.0, 0.01, 0.5,
-                hint="from one end of what can move to the other, as they were when the plane was switched on",
+                hint="From one end of the movable bodies to the other, as they were when the plane was switched on.",
             )  # fmt: skip
-            self._count = gui.add_checkbox("colliding points", False, hint="all that there is to list, counted")
+            self._count = gui.add_checkbox("colliding points", False, hint="Counts all contacts that an answer without limits would list.")
             self._errors = gui.add_checkbox(
-                "error beside speed", False, hint="what the service's settings leave out; its times are plotted above",
+                "errors of answers", False,
+                hint="The penetration that the service's settings leave unlisted; its times are plotted above.",
             )  # fmt: skip
             self._words = gui.add_markdown("")
 
@@ -299,17 +300,17 @@ def _words_of(view: InsideView, wanted: InsideWanted) -> list[str]:
         words.append(f"level {spheres.level} of {spheres.deepest}: {most}{count:,} sphere{'s' * (count != 1)}")
     if wanted.plane is not None and view.plane is not None:
         plane, deepest = view.plane, view.plane.depths.max()
-        words.append(f"{AXES[plane.axis]} = {plane.place:.3f} m: {MILLI * deepest:.1f} mm deep inside, bands of"
-                     f" {MILLI * line_distance(deepest):g} mm; red: inside two fragments at once"
-                     if deepest > 0.0 else f"{AXES[plane.axis]} = {plane.place:.3f} m: nothing is there")  # fmt: skip
+        words.append(f"{AXES[plane.axis]} = {plane.place:.3f} m: deepest point {MILLI * deepest:.1f} mm, bands of"
+                     f" {MILLI * line_distance(deepest):g} mm; red: inside two fragments"
+                     if deepest > 0.0 else f"{AXES[plane.axis]} = {plane.place:.3f} m: no fragment")  # fmt: skip
     figures = view.figures
     if figures is not None and wanted.colliding:
         words.append(f"**{figures.contacts:,}** contacts listed of **{figures.colliding:,}** colliding points")
     if figures is not None and wanted.errors:
         took = "" if figures.collision_ms is None else f"; collision {figures.collision_ms:.2f} ms"
         words.append(
-            f"not listed: up to **{figures.unlisted_mm:.3f} mm** deep; promised: no more than"
-            f" **{figures.promised_mm:.3f} mm**; listed ones told too shallow by up to"
-            f" {figures.too_shallow_mm:.3f} mm{took}" + (" (asked of a copy here)" if figures.is_replayed else "")
+            f"unlisted penetrations: up to **{figures.unlisted_mm:.3f} mm** deep, bound"
+            f" **{figures.promised_mm:.3f} mm**; listed depths too small by up to"
+            f" {figures.too_shallow_mm:.3f} mm{took}" + (" (by a copy of the service)" if figures.is_replayed else "")
         )
     return words
