@@ -91,8 +91,8 @@ def require_closed_surface(vertices: np.ndarray, triangles: np.ndarray) -> None:
     if np.any(unmatched):
         a, b = directed[unmatched][0]
         raise ValueError(
-            f"triangles: the surface has holes or triangles with the wrong winding: {np.count_nonzero(unmatched)} edges "
-            f"lack a neighbour, the first between vertices {a} and {b}"
+            f"triangles: the surface has holes or triangles with the wrong winding: {np.count_nonzero(unmatched)} "
+            f"edges lack a neighbour, the first between vertices {a} and {b}"
         )
     if len(np.unique(forward)) < len(forward):
         values, counts = np.unique(forward, return_counts=True)

@@ -39,7 +39,9 @@ def read_chain(file: Path) -> Chain:
     joints = [joint for joint in ElementTree.parse(file).getroot().iter("joint") if joint.get("type") == "revolute"]
     for before, after in zip(joints[:-1], joints[1:], strict=True):
         if _attribute(before, "child", "link") != _attribute(after, "parent", "link"):
-            raise ValueError(f"{file}: joint {after.get('name')} does not follow {before.get('name')}: needs one chain of revolute joints")
+            raise ValueError(
+                f"{file}: joint {after.get('name')} does not follow {before.get('name')}: needs one chain of joints"
+            )
     lower, upper, speeds = (np.concatenate([_numbers(joint, "limit", key) for joint in joints])
                             for key in ("lower", "upper", "velocity"))  # fmt: skip
     limits = JointLimits(tuple(joint.get("name", "") for joint in joints), lower, upper, speeds)

@@ -70,7 +70,8 @@ class RigidBodyWorld:
             raise ValueError(f"fragment {fragment_id}: mass {properties.mass} kg is not positive")
         minors = _leading_minors(properties.inertia)
         if not all(minor > 0.0 for minor in minors):
-            raise ValueError(f"fragment {fragment_id}: inertia {properties.inertia.tolist()} kg m2 is not positive definite")
+            tensor = properties.inertia.tolist()
+            raise ValueError(f"fragment {fragment_id}: inertia {tensor} kg m2 is not positive definite")
         self._newcomers[fragment_id] = properties, frame
 
     def remove(self, fragment_id: int) -> None:

@@ -17,7 +17,8 @@ import numpy as np
 from fracture_collision.simulation.compiled import uncounted
 from fracture_collision.simulation.solver.contact_rows import NORMAL_MASS, TANGENT_MASS, load, push, pushed, store, turn
 
-# A direction with less than this share of the bodies' energy, 1e-10 of their speeds, counts as none.
+# A direction with less than this share of the bodies' energy, 1e-10 of their speeds, counts as none. Drift correction
+# starts at rest, without energy: there NO_WAY alone decides.
 NO_ENERGY = 1.0e-20
 # A direction with less than this share of the curvature of its single impulses only shifts load between contacts that
 # hold the same; one whose squared sine to the other is less is a multiple of it. What is left of either is rounding.

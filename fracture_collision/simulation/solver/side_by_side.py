@@ -1,7 +1,8 @@
 """Bodies that fly beside one that is held back within a step: the service has not searched how they pass it.
 
 The service searches each pair with both bodies moving for the whole step. Where one stops earlier, the other moves on
-alone only as long as their boxes show that it does not reach the first, or as the difference stays within `spare`.
+alone only as long as balls or boxes about the two stay apart, or as the difference stays within `spare`. These are the
+bodies' inertia boxes enlarged by LARGER, an estimate of their extent.
 """
 
 from __future__ import annotations
@@ -12,7 +13,10 @@ from numba import njit
 from fracture_collision.simulation.compiled import uncounted
 from fracture_collision.simulation.solver.straight_motion import length, turned
 
-# Factor by which a body may exceed its inertia box; a three-sided prism exceeds it by 1.8 to one side.
+# Factor on inertia boxes, to contain the bodies: an estimate, no bound. Cylinders need 1.15, balls 1.29, an edge of a
+# three-sided prism 1.63, and a corner of a tetrahedron 2.24 = sqrt(5), the most of any convex body (Kannan, Lovasz,
+# Simonovits 1995). What sticks out may run into a body that has stopped; the next states then have it as a contact.
+# With sqrt(5), bodies in a crowd would wait for each other more often.
 LARGER = 1.5
 # A body is held back further only where it exceeds the allowed share by this factor.
 ENOUGH = 1.01

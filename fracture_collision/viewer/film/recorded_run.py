@@ -84,7 +84,7 @@ def _meshes(bag: Path, run_id: int, namespace: str | None) -> dict[int, Fragment
         corners, triangles = len(mesh.vertices) // 3, len(mesh.triangles) // 3
         fits = 3 * corners == len(mesh.vertices) and 3 * triangles == len(mesh.triangles) == 3 * len(mesh.is_crack)
         if not fits or np.any(mesh.triangles >= corners) or not np.isfinite(mesh.vertices).all():
-            raise BagError(f"{bag}: {message.topic}: the mesh of fragment {mesh.fragment_id} does not consist of triangles")
+            raise BagError(f"{bag}: {message.topic}: the mesh of fragment {mesh.fragment_id} is not made of triangles")
         if received.run_id == run_id:
             meshes[mesh.fragment_id] = mesh
     return meshes

@@ -81,7 +81,7 @@ class RunScene:
 
     def _body(self, fragment_id: int) -> CollisionBody:
         if fragment_id not in self.run.body_of:
-            raise BagError(f"no CollisionBody or FractureEvent contains fragment {fragment_id}: record those topics too")
+            raise BagError(f"no CollisionBody or FractureEvent contains fragment {fragment_id}: record both topics")
         return self.run.bodies[self.run.body_of[fragment_id]]
 
     def _poses(self, states: RecordedStates) -> list[tuple[int, np.ndarray, np.ndarray]]:

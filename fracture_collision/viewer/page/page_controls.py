@@ -105,7 +105,7 @@ class Controls:
                 "field": self._gui.add_dropdown("field", FIELDS, initial_value=service.field),
                 "visit_budget": self._gui.add_slider(
                     "visit budget", 0, 200_000, 1000, service.visit_budget,
-                    hint="Limit of tree nodes tested per step; 0: none. The missed depth bound covers what it leaves out.",
+                    hint="Most tree nodes tested per step; 0: no limit. The missed depth bound covers the rest.",
                 ),
             }  # fmt: skip
         self._service = knobs

@@ -112,14 +112,16 @@ class Inside:
             self._level = gui.add_slider("level", 0, DEEPEST_LEVEL, 1, 2)
             self._cut = gui.add_checkbox(
                 "field on a plane", False,
-                hint="Exact depths inside the fragments. Fragments that the plane cuts, or that hide it, are not drawn.",
+                hint="Exact depths inside the fragments. Those that the plane cuts, or that hide it, are not drawn.",
             )  # fmt: skip
             self._axis = gui.add_dropdown("across", AXES, initial_value=AXES[1])
             self._share = gui.add_slider(
                 "place", 0.0, 1.0, 0.01, 0.5,
                 hint="From one end of the movable bodies to the other, as they were when the plane was switched on.",
             )  # fmt: skip
-            self._count = gui.add_checkbox("colliding points", False, hint="Counts all contacts that an answer without limits would list.")
+            self._count = gui.add_checkbox(
+                "colliding points", False, hint="Counts all contacts that an answer without limits would list."
+            )
             self._errors = gui.add_checkbox(
                 "errors of answers", False,
                 hint="The penetration that the service's settings leave unlisted; its times are plotted above.",
