@@ -56,7 +56,7 @@ class _Solved(NamedTuple):
     """The solved contacts of a step, before the bodies move."""
 
     contacts: StepContacts
-    told: np.ndarray | None  # (n, 6) velocities that the service looked ahead with; None: it does not
+    searched: np.ndarray | None  # (n, 6) velocities that the service looked ahead with; None: it does not
     solution: Solution
     overloaded: np.ndarray  # rows of the bodies that break
     deepest_gap: float  # [m]
@@ -86,7 +86,7 @@ class Simulation:
         self._warm_start = NO_WARM_START
         self._memory = contact_memory.NOTHING
         self._rest = sleep.NOBODY
-        self._asked: FragmentStates | None = None
+        self._requested: FragmentStates | None = None
         self._planned: Planned | None = None  # of this step, where the service gets the pushes in advance
         self._taken = NO_CHANGES  # by contacts in the last step
         self.shares = np.ones(0)  # of the last step, for which its bodies moved: see touch_ahead
@@ -149,17 +149,17 @@ class Simulation:
             states = self._engine.states()
             self._planned = planned(states.fragment_ids, self._pushes(states), self._taken)
         others = self._cast.static_frames | self._cast.waiting
-        self._asked = fragment_states(self._step, self._sequence, self._told(self._engine.states()), others)
-        return StepRequest(self._asked, self._cast.take_news(), list(self._events))
+        self._requested = fragment_states(self._step, self._sequence, self._to_search(self._engine.states()), others)
+        return StepRequest(self._requested, self._cast.take_news(), list(self._events))
 
     def finish_step(self, contacts: ContactConstraintArray, registry: FragmentRegistry) -> StepReport:
         """Advance one time step with the answer. ValueError if it answers another request."""
-        asked = self._require_answer(contacts, registry)
+        requested = self._require_answer(contacts, registry)
         self._events.clear()
         self._cast.admit_waiting(registry, self._engine)
         states = self._engine.states()
         started = time.perf_counter()
-        solved = self._solve(states, contacts, asked)
+        solved = self._solve(states, contacts, requested)
         solver_seconds = time.perf_counter() - started
         self._move(states, solved)
         self._step += 1
@@ -170,7 +170,7 @@ class Simulation:
         started = time.perf_counter()
         self._break_overloaded(states, moved, solved)
         return StepReport(
-            step=asked.step,
+            step=requested.step,
             time=self.time,
             contacts=len(contacts.gaps),
             fragments=len(moved.fragment_ids),
@@ -200,27 +200,27 @@ class Simulation:
 
     def _require_answer(self, contacts: ContactConstraintArray, registry: FragmentRegistry) -> FragmentStates:
         """The requested states; ValueError if contacts and registry belong to others."""
-        asked = (self._step, self._sequence)
-        if self._asked is None or self._asked.step != self._step:
+        requested = (self._step, self._sequence)
+        if self._requested is None or self._requested.step != self._step:
             raise ValueError(f"step {self._step} has not begun: call begin_step first")
-        if (contacts.step, contacts.fracture_sequence) != asked or registry.fracture_sequence != self._sequence:
+        if (contacts.step, contacts.fracture_sequence) != requested or registry.fracture_sequence != self._sequence:
             raise ValueError(
-                f"needs the answer to (step, fracture_sequence) {asked}, got contacts of"
+                f"needs the answer to (step, fracture_sequence) {requested}, got contacts of"
                 f" {(contacts.step, contacts.fracture_sequence)} and the registry of {registry.fracture_sequence}"
             )
-        return self._asked
+        return self._requested
 
-    def _solve(self, states: BodyStates, contacts: ContactConstraintArray, asked: FragmentStates) -> _Solved:
-        """Solve the contacts of `asked` for the velocities after the step, pushes and sleep included."""
+    def _solve(self, states: BodyStates, contacts: ContactConstraintArray, requested: FragmentStates) -> _Solved:
+        """Solve the contacts of `requested` for the velocities after the step, pushes and sleep included."""
         if self.arm is not None:
             contacts = self.arm.without_own(contacts)
         deepest_gap = float(contacts.gaps.min(initial=0.0))
         settings, time_step = self._scene.solver, self._scene.time_step
         contacts, ahead = split_by_gap(contacts, settings.ahead_gap)
         touched = self._memory.fragment_a, self._memory.fragment_b
-        contacts, self._memory = with_remembered(contacts, asked, self._memory, settings.memory_reach)
+        contacts, self._memory = with_remembered(contacts, requested, self._memory, settings.memory_reach)
         pairs = self._body_pairs(contacts, states)
-        told = _velocities(self._told(states)) if self._looks_ahead else None
+        searched = _velocities(self._to_search(states)) if self._looks_ahead else None
         if self._planned is None:
             pushes = self._pushes(states)
         else:
@@ -237,14 +237,14 @@ class Simulation:
         if self._looks_ahead:
             self._taken = Changes(states.fragment_ids, solution.velocities - bodies.free_velocities)
         return _Solved(
-            StepContacts(contacts, pairs, ahead), told, solution, overloaded, deepest_gap, pushes.energy
+            StepContacts(contacts, pairs, ahead), searched, solution, overloaded, deepest_gap, pushes.energy
         )
 
     def _move(self, states: BodyStates, solved: _Solved) -> None:
         settings, time_step = self._scene.solver, self._scene.time_step
         v, drift, self.shares = held_back(
-            states, solved.contacts, solved.told, self._traits(states).is_round, solved.solution, self._scene.gravity,
-            settings, time_step,
+            states, solved.contacts, solved.searched, self._traits(states).is_round, solved.solution,
+            self._scene.gravity, settings, time_step,
         )  # fmt: skip
         self._engine.advance(v[:, :3], v[:, 3:], drift[:, :3], drift[:, 3:])
         self._rest = sleep.after_step(self._rest, states.masses, states.inertias, v + drift, settings, time_step)
@@ -270,7 +270,7 @@ class Simulation:
     def _pushes(self, states: BodyStates) -> Pushes:
         return pushes_of(self._pushers, states, self.time, self._scene.time_step, self._scene.gravity)
 
-    def _told(self, states: BodyStates) -> BodyStates:
+    def _to_search(self, states: BodyStates) -> BodyStates:
         """`states` with the velocities of the coming step before contacts and gravity.
 
         Otherwise the look-ahead would miss what a hand adds, and the gyroscopic torque, which turns the axis of a fast

@@ -270,12 +270,12 @@ def test_a_person_breaks_the_vase(played: Played) -> None:
 @pytest.mark.parametrize(
     ("names", "positions", "words"),
     [
-        ([], [0.0] * 6, "position: 6 for 7 joints"),
+        ([], [0.0] * 6, "position: 6 values for 7 joints"),
         (["elbow"], [0.0], "no joint 'elbow'; there are lbr_iiwa_joint_1"),
         (["lbr_iiwa_joint_1"], [float("nan")], "lbr_iiwa_joint_1: nan is not finite"),
         (["lbr_iiwa_joint_2"], [2.2], "lbr_iiwa_joint_2: 2.2 rad is not between -2.094 and 2.094 rad"),
         (["lbr_iiwa_joint_1"] * 2, [0.1, 0.2], "a joint occurs twice"),
-        (["lbr_iiwa_joint_1"], [], "position: 0 for 1 joints"),
+        (["lbr_iiwa_joint_1"], [], "position: 0 values for 1 joints"),
     ],
 )
 def test_nonsense_is_refused_in_words(played: Played, names, positions, words: str) -> None:

@@ -106,7 +106,7 @@ def split_by_gap(
 
 
 def held_back(
-    states: BodyStates, contacts: StepContacts, told: np.ndarray | None, is_round: np.ndarray, solution: Solution,
+    states: BodyStates, contacts: StepContacts, searched: np.ndarray | None, is_round: np.ndarray, solution: Solution,
     gravity: np.ndarray, settings: SolverSettings, time_step: float,
 ) -> HeldBack:  # fmt: skip
     """Velocities and drift (n, 6) that move bodies no farther than to where they touch.
@@ -115,22 +115,22 @@ def held_back(
     would gain energy without a loss of height. From a body in contact no more than its falling speed is subtracted:
     contacts already bear the weight of a resting body.
 
-    told (n, 6): the velocities that the service looked ahead with; None: it does not look ahead. is_round (n + 1,):
+    searched (n, 6): the velocities that the service looked ahead with; None: it does not look ahead. is_round (n + 1,):
     spheres; the last, False, for what cannot move.
     """
     (now, pairs, ahead), velocities, drift = contacts, solution.velocities, solution.drift
     count = len(states.fragment_ids)
     moves, shares = velocities + drift, np.ones(count)
-    if told is None:
+    if searched is None:
         goes_round = _turns_far(pairs, velocities, time_step)
     else:
         boxes, least = boxes_of(states.masses, states.inertias), settings.ahead_gap
         spare = np.clip(SPARE * boxes.thickness(), least, MOST_SPARE * least)
         reach = np.where(is_round[:-1], 0.0, boxes.reach())  # turning does not move a sphere's surface
         goes_round = _goes_astray(pairs, velocities, reach, settings.ahead_gap, time_step)
-        shares = _shares_as_told(pairs, told, moves, reach, spare, time_step)
-    touching = _touching(now, pairs, goes_round, settings, DEEPER if told is not None else 1.0)
-    if ahead is None and touching is None and told is None:
+        shares = _shares_as_searched(pairs, searched, moves, reach, spare, time_step)
+    touching = _touching(now, pairs, goes_round, settings, DEEPER if searched is not None else 1.0)
+    if ahead is None and touching is None and searched is None:
         return HeldBack(velocities, drift, shares)
     parts = [] if touching is None else [touching]
     if ahead is not None:
@@ -140,10 +140,10 @@ def held_back(
     motion = Motion(states.centers, moves, time_step)
     if parts:
         touches = Touches._make(np.concatenate(column) for column in zip(*parts, strict=True))
-        if told is not None:
+        if searched is not None:
             touches = _by_middles_of_spheres(touches, states.centers, is_round)
-        shares = shares_until_touch(touches, motion, shares, told is not None, is_round)
-    if told is not None:
+        shares = shares_until_touch(touches, motion, shares, searched is not None, is_round)
+    if searched is not None:
         shares = shares_side_by_side(shares, motion, boxes, spare)
     is_free = np.ones(count + 1, bool)
     is_free[pairs.body_a] = is_free[pairs.body_b] = False
@@ -156,20 +156,20 @@ def held_back(
     return HeldBack(velocities, shares[:, None] * moves - velocities, shares)
 
 
-def _shares_as_told(
-    pairs: BodyPairs, told: np.ndarray, moves: np.ndarray, reach: np.ndarray, spare: np.ndarray, time_step: float
+def _shares_as_searched(
+    pairs: BodyPairs, searched: np.ndarray, moves: np.ndarray, reach: np.ndarray, spare: np.ndarray, time_step: float
 ) -> np.ndarray:
     """(n,) share of the step for which each body may move along another path than the searched one.
 
-    No point of two touching bodies deviates from its path at the velocities `told` by more than `spare` (n,) [m] of
+    No point of two touching bodies deviates from its path at the velocities `searched` by more than `spare` (n,) [m] of
     either.
     """
-    change = moves - told
+    change = moves - searched
     astray = np.append(time_step * (lengths(change[:, :3]) + reach * lengths(change[:, 3:])), 0.0)
     most, spare = astray[pairs.body_a] + astray[pairs.body_b], np.append(spare, np.inf)
     least = np.minimum(spare[pairs.body_a], spare[pairs.body_b])
     share = least / np.maximum(most, least)
-    shares = np.ones(len(told) + 1)
+    shares = np.ones(len(searched) + 1)
     np.minimum.at(shares, pairs.body_a, share)
     np.minimum.at(shares, pairs.body_b, share)
     return shares[:-1]
