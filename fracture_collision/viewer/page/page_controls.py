@@ -72,7 +72,7 @@ class Controls:
             slider = self._gui.add_slider("slow motion", SLOWEST, 1.0, 0.01, start.slow_motion)
             on_update(slider, handlers.slow_motion)
         if handlers.recording:
-            on_update(self._gui.add_checkbox("record", False, hint="Records a bag."), handlers.recording)
+            on_update(self._gui.add_checkbox("record", False, hint="Writes a bag."), handlers.recording)
 
     def _add_ball(self, server: viser.ViserServer, ball: Ball, clicked: Callable[[Ray, Ball], None]) -> None:
         with self._gui.add_folder("Ball: click to throw"):

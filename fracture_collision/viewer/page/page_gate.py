@@ -107,7 +107,7 @@ def guarded(gate: Gate) -> Iterator[None]:
         finally:
             viser_infra.websockets = theirs
     if not served:
-        raise GateError(f"requests to viser {viser.__version__} cannot be checked: install viser 1.1")
+        raise GateError(f"viser {viser.__version__} would leave requests unchecked: install viser 1.1")
 
 
 class _Instead:
