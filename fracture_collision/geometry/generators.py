@@ -135,12 +135,14 @@ def bowl(diameter: float, thickness: float, edge_length: float, depth: float, la
 
 
 def require_positive(**lengths: float) -> None:
+    """Raise ValueError, naming the argument, unless all `lengths` [m] are positive and finite."""
     for name, value in lengths.items():
         if not (math.isfinite(value) and value > 0.0):
             raise ValueError(f"{name}: {value} is not a positive length in metres")
 
 
 def require_affordable(tetrahedron_count: int) -> None:
+    """Raise ValueError if a mesh would have more than TETRAHEDRA_LIMIT tetrahedra."""
     if tetrahedron_count > TETRAHEDRA_LIMIT:
         raise ValueError(
             f"edge_length: gives {tetrahedron_count} tetrahedra, more than {TETRAHEDRA_LIMIT}; choose a longer one"
@@ -156,6 +158,7 @@ def _layer_count(layers: int | None, wall: float, edge_length: float) -> int:
 
 
 def oriented(vertices: np.ndarray, tetrahedra: np.ndarray) -> TetGeometry:
+    """A geometry of vertices (n, 3) [m] and tetrahedra (m, 4), those with a negative volume mirrored."""
     vertices = np.ascontiguousarray(vertices, dtype=np.float64)
     tetrahedra = np.array(tetrahedra, dtype=np.int32, order="C")
     mirrored = tetrahedron_volumes(vertices, tetrahedra) < 0.0

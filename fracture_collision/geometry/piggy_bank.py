@@ -58,7 +58,7 @@ def _bumps(directions: np.ndarray) -> np.ndarray:
     """Height above the ellipsoid in each of the unit `directions` (n, 3): (n,)."""
     height = np.zeros(len(directions))
     for towards, rise, width, flatness in _BUMPS:
-        axis = np.array(towards) / lengths(towards)
+        axis = np.array(towards) / lengths(np.array(towards))
         angle = arccosine(np.clip(dots(directions, axis), -1.0, 1.0))
         height = np.maximum(height, rise * exponential(-power(angle / width, flatness)))
     return height

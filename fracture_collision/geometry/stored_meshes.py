@@ -35,7 +35,7 @@ def stored_mesh(file: str) -> TetGeometry:
 
 
 def read_tetrahedra(file: Path) -> TetGeometry:
-    """vertices (n, 3) float64 and tetrahedra (m, 4) of a .npz file, in the file's own unit.
+    """Vertices (n, 3) float64 and tetrahedra (m, 4) of a .npz file, in the file's own unit.
 
     Raises ValueError, naming file and array, for other files, meshes larger than TETRAHEDRA_LIMIT, vertices that are
     not finite, and indices out of range.
@@ -45,7 +45,7 @@ def read_tetrahedra(file: Path) -> TetGeometry:
             vertices = _read_array(archive, "vertices", 3, "f", 4 * TETRAHEDRA_LIMIT)
             tetrahedra = _read_array(archive, "tetrahedra", 4, "iu", TETRAHEDRA_LIMIT)
     except (zipfile.BadZipFile, OSError, EOFError, NotImplementedError, RuntimeError, zlib.error) as error:
-        raise ValueError(f"{file}: no readable .npz file: {error}") from error
+        raise ValueError(f"{file}: cannot be read as .npz: {error}") from error
     except ValueError as error:
         raise ValueError(f"{file}: {error}") from error
     if not np.isfinite(vertices).all():
@@ -64,7 +64,7 @@ def _read_array(archive: zipfile.ZipFile, name: str, columns: int, kinds: str, m
             read_header = _HEADER_READERS[npy.read_magic(stream)]
             shape, is_fortran, dtype = read_header(stream, max_header_size=MAX_HEADER)
         except (ValueError, KeyError) as error:
-            raise ValueError(f"{name}: no array: {error}") from error
+            raise ValueError(f"{name}: not an array: {error}") from error
         if dtype.kind not in kinds or is_fortran:
             raise ValueError(f"{name}: not rows of {'floats' if kinds == 'f' else 'integers'} but {dtype}")
         if len(shape) != 2 or shape[1] != columns or not 0 < shape[0] <= most_rows:
@@ -72,5 +72,5 @@ def _read_array(archive: zipfile.ZipFile, name: str, columns: int, kinds: str, m
         size = shape[0] * columns * dtype.itemsize
         data = stream.read(size + 1)
     if len(data) != size:
-        raise ValueError(f"{name}: announces {size} bytes and has {'more' if len(data) > size else len(data)}")
+        raise ValueError(f"{name}: declares {size} bytes and has {'more' if len(data) > size else len(data)}")
     return np.frombuffer(data, dtype).reshape(shape)

@@ -1,11 +1,12 @@
-"""Closed surfaces from the user's files (OBJ, STL, PLY, OFF, by trimesh), checked to bound one solid, with an
-explanation of what is wrong with a rejected one.
+"""Closed surfaces from the user's files (OBJ, STL, PLY, OFF, by trimesh), checked to bound one solid.
+
+The error names what is wrong with a rejected surface.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -19,6 +20,8 @@ _PAIRS_AT_ONCE = 2_000_000
 
 
 class Surface(NamedTuple):
+    """A closed surface of triangles."""
+
     vertices: np.ndarray  # (n, 3) float64 [m]
     triangles: np.ndarray  # (t, 3) int64, closed, counter-clockwise from outside
 
@@ -31,14 +34,14 @@ def read_surface(file: Path, longest_side: float) -> Surface:
     if file.suffix.lower() not in SUFFIXES:
         raise ValueError(f"{file}: {file.suffix or 'no suffix'} is none of {', '.join(SUFFIXES)}")
     if not file.is_file():
-        raise ValueError(f"{file}: no file")
+        raise ValueError(f"{file}: no such file")
     vertices, triangles = _read(file)
     if not len(triangles):
         raise ValueError(f"{file}: no faces")
     if len(triangles) > MAX_TRIANGLES:
         raise ValueError(f"{file}: {len(triangles)} triangles, more than {MAX_TRIANGLES}")
     if not np.all(np.isfinite(vertices)):
-        raise ValueError(f"{file}: vertices that are not finite")
+        raise ValueError(f"{file}: some vertices are not finite")
     try:
         require_solid(vertices, triangles)
     except ValueError as error:
@@ -52,14 +55,14 @@ def _read(file: Path) -> Surface:
     import trimesh  # late: the import is slow
 
     try:
-        mesh = trimesh.load(file, force="mesh", process=False)
+        mesh: Any = trimesh.load(file, force="mesh", process=False)
         places, triangles = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
     except Exception as error:  # of any kind, depending on the fault of the file
         raise ValueError(f"{file}: cannot be read as {file.suffix[1:].upper()}: {error}") from error
     if not len(triangles):
         return Surface(places.reshape(-1, 3), triangles.reshape(-1, 3))
     if triangles.min() < 0 or triangles.max() >= len(places):
-        raise ValueError(f"{file}: a face names a vertex that is not among the {len(places)}")
+        raise ValueError(f"{file}: a face refers to a vertex that is not among the {len(places)}")
     vertices, number = np.unique(places[triangles.ravel()], axis=0, return_inverse=True)
     triangles = number.reshape(-1, 3)
     a, b, c = triangles.T
@@ -67,8 +70,9 @@ def _read(file: Path) -> Surface:
 
 
 def require_solid(vertices: np.ndarray, triangles: np.ndarray) -> None:
-    """Raise ValueError unless the triangles (t, 3) bound one solid, hollow or not, with counter-clockwise winding seen
-    from outside, and meet nowhere but at their edges.
+    """Raise ValueError unless the triangles (t, 3) bound one solid, hollow or not, and meet nowhere but at their edges.
+
+    The winding is counter-clockwise seen from outside.
     """
     directed = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     ends, edge_of, faces = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True, return_counts=True)
@@ -83,7 +87,7 @@ def require_solid(vertices: np.ndarray, triangles: np.ndarray) -> None:
     refuse_edges(faces == 1, "with only one face: the surface has holes")
     refuse_edges(faces > 2, "with more than two faces: the surface bounds no solid there")
     forward = np.bincount(edge_of[directed[:, 0] < directed[:, 1]], minlength=len(ends))
-    refuse_edges(forward != 1, "whose two faces look to opposite sides: some triangles are the wrong way round")
+    refuse_edges(forward != 1, "whose two faces have opposite winding: reverse some of the triangles")
 
     order = np.argsort(edge_of, kind="stable").reshape(-1, 2) // 3
     graph = coo_array((np.ones(len(order)), (order[:, 0], order[:, 1])), shape=(len(triangles),) * 2)
@@ -91,13 +95,13 @@ def require_solid(vertices: np.ndarray, triangles: np.ndarray) -> None:
     a, b, c = (vertices[triangles[:, i]] for i in range(3))
     volumes = np.bincount(part, dots(np.cross(a, b), c) / 6.0, count)
     if not np.any(volumes > 0.0):
-        raise ValueError("all triangles are the wrong way round, clockwise from outside: turn the surface inside out")
+        raise ValueError("all triangles are clockwise seen from outside: reverse their vertex order")
     if np.count_nonzero(volumes > 0.0) > 1:
         sizes = ", ".join(map(str, np.sort(np.bincount(part))[::-1][:5]))
-        raise ValueError(f"{count} parts that do not hang together, of {sizes} triangles: one body needs one")
+        raise ValueError(f"{count} separate parts, of {sizes} triangles: a body needs a single one")
     crossing = _first_crossing(vertices, triangles)
     if crossing is not None:
-        raise ValueError(f"the surface cuts through itself, first near {_place(crossing)}")
+        raise ValueError(f"the surface intersects itself, first near {_place(crossing)}")
 
 
 def _place(point: np.ndarray) -> str:

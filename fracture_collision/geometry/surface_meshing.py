@@ -54,7 +54,7 @@ def tetrahedralize_surface(
     filled = np.ascontiguousarray(filled[used])
     tetrahedra = tetrahedra.reshape(-1, 4).astype(np.int32)
     if not len(tetrahedra):
-        raise ValueError("the mesher found no inside: is the surface thinner than surface_tolerance?")
+        raise ValueError("the mesh is empty: the surface may be thinner than surface_tolerance")
     volumes = tetrahedron_volumes(filled, tetrahedra)
     if np.any(volumes == 0.0):
         raise ValueError(f"the mesher gave {np.count_nonzero(volumes == 0.0)} flat tetrahedra; try another edge_length")
@@ -91,8 +91,8 @@ def require_closed_surface(vertices: np.ndarray, triangles: np.ndarray) -> None:
     if np.any(unmatched):
         a, b = directed[unmatched][0]
         raise ValueError(
-            f"triangles: the surface has holes or triangles facing the wrong way: {np.count_nonzero(unmatched)} edges "
-            f"lack a neighbour, the first between vertices {a} and {b}"
+            f"triangles: the surface has holes or triangles with the wrong winding: {np.count_nonzero(unmatched)} "
+            f"edges lack a neighbour, the first between vertices {a} and {b}"
         )
     if len(np.unique(forward)) < len(forward):
         values, counts = np.unique(forward, return_counts=True)
@@ -100,4 +100,4 @@ def require_closed_surface(vertices: np.ndarray, triangles: np.ndarray) -> None:
         raise ValueError(f"triangles: more than two share the edge between vertices {a} and {b}")
     a, b, c = (vertices[triangles[:, i]] for i in range(3))
     if dots(np.cross(a, b), c).sum() <= 0.0:
-        raise ValueError("triangles: seen clockwise from outside (the enclosed volume is not positive)")
+        raise ValueError("triangles: clockwise seen from outside (the enclosed volume is not positive); reverse them")

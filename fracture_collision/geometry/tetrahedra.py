@@ -33,7 +33,7 @@ def tetrahedron_edges(tetrahedra: np.ndarray, edges: np.ndarray) -> np.ndarray:
     known = edges[:, 0].astype(np.int64) * base + edges[:, 1]
     rows = np.searchsorted(known, keys)
     if keys.size and (rows.max() >= len(known) or not np.array_equal(known[rows], keys)):
-        raise ValueError("edges: a tetrahedron has an edge that is not among them")
+        raise ValueError("edges: an edge of a tetrahedron is not among them")
     return rows.reshape(-1, 6).astype(np.int32)
 
 

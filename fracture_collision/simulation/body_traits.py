@@ -13,6 +13,8 @@ from fracture_collision.simulation.scene.scene import SceneBody
 
 
 class Traits(NamedTuple):
+    """Of n bodies in motion."""
+
     fragment_ids: np.ndarray  # (n,) uint32, in the engine's order
     body_ids: np.ndarray  # (n + 1,) int64; the last, -1, for what cannot move
     rolling_arms: np.ndarray  # (n + 1,) [m]; the last, 0, for what cannot move
@@ -27,8 +29,10 @@ def traits_of(
     breakable: Mapping[int, BreakableBody],
     held_together: Container[int],
 ) -> Traits:
-    """Traits of the bodies in `states`. The other arguments are the simulation's own tables: `body_ids` of fragments,
-    `breakable` by body id, `held_together`: fragments that do not break.
+    """Traits of the bodies in `states`.
+
+    The other arguments are the simulation's own tables: `bodies` and `breakable` by body id, `body_ids` by fragment id,
+    `held_together`: fragments that do not break.
     """
     numbers = np.array([*(body_ids[fragment] for fragment in states.fragment_ids.tolist()), -1], dtype=np.int64)
     arms, strengths = np.zeros(len(states.masses) + 1), np.full(len(states.masses), np.inf)

@@ -1,5 +1,6 @@
-"""Participants of a run: the scene's bodies and those thrown in, the fragments they consist of, and which of these are
-not in the engine yet.
+"""Participants of a run: the scene's bodies, those thrown in, and the fragments that they consist of.
+
+Fragments wait here, outside the engine, until the registry brings their masses.
 """
 
 from __future__ import annotations
@@ -43,6 +44,7 @@ class Cast:
         return self._next_fragment_id
 
     def scene_body(self, fragment_id: int) -> SceneBody:
+        """The body that a living fragment belongs to; KeyError if there is no such fragment."""
         return self.body_of[self.body_id_of[fragment_id]]
 
     def announce(self) -> list[CollisionBody]:
@@ -63,7 +65,7 @@ class Cast:
     def throw(self, body: SceneBody) -> int:
         """Add a body with the next step, whatever its `start_time`. Returns its id. ValueError for a static body."""
         if body.is_static:
-            raise ValueError(f"{body.name!r} cannot move, so it cannot be thrown")
+            raise ValueError(f"{body.name!r} is static: only movable bodies can be thrown")
         number = self._next_fragment_id
         self._next_fragment_id += 1
         self.body_of[number], self.body_id_of[number] = body, number

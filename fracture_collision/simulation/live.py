@@ -89,12 +89,13 @@ class LiveScene:
             self._taken = fragment_id
             if not self.simulation.hold(fragment_id, grip, target):
                 self._taken = 0
-                raise CommandRefused(f"fragment_id: {fragment_id} is nothing that can move")
+                raise CommandRefused(f"fragment_id: {fragment_id} is not a movable fragment")
         hand.move(np.asarray(target, np.float64), np.zeros(3))
 
     def steer(self, velocity: np.ndarray) -> None:
-        """Move the hammer with `velocity` (3,) [m/s], world axes, until the next command; the first non-zero one brings
-        it into the scene. Raises CommandRefused.
+        """Move the hammer with `velocity` (3,) [m/s], world axes, until the next command. Raises CommandRefused.
+
+        The first non-zero velocity brings the hammer into the scene.
         """
         _finite("linear", velocity)
         _within("linear", float(lengths(velocity)), (0.0, MOST_HAMMER_SPEED), "m/s")
@@ -119,6 +120,7 @@ class LiveScene:
             raise CommandRefused(str(error)) from error
 
     def close(self) -> None:
+        """Release the simulation's resources."""
         self.simulation.close()
 
 
@@ -147,4 +149,4 @@ def _finite(name: str, values: np.ndarray) -> None:
 
 def _within(name: str, value: float, limits: tuple[float, float], unit: str) -> None:
     if not limits[0] <= value <= limits[1]:
-        raise CommandRefused(f"{name}: {value:.4g} {unit} is not within {limits[0]:g} and {limits[1]:g} {unit}")
+        raise CommandRefused(f"{name}: {value:.4g} {unit} is not between {limits[0]:g} and {limits[1]:g} {unit}")

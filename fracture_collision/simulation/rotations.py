@@ -30,7 +30,7 @@ def rotation_matrices(quaternions):
 
 @njit(cache=True)
 def quaternion_products(p, q):
-    """p q, row by row, to unit length: first q's rotation, then p's."""
+    """Products p q (n, 4), row by row, to unit length: first q's rotation, then p's."""
     result = np.empty_like(p)
     for i in range(len(p)):
         px, py, pz, pw = p[i]

@@ -117,7 +117,7 @@ def test_curved_cracks_on_request(tmp_path: Path) -> None:
     ("words", "said"),
     [
         (["nowhere"], "no scene 'nowhere'"),
-        (["reference_sphere:finest"], "has no variant 'finest'; there is fine_surface, coarse_inside"),
+        (["reference_sphere:finest"], "has no variant 'finest'; there are fine_surface, coarse_inside"),
         (["pane", "--settings", "contacts=3"], "--settings contacts=3: needs NAME=VALUE, of contacts_per_pair"),
         (["pane", "--settings", "contacts_per_pair=many"], "--settings contacts_per_pair: 'many' is no int"),
         (["pane", "--settings", "contacts_per_pair=0"], "contacts_per_pair: 0 is not at least 1"),

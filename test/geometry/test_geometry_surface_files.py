@@ -75,11 +75,11 @@ def cut_through() -> trimesh.Trimesh:
     ("make", "words"),
     [
         (holes, r"3 edges with only one face: the surface has holes, the first between \(-1, -0.5, -0.5\) and"),
-        (one_turned, r"3 edges whose two faces look to opposite sides"),
-        (inside_out, r"all triangles are the wrong way round"),
-        (two_parts, r"2 parts that do not hang together, of 12, 12 triangles"),
+        (one_turned, r"3 edges whose two faces have opposite winding"),
+        (inside_out, r"all triangles are clockwise seen from outside"),
+        (two_parts, r"2 separate parts, of 12, 12 triangles"),
         (fin, r"1 edge with more than two faces"),
-        (cut_through, r"the surface cuts through itself, first near \("),
+        (cut_through, r"the surface intersects itself, first near \("),
     ],
 )
 def test_what_bounds_no_solid_is_refused(tmp_path: Path, make, words: str) -> None:
@@ -94,7 +94,7 @@ def test_what_bounds_no_solid_is_refused(tmp_path: Path, make, words: str) -> No
         ("text.stl", "no mesh at all", "cannot be read as STL|no faces"),
         ("text.txt", "", r"\.txt is none of"),
         ("nan.off", "OFF\n3 1 0\n0 0 nan\n1 0 0\n0 1 0\n3 0 1 2\n", "not finite|cannot be read"),
-        (None, "", "no file"),
+        (None, "", "no such file"),
     ],
 )
 def test_what_is_no_surface_is_refused(tmp_path: Path, name: str | None, content: str, words: str) -> None:

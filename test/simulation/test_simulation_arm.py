@@ -270,12 +270,12 @@ def test_a_person_breaks_the_vase(played: Played) -> None:
 @pytest.mark.parametrize(
     ("names", "positions", "words"),
     [
-        ([], [0.0] * 6, "position: 6 for 7 joints"),
-        (["elbow"], [0.0], "no joint 'elbow'; there is lbr_iiwa_joint_1"),
+        ([], [0.0] * 6, "position: 6 values for 7 joints"),
+        (["elbow"], [0.0], "no joint 'elbow'; there are lbr_iiwa_joint_1"),
         (["lbr_iiwa_joint_1"], [float("nan")], "lbr_iiwa_joint_1: nan is not finite"),
-        (["lbr_iiwa_joint_2"], [2.2], "lbr_iiwa_joint_2: 2.2 rad is not within -2.094 and 2.094 rad"),
+        (["lbr_iiwa_joint_2"], [2.2], "lbr_iiwa_joint_2: 2.2 rad is not between -2.094 and 2.094 rad"),
         (["lbr_iiwa_joint_1"] * 2, [0.1, 0.2], "a joint occurs twice"),
-        (["lbr_iiwa_joint_1"], [], "position: 0 for 1 joints"),
+        (["lbr_iiwa_joint_1"], [], "position: 0 values for 1 joints"),
     ],
 )
 def test_nonsense_is_refused_in_words(played: Played, names, positions, words: str) -> None:
@@ -303,9 +303,9 @@ def row(time: float = 0.0, **angles: float) -> list[float]:
         ({"swing": [[0.0, 1.0]]}, r"arm.swing\[0\]: needs time, joint_1"),
         ({"swing": [row(), row()]}, r"arm.swing\[1\]: time 0.0 s does not follow 0.0 s"),
         ({"swing": [row(joint_3=float("inf"))]}, r"arm.swing\[0\]: needs finite numbers"),
-        ({"swing": [row(joint_6=121.0)]}, r"arm.swing\[0\]: lbr_iiwa_joint_6: 2.112 rad is not within"),
+        ({"swing": [row(joint_6=121.0)]}, r"arm.swing\[0\]: lbr_iiwa_joint_6: 2.112 rad is not between"),
         ({"swing": [row(), row(0.1, joint_1=90.0)]}, r"arm.swing: lbr_iiwa_joint_1 turns with .* more than 3 rad/s"),
-        ({"swing": "nowhere.csv"}, "arm.swing: nowhere.csv: no file"),
+        ({"swing": "nowhere.csv"}, "arm.swing: nowhere.csv: no such file"),
         ({"swing": [row()], "force_limit": 0.0}, "arm.force_limit: needs more than 0"),
         ({"swing": [row()], "colour": "orange"}, "arm.colour: unknown field"),
         ({"swing": [row()], "material": "butter"}, "arm.material: 'butter' is none of metal"),

@@ -216,7 +216,7 @@ def test_another_steps_answer_is_refused():
     oracle = Oracle(simulation.start_bodies())
     request = simulation.begin_step()
     answer = oracle.contacts(request.states)
-    with pytest.raises(ValueError, match="asked for"):
+    with pytest.raises(ValueError, match="needs the answer to"):
         simulation.finish_step(answer._replace(step=3), oracle.registry())
     again = simulation.begin_step()
     assert again.states.step == request.states.step

@@ -329,5 +329,5 @@ def test_only_what_moves_and_breaks_can_be_struck():
             lockstep.simulation.strike(2, np.zeros(3), 1.0)
     with Lockstep(stack(1)) as lockstep:
         lockstep.step()
-        with pytest.raises(ValueError, match="'brick 0', is of a kind that does not break"):
+        with pytest.raises(ValueError, match="of 'brick 0' cannot break"):
             lockstep.simulation.strike(2, np.zeros(3), 1.0)

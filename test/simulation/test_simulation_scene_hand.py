@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fracture_collision.lockstep import Lockstep
-from fracture_collision.simulation.actors.hand import HandSettings, kick
+from fracture_collision.simulation.actors.hand import HandSettings, HeldBody, kick
 from fracture_collision.simulation.scene.scene import SceneError, load_scene, parse_scene
 from fracture_collision.world import Settings
 
@@ -77,7 +77,8 @@ def test_the_hand_pulls_no_harder_than_its_limit():
     inertia, center = np.diag([0.1, 0.2, 0.3]), np.zeros(3)
     far, still = np.array([0.0, 10.0, 0.0]), np.zeros(3)
     for limit in (1.0, 50.0):
-        change = kick(HandSettings(force_limit=limit), 2.0, inertia, center, np.zeros(6), center, far, still, 0.01)
+        body = HeldBody(2.0, inertia, center, np.zeros(6), center)
+        change = kick(HandSettings(force_limit=limit), body, far, still, 0.01)
         assert change == pytest.approx([0.0, limit * 0.01 / 2.0, 0.0, 0.0, 0.0, 0.0])
 
 
@@ -87,7 +88,7 @@ def test_the_impulse_obeys_the_implicit_spring():
     inertia = np.diag([0.01, 0.02, 0.015])
     center, point, hand, velocity, hand_velocity = rng.normal(size=(5, 3)) * 0.3
     before = np.concatenate((velocity, rng.normal(size=3)))
-    change = kick(settings, mass, inertia, center, before, point, hand, hand_velocity, h)
+    change = kick(settings, HeldBody(mass, inertia, center, before, point), hand, hand_velocity, h)
     after = before + change
     at_point = after[:3] + np.cross(after[3:], point - center)
     swing = 2.0 * np.pi * settings.frequency

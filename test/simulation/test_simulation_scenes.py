@@ -176,7 +176,7 @@ def test_a_variant_changes_what_it_names_and_nothing_else():
 @pytest.mark.parametrize(
     ("variant", "words"),
     [
-        ("early", "own: has no variant 'early'; there is late, unknown, odd"),
+        ("early", "own: has no variant 'early'; there are late, unknown, odd"),
         ("unknown", "variants.unknown.bodies: no body 'pebble'"),
         ("odd", r"bodies\[0\].shape: needs just one of"),
     ],

@@ -10,9 +10,10 @@ from benchmarks.tunnelling import TIME_STEP, run_trial, scene_of
 from fracture_collision.lockstep import Lockstep
 from fracture_collision.records import ContactConstraintArray
 from fracture_collision.simulation.scene.scene import parse_scene
-from fracture_collision.simulation.solver.inertia_boxes import boxes_of
+from fracture_collision.simulation.solver.inertia_boxes import Boxes, boxes_of
 from fracture_collision.simulation.solver.side_by_side import shares_side_by_side
-from fracture_collision.simulation.solver.touch_ahead import shares_until_touch, split_by_gap
+from fracture_collision.simulation.solver.straight_motion import Motion
+from fracture_collision.simulation.solver.touch_ahead import Touches, shares_until_touch, split_by_gap
 from fracture_collision.world import Settings
 
 REST, SPARE = 1e-4, 5e-4
@@ -42,15 +43,14 @@ def test_contacts_are_split_by_their_gaps() -> None:
     assert none is None and same is now
 
 
-def shares(
-    rows_a, rows_b, points_a, points_b, normals, centers, velocities, is_turning=False, is_round=None
-) -> np.ndarray:
+def shares(rows_a, rows_b, points_a, points_b, normals, centers, velocities, is_round=None) -> np.ndarray:
+    """Planes turn with their bodies if `is_round` marks the spheres."""
     n, least = len(centers), np.full(len(rows_a), REST)
-    return shares_until_touch(
-        np.array(rows_a), np.array(rows_b), *(np.array(x, float) for x in (points_a, points_b, normals)), least,
-        np.array(centers, float), np.array(velocities, float), np.ones(n), is_turning,
-        np.zeros(n + 1, bool) if is_round is None else np.array(is_round), 0.01,
-    )  # fmt: skip
+    places = (np.array(x, float) for x in (points_a, points_b, normals))
+    touches = Touches(np.array(rows_a), np.array(rows_b), *places, least)
+    spheres = np.zeros(n + 1, bool) if is_round is None else np.array(is_round)
+    motion = Motion(np.array(centers, float), np.array(velocities, float), 0.01)
+    return shares_until_touch(touches, motion, np.ones(n), is_round is not None, spheres)
 
 
 def test_a_body_goes_as_far_as_the_touch() -> None:
@@ -98,7 +98,7 @@ def test_a_plane_turns_with_the_body_whose_it_is(is_round: bool) -> None:
     """
     centers, moves = [[0.0] * 3, [0.1, 0.06, 0.0]], [[0, 0, 0, 0.0, 0.0, 50.0], [0.0] * 6]
     at_bar, beside, up = [[0.1, 0.01, 0.0]], [[0.1, 0.04, 0.0]], [[0.0, 1.0, 0.0]]
-    own = shares([0], [1], at_bar, beside, up, centers, moves, True, [False, is_round, False])
+    own = shares([0], [1], at_bar, beside, up, centers, moves, [False, is_round, False])
     angles = np.linspace(0.0, 0.5, 100001)
     point = 0.1 * np.cos(angles) - 0.01 * np.sin(angles), 0.1 * np.sin(angles) + 0.01 * np.cos(angles)
     gaps = -np.sin(angles) * (0.1 - point[0]) + np.cos(angles) * (0.04 - point[1])
@@ -110,9 +110,9 @@ def test_a_plane_turns_with_the_body_whose_it_is(is_round: bool) -> None:
 def beside(shares: list[float], centers: list[list[float]], moves: np.ndarray) -> np.ndarray:
     """Shares of the step for cubes of 4 cm, in a step of 2.5 ms."""
     count = len(shares)
-    axes, halves = np.tile(np.eye(3), (count, 1, 1)), np.full((count, 3), 0.02)
-    spare = np.full(count, SPARE)
-    return shares_side_by_side(np.array(shares), np.array(centers), axes, halves, spare, moves, 0.0025)
+    boxes = Boxes(np.tile(np.eye(3), (count, 1, 1)), np.full((count, 3), 0.02))
+    motion = Motion(np.array(centers), moves, 0.0025)
+    return shares_side_by_side(np.array(shares), motion, boxes, np.full(count, SPARE))
 
 
 def test_what_flies_beside_one_that_is_held_back_does_not_run_into_it() -> None:

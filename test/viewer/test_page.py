@@ -200,5 +200,5 @@ def test_the_newest_states_are_shown_some_thirty_times_a_second() -> None:
         page.flush()
         assert 1 <= page.pictures - before < 300
         assert len(page._plots._rows) == 3000  # all figures are kept, also those between two pictures
-    with pytest.raises(ValueError, match="no figures of these names: beer"):
+    with pytest.raises(ValueError, match="no figures beer; there are time"):
         Page(told=frozenset({"beer"}))

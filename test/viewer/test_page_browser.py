@@ -231,11 +231,11 @@ def test_a_person_looks_inside(browser: Any) -> None:
             assert asked.get(timeout=PATIENCE) == InsideWanted()
             until(lambda: changed(picture_of(seen), bare), lambda count: count < EDGES)
 
-            seen.get_by_label("error beside speed").check()
+            seen.get_by_label("errors of answers").check()
             assert asked.get(timeout=PATIENCE) == InsideWanted(errors=True)
             for moment in (0.1, 0.2):
                 page.show_inside(InsideView(figures=InsideFigures(moment, 3, 40, 0.25, 0.5, 0.0, 1.5)))
-            seen.get_by_text("promised: no more than 0.500 mm").wait_for()
+            seen.get_by_text("bound 0.500 mm").wait_for()
             until(lambda: seen.locator(".uplot").count(), lambda count: count == 1)
 
 

@@ -147,7 +147,7 @@ def test_the_plane_is_where_it_cuts_and_the_way_it_is(page: Page, axis: int) -> 
                 assert image[row, column, :3].max() <= 255.0 * colour.max()
     assert np.array_equal(np.argwhere(image[..., 3] == 0), [[0, 0]])  # upper left
     assert image[0, 2, :3].max() > image[1, 2, :3].max()  # deeper is darker
-    assert f"{AXES[axis]} = 0.100 m: 60.0 mm deep inside, bands of 10 mm" in inside._words.content
+    assert f"{AXES[axis]} = 0.100 m: deepest point 60.0 mm, bands of 10 mm" in inside._words.content
 
 
 def test_what_the_plane_cuts_and_what_is_before_it_is_not_in_the_way(page: Page) -> None:
@@ -184,7 +184,7 @@ def test_figures_are_plotted_and_said_while_they_are_wanted(page: Page) -> None:
     assert [column.tolist() for column in counts.data] == [[0.1], [12.0], [1234.0]]
     show(page, InsideWanted(errors=True), figures(0.3, is_replayed=True))
     assert errors.visible and not counts.visible
-    for said in ("up to **0.030 mm**", "**0.250 mm**", "0.001 mm", "0.46 ms", "asked of a copy"):
+    for said in ("up to **0.030 mm**", "**0.250 mm**", "0.001 mm", "0.46 ms", "by a copy of the service"):
         assert said in inside._words.content
     show(page, InsideWanted(errors=True), figures(0.3, unlisted_mm=0.0))
     rows = list(inside._plots._rows)

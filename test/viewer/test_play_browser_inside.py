@@ -31,8 +31,8 @@ def listed_and_colliding(page: Any) -> tuple[int, int]:
 
 def unlisted_and_promised(page: Any) -> tuple[float, float]:
     """[mm]"""
-    words = page.get_by_text("not listed: up to").inner_text()
-    found = re.search(r"up to ([\d.]+) mm deep; promised: no more than ([\d.]+) mm", words)
+    words = page.get_by_text("unlisted penetrations: up to").inner_text()
+    found = re.search(r"up to ([\d.]+) mm deep, bound ([\d.]+) mm", words)
     return float(found[1]), float(found[2])
 
 
@@ -51,17 +51,17 @@ def test_a_person_looks_inside(scene: tuple[Any, LivePage]) -> None:
         page.get_by_text(re.compile(f"level 0 of .*: {PLATES} spheres")).wait_for()  # the static shelf is left out
         page.get_by_label("sphere trees").uncheck()
         page.get_by_label("field on a plane").check()
-        page.get_by_text("mm deep inside").wait_for()
+        page.get_by_text("deepest point").wait_for()
         page.get_by_label("field on a plane").uncheck()
 
         page.get_by_label("colliding points").check()
-        page.get_by_label("error beside speed").check()
+        page.get_by_label("errors of answers").check()
         page.mouse.click(x, y)
         scene.until(lambda: scene.status.fragments > PLATES + 5, "a ball and shards")
-        page.get_by_text("promised: no more than").wait_for()
+        page.get_by_text("unlisted penetrations: up to").wait_for()
         until(lambda: len(shown_plots(page)), lambda count: count == plots + 2)
         # while running, the figures are of the service's own answers
-        knob(page, "contacts a pair").fill("32")
+        knob(page, "contacts per pair").fill("32")
         many, colliding = until(lambda: listed_and_colliding(page), lambda counts: counts[0] > 20)
         assert many <= colliding
 
@@ -69,12 +69,12 @@ def test_a_person_looks_inside(scene: tuple[Any, LivePage]) -> None:
         page.get_by_label("pause").check()
         scene.until(lambda: scene.status.paused, "a pause")
         drawn = shown_plots(page)
-        knob(page, "contacts a pair").fill("1")
-        page.get_by_text("asked of a copy here").wait_for()
+        knob(page, "contacts per pair").fill("1")
+        page.get_by_text("by a copy of the service").wait_for()
         few, colliding = until(lambda: listed_and_colliding(page), lambda counts: counts[0] < counts[1])
         unlisted, promised = unlisted_and_promised(page)
         assert unlisted <= promised
-        knob(page, "contacts a pair").fill("32")
+        knob(page, "contacts per pair").fill("32")
         more, still = until(lambda: listed_and_colliding(page), lambda counts: counts[0] > few)
         assert still == colliding >= more
         until(lambda: shown_plots(page), lambda plots: plots != drawn)

@@ -108,7 +108,7 @@ def test_what_is_missing_is_named(tmp_path: Path) -> None:
     with pytest.raises(BagError, match="no FragmentMesh of fragment 6"):
         render_film_strip(tmp_path / "no meshes", tmp_path / "x.png")
     write_bag(tmp_path / "no bodies", [r for r in small_run() if not isinstance(r[1], CollisionBody)])
-    with pytest.raises(BagError, match="names fragment 2"):
+    with pytest.raises(BagError, match="contains fragment 2"):
         render_film_strip(tmp_path / "no bodies", tmp_path / "x.png")
     assert not (tmp_path / "x.png").exists()
 

@@ -61,6 +61,8 @@ MOVING = PARTS[1:]
 
 
 class ArmSettings(NamedTuple):
+    """Limits of the arm's joints, and the stiffness with which it holds its parts."""
+
     speed_limit: float = 3.0  # [rad/s] of a joint; the URDF's own limit counts as well
     acceleration_limit: float = 15.0  # [rad/s2] of a joint on its way to a commanded angle
     force_limit: float = 500.0  # [N] with which the arm holds each of its parts, and so pushes
@@ -102,6 +104,7 @@ class ArmKinematics:
 
     @property
     def limits(self) -> JointLimits:
+        """Names and limits of the joints, in their order."""
         return self._chain.limits
 
     def places(self, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -135,11 +138,11 @@ def parse_arm(fields: Fields, folder: Path | None) -> Arm:
     return arm
 
 
-def require_within(limits: JointLimits, angles: Sequence[float]) -> None:
+def require_within(limits: JointLimits, angles: Sequence[float] | np.ndarray) -> None:
     """Raise ValueError if one of the seven `angles` [rad] is beyond its joint's limits."""
     for name, angle, lower, upper in zip(limits.names, angles, limits.lower, limits.upper, strict=True):
         if not lower <= angle <= upper:
-            raise ValueError(f"{name}: {angle:.4g} rad is not within {lower:.4g} and {upper:.4g} rad")
+            raise ValueError(f"{name}: {angle:.4g} rad is not between {lower:.4g} and {upper:.4g} rad")
 
 
 def _rows(swing: list, path: str) -> np.ndarray:

@@ -51,6 +51,7 @@ class ArmControl:
 
     @property
     def limits(self) -> JointLimits:
+        """Names and limits of the joints, in their order."""
         return self._kinematics.limits
 
     @property
@@ -60,7 +61,7 @@ class ArmControl:
 
     @property
     def speeds(self) -> np.ndarray:
-        """(7,) [rad/s]"""
+        """The controller's joint speeds, (7,) [rad/s]."""
         return self._speeds.copy()
 
     def command(self, names: Sequence[str], positions: Sequence[float]) -> None:
@@ -70,11 +71,11 @@ class ArmControl:
         """
         names = names or self.limits.names
         if len(positions) != len(names):
-            raise ValueError(f"position: {len(positions)} for {len(names)} joints")
+            raise ValueError(f"position: {len(positions)} values for {len(names)} joints")
         goal = self._angles.copy() if self._goal is None else self._goal.copy()
         for name, position in zip(names, positions, strict=True):
             if name not in self.limits.names:
-                raise ValueError(f"name: no joint {name!r}; there is {', '.join(self.limits.names)}")
+                raise ValueError(f"name: no joint {name!r}; there are {', '.join(self.limits.names)}")
             if not math.isfinite(position):
                 raise ValueError(f"position: {name}: {position} is not finite")
             goal[self.limits.names.index(name)] = position
@@ -86,6 +87,7 @@ class ArmControl:
     def pull(
         self, states: BodyStates, time: float, time_step: float, gravity: np.ndarray
     ) -> tuple[np.ndarray, float]:
+        """Additions in the step at `time` [s]: to all velocities, (n, 6) [m/s, rad/s], and to the energy [J]."""
         rows = np.searchsorted(states.fragment_ids, self._own[1:])
         h, settings = time_step, self._settings
         before = np.hstack((states.linear[rows], states.angular[rows]))

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from fracture_collision.portable_math import lengths
-from fracture_collision.simulation.actors.hand import Grip, Hand, HandSettings, kick
+from fracture_collision.simulation.actors.hand import Grip, Hand, HandSettings, HandTrack, HeldBody, kick
 from fracture_collision.simulation.engine.engine import BodyStates
 from fracture_collision.simulation.fracture.breakable_body import BreakableBody
 from fracture_collision.simulation.rotations import turned_back, turned_by
@@ -85,7 +85,7 @@ class Drag:
 
     def keep_hold(self, body_id: int, fragment_id: int) -> None:
         """After the fragment has broken: if it was held, keep hold of the piece at the grip."""
-        if self.held == fragment_id:
+        if self._grip is not None and self._grip.fragment_id == fragment_id:
             self._grip = self._grip._replace(fragment_id=self._breakable[body_id].owner(self._grip.node))
 
     def pull(
@@ -93,7 +93,7 @@ class Drag:
     ) -> tuple[np.ndarray, float]:
         """What the hand adds in the step at `time` [s]: to all velocities, (n, 6), and to the energy [J]."""
         if self._track is not None:
-            self._follow(time, states)
+            self._follow(self._track, time, states)
         pushes = np.zeros((len(states.fragment_ids), 6))
         if self._grip is None:
             return pushes, 0.0
@@ -104,16 +104,14 @@ class Drag:
         held_at = states.frame_positions[i] + turned_by(states.frame_orientations[i], self._grip.point)
         # The spring includes this step's weight, or what hangs from it would hang too low.
         falling = before + np.concatenate((time_step * gravity, np.zeros(3)))
-        pushes[i] = kick(
-            self._settings, states.masses[i], states.inertias[i], states.centers[i], falling,
-            held_at, self._position, self._velocity, time_step,
-        )  # fmt: skip
+        body = HeldBody(states.masses[i], states.inertias[i], states.centers[i], falling, held_at)
+        pushes[i] = kick(self._settings, body, self._position, self._velocity, time_step)
         of_body = states.masses[i : i + 1], states.inertias[i : i + 1]
         gain = kinetic_energy(*of_body, (before + pushes[i])[None]) - kinetic_energy(*of_body, before[None])
         return pushes, gain
 
-    def _follow(self, time: float, states: BodyStates) -> None:
-        position, velocity, name = self._track.at(time)
+    def _follow(self, track: HandTrack, time: float, states: BodyStates) -> None:
+        position, velocity, name = track.at(time)
         if name != self._holds:
             self.release()
             # A body that has not entered yet is grabbed when it comes.

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from fracture_collision.portable_math import lengths
-from fracture_collision.simulation.actors.hand import HandSettings, kick
+from fracture_collision.simulation.actors.hand import HandSettings, HeldBody, kick
 from fracture_collision.simulation.engine.engine import BodyStates
 from fracture_collision.simulation.solver.contact_solver import kinetic_energy
 
@@ -32,6 +32,7 @@ class Hammer:
     def pull(
         self, states: BodyStates, time: float, time_step: float, gravity: np.ndarray
     ) -> tuple[np.ndarray, float]:
+        """Additions in the step at `time` [s]: to all velocities, (n, 6) [m/s, rad/s], and to the energy [J]."""
         pushes = np.zeros((len(states.fragment_ids), 6))
         i = int(np.searchsorted(states.fragment_ids, self.fragment_id))
         if i == len(states.fragment_ids) or states.fragment_ids[i] != self.fragment_id:
@@ -42,10 +43,8 @@ class Hammer:
         self._position = center + ahead * min(1.0, LEAD / distance if distance > 0.0 else 1.0)
         before = np.concatenate((states.linear[i], states.angular[i]))
         falling = before + np.concatenate((time_step * gravity, np.zeros(3)))
-        pushes[i] = kick(
-            ARM, states.masses[i], states.inertias[i], center, falling, center, self._position, self._velocity,
-            time_step,
-        )  # fmt: skip
+        body = HeldBody(states.masses[i], states.inertias[i], center, falling, center)
+        pushes[i] = kick(ARM, body, self._position, self._velocity, time_step)
         # The arm always bears the ball's weight and stops its spin.
         pushes[i, :3] -= time_step * gravity
         pushes[i, 3:] = -before[3:]

@@ -26,6 +26,8 @@ COLUMNS = ["time", "x", "y", "z", "holds"]
 
 
 class HandSettings(NamedTuple):
+    """The spring between the hand and the fragment that it holds."""
+
     frequency: float = 4.0  # f [Hz] natural frequency of the held fragment about the hand
     damping_ratio: float = 1.0  # zeta; 1: critical
     force_limit: float = 200.0  # [N] largest pull of the hand
@@ -81,22 +83,24 @@ def parse_hand(fields: Fields, folder: Path | None, names: list[str]) -> Hand:
     return Hand(settings, _track(rows, path, names))
 
 
+class HeldBody(NamedTuple):
+    """A body that a hand pulls, and where; world frame."""
+
+    mass: float  # [kg]
+    inertia: np.ndarray  # (3, 3) [kg m2] about its centre of mass
+    center: np.ndarray  # (3,) [m]
+    velocity: np.ndarray  # (6,) v [m/s], w [rad/s]
+    point: np.ndarray  # (3,) [m] where it is held
+
+
 def kick(
-    settings: HandSettings,
-    mass: float,
-    inertia: np.ndarray,
-    center: np.ndarray,
-    velocity: np.ndarray,
-    point: np.ndarray,
-    hand_position: np.ndarray,
-    hand_velocity: np.ndarray,
-    time_step: float,
+    settings: HandSettings, body: HeldBody, hand_position: np.ndarray, hand_velocity: np.ndarray, time_step: float
 ) -> np.ndarray:
     """Change (6,) of v [m/s] and w [rad/s] of a body that a hand pulls for one `time_step` [s].
 
-    The body has `mass` [kg], `inertia` (3, 3) [kg m2] about its `center` (3,) [m], and `velocity` (6,); it is held at
-    `point` (3,) [m]. All in the world frame.
+    hand_position (3,) [m], hand_velocity (3,) [m/s]; world frame.
     """
+    mass, inertia, center, velocity, point = body
     x, y, z = point - center
     arm = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     inverse = inverses(inertia)

@@ -24,6 +24,7 @@ def quoted(value: Any) -> str:
 
 
 def shortened(text: str) -> str:
+    """`text`, cut to MOST_QUOTED characters."""
     return text if len(text) <= MOST_QUOTED else f"{text[: MOST_QUOTED - 3]}..."
 
 
@@ -37,9 +38,11 @@ class Fields:
         self._path = path
 
     def name(self, key: str) -> str:
+        """Full name of a field, as errors print it."""
         return f"{self._path}.{key}" if self._path else key
 
     def take(self, key: str, default: Any = ...) -> Any:
+        """The value of a field, consumed; SceneError if it is missing and has no default."""
         if key in self._left:
             return self._left.pop(key)
         if default is ...:
@@ -47,6 +50,7 @@ class Fields:
         return default
 
     def number(self, key: str, default: Any = ..., minimum: float = -math.inf, above: float = -math.inf) -> float:
+        """A finite number of at least `minimum` and more than `above`; raises SceneError."""
         value = self.take(key, default)
         if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= sys.float_info.max:
             raise SceneError(f"{self.name(key)}: needs a finite number, got {quoted(value)}")
@@ -63,34 +67,40 @@ class Fields:
         return str(value)
 
     def integer(self, key: str, default: Any = ..., minimum: int = 0) -> int:
+        """A whole number of at least `minimum`; raises SceneError."""
         value = self.take(key, default)
         if isinstance(value, bool) or not isinstance(value, int) or value < minimum:
             raise SceneError(f"{self.name(key)}: needs a whole number of at least {minimum}, got {quoted(value)}")
         return value
 
     def vector(self, key: str, size: int, default: Any = ...) -> np.ndarray:
+        """`size` finite numbers, (size,) float64; raises SceneError."""
         value = self.take(key, default)
         if not isinstance(value, list | tuple) or len(value) != size:
             raise SceneError(f"{self.name(key)}: needs {size} numbers, got {quoted(value)}")
-        parts = Fields(dict(enumerate(value)), self.name(key))
-        return np.array([parts.number(i) for i in range(size)])
+        parts = Fields({str(i): part for i, part in enumerate(value)}, self.name(key))
+        return np.array([parts.number(str(i)) for i in range(size)])
 
     def mapping(self, key: str, default: Any = ...) -> Mapping:
+        """A mapping, of further fields; raises SceneError."""
         value = self.take(key, default)
         if not isinstance(value, Mapping):
             raise SceneError(f"{self.name(key)}: needs fields, got {quoted(value)}")
         return value
 
     def sequence(self, key: str) -> list:
+        """A list with at least one entry; raises SceneError."""
         value = self.take(key)
         if not isinstance(value, list) or not value:
             raise SceneError(f"{self.name(key)}: needs a list, got {quoted(value)}")
         return value
 
     def keys(self) -> list[Any]:
+        """Fields not consumed yet, in the order of the file."""
         return list(self._left)
 
     def finish(self) -> None:
+        """Raise SceneError if a field is left: it is unknown."""
         for key in self._left:
             raise SceneError(f"{self.name(shortened(str(key)))}: unknown field")
 

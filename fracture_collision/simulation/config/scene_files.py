@@ -22,7 +22,7 @@ def read_text(file: Path, most_bytes: int) -> str:
     """The text of a regular file of at most `most_bytes`; raises SceneError."""
     try:
         if not file.is_file():  # a device or a pipe may never end
-            raise SceneError(f"{file}: no file")
+            raise SceneError(f"{file}: no such file")
         with file.open("rb") as stream:
             data = stream.read(most_bytes + 1)
     except (OSError, ValueError) as error:
@@ -50,7 +50,7 @@ def read_yaml(file: Path) -> Any:
     except SceneError:
         raise
     except RecursionError:
-        raise SceneError(f"{file}: not YAML that can be read: too deep") from None
+        raise SceneError(f"{file}: nested too deeply") from None
     except (yaml.YAMLError, ValueError, OverflowError) as error:  # ValueError: an invalid date or number
         raise SceneError(f"{file}: not YAML: {_words(error)}") from error
 

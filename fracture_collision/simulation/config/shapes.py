@@ -49,8 +49,9 @@ class Shape(NamedTuple):
 
 
 def parse_shape(fields: Fields, made: dict[tuple, TetGeometry], folder: Path | None = None) -> Shape:
-    """The shape described by exactly one field, named by a kind. `made` caches meshes, so that equal ones are shared.
-    Files it names lie in `folder`.
+    """The shape described by exactly one field, named by a kind; raises SceneError.
+
+    `made` caches meshes, so that equal ones are shared. Files it names lie in `folder`.
     """
     kinds = fields.keys()
     if len(kinds) != 1 or kinds[0] not in KINDS:
@@ -84,10 +85,10 @@ def _mesh(kind: str, fields: Fields, made: dict[tuple, TetGeometry], folder: Pat
         arguments[key] = tuple(value) if isinstance(value, list) else value
     if kind == "stored_mesh" and isinstance(arguments["file"], str):
         arguments["file"] = str((folder or Path()) / arguments["file"])
-    key = (kind, *arguments.values())
+    mesh = (kind, *arguments.values())
     try:
-        if key not in made:
-            made[key] = make(**arguments)
+        if mesh not in made:
+            made[mesh] = make(**arguments)
     except (ValueError, TypeError) as error:
         raise SceneError(f"{fields.name('')}{error}") from error
-    return made[key]
+    return made[mesh]

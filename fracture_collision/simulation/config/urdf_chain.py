@@ -17,6 +17,8 @@ from fracture_collision.simulation.rotations import from_euler_angles, quaternio
 
 
 class JointLimits(NamedTuple):
+    """Of k joints, in the order of the chain."""
+
     names: tuple[str, ...]
     lower: np.ndarray  # (k,) [rad]
     upper: np.ndarray  # (k,) [rad]
@@ -33,14 +35,16 @@ class Chain(NamedTuple):
 
 
 def read_chain(file: Path) -> Chain:
-    """The revolute joints of a URDF file, in its order. ValueError if they do not form one chain."""
+    """The revolute joints of a URDF file, in its order. ValueError if they do not form one chain or lack an element."""
     joints = [joint for joint in ElementTree.parse(file).getroot().iter("joint") if joint.get("type") == "revolute"]
     for before, after in zip(joints[:-1], joints[1:], strict=True):
-        if before.find("child").get("link") != after.find("parent").get("link"):
-            raise ValueError(f"{file}: joint {after.get('name')} does not follow {before.get('name')}: no chain")
+        if _attribute(before, "child", "link") != _attribute(after, "parent", "link"):
+            raise ValueError(
+                f"{file}: joint {after.get('name')} does not follow {before.get('name')}: needs one chain of joints"
+            )
     lower, upper, speeds = (np.concatenate([_numbers(joint, "limit", key) for joint in joints])
                             for key in ("lower", "upper", "velocity"))  # fmt: skip
-    limits = JointLimits(tuple(joint.get("name") for joint in joints), lower, upper, speeds)
+    limits = JointLimits(tuple(joint.get("name", "") for joint in joints), lower, upper, speeds)
     axes = np.array([_numbers(joint, "axis", "xyz") for joint in joints])
     return Chain(
         limits,
@@ -66,4 +70,12 @@ def link_frames(
 
 
 def _numbers(joint: ElementTree.Element, tag: str, key: str) -> np.ndarray:
-    return np.array([float(number) for number in joint.find(tag).get(key).split()])
+    return np.array([float(number) for number in _attribute(joint, tag, key).split()])
+
+
+def _attribute(joint: ElementTree.Element, tag: str, key: str) -> str:
+    element = joint.find(tag)
+    value = None if element is None else element.get(key)
+    if value is None:
+        raise ValueError(f"joint {joint.get('name')}: needs <{tag} {key}=...>")
+    return value

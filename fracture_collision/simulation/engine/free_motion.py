@@ -56,7 +56,7 @@ def _spin_after(before, inertia, time_step):
 
 @uncounted
 def _spin_after_part(before, inertia, time_step):
-    """(the spin, whether it has converged)"""
+    """The spin after `time_step` [s], and whether Newton's method has converged."""
     spin = before
     momentum = _times(inertia, before)
     scale = math.sqrt(_dot(momentum, momentum))

@@ -20,6 +20,8 @@ class Pusher(Protocol):
 
 
 class Pushes(NamedTuple):
+    """What all pushers together add in a step."""
+
     velocities: np.ndarray  # (n, 6) [m/s, rad/s] that all of them add
     energy: float  # [J] likewise
 
@@ -50,8 +52,10 @@ class Planned(NamedTuple):
 
 
 def planned(fragment_ids: np.ndarray, pushes: Pushes, taken: Changes) -> Planned:
-    """taken: changes by contacts in the last step. They are expected again, as for a hammer that presses against a
-    wall, but no larger than the push: the blow of a hammer that has just hit the wall does not repeat.
+    """The pushes of a step, and the velocities expected after them.
+
+    taken: changes by contacts in the last step. They are expected again, as for a hammer that presses against a wall,
+    but no larger than the push: the blow of a hammer that has just hit the wall does not repeat.
     """
     by_contacts = taken.of(fragment_ids)
     for part in (slice(0, 3), slice(3, 6)):

@@ -63,16 +63,19 @@ class RigidBodyWorld:
         self._states: BodyStates | None = None  # of `_bodies`, None after a change
 
     def add(self, fragment_id: int, properties: MassProperties, frame: FrameState) -> None:
+        """Add a body; ValueError if its id is taken, or its mass or inertia is not positive."""
         if fragment_id in self._newcomers or self._row_of(fragment_id) is not None:
             raise ValueError(f"fragment {fragment_id} is already in the world")
         if not properties.mass > 0.0:
-            raise ValueError(f"fragment {fragment_id}: mass {properties.mass} kg: not positive")
+            raise ValueError(f"fragment {fragment_id}: mass {properties.mass} kg is not positive")
         minors = _leading_minors(properties.inertia)
         if not all(minor > 0.0 for minor in minors):
-            raise ValueError(f"fragment {fragment_id}: inertia {properties.inertia.tolist()} kg m2: not positive")
+            tensor = properties.inertia.tolist()
+            raise ValueError(f"fragment {fragment_id}: inertia {tensor} kg m2 is not positive definite")
         self._newcomers[fragment_id] = properties, frame
 
     def remove(self, fragment_id: int) -> None:
+        """Remove a body; KeyError if there is none of this id."""
         if self._newcomers.pop(fragment_id, None) is not None:
             return
         row = self._row_of(fragment_id)
@@ -82,6 +85,7 @@ class RigidBodyWorld:
         self._states = None
 
     def states(self) -> BodyStates:
+        """Present states of all bodies, ascending by id."""
         if self._newcomers:
             self._take_in()
         if self._states is None:
@@ -91,6 +95,7 @@ class RigidBodyWorld:
     def advance(
         self, linear: np.ndarray, angular: np.ndarray, drift_linear: np.ndarray, drift_angular: np.ndarray
     ) -> None:
+        """One time step: see Engine."""
         before = self.states()
         turns = _turns(angular + drift_angular, self._time_step)
         after = quaternion_products(turns, before.frame_orientations)

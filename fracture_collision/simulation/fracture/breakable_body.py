@@ -23,6 +23,7 @@ class BreakableBody:
         self._node_counts = {fragment_id: len(mesh.vertices)}
 
     def node_count(self, fragment_id: int) -> int:
+        """Number of nodes that a fragment owns."""
         return self._node_counts[fragment_id]
 
     def nearest_node(self, fragment_id: int, point: np.ndarray) -> tuple[int, np.ndarray]:

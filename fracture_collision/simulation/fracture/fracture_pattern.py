@@ -55,7 +55,7 @@ class _Warp(NamedTuple):
         return points + products(sine(self._angles(points)), self.amplitudes)
 
     def jacobians(self, points: np.ndarray) -> np.ndarray:
-        """d phi_i / d x_j: (n, 3, 3)."""
+        """Derivatives d phi_i / d x_j at `points` (n, 3) [m]: (n, 3, 3)."""
         slopes = cosine(self._angles(points))
         return np.eye(3) + products(slopes[:, None, :] * self.amplitudes.T, self.waves)
 

@@ -37,6 +37,8 @@ class Fracture(NamedTuple):
 
 
 class Material(NamedTuple):
+    """What a body consists of."""
+
     density: float  # [kg/m3]
     friction: float  # Coulomb coefficient
     restitution: float  # 0..1
@@ -45,6 +47,8 @@ class Material(NamedTuple):
 
 
 class SceneBody(NamedTuple):
+    """A body of a scene, at its start."""
+
     name: str
     shape: Shape
     material: Material
@@ -57,6 +61,8 @@ class SceneBody(NamedTuple):
 
 
 class Scene(NamedTuple):
+    """A scene: its bodies, and all settings of the simulation."""
+
     name: str
     seed: int
     gravity: np.ndarray  # (3,) [m/s2]
@@ -69,10 +75,13 @@ class Scene(NamedTuple):
 
     @property
     def step_count(self) -> int:
+        """Number of steps that cover `duration`."""
         return math.ceil(self.duration / self.time_step - 1e-9)
 
 
 class SceneFile(NamedTuple):
+    """A scene file of the package."""
+
     path: Path
     title: str  # its first line
     variants: tuple[str, ...]
@@ -111,7 +120,7 @@ def parse_scene(content: Any, name: str, variant: str = "", folder: Path | None 
     if variant:
         known = _variants(content)
         if variant not in known:
-            raise SceneError(f"{name}: has no variant {variant!r}; there is {', '.join(known) or 'none'}")
+            raise SceneError(f"{name}: has no variant {variant!r}; there are {', '.join(known) or 'none'}")
         content, name = _merged(content, known[variant], "variants." + variant), f"{name}:{variant}"
     root = Fields(content, "")
     root.mapping("variants", {})
@@ -163,7 +172,7 @@ def _find(name: str) -> tuple[Path, str]:
     for path, wanted in candidates:
         if path.is_file():
             return path, wanted
-    raise SceneError(f"no scene {name!r}: looked for {' and '.join(str(path) for path, _ in candidates)}")
+    raise SceneError(f"no scene {name!r}: no file {' or '.join(str(path) for path, _ in candidates)}")
 
 
 def _variants(content: Any) -> Mapping[str, Any]:
@@ -173,8 +182,7 @@ def _variants(content: Any) -> Mapping[str, Any]:
 def _merged(content: Any, change: Any, path: str) -> Any:
     """`content` with the fields of `change` in place of its own; in a list, `change` selects bodies by name."""
     if isinstance(content, Mapping) and isinstance(change, Mapping):
-        changed = {key: _merged(content.get(key), value, f"{path}.{key}") for key, value in change.items()}
-        return {**content, **changed}
+        return {**content, **{key: _merged(content.get(key), new, f"{path}.{key}") for key, new in change.items()}}
     if isinstance(content, list) and isinstance(change, Mapping):
         places = {item.get("name"): i for i, item in enumerate(content) if isinstance(item, Mapping)}
         changed = list(content)
@@ -220,7 +228,7 @@ def _material_of(fields: Fields, materials: Mapping[str, Material]) -> Material:
 def _arm_bodies(arm: Arm, material: Material) -> tuple[SceneBody, ...]:
     """The arm's parts as bodies, at the start of its swing."""
     centers, turns = ArmKinematics(arm.position, arm.orientation).places(arm.swing()(0.0))
-    foot = arm.position + turned_by(arm.orientation, PARTS[0].center)
+    foot = arm.position + turned_by(arm.orientation, np.array(PARTS[0].center))
     places = [(foot, arm.orientation), *zip(centers, turns, strict=True)]
     return tuple(
         SceneBody(

@@ -26,6 +26,7 @@ def collision_body(body_id: int, body: SceneBody) -> CollisionBody:
         return record._replace(primitive=SolidPrimitive(BOX, shape.size))
     if shape.kind == "sphere":
         return record._replace(primitive=SolidPrimitive(SPHERE, (shape.radius,)))
+    assert shape.mesh is not None  # as in every shape of another kind
     return record._replace(
         vertices=shape.mesh.vertices.ravel(), tetrahedra=shape.mesh.tetrahedra.astype(np.uint32).ravel()
     )

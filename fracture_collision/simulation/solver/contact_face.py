@@ -17,11 +17,20 @@ import numpy as np
 from fracture_collision.simulation.compiled import uncounted
 from fracture_collision.simulation.solver.contact_rows import NORMAL_MASS, TANGENT_MASS, load, push, pushed, store, turn
 
-# A direction with less than this share of the bodies' energy, 1e-10 of their speeds, counts as none.
+# A direction with less than this share of the bodies' energy, 1e-10 of their speeds, counts as none. Drift correction
+# starts at rest, without energy: there NO_WAY alone decides.
 NO_ENERGY = 1.0e-20
 # A direction with less than this share of the curvature of its single impulses only shifts load between contacts that
 # hold the same; one whose squared sine to the other is less is a multiple of it. What is left of either is rounding.
 NO_WAY = 1.0e-8
+
+
+class Iterate(NamedTuple):
+    """The impulses that the iterations have reached, and the velocities that they give; kernels change both."""
+
+    impulses: np.ndarray  # (N, 3)
+    rolling: np.ndarray  # (p, 3)
+    u: np.ndarray  # (n + 1, 6)
 
 
 class Way(NamedTuple):
@@ -42,8 +51,11 @@ class Live(NamedTuple):
 
 
 class Face(NamedTuple):
-    """What the last visit of a contact found within its bounds. A tangent's bound moves with lambda: comparing them
-    afterwards would let sliding contacts stick, and friction take part in finding lambda."""
+    """What the last visit of a contact found within its bounds.
+
+    A tangent's bound moves with lambda: comparing them afterwards would let sliding contacts stick, and friction take
+    part in finding lambda.
+    """
 
     presses: np.ndarray  # (N,) bool, the normal impulse
     sticks: np.ndarray  # (N,) bool, the tangents
@@ -64,8 +76,9 @@ def list_live(rows, live):
 
 
 @uncounted
-def difference(impulses, rolling, before, live, way):
+def difference(iterate, before, live, way):
     """The direction from `before` to the present impulses; `keep_to_face` computes its effect on the bodies."""
+    impulses, rolling = iterate.impulses, iterate.rolling
     for c in live.contacts[: live.begin[-1]]:
         for k in range(3):
             way.impulses[c, k] = impulses[c, k] - before.impulses[c, k]
@@ -75,8 +88,9 @@ def difference(impulses, rolling, before, live, way):
 
 
 @uncounted
-def add_up(rows, live, start, u, impulses, rolling):
+def add_up(rows, live, start, iterate):
     """Recompute u from its value at `start` and the impulses since."""
+    impulses, rolling, u = iterate
     for i in range(u.shape[0]):
         for k in range(6):
             u[i, k] = start.u[i, k]
@@ -176,11 +190,12 @@ def _slope_and_curvature(rows, live, targets, u, way, scale):
 
 
 @uncounted
-def leave_face(rows, live, surfaces, impulses, step, path, along_step, along_path, face):
-    """Remove from the face what these multiples of two directions would carry beyond its bounds.
+def leave_face(rows, live, surfaces, impulses, step, path, along, face):
+    """Remove from the face what the multiples `along` of two directions would carry beyond its bounds.
 
     Returns whether anything left it, and the part of the step up to which every normal impulse stays within its bounds.
     """
+    along_step, along_path = along
     left, part = False, 1.0
     for pair in range(rows.body_a.size):
         friction = surfaces.friction[pair]
@@ -202,8 +217,13 @@ def leave_face(rows, live, surfaces, impulses, step, path, along_step, along_pat
 
 
 @uncounted
-def go(rows, live, surfaces, targets, u, impulses, rolling, step, path, along_step, along_path):
-    """Step by these multiples of two directions, projected onto the cones; no step, and False, if f did not fall."""
+def take_step(rows, live, surfaces, targets, iterate, step, path, along):
+    """Step by the multiples `along` of two directions, projected onto the cones; no step, and False, if f did not fall.
+
+    The step as made is written into `step`.
+    """
+    impulses, rolling, u = iterate
+    along_step, along_path = along
     work = 0.0
     for i in range(u.shape[0]):
         for k in range(6):
@@ -261,7 +281,7 @@ def go(rows, live, surfaces, targets, u, impulses, rolling, step, path, along_st
 
 @uncounted
 def doubled_energy(rows, way):
-    """u M u of a direction; also computes its momenta."""
+    """Twice the energy of a direction, u M u; also computes its momenta."""
     _find_momenta(rows, way)
     return dot(way.momenta, way.u)
 
@@ -279,6 +299,7 @@ def _find_momenta(rows, way):
 
 @uncounted
 def dot(x, y):
+    """Sum of the products of x and y, both (n + 1, 6)."""
     result = 0.0
     for i in range(x.shape[0]):
         result += (x[i, 0] * y[i, 0] + x[i, 1] * y[i, 1] + x[i, 2] * y[i, 2]) + (

@@ -14,8 +14,9 @@ import numpy as np
 from numba import njit
 
 from fracture_collision.simulation.compiled import uncounted
+from fracture_collision.simulation.solver.contact_face import Iterate
 from fracture_collision.simulation.solver.contact_rows import RECORD, TANGENT1, TANGENT2, Rows, Surfaces, fill_record
-from fracture_collision.simulation.solver.contact_step import drift_velocities, new_velocities
+from fracture_collision.simulation.solver.contact_step import drift_velocities, find_velocities
 from fracture_collision.simulation.solver.small_matrices import invert_symmetric
 
 # A contact at rest never penetrates by this many rest gaps.
@@ -58,6 +59,8 @@ class Islands(NamedTuple):
 
 
 class Result(NamedTuple):
+    """The solved step."""
+
     velocities: np.ndarray  # (n, 6) u(t + h)
     drift: np.ndarray  # (n, 6) u_d
     normal_impulses: np.ndarray  # (N,) lambda [N s]
@@ -105,6 +108,7 @@ def islands_of(begin, body_a, body_b, count):
 
 @uncounted
 def root_of(root, i):
+    """Root of i in a forest of parents `root` (n,) int64; halves the path to it (union-find)."""
     while root[i] != i:
         root[i] = root[root[i]]
         i = root[i]
@@ -148,10 +152,12 @@ def solve_islands(islands, bodies, contacts, settings, time_step, only_limited, 
             members, pairs, local, bodies, contacts, settings
         )
         impulses, rolling = _impulses_of_island(pairs, rows, contacts, result)
-        before, free = np.zeros((2, members.size + 1, 6))
+        before, u = np.zeros((2, members.size + 1, 6))
         for k in range(members.size):
-            before[k], free[k] = bodies.velocities[members[k]], bodies.free_velocities[members[k]]
-        u = new_velocities(rows, surfaces, before, free, gaps, restitution, impulses, rolling, settings, time_step)
+            before[k], u[k] = bodies.velocities[members[k]], bodies.free_velocities[members[k]]
+        find_velocities(
+            rows, surfaces, gaps, restitution, before, Iterate(impulses, rolling, u), settings, time_step
+        )
         for k in range(members.size):
             result.velocities[members[k]] = u[k]
         if not only_limited:

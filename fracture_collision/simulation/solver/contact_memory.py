@@ -36,6 +36,28 @@ class ContactMemory(NamedTuple):
     normals: np.ndarray  # (N, 3), frame of a
 
 
+class _Listed(NamedTuple):
+    """Contacts of the service, in the world frame."""
+
+    fragment_a: np.ndarray  # (p,) uint32, ascending by (a, b)
+    fragment_b: np.ndarray
+    begin: np.ndarray  # (p + 1,) int64
+    contact_ids: np.ndarray  # (N,) uint64
+    points_a: np.ndarray  # (N, 3) [m]
+    points_b: np.ndarray  # (N, 3) [m]
+    normals: np.ndarray  # (N, 3)
+    gaps: np.ndarray  # (N,) [m]
+
+
+class _Frames(NamedTuple):
+    """Body frames of the fragments, and the rows of each pair's two."""
+
+    of_a: np.ndarray  # (p,) int64
+    of_b: np.ndarray  # (p,) int64
+    positions: np.ndarray  # (f, 3) [m]
+    rotations: np.ndarray  # (f, 3, 3)
+
+
 NOTHING = ContactMemory(
     np.zeros(0, np.uint32), np.zeros(0, np.uint32), np.zeros(1, np.int64), np.zeros(0, np.uint64),
     np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)),
@@ -59,12 +81,15 @@ def with_remembered(
         rows = np.searchsorted(ids, fragments)
         return np.where(np.append(ids, 0)[rows] == fragments, rows, len(ids))
 
-    begin, contact_ids, points_a, points_b, normals, gaps, *local = _merge(
+    listed = _Listed(
         contacts.fragment_a, contacts.fragment_b, contacts.pair_begin.astype(np.int64), contacts.contact_ids,
         contacts.points_a.reshape(-1, 3), contacts.points_b.reshape(-1, 3), contacts.normals.reshape(-1, 3),
-        contacts.gaps, frames_of(contacts.fragment_a), frames_of(contacts.fragment_b), positions,
-        rotation_matrices(quaternions), memory, reach,
+        contacts.gaps,
     )  # fmt: skip
+    frames = _Frames(
+        frames_of(contacts.fragment_a), frames_of(contacts.fragment_b), positions, rotation_matrices(quaternions)
+    )
+    begin, contact_ids, points_a, points_b, normals, gaps, *local = _merge(listed, frames, memory, reach)
     merged = contacts._replace(
         pair_begin=begin, contact_ids=contact_ids, points_a=points_a.ravel(), points_b=points_b.ravel(),
         normals=normals.ravel(), gaps=gaps,
@@ -73,10 +98,9 @@ def with_remembered(
 
 
 @njit(cache=True)
-def _merge(
-    fragment_a, fragment_b, begin, contact_ids, points_a, points_b, normals, gaps, frame_a, frame_b, positions,
-    rotations, memory, reach,
-):  # fmt: skip
+def _merge(listed, frames, memory, reach):
+    fragment_a, fragment_b, begin, contact_ids, points_a, points_b, normals, gaps = listed
+    frame_a, frame_b, positions, rotations = frames
     room = len(gaps) + len(memory.contact_ids)
     out_begin = np.zeros(len(fragment_a) + 1, dtype=np.int64)
     out_ids = np.empty(room, dtype=np.uint64)

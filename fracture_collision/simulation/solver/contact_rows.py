@@ -22,6 +22,8 @@ RECORD = 37
 
 
 class Rows(NamedTuple):
+    """Constraint rows of an island of m - 1 bodies and p pairs with N contacts."""
+
     begin: np.ndarray  # (p + 1,) int64, contacts of pair i: begin[i] .. begin[i + 1] - 1
     body_a: np.ndarray  # (p,) int64
     body_b: np.ndarray  # (p,) int64
@@ -34,6 +36,8 @@ class Rows(NamedTuple):
 
 
 class Surfaces(NamedTuple):
+    """Bounds of the impulses of p pairs with N contacts."""
+
     friction: np.ndarray  # (p,) mu
     rolling_arm: np.ndarray  # (p,) rho [m]
     impulse_limits: np.ndarray  # (N,) [N s], inf: none
@@ -93,11 +97,13 @@ def push(rows, pair, c, u, normal, x, y):
 
 @uncounted
 def load(u, i):
+    """Velocities of body i as a tuple of six."""
     return u[i, 0], u[i, 1], u[i, 2], u[i, 3], u[i, 4], u[i, 5]
 
 
 @uncounted
 def store(u, i, values):
+    """Write the velocities of body i from a tuple of six."""
     for k in range(6):
         u[i, k] = values[k]
 
@@ -111,6 +117,7 @@ def velocities(r, ua, ub):
 
 @uncounted
 def normal_velocity(r, ua, ub):
+    """J_n u of a contact with record r, from the velocities of its two bodies."""
     x, y, z = _parting(r, ua, ub)
     return r[0] * x + r[1] * y + r[2] * z
 
@@ -179,7 +186,7 @@ def _crossed(r, i, j):
 
 @uncounted
 def _basis(n, record):
-    """n and two tangents; the first is perpendicular to n and to the axis that n is farthest from."""
+    """Write n and two tangents; the first is perpendicular to n and to the axis that n is farthest from."""
     axis = 0
     for i in range(1, 3):
         if abs(n[i]) < abs(n[axis]):

@@ -94,10 +94,19 @@ class WarmStart(NamedTuple):
 
 
 class Solution(NamedTuple):
+    """Velocities and impulses of one step."""
+
     velocities: np.ndarray  # (n, 6) u(t + h)
     drift: np.ndarray  # (n, 6) u_d, for the poses of this step only
     normal_impulses: np.ndarray  # (N,) lambda [N s]
     warm_start: WarmStart
+
+
+class Caps(NamedTuple):
+    """Limits of what materials transmit before they break, and the solution of the same step without them."""
+
+    impulse_limits: np.ndarray  # (N,) [N s] of lambda; inf: none
+    unlimited: Solution
 
 
 NO_WARM_START = WarmStart(
@@ -113,50 +122,47 @@ def solve_contacts(
     warm_start: WarmStart,
     settings: SolverSettings,
     time_step: float,
-    impulse_limits: np.ndarray | None = None,
-    unlimited: Solution | None = None,
+    caps: Caps | None = None,
     asleep: np.ndarray | None = None,
 ) -> Solution:
     """Velocities after one step of `time_step` [s] that respect the contacts.
 
-    Contacts are visited in input order, so equal input gives equal bytes. `impulse_limits` (N,) [N s] caps lambda of
-    each contact at what a material transmits before it breaks; such contacts do not bounce. `unlimited` is then the
-    solution of the same step without limits, kept for islands that have none. Bodies that are `asleep` (n,), none or
-    all of an island, stay in place, and the warm start keeps the impulses of their contacts.
+    Contacts are visited in input order, so equal input gives equal bytes. Contacts with a limit in `caps` do not
+    bounce; islands without such contacts keep the unlimited solution. Bodies that are `asleep` (n,), none or all of an
+    island, stay in place, and the warm start keeps the impulses of their contacts.
     """
     count, body_count = len(contacts.gaps), len(bodies.masses)
     begin = contacts.pair_begin.astype(np.int64)
     impulses, rolling = carried_impulses(
-        contacts.fragment_a, contacts.fragment_b, begin, contacts.contact_ids,
-        warm_start.fragment_a, warm_start.fragment_b, warm_start.pair_begin, warm_start.contact_ids,
-        warm_start.impulses, warm_start.rolling,
-    )  # fmt: skip
+        contacts.fragment_a, contacts.fragment_b, begin, contacts.contact_ids, warm_start
+    )
     listed = Contacts(
         begin, pairs.body_a, pairs.body_b, contacts.friction, contacts.restitution, pairs.rolling_arm,
         0.5 * (contacts.points_a + contacts.points_b).reshape(-1, 3), contacts.normals.reshape(-1, 3), contacts.gaps,
-        pairs.rest_gaps, np.full(count, np.inf) if impulse_limits is None else impulse_limits,
+        pairs.rest_gaps, np.full(count, np.inf) if caps is None else caps.impulse_limits,
     )  # fmt: skip
-    if unlimited is None:
+    if caps is None:
         result = Result(bodies.free_velocities.copy(), np.zeros((body_count, 6)), np.zeros(count), impulses, rolling)
     else:
-        known = (unlimited.velocities, unlimited.drift, unlimited.normal_impulses)
-        result = Result(*[values.copy() for values in known], impulses, rolling)
+        unlimited = caps.unlimited
+        result = Result(
+            unlimited.velocities.copy(), unlimited.drift.copy(), unlimited.normal_impulses.copy(), impulses, rolling
+        )
     islands = islands_of(begin, pairs.body_a, pairs.body_b, body_count)
     if asleep is None:
         asleep = np.zeros(body_count, bool)
-    solve_islands(islands, Bodies(*bodies), listed, settings, time_step, unlimited is not None, asleep, result)
+    solve_islands(islands, Bodies(*bodies), listed, settings, time_step, caps is not None, asleep, result)
     carried = WarmStart(contacts.fragment_a, contacts.fragment_b, begin, contacts.contact_ids, impulses, rolling)
     return Solution(result.velocities, result.drift, result.normal_impulses, carried)
 
 
 @njit(cache=True)
-def carried_impulses(
-    fragment_a, fragment_b, begin, contact_ids, old_a, old_b, old_begin, old_ids, old_impulses, old_rolling
-):
+def carried_impulses(fragment_a, fragment_b, begin, contact_ids, warm_start):
     """Impulses (N, 3), world axes, and rolling (p, 3) from the last step where it had the same contact; else zero.
 
     Pairs are merged in their common order; the few contacts of a pair are compared one by one.
     """
+    old_a, old_b, old_begin, old_ids, old_impulses, old_rolling = warm_start
     impulses = np.zeros((contact_ids.size, 3))
     rolling = np.zeros((fragment_a.size, 3))
     old = 0
@@ -181,7 +187,7 @@ def normal_impulse_sums(
     solution: Solution, contacts: ContactConstraintArray, pairs: BodyPairs, body_count: int
 ) -> np.ndarray:
     """Sum of lambda over the contacts of each body: (n,) [N s]. A body squeezed between two counts both sides."""
-    repeat = np.diff(contacts.pair_begin.astype(np.int64))
+    repeat: np.ndarray = np.diff(contacts.pair_begin.astype(np.int64))
     sums = np.zeros(body_count + 1)
     for body in (pairs.body_a, pairs.body_b):
         np.add.at(sums, np.repeat(body, repeat), solution.normal_impulses)

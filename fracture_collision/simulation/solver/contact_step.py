@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 
 from fracture_collision.simulation.compiled import uncounted
+from fracture_collision.simulation.solver.contact_face import Iterate
 from fracture_collision.simulation.solver.contact_rows import Surfaces, normal_velocities
 from fracture_collision.simulation.solver.contact_sweeps import apply_warm_start, sweep
 
@@ -19,15 +20,19 @@ SHARPER = 0.1
 
 
 @njit(cache=True)
-def new_velocities(rows, surfaces, before, free, gaps, restitution, impulses, rolling, settings, time_step):
-    """u(t + h) after (1)-(5); impulses and rolling are the first guess on input."""
+def find_velocities(rows, surfaces, gaps, restitution, before, iterate, settings, time_step):
+    """Solve (1)-(5): the Iterate has u* and a first guess of the impulses, and gets u(t + h) and the impulses.
+
+    gaps, restitution (N,); before: u(t).
+    """
     targets = -np.maximum(gaps, 0.0) / time_step
-    u = free.copy()
-    apply_warm_start(rows, targets, u, impulses, rolling)
+    impulses, rolling, u = iterate
+    free = u.copy()
+    apply_warm_start(rows, targets, iterate)
     gravity = _gravity(before, free)
     enough, accuracy = ROUNDING * _inner(rows, gravity, gravity), settings.accuracy
     for _ in range(settings.rounds):
-        sweep(rows, surfaces, targets, u, free, impulses, rolling, settings.iterations, accuracy)
+        sweep(rows, surfaces, targets, free, iterate, settings.iterations, accuracy)
         if _energy_gain(rows, before, gravity, u) <= enough:
             break
         accuracy *= SHARPER
@@ -46,14 +51,11 @@ def new_velocities(rows, surfaces, before, free, gaps, restitution, impulses, ro
             targets[c] = -restitution[c] * approach[c]
     if bounces:
         plastic, plastic_impulses, plastic_rolling = u.copy(), impulses.copy(), rolling.copy()
-        sweep(
-            rows, surfaces, targets, u, free, impulses, rolling, settings.restitution_iterations, settings.accuracy
-        )
+        sweep(rows, surfaces, targets, free, iterate, settings.restitution_iterations, settings.accuracy)
         share = _share_without_energy_gain(rows, before, gravity, plastic, u)
         u[:] = plastic + share * (u - plastic)
         impulses[:] = plastic_impulses + share * (impulses - plastic_impulses)
         rolling[:] = plastic_rolling + share * (rolling - plastic_rolling)
-    return u
 
 
 @njit(cache=True)
@@ -79,9 +81,9 @@ def drift_velocities(rows, gaps, before, after, against, settings, time_step):
         if against[c]:
             limits[c] = 0.0
     still = np.zeros(rows.body_a.size)
-    impulses, rolling = np.zeros((gaps.size, 3)), np.zeros((rows.body_a.size, 3))
+    iterate = Iterate(np.zeros((gaps.size, 3)), np.zeros((rows.body_a.size, 3)), u)
     smooth, nothing = Surfaces(still, still, limits), np.zeros_like(u)
-    sweep(rows, smooth, targets, u, nothing, impulses, rolling, settings.drift_iterations, settings.accuracy)
+    sweep(rows, smooth, targets, nothing, iterate, settings.drift_iterations, settings.accuracy)
     return u
 
 
@@ -122,7 +124,7 @@ def _gravity(before, free):
 
 @uncounted
 def _inner(rows, x, y):
-    """x M y."""
+    """Inner product x M y of velocities (n + 1, 6)."""
     result = 0.0
     for i in range(x.shape[0]):
         inertia = rows.inertias[i]

@@ -19,12 +19,12 @@ from fracture_collision.simulation.solver.contact_face import (
     difference,
     dot,
     doubled_energy,
-    go,
     keep_to_face,
     leave_face,
     list_live,
     lowest,
     take_out,
+    take_step,
 )
 from fracture_collision.simulation.solver.contact_rows import (
     COUPLING1,
@@ -45,13 +45,14 @@ FACES = 3
 
 
 @njit(cache=True)
-def apply_warm_start(rows, targets, u, impulses, rolling):
-    """Add the carried impulses to u, scaled down where they overshoot.
+def apply_warm_start(rows, targets, iterate):
+    """Add the carried impulses of an Iterate to its u, scaled down where they overshoot.
 
     With lambda the vector of carried impulses, s lambda minimises the quadratic that Gauss-Seidel descends,
     s^2/2 lambda A lambda + s lambda (J u* - target), for s = -lambda (J u* - target) / lambda A lambda. With s clamped
     to [0, 1], a warm start can only remove energy.
     """
+    impulses, rolling, u = iterate
     carried = Way(impulses, rolling, np.zeros_like(u), np.zeros_like(u))
     slope = 0.0
     for pair in range(rows.body_a.size):
@@ -77,8 +78,8 @@ def apply_warm_start(rows, targets, u, impulses, rolling):
 
 
 @njit(cache=True)
-def sweep(rows, surfaces, targets, u, free, impulses, rolling, iterations, accuracy):
-    """Projected Gauss-Seidel on (2), (3), (5), accelerated. Changes u, impulses, rolling.
+def sweep(rows, surfaces, targets, free, iterate, iterations, accuracy):
+    """Projected Gauss-Seidel on (2), (3), (5), accelerated. Changes the Iterate.
 
     One iteration visits all contacts forward, then backward. With x the impulses, t the targets and A = J W J^T this
     descends
@@ -93,8 +94,8 @@ def sweep(rows, surfaces, targets, u, free, impulses, rolling, iterations, accur
     It ends when no body's velocity changes by more than `accuracy` times the largest change that contacts have made to
     any of them, u - u* (`free`).
     """
-    step, path = _no_way(u, impulses, rolling), _no_way(u, impulses, rolling)
-    before, start = _no_way(u, impulses, rolling), _no_way(u, impulses, rolling)
+    impulses, rolling, u = iterate
+    step, path, before, start = _no_way(iterate), _no_way(iterate), _no_way(iterate), _no_way(iterate)
     count = len(impulses)
     face = Face(np.zeros(count, np.bool_), np.zeros(count, np.bool_), np.zeros(len(rolling), np.bool_))
     live = Live(np.zeros(len(rolling) + 1, np.int64), np.empty(count, np.int64), np.zeros(count, np.bool_))
@@ -102,39 +103,39 @@ def sweep(rows, surfaces, targets, u, free, impulses, rolling, iterations, accur
         if impulses[c, 0] != 0.0 or impulses[c, 1] != 0.0 or impulses[c, 2] != 0.0:
             live.has_lived[c] = True
     list_live(rows, live)
-    _keep(start, u, impulses, rolling, live)
+    _keep(start, iterate, live)
     scale = doubled_energy(rows, start)
     has_gone = False
     for iteration in range(iterations):
         is_last = iteration == iterations - 1
         if is_last and has_gone:
             # Long accelerated steps leave more than rounding in u: the last sweep starts from u by the impulses.
-            add_up(rows, live, start, u, impulses, rolling)
-        _keep(before, u, impulses, rolling, live)
-        _sweep_once(rows, surfaces, targets, u, impulses, rolling, live, face, False)
-        _sweep_once(rows, surfaces, targets, u, impulses, rolling, live, face, True)
+            add_up(rows, live, start, iterate)
+        _keep(before, iterate, live)
+        _sweep_once(rows, surfaces, targets, iterate, live, face, False)
+        _sweep_once(rows, surfaces, targets, iterate, live, face, True)
         list_live(rows, live)
         if is_last:
             break
         if _squared_change(rows, u, before.u) <= accuracy * accuracy * _squared_change(rows, u, free):
             if has_gone:
-                add_up(rows, live, start, u, impulses, rolling)
+                add_up(rows, live, start, iterate)
             break
-        difference(impulses, rolling, before, live, step)
-        along_step, along_path, part = 0.0, 0.0, 0.0
+        difference(iterate, before, live, step)
+        along, part = (0.0, 0.0), 0.0
         keep_to_face(rows, live, face, step)
         keep_to_face(rows, live, face, path)
         for search in range(FACES):
             if search > 0:
                 take_out(rows, live, face, step)
                 take_out(rows, live, face, path)
-            along_step, along_path = lowest(rows, live, targets, u, step, path, scale)
-            left, part = leave_face(rows, live, surfaces, impulses, step, path, along_step, along_path, face)
+            along = lowest(rows, live, targets, u, step, path, scale)
+            left, part = leave_face(rows, live, surfaces, impulses, step, path, along, face)
             if not left:
                 break
-        if go(rows, live, surfaces, targets, u, impulses, rolling, step, path, part * along_step, part * along_path):
+        if take_step(rows, live, surfaces, targets, iterate, step, path, (part * along[0], part * along[1])):
             has_gone = True
-        difference(impulses, rolling, before, live, path)
+        difference(iterate, before, live, path)
 
 
 @uncounted
@@ -156,7 +157,8 @@ def _squared_change(rows, u, before):
 
 
 @uncounted
-def _keep(way, u, impulses, rolling, live):
+def _keep(way, iterate, live):
+    impulses, rolling, u = iterate
     for i in range(u.shape[0]):
         for k in range(6):
             way.u[i, k] = u[i, k]
@@ -169,12 +171,14 @@ def _keep(way, u, impulses, rolling, live):
 
 
 @njit(cache=True)
-def _no_way(u, impulses, rolling):
+def _no_way(iterate):
+    impulses, rolling, u = iterate
     return Way(np.zeros_like(impulses), np.zeros_like(rolling), np.zeros_like(u), np.zeros_like(u))
 
 
 @uncounted
-def _sweep_once(rows, surfaces, targets, u, impulses, rolling, live, face, backward):
+def _sweep_once(rows, surfaces, targets, iterate, live, face, backward):
+    impulses, rolling, u = iterate
     pair_count = rows.body_a.size
     for visit in range(pair_count):
         pair = pair_count - 1 - visit if backward else visit

@@ -30,7 +30,10 @@ class Boxes(NamedTuple):
 
 
 def boxes_of(masses: np.ndarray, inertias: np.ndarray) -> Boxes:
-    """masses (n,) [kg], inertias (n, 3, 3) [kg m2] about the centres of mass, world axes."""
+    """Boxes of n bodies.
+
+    masses (n,) [kg], inertias (n, 3, 3) [kg m2] about the centres of mass, world axes.
+    """
     return Boxes(*_boxes(masses, inertias))
 
 
@@ -56,8 +59,9 @@ def _boxes(masses, inertias):
 
 @uncounted
 def _rotate(matrix, axes, p, q):
-    """One of Jacobi's rotations: matrix[p, q] becomes 0, and rows p, q of `axes` turn with it (Golub and Van Loan,
-    "Matrix Computations", 8.5.2).
+    """One of Jacobi's rotations: matrix[p, q] becomes 0, and rows p, q of `axes` turn with it.
+
+    Golub and Van Loan, "Matrix Computations", 8.5.2.
     """
     if matrix[p, q] == 0.0:
         return

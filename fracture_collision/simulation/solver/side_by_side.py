@@ -1,7 +1,8 @@
 """Bodies that fly beside one that is held back within a step: the service has not searched how they pass it.
 
 The service searches each pair with both bodies moving for the whole step. Where one stops earlier, the other moves on
-alone only as long as their boxes show that it does not reach the first, or as the difference stays within `spare`.
+alone only as long as balls or boxes about the two stay apart, or as the difference stays within `spare`. These are the
+bodies' inertia boxes enlarged by LARGER, an estimate of their extent.
 """
 
 from __future__ import annotations
@@ -12,24 +13,28 @@ from numba import njit
 from fracture_collision.simulation.compiled import uncounted
 from fracture_collision.simulation.solver.straight_motion import length, turned
 
-# Factor by which a body may exceed its inertia box; a three-sided prism exceeds it by 1.8 to one side.
+# Factor on inertia boxes, to contain the bodies: an estimate, no bound. Cylinders need 1.15, balls 1.29, an edge of a
+# three-sided prism 1.63, and a corner of a tetrahedron 2.24 = sqrt(5), the most of any convex body (Kannan, Lovasz,
+# Simonovits 1995). What sticks out may run into a body that has stopped; the next states then have it as a contact.
+# With sqrt(5), bodies in a crowd would wait for each other more often.
 LARGER = 1.5
 # A body is held back further only where it exceeds the allowed share by this factor.
 ENOUGH = 1.01
 
 
 @njit(cache=True)
-def shares_side_by_side(shares, centers, axes, halves, spare, velocities, time_step):
+def shares_side_by_side(shares, motion, boxes, spare):
     """`shares` (n,) of the step for which bodies move, reduced where one may run into another that is held back more.
 
-    centers (n, 3) [m]; axes (n, 3, 3), halves (n, 3): of Boxes; spare (n,) [m]: allowed deviation from the searched
-    motion; velocities (n, 6) of the motion.
+    motion: Motion; boxes: Boxes of the bodies; spare (n,) [m]: allowed deviation from the searched motion.
     """
     n, shares = len(shares), shares.copy()
     ways = np.empty(n)
     for i in range(n):
-        u = velocities[i]
-        ways[i] = time_step * (length(u[0], u[1], u[2]) + length(u[3], u[4], u[5]) * _reach(halves[i]))
+        u = motion.velocities[i]
+        ways[i] = motion.time_step * (
+            length(u[0], u[1], u[2]) + length(u[3], u[4], u[5]) * _reach(boxes.halves[i])
+        )
     changed = True
     while changed:
         changed = False
@@ -42,17 +47,20 @@ def shares_side_by_side(shares, centers, axes, halves, spare, velocities, time_s
                 if later * ways[i] <= ENOUGH * free or later * ways[j] <= ENOUGH * free:
                     continue
                 least = free / max(min(ways[i], ways[j]), free)
-                alone = _alone(i, j, shares[i], later, centers, axes, halves, free, velocities, time_step)
+                alone = _alone(i, j, shares[i], later, motion, boxes, free)
                 if later > ENOUGH * max(least, alone):
                     shares[j], changed = shares[i] + max(least, alone), True
     return shares
 
 
 @uncounted
-def _alone(i, j, share, later, centers, axes, halves, free, velocities, time_step):
-    """Share of the step, at most `later`, for which body j may move on alone after i has stopped at `share`: all of it
-    if balls about them stay apart, else as long as a side of a box separates them; 0 if none does.
+def _alone(i, j, share, later, motion, boxes, free):
+    """Share of the step, at most `later`, for which body j may move on alone after i has stopped at `share`.
+
+    All of it if balls about them stay apart, else as long as a side of a box separates them; 0 if none does.
     """
+    centers, velocities, time_step = motion.centers, motion.velocities, motion.time_step
+    axes, halves = boxes.axes, boxes.halves
     t, u = share * time_step, velocities[j]
     d = (
         centers[j, 0] - centers[i, 0] + t * (u[0] - velocities[i, 0]),
@@ -71,7 +79,7 @@ def _alone(i, j, share, later, centers, axes, halves, free, velocities, time_ste
             along = x * d[0] + y * d[1] + z * d[2]
             if along < 0.0:
                 x, y, z, along = -x, -y, -z, -along
-            apart = along - LARGER * (halves[k, side] + _half_along(other, axes, halves, velocities, t, x, y, z))
+            apart = along - LARGER * (halves[k, side] + _half_along(other, boxes, velocities, t, x, y, z))
             if apart >= 0.0:
                 best = max(best, _until(x, y, z, apart + free, u, reach, later, time_step))
     return best
@@ -79,8 +87,9 @@ def _alone(i, j, share, later, centers, axes, halves, free, velocities, time_ste
 
 @uncounted
 def _until(x, y, z, most, u, reach, later, time_step):
-    """Share of the step, at most `later`, for which a body with velocities u and extent `reach` [m] may move until it
-    has advanced by `most` [m] against the unit vector (x, y, z).
+    """Share of the step, at most `later`, until a body has advanced by `most` [m] against the unit vector (x, y, z).
+
+    The body has the velocities u and the extent `reach` [m].
     """
     turning = length(y * u[5] - z * u[4], z * u[3] - x * u[5], x * u[4] - y * u[3])
     nearer = turning * reach - (x * u[0] + y * u[1] + z * u[2])
@@ -90,13 +99,13 @@ def _until(x, y, z, most, u, reach, later, time_step):
 
 
 @uncounted
-def _half_along(k, axes, halves, velocities, t, x, y, z):
+def _half_along(k, boxes, velocities, t, x, y, z):
     """[m] half extent of box k, turned for `t` [s], along a unit vector."""
     half = 0.0
     for side in range(3):
-        axis = axes[k, side]
+        axis = boxes.axes[k, side]
         ax, ay, az = turned(velocities[k], t, axis[0], axis[1], axis[2])
-        half += halves[k, side] * abs(ax * x + ay * y + az * z)
+        half += boxes.halves[k, side] * abs(ax * x + ay * y + az * z)
     return half
 
 

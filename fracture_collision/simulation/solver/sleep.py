@@ -34,8 +34,10 @@ NOBODY = Rest(np.zeros(0, np.uint32), np.zeros(0), np.zeros(0, bool), np.zeros((
 def roused(
     before: Rest, fragment_ids: np.ndarray, touched: tuple[np.ndarray, np.ndarray], is_pushed: np.ndarray
 ) -> Rest:
-    """Rest of the bodies `fragment_ids` (n,), ascending, in a step. New bodies are awake, and so are those pushed (n,)
-    and those that touched a fragment that is gone. `touched`: fragments of the last step's pairs, two columns (p,).
+    """Rest of the bodies `fragment_ids` (n,), ascending, in a step.
+
+    New bodies are awake, and so are those pushed (n,) and those that touched a fragment that is gone. `touched`:
+    fragments of the last step's pairs, two columns (p,).
     """
     if not len(fragment_ids):
         return NOBODY
@@ -54,8 +56,9 @@ def roused(
 
 
 def settled(rest: Rest, begin: np.ndarray, body_a: np.ndarray, body_b: np.ndarray, sleep_time: float) -> Rest:
-    """Rest with `asleep` for this step: islands with no body awake, and those quiet for `sleep_time` [s]; none if that
-    is 0. begin (p + 1,), body_a, body_b (p,): the step's contacts by pairs of rows, n for what cannot move.
+    """Rest with `asleep` for this step: islands with no body awake, and those quiet for `sleep_time` [s]; none if 0.
+
+    begin (p + 1,), body_a, body_b (p,): the step's contacts by pairs of rows, n for what cannot move.
     """
     if not sleep_time > 0.0:
         return rest._replace(asleep=np.zeros(len(rest.asleep), bool))

@@ -6,17 +6,29 @@ Velocities are rows (6,): v [m/s], w [rad/s].
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
+import numpy as np
 from numba import njit
 
 from fracture_collision import portable_math
 from fracture_collision.simulation.compiled import uncounted
+
+
+class Motion(NamedTuple):
+    """Motion of n bodies in a step."""
+
+    centers: np.ndarray  # (n, 3) [m], at its beginning
+    velocities: np.ndarray  # (n, 6)
+    time_step: float  # [s]
+
 
 _sine_after = njit(cache=True)(portable_math.sine_after)
 
 
 @uncounted
 def length(x, y, z):
+    """Length of a vector."""
     return math.sqrt(x * x + y * y + z * z)
 
 

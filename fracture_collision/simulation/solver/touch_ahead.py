@@ -24,10 +24,10 @@ from fracture_collision.portable_math import dots, lengths
 from fracture_collision.records import ContactConstraintArray
 from fracture_collision.simulation.compiled import uncounted
 from fracture_collision.simulation.engine.engine import BodyStates, rows_of
-from fracture_collision.simulation.solver.contact_solver import BodyPairs, SolverSettings
+from fracture_collision.simulation.solver.contact_solver import BodyPairs, Solution, SolverSettings
 from fracture_collision.simulation.solver.inertia_boxes import boxes_of
 from fracture_collision.simulation.solver.side_by_side import shares_side_by_side
-from fracture_collision.simulation.solver.straight_motion import length, turned
+from fracture_collision.simulation.solver.straight_motion import Motion, length, turned
 
 # [rad] A body that turns farther in a step moves its contact points along arcs.
 FAR_TURN = 0.1
@@ -40,6 +40,7 @@ DEEPER = 0.05
 # MOST_PARTS; the first part that comes too near is bisected HALVINGS times.
 PARTS, PARTS_A_RADIAN, MOST_PARTS, HALVINGS = 4, 8.0, 1000, 30
 
+
 class TouchesAhead(NamedTuple):
     """N contacts ahead."""
 
@@ -48,6 +49,25 @@ class TouchesAhead(NamedTuple):
     points_a: np.ndarray  # (N, 3) [m] present positions, world
     points_b: np.ndarray  # (N, 3)
     normals: np.ndarray  # (N, 3) from a to b, at the touch
+
+
+class StepContacts(NamedTuple):
+    """All contacts of a step."""
+
+    now: ContactConstraintArray  # those solved
+    pairs: BodyPairs  # of these
+    ahead: TouchesAhead | None
+
+
+class Touches(NamedTuple):
+    """N contacts that end the motion of their bodies."""
+
+    body_a: np.ndarray  # (N,) int64 rows of the bodies, n for what cannot move
+    body_b: np.ndarray  # (N,) int64
+    points_a: np.ndarray  # (N, 3) [m] present positions, world
+    points_b: np.ndarray  # (N, 3) [m]
+    normals: np.ndarray  # (N, 3) from a to b
+    least: np.ndarray  # (N,) [m] the gap at which the motion ends
 
 
 class HeldBack(NamedTuple):
@@ -65,7 +85,7 @@ def split_by_gap(
     is_ahead = contacts.gaps > most
     if not is_ahead.any():
         return contacts, None
-    counts = np.diff(contacts.pair_begin.astype(np.int64))
+    counts: np.ndarray = np.diff(contacts.pair_begin.astype(np.int64))
     pair = np.repeat(np.arange(len(counts)), counts)
     left = np.bincount(pair[~is_ahead], minlength=len(counts))
     # A pair listed without contacts stays, for its missed_depth_bound.
@@ -86,41 +106,45 @@ def split_by_gap(
 
 
 def held_back(
-    states: BodyStates, contacts: ContactConstraintArray, pairs: BodyPairs, ahead: TouchesAhead | None,
-    told: np.ndarray | None, is_round: np.ndarray, velocities: np.ndarray, drift: np.ndarray, gravity: np.ndarray,
-    settings: SolverSettings, time_step: float,
+    states: BodyStates, contacts: StepContacts, searched: np.ndarray | None, is_round: np.ndarray, solution: Solution,
+    gravity: np.ndarray, settings: SolverSettings, time_step: float,
 ) -> HeldBack:  # fmt: skip
-    """Velocities and drift (n, 6) that move bodies no farther than to where they touch. Gravity (3,) [m/s2] acts only
-    while a body moves: its share for the rest of the step is subtracted, as energy without a loss of height. From a
-    body in contact no more than its falling speed is subtracted: contacts already bear the weight of a resting body.
+    """Velocities and drift (n, 6) that move bodies no farther than to where they touch.
 
-    contacts, pairs: those solved. told (n, 6): the velocities that the service looked ahead with; None: it does not
-    look ahead. is_round (n + 1,): spheres; the last, False, for what cannot move.
+    Gravity (3,) [m/s2] acts only while a body moves: its share for the rest of the step is subtracted, or the body
+    would gain energy without a loss of height. From a body in contact no more than its falling speed is subtracted:
+    contacts already bear the weight of a resting body.
+
+    searched (n, 6): the velocities that the service looked ahead with; None: it does not look ahead. is_round (n + 1,):
+    spheres; the last, False, for what cannot move.
     """
+    (now, pairs, ahead), velocities, drift = contacts, solution.velocities, solution.drift
     count = len(states.fragment_ids)
     moves, shares = velocities + drift, np.ones(count)
-    if told is None:
+    if searched is None:
         goes_round = _turns_far(pairs, velocities, time_step)
     else:
         boxes, least = boxes_of(states.masses, states.inertias), settings.ahead_gap
         spare = np.clip(SPARE * boxes.thickness(), least, MOST_SPARE * least)
         reach = np.where(is_round[:-1], 0.0, boxes.reach())  # turning does not move a sphere's surface
         goes_round = _goes_astray(pairs, velocities, reach, settings.ahead_gap, time_step)
-        shares = _shares_as_told(pairs, told, moves, reach, spare, time_step)
-    touching = _touching(contacts, pairs, goes_round, settings, DEEPER if told is not None else 1.0)
-    if ahead is None and touching is None and told is None:
+        shares = _shares_as_searched(pairs, searched, moves, reach, spare, time_step)
+    touching = _touching(now, pairs, goes_round, settings, DEEPER if searched is not None else 1.0)
+    if ahead is None and touching is None and searched is None:
         return HeldBack(velocities, drift, shares)
     parts = [] if touching is None else [touching]
     if ahead is not None:
-        rows = [rows_of(fragments, states.fragment_ids) for fragments in (ahead.fragment_a, ahead.fragment_b)]
-        parts.append((*rows, *ahead[2:], np.full(len(rows[0]), settings.rest_gap)))
+        a, b = (rows_of(fragments, states.fragment_ids) for fragments in (ahead.fragment_a, ahead.fragment_b))
+        least_gaps = np.full(len(a), settings.rest_gap)
+        parts.append(Touches(a, b, ahead.points_a, ahead.points_b, ahead.normals, least_gaps))
+    motion = Motion(states.centers, moves, time_step)
     if parts:
-        held = [np.concatenate(column) for column in zip(*parts, strict=True)]
-        if told is not None:
-            held = _by_middles_of_spheres(*held, states.centers, is_round)
-        shares = shares_until_touch(*held, states.centers, moves, shares, told is not None, is_round, time_step)
-    if told is not None:
-        shares = shares_side_by_side(shares, states.centers, *boxes, spare, moves, time_step)
+        touches = Touches._make(np.concatenate(column) for column in zip(*parts, strict=True))
+        if searched is not None:
+            touches = _by_middles_of_spheres(touches, states.centers, is_round)
+        shares = shares_until_touch(touches, motion, shares, searched is not None, is_round)
+    if searched is not None:
+        shares = shares_side_by_side(shares, motion, boxes, spare)
     is_free = np.ones(count + 1, bool)
     is_free[pairs.body_a] = is_free[pairs.body_b] = False
     unspent, falls = (1.0 - shares) * time_step, np.maximum(dots(velocities[:, :3], gravity), 0.0)
@@ -132,18 +156,20 @@ def held_back(
     return HeldBack(velocities, shares[:, None] * moves - velocities, shares)
 
 
-def _shares_as_told(
-    pairs: BodyPairs, told: np.ndarray, moves: np.ndarray, reach: np.ndarray, spare: np.ndarray, time_step: float
+def _shares_as_searched(
+    pairs: BodyPairs, searched: np.ndarray, moves: np.ndarray, reach: np.ndarray, spare: np.ndarray, time_step: float
 ) -> np.ndarray:
-    """(n,) share of the step for which each body may move, so that no point of two touching bodies deviates from its
-    path at the velocities `told` by more than `spare` (n,) [m] of either.
+    """(n,) share of the step for which each body may move along another path than the searched one.
+
+    No point of two touching bodies deviates from its path at the velocities `searched` by more than `spare` (n,) [m] of
+    either.
     """
-    change = moves - told
+    change = moves - searched
     astray = np.append(time_step * (lengths(change[:, :3]) + reach * lengths(change[:, 3:])), 0.0)
     most, spare = astray[pairs.body_a] + astray[pairs.body_b], np.append(spare, np.inf)
     least = np.minimum(spare[pairs.body_a], spare[pairs.body_b])
     share = least / np.maximum(most, least)
-    shares = np.ones(len(told) + 1)
+    shares = np.ones(len(searched) + 1)
     np.minimum.at(shares, pairs.body_a, share)
     np.minimum.at(shares, pairs.body_b, share)
     return shares[:-1]
@@ -169,49 +195,45 @@ def _goes_astray(
 
 def _touching(
     contacts: ContactConstraintArray, pairs: BodyPairs, chosen: np.ndarray, settings: SolverSettings, deeper: float
-) -> tuple[np.ndarray, ...] | None:
-    """The contacts of the `chosen` (p,) pairs, as the columns of shares_until_touch; None without any. deeper: a
-    contact as deep as `ahead_gap` deepens by no more than this share of it.
+) -> Touches | None:
+    """The contacts of the `chosen` (p,) pairs; None without any.
+
+    deeper: a contact as deep as `ahead_gap` deepens by no more than this share of it.
     """
     if not chosen.any():
         return None
-    repeat = np.diff(contacts.pair_begin.astype(np.int64))
+    repeat: np.ndarray = np.diff(contacts.pair_begin.astype(np.int64))
     body_a, body_b, chosen = (np.repeat(column, repeat) for column in (pairs.body_a, pairs.body_b, chosen))
     columns = (contacts.points_a, contacts.points_b, contacts.normals)
+    points_a, points_b, normals = (column.reshape(-1, 3)[chosen] for column in columns)
     gaps = np.minimum(contacts.gaps[chosen], settings.rest_gap)
     most = np.maximum(settings.ahead_gap + (gaps - settings.rest_gap), deeper * settings.ahead_gap)
-    return (
-        body_a[chosen], body_b[chosen], *(column.reshape(-1, 3)[chosen] for column in columns), gaps - most,
-    )  # fmt: skip
+    return Touches(body_a[chosen], body_b[chosen], points_a, points_b, normals, gaps - most)
 
 
-def _by_middles_of_spheres(
-    body_a: np.ndarray, body_b: np.ndarray, points_a: np.ndarray, points_b: np.ndarray, normals: np.ndarray,
-    least: np.ndarray, centers: np.ndarray, is_round: np.ndarray,
-) -> tuple[np.ndarray, ...]:  # fmt: skip
-    """The columns of shares_until_touch with a sphere's contact point replaced by its centre, which stays a radius
-    away from what the sphere touches, whichever point touches.
+def _by_middles_of_spheres(touches: Touches, centers: np.ndarray, is_round: np.ndarray) -> Touches:
+    """The touches with each contact point of a sphere replaced by its centre.
+
+    The centre stays a radius away from what the sphere touches, whichever point touches.
     """
-    points = []
-    for body, at, sign in ((body_a, points_a, 1.0), (body_b, points_b, -1.0)):
+    points, least = [], touches.least
+    for body, at, sign in ((touches.body_a, touches.points_a, 1.0), (touches.body_b, touches.points_b, -1.0)):
         middles = np.where(is_round[body, None], np.vstack((centers, np.zeros(3)))[body], at)
-        least = least + sign * dots(normals, at - middles)
+        least = least + sign * dots(touches.normals, at - middles)
         points.append(middles)
-    return body_a, body_b, *points, normals, least
+    return touches._replace(points_a=points[0], points_b=points[1], least=least)
 
 
 @njit(cache=True)
-def shares_until_touch(
-    body_a, body_b, points_a, points_b, normals, least, centers, velocities, most, is_turning, is_round, time_step
-):
-    """(n,) share of a step of `time_step` [s] for which each body may move, at most `most` (n,), so that no contact's
-    gap falls below `least` (N,) [m].
+def shares_until_touch(touches, motion, most, is_turning, is_round):
+    """(n,) share of the step for which each body may move, at most `most` (n,).
 
-    body_a, body_b (N,): rows of the contacts' bodies, n for what cannot move; points_a, points_b, normals (N, 3);
-    centers (n, 3) [m]; velocities (n, 6): v [m/s], w [rad/s] of the motion. is_turning: normals turn with one of the
+    No gap of `touches` falls below its `least`. motion: Motion of n bodies. is_turning: normals turn with one of the
     two bodies; is_round (n + 1,): spheres.
     """
-    n, h = len(centers), time_step
+    body_a, body_b, points_a, points_b, normals, least = touches
+    velocities, h = motion.velocities, motion.time_step
+    n = len(motion.centers)
     shares = np.ones(n + 1)
     shares[:n] = most
     for c in range(len(body_a)):
@@ -221,10 +243,10 @@ def shares_until_touch(
         before, parts = 0.0, PARTS + int(min(PARTS_A_RADIAN * turns, MOST_PARTS))
         for part in range(1, parts + 1):
             after = part / parts
-            if _gap(a, b, contact, of, other, centers, velocities, h * after, h * after) < least[c]:
+            if _gap(a, b, contact, of, other, motion, h * after, h * after) < least[c]:
                 for _ in range(HALVINGS):
                     middle = 0.5 * (before + after)
-                    if _gap(a, b, contact, of, other, centers, velocities, h * middle, h * middle) < least[c]:
+                    if _gap(a, b, contact, of, other, motion, h * middle, h * middle) < least[c]:
                         after = middle
                     else:
                         before = middle
@@ -242,7 +264,7 @@ def shares_until_touch(
             if shares[a] == shares[b] or a == n or b == n:
                 continue
             of, other = _bodies_of_plane(a, b, is_round) if is_turning else (n, n)
-            if _gap(a, b, contact, of, other, centers, velocities, h * shares[a], h * shares[b]) < least[c]:
+            if _gap(a, b, contact, of, other, motion, h * shares[a], h * shares[b]) < least[c]:
                 shares[a] = shares[b] = min(shares[a], shares[b])
                 changed = True
     return shares[:n]
@@ -259,11 +281,13 @@ def _bodies_of_plane(a, b, is_round):
 
 
 @uncounted
-def _gap(a, b, contact, of, other, centers, velocities, time_a, time_b):
-    """Gap [m] of a contact (points, normal) after a has moved for `time_a` [s] and b for `time_b`; its plane turns with
-    the body `of` or `other`, whichever gives the smaller gap.
+def _gap(a, b, contact, of, other, motion, time_a, time_b):
+    """Gap [m] of a contact (points, normal) after a has moved for `time_a` [s] and b for `time_b`.
+
+    Its plane turns with the body `of` or `other`, whichever gives the smaller gap.
     """
     point_a, point_b, normal = contact
+    centers, velocities = motion.centers, motion.velocities
     xa = _moved(a, point_a, centers, velocities, time_a)
     xb = _moved(b, point_b, centers, velocities, time_b)
     way = xb[0] - xa[0], xb[1] - xa[1], xb[2] - xa[2]

@@ -56,7 +56,7 @@ def make_film(run: RecordedRun, path: Path, cut: Cut, progress: Progress = lambd
     """
     suffix = path.suffix.lower()
     if suffix not in (*ANIMATED, ".mp4"):
-        raise FilmError(f"{path}: a film is {', '.join(ANIMATED)} or .mp4")
+        raise FilmError(f"{path}: the suffix must be {', '.join(ANIMATED)} or .mp4")
     indices = frame_indices(run, cut)
     write = _write_mp4 if suffix == ".mp4" else _write_animated
     handle, name = tempfile.mkstemp(suffix=suffix, prefix=f".{path.stem}-", dir=path.parent)
@@ -76,7 +76,7 @@ def frame_indices(run: RecordedRun, cut: Cut) -> list[int]:
     moments = np.array([states.time for states in run.states]) - run.states[0].time
     end = min(cut.end, float(moments[-1]))
     if not cut.begin <= end:
-        raise FilmError(f"nothing from {cut.begin:g} s to {cut.end:g} s: the run is {moments[-1]:.2f} s long")
+        raise FilmError(f"no states from {cut.begin:g} s to {cut.end:g} s: the run is {moments[-1]:.2f} s long")
     count = int(np.floor((end - cut.begin) * cut.fps / cut.speed + 1e-6)) + 1
     times = moments.tolist()
     return [max(bisect_right(times, cut.begin + i * cut.speed / cut.fps + 1e-9) - 1, 0) for i in range(count)]
@@ -117,7 +117,7 @@ def _write_animated(frames: Iterator[np.ndarray], path: Path, cut: Cut) -> None:
 def _write_mp4(frames: Iterator[np.ndarray], path: Path, cut: Cut) -> None:
     program = shutil.which("ffmpeg")
     if program is None:
-        raise FilmError("an MP4 is made by ffmpeg, which is not installed here: apt install ffmpeg; or make a .webp")
+        raise FilmError("an MP4 needs ffmpeg, which is not installed: apt install ffmpeg, or choose a .webp")
     command = [
         program, "-y", "-loglevel", "error", "-f", "rawvideo", "-pixel_format", "rgb24",
         "-video_size", f"{cut.width}x{cut.height}", "-framerate", f"{cut.fps:g}", "-i", "-",
@@ -127,6 +127,7 @@ def _write_mp4(frames: Iterator[np.ndarray], path: Path, cut: Cut) -> None:
     ]  # fmt: skip
     # Ctrl-C goes to this process only, which kills ffmpeg
     with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True) as ffmpeg:
+        assert ffmpeg.stdin is not None and ffmpeg.stderr is not None  # pipes, see above
         try:
             for frame in frames:
                 ffmpeg.stdin.write(frame.tobytes())

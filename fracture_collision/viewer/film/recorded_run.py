@@ -17,6 +17,8 @@ NO_ANSWERS: Mapping[int, bytes] = {}
 
 
 class RecordedStates(NamedTuple):
+    """States of n fragments at one step of a recording."""
+
     time: float  # [s], simulated
     step: int
     fracture_sequence: int
@@ -26,6 +28,8 @@ class RecordedStates(NamedTuple):
 
 
 class RecordedRun(NamedTuple):
+    """A recorded run, as films and the page show it."""
+
     bodies: dict[int, CollisionBody]  # by body_id
     body_of: dict[int, int]  # fragment_id -> body_id
     meshes: dict[int, FragmentMesh]  # by fragment_id
@@ -80,7 +84,7 @@ def _meshes(bag: Path, run_id: int, namespace: str | None) -> dict[int, Fragment
         corners, triangles = len(mesh.vertices) // 3, len(mesh.triangles) // 3
         fits = 3 * corners == len(mesh.vertices) and 3 * triangles == len(mesh.triangles) == 3 * len(mesh.is_crack)
         if not fits or np.any(mesh.triangles >= corners) or not np.isfinite(mesh.vertices).all():
-            raise BagError(f"{bag}: {message.topic}: the mesh of fragment {mesh.fragment_id} is no triangle mesh")
+            raise BagError(f"{bag}: {message.topic}: the mesh of fragment {mesh.fragment_id} is not made of triangles")
         if received.run_id == run_id:
             meshes[mesh.fragment_id] = mesh
     return meshes
@@ -90,7 +94,7 @@ def _states(bag: Path, question: Question) -> RecordedStates:
     states: FragmentStates = deserialize_record(question.states, FragmentStates).record
     count = len(states.fragment_ids)
     if len(states.positions) != 3 * count or len(states.orientations) != 4 * count:
-        raise BagError(f"{bag}: step {states.step}: not as many poses as fragments")
+        raise BagError(f"{bag}: step {states.step}: the numbers of poses and fragments differ")
     return RecordedStates(
         time=1e-9 * question.time,
         step=states.step,

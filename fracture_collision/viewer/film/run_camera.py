@@ -65,8 +65,9 @@ def camera_of(scene: RunScene, moments: list[RecordedStates], aspect: float) -> 
 
 
 def _spread(centres: list[np.ndarray], share: float) -> np.ndarray:
-    """(3,) the coordinates below which this share lies. Each moment has the same weight: one body weighs as much as all
-    its shards do later.
+    """(3,) the coordinates below which this share lies.
+
+    Each moment has the same weight: one body weighs as much as all its shards do later.
     """
     points = np.concatenate(centres)
     weights = np.concatenate([np.full(len(group), 1.0 / max(len(group), 1)) for group in centres])

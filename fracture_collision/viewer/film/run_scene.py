@@ -35,7 +35,10 @@ class RunScene:
             shine.append(np.where(mesh.is_crack, 0.0, paint.shine))
         if not triangles:
             return TriangleScene(np.zeros((0, 3, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros(0), self.ground)
-        return TriangleScene(*map(np.concatenate, (triangles, normals, colours, shine)), self.ground)
+        return TriangleScene(
+            np.concatenate(triangles), np.concatenate(normals), np.concatenate(colours), np.concatenate(shine),
+            self.ground,
+        )  # fmt: skip
 
     @property
     def ground(self) -> float | None:
@@ -60,6 +63,7 @@ class RunScene:
         return float(np.median([0.5 * np.ptp(mesh.triangles, axis=(0, 1)).max() for mesh in meshes] or [0.0]))
 
     def is_breakable(self, fragment_id: int) -> bool:
+        """Whether the fragment's body can break."""
         return self._palette.is_breakable(self.run.body_of[fragment_id])
 
     def mesh(self, fragment_id: int) -> BodyMesh:
@@ -77,7 +81,7 @@ class RunScene:
 
     def _body(self, fragment_id: int) -> CollisionBody:
         if fragment_id not in self.run.body_of:
-            raise BagError(f"no CollisionBody or FractureEvent names fragment {fragment_id}: record those topics too")
+            raise BagError(f"no CollisionBody or FractureEvent contains fragment {fragment_id}: record both topics")
         return self.run.bodies[self.run.body_of[fragment_id]]
 
     def _poses(self, states: RecordedStates) -> list[tuple[int, np.ndarray, np.ndarray]]:

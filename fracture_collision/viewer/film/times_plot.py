@@ -23,8 +23,10 @@ SMALLEST_MS = 1e-3  # a logarithmic axis has no zero; nothing measured here is s
 
 
 def plot_times(report: Mapping[str, Sequence[float]], png_path: Path | str) -> None:
-    """Plot per-step lists of equal length: time [s], contacts, fragments, collision_ms, update_ms, solver_ms, and those
-    of OPTIONAL_CURVES that the report has.
+    """Plot the times of each step of a run to a PNG.
+
+    `report` has lists of equal length: time [s], contacts, fragments, collision_ms, update_ms, solver_ms, and those of
+    OPTIONAL_CURVES that were measured.
 
     The upper panel has milliseconds a step on a logarithmic axis (each step pale, the running median bold; updates at
     fractures as dots, as most steps have none), the lower one contacts and fragments. Raises ValueError if a list is
@@ -51,7 +53,7 @@ def plot_times(report: Mapping[str, Sequence[float]], png_path: Path | str) -> N
     above.plot(time[updated], series["update_ms"][updated], "o", color="#ff7f0e", markersize=6, markeredgecolor="white",
                label=f"update at fractures: {_summary(series['update_ms'][updated])}")  # fmt: skip
     above.set_yscale("log")
-    above.set_ylabel("milliseconds a step")
+    above.set_ylabel("milliseconds per step")
     above.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, fontsize=9, frameon=False)
     counts_axes = (below, below.twinx())
     for axes, (name, label, colour) in zip(counts_axes, COUNTS, strict=True):

@@ -29,8 +29,9 @@ class BagPlayer:
     """
 
     def __init__(self, run: RecordedRun, host: str = LOCALHOST, port: int = 0, speed: float = 1.0) -> None:
-        """`speed`: simulated seconds a second. Raises BagError if the run lacks a body, OSError if the page cannot be
-        served.
+        """Serve the page. `speed`: simulated seconds a second.
+
+        Raises BagError if the run lacks a body, OSError if the page cannot be served.
         """
         self._run = run
         self._moments = [states.time for states in run.states]
@@ -57,6 +58,7 @@ class BagPlayer:
         self.close()
 
     def close(self) -> None:
+        """Stop playing and close the page."""
         self.page.close()
 
     @property
@@ -85,7 +87,7 @@ class BagPlayer:
             if now - self._slider_at > SLIDER_INTERVAL or not self._playing:
                 self._slider_at = now
                 if abs(self._bar.value - self._at) > 0.5 * self._bar.step:
-                    self._bar.value = round(self._at, 3)
+                    self._bar.value = round(self._at, 3)  # type: ignore[misc]  # mypy misses viser's setter
 
     def seek(self, moment: float) -> None:
         """Go to `moment` [s] simulated, since the first states."""
@@ -137,8 +139,8 @@ class BagPlayer:
             step = max(self.duration / 1000.0, 1e-3)
             self._bar = gui.add_slider("time, s", 0.0, max(round(self.duration, 3), step), round(step, 6), 0.0)
             self._button = gui.add_button("pause", icon=viser.Icon.PLAYER_PAUSE)
-            steps = gui.add_button_group("one step", ("back", "on"))
-            speed = gui.add_slider("speed", SLOWEST, FASTEST, 0.02, self._speed, hint="simulated seconds a second")
+            steps = gui.add_button_group("one step", ("back", "forward"))
+            speed = gui.add_slider("speed", SLOWEST, FASTEST, 0.02, self._speed, hint="Simulated seconds per second.")
 
         # Coroutines, because viser calls those in order; its thread pool would not.
         @self._bar.on_update
@@ -152,7 +154,7 @@ class BagPlayer:
 
         @steps.on_click
         async def _(_event: viser.GuiEvent) -> None:
-            self.step(1 if steps.value == "on" else -1)
+            self.step(1 if steps.value == "forward" else -1)
 
         @speed.on_update
         async def _(event: viser.GuiEvent) -> None:

@@ -26,7 +26,7 @@ from fracture_collision.viewer.page.page_events import Handlers, ServiceSliders,
 from fracture_collision.viewer.page.page_gate import Gate, GateError, bracketed, guarded
 from fracture_collision.viewer.page.page_inside import Inside, InsideView
 from fracture_collision.viewer.page.page_plots import Figures, Plots, check_told, plots_of
-from fracture_collision.viewer.page.page_scene import SceneNodes
+from fracture_collision.viewer.page.page_scene import DragHandlers, SceneNodes
 from fracture_collision.viewer.page.page_stream import LiveValues
 from fracture_collision.viewer.pictures.ray_picture import Camera
 
@@ -42,6 +42,7 @@ class LocalServer(viser.ViserServer):
     """Serves only this machine, or the interface of its host: sharing through a public relay is disabled."""
 
     def request_share_url(self, verbose: bool = True) -> str | None:
+        """Always None: there is no public address."""
         return None
 
 
@@ -57,9 +58,11 @@ class Page:
         told: frozenset[str] = frozenset(),
         add_controls: Callable[[viser.GuiApi], None] = lambda gui: None,
     ) -> None:
-        """`port` 0: any free one. `told`: the fields of Figures that will be set; only those get a plot. `add_controls`
-        adds the caller's own controls above all others. Raises OSError if the address cannot be served, ValueError if
-        `told` contains a name that is not a figure.
+        """Serve the page; `port` 0: any free one.
+
+        `told`: the fields of Figures that will be set; only those get a plot. `add_controls` adds the caller's own
+        controls above all others. Raises OSError if the address cannot be served, ValueError if `told` contains a name
+        that is not a figure.
         """
         handlers = handlers or Handlers()
         check_told(told)
@@ -68,13 +71,15 @@ class Page:
         self.address = f"http://{bracketed(host)}:{self._server.get_port()}"
         self._server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=BRAND)
         self._live = LiveValues(self._server)
-        drag = {"start": handlers.drag_begun, "update": handlers.drag_moved, "end": handlers.drag_ended}
-        self._scene = SceneNodes(self._server, self._live, drag if all(drag.values()) else {})
+        drag: DragHandlers = {}
+        if handlers.drag_begun and handlers.drag_moved and handlers.drag_ended:
+            drag = {"start": handlers.drag_begun, "update": handlers.drag_moved, "end": handlers.drag_ended}
+        self._scene = SceneNodes(self._server, self._live, drag)
         self._summary = self._server.gui.add_markdown("")
         add_controls(self._server.gui)
         self._controls = Controls(self._server, handlers, start or Start())
         self._layers = ContactLayers(self._server, self._live, self._redraw_contacts)
-        shadows = self._server.gui.add_checkbox("shadows", True, hint="off for graphics processors that are slow")
+        shadows = self._server.gui.add_checkbox("shadows", True, hint="Switch off on a slow graphics processor.")
         shadows.on_update(lambda _event: self._order(lambda: self._scene.cast_shadows(shadows.value)))
         self._shadows = shadows
         self._inside: Inside | None = None
@@ -135,6 +140,7 @@ class Page:
         self._order(lambda: self._scene.add_body(body))
 
     def remove_body(self, body_id: int) -> None:
+        """Remove a body with all its fragments."""
         self._order(lambda: self._scene.remove_body(body_id))
 
     def add_fragment(self, mesh: FragmentMesh, body_id: int) -> None:
@@ -151,7 +157,7 @@ class Page:
 
     def cast_shadows(self, on: bool) -> None:
         """Same as the switch on the page."""
-        self._shadows.value = on
+        self._shadows.value = on  # type: ignore[misc]  # mypy misses viser's setter
 
     def show_service(self, service: ServiceSliders) -> None:
         """Move the service sliders; calls no handler."""
@@ -167,11 +173,13 @@ class Page:
             client.add_notification(TITLE, words, auto_close_seconds=NOTICE)
 
     def show_states(self, states: FragmentStates) -> None:
+        """Show states; those not yet shown are skipped."""
         with self._news:
             self._states = states
             self._news.notify()
 
     def show_contacts(self, contacts: ContactConstraintArray | None) -> None:
+        """Show contacts in the layers that are switched on; None: show none."""
         with self._news:
             self._contacts, self._contacts_are_new = contacts, True
             self._news.notify()
@@ -192,7 +200,7 @@ class Page:
         """Wait until everything handed over has been passed on to the browsers. Raises TimeoutError."""
         with self._news:
             if not self._news.wait_for(lambda: self._closed or not (self._busy or self._has_news()), timeout):
-                raise TimeoutError(f"the page was not done within {timeout} s")
+                raise TimeoutError(f"the page has not sent everything within {timeout} s")
 
     def close(self) -> None:
         """End the page for all browsers."""
@@ -222,7 +230,7 @@ class Page:
         groups = plots_of(told)
         if not groups and self._inside is None:
             return Plots(self._server.gui, ())
-        with self._server.gui.add_folder("The last seconds"):
+        with self._server.gui.add_folder("Last seconds"):
             plots = Plots(self._server.gui, groups)
             if self._inside is not None:
                 self._inside.add_plots()
@@ -263,8 +271,10 @@ class Page:
             began = time.thread_time()
             try:
                 self._show(orders, states, figures, contacts, redraw)
-                if self._inside is not None:
-                    self._show_inside(view, look, states is not None)
+                if self._inside is not None and look:
+                    self._inside.draw(view)
+                elif self._inside is not None and states is not None:
+                    self._inside.move()
             except Exception:  # one frame failed; the next may succeed
                 traceback.print_exc()
             self.paint_seconds += time.thread_time() - began
@@ -297,12 +307,6 @@ class Page:
             self._plots.draw()
             self._say(figures[-1])
 
-    def _show_inside(self, view: InsideView | None, look: bool, has_moved: bool) -> None:
-        if look:
-            self._inside.draw(view)
-        elif has_moved:
-            self._inside.move()
-
     def _say(self, figures: Figures) -> None:
         counts = {"fragments": figures.fragments, "contacts": figures.contacts}
         known = (f"{count} {name}" for name, count in counts.items() if count is not None)
@@ -312,8 +316,9 @@ class Page:
 
 
 def _check_free(host: str, port: int) -> None:
-    """Raise OSError if the address cannot be bound. viser would wait for ever on a host that is not this machine's, and
-    use the next port if this one is taken.
+    """Raise OSError if the address cannot be bound.
+
+    viser would wait for ever on a host that is not this machine's, and use the next port if this one is taken.
     """
     with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as trial:
         trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -328,7 +333,8 @@ def _server(host: str, port: int) -> LocalServer:
             with guarded(Gate(host)):
                 server = LocalServer(host=host, port=port, label=TITLE, verbose=False)
         except GateError:
-            server.stop()
+            if server is not None:
+                server.stop()
             raise
     return server
 

@@ -12,7 +12,7 @@ from fracture_collision.viewer.page.page_stream import LiveValues
 from fracture_collision.viewer.pictures.palette import gap_colours
 
 MILLI = 1e3
-PAIR_COLOUR = (120, 60, 200)
+PAIR_COLOUR = np.array((120, 60, 200))
 BOUND_SCALE = 2e-3  # [m] colour scale of missed depth: blue 0, magenta this much or more
 CERTAIN, UNCERTAIN = np.array((40, 120, 240.0)), np.array((255, 0, 180.0))
 POINT_SIZE = 0.008  # [m]
@@ -27,14 +27,14 @@ class ContactLayers:
     def __init__(self, server: viser.ViserServer, live: LiveValues, changed: Callable[[], None]) -> None:
         """`changed` is called when a switch changes."""
         self._live = live
-        with server.gui.add_folder("Look closer"):
+        with server.gui.add_folder("Contacts"):
             self._switches = {
-                "points": server.gui.add_checkbox("contact points", False, hint="red: penetrating, green: apart"),
+                "points": server.gui.add_checkbox("contact points", False, hint="Red: penetrating; green: apart."),
                 "normals": server.gui.add_checkbox("contact normals", False),
-                "pairs": server.gui.add_checkbox("pairs that touch", False),
+                "pairs": server.gui.add_checkbox("touching pairs", False),
                 "bounds": server.gui.add_checkbox(
                     "missed depth bound", False,
-                    hint="Of each pair: nothing deeper than this is left out. Blue: nothing; magenta: 2 mm or more.",
+                    hint="No unlisted penetration of a pair is deeper than its bound. Blue: 0; magenta: 2 mm or more.",
                 ),
             }  # fmt: skip
             self._words = server.gui.add_markdown("")
@@ -42,7 +42,7 @@ class ContactLayers:
             switch.on_update(lambda _event: changed())
         point, segment = np.zeros((1, 3), np.float32), np.zeros((1, 2, 3), np.float32)
         scene = server.scene
-        self._nodes = {
+        self._nodes: dict[str, viser.PointCloudHandle | viser.LineSegmentsHandle] = {
             "points": scene.add_point_cloud(
                 "/contact_points", point, point.astype(np.uint8), point_size=POINT_SIZE, precision="float32",
                 point_shape="circle", visible=False,
@@ -57,13 +57,14 @@ class ContactLayers:
 
     @property
     def wanted(self) -> bool:
+        """Whether any layer is switched on."""
         return any(switch.value for switch in self._switches.values())
 
     def draw(self, contacts: ContactConstraintArray | None, centre: Centre) -> None:
         """`centre`: of a fragment by its id, world [m]; None: it is not shown."""
         drawn = {} if contacts is None else self._layers(contacts, centre)
         for name, node in self._nodes.items():
-            points, colours = drawn.get(name, (np.zeros(0), None))
+            points, colours = drawn.get(name, (np.zeros(0), np.zeros(0)))
             if len(points):
                 self._live.properties(node.name, points=points.astype(np.float32), colors=colours.astype(np.uint8))
             node.visible = len(points) > 0
@@ -87,7 +88,7 @@ class ContactLayers:
             listed, lines = _pair_lines(contacts, centre)
             has_contact = np.diff(contacts.pair_begin.astype(np.int64))[listed] > 0
             if "pairs" in on:
-                layers["pairs"] = lines[has_contact], np.tile(PAIR_COLOUR, (np.count_nonzero(has_contact), 2, 1))
+                layers["pairs"] = lines[has_contact], np.tile(PAIR_COLOUR, (int(has_contact.sum()), 2, 1))
             if "bounds" in on:
                 share = np.clip(contacts.missed_depth_bound[listed] / BOUND_SCALE, 0.0, 1.0)[:, None]
                 colour = (1.0 - share) * CERTAIN + share * UNCERTAIN
@@ -118,4 +119,4 @@ def _bound_words(contacts: ContactConstraintArray) -> str:
         return "no pairs"
     worst = int(np.argmax(bounds))
     pair = f"{contacts.fragment_a[worst]} and {contacts.fragment_b[worst]}"
-    return f"no penetration deeper than **{MILLI * bounds[worst]:.3f} mm** is left out (fragments {pair})"
+    return f"unlisted penetrations are at most **{MILLI * bounds[worst]:.3f} mm** deep (fragments {pair})"

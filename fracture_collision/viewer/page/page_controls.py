@@ -4,22 +4,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import viser
 
 from fracture_collision.viewer.page.page_events import Ball, Handlers, Joint, Ray, ServiceSliders, Start
 
-ARROWS = (("up", "arrowup"), ("down", "arrowdown"), ("left", "arrowleft"), ("right", "arrowright"))
-FIELDS = ("exact", "averaged")
+ArrowKey = Literal["arrowup", "arrowdown", "arrowleft", "arrowright"]
+ARROWS: tuple[tuple[str, ArrowKey], ...] = (
+    ("up", "arrowup"), ("down", "arrowdown"), ("left", "arrowleft"), ("right", "arrowright"),
+)  # fmt: skip
+FIELDS: tuple[str, ...] = ("exact", "averaged")
 SLOWEST, FASTEST_BALL, LARGEST_BALL = 0.02, 30.0, 0.15  # -, m/s, m
 SMALLEST_BALL = 0.01  # [m]
 
 
 class Controls:
-    """Creates the controls and handles their events. Callbacks are coroutines because viser runs those one after
-    another; it would run plain functions in threads of a pool, in any order.
+    """Creates the controls and handles their events.
+
+    Callbacks are coroutines because viser runs those one after another; it would run plain functions in threads of a
+    pool, in any order.
     """
 
     def __init__(self, server: viser.ViserServer, handlers: Handlers, start: Start) -> None:
@@ -29,7 +34,7 @@ class Controls:
         self._arm: viser.GuiFolderHandle | None = None
         self._joints: list[viser.GuiSliderHandle] = []
         if handlers.scene_chosen and start.scenes:
-            scene = self._gui.add_dropdown("scene", start.scenes, start.scene or start.scenes[0])
+            scene = self._gui.add_dropdown("scene", start.scenes, initial_value=start.scene or start.scenes[0])
             on_update(scene, _one_of(start.scenes, handlers.scene_chosen))
         self._add_time(start)
         if handlers.clicked:
@@ -41,7 +46,7 @@ class Controls:
         if handlers.arrow:
             for word, key in ARROWS:
                 command = self._gui.add_command(f"hammer {word}", hotkey=key)
-                command.on_trigger(_as_coroutine(lambda _event, word=word: handlers.arrow(word)))
+                command.on_trigger(_as_coroutine(_on_arrow(handlers.arrow, word)))
 
     def show_service(self, service: ServiceSliders) -> None:
         """Show the current settings of the service."""
@@ -52,7 +57,7 @@ class Controls:
         """Show the arm's sliders, with the joints at `angles` [rad]; None: there is no arm."""
         if self._arm is not None:
             for slider, angle in zip(self._joints, angles or (), strict=False):
-                slider.value = round(math.degrees(angle))
+                slider.value = round(math.degrees(angle))  # type: ignore[misc]  # mypy misses viser's setter
             self._arm.visible = angles is not None
 
     def _add_time(self, start: Start) -> None:
@@ -67,7 +72,7 @@ class Controls:
             slider = self._gui.add_slider("slow motion", SLOWEST, 1.0, 0.01, start.slow_motion)
             on_update(slider, handlers.slow_motion)
         if handlers.recording:
-            on_update(self._gui.add_checkbox("record", False, hint="writes a bag"), handlers.recording)
+            on_update(self._gui.add_checkbox("record", False, hint="Writes a bag."), handlers.recording)
 
     def _add_ball(self, server: viser.ViserServer, ball: Ball, clicked: Callable[[Ray, Ball], None]) -> None:
         with self._gui.add_folder("Ball: click to throw"):
@@ -91,18 +96,19 @@ class Controls:
 
     def _add_service(self, service: ServiceSliders, service_set: Callable[[ServiceSliders], None]) -> None:
         with self._gui.add_folder("Collision service"):
-            self._service = knobs = {
-                "contacts_per_pair": self._gui.add_slider("contacts a pair", 1, 32, 1, service.contacts_per_pair),
+            knobs: dict[str, Any] = {
+                "contacts_per_pair": self._gui.add_slider("contacts per pair", 1, 32, 1, service.contacts_per_pair),
                 "penetration_tolerance": self._gui.add_slider(
                     "epsilon, share of R", 0.0, 0.02, 0.0005, service.penetration_tolerance,
-                    hint="Penetrations up to this may stay unlisted once a pair has its contacts.",
+                    hint="Once a pair has its contacts, penetrations up to this depth may stay unlisted.",
                 ),
-                "field": self._gui.add_dropdown("field", FIELDS, service.field),
+                "field": self._gui.add_dropdown("field", FIELDS, initial_value=service.field),
                 "visit_budget": self._gui.add_slider(
                     "visit budget", 0, 200_000, 1000, service.visit_budget,
-                    hint="Tree nodes a step may test; 0: no limit. The bound says what a limit left out.",
+                    hint="Most tree nodes tested per step; 0: no limit. The missed depth bound covers the rest.",
                 ),
             }  # fmt: skip
+        self._service = knobs
 
         def told(_value: Any) -> None:
             service_set(ServiceSliders(**{name: knob.value for name, knob in knobs.items()}))
@@ -136,6 +142,10 @@ def on_update(knob: Any, handler: Callable[[Any], None]) -> None:
             handler(event.target.value)
 
     knob.on_update(_as_coroutine(told))
+
+
+def _on_arrow(arrow: Callable[[str], None], word: str) -> Callable[[Any], None]:
+    return lambda _event: arrow(word)
 
 
 def _on_click(button: viser.GuiButtonHandle, handler: Callable[[], None]) -> None:

@@ -9,6 +9,8 @@ import numpy as np
 
 
 class Ray(NamedTuple):
+    """Line of sight through the pointer."""
+
     origin: np.ndarray  # (3,) [m], world: the eye
     direction: np.ndarray  # (3,) unit, world: through the pointer
 
@@ -23,6 +25,8 @@ class Drag(NamedTuple):
 
 
 class Ball(NamedTuple):
+    """A ball to be thrown along a ray."""
+
     speed: float  # [m/s]
     radius: float  # [m]
 
@@ -58,6 +62,7 @@ class InsideWanted(NamedTuple):
 
     @property
     def anything(self) -> bool:
+        """Whether any data is requested."""
         return self != InsideWanted()
 
 

@@ -55,11 +55,11 @@ class Gate:
         """The reason to reject a request for `path` at this `port`; "": accepted."""
         hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
         if len(hosts) != 1 or not self._is_own(hosts[0].lower(), port):
-            return "this is not the page's address"
+            return "the Host header is not the page's address"
         if origins and [origin.lower() for origin in origins] != [f"http://{hosts[0].lower()}"]:
-            return "the page takes commands from itself only"
+            return "commands are accepted from the page itself only"
         if "?" in path:
-            return "the page's address has no query"
+            return "an address with a query is not accepted"
         return ""
 
     def _is_own(self, host: str, port: int) -> bool:
@@ -74,8 +74,9 @@ class Gate:
 
 @contextmanager
 def guarded(gate: Gate) -> Iterator[None]:
-    """A viser server created inside answers only requests that `gate` accepts. Raises GateError; then the server must
-    not be used: it may listen without any check.
+    """A viser server created inside answers only requests that `gate` accepts.
+
+    Raises GateError; then the server must not be used: it may listen without any check.
     """
     served = False
 
@@ -99,13 +100,14 @@ def guarded(gate: Gate) -> Iterator[None]:
     with _one_at_a_time:
         theirs = viser_infra.websockets
         server = _Instead(websockets.asyncio.server, serve=serve)
-        viser_infra.websockets = _Instead(theirs, asyncio=_Instead(theirs.asyncio, server=server))
+        instead: Any = _Instead(theirs, asyncio=_Instead(theirs.asyncio, server=server))
+        viser_infra.websockets = instead
         try:
             yield
         finally:
             viser_infra.websockets = theirs
     if not served:
-        raise GateError(f"viser {viser.__version__} listens in a way that leaves requests unchecked; 1.1 is expected")
+        raise GateError(f"viser {viser.__version__} would leave requests unchecked: install viser 1.1")
 
 
 class _Instead:

@@ -1,5 +1,6 @@
-"""The internals of collision detection on the page: sphere trees, the field on a plane, all contacts and what answers
-leave out. Handlers.looking_inside supplies the data while a switch is on.
+"""The internals of collision detection on the page: sphere trees, the field on a plane, unlisted contacts.
+
+Handlers.looking_inside supplies the data while a switch is on.
 """
 
 from __future__ import annotations
@@ -33,11 +34,12 @@ SHARED_COLOUR = np.array([235, 20, 20])  # inside two fragments at once
 LINES = 6  # of equal depth, approximately
 DARKEST = 0.35  # share of the surface colour, at the deepest point
 DARKER_BAND = 0.85  # share of brightness of every other band
+UNTURNED = np.array([1.0, 0.0, 0.0, 0.0], dtype=np.float32)  # quaternion w x y z
 NOTHING = np.zeros((1, 1, 4), dtype=np.uint8)  # a picture
 
 PLOTS: tuple[Group, ...] = (
-    ("contacts listed, of all there are", ("contacts", "colliding")),
-    ("left out, mm deep", ("promised_mm", "unlisted_mm", "too_shallow_mm")),
+    ("contacts: listed, and all that collide", ("contacts", "colliding")),
+    ("unlisted penetration, mm", ("promised_mm", "unlisted_mm", "too_shallow_mm")),
 )
 
 
@@ -99,22 +101,30 @@ class Inside:
         self._server, self._live, self._scene = server, live, scene
         self._view = InsideView()
         self._wanted = InsideWanted()
+        self._spheres: Spheres | None = None  # received
+        self._drawn: Spheres | None = None  # those of them that are drawn
+        self._positions: np.ndarray | None = None  # (n, 3) [m] world, of the drawn ones, last sent
+        self._colours = np.zeros((0, 3))  # of the drawn ones
+        self._plane: PlanePicture | None = None  # shown in the picture
         gui = server.gui
-        with gui.add_folder("Look inside"):
-            self._trees = gui.add_checkbox("sphere trees", False, hint="bounding spheres of one level of all trees")
+        with gui.add_folder("Inside the service"):
+            self._trees = gui.add_checkbox("sphere trees", False, hint="Bounding spheres of one level of all trees.")
             self._level = gui.add_slider("level", 0, DEEPEST_LEVEL, 1, 2)
             self._cut = gui.add_checkbox(
                 "field on a plane", False,
-                hint="Depths inside the fragments, exact; those that are cut or in the way are not shown.",
+                hint="Exact depths inside the fragments. Those that the plane cuts, or that hide it, are not drawn.",
             )  # fmt: skip
             self._axis = gui.add_dropdown("across", AXES, initial_value=AXES[1])
             self._share = gui.add_slider(
                 "place", 0.0, 1.0, 0.01, 0.5,
-                hint="from one end of what can move to the other, as they were when the plane was switched on",
+                hint="From one end of the movable bodies to the other, as they were when the plane was switched on.",
             )  # fmt: skip
-            self._count = gui.add_checkbox("colliding points", False, hint="all that there is to list, counted")
+            self._count = gui.add_checkbox(
+                "colliding points", False, hint="Counts all contacts that an answer without limits would list."
+            )
             self._errors = gui.add_checkbox(
-                "error beside speed", False, hint="what the service's settings leave out; its times are plotted above",
+                "errors of answers", False,
+                hint="The penetration that the service's settings leave unlisted; its times are plotted above.",
             )  # fmt: skip
             self._words = gui.add_markdown("")
 
@@ -125,8 +135,8 @@ class Inside:
 
         for knob in (self._trees, self._level, self._cut, self._axis, self._share, self._count, self._errors):
             on_update(knob, told)
-        self._add_nodes()
-        self._plots: Plots | None = None
+        self._balls, self._picture = _add_balls(server), _add_picture(server)
+        self._plots: Plots  # by add_plots
         self._said = ""
 
     def add_plots(self) -> None:
@@ -198,7 +208,7 @@ class Inside:
             self._live.properties(
                 self._balls.name,
                 batched_positions=positions.astype(np.float32),
-                batched_wxyzs=np.tile(np.float32([1.0, 0.0, 0.0, 0.0]), (len(positions), 1)),
+                batched_wxyzs=np.tile(UNTURNED, (len(positions), 1)),
                 batched_scales=self._drawn.radii[here].astype(np.float32),
                 batched_colors=(255.0 * self._colours).astype(np.uint8),
             )
@@ -231,22 +241,24 @@ class Inside:
         """Fragments that the plane cuts, and those on its near side."""
         cut = set(np.unique(plane.owners[plane.owners >= 0]).tolist())
         side = NEAR_SIDE[plane.axis]
-        beyond = {f for f in self._scene.poses if side * (self._scene.centre(f)[plane.axis] - plane.place) > 0.0}
+        centres = ((f, self._scene.centre(f)) for f in self._scene.poses)
+        beyond = {f for f, centre in centres if centre is not None and side * (centre[plane.axis] - plane.place) > 0.0}
         return frozenset(cut | beyond)
 
-    def _add_nodes(self) -> None:
-        ball = trimesh.creation.icosphere(ROUNDNESS, 1.0)
-        self._spheres = self._drawn = None  # received, and the drawn ones of them
-        self._positions: np.ndarray | None = None  # (n, 3) [m] world, of the drawn ones, last sent
-        self._balls = self._server.scene.add_batched_meshes_simple(
-            "/spheres", ball.vertices, ball.faces, np.array([[1.0, 0.0, 0.0, 0.0]]), np.zeros((1, 3)),
-            batched_scales=np.ones(1), batched_colors=np.full((1, 3), 128, dtype=np.uint8), opacity=SPHERE_OPACITY,
-            lod="off", cast_shadow=False, receive_shadow=False, visible=False,
-        )  # fmt: skip
-        self._plane: PlanePicture | None = None  # shown in the picture
-        self._picture = self._server.scene.add_image(
-            "/plane_field", NOTHING, 1.0, 1.0, format="png", cast_shadow=False, receive_shadow=False, visible=False
-        )
+
+def _add_balls(server: viser.ViserServer) -> viser.BatchedMeshHandle:
+    ball = trimesh.creation.icosphere(ROUNDNESS, 1.0)
+    return server.scene.add_batched_meshes_simple(
+        "/spheres", ball.vertices, ball.faces, np.array([[1.0, 0.0, 0.0, 0.0]]), np.zeros((1, 3)),
+        batched_scales=np.ones(1), batched_colors=np.full((1, 3), 128, dtype=np.uint8), opacity=SPHERE_OPACITY,
+        lod="off", cast_shadow=False, receive_shadow=False, visible=False,
+    )  # fmt: skip
+
+
+def _add_picture(server: viser.ViserServer) -> viser.ImageHandle:
+    return server.scene.add_image(
+        "/plane_field", NOTHING, 1.0, 1.0, format="png", cast_shadow=False, receive_shadow=False, visible=False
+    )
 
 
 def _largest(spheres: Spheres) -> Spheres:
@@ -290,17 +302,17 @@ def _words_of(view: InsideView, wanted: InsideWanted) -> list[str]:
         words.append(f"level {spheres.level} of {spheres.deepest}: {most}{count:,} sphere{'s' * (count != 1)}")
     if wanted.plane is not None and view.plane is not None:
         plane, deepest = view.plane, view.plane.depths.max()
-        words.append(f"{AXES[plane.axis]} = {plane.place:.3f} m: {MILLI * deepest:.1f} mm deep inside, bands of"
-                     f" {MILLI * line_distance(deepest):g} mm; red: inside two fragments at once"
-                     if deepest > 0.0 else f"{AXES[plane.axis]} = {plane.place:.3f} m: nothing is there")  # fmt: skip
+        words.append(f"{AXES[plane.axis]} = {plane.place:.3f} m: deepest point {MILLI * deepest:.1f} mm, bands of"
+                     f" {MILLI * line_distance(deepest):g} mm; red: inside two fragments"
+                     if deepest > 0.0 else f"{AXES[plane.axis]} = {plane.place:.3f} m: no fragment")  # fmt: skip
     figures = view.figures
     if figures is not None and wanted.colliding:
         words.append(f"**{figures.contacts:,}** contacts listed of **{figures.colliding:,}** colliding points")
     if figures is not None and wanted.errors:
         took = "" if figures.collision_ms is None else f"; collision {figures.collision_ms:.2f} ms"
         words.append(
-            f"not listed: up to **{figures.unlisted_mm:.3f} mm** deep; promised: no more than"
-            f" **{figures.promised_mm:.3f} mm**; listed ones told too shallow by up to"
-            f" {figures.too_shallow_mm:.3f} mm{took}" + (" (asked of a copy here)" if figures.is_replayed else "")
+            f"unlisted penetrations: up to **{figures.unlisted_mm:.3f} mm** deep, bound"
+            f" **{figures.promised_mm:.3f} mm**; listed depths too small by up to"
+            f" {figures.too_shallow_mm:.3f} mm{took}" + (" (by a copy of the service)" if figures.is_replayed else "")
         )
     return words

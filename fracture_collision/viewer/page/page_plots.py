@@ -33,19 +33,20 @@ CURVES = {
     "collision_ms": ("collision", "#1f77b4"), "update_ms": ("update", "#ff7f0e"), "solver_ms": ("solver", "#d62728"),
     "ros_ms": ("ROS", "#7f7f7f"), "contacts": ("contacts listed", "#2ca02c"),
     "colliding": ("colliding points", "#8c564b"), "fragments": ("fragments", "#9467bd"),
-    "promised_mm": ("promised", "#1f77b4"), "unlisted_mm": ("not listed", "#d62728"),
-    "too_shallow_mm": ("told too shallow", "#ff7f0e"),
+    "promised_mm": ("bound", "#1f77b4"), "unlisted_mm": ("unlisted", "#d62728"),
+    "too_shallow_mm": ("listed too shallow", "#ff7f0e"),
 }  # fmt: skip
 PLOTS: tuple[Group, ...] = (
-    ("milliseconds a step", ("collision_ms", "update_ms", "solver_ms", "ros_ms")),
+    ("milliseconds per step", ("collision_ms", "update_ms", "solver_ms", "ros_ms")),
     ("contacts", ("contacts",)),
     ("fragments", ("fragments",)),
 )
 
 
 def plots_of(told: frozenset[str]) -> list[Group]:
-    """The groups of PLOTS with curves in `told`, and only those curves. `told`: names of the fields of Figures that
-    will not be None; `time` may be omitted.
+    """The groups of PLOTS with curves in `told`, and only those curves.
+
+    `told`: names of the fields of Figures that will not be None; `time` may be omitted.
     """
     groups = [(title, tuple(name for name in names if name in told)) for title, names in PLOTS]
     return [(title, names) for title, names in groups if names]
@@ -55,7 +56,7 @@ def check_told(told: frozenset[str]) -> None:
     """Raise ValueError if one of them is not a field of Figures."""
     unknown = told - set(Figures._fields)
     if unknown:
-        raise ValueError(f"no figures of these names: {', '.join(sorted(unknown))}")
+        raise ValueError(f"no figures {', '.join(sorted(unknown))}; there are {', '.join(Figures._fields)}")
 
 
 class Plots:
@@ -76,6 +77,7 @@ class Plots:
             plot.visible = is_seen
 
     def clear(self) -> None:
+        """Remove all rows."""
         self._rows.clear()
         self._next = 0.0
 

@@ -46,18 +46,23 @@ class SceneNodes:
         self._live = live
         self._drag = drag
         self._round = 0  # node names are not reused in the next run: browsers may still have messages of the old one
-        self._root: viser.FrameHandle | None = None
         self._light_up()
-        self.clear()
+        self._root = self._new_root()
+        self._forget()
 
     def clear(self) -> None:
         """Remove everything for the next run."""
-        for fragment_id in list(getattr(self, "_fragments", ())):
+        for fragment_id in list(self._fragments):
             self.remove(fragment_id)
-        if self._root is not None:
-            self._root.remove()
+        self._root.remove()
+        self._root = self._new_root()
+        self._forget()
+
+    def _new_root(self) -> viser.FrameHandle:
         self._round += 1
-        self._root = self._server.scene.add_frame(f"/run{self._round}", show_axes=False)
+        return self._server.scene.add_frame(f"/run{self._round}", show_axes=False)
+
+    def _forget(self) -> None:
         self._palette = Palette()
         self._bodies: dict[int, CollisionBody] = {}
         self._fragments: dict[int, _Fragment] = {}
@@ -68,6 +73,7 @@ class SceneNodes:
         self.is_looked_at = False  # the camera has been set
 
     def add_body(self, body: CollisionBody) -> None:
+        """Add a body; it is shown once states name its fragment, planes and static bodies at once."""
         self._bodies[body.body_id] = body
         self._palette.add(body)
         if np.any(body.plane):
@@ -79,10 +85,12 @@ class SceneNodes:
             self._place([body.fragment_id], np.array([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]]))
 
     def add_fragment(self, mesh: FragmentMesh, body_id: int) -> None:
+        """Add the mesh of a fragment, which is shown once states name it."""
         if mesh.fragment_id not in self._planes:
             self._add(mesh.fragment_id, body_id, mesh_of_fragment(mesh))
 
     def remove(self, fragment_id: int) -> None:
+        """Remove a fragment for good; nothing happens if it is unknown."""
         self._fragments.pop(fragment_id, None)
         self._poses.pop(fragment_id, None)
         node = self._nodes.pop(fragment_id, None)
@@ -91,12 +99,14 @@ class SceneNodes:
             node.remove()
 
     def remove_body(self, body_id: int) -> None:
+        """Remove all fragments of a body for good."""
         for fragment_id in [f for f, fragment in self._fragments.items() if fragment.body_id == body_id]:
             self.remove(fragment_id)
 
     def place(self, states: FragmentStates, *, again: bool = False) -> bool:
-        """Place everything by the states; fragments that they do not name are hidden, except static bodies. `again`:
-        these states were placed before; place only what was added since.
+        """Place everything by the states; fragments that they do not name are hidden, except static bodies.
+
+        `again`: these states were placed before; place only what was added since.
 
         While a mesh is missing nothing is hidden: a body stays until its pieces arrive. Returns False in that case.
         """

@@ -34,7 +34,7 @@ class LiveValues:
         self.messages_sent = 0  # to each page
 
     def pose(self, names: Sequence[str], poses: np.ndarray) -> None:
-        """poses (n, 7): positions [m] and unit quaternions w x y z, of the nodes of these names, in the world."""
+        """Place the nodes of these names; poses (n, 7): positions [m] and unit quaternions w x y z, in the world."""
         queued: list[Any] = []
         with self._lock:
             known = self._poses

@@ -18,14 +18,14 @@ class BodyMesh:
     """Triangles of one fragment or unbroken body, in its body frame, with the normals of their corners."""
 
     def __init__(self, vertices: np.ndarray, triangles: np.ndarray, is_crack: np.ndarray | None = None) -> None:
-        """vertices (n, 3), triangles (t, 3), is_crack (t,); vertices at the same place count as one."""
+        """From vertices (n, 3), triangles (t, 3), is_crack (t,); vertices at the same place count as one."""
         self.triangles = vertices[triangles].astype(np.float64)  # (t, 3, 3)
         self.is_crack = np.zeros(len(triangles), dtype=np.bool_) if is_crack is None else is_crack
-        self.normals = np.empty((3 * len(triangles), 3))
+        normals = np.empty((3 * len(triangles), 3))
         _, places = unique_rows(np.round(vertices.astype(np.float64), PLACE_DIGITS))
         self.places = places[triangles]  # (t, 3) of the corners: those at the same place have the same number
-        smooth_normals(self.triangles, self.is_crack, self.places.ravel(), CREASE, self.normals)
-        self.normals = self.normals.reshape(-1, 3, 3)
+        smooth_normals(self.triangles, self.is_crack, self.places.ravel(), CREASE, normals)
+        self.normals = normals.reshape(-1, 3, 3)  # (t, 3, 3) unit
         self.centre = self.triangles.reshape(-1, 3).mean(axis=0) if len(triangles) else np.zeros(3)
 
 
@@ -41,7 +41,8 @@ def mesh_of_body(body: CollisionBody) -> BodyMesh:
         sphere = shell(radius, 0.9 * radius, 0.1 * radius, layers=1)
         return BodyMesh(sphere.vertices, boundary_triangles(sphere.tetrahedra))
     if body.primitive.type == BOX:
-        box = brick(body.primitive.dimensions, 2.0 * max(body.primitive.dimensions))
+        x, y, z = body.primitive.dimensions
+        box = brick((x, y, z), 2.0 * max(x, y, z))
         return BodyMesh(box.vertices, boundary_triangles(box.tetrahedra))
     triangles = body.triangles.reshape(-1, 3)
     if not len(triangles):
@@ -50,4 +51,5 @@ def mesh_of_body(body: CollisionBody) -> BodyMesh:
 
 
 def mesh_of_fragment(mesh: FragmentMesh) -> BodyMesh:
+    """The mesh that the service published for a fragment, in the body frame."""
     return BodyMesh(mesh.vertices.reshape(-1, 3), mesh.triangles.reshape(-1, 3), mesh.is_crack)

@@ -22,6 +22,8 @@ GLAZE_SHINE, PLAIN_SHINE = 0.35, 0.06
 
 
 class Paint(NamedTuple):
+    """Colours of a fragment."""
+
     outside: tuple[float, float, float]  # linear RGB, 0..1
     crack: tuple[float, float, float]
     shine: float  # of the outside, 0..1; cracks are matt
@@ -35,12 +37,14 @@ class Palette:
         self._static_rank: dict[int, int] = {}
 
     def add(self, body: CollisionBody) -> None:
+        """Give a body its colours."""
         if len(body.tetrahedra):
             self._family.setdefault(body.body_id, len(self._family))
         elif body.is_static and not np.any(body.plane):
             self._static_rank.setdefault(body.body_id, len(self._static_rank))
 
     def is_breakable(self, body_id: int) -> bool:
+        """Whether the body, added before, can break."""
         return body_id in self._family
 
     def paint(self, fragment_id: int, body_id: int) -> Paint:

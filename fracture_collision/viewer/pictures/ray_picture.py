@@ -6,7 +6,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.viewer.pictures.shading import FLOOR_FADE, add_light, camera_rays, light_rays
+from fracture_collision.viewer.pictures.shading import (
+    FLOOR_FADE,
+    Blockers,
+    Hits,
+    LightRays,
+    add_light,
+    camera_rays,
+    light_rays,
+)
 
 FLOOR_HALF = 60.0  # [m] half the side of the square that represents an unbounded floor
 
@@ -22,6 +30,8 @@ class TriangleScene(NamedTuple):
 
 
 class Camera(NamedTuple):
+    """A pinhole camera; z points up."""
+
     position: np.ndarray  # (3,) [m]
     target: np.ndarray  # (3,) [m]
     opening: float  # vertical angle of view [rad]
@@ -52,19 +62,18 @@ def render(
     eye = camera.position.astype(np.float32)
     eyes = np.tile(eye, (pixels, 1))
     towards_sun = sun / np.linalg.norm(sun)
-    rays, starts, shading, to_sun, to_sky = np.zeros((5, pixels, 3), dtype=np.float32)
+    rays, *outgoing = np.zeros((5, pixels, 3), dtype=np.float32)
+    light = LightRays._make(outgoing)
     horizon = FLOOR_FADE * float(np.linalg.norm(camera.target - camera.position))
     total = np.zeros((pixels, 3))
     for k in range(samples):
         camera_rays(axes, scale, width, height, k, rays)
         hit = embree.run(eyes, rays, output=True)
-        distance, primitive = hit["tfar"], hit["primID"]
-        light_rays(eye, rays, distance, primitive, hit["u"], hit["v"], hit["Ng"], scene.normals, towards_sun, k,
-                   starts, shading, to_sun, to_sky)  # fmt: skip
-        in_shadow = embree.run(starts, to_sun, query="OCCLUDED")
-        hidden_by = embree.run(starts, to_sky)
-        add_light(rays, distance, primitive, starts, shading, to_sun, to_sky, in_shadow, hidden_by,
-                  scene.colours, scene.shine, horizon, total)  # fmt: skip
+        hits = Hits(hit["tfar"], hit["primID"], hit["u"], hit["v"], hit["Ng"])
+        light_rays(eye, rays, hits, scene.normals, towards_sun, k, light)
+        of_sun = embree.run(light.starts, light.to_sun, query="OCCLUDED")
+        blockers = Blockers(of_sun, embree.run(light.starts, light.to_sky))
+        add_light(rays, hits, light, blockers, scene.colours, scene.shine, horizon, total)
     return _developed(total / samples).reshape(height, width, 3)
 
 

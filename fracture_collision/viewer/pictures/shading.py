@@ -7,6 +7,7 @@ from the R2 sequence (Roberts 2018), shifted for each pixel: the same scene give
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -22,6 +23,32 @@ SUN_DISC = 0.05  # tangent of the sun's angular radius; larger than the real one
 DIFFUSE = 0.62
 BOUNCED = 0.4  # share of its colour that a surface blocking the sky reflects
 GLOSS = 60.0  # exponent of the highlight
+
+
+class Hits(NamedTuple):
+    """First hits of the camera rays of n pixels."""
+
+    distance: np.ndarray  # (n,) [m] along the ray
+    primitive: np.ndarray  # (n,) the triangle, -1: none
+    u: np.ndarray  # (n,) barycentric coordinates in it
+    v: np.ndarray  # (n,)
+    facing: np.ndarray  # (n, 3) its normal, of any length and side
+
+
+class LightRays(NamedTuple):
+    """Rays from the hits of n pixels."""
+
+    starts: np.ndarray  # (n, 3) [m] the hits, moved off the surface
+    shading: np.ndarray  # (n, 3) unit normals
+    to_sun: np.ndarray  # (n, 3) unit
+    to_sky: np.ndarray  # (n, 3) unit
+
+
+class Blockers(NamedTuple):
+    """The triangles that light rays hit, -1: none."""
+
+    of_sun: np.ndarray  # (n,)
+    of_sky: np.ndarray  # (n,)
 
 
 @njit(cache=True)
@@ -64,12 +91,14 @@ def camera_rays(axes, scale, width, height, index, directions):
 
 
 @njit(cache=True)
-def light_rays(eye, rays, distance, primitive, u, v, facing, normals, sun, index, starts, shading, to_sun, to_sky):
-    """Write each pixel's hit point (moved off the surface), its shading normal, and its rays to sun and sky.
+def light_rays(eye, rays, hits, normals, sun, index, light):
+    """Write the LightRays `light` of each pixel.
 
-    facing (n, 3): normals of the hit triangles, of any length and side. normals (t, 3, 3): corner normals; triangles
-    from t on belong to the floor.
+    rays (n, 3): directions of the camera rays from `eye`; normals (t, 3, 3): corner normals; triangles from t on belong
+    to the floor; index: number of the sample.
     """
+    distance, primitive, u, v, facing = hits
+    starts, shading, to_sun, to_sky = light
     for pixel in range(len(rays)):
         if primitive[pixel] < 0:  # the sky: light rays repeat the camera ray, which hits nothing
             starts[pixel] = eye
@@ -101,13 +130,11 @@ def light_rays(eye, rays, distance, primitive, u, v, facing, normals, sun, index
 
 
 @njit(cache=True)
-def add_light(
-    rays, distance, primitive, starts, shading, to_sun, to_sky, in_shadow, hidden_by, colours, shine, horizon, total
-):
-    """Add each pixel's radiance (n, 3).
-
-    in_shadow, hidden_by (n,): the triangle that blocks the sun and the sky, or -1; horizon: where the floor fades [m].
-    """
+def add_light(rays, hits, light, blockers, colours, shine, horizon, total):
+    """Add each pixel's radiance to `total` (n, 3); horizon: where the floor fades [m]."""
+    distance, primitive = hits.distance, hits.primitive
+    starts, shading, to_sun, to_sky = light
+    in_shadow, hidden_by = blockers
     for pixel in range(len(rays)):
         height = min(max(rays[pixel, 2] + 0.05, 0.0), 0.6) / 0.6
         t = primitive[pixel]
