@@ -147,7 +147,7 @@ class CollisionWorld:
         self._scratch = scratch_for(pools, rows, self._crew.threads, self._scratch, edges)
         motion = self._motion_of(here)
         radius, paired = pairs_within_reach(
-            pools.fragment, rows, rotations, positions, motion, here.is_static, self.settings.detection_tolerance,
+            pools.fragment, (rows, rotations, positions), motion, here.is_static, self.settings.detection_tolerance,
             self.settings.max_pairs, self._take_paired(),
         )  # fmt: skip
         pairs = paired.pairs
@@ -238,10 +238,9 @@ class CollisionWorld:
             if fastest(velocities) * time > FARTHEST_AHEAD:
                 refuse("out_of_range", f"{name}: beyond {FARTHEST_AHEAD:g} within lookahead = {time:g} s")
         fragment = self._registry.geometry.pools.fragment
-        return motion_of(
-            fragment.kind, fragment.box, here.rows, here.rotations, here.positions,
-            self._registry.centers_of_mass(here.ids), here.linear, here.angular, time,
-        )  # fmt: skip
+        placed = here.rows, here.rotations, here.positions
+        centers = self._registry.centers_of_mass(here.ids)
+        return motion_of(fragment.kind, fragment.box, placed, centers, (here.linear, here.angular), time)
 
     def _answer_again(
         self, checked: CheckedStates, asked: tuple[bytes, ...]

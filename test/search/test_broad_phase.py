@@ -58,7 +58,7 @@ def test_pairs_of_what_moved_are_those_of_all(seed: int) -> None:
             motion = Motion(0.01, positions, 5.0 * spins, spins, np.ones(count))
         else:
             motion = NO_MOTION
-        told = shapes, rows, rotations, positions, motion, is_static[rows], TOLERANCE, MOST
+        told = shapes, (rows, rotations, positions), motion, is_static[rows], TOLERANCE, MOST
         radius, paired = pairs_within_reach(*told, paired)
         again, fresh = pairs_within_reach(*told, NOTHING_PAIRED)
         quick += 0 < FEW * len(moving) <= count and step not in (0, 20)

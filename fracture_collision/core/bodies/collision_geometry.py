@@ -268,9 +268,7 @@ class CollisionGeometry:
             column.advance(written)
         tables.occupancy.reserve(words)
         tables.occupancy.advance(words)
-        mark_fragments(
-            pools.mesh, pools.body, pools.fragment, tables.occupancy.whole, broken.parent, broken.first, broken.end
-        )
+        mark_fragments(pools.mesh, pools.body, pools.fragment, tables.occupancy.whole, broken)
         return corners
 
     def _choose_seeds(self, broken: Broken, rows: MeshRows, touched: Touched) -> None:

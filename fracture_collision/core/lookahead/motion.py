@@ -46,11 +46,15 @@ NO_MOTION = Motion(0.0, np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)), np
 
 
 @kernel
-def motion_of(kinds, boxes, rows, rotations, positions, centers, linear, angular, time):
-    """The Motion of fragments `rows` (n,), with kinds and boxes (F,), (F, 6) of a FragmentPool and poses (n, 3, 3),
-    (n, 3), for `time` [s]; centers (n, 3) [m]: of mass, in body frames; linear, angular (n, 3): velocities of the
-    frames' origins [m/s], and spins [rad/s]. Planes stand still.
+def motion_of(kinds, boxes, placed, centers, velocities, time):
+    """The Motion of fragments for `time` [s]. Planes stand still.
+
+    kinds, boxes (F,), (F, 6): of a FragmentPool; placed: rows (n,) of the fragments, and their poses (n, 3, 3),
+    (n, 3); centers (n, 3) [m]: of mass, in body frames; velocities (n, 3) each: of the frames' origins [m/s], and spins
+    [rad/s].
     """
+    rows, rotations, positions = placed
+    linear, angular = velocities
     n = len(rows)
     placed, velocities, spins, reach = positions.copy(), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n)
     for i in range(n):

@@ -73,25 +73,27 @@ def mark_all(mesh, k, cells, occupancy):
 
 
 @kernel
-def mark_fragments(mesh, body, fragment, occupancy, parent, low, high):
-    """Mark fragments low .. high - 1, into which `parent` broke, in their cells; clears their words first."""
+def mark_fragments(mesh, body, fragment, occupancy, broken):
+    """Mark the new fragments of a surface_rows.Broken in their cells; clears their words first."""
+    low, high = broken.first, broken.end
     begin, end = fragment.cells[low, 6], fragment.cells[high - 1, 6] + pyramid_words(fragment.cells[high - 1])
     occupancy[begin:end] = 0
     cells = fragment.cells[low:high]
     words, holders = np.zeros(high - low, np.uint64), np.empty(high - low, np.int32)
-    _mark_fragments(mesh, body, fragment, occupancy, parent, low, high, cells, words, holders)
+    _mark_fragments(mesh, body, fragment, occupancy, broken, words, holders)
     for f in range(high - low):
         _fill_pyramid(cells[f], occupancy)
 
 
 @query_kernel
-def _mark_fragments(mesh, body, fragment, occupancy, parent, low, high, cells, words, holders):
+def _mark_fragments(mesh, body, fragment, occupancy, broken, words, holders):
     """Mark level 0. Working space: words (high - low,) uint64, zero, the parts of a cell that each fragment holds;
     holders (high - low,) int32, the fragments that hold any.
     """
-    tet_shift = fragment.tet_shift[parent]
-    ny, nz, first = mesh.grid_dims[fragment.mesh[parent], 1:]
-    x0, y0, z0, nx, my, mz, at = fragment.cells[parent]
+    low, high, tet_shift = broken.first, broken.end, broken.tet_shift
+    cells = fragment.cells[low:high]
+    ny, nz, first = mesh.grid_dims[broken.mesh, 1:]
+    x0, y0, z0, nx, my, mz, at = fragment.cells[broken.parent]
     for i in range(x0, x0 + nx):
         for j in range(y0, y0 + my):
             for l in range(z0, z0 + mz):  # noqa: E741

@@ -8,6 +8,8 @@ cross.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from fracture_collision.core.memory.compiled import inlined_kernel, kernel
@@ -26,6 +28,17 @@ SIGN_ROUNDING = 32.0 * np.finfo(np.float64).eps
 BOX_ROUNDING = 1e-12
 
 
+class _Surface(NamedTuple):
+    """Triangles under a hierarchy of boxes (triangle_field.build_hierarchy)."""
+
+    corners: np.ndarray  # (t, 9) float64 [m]
+    piece: np.ndarray  # (t,) int64
+    node_box: np.ndarray  # (b, 6) float64 [m]
+    skip: np.ndarray  # (b,) int: the node after all below this one
+    first: np.ndarray  # (b,) int: first triangle of a node
+    count: np.ndarray  # (b,) int: how many it has
+
+
 def windings_of_others(corners: np.ndarray, piece: np.ndarray, points: np.ndarray, own: np.ndarray) -> np.ndarray:
     """Winding numbers of all pieces but own[i] around points[i]: (n,) int64, UNDECIDED where the point is on a piece.
 
@@ -36,25 +49,26 @@ def windings_of_others(corners: np.ndarray, piece: np.ndarray, points: np.ndarra
     boxes = np.ascontiguousarray(np.concatenate([lower, upper], axis=1))
     order, node_box, skip, first, count = build_hierarchy(boxes, 0.5 * (lower + upper))
     windings = np.empty(len(points), np.int64)
-    _count_windings(
-        np.ascontiguousarray(corners[order].reshape(-1, 9)), piece[order].astype(np.int64), node_box, skip, first,
-        count, np.ascontiguousarray(points), own.astype(np.int64), windings,
-    )  # fmt: skip
+    surface = _Surface(
+        np.ascontiguousarray(corners[order].reshape(-1, 9)), piece[order].astype(np.int64), node_box, skip, first, count
+    )
+    _count_windings(surface, np.ascontiguousarray(points), own.astype(np.int64), windings)
     return windings
 
 
 @kernel
-def _count_windings(corners, piece, node_box, skip, first, count, points, own, windings):
+def _count_windings(surface, points, own, windings):
     for i in range(len(points)):
         windings[i] = UNDECIDED
         for k in range(len(DIRECTIONS)):
-            windings[i] = _winding_along(corners, piece, node_box, skip, first, count, points[i], own[i], DIRECTIONS[k])
+            windings[i] = _winding_along(surface, points[i], own[i], DIRECTIONS[k])
             if windings[i] != UNDECIDED:
                 break
 
 
 @kernel
-def _winding_along(corners, piece, node_box, skip, first, count, point, own, d):
+def _winding_along(surface, point, own, d):
+    corners, piece, node_box, skip, first, count = surface
     winding, node = 0, 0
     while node < len(node_box):
         if not _may_meet(node_box[node], point, d):
@@ -85,8 +99,11 @@ def _may_meet(box, point, d):
 
 
 @inlined_kernel
-def _sign(ax, ay, az, bx, by, bz, cx, cy, cz):
+def _sign(a, b, c):
     """Sign of the determinant of three vectors; 0 if rounding decides."""
+    ax, ay, az = a
+    bx, by, bz = b
+    cx, cy, cz = c
     x1, x2, y1, y2, z1, z2 = by * cz, bz * cy, bz * cx, bx * cz, bx * cy, by * cx
     value = ax * (x1 - x2) + ay * (y1 - y2) + az * (z1 - z2)
     size = abs(ax) * (abs(x1) + abs(x2)) + abs(ay) * (abs(y1) + abs(y2)) + abs(az) * (abs(z1) + abs(z2))
@@ -98,16 +115,15 @@ def _sign(ax, ay, az, bx, by, bz, cx, cy, cz):
 @inlined_kernel
 def _crossing(c, p, d):
     """+1: the ray leaves through the triangle; -1: it enters; 0: it misses; UNDECIDED."""
-    ax, ay, az = c[0] - p[0], c[1] - p[1], c[2] - p[2]
-    bx, by, bz = c[3] - p[0], c[4] - p[1], c[5] - p[2]
-    cx, cy, cz = c[6] - p[0], c[7] - p[1], c[8] - p[2]
-    ab = _sign(d[0], d[1], d[2], ax, ay, az, bx, by, bz)
-    bc = _sign(d[0], d[1], d[2], bx, by, bz, cx, cy, cz)
-    ca = _sign(d[0], d[1], d[2], cx, cy, cz, ax, ay, az)
+    corner_a = c[0] - p[0], c[1] - p[1], c[2] - p[2]
+    corner_b = c[3] - p[0], c[4] - p[1], c[5] - p[2]
+    corner_c = c[6] - p[0], c[7] - p[1], c[8] - p[2]
+    way = d[0], d[1], d[2]
+    ab, bc, ca = _sign(way, corner_a, corner_b), _sign(way, corner_b, corner_c), _sign(way, corner_c, corner_a)
     most, least = max(ab, bc, ca), min(ab, bc, ca)
     if most > 0 and least < 0:
         return 0
-    side = _sign(ax, ay, az, bx, by, bz, cx, cy, cz)
+    side = _sign(corner_a, corner_b, corner_c)
     if least > 0 and side != 0:
         return 1 if side > 0 else 0
     if most < 0 and side != 0:

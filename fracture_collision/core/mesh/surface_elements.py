@@ -78,7 +78,7 @@ class ElementTable:
         while True:
             piece, corners = np.empty(room, np.int32), np.empty((_CORNERS_EACH * room, 3), np.float32)
             first, spheres = np.empty(room, np.int32), np.empty((room, 4), np.float32)
-            used, points = _elements_of(pools, f, self._origin[f], piece, spheres, first, corners)
+            used, points = _elements_of(pools, f, self._origin[f], (piece, spheres, first, corners))
             if used <= room and points <= len(corners):
                 break
             room = max(2 * room, used, points // _CORNERS_EACH + 1)
@@ -90,9 +90,9 @@ class ElementTable:
 
 
 @kernel
-def _elements_of(pools, f, origin, piece, spheres, first, corners):
+def _elements_of(pools, f, origin, out):
     """Write f's elements, as far as capacity allows; returns (number of elements, number of their corners), which may
-    exceed the capacity. first (n,): end row of an element's corners.
+    exceed the capacity. out: see _put; first (n,) of it: end row of an element's corners.
     """
     used, points, kind = 0, 0, pools.fragment.kind[f]
     work = np.empty((MOST_CORNERS, 3))
@@ -101,7 +101,7 @@ def _elements_of(pools, f, origin, piece, spheres, first, corners):
         for side in range(6):
             for k in range(4):
                 _put_box_corner(half, _CORNERS_OF_SIDE[side, k], work[k])
-            points = _put(origin, work, 4, side, used, points, piece, spheres, first, corners)
+            points = _put(origin, work, 4, side, (used, points), out)
             used += 1
         return used, points
     if kind == TRIANGLES:
@@ -109,7 +109,7 @@ def _elements_of(pools, f, origin, piece, spheres, first, corners):
         for t in range(begin, end):
             c = pools.triangles.corners[t]
             count = _add_triangle(c[0:3], c[3:6], c[6:9], work, 0)
-            points = _put(origin, work, count, t, used, points, piece, spheres, first, corners)
+            points = _put(origin, work, count, t, (used, points), out)
             used += 1
         return used, points
     mesh, cells, k = pools.mesh, pools.fragment.cells[f], pools.fragment.mesh[f]
@@ -130,7 +130,7 @@ def _elements_of(pools, f, origin, piece, spheres, first, corners):
                     is_seen[t - first_tet] = True
                     count = _corners_in(pools, f, t, work)
                     if count:
-                        points = _put(origin, work, count, t, used, points, piece, spheres, first, corners)
+                        points = _put(origin, work, count, t, (used, points), out)
                         used += 1
     return used, points
 
@@ -242,8 +242,13 @@ def _add_corner(p, work, count):
 
 
 @inlined_kernel
-def _put(origin, work, count, number, used, points, piece, spheres, first, corners):
-    """Write element `used` from the first `count` rows of `work`, if there is room; returns the corner total."""
+def _put(origin, work, count, number, at, out):
+    """Write an element from the first `count` rows of `work`, if there is room; returns the corner total.
+
+    at: which element, and the corner total before it; out: piece, spheres, first and corners of Elements.
+    """
+    used, points = at
+    piece, spheres, first, corners = out
     if used < len(piece) and points + count <= len(corners):
         piece[used], first[used] = number, points + count
         for d in range(3):

@@ -122,13 +122,14 @@ def overlapping_pairs(boxes, kinds, shapes, rotations, positions, is_static, mos
 
 
 @kernel
-def pairs_within_reach(fragment, rows, rotations, positions, motion, is_static, tolerance, most, before):
-    """R (n,) [m] of fragments `rows` (n,) of a FragmentPool with poses (n, 3, 3), (n, 3); and the Paired that may be
-    within `tolerance` (a share of the smaller R) of each other, now or later by `motion`, see overlapping_pairs.
+def pairs_within_reach(fragment, placed, motion, is_static, tolerance, most, before):
+    """R (n,) [m] of fragments, and the Paired that may be within `tolerance` (a share of the smaller R) of each other.
 
-    before: the last step's, of the same pool, tolerance and static fragments. It makes the query faster and never
-    changes its result.
+    placed: rows (n,) of the fragments in a FragmentPool, poses (n, 3, 3), (n, 3); motion: they may be near later, too;
+    is_static, most: see overlapping_pairs. before: the last step's, of the same pool, tolerance and static fragments.
+    It makes the query faster and never changes its result.
     """
+    rows, rotations, positions = placed
     radius = fragment.radius[rows]
     # boxes that each grow by their own tolerance overlap whenever their fragments come within the smaller one
     margins = np.where(np.isfinite(radius), tolerance * radius, 0.0)

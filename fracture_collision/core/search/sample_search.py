@@ -92,14 +92,9 @@ def search_samples(pools, edges, pair, rule, listing, sink, scratch):
     beyond_b, beyond_a = NO_PLANE, NO_PLANE
     if bounded and apart > within and len(leaves[0].entries) and len(leaves[1].entries):
         rounding = slack + leaves[0].middle[3] + leaves[1].middle[3]
-        n, low, high = parting_plane_of_leaves(pools, pair, leaves, within + rounding, listing.toward, scratch.along)
-        if low - high > within + rounding:
-            return 0, slack, visits, 0, 0, low - high - rule.near - rounding
-        x, y, z = n
-        t = translation[0]
-        beyond_b = x, y, z, high + rounding
-        x, y, z = rotated(rotation[1], -x, -y, -z)
-        beyond_a = x, y, z, n[0] * t[0] + n[1] * t[1] + n[2] * t[2] - low + rounding
+        gap, beyond_b, beyond_a = _planes_between(pools, pair, leaves, within, rounding, listing.toward, scratch)
+        if gap > within + rounding:
+            return 0, slack, visits, 0, 0, gap - rule.near - rounding
     is_home = apart < HOME_SHARE * pools.fragment.radius[a]
     candidates, ids_of = scratch.candidates, scratch.candidate_ids
     for number in range(2):
@@ -153,6 +148,20 @@ def search_samples(pools, edges, pair, rule, listing, sink, scratch):
         )
     chosen, bound = choose_contacts(pools, pair, rule, slack, (count, deep), sink, scratch)
     return chosen, bound, visits, samples, crossings, 0.0
+
+
+@inlined_kernel
+def _planes_between(pools, pair, leaves, within, rounding, toward, scratch):
+    """(distance [m] of the hulls up to `rounding`, a lower bound; a plane that all of b is behind, in b's frame;
+    likewise for a). The search stops beyond `within` [m].
+    """
+    n, low, high = parting_plane_of_leaves(pools, pair, leaves, within + rounding, toward, scratch.along)
+    x, y, z = n
+    t = pair.translation[0]
+    beyond_b = x, y, z, high + rounding
+    x, y, z = rotated(pair.rotation[1], -x, -y, -z)
+    beyond_a = x, y, z, n[0] * t[0] + n[1] * t[1] + n[2] * t[2] - low + rounding
+    return low - high, beyond_b, beyond_a
 
 
 @query_kernel

@@ -147,7 +147,7 @@ def query_pair(pools, pair, rule, limits, sink, scratch):
             c = tree.spheres[root]
             x, y, z = to_other(rotation[side], translation[side], c[0], c[1], c[2])
             depth = most_depth(pools, other, x, y, z, beyond_b if side == 0 else beyond_a)
-            _reach_node(node, node_point, nodes, root, side, UNTESTED, x, y, z, depth)
+            _reach_node(node, node_point, nodes, (root, side, UNTESTED), (x, y, z), depth)
             queue[current, size] = nodes
             nodes += 1
             size += 1
@@ -265,7 +265,7 @@ def query_pair(pools, pair, rule, limits, sink, scratch):
             if asked and not sphere_test(pools, other, -depth, x, y, z, around, scratch):
                 visits += 1
                 continue
-            _reach_node(node, node_point, nodes, child, side, status, x, y, z, depth)
+            _reach_node(node, node_point, nodes, (child, side, status), (x, y, z), depth)
             queue[following, next_size] = nodes
             nodes += 1
             next_size += 1
@@ -311,9 +311,11 @@ def _planes_between(pools, pair, near, slack):
 
 
 @inlined_kernel
-def _reach_node(node, node_point, k, entry, side, status, x, y, z, depth):
+def _reach_node(node, node_point, k, reached, point, depth):
+    """Write row k of the queues' nodes; reached: its tree entry, side and status; point, depth: see DEPTH."""
+    entry, side, status = reached
     node[k, ENTRY], node[k, SIDE], node[k, NEXT_CHILD], node[k, STATUS] = entry, side, -1, status
-    node_point[k, 0], node_point[k, 1], node_point[k, 2], node_point[k, DEPTH] = x, y, z, depth
+    node_point[k, 0], node_point[k, 1], node_point[k, 2], node_point[k, DEPTH] = point[0], point[1], point[2], depth
 
 
 @inlined_kernel

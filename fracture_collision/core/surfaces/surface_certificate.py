@@ -75,15 +75,7 @@ def judge_surfaces(pools, elements, pair, deepest, normal, epsilon, scratch):
         apart = displacement(pools, pair, IN_PLACE) + slack
         if apart <= deepest + listed:
             return Judgement(apart, deepest, NOBODY, 0, 0, 0)
-    leaves = leaves_of(pools, a), leaves_of(pools, b)
-    rounding = slack + leaves[0].middle[3] + leaves[1].middle[3]
-    if normal[0] == 0.0 and normal[1] == 0.0 and normal[2] == 0.0:
-        # no warm start: the same poses must give the same direction
-        toward = scratch.point
-        toward[0] = toward[1] = toward[2] = 0.0
-        normal, low, high = parting_plane_of_leaves(pools, pair, leaves, rounding, toward, scratch.along)
-    else:
-        low, high = _extents(leaves, rotation, translation, normal, scratch.along)
+    normal, low, high, rounding = _extents_of_hulls(pools, pair, normal, slack, scratch)
     overlap = high - low + rounding
     if overlap <= deepest + listed:
         return Judgement(overlap, deepest, NOBODY, 0, 0, 0)
@@ -91,11 +83,8 @@ def judge_surfaces(pools, elements, pair, deepest, normal, epsilon, scratch):
     bound, side_of, piece_of, triangle_of, asked = deepest + shown, NOBODY, 0, 0, 0
     for side in range(2):
         own, other = (a, b) if side == 0 else (b, a)
-        way, highest = normal, high + rounding
-        if side == 1:
-            way = rotated(rotation[1], -normal[0], -normal[1], -normal[2])
-            t = translation[1]
-            highest = way[0] * t[0] + way[1] * t[1] + way[2] * t[2] - low + rounding
+        way, highest = _way_out(pair, side, normal, low, high)
+        highest += rounding
         origin, corner_slack = elements.origin[own], room_for_rounding(pools, other, own)
         ox, oy, oz = to_other(rotation[side], translation[side], origin[0], origin[1], origin[2])
         for e in range(elements.begin[own], elements.end[own]):
@@ -135,11 +124,37 @@ def judge_surfaces(pools, elements, pair, deepest, normal, epsilon, scratch):
                 bound, asked, count = max(bound, most), asked + more, -1  # the search overwrites them
                 if depth > deepest:
                     deepest, side_of, piece_of, triangle_of = depth, side, piece, k
-                    for d in range(3):
-                        best[d] = deeper[d]
+                    best[0], best[1], best[2] = deeper[0], deeper[1], deeper[2]
                 if most == math.inf:
                     return Judgement(most, deepest, side_of, piece_of, triangle_of, asked)
     return Judgement(bound + slack, deepest, side_of, piece_of, triangle_of, asked)
+
+
+@inlined_kernel
+def _extents_of_hulls(pools, pair, normal, slack, scratch):
+    """(unit vector in b's frame: `normal`, or a separating direction if it is zeros; the lowest of a along it [m], the
+    highest of b [m], rounding [m]).
+    """
+    leaves = leaves_of(pools, pair.a), leaves_of(pools, pair.b)
+    rounding = slack + leaves[0].middle[3] + leaves[1].middle[3]
+    if normal[0] == 0.0 and normal[1] == 0.0 and normal[2] == 0.0:
+        # no warm start: the same poses must give the same direction
+        toward = scratch.point
+        toward[0] = toward[1] = toward[2] = 0.0
+        normal, low, high = parting_plane_of_leaves(pools, pair, leaves, rounding, toward, scratch.along)
+    else:
+        low, high = _extents(leaves, pair.rotation, pair.translation, normal, scratch.along)
+    return normal, low, high, rounding
+
+
+@inlined_kernel
+def _way_out(pair, side, normal, low, high):
+    """(unit vector out of the other fragment, in its frame; how far it extends along it [m]) for elements of a side."""
+    if side == 0:
+        return normal, high
+    x, y, z = rotated(pair.rotation[1], -normal[0], -normal[1], -normal[2])
+    t = pair.translation[1]
+    return (x, y, z), x * t[0] + y * t[1] + z * t[2] - low
 
 
 @inlined_kernel

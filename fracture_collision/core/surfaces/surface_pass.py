@@ -62,7 +62,7 @@ def judge_pairs(
     if len(todo):
         table = elements.of(pools, np.unique(rows[pairs[todo]]))
         judged = Judged(bounds, exhausted, between)
-        crew.share(_judge_share, pools, table, step, todo, rule, (found, _offsets(found.counts)), judged, own=scratch)
+        crew.share(_judge_share, (pools, table), step, todo, rule, (found, _offsets(found.counts)), judged, own=scratch)
     cut = np.flatnonzero(bounds == np.inf)
     bounds[cut] = found.bounds[cut]
     _bound_by_thickness(pools, rows, pairs, cut, bounds)
@@ -90,10 +90,11 @@ def _bound_by_thickness(pools, rows, pairs, todo, bounds):
 
 
 @threaded_kernel
-def _judge_share(pools, elements, step, todo, rule, found, out, scratch, part):
-    """Process every pair of `todo` that is a thread's, see Crew.share. found: PairContacts and their offsets; out:
-    Judged.
+def _judge_share(geometry, step, todo, rule, found, out, scratch, part):
+    """Process every pair of `todo` that is a thread's, see Crew.share. geometry: pools and Elements; found:
+    PairContacts and their offsets; out: Judged.
     """
+    pools, elements = geometry
     thread, threads = part
     contacts, offsets = found
     for turn in range(thread, len(todo), threads):
