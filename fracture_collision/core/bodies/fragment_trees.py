@@ -32,6 +32,7 @@ from fracture_collision.core.tree.sample_leaves import count_leaves, fill_leaves
 from fracture_collision.core.tree.sphere_tree import SphereTree, build_sphere_tree
 from fracture_collision.core.tree.sphere_tree_deal import NOBODYS
 from fracture_collision.core.tree.sphere_tree_split import TreeArrays, rows_of_split, split_sphere_tree
+from fracture_collision.grouping import begins_of
 
 RESTRUCTURED = "restructured"
 PLAIN = "plain"
@@ -157,7 +158,7 @@ def rebuilt_trees(
         tree = build_sphere_tree(points[own], np.ones(len(own), np.uint8))
         trees.append(tree._replace(sample=samples[own][tree.sample]))
     joined = SphereTree(*(np.concatenate(columns) for columns in zip(*trees, strict=True)))
-    return Forest(joined, np.cumsum([0, *(len(tree.size) for tree in trees)]))
+    return Forest(joined, begins_of(np.array([len(tree.size) for tree in trees])))
 
 
 @kernel

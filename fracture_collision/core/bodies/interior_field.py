@@ -20,6 +20,7 @@ from fracture_collision.core.mesh.triangle_field import (
     build_triangle_mesh,
     triangle_distance,
 )
+from fracture_collision.grouping import begins_of
 
 # Grid cells along a cell of the location grid, which is about an edge long. Interpolation is wrong where the nearest
 # surface changes within a cell; three cells per edge keep that error below the error of eq. 1 between nodes, with fewer
@@ -58,8 +59,7 @@ def make_interior_field(mesh: TetMesh) -> InteriorField:
 def _edge_neighbours(edges: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     both = np.concatenate([edges, edges[:, ::-1]])
     both = both[np.lexsort((both[:, 1], both[:, 0]))]
-    begin = np.zeros(count + 1, np.int32)
-    begin[1:] = np.cumsum(np.bincount(both[:, 0], minlength=count))
+    begin = begins_of(np.bincount(both[:, 0], minlength=count)).astype(np.int32)
     return begin, np.ascontiguousarray(both[:, 1], dtype=np.int32)
 
 

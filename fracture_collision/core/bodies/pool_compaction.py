@@ -35,6 +35,7 @@ from fracture_collision.core.memory.pools import (
 )
 from fracture_collision.core.mesh.occupancy import pyramid_words
 from fracture_collision.core.mesh.sample_numbers import EDGES, FIRST_EDGE, FIRST_NODE, FIRST_TETRAHEDRON, NODES
+from fracture_collision.grouping import begins_of
 
 _ON_NODES = ("nodes", "on_surface", "node_normals")
 _ON_TETRAHEDRA = ("tetrahedra", "neighbours", "tetrahedron_edges", "boxes", "barycentric", "walls", "moments")
@@ -67,7 +68,7 @@ def moves_of_ranges(count: int, begins: np.ndarray, ends: np.ndarray) -> Moves:
 
 
 def _moves(stays: np.ndarray) -> Moves:
-    return Moves(stays, np.concatenate([[0], np.cumsum(stays)]))
+    return Moves(stays, begins_of(stays))
 
 
 def compact(

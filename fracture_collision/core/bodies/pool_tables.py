@@ -26,6 +26,7 @@ from fracture_collision.core.memory.pools import (
 from fracture_collision.core.mesh.tet_mesh import TetMesh
 from fracture_collision.core.tree.sample_leaves import count_leaves, fill_leaves
 from fracture_collision.core.tree.sphere_tree import SphereTree, surface_marks
+from fracture_collision.grouping import begins_of
 
 
 class PoolTables:
@@ -127,7 +128,7 @@ class PoolTables:
         fill_leaves(spheres, entries, begins, counts, *columns, middles)
         first = self.samples["values"].advance(total)
         self.samples["entries"].advance(total)
-        return first + np.concatenate([[0], np.cumsum(counts)]), middles
+        return first + begins_of(counts), middles
 
     def append_mesh(self, mesh: TetMesh) -> tuple[int, int, int, int]:
         """Append a mesh; returns its row in `grid`, and its first node, tetrahedron and edge."""

@@ -29,7 +29,7 @@ from fracture_collision.core.field.elementary_queries import INSIDE, bounded_pro
 from fracture_collision.core.field.flood import EVERYTHING, nearest_in_tetrahedron, nothing_within
 from fracture_collision.core.memory.compiled import inlined_kernel
 from fracture_collision.core.memory.heap import pop, push
-from fracture_collision.core.memory.kinds import TETRAHEDRA, TRIANGLES
+from fracture_collision.core.memory.kinds import is_mesh
 from fracture_collision.core.memory.pools import EXACT
 from fracture_collision.core.tree.sample_leaves import farthest_sample, leaves_of, nearest_sample
 
@@ -44,8 +44,7 @@ def may_wait(pools, other, rule, deep):
     """Whether the query of a sample in `other` may be deferred, with `deep` others deeper than epsilon: only where
     queries are slow. (Depths of the averaged field have no bound that is independent of which samples were queried.)
     """
-    is_mesh = pools.fragment.kind[other] == TETRAHEDRA or pools.fragment.kind[other] == TRIANGLES
-    return rule.most > 0 and deep > rule.wanted and is_mesh and pools.field == EXACT
+    return rule.most > 0 and deep > rule.wanted and is_mesh(pools.fragment.kind[other]) and pools.field == EXACT
 
 
 @inlined_kernel

@@ -27,7 +27,7 @@ from fracture_collision.core.field.flood import (
     source_normal,
 )
 from fracture_collision.core.memory.compiled import inlined_kernel, query_kernel
-from fracture_collision.core.memory.kinds import BOX, SPHERE, TETRAHEDRA, TRIANGLES
+from fracture_collision.core.memory.kinds import BOX, SPHERE, TRIANGLES, has_faces
 from fracture_collision.core.memory.rotations import rotated, to_other
 from fracture_collision.core.mesh.closest_point import triangle_normal
 from fracture_collision.core.mesh.point_location import holds_fragment, tetrahedron_at
@@ -67,7 +67,7 @@ def turn_contacts(pools, pair, near, sink, count, scratch):
         if one_body:
             witness = ids[c, ID_SOURCE], ids[c, ID_TETRAHEDRON], ids[c, ID_AT]
             turn_to_crack(pools, f, own, near, contacts[c], witness, scratch)
-        elif pools.fragment.kind[own] != SPHERE and pools.fragment.kind[f] in (BOX, TETRAHEDRA, TRIANGLES):
+        elif pools.fragment.kind[own] != SPHERE and has_faces(pools.fragment.kind[f]):
             row = contacts[c]
             px, py, pz = to_other(rotation[1 - side], translation[1 - side], row[0], row[1], row[2])
             ux, uy, uz = own_normal(pools, own, sample, px, py, pz)
@@ -86,7 +86,7 @@ def turn_surface_point(pools, pair, side, outward, near, sink, scratch):
     if share_a_body(pools, a, b):
         witness = ids[ID_SOURCE], ids[ID_TETRAHEDRON], ids[ID_AT]
         turn_to_crack(pools, f, own, near, row, witness, scratch)
-    elif pools.fragment.kind[f] in (BOX, TETRAHEDRA, TRIANGLES):
+    elif has_faces(pools.fragment.kind[f]):
         _turn_to_facing(pools, f, own, outward, near, row, scratch)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from fracture_collision.core.field.elementary_queries import INSIDE, OUTSIDE, bounded_probe
 from fracture_collision.core.fracture.crack_seeds import find_seeds
 from fracture_collision.core.memory.compiled import inlined_kernel, query_kernel
-from fracture_collision.core.memory.kinds import PLANE, TETRAHEDRA
+from fracture_collision.core.memory.kinds import TETRAHEDRA, is_bounded
 from fracture_collision.core.memory.pools import NEVER_BROKEN
 from fracture_collision.core.memory.rotations import to_other
 from fracture_collision.core.mesh.cut_tetrahedron import point_on_edge
@@ -34,7 +34,7 @@ ID_SIDE, ID_SAMPLE, ID_SOURCE, ID_TETRAHEDRON, ID_AT = 0, 1, 2, 3, 4
 @inlined_kernel
 def _farthest(pools, f):
     """Largest coordinate [m] of fragment f's geometry in its body frame."""
-    if pools.fragment.kind[f] == PLANE:
+    if not is_bounded(pools.fragment.kind[f]):
         return abs(pools.fragment.shape[f, 3])
     farthest = 0.0
     for d in range(6):

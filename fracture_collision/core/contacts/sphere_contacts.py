@@ -22,7 +22,7 @@ from fracture_collision.core.contacts.known_samples import ID_AT, ID_SAMPLE, ID_
 from fracture_collision.core.field.elementary_queries import INSIDE, OUTSIDE, bounded_probe, inside_tetrahedron
 from fracture_collision.core.field.flood import NO_SOURCE, next_stamp
 from fracture_collision.core.memory.compiled import inlined_kernel, query_kernel
-from fracture_collision.core.memory.kinds import TETRAHEDRA, TRIANGLES
+from fracture_collision.core.memory.kinds import TETRAHEDRA, TRIANGLES, is_mesh
 from fracture_collision.core.memory.pools import BACK_SIDE, FRONT_SIDE, NEVER_BROKEN, OWNER, ROW
 from fracture_collision.core.mesh.closest_point import (
     ON_FACE,
@@ -89,7 +89,7 @@ def sphere_contacts(pools, pair, number, rule, most_within, sink, scratch):
         return 0, 0.0, False
     within, touching, places = scratch.within, scratch.touching, scratch.places
     kind, sample = pools.fragment.kind[other], NO_TRIANGLE
-    if kind in (TETRAHEDRA, TRIANGLES):
+    if is_mesh(kind):
         sample = _first_at(pools, other, (answer.x, answer.y, answer.z), touching, scratch)
     nearest = Place(True, d, answer.nx, answer.ny, answer.nz, answer.x, answer.y, answer.z)
     _put(places, 0, number, sample, center, radius, nearest)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.core.memory.compiled import inlined_kernel, kernel
-from fracture_collision.core.memory.kinds import BOX, TETRAHEDRA, TRIANGLES
+from fracture_collision.core.memory.kinds import BOX, TRIANGLES, WITH_FACES
 from fracture_collision.core.memory.pools import LEAF, GrowableArray, Pools
 from fracture_collision.core.mesh.point_location import holds_fragment
 from fracture_collision.core.mesh.sample_numbers import FIRST_TETRAHEDRON
@@ -66,7 +66,7 @@ class RidgeTable:
         """Add the ridges of the fragments first .. end - 1, which were made last."""
         for f in range(first, end):
             count = 0
-            if pools.fragment.kind[f] in (BOX, TETRAHEDRA, TRIANGLES):
+            if pools.fragment.kind[f] in WITH_FACES:
                 count = find_ridges(pools, f, self._room)
                 if count > len(self._room):
                     self._room = np.empty((2 * count, RIDGE))

@@ -19,7 +19,7 @@ from fracture_collision.core.field.flood import (
     outward_direction,
 )
 from fracture_collision.core.memory.compiled import inlined_kernel
-from fracture_collision.core.memory.kinds import TETRAHEDRA, TRIANGLES
+from fracture_collision.core.memory.kinds import TETRAHEDRA, TRIANGLES, is_mesh
 from fracture_collision.core.memory.pools import AVERAGED, NEVER_BROKEN
 from fracture_collision.core.mesh.closest_point import box_distance_squared
 from fracture_collision.core.mesh.occupancy import sphere_may_touch
@@ -79,7 +79,7 @@ def bounded_probe(pools, f, point, near, deep, start, reached, scratch):
     """
     x, y, z = point
     kind = pools.fragment.kind[f]
-    if kind != TETRAHEDRA and kind != TRIANGLES:
+    if not is_mesh(kind):
         d, nx, ny, nz = primitive_distance(kind, pools.fragment.shape[f], x, y, z)
         status = INSIDE if d <= 0.0 else NEAR if d <= near else OUTSIDE
         return Probe(status, d, nx, ny, nz, x - d * nx, y - d * ny, z - d * nz, -d, NO_SOURCE, -1, -1)
@@ -121,7 +121,7 @@ def bounded_probe(pools, f, point, near, deep, start, reached, scratch):
 def least_distance(pools, f, x, y, z):
     """The cheapest lower bound [m] of a point's signed distance: minus infinity if it may be inside."""
     kind = pools.fragment.kind[f]
-    if kind != TETRAHEDRA and kind != TRIANGLES:
+    if not is_mesh(kind):
         return primitive_distance(kind, pools.fragment.shape[f], x, y, z)[0]
     d2 = box_distance_squared(x, y, z, pools.fragment.box[f])
     return math.sqrt(d2) if d2 > 0.0 else -math.inf

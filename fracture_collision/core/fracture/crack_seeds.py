@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from fracture_collision import grouping
 from fracture_collision.core.memory.compiled import inlined_kernel, kernel
 from fracture_collision.core.mesh.cut_tetrahedron import point_on_edge
 
@@ -17,6 +18,8 @@ from fracture_collision.core.mesh.cut_tetrahedron import point_on_edge
 MOST_SEEDS = 32
 # Seeds are chosen farthest first from this many evenly spaced crossings.
 CANDIDATES = 48
+
+_grouped = kernel(grouping.grouped)
 
 
 @inlined_kernel
@@ -78,7 +81,9 @@ def _choose_seeds(mesh, body, broken, own, cut_tetrahedra, first_seed):
     edge_shift = broken.edge_shift
     cut, low, high = _cut_edges(mesh, body, broken, own, cut_tetrahedra)
     # order by the smaller label, then the larger: stable sorts, the larger label first
-    order = _by_label(cut, 1, low, high, _by_label(cut, 2, low, high, np.arange(len(cut))))
+    labels = max(high - low, 0) + 1
+    order, _ = _grouped(cut[:, 2] - low, labels)
+    order = order[_grouped(cut[order, 1] - low, labels)[0]]
     keys, ranges = np.empty(len(cut), np.int64), np.empty((len(cut), 2), np.int32)
     edges = np.empty(len(cut), np.int32)
     points, near, work = np.empty((3, CANDIDATES)), np.empty(CANDIDATES), np.empty(3)
@@ -131,22 +136,6 @@ def _cut_edges(mesh, body, broken, own, cut_tetrahedra):
             low, high = min(low, a, b), max(high, a, b)
             count += 1
     return cut[:count], low, high
-
-
-@kernel
-def _by_label(cut, column, low, high, order):
-    """`order` (n,) of rows of `cut`, sorted by a column of labels; a stable counting sort."""
-    places = np.zeros(max(high - low, 0) + 2, np.int64)
-    for i in order:
-        places[cut[i, column] - low + 1] += 1
-    for k in range(1, len(places)):
-        places[k] += places[k - 1]
-    out = np.empty_like(order)
-    for i in order:
-        label = cut[i, column] - low
-        out[places[label]] = i
-        places[label] += 1
-    return out
 
 
 @inlined_kernel

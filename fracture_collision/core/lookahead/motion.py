@@ -14,7 +14,7 @@ import numpy as np
 
 from fracture_collision import portable_math
 from fracture_collision.core.memory.compiled import inlined_kernel, kernel
-from fracture_collision.core.memory.kinds import PLANE
+from fracture_collision.core.memory.kinds import is_bounded
 from fracture_collision.core.memory.rotations import turned_back
 
 _sine_after = inlined_kernel(portable_math.sine_after)
@@ -58,7 +58,7 @@ def motion_of(kinds, boxes, placed, centers, velocities, time):
     n = len(rows)
     placed, velocities, spins, reach = positions.copy(), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n)
     for i in range(n):
-        if kinds[rows[i]] == PLANE:
+        if not is_bounded(kinds[rows[i]]):
             reach[i] = ENDLESS
             continue
         arm = np.zeros(3)

@@ -12,7 +12,7 @@ import math
 from fracture_collision.core.contacts.known_samples import rounding_slack
 from fracture_collision.core.lookahead.motion import closing_along, closing_speed, put_pose, turned_in
 from fracture_collision.core.memory.compiled import inlined_kernel
-from fracture_collision.core.memory.kinds import PLANE, SPHERE
+from fracture_collision.core.memory.kinds import PLANE, SPHERE, is_bounded
 from fracture_collision.core.memory.rotations import rotated, turned_back
 from fracture_collision.core.separation.hull_separation import MOST_STEPS
 from fracture_collision.core.separation.leaf_separation import parting_plane_of_leaves
@@ -32,7 +32,7 @@ def boxes_stay_apart(pools, pair, moving, near):
     """
     a, b, rotation, translation = pair
     i, j, rotations, _, motion = moving
-    if pools.fragment.kind[a] == PLANE or pools.fragment.kind[b] == PLANE:
+    if not (is_bounded(pools.fragment.kind[a]) and is_bounded(pools.fragment.kind[b])):
         return False
     near += rounding_slack(pools, a, b, translation)
     for side in range(2):
@@ -176,7 +176,7 @@ def least_gap_ahead(pools, pair, moving, t, gap, n, slack, scratch):
         bend += 0.5 * spin * spin * motion.reach[k]
         at_end -= sign * (n[0] * place[0] + n[1] * place[1] + n[2] * place[2])
         x, y, z = turned_back(turn, sign * n[0], sign * n[1], sign * n[2])
-        if pools.fragment.kind[f] == PLANE:  # it stands still, and n is its normal
+        if not is_bounded(pools.fragment.kind[f]):  # it stands still, and n is its normal
             at_end -= pools.fragment.shape[f, 3]
             continue
         at_end -= _reach_of_hull(pools, f, x, y, z, scratch.along)

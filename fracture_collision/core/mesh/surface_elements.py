@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.core.memory.compiled import inlined_kernel, kernel
-from fracture_collision.core.memory.kinds import BOX, TETRAHEDRA, TRIANGLES
+from fracture_collision.core.memory.kinds import BOX, TRIANGLES, WITH_FACES
 from fracture_collision.core.memory.pools import BACK_SIDE, FRONT_SIDE, NEVER_BROKEN, OWNER, ROW, GrowableArray, Pools
 from fracture_collision.core.memory.rotations import to_other
 from fracture_collision.core.mesh.cut_tetrahedron import FACE_VERTICES
@@ -71,7 +71,7 @@ class ElementTable:
     def _make(self, pools: Pools, f: int) -> None:
         kind, box = pools.fragment.kind[f], pools.fragment.box[f]
         self._begin[f] = self._end[f] = self._piece.used
-        if kind not in (TETRAHEDRA, TRIANGLES, BOX):
+        if kind not in WITH_FACES:
             return
         self._origin[f] = 0.5 * (box[:3] + box[3:])
         room = _FIRST_ROOM

@@ -19,6 +19,7 @@ from fracture_collision.geometry.tetrahedra import (
     tetrahedron_volumes,
     unique_edges,
 )
+from fracture_collision.grouping import begins_of
 from fracture_collision.portable_math import arctangent2, cube_root, dots, images, lengths
 
 # A location grid with cells about the size of a tetrahedron's box is fastest; a hollow body's box holds more air than
@@ -68,8 +69,7 @@ def build_tet_mesh(nodes: np.ndarray, tetrahedra: np.ndarray) -> TetMesh:
     on_surface = np.zeros(len(nodes), dtype=np.uint8)
     on_surface[surface.ravel()] = 1
     order = np.argsort(tetrahedra.ravel(), kind="stable")
-    begin = np.zeros(len(nodes) + 1, dtype=np.int32)
-    begin[1:] = np.cumsum(np.bincount(tetrahedra.ravel(), minlength=len(nodes)))
+    begin = begins_of(np.bincount(tetrahedra.ravel(), minlength=len(nodes))).astype(np.int32)
     lower, upper = nodes.min(axis=0), nodes.max(axis=0)
     volume = float(tetrahedron_volumes(nodes, tetrahedra).sum())
     cell = _cell_size(volume, upper - lower, len(tetrahedra))

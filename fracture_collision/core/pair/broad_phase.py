@@ -11,7 +11,7 @@ import numpy as np
 
 from fracture_collision.core.lookahead.motion import NO_MOTION, Motion, sweep_box
 from fracture_collision.core.memory.compiled import inlined_kernel, kernel
-from fracture_collision.core.memory.kinds import PLANE
+from fracture_collision.core.memory.kinds import PLANE, is_bounded
 from fracture_collision.core.pair.crowds import Overlaps, overlaps_of
 
 # All pairs are recomputed if more than one fragment in so many has moved.
@@ -105,7 +105,7 @@ def overlapping_pairs(boxes, kinds, shapes, rotations, positions, is_static, mos
             if used > most:
                 return found[:used]
     for i in range(n):
-        if kinds[i] != PLANE:
+        if is_bounded(kinds[i]):
             continue
         for j in bounded:
             if is_static[i] and is_static[j]:
@@ -213,9 +213,9 @@ def _meet(boxes, kinds, shapes, rotations, positions, is_static, i, j):
     """Whether overlapping_pairs would list the two."""
     if is_static[i] and is_static[j]:
         return False
-    if kinds[i] == PLANE:
-        return kinds[j] != PLANE and _reaches_plane(shapes[i], rotations[i], positions[i], boxes[j])
-    if kinds[j] == PLANE:
+    if not is_bounded(kinds[i]):
+        return is_bounded(kinds[j]) and _reaches_plane(shapes[i], rotations[i], positions[i], boxes[j])
+    if not is_bounded(kinds[j]):
         return _reaches_plane(shapes[j], rotations[j], positions[j], boxes[i])
     are_apart = False
     for d in range(3):

@@ -34,6 +34,7 @@ from fracture_collision.core.search.neighbour_lists import NO_LISTS, NeighbourLi
 from fracture_collision.core.search.scratch import Scratch
 from fracture_collision.core.search.traversal import BY_FURTHER, BY_LIMIT, VisitLimits, depth_limit
 from fracture_collision.core.surfaces.surface_pass import judge_pairs
+from fracture_collision.grouping import begins_of
 
 # Initial capacity for contacts: per pair on average, and at least for a thread's share of pairs. Pairs that overflow it
 # are searched again. Memory that is never written costs nothing.
@@ -289,8 +290,7 @@ def query_pairs(
         if scene.motion.time > 0.0:
             moved = _without_those_that_leave(pools.fragment.box, step, scene.motion, counts, stands_at)
     cut = search.run(moved, stands_at)
-    offsets = np.zeros(p + 1, np.int64)
-    np.cumsum(counts, out=offsets[1:])
+    offsets = begins_of(counts)
     columns = search.gather(offsets)
     searched = visits * (counts >= rule.wanted)
     if before is not None and lists is not NO_LISTS:
@@ -299,7 +299,7 @@ def query_pairs(
     if scene.elements is not None:
         work = moved, shares == UNSHARED
         found = judge_pairs(pools, scene.elements, step, work, rule, found, scratch, crew)
-        np.cumsum(found.counts, out=offsets[1:])
+        offsets = begins_of(found.counts)
     if lists is NO_LISTS:
         return found, NOTHING_REMEMBERED
     slots[cut] = -1  # their second share may be smaller at the next step

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.core.memory.compiled import inlined_kernel, kernel
-from fracture_collision.core.memory.kinds import PLANE
+from fracture_collision.core.memory.kinds import is_bounded
 from fracture_collision.core.memory.prefetch import fetch
 from fracture_collision.core.memory.rotations import to_other
 
@@ -276,7 +276,7 @@ def displacement(pools, pair, before):
     farthest = 0.0
     for side in range(2):
         f = a if side == 0 else b
-        if pools.fragment.kind[f] == PLANE:
+        if not is_bounded(pools.fragment.kind[f]):
             continue
         box = pools.fragment.box[f]
         half2 = moved2 = 0.0

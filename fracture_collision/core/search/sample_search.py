@@ -16,7 +16,7 @@ from fracture_collision.core.edges.ridge_contacts import Separation, add_crossin
 from fracture_collision.core.field.clearance import BEYOND, UNKNOWN, clearance, may_be_clear, side_of_surface
 from fracture_collision.core.fracture.crack_seeds import find_seeds
 from fracture_collision.core.memory.compiled import inlined_kernel, query_kernel
-from fracture_collision.core.memory.kinds import PLANE, SPHERE
+from fracture_collision.core.memory.kinds import SPHERE, is_bounded
 from fracture_collision.core.memory.rotations import rotated, to_other
 from fracture_collision.core.search.candidates import (
     HOME,
@@ -77,7 +77,7 @@ def search_samples(pools, edges, pair, rule, listing, sink, scratch):
     slack = rounding_slack(pools, a, b, translation)
     one_body = share_a_body(pools, a, b)
     within, samples, visits, count, deep = rule.near + listing.reach, 0, 0, 0, 0
-    bounded = fragment.kind[a] != PLANE and fragment.kind[b] != PLANE
+    bounded = is_bounded(fragment.kind[a]) and is_bounded(fragment.kind[b])
     if bounded:
         parted = box_clearance(fragment.box[a], fragment.box[b], rotation[0], translation[0], within + slack)
         if parted > within + slack:

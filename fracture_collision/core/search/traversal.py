@@ -30,7 +30,7 @@ from fracture_collision.core.contacts.known_samples import (
 from fracture_collision.core.contacts.sphere_contacts import sphere_contacts
 from fracture_collision.core.field.elementary_queries import INSIDE, OUTSIDE, least_distance, sphere_test
 from fracture_collision.core.memory.compiled import inlined_kernel, query_kernel
-from fracture_collision.core.memory.kinds import PLANE, SPHERE, TRIANGLES
+from fracture_collision.core.memory.kinds import SPHERE, TRIANGLES, has_faces, is_bounded
 from fracture_collision.core.memory.pools import NONE_BELOW, OWN_SAMPLE, QUEUE, SAMPLE, SIZE, SURFACE
 from fracture_collision.core.memory.rotations import rotated, to_other
 from fracture_collision.core.search.neighbour_lists import displacement, spin
@@ -59,12 +59,6 @@ def depth_limit(pools, f):
     """No point of fragment f is deeper than half its box's shortest side [m]."""
     b = pools.fragment.box[f]
     return 0.5 * min(b[3] - b[0], b[4] - b[1], b[5] - b[2])
-
-
-@inlined_kernel
-def _has_hull(kind):
-    """Whether hull_separation supports this kind of fragment."""
-    return kind != PLANE and kind != SPHERE
 
 
 @inlined_kernel
@@ -122,7 +116,7 @@ def query_pair(pools, pair, rule, limits, sink, scratch):
             if count == min(wanted, limit) or (budget and visits >= budget):
                 return count, apart + slack, visits, COMPLETE if count == wanted else BY_LIMIT, 0.0
     parted, beyond_b, beyond_a = 0.0, NO_PLANE, NO_PLANE
-    if apart > near and _has_hull(fragment.kind[a]) and _has_hull(fragment.kind[b]):
+    if apart > near and has_faces(fragment.kind[a]) and has_faces(fragment.kind[b]):
         parted, beyond_b, beyond_a = _planes_between(pools, pair, near, slack)
         if parted > 0.0:
             return 0, slack, visits, COMPLETE, parted
@@ -289,7 +283,7 @@ def query_pair(pools, pair, rule, limits, sink, scratch):
 def _clearance_of_boxes(pools, pair, enough):
     """oriented_boxes.box_clearance [m] of a Pair; minus infinity: one is a plane."""
     a, b, rotation, translation = pair
-    if pools.fragment.kind[a] == PLANE or pools.fragment.kind[b] == PLANE:
+    if not (is_bounded(pools.fragment.kind[a]) and is_bounded(pools.fragment.kind[b])):
         return -math.inf
     return box_clearance(pools.fragment.box[a], pools.fragment.box[b], rotation[0], translation[0], enough)
 

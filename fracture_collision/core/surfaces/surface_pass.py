@@ -11,7 +11,7 @@ from fracture_collision.core.contacts.contact_choice import Rule
 from fracture_collision.core.contacts.contact_places import make_world_contacts, put_in_world
 from fracture_collision.core.memory.compiled import kernel, threaded_kernel
 from fracture_collision.core.memory.crew import Crew
-from fracture_collision.core.memory.kinds import BOX, TETRAHEDRA, TRIANGLES
+from fracture_collision.core.memory.kinds import WITH_FACES
 from fracture_collision.core.memory.pair import Sink, Step, put_pair
 from fracture_collision.core.memory.pools import Pools
 from fracture_collision.core.memory.rotations import turned_back
@@ -21,6 +21,7 @@ from fracture_collision.core.search.scratch import Scratch
 from fracture_collision.core.search.traversal import BY_LIMIT, COMPLETE, depth_limit
 from fracture_collision.core.surfaces.surface_certificate import NOBODY, judge_surfaces
 from fracture_collision.core.surfaces.surface_contact import put_surface_contact
+from fracture_collision.grouping import begins_of
 
 
 class Between(NamedTuple):
@@ -51,7 +52,7 @@ def judge_pairs(
     todo, is_free = work
     rows, pairs = step.rows, step.pairs
     kinds = pools.fragment.kind[rows]
-    has_edges = (kinds == BOX) | (kinds == TETRAHEDRA) | (kinds == TRIANGLES)
+    has_edges = np.isin(kinds, WITH_FACES)
     todo = todo[has_edges[pairs[todo]].all(axis=1)]
     p = len(pairs)
     bounds, exhausted = found.bounds.copy(), found.exhausted.copy()
@@ -61,8 +62,8 @@ def judge_pairs(
     todo = todo[is_open]
     if len(todo):
         table = elements.of(pools, np.unique(rows[pairs[todo]]))
-        judged = Judged(bounds, exhausted, between)
-        crew.share(_judge_share, (pools, table), step, todo, rule, (found, _offsets(found.counts)), judged, own=scratch)
+        known, judged = (found, begins_of(found.counts)), Judged(bounds, exhausted, between)
+        crew.share(_judge_share, (pools, table), step, todo, rule, known, judged, own=scratch)
     cut = np.flatnonzero(bounds == np.inf)
     bounds[cut] = found.bounds[cut]
     _bound_by_thickness(pools, rows, pairs, cut, bounds)
@@ -72,13 +73,8 @@ def judge_pairs(
     counts = found.counts + between.has_contact
     total = int(counts.sum())
     columns = make_world_contacts(total)
-    _insert(step, _offsets(found.counts), found, between, columns)
+    _insert(step, begins_of(found.counts), found, between, columns)
     return PairContacts(counts, bounds, visits, exhausted, *columns)
-
-
-def _offsets(counts: np.ndarray) -> np.ndarray:
-    """(p + 1,) int64: first contact of each pair."""
-    return np.concatenate(([0], np.cumsum(counts)))
 
 
 @kernel

@@ -19,10 +19,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fracture_collision import grouping
 from fracture_collision.core.memory.compiled import inlined_kernel, kernel, query_kernel
 from fracture_collision.core.memory.pools import NONE_BELOW, OWN_SAMPLE, SAMPLE, SIZE, SURFACE
 from fracture_collision.core.tree.sphere_tree_deal import deal_tree, find_parents
 
+_grouped = kernel(grouping.grouped)
 NONE = -1
 
 
@@ -190,21 +192,6 @@ def _update_radii(size, share):
             a = max(a, _squared(spheres[j], spheres[i]))
             j += 1
         spheres[i, 3] = np.sqrt(max(a, b, c, d))
-
-
-@kernel
-def _grouped(groups, count):
-    """Indices by group 0 .. count - 1, ascending within each, and where each group begins (count + 1,)."""
-    bounds = np.zeros(count + 1, np.int64)
-    for g in groups:
-        bounds[g + 1] += 1
-    bounds = np.cumsum(bounds)
-    at = bounds[:-1].copy()
-    order = np.empty(len(groups), np.int64)
-    for q in range(len(groups)):
-        order[at[groups[q]]] = q
-        at[groups[q]] += 1
-    return order, bounds
 
 
 @query_kernel

@@ -21,6 +21,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from fracture_collision.grouping import begins_of
 from fracture_collision.portable_math import dots, images, lengths, rotation_vectors
 from fracture_collision.records import ContactConstraintArray
 from fracture_collision.simulation.actors.arm import JOINTS, Arm, ArmKinematics, require_within
@@ -126,7 +127,7 @@ class ArmControl:
         points = {
             name: getattr(contacts, name).reshape(-1, 3)[kept].ravel() for name in ("points_a", "points_b", "normals")
         }
-        begin = np.concatenate(([0], np.cumsum(counts[others]))).astype(contacts.pair_begin.dtype)
+        begin = begins_of(counts[others]).astype(contacts.pair_begin.dtype)
         return contacts._replace(
             **pairs, **points, pair_begin=begin, gaps=contacts.gaps[kept], contact_ids=contacts.contact_ids[kept]
         )

@@ -13,12 +13,14 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from fracture_collision import grouping
 from fracture_collision.simulation.compiled import uncounted
 from fracture_collision.simulation.solver.contact_face import Iterate
 from fracture_collision.simulation.solver.contact_rows import RECORD, TANGENT1, TANGENT2, Rows, Surfaces, fill_record
 from fracture_collision.simulation.solver.contact_step import drift_velocities, find_velocities
 from fracture_collision.simulation.solver.small_matrices import invert_symmetric
 
+_grouped = njit(cache=True)(grouping.grouped)
 # A contact at rest never penetrates by this many rest gaps.
 DEEP = 5.0
 
@@ -101,8 +103,8 @@ def islands_of(begin, body_a, body_b, count):
             of_pair[pair] = -1
         else:
             of_pair[pair] = label[a] if a < count else (label[b] if b < count else -1)
-    pairs, pair_begin = _sorted_by(of_pair, island_count)
-    bodies, body_begin = _sorted_by(label, island_count)
+    pairs, pair_begin = _grouped(of_pair, island_count)
+    bodies, body_begin = _grouped(label, island_count)
     return Islands(pairs, pair_begin, bodies, body_begin)
 
 
@@ -113,21 +115,6 @@ def root_of(root, i):
         root[i] = root[root[i]]
         i = root[i]
     return i
-
-
-@njit(cache=True)
-def _sorted_by(labels, label_count):
-    begin = np.zeros(label_count + 1, np.int64)
-    for label in labels:
-        if label >= 0:
-            begin[label + 1] += 1
-    begin = np.cumsum(begin)
-    order, free = np.empty(begin[-1], np.int64), begin.copy()
-    for i in range(labels.size):
-        if labels[i] >= 0:
-            order[free[labels[i]]] = i
-            free[labels[i]] += 1
-    return order, begin
 
 
 @njit(cache=True)

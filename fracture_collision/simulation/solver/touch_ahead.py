@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from fracture_collision.grouping import begins_of
 from fracture_collision.portable_math import dots, lengths
 from fracture_collision.records import ContactConstraintArray
 from fracture_collision.simulation.compiled import uncounted
@@ -93,7 +94,7 @@ def split_by_gap(
     rows = np.repeat(~is_ahead, 3)
     now = contacts._replace(
         fragment_a=contacts.fragment_a[stays], fragment_b=contacts.fragment_b[stays],
-        pair_begin=np.concatenate(([0], np.cumsum(left[stays]))).astype(contacts.pair_begin.dtype),
+        pair_begin=begins_of(left[stays]).astype(contacts.pair_begin.dtype),
         missed_depth_bound=contacts.missed_depth_bound[stays], friction=contacts.friction[stays],
         restitution=contacts.restitution[stays], points_a=contacts.points_a[rows], points_b=contacts.points_b[rows],
         normals=contacts.normals[rows], gaps=contacts.gaps[~is_ahead], contact_ids=contacts.contact_ids[~is_ahead],

@@ -12,6 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from fracture_collision import grouping
+
+_grouped = njit(cache=True)(grouping.grouped)
 SUN_RADIANCE = (2.6, 2.4, 2.1)
 SKY_RADIANCE = (0.78, 0.86, 1.0)
 HORIZON = (0.80, 0.84, 0.88)
@@ -178,7 +181,8 @@ def smooth_normals(triangles, is_crack, places, crease, normals):
     places (3t,): number of each corner's place, equal for corners at the same place; crease: two triangles are smoothed
     only if the cosine between them exceeds it. Crack and outside are never smoothed together.
     """
-    corners, begin = _by_place(places)
+    # corners are numbered 3 x triangle + corner
+    corners, begin = _grouped(places, (places.max() if len(places) else -1) + 1)
     area, length = np.empty((len(triangles), 3)), np.empty(len(triangles))
     for t in range(len(triangles)):
         p, q, r = triangles[t, 0], triangles[t, 1], triangles[t, 2]
@@ -199,17 +203,3 @@ def smooth_normals(triangles, is_crack, places, crease, normals):
                     x, y, z = x + area[other, 0], y + area[other, 1], z + area[other, 2]
             size = max(math.sqrt(x * x + y * y + z * z), 1e-300)
             normals[corners[a], 0], normals[corners[a], 1], normals[corners[a], 2] = x / size, y / size, z / size
-
-
-@njit(cache=True)
-def _by_place(places):
-    """corners[begin[i] .. begin[i+1]-1]: the corners (3 x triangle + corner) at place i."""
-    begin = np.zeros((places.max() if len(places) else -1) + 2, np.int64)
-    for place in places:
-        begin[place + 1] += 1
-    begin = np.cumsum(begin)
-    corners, free = np.empty(len(places), np.int64), begin.copy()
-    for corner in range(len(places)):
-        corners[free[places[corner]]] = corner
-        free[places[corner]] += 1
-    return corners, begin
