@@ -26,8 +26,9 @@ def test_owners_are_the_oracles(case: FracturedWorld) -> None:
 
 
 def test_owners_are_the_oracles_close_to_cracks(case: FracturedWorld) -> None:
-    """One works from the hub of a tetrahedron, the other finds the part that contains a point: they agree up to a few
-    rounding errors from a crack.
+    """The two oracles agree up to a few rounding errors from a crack.
+
+    One works from the hub of a tetrahedron, the other finds the part that contains a point.
     """
     random, oracle = np.random.default_rng(4), case.oracle
     triangles = np.concatenate([oracle.surface_triangles(f, (CRACK,)) for f in oracle.fragment_ids])

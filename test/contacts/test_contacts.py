@@ -99,8 +99,9 @@ def test_a_full_list_does_not_depend_on_tree_or_traversal() -> None:
 
 @pytest.mark.parametrize("traversal", TRAVERSALS)
 def test_nodes_are_visited_in_the_order_of_the_traversal(traversal: str) -> None:
-    """Every sample of a ball lies within the tolerance of a plane: contacts come in the order of the visits (fewer than
-    are wanted would be sorted).
+    """Every sample of a ball lies within the tolerance of a plane: contacts come in the order of the visits.
+
+    Fewer than are wanted would be sorted.
     """
     vertices, triangles = noisy_ball()
     wanted = len(vertices)

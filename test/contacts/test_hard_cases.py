@@ -286,8 +286,11 @@ def broken_to_pieces(edge_length: float, seed: int) -> FracturedWorld:
 
 
 def test_four_hundred_fragments_of_one_body() -> None:
-    """Two or three nodes a fragment, up to four fragments in every tetrahedron: volumes add up to 1e-12, each point
-    has one owner, and the contacts among the dozen fragments about a point are true and complete."""
+    """Two or three nodes a fragment, up to four fragments in every tetrahedron.
+
+    Volumes add up to 1e-12, each point has one owner, and the contacts among the dozen fragments about a point are true
+    and complete.
+    """
     case = broken_to_pieces(0.17, 3)
     whole = tetrahedron_volumes(case.oracle.vertices, case.oracle.tetrahedra).sum()
     assert case.world.fragments().masses.sum() == pytest.approx(DENSITY * whole, rel=ROUNDING)

@@ -75,8 +75,9 @@ def places_of(answer: ContactConstraintArray, center: np.ndarray, radius: float,
 
 
 def true_places(corners: np.ndarray, is_solid: Solid, center: np.ndarray, reach: float) -> np.ndarray:
-    """Points (n, 3) of the surface of triangles (t, 3, 3) within `reach` [m] that are locally nearest to a centre
-    outside, and face it.
+    """Points (n, 3) of the surface of triangles (t, 3, 3) within `reach` [m] that are locally nearest to a centre.
+
+    The centre is outside, and they face it.
     """
     distance, feet = distances_to_triangles(center, corners)
     found: list[np.ndarray] = []

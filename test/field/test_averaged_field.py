@@ -169,8 +169,10 @@ def test_the_certain_depth_is_never_below_the_true_one(case: FracturedWorld) -> 
 
 
 def _assert_certain(case: FracturedWorld) -> int:
-    """Asserts that no bound is below the true depth, the distance to the nearest point of another owner. Returns the
-    number of points."""
+    """Asserts that no bound is below the true depth; returns the number of points.
+
+    The true depth is the distance to the nearest point of another owner.
+    """
     points = _points_within(case, 400)
     owners = case.oracle.owner(points)
     scratch = make_scratch(1, len(case.oracle.tetrahedra), 8)

@@ -22,8 +22,9 @@ WITHIN, ROUNDING, DEPTH = 0.03, 1e-9, 0.005  # [m]
 
 
 def _fragments(shape: str, beside: float, seed: int) -> tuple[Pools, Scratch, list[tuple[int, np.ndarray]]]:
-    """A broken body's pools, scratch, and each fragment's row with points (600, 3) in its box, up to `beside` [m]
-    outside it, and on mesh nodes (ties: on walls, on the old surface).
+    """A broken body's pools, scratch, and each fragment's row with points (600, 3).
+
+    The points are in its box, up to `beside` [m] outside it, and on mesh nodes (ties: on walls, on the old surface).
     """
     body, is_curved = SHAPES[shape]
     case = fractured_world(body, 4, generations=2, curved=is_curved)

@@ -1,5 +1,8 @@
-"""Guarantees of a fragment's surface, also after its neighbours break: a sample within sampling_gap,
-nothing outside its box, no cell of its grid left out, and with flat cracks no sample inside a neighbour."""
+"""Guarantees of a fragment's surface, also after its neighbours break.
+
+A sample is within sampling_gap, nothing outside its box, no cell of its grid left out, and with flat cracks no sample
+inside a neighbour.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,7 @@
-"""The launch file without ROS's launch, which is not available as a wheel: it is executed against stand-ins of the
-documented interface, and the resulting commands are run. Whether launch itself accepts it is not tested here.
+"""The launch file without ROS's launch, which is not available as a wheel.
+
+It is executed against stand-ins of the documented interface, and the resulting commands are run. Whether launch itself
+accepts it is not tested here.
 """
 
 from __future__ import annotations

@@ -280,7 +280,7 @@ def test_a_thousand_refusals_are_a_few_lines(stage: StageWithClients) -> None:
 
 
 def test_who_sent_a_message_is_known_in_both_ways_of_the_executor(stage: StageWithClients) -> None:
-    """rclpy's own executor also takes messages, while it checks for due timers."""
+    """Like this executor, that of rclpy takes messages while it checks for due timers."""
     client = stage.client()
     came = []
     subscription = client.node.create_subscription(

@@ -217,8 +217,10 @@ sys.exit(main())
 
 
 def test_a_start_takes_little_work(client: ServiceClient, domain_id: int, tmp_path: Path) -> None:
-    """With cached kernels, at most three seconds of processor time; on a busy machine wall time would include the work
-    of other processes."""
+    """With cached kernels, at most three seconds of processor time.
+
+    On a busy machine wall time would include the work of other processes.
+    """
     tell_all(client, RUN)
     service = NodeProcess("collision_node", {"threads": 1}, domain_id, tmp_path / "service.log")
     try:

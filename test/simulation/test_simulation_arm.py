@@ -74,8 +74,9 @@ def smashed() -> Smashed:
 
 
 def test_places_are_those_of_the_urdf(kinematics: ArmKinematics) -> None:
-    """Stretched upwards, the flange is 1.306 m above the base: the data sheet's 360 + 420 + 400 + 126 mm. Bent by 90
-    degrees at joint 2, it reaches the part of that length beyond the shoulder.
+    """Stretched upwards, the flange is 1.306 m above the base: the data sheet's 360 + 420 + 400 + 126 mm.
+
+    Bent by 90 degrees at joint 2, it reaches the part of that length beyond the shoulder.
     """
     tool = np.array(PARTS[-1].center)
     up = kinematics.places(np.zeros(JOINTS))[0][-1]

@@ -49,7 +49,9 @@ def run(scene: Scene, steps: int) -> list[StepReport]:
 
 
 def assert_no_deeper_than_two_steps(reports: list[StepReport], scene: Scene) -> None:
-    """An impact penetrates by one step's motion; if the body breaks, the impulse is capped and its pieces penetrate by
+    """No contact may be deeper than the motion of two and a half steps at the greatest speed.
+
+    An impact penetrates by one step's motion; if the body breaks, the impulse is capped and its pieces penetrate by
     another step's. A quarter more allows for spin, as the speed is that of centres of mass.
     """
     fastest = max(report.max_speed for report in reports)

@@ -93,8 +93,9 @@ def test_points_go_round() -> None:
 
 @pytest.mark.parametrize("is_round", [True, False])
 def test_a_plane_turns_with_the_body_whose_it_is(is_round: bool) -> None:
-    """A bar rotates by half a radian about its middle, and its face rotates with it into its neighbour. If that is a
-    ball, the face is the bar's; otherwise it may belong to either, and the gap that closes first counts.
+    """A bar rotates by half a radian about its middle, and its face rotates with it into its neighbour.
+
+    If that is a ball, the face is the bar's; otherwise it may belong to either, and the gap that closes first counts.
     """
     centers, moves = [[0.0] * 3, [0.1, 0.06, 0.0]], [[0, 0, 0, 0.0, 0.0, 50.0], [0.0] * 6]
     at_bar, beside, up = [[0.1, 0.01, 0.0]], [[0.1, 0.04, 0.0]], [[0.0, 1.0, 0.0]]

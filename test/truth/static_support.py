@@ -61,7 +61,7 @@ def support_of(run, scene, hooks: bool = True) -> Support:
 
 
 def _standing_boxes(simulation, registry):
-    """[(fragment id, half edges (3,), position (3,), orientation (3, 3))]"""
+    """Returns a list of (fragment id, half edges (3,), position (3,), orientation (3, 3))."""
     bodies = {int(fragment): simulation._cast.body_of.get(int(body)) for fragment, body in
               zip(registry.fragment_ids, registry.body_ids, strict=True)}  # fmt: skip
     return [

@@ -73,7 +73,7 @@ def test_another_port_of_this_machine_is_foreign(port: int) -> None:
 
 
 def test_the_page_obeys_no_other_server(port: int) -> None:
-    """viser's client would connect to another server if the URL's query names one."""
+    """A client of viser would connect to another server if the URL's query names one."""
     for query in ("?websocket=ws://evil.example", "?playbackPath=//evil.example/x", "?"):
         assert answer(port, f"127.0.0.1:{port}", path=f"/{query}")[0] == 403
 

@@ -30,7 +30,7 @@ def listed_and_colliding(page: Any) -> tuple[int, int]:
 
 
 def unlisted_and_promised(page: Any) -> tuple[float, float]:
-    """[mm]"""
+    """[mm] The depth of the deepest unlisted point, and the promised bound."""
     words = page.get_by_text("not listed: up to").inner_text()
     found = re.search(r"up to ([\d.]+) mm deep; promised: no more than ([\d.]+) mm", words)
     return float(found[1]), float(found[2])

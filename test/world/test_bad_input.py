@@ -1,5 +1,7 @@
-"""A slice of the bad-input campaign: every mutation of every field once, several at once as chosen by hypothesis, and
-corrupted bytes. The whole campaign is a slow test.
+"""A slice of the bad-input campaign.
+
+Every mutation of every field once, several at once as chosen by hypothesis, and corrupted bytes. The whole campaign is
+a slow test.
 """
 
 from __future__ import annotations
