@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -42,12 +44,22 @@ def test_contacts_are_split_by_their_gaps() -> None:
     assert none is None and same is now
 
 
-def shares(
-    rows_a, rows_b, points_a, points_b, normals, centers, velocities, is_turning=False, is_round=None
-) -> np.ndarray:
-    n, least = len(centers), np.full(len(rows_a), REST)
+class Ahead(NamedTuple):
+    """Contacts ahead, one a row; bodies by their row, one beyond the last is static."""
+
+    rows_a: list[int]
+    rows_b: list[int]
+    points_a: list
+    points_b: list
+    normals: list
+
+
+def shares(ahead: Ahead, centers, velocities, is_turning=False, is_round=None) -> np.ndarray:
+    """The share of a step of 10 ms that each body moves until it touches."""
+    n, least = len(centers), np.full(len(ahead.rows_a), REST)
     return shares_until_touch(
-        np.array(rows_a), np.array(rows_b), *(np.array(x, float) for x in (points_a, points_b, normals)), least,
+        np.array(ahead.rows_a), np.array(ahead.rows_b),
+        *(np.array(x, float) for x in (ahead.points_a, ahead.points_b, ahead.normals)), least,
         np.array(centers, float), np.array(velocities, float), np.ones(n), is_turning,
         np.zeros(n + 1, bool) if is_round is None else np.array(is_round), 0.01,
     )  # fmt: skip
@@ -56,22 +68,22 @@ def shares(
 def test_a_body_goes_as_far_as_the_touch() -> None:
     """10 m/s towards a static obstacle 3 cm away, in steps of 10 ms; a body moving away is free."""
     moves = [[10.0, 0.0, 0.0, 0.0, 0.0, 0.0]]
-    x = [[1.0, 0.0, 0.0]]
-    own = shares([0], [1], [[0.0] * 3], [[0.03, 0.0, 0.0]], x, [[0.0] * 3], moves)
-    assert own == pytest.approx([(0.03 - REST) / 0.1])
-    assert shares([0], [1], [[0.0] * 3], [[0.03, 0.0, 0.0]], x, [[0.0] * 3], [[-10.0, 0, 0, 0, 0, 0]]) == [1.0]
-    assert shares([0], [1], [[0.0] * 3], [[0.2, 0.0, 0.0]], x, [[0.0] * 3], moves) == [1.0]
+    near = Ahead([0], [1], [[0.0] * 3], [[0.03, 0.0, 0.0]], [[1.0, 0.0, 0.0]])
+    far = near._replace(points_b=[[0.2, 0.0, 0.0]])
+    assert shares(near, [[0.0] * 3], moves) == pytest.approx([(0.03 - REST) / 0.1])
+    assert shares(near, [[0.0] * 3], [[-10.0, 0, 0, 0, 0, 0]]) == [1.0]
+    assert shares(far, [[0.0] * 3], moves) == [1.0]
 
 
 def test_who_waits_is_not_run_through() -> None:
     """The first body would never touch the second, but the second is stopped by a third: both stop."""
-    rows = [0, 1], [1, 2]
-    points = [[[0.0, 0.0, 0.0], [0.9, 0.0, 0.0]], [[0.85, 0.0, 0.0], [0.91, 0.0, 0.0]]]
+    points_a, points_b = [[0.0, 0.0, 0.0], [0.9, 0.0, 0.0]], [[0.85, 0.0, 0.0], [0.91, 0.0, 0.0]]
+    ahead = Ahead([0, 1], [1, 2], points_a, points_b, [[1.0, 0.0, 0.0]] * 2)
     centers, moves = [[0.0] * 3, [0.9, 0.0, 0.0]], [[100.0, 0, 0, 0, 0, 0], [90.0, 0, 0, 0, 0, 0]]
-    alone = shares(rows[0][:1], rows[1][:1], points[0][:1], points[1][:1], [[1.0, 0, 0]], centers, moves)
+    alone = shares(Ahead(*(column[:1] for column in ahead)), centers, moves)
     assert alone.tolist() == [1.0, 1.0]
-    held = shares(*rows, *points, [[1.0, 0, 0]] * 2, centers, moves)
-    gap = points[1][0][0] + 0.9 * held[1] - 1.0 * held[0]
+    held = shares(ahead, centers, moves)
+    gap = points_b[0][0] + 0.9 * held[1] - 1.0 * held[0]
     assert held[1] < 0.02 and gap >= 0.0
 
 
@@ -83,7 +95,7 @@ def test_points_go_round() -> None:
         point, normal = random.normal(0.0, 0.05, 3), random.normal(size=3)
         normal /= np.linalg.norm(normal)
         wall = point + random.uniform(0.01, 0.05) * normal
-        own = shares([0], [1], [point], [wall], [normal], [[0.0] * 3], [[*move, *spin]])[0]
+        own = shares(Ahead([0], [1], [point], [wall], [normal]), [[0.0] * 3], [[*move, *spin]])[0]
         moments = np.linspace(0.0, 1.0, 10001)
         path = Rotation.from_rotvec(0.01 * moments[:, None] * spin).apply(point) + 0.01 * moments[:, None] * move
         gaps = (wall - path) @ normal
@@ -98,8 +110,8 @@ def test_a_plane_turns_with_the_body_whose_it_is(is_round: bool) -> None:
     If that is a ball, the face is the bar's; otherwise it may belong to either, and the gap that closes first counts.
     """
     centers, moves = [[0.0] * 3, [0.1, 0.06, 0.0]], [[0, 0, 0, 0.0, 0.0, 50.0], [0.0] * 6]
-    at_bar, beside, up = [[0.1, 0.01, 0.0]], [[0.1, 0.04, 0.0]], [[0.0, 1.0, 0.0]]
-    own = shares([0], [1], at_bar, beside, up, centers, moves, True, [False, is_round, False])
+    ahead = Ahead([0], [1], [[0.1, 0.01, 0.0]], [[0.1, 0.04, 0.0]], [[0.0, 1.0, 0.0]])
+    own = shares(ahead, centers, moves, True, [False, is_round, False])
     angles = np.linspace(0.0, 0.5, 100001)
     point = 0.1 * np.cos(angles) - 0.01 * np.sin(angles), 0.1 * np.sin(angles) + 0.01 * np.cos(angles)
     gaps = -np.sin(angles) * (0.1 - point[0]) + np.cos(angles) * (0.04 - point[1])

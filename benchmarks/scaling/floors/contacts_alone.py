@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from statistics import median
 from time import perf_counter
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,6 +24,30 @@ from fracture_collision.world.settings import most_listed
 ROUNDS = 9
 
 
+class Placed(NamedTuple):
+    """The first arguments of query_pairs."""
+
+    pools: Pools
+    rows: np.ndarray
+    rotations: np.ndarray
+    positions: np.ndarray
+    pairs: np.ndarray
+
+
+class Known(NamedTuple):
+    """The samples known in advance."""
+
+    begin: np.ndarray  # (p + 1,) of each pair
+    entries: np.ndarray  # (n,) in neighbour-list format
+
+
+class Rows(NamedTuple):
+    """Contacts and their ids, as query_pair writes them."""
+
+    contacts: np.ndarray  # (n, 10)
+    ids: np.ndarray  # (n, 5)
+
+
 def contacts_alone(service: CollisionWorld, states: FragmentStates, answer: ContactConstraintArray) -> float:
     """[ms], one thread, median: each sample of `answer` located, its nearest surface found and its normal turned."""
     here, pools, settings = service.present(states), service.geometry.pools, service.settings
@@ -31,17 +56,17 @@ def contacts_alone(service: CollisionWorld, states: FragmentStates, answer: Cont
     pairs = np.column_stack(tuple(ends)).astype(np.int64)
     nodes = 2 * max(service.geometry.tree_entries(row) for row in here.rows.tolist()) + 2
     scratch = make_scratch(1, len(pools.mesh.tetrahedra), nodes)
-    placed = pools, here.rows, here.rotations, here.positions, pairs
+    placed = Placed(pools, here.rows, here.rotations, here.positions, pairs)
     found, _ = query_pairs(
         *placed, settings.contacts_per_pair, most_listed(settings), settings.penetration_tolerance,
         settings.detection_tolerance, 0, scratch, Crew(1),
     )  # fmt: skip
     begin = np.concatenate(([0], np.cumsum(found.counts)))
-    listed = _entries(pools, here.rows, pairs, found)
-    contacts, ids = np.empty((begin[-1], 10)), np.empty((begin[-1], 5), np.int64)
+    known = Known(begin, _entries(pools, here.rows, pairs, found))
+    out = Rows(np.empty((begin[-1], 10)), np.empty((begin[-1], 5), np.int64))
 
     def ask() -> None:
-        asked = _ask(*placed, begin, listed, settings.detection_tolerance, contacts, ids, scratch)
+        asked = _ask(placed, known, settings.detection_tolerance, out, scratch)
         assert asked == begin[-1] == len(answer.gaps)
 
     ask()
@@ -70,8 +95,10 @@ def _entries(pools: Pools, rows: np.ndarray, pairs: np.ndarray, found: PairConta
 
 
 @threaded_kernel
-def _ask(pools, rows, rotations, positions, pairs, begin, listed, near, contacts, ids, scratch):
-    """Fills contacts (n, 10) and ids (n, 5) like query_pair; returns their number."""
+def _ask(placed, known, near, found, scratch):
+    """Fills `found` like query_pair; returns the number of contacts."""
+    pools, rows, rotations, positions, pairs = placed
+    begin, listed = known
     rotation, translation = scratch.rotation[0], scratch.translation[0]
     total = 0
     for p in range(len(pairs)):
@@ -80,7 +107,7 @@ def _ask(pools, rows, rotations, positions, pairs, begin, listed, near, contacts
         relative_pose(rotations[i], positions[i], rotations[j], positions[j], rotation[0], translation[0])
         relative_pose(rotations[j], positions[j], rotations[i], positions[i], rotation[1], translation[1])
         within = near * min(pools.fragment.radius[a], pools.fragment.radius[b])
-        out, out_ids = contacts[first:last], ids[first:last]
+        out, out_ids = found.contacts[first:last], found.ids[first:last]
         count = last - first
         for k in range(count):
             scratch.node_int[0, k, ENTRY], scratch.node_int[0, k, SIDE] = listed[first + k] >> 1, listed[first + k] & 1
