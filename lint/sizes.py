@@ -25,8 +25,6 @@ LONGER = {
     "fracture_collision/core/search/sample_search.py",
     "fracture_collision/ros/nodes/page_node.py",
     "fracture_collision/simulation/simulation.py",
-    "test/search/test_lookahead.py",
-    "test/simulation/test_simulation_fracture.py",
 }
 
 
