@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import os
+import shutil
 import sys
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import pytest
 from matplotlib.image import imread
 
 ROOT = Path(__file__).resolve().parents[2]
+DOCS = ROOT / "docs"
 if str(ROOT) not in sys.path:
     sys.path.insert(0, str(ROOT))  # benchmarks/ is not installed
 
@@ -24,7 +26,7 @@ from benchmarks.studies.ahead import flights, throws  # noqa: E402
 from benchmarks.studies.bench import Progress, run_studies  # noqa: E402
 from benchmarks.studies.cluster import cluster, run_trials  # noqa: E402
 from benchmarks.studies.machine import machine, versions  # noqa: E402
-from benchmarks.studies.page import PAGE, STUDIES, study_files, wrapped, write_page  # noqa: E402
+from benchmarks.studies.page import BY_HAND, PAGE, STUDIES, study_files, wrapped, write_page  # noqa: E402
 from benchmarks.studies.paper import fig5, fig12, fig15, fig16, fig17, resolution, tables  # noqa: E402
 from benchmarks.studies.replay import record, replay  # noqa: E402
 from benchmarks.studies.scene_trials import ONE_THREAD, in_words, scene_trial, with_shortest_times  # noqa: E402
@@ -134,6 +136,14 @@ def test_the_page_is_made_of_what_lies_there(made: tuple[Path, Path], tmp_path: 
     assert "(Fig. 16)" in alone and "(Fig. 17)" not in alone
     (tmp_path / file.name).write_text(file.read_text().replace("adaptive,2,2,", "adaptive,2,7531,"))
     assert "7531 random drops" in write_page(tmp_path).read_text() and "7531" not in alone
+
+
+def test_the_page_in_docs_is_what_the_generator_writes(tmp_path: Path) -> None:
+    """With its section that is written by hand."""
+    page = (DOCS / PAGE).read_text(encoding="utf-8")
+    copy = shutil.copytree(DOCS, tmp_path / "docs")
+    assert write_page(copy).read_text(encoding="utf-8") == page
+    assert f"\n## {BY_HAND}\n" in page
 
 
 def test_a_table_of_other_sources_does_not_keep_the_page_from_being_made(tmp_path: Path) -> None:
