@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import colorsys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -196,12 +197,12 @@ class Viewer:
 
     def __init__(self, client: ServiceClient, durability: DurabilityPolicy) -> None:
         self.shown: dict[tuple[str, int], Marker] = {}
-        self.came: list[MarkerArray] = []
+        self.sequence_numbers: list[int] = []  # of the messages: 1, 2, 3 ... as the publisher counts them
         profile = QoSProfile(depth=10, durability=durability)
         self.subscription = client.node.create_subscription(MarkerArray, "markers", self._on_markers, profile)
 
-    def _on_markers(self, message: MarkerArray) -> None:
-        self.came.append(message)
+    def _on_markers(self, message: MarkerArray, info: dict[str, int]) -> None:
+        self.sequence_numbers.append(info["publication_sequence_number"])
         for marker in message.markers:
             if marker.action == Marker.DELETEALL:
                 self.shown.clear()
@@ -214,7 +215,7 @@ class Viewer:
         return {number for name, number in self.shown if name == "fragments"}
 
 
-def test_over_dds(stage: StageWithClients) -> None:
+def test_viewers_get_the_complete_scene_whenever_they_join(stage: StageWithClients) -> None:
     stage.start("collision_node", threads=1)
     client = stage.client()
     client.await_service()
@@ -242,3 +243,37 @@ def test_over_dds(stage: StageWithClients) -> None:
     again = Viewer(client, DurabilityPolicy.VOLATILE)
     client.spin_until(lambda: again.fragments() == {5}, "all again")
     assert again.shown["fragments", 5].pose.position.z == 0.3
+
+
+def test_nothing_is_published_without_subscribers(stage: StageWithClients) -> None:
+    """While there is a subscriber, as many states give several messages."""
+    stage.start("collision_node", threads=1)
+    client = stage.client()
+    client.await_service()
+    for body in (breakable_body(), ground()):
+        client.publish("bodies", body, 7)
+
+    def ask_for_a_second(first_step: int) -> None:
+        for step in range(first_step, first_step + 20):
+            client.ask(whole(step, height=0.3 + 0.01 * step), 7)
+            pause(client, 0.05)
+
+    viewer = Viewer(client, DurabilityPolicy.VOLATILE)
+    client.ask(whole(1), 7)
+    client.spin_until(lambda: viewer.fragments() == {1, 2}, "the whole body")
+    before = len(viewer.sequence_numbers)
+    ask_for_a_second(2)
+    assert len(viewer.sequence_numbers) > before + 4
+
+    client.node.destroy_subscription(viewer.subscription)
+    pause(client, 1.0)  # until the service has noticed, it may publish the last states
+    ask_for_a_second(22)
+    again = Viewer(client, DurabilityPolicy.VOLATILE)
+    client.spin_until(lambda: again.fragments() == {1, 2}, "all again")
+    assert again.sequence_numbers[0] <= viewer.sequence_numbers[-1] + 3
+
+
+def pause(client: ServiceClient, seconds: float) -> None:
+    ends = time.monotonic() + seconds
+    while time.monotonic() < ends:
+        client.spin_once(max(ends - time.monotonic(), 0.0))
