@@ -53,7 +53,7 @@ def test_contacts_are_true_and_the_bound_holds(case: FracturedWorld, jitter: flo
         assert np.abs(check.excess).max(initial=0.0) <= BORDER, check
 
 
-def test_a_budget_makes_the_bound_grow_instead_of_lie(case: FracturedWorld) -> None:
+def test_a_smaller_budget_gives_a_larger_valid_bound(case: FracturedWorld) -> None:
     states = case.states(0.05, seed=2)
     truth, poses = ContactTruth(case), Poses(states)
     for budget in (200, 1000, 4000):
@@ -74,7 +74,7 @@ def _bytes(answer: ContactConstraintArray) -> bytes:
     return b"".join(np.asarray(field).tobytes() for field in answer)
 
 
-def test_the_answer_is_the_same_bytes_for_any_number_of_threads(case: FracturedWorld) -> None:
+def test_answers_are_the_same_bytes_for_any_number_of_threads(case: FracturedWorld) -> None:
     states = case.states(0.05, seed=4)
     reference = _bytes(case.world.contacts(states))
     for threads in (2, 3, 8):
@@ -132,7 +132,7 @@ def _children(size: np.ndarray, entry: int) -> list[int]:
     return children
 
 
-def test_the_answer_has_no_memory(case: FracturedWorld) -> None:
+def test_answers_do_not_depend_on_earlier_steps(case: FracturedWorld) -> None:
     """Interleaving other states, and states of earlier registries, changes nothing."""
     states = case.states(0.05, seed=4)
     reference = _bytes(case.world.contacts(states))

@@ -133,7 +133,7 @@ def test_listed_crossings_are_those_of_brute_force(case: FracturedWorld, jitter:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_crossed_rods_part_across_both_edges(kind: str) -> None:
+def test_crossed_rods_have_a_contact_normal_to_both_edges(kind: str) -> None:
     answer = answer_of_rods(kind, EDGES, crossed(-OVERLAP, 0.011))
     (k,) = np.flatnonzero(answer.gaps < 0.0)
     np.testing.assert_allclose(answer.normals[3 * k : 3 * k + 3], [0.0, 0.0, 1.0], atol=1e-12)
@@ -190,7 +190,7 @@ def counts(judged: Iterable[PairDepth]) -> tuple[int, int]:
     return sum(it.is_missed for it in judged), sum(it.is_too_shallow for it in judged)
 
 
-def test_most_of_what_samples_leave_out_is_found() -> None:
+def test_edges_find_most_penetrations_that_samples_miss() -> None:
     """Except deep penetration in the middle of a body, where the deepest point is on a face."""
     shapes = {name: COARSE_SHAPES[name] for name in ("brick", "l_block")}
     sampled, edges = (
@@ -206,7 +206,7 @@ def test_most_of_what_samples_leave_out_is_found() -> None:
 
 
 @pytest.mark.parametrize("lookahead", [0.0, 0.02])
-def test_neither_lists_nor_threads_change_a_byte(case: FracturedWorld, lookahead: float) -> None:
+def test_answers_do_not_depend_on_lists_or_threads(case: FracturedWorld, lookahead: float) -> None:
     settings = EDGES._replace(lookahead=lookahead)
     worlds = [
         with_settings(case, it)
@@ -237,7 +237,7 @@ def test_neither_lists_nor_threads_change_a_byte(case: FracturedWorld, lookahead
     assert crossings > 1000
 
 
-def test_ridges_outlast_what_is_dropped_before_them() -> None:
+def test_ridges_survive_the_removal_of_earlier_bodies() -> None:
     world = CollisionWorld(EDGES)
     for body_id, size in ((1, 0.25), (2, 0.5), (3, 0.25)):
         world.add_body(tetrahedral_body(brick((1.0, 1.0, 0.5), size), body_id))
@@ -257,7 +257,7 @@ def test_ridges_outlast_what_is_dropped_before_them() -> None:
 
 
 @pytest.mark.parametrize("other", [{"selection": "complete"}, {"visit_budget": 1_000_000}])
-def test_by_the_papers_rule_samples_alone_are_asked(case: FracturedWorld, other: dict) -> None:
+def test_edges_are_not_used_with_the_papers_selection(case: FracturedWorld, other: dict) -> None:
     states = case.states(0.01, 4)
     worlds = [with_settings(case, EDGES._replace(surfaces=surfaces, **other)) for surfaces in ("edges", "sampled")]
     assert_same(*(world.contacts(states) for world in worlds))

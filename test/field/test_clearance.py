@@ -38,7 +38,7 @@ def _fragments(shape: str, beside: float, seed: int) -> tuple[Pools, Scratch, li
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_what_is_said_to_be_far_is(shape: str) -> None:
+def test_samples_proven_far_are_far(shape: str) -> None:
     pools, scratch, fragments = _fragments(shape, 0.1, 5)
     far = said = 0
     for f, points in fragments:
@@ -54,7 +54,7 @@ def test_what_is_said_to_be_far_is(shape: str) -> None:
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_what_is_said_to_be_inside_or_beyond_is(shape: str) -> None:
+def test_samples_proven_inside_or_beyond_are(shape: str) -> None:
     pools, scratch, fragments = _fragments(shape, 0.05, 7)
     told, counts = 0, np.zeros(2, int)
     for f, points in fragments:
@@ -70,7 +70,7 @@ def test_what_is_said_to_be_inside_or_beyond_is(shape: str) -> None:
     assert told > 1000 and counts.min() > 20
 
 
-def test_no_answer_is_better_than_one_about_a_point_that_is_not_known_well() -> None:
+def test_a_larger_rounding_error_never_gives_a_larger_clearance() -> None:
     case = fractured_world(SHAPES["ball"][0], 4)
     pools, f = case.geometry.pools, case.row(case.oracle.fragment_ids[0])
     scratch = make_scratch(1, len(pools.mesh.tetrahedra), 1)

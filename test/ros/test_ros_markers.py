@@ -51,7 +51,7 @@ def as_message(records: list[MarkerRecord], heading: Heading) -> MarkerArray:
 
 
 @pytest.mark.parametrize("frame", ["", "world", "map/of/all", "ö"])
-def test_bytes_are_those_of_rclpy(frame: str) -> None:
+def test_bytes_of_markers_equal_those_of_rclpy(frame: str) -> None:
     rng = np.random.default_rng(5)
     heading = Heading(3, 999_999_999, frame)
     for size in (0, 1, 2, 7):
@@ -103,7 +103,7 @@ def by_name(sent: list[Marker]) -> dict[tuple[str, int], Marker]:
     return {(each.ns, each.id): each for each in sent}
 
 
-def test_a_viewer_sees_what_the_meshes_are() -> None:
+def test_markers_show_the_fragment_meshes() -> None:
     world, markers = one_run()
     clear, *sent = shown(world, markers, whole(), complete=True)
     assert clear.action == Marker.DELETEALL
@@ -139,7 +139,7 @@ def hue(colour: ColorRGBA) -> float:
     return colorsys.rgb_to_hls(colour.r, colour.g, colour.b)[0]
 
 
-def test_only_what_has_changed_is_sent_again() -> None:
+def test_only_changed_markers_are_published_again() -> None:
     world, markers = one_run()
     shown(world, markers, whole(), complete=True)
     assert set(by_name(shown(world, markers, whole(2), complete=False))) == {("contacts", 0), ("contact_normals", 0)}
@@ -172,7 +172,7 @@ def test_contacts_are_points_and_normals_coloured_by_gap() -> None:
     assert len(lines.colors) == 2 * len(points.colors) == 2 * len(contacts.gaps)
 
 
-def test_ids_beyond_the_half_of_them() -> None:
+def test_fragment_ids_above_the_signed_range_become_negative() -> None:
     markers = FragmentMarkers()
     highest = 2**32 - 1
     markers.add_body(breakable_body()._replace(fragment_id=highest))

@@ -226,7 +226,7 @@ after_a_blow = pytest.mark.parametrize("duration", [0.5, LONG])
 @after_a_blow
 @pytest.mark.parametrize("curvature", [0.0, 0.25])
 @pytest.mark.parametrize("shape", [BALL, BRICK, PANE], ids=["ball", "brick", "pane"])
-def test_a_fresh_fracture_hovers_where_it_is(duration, shape, curvature):
+def test_a_fresh_fracture_without_gravity_stays_in_place(duration, shape, curvature):
     """Without gravity fragments that fit snugly have no reason to move: none does by more than 1e-9 m."""
     track = run(breakable(shape, 1, curvature, 0.5, 0.0, 1.0), duration, struck=True)
     assert len(track.states[-1].fragment_ids) >= 7
@@ -255,7 +255,7 @@ def worst_drift(name: str, curvature: float, duration: float, contacts_per_pair:
 @after_a_blow
 @pytest.mark.parametrize("curvature", [0.0, 0.25])
 @pytest.mark.parametrize("name", ["pane", "brick"])
-def test_a_fresh_fracture_on_the_ground_stays_where_it_is(duration, name, curvature):
+def test_a_fresh_fracture_on_the_ground_stays_in_place(duration, name, curvature):
     """Five seeds each, 16 contacts a pair: no node of any fragment moves by more than 0.1 % R; energy does not rise.
 
     A brick half as high as long has cracks that lean by more than 27 degrees; on those, friction of 0.5 lets pieces
@@ -328,7 +328,7 @@ def test_bricks_that_bounce_gain_no_energy(restitution):
     assert track.energy[-1] < 0.5 * track.energy[0]
 
 
-def test_only_what_moves_and_breaks_can_be_struck():
+def test_only_moving_breakable_bodies_can_be_struck():
     scene = breakable(BRICK, 1, 0.0, 0.5, 9.81, 0.05)
     with Lockstep(scene) as lockstep:
         lockstep.step()

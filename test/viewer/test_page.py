@@ -36,7 +36,7 @@ def records_of(kind: Any) -> list[Any]:
     return [record for _, record in small_run() if isinstance(record, kind)]
 
 
-def test_it_serves_this_machine_and_loads_nothing_under_a_copyleft() -> None:
+def test_the_page_serves_localhost_and_loads_no_copyleft_package() -> None:
     done = subprocess.run([sys.executable, "-c", SERVE], capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
     address, loaded = done.stdout.splitlines()
@@ -44,7 +44,7 @@ def test_it_serves_this_machine_and_loads_nothing_under_a_copyleft() -> None:
     assert not done.stderr
 
 
-def test_pages_have_ports_of_their_own_and_are_gone_when_closed() -> None:
+def test_pages_have_ports_of_their_own_and_close() -> None:
     with Page() as one, Page() as other:
         assert one.address != other.address
         with urllib.request.urlopen(one.address, timeout=30) as answer:
@@ -54,7 +54,7 @@ def test_pages_have_ports_of_their_own_and_are_gone_when_closed() -> None:
         urllib.request.urlopen(one.address, timeout=5)
 
 
-def test_a_fragment_as_gltf_is_read_as_it_was_meant() -> None:
+def test_a_fragment_in_gltf_has_the_triangles_of_its_mesh() -> None:
     palette = Palette()
     for body in records_of(CollisionBody):
         palette.add(body)
@@ -71,7 +71,7 @@ def test_a_fragment_as_gltf_is_read_as_it_was_meant() -> None:
         assert np.allclose(read.bounds, [mesh.triangles.min(axis=(0, 1)), mesh.triangles.max(axis=(0, 1))], atol=1e-6)
 
 
-def test_fragments_are_shades_of_their_body_and_cracks_are_paler() -> None:
+def test_fragments_have_shades_of_their_body_and_paler_cracks() -> None:
     palette = Palette()
     for body in records_of(CollisionBody):
         palette.add(body)
@@ -104,7 +104,7 @@ class OneBrowser:
         self.flushed = len(self.sent)
 
 
-def test_only_what_has_moved_is_sent_and_a_late_page_is_told_all() -> None:
+def test_only_moved_fragments_are_sent_and_a_late_browser_gets_all() -> None:
     browser = OneBrowser()
     live = LiveValues(browser)
     poses = np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (3, 1))
@@ -126,7 +126,7 @@ def test_only_what_has_moved_is_sent_and_a_late_page_is_told_all() -> None:
     assert live.messages_sent == len(browser.sent)
 
 
-def test_a_body_stays_until_its_pieces_are_there() -> None:
+def test_a_body_is_shown_until_its_pieces_have_meshes() -> None:
     bodies, meshes, states = records_of(CollisionBody), records_of(FragmentMesh), records_of(FragmentStates)
     with Page() as page:
         for body in bodies:
@@ -152,7 +152,7 @@ def test_a_body_stays_until_its_pieces_are_there() -> None:
         assert not page._scene._nodes
 
 
-def test_states_that_came_first_place_what_comes_later() -> None:
+def test_bodies_that_arrive_after_their_states_are_placed() -> None:
     states = records_of(FragmentStates)
     with Page() as page:
         page.show_states(states[-1])  # and no further states: a pause
@@ -168,7 +168,7 @@ def test_states_that_came_first_place_what_comes_later() -> None:
         assert not page._scene._nodes
 
 
-def test_a_floor_is_drawn_once_and_holds_nothing_up() -> None:
+def test_a_floor_is_not_drawn_as_a_fragment() -> None:
     meshes, states = records_of(FragmentMesh), records_of(FragmentStates)[0]
     with Page() as page:
         for body in records_of(CollisionBody):

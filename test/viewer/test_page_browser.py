@@ -78,7 +78,7 @@ def shows_bricks(picture: np.ndarray) -> bool:
     return np.count_nonzero(blue(picture)) > 80 and np.count_nonzero(red(picture)) > 80
 
 
-def test_a_run_is_played_reloaded_and_looked_at_twice(browser: Any, player: BagPlayer) -> None:
+def test_a_bag_is_played_reloaded_and_shown_in_two_windows(browser: Any, player: BagPlayer) -> None:
     with opened(browser, player.page.address) as page:
         until(lambda: picture_of(page), shows_bricks)
         still = steady(page)  # bricks appear before all lights do
@@ -142,7 +142,7 @@ def drag_to_the_right(seen: Any, heard: queue.Queue[tuple[str, Any]], eye: np.nd
     assert last.ray.direction == pytest.approx(ahead / np.linalg.norm(ahead), abs=1e-3)
 
 
-def test_a_person_clicks_drags_and_looks_closer(browser: Any) -> None:
+def test_clicks_drags_keys_and_layers_work_in_the_browser(browser: Any) -> None:
     heard: queue.Queue[tuple[str, Any]] = queue.Queue()
 
     def hear(name: str) -> Any:
@@ -187,7 +187,7 @@ def test_a_person_clicks_drags_and_looks_closer(browser: Any) -> None:
             seen.get_by_text("1.200 mm").wait_for()
 
 
-def test_a_person_looks_inside(browser: Any) -> None:
+def test_the_inside_view_works_in_the_browser(browser: Any) -> None:
     asked: queue.Queue[InsideWanted] = queue.Queue()
     records = [record for _, record in small_run(steps=1)]
     with Page(Handlers(looking_inside=asked.put)) as page:

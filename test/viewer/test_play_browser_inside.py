@@ -40,7 +40,7 @@ def shown_plots(page: Any) -> list[str]:
     return page.evaluate("[...document.querySelectorAll('.uplot canvas')].map(each => each.toDataURL())")
 
 
-def test_a_person_looks_inside(scene: tuple[Any, LivePage]) -> None:
+def test_the_inside_view_works_in_the_browser(scene: tuple[Any, LivePage]) -> None:
     browser, scene = scene
     with opened(browser, scene.address) as page:
         x, y = on_a_plate(page)

@@ -70,7 +70,7 @@ def test_a_slice_of_the_campaign() -> None:
     assert tally.cases == 2_000 and tally.readers["bodies", "both"] > 50 and tally.readers["bodies", "neither"] > 50
 
 
-def test_equal_numbers_are_equal_cases() -> None:
+def test_equal_case_numbers_give_equal_cases() -> None:
     first, again = run_chunk(5, 0, 120), run_chunk(5, 0, 120)
     assert (first.outcomes, first.kinds, first.sites) == (again.outcomes, again.kinds, again.sites)
 
@@ -93,12 +93,12 @@ def test_several_mutations_at_once(topic: str, entry: int, count: int, as_messag
 
 @settings(max_examples=120, deadline=None, derandomize=True)
 @given(st.sampled_from(TOPICS), st.data())
-def test_spoilt_bytes(topic: str, data: st.DataObject) -> None:
+def test_corrupted_bytes(topic: str, data: st.DataObject) -> None:
     case = spoilt(topic, lambda below: data.draw(st.integers(0, below - 1)))
     assert judged("messages", case) == ""
 
 
-def test_refused_messages_leave_nothing_in_memory() -> None:
+def test_rejected_messages_leave_nothing_in_memory() -> None:
     bench = Bench("records", SETTINGS)
     kept: list[Case] = []
     for number in range(1_500):
@@ -121,7 +121,7 @@ def test_refused_messages_leave_nothing_in_memory() -> None:
     assert grown[-1] < 20_000, grown
 
 
-def test_a_case_that_does_not_come_to_what_it_must_is_found() -> None:
+def test_the_judge_reports_unexpected_verdicts() -> None:
     """Tests the judge: legal cases labelled as rejected, rejected ones as legal, or with a wrong kind or field name."""
     bench = Bench("records", SETTINGS)
     (_, refused), (_, taken) = next(c for c in every_case(1) if c[1].kinds == {"retired_id"}), next(
