@@ -154,7 +154,7 @@ def test_settings_change_between_two_answers(stage: StageWithClients) -> None:
     assert "settings changed after the answer to step 5 of run 41: contacts_per_pair: 8 -> 2" in service.log_text()
 
 
-def test_fixed_parameters_reject_changes_with_an_explanation(stage: StageWithClients) -> None:
+def test_invalid_parameter_changes_are_rejected_with_an_explanation(stage: StageWithClients) -> None:
     stage.start("collision_node", threads=1)
     client = stage.client()
     client.await_service()

@@ -130,7 +130,7 @@ def test_undecodable_messages_have_no_padding() -> None:
             zero_padding(wrong, qos.FRAGMENT_STATES.message_class)
 
 
-def test_large_arrays_are_converted_without_loops() -> None:
+def test_large_arrays_are_converted_in_bulk() -> None:
     """As many calls as for small arrays and less than twice the memory of the data: no object per element."""
     calls = []
     for count in (10, 200_000):
