@@ -26,6 +26,7 @@ DIGESTS = FOLDER / "digests.yaml"
 
 
 def main(names: list[str]) -> None:
+    """Makes the named bags, or all of digests.yaml, replaces those that differ, and writes their digests."""
     text = DIGESTS.read_text()
     recipes: dict[str, Any] = yaml.safe_load(text)
     unknown = sorted(set(names) - set(recipes))
@@ -47,6 +48,7 @@ def main(names: list[str]) -> None:
 
 
 def make(recipe: dict[str, Any], bag: Path) -> None:
+    """Records a scene as its entry in digests.yaml specifies."""
     scene = load_scene(recipe["scene"])
     if "curvature" in recipe:
         scene = with_curvature(scene, recipe["curvature"])
@@ -56,6 +58,7 @@ def make(recipe: dict[str, Any], bag: Path) -> None:
 
 
 def digest_of(bag: Path) -> str:
+    """The digest of all answers; asserts that a replay reproduces the recorded ones."""
     replay = Replay(read_runs(bag), InProcess(settings_of(bag, {}).settings))
     for _ in replay:
         pass
@@ -64,6 +67,7 @@ def digest_of(bag: Path) -> str:
 
 
 def contents(bag: Path) -> dict[str, bytes]:
+    """The bytes of each file of a bag, by name."""
     return {file.name: file.read_bytes() for file in sorted(bag.iterdir())}
 
 

@@ -1,6 +1,8 @@
 """Does missed_depth_bound hold, and how loose is it? Random pairs of fragments, compared with brute force.
 
-    python benchmarks/certificate.py [pairs] [seed ...]        default: 100000 pairs, seed 1
+    python benchmarks/certificate.py [pairs] [seed ...]
+
+Default: 100000 pairs, seed 1.
 """
 
 from __future__ import annotations

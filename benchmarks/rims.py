@@ -1,6 +1,8 @@
 """Direction of contacts between neighbours: along the nearest way out, or along the crack the two share.
 
-    python benchmarks/rims.py [body ...]        default: all, and the plot docs/rims.png
+    python benchmarks/rims.py [body ...]
+
+Default: all bodies, and the plot docs/rims.png.
 """
 
 from __future__ import annotations

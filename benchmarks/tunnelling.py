@@ -1,12 +1,11 @@
-"""Does something fast go through something thin? A rotating shard is thrown at a standing plate, without and with
-`lookahead`.
+"""Does something fast go through something thin? A rotating shard is thrown at a plate, without and with `lookahead`.
 
     python -m benchmarks.tunnelling [--trials N] [--surfaces edges] [--csv docs/tunnelling.csv]
     python -m benchmarks.tunnelling --cost plates bricks drop_bunnies@0.25
 
-A shard of 60 x 60 x 4 mm, in any orientation and spinning at up to 200 rad/s, is thrown at a fixed or free plate of
-250 x 250 x 6 mm, at 2.5 ms a step, so that it reaches the plate at any moment of a step. It counts as through if its
-centre has crossed the plate's middle within the plate's border and is behind it at the end.
+A shard of 60 x 60 x 4 mm, in any orientation and spinning at up to 200 rad/s, is thrown at a fixed or free standing
+plate of 250 x 250 x 6 mm, at 2.5 ms a step, so that it reaches the plate at any moment of a step. It counts as through
+if its centre has crossed the plate's middle within the plate's border and is behind it at the end.
 
 The cost is that of the states of whole scenes, answered step by step on one core without and with `lookahead`, each
 step's minimum of three runs.

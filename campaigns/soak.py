@@ -1,4 +1,6 @@
-"""`python -m campaigns.soak`: one service, run after run of a smashed scene; does it grow, does it get slower?
+"""One service, run after run of a smashed scene: whether its memory grows, and whether it slows down.
+
+    python -m campaigns.soak
 
 Every cycle smashes the same scene with the same seeds, so all are the same work: only the service's age differs. Time
 is processor time, not wall-clock time, which other programs on the machine affect.
@@ -72,8 +74,10 @@ def processor_seconds(pid: int) -> float:
 
 
 def growth(cycles: list[Cycle]) -> tuple[float, float]:
-    """Memory at the end over memory once settled, and processor time of the last cycles over that of the first settled
-    ones (medians of a fifth of them each), each minus 1. Raises ValueError with fewer than two settled cycles.
+    """Growth of memory and of processor time, each a ratio minus 1.
+
+    Memory at the end over memory once settled, and processor time of the last cycles over that of the first settled
+    ones (medians of a fifth of them each). Raises ValueError with fewer than two settled cycles.
     """
     settled = [cycle for cycle in cycles if cycle.age >= SETTLING]
     if len(settled) < 2:
@@ -91,8 +95,10 @@ def growth(cycles: list[Cycle]) -> tuple[float, float]:
 @click.option("--listen/--alone", default=True, help="Whether somebody records, who makes the service publish meshes.")
 @click.option("--out", default=Path("out/soak"), type=click.Path(path_type=Path), help="Logs, and cycles.csv.")
 def main(minutes: float, scene: str, seeds: int, listen: bool, out: Path) -> None:
-    """Smash SCENE before one service for so many MINUTES. Ends with status 1 where its memory grew by more than 2 %
-    after the first five minutes, or its work needs over 10 % more processor time at the end.
+    """Smash SCENE before one service for so many MINUTES.
+
+    Ends with status 1 where its memory grew by more than 2 % after the first five minutes, or its work needs over 10 %
+    more processor time at the end.
     """
     from rich.console import Console
 

@@ -1,5 +1,4 @@
-"""Forbids arithmetic that may round differently from processor to processor in anything that affects a trajectory or an
-answer.
+"""Forbids arithmetic that may round differently from processor to processor in what affects a trajectory or an answer.
 
 In core, world, geometry and simulation this forbids BLAS and LAPACK (`numpy.linalg`, `dot`, `@`, ...), elementary
 functions of numpy, of `math` and of numba (which calls libm for both), powers (except integer ones in kernels),
@@ -124,6 +123,7 @@ def _modules(tree: ast.AST) -> dict[str, str]:
 
 
 def main() -> int:
+    """Prints violations and exceptions that nothing needs; returns the exit status."""
     count, needed = 0, set()
     for file in [*FILES, *sorted(path for room in ROOMS for path in (PACKAGE / room).rglob("*.py"))]:
         name = file.relative_to(PACKAGE).as_posix()

@@ -19,8 +19,6 @@ LONGER = {
     "fracture_collision/core/bodies/collision_geometry.py",
     "fracture_collision/core/field/flood.py",
     "fracture_collision/ros/nodes/page_node.py",
-    "test/search/test_lookahead.py",
-    "test/simulation/test_simulation_fracture.py",
 }
 
 

@@ -24,8 +24,9 @@ WIDTH = 220  # columns of a table if no terminal sets a width
 
 
 class Row(NamedTuple):
-    """Milliseconds per step, one core; ratios of ours to rapier's hulls. Each step's minimum of several runs; rapier's
-    nan: not measured.
+    """Milliseconds per step, one core; ratios of ours to rapier's hulls.
+
+    Each step's minimum of several runs; rapier's nan: not measured.
     """
 
     scene: str
@@ -46,8 +47,9 @@ class Row(NamedTuple):
 
 
 class Beside(NamedTuple):
-    """Milliseconds per step, one core; ratios of ours to a peer's over the same steps. Each step's minimum of several
-    runs.
+    """Milliseconds per step, one core; ratios of ours to a peer's over the same steps.
+
+    Each step's minimum of several runs.
     """
 
     scene: str
@@ -146,8 +148,10 @@ def load(name: str) -> type[Peer]:
 @click.option("--errors", "error_steps", type=click.IntRange(0), default=0, help="Steps at which contacts are judged.")
 @click.option("--csv", "path", type=click.Path(path_type=Path, dir_okay=False), help="The table as a file.")
 def main(scenes: tuple[str, ...], runs: int, peers: tuple[str, ...], error_steps: int, path: Path | None) -> None:
-    """Ours (all of CollisionWorld.contacts, one thread) beside rapier's hulls (its own step), at the states of SCENES
-    (`bricks`, with curved cracks `bricks@0.25`), step by step. Needs the libraries of `make peers`.
+    """Times ours beside rapier's hulls at the states of SCENES, step by step.
+
+    Ours is all of CollisionWorld.contacts with one thread, rapier's its own step. A scene is `bricks`, or `bricks@0.25`
+    with curved cracks. Needs the libraries of `make peers`.
 
     With other peers (`--peers rapier --peers mujoco`) a second table has ours beside each of them. MuJoCo compiles its
     world anew for each fracture, so it is timed after the last one only.

@@ -31,8 +31,9 @@ class Box3dHulls(GrowingPeer):
         lib.b3DestroyWorld(self._world)
 
     def step(self, states: FragmentStates) -> float:
-        """Time [s] of a world step of zero duration: new pairs and contacts of all pairs, but no solver. Setting the
-        poses is not included; it moves the boxes in Box3D's tree.
+        """Time [s] of a world step of zero duration: new pairs and contacts of all pairs, but no solver.
+
+        Setting the poses is not included; it moves the boxes in Box3D's tree.
         """
         for i, position, (x, y, z, w) in poses_of(states):
             lib.b3Body_SetTransform(self._handles[i], tuple(position), ((x, y, z), w))

@@ -1,5 +1,7 @@
-"""Errors of contacts at steps of a recorded scene, ours and those of peers that list theirs: missed and false pairs,
-and solver errors (`benchmarks.peers.judging.solver_error`), from exact distances between fragment surfaces.
+"""Errors of contacts at steps of a recorded scene, ours and those of peers that list theirs.
+
+They are missed and false pairs, and solver errors (`benchmarks.peers.judging.solver_error`), from exact distances
+between fragment surfaces.
 
 The states are those that a solver reached with our contacts: it has mostly resolved the penetrations that we report,
 and those that we miss remain. So our share of missed penetrating pairs is larger here than in `benchmarks.peers`, where

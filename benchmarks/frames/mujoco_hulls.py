@@ -56,9 +56,10 @@ class MujocoHulls(Peer):
         return perf_counter() - started
 
     def step(self, states: FragmentStates) -> float:
-        """Time [s] of mj_kinematics and mj_collision on the calling thread. Writing the body poses is not included;
-        computing the world poses of hulls is, as our step and rapier's compute those too. mj_collision reads nothing
-        that mj_comPos writes, so mj_comPos is left out.
+        """Time [s] of mj_kinematics and mj_collision on the calling thread.
+
+        Writing the body poses is not included; computing the world poses of hulls is, as our step and rapier's compute
+        those too. mj_collision reads nothing that mj_comPos writes, so mj_comPos is left out.
         """
         positions, turns = states.positions.reshape(-1, 3), states.orientations.reshape(-1, 4)[:, [3, 0, 1, 2]]
         joints = self._data.qpos.reshape(-1, 7)
@@ -80,8 +81,10 @@ class MujocoHulls(Peer):
         return listed_contacts(self._model, self._data, numbers)
 
     def _margins(self, world: CollisionWorld) -> dict[int, float]:
-        """Margin [m] by fragment. MuJoCo adds the two margins of a pair; ours lists gaps up to `detection_tolerance`
-        times the smaller R of a pair, so static bodies get the largest margin of the moving ones.
+        """Margin [m] by fragment.
+
+        MuJoCo adds the two margins of a pair; ours lists gaps up to `detection_tolerance` times the smaller R of a
+        pair, so static bodies get the largest margin of the moving ones.
         """
         half = 0.5 * Settings().detection_tolerance
         of_bodies = {whole.body_id: half * radius_of(whole) for whole in self._whole.values() if not whole.is_static}

@@ -187,7 +187,7 @@ def _crossings(vertices: np.ndarray, event: FractureEvent) -> dict[tuple[int, in
 
 
 def volume(surface: Surface) -> float:
-    """[m3]"""
+    """The volume [m3]."""
     a, b, c = (surface.vertices[surface.triangles[:, i]] for i in range(3))
     return float(np.sum(a * np.cross(b, c)) / 6.0)
 

@@ -1,5 +1,6 @@
-"""Valid states that would cost more than any answer is worth: crowds of bodies in one place, each in a process of its
-own: `python -m benchmarks.scaling.crowds KIND COUNT SPREAD`.
+"""Valid states that would cost more than any answer is worth: crowds of bodies in one place.
+
+Each crowd has a process of its own: `python -m benchmarks.scaling.crowds KIND COUNT SPREAD`.
 """
 
 from __future__ import annotations

@@ -77,8 +77,10 @@ def _body(inner: float, frequency: int) -> TetGeometry:
 
 
 def _seeds_of(world: World, inner: float, count: int) -> np.ndarray:
-    """The draw of seeds (count, 3) [m] that make_world used: the first, or with flat cracks the first whose cells are
-    the fragments."""
+    """The draw of seeds (count, 3) [m] that make_world used.
+
+    It is the first draw, or with flat cracks the first whose cells are the fragments.
+    """
     vertices = world.body.vertices.reshape(-1, 3)
     for draw in range(1, DRAWS):
         seeds = clustered_seeds(vertices, inner, count, draw)

@@ -90,8 +90,10 @@ def run_trials(crew: Cluster, trials: Sequence[Trial], done: Callable[[Trial], N
 
 @contextmanager
 def _deaf_to_interrupts() -> Iterator[None]:
-    """Blocks SIGINT in threads and processes started in this context: a terminal sends it to all of them, but only this
-    process ends the workers, in order. A SIGINT that arrives meanwhile is delivered to it afterwards.
+    """Blocks SIGINT in threads and processes started in this context.
+
+    A terminal sends it to all of them, but only this process ends the workers, in order. A SIGINT that arrives
+    meanwhile is delivered to it afterwards.
     """
     resource_tracker.ensure_running()  # its first start unblocks signals again
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})

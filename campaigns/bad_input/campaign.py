@@ -63,8 +63,9 @@ def nothing() -> Tally:
 
 
 def numbered(seed: int, number: int) -> tuple[str, Case]:
-    """Door and case: single mutations, in table order, alternate with two or three at once and, at the message door,
-    with corrupted bytes.
+    """Door and case: single mutations, in table order, alternate with two or three at once.
+
+    At the message door they also alternate with corrupted bytes.
     """
     turn, rest = divmod(number, len(TOPICS) * len(DOORS))
     topic, door = TOPICS[rest % len(TOPICS)], DOORS[rest // len(TOPICS)]
@@ -152,8 +153,10 @@ def run_campaign(cases: int, seed: int, workers: int) -> Iterator[Tally]:
 
 
 def resident_bytes() -> int:
-    """Excludes memory that only awaits collection or reuse, which grows for a long time without indicating a leak:
-    cycles that Python rarely collects, and freed memory kept by glibc.
+    """Resident memory [bytes], without memory that only awaits collection or reuse.
+
+    That grows for a long time without indicating a leak: cycles that Python rarely collects, and freed memory kept by
+    glibc.
     """
     gc.collect()
     ctypes.CDLL(None).malloc_trim(0)

@@ -90,8 +90,10 @@ def single(topic: str, number: int, pick: Pick) -> Case:
 
 
 def several(topic: str, number: int, pick: Pick, count: int) -> Case:
-    """The entry `number` and up to `count` - 1 others of the same body, event or states, on other fields. Any of them
-    may cause the refusal, and they may cancel each other out."""
+    """The entry `number` and up to `count` - 1 others of the same body, event or states, on other fields.
+
+    Any of them may cause the rejection, and they may cancel each other out.
+    """
     record, first = TABLES[topic][number % len(TABLES[topic])]
     chosen = [first]
     others = [each for base, each in TABLES[topic] if base is record]
@@ -188,8 +190,9 @@ class Bench:
 
 
 def _wait_for_events(verdict: Verdict) -> bool:
-    """Whether states were held for missing events, or refused because the next event had been rejected. Which of
-    the two depends only on the bad events that a door has seen.
+    """Whether states were held for missing events, or rejected because the next event had been rejected.
+
+    Which of the two depends only on the bad events that a door has seen.
     """
     return verdict.kind == REJECTED or (verdict.outcome == HELD and verdict.kind in ("", "sequence_gap"))
 

@@ -126,7 +126,7 @@ def await_words(node: NodeProcess, words: str, *alive: NodeProcess) -> float:
 
 
 def await_ready(service: NodeProcess, *alive: NodeProcess) -> float:
-    """[s]"""
+    """[s] until the service reports that it is ready."""
     return await_that(lambda: READY in service.log_text(), "a ready service", service, *alive)
 
 
@@ -161,8 +161,10 @@ def answers_awaited(simulator: NodeProcess) -> list[float]:
 def await_recording(
     recorder: NodeProcess, simulator: NodeProcess, *alive: NodeProcess, may_lack: int = 0
 ) -> float:
-    """[s] until it has states and contacts of every step that the simulator reported, and a registry; both need their
-    parameter `progress`. Up to `may_lack` contacts may be missing once none has arrived for SETTLED.
+    """[s] until it has states and contacts of every step that the simulator reported, and a registry.
+
+    Both nodes need their parameter `progress`. Up to `may_lack` contacts may be missing once none has arrived for
+    SETTLED.
     """
     steps = steps_told(simulator)
     most, since = 0, time.monotonic()
@@ -211,9 +213,10 @@ def litter() -> Litter:
 
 
 def await_no_litter(before: Litter) -> None:
-    """Waits until nothing is left but what was there before, cleaning up as the next node would at startup: the last
-    cleanup spares recent files, and other programs that end nodes on this machine leave such files too. Raises
-    RuntimeError if something remains.
+    """Waits until nothing is left but what was there before; raises RuntimeError if something remains.
+
+    It cleans up as the next node would at startup: the last cleanup spares recent files, and other programs that end
+    nodes on this machine leave such files too.
     """
 
     def is_clean() -> bool:

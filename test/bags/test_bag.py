@@ -86,7 +86,7 @@ def test_equal_content_gives_equal_bytes(tmp_path: Path) -> None:
         assert (one / name).read_bytes() == (other / name).read_bytes()
 
 
-def test_what_goes_in_comes_out(tmp_path: Path) -> None:
+def test_messages_are_read_as_they_were_written(tmp_path: Path) -> None:
     content = recording(400)  # more than the sorting buffer holds
     bag = write(tmp_path / "bag", content)
     assert [tuple(message) for message in read_messages(bag)] == [(name, time, data) for name, data, time in content]
@@ -95,7 +95,7 @@ def test_what_goes_in_comes_out(tmp_path: Path) -> None:
         BagWriter(bag, TOPICS)
 
 
-def test_digest_tells_streams_apart_and_forgives_a_question_asked_twice(tmp_path: Path) -> None:
+def test_digests_differ_by_stream_and_ignore_repeated_messages(tmp_path: Path) -> None:
     content = recording()
     repeated = content[:2] + content[1:]
     changed = [*content[:-1], (content[-1][0], content[-3][1], content[-1][2])]

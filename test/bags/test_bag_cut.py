@@ -47,7 +47,7 @@ def bag(chunky: Path, tmp_path: Path) -> Path:
 # --- cut ---------------------------------------------------------------------------------------------------------
 
 
-def test_cut_anywhere_it_gives_what_was_written_before(bag: Path) -> None:
+def test_a_bag_cut_anywhere_gives_the_messages_before_the_cut(bag: Path) -> None:
     data = (bag / FILE).read_bytes()
     messages = list(read_messages(bag))
     ends = [begin + size for _, begin, size in records(data)]
@@ -67,7 +67,7 @@ def test_cut_anywhere_it_gives_what_was_written_before(bag: Path) -> None:
 
 
 @pytest.mark.parametrize("tail", [bytes(4096), b"\xff" * 4096], ids=["zeros", "ones"])
-def test_what_a_file_system_puts_at_the_end_of_a_cut_file_is_no_record(bag: Path, tail: bytes) -> None:
+def test_filler_at_the_end_of_a_cut_file_is_ignored(bag: Path, tail: bytes) -> None:
     data = (bag / FILE).read_bytes()
     end = [begin + size for opcode, begin, size in records(data) if opcode == CHUNK][3]
     (bag / FILE).write_bytes(data[:end] + tail)
@@ -75,7 +75,7 @@ def test_what_a_file_system_puts_at_the_end_of_a_cut_file_is_no_record(bag: Path
     assert McapFile(bag / FILE).lost_bytes == len(tail)
 
 
-def test_a_folder_without_metadata_is_read_and_said(bag: Path) -> None:
+def test_a_folder_without_metadata_is_read_and_reported(bag: Path) -> None:
     messages = list(read_messages(bag))
     (bag / "metadata.yaml").unlink()
     assert list(read_messages(bag)) == messages
@@ -89,7 +89,7 @@ def test_a_folder_without_metadata_is_read_and_said(bag: Path) -> None:
     )
 
 
-def test_mending_leaves_out_what_is_damaged_and_says_where(bag: Path) -> None:
+def test_mending_omits_damaged_parts_and_reports_where(bag: Path) -> None:
     data = bytearray((bag / FILE).read_bytes())
     messages = list(read_messages(bag))
     begin, size = [(begin, size) for opcode, begin, size in records(bytes(data)) if opcode == CHUNK][4]
@@ -104,14 +104,14 @@ def test_mending_leaves_out_what_is_damaged_and_says_where(bag: Path) -> None:
     assert [message for message in messages if message in found] == found
 
 
-def test_mending_a_folder_with_nonsense_for_metadata(bag: Path) -> None:
+def test_a_folder_with_invalid_metadata_is_mended(bag: Path) -> None:
     messages = list(read_messages(bag))
     (bag / "metadata.yaml").write_text(f"{KEY}: [odd]")
     assert mend_bag(bag).messages == len(messages)
     assert list(read_messages(bag)) == messages
 
 
-def test_what_cannot_be_mended_stays_as_it_is(bag: Path) -> None:
+def test_files_that_cannot_be_mended_stay_unchanged(bag: Path) -> None:
     (bag / FILE).write_bytes(b"no bag" * 100)
     before = {path.name: path.read_bytes() for path in bag.iterdir()}
     with pytest.raises(BagError, match="not an MCAP file"):
@@ -128,14 +128,14 @@ def test_what_cannot_be_mended_stays_as_it_is(bag: Path) -> None:
      {"repeat_channels": False, "repeat_schemas": False, "use_statistics": False}, {"enable_crcs": False}],
     ids=["no chunks", "lz4", "not compressed", "no summary", "no checksums"],
 )  # fmt: skip
-def test_bags_of_other_writers(bag: Path, whole: Path, writing: dict[str, Any]) -> None:
+def test_bags_of_other_writers_are_read(bag: Path, whole: Path, writing: dict[str, Any]) -> None:
     messages = list(read_messages(whole))
     (bag / FILE).write_bytes(mcap_of(messages, whole / FILE, **writing))
     assert list(read_messages(bag)) == messages and McapFile(bag / FILE).is_whole
     assert len(read_runs(bag)[0].questions) == 30
 
 
-def test_messages_come_in_the_order_of_their_times(bag: Path, whole: Path) -> None:
+def test_messages_are_read_in_the_order_of_their_times(bag: Path, whole: Path) -> None:
     """Even if the file stores them in a different order, across chunks."""
     messages = list(read_messages(whole))
     random = np.random.default_rng(2)

@@ -89,7 +89,7 @@ LIES = mcap_files_that_lie()
 
 
 @pytest.mark.parametrize("name", LIES)
-def test_files_that_lie_are_refused_in_words(name: str, tmp_path: Path) -> None:
+def test_files_with_false_content_are_rejected_with_an_explanation(name: str, tmp_path: Path) -> None:
     content, words = LIES[name]
     path = tmp_path / "lie.mcap"
     path.write_bytes(content)
@@ -97,7 +97,7 @@ def test_files_that_lie_are_refused_in_words(name: str, tmp_path: Path) -> None:
         read_runs(path)
 
 
-def test_their_memory_stays_small(tmp_path: Path) -> None:
+def test_files_with_false_content_take_little_memory(tmp_path: Path) -> None:
     """All files in one process; the bombs expand to 64 or 256 MB each."""
     for i, (content, _) in enumerate(LIES.values()):
         (tmp_path / f"{i}.mcap").write_bytes(content)
@@ -119,7 +119,7 @@ print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) // 1024)
     assert int(done.stdout.split()[-1]) < 40, done.stdout  # [MB]
 
 
-def test_bytes_changed_at_random_are_read_or_refused(bag: Path) -> None:
+def test_bytes_changed_at_random_are_read_or_rejected(bag: Path) -> None:
     data = (bag / FILE).read_bytes()
     random = np.random.default_rng(4)
     refused = 0
@@ -160,7 +160,7 @@ METADATA: dict[str, tuple[Any, str]] = {
 
 
 @pytest.mark.parametrize("name", METADATA)
-def test_metadata_of_odd_types_or_with_files_elsewhere(name: str, bag: Path) -> None:
+def test_metadata_of_wrong_types_or_with_foreign_paths_is_rejected(name: str, bag: Path) -> None:
     content, words = METADATA[name]
     shutil.copy(bag / FILE, bag.parent / "secret.mcap")
     (bag / "link.mcap").symlink_to(bag.parent / "secret.mcap")
@@ -183,7 +183,7 @@ def test_metadata_of_odd_types_or_with_files_elsewhere(name: str, bag: Path) -> 
         (b" " * (LARGEST + 1), "more than"),
     ],
 )  # fmt: skip
-def test_yaml_is_data_and_nothing_else(bag: Path, content: bytes, words: str) -> None:
+def test_yaml_is_parsed_as_data_only(bag: Path, content: bytes, words: str) -> None:
     (bag / "metadata.yaml").write_bytes(content)
     with pytest.raises(BagError, match=words):
         mcap_files(bag)
@@ -203,7 +203,7 @@ def test_yaml_is_data_and_nothing_else(bag: Path, content: bytes, words: str) ->
         ('{"field": "none"}', "field"),
     ],
 )  # fmt: skip
-def test_settings_that_make_no_sense(bag: Path, settings: str, words: str) -> None:
+def test_invalid_settings_are_rejected(bag: Path, settings: str, words: str) -> None:
     information = yaml.safe_load((bag / "metadata.yaml").read_text())
     information[KEY]["custom_data"] = {"collision_settings": settings}
     (bag / "metadata.yaml").write_text(yaml.safe_dump(information))
@@ -211,7 +211,7 @@ def test_settings_that_make_no_sense(bag: Path, settings: str, words: str) -> No
         settings_of(bag, {})
 
 
-def test_messages_that_are_none_are_named_with_their_topic(whole: Path, tmp_path: Path) -> None:
+def test_undecodable_messages_are_reported_with_their_topic(whole: Path, tmp_path: Path) -> None:
     changes: dict[str, Callable[[bytes], bytes]] = {
         "nothing": lambda data: b"",
         "cut": lambda data: data[:-9],
@@ -229,7 +229,7 @@ def test_messages_that_are_none_are_named_with_their_topic(whole: Path, tmp_path
 
 
 @pytest.mark.parametrize("words", [["replay"], ["digest"], ["mend"]], ids=lambda words: words[0])
-def test_the_commands_say_it_in_words(words: list[str], tmp_path: Path) -> None:
+def test_commands_reject_damaged_files_without_a_traceback(words: list[str], tmp_path: Path) -> None:
     for name in ("noise", "zstd bomb", "magic and noise"):
         folder = tmp_path / name.replace(" ", "_")
         folder.mkdir()
@@ -243,7 +243,7 @@ def test_the_commands_say_it_in_words(words: list[str], tmp_path: Path) -> None:
             assert done.returncode == 1 and "Error:" in done.stderr
 
 
-def test_a_bag_without_a_run_is_none(whole: Path, tmp_path: Path) -> None:
+def test_a_bag_without_states_is_rejected(whole: Path, tmp_path: Path) -> None:
     empty = write_bag(tmp_path / "empty", [])
     with pytest.raises(BagError, match="holds no fracture_collision/msg/FragmentStates"):
         read_runs(empty)

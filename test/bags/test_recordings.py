@@ -26,13 +26,13 @@ def test_nodes_of_a_namespace_are_recorded(tmp_path: Path, monkeypatch: pytest.M
         stage.close()
 
 
-def test_a_name_is_free_of_what_an_earlier_recorder_said(tmp_path: Path) -> None:
+def test_a_new_recording_does_not_reuse_the_name_of_an_earlier_log(tmp_path: Path) -> None:
     (tmp_path / "bag_1").mkdir()
     (tmp_path / "bag_2.log").write_text("no bag came of it")
     assert _new_folder(tmp_path) == tmp_path / "bag_3"
 
 
-def test_no_folder_is_told(tmp_path: Path) -> None:
+def test_a_recording_without_a_folder_is_reported(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(RecordingFailed, match="no recording: .*file"):
         Recordings(tmp_path / "file" / "play", "/").begin()

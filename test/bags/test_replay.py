@@ -44,7 +44,7 @@ def digest(runs: list[Run]) -> str:
 # --- the same digest ------------------------------------------------------------------------------------------------
 
 
-def test_the_recorded_run_has_something_to_say(runs: list[Run]) -> None:
+def test_the_recorded_run_has_events_and_contacts(runs: list[Run]) -> None:
     assert len(runs) == 1 and len(runs[0].bodies) == 3 and len(runs[0].events) >= 3
     assert max(question.fracture_sequence for question in runs[0].questions) == len(runs[0].events)
     last = deserialize_record(runs[0].questions[-1].answers[0], CLASSES[CONTACTS]).record
@@ -57,7 +57,7 @@ def test_the_recorded_run_has_something_to_say(runs: list[Run]) -> None:
     [AS_RECORDED, Order(loops=2), Order(backwards=True), Order(backwards=True, loops=3)],
     ids=["plain", "twice", "backwards", "backwards and looped"],
 )
-def test_one_digest_whatever_the_order_and_the_threads(
+def test_digests_do_not_depend_on_order_or_threads(
     runs: list[Run], digest: str, order: Order, threads: int
 ) -> None:
     report = replayed(runs, order, threads=threads)
@@ -65,11 +65,11 @@ def test_one_digest_whatever_the_order_and_the_threads(
     assert report.answers == STEPS * order.loops
 
 
-def test_ten_times_over(runs: list[Run], digest: str) -> None:
+def test_ten_replays_give_one_digest(runs: list[Run], digest: str) -> None:
     assert {replayed(runs).digest for _ in range(10)} == {digest}
 
 
-def test_from_the_middle(runs: list[Run], digest: str) -> None:
+def test_a_replay_may_start_in_the_middle(runs: list[Run], digest: str) -> None:
     """In a service that never received the first half; the digest differs, as it covers the second half only."""
     forwards = replayed(runs, Order(first=STEPS // 2))
     backwards = replayed(runs, Order(first=STEPS // 2, backwards=True), threads=2)
@@ -79,12 +79,12 @@ def test_from_the_middle(runs: list[Run], digest: str) -> None:
     assert some.exact and some.steps == 2
 
 
-def test_at_a_rate(runs: list[Run], digest: str) -> None:
+def test_a_rate_does_not_change_the_digest(runs: list[Run], digest: str) -> None:
     assert replayed(runs, rate=0.5).digest == digest
     assert replayed(runs, Order(backwards=True), rate=3.0).digest == digest
 
 
-def test_it_takes_the_time_of_the_recording(runs: list[Run], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_replay_takes_the_time_of_the_recording(runs: list[Run], monkeypatch: pytest.MonkeyPatch) -> None:
     """On a clock that only sleep advances."""
     now = [100.0]
     monkeypatch.setattr("fracture_collision.replay.time.monotonic", lambda: now[0])
@@ -96,7 +96,7 @@ def test_it_takes_the_time_of_the_recording(runs: list[Run], monkeypatch: pytest
         assert now[0] - began == pytest.approx(order.loops * recorded / rate, rel=1e-9)
 
 
-def test_a_range_without_steps_is_an_error_in_words(runs: list[Run]) -> None:
+def test_a_range_without_steps_is_rejected_with_an_explanation(runs: list[Run]) -> None:
     with pytest.raises(BagError, match=f"steps 0 to {STEPS - 1}"):
         replayed(runs, Order(first=STEPS))
 
@@ -104,7 +104,7 @@ def test_a_range_without_steps_is_an_error_in_words(runs: list[Run]) -> None:
 # --- not as recorded ------------------------------------------------------------------------------------------------
 
 
-def test_a_flipped_byte_is_caught_and_located(bag: Path, tmp_path: Path, digest: str) -> None:
+def test_a_flipped_byte_is_found_and_located(bag: Path, tmp_path: Path, digest: str) -> None:
     """In each array field of a step's answer in turn."""
     answers = {m.nanoseconds: m for m in read_messages(bag, [CONTACTS])}
     time, message = list(answers.items())[20]
@@ -133,7 +133,7 @@ def test_a_flipped_byte_is_caught_and_located(bag: Path, tmp_path: Path, digest:
             assert f"step 20, pair {found.pair[0]}-{found.pair[1]}, {name}[{index}]: recorded" in found.words()
 
 
-def test_other_lengths_numbers_and_headings_are_named(bag: Path, tmp_path: Path) -> None:
+def test_differing_lengths_numbers_and_headings_are_named(bag: Path, tmp_path: Path) -> None:
     (_, first, second) = list(read_messages(bag, [CONTACTS]))[18:21]
     for name, change, words in (
         ("lengths", lambda h, c: (h, c._replace(gaps=c.gaps[:-1])), "gaps: recorded"),
@@ -153,7 +153,7 @@ def test_other_lengths_numbers_and_headings_are_named(bag: Path, tmp_path: Path)
         assert words in report.difference.words()
 
 
-def test_what_stands_in_the_gaps_of_a_serialization_does_not_matter(bag: Path, tmp_path: Path, digest: str) -> None:
+def test_padding_bytes_do_not_count_as_differences(bag: Path, tmp_path: Path, digest: str) -> None:
     """Padding bytes, which some recorders do not clear."""
 
     def noisy(each: BagMessage) -> list[BagMessage]:
@@ -178,14 +178,14 @@ def test_steps_without_a_recorded_answer_are_counted(bag: Path, tmp_path: Path, 
 # --- recordings as they occur --------------------------------------------------------------------------------------
 
 
-def test_questions_asked_again_and_latched_messages_delivered_again_count_once(
+def test_messages_delivered_again_count_once(
     bag: Path, tmp_path: Path, digest: str
 ) -> None:
     report = replayed(read_runs(changed_bag(tmp_path / "again", bag, lambda message: [message] * 3)))
     assert report.exact and (report.steps, report.digest) == (STEPS, digest)
 
 
-def test_two_answers_to_one_question_are_told(bag: Path, tmp_path: Path) -> None:
+def test_two_answers_to_one_states_message_are_reported(bag: Path, tmp_path: Path) -> None:
     other = list(read_messages(bag, [CONTACTS]))[12]
     stamp, run_id, contacts = deserialize_record(other.data, CLASSES[CONTACTS])
     wrong = other._replace(data=serialize_record(contacts._replace(gaps=contacts.gaps + 1.0), stamp, run_id))
@@ -194,7 +194,7 @@ def test_two_answers_to_one_question_are_told(bag: Path, tmp_path: Path) -> None
     assert not report.exact and report.recorded_twice == [12] and report.differing == 0
 
 
-def test_one_step_asked_with_different_states_is_refused_in_words(bag: Path, tmp_path: Path) -> None:
+def test_one_step_with_different_states_is_rejected_with_an_explanation(bag: Path, tmp_path: Path) -> None:
     states = list(read_messages(bag, [STATES]))[3]
     stamp, run_id, record = deserialize_record(states.data, CLASSES[STATES])
     other = states._replace(data=serialize_record(record._replace(positions=record.positions + 1.0), stamp, run_id))
@@ -202,7 +202,7 @@ def test_one_step_asked_with_different_states_is_refused_in_words(bag: Path, tmp
         read_runs(changed_bag(tmp_path / "two", bag, lambda m: [m, other] if m == states else [m]))
 
 
-def test_two_runs_in_one_bag(bag: Path, tmp_path: Path, digest: str) -> None:
+def test_two_runs_in_one_bag_are_replayed(bag: Path, tmp_path: Path, digest: str) -> None:
     """In sequence, and interleaved as no simulator would: runs are independent."""
     other = record_pane(tmp_path / "other", seed=5)
     one, two = list(read_messages(bag)), list(read_messages(other))
@@ -225,7 +225,7 @@ def test_a_bag_of_several_services_needs_a_namespace(bag: Path, tmp_path: Path, 
         assert replayed(read_runs(both, namespace)).recorded_digest == digest
 
 
-def test_bodies_and_events_that_stand_behind_the_states_that_need_them(bag: Path, tmp_path: Path, digest: str) -> None:
+def test_bodies_and_events_recorded_after_their_states_are_used(bag: Path, tmp_path: Path, digest: str) -> None:
     """Recorders do not preserve order across topics."""
     late = [m._replace(nanoseconds=m.nanoseconds + 4 * 2_500_000) if m.topic in (BODIES, EVENTS) else m
             for m in read_messages(bag)]  # fmt: skip
@@ -235,7 +235,7 @@ def test_bodies_and_events_that_stand_behind_the_states_that_need_them(bag: Path
     assert report.exact and report.digest == digest
 
 
-def test_bodies_that_come_and_go(tmp_path: Path) -> None:
+def test_added_and_removed_bodies_are_replayed(tmp_path: Path) -> None:
     """A static block exists for a while; although states do not list it, it takes part in the answers of that time."""
     block = CollisionBody(1, 1, primitive=SolidPrimitive(1, (1.0, 1.0, 0.2)), is_static=True)
     ball = CollisionBody(2, 2, primitive=SolidPrimitive(2, (0.1,)))
@@ -264,7 +264,7 @@ def test_bodies_that_come_and_go(tmp_path: Path) -> None:
     assert replayed(runs, Order(first=4)).exact
 
 
-def test_states_that_were_refused_are_refused_again(bag: Path, tmp_path: Path) -> None:
+def test_rejected_states_are_rejected_again(bag: Path, tmp_path: Path) -> None:
     def broken(each: BagMessage) -> list[BagMessage]:
         stamp, run_id, record = deserialize_record(each.data, CLASSES[each.topic])
         if each.topic == STATES and record.step == 4:
@@ -282,7 +282,7 @@ def test_states_that_were_refused_are_refused_again(bag: Path, tmp_path: Path) -
 # --- settings -------------------------------------------------------------------------------------------------------
 
 
-def test_settings_are_known_from_the_bag_alone(tmp_path: Path) -> None:
+def test_settings_are_read_from_the_bag(tmp_path: Path) -> None:
     settings = Settings(contacts_per_pair=3, visit_budget=3000, field="averaged", neighbour_lists=False)
     bag = record_pane(tmp_path / "bag", settings)
     runs = read_runs(bag)
@@ -294,7 +294,7 @@ def test_settings_are_known_from_the_bag_alone(tmp_path: Path) -> None:
     assert settings_of(bag, {"contacts_per_pair": 5}).settings.contacts_per_pair == 5
 
 
-def test_a_bag_without_settings_is_played_with_the_defaults_and_says_so(bag: Path, tmp_path: Path) -> None:
+def test_a_bag_without_settings_is_replayed_with_reported_defaults(bag: Path, tmp_path: Path) -> None:
     plain = write_bag(tmp_path / "plain", read_messages(bag))
     settings, words = settings_of(plain, {})
     assert settings == Settings() and "defaults" in words[0]
@@ -311,7 +311,7 @@ def test_records_without_ros_are_those_of_rclpy(bag: Path) -> None:
         assert serialize_record(record, stamp, run_id) == message.data
 
 
-def test_every_message_cut_short_is_refused_in_words(bag: Path) -> None:
+def test_truncated_messages_are_rejected_with_an_explanation(bag: Path) -> None:
     random = np.random.default_rng(3)
     for topic in CLASSES:
         data = next(iter(read_messages(bag, [topic]))).data
@@ -321,7 +321,7 @@ def test_every_message_cut_short_is_refused_in_words(bag: Path) -> None:
                     deserialize_record(data[:length], CLASSES[topic])
 
 
-def test_counts_beyond_the_message_are_refused_before_memory_is_taken(bag: Path) -> None:
+def test_counts_beyond_the_message_are_rejected_before_memory_is_allocated(bag: Path) -> None:
     data = next(iter(read_messages(bag, [STATES]))).data
     record = deserialize_record(data, CLASSES[STATES]).record
     at = data.index(struct.pack("<I", len(record.fragment_ids)) + record.fragment_ids.tobytes())

@@ -38,7 +38,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return record_pane(tmp_path_factory.mktemp("recorded") / "pane", Settings(contacts_per_pair=6))
 
 
-def test_help_teaches() -> None:
+def test_help_has_descriptions_and_examples() -> None:
     said = run("replay", "--help").stdout
     for words in ("--ros", "--backwards", "--rate 0.5", "--steps 160:200", "Exit status: 0", "byte for byte"):
         assert words in said
@@ -57,7 +57,7 @@ def test_a_bag_is_replayed_with_its_settings(bag: Path) -> None:
     assert some.returncode == 0 and f"all {STEPS - 10} answers" in some.stdout
 
 
-def test_other_answers_are_status_1_and_named(bag: Path, tmp_path: Path) -> None:
+def test_differing_answers_give_status_1_and_are_named(bag: Path, tmp_path: Path) -> None:
     done = run("replay", bag, "--settings", "contacts_per_pair=4")
     assert done.returncode == 1 and "are not those recorded; the first: step" in done.stdout
     last = list(read_messages(bag, [CONTACTS]))[-1]
@@ -69,7 +69,7 @@ def test_other_answers_are_status_1_and_named(bag: Path, tmp_path: Path) -> None
     assert "does not say with which settings" in done.stdout
 
 
-def test_no_bag_is_status_2(tmp_path: Path, bag: Path) -> None:
+def test_a_missing_bag_gives_status_2(tmp_path: Path, bag: Path) -> None:
     (tmp_path / "empty").mkdir()
     states = write_bag(tmp_path / "nothing", [m for m in read_messages(bag) if m.topic == "/bodies"])
     for path, words in (
@@ -93,13 +93,13 @@ def test_no_bag_is_status_2(tmp_path: Path, bag: Path) -> None:
         (("--settings", "contacts_per_pair=0"), "contacts_per_pair"),
     ],
 )
-def test_options_that_make_no_sense(bag: Path, words: tuple[str, ...], said: str) -> None:
+def test_invalid_options_are_rejected(bag: Path, words: tuple[str, ...], said: str) -> None:
     done = run("replay", bag, *words)
     assert done.returncode in (1, 2) and said in done.stderr
 
 
 @pytest.mark.parametrize("order", [signal.SIGINT, signal.SIGTERM])
-def test_stopped_it_tells_what_it_has(bag: Path, tmp_path: Path, order: signal.Signals) -> None:
+def test_an_interrupted_replay_reports_the_steps_done(bag: Path, tmp_path: Path, order: signal.Signals) -> None:
     said = tmp_path / "said.txt"
     with said.open("w") as stream:
         process = subprocess.Popen(
@@ -121,7 +121,7 @@ def test_stopped_it_tells_what_it_has(bag: Path, tmp_path: Path, order: signal.S
     assert "Traceback" not in text
 
 
-def test_record_and_mend(tmp_path: Path) -> None:
+def test_a_recorded_bag_is_mended(tmp_path: Path) -> None:
     out = tmp_path / "bag"
     done = run("record", "pane", "--out", out, "--steps", "21", "--every", "5", "--seed", "3", "--curvature", "0.25",
                "--settings", "contacts_per_pair=5")  # fmt: skip
@@ -140,7 +140,7 @@ def test_record_and_mend(tmp_path: Path) -> None:
     assert after.returncode == 0 and "note:" not in after.stdout
 
 
-def test_a_recording_that_does_not_begin_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_recording_that_cannot_begin_leaves_no_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def failing(*_: object) -> None:
         raise ValueError("no run")
 
@@ -156,7 +156,7 @@ def test_digest_takes_a_file_and_a_folder(bag: Path) -> None:
     assert f"{STEPS:6}  {CONTACTS}" in one.stdout
 
 
-def test_where_nothing_can_be_compared_it_fails(bag: Path, tmp_path: Path) -> None:
+def test_a_replay_that_compares_nothing_fails(bag: Path, tmp_path: Path) -> None:
     def without_contacts(message: BagMessage) -> list[BagMessage]:
         return [message] if message.topic != CONTACTS else []
 
@@ -165,7 +165,7 @@ def test_where_nothing_can_be_compared_it_fails(bag: Path, tmp_path: Path) -> No
     assert "nothing was compared: no answer in" in " ".join(done.stderr.split())
 
 
-def test_where_the_answers_are_of_another_type_it_fails(bag: Path, tmp_path: Path) -> None:
+def test_a_replay_with_answers_of_another_type_fails(bag: Path, tmp_path: Path) -> None:
     renamed = tmp_path / "renamed"
     topics = [bag_topic(f"/{topic.name}", topic) for topic in TOPICS]
     topics = [t if t.name != CONTACTS else t._replace(message_type="other/msg/Contacts") for t in topics]
@@ -178,7 +178,7 @@ def test_where_the_answers_are_of_another_type_it_fails(bag: Path, tmp_path: Pat
     assert f"{CONTACTS} (other/msg/Contacts)" in words
 
 
-def test_questions_and_answers_that_are_missing_are_noticed(bag: Path, tmp_path: Path) -> None:
+def test_missing_states_and_answers_are_reported(bag: Path, tmp_path: Path) -> None:
     """A bag may lack states or answers: here those of a step in the middle and of the last."""
     for name, topic in (("answers", CONTACTS), ("questions", "/fragment_states")):
         lost = [list(read_messages(bag, [topic]))[step] for step in (12, STEPS - 1)]

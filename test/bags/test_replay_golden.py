@@ -28,7 +28,7 @@ those tried (bags/README.md)? Then something that answers rest on is rounded by 
 
 
 @pytest.mark.parametrize("name", GOLDEN)
-def test_answers_are_those_of_the_golden_bag(name: str) -> None:
+def test_answers_equal_those_of_the_golden_bag(name: str) -> None:
     bag = BAGS / name
     settings, words = settings_of(bag, {"threads": 2})
     assert words == missing_words(bag) == []
@@ -40,7 +40,7 @@ def test_answers_are_those_of_the_golden_bag(name: str) -> None:
         assert report.exact and report.digest == GOLDEN[name]["digest"], OTHER_ANSWERS.format(words=words)
 
 
-def test_they_show_something() -> None:
+def test_golden_bags_have_contacts_fractures_and_other_settings() -> None:
     """Contacts in all bags, fractures where the scene has them, flat and curved cracks, and non-default settings."""
     events = {}
     for name in GOLDEN:
@@ -56,6 +56,6 @@ def test_they_show_something() -> None:
     assert len({tuple(each.get("settings", ())) for each in recipes}) >= 3
 
 
-def test_there_is_one_of_every_scene_and_they_are_small() -> None:
+def test_every_scene_has_a_small_golden_bag() -> None:
     assert {recipe["scene"] for recipe in GOLDEN.values()} == {file.path.stem for file in scene_files()}
     assert sum(file.stat().st_size for file in BAGS.rglob("*")) < MOST_BYTES

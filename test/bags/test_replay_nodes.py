@@ -52,7 +52,7 @@ def await_(condition, what: str) -> None:
         time.sleep(0.05)
 
 
-def test_over_dds_as_in_process(tmp_path: Path) -> None:
+def test_a_replay_over_dds_gives_the_answers_of_one_in_process(tmp_path: Path) -> None:
     settings = Settings(contacts_per_pair=5, threads=2)
     runs = read_runs(record_pane(tmp_path / "one", settings))
     runs += read_runs(record_pane(tmp_path / "two", settings, seed=5))
@@ -81,7 +81,7 @@ class Recording:
         return [process.stop() for process in (self.simulator, self.recorder, self.service)]
 
 
-def test_nodes_record_what_the_library_records(tmp_path: Path) -> None:
+def test_nodes_record_the_same_as_the_library(tmp_path: Path) -> None:
     """Bodies, events, states and contacts byte for byte, and the settings given to the service."""
     settings = Settings(contacts_per_pair=6, penetration_tolerance=0.003, threads=1)
     recording = Recording(tmp_path, "pane", {"contacts_per_pair": 6, "penetration_tolerance": 0.003, "threads": 1})
@@ -102,7 +102,7 @@ def test_nodes_record_what_the_library_records(tmp_path: Path) -> None:
     assert replayed(read_runs(recording.bag), **found._asdict()).exact
 
 
-def test_a_recorder_killed_in_mid_run_leaves_a_bag_that_opens(tmp_path: Path) -> None:
+def test_a_killed_recorder_leaves_a_readable_bag(tmp_path: Path) -> None:
     long_scene = scene_of_length("pane", 600.0, tmp_path)
     recording = Recording(tmp_path, long_scene, {"threads": 1})
     file = recording.bag / "bag_0.mcap"
@@ -157,7 +157,7 @@ def test_a_recorder_killed_in_mid_run_leaves_a_bag_that_opens(tmp_path: Path) ->
         assert sorted(path.name for path in damaged.iterdir()) == ["bag_0.mcap", "metadata.yaml"]
 
 
-def test_settings_are_asked_for_and_asked_again_when_they_change() -> None:
+def test_settings_are_requested_and_requested_again_when_they_change() -> None:
     """From a node whose parameters may change."""
     context = own_context(free_domain_id())
     service, recorder = (rclpy.create_node(name, context=context, namespace="/arm") for name in ("service", "recorder"))
@@ -192,7 +192,7 @@ def test_settings_are_asked_for_and_asked_again_when_they_change() -> None:
         context.try_shutdown()
 
 
-def test_settings_are_asked_for_again_where_the_answer_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_settings_are_requested_again_if_the_answer_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(service_settings, "ASK_AGAIN", 0.2)
     context = own_context(free_domain_id())
     service = rclpy.create_node("service", context=context, start_parameter_services=False)
@@ -233,7 +233,7 @@ def test_settings_are_asked_for_again_where_the_answer_is_lost(monkeypatch: pyte
         context.try_shutdown()
 
 
-def test_a_recorder_outlives_what_is_no_message(tmp_path: Path) -> None:
+def test_a_recorder_survives_undecodable_messages(tmp_path: Path) -> None:
     domain_id = free_domain_id()
     recorder = NodeProcess("recorder_node", {"folder": str(tmp_path / "bag")}, domain_id, tmp_path / "recorder.log")
     client = ServiceClient(domain_id)
@@ -257,7 +257,7 @@ def example_event(sequence: int) -> FractureEvent:
 
 
 @pytest.mark.parametrize("order", [signal.SIGINT, signal.SIGTERM])
-def test_a_replay_over_dds_ends_in_words_and_leaves_no_process(tmp_path: Path, order: signal.Signals) -> None:
+def test_an_interrupted_replay_over_dds_reports_and_leaves_no_process(tmp_path: Path, order: signal.Signals) -> None:
     bag = record_pane(tmp_path / "pane")
     with (tmp_path / "said.txt").open("w") as said:
         process = subprocess.Popen(

@@ -68,7 +68,7 @@ def smashed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     return out, done.stdout
 
 
-def test_help_teaches() -> None:
+def test_help_has_descriptions_and_examples() -> None:
     text = run("--help").stdout
     assert all(word in text for word in ("smash", "scenes", "digest", "Examples", "collision_node"))
     text = run("smash", "--help").stdout
@@ -140,7 +140,7 @@ def test_two_runs_are_the_same_byte_for_byte(smashed: tuple[Path, str], tmp_path
 
 
 @pytest.mark.parametrize("order", [signal.SIGINT, signal.SIGTERM])
-def test_stopped_in_the_middle_it_leaves_no_process(tmp_path: Path, order: signal.Signals) -> None:
+def test_an_interrupted_command_leaves_no_process(tmp_path: Path, order: signal.Signals) -> None:
     long_scene = scene_of_length(SCENE, 600.0, tmp_path)
     out = tmp_path / "out"
     with (tmp_path / "said.txt").open("w") as said:
@@ -190,7 +190,7 @@ def test_a_run_that_cannot_start_changes_nothing(
     assert sorted((str(file), file.read_text()) for file in out.rglob("*") if file.is_file()) == before
 
 
-def test_a_folder_that_is_no_bag_is_an_error_in_words(tmp_path: Path) -> None:
+def test_a_folder_without_a_bag_is_rejected_with_an_explanation(tmp_path: Path) -> None:
     done = run("digest", tmp_path)
     assert done.returncode == 1
     assert "metadata.yaml" in done.stderr and "Traceback" not in done.stderr

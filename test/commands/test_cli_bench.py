@@ -21,7 +21,7 @@ def call(*words: str | Path) -> Result:
     return CliRunner().invoke(main, ["bench", *map(str, words)])
 
 
-def test_help_teaches() -> None:
+def test_help_has_descriptions_and_examples() -> None:
     text = " ".join(call("--help").output.split())
     words = ("tables, fig5, fig12, resolution", "fig17", "benchmarks.md", "--scheduler", "dask worker", "Examples")
     assert all(word in text for word in words)
@@ -39,14 +39,14 @@ def test_help_teaches() -> None:
         (["fig16", "--drops", "0"], "--drops"),
     ],
 )
-def test_nonsense_is_refused_in_words(tmp_path: Path, words: list[str], said: str) -> None:
+def test_invalid_arguments_are_rejected_with_an_explanation(tmp_path: Path, words: list[str], said: str) -> None:
     done = call(*words, "--out", tmp_path / "out")
     assert done.exit_code in (1, 2)
     assert said in " ".join(done.output.split())
     assert not (tmp_path / "out").exists()
 
 
-def test_without_the_sources_beside_it_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bench_reports_that_its_sources_are_not_installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # fracture_collision.cli.bench as an attribute is the command, not the module
     module = sys.modules["fracture_collision.cli.bench"]
     monkeypatch.setattr(module, "__file__", str(tmp_path / "fracture_collision" / "cli" / "bench.py"))
@@ -54,7 +54,7 @@ def test_without_the_sources_beside_it_says_so(tmp_path: Path, monkeypatch: pyte
     assert done.exit_code == 1 and "it is not installed" in " ".join(done.output.split())
 
 
-def test_an_out_that_is_a_file_is_refused_in_words(tmp_path: Path) -> None:
+def test_an_out_that_is_a_file_is_rejected(tmp_path: Path) -> None:
     (tmp_path / "out").write_text("")
     done = call("fig5", "--out", tmp_path / "out")
     assert done.exit_code == 2 and "is a file" in " ".join(done.output.split())
@@ -74,7 +74,7 @@ def processes_of(session: int) -> list[str]:
 
 
 @pytest.mark.parametrize("order", [signal.SIGINT, signal.SIGTERM])
-def test_stopped_in_the_middle_it_leaves_no_process(tmp_path: Path, order: signal.Signals) -> None:
+def test_an_interrupted_command_leaves_no_process(tmp_path: Path, order: signal.Signals) -> None:
     said = tmp_path / "said.txt"
     with said.open("w") as stream:
         process = subprocess.Popen(

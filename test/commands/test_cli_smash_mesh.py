@@ -25,7 +25,7 @@ def scene_of(mesh: TetGeometry, folder: Path) -> Path:
 
 
 @pytest.mark.parametrize("radius", [0.02, 0.15, 2.0])
-def test_a_mesh_of_any_size_falls_and_breaks(tmp_path: Path, radius: float) -> None:
+def test_meshes_of_any_size_fall_and_break(tmp_path: Path, radius: float) -> None:
     scene = load_scene(scene_of(ball(radius, radius / 5.0), tmp_path))
     fragments = []
     with Lockstep(scene, Settings(threads=1)) as lockstep:
@@ -44,7 +44,7 @@ def test_a_surface_is_filled(tmp_path: Path) -> None:
     assert len(body.shape.mesh.vertices) > 100
 
 
-def test_a_scene_that_smash_has_left_goes_into_the_next_run(tmp_path: Path) -> None:
+def test_a_scene_written_by_smash_can_be_run_again(tmp_path: Path) -> None:
     """Even though the new run replaces the earlier run's outputs."""
     old, new = tmp_path / "old", tmp_path / "new"
     old.mkdir()
@@ -57,7 +57,7 @@ def test_a_scene_that_smash_has_left_goes_into_the_next_run(tmp_path: Path) -> N
     assert len(load_scene(copied).bodies) == 3
 
 
-def test_a_mesh_with_holes_gets_words(tmp_path: Path) -> None:
+def test_a_mesh_with_holes_is_rejected_with_an_explanation(tmp_path: Path) -> None:
     file = tmp_path / "open.obj"
     box = trimesh.creation.box((1.0, 1.0, 1.0))
     trimesh.Trimesh(box.vertices, box.faces[2:], process=False).export(file)

@@ -17,7 +17,7 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 PATIENCE = 120.0  # [s]
 
 
-def test_the_readme_shows_the_subscriber_as_it_is() -> None:
+def test_the_subscriber_in_the_readme_is_the_example() -> None:
     code = (EXAMPLES / "deepest_contact.py").read_text().split('"""\n\n', 1)[1]
     assert code in (EXAMPLES.parent / "README.md").read_text()
 
@@ -44,7 +44,7 @@ def test_the_subscriber_ends_without_a_traceback(tmp_path: Path, order: signal.S
         stage.close()
 
 
-def test_a_body_of_ones_own_breaks_and_somebody_listens(tmp_path: Path) -> None:
+def test_the_example_with_an_own_body_breaks_it(tmp_path: Path) -> None:
     stage = StageWithClients(tmp_path)
     environment, heard = loopback_environment(stage.domain_id), tmp_path / "heard.txt"
     with heard.open("w") as stream:

@@ -35,7 +35,7 @@ def count_faults(size):
 
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="glibc's malloc")
-def test_new_arrays_find_their_pages_there():
+def test_new_arrays_reuse_pages_that_were_kept():
     _, fetched = count_faults(0)
     done, kept = count_faults(16 << 20)
     assert done

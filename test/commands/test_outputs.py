@@ -41,7 +41,7 @@ def out(tmp_path: Path) -> Path:
 FIRST = {"bag/messages": "first", "report.json": "first", "pictures": "first", "notes": "mine"}
 
 
-def test_a_new_run_takes_the_place_of_all_of_the_old_one(out: Path) -> None:
+def test_a_new_run_replaces_all_outputs_of_the_old_one(out: Path) -> None:
     assert contents(out) == FIRST
     with NewOutputs(out, NAMES) as new:
         write_run(new.folder, "second", "bag", "report.json")
@@ -65,7 +65,7 @@ def test_a_run_that_never_started_changes_nothing(out: Path, fails: bool, tmp_pa
     assert not (tmp_path / "not").exists()
 
 
-def test_a_run_that_breaks_off_keeps_what_it_has_and_nothing_older(out: Path) -> None:
+def test_an_interrupted_run_keeps_its_outputs_and_no_older_ones(out: Path) -> None:
     with pytest.raises(RuntimeError), NewOutputs(out, NAMES) as new:
         write_run(new.folder, "second", "bag")
         new.started = True
@@ -73,7 +73,7 @@ def test_a_run_that_breaks_off_keeps_what_it_has_and_nothing_older(out: Path) ->
     assert contents(out) == {"bag/messages": "second", "notes": "mine"}
 
 
-def test_published_early_it_goes_on_in_its_place(out: Path) -> None:
+def test_outputs_published_early_are_completed_in_place(out: Path) -> None:
     with NewOutputs(out, NAMES) as new:
         write_run(new.folder, "second", "report.json")
         with (new.folder / "report.json").open("a") as stream:
@@ -82,7 +82,7 @@ def test_published_early_it_goes_on_in_its_place(out: Path) -> None:
     assert contents(out) == {"report.json": "second and more", "notes": "mine"}
 
 
-def test_what_a_killed_run_has_left_goes_with_the_next_but_of_a_living_one_nothing(out: Path) -> None:
+def test_the_next_run_removes_outputs_of_killed_runs_but_not_of_living_ones(out: Path) -> None:
     code = f"""
 import os, signal
 from pathlib import Path

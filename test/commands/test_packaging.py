@@ -70,7 +70,7 @@ def environment_copy(workplace: Path) -> Path:
     return copy
 
 
-def test_pip_install(workplace: Path, sources: Path, environment_copy: Path) -> None:
+def test_pip_installs_the_package(workplace: Path, sources: Path, environment_copy: Path) -> None:
     environment = clean_environment()
     python = environment_copy / "bin" / "python"
     run(python, "-m", "pip", "install", "--no-deps", "--no-build-isolation", "--no-index", sources,
@@ -89,7 +89,7 @@ def test_pip_install(workplace: Path, sources: Path, environment_copy: Path) -> 
     assert not left, left
 
 
-def test_colcon_build(workplace: Path, sources: Path, environment_copy: Path) -> None:
+def test_colcon_builds_the_package(workplace: Path, sources: Path, environment_copy: Path) -> None:
     prefix = environment_copy
     environment = clean_environment(
         AMENT_PREFIX_PATH=str(prefix), CMAKE_PREFIX_PATH=str(prefix), PATH=f"{prefix}/bin:{os.environ['PATH']}"

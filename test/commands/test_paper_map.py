@@ -16,12 +16,12 @@ NAMES = sorted(set(re.findall(r"`([\w/]+\.py): (\w+)`", TEXT)))
 
 
 @pytest.mark.parametrize(("file", "name"), NAMES)
-def test_the_name_exists(file: str, name: str) -> None:
+def test_names_in_the_paper_map_exist(file: str, name: str) -> None:
     tree = ast.parse((ROOT / "fracture_collision" / file).read_text(encoding="utf-8"))
     assert name in {node.name for node in tree.body if isinstance(node, ast.FunctionDef | ast.ClassDef)}
 
 
-def test_every_section_has_code() -> None:
+def test_every_section_of_the_paper_has_code() -> None:
     sections = re.split(r"^## ", TEXT, flags=re.M)[1:]
     assert [title.split()[0] for title in sections] == ["3", "4", "5", "6", "7", "8"]
     for number in ("4.1", "4.2", "4.3", "4.4", "4.5", "5.1", "5.2", "5.3", "6.1", "6.2", "6.3", "7.2"):
@@ -29,12 +29,12 @@ def test_every_section_has_code() -> None:
     assert len(NAMES) > 30
 
 
-def test_the_studies_exist() -> None:
+def test_studies_in_the_paper_map_exist() -> None:
     named = set(re.findall(r"fracture-collision bench (\w+)", TEXT))
     assert named and named <= set(STUDIES)
 
 
-def test_things_are_where_contributing_says() -> None:
+def test_files_named_in_contributing_exist() -> None:
     text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
     where = text[text.index("## Where things are") : text.index("## Rules")]
     files = re.findall(r"`([\w/]+\.py)`", where)

@@ -39,7 +39,7 @@ def test_elementary_functions_agree_with_numpy_within_some_last_bits(name, argum
     assert units_in_the_last_place(getattr(portable_math, name)(*arguments), expected) <= most
 
 
-def test_functions_at_their_edges():
+def test_elementary_functions_at_special_values():
     up, along = np.array([0.0, 0.0, 1.0, -1.0, 0.0]), np.array([1.0, -1.0, 0.0, 0.0, 0.0])
     np.testing.assert_array_equal(portable_math.arctangent2(up, along), np.arctan2(up, along))
     np.testing.assert_array_equal(portable_math.exponential([-1e9, 0.0, 1e9]), [0.0, 1.0, np.inf])
@@ -69,7 +69,7 @@ def test_linear_algebra_agrees_with_lapack():
     np.testing.assert_allclose(portable_math.lengths(vectors), np.linalg.norm(vectors, axis=1), rtol=1e-15)
 
 
-def test_products_are_rounded_as_they_are_written():
+def test_products_are_rounded_in_the_order_written():
     """Against exact fractions with each operation rounded separately: no fused multiply-add, no reordering."""
     a, b = RNG.normal(size=(2, 200, 3))
 
@@ -91,7 +91,7 @@ def test_rotations_agree_with_scipy():
         assert abs(got @ expected) == pytest.approx(1.0, abs=1e-15)
 
 
-def test_random_numbers_are_distributed_as_they_should_be():
+def test_random_numbers_are_distributed_as_specified():
     numbers = portable_math.normal_numbers(np.random.default_rng(3), (40_000,))
     assert abs(numbers.mean()) < 0.02
     assert numbers.std() == pytest.approx(1.0, abs=0.02)
@@ -110,7 +110,7 @@ def test_random_numbers_are_distributed_as_they_should_be():
         "from math import sin", "from numpy import dot", "np.exp(x)", "pow = math.pow",
     ],
 )  # fmt: skip
-def test_the_lint_rule_finds(line):
+def test_the_lint_rule_reports_forbidden_arithmetic(line):
     assert list(violations(f"import math\nimport numpy as np\n{line}\n", "core/some.py"))
 
 
@@ -119,7 +119,7 @@ def test_the_lint_rule_finds(line):
     ["math.sqrt(x)", "np.sqrt(x)", "np.argsort(x, kind='stable')", "x * y", "f(**kwargs)", "name.partition(':')",
      "@kernel\ndef f(x):\n    return x**2", "rng.uniform(-1, 1)", "np.floor(x)"],
 )  # fmt: skip
-def test_the_lint_rule_lets_pass(line):
+def test_the_lint_rule_permits_portable_arithmetic(line):
     assert not list(violations(f"import math\nimport numpy as np\n{line}\n", "core/some.py"))
 
 

@@ -18,18 +18,18 @@ REPORT = {
 }
 
 
-def test_summary_of():
+def test_summary_has_median_average_and_worst():
     assert summary_of([1.0, 2.0, 6.0]) == {"median": 2.0, "average": 3.0, "worst": 6.0}
     assert summary_of([]) == {}
 
 
-def test_updates_count_only_where_there_were_any():
+def test_only_steps_with_updates_count_as_updates():
     found = summaries({"update_ms": [0.0, 4.0, 0.0, 2.0], "collision_ms": [0.0, 4.0, 0.0, 2.0]})
     assert (found["update_ms"]["average"], found["collision_ms"]["average"]) == (3.0, 1.5)
     assert summaries({"fracture_ms": [0.0, 0.0]}) == {"fracture_ms": {}}
 
 
-def test_tables_put_the_paper_beside_where_it_says_something():
+def test_tables_show_figures_of_the_paper_where_it_has_any():
     statistics = {row.words: row[1:] for row in statistics_table(REPORT)}
     assert statistics["fragments at the end"] == (12, None, 156, None)
     assert statistics["triangles after"] == (900, None, 40_000, None)
@@ -44,5 +44,5 @@ def test_tables_put_the_paper_beside_where_it_says_something():
 
 
 @pytest.mark.parametrize("name", sorted(PAPER))
-def test_every_scene_with_a_figure_in_the_paper_is_there(name):
+def test_every_scene_with_a_figure_in_the_paper_exists(name):
     assert load_scene(name).name == name

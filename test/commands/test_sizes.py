@@ -7,7 +7,7 @@ from pathlib import Path
 from lint.sizes import FILES, LINES, LONGER, problems
 
 
-def test_the_project_keeps_its_sizes() -> None:
+def test_the_project_keeps_its_limits_of_size() -> None:
     assert problems() == []
 
 

@@ -18,16 +18,17 @@ def case(request) -> FracturedWorld:
     return fractured_world(COARSE_SHAPES[shape](), seeds=4, generations=2, curved=curved)
 
 
-def test_owners_are_the_oracles(case: FracturedWorld) -> None:
+def test_owners_equal_the_oracles(case: FracturedWorld) -> None:
     points = np.random.default_rng(1).uniform(-1.05, 1.05, (3000, 3)) * (1.0, 1.0, 0.35)
     found, certain = owners(partition_of(case.oracle), points)
     assert certain.all() and len(set(found.tolist())) > 3
     assert np.array_equal(found, case.oracle.owner(points))
 
 
-def test_owners_are_the_oracles_close_to_cracks(case: FracturedWorld) -> None:
-    """One works from the hub of a tetrahedron, the other finds the part that contains a point: they agree up to a few
-    rounding errors from a crack.
+def test_owners_equal_the_oracles_close_to_cracks(case: FracturedWorld) -> None:
+    """The two oracles agree up to a few rounding errors from a crack.
+
+    One works from the hub of a tetrahedron, the other finds the part that contains a point.
     """
     random, oracle = np.random.default_rng(4), case.oracle
     triangles = np.concatenate([oracle.surface_triangles(f, (CRACK,)) for f in oracle.fragment_ids])
@@ -56,7 +57,7 @@ def test_nodes_and_points_of_inner_faces_have_one_owner(case: FracturedWorld) ->
     assert distances(points[~certain], cracks).max(initial=0.0) < 1e-9 and (found > 0).all()
 
 
-def test_distances_are_the_oracles(case: FracturedWorld) -> None:
+def test_distances_equal_the_oracles(case: FracturedWorld) -> None:
     points = np.random.default_rng(2).uniform(-1.2, 1.2, (200, 3))
     for fragment in case.oracle.fragment_ids[:3]:
         triangles = case.oracle.surface_triangles(fragment, ALL_KINDS)
@@ -66,7 +67,7 @@ def test_distances_are_the_oracles(case: FracturedWorld) -> None:
     assert np.isinf(distances(points[:1], np.zeros((0, 3, 3)))[0])
 
 
-def test_volumes_by_counting_points(case: FracturedWorld) -> None:
+def test_volumes_equal_those_by_counting_points(case: FracturedWorld) -> None:
     """Shares of random points against the oracle's volumes: an error in the rule would show."""
     random, oracle = np.random.default_rng(3), case.oracle
     volumes, count = tetrahedron_volumes(oracle.vertices, oracle.tetrahedra), 200_000

@@ -53,7 +53,7 @@ def test_contacts_are_true_and_the_bound_holds(case: FracturedWorld, jitter: flo
         assert np.abs(check.excess).max(initial=0.0) <= BORDER, check
 
 
-def test_a_budget_makes_the_bound_grow_instead_of_lie(case: FracturedWorld) -> None:
+def test_the_bound_holds_for_any_visit_budget(case: FracturedWorld) -> None:
     states = case.states(0.05, seed=2)
     truth, poses = ContactTruth(case), Poses(states)
     for budget in (200, 1000, 4000):
@@ -74,7 +74,7 @@ def _bytes(answer: ContactConstraintArray) -> bytes:
     return b"".join(np.asarray(field).tobytes() for field in answer)
 
 
-def test_the_answer_is_the_same_bytes_for_any_number_of_threads(case: FracturedWorld) -> None:
+def test_answers_are_the_same_bytes_for_any_number_of_threads(case: FracturedWorld) -> None:
     states = case.states(0.05, seed=4)
     reference = _bytes(case.world.contacts(states))
     for threads in (2, 3, 8):
@@ -99,8 +99,9 @@ def test_a_full_list_does_not_depend_on_tree_or_traversal() -> None:
 
 @pytest.mark.parametrize("traversal", TRAVERSALS)
 def test_nodes_are_visited_in_the_order_of_the_traversal(traversal: str) -> None:
-    """Every sample of a ball lies within the tolerance of a plane: contacts come in the order of the visits (fewer than
-    are wanted would be sorted).
+    """Every sample of a ball lies within the tolerance of a plane: contacts come in the order of the visits.
+
+    Fewer than are wanted would be sorted.
     """
     vertices, triangles = noisy_ball()
     wanted = len(vertices)
@@ -131,7 +132,7 @@ def _children(size: np.ndarray, entry: int) -> list[int]:
     return children
 
 
-def test_the_answer_has_no_memory(case: FracturedWorld) -> None:
+def test_answers_do_not_depend_on_earlier_steps(case: FracturedWorld) -> None:
     """Interleaving other states, and states of earlier registries, changes nothing."""
     states = case.states(0.05, seed=4)
     reference = _bytes(case.world.contacts(states))

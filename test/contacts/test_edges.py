@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from itertools import combinations
 
 import numpy as np
 import pytest
 from test_neighbour_lists import assert_same, random_turns, turned
-from truth.contact_truth import COARSE_SHAPES, Poses, pairs_of, sample_ids
+from truth.contact_truth import COARSE_SHAPES, Poses, pairs_of, sample_ids, surface_samples
 from truth.surface_campaign import PairDepth, campaign
 from worlds.fractured_worlds import FracturedWorld, fractured_world, with_settings
 from worlds.hard_worlds import tetrahedral_body
@@ -73,8 +74,13 @@ def test_ridges_are_the_convex_edges_of_a_surface(case: FracturedWorld) -> None:
 
 
 def crossings_by_hand(case, a: int, b: int, states: FragmentStates, near: float) -> dict[int, float]:
-    """Every ridge of a against every ridge of b: number and gap of the crossings, regardless of anything else."""
+    """Every ridge of a against every ridge of b: number and gap of the crossings, regardless of anything else.
+
+    near: the greatest gap [R].
+    """
     poses, found = Poses(states), {}
+    radius = min(case.geometry.pools.fragment.radius[case.row(f)] for f in (a, b))
+    least, near, deepest = MATTERS * EDGES.penetration_tolerance * radius, near * radius, DEEPEST * radius
     of_a, of_b = rows_of(case, a), rows_of(case, b)
 
     def world(f: int, rows: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -84,7 +90,7 @@ def crossings_by_hand(case, a: int, b: int, states: FragmentStates, near: float)
     p, q, p_into, p_into_other, p_out = world(a, of_a)
     r, s, r_into, r_into_other, r_out = world(b, of_b)
     for i in range(len(of_a)):
-        matters = np.minimum(of_a[i, LENGTH] * of_b[:, TURN], of_b[:, LENGTH] * of_a[i, TURN]) >= MATTERS * 0.002
+        matters = np.minimum(of_a[i, LENGTH] * of_b[:, TURN], of_b[:, LENGTH] * of_a[i, TURN]) >= least
         u, v = q[i] - p[i], s - r
         n = np.cross(u, v)
         size = np.linalg.norm(n, axis=1)
@@ -94,7 +100,7 @@ def crossings_by_hand(case, a: int, b: int, states: FragmentStates, near: float)
         gap = (n * (r - p[i])).sum(axis=1)
         out = (n @ p_into[i] <= BEYOND_FACE) & (n @ p_into_other[i] <= BEYOND_FACE)
         out &= ((n * r_into).sum(axis=1) >= -BEYOND_FACE) & ((n * r_into_other).sum(axis=1) >= -BEYOND_FACE)
-        for j in np.flatnonzero(matters & (sine >= LEAST_SINE) & out & (gap <= near) & (gap >= -DEEPEST)):
+        for j in np.flatnonzero(matters & (sine >= LEAST_SINE) & out & (gap <= near) & (gap >= -deepest)):
             k, l, _ = np.linalg.solve(np.column_stack([u, -v[j], -n[j]]), r[j] - p[i])  # noqa: E741
             if 0.0 <= k <= 1.0 and 0.0 <= l <= 1.0:
                 found[FIRST_OF_RIDGES + RIDGES_EACH * i + j] = gap[j]
@@ -102,17 +108,20 @@ def crossings_by_hand(case, a: int, b: int, states: FragmentStates, near: float)
 
 
 @pytest.mark.parametrize("jitter", [0.003, 0.02])
-def test_no_crossing_is_left_out(case: FracturedWorld, jitter: float) -> None:
-    """All crossings with a gap are listed; overlapping ones may be left out, and listed gaps are correct."""
+def test_listed_crossings_are_those_of_brute_force(case: FracturedWorld, jitter: float) -> None:
+    """All crossings with a gap are listed, and no others; overlapping ones may be left out. Gaps are correct."""
     near = 0.01
     world = with_settings(case, EDGES._replace(detection_tolerance=near, contacts_per_pair=1000))
     states = case.states(jitter, 4)
     answer, apart, overlap = world.contacts(states), 0, 0
-    for (a, b), (rows, _) in pairs_of(answer).items():
+    listed = pairs_of(answer)
+    for a, b in combinations(sorted(states.fragment_ids.tolist()), 2):
+        rows, _ = listed.pop((a, b), (slice(0, 0), 0.0))
         gaps = dict(zip(answer.contact_ids[rows].tolist(), answer.gaps[rows].tolist(), strict=True))
         truth = crossings_by_hand(case, a, b, states, near)
-        numbers = np.array(list(truth), np.int64)
-        ids = sample_ids(a, b, numbers).tolist() if len(numbers) else []
+        ids = sample_ids(a, b, np.array(list(truth), np.int64)).tolist()
+        of_samples = (sample_ids(own, other, surface_samples(case, own)[1]) for own, other in ((a, b), (b, a)))
+        assert gaps.keys() <= set(ids).union(*(each.tolist() for each in of_samples))
         for gap, own in zip(truth.values(), ids, strict=True):
             if gap > 0.0:
                 apart += 1
@@ -120,11 +129,11 @@ def test_no_crossing_is_left_out(case: FracturedWorld, jitter: float) -> None:
             if own in gaps:
                 overlap += gap < 0.0
                 assert gaps[own] == pytest.approx(gap, abs=1e-9)
-    assert apart > 20 and overlap > 20
+    assert not listed and apart > 20 and overlap > 20
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_crossed_rods_part_across_both_edges(kind: str) -> None:
+def test_crossed_rods_have_a_contact_normal_to_both_edges(kind: str) -> None:
     answer = answer_of_rods(kind, EDGES, crossed(-OVERLAP, 0.011))
     (k,) = np.flatnonzero(answer.gaps < 0.0)
     np.testing.assert_allclose(answer.normals[3 * k : 3 * k + 3], [0.0, 0.0, 1.0], atol=1e-12)
@@ -181,7 +190,7 @@ def counts(judged: Iterable[PairDepth]) -> tuple[int, int]:
     return sum(it.is_missed for it in judged), sum(it.is_too_shallow for it in judged)
 
 
-def test_most_of_what_samples_leave_out_is_found() -> None:
+def test_edges_find_most_penetrations_that_samples_miss() -> None:
     """Except deep penetration in the middle of a body, where the deepest point is on a face."""
     shapes = {name: COARSE_SHAPES[name] for name in ("brick", "l_block")}
     sampled, edges = (
@@ -197,7 +206,7 @@ def test_most_of_what_samples_leave_out_is_found() -> None:
 
 
 @pytest.mark.parametrize("lookahead", [0.0, 0.02])
-def test_neither_lists_nor_threads_change_a_byte(case: FracturedWorld, lookahead: float) -> None:
+def test_answers_do_not_depend_on_lists_or_threads(case: FracturedWorld, lookahead: float) -> None:
     settings = EDGES._replace(lookahead=lookahead)
     worlds = [
         with_settings(case, it)
@@ -228,7 +237,7 @@ def test_neither_lists_nor_threads_change_a_byte(case: FracturedWorld, lookahead
     assert crossings > 1000
 
 
-def test_ridges_outlast_what_is_dropped_before_them() -> None:
+def test_ridges_survive_the_removal_of_earlier_bodies() -> None:
     world = CollisionWorld(EDGES)
     for body_id, size in ((1, 0.25), (2, 0.5), (3, 0.25)):
         world.add_body(tetrahedral_body(brick((1.0, 1.0, 0.5), size), body_id))
@@ -248,7 +257,7 @@ def test_ridges_outlast_what_is_dropped_before_them() -> None:
 
 
 @pytest.mark.parametrize("other", [{"selection": "complete"}, {"visit_budget": 1_000_000}])
-def test_by_the_papers_rule_samples_alone_are_asked(case: FracturedWorld, other: dict) -> None:
+def test_edges_are_not_used_with_the_papers_selection(case: FracturedWorld, other: dict) -> None:
     states = case.states(0.01, 4)
     worlds = [with_settings(case, EDGES._replace(surfaces=surfaces, **other)) for surfaces in ("edges", "sampled")]
     assert_same(*(world.contacts(states) for world in worlds))

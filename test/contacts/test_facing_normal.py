@@ -56,7 +56,7 @@ def _mesh(vertices: np.ndarray, triangles: np.ndarray) -> trimesh.Trimesh:
 
 
 @pytest.mark.parametrize(("lower", "upper"), [*product(KINDS, repeat=2)])
-def test_contacts_are_the_slow_twins(lower: str, upper: str) -> None:
+def test_contacts_equal_those_of_the_slow_twin(lower: str, upper: str) -> None:
     solids = {1: Solid(lower, 1), 2: Solid(upper, 2)}
     worlds = [CollisionWorld(SETTINGS._replace(normals=normals)) for normals in ("nearest", "facing")]
     for world, solid in product(worlds, solids.values()):

@@ -88,7 +88,7 @@ def test_equal_blocks_flush_at_zero_gap(kind: str) -> None:
 
 @pytest.mark.parametrize("deep", [0.0, 1e-6, 1e-3, -1e-3])
 @pytest.mark.parametrize(("lower", "upper"), [*product(("tetrahedra", "triangles", "box"), repeat=2)])
-def test_equal_blocks_flush_push_upright(lower: str, upper: str, deep: float) -> None:
+def test_contacts_of_flush_equal_blocks_are_upright(lower: str, upper: str, deep: float) -> None:
     """Two blocks stacked flush, just apart or slightly penetrating, separate along their common face: all normals up.
 
     The nearest surface of a rim's sample is the other's side, at distance 0: with normals `nearest` 25 % point sideways
@@ -222,7 +222,7 @@ def test_plate_one_tetrahedron_thick(thickness: float) -> None:
 
 
 @pytest.mark.parametrize("flatness", [1e-3, 1e-7], ids=str)
-def test_slivers(flatness: float) -> None:
+def test_slivers_have_true_contacts(flatness: float) -> None:
     """Inner nodes pushed almost into the opposite face of a tetrahedron: weights lose digits, answers must not."""
     body = brick((2.0, 1.0, 1.0), 0.5)
     vertices = body.vertices.copy()
@@ -262,7 +262,7 @@ def test_fragment_of_a_single_node(place: str) -> None:
     assert assert_contacts(case, ("jittered", "deep")) > 0
 
 
-def test_fragment_without_volume_is_refused() -> None:
+def test_a_fragment_without_volume_is_rejected() -> None:
     """All planes of a lone inner node pass through it: the fragment has no volume, and so no centre of mass."""
     body = brick((2.0, 1.0, 1.0), 0.5)
     node = int(np.argmin(np.linalg.norm(body.vertices, axis=1)))
@@ -286,8 +286,11 @@ def broken_to_pieces(edge_length: float, seed: int) -> FracturedWorld:
 
 
 def test_four_hundred_fragments_of_one_body() -> None:
-    """Two or three nodes a fragment, up to four fragments in every tetrahedron: volumes add up to 1e-12, each point
-    has one owner, and the contacts among the dozen fragments about a point are true and complete."""
+    """Two or three nodes a fragment, up to four fragments in every tetrahedron.
+
+    Volumes add up to 1e-12, each point has one owner, and the contacts among the dozen fragments about a point are true
+    and complete.
+    """
     case = broken_to_pieces(0.17, 3)
     whole = tetrahedron_volumes(case.oracle.vertices, case.oracle.tetrahedra).sum()
     assert case.world.fragments().masses.sum() == pytest.approx(DENSITY * whole, rel=ROUNDING)

@@ -123,7 +123,7 @@ def test_neighbouring_tetrahedra_agree_on_the_faces_between_them(shape: str, cra
 
 
 @every_case
-def test_every_crack_is_seen_from_both_sides(shape: str, crack: str) -> None:
+def test_every_crack_belongs_to_both_of_its_fragments(shape: str, crack: str) -> None:
     """Moreover, no part of the old surface is lost or doubled."""
     body = broken(shape, crack)
     sides = {}
@@ -152,7 +152,7 @@ def test_crossings_are_on_the_surfaces_of_both_fragments(shape: str, crack: str)
 
 
 @every_case
-def test_a_fracture_changes_nothing_of_the_others(shape: str, crack: str) -> None:
+def test_a_fracture_leaves_other_fragments_unchanged(shape: str, crack: str) -> None:
     points = points_inside(BODIES[shape], 2000)
     for generations in (1, 2):
         before, after = broken(shape, crack, generations), broken(shape, crack, generations + 1)
@@ -241,7 +241,7 @@ def test_flat_cracks_give_voronoi_cells(shape: str) -> None:
         assert check.worst_fitting < 1e-12
 
 
-def test_what_is_not_the_voronoi_cells_gets_less_in_a_finer_mesh() -> None:
+def test_deviation_from_voronoi_cells_shrinks_in_a_finer_mesh() -> None:
     seeds = np.random.default_rng(2).uniform(-0.05, 0.05, size=(5, 3))
     coarse, fine = (against_voronoi_cells(ball(0.05, length), seeds) for length in (0.017, 0.0085))
     assert 0.0 < fine.misplaced < 0.5 * coarse.misplaced < 0.0025

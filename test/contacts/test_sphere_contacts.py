@@ -75,8 +75,9 @@ def places_of(answer: ContactConstraintArray, center: np.ndarray, radius: float,
 
 
 def true_places(corners: np.ndarray, is_solid: Solid, center: np.ndarray, reach: float) -> np.ndarray:
-    """Points (n, 3) of the surface of triangles (t, 3, 3) within `reach` [m] that are locally nearest to a centre
-    outside, and face it.
+    """Points (n, 3) of the surface of triangles (t, 3, 3) within `reach` [m] that are locally nearest to a centre.
+
+    The centre is outside, and they face it.
     """
     distance, feet = distances_to_triangles(center, corners)
     found: list[np.ndarray] = []
@@ -136,7 +137,7 @@ def test_each_face_has_its_contact(shape: RigidShape, center, gaps) -> None:
     ],
     ids=["l", "bowl", "shell", "ball"],
 )  # fmt: skip
-def test_places_are_those_of_brute_force(body: TetGeometry, concave: int, as_tetrahedra: bool) -> None:
+def test_sphere_contacts_equal_those_of_brute_force(body: TetGeometry, concave: int, as_tetrahedra: bool) -> None:
     shape, random = boundary_of(body), np.random.default_rng(2)
     whole = RigidShape(body.vertices, body.tetrahedra) if as_tetrahedra else shape
     radius = 0.35
@@ -153,7 +154,7 @@ def test_places_are_those_of_brute_force(body: TetGeometry, concave: int, as_tet
     assert several >= concave
 
 
-def test_places_on_thorns() -> None:
+def test_sphere_contacts_on_a_jagged_surface() -> None:
     """Convex and concave edges and corners, many of them within reach at once."""
     shape, random, several = noisy_ball(), np.random.default_rng(4), 0
     world = world_of(shape, 0.4, contacts_per_pair=1000)
@@ -170,7 +171,7 @@ def test_places_on_thorns() -> None:
 
 
 @pytest.mark.parametrize("curved", [False, True])
-def test_places_on_fragments(curved: bool) -> None:
+def test_sphere_contacts_on_fragments(curved: bool) -> None:
     """In the gap between separated fragments: contacts on both sides, on crack and old surface."""
     case = fractured_world(ball(1.0, 0.4), seeds=4, generations=2, curved=curved)
     world = CollisionWorld(SETTINGS._replace(contacts_per_pair=1000))
@@ -198,7 +199,7 @@ def test_places_on_fragments(curved: bool) -> None:
     assert touched >= 10
 
 
-def test_within_a_hollow_sphere_the_bound_says_what_is_left() -> None:
+def test_the_bound_covers_contacts_omitted_within_a_hollow_sphere() -> None:
     """Hundreds of facets within reach; the deeper ones are listed, and eight of the others, far apart."""
     shape = boundary_of(shell(1.0, 0.8, 0.25))
     reach = 0.79
@@ -225,7 +226,7 @@ def test_within_a_hollow_sphere_the_bound_says_what_is_left() -> None:
 
 
 @pytest.mark.parametrize("visits", [2, 100, 400])
-def test_the_bound_holds_where_few_triangles_are_looked_at(visits: int) -> None:
+def test_the_bound_holds_if_few_triangles_are_tested(visits: int) -> None:
     shape, radius, center = boundary_of(shell(1.0, 0.8, 0.25)), 0.79, np.array([0.03, 0.05, -0.04])
     answer = answer_at(world_of(shape, radius, max_further_visits=visits), center)
     found = places_of(answer, center, radius)
@@ -238,7 +239,7 @@ def test_the_bound_holds_where_few_triangles_are_looked_at(visits: int) -> None:
     assert depth[apart > 1e-6].max() <= answer.missed_depth_bound[0]
 
 
-def test_ids_stay_with_the_face() -> None:
+def test_contact_ids_stay_with_the_face() -> None:
     """Regardless of whether wall or floor is deeper, and of other contacts."""
     world, ids = world_of(room(), 0.5), []
     for center in ((0.47, 2.0, 0.48), (0.48, 2.01, 0.47), (0.47, 1.99, 0.6), (0.47, 0.49, 0.48)):
@@ -249,7 +250,7 @@ def test_ids_stay_with_the_face() -> None:
     assert len(np.unique(np.concatenate(ids))) == 1
 
 
-def test_ids_do_not_depend_on_other_bodies() -> None:
+def test_contact_ids_do_not_depend_on_other_bodies() -> None:
     shape = boundary_of(ball(1.0, 0.4))
     answers = []
     for others in ((), (torus(), hollow_box())):
@@ -263,7 +264,7 @@ def test_ids_do_not_depend_on_other_bodies() -> None:
     assert answers[0].contact_ids.tolist() == answers[1].contact_ids.tolist()
 
 
-def test_contacts_beyond_the_room_are_not_written() -> None:
+def test_contacts_beyond_the_buffer_are_not_written() -> None:
     """64 slabs of 1,024 samples fill the buffers of one and of two threads completely; then spheres follow."""
     slab = box_of_quads(
         np.linspace(-0.5, 0.5, 32), np.linspace(-0.5, 0.5, 16), np.array([-0.05, 0.05]), np.ones((31, 15, 1), bool)

@@ -22,13 +22,13 @@ def assert_holds(judged: list[PairDepth]) -> None:
     assert not [it for it in judged if it.violates or it.is_missed or it.is_too_shallow]
 
 
-def test_no_point_of_a_surface_is_deeper_than_the_answer_says() -> None:
+def test_no_point_of_a_surface_is_deeper_than_the_bound() -> None:
     judged = list(campaign(240, 3, QUICK, generations=1))
     assert len(judged) >= 240
     assert_holds(judged)
 
 
-def test_samples_alone_miss_some() -> None:
+def test_samples_alone_miss_some_penetrations() -> None:
     """Otherwise the test above could not fail."""
     sampled = SEARCHED._replace(surfaces="sampled")
     judged = list(campaign(120, 3, {"brick": QUICK["brick"]}, generations=1, settings=sampled))
@@ -37,12 +37,12 @@ def test_samples_alone_miss_some() -> None:
 
 @pytest.mark.slow
 @pytest.mark.timeout(14_400)
-def test_no_point_of_ten_thousand_pairs_is() -> None:
+def test_no_point_of_ten_thousand_pairs_is_deeper_than_the_bound() -> None:
     assert_holds(list(campaign(10_000, 1, SHAPES)))
 
 
 @pytest.mark.parametrize("kind", ["box", "tetrahedra", "triangles"])
-def test_crossed_rods_part_across_both_edges(kind: str) -> None:
+def test_crossed_rods_have_a_contact_normal_to_both_edges(kind: str) -> None:
     states = crossed(-OVERLAP, 0.011)
     assert not (answer_of_rods(kind, Settings(threads=1), states).gaps < 0.0).any()
     answer = answer_of_rods(kind, Settings(threads=1, surfaces="searched"), states)
@@ -85,7 +85,7 @@ def wandering(case: FracturedWorld, steps: int) -> list[FragmentStates]:
     ]  # fmt: skip
 
 
-def test_neither_memory_nor_threads_change_a_byte(case: FracturedWorld) -> None:
+def test_answers_do_not_depend_on_earlier_steps_or_threads(case: FracturedWorld) -> None:
     settings = Settings(threads=1, surfaces="searched")
     remembering = with_settings(case, settings)
     in_threads = with_settings(case, settings._replace(threads=2))
@@ -113,6 +113,6 @@ def test_elements_hold_all_of_a_surface(case: FracturedWorld) -> None:
             assert away.max() <= elements.spheres[e, 3] + 1e-6
 
 
-def test_averaged_depths_are_refused() -> None:
+def test_the_averaged_field_is_rejected() -> None:
     with pytest.raises(ValueError, match="surfaces: 'searched' needs field 'exact'"):
         CollisionWorld(Settings(field="averaged", surfaces="searched"))

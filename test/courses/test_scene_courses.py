@@ -45,28 +45,28 @@ def expected(names):
 
 
 @pytest.mark.parametrize("name", EXPECTED)
-def test_every_scene_takes_its_course(name):
+def test_every_scene_has_its_pinned_digest(name):
     assert course([name], {}) == expected([name])
 
 
 @pytest.mark.parametrize("kind", list(ENVIRONMENTS)[1:])
-def test_scenes_take_the_same_course_elsewhere(kind):
+def test_digests_are_the_same_in_other_environments(kind):
     assert course(SOME, ENVIRONMENTS[kind]) == expected(SOME)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", list(ENVIRONMENTS)[1:])
-def test_all_scenes_take_the_same_course_elsewhere(kind):
+def test_digests_of_all_scenes_are_the_same_in_other_environments(kind):
     assert course(EXPECTED, ENVIRONMENTS[kind]) == EXPECTED
 
 
 @pytest.mark.slow
-def test_kernels_compiled_for_any_processor_take_the_same_course(tmp_path):
+def test_digests_are_the_same_with_kernels_for_any_processor(tmp_path):
     generic = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE_DIR": str(tmp_path)}
     assert course(EXPECTED, generic) == EXPECTED
 
 
-def test_the_environments_do_make_libraries_round_differently():
+def test_the_environments_change_the_rounding_of_libraries():
     """The comparison can fail: BLAS, numpy and libm do round differently here, if the processor offers a choice."""
     program = (
         "import hashlib, math, numpy as np; r = np.random.default_rng(1); a = r.normal(size=(300, 300));"

@@ -79,7 +79,7 @@ def _points_within(case: FracturedWorld, count: int) -> np.ndarray:
     return np.einsum("nij,ni->nj", corners, random.dirichlet(np.ones(4), count))
 
 
-def test_five_generations_are_the_slow_twins() -> None:
+def test_five_generations_equal_the_slow_twin() -> None:
     """On meshes with enough layers for the fronts to propagate."""
     for body, cracks in ((ball(1.0, 0.25), "flat"), (ball(1.0, 0.25), "curved"), (brick((2.0, 1.4, 1.2), 0.2), "flat")):
         twins = Twins(fractured_world(_irregular(body, 0.2), 2, 5, cracks == "curved", AVERAGED))
@@ -98,7 +98,7 @@ def _assert_equal(twins: Twins) -> None:
     assert np.abs(twins.node_field[:, 1:4] - direction).max() <= 1e-9
 
 
-def test_every_generation_is_the_slow_twins_and_only_lowers_what_broke(case: FracturedWorld) -> None:
+def test_every_generation_equals_the_slow_twin_and_only_lowers_depths_of_what_broke(case: FracturedWorld) -> None:
     twins = Twins(case)
     before = None
     whole = dict(twins.slow.distance)
@@ -115,7 +115,7 @@ def test_every_generation_is_the_slow_twins_and_only_lowers_what_broke(case: Fra
     assert any(twins.slow.distance[v] < d for v, d in whole.items())
 
 
-def test_the_whole_bodys_field_is_exact(case: FracturedWorld) -> None:
+def test_the_field_of_a_whole_body_is_exact(case: FracturedWorld) -> None:
     """Before the first fracture: distances at the nodes and on the grid against brute force, outside negative."""
     whole = FragmentedBody(case.oracle.vertices, case.oracle.tetrahedra)
     interior = case.world._ledger.bodies[1].mesh.interior[0]
@@ -169,8 +169,10 @@ def test_the_certain_depth_is_never_below_the_true_one(case: FracturedWorld) -> 
 
 
 def _assert_certain(case: FracturedWorld) -> int:
-    """Asserts that no bound is below the true depth, the distance to the nearest point of another owner. Returns the
-    number of points."""
+    """Asserts that no bound is below the true depth; returns the number of points.
+
+    The true depth is the distance to the nearest point of another owner.
+    """
     points = _points_within(case, 400)
     owners = case.oracle.owner(points)
     scratch = make_scratch(len(case.oracle.tetrahedra), 8)
@@ -270,7 +272,7 @@ def test_no_unlisted_sample_is_deeper_than_the_bound(case: FracturedWorld, jitte
                     assert case.oracle.depth(other, unlisted, ALL_KINDS)[0].max() <= bound
 
 
-def test_contacts_have_no_memory_and_no_thread_count(case: FracturedWorld) -> None:
+def test_contacts_do_not_depend_on_earlier_steps_or_threads(case: FracturedWorld) -> None:
     states = case.states(0.05, seed=4)
     reference = _bytes(case.world.contacts(states))
     case.world.contacts(FragmentStates(1, 1, np.zeros(0, int), np.zeros(0), np.zeros(0)))
@@ -286,7 +288,7 @@ def _bytes(answer) -> bytes:
     return b"".join(np.asarray(field).tobytes() for field in answer)
 
 
-def test_what_is_not_asked_for_is_not_made() -> None:
+def test_fields_that_are_not_used_are_not_stored() -> None:
     """The exact field stores no averaged field; under the averaged field an unbroken body stores no interior."""
     case = fractured_world(SHAPES["ball"](), 4, 1)
     assert case.geometry.pools.field == EXACT

@@ -22,8 +22,9 @@ WITHIN, ROUNDING, DEPTH = 0.03, 1e-9, 0.005  # [m]
 
 
 def _fragments(shape: str, beside: float, seed: int) -> tuple[Pools, Scratch, list[tuple[int, np.ndarray]]]:
-    """A broken body's pools, scratch, and each fragment's row with points (600, 3) in its box, up to `beside` [m]
-    outside it, and on mesh nodes (ties: on walls, on the old surface).
+    """A broken body's pools, scratch, and each fragment's row with points (600, 3).
+
+    The points are in its box, up to `beside` [m] outside it, and on mesh nodes (ties: on walls, on the old surface).
     """
     body, is_curved = SHAPES[shape]
     case = fractured_world(body, 4, generations=2, curved=is_curved)
@@ -37,7 +38,7 @@ def _fragments(shape: str, beside: float, seed: int) -> tuple[Pools, Scratch, li
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_what_is_said_to_be_far_is(shape: str) -> None:
+def test_samples_proven_far_are_far(shape: str) -> None:
     pools, scratch, fragments = _fragments(shape, 0.1, 5)
     far = said = 0
     for f, points in fragments:
@@ -53,7 +54,7 @@ def test_what_is_said_to_be_far_is(shape: str) -> None:
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_what_is_said_to_be_inside_or_beyond_is(shape: str) -> None:
+def test_samples_proven_inside_or_beyond_are(shape: str) -> None:
     pools, scratch, fragments = _fragments(shape, 0.05, 7)
     told, counts = 0, np.zeros(2, int)
     for f, points in fragments:
@@ -69,7 +70,7 @@ def test_what_is_said_to_be_inside_or_beyond_is(shape: str) -> None:
     assert told > 1000 and counts.min() > 20
 
 
-def test_no_answer_is_better_than_one_about_a_point_that_is_not_known_well() -> None:
+def test_a_larger_rounding_error_never_gives_a_larger_clearance() -> None:
     case = fractured_world(SHAPES["ball"][0], 4)
     pools, f = case.geometry.pools, case.row(case.oracle.fragment_ids[0])
     scratch = make_scratch(len(pools.mesh.tetrahedra), 1)

@@ -39,7 +39,7 @@ def _points_within(case: FracturedWorld, count: int) -> np.ndarray:
     return np.einsum("nij,ni->nj", corners, random.dirichlet(np.ones(4), count))
 
 
-def test_every_point_has_the_oracles_owner(case: FracturedWorld) -> None:
+def test_owners_of_points_equal_the_oracles(case: FracturedWorld) -> None:
     points = _points_within(case, 400)
     owners = case.oracle.owner(points)
     scratch = make_scratch(len(case.oracle.tetrahedra), 8)
@@ -96,7 +96,7 @@ def test_sphere_test_is_conservative(case: FracturedWorld) -> None:
             assert np.all(np.array(may) | (true >= r))
 
 
-def test_masses_are_the_oracles_and_add_up(case: FracturedWorld) -> None:
+def test_masses_equal_the_oracles_and_add_up(case: FracturedWorld) -> None:
     registry = case.world.fragments()
     volume = tetrahedron_volumes(case.oracle.vertices, case.oracle.tetrahedra).sum()
     assert registry.masses.sum() == pytest.approx(DENSITY * volume, rel=1e-12)
@@ -110,7 +110,7 @@ def test_masses_are_the_oracles_and_add_up(case: FracturedWorld) -> None:
         assert np.allclose(own, inertia, atol=1e-9 * mass * radius**2)
 
 
-def test_surfaces_are_the_oracles(case: FracturedWorld) -> None:
+def test_surfaces_equal_the_oracles(case: FracturedWorld) -> None:
     """Area by kind, and every corner on the other's surface."""
     for fragment in case.oracle.fragment_ids[:4]:
         row = case.row(fragment)

@@ -30,7 +30,7 @@ BODIES = {
 
 @pytest.mark.parametrize("cracks", ["flat", "curved"])
 @pytest.mark.parametrize("shape", ["ball", "brick"])
-def test_contacts_are_the_slow_twins(shape: str, cracks: str) -> None:
+def test_contacts_equal_those_of_the_slow_twin(shape: str, cracks: str) -> None:
     geometry = ball(1.0, 0.45) if shape == "ball" else brick((2.0, 1.0, 0.8), 0.4)
     case = fractured_world(geometry, seeds=5, generations=2, curved=cracks == "curved")
     near = SETTINGS.detection_tolerance
@@ -77,7 +77,7 @@ def _is_sample_of(case, a: int, b: int, ids: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("cracks", ["flat", "curved"])
 @pytest.mark.parametrize("shape", BODIES)
-def test_few_point_away_from_the_crack(shape: str, cracks: str) -> None:
+def test_few_normals_point_away_from_the_crack(shape: str, cracks: str) -> None:
     broken = broken_body(BODIES[shape](), 16, cracks == "curved")
     worlds = [world_of(broken, SETTINGS._replace(normals=normals)) for normals in ("nearest", "facing")]
     frames = [jittered(broken, worlds[0], 0.01, 1.0, seed) for seed in range(4)]

@@ -90,7 +90,7 @@ def assert_equal(done: Compared) -> None:
 
 
 @pytest.mark.parametrize(("shape", "cracks"), [c for c in CASES if c[0] in COARSE_SHAPES])
-def test_exact_is_exact_at_a_sample_of_points(shape: str, cracks: str) -> None:
+def test_the_exact_field_is_exact_at_a_sample_of_points(shape: str, cracks: str) -> None:
     case = fractured_world(COARSE_SHAPES[shape](), seeds=3, generations=2, curved=cracks == "curved", seed=8)
     assert_equal(compare(case, 1700, seed=1))
 
@@ -98,7 +98,7 @@ def test_exact_is_exact_at_a_sample_of_points(shape: str, cracks: str) -> None:
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize(("shape", "cracks"), CASES)
-def test_exact_is_exact_at_a_million_points(shape: str, cracks: str) -> None:
+def test_the_exact_field_is_exact_at_a_million_points(shape: str, cracks: str) -> None:
     case = fractured_world(SHAPES[shape](), seeds=6, generations=CAMPAIGN_GENERATIONS, curved=cracks == "curved")
     points = CAMPAIGN_POINTS // (len(CASES) * CAMPAIGN_GENERATIONS)
     done = [compare(stage, points, seed=stage.generations) for stage in after_each_fracture(case)]

@@ -1,5 +1,8 @@
-"""Guarantees of a fragment's surface, also after its neighbours break: a sample within sampling_gap,
-nothing outside its box, no cell of its grid left out, and with flat cracks no sample inside a neighbour."""
+"""Guarantees of a fragment's surface, also after its neighbours break.
+
+A sample is within sampling_gap, nothing outside its box, no cell of its grid left out, and with flat cracks no sample
+inside a neighbour.
+"""
 
 from __future__ import annotations
 
@@ -68,7 +71,7 @@ def assert_kept(checks: list[FragmentCheck]) -> None:
     ("torus", "flat", 3), ("l_block", "flat", 3), ("ball", "flat", 0),
     ("ball", "curved", 0), ("brick", "curved", 2), ("torus", "curved", 5),
 ])  # fmt: skip
-def test_fragments_keep_their_promises_when_neighbours_break(shape: str, cracks: str, seed: int) -> None:
+def test_guarantees_of_surfaces_hold_when_neighbours_break(shape: str, cracks: str, seed: int) -> None:
     case = fractured_world(COARSEST[shape](), seeds=5, generations=2, curved=cracks == "curved", seed=seed)
     for stage in after_each_fracture(case):
         checks = check_fragments(stage, seed)
@@ -80,7 +83,7 @@ def test_fragments_keep_their_promises_when_neighbours_break(shape: str, cracks:
 @pytest.mark.slow
 @pytest.mark.timeout(1200)
 @pytest.mark.parametrize(("shape", "cracks"), [(s, c) for s in SHAPES for c in ("flat", "curved")])
-def test_fragments_keep_their_promises_through_five_generations(shape: str, cracks: str) -> None:
+def test_guarantees_of_surfaces_hold_through_five_generations(shape: str, cracks: str) -> None:
     case = fractured_world(SHAPES[shape](), seeds=6, generations=5, curved=cracks == "curved")
     stages = [check_fragments(stage, stage.generations) for stage in after_each_fracture(case)]
     checks = [check for stage in stages for check in stage]

@@ -38,16 +38,16 @@ def farthest_on_faces(half: np.ndarray) -> float:
         (1.0, 0.017, 0.9), (0.1, 0.031, 1.0),
     ],
 )  # fmt: skip
-def test_gap_of_a_box_is_that_of_brute_force(edges: tuple[float, float, float]) -> None:
+def test_sampling_gap_of_a_box_equals_brute_force(edges: tuple[float, float, float]) -> None:
     gap, found = published_gap(SolidPrimitive(BOX, edges)), farthest_on_faces(np.array(edges) / 2.0)
     assert found <= gap <= 1.03 * found
 
 
-def test_gap_of_a_beam() -> None:
+def test_sampling_gap_of_a_beam() -> None:
     """2 cm x 2 cm x 4 m, 64 pieces along: 1 cm to an edge, half of 6.25 cm along it."""
     assert published_gap(SolidPrimitive(BOX, (0.02, 0.02, 4.0))) == pytest.approx(np.hypot(0.01, 0.03125), rel=1e-12)
 
 
-def test_gap_of_a_sphere_is_nothing() -> None:
+def test_sampling_gap_of_a_sphere_is_zero() -> None:
     """A sphere's contacts are found anywhere on its surface: test_sphere_contacts.py compares points all over it."""
     assert published_gap(SolidPrimitive(SPHERE, (0.5,))) == 0.0

@@ -65,7 +65,7 @@ def _points(shape: RigidShape) -> np.ndarray:
     return np.vstack([spread, near + steps])
 
 
-def test_signed_distance_is_that_of_all_triangles(shape: RigidShape, geometry: CollisionGeometry) -> None:
+def test_signed_distance_equals_the_minimum_over_all_triangles(shape: RigidShape, geometry: CollisionGeometry) -> None:
     points = _points(shape)
     expected = true_distance(shape, points)
     assert (expected < 0).sum() > 50 and (expected > 0).sum() > 50
@@ -99,7 +99,7 @@ def test_direction_on_edges_and_corners_is_the_pseudonormal() -> None:
         assert np.allclose(rest[:3], expected / np.linalg.norm(expected), atol=1e-12)
 
 
-def test_probe_and_sphere_test_keep_their_word(shape: RigidShape, geometry: CollisionGeometry) -> None:
+def test_probe_and_sphere_test_agree_with_the_true_distance(shape: RigidShape, geometry: CollisionGeometry) -> None:
     points = _points(shape)[::3]
     expected = true_distance(shape, points)
     scratch = make_scratch(1, 8)
@@ -151,7 +151,7 @@ def _world_of(shape: RigidShape, *others: CollisionBody, settings: Settings = SE
 @pytest.mark.parametrize(
     "body", [ball(1.0, 0.3), shell(1.0, 0.6, 0.4), bowl(2.0, 0.2, 0.4, 0.6), brick((2.0, 1.0, 0.8), 0.4)]
 )
-def test_masses_are_those_of_the_same_body_in_tetrahedra(body) -> None:
+def test_masses_equal_those_of_the_same_body_in_tetrahedra(body) -> None:
     surface = boundary_of(body)
     moved = RigidShape(surface.vertices + [0.3, -2.0, 1.0], surface.triangles)
     whole = CollisionWorld(SETTINGS)
@@ -175,7 +175,7 @@ def test_mass_of_a_block_in_closed_form() -> None:
     assert registry.centers_of_mass[0] == pytest.approx(x, rel=1e-13)
 
 
-def test_masses_are_trimeshs(shape: RigidShape) -> None:
+def test_masses_equal_those_of_trimesh(shape: RigidShape) -> None:
     trimesh = pytest.importorskip("trimesh")
     theirs = trimesh.Trimesh(shape.vertices, shape.triangles, process=False)
     theirs.density = 900.0
@@ -186,7 +186,7 @@ def test_masses_are_trimeshs(shape: RigidShape) -> None:
     assert np.allclose([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]], theirs.moment_inertia, atol=1e-9)
 
 
-def test_a_sphere_touches_where_brute_force_says(shape: RigidShape) -> None:
+def test_sphere_contacts_equal_brute_force(shape: RigidShape) -> None:
     """The deepest contact whose own point is on the sphere; test_sphere_contacts.py has the others."""
     world = _world_of(shape, CollisionBody(2, 2, primitive=SolidPrimitive(SPHERE, (0.2,))))
     random = np.random.default_rng(6)
@@ -293,7 +293,7 @@ def test_same_bytes_for_any_number_of_threads() -> None:
     assert len({b"".join(np.asarray(field).tobytes() for field in answer) for answer in answers}) == 1
 
 
-def test_viewers_get_the_triangles_as_they_came(shape: RigidShape) -> None:
+def test_viewers_get_the_triangles_unchanged(shape: RigidShape) -> None:
     mesh = _world_of(shape).fragment_mesh(1)
     corners = mesh.vertices.reshape(-1, 3)[mesh.triangles.reshape(-1, 3)].reshape(-1, 9)
     assert np.array_equal(

@@ -86,7 +86,7 @@ def test_a_thousand_bodies_are_valid_after_every_event(
         ("if and only if its ends differ", "edge_plane", lambda a: a.fill(-1)),
     ],
 )
-def test_the_validator_sees_a_spoilt_body(words: str, field: str, spoil) -> None:
+def test_the_validator_rejects_a_corrupted_body(words: str, field: str, spoil) -> None:
     world = _validated(MESHES["ball"], 1, 4, None, 1)
     geometry = world._registry.geometry
     rows = [world._registry.row_of(f) for f in world.fragments().fragment_ids.tolist()]

@@ -47,7 +47,7 @@ def _check(points: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize("name", CLOUDS)
-def test_thousands_of_points_come_in_the_order_of_the_definition(name: str) -> None:
+def test_the_order_of_thousands_of_points_follows_the_definition(name: str) -> None:
     _check(CLOUDS[name]())
 
 
@@ -65,7 +65,7 @@ def test_points_of_any_scale(points: list) -> None:
 
 @settings(max_examples=100, deadline=None)
 @given(st.integers(2, 400), st.integers(0, 10_000), st.booleans())
-def test_the_papers_words(count: int, seed: int, on_lattice: bool) -> None:
+def test_ranks_and_parents_follow_the_paper(count: int, seed: int, on_lattice: bool) -> None:
     """Levels by rank; a parent is the nearest of the level above; the furthest two come first."""
     points = np.random.default_rng(seed).uniform(-1, 1, (count, 3))
     if on_lattice:
@@ -80,7 +80,7 @@ def test_the_papers_words(count: int, seed: int, on_lattice: bool) -> None:
         assert nearest[ranks.parent[rank]] == nearest.min()
 
 
-def test_no_points_have_no_order() -> None:
+def test_the_order_of_no_points_is_empty() -> None:
     assert [len(column) for column in max_distance_order(np.zeros((0, 3)))] == [0, 0, 0]
 
 

@@ -25,7 +25,7 @@ def test_a_built_tree_is_a_sphere_tree(count: int, seed: int) -> None:
     validate_sphere_tree(tree, np.arange(count))
 
 
-def test_the_validator_sees_a_broken_tree() -> None:
+def test_the_validator_rejects_a_broken_tree() -> None:
     points = np.random.default_rng(0).uniform(-1, 1, (50, 3))
     tree = build_sphere_tree(points, np.ones(50, np.uint8))
     short = tree.radius.copy()
@@ -71,7 +71,7 @@ def test_trees_are_sphere_trees_after_each_of_five_fractures(body, curved: bool,
             assert tree.on_surface[~is_node].all()
 
 
-def test_more_fragments_than_one_mask_holds() -> None:
+def test_trees_of_more_fragments_than_one_mask_holds_are_valid() -> None:
     case = fractured_world(ball(1.0, 0.16), seeds=120, generations=1)
     assert len(case.oracle.fragment_ids) > 64
     for fragment in case.oracle.fragment_ids:

@@ -76,7 +76,7 @@ class Fracture:
 
 @settings(max_examples=150, deadline=None)
 @given(st.integers(1, 60), st.integers(1, 6), st.integers(0, 10**6), st.booleans(), st.booleans())
-def test_three_fractures_of_random_points_are_the_twins(
+def test_three_fractures_of_random_points_equal_the_slow_twin(
     count: int, pieces: int, seed: int, lattice: bool, ordered: bool
 ) -> None:
     random = np.random.default_rng(seed)

@@ -58,7 +58,7 @@ def test_seeds_are_among_all_contacts(case: FracturedWorld, jitter: float) -> No
     assert sum(len(own) >= wanted for own in seeded.values()) > 5 and visits < all_visits
 
 
-def test_in_place_nothing_is_searched(case: FracturedWorld) -> None:
+def test_pairs_in_place_are_answered_by_their_seeds(case: FracturedWorld) -> None:
     """A pair that shares a crack costs eight visits, regardless of the crack's size."""
     world, states = with_settings(case, SEEDED), case.states(0.0)
     pairs = [pair for pair in contacts_by_pair(world.contacts(states)) if len(_seeds_of(world, pair)) >= 8]
@@ -74,7 +74,7 @@ def test_in_place_nothing_is_searched(case: FracturedWorld) -> None:
         assert np.abs(answer.gaps).max() < 1e-12 and answer.missed_depth_bound[0] < 1e-11
 
 
-def test_contacts_are_spread(case: FracturedWorld) -> None:
+def test_contacts_of_seeds_are_spread_over_the_crack(case: FracturedWorld) -> None:
     """Farthest first: every seed of a pair is as near to one of its eight contacts as those are to each other."""
     world = with_settings(case, SEEDED)
     answer = world.contacts(case.states(0.0))
@@ -106,7 +106,7 @@ def _seeds_of(world: CollisionWorld, pair: tuple[int, int]) -> np.ndarray:
 
 
 @pytest.mark.parametrize("budget", [1, 3, 20])
-def test_a_budget_counts_seeds_too(case: FracturedWorld, budget: int) -> None:
+def test_seeds_count_towards_the_visit_budget(case: FracturedWorld, budget: int) -> None:
     """A budget too small for the seeds still yields contacts, and the bound covers the unlisted ones."""
     states = case.states(0.004)
     everything = with_settings(case, EVERYTHING._replace(**NEAREST)).contacts(states)

@@ -44,7 +44,7 @@ def pair(request, monkeypatch) -> tuple[FracturedWorld, FracturedWorld]:
     return quick, quick._replace(world=world)
 
 
-def test_one_plane_parts_as_a_fan_does(pair) -> None:
+def test_cuts_by_one_plane_equal_cuts_about_a_hub(pair) -> None:
     quick, general = pair
     rows = [quick.row(f) for f in quick.oracle.fragment_ids]
     assert rows == [general.row(f) for f in quick.oracle.fragment_ids]

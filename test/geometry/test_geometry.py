@@ -82,7 +82,7 @@ def test_no_slivers(name: str) -> None:
 
 
 @every_shape
-def test_same_arguments_same_bytes(name: str) -> None:
+def test_equal_arguments_give_equal_bytes(name: str) -> None:
     first, second = SHAPES[name](0.2), SHAPES[name](0.2)
     assert first.vertices.tobytes() == second.vertices.tobytes()
     assert first.tetrahedra.tobytes() == second.tetrahedra.tobytes()
@@ -137,7 +137,7 @@ def test_boundary_vertices_lie_on_the_round_surfaces() -> None:
     assert cup.vertices[:, 2].min() == pytest.approx(-0.06)
 
 
-def test_torus_and_l_block_have_their_measures() -> None:
+def test_torus_and_l_block_have_their_dimensions() -> None:
     ring = torus(0.1, 0.04, 0.02)
     to_the_circle = np.linalg.norm(ring.vertices[:, :2], axis=1) - 0.1
     tube = np.hypot(to_the_circle, ring.vertices[:, 2])
@@ -150,7 +150,7 @@ def test_torus_and_l_block_have_their_measures() -> None:
     assert np.count_nonzero(corner) == 3  # the notch's inner edge, one node a layer
 
 
-def test_the_stored_bunny() -> None:
+def test_the_stored_bunny_is_valid() -> None:
     mesh = bunny(0.2)
     assert_valid(mesh)
     assert euler_characteristic(boundary_triangles(mesh.tetrahedra)) == 2
@@ -188,7 +188,7 @@ def test_there_are_nodes_inside(mesh: TetGeometry) -> None:
         ("longest_side: 0.0", lambda: bunny(0.0)),
     ],
 )
-def test_nonsense_is_refused_in_words(words: str, make) -> None:
+def test_invalid_arguments_are_rejected_with_an_explanation(words: str, make) -> None:
     with pytest.raises(ValueError, match=words):
         make()
 
@@ -242,7 +242,7 @@ def test_any_closed_surface_through_the_mesher(tmp_path: Path, monkeypatch: pyte
     assert np.hypot(to_the_ring, mesh.vertices[:, 2]).max() < 0.04 + 1e-3 * np.linalg.norm([0.28, 0.28, 0.08])
 
 
-def test_surfaces_that_bound_nothing_are_refused() -> None:
+def test_surfaces_without_volume_are_rejected() -> None:
     vertices, triangles = torus_surface()
     with pytest.raises(ValueError, match="holes .* 3 edges lack"):
         tetrahedralize_surface(vertices, triangles[1:], 0.03)
@@ -267,7 +267,7 @@ def test_a_missing_mesher_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @settings(deadline=None)  # the first compiles
 @given(arrays(np.float32, st.tuples(st.integers(0, 40), st.integers(1, 4)), elements=st.sampled_from([-1, -0.0, 0, 3])))
-def test_unique_rows_are_those_of_numpy(rows: np.ndarray) -> None:
+def test_unique_rows_equal_those_of_numpy(rows: np.ndarray) -> None:
     chosen, kind = unique_rows(rows)
     expected, inverse = np.unique(rows + 0.0, axis=0, return_inverse=True)  # + 0.0: one zero
     assert np.array_equal(np.sort(chosen), chosen) and len(chosen) == len(expected)

@@ -37,14 +37,14 @@ def enclosed(triangles: np.ndarray) -> float:
     return float(np.einsum("ij,ij->", np.cross(a, b), c)) / 6.0
 
 
-def test_it_is_as_long_as_asked_and_of_a_size_to_simulate(pig):
+def test_a_piggy_bank_has_its_length_and_a_moderate_mesh(pig):
     assert 2000 <= len(pig.vertices) <= 5000
     assert np.ptp(pig.vertices[:, 0]) == pytest.approx(LENGTH, rel=0.03)
     used = np.unique(pig.tetrahedra)
     assert len(used) == len(pig.vertices)
 
 
-def test_hollow_and_closed(pig):
+def test_a_piggy_bank_is_hollow_and_closed(pig):
     outside, inside = surfaces(pig)
     assert enclosed(outside) > 0.0 > enclosed(inside)
     volume = tetrahedron_volumes(*pig)
@@ -57,7 +57,7 @@ def test_hollow_and_closed(pig):
     assert len(unique_edges(pig.tetrahedra)) > 0
 
 
-def test_it_stands_on_four_legs_and_is_alike_left_and_right(pig):
+def test_a_piggy_bank_stands_on_four_legs_and_is_symmetric(pig):
     (outside, _) = surfaces(pig)
     points = outside.reshape(-1, 3)
     low = points[points[:, 2] < points[:, 2].min() + 0.004]
@@ -69,7 +69,7 @@ def test_it_stands_on_four_legs_and_is_alike_left_and_right(pig):
     assert np.ptp(points[:, 1]) == pytest.approx(2.0 * points[:, 1].max(), rel=0.02)
 
 
-def test_the_wall_is_as_thick_as_asked_where_no_bump_is(pig):
+def test_the_wall_has_its_thickness_away_from_bumps(pig):
     layers = pig.vertices.reshape(3, -1, 3)
     thickness = np.linalg.norm(layers[2] - layers[0], axis=1)
     assert thickness.min() == pytest.approx(WALL, rel=0.1)

@@ -21,7 +21,7 @@ from fracture_collision.geometry.tetrahedra import (
     ],
     ids=["ball 4000", "ball 435", "shell"],
 )
-def test_sampled_bodies_are_whole_and_closed(mesh, triangles, surface_volume):
+def test_sampled_bodies_are_connected_and_closed(mesh, triangles, surface_volume):
     boundary = boundary_triangles(mesh.tetrahedra)
     assert len(boundary) == triangles
     volumes = tetrahedron_volumes(mesh.vertices, mesh.tetrahedra)
@@ -34,19 +34,19 @@ def test_sampled_bodies_are_whole_and_closed(mesh, triangles, surface_volume):
     assert connected_pieces(edges, np.zeros(len(mesh.vertices), dtype=np.int32)).max() == 0
 
 
-def test_interior_points_are_as_many_as_asked_for():
+def test_the_number_of_interior_points_is_as_requested():
     for wanted in (435, 4000):
         inside = np.linalg.norm(sampled_ball(2.0, 11, wanted).vertices, axis=1) < 2.0 - 1e-9
         assert abs(inside.sum() - wanted) <= 0.03 * wanted
 
 
-def test_same_arguments_same_bytes():
+def test_equal_arguments_give_equal_bytes():
     first, again = sampled_ball(1.0, 4, 100), sampled_ball(1.0, 4, 100)
     assert first.vertices.tobytes() == again.vertices.tobytes()
     assert first.tetrahedra.tobytes() == again.tetrahedra.tobytes()
 
 
-def test_nonsense_is_refused_in_words():
+def test_invalid_arguments_are_rejected_with_an_explanation():
     with pytest.raises(ValueError, match="inner_radius"):
         sampled_shell(1.0, 1.0, 4, 4, 10)
     with pytest.raises(ValueError, match="radius"):

@@ -19,7 +19,7 @@ def stored(mesh: trimesh.Trimesh, file: Path) -> Path:
 
 
 @pytest.mark.parametrize("suffix", ["obj", "stl", "ply", "off"])
-def test_a_closed_surface_of_every_format(tmp_path: Path, suffix: str) -> None:
+def test_closed_surfaces_of_every_format_are_read(tmp_path: Path, suffix: str) -> None:
     ring = trimesh.creation.torus(0.5, 0.2)
     vertices, triangles = read_surface(stored(ring, tmp_path / f"ring.{suffix}"), 0.3)
     assert np.ptp(vertices, axis=0).max() == pytest.approx(0.3)
@@ -29,7 +29,7 @@ def test_a_closed_surface_of_every_format(tmp_path: Path, suffix: str) -> None:
     assert mesh.volume == pytest.approx(ring.volume * (0.3 / ring.extents.max()) ** 3, rel=1e-4)
 
 
-def test_a_hollow_body_is_one(tmp_path: Path) -> None:
+def test_a_hollow_body_is_read(tmp_path: Path) -> None:
     inside = trimesh.creation.icosphere(subdivisions=1, radius=0.2)
     inside.invert()
     hollow = trimesh.util.concatenate(BOX, inside)
@@ -82,7 +82,7 @@ def cut_through() -> trimesh.Trimesh:
         (cut_through, r"the surface intersects itself, first near \("),
     ],
 )
-def test_what_bounds_no_solid_is_refused(tmp_path: Path, make, words: str) -> None:
+def test_surfaces_that_bound_no_solid_are_rejected(tmp_path: Path, make, words: str) -> None:
     with pytest.raises(ValueError, match=r"bad\.ply: " + words):
         read_surface(stored(make(), tmp_path / "bad.ply"), 1.0)
 
@@ -97,7 +97,7 @@ def test_what_bounds_no_solid_is_refused(tmp_path: Path, make, words: str) -> No
         (None, "", "no such file"),
     ],
 )
-def test_what_is_no_surface_is_refused(tmp_path: Path, name: str | None, content: str, words: str) -> None:
+def test_files_without_a_surface_are_rejected(tmp_path: Path, name: str | None, content: str, words: str) -> None:
     file = tmp_path / (name or "missing.obj")
     if name:
         file.write_text(content)

@@ -13,7 +13,7 @@ HEIGHT, WALL, EDGE = 0.3, 0.008, 0.015
 
 
 @pytest.mark.parametrize("arguments", [(HEIGHT, WALL, EDGE), (1.0, 0.05, 0.1, 1), (0.1, 0.001, 0.004, 3)])
-def test_it_is_a_closed_solid_of_sound_tetrahedra(arguments):
+def test_a_vase_is_a_closed_solid_of_valid_tetrahedra(arguments):
     mesh = vase(*arguments)
     assert tetrahedron_volumes(mesh.vertices, mesh.tetrahedra).min() > 0.0
     face_neighbours(mesh.tetrahedra)  # raises where faces do not match
@@ -23,7 +23,7 @@ def test_it_is_a_closed_solid_of_sound_tetrahedra(arguments):
     assert len(np.unique(surface)) - len(edges) + len(surface) == 2, "a cup has no handle"
 
 
-def test_it_stands_and_is_as_large_as_asked_for():
+def test_a_vase_stands_and_has_its_size():
     points = vase(HEIGHT, WALL, EDGE).vertices
     low, high = points.min(axis=0), points.max(axis=0)
     assert low[2] == pytest.approx(0.0, abs=1e-12) and high[2] == pytest.approx(HEIGHT, rel=0.01)
@@ -33,7 +33,7 @@ def test_it_stands_and_is_as_large_as_asked_for():
     assert high[0] - low[0] == pytest.approx(widest, rel=0.02)
 
 
-def test_its_volume_is_that_of_a_thin_wall():
+def test_the_volume_of_a_vase_is_that_of_a_thin_wall():
     """Pappus: the wall's middle line turned about the axis, times the wall. The polygon of 36 corners lacks 0.5 %."""
     mesh = vase(HEIGHT, WALL, EDGE)
     r, z = (PROFILE * (HEIGHT - WALL)).T
@@ -42,7 +42,7 @@ def test_its_volume_is_that_of_a_thin_wall():
     assert volume == pytest.approx(area * WALL, rel=0.02)
 
 
-def test_it_is_the_same_again():
+def test_equal_arguments_give_equal_bytes():
     one, other = vase(HEIGHT, WALL, EDGE), vase(HEIGHT, WALL, EDGE)
     assert one.vertices.tobytes() == other.vertices.tobytes()
     assert one.tetrahedra.tobytes() == other.tetrahedra.tobytes()
@@ -57,6 +57,6 @@ def test_it_is_the_same_again():
         ((HEIGHT, WALL, 1e-5), "edge_length: gives"),
     ],
 )
-def test_nonsense_is_refused_in_words(arguments, words):
+def test_invalid_arguments_are_rejected_with_an_explanation(arguments, words):
     with pytest.raises(ValueError, match=words):
         vase(*arguments)

@@ -126,7 +126,7 @@ def malformed(topic: str) -> Iterator[bytes]:
 TOPICS_READ_AS_BYTES = ("bodies", "fracture_events", "fragment_states")
 
 
-def test_a_node_survives_spoilt_bytes_and_counts_them(tmp_path: Path) -> None:
+def test_a_node_survives_corrupted_bytes_and_counts_them(tmp_path: Path) -> None:
     domain_id = free_domain_id()
     node, client = NodeProcess("collision_node", LIMITS, domain_id, tmp_path / "node.log"), ServiceClient(domain_id)
     try:

@@ -61,13 +61,13 @@ def test_a_command_ends_without_a_traceback(words: tuple[str | Path, ...], at: s
     assert [each.name for each in tmp_path.iterdir()] == ["site"], "nothing was begun"
 
 
-def test_sigterm_is_answered_likewise(tmp_path: Path) -> None:
+def test_sigterm_ends_a_command_without_a_traceback(tmp_path: Path) -> None:
     done = run_interrupted(tmp_path, "rclpy", signal.SIGTERM, "fracture_collision.cli", "smash")
     assert done.returncode == 130 and "Traceback" not in done.stderr
 
 
 @pytest.mark.parametrize("node", NODES)
-def test_a_node_ends_as_it_does_later(node: str, tmp_path: Path) -> None:
+def test_a_node_interrupted_during_imports_ends_without_a_traceback(node: str, tmp_path: Path) -> None:
     done = run_interrupted(tmp_path, "rclpy", signal.SIGINT, "fracture_collision.ros.start", node)
     assert done.returncode == 0 and "Traceback" not in done.stderr, done.stderr
 
@@ -82,7 +82,7 @@ def test_a_node_has_help_and_does_not_start(node: str, tmp_path: Path) -> None:
         assert f"usage: {node} " in done.stdout and "Parameters: " in done.stdout and "--ros-args" in done.stdout
 
 
-def test_no_such_node() -> None:
+def test_an_unknown_node_is_rejected() -> None:
     done = subprocess.run(
         [sys.executable, "-m", "fracture_collision.ros.start", "node"], capture_output=True, text=True, timeout=60.0
     )

@@ -103,7 +103,7 @@ def default_environment(monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
     return loopback_environment(free_domain_id())
 
 
-def test_the_project_starts_its_nodes_on_localhost_unless_told_otherwise(
+def test_nodes_are_restricted_to_localhost_by_default(
     default_environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert default_environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
@@ -111,19 +111,21 @@ def test_the_project_starts_its_nodes_on_localhost_unless_told_otherwise(
     assert loopback_environment(7)["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SUBNET"
 
 
-def test_another_machine_does_not_find_it(machines: Machines, default_environment: dict[str, str]) -> None:
+def test_another_machine_does_not_discover_the_service(machines: Machines, default_environment: dict[str, str]) -> None:
     assert not seen_from_elsewhere(machines, default_environment)
 
 
-def test_nor_by_its_address(machines: Machines, default_environment: dict[str, str]) -> None:
+def test_another_machine_does_not_discover_the_service_by_address(
+    machines: Machines, default_environment: dict[str, str]
+) -> None:
     assert not seen_from_elsewhere(machines, default_environment, ROS_STATIC_PEERS=HERE)
 
 
-def test_this_machine_finds_it(machines: Machines, default_environment: dict[str, str]) -> None:
+def test_the_same_machine_discovers_the_service(machines: Machines, default_environment: dict[str, str]) -> None:
     assert seen_from_elsewhere(machines, default_environment, where=machines.here)
 
 
-def test_another_machine_finds_one_that_speaks_on_the_network(
+def test_another_machine_discovers_a_service_on_the_network(
     machines: Machines, default_environment: dict[str, str]
 ) -> None:
     """The control: without it the tests above would prove nothing."""
@@ -131,7 +133,7 @@ def test_another_machine_finds_one_that_speaks_on_the_network(
     assert seen_from_elsewhere(machines, open_to_all)
 
 
-def test_and_by_its_address_one_that_is_only_not_announced(
+def test_the_discovery_range_alone_does_not_hide_the_service_from_its_address(
     machines: Machines, default_environment: dict[str, str], tmp_path: Path
 ) -> None:
     """Why the discovery range alone is not enough."""

@@ -60,7 +60,7 @@ def said(program: subprocess.Popen[str]) -> str:
 
 
 @pytest.mark.slow
-def test_a_writer_outlives_its_readers() -> None:
+def test_a_writer_still_delivers_after_its_readers_were_killed() -> None:
     """Each is killed some milliseconds after receiving all latched messages, under continuous traffic."""
     domain = str(free_domain_id())
 

@@ -34,21 +34,21 @@ def reference(tmp_path_factory: pytest.TempPathFactory) -> Digests:
     return found
 
 
-def test_a_killed_service_comes_back_and_nothing_is_different(tmp_path: Path, reference: Digests) -> None:
+def test_a_restarted_service_gives_the_same_run(tmp_path: Path, reference: Digests) -> None:
     before = litter()
     returns, different, lost = kill_services(tmp_path, SCENE, 2, 3, reference, no_progress, SOON)
     assert len(returns) == 2 and different == 0 and lost <= 2
     await_no_litter(before)
 
 
-def test_the_comparison_can_fail(tmp_path: Path, reference: Digests) -> None:
+def test_the_comparison_of_runs_can_fail(tmp_path: Path, reference: Digests) -> None:
     other = reference._replace(registry="0" * 64)
     found = kill_services(tmp_path, SCENE, 1, 1, other, no_progress, SOON)
     runs = list(tmp_path.glob("run_*"))  # several if a run ended before its service was killed
     assert len(found.returns) == 1 and found.different == len(runs)
 
 
-def test_one_answer_that_is_another_is_a_difference_and_one_that_is_lost_is_counted(reference: Digests) -> None:
+def test_different_answers_are_reported_and_lost_ones_counted(reference: Digests) -> None:
     assert not reference.differs(reference) and reference.lost(reference) == 0
     step = min(reference.answers)
     assert reference._replace(answers=reference.answers | {step: "0" * 64}).differs(reference, may_lack=1)
@@ -57,15 +57,15 @@ def test_one_answer_that_is_another_is_a_difference_and_one_that_is_lost_is_coun
     assert lacking.differs(reference) and not lacking.differs(reference, may_lack=1)
 
 
-def test_a_killed_simulator_leaves_the_service_fit_for_the_next(tmp_path: Path, reference: Digests) -> None:
+def test_a_service_follows_the_next_simulator_after_a_kill(tmp_path: Path, reference: Digests) -> None:
     assert kill_simulators(tmp_path, SCENE, 1, 3, reference, no_progress) == 0
 
 
-def test_a_killed_listener_is_not_missed(tmp_path: Path, reference: Digests) -> None:
+def test_a_killed_listener_does_not_change_the_run(tmp_path: Path, reference: Digests) -> None:
     assert kill_listeners(tmp_path, SCENE, 1, 3, reference, no_progress) == 0
 
 
-def test_service_and_recorder_come_back_from_the_worst_moments(tmp_path: Path) -> None:
+def test_service_and_recorder_restart_after_kills_at_the_worst_moments(tmp_path: Path) -> None:
     mixed = kill_mixed(tmp_path, LONG_SCENE, 6, 2, no_progress)
     assert mixed.kills >= 6 and mixed.returns
     assert mixed.deaf == [] and mixed.faults == []
@@ -77,14 +77,14 @@ def test_nodes_end_by_signals_in_any_order(tmp_path: Path) -> None:
     assert list(orders_of_ending(tmp_path, SCENE, no_progress)) == []
 
 
-def test_the_simulator_says_that_it_waits_and_that_it_goes_on(tmp_path: Path, reference: Digests) -> None:
+def test_the_simulator_logs_that_it_waits_and_that_it_continues(tmp_path: Path, reference: Digests) -> None:
     kill_services(tmp_path, SCENE, 1, 5, reference, no_progress, SOON)
     (log,) = (tmp_path / "run_0").glob("simulator_node_*.log")
     words = log.read_text()
     assert "asking again" in words and "going on" in words
 
 
-def test_a_killed_node_leaves_nothing(tmp_path: Path) -> None:
+def test_a_killed_node_leaves_no_files(tmp_path: Path) -> None:
     before = litter()
     with stage(tmp_path) as nodes:
         listener = nodes.start("recorder_node", folder=str(tmp_path / "bag"))
@@ -95,13 +95,13 @@ def test_a_killed_node_leaves_nothing(tmp_path: Path) -> None:
     await_no_litter(before)
 
 
-def test_a_soak_measures_what_it_says(tmp_path: Path) -> None:
+def test_a_soak_measures_memory_and_processor_time(tmp_path: Path) -> None:
     (first,) = soak(tmp_path, SCENE, 2, 0.1, True, no_progress)
     assert first.runs == 2 and first.age > 0.1
     assert first.resident > 50.0 and 0.0 < first.processor < 60.0
 
 
-def test_a_soak_in_the_background_ends_by_ctrl_c(tmp_path: Path) -> None:
+def test_a_soak_in_the_background_ends_on_sigint(tmp_path: Path) -> None:
     """A shell starts background jobs with SIGINT ignored."""
     before = litter().processes
     command = [sys.executable, "-m", "campaigns.soak", "--scene", SCENE, "--seeds", "1", "--out", str(tmp_path)]
@@ -121,7 +121,7 @@ def _ignore_ctrl_c() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def test_growth_of_memory_and_time_is_found() -> None:
+def test_growth_of_memory_and_time_is_reported() -> None:
     steady = [Cycle(100.0 * k, k, 200.0, 3.0) for k in range(1, 30)]
     assert growth(steady) == (0.0, 0.0)
     leaking = [cycle._replace(resident=200.0 + 0.01 * cycle.age) for cycle in steady]

@@ -1,5 +1,7 @@
-"""The launch file without ROS's launch, which is not available as a wheel: it is executed against stand-ins of the
-documented interface, and the resulting commands are run. Whether launch itself accepts it is not tested here.
+"""The launch file without ROS's launch, which is not available as a wheel.
+
+It is executed against stand-ins of the documented interface, and the resulting commands are run. Whether launch itself
+accepts it is not tested here.
 """
 
 from __future__ import annotations
@@ -46,7 +48,7 @@ def test_arguments_reach_the_nodes(describe) -> None:
     assert given == {"/**": {"ros__parameters": {"scene": "wall", "seed": 7}}}
 
 
-def test_who_may_find_the_nodes(describe) -> None:
+def test_the_discovery_range_is_an_argument(describe) -> None:
     for arguments, expected in (({}, "SUBNET"), ({"discovery_range": "LOCALHOST"}, "LOCALHOST")):
         nodes = describe({RANGE: "SUBNET"}, **arguments)
         assert [node.environment[RANGE] for node in nodes] == [expected] * 2
@@ -54,7 +56,7 @@ def test_who_may_find_the_nodes(describe) -> None:
         describe({}, discovery_range="EVERYWHERE")
 
 
-def test_what_it_starts_runs_a_scene(describe, tmp_path: Path) -> None:
+def test_the_launch_file_runs_a_scene(describe, tmp_path: Path) -> None:
     environment = os.environ | {"ROS_DOMAIN_ID": str(free_domain_id())}
     environment.pop(RANGE, None)
     service, simulator = describe(environment, scene="pane", namespace="cell")

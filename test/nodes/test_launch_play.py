@@ -47,7 +47,7 @@ def test_arguments_reach_the_nodes(describe) -> None:
     assert parameters(page) == {"scene": "wall", "host": "127.0.0.1", "port": 8123, "folder": "out/play"}
 
 
-def test_what_it_starts_serves_a_page(describe, tmp_path: Path) -> None:
+def test_the_launch_file_serves_a_page(describe, tmp_path: Path) -> None:
     environment = os.environ | {"ROS_DOMAIN_ID": str(free_domain_id())}
     environment.pop("ROS_AUTOMATIC_DISCOVERY_RANGE", None)
     processes, logs = [], {name: tmp_path / f"{name}.log" for name in NAMES}

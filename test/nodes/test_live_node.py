@@ -113,7 +113,7 @@ def test_pause_step_and_slow_motion(player: Player) -> None:
     assert not player.answer(player.hands.set_parameters(rate=0.0)).results[0].successful
 
 
-def test_a_run_that_begins_in_a_pause_makes_its_first_step(player: Player) -> None:
+def test_a_run_that_begins_paused_makes_its_first_step(player: Player) -> None:
     assert player.answer(player.hands.pause(True)).success
     before = player.status.run_id
     assert player.answer(player.hands.reset()).success
@@ -123,7 +123,7 @@ def test_a_run_that_begins_in_a_pause_makes_its_first_step(player: Player) -> No
     assert player.status.step == 1 and player.status.paused and player.status.fragments == 4
 
 
-def test_a_hand_lifts_a_plate_and_lets_go(player: Player) -> None:
+def test_a_hand_lifts_and_releases_a_plate(player: Player) -> None:
     plate = 5  # after ground, shelf, rack and wall
     begin = player.place(plate)
     player.hands.drag(player.status.run_id, plate, [0.0, 0.0, 0.0], PLATE + [0.0, -0.3, 0.2])
@@ -132,7 +132,7 @@ def test_a_hand_lifts_a_plate_and_lets_go(player: Player) -> None:
     player.until(lambda: plate not in player.newest_ids() or player.place(plate)[2] < begin[2], "a plate that fell")
 
 
-def test_a_hammer_comes_goes_and_stops(player: Player) -> None:
+def test_a_hammer_is_added_driven_and_stopped(player: Player) -> None:
     known = player.newest_ids()
     player.hands.steer([0.0, 1.0, 0.0])
     player.until(lambda: bool(player.newest_ids() - known), "a hammer")
@@ -146,7 +146,7 @@ def test_a_hammer_comes_goes_and_stops(player: Player) -> None:
     assert np.linalg.norm(player.place(hammer) - there) < 1e-3 and abs(there[2] - begin[2]) < 0.01
 
 
-def test_another_scene_and_nonsense(player: Player) -> None:
+def test_another_scene_is_loaded_and_invalid_commands_rejected(player: Player) -> None:
     here, still = [0.0, -1.0, 1.0], [0.0, 0.0, 0.0]
     for act, words in (
         (lambda: player.hands.throw([0.0, 0.0, np.nan], still), "throw_ball: position: "),
@@ -164,7 +164,7 @@ def test_another_scene_and_nonsense(player: Player) -> None:
     assert player.status.scene == "pane" and not player.status.refused
 
 
-def test_scenes_come_by_name_and_files_tell_nothing(stage: StageWithClients, tmp_path: Path) -> None:
+def test_scenes_are_loaded_by_name_and_errors_reveal_no_file_content(stage: StageWithClients, tmp_path: Path) -> None:
     own, secret = tmp_path / "my_pane.yaml", tmp_path / "passwords"
     own.write_text((share_directory() / "config" / "scenes" / "pane.yaml").read_text())
     secret.write_text("hunter2\n")
@@ -196,7 +196,7 @@ def test_scenes_come_by_name_and_files_tell_nothing(stage: StageWithClients, tmp
     assert "hunter2" in simulator.log_text()
 
 
-def test_an_arm_goes_where_its_joints_are_commanded_and_breaks_a_vase(player: Player) -> None:
+def test_an_arm_follows_joint_commands_and_breaks_a_vase(player: Player) -> None:
     player.hands.command_joints([0.0] * 7)
     player.until(lambda: player.status.refused == "joint_commands: the scene has no arm", "words")
     player.joints.clear()

@@ -11,7 +11,7 @@ from fracture_collision.ros.processes.node_process import NodeProcess, free_doma
 
 
 @pytest.mark.parametrize("niceness", [0, 5])
-def test_a_node_lets_others_come_first(tmp_path: Path, niceness: int) -> None:
+def test_a_node_has_the_given_niceness(tmp_path: Path, niceness: int) -> None:
     own = os.getpriority(os.PRIO_PROCESS, 0)
     node = NodeProcess("recorder_node", {"folder": str(tmp_path / "bag")}, free_domain_id(), tmp_path / "log",
                        niceness=niceness)  # fmt: skip

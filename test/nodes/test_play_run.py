@@ -33,14 +33,14 @@ def contents(out: Path) -> dict[str, str]:
     return {str(file.relative_to(out)): file.read_text() for file in out.rglob("*") if file.is_file()}
 
 
-def test_a_scene_that_is_not_there_is_told_before_anything_starts(out: Path) -> None:
+def test_a_missing_scene_is_reported_before_nodes_start(out: Path) -> None:
     before = contents(out)
     done = CliRunner().invoke(main, ["play", "--scene", "no_such_scene", "--no-open", "--out", str(out)])
     assert done.exit_code == 1 and "no scene 'no_such_scene'" in done.output
     assert contents(out) == before
 
 
-def test_nodes_that_do_not_come_leave_the_earlier_logs(out: Path) -> None:
+def test_nodes_that_do_not_start_keep_the_earlier_logs(out: Path) -> None:
     before = contents(out)
     nobodys = "192.0.2.1"  # RFC 5737
     words = rf"(?s)page_node ended with status 1.*cannot be served at {nobodys}"
@@ -49,7 +49,7 @@ def test_nodes_that_do_not_come_leave_the_earlier_logs(out: Path) -> None:
     assert contents(out) == before
 
 
-def test_a_page_records_below_out_and_a_foreign_one_does_nothing(out: Path, tmp_path: Path) -> None:
+def test_a_page_records_below_out_and_a_foreign_page_does_nothing(out: Path, tmp_path: Path) -> None:
     secret = tmp_path.parent / "passwords"
     secret.write_text("hunter2\n")
     with played("pane", -1, out, "127.0.0.1", 0) as run:
@@ -72,7 +72,7 @@ def test_a_page_records_below_out_and_a_foreign_one_does_nothing(out: Path, tmp_
     assert not any("hunter2" in log.read_text() for log in (out / "logs").iterdir())
 
 
-def test_a_run_has_logs_of_its_own_alone(out: Path) -> None:
+def test_a_run_replaces_earlier_logs(out: Path) -> None:
     with played("pane", -1, out, "127.0.0.1", 0) as run:
         assert {log.name for log in (out / "logs").iterdir()} == {*NODES}
         run.check()

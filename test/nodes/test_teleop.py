@@ -75,7 +75,7 @@ def terminal() -> Iterator[Terminal]:
     made.close()
 
 
-def test_keys_drive_and_let_go(terminal: Terminal) -> None:
+def test_keys_drive_while_they_are_pressed(terminal: Terminal) -> None:
     terminal.press(b"\x1b[A")
     terminal.hears((0.0, 0.5, 0.0))
     terminal.hears((0.0, 0.0, 0.0))  # no key is pressed any more
@@ -91,7 +91,7 @@ def test_keys_drive_and_let_go(terminal: Terminal) -> None:
 
 
 @pytest.mark.parametrize("order", [signal.SIGINT, signal.SIGTERM])
-def test_the_last_word_is_to_stand(terminal: Terminal, order: signal.Signals) -> None:
+def test_the_last_command_is_to_stop(terminal: Terminal, order: signal.Signals) -> None:
     terminal.press(b"d")
     terminal.hears((0.5, 0.0, 0.0))
     terminal.process.send_signal(order)
@@ -100,10 +100,10 @@ def test_the_last_word_is_to_stand(terminal: Terminal, order: signal.Signals) ->
     assert b"Traceback" not in terminal.shown
 
 
-def test_keys_that_come_together_are_told_apart() -> None:
+def test_keys_that_arrive_together_are_separated() -> None:
     assert split_keys(b"\x1b[Aw\x1bOC\x1b[6~x") == [b"\x1b[A", b"w", b"\x1bOC", b"\x1b[6~", b"x"]
 
 
-def test_without_a_terminal_it_says_so() -> None:
+def test_teleop_without_a_terminal_reports_an_error() -> None:
     answer = CliRunner().invoke(main, ["teleop"])
     assert answer.exit_code == 2 and "terminal" in answer.output

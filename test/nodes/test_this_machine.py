@@ -52,14 +52,14 @@ def nothing_said(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.delenv(name, raising=False)
 
 
-def test_nodes_have_sockets_on_loopback_alone_and_hear_each_other(stage: StageWithClients) -> None:
+def test_nodes_communicate_with_sockets_on_loopback_only(stage: StageWithClients) -> None:
     node = stage.start("collision_node")
     client = stage.client()
     client.await_service()
     assert udp_addresses(node.pid) == {"127.0.0.1"}
 
 
-def test_so_has_a_program_that_talks_to_them() -> None:
+def test_an_own_context_has_sockets_on_loopback_only() -> None:
     command = [sys.executable, "-c", OWN_CONTEXT, str(free_domain_id())]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as program:
         try:
@@ -69,7 +69,7 @@ def test_so_has_a_program_that_talks_to_them() -> None:
             program.kill()
 
 
-def test_nodes_are_found_by_those_that_the_user_starts_as_readme_says(stage: StageWithClients) -> None:
+def test_nodes_are_discovered_by_programs_set_up_as_in_readme(stage: StageWithClients) -> None:
     """With LOCALHOST and no XML profile."""
     stage.start("collision_node")
     look = """
@@ -85,7 +85,7 @@ while not node.count_publishers("/contact_constraints"):
     assert done.returncode == 0
 
 
-def test_what_the_user_says_counts_and_goes_on_to_children(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_settings_of_the_user_take_precedence_and_reach_child_processes(monkeypatch: pytest.MonkeyPatch) -> None:
     chosen = loopback_environment(7)
     assert chosen[RANGE] == "LOCALHOST" and PROFILES[0] not in chosen
     keep_to_this_machine(chosen)

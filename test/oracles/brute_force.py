@@ -1,5 +1,6 @@
-"""The slow oracle's queries for millions of points: the owner of a point, the distance to a surface. Compiled loops
-over arrays; nothing is shared with fracture_collision.core.
+"""The slow oracle's queries for millions of points: the owner of a point, the distance to a surface.
+
+Compiled loops over arrays; nothing is shared with fracture_collision.core.
 
 The method is plain: a point's tetrahedron is the best of all whose boxes contain it, a distance the minimum over all
 triangles. Triangles whose boxes are farther than the best so far are skipped, which changes no result. In a

@@ -58,8 +58,10 @@ def clip_polygon(points: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def _crossings(points: np.ndarray, values: np.ndarray) -> list[tuple[np.ndarray, int]]:
-    """Points where the outline crosses zero, with the index of the preceding corner. Always computed from the inner
-    end, so that two faces that share an edge get the same bytes."""
+    """Points where the outline crosses zero, with the index of the preceding corner.
+
+    Always computed from the inner end, so that two faces that share an edge get the same bytes.
+    """
     found, values = [], values.tolist()
     for i in range(len(points)):
         j = i + 1 if i + 1 < len(points) else 0

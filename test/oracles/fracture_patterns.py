@@ -81,8 +81,9 @@ def disagreeing_event(
     tilt: float,
     random: np.random.Generator,
 ) -> FractureEvent:
-    """As `voronoi_event`, but every cut edge has its own plane: across the edge, tilted at random, at a random place
-    along it. `tilt`: the deviation of the normal from the edge's direction, as a ratio; no two planes agree.
+    """As `voronoi_event`, but every cut edge has its own plane: tilted at random, at a random place along it.
+
+    `tilt`: the deviation of the normal from the edge's direction, as a ratio; no two planes agree.
     """
 
     def plane(a: int, b: int, _i: int, _j: int) -> tuple[np.ndarray, float]:
@@ -98,8 +99,9 @@ def disagreeing_event(
 
 
 def warp_of(length: float, amplitude: float) -> Callable[[np.ndarray], np.ndarray]:
-    """The map of points (..., 3) [m] in whose image the cells of `curved_event` are Voronoi; `length` [m]: the body's
-    longest side.
+    """The map of points (..., 3) [m] in whose image the cells of `curved_event` are Voronoi.
+
+    `length` [m]: the body's longest side.
     """
 
     def warp(x: np.ndarray) -> np.ndarray:

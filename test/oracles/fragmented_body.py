@@ -239,7 +239,7 @@ class FragmentedBody:
         return density * float(volume), centre, density * inertia
 
     def volume(self, fragment_id: int) -> float:
-        """[m3]"""
+        """The volume [m3]."""
         return float(self._pieces(fragment_id)[1].sum())
 
     def _pieces(self, fragment_id: int) -> tuple[np.ndarray, np.ndarray]:

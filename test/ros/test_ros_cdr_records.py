@@ -45,7 +45,7 @@ RECORDS = [
 
 
 @pytest.mark.parametrize("head", HEADINGS, ids=lambda head: head.frame_id[:12] or "empty")
-def test_bytes_are_those_of_rclpy_both_ways(head: Heading) -> None:
+def test_serialization_and_reading_equal_those_of_rclpy(head: Heading) -> None:
     for record in (*EXAMPLES, *RECORDS):
         message = to_message(record, head, RUN)
         theirs, mine = serialize_message(message), serialize_record(record, head, RUN)
@@ -78,13 +78,13 @@ def test_a_string_ends_at_its_first_zero_as_in_rclpy() -> None:
         assert deserialize_record(data, message_class_of(states(0))).heading == head._replace(frame_id=theirs)
 
 
-def test_points_of_a_polygon_are_passed_over() -> None:
+def test_points_of_a_polygon_are_skipped() -> None:
     message = to_message(EXAMPLES[0], HEADINGS[0], RUN)
     message.primitive.polygon.points = [Point32(x=1.0, y=2.0, z=3.0)] * 5
     assert_same(EXAMPLES[0], deserialize_record(serialize_message(message), type(message)).record)
 
 
-def test_arrays_are_aligned_and_may_be_written_to() -> None:
+def test_arrays_are_aligned_and_writable() -> None:
     for record in RECORDS:
         received = deserialize_record(serialize_record(record, HEADINGS[0], RUN), message_class_of(record)).record
         for array in received:
@@ -92,7 +92,7 @@ def test_arrays_are_aligned_and_may_be_written_to() -> None:
                 assert array.flags.aligned and array.flags.writeable and array.flags.c_contiguous
 
 
-def test_what_stands_behind_the_last_field_is_ignored_as_rclpy_does() -> None:
+def test_bytes_after_the_last_field_are_ignored_as_in_rclpy() -> None:
     data = serialize_record(RECORDS[0], HEADINGS[0], RUN) + b"\x01\x02\x03"
     assert_same(RECORDS[0], deserialize_record(data, message_class_of(RECORDS[0])).record)
     assert_same(RECORDS[0], to_record(deserialize_message(data, message_class_of(RECORDS[0]))))
@@ -104,7 +104,7 @@ def the_bytes(record: Any, head: Heading = HEADINGS[0]) -> bytes:
 
 
 @pytest.mark.parametrize("record", [states(2), contacts(1, 2), *EXAMPLES], ids=lambda record: type(record).__name__)
-def test_every_message_cut_short_is_refused_in_words(record: Any) -> None:
+def test_truncated_messages_are_rejected_with_an_explanation(record: Any) -> None:
     message_class = message_class_of(record)
     data = the_bytes(record)
     for length in range(len(data)):
@@ -112,7 +112,7 @@ def test_every_message_cut_short_is_refused_in_words(record: Any) -> None:
             deserialize_record(data[:length], message_class)
 
 
-def test_words_name_the_field() -> None:
+def test_errors_of_truncated_messages_name_the_field() -> None:
     body = EXAMPLES[0]
     data = the_bytes(body)
     for length, field in ((9, "nanosec"), (34, "run_id"), (len(data) - 1, "restitution"), (len(data) - 30, "density")):
@@ -120,7 +120,7 @@ def test_words_name_the_field() -> None:
             deserialize_record(data[:length], message_class_of(body))
 
 
-def test_what_is_neither_true_nor_false_is_refused() -> None:
+def test_invalid_booleans_are_rejected() -> None:
     at = len(the_bytes(EXAMPLES[0])) - 32  # offset of is_static, which three numbers follow
     for value in (2, 255):
         data = bytearray(the_bytes(EXAMPLES[0]))
@@ -134,14 +134,14 @@ def test_what_is_neither_true_nor_false_is_refused() -> None:
         deserialize_record(bytes(data), message_class_of(EXAMPLES[-1]))
 
 
-def test_more_dimensions_than_a_primitive_may_have_are_refused() -> None:
+def test_primitives_with_too_many_dimensions_are_rejected() -> None:
     data = the_bytes(EXAMPLES[0])
     at = data.rindex(Struct("<I").pack(3), 0, data.index(Struct("<ddd").pack(1.0, 2.0, 0.5)))
     with pytest.raises(ValueError, match="4 entries, more than 3"):
         deserialize_record(data[:at] + Struct("<I").pack(4) + data[at + 4 :], message_class_of(EXAMPLES[0]))
 
 
-def test_a_count_beyond_the_message_is_refused_before_memory_is_taken() -> None:
+def test_counts_beyond_the_message_are_rejected_before_memory_is_allocated() -> None:
     record = states(2)
     data = serialize_record(record, HEADINGS[0], RUN)
     at = data.index(Struct("<I").pack(2) + record.fragment_ids.tobytes())
@@ -151,7 +151,7 @@ def test_a_count_beyond_the_message_is_refused_before_memory_is_taken() -> None:
 
 
 @pytest.mark.parametrize("record", EXAMPLES, ids=lambda record: type(record).__name__)
-def test_no_length_takes_more_memory_than_the_message_has(record: Any) -> None:
+def test_no_length_allocates_more_memory_than_the_message_has(record: Any) -> None:
     """Every four-byte word in turn is replaced by a huge count."""
     data, message_class = the_bytes(record), message_class_of(record)
     tracemalloc.start()
@@ -166,7 +166,7 @@ def test_no_length_takes_more_memory_than_the_message_has(record: Any) -> None:
     assert most < 20 * len(data) + 20_000
 
 
-def test_noise_is_read_or_refused_and_nothing_else() -> None:
+def test_random_bytes_are_read_or_rejected() -> None:
     random = np.random.default_rng(5)
     data = serialize_record(contacts(2, 3), HEADINGS[0], RUN)
     refused = 0
@@ -183,7 +183,7 @@ def test_noise_is_read_or_refused_and_nothing_else() -> None:
     assert 100 < refused < 3000
 
 
-def test_the_other_byte_order() -> None:
+def test_big_endian_messages_are_read() -> None:
     """A hand-written big-endian FragmentStates."""
     head = Struct(">iII4sQQQII").pack(3, 5, 4, b"map\0", 41, 7, 2, 1, 0xDEADBEEF)
     positions = Struct(">I4xddd").pack(3, 1.0, 2.0, 3.0)

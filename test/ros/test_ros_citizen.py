@@ -54,7 +54,7 @@ def answer_of(settings: Settings) -> list[bytes]:
 
 
 @pytest.mark.parametrize("second_run", [RUN + 1, RUN], ids=["another run id", "the same run id"])
-def test_two_simulators_do_not_tear_a_scene_apart(stage: StageWithClients, second_run: int) -> None:
+def test_two_simulators_do_not_mix_their_runs(stage: StageWithClients, second_run: int) -> None:
     stage.start("collision_node", threads=1)
     first = stage.client()
     first.await_service()
@@ -85,7 +85,7 @@ def test_two_simulators_do_not_tear_a_scene_apart(stage: StageWithClients, secon
     assert second.await_registry(second_run, 0).fragment_ids.tolist() == [1, 2]
 
 
-def test_a_parameter_lets_another_in_at_once(stage: StageWithClients) -> None:
+def test_allow_takeover_accepts_another_publisher_at_once(stage: StageWithClients) -> None:
     stage.start("collision_node", threads=1)
     first, second = stage.client(), stage.client()
     first.await_service()
@@ -102,7 +102,7 @@ def test_a_parameter_lets_another_in_at_once(stage: StageWithClients) -> None:
     first.await_refusal("fragment_states: other_publisher", f"run {RUN} of")
 
 
-def test_bodies_and_states_may_come_from_two_processes(stage: StageWithClients) -> None:
+def test_bodies_and_states_may_be_published_by_two_processes(stage: StageWithClients) -> None:
     stage.start("collision_node", threads=1)
     first = stage.client()
     first.await_service()
@@ -116,7 +116,7 @@ def test_bodies_and_states_may_come_from_two_processes(stage: StageWithClients) 
     assert field_bytes(second.ask(STATES, RUN)) == field_bytes(expected_contacts())
 
 
-def test_a_simulator_that_was_killed_gets_in_again_at_once(stage: StageWithClients) -> None:
+def test_a_restarted_simulator_is_followed_at_once(stage: StageWithClients) -> None:
     """DDS detects a killed participant when its lease expires, after 20 s; the service, when another one publishes."""
     service = stage.start("collision_node", threads=1)
     first = stage.start("simulator_node", scene="pane", progress=True)
@@ -154,7 +154,7 @@ def test_settings_change_between_two_answers(stage: StageWithClients) -> None:
     assert "settings changed after the answer to step 5 of run 41: contacts_per_pair: 8 -> 2" in service.log_text()
 
 
-def test_what_may_not_change_is_refused_in_words(stage: StageWithClients) -> None:
+def test_invalid_parameter_changes_are_rejected_with_an_explanation(stage: StageWithClients) -> None:
     stage.start("collision_node", threads=1)
     client = stage.client()
     client.await_service()
@@ -236,7 +236,7 @@ def test_remapped_topics(stage: StageWithClients) -> None:
     assert stranger.node.count_subscribers("fragment_states") == 0
 
 
-def test_simulation_time_that_stands_still_stops_nothing(stage: StageWithClients) -> None:
+def test_the_service_answers_while_simulation_time_stands_still(stage: StageWithClients) -> None:
     stage.start("collision_node", threads=1, use_sim_time=True)
     client = stage.client()
     client.await_service()
@@ -246,7 +246,7 @@ def test_simulation_time_that_stands_still_stops_nothing(stage: StageWithClients
     client.spin_until(lambda: len(client.diagnostics_came) >= 3, "diagnostics without a /clock")
 
 
-def test_diagnostics_come_every_second_with_times(stage: StageWithClients) -> None:
+def test_diagnostics_are_published_every_second_with_times(stage: StageWithClients) -> None:
     stage.start("collision_node", threads=1)
     client = stage.client()
     client.await_service()
@@ -263,7 +263,7 @@ def test_diagnostics_come_every_second_with_times(stage: StageWithClients) -> No
         assert "ms median" in details[f"{part} (last 5)"] and "ms worst" in details[f"{part} (last 5)"]
 
 
-def test_a_thousand_refusals_are_a_few_lines(stage: StageWithClients) -> None:
+def test_a_thousand_rejections_are_a_few_log_lines(stage: StageWithClients) -> None:
     service = stage.start("collision_node", threads=1)
     client = stage.client()
     client.await_service()
@@ -279,8 +279,8 @@ def test_a_thousand_refusals_are_a_few_lines(stage: StageWithClients) -> None:
     assert client.details[REFUSED].keys() == {"fracture_events: sequence_gap"}
 
 
-def test_who_sent_a_message_is_known_in_both_ways_of_the_executor(stage: StageWithClients) -> None:
-    """rclpy's own executor also takes messages, while it checks for due timers."""
+def test_both_ways_of_taking_messages_give_the_sender(stage: StageWithClients) -> None:
+    """Like this executor, that of rclpy takes messages while it checks for due timers."""
     client = stage.client()
     came = []
     subscription = client.node.create_subscription(

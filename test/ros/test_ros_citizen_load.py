@@ -51,7 +51,7 @@ def visits_told(client: ServiceClient) -> int:
     return int(told.split(", ")[-1].split()[0])
 
 
-def test_a_flood_of_states(stage: StageWithClients) -> None:
+def test_states_faster_than_answers_are_dropped_and_counted(stage: StageWithClients) -> None:
     client = service_with_two_balls(stage)
     # computing an answer takes far longer than sending a message
     assert client.set_parameters(selection="complete", neighbour_lists=False, penetration_tolerance=0.0) == [""] * 3
@@ -95,7 +95,7 @@ def test_a_flood_of_states(stage: StageWithClients) -> None:
     )
 
 
-def test_a_visit_budget_keeps_the_cost_and_says_what_it_left_out(stage: StageWithClients) -> None:
+def test_a_visit_budget_limits_the_cost_and_bounds_the_missed_depth(stage: StageWithClients) -> None:
     client = service_with_two_balls(stage)
     assert client.set_parameters(selection="complete", neighbour_lists=False) == ["", ""]
     whole = client.ask(STATES, RUN)

@@ -43,7 +43,7 @@ ORDER = {
 KINDS = {"NONE", "SIGN", "ENCRYPT"}
 
 
-def test_the_files_kept_are_those_the_script_writes(tmp_path: Path) -> None:
+def test_security_files_equal_those_the_script_writes(tmp_path: Path) -> None:
     written = write_files(tmp_path)
     assert {path.relative_to(tmp_path) for path in written} == {
         path.relative_to(KEPT) for path in KEPT.rglob("*") if path.is_file()
@@ -53,7 +53,7 @@ def test_the_files_kept_are_those_the_script_writes(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("encrypt", [False, True])
-def test_their_elements_stand_in_the_order_of_the_schemas(encrypt: bool) -> None:
+def test_elements_of_security_files_are_in_the_order_of_the_schemas(encrypt: bool) -> None:
     roots = [governance("/cell", 7, encrypt), *(permissions(role, "/cell", 7) for role in ROLES)]
     for root in roots:
         for element in root.iter():
@@ -68,7 +68,7 @@ def test_their_elements_stand_in_the_order_of_the_schemas(encrypt: bool) -> None
     assert rules == [f"rt/cell/{topic.name}" for topic in qos.TOPICS] + ["*"]
 
 
-def test_they_are_valid_by_the_schemas_of_sros2(tmp_path: Path) -> None:
+def test_security_files_are_valid_by_the_schemas_of_sros2(tmp_path: Path) -> None:
     sros2, xmllint = importlib.util.find_spec("sros2"), shutil.which("xmllint")
     if sros2 is None or xmllint is None:
         pytest.skip("the schemas come with sros2, and are checked by xmllint: neither is part of the project")
@@ -79,7 +79,7 @@ def test_they_are_valid_by_the_schemas_of_sros2(tmp_path: Path) -> None:
             subprocess.run([xmllint, "--noout", "--schema", schema, path], check=True)
 
 
-def test_nodes_have_the_topics_and_services_they_are_permitted_and_no_others(
+def test_nodes_have_exactly_the_permitted_topics_and_services(
     stage: StageWithClients, tmp_path: Path
 ) -> None:
     stage.start("recorder_node", "-r", "__ns:=/cell", folder=str(tmp_path / "bag"))
@@ -120,7 +120,7 @@ def names_in_dds(client, node: str) -> tuple[set[str], set[str]]:
     )
 
 
-def test_who_asks_for_security_gets_no_open_node(tmp_path: Path) -> None:
+def test_a_node_does_not_start_unsecured_if_security_is_required(tmp_path: Path) -> None:
     """Without a certificate, or where Fast DDS is built without its security plugins, as in the wheels."""
     secure = {"ROS_SECURITY_ENABLE": "true", "ROS_SECURITY_STRATEGY": "Enforce", "ROS_SECURITY_KEYSTORE": str(tmp_path)}
     enclave = tmp_path / "enclaves" / "fracture_collision" / "collision_node"

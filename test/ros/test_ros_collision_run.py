@@ -71,7 +71,7 @@ def field_bytes(record: ContactConstraintArray) -> list[bytes]:
     return [np.asarray(value).tobytes() for value in record]
 
 
-def test_events_before_their_body_and_states_before_all() -> None:
+def test_events_may_precede_their_body_and_states_both() -> None:
     run = CollisionRun(1, SETTINGS)
     assert run.answer(STATES) is None
     for event in (FIRST, SECOND):
@@ -100,7 +100,7 @@ def test_an_event_of_an_unknown_body_blocks_nothing() -> None:
     assert refusal.kind == "sequence_repeat" and run.held_event_count == 0
 
 
-def test_events_behind_one_whose_body_is_missing_are_held_in_words() -> None:
+def test_events_after_one_whose_body_is_missing_are_held_and_reported() -> None:
     run = CollisionRun(1, SETTINGS)
     run.add_body(breakable_body())
     run.add_fracture(FIRST._replace(body_id=77))
@@ -112,7 +112,7 @@ def test_events_behind_one_whose_body_is_missing_are_held_in_words() -> None:
     assert (run.held_event_count, run.event_count) == (0, 2)
 
 
-def test_what_is_held_has_a_limit(monkeypatch) -> None:
+def test_held_messages_are_limited_in_number(monkeypatch) -> None:
     monkeypatch.setattr(collision_run, "MAX_HELD_EVENTS", 2)
     run = CollisionRun(1, SETTINGS)
     kinds = [run.add_fracture(FIRST._replace(sequence=k))[0].kind for k in (1, 2, 3)]
@@ -120,7 +120,7 @@ def test_what_is_held_has_a_limit(monkeypatch) -> None:
     assert run.held_event_count == 2
 
 
-def test_what_is_held_has_a_limit_in_bytes(monkeypatch) -> None:
+def test_held_messages_are_limited_in_bytes(monkeypatch) -> None:
     size = sum(np.asarray(field).nbytes for field in FIRST)
     monkeypatch.setattr(collision_run, "MAX_HELD_BYTES", 2 * size + size // 2)
     run = CollisionRun(1, SETTINGS)
@@ -148,7 +148,7 @@ def rejection(run: CollisionRun) -> str:
     return str(refusal.value)
 
 
-def test_states_that_need_a_rejected_event_are_refused_until_it_is_corrected() -> None:
+def test_states_that_need_a_rejected_event_are_rejected_until_it_is_corrected() -> None:
     run = ready_run()
     assert run.answer(STATES) is None
     (refusal,) = run.add_fracture(BAD)
@@ -169,7 +169,7 @@ def test_states_that_need_a_rejected_event_are_refused_until_it_is_corrected() -
     assert field_bytes(run.answer(STATES)) == field_bytes(expected_contacts())
 
 
-def test_earlier_states_are_answered_beside_a_rejected_event() -> None:
+def test_states_before_a_rejected_event_are_answered() -> None:
     run = ready_run()
     run.add_fracture(BAD)
     before = STATES._replace(
@@ -179,7 +179,7 @@ def test_earlier_states_are_answered_beside_a_rejected_event() -> None:
     assert len(run.answer(before).gaps) > 0
 
 
-def test_events_behind_one_that_is_rejected_late_are_kept() -> None:
+def test_events_after_one_that_is_rejected_late_are_kept() -> None:
     """An event waits for its body and is rejected when the body arrives; the later events stay held."""
     run = CollisionRun(1, SETTINGS)
     run.add_body(ground())
@@ -192,7 +192,7 @@ def test_events_behind_one_that_is_rejected_late_are_kept() -> None:
     assert run.add_fracture(FIRST) == [] and run.event_count == 2
 
 
-def test_an_event_that_cannot_be_read_is_known_by_its_sequence() -> None:
+def test_an_undecodable_event_is_known_by_its_sequence() -> None:
     data = bytearray(serialize_record(SECOND, heading(1.5), 7))
     for damaged in (data[:-40], data[:400], data):
         place = place_of_event(bytes(damaged))
@@ -207,7 +207,7 @@ def test_an_event_that_cannot_be_read_is_known_by_its_sequence() -> None:
     assert field_bytes(run.answer(STATES)) == field_bytes(expected_contacts())
 
 
-def test_events_beyond_the_limit_are_asked_for_again_when_they_are_due(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_events_beyond_the_limit_are_requested_again_when_due(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(collision_run, "MAX_HELD_EVENTS", 1)
     run = ready_run()
     third = SECOND._replace(sequence=3)
@@ -222,7 +222,7 @@ def test_events_beyond_the_limit_are_asked_for_again_when_they_are_due(monkeypat
     assert refusal.kind == "retired_id" and "event 3 was rejected" in run.rejected_event
 
 
-def test_states_are_looked_at_again_only_when_what_they_lack_is_there(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_held_states_are_tried_again_only_when_their_events_have_arrived(monkeypatch: pytest.MonkeyPatch) -> None:
     run = CollisionRun(1, SETTINGS)
     balls = [CollisionBody(n, n, primitive=SolidPrimitive(SPHERE, (0.1,))) for n in range(1, 41)]
     ids = np.arange(1, 41)
@@ -239,7 +239,7 @@ def test_states_are_looked_at_again_only_when_what_they_lack_is_there(monkeypatc
     assert run.answer(states._replace(step=2)) is not None and len(tried) == 3
 
 
-def test_what_states_wait_for_is_told() -> None:
+def test_the_reason_for_held_states_is_reported() -> None:
     run = CollisionRun(1, SETTINGS)
     assert run.answer(STATES) is None
     assert "event 1 has not arrived" in run.what_states_wait_for()
@@ -255,6 +255,6 @@ def test_what_states_wait_for_is_told() -> None:
     assert run.what_states_wait_for().startswith("no fragment 2 is known, as body 2 was rejected: friction")
 
 
-def test_bodies_and_events_are_asked_for_again_without_end() -> None:
+def test_bodies_and_events_are_requested_again_without_end() -> None:
     due = [second for second in range(1000) if is_time_for_log(second)]
     assert due == [2, 4, 8, 16, 32, 64, *range(128, 1000, 128)]

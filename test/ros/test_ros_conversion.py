@@ -123,14 +123,14 @@ def zero_padding_or_none(data: bytes, message_class: Any) -> bytes | None:
         return None
 
 
-def test_what_is_no_message_has_no_padding() -> None:
+def test_undecodable_messages_have_no_padding() -> None:
     data = zero_padding(serialize_message(to_message(EXAMPLES[3], heading(1.25), 7)), qos.FRAGMENT_STATES.message_class)
     for wrong in (b"", data[:-1], data[:30], b"\x00\x00" + data[2:]):
         with pytest.raises(ValueError, match="no serialized FragmentStates"):
             zero_padding(wrong, qos.FRAGMENT_STATES.message_class)
 
 
-def test_large_arrays_are_converted_as_a_whole() -> None:
+def test_large_arrays_are_converted_in_bulk() -> None:
     """As many calls as for small arrays and less than twice the memory of the data: no object per element."""
     calls = []
     for count in (10, 200_000):

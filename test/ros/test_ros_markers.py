@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import colorsys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -50,7 +51,7 @@ def as_message(records: list[MarkerRecord], heading: Heading) -> MarkerArray:
 
 
 @pytest.mark.parametrize("frame", ["", "world", "map/of/all", "ö"])
-def test_bytes_are_those_of_rclpy(frame: str) -> None:
+def test_bytes_of_markers_equal_those_of_rclpy(frame: str) -> None:
     rng = np.random.default_rng(5)
     heading = Heading(3, 999_999_999, frame)
     for size in (0, 1, 2, 7):
@@ -102,7 +103,7 @@ def by_name(sent: list[Marker]) -> dict[tuple[str, int], Marker]:
     return {(each.ns, each.id): each for each in sent}
 
 
-def test_a_viewer_sees_what_the_meshes_are() -> None:
+def test_markers_show_the_fragment_meshes() -> None:
     world, markers = one_run()
     clear, *sent = shown(world, markers, whole(), complete=True)
     assert clear.action == Marker.DELETEALL
@@ -138,7 +139,7 @@ def hue(colour: ColorRGBA) -> float:
     return colorsys.rgb_to_hls(colour.r, colour.g, colour.b)[0]
 
 
-def test_only_what_has_changed_is_sent_again() -> None:
+def test_only_changed_markers_are_published_again() -> None:
     world, markers = one_run()
     shown(world, markers, whole(), complete=True)
     assert set(by_name(shown(world, markers, whole(2), complete=False))) == {("contacts", 0), ("contact_normals", 0)}
@@ -171,7 +172,7 @@ def test_contacts_are_points_and_normals_coloured_by_gap() -> None:
     assert len(lines.colors) == 2 * len(points.colors) == 2 * len(contacts.gaps)
 
 
-def test_ids_beyond_the_half_of_them() -> None:
+def test_fragment_ids_above_the_signed_range_become_negative() -> None:
     markers = FragmentMarkers()
     highest = 2**32 - 1
     markers.add_body(breakable_body()._replace(fragment_id=highest))
@@ -196,12 +197,12 @@ class Viewer:
 
     def __init__(self, client: ServiceClient, durability: DurabilityPolicy) -> None:
         self.shown: dict[tuple[str, int], Marker] = {}
-        self.came: list[MarkerArray] = []
+        self.sequence_numbers: list[int] = []  # of the messages: 1, 2, 3 ... as the publisher counts them
         profile = QoSProfile(depth=10, durability=durability)
         self.subscription = client.node.create_subscription(MarkerArray, "markers", self._on_markers, profile)
 
-    def _on_markers(self, message: MarkerArray) -> None:
-        self.came.append(message)
+    def _on_markers(self, message: MarkerArray, info: dict[str, int]) -> None:
+        self.sequence_numbers.append(info["publication_sequence_number"])
         for marker in message.markers:
             if marker.action == Marker.DELETEALL:
                 self.shown.clear()
@@ -214,7 +215,7 @@ class Viewer:
         return {number for name, number in self.shown if name == "fragments"}
 
 
-def test_over_dds(stage: StageWithClients) -> None:
+def test_viewers_get_the_complete_scene_whenever_they_join(stage: StageWithClients) -> None:
     stage.start("collision_node", threads=1)
     client = stage.client()
     client.await_service()
@@ -242,3 +243,37 @@ def test_over_dds(stage: StageWithClients) -> None:
     again = Viewer(client, DurabilityPolicy.VOLATILE)
     client.spin_until(lambda: again.fragments() == {5}, "all again")
     assert again.shown["fragments", 5].pose.position.z == 0.3
+
+
+def test_nothing_is_published_without_subscribers(stage: StageWithClients) -> None:
+    """While there is a subscriber, as many states give several messages."""
+    stage.start("collision_node", threads=1)
+    client = stage.client()
+    client.await_service()
+    for body in (breakable_body(), ground()):
+        client.publish("bodies", body, 7)
+
+    def ask_for_a_second(first_step: int) -> None:
+        for step in range(first_step, first_step + 20):
+            client.ask(whole(step, height=0.3 + 0.01 * step), 7)
+            pause(client, 0.05)
+
+    viewer = Viewer(client, DurabilityPolicy.VOLATILE)
+    client.ask(whole(1), 7)
+    client.spin_until(lambda: viewer.fragments() == {1, 2}, "the whole body")
+    before = len(viewer.sequence_numbers)
+    ask_for_a_second(2)
+    assert len(viewer.sequence_numbers) > before + 4
+
+    client.node.destroy_subscription(viewer.subscription)
+    pause(client, 1.0)  # until the service has noticed, it may publish the last states
+    ask_for_a_second(22)
+    again = Viewer(client, DurabilityPolicy.VOLATILE)
+    client.spin_until(lambda: again.fragments() == {1, 2}, "all again")
+    assert again.sequence_numbers[0] <= viewer.sequence_numbers[-1] + 3
+
+
+def pause(client: ServiceClient, seconds: float) -> None:
+    ends = time.monotonic() + seconds
+    while time.monotonic() < ends:
+        client.spin_once(max(ends - time.monotonic(), 0.0))

@@ -49,7 +49,7 @@ FORGOTTEN = "died without a word and is forgotten"
 
 
 @pytest.mark.parametrize("victim", ["recorder", "service"])
-def test_who_is_killed_beside_a_recorder_holds_nothing_up(stage: StageWithClients, tmp_path: Path, victim: str) -> None:
+def test_a_killed_subscriber_delays_no_step(stage: StageWithClients, tmp_path: Path, victim: str) -> None:
     recorder = stage.start("recorder_node", folder=str(tmp_path / "living"), progress=True)
     other = stage.start("recorder_node", folder=str(tmp_path / "killed"), progress=True)
     service = stage.start("collision_node", threads=1)
@@ -73,7 +73,7 @@ def test_who_is_killed_beside_a_recorder_holds_nothing_up(stage: StageWithClient
     assert counts["/fragment_states"] >= steps == 400 <= counts["/contact_constraints"]
 
 
-def test_who_stops_reading_is_waited_for_once_and_named(stage: StageWithClients, tmp_path: Path) -> None:
+def test_a_stopped_subscriber_is_waited_for_once_and_named(stage: StageWithClients, tmp_path: Path) -> None:
     client = service_with_bodies(stage)
     recorder = stage.start("recorder_node", folder=str(tmp_path / "bag"), progress=True)
     await_that(lambda: '"/diagnostics": 2' in recorder.log_text(), "what the service says", recorder)
@@ -161,7 +161,7 @@ class StandIn:
 
 
 @pytest.mark.parametrize("is_stopped", [True, False])
-def test_who_does_not_acknowledge_is_left_out_until_it_does(
+def test_a_subscriber_that_does_not_acknowledge_is_left_out_until_it_does(
     is_stopped: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     clock = Clock()
@@ -204,7 +204,7 @@ def test_a_subscriber_that_never_spins_is_not_waited_for(stage: StageWithClients
     assert idle.answers == []
 
 
-def test_a_process_is_told_from_its_participant() -> None:
+def test_a_participant_identifies_its_process() -> None:
     domain_id = free_domain_id()
     contexts = [own_context(domain_id) for _ in range(2)]
     try:
@@ -243,7 +243,7 @@ def test_dead_stopped_and_zombie_processes() -> None:
         age_of(child.pid)
 
 
-def test_a_farewell_is_a_disposal_in_rtps() -> None:
+def test_the_message_for_a_dead_participant_is_an_rtps_disposal() -> None:
     prefix = bytes(range(12))
     message = farewell(prefix)
     assert message[:4] == b"RTPS" and message[8:20] == prefix

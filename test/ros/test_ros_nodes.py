@@ -51,7 +51,7 @@ def tell_all(client: ServiceClient, run_id: int) -> None:
         client.publish("fracture_events", event, run_id)
 
 
-def test_answers_are_those_of_the_library(service: NodeProcess, client: ServiceClient) -> None:
+def test_answers_equal_those_of_the_library(service: NodeProcess, client: ServiceClient) -> None:
     client.await_service()
     tell_all(client, RUN)
     first = client.ask(STATES, RUN)
@@ -66,7 +66,7 @@ def test_answers_are_those_of_the_library(service: NodeProcess, client: ServiceC
     assert field_bytes(client.ask(STATES, RUN)) == field_bytes(first)
 
 
-def test_states_wait_for_what_they_speak_of(service: NodeProcess, client: ServiceClient) -> None:
+def test_states_are_held_until_their_bodies_and_events_arrive(service: NodeProcess, client: ServiceClient) -> None:
     client.await_service()
     client.publish("fragment_states", STATES, RUN)
     client.publish("fracture_events", FIRST, RUN)
@@ -80,7 +80,7 @@ def test_states_wait_for_what_they_speak_of(service: NodeProcess, client: Servic
 
 
 @pytest.mark.parametrize("how", ["a field", "its size", "its bytes"])
-def test_a_rejected_event_holds_up_nothing_for_ever(how: str, service: NodeProcess, client: ServiceClient) -> None:
+def test_a_rejected_event_blocks_nothing_for_ever(how: str, service: NodeProcess, client: ServiceClient) -> None:
     """States that need it are rejected at once; the corrected event also applies the events that arrived meanwhile."""
     client.await_service()
     for body in (breakable_body(), ground()):
@@ -122,7 +122,7 @@ def test_a_new_run_id_is_a_new_scene(service: NodeProcess, client: ServiceClient
     assert field_bytes(client.ask(STATES, RUN)) == field_bytes(first)
 
 
-def test_bad_input_is_refused_in_words_and_changes_nothing(service: NodeProcess, client: ServiceClient) -> None:
+def test_bad_input_is_rejected_with_an_explanation(service: NodeProcess, client: ServiceClient) -> None:
     client.await_service()
     tell_all(client, RUN)
     good = client.ask(STATES, RUN)
@@ -161,7 +161,7 @@ def test_bad_input_is_refused_in_words_and_changes_nothing(service: NodeProcess,
     assert "[collision_node]: refused, " in service.log_text()
 
 
-def test_a_service_killed_and_started_again_goes_on(
+def test_a_restarted_service_continues_the_run(
     service: NodeProcess, client: ServiceClient, domain_id: int, tmp_path: Path
 ) -> None:
     client.await_service()
@@ -184,7 +184,7 @@ def test_a_service_killed_and_started_again_goes_on(
 
 
 @pytest.mark.parametrize("order", [signal.SIGINT, signal.SIGTERM])
-def test_ends_cleanly_when_told(service: NodeProcess, client: ServiceClient, order: signal.Signals) -> None:
+def test_nodes_end_cleanly_on_signals(service: NodeProcess, client: ServiceClient, order: signal.Signals) -> None:
     client.await_service()
     client.spin_until(lambda: client.diagnostics.get("fracture_collision: answers") == "ready", "its first words")
     service.send_signal(order)
@@ -193,7 +193,7 @@ def test_ends_cleanly_when_told(service: NodeProcess, client: ServiceClient, ord
 
 
 @pytest.mark.parametrize("order", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_while_kernels_are_loaded_ends_it_at_once(domain_id: int, order: signal.Signals) -> None:
+def test_a_signal_while_kernels_load_ends_the_process_at_once(domain_id: int, order: signal.Signals) -> None:
     """Sent while numba passes a kernel to LLVM: an exception there is swallowed and the kernel's address is null."""
     code = f"""
 import os, sys
@@ -216,9 +216,11 @@ sys.exit(main())
     assert "ready" not in done.stderr
 
 
-def test_a_start_takes_little_work(client: ServiceClient, domain_id: int, tmp_path: Path) -> None:
-    """With cached kernels, at most three seconds of processor time; on a busy machine wall time would include the work
-    of other processes."""
+def test_start_up_takes_little_processor_time(client: ServiceClient, domain_id: int, tmp_path: Path) -> None:
+    """With cached kernels, at most three seconds of processor time.
+
+    On a busy machine wall time would include the work of other processes.
+    """
     tell_all(client, RUN)
     service = NodeProcess("collision_node", {"threads": 1}, domain_id, tmp_path / "service.log")
     try:
@@ -231,7 +233,7 @@ def test_a_start_takes_little_work(client: ServiceClient, domain_id: int, tmp_pa
     assert 0.0 < seconds < 3.0
 
 
-def test_a_parameter_out_of_range_is_an_error_in_words(domain_id: int, tmp_path: Path) -> None:
+def test_a_parameter_out_of_range_is_rejected_with_an_explanation(domain_id: int, tmp_path: Path) -> None:
     process = NodeProcess("collision_node", {"contacts_per_pair": 0}, domain_id, tmp_path / "service.log")
     assert process.wait(30.0) == 1
     assert "contacts_per_pair" in process.log_text() and "Traceback" not in process.log_text()

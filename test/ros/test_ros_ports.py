@@ -45,7 +45,7 @@ def files(folder: Path) -> set[str]:
     return {file.name for file in folder.iterdir()}
 
 
-def test_what_nobody_holds_is_removed(tmp_path: Path) -> None:
+def test_unused_files_in_shared_memory_are_removed(tmp_path: Path) -> None:
     left = made(tmp_path, "fastrtps_00ff00ff00ff00ff", "fastrtps_00ff00ff00ff00ff_el", "fastrtps_port7411")
     left += made(tmp_path, "fastrtps_port7411_el", "fastrtps_port7413")  # the lock file of 7413 is gone already
     stays = made(tmp_path, "fastrtps_1111111111111111", "fastrtps_1111111111111111_el", "fastrtps_port7415")
@@ -61,7 +61,7 @@ def test_what_nobody_holds_is_removed(tmp_path: Path) -> None:
     assert remove_left_behind(tmp_path / "nowhere") == 0
 
 
-def test_a_port_that_is_being_opened_is_left_alone(tmp_path: Path) -> None:
+def test_a_port_that_is_being_opened_is_not_removed(tmp_path: Path) -> None:
     """Fast DDS holds the port's mutex while opening it; a port without a mutex may be opened at any time."""
     ports = made(tmp_path, "fastrtps_port7417", "fastrtps_port7417_el", "fastrtps_port7419", "fastrtps_port7419_el")
     ports.append(mutex(tmp_path, 7417, TAKEN))
@@ -69,7 +69,7 @@ def test_a_port_that_is_being_opened_is_left_alone(tmp_path: Path) -> None:
     assert files(tmp_path) == set(ports)
 
 
-def test_a_port_that_was_opened_meanwhile_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_port_opened_before_its_removal_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Opened between the check and the removal: removing it would leave its new owner unable to receive."""
     ports = made(tmp_path, "fastrtps_port7421", "fastrtps_port7421_el") + [mutex(tmp_path, 7421)]
     real = shared_memory._port_mutex
@@ -87,7 +87,7 @@ def test_a_port_that_was_opened_meanwhile_stays(tmp_path: Path, monkeypatch: pyt
     assert files(tmp_path) == set(ports)
 
 
-def test_the_mutex_is_held_while_a_port_is_removed_and_free_afterwards(
+def test_the_mutex_is_held_while_a_port_is_removed_and_released_afterwards(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made(tmp_path, "fastrtps_port7423", "fastrtps_port7423_el")
@@ -104,14 +104,14 @@ def test_the_mutex_is_held_while_a_port_is_removed_and_free_afterwards(
     assert values == [0] and (tmp_path / name).read_bytes()[0] == 1
 
 
-def test_to_judge_tries_no_lock(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_finding_unused_ports_tries_no_lock(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Trying a lock holds it briefly; a participant that opens the port then would fail and receive nothing."""
     made(tmp_path, "fastrtps_port7425", "fastrtps_port7425_el")
     monkeypatch.setattr(shared_memory.fcntl, "flock", lambda *_: pytest.fail("a lock was tried"))
     assert len(left_behind(tmp_path)) == 2
 
 
-def test_the_next_one_listens_at_other_ports_than_those_that_others_still_write_to(tmp_path: Path) -> None:
+def test_a_successor_skips_ports_that_living_processes_still_write_to(tmp_path: Path) -> None:
     domain_id = free_domain_id()
     first = PORT_BASE + PORTS_A_DOMAIN * domain_id
     dead, just_dead, replaced, alive, unmapped, never_read, elsewhere = (
@@ -156,7 +156,7 @@ def all_ports_locked(domain_id: int) -> Iterator[None]:
 
 
 @pytest.mark.parametrize("module", ["recorder_node", "collision_node"])
-def test_a_node_without_ports_says_so_and_ends(module: str, tmp_path: Path) -> None:
+def test_a_node_without_ports_reports_it_and_exits(module: str, tmp_path: Path) -> None:
     with stage(tmp_path) as nodes, all_ports_locked(nodes.domain_id):
         node = nodes.start(module, **({"folder": str(tmp_path / "bag")} if module == "recorder_node" else {}))
         assert node.wait(60.0) == 1
@@ -164,7 +164,7 @@ def test_a_node_without_ports_says_so_and_ends(module: str, tmp_path: Path) -> N
         assert "ready, " not in node.log_text() and "Traceback" not in node.log_text()
 
 
-def test_a_node_whose_port_is_removed_says_so_and_ends(tmp_path: Path) -> None:
+def test_a_node_whose_port_is_removed_reports_it_and_exits(tmp_path: Path) -> None:
     with stage(tmp_path) as nodes:
         node = nodes.start("collision_node", threads=1)
         await_ready(node)
@@ -203,7 +203,7 @@ sys.exit(process.run_node(Stuck, work))
 
 @pytest.mark.parametrize("where", ["work", "end"])
 @pytest.mark.parametrize("order", [signal.SIGINT, signal.SIGTERM])
-def test_a_node_ends_in_time_whatever_dds_does(where: str, order: signal.Signals) -> None:
+def test_a_node_exits_in_time_even_if_dds_does_not_return(where: str, order: signal.Signals) -> None:
     environment = os.environ | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     process = subprocess.Popen([sys.executable, "-c", STUCK, where], stdout=subprocess.PIPE, text=True, env=environment)
     try:

@@ -51,7 +51,7 @@ def stage() -> Iterator[Stage]:
     context.try_shutdown()
 
 
-def test_messages_come_in_order_as_objects_or_as_bytes(stage: Stage) -> None:
+def test_messages_arrive_in_order_as_objects_or_bytes(stage: Stage) -> None:
     publisher = stage.node.create_publisher(String, "words", LATCHED)
     objects: list[str] = []
     raw: list[bytes] = []
@@ -67,7 +67,7 @@ def test_messages_come_in_order_as_objects_or_as_bytes(stage: Stage) -> None:
     ]
 
 
-def test_timers_services_guards_and_what_comes_while_it_spins(stage: Stage) -> None:
+def test_timers_services_guards_and_late_entities_are_served(stage: Stage) -> None:
     done: list[str] = []
     stage.node.declare_parameter("answer", 42)
     other = rclpy.create_node("other", context=stage.context)
@@ -95,7 +95,7 @@ def test_timers_services_guards_and_what_comes_while_it_spins(stage: Stage) -> N
     stage.executor.spin_once(timeout_sec=0.0)
 
 
-def test_it_waits_while_there_is_nothing_to_do(stage: Stage) -> None:
+def test_the_executor_waits_while_idle(stage: Stage) -> None:
     """Also after a timer callback, which wakes rclpy's executor twice for nothing."""
     ticks: list[float] = []
     stage.node.create_timer(0.1, lambda: ticks.append(time.monotonic()))
@@ -115,7 +115,7 @@ def test_it_waits_while_there_is_nothing_to_do(stage: Stage) -> None:
     assert time.monotonic() - began >= 0.2
 
 
-def test_an_error_in_a_callback_reaches_who_spins(stage: Stage) -> None:
+def test_an_error_in_a_callback_is_raised_by_spin(stage: Stage) -> None:
     def fail(message: String) -> None:
         raise ValueError(message.data)
 
@@ -126,7 +126,7 @@ def test_an_error_in_a_callback_reaches_who_spins(stage: Stage) -> None:
         stage.spin_until(lambda: False)
 
 
-def test_the_end_of_its_context_ends_it(stage: Stage) -> None:
+def test_the_executor_ends_with_its_context(stage: Stage) -> None:
     stage.node.create_timer(0.01, stage.context.shutdown)
     with pytest.raises(ExternalShutdownException):
         stage.spin_until(lambda: False)

@@ -23,7 +23,7 @@ def followed(*simulators: bytes) -> RunGuard:
     return guard
 
 
-def test_the_first_is_followed_and_the_second_refused_whatever_its_run() -> None:
+def test_the_first_publisher_is_followed_and_the_second_rejected() -> None:
     guard = followed(FIRST, SECOND)
     for topic in TOPICS:
         assert guard.judge(topic, FIRST, False, False) is Verdict.FOLLOW  # also when it starts a new run
@@ -32,7 +32,7 @@ def test_the_first_is_followed_and_the_second_refused_whatever_its_run() -> None
     assert guard.leader == FIRST and guard.waiting == {SECOND}
 
 
-def test_the_second_gets_in_when_the_first_is_gone() -> None:
+def test_the_second_publisher_is_followed_when_the_first_is_gone() -> None:
     guard = followed(FIRST, SECOND)
     guard.judge(STATES, SECOND, True, False)
     guard.observe(there(SECOND), LOG)
@@ -42,7 +42,7 @@ def test_the_second_gets_in_when_the_first_is_gone() -> None:
     assert guard.judge(BODIES, FIRST, True, False) is Verdict.REFUSE
 
 
-def test_who_comes_back_goes_on_with_its_run() -> None:
+def test_a_publisher_that_returns_continues_its_run() -> None:
     guard = followed(FIRST)
     guard.observe(there(), LOG)
     assert guard.leader is None
@@ -50,7 +50,7 @@ def test_who_comes_back_goes_on_with_its_run() -> None:
     assert guard.judge(STATES, FIRST, True, False) is Verdict.FOLLOW
 
 
-def test_one_publisher_left_is_still_there() -> None:
+def test_a_leader_with_one_publisher_left_is_still_followed() -> None:
     guard = followed(FIRST, SECOND)
     guard.observe({BODIES: {SECOND}, EVENTS: {SECOND}, STATES: {FIRST, SECOND}}, LOG)
     assert guard.leader == FIRST
@@ -58,7 +58,7 @@ def test_one_publisher_left_is_still_there() -> None:
     assert guard.judge(STATES, SECOND, True, False) is Verdict.REFUSE
 
 
-def test_what_the_leader_does_not_publish_others_may_once_and_of_the_same_run() -> None:
+def test_one_other_publisher_may_supply_missing_topics_of_the_same_run() -> None:
     guard = RunGuard()
     alone = {BODIES: {FIRST}, EVENTS: set(), STATES: {SECOND, THIRD}}
     guard.observe(alone, LOG)
@@ -83,7 +83,7 @@ def test_a_takeover_is_for_good() -> None:
     assert guard.judge(BODIES, FIRST, False, True) is not Verdict.REFUSE
 
 
-def test_it_remembers_nobody_who_is_gone() -> None:
+def test_publishers_that_are_gone_are_forgotten() -> None:
     guard = followed(FIRST)
     for number in range(1000):
         stranger = str(number).encode()

@@ -19,13 +19,13 @@ def nodes(tmp_path: Path) -> Iterator[Stage]:
         yield made
 
 
-def test_a_scene_that_is_not_there_is_an_error_in_words(nodes: Stage) -> None:
+def test_a_missing_scene_is_reported_with_an_explanation(nodes: Stage) -> None:
     simulator = nodes.start("simulator_node", scene="no_such_scene")
     assert simulator.wait(30.0) == 1
     assert "no_such_scene" in simulator.log_text() and "Traceback" not in simulator.log_text()
 
 
-def test_static_fragments_are_named_once_and_where_they_are() -> None:
+def test_static_fragments_are_published_once_with_their_poses() -> None:
     states = FragmentStates(
         3, 0, np.array([2, 5], np.uint32), np.arange(6.0), np.tile([0.0, 0.0, 0.0, 1.0], 2), np.ones(6), np.ones(6)
     )

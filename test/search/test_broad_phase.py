@@ -40,7 +40,7 @@ def columns_of(paired: Paired) -> list[np.ndarray]:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_pairs_of_what_moved_are_those_of_all(seed: int) -> None:
+def test_pairs_after_partial_motion_equal_those_of_a_full_sweep(seed: int) -> None:
     random = np.random.default_rng(seed)
     count = 60
     shapes, is_static = heap(count + 5, random)

@@ -42,7 +42,7 @@ def said(script: str) -> object:
     return json.loads(done.stdout)
 
 
-def test_a_loaded_kernel_and_one_that_is_compiled_with_it() -> None:
+def test_cached_kernels_load_without_preparing_to_compile() -> None:
     said(LOAD_THEN_COMPILE)  # fills the cache if necessary
     assert said(LOAD_THEN_COMPILE) == {
         "pieces": [0, 1, 0, 2, 2, 3], "hits": 1, "imported for compiling": [], "ring": 1, "compiled": True,

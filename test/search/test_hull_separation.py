@@ -77,7 +77,7 @@ def widest_gap(a: np.ndarray, b: np.ndarray) -> float:
     return float(best.x[4] / length) if length > 0.0 else 0.0
 
 
-def test_no_point_of_either_is_beyond_what_the_plane_says(case):
+def test_all_points_are_within_the_bounds_of_the_plane(case):
     random = np.random.default_rng(1)
     for _ in range(TRIES):
         pair = placed(case, random)
@@ -90,7 +90,7 @@ def test_no_point_of_either_is_beyond_what_the_plane_says(case):
         assert (pair.b @ normal).max() >= high - 1e-9
 
 
-def test_a_plane_is_found_where_there_is_one(case):
+def test_a_separating_plane_is_found_if_there_is_one(case):
     random = np.random.default_rng(2)
     found, there, none = 0, 0, 0
     for _ in range(TRIES):
@@ -106,7 +106,7 @@ def test_a_plane_is_found_where_there_is_one(case):
     assert found >= 0.95 * there
 
 
-def test_hulls_that_share_a_middle_have_no_plane(case):
+def test_hulls_with_a_common_centre_have_no_separating_plane(case):
     pools = case.geometry.pools
     row = case.row(int(case.oracle.fragment_ids[0]))
     tree = slice(pools.fragment.tree_begin[row], pools.fragment.tree_end[row])

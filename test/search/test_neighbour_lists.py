@@ -54,7 +54,7 @@ def assert_same(own: ContactConstraintArray, other: ContactConstraintArray) -> N
 
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("contacts_per_pair", [2, 8, 40])
-def test_same_answers(shape, contacts_per_pair) -> None:
+def test_answers_with_neighbour_lists_equal_those_of_searches(shape, contacts_per_pair) -> None:
     body, curved = SHAPES[shape]
     case = fractured_world(body, 9, generations=2, curved=curved)
     worlds = [
@@ -116,7 +116,7 @@ def test_a_visit_budget_is_spent_on_searches() -> None:
     assert world._remembered is NOTHING_REMEMBERED
 
 
-def test_a_pair_keeps_its_slot_and_shares_it_with_nobody() -> None:
+def test_each_pair_keeps_a_slot_of_its_own() -> None:
     random = np.random.default_rng(3)
     lists, slot_of = NO_LISTS, {}
     for _ in range(60):

@@ -94,7 +94,7 @@ def _spread(chosen: list[int], points: np.ndarray, within: np.ndarray, pool: np.
 
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("jitter", [0.0, 0.001, 0.01, 0.2])
-def test_finds_what_the_tree_finds(shape, jitter) -> None:
+def test_the_search_finds_the_contacts_of_the_tree(shape, jitter) -> None:
     body, curved = SHAPES[shape]
     case = fractured_world(body, 9, generations=2, curved=curved)
     for settings in (
@@ -122,7 +122,7 @@ def test_finds_what_the_tree_finds(shape, jitter) -> None:
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("jitter", [0.003, 0.01, 0.05])
 @pytest.mark.parametrize(("wanted", "most"), [(8, 16), (3, 3), (4, 40)])
-def test_lists_those_of_the_rule(shape, jitter, wanted, most, monkeypatch) -> None:
+def test_listed_contacts_follow_the_selection_rule(shape, jitter, wanted, most, monkeypatch) -> None:
     body, curved = SHAPES[shape]
     case = fractured_world(body, 7, curved=curved)
     settings = Settings(threads=1, normals="nearest")
@@ -152,7 +152,7 @@ def test_lists_those_of_the_rule(shape, jitter, wanted, most, monkeypatch) -> No
     assert chosen_of_many > 10
 
 
-def test_what_rests_keeps_its_contacts() -> None:
+def test_bodies_at_rest_keep_their_contacts() -> None:
     """A brick on a brick touches with a hundred samples, equally deep up to rounding: always the same are listed."""
     lower, upper = (tetrahedral_body(brick((1.0, 1.0, 0.5), 0.1), i) for i in (1, 2))
     world, ids = CollisionWorld(Settings(threads=1)), []
@@ -168,7 +168,7 @@ def test_what_rests_keeps_its_contacts() -> None:
     assert len(ids[0]) == 8 and all(later == ids[0] for later in ids)
 
 
-def test_leaves_hold_every_sample_once() -> None:
+def test_leaves_contain_every_sample_once() -> None:
     case = fractured_world(*SHAPES["shell"][:1], 9, generations=2, curved=True)
     rows = [case.row(fragment_id) for fragment_id in case.oracle.fragment_ids]
     validate_body(case.geometry, rows)

@@ -26,7 +26,7 @@ def bytes_of(answer: ContactConstraintArray) -> bytes:
 
 @pytest.mark.parametrize("kind", ["boxes", "spheres", "tetrahedra", "mixed"])
 @pytest.mark.parametrize("spread", [0.0, 0.03])
-def test_a_hundred_at_one_place_are_answered(kind: str, spread: float) -> None:
+def test_a_hundred_bodies_in_one_place_are_answered(kind: str, spread: float) -> None:
     world, states = crowd(kind, 100, spread)
     answer = world.contacts(states)
     assert len(answer.gaps) <= world.settings.max_contacts
@@ -37,7 +37,7 @@ def test_a_hundred_at_one_place_are_answered(kind: str, spread: float) -> None:
         assert answer.status == BUDGET_EXHAUSTED
 
 
-def test_a_thousand_at_one_place_are_refused_in_words() -> None:
+def test_a_thousand_bodies_in_one_place_are_rejected_with_an_explanation() -> None:
     world, states = crowd("boxes", 1000, 0.0)
     with pytest.raises(InvalidMessage, match=r"more than 100000 pairs .* \(max_pairs\)") as refused:
         world.contacts(states)
@@ -46,7 +46,7 @@ def test_a_thousand_at_one_place_are_refused_in_words() -> None:
 
 @pytest.mark.parametrize("count", [300, 600, 1000])
 @pytest.mark.parametrize("kind", ["boxes", "mixed"])
-def test_memory_of_a_crowd(kind: str, count: int) -> None:
+def test_memory_for_a_crowd_is_limited(kind: str, count: int) -> None:
     """The whole process, including its answer, stays below 500 MB."""
     (row,) = measure_crowds([(kind, count, CLOSE)])
     assert row.peak < 500.0 and row.refused in ("", "limit_exceeded")
@@ -70,7 +70,7 @@ def test_shares_do_not_depend_on_threads_lists_or_earlier_steps(kind: str) -> No
     assert len(set(answers)) == 1
 
 
-def test_pairs_without_room_are_searched_again(monkeypatch) -> None:
+def test_pairs_that_exceed_their_buffer_are_searched_again(monkeypatch) -> None:
     """More contacts than rows in the first buffer: the same bytes as with enough rows."""
     world, states = crowd("boxes", 30, 0.05, contacts_per_pair=400, threads=2)
     reference = bytes_of(world.contacts(states))
@@ -91,7 +91,7 @@ def test_pairs_without_room_are_searched_again(monkeypatch) -> None:
     ],
     ids=str,
 )  # fmt: skip
-def test_the_bound_holds_whatever_a_limit_leaves_out(limits: dict, field: str) -> None:
+def test_the_bound_covers_contacts_omitted_by_a_limit(limits: dict, field: str) -> None:
     """Against every sample by brute force; the deepest contacts are kept."""
     case = fractured_world(COARSE_SHAPES["ball"](), seeds=5, generations=2, curved=True)
     states, truth = case.states(0.2, seed=2), ContactTruth(case)
@@ -111,7 +111,7 @@ def test_the_bound_holds_whatever_a_limit_leaves_out(limits: dict, field: str) -
             assert np.allclose(np.sort(answer.gaps[rows]), deepest)
 
 
-def test_level_is_the_largest_that_fits() -> None:
+def test_the_limit_per_pair_is_the_largest_that_fits() -> None:
     random = np.random.default_rng(2)
     for _ in range(300):
         counts = random.integers(0, random.integers(1, 40), random.integers(1, 12))

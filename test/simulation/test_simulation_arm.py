@@ -73,9 +73,10 @@ def smashed() -> Smashed:
 # --- kinematics ------------------------------------------------------------------------------------------------------
 
 
-def test_places_are_those_of_the_urdf(kinematics: ArmKinematics) -> None:
-    """Stretched upwards, the flange is 1.306 m above the base: the data sheet's 360 + 420 + 400 + 126 mm. Bent by 90
-    degrees at joint 2, it reaches the part of that length beyond the shoulder.
+def test_poses_of_the_arm_equal_those_of_the_urdf(kinematics: ArmKinematics) -> None:
+    """Stretched upwards, the flange is 1.306 m above the base: the data sheet's 360 + 420 + 400 + 126 mm.
+
+    Bent by 90 degrees at joint 2, it reaches the part of that length beyond the shoulder.
     """
     tool = np.array(PARTS[-1].center)
     up = kinematics.places(np.zeros(JOINTS))[0][-1]
@@ -87,7 +88,7 @@ def test_places_are_those_of_the_urdf(kinematics: ArmKinematics) -> None:
     np.testing.assert_allclose(turned, [bent[-1, 0] * np.cos(0.5), bent[-1, 0] * np.sin(0.5), bent[-1, 2]], atol=1e-6)
 
 
-def test_places_are_those_that_bullet_finds() -> None:
+def test_poses_of_the_arm_equal_those_of_bullet() -> None:
     """Bullet computes in single precision."""
     position, orientation = np.array([0.1, -0.2, 0.3]), from_euler_angles(np.array([0.3, -0.4, 2.0]))
     chain = read_chain(Path(pybullet_data.getDataPath()) / URDF)
@@ -112,7 +113,7 @@ def test_places_are_those_that_bullet_finds() -> None:
         pybullet.disconnect(client)
 
 
-def test_parts_cover_the_links_meshes() -> None:
+def test_collision_parts_cover_the_meshes_of_the_links() -> None:
     for link in range(1, JOINTS + 1):
         file = Path(pybullet_data.getDataPath()) / URDF.parent / "meshes" / f"link_{link}.obj"
         rows = [line.split()[1:4] for line in file.read_text().splitlines() if line.startswith("v ")]
@@ -134,7 +135,7 @@ def test_a_scene_places_the_arm(kinematics: ArmKinematics) -> None:
 # --- a swing ---------------------------------------------------------------------------------------------------------
 
 
-def test_the_vase_breaks_when_it_is_hit_and_not_before() -> None:
+def test_the_vase_breaks_at_the_impact_and_not_before() -> None:
     run = smashed()
     vase = 1 + [body.name for body in run.scene.bodies].index("vase")
     arm = {1 + [body.name for body in run.scene.bodies].index(part.name) for part in MOVING}
@@ -150,7 +151,7 @@ def test_the_vase_breaks_when_it_is_hit_and_not_before() -> None:
     assert run.exchanges[-1].report.fragments > 20 + len(MOVING)
 
 
-def test_the_arm_follows_its_swing_to_a_rounding_and_gives_way_to_what_it_hits_by_millimetres() -> None:
+def test_the_arm_follows_its_swing_exactly_and_yields_by_millimetres_at_an_impact() -> None:
     run = smashed()
     broken = next(i for i, each in enumerate(run.exchanges) if each.report.events)
     assert run.lags[: broken - 2].max() < 1e-9
@@ -159,7 +160,7 @@ def test_the_arm_follows_its_swing_to_a_rounding_and_gives_way_to_what_it_hits_b
     assert np.abs(steps).max() <= run.scene.arm.settings.speed_limit + 1e-9
 
 
-def test_energy_is_what_the_arm_puts_in_and_never_more() -> None:
+def test_energy_rises_by_no_more_than_the_work_of_the_arm() -> None:
     run = smashed()
     reports = [each.report for each in run.exchanges]
     energy = np.array([report.kinetic_energy + report.potential_energy for report in reports])
@@ -171,7 +172,7 @@ def test_energy_is_what_the_arm_puts_in_and_never_more() -> None:
     assert rise.max() < 2e-5 * energy.max()
 
 
-def test_the_same_bytes_twice() -> None:
+def test_equal_runs_give_equal_bytes() -> None:
     def states() -> list[bytes]:
         with Lockstep(load_scene("vase")._replace(duration=1.15), Settings(threads=1)) as run:
             return [each.states.positions.tobytes() + each.states.orientations.tobytes() for each in run]
@@ -190,7 +191,7 @@ def test_parts_of_the_arm_do_not_push_each_other() -> None:
     assert max(abs(each.report.hand_energy) for each in exchanges) < 1e-9
 
 
-def test_held_up_it_presses_with_its_force_and_waits() -> None:
+def test_an_obstructed_arm_presses_with_its_force_and_waits() -> None:
     """Against a wall in its way: no part lags by more than 1.5 times the limit, and the arm comes to rest."""
     wall = {"name": "wall", "material": "metal", "static": True, "position": [0.8, 0.2, 0.4],
             "shape": {"box": {"size": [0.8, 0.1, 0.8]}}}  # fmt: skip
@@ -241,7 +242,7 @@ def played(request: pytest.FixtureRequest) -> Iterator[Played]:
     made.live.close()
 
 
-def test_it_goes_where_it_is_commanded_within_its_limits(played: Played) -> None:
+def test_the_arm_follows_commands_within_its_limits(played: Played) -> None:
     still = played.step(40)[1]
     assert np.ptp(still, axis=0).max() == 0.0, "nobody swings but the person"
     settings, h = load_scene("vase").arm.settings, 0.0025
@@ -258,7 +259,7 @@ def test_it_goes_where_it_is_commanded_within_its_limits(played: Played) -> None
     assert played.live.simulation.arm.speeds.max() == 0.0
 
 
-def test_a_person_breaks_the_vase(played: Played) -> None:
+def test_joint_commands_break_the_vase(played: Played) -> None:
     whole = played.step(10)[0][-1]
     arm = played.live.simulation.arm
     played.live.command_joints([], np.radians([-60.0, 60.0, 0.0, -80.0, 0.0, -50.0, 0.0]))
@@ -278,14 +279,14 @@ def test_a_person_breaks_the_vase(played: Played) -> None:
         (["lbr_iiwa_joint_1"], [], "position: 0 values for 1 joints"),
     ],
 )
-def test_nonsense_is_refused_in_words(played: Played, names, positions, words: str) -> None:
+def test_invalid_arguments_are_rejected_with_an_explanation(played: Played, names, positions, words: str) -> None:
     before = played.step(2)[1][-1]
     with pytest.raises(CommandRefused, match=words):
         played.live.command_joints(names, positions)
     assert np.array_equal(played.step(5)[1][-1], before)
 
 
-def test_a_scene_without_an_arm_says_so() -> None:
+def test_commands_to_a_scene_without_an_arm_are_rejected() -> None:
     live = LiveScene(load_scene("pane"), 1)
     with pytest.raises(CommandRefused, match="the scene has no arm"):
         live.command_joints([], [0.0] * JOINTS)
@@ -311,12 +312,12 @@ def row(time: float = 0.0, **angles: float) -> list[float]:
         ({"swing": [row()], "material": "butter"}, "arm.material: 'butter' is none of metal"),
     ],
 )
-def test_a_scene_that_cannot_be_is_refused_in_words(arm, words: str) -> None:
+def test_invalid_arms_are_rejected_with_an_explanation(arm, words: str) -> None:
     with pytest.raises(SceneError, match=words):
         scene(**arm)
 
 
-def test_a_swing_may_lie_in_a_file(tmp_path, kinematics: ArmKinematics) -> None:
+def test_a_swing_may_be_read_from_a_file(tmp_path, kinematics: ArmKinematics) -> None:
     lines = ["# degrees", "time,joint_1,joint_2,joint_3,joint_4,joint_5,joint_6,joint_7", "0,0,50,0,-70,0,-40,0"]
     (tmp_path / "swing.csv").write_text("\n".join([*lines, "1,20,50,0,-70,0,-40,0"]) + "\n")
     content = {

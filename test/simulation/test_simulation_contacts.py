@@ -69,14 +69,14 @@ def ball(name, radius, position, **more):
     return {"name": name, "shape": {"sphere": {"radius": radius}}, "position": position, **more}
 
 
-def test_a_box_falls_and_lies():
+def test_a_box_falls_and_comes_to_rest():
     reports, states = run(make_scene(box("box", [0.2, 0.1, 0.05], [0.0, 0.0, 0.4], rotation=[20.0, 30.0, 0.0])))
     assert reports[-1].max_speed < 1e-6
     assert -2e-4 < reports[-1].deepest_gap <= 0.0
     assert reports[-1].potential_energy < reports[0].potential_energy
 
 
-def test_a_stack_of_boxes_stays_a_stack():
+def test_a_stack_of_boxes_stands():
     boxes = [
         box(f"box {i}", [0.2, 0.2, 0.1], [0.004 * (i % 2), 0.0, 0.05 + 0.102 * i], rotation=[0, 0, 7.0 * i])
         for i in range(8)
@@ -88,7 +88,7 @@ def test_a_stack_of_boxes_stays_a_stack():
     np.testing.assert_allclose(np.sort(heights), 0.05 + 0.1 * np.arange(8), atol=1.2e-3)
 
 
-def test_light_boxes_bear_a_heavy_one():
+def test_light_boxes_support_a_heavy_one():
     """Seven times as heavy as each of the three under it: hard for Gauss-Seidel alone."""
     boxes = [box(f"box {i}", [0.1, 0.1, 0.05], [0.0, 0.0, 0.025 + 0.05 * i]) for i in range(3)]
     reports, states = run(make_scene(*boxes, box("weight", [0.15] * 3, [0.0, 0.0, 0.225]), duration=1.5))
@@ -106,7 +106,7 @@ def test_no_energy_is_gained_where_the_contacts_are_solved_to_the_end():
 
 
 @pytest.mark.parametrize(("degrees", "slides"), [(25.0, False), (28.0, True)])
-def test_coulombs_angle(degrees, slides):
+def test_a_block_slides_beyond_the_angle_of_friction(degrees, slides):
     """Friction 0.5 holds up to atan 0.5 = 26.6 degrees; above, a block slides with g (sin - mu cos)."""
     slope = np.radians(degrees)
     normal = [-np.sin(slope), 0.0, np.cos(slope)]
@@ -197,7 +197,7 @@ def test_equal_runs_give_equal_bytes():
         assert np.asarray(x).tobytes() == np.asarray(y).tobytes()
 
 
-def test_what_does_not_touch_has_no_influence():
+def test_bodies_that_do_not_touch_do_not_affect_each_other():
     """Islands are solved separately: tumbling boxes move byte for byte the same with and without a rolling ball."""
     boxes = [
         box(f"box {i}", [0.2, 0.15, 0.1], [0.02 * i, 0.0, 0.1 + 0.15 * i], rotation=[9.0 * i, 5.0, 0]) for i in range(4)
@@ -211,7 +211,7 @@ def test_what_does_not_touch_has_no_influence():
     assert beside.orientations[:-4].tobytes() == alone.orientations.tobytes()
 
 
-def test_another_steps_answer_is_refused():
+def test_answers_to_another_step_are_rejected():
     simulation = Simulation(make_scene(ball("ball", 0.05, [0.0, 0.0, 1.0])))
     oracle = Oracle(simulation.start_bodies())
     request = simulation.begin_step()

@@ -40,7 +40,7 @@ def world():
         each.close()
 
 
-def test_the_body_frame_comes_back_as_it_went_in(world):
+def test_the_body_frame_is_returned_as_it_was_set(world):
     rng = np.random.default_rng(1)
     engine, properties, frame = world(), lopsided(rng), tumbling(rng)
     engine.add(5, properties, frame)
@@ -83,7 +83,7 @@ def test_a_free_tumbling_body_keeps_its_energy_and_flies_its_parabola(world):
 
 
 @pytest.mark.parametrize("spin", [10.0, 1e3, 1e4])
-def test_a_body_that_turns_many_times_in_a_step_gains_nothing(spin):
+def test_a_body_that_rotates_many_times_in_a_step_gains_no_energy(spin):
     """At ten thousand radians a second Newton's method does not converge over the whole step at once."""
     rng = np.random.default_rng(7)
     inertias = np.repeat(np.diag([1e-5, 2e-5, 2.9e-5])[None], 200, axis=0)
@@ -123,7 +123,7 @@ def test_drift_moves_poses_and_leaves_velocities(world):
     np.testing.assert_allclose(after.angular, 0.0, atol=1e-12)
 
 
-def test_two_worlds_do_not_know_of_each_other(world):
+def test_worlds_are_independent(world):
     first, second = world(), world()
     properties = MassProperties(1.0, np.zeros(3), np.eye(3))
     frame = FrameState(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), np.ones(3), np.zeros(3))
@@ -137,7 +137,7 @@ def test_two_worlds_do_not_know_of_each_other(world):
     assert len(second.states().fragment_ids) == 1
 
 
-def test_bodies_that_come_and_go_together_move_as_each_would_alone(world):
+def test_added_and_removed_bodies_move_as_each_would_alone(world):
     rng = np.random.default_rng(7)
     bodies = {i: (lopsided(rng), tumbling(rng)._replace(orientation=Rotation.random(random_state=i).as_quat()))
               for i in range(1, 9)}  # fmt: skip
@@ -196,7 +196,7 @@ def test_a_step_moves_a_body_as_bullet_does(world):
         pybullet.disconnect(client)
 
 
-def test_a_turn_of_any_size_is_exact(world):
+def test_rotations_of_any_angle_are_exact(world):
     for angle in (1e-12, 1e-9, 1e-3, 0.5 * np.pi, 3.0, 40.0):
         engine = world()
         spin = np.array([0.6, 0.0, -0.8]) * angle / STEP
@@ -208,7 +208,7 @@ def test_a_turn_of_any_size_is_exact(world):
         np.testing.assert_allclose(got * np.sign(got @ expected), expected, atol=1e-15 * max(1.0, angle))
 
 
-def test_what_cannot_be_is_refused(world):
+def test_invalid_bodies_are_rejected(world):
     engine = world()
     frame = FrameState(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), np.zeros(3))
     with pytest.raises(ValueError, match="fragment 3: mass 0.0 kg"):

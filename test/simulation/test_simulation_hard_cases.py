@@ -58,10 +58,10 @@ def run(
     scene, duration: float, struck: bool = False, settle: float = 0.2, lift: float = DRIFT_LIFT,
     settings: Settings | None = None,
 ) -> Track:  # fmt: skip
-    """A scene for `duration` [s]; with `struck` body 2 is broken after `settle`, by a blow without a push, and the rest
-    counts from there.
+    """Simulates a scene for `duration` [s], and asserts what holds for its energy.
 
-    Asserts at each step that energy does not rise, and over the run that drift correction does not put it in.
+    With `struck` body 2 is broken after `settle`, by a blow without a push, and the rest counts from there. At each
+    step energy may not rise, and over the run drift correction may not put it in.
     """
     meshes = {i: body.shape.mesh for i, body in enumerate(scene.bodies, start=1)}
     nodes = {i: mesh.vertices for i, mesh in meshes.items() if mesh is not None}
@@ -139,9 +139,11 @@ def stack(count: int, askew: float = 1.0):
 @quick_and_slow
 @pytest.mark.parametrize("askew", [1.0, 0.0], ids=["askew", "flush"])
 def test_a_stack_of_ten_bricks_stands(duration, askew):
-    """None moves by more than 10 um from one second on, nor by more than the 2 mm it was laid too high; none sinks
-    deeper than 0.2 % R (0.2 mm), the service's own tolerance, nor at all from one second on; at the end none moves
-    faster than 1 um/s."""
+    """None moves by more than 10 um from one second on, nor by more than the 2 mm it was laid too high.
+
+    None sinks deeper than 0.2 % R (0.2 mm), the service's own tolerance, nor at all from one second on; at the end none
+    moves faster than 1 um/s.
+    """
     track = run(stack(10, askew), duration)
     assert track.displacement(since=400) < 1e-5
     assert track.displacement() < 2.5e-3
@@ -165,8 +167,11 @@ def test_a_wall_of_32_bricks_stands(duration):
 @quick_and_slow
 @pytest.mark.parametrize("ratio", [1000.0, 0.001])
 def test_a_heavy_brick_on_a_light_one(duration, ratio):
-    """1000 times as heavy on what bears it, and the other way round: it sinks no deeper than 0.3 % R when it lands and
-    not at all from one second on; nothing moves by more than 10 um then."""
+    """1000 times as heavy on what bears it, and the other way round.
+
+    It sinks no deeper than 0.3 % R when it lands and not at all from one second on; nothing moves by more than 10 um
+    then.
+    """
     light, heavy = {**CLAY, "density": 20.0}, {**CLAY, "density": 20.0 * max(ratio, 1.0 / ratio)}
     below, above = ("light", "heavy") if ratio > 1.0 else ("heavy", "light")
     # As high as it must be to weigh 1000 times as much at 1000 times the density.
@@ -185,8 +190,10 @@ def test_a_heavy_brick_on_a_light_one(duration, ratio):
 
 @quick_and_slow
 def test_a_heavy_brick_flush_on_a_light_one(duration):
-    """1000 times as heavy, side faces in one plane: the nearest surface of every rim is a side. It stands like the
-    last, once drift correction, 0.2 % of the energy, has lifted it from its landing 0.32 mm deep."""
+    """1000 times as heavy, side faces in one plane: the nearest surface of every rim is a side.
+
+    It stands like the last, once drift correction, 0.2 % of the energy, has lifted it from its landing 0.32 mm deep.
+    """
     clay = {name: {**CLAY, "density": density} for name, density in (("light", 20.0), ("heavy", 20000.0))}
     bricks = [
         brick(name, name, [0.2, 0.2, 0.1], 0.05, position=[0.0, 0.0, height])
@@ -219,7 +226,7 @@ after_a_blow = pytest.mark.parametrize("duration", [0.5, LONG])
 @after_a_blow
 @pytest.mark.parametrize("curvature", [0.0, 0.25])
 @pytest.mark.parametrize("shape", [BALL, BRICK, PANE], ids=["ball", "brick", "pane"])
-def test_a_fresh_fracture_hovers_where_it_is(duration, shape, curvature):
+def test_a_fresh_fracture_without_gravity_stays_in_place(duration, shape, curvature):
     """Without gravity fragments that fit snugly have no reason to move: none does by more than 1e-9 m."""
     track = run(breakable(shape, 1, curvature, 0.5, 0.0, 1.0), duration, struck=True)
     assert len(track.states[-1].fragment_ids) >= 7
@@ -248,11 +255,12 @@ def worst_drift(name: str, curvature: float, duration: float, contacts_per_pair:
 @after_a_blow
 @pytest.mark.parametrize("curvature", [0.0, 0.25])
 @pytest.mark.parametrize("name", ["pane", "brick"])
-def test_a_fresh_fracture_on_the_ground_stays_where_it_is(duration, name, curvature):
+def test_a_fresh_fracture_on_the_ground_stays_in_place(duration, name, curvature):
     """Five seeds each, 16 contacts a pair: no node of any fragment moves by more than 0.1 % R; energy does not rise.
 
     A brick half as high as long has cracks that lean by more than 27 degrees; on those, friction of 0.5 lets pieces
-    slide (by 3 % R with seed 1), as it should. Its friction is 1."""
+    slide (by 3 % R with seed 1), as it should. Its friction is 1.
+    """
     assert worst_drift(name, curvature, duration, 16) < FRESH_DRIFT
 
 
@@ -261,8 +269,10 @@ def test_a_fresh_fracture_on_the_ground_stays_where_it_is(duration, name, curvat
 @pytest.mark.parametrize("curvature", [0.0, 0.25])
 @pytest.mark.parametrize("name", ["pane", "brick"])
 def test_a_fresh_fracture_with_fewer_contacts_moves_within_the_tolerance(name, curvature):
-    """With the usual 8 contacts a pair, which can stand close together in a crack, pieces may tilt until others are
-    epsilon deep: by about 0.2 % R, no more than 0.3 %."""
+    """With the usual 8 contacts a pair, pieces may tilt until others are epsilon deep.
+
+    The contacts can stand close together in a crack. The depth is about 0.2 % R, no more than 0.3 %.
+    """
     assert worst_drift(name, curvature, 10.0, Settings().contacts_per_pair) < 3e-3
 
 
@@ -272,7 +282,7 @@ RIM_RADIUS = 0.125
 
 @pytest.mark.parametrize("time_step", [1e-3, pytest.param(2.5e-4, marks=pytest.mark.slow)])
 def test_a_plate_rolls_on_its_rim(time_step):
-    """Glondu 2014, Fig. 5: at most 6 contacts. In one second from 0.9 m/s, at 1 ms a step:
+    """Glondu 2014, Fig. 5: at most 6 contacts, one second from 0.9 m/s, at 1 ms a step.
 
     It never jumps nor sinks: its lowest corner stays within 10 um (0.008 % R) of the height at which bodies rest. It
     loses kinetic energy as a rimless wheel of 120 corners does, ((I + m r^2 cos a) / (I + m r^2))^2 a corner (McGeer,
@@ -318,7 +328,7 @@ def test_bricks_that_bounce_gain_no_energy(restitution):
     assert track.energy[-1] < 0.5 * track.energy[0]
 
 
-def test_only_what_moves_and_breaks_can_be_struck():
+def test_only_moving_breakable_bodies_can_be_struck():
     scene = breakable(BRICK, 1, 0.0, 0.5, 9.81, 0.05)
     with Lockstep(scene) as lockstep:
         lockstep.step()

@@ -53,7 +53,7 @@ def run(request: pytest.FixtureRequest) -> Iterator[Run]:
     made.live.close()
 
 
-def test_nobody_throws_but_the_person(run: Run) -> None:
+def test_balls_of_the_scene_are_not_thrown_in_a_live_run(run: Run) -> None:
     assert run.step(120).fragments == 4, "the scene's first ball would have come at step 100"
     assert [body.name for body in run.requests[0].bodies] == [
         "ground", "shelf", "rack", "wall", "plate 1", "plate 2", "plate 3", "plate 4",
@@ -62,7 +62,7 @@ def test_nobody_throws_but_the_person(run: Run) -> None:
     assert run.step(60).fragments > 10
 
 
-def test_old_balls_leave(run: Run) -> None:
+def test_the_oldest_balls_are_removed(run: Run) -> None:
     for k in range(MOST_BALLS + 3):
         run.live.throw(Ball(np.array([0.1 * k - 0.6, -2.0, 1.0]), STILL, 0.04, 2000.0))
         report = run.step()
@@ -74,7 +74,7 @@ def test_old_balls_leave(run: Run) -> None:
     assert run.step(50).fragments == 4 + MOST_BALLS
 
 
-def test_a_hand_keeps_what_breaks_in_it(run: Run) -> None:
+def test_a_hand_keeps_a_piece_of_a_body_that_breaks(run: Run) -> None:
     run.step(5)
     run.live.drag(5, STILL, PLATE + [0.0, -0.3, 0.1])
     run.step(100)
@@ -91,7 +91,7 @@ def test_a_hand_keeps_what_breaks_in_it(run: Run) -> None:
     assert run.live.simulation.drag.held is None
 
 
-def test_what_is_held_may_leave(run: Run) -> None:
+def test_a_held_body_may_be_removed(run: Run) -> None:
     run.live.throw(Ball(np.array([0.0, -2.0, 1.0]), STILL, 0.04, 2000.0))
     run.step()
     (ball,) = [body_id for body_id in run.announced(ADD) if body_id > 8]
@@ -106,7 +106,7 @@ def test_what_is_held_may_leave(run: Run) -> None:
         run.live.simulation.take_out(1)  # the ground
 
 
-def test_a_hammer_goes_where_it_is_told_and_breaks_what_is_there(run: Run) -> None:
+def test_a_hammer_follows_commands_and_breaks_bodies(run: Run) -> None:
     run.live.steer(STILL)
     assert run.step(5).fragments == 4, "no hammer for a command to stand still"
     run.live.steer(np.array([-0.5, 0.0, 0.0]))
@@ -153,14 +153,14 @@ def test_a_ball_at_30_metres_a_second_breaks_the_plate_it_hits_and_stops_before_
         (lambda live: live.drag(5, STILL, STILL * np.nan), "target: "),
     ],
 )
-def test_nonsense_is_refused_in_words(run: Run, act, words: str) -> None:
+def test_invalid_arguments_are_rejected_with_an_explanation(run: Run, act, words: str) -> None:
     run.step(2)
     with pytest.raises(CommandRefused, match=words):
         act(run.live)
     assert run.step(2).fragments == 4
 
 
-def test_the_same_commands_give_the_same_run() -> None:
+def test_equal_commands_give_equal_runs() -> None:
     def states() -> list[bytes]:
         run = Run()
         run.live.throw(Ball(PLATE - [0.0, 0.3, 0.0], np.array([0.0, 7.0, 0.3]), 0.04, 2000.0))

@@ -42,7 +42,7 @@ def contact(number, x, gap):
     return number, point, point + gap * UP, UP
 
 
-def test_a_contact_left_out_moves_with_its_bodies():
+def test_an_omitted_contact_moves_with_its_bodies():
     first = contacts_of((3, 8, [contact(1, 0.0, 0.0), contact(2, 0.1, -1e-4)]))
     merged, memory = with_remembered(first, states_of({3: STILL, 8: STILL}), NOTHING, REACH)
     for got, expected in zip(merged, first, strict=True):
@@ -68,7 +68,7 @@ def test_a_contact_left_out_moves_with_its_bodies():
     assert near.contact_ids.tolist() == [1]
 
 
-def test_what_slips_or_parts_is_forgotten_and_what_is_listed_is_not_doubled():
+def test_contacts_that_slip_or_separate_are_dropped_and_listed_ones_not_doubled():
     both = contacts_of((3, 8, [contact(1, 0.0, 0.0), contact(2, 0.1, 0.0)]), (3, 9, [contact(1, 0.2, 0.0)]))
     states = states_of({3: STILL, 8: STILL, 9: STILL})
     _, memory = with_remembered(both, states, NOTHING, REACH)
@@ -85,7 +85,7 @@ def test_what_slips_or_parts_is_forgotten_and_what_is_listed_is_not_doubled():
     assert len(none.gaps) == 0
 
 
-def test_static_bodies_that_no_state_names_stand_in_the_world_frame():
+def test_static_bodies_without_states_are_in_the_world_frame():
     turn = Rotation.from_rotvec([0.0, 0.0, 0.4])
     first = contacts_of((1, 8, [contact(5, 0.3, 0.0), contact(6, 0.4, 0.0)]))
     _, memory = with_remembered(first, states_of({8: (np.zeros(3), turn)}), NOTHING, REACH)
@@ -95,7 +95,7 @@ def test_static_bodies_that_no_state_names_stand_in_the_world_frame():
     np.testing.assert_allclose(merged.points_a[3:], [0.4, 0.0, 0.0], atol=1e-15)
 
 
-def test_what_pushes_as_nothing_else_of_the_pair_does_is_forgotten():
+def test_a_remembered_contact_with_a_normal_of_its_own_is_dropped():
     """A sample has slipped over an edge: the pair touches only at another face, so the old contact is dropped."""
     aside = np.array([1.0, 0.0, 0.0])
     point = np.array([0.1, 0.0, 0.0])

@@ -83,6 +83,6 @@ def test_energy_never_rises_without_cause(run):
     assert drift.sum() < 0.02 * energy.max()
 
 
-def test_the_same_twice_byte_for_byte(scene, run):
+def test_a_shorter_run_gives_the_same_bytes(scene, run):
     part = scene._replace(duration=0.5)
     assert smash(part)[1] == run[1][: part.step_count]

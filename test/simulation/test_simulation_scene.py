@@ -36,7 +36,7 @@ def test_the_plates_scene():
     assert record.tetrahedra.max() < len(record.vertices) // 3
 
 
-def test_bodies_at_the_start_are_said_as_often_as_asked_and_announced_once():
+def test_start_bodies_are_returned_on_every_call_and_announced_once():
     simulation = Simulation(parse_scene(VALID, "said"))
     first, again = simulation.start_bodies(), simulation.start_bodies()
     assert [body.name for body in first] == [body.name for body in again] == ["ground", "brick"]

@@ -33,7 +33,7 @@ def settled(what):
 
 
 @pytest.mark.parametrize("gravity", [0.0, 9.81])
-def test_what_is_held_follows_the_hand_and_hangs_below_it(gravity):
+def test_a_held_body_follows_the_hand_and_hangs_below_it(gravity):
     lifted = [0.0, 0.0, 0.9]
     track = [[0.0, 1.0, 0.0, 0.5, "ball"], [0.5, *lifted, "ball"], [3.0, *lifted, "ball"]]
     reports, positions, _ = settled(scene(track, 2.99, gravity))
@@ -48,7 +48,7 @@ def test_what_is_held_follows_the_hand_and_hangs_below_it(gravity):
     assert work == pytest.approx(lifting, rel=1e-3, abs=1e-6)
 
 
-def test_energy_is_what_the_hand_puts_in():
+def test_energy_rises_by_the_work_of_the_hand():
     track = [[0.0, 0.0, 0.0, 0.55, "brick"], [0.3, 0.3, 0.2, 0.9, "brick"], [1.0, -0.2, 0.0, 0.5, ""]]
     reports, _, _ = settled(scene(track))
     energy = np.cumsum([report.hand_energy for report in reports])
@@ -56,7 +56,7 @@ def test_energy_is_what_the_hand_puts_in():
     assert energy[-1] > 0.1
 
 
-def test_an_open_hand_does_nothing_and_a_late_body_is_taken_when_it_comes():
+def test_an_open_hand_does_nothing_and_takes_a_late_body_on_arrival():
     reports, _, _ = settled(scene([[0.0, 0.0, 0.0, 0.5, ""], [1.0, 1.0, 0.0, 0.5, ""]], 0.2))
     assert all(report.hand_energy == 0.0 and report.kinetic_energy == 0.0 for report in reports)
     what = scene([[0.0, 1.0, 0.0, 0.6, "ball"], [9.0, 1.0, 0.0, 0.6, "ball"]], 0.4)
@@ -66,7 +66,7 @@ def test_an_open_hand_does_nothing_and_a_late_body_is_taken_when_it_comes():
     assert not any(pulled[:40]) and all(pulled[41:60])
 
 
-def test_no_stiffness_is_too_much_for_the_step():
+def test_any_stiffness_of_the_hand_is_stable():
     track = [[0.0, 0.1, 0.05, 0.55, "brick"], [0.2, 0.5, 0.5, 0.9, "brick"], [1.0, 0.5, 0.5, 0.9, "brick"]]
     reports, _, _ = settled(scene(track, frequency=1000.0, damping_ratio=0.0, force_limit=1e9))
     assert np.isfinite([report.kinetic_energy for report in reports]).all()
@@ -98,7 +98,7 @@ def test_the_impulse_obeys_the_implicit_spring():
     assert inertia @ change[3:] == pytest.approx(np.cross(point - center, mass * change[:3]))
 
 
-def test_what_breaks_in_the_hand_stays_in_it_by_the_piece_that_it_holds():
+def test_a_hand_keeps_the_gripped_piece_of_a_body_that_breaks():
     hold = [-0.1, 0.0, 0.5]
     with Lockstep(scene([[0.0, *hold, "brick"], [9.0, *hold, "brick"]]), Settings(threads=1)) as run:
         run.step()
@@ -117,7 +117,7 @@ def load_brick() -> np.ndarray:
     return scene([[0.0, 0.0, 0.0, 0.0, ""], [1.0, 0.0, 0.0, 0.0, ""]]).bodies[0].shape.mesh.vertices
 
 
-def test_from_outside_a_hand_takes_the_nearest_piece_moves_and_lets_go():
+def test_a_commanded_hand_takes_moves_and_releases_the_nearest_piece():
     what = scene([[0.0, 0.0, 0.0, 0.0, ""], [1.0, 0.0, 0.0, 0.0, ""]])._replace(hand=None)
     with Lockstep(what, Settings(threads=1)) as run:
         assert not run.simulation.grab("brick", np.zeros(3))  # not in motion yet
@@ -159,7 +159,7 @@ def test_errors_name_the_row(track, words):
         scene(track)
 
 
-def test_a_track_in_a_file_lies_beside_the_scene(tmp_path):
+def test_a_track_file_is_read_from_the_folder_of_the_scene(tmp_path):
     hand = load_scene("bunnies").hand
     assert len(hand.track.times) > 100 and set(hand.track.holds) == {"", "bunny 1", "bunny 2", "bunny 4", "bunny 5"}
     content = {"time_step": 0.01, "duration": 1.0, "materials": {"clay": {"density": 1.0, "friction": 0.0}},

@@ -95,7 +95,7 @@ def test_a_stack_at_rest_keeps_its_poses_to_the_last_bit(run_of) -> None:
     assert report.kinetic_energy == 0.0 and report.contacts == 16
 
 
-def test_nobody_sleeps_where_the_scene_says_so(run_of) -> None:
+def test_a_sleep_time_of_zero_disables_sleeping(run_of) -> None:
     scene = scene_of(block("lower", 0.051), solver={"sleep_time": 0.0})
     run = run_of(scene)
     run.step(400)
@@ -113,7 +113,7 @@ def test_a_block_that_lands_wakes_the_stack(run_of) -> None:
     run.until_asleep(3)
 
 
-def test_what_lies_on_a_block_that_leaves_falls(run_of) -> None:
+def test_a_block_falls_when_its_support_is_removed(run_of) -> None:
     run = run_of(scene_of(block("lower", 0.051), block("upper", 0.1515)))
     run.until_asleep(2)
     before = run.height(3)
@@ -131,7 +131,7 @@ def test_a_hand_wakes_what_it_pulls(run_of) -> None:
     assert run.height(3) > before + 0.05
 
 
-def test_what_breaks_wakes_what_it_touched(run_of) -> None:
+def test_a_fracture_wakes_touching_bodies(run_of) -> None:
     clay = STONE | {
         "fracture": {"strength": 40.0, "minimum_mass": 0.1, "pattern": {"seeds": 7, "minimum_nodes": 6}},
     }  # fmt: skip
@@ -169,7 +169,7 @@ def test_islands_sleep_and_wake_as_one() -> None:
     assert roused(rest, np.zeros(0, np.uint32), touched, np.zeros(0, bool)) is NOBODY
 
 
-def test_who_is_quiet() -> None:
+def test_slow_bodies_count_as_quiet() -> None:
     """At 0.9 and 1.1 mm/s, spinning, oscillating in place at 16 mm/s, and at rest."""
     n, steps, time_step = 5, 101, 0.0025
     rest = Rest(np.arange(n, dtype=np.uint32), np.zeros(n), np.zeros(n, bool), np.zeros((n, 6)))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -43,39 +45,49 @@ def test_contacts_are_split_by_their_gaps() -> None:
     assert none is None and same is now
 
 
-def shares(rows_a, rows_b, points_a, points_b, normals, centers, velocities, is_round=None) -> np.ndarray:
-    """Planes turn with their bodies if `is_round` marks the spheres."""
-    n, least = len(centers), np.full(len(rows_a), REST)
-    places = (np.array(x, float) for x in (points_a, points_b, normals))
-    touches = Touches(np.array(rows_a), np.array(rows_b), *places, least)
+class Ahead(NamedTuple):
+    """Contacts ahead, one a row; bodies by their row, one beyond the last is static."""
+
+    rows_a: list[int]
+    rows_b: list[int]
+    points_a: list
+    points_b: list
+    normals: list
+
+
+def shares(ahead: Ahead, centers, velocities, is_turning=False, is_round=None) -> np.ndarray:
+    """The share of a step of 10 ms that each body moves until it touches."""
+    n, least = len(centers), np.full(len(ahead.rows_a), REST)
+    places = (np.array(x, float) for x in (ahead.points_a, ahead.points_b, ahead.normals))
+    touches = Touches(np.array(ahead.rows_a), np.array(ahead.rows_b), *places, least)
     spheres = np.zeros(n + 1, bool) if is_round is None else np.array(is_round)
     motion = Motion(np.array(centers, float), np.array(velocities, float), 0.01)
-    return shares_until_touch(touches, motion, np.ones(n), is_round is not None, spheres)
+    return shares_until_touch(touches, motion, np.ones(n), is_turning, spheres)
 
 
-def test_a_body_goes_as_far_as_the_touch() -> None:
+def test_a_body_moves_until_it_touches() -> None:
     """10 m/s towards a static obstacle 3 cm away, in steps of 10 ms; a body moving away is free."""
     moves = [[10.0, 0.0, 0.0, 0.0, 0.0, 0.0]]
-    x = [[1.0, 0.0, 0.0]]
-    own = shares([0], [1], [[0.0] * 3], [[0.03, 0.0, 0.0]], x, [[0.0] * 3], moves)
-    assert own == pytest.approx([(0.03 - REST) / 0.1])
-    assert shares([0], [1], [[0.0] * 3], [[0.03, 0.0, 0.0]], x, [[0.0] * 3], [[-10.0, 0, 0, 0, 0, 0]]) == [1.0]
-    assert shares([0], [1], [[0.0] * 3], [[0.2, 0.0, 0.0]], x, [[0.0] * 3], moves) == [1.0]
+    near = Ahead([0], [1], [[0.0] * 3], [[0.03, 0.0, 0.0]], [[1.0, 0.0, 0.0]])
+    far = near._replace(points_b=[[0.2, 0.0, 0.0]])
+    assert shares(near, [[0.0] * 3], moves) == pytest.approx([(0.03 - REST) / 0.1])
+    assert shares(near, [[0.0] * 3], [[-10.0, 0, 0, 0, 0, 0]]) == [1.0]
+    assert shares(far, [[0.0] * 3], moves) == [1.0]
 
 
-def test_who_waits_is_not_run_through() -> None:
+def test_a_body_stops_behind_a_stopped_body() -> None:
     """The first body would never touch the second, but the second is stopped by a third: both stop."""
-    rows = [0, 1], [1, 2]
-    points = [[[0.0, 0.0, 0.0], [0.9, 0.0, 0.0]], [[0.85, 0.0, 0.0], [0.91, 0.0, 0.0]]]
+    points_a, points_b = [[0.0, 0.0, 0.0], [0.9, 0.0, 0.0]], [[0.85, 0.0, 0.0], [0.91, 0.0, 0.0]]
+    ahead = Ahead([0, 1], [1, 2], points_a, points_b, [[1.0, 0.0, 0.0]] * 2)
     centers, moves = [[0.0] * 3, [0.9, 0.0, 0.0]], [[100.0, 0, 0, 0, 0, 0], [90.0, 0, 0, 0, 0, 0]]
-    alone = shares(rows[0][:1], rows[1][:1], points[0][:1], points[1][:1], [[1.0, 0, 0]], centers, moves)
+    alone = shares(Ahead(*(column[:1] for column in ahead)), centers, moves)
     assert alone.tolist() == [1.0, 1.0]
-    held = shares(*rows, *points, [[1.0, 0, 0]] * 2, centers, moves)
-    gap = points[1][0][0] + 0.9 * held[1] - 1.0 * held[0]
+    held = shares(ahead, centers, moves)
+    gap = points_b[0][0] + 0.9 * held[1] - 1.0 * held[0]
     assert held[1] < 0.02 and gap >= 0.0
 
 
-def test_points_go_round() -> None:
+def test_rotating_points_stop_at_the_first_touch() -> None:
     """Against 10,000 times: a point of a body that rotates by about 4 radians stops where its path meets a wall."""
     random = np.random.default_rng(1)
     for _ in range(20):
@@ -83,7 +95,7 @@ def test_points_go_round() -> None:
         point, normal = random.normal(0.0, 0.05, 3), random.normal(size=3)
         normal /= np.linalg.norm(normal)
         wall = point + random.uniform(0.01, 0.05) * normal
-        own = shares([0], [1], [point], [wall], [normal], [[0.0] * 3], [[*move, *spin]])[0]
+        own = shares(Ahead([0], [1], [point], [wall], [normal]), [[0.0] * 3], [[*move, *spin]])[0]
         moments = np.linspace(0.0, 1.0, 10001)
         path = Rotation.from_rotvec(0.01 * moments[:, None] * spin).apply(point) + 0.01 * moments[:, None] * move
         gaps = (wall - path) @ normal
@@ -92,13 +104,14 @@ def test_points_go_round() -> None:
 
 
 @pytest.mark.parametrize("is_round", [True, False])
-def test_a_plane_turns_with_the_body_whose_it_is(is_round: bool) -> None:
-    """A bar rotates by half a radian about its middle, and its face rotates with it into its neighbour. If that is a
-    ball, the face is the bar's; otherwise it may belong to either, and the gap that closes first counts.
+def test_contact_planes_rotate_with_their_body(is_round: bool) -> None:
+    """A bar rotates by half a radian about its middle, and its face rotates with it into its neighbour.
+
+    If that is a ball, the face is the bar's; otherwise it may belong to either, and the gap that closes first counts.
     """
     centers, moves = [[0.0] * 3, [0.1, 0.06, 0.0]], [[0, 0, 0, 0.0, 0.0, 50.0], [0.0] * 6]
-    at_bar, beside, up = [[0.1, 0.01, 0.0]], [[0.1, 0.04, 0.0]], [[0.0, 1.0, 0.0]]
-    own = shares([0], [1], at_bar, beside, up, centers, moves, [False, is_round, False])
+    ahead = Ahead([0], [1], [[0.1, 0.01, 0.0]], [[0.1, 0.04, 0.0]], [[0.0, 1.0, 0.0]])
+    own = shares(ahead, centers, moves, True, [False, is_round, False])
     angles = np.linspace(0.0, 0.5, 100001)
     point = 0.1 * np.cos(angles) - 0.01 * np.sin(angles), 0.1 * np.sin(angles) + 0.01 * np.cos(angles)
     gaps = -np.sin(angles) * (0.1 - point[0]) + np.cos(angles) * (0.04 - point[1])
@@ -115,7 +128,7 @@ def beside(shares: list[float], centers: list[list[float]], moves: np.ndarray) -
     return shares_side_by_side(np.array(shares), motion, boxes, np.full(count, SPARE))
 
 
-def test_what_flies_beside_one_that_is_held_back_does_not_run_into_it() -> None:
+def test_bodies_beside_a_stopped_one_do_not_run_into_it() -> None:
     centers = [[0.0, 0.0, 0.0], [0.07, 0.0, 0.0], [0.14, 0.0, 0.0], [9.0, 0.0, 0.0], [0.0, 0.1, 0.0]]
     moves = np.zeros((5, 6))
     moves[:4, 0] = 20.0  # 5 cm a step; the last is at rest
@@ -127,7 +140,7 @@ def test_what_flies_beside_one_that_is_held_back_does_not_run_into_it() -> None:
         assert (paths[before] - paths[behind]).min() > 0.04 - SPARE
 
 
-def test_what_flies_away_from_one_that_is_held_back_or_past_it_goes_all_its_way() -> None:
+def test_bodies_that_move_away_from_or_past_a_stopped_one_are_not_stopped() -> None:
     away, past = np.zeros((2, 6)), np.zeros((2, 6))
     away[0, 0], away[1, :2] = 20.0, (-20.0, 5.0)
     past[:, 0] = 20.0
@@ -135,7 +148,7 @@ def test_what_flies_away_from_one_that_is_held_back_or_past_it_goes_all_its_way(
     assert beside([0.1, 1.0], [[0.1, 0.12, 0.0], [0.0, 0.0, 0.0]], past).tolist() == [0.1, 1.0]
 
 
-def test_boxes_of_inertias_are_the_bodies_own() -> None:
+def test_boxes_are_recovered_from_their_inertias() -> None:
     """For boxes in any orientation."""
     random = np.random.default_rng(5)
     sides, turns = random.uniform(0.01, 0.2, (20, 3)), Rotation.random(20, random_state=6)
@@ -155,7 +168,7 @@ def test_boxes_of_inertias_are_the_bodies_own() -> None:
     np.testing.assert_allclose(boxes.halves, halves, rtol=1e-7, atol=1e-9)
 
 
-def test_bodies_turn_as_the_service_was_told() -> None:
+def test_bodies_rotate_by_the_published_angular_velocities() -> None:
     """By the angular velocities in the states, although a shard's spin axis precesses by a radian in a step."""
     with Lockstep(scene_of(10.0, 3, True), Settings(threads=1, lookahead=TIME_STEP)) as lockstep:
         told = [lockstep.step().states for _ in range(2)]
@@ -167,7 +180,7 @@ def test_bodies_turn_as_the_service_was_told() -> None:
 
 
 @pytest.mark.parametrize("speed", [3.0, 30.0, 300.0])
-def test_a_ball_bounces_off_a_thin_wall_with_the_speed_it_came_with(speed: float) -> None:
+def test_a_ball_bounces_off_a_thin_wall_at_its_speed(speed: float) -> None:
     material = {"density": 1000.0, "friction": 0.0, "restitution": 1.0}
     scene = parse_scene(
         {

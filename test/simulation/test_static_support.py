@@ -41,7 +41,7 @@ def test_no_shard_of_the_default_demo_floats(curvature, seed):
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("curvature", CURVATURES)
 @pytest.mark.parametrize("name", SCENES)
-def test_whatever_rests_is_supported(name, curvature):
+def test_bodies_at_rest_are_supported(name, curvature):
     floating = {seed: unsupported(name, curvature, seed).unsupported for seed in SEEDS}
     assert not any(floating.values()), floating
 
@@ -84,7 +84,7 @@ def hooked():
     )  # fmt: skip
 
 
-def test_a_slab_that_an_edge_holds_by_less_than_the_eye_sees_falls():
+def test_a_slab_on_an_invisibly_narrow_edge_falls():
     scene = hooked()
     in_contact = scene.solver._replace(rest_gap=0.0, rest_slop=1e-4)
     for solver, floats in ((scene.solver, False), (in_contact, True)):
@@ -112,7 +112,7 @@ def test_a_body_falls_within_two_steps_when_its_support_is_removed():
 
 
 @pytest.mark.parametrize(("support", "wall", "falls"), [(True, False, False), (True, True, False), (False, True, True)])
-def test_the_linear_program_tells_what_floats(support, wall, falls):
+def test_the_linear_program_finds_floating_bodies(support, wall, falls):
     """The block as placed, before it moves: on its pedestal, or beside a wall with nothing below it."""
     scene = stand(support, wall)
     with Lockstep(scene, Settings(threads=1)) as run:

@@ -50,8 +50,9 @@ def chromium() -> Iterator[Any]:
 
 @contextmanager
 def opened(browser: Any, address: str) -> Iterator[Any]:
-    """A page that has loaded the scene. On exit it asserts that the console has no errors and that every request went
-    to the address.
+    """A page that has loaded the scene.
+
+    On exit it asserts that the console has no errors and that every request went to the address.
     """
     context = browser.new_context(viewport={"width": WIDTH, "height": HEIGHT})
     context.add_init_script(UNSEEN)

@@ -1,6 +1,7 @@
-"""Stand-ins for the names that the launch file imports from launch and launch_ros, with their documented arguments
-(docs.ros.org, Jazzy). Executing them gives an environment and command lines. For tests without ROS's launch, which
-is not available as a wheel.
+"""Stand-ins for the names that the launch file imports from launch and launch_ros.
+
+They take the documented arguments (docs.ros.org, Jazzy). Executing them gives an environment and command lines. For
+tests without ROS's launch, which is not available as a wheel.
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ def test_the_surfaces_of_the_truth_close_around_their_points(sample: Sample) -> 
     assert sample.truth.open_by <= 1e-9
 
 
-def test_exact_is_libigls_distance(sample: Sample) -> None:
+def test_the_exact_field_equals_the_distance_of_libigl(sample: Sample) -> None:
     assert np.abs(sample.exact.depth - sample.truth.depth).max() <= TOLERANCE
     witnesses = sample.truth.points + RADIUS * sample.exact.depth[:, None] * sample.exact.outward
     for fragment in np.unique(sample.truth.fragments).tolist():
@@ -47,14 +47,14 @@ def test_exact_is_libigls_distance(sample: Sample) -> None:
         assert igl_closest(witnesses[own], surface)[0].max() <= TOLERANCE * RADIUS
 
 
-def test_exact_never_changes_faster_than_the_point_moves(sample: Sample) -> None:
+def test_the_exact_field_has_a_slope_of_at_most_one(sample: Sample) -> None:
     for rise in (sample.exact.rise, sample.exact.true_rise):
         assert np.nanmax(np.abs(rise)) <= INWARD + TOLERANCE
     # straight away from the surface depth grows by the step length, up to the middle, which is far from most points
     assert np.isclose(sample.exact.true_rise, INWARD, rtol=0.0, atol=TOLERANCE).mean() > 0.7
 
 
-def test_averaged_stays_within_what_was_measured(sample: Sample) -> None:
+def test_errors_of_the_averaged_field_stay_within_the_measured_ones(sample: Sample) -> None:
     truth, said = sample.truth, sample.averaged
     most, most_near, most_falls = LIMITS[sample.cracks]
     error = np.abs(said.depth - truth.depth)
@@ -64,5 +64,5 @@ def test_averaged_stays_within_what_was_measured(sample: Sample) -> None:
     assert (said.true_rise < 0.0)[before_middle].mean() <= most_falls
 
 
-def test_the_depth_that_averaged_calls_certain_is_never_exceeded(sample: Sample) -> None:
+def test_the_certain_depth_of_the_averaged_field_never_exceeds_the_true_depth(sample: Sample) -> None:
     assert (sample.averaged.most - sample.truth.depth).min() >= -1e-12

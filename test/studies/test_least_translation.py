@@ -39,7 +39,7 @@ def test_a_corner_needs_three() -> None:
     np.testing.assert_allclose(least_translation(np.eye(3), DEPTH * np.array([1, 2, 3])), DEPTH * np.array([1, 2, 3]))
 
 
-def test_a_gap_bounds_the_way() -> None:
+def test_a_gap_limits_the_translation() -> None:
     # the second may move back by DEPTH only, so it slides sideways
     normals = np.array([(X + Y) / np.sqrt(2.0), -X])
     shift = least_translation(normals, np.array([4.0 * DEPTH, -DEPTH]))
@@ -47,13 +47,13 @@ def test_a_gap_bounds_the_way() -> None:
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.1 / FARTHEST])
-def test_contacts_that_face_each_other_are_met_half_way(tilt: float) -> None:
+def test_opposing_contacts_are_satisfied_half_way(tilt: float) -> None:
     normals = np.array([X + tilt * Y, -X + tilt * Y]) / np.hypot(1.0, tilt)
     shift = least_translation(normals, np.array([3.0 * DEPTH, DEPTH]))
     assert shift @ X == pytest.approx(DEPTH, rel=0.01)
 
 
-def test_the_least_of_all_that_satisfy() -> None:
+def test_the_translation_is_the_least_that_satisfies_all_contacts() -> None:
     random = np.random.default_rng(1)
     for _ in range(50):
         normals = random.normal(size=(60, 3)) + 8.0 * X

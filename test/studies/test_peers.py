@@ -66,7 +66,7 @@ def test_a_right_answer_scores_no_error(blocks: Solids) -> None:
     assert got.witness_max == pytest.approx(0.0, abs=1e-9)
 
 
-def test_an_answer_that_names_the_second_first_is_as_right(blocks: Solids) -> None:
+def test_the_order_of_a_pair_does_not_change_its_score(blocks: Solids) -> None:
     turned = contacts_of([1], [0], TIP - OVERLAP * np.array([1.0, 0.0, 0.0]), TIP, [-1.0, 0.0, 0.0], [OVERLAP])
     got = judged(blocks, placed((1.0 - OVERLAP, 0.05, 0.05)), turned)
     assert got.missed == 0
@@ -88,7 +88,7 @@ def test_a_pair_without_contact_is_missed(blocks: Solids) -> None:
     assert np.isnan(got.error_mean)
 
 
-def test_samples_count_apart(blocks: Solids) -> None:
+def test_pairs_with_penetrating_samples_are_counted_separately(blocks: Solids) -> None:
     one, two = blocks.surfaces
     frame = placed((1.0 - OVERLAP, 0.05, 0.05))
     for point, seen in ((TIP, 1), (np.array([0.0, 0.0, 0.5]), 0)):
@@ -124,7 +124,7 @@ def test_meshes_close_and_fill_the_body(world: World) -> None:
     assert sum(volume(f.exact) for f in world.fragments) == pytest.approx(whole, rel=1e-6)  # single precision
 
 
-def test_an_edge_without_its_cut_is_refused() -> None:
+def test_an_edge_without_its_cut_is_rejected() -> None:
     body = ball(1.0, 0.6)
     with pytest.raises(KeyError):
         cracked_surfaces(*body, (body.vertices[:, 0] > 0.1).astype(np.int64), {})
@@ -160,7 +160,7 @@ def test_ours_and_exact_vertices_in_one_run(world: World, tmp_path: Path) -> Non
     assert read[0]["cpu"] and "numpy" in read[0]["versions"] and read[2]["jitter_missed"] == ""
 
 
-def test_a_method_that_fails_is_told_and_the_others_go_on(world: World) -> None:
+def test_a_failing_method_is_reported_and_the_others_continue(world: World) -> None:
     class Broken(Method):
         name = "broken"
 
@@ -172,7 +172,7 @@ def test_a_method_that_fails_is_told_and_the_others_go_on(world: World) -> None:
     assert not field.failure and field.rounds == 2
 
 
-def test_what_cannot_be_imported_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_library_that_cannot_be_imported_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     real = registry.import_module
 
     def without_others(name: str):

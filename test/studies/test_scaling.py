@@ -133,7 +133,7 @@ def test_breaking_a_small_fragment_of_a_large_body(clock: None) -> None:
 MACHINE = Machine(1 << 16, load_latency=1e6, load=1e5, flop_latency=10.0, flop=1.0, wrong_guess=2e8)
 
 
-def test_what_a_visit_cannot_do_without() -> None:
+def test_lower_bounds_of_a_visit() -> None:
     work = Work("visit", lines=3, steps=2, flops=50, depth=7, guesses=4)
     floor = floor_of(work, MACHINE)
     assert floor.least == 3 * 1e5 and floor.in_turn == 2 * 1e6 + 7 * 10.0 + 0.5 * 4 * 2e8
@@ -142,7 +142,7 @@ def test_what_a_visit_cannot_do_without() -> None:
     assert sorted(kinds, key=lambda row: row.in_turn) == kinds, "each kind does what the one before it does, and more"
 
 
-def test_limits_are_put_together_of_what_is_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_limits_are_computed_from_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Contacts and samples are counted in a separate world; times are given."""
     monkeypatch.setattr("benchmarks.scaling.floors.limits._undisturbed", lambda _footprint: MACHINE)
     monkeypatch.setattr("benchmarks.scaling.floors.limits.least_update", lambda _world: (2.0, "passes"))
@@ -199,7 +199,7 @@ def test_round_trips_are_measured_without_and_with_a_recorder(source: World) -> 
         assert row.beyond_worst >= row.beyond, "one is a median of what the other is the largest of"
 
 
-def test_the_page_has_a_column_for_what_was_measured(tmp_path: Path) -> None:
+def test_the_page_has_a_column_for_each_measurement(tmp_path: Path) -> None:
     fields = {
         "growth": GrowthRow, "exponents": Exponents, "heaps": HeapRow, "threads": ThreadsRow, "memory": MemoryRow,
         "updates": UpdateRow, "small_updates": SmallUpdateRow, "visits": VisitRow, "floors": FloorRow,

@@ -23,7 +23,7 @@ def contacts(normals: list[np.ndarray], depths: list[float]) -> Contacts:
     return contacts_of([0] * count, [1] * count, points, points, normals, depths)
 
 
-def test_depth_after_shares_of_a_way(blocks: Solids) -> None:  # noqa: F811
+def test_depths_after_parts_of_a_translation(blocks: Solids) -> None:  # noqa: F811
     frame = placed(INTO)
     ways = [Way(frame, 0, 1, shift, OVERLAP) for shift in (OVERLAP * X, -2.0 * OVERLAP * X, OVERLAP * Y)]
     pairs = MovedPairs(blocks, ways)
@@ -63,7 +63,7 @@ def test_errors_of_a_pair(blocks: Solids, second, answer: Contacts, remaining: f
     assert got.solver_error_max == pytest.approx(got.remaining_max + got.unnecessary_max)
 
 
-def test_of_many_pairs_some_are_judged(blocks: Solids, monkeypatch: pytest.MonkeyPatch) -> None:  # noqa: F811
+def test_at_most_solver_pairs_are_judged(blocks: Solids, monkeypatch: pytest.MonkeyPatch) -> None:  # noqa: F811
     frame = placed(INTO)
     truths = [FrameTruth(frame, blocks.truth(frame), {(0, 1)}, {})] * 4
     answers = [no_contacts()] * 3 + [one_contact(OVERLAP)]

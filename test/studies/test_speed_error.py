@@ -90,7 +90,7 @@ def test_points_and_settings_of_the_csv(lines: list[dict[str, str]]) -> None:
     ]  # fmt: skip
 
 
-def test_pictures_from_lines_alone(lines: list[dict[str, str]], tmp_path: Path) -> None:
+def test_pictures_are_drawn_from_csv_lines(lines: list[dict[str, str]], tmp_path: Path) -> None:
     draw(lines, tmp_path / "queries.png")
     draw_update(lines, tmp_path / "updates.png")
     for name in ("queries", "updates"):
@@ -107,7 +107,7 @@ def test_every_setting_is_a_method_and_has_a_style() -> None:
     assert set(DRAWN) == {*SETTINGS, RESOLUTION}
 
 
-def test_another_resolution_is_broken_by_the_same_seeds() -> None:
+def test_other_resolutions_are_broken_by_the_same_seeds() -> None:
     geometry = _body(0.0, 5)
     seeds = clustered_seeds(geometry.vertices, 0.0, 4)
     world = break_body("ball4", geometry, seeds, False, EDGES)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import os
+import shutil
 import sys
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import pytest
 from matplotlib.image import imread
 
 ROOT = Path(__file__).resolve().parents[2]
+DOCS = ROOT / "docs"
 if str(ROOT) not in sys.path:
     sys.path.insert(0, str(ROOT))  # benchmarks/ is not installed
 
@@ -24,7 +26,7 @@ from benchmarks.studies.ahead import flights, throws  # noqa: E402
 from benchmarks.studies.bench import Progress, run_studies  # noqa: E402
 from benchmarks.studies.cluster import cluster, run_trials  # noqa: E402
 from benchmarks.studies.machine import machine, versions  # noqa: E402
-from benchmarks.studies.page import PAGE, STUDIES, study_files, wrapped, write_page  # noqa: E402
+from benchmarks.studies.page import BY_HAND, PAGE, STUDIES, study_files, wrapped, write_page  # noqa: E402
 from benchmarks.studies.paper import fig5, fig12, fig15, fig16, fig17, resolution, tables  # noqa: E402
 from benchmarks.studies.replay import record, replay  # noqa: E402
 from benchmarks.studies.scene_trials import ONE_THREAD, in_words, scene_trial, with_shortest_times  # noqa: E402
@@ -82,7 +84,7 @@ def untimed(csv_path: Path) -> list[list[str]]:
     return [[row[i] for i in kept] for row in rows]
 
 
-def test_results_depend_neither_on_the_workers_nor_on_the_order(made: tuple[Path, Path]) -> None:
+def test_results_do_not_depend_on_workers_or_order(made: tuple[Path, Path]) -> None:
     one, two = made
     files = sorted(file.name for file in two.glob("*.csv"))
     assert len(files) == 6
@@ -92,7 +94,7 @@ def test_results_depend_neither_on_the_workers_nor_on_the_order(made: tuple[Path
         assert len(rows) > 1 and len(rows[0]) > 2
 
 
-def test_tables_name_the_machine_and_have_something_to_say(made: tuple[Path, Path]) -> None:
+def test_tables_name_the_machine_and_have_plausible_figures(made: tuple[Path, Path]) -> None:
     for file in made[0].glob("*.csv"):
         about = read_table(file).about
         assert about["effort"] == "tiny" and about["cpu"] == machine()["cpu"] and float(about["load"]) >= 0.0
@@ -114,14 +116,14 @@ def test_tables_name_the_machine_and_have_something_to_say(made: tuple[Path, Pat
     assert same[0]["off_path_mm"] == same[1]["off_path_mm"] == 0.0
 
 
-def test_pictures_are_pictures(made: tuple[Path, Path]) -> None:
+def test_pictures_are_not_blank(made: tuple[Path, Path]) -> None:
     pictures = [study_files(made[0], study, name, "png") for study in STUDIES.values() for name in study.pictures]
     assert set(pictures) == set(made[0].glob("*.png"))
     for picture in pictures:
         assert len(np.unique(imread(picture)[..., :3].reshape(-1, 3), axis=0)) > 30, picture
 
 
-def test_the_page_is_made_of_what_lies_there(made: tuple[Path, Path], tmp_path: Path) -> None:
+def test_the_page_has_a_section_for_each_table_in_the_folder(made: tuple[Path, Path], tmp_path: Path) -> None:
     page = (made[0] / PAGE).read_text()
     places = [page.index(f"## {study.title}\n") for study in STUDIES.values()]
     assert places == sorted(places) and machine()["cpu"] in page
@@ -136,12 +138,20 @@ def test_the_page_is_made_of_what_lies_there(made: tuple[Path, Path], tmp_path: 
     assert "7531 random drops" in write_page(tmp_path).read_text() and "7531" not in alone
 
 
-def test_a_table_of_other_sources_does_not_keep_the_page_from_being_made(tmp_path: Path) -> None:
+def test_the_page_in_docs_is_what_the_generator_writes(tmp_path: Path) -> None:
+    """With its section that is written by hand."""
+    page = (DOCS / PAGE).read_text(encoding="utf-8")
+    copy = shutil.copytree(DOCS, tmp_path / "docs")
+    assert write_page(copy).read_text(encoding="utf-8") == page
+    assert f"\n## {BY_HAND}\n" in page
+
+
+def test_the_page_is_written_despite_a_table_of_other_sources(tmp_path: Path) -> None:
     write_table(tmp_path / "bench_fig16.csv", {}, [{"selection": "fixed"}])
     assert "Run `fracture-collision bench fig16` again." in write_page(tmp_path).read_text()
 
 
-def test_replay_answers_as_the_run_was_answered() -> None:
+def test_a_replay_gives_the_answers_of_the_run() -> None:
     recording = record(load_scene("pane"))
     with Lockstep(load_scene("pane"), ONE_THREAD) as run:
         contacts, visits = zip(*((len(step.contacts.gaps), run.world.last_visits) for step in run), strict=True)
@@ -164,7 +174,7 @@ def test_spikes_compare_first_steps_after_fractures_with_their_neighbours() -> N
     assert len(elsewhere) == 57 and elsewhere.max() == 1.5 and np.median(elsewhere) == 1.0
 
 
-def test_tables_come_back_as_they_went(tmp_path: Path) -> None:
+def test_tables_are_read_as_they_were_written(tmp_path: Path) -> None:
     rows = [{"name": "a, b", "count": 3, "share": 0.123456789, "none": None}, {"name": "c", "count": -1, "share": 2.0,
                                                                               "none": float("nan")}]  # fmt: skip
     write_table(tmp_path / "t.csv", {"cpu": "Some: CPU", "load": "1.0"}, rows)
@@ -182,11 +192,11 @@ def test_tables_come_back_as_they_went(tmp_path: Path) -> None:
     [(None, "–"), (float("nan"), "–"), ("x", "x"), (0, "0"), (1234567, "1,234,567"), (99.96, "100"), (12.34, "12.3"),
      (0.0012345, "0.00123"), (-3.0, "-3")],
 )  # fmt: skip
-def test_numbers_in_words(value: object, said: str) -> None:
+def test_numbers_are_formatted_as_words(value: object, said: str) -> None:
     assert number(value) == said
 
 
-def test_markdown() -> None:
+def test_markdown_tables_are_formatted_and_wrapped() -> None:
     assert markdown_table(("a", "b"), [("x", "1")]) == "| a | b |\n| --- | ---: |\n| x | 1 |\n"
     row = {"t_average": 1.5, "t_worst": None, "u_average": None, "u_worst": None, "v_average": 2, "v_worst": 3000}
     assert [average_and_worst(row, name) for name in "tuv"] == ["1.5", "–", "2 / 3,000"]
@@ -231,7 +241,7 @@ def scheduler() -> str:
         yield processes.scheduler_address
 
 
-def test_any_scheduler_by_its_address_and_it_goes_on_living(scheduler: str) -> None:
+def test_a_given_scheduler_is_used_and_left_running(scheduler: str) -> None:
     for _ in range(2):
         with cluster(scheduler, 0) as crew:
             assert crew.timing_worker.startswith("tcp://")
@@ -242,7 +252,7 @@ def test_any_scheduler_by_its_address_and_it_goes_on_living(scheduler: str) -> N
             assert sorted(done, key=trials.index) == trials
 
 
-def test_a_trial_that_fails_says_which(scheduler: str) -> None:
+def test_a_failing_trial_is_named(scheduler: str) -> None:
     with (
         cluster(scheduler, 0) as crew,
         pytest.raises(StudyError, match="by nothing: ZeroDivisionError"),
@@ -250,20 +260,20 @@ def test_a_trial_that_fails_says_which(scheduler: str) -> None:
         run_trials(crew, [Trial(divmod, (1, 0), "1 by nothing", True)], lambda trial: None)
 
 
-def test_a_worker_with_other_sources_is_refused(scheduler: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_worker_with_other_sources_is_rejected(scheduler: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster_module, "versions", lambda: versions() | {"sources": "0123"})
     with pytest.raises(StudyError, match="worker tcp://.* has other sources: .*; here: 0123"), cluster(scheduler, 0):
         pass
 
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nonsense://x"])
-def test_no_scheduler_there(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_scheduler_is_reported(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster_module, "CONNECT_SECONDS", 0.5)
     with pytest.raises(StudyError, match="no scheduler at"), cluster(address, 0):
         pass
 
 
-def test_a_timing_worker_that_dies_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_death_of_a_timing_worker_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster_module, "LOOK_SECONDS", 0.2)
     with cluster(None, 1) as crew, pytest.raises(StudyError, match="an end: .*(has died|KilledWorker)"):
         run_trials(crew, [Trial(os._exit, (1,), "an end", True)], lambda trial: None)
@@ -278,7 +288,7 @@ def test_a_timing_worker_that_dies_is_told(monkeypatch: pytest.MonkeyPatch) -> N
         ("shard", "heap", 100.0, 24),  # a corner, a metre away, enters and leaves a rim within two times
     ],
 )
-def test_what_once_went_through_no_longer_does(thrown: str, target: str, speed: float, number: int) -> None:
+def test_throws_that_once_passed_through_no_longer_do(thrown: str, target: str, speed: float, number: int) -> None:
     (one,) = throws.throw(thrown, target, speed, number, number + 1)
     assert one.touches and not one.is_through and not one.is_ghost
     assert one.deepest < 1e-3 and one.energy_gain < 1e-9

@@ -1,4 +1,4 @@
-"""Random pairs of fragments, piled up in any orientation: is any unlisted sample deeper than the bound?
+"""Random pairs of fragments, piled up in any orientation: no unlisted sample may be deeper than the bound.
 
 A pair counts if the two fragments' boxes overlap. Many fragments in one step give many pairs. The campaign cycles
 through shapes, cracks, generations, settings and pile densities.

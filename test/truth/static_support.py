@@ -36,6 +36,70 @@ class Support(NamedTuple):
         return self.fragment_ids[self.missing > 1e-6].tolist()
 
 
+class _Resting(NamedTuple):
+    """The bodies at rest."""
+
+    fragment_ids: np.ndarray  # (n,)
+    row_of: dict[int, int]  # by fragment
+    centers: np.ndarray  # (n, 3) [m]
+    weight: np.ndarray  # (n,) [N]
+    size: np.ndarray  # (n,) [m]
+
+
+class _Entries:
+    """The nonzero entries of a sparse matrix."""
+
+    def __init__(self) -> None:
+        self._rows, self._columns, self._values = [], [], []
+
+    def add(self, row: int, column: int, value: float) -> None:
+        self._rows.append(row), self._columns.append(column), self._values.append(value)
+
+    def matrix(self, rows: int, columns: int):
+        return coo_array((self._values, (self._rows, self._columns)), shape=(rows, columns)).tocsr()
+
+
+class _Forces:
+    """The columns of the linear program that are forces and torques, each not negative."""
+
+    def __init__(self, bodies: _Resting) -> None:
+        self._bodies = bodies
+        self.balance = _Entries()  # six rows a body, in units of its weight
+        self.limits = _Entries()  # of torques, by the normal force
+        self.count, self.limit_count = 0, 0
+
+    def press(self, a: int, b: int, point: np.ndarray, edges: np.ndarray) -> list[int]:
+        """Adds forces along the edges (FACETS, 3) of a friction cone, on b and reversed on a; returns their columns."""
+        for force in edges:
+            self._act(b, point, force, 1.0)
+            self._act(a, point, force, -1.0)
+            self.count += 1
+        return list(range(self.count - len(edges), self.count))
+
+    def resist_rolling(self, a: int, b: int, scale: float, arm: float, pressing: list[int]) -> None:
+        """Adds torques between a and b, each no greater than `arm` [m] times the forces in the columns `pressing`."""
+        for axis in range(3):
+            for sign in (1.0, -1.0):
+                for body, way in ((b, 1.0), (a, -1.0)):
+                    k = self._bodies.row_of.get(body)
+                    if k is not None:
+                        share = way * sign * scale / self._bodies.size[k] / self._bodies.weight[k]
+                        self.balance.add(6 * k + 3 + axis, self.count, share)
+                self.limits.add(self.limit_count, self.count, 1.0)
+                for each in pressing:
+                    self.limits.add(self.limit_count, each, -arm)
+                self.limit_count += 1
+                self.count += 1
+
+    def _act(self, body: int, at: np.ndarray, force: np.ndarray, sign: float) -> None:
+        k = self._bodies.row_of.get(body)
+        if k is None:
+            return
+        moment = np.cross(at - self._bodies.centers[k], force) / self._bodies.size[k]
+        for i, value in enumerate((*force, *moment)):
+            self.balance.add(6 * k + i, self.count, sign * value / self._bodies.weight[k])
+
+
 def support_of(run, scene, hooks: bool = True) -> Support:
     """Support in the present state of a Lockstep run; `hooks`: whether contacts that only hook onto an edge count."""
     states = run.states()
@@ -51,17 +115,18 @@ def support_of(run, scene, hooks: bool = True) -> Support:
     own_arm = run.simulation.arm
     driven = [] if own_arm is None else own_arm._own.tolist()
     resting = np.flatnonzero((speed < SPEED_AT_REST) & ~np.isin(bodies.fragment_ids, driven))
-    row_of = {int(bodies.fragment_ids[i]): k for k, i in enumerate(resting)}
     gravity = scene.gravity
     weight = bodies.masses[resting] * np.linalg.norm(gravity)
     if not len(resting) or not weight.any():
         return Support(bodies.fragment_ids[resting], np.zeros(len(resting)))
+    row_of = {int(bodies.fragment_ids[i]): k for k, i in enumerate(resting)}
+    at_rest = _Resting(bodies.fragment_ids[resting], row_of, bodies.centers[resting], weight, size[resting])
     arm_of = {f: rolling[of[f]] for f in of}
-    return _solve(contacts, resting, row_of, bodies, gravity, weight, size, arm_of)
+    return _solve(_forces_of(contacts, at_rest, arm_of), at_rest, gravity)
 
 
 def _standing_boxes(simulation, registry):
-    """[(fragment id, half edges (3,), position (3,), orientation (3, 3))]"""
+    """Returns a list of (fragment id, half edges (3,), position (3,), orientation (3, 3))."""
     bodies = {int(fragment): simulation._cast.body_of.get(int(body)) for fragment, body in
               zip(registry.fragment_ids, registry.body_ids, strict=True)}  # fmt: skip
     return [
@@ -94,75 +159,57 @@ def _without_hooks(contacts, boxes):
     )  # fmt: skip
 
 
-def _solve(contacts, resting, row_of, bodies, gravity, weight, size, arm_of):
-    rows, columns, values = [], [], []  # of the balance: six rows a body, in units of its weight
-    upper_rows, upper_columns, upper_values, upper = [], [], [], 0
-    column = 0
-
-    def act(body, at, force, c, sign):
-        k = row_of.get(body)
-        if k is None:
-            return
-        moment = np.cross(at - bodies.centers[resting[k]], force) / size[resting[k]]
-        for i, value in enumerate((*force, *moment)):
-            rows.append(6 * k + i), columns.append(c), values.append(sign * value / weight[k])
-
+def _forces_of(contacts, bodies: _Resting, arm_of: dict[int, float]) -> _Forces:
+    forces, row_of = _Forces(bodies), bodies.row_of
     begin = contacts.pair_begin.astype(int)
     points = 0.5 * (contacts.points_a + contacts.points_b).reshape(-1, 3)
     normals = contacts.normals.reshape(-1, 3)
-    turns = 2.0 * np.pi * np.arange(FACETS) / FACETS
-    circle = np.column_stack((np.cos(turns), np.sin(turns))) / np.cos(np.pi / FACETS)  # around the friction circle
     for p in range(len(contacts.fragment_a)):
         a, b = int(contacts.fragment_a[p]), int(contacts.fragment_b[p])
         if a not in row_of and b not in row_of:
             continue
-        scale = min(weight[row_of[f]] for f in (a, b) if f in row_of)
+        scale = min(bodies.weight[row_of[f]] for f in (a, b) if f in row_of)
         pressing = []
         for c in range(begin[p], begin[p + 1]):
-            n = normals[c]
-            t = np.cross(n, np.eye(3)[np.argmin(np.abs(n))])
-            t /= np.linalg.norm(t)
-            s = np.cross(n, t)
-            for x, y in circle:
-                force = scale * (n + contacts.friction[p] * (x * t + y * s))
-                act(b, points[c], force, column, 1.0)
-                act(a, points[c], force, column, -1.0)
-                pressing.append(column)
-                column += 1
+            pressing += forces.press(a, b, points[c], scale * _cone_about(normals[c], contacts.friction[p]))
         arm = max(arm_of[a], arm_of[b])
         if arm > 0.0:
-            for axis in range(3):
-                for sign in (1.0, -1.0):
-                    for body, way in ((b, 1.0), (a, -1.0)):
-                        k = row_of.get(body)
-                        if k is not None:
-                            rows.append(6 * k + 3 + axis), columns.append(column)
-                            values.append(way * sign * scale / size[resting[k]] / weight[k])
-                    upper_rows.append(upper), upper_columns.append(column), upper_values.append(1.0)
-                    for each in pressing:
-                        upper_rows.append(upper), upper_columns.append(each), upper_values.append(-arm)
-                    upper += 1
-                    column += 1
-    n, forces = len(resting), column
+            forces.resist_rolling(a, b, scale, arm, pressing)
+    return forces
+
+
+def _cone_about(normal: np.ndarray, friction: float) -> np.ndarray:
+    """The edges (FACETS, 3) of a pyramid that contains the friction cone; their normal component is 1."""
+    turns = 2.0 * np.pi * np.arange(FACETS) / FACETS
+    circle = np.column_stack((np.cos(turns), np.sin(turns))) / np.cos(np.pi / FACETS)
+    t = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
+    t /= np.linalg.norm(t)
+    return normal + friction * circle @ np.array((t, np.cross(normal, t)))
+
+
+def _solve(forces: _Forces, bodies: _Resting, gravity: np.ndarray) -> Support:
+    n, column = len(bodies.weight), forces.count
     # granted and missing, of either sign, of each row
     for sign in (1.0, -1.0):
         for _kind in range(2):
             for row in range(6 * n):
-                rows.append(row), columns.append(column), values.append(sign)
+                forces.balance.add(row, column, sign)
                 column += 1
     cost = np.zeros(column)
     bounds = np.full((column, 2), np.inf)
     bounds[:, 0] = 0.0
     for k in range(2):
-        granted = slice(forces + 12 * n * k, forces + 12 * n * k + 6 * n)
+        granted = slice(forces.count + 12 * n * k, forces.count + 12 * n * k + 6 * n)
         missing = slice(granted.stop, granted.stop + 6 * n)
         bounds[granted, 1] = TOLERANCE
         cost[missing] = 1.0
-    balance = coo_array((values, (rows, columns)), shape=(6 * n, column)).tocsr()
+    balance = forces.balance.matrix(6 * n, column)
     target = np.zeros((n, 6))
     target[:, :3] = -gravity / np.linalg.norm(gravity)
-    limits = coo_array((upper_values, (upper_rows, upper_columns)), shape=(upper, column)).tocsr() if upper else None
-    done = linprog(cost, limits, np.zeros(upper) if upper else None, balance, target.ravel(), bounds, method="highs")
+    limits, most = None, None
+    if forces.limit_count:
+        limits, most = forces.limits.matrix(forces.limit_count, column), np.zeros(forces.limit_count)
+    done = linprog(cost, limits, most, balance, target.ravel(), bounds, method="highs")
     assert done.status == 0, done.message
-    found = done.x[forces:].reshape(2, 2, n, 6)[:, 1]
-    return Support(bodies.fragment_ids[resting], found.sum(axis=(0, 2)))
+    found = done.x[forces.count :].reshape(2, 2, n, 6)[:, 1]
+    return Support(bodies.fragment_ids, found.sum(axis=(0, 2)))

@@ -1,4 +1,4 @@
-"""Random pairs of fragments, jittered, deep and piled: is any point of either surface deeper than the bound?"""
+"""Random pairs of fragments, jittered, deep and piled: no point of either surface may be deeper than the bound."""
 
 from __future__ import annotations
 

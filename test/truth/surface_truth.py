@@ -38,7 +38,7 @@ class Solid:
         self.low, self.high = self._vertices.min(axis=0), self._vertices.max(axis=0)
 
     def holds(self, points: np.ndarray) -> np.ndarray:
-        """(n,) bool, by the winding number"""
+        """Whether each point is inside, (n,) bool, by the winding number."""
         if not len(points):
             return np.zeros(0, bool)
         return np.atleast_1d(igl.fast_winding_number(self._vertices, self._faces, np.ascontiguousarray(points))) > 0.5
@@ -60,8 +60,9 @@ class Solid:
         return np.where(inside, -distance, distance)
 
     def deepest_of(self, triangles: np.ndarray, more_than: float, finest: float) -> Deepest:
-        """The deepest point of `triangles` (t, 3, 3) [m] in this solid, if any is deeper than `more_than` [m]; else
-        depth 0. Wherever a point may be deeper, a tested point is within `finest`.
+        """The deepest point of `triangles` (t, 3, 3) [m] in this solid; depth 0 if none is deeper than `more_than` [m].
+
+        Wherever a point may be deeper, a tested point is within `finest`.
         """
         best, deepest = Deepest(0.0, np.zeros(3)), max(more_than, 0.0)
         corners = triangles

@@ -78,7 +78,7 @@ def test_films_of_each_kind_have_the_right_number_of_frames(bag: Path, tmp_path:
     assert (tmp_path / "a.gif").stat().st_mode & 0o444 == 0o444
 
 
-def test_a_part_of_a_run_slower_and_from_the_command_line(bag: Path, tmp_path: Path) -> None:
+def test_a_film_shows_a_part_of_a_run_at_a_slower_rate(bag: Path, tmp_path: Path) -> None:
     out = tmp_path / "part.webp"
     done = call(bag, "--out", out, "--begin", "0.5", "--end", "0.7", "--speed", "0.1", "--fps", "5", "--size", "64x48",
                 "--samples", "1")  # fmt: skip
@@ -91,7 +91,7 @@ def test_a_part_of_a_run_slower_and_from_the_command_line(bag: Path, tmp_path: P
     assert len(frame_indices(run, Cut(begin=1.18))) == 1
 
 
-def test_mp4_is_made_by_ffmpeg_or_not_at_all(bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_mp4_needs_ffmpeg(bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if shutil.which("ffmpeg") and shutil.which("ffprobe"):
         assert make_film(read_run(bag), tmp_path / "a.mp4", SMALL) == 12
         command = ["ffprobe", "-v", "error", "-count_frames", "-show_streams", "-of", "json", tmp_path / "a.mp4"]
@@ -108,7 +108,7 @@ def test_mp4_is_made_by_ffmpeg_or_not_at_all(bag: Path, tmp_path: Path, monkeypa
     assert not list(tmp_path.glob("*b*.mp4")) and not list(tmp_path.glob(".*"))
 
 
-def test_nonsense_is_refused_in_words(bag: Path, tmp_path: Path) -> None:
+def test_invalid_arguments_are_rejected_with_an_explanation(bag: Path, tmp_path: Path) -> None:
     for words, said, status in (
         (("--out", tmp_path / "a.avi"), ".webp", 1),
         (("--begin", "9"), "the run is 1.18 s long", 1),
@@ -122,7 +122,7 @@ def test_nonsense_is_refused_in_words(bag: Path, tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_ctrl_c_leaves_no_half_film_and_keeps_the_old_one(bag: Path, tmp_path: Path) -> None:
+def test_an_interrupted_film_keeps_the_old_one(bag: Path, tmp_path: Path) -> None:
     out = tmp_path / "film.webp"
     out.write_bytes(b"of yesterday")
     command = [sys.executable, "-m", "fracture_collision.cli", "film", bag, "--out", out, "--size", "1280x960",
@@ -141,7 +141,7 @@ def test_ctrl_c_leaves_no_half_film_and_keeps_the_old_one(bag: Path, tmp_path: P
     assert [file.name for file in tmp_path.iterdir()] == ["film.webp"] and out.read_bytes() == b"of yesterday"
 
 
-def test_meshes_that_were_not_recorded_are_made_anew(tmp_path: Path) -> None:
+def test_meshes_that_were_not_recorded_are_computed(tmp_path: Path) -> None:
     write_bag(tmp_path / "whole", small_run())
     write_bag(tmp_path / "bare", small_run(with_meshes=False))
     whole = read_run_with_meshes(tmp_path / "whole")

@@ -78,7 +78,7 @@ def shows_bricks(picture: np.ndarray) -> bool:
     return np.count_nonzero(blue(picture)) > 80 and np.count_nonzero(red(picture)) > 80
 
 
-def test_a_run_is_played_reloaded_and_looked_at_twice(browser: Any, player: BagPlayer) -> None:
+def test_a_bag_is_played_reloaded_and_shown_in_two_windows(browser: Any, player: BagPlayer) -> None:
     with opened(browser, player.page.address) as page:
         until(lambda: picture_of(page), shows_bricks)
         still = steady(page)  # bricks appear before all lights do
@@ -121,7 +121,28 @@ def contacts_at(points: np.ndarray) -> ContactConstraintArray:
     )  # fmt: skip
 
 
-def test_a_person_clicks_drags_and_looks_closer(browser: Any) -> None:
+def drag_to_the_right(seen: Any, heard: queue.Queue[tuple[str, Any]], eye: np.ndarray) -> None:
+    """Drags the brick in the middle of the window, and checks what the page passes on."""
+    x, y = WIDTH / 2, HEIGHT / 2
+    seen.mouse.move(x, y)
+    seen.mouse.down()
+    seen.mouse.move(x + 40, y, steps=8)
+    name, (drag,) = heard.get(timeout=PATIENCE)
+    assert name == "begun" and drag.fragment_id == 4
+    assert np.allclose(drag.grip, [0.4, -0.15, 0.6], atol=0.03)
+    seen.mouse.up()
+    steps = []
+    while not steps or steps[-1][0] != "ended":
+        steps.append(heard.get(timeout=PATIENCE))
+    assert {name for name, _ in steps} <= {"moved", "ended"}
+    (last,) = steps[-1][1]
+    # 40 pixels to the right, in the plane through the grip that faces the camera, 2.85 m away
+    assert last.target - last.grip == pytest.approx([40 * 2.85 * 2.0 * np.tan(0.3) / HEIGHT, 0.0, 0.0], abs=0.03)
+    ahead = last.target - eye
+    assert last.ray.direction == pytest.approx(ahead / np.linalg.norm(ahead), abs=1e-3)
+
+
+def test_clicks_drags_keys_and_layers_work_in_the_browser(browser: Any) -> None:
     heard: queue.Queue[tuple[str, Any]] = queue.Queue()
 
     def hear(name: str) -> Any:
@@ -145,31 +166,13 @@ def test_a_person_clicks_drags_and_looks_closer(browser: Any) -> None:
         with opened(browser, page.address) as seen:
             until(lambda: picture_of(seen), lambda picture: np.count_nonzero(red(picture)) > 150)
             seen.get_by_text("11 contacts").wait_for()
-            x, y = WIDTH / 2, HEIGHT / 2
 
-            seen.mouse.click(x, y)
+            seen.mouse.click(WIDTH / 2, HEIGHT / 2)
             name, (ray, ball) = heard.get(timeout=PATIENCE)
             assert name == "clicked" and ball.speed > 0.0
             assert np.allclose(ray.origin, eye, atol=1e-3) and np.allclose(ray.direction, [0.0, 1.0, 0.0], atol=0.02)
 
-            seen.mouse.move(x, y)
-            seen.mouse.down()
-            seen.mouse.move(x + 40, y, steps=8)
-            name, (drag,) = heard.get(timeout=PATIENCE)
-            assert name == "begun" and drag.fragment_id == 4
-            assert np.allclose(drag.grip, [0.4, -0.15, 0.6], atol=0.03)
-            seen.mouse.up()
-            steps = []
-            while not steps or steps[-1][0] != "ended":
-                steps.append(heard.get(timeout=PATIENCE))
-            assert {name for name, _ in steps} <= {"moved", "ended"}
-            (last,) = steps[-1][1]
-            # 40 pixels to the right, in the plane through the grip that faces the camera, 2.85 m away
-            assert last.target - last.grip == pytest.approx(
-                [40 * 2.85 * 2.0 * np.tan(0.3) / HEIGHT, 0.0, 0.0], abs=0.03
-            )
-            ahead = last.target - eye
-            assert last.ray.direction == pytest.approx(ahead / np.linalg.norm(ahead), abs=1e-3)
+            drag_to_the_right(seen, heard, eye)
 
             seen.get_by_role("button", name="start over").click()
             assert heard.get(timeout=PATIENCE)[0] == "reset"
@@ -184,7 +187,7 @@ def test_a_person_clicks_drags_and_looks_closer(browser: Any) -> None:
             seen.get_by_text("1.200 mm").wait_for()
 
 
-def test_a_person_looks_inside(browser: Any) -> None:
+def test_the_inside_view_works_in_the_browser(browser: Any) -> None:
     asked: queue.Queue[InsideWanted] = queue.Queue()
     records = [record for _, record in small_run(steps=1)]
     with Page(Handlers(looking_inside=asked.put)) as page:

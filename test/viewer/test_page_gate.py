@@ -43,7 +43,7 @@ def answer(port: int, host: str, origin: str | None = None, upgrade: bool = Fals
 
 
 @pytest.mark.parametrize("name", ["localhost", "127.0.0.1", "[::1]", "LOCALHOST"])
-def test_its_own_address_is_served(port: int, name: str) -> None:
+def test_requests_to_the_own_address_are_served(port: int, name: str) -> None:
     host = f"{name}:{port}"
     status, head = answer(port, host)
     assert status == 200 and "frame-ancestors 'none'" in head and "X-Frame-Options: DENY" in head
@@ -52,7 +52,7 @@ def test_its_own_address_is_served(port: int, name: str) -> None:
 
 
 @pytest.mark.parametrize("upgrade", [False, True])
-def test_a_foreign_host_gets_nothing(port: int, upgrade: bool) -> None:
+def test_requests_with_a_foreign_host_are_rejected(port: int, upgrade: bool) -> None:
     """As in DNS rebinding, where Origin and Host agree."""
     for host in ("evil.example", f"evil.example:{port}", f"127.0.0.1.evil.example:{port}", f"127.0.0.1:{port + 1}",
                  "127.0.0.1", f"10.0.0.1:{port}", ""):  # fmt: skip
@@ -72,13 +72,13 @@ def test_another_port_of_this_machine_is_foreign(port: int) -> None:
         assert answer(port, host, origin, upgrade=True)[0] == 403, origin
 
 
-def test_the_page_obeys_no_other_server(port: int) -> None:
-    """viser's client would connect to another server if the URL's query names one."""
+def test_urls_that_name_another_server_are_rejected(port: int) -> None:
+    """A client of viser would connect to another server if the URL's query names one."""
     for query in ("?websocket=ws://evil.example", "?playbackPath=//evil.example/x", "?"):
         assert answer(port, f"127.0.0.1:{port}", path=f"/{query}")[0] == 403
 
 
-def test_headers_that_come_twice_are_refused() -> None:
+def test_repeated_headers_are_rejected() -> None:
     gate, own = Gate("127.0.0.1"), "localhost:8080"
     assert not gate.refusal(Headers(Host=own), "/", 8080)
     assert gate.refusal(Headers([("Host", own), ("Host", own)]), "/", 8080)
@@ -87,7 +87,7 @@ def test_headers_that_come_twice_are_refused() -> None:
     assert gate.refusal(Headers(), "/", 8080)
 
 
-def test_which_names_a_page_on_the_network_has() -> None:
+def test_names_of_a_page_on_the_network() -> None:
     named, anywhere = Gate("10.1.2.3"), Gate("0.0.0.0")
     for host, at_named, at_any in (
         ("10.1.2.3", True, True), ("localhost", True, True), ("10.9.9.9", False, True), ("[fe80::1]", False, True),
@@ -100,7 +100,7 @@ def test_which_names_a_page_on_the_network_has() -> None:
     assert not Gate("::1").refusal(without_port, "/", 80) and Gate("::1").refusal(without_port, "/", 81)
 
 
-def test_only_scenes_that_are_offered_are_chosen() -> None:
+def test_only_offered_scenes_can_be_chosen() -> None:
     """Regardless of what a client sends."""
     chosen: Queue[str] = Queue()
     start = Start(scenes=("plates", "pane"), scene="plates")
@@ -110,7 +110,7 @@ def test_only_scenes_that_are_offered_are_chosen() -> None:
         assert chosen.get(timeout=30.0) == "pane"
 
 
-def test_another_viser_serves_no_page(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_version_of_viser_serves_no_page(monkeypatch: pytest.MonkeyPatch) -> None:
     """Rather than a page without checks."""
     with pytest.raises(GateError, match="unchecked"), guarded(Gate("127.0.0.1")):
         pass

@@ -64,7 +64,7 @@ def sent_spheres(page: Page) -> dict[str, np.ndarray]:
     return page._live._properties["/spheres"]
 
 
-def test_it_is_offered_to_who_can_tell_and_to_nobody_else() -> None:
+def test_the_inside_view_is_offered_only_with_a_handler() -> None:
     with Page(told=frozenset({"contacts"})) as page:
         assert page._inside is None
         page.new_run()
@@ -124,7 +124,7 @@ def plane_picture(axis: int) -> PlanePicture:
 
 
 @pytest.mark.parametrize("axis", range(3), ids=AXES)
-def test_the_plane_is_where_it_cuts_and_the_way_it_is(page: Page, axis: int) -> None:
+def test_the_picture_of_a_plane_has_its_pose_and_size(page: Page, axis: int) -> None:
     inside = show(page, InsideWanted(plane=PlaneWanted(axis, 0.5)), InsideView(plane=plane_picture(axis)))
     picture = inside._picture
     assert picture.visible and (picture.render_width, picture.render_height) == (pytest.approx(0.2), pytest.approx(0.1))
@@ -150,7 +150,7 @@ def test_the_plane_is_where_it_cuts_and_the_way_it_is(page: Page, axis: int) -> 
     assert f"{AXES[axis]} = 0.100 m: deepest point 60.0 mm, bands of 10 mm" in inside._words.content
 
 
-def test_what_the_plane_cuts_and_what_is_before_it_is_not_in_the_way(page: Page) -> None:
+def test_fragments_cut_by_the_plane_or_in_front_of_it_are_hidden(page: Page) -> None:
     nodes = page._scene._nodes
     assert all(node.visible for node in nodes.values())
     only_3 = plane_picture(1)._replace(owners=np.full((2, 4), 3))
@@ -173,7 +173,7 @@ def test_what_the_plane_cuts_and_what_is_before_it_is_not_in_the_way(page: Page)
     assert all(node.visible for node in nodes.values()) and not inside._picture.visible
 
 
-def test_figures_are_plotted_and_said_while_they_are_wanted(page: Page) -> None:
+def test_figures_are_plotted_and_shown_while_requested(page: Page) -> None:
     def figures(time: float, **changes: Any) -> InsideView:
         return InsideView(figures=InsideFigures(time, 12, 1234, 0.03, 0.25, 0.001, 0.456)._replace(**changes))
 
@@ -195,5 +195,5 @@ def test_figures_are_plotted_and_said_while_they_are_wanted(page: Page) -> None:
 
 
 @pytest.mark.parametrize(("deepest", "distance"), [(0.06, 0.01), (0.031, 0.005), (1.0, 0.2), (5e-5, 1e-5), (9.9, 2.0)])
-def test_lines_of_equal_depth_are_round_numbers_apart(deepest: float, distance: float) -> None:
+def test_contour_lines_are_at_round_depths(deepest: float, distance: float) -> None:
     assert line_distance(deepest) == pytest.approx(distance)

@@ -89,7 +89,7 @@ def stage(truth: ContactTruth) -> Iterator[Stage]:
     assert not made.mirror._thread.is_alive()
 
 
-def test_it_does_nothing_until_somebody_looks_and_then_knows_the_run(stage: Stage) -> None:
+def test_the_mirror_is_idle_without_viewers_and_then_follows_the_run(stage: Stage) -> None:
     stage.tell_step(1)
     stage.tell_step(2)
     assert stage.mirror._run is None and not stage.mirror._is_new and stage.shown.empty()
@@ -114,7 +114,7 @@ def test_it_does_nothing_until_somebody_looks_and_then_knows_the_run(stage: Stag
     assert deeper.spheres.level == 4 and len(deeper.spheres.radii) > len(view.spheres.radii) and deeper.plane is None
 
 
-def test_an_answer_is_compared_with_all_there_is(stage: Stage) -> None:
+def test_an_answer_is_compared_with_all_colliding_samples(stage: Stage) -> None:
     stage.mirror.want(BOTH)
     stage.mirror.hear_times(0.7)
     stage.tell_step(5)
@@ -128,7 +128,7 @@ def test_an_answer_is_compared_with_all_there_is(stage: Stage) -> None:
     assert figures.collision_ms == 0.7 and not figures.is_replayed
 
 
-def test_contacts_of_a_time_to_come_do_not_collide(stage: Stage) -> None:
+def test_lookahead_contacts_do_not_count_as_colliding(stage: Stage) -> None:
     settings = SETTINGS._replace(lookahead=0.1)
     states = stage.states(5)
     places = np.reshape(states.positions, (-1, 3))
@@ -146,7 +146,7 @@ def test_contacts_of_a_time_to_come_do_not_collide(stage: Stage) -> None:
     assert figures.colliding == len(every_contact(with_settings(stage.case, TRUE), states).gaps)
 
 
-def test_settings_show_at_once_also_while_the_scene_stands(stage: Stage) -> None:
+def test_settings_take_effect_at_once_in_a_paused_scene(stage: Stage) -> None:
     stage.mirror.want(BOTH)
     stage.mirror.hear_paused(True)
     stage.tell_step(5)
@@ -172,7 +172,7 @@ def test_settings_show_at_once_also_while_the_scene_stands(stage: Stage) -> None
     assert figures.contacts == stage.true_errors(6, settings).listed
 
 
-def test_who_begins_to_look_while_the_scene_stands_sees_it(stage: Stage) -> None:
+def test_a_viewer_that_joins_a_paused_scene_sees_it(stage: Stage) -> None:
     stage.mirror.hear_paused(True)
     stage.tell_step(7)  # the answer is not requested
     stage.mirror.want(BOTH)
@@ -183,7 +183,7 @@ def test_who_begins_to_look_while_the_scene_stands_sees_it(stage: Stage) -> None
     assert figures.is_replayed and (figures.contacts, figures.colliding) == (len(few.gaps), len(every.gaps))
 
 
-def test_another_run_begins_anew_and_who_looks_away_costs_nothing(stage: Stage) -> None:
+def test_a_new_run_starts_afresh_and_the_mirror_stops_without_viewers(stage: Stage) -> None:
     stage.mirror.want(InsideWanted(level=0))
     stage.tell_step(1)
     assert stage.next_view().spheres is not None

@@ -34,7 +34,7 @@ def drawn_plot(page: Any) -> str:
     return page.evaluate("document.querySelector('.uplot canvas').toDataURL()")
 
 
-def test_a_person_smashes_plates(browser: Any, scene: LivePage) -> None:
+def test_plates_are_smashed_in_the_browser(browser: Any, scene: LivePage) -> None:
     with opened(browser, scene.address) as page:
         page.get_by_label("shadows").uncheck()  # they dominate the time of a software renderer
         x, y = on_a_plate(page)
@@ -72,7 +72,7 @@ def test_a_person_smashes_plates(browser: Any, scene: LivePage) -> None:
 
 
 @pytest.mark.slow  # takes minutes with software rendering
-def test_two_people_look_at_a_scene_that_pauses(browser: Any, scene: LivePage) -> None:
+def test_two_browsers_show_a_paused_scene(browser: Any, scene: LivePage) -> None:
     with opened(browser, scene.address) as page:
         page.get_by_label("shadows").uncheck()
         page.get_by_label("pause").check()

@@ -30,7 +30,7 @@ def listed_and_colliding(page: Any) -> tuple[int, int]:
 
 
 def unlisted_and_promised(page: Any) -> tuple[float, float]:
-    """[mm]"""
+    """[mm] The depth of the deepest unlisted point, and the bound."""
     words = page.get_by_text("unlisted penetrations: up to").inner_text()
     found = re.search(r"up to ([\d.]+) mm deep, bound ([\d.]+) mm", words)
     return float(found[1]), float(found[2])
@@ -40,7 +40,7 @@ def shown_plots(page: Any) -> list[str]:
     return page.evaluate("[...document.querySelectorAll('.uplot canvas')].map(each => each.toDataURL())")
 
 
-def test_a_person_looks_inside(scene: tuple[Any, LivePage]) -> None:
+def test_the_inside_view_works_in_the_browser(scene: tuple[Any, LivePage]) -> None:
     browser, scene = scene
     with opened(browser, scene.address) as page:
         x, y = on_a_plate(page)

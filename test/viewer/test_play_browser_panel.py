@@ -73,7 +73,7 @@ def smash(scene: LivePage, page: Any) -> None:
     scene.until(lambda: scene.status.fragments > PLATES + 5, "a ball and shards")
 
 
-def test_what_is_recorded_opens_and_replays(scene: LivePage, page: Any, folder: Path) -> None:
+def test_recordings_of_the_page_open_and_replay(scene: LivePage, page: Any, folder: Path) -> None:
     page.get_by_label("record").check()
     page.get_by_text("recording into").wait_for()
     bag = folder / "bag_1"
@@ -145,14 +145,14 @@ def test_sliders_reach_the_service_and_its_answers(scene: LivePage, page: Any) -
     until(lambda: knob(page, "contacts per pair").input_value(), lambda value: value == "8")
 
 
-def test_slow_motion(scene: LivePage, page: Any) -> None:
+def test_slow_motion_works_in_the_browser(scene: LivePage, page: Any) -> None:
     knob(page, "slow motion").fill("0.05")
     scene.until(lambda: scene.status.rate == 0.05 and 0.0 < scene.status.achieved_rate < 0.06, "slow motion")
     knob(page, "slow motion").fill("1")
     scene.until(lambda: scene.status.rate == 1.0, "the clock's pace")
 
 
-def test_another_scene_with_an_arm(scene: LivePage, page: Any) -> None:
+def test_a_scene_with_an_arm_is_chosen_and_moved(scene: LivePage, page: Any) -> None:
     joints: list[JointState] = []
     topic = qos.JOINT_STATES
     listener = scene.ears.node.create_subscription(topic.message_class, topic.name, joints.append, topic.qos)

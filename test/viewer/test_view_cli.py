@@ -30,7 +30,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("order", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize("which", ["small", "golden"])
-def test_it_serves_until_it_is_told_to_stop(bag: Path, which: str, order: signal.Signals) -> None:
+def test_view_serves_until_it_is_stopped(bag: Path, which: str, order: signal.Signals) -> None:
     command = [sys.executable, "-u", "-m", "fracture_collision.cli", "view", GOLDEN if which == "golden" else bag,
                "--no-open"]  # fmt: skip
     running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
@@ -53,7 +53,7 @@ def test_it_serves_until_it_is_told_to_stop(bag: Path, which: str, order: signal
 
 
 @pytest.mark.parametrize("order", ["INT", "TERM"])
-def test_a_signal_as_soon_as_the_address_is_known_ends_it_as_later_ones_do(
+def test_a_signal_right_after_start_up_ends_view_cleanly(
     bag: Path, tmp_path: Path, order: str
 ) -> None:
     browser = tmp_path / "browser"
@@ -67,7 +67,7 @@ def test_a_signal_as_soon_as_the_address_is_known_ends_it_as_later_ones_do(
     assert "ended" in done.stdout and "Traceback" not in done.stderr
 
 
-def test_what_cannot_be_shown_is_refused_in_words(bag: Path, tmp_path: Path) -> None:
+def test_files_that_cannot_be_shown_are_rejected_with_an_explanation(bag: Path, tmp_path: Path) -> None:
     done = CliRunner().invoke(main, ["view", str(tmp_path), "--no-open"])
     assert done.exit_code == 2 and "neither an .mcap file nor a folder" in done.output.replace("\n", " ")
     done = CliRunner().invoke(main, ["view", str(bag), "--no-open", "--host", "192.0.2.1"])  # reserved (RFC 5737)

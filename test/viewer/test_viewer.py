@@ -61,7 +61,7 @@ def test_film_strip_shows_the_run(bag: Path, tmp_path: Path) -> None:
     assert again.read_bytes() == target.read_bytes()
 
 
-def test_light_and_shadow() -> None:
+def test_pictures_have_light_and_shadow() -> None:
     pytest.importorskip("embreex", exc_type=ModuleNotFoundError)
     square = np.array([[[-1.0, -1, 1], [1, -1, 1], [1, 1, 1]], [[-1, -1, 1], [1, 1, 1], [-1, 1, 1]]])
     up = np.tile([0.0, 0.0, 1.0], (2, 3, 1))
@@ -98,7 +98,7 @@ def test_the_last_run_of_several_files_is_the_one_shown(tmp_path: Path) -> None:
     assert len(read_run(folder / "two_0.mcap").states) == 10
 
 
-def test_what_is_missing_is_named(tmp_path: Path) -> None:
+def test_missing_data_is_named(tmp_path: Path) -> None:
     with pytest.raises(BagError, match="neither an .mcap file nor a folder"):
         read_run(tmp_path)
     write_bag(tmp_path / "bodies only", [r for r in small_run() if isinstance(r[1], CollisionBody)])
@@ -113,7 +113,7 @@ def test_what_is_missing_is_named(tmp_path: Path) -> None:
     assert not (tmp_path / "x.png").exists()
 
 
-def test_moments_crowd_where_things_break() -> None:
+def test_moments_of_a_film_strip_are_denser_at_fractures() -> None:
     nothing = (np.zeros(0, dtype=int), np.zeros((0, 3)), np.zeros((0, 4)))
     time = np.arange(1001) * 0.01
     states = [RecordedStates(t, i, int(t >= 2.0) + int(t >= 2.2), *nothing) for i, t in enumerate(time.tolist())]
@@ -152,7 +152,7 @@ def test_times_plot_shows_every_series(tmp_path: Path) -> None:
     plot_times({name: [] for name in report()}, tmp_path / "empty.png")
 
 
-def test_a_report_that_does_not_fit_is_refused(tmp_path: Path) -> None:
+def test_incomplete_reports_are_rejected(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="lacks solver_ms"):
         plot_times({k: v for k, v in report().items() if k != "solver_ms"}, tmp_path / "x.png")
     with pytest.raises(ValueError, match="different lengths"):

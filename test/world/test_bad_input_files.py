@@ -58,7 +58,7 @@ YAML = {
 
 @pytest.mark.timeout(20)
 @pytest.mark.parametrize("harm", YAML)
-def test_a_scene_file(harm: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bad_scene_files_are_rejected(harm: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     text, words = YAML[harm]
     monkeypatch.chdir(tmp_path)
     file = tmp_path / "scene.yaml"
@@ -69,14 +69,14 @@ def test_a_scene_file(harm: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert os.listdir(tmp_path) == ["scene.yaml"]
 
 
-def test_what_is_no_text(tmp_path: Path) -> None:
+def test_a_scene_file_that_is_not_utf_8_is_rejected(tmp_path: Path) -> None:
     file = tmp_path / "scene.yaml"
     file.write_bytes(b"name: \xff\xfe")
     with pytest.raises(SceneError, match="not UTF-8"):
         load_scene(file)
 
 
-def test_the_scene_that_the_others_spoil_and_all_of_the_package_are_read(tmp_path: Path) -> None:
+def test_the_valid_scene_is_read(tmp_path: Path) -> None:
     file = tmp_path / "scene.yaml"
     file.write_text(SCENE, encoding="utf-8")
     assert load_scene(file).step_count == 100
@@ -90,7 +90,7 @@ def test_the_scene_that_the_others_spoil_and_all_of_the_package_are_read(tmp_pat
     (b"time,x,y,z,holds\n0,0,0,0,\n0,0,0,0,\n", "does not follow"),
     (b"", "does not begin with the columns"),
 ])  # fmt: skip
-def test_a_hands_track(content: bytes, words: str, tmp_path: Path) -> None:
+def test_bad_tracks_are_rejected(content: bytes, words: str, tmp_path: Path) -> None:
     (tmp_path / "track.csv").write_bytes(content)
     (tmp_path / "scene.yaml").write_text(SCENE + "hand: {track: track.csv}", encoding="utf-8")
     with pytest.raises(SceneError, match=f"hand.track.*({words})"):
@@ -143,7 +143,7 @@ MESHES = {
 
 @pytest.mark.timeout(20)
 @pytest.mark.parametrize("harm", MESHES)
-def test_a_mesh_file(harm: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bad_mesh_files_are_rejected(harm: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     content, words = MESHES[harm]
     monkeypatch.chdir(tmp_path)
     file = tmp_path / "mesh.npz"
@@ -153,7 +153,7 @@ def test_a_mesh_file(harm: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert os.listdir(tmp_path) == ["mesh.npz"]
 
 
-def test_mesh_files_with_flipped_bits_are_read_or_refused(tmp_path: Path) -> None:
+def test_mesh_files_with_flipped_bits_are_read_or_rejected(tmp_path: Path) -> None:
     random, file, refused = np.random.default_rng(3), tmp_path / "mesh.npz", 0
     content = saved(**GOOD)
     for _ in range(400):
@@ -168,14 +168,14 @@ def test_mesh_files_with_flipped_bits_are_read_or_refused(tmp_path: Path) -> Non
     assert refused > 200
 
 
-def test_good_mesh_files_are_read(tmp_path: Path) -> None:
+def test_valid_mesh_files_are_read(tmp_path: Path) -> None:
     (tmp_path / "mesh.npz").write_bytes(saved(**GOOD))
     vertices, tetrahedra = read_tetrahedra(tmp_path / "mesh.npz")
     assert vertices.tolist() == GOOD["vertices"].tolist() and tetrahedra.tolist() == [[0, 1, 2, 3]]
     assert len(bunny().vertices) == 2010
 
 
-def test_nothing_of_the_package_reads_more_than_data() -> None:
+def test_the_package_uses_no_unsafe_loader() -> None:
     package = Path(__file__).parents[2] / "fracture_collision"
     words = ("yaml.load(", "full_load", "unsafe_load", "UnsafeLoader", "FullLoader", "allow_pickle=True")
     for file in package.rglob("*.py"):
@@ -202,7 +202,7 @@ NO_SCENES = {
 
 
 @pytest.mark.parametrize("kind", NO_SCENES)
-def test_errors_quote_little_of_a_file_that_is_no_scene(kind: str, tmp_path: Path) -> None:
+def test_errors_quote_little_of_other_files(kind: str, tmp_path: Path) -> None:
     file = tmp_path / "no_scene"
     file.write_text(NO_SCENES[kind], encoding="utf-8")
     with pytest.raises(SceneError) as refusal:

@@ -49,7 +49,7 @@ def within(points: np.ndarray, centres: np.ndarray, radii: np.ndarray) -> np.nda
     return (distances <= radii + 1e-9).any(axis=1)
 
 
-def test_spheres_of_a_level_hold_all_samples_and_shrink_to_them(truth: ContactTruth) -> None:
+def test_spheres_of_a_level_contain_all_samples_and_shrink_with_the_level(truth: ContactTruth) -> None:
     world = truth.case.world
     here = world.present(truth.case.states())
     samples = {f: samples_of(truth, f) for f in truth.fragment_ids}
@@ -77,7 +77,7 @@ def test_spheres_of_a_level_hold_all_samples_and_shrink_to_them(truth: ContactTr
 
 
 @pytest.mark.parametrize("axis", range(3))
-def test_the_field_on_a_plane_is_that_of_the_oracle(truth: ContactTruth, axis: int) -> None:
+def test_the_field_on_a_plane_equals_the_oracles(truth: ContactTruth, axis: int) -> None:
     world, states = truth.case.world, piled(truth, 4 + axis, 0.4)
     poses, here = Poses(states), truth.case.world.present(states)
     low, high = reach_along(world, here, axis)
@@ -148,7 +148,7 @@ def test_shapes_without_a_mesh_are_on_the_plane_and_the_ground_is_not() -> None:
     ],
     ids=["defaults", "few", "budget", "averaged", "all that penetrate"],
 )  # fmt: skip
-def test_errors_of_an_answer_are_those_by_brute_force(truth: ContactTruth, settings: Settings) -> None:
+def test_errors_of_an_answer_equal_those_by_brute_force(truth: ContactTruth, settings: Settings) -> None:
     states = piled(truth, 11, 0.3)
     asked = with_settings(truth.case, settings)
     answer, checks = asked.contacts(states), check_all_pairs(truth, states, asked)
@@ -172,7 +172,7 @@ def test_errors_of_an_answer_are_those_by_brute_force(truth: ContactTruth, setti
         assert errors.unlisted > 1e-3
 
 
-def test_a_world_that_is_asked_with_other_settings_keeps_its_own(truth: ContactTruth) -> None:
+def test_inspection_with_other_settings_keeps_those_of_the_world(truth: ContactTruth) -> None:
     states = piled(truth, 2, 0.3)
     world = with_settings(truth.case, TRUE)
     before = world.contacts(states)

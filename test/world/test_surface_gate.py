@@ -48,7 +48,7 @@ def pieces_of(*shapes: RigidShape) -> np.ndarray:
 
 
 @pytest.mark.parametrize("make", [noisy_ball, torus, hollow_box, cube])
-def test_windings_are_the_solid_angles(make: Callable[[], RigidShape]) -> None:
+def test_winding_numbers_equal_the_solid_angles(make: Callable[[], RigidShape]) -> None:
     """At points inside and outside of nested pieces with both orientations."""
     outer = make()
     random = np.random.default_rng(3)
@@ -85,7 +85,7 @@ def test_a_point_on_another_piece_is_undecided() -> None:
     assert (found == UNDECIDED).all()
 
 
-def test_verdicts_are_those_of_solid_angles() -> None:
+def test_verdicts_equal_those_of_solid_angles() -> None:
     random, verdicts = np.random.default_rng(5), []
     outer = noisy_ball()
     for _ in range(40):
@@ -99,7 +99,7 @@ def test_verdicts_are_those_of_solid_angles() -> None:
     assert 5 < sum(verdicts) < 35
 
 
-def test_three_thousand_cavities_cost_what_is_near_each() -> None:
+def test_the_cost_of_a_cavity_does_not_grow_with_their_number() -> None:
     """Comparing all pairs took 9 s of processor time, casting rays 0.03 s."""
     at = np.stack(np.meshgrid(*[np.arange(15) / 15.0 - 0.48] * 3), axis=-1).reshape(-1, 3)[:3000]
     sizes = np.random.default_rng(1).uniform(0.02, 0.04, len(at))

@@ -57,7 +57,7 @@ def made_with_it_digest(world: CollisionWorld) -> str:
 
 
 @pytest.mark.parametrize("change", [change for change in CHANGES if not UNSEEN & set(change)], ids=str)
-def test_these_changes_show_in_the_answer(change: dict) -> None:
+def test_changed_settings_change_the_answer(change: dict) -> None:
     """Shows that the test above can fail."""
     world = told_world(START)
     before = answers(world)
@@ -65,7 +65,7 @@ def test_these_changes_show_in_the_answer(change: dict) -> None:
     assert answers(world) != before
 
 
-def test_limits_are_for_what_comes() -> None:
+def test_changed_limits_apply_to_later_messages() -> None:
     world = told_world(START)
     nodes = len(breakable_body().vertices) // 3
     for change, kind_of_limit in (

@@ -68,27 +68,27 @@ warnings_are_errors = pytest.mark.filterwarnings("error", "ignore::ResourceWarni
 @settings(max_examples=150, deadline=None, derandomize=True)
 @given(st.sampled_from([TET, TRI, sphere(20), plane(20)]), _changes(BODY_ARRAYS, BODY_SCALARS))
 @warnings_are_errors
-def test_garbage_in_bodies(body: CollisionBody, changes: dict) -> None:
+def test_random_changes_of_bodies_raise_only_invalid_message(body: CollisionBody, changes: dict) -> None:
     _never_anything_but_invalid_message(body, lambda world: world.add_body, changes)
 
 
 @settings(max_examples=150, deadline=None, derandomize=True)
 @given(_changes(EVENT_ARRAYS, ("sequence", "body_id", "fragment_id")))
 @warnings_are_errors
-def test_garbage_in_events(changes: dict) -> None:
+def test_random_changes_of_events_raise_only_invalid_message(changes: dict) -> None:
     _never_anything_but_invalid_message(SECOND, lambda world: world.add_fracture, changes)
 
 
 @settings(max_examples=150, deadline=None, derandomize=True)
 @given(_changes(STATES_ARRAYS, ("step", "fracture_sequence")))
 @warnings_are_errors
-def test_garbage_in_states(changes: dict) -> None:
+def test_random_changes_of_states_raise_only_invalid_message(changes: dict) -> None:
     _never_anything_but_invalid_message(REFERENCE, lambda world: world.contacts, changes)
 
 
 @settings(max_examples=100, deadline=None, derandomize=True)
 @given(st.integers(0, 2**32 - 1), st.integers(4, 12), st.integers(4, 30))
-def test_random_triangle_soup_is_refused(seed: int, vertices: int, triangles: int) -> None:
+def test_random_triangles_are_rejected(seed: int, vertices: int, triangles: int) -> None:
     random = np.random.default_rng(seed)
     soup = RigidShape(random.normal(size=(vertices, 3)), random.integers(0, vertices, (triangles, 3)))
     with pytest.raises(InvalidMessage) as refusal:

@@ -16,7 +16,7 @@ def world() -> CollisionWorld:
 
 
 @pytest.mark.parametrize("rule", BODIES)
-def test_bodies(world: CollisionWorld, rule: str) -> None:
+def test_bodies_that_break_a_rule_are_rejected(world: CollisionWorld, rule: str) -> None:
     body, kind, words = BODIES[rule]
     refused(world, lambda: world.add_body(body), kind, words)
     for good in (TET, rigid(21), rigid(22, HOLLOW), sphere(23), box(24), plane(25)):
@@ -26,7 +26,7 @@ def test_bodies(world: CollisionWorld, rule: str) -> None:
 
 
 @pytest.mark.parametrize("rule", EVENTS)
-def test_events(world: CollisionWorld, rule: str) -> None:
+def test_events_that_break_a_rule_are_rejected(world: CollisionWorld, rule: str) -> None:
     event, kind, words = EVENTS[rule]
     refused(world, lambda: world.add_fracture(event), kind, words)
     world.add_fracture(FIRST)  # delivered again: ignored
@@ -37,7 +37,7 @@ def test_events(world: CollisionWorld, rule: str) -> None:
 
 
 @pytest.mark.parametrize("rule", STATES)
-def test_states(world: CollisionWorld, rule: str) -> None:
+def test_states_that_break_a_rule_are_rejected(world: CollisionWorld, rule: str) -> None:
     states, kind, words = STATES[rule]
     refused(world, lambda: world.contacts(states), kind, words, StatesAhead if rule in AHEAD else InvalidMessage)
     assert world.contacts(EARLIER).fracture_sequence == 0
@@ -45,7 +45,7 @@ def test_states(world: CollisionWorld, rule: str) -> None:
 
 
 @pytest.mark.parametrize("wrong", [[1], None, "1", 1.0, True, {}, -1, 2**32])
-def test_what_is_no_id_has_no_mesh(world: CollisionWorld, wrong: object) -> None:
+def test_meshes_of_invalid_ids_are_rejected(world: CollisionWorld, wrong: object) -> None:
     with pytest.raises(InvalidMessage, match="^fragment_id: ") as caught:
         world.fragment_mesh(wrong)
     assert caught.value.kind == ("out_of_range" if isinstance(wrong, int) and wrong is not True else "wrong_type")

@@ -117,7 +117,7 @@ def test_remove_replays_nothing(counted: list[str]) -> None:
 
 
 @pytest.mark.parametrize("settings", [SETTINGS, AVERAGED], ids=["exact", "averaged"])
-def test_what_is_reclaimed_changes_no_byte(
+def test_reclaiming_memory_does_not_change_answers(
     settings: Settings, counted: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Bodies of all kinds break, are removed and replaced by others; the pools are compacted each time."""
@@ -160,7 +160,7 @@ def test_what_is_reclaimed_changes_no_byte(
     validate_body(registry.geometry, rows)
 
 
-def test_balls_that_come_and_go_leave_no_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_added_and_removed_balls_leave_no_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(collision_geometry, "LEAST_GARBAGE", 1 << 14)
     world = CollisionWorld(SETTINGS)
     world.add_body(tetrahedral(1))

@@ -40,7 +40,7 @@ def world() -> CollisionWorld:
     return made_world()
 
 
-def test_a_refusal_does_not_move_a_registry_that_looks_back(world: CollisionWorld) -> None:
+def test_rejected_states_do_not_move_the_registry(world: CollisionWorld) -> None:
     """After states of an earlier registry, rejected states of a later one must not activate the later registry."""
     world.contacts(EARLIER)
     before = record_bytes(world.fragments())
@@ -62,7 +62,7 @@ def test_a_refusal_does_not_move_a_registry_that_looks_back(world: CollisionWorl
     ],
     ids=["bodies", "nodes", "surface vertices", "fragments of bodies", "fragments of events"],
 )
-def test_limits(limits: dict, message, words: str) -> None:
+def test_messages_beyond_a_limit_are_rejected(limits: dict, message, words: str) -> None:
     world = made_world(SETTINGS._replace(**limits))
     deliver = world.add_body if isinstance(message, CollisionBody) else world.add_fracture
     refused(world, lambda: deliver(message), "limit_exceeded", words)
@@ -70,7 +70,7 @@ def test_limits(limits: dict, message, words: str) -> None:
     (room.add_body if isinstance(message, CollisionBody) else room.add_fracture)(message)
 
 
-def test_what_a_removed_body_leaves_is_free_again() -> None:
+def test_removing_a_body_frees_its_share_of_the_limits() -> None:
     world = made_world(SETTINGS._replace(max_bodies=4, max_nodes=len(X) + 8))
     with pytest.raises(InvalidMessage, match="limit"):
         world.add_body(TRI)
@@ -79,7 +79,7 @@ def test_what_a_removed_body_leaves_is_free_again() -> None:
     assert world.fragments().fragment_ids.tolist() == [2, 3, 10, 11, 20]
 
 
-def test_remove_and_what_follows(world: CollisionWorld) -> None:
+def test_states_of_a_removed_body_are_rejected(world: CollisionWorld) -> None:
     remaining = REFERENCE._replace(fragment_ids=IDS[:2], positions=POSITIONS[:6], orientations=TURNS[:8])
     expected = record_bytes(world.contacts(remaining))
     world.add_body(CollisionBody(1, 1, operation=REMOVE))
@@ -133,7 +133,7 @@ def test_bodies_delivered_again_change_nothing(world: CollisionWorld) -> None:
     assert observed(world) == before
 
 
-def test_earlier_registries_stay_answerable(world: CollisionWorld) -> None:
+def test_states_of_earlier_registries_are_answered(world: CollisionWorld) -> None:
     young = CollisionWorld(SETTINGS)
     for body in (tetrahedral(1), plane(2), sphere(3), rigid(4)):
         young.add_body(body)
@@ -175,7 +175,7 @@ def test_mass_and_first_moment_pass_from_parent_to_pieces(body) -> None:
         assert np.allclose(sum(moments[p] for p in pieces), moments[parent], rtol=0, atol=1e-12 * masses[parent] * size)
 
 
-def test_a_noisy_closed_surface_is_taken() -> None:
+def test_a_noisy_closed_surface_is_accepted() -> None:
     world = made_world()
     world.add_body(rigid(20, noisy_ball()))
     assert world.fragments().fragment_ids.tolist()[-1] == 20

@@ -17,7 +17,7 @@ from fracture_collision.world.warm_up import compile_kernels
         ("penetration_tolerance", float("nan")), ("tree", "grown"), ("traversal", "random"),
     ],
 )  # fmt: skip
-def test_a_setting_out_of_range_is_refused_by_name(name: str, value: object) -> None:
+def test_a_setting_out_of_range_is_rejected_by_name(name: str, value: object) -> None:
     with pytest.raises(ValueError, match=name):
         CollisionWorld(Settings()._replace(**{name: value}))
 

@@ -57,7 +57,7 @@ def test_a_layer_between_an_older_crack_and_a_new_one_through_the_same_nodes() -
     assert masses(world, 2, [10, 12, 13])[12] == pytest.approx(1000.0 * 0.05 * 0.25)
 
 
-def test_random_parts_with_planes_through_nodes_have_volume_or_are_refused() -> None:
+def test_random_parts_with_planes_through_nodes_have_volume_or_are_rejected() -> None:
     random, refusals, accepted = np.random.default_rng(5), 0, 0
     for _ in range(40):
         seeds = random.uniform(-0.5, 0.5, (random.integers(2, 12), 3))
@@ -89,7 +89,7 @@ def test_random_parts_with_planes_through_nodes_have_volume_or_are_refused() -> 
     assert refusals > 5 and accepted > 5
 
 
-def test_refused_is_what_the_oracle_says_has_no_volume() -> None:
+def test_fragments_without_volume_by_the_oracle_are_rejected() -> None:
     body, refusals = brick((2.0, 1.0, 1.0), 0.5), 0
     for seed in range(16):
         cells = (2, 3, 6)[seed % 3]

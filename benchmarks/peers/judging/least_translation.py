@@ -54,8 +54,10 @@ def _least_distance(normals: np.ndarray, needed: np.ndarray) -> np.ndarray | Non
 
 
 def _least_violation(normals: np.ndarray, needed: np.ndarray) -> np.ndarray:
-    """(3,) no longer than FARTHEST, minimising the sum of max(0, needed - normals . d)^2; the damping is chosen to meet
-    that length."""
+    """(3,) no longer than FARTHEST, minimising the sum of max(0, needed - normals . d)^2.
+
+    The damping is chosen to meet that length.
+    """
     low, high = DAMPING
     shift = _damped(normals, needed, low)
     if shift @ shift <= FARTHEST**2:
@@ -68,8 +70,10 @@ def _least_violation(normals: np.ndarray, needed: np.ndarray) -> np.ndarray:
 
 
 def _damped(normals: np.ndarray, needed: np.ndarray, damping: float) -> np.ndarray:
-    """(3,) minimum of the sum of squared violations + damping |d|^2, by Newton's method with step halving: convex, and
-    quadratic while the set of violated contacts stays the same."""
+    """(3,) minimum of the sum of squared violations + damping |d|^2, by Newton's method with step halving.
+
+    The function is convex, and quadratic while the set of violated contacts stays the same.
+    """
     shift = np.zeros(3)
     violation = np.maximum(needed, 0.0)
     for _ in range(NEWTON_STEPS):

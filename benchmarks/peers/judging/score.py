@@ -169,7 +169,7 @@ def _off_surface(solids: Solids, frame: Frame, answer: Contacts) -> np.ndarray:
 
 
 def mean_max(values) -> tuple[float, float]:
-    """nan if empty."""
+    """Mean and maximum, nan if empty."""
     return (float(np.mean(values)), float(np.max(values))) if len(values) else (np.nan, np.nan)
 
 

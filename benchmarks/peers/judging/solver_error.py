@@ -1,5 +1,8 @@
-"""The error that matters to a solver: the penetration that remains, and the unnecessary displacement, after the
-smallest translation that satisfies the contacts reported for a pair (`least_translation`)."""
+"""The error that matters to a solver: the penetration that remains, and the unnecessary displacement.
+
+Both are measured after the smallest translation that satisfies the contacts reported for a pair
+(`least_translation`).
+"""
 
 from __future__ import annotations
 

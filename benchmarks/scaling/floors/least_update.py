@@ -1,6 +1,4 @@
-"""Lower bound for an update at a fracture on this machine, and our time for the part of an update that every answer
-depends on.
-"""
+"""Lower bound for an update at a fracture on this machine, and our time for what every answer depends on."""
 
 from __future__ import annotations
 
@@ -30,12 +28,14 @@ OUTPUTS = ((collision_geometry, "rebuild_surfaces"), (collision_geometry, "split
 
 
 def least_update(world: World) -> tuple[float, str]:
-    """[ms] of a fracture, and a description. Hashes the event's bytes; finds its cut edges among the mesh's and counts
-    the pieces of its labels (needed to reject an event); evaluates its planes at the ends of their edges; reads each
-    tetrahedron of what breaks once and adds its moments to a mass (a cut one: to two, from the moments of one corner);
-    computes one distance per node of the new trees (a radius bounds everything below it), and the planes of triangles
-    that lie in no given plane; writes all resulting rows. Left out: all other checks, ownership in cut tetrahedra,
-    corners of triangles, cells, a node's way into its tree.
+    """[ms] of a fracture, and a description.
+
+    Hashes the event's bytes; finds its cut edges among the mesh's and counts the pieces of its labels (needed to reject
+    an event); evaluates its planes at the ends of their edges; reads each tetrahedron of what breaks once and adds its
+    moments to a mass (a cut one: to two, from the moments of one corner); computes one distance per node of the new
+    trees (a radius bounds everything below it), and the planes of triangles that lie in no given plane; writes all
+    resulting rows. Left out: all other checks, ownership in cut tetrahedra, corners of triangles, cells, a node's way
+    into its tree.
     """
     service = CollisionWorld(SEARCHED)
     service.add_body(world.body)
@@ -94,8 +94,9 @@ def least_update(world: World) -> tuple[float, str]:
 
 
 def update_alone(world: World) -> float:
-    """[ms], one thread, median, within real updates: our time for `OUTPUTS`. Excludes checks and hashes, the search for
-    touched tetrahedra, cells and seeds.
+    """[ms], one thread, median, within real updates: our time for `OUTPUTS`.
+
+    Excludes checks and hashes, the search for touched tetrahedra, cells and seeds.
     """
     sums = []
     for _ in range(TRIALS + 1):
@@ -141,7 +142,7 @@ def _columns(service: CollisionWorld) -> Iterator[tuple[str, np.ndarray]]:
 
 
 def _cold_median(once: Callable[[], object]) -> float:
-    """[ms]"""
+    """Median time [ms]."""
     other = np.zeros(COLD, np.uint8)
     times = []
     for _ in range(TRIALS):
@@ -232,8 +233,10 @@ def _shares(ends, planes, nodes, shares):
 
 @threaded_kernel
 def _sums(tetrahedra, edges, moments, nodes, shares, parts, sums):
-    """Moments: an uncut tetrahedron adds its own to its fragment; a cut one adds those of the corner cut off by its
-    first edges, and the remainder to the other fragment. Returns the number of uncut ones.
+    """Adds all moments to the masses of fragments; returns the number of uncut tetrahedra.
+
+    An uncut tetrahedron adds its own to its fragment; a cut one adds those of the corner cut off by its first edges,
+    and the remainder to the other fragment.
     """
     whole = 0
     for t in range(len(tetrahedra)):

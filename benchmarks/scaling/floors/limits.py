@@ -144,8 +144,9 @@ def _least_query(world: World, tolerance: float) -> tuple[float, float, str]:
 
 @cache
 def _undisturbed(footprint: int) -> Machine:
-    """The machine's best figures: other users of the shared cache make a load five times as slow, for seconds at a
-    time.
+    """The machine's best figures.
+
+    Other users of the shared cache make a load five times as slow, for seconds at a time.
     """
     measured = []
     for _ in range(LOOKS):

@@ -1,6 +1,8 @@
-"""Time of first contact of two rigid bodies that move within a step, from another library's continuous collision
-detection: ipctk (MIT; tight inclusion, Wang et al. 2021) tests all vertices, edges and faces along straight segments. A
-rotating body gets enough of them that its path is nowhere farther off the arc than SAG of its size.
+"""Time of first contact of two rigid bodies that move within a step, by another library.
+
+The continuous collision detection of ipctk (MIT; tight inclusion, Wang et al. 2021) tests all vertices, edges and faces
+along straight segments. A rotating body gets enough of them that its path is nowhere farther off the arc than SAG of
+its size.
 """
 
 from __future__ import annotations

@@ -54,6 +54,7 @@ class Witness:
 
     def gaps(self, steps: list[Step], leap: float) -> Iterator[float]:
         """[m] The least gap of the thrown body to any other, at each moment at which it is within epsilon of one.
+
         Between two moments it moves no farther than `leap` [m] relative to any other.
         """
         for step in steps:

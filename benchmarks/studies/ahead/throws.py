@@ -1,4 +1,4 @@
-"""Between steps: does a fast body pass through another in a simulation with a lookahead of one step?
+"""Whether a fast body passes through another within steps, in a simulation with a lookahead of one step.
 
 A body is thrown at another and simulated with `lookahead` at the time step. Judged is the motion within steps (a body
 that will touch moves until it does), at moments between which nothing moves farther than LEAP of its thickness.

@@ -85,8 +85,9 @@ def _summary(steps: Table) -> dict[str, Any]:
 
 
 def spikes(steps: Table) -> tuple[np.ndarray, np.ndarray]:
-    """The query time of each step over the median of its neighbourhood: for the steps that are the first after a
-    fracture, and for all others. The neighbourhood excludes first steps after fractures.
+    """The query time of each step over the median of its neighbourhood: at first steps after a fracture, and at others.
+
+    The neighbourhood excludes first steps after fractures.
     """
     collision, first = steps.column("collision_ms"), steps.column("update_ms") > 0.0
     touching = steps.column("contacts") > 0

@@ -148,12 +148,18 @@ def section(tables: Mapping[str, Table]) -> str:
         for row in tables[""].rows
     ]  # fmt: skip
     first = tables[""].rows[0]
+    meaning = {
+        "adaptive": f"contacts deeper than ε = {SEARCHED.penetration_tolerance} R are listed beyond the limit",
+        "fixed": "the limit is never exceeded",
+        "sufficient": "the service's default: up to the limit, spread over all near samples, or up to"
+        f" {SEARCHED.deep_contacts_per_pair} if more are deeper than ε (its visits are leaves and samples)",
+    }
+    listed = dict.fromkeys(str(row["selection"]) for row in tables[""].rows)
+    legend = " ".join(f"*{selection.capitalize()}*: {meaning[selection]}." for selection in listed)
     return f"""\
 {first["drops"]} random drops of a plate (R = 100 mm) into a bowl for each contact limit; the paper made 10,000.
 Depths come from full detection in each frame. They are averaged over the frames from the first touch on, then over the
-drops, ± the standard error. *Adaptive*: contacts deeper than ε = {SEARCHED.penetration_tolerance} R are listed beyond
-the limit. *Fixed*: the limit is never exceeded. *Sufficient*, the service's default: up to the limit, spread over all
-near samples, or up to {SEARCHED.deep_contacts_per_pair} if more are deeper than ε (its visits are leaves and samples).
+drops, ± the standard error. {legend}
 
 {markdown_table(("contact limit", "listed per frame", "inside per frame", "deepest, mm", "worst, mm", "mean depth, mm",
                  "visited nodes per frame"), rows)}"""

@@ -12,7 +12,7 @@ from fracture_collision.viewer.page.page import Page
 PICTURES = 5
 
 
-def test_a_taker_gets_meshes_and_poses_as_a_browser_does() -> None:
+def test_a_test_client_gets_the_meshes_and_poses_of_a_browser() -> None:
     records = [record for _, record in small_run()]
     states = next(r for r in records if isinstance(r, FragmentStates))
     with Page() as page:
