@@ -1,9 +1,8 @@
-"""Records to serialized messages and back, without ROS and without message objects: for bags, for the messages of every
-step, and for untrusted messages.
+"""Records to serialized messages and back, without ROS and without message objects.
 
-rclpy's message objects copy each array four times, into new memory each time; here it is copied once. A written message
-has zeroed padding and nothing after its last field, and otherwise equals rclpy's bytes of the same message: equal
-messages have equal bytes.
+For bags, for the messages of every step, and for untrusted messages. rclpy's message objects copy each array four
+times, into new memory each time; here it is copied once. A written message has zeroed padding and nothing after its
+last field, and otherwise equals rclpy's bytes of the same message: equal messages have equal bytes.
 
 Reading takes no more memory than the message has bytes, whatever lengths it contains. Any fault in it raises one
 ValueError with an explanation.
@@ -55,9 +54,11 @@ class Heading(NamedTuple):
 
 
 class Received(NamedTuple):
+    """A message as it was read: its header, its run, and the record of all other fields."""
+
     heading: Heading
     run_id: int
-    record: Any
+    record: Any  # of the class that the Codec was made for
 
 
 class _Nested(NamedTuple):
@@ -110,8 +111,9 @@ class Codec:
     """
 
     def __init__(self, record_class: Any, layout: Layout, nested: Callable[[str], Layout]) -> None:
-        """`layout`: with header and run_id, which the record does not have. `nested`: the layout of another message
-        type by its name; its exceptions are passed on.
+        """Compile `layout`, which has header and run_id besides the fields of `record_class`.
+
+        `nested` returns the layout of another message type by its name; its exceptions are passed on.
         """
         fields = [list(_leaves(name, kind, nested)) for name, kind in layout]
         leaves = [leaf for field in fields for leaf in field]
@@ -130,8 +132,10 @@ class Codec:
         self._in_own_order = itemgetter(*map(theirs.index, own))
 
     def write(self, record: NamedTuple, heading: Heading, run_id: int) -> bytes:
-        """Little-endian. ValueError if an array has more than one dimension, or a length out of its limits;
-        struct.error if a number does not fit.
+        """The serialized message, little-endian.
+
+        Raises ValueError if an array has more than one dimension or a length out of its limits, struct.error if a
+        number does not fit.
         """
         values = list(self._in_message_order((heading, run_id, *record)))
         for place, _, nested in self._nested:
@@ -161,7 +165,7 @@ class Codec:
         return b"".join(parts)
 
     def read(self, data: bytes) -> Received:
-        """The arrays are views of one copy of `data`, and may be written to.
+        """The message as a record; its arrays are views of one copy of `data` and may be written to.
 
         Raises ValueError if `data` is not such a message in plain CDR of either byte order. Bytes after its last field
         are ignored, as by rclpy.

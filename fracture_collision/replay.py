@@ -35,6 +35,8 @@ class Unanswered(RuntimeError):
 
 
 class Service(Protocol):
+    """A collision service that a Replay sends questions to."""
+
     def ask(self, run: Run, question: Question) -> tuple[bytes, float]:
         """The answer, serialized with zeroed padding, and the time it took [s]. Raises Unanswered."""
 
@@ -48,6 +50,7 @@ class Order(NamedTuple):
     loops: int = 1
 
     def has(self, step: int) -> bool:
+        """Whether `step` is in the range."""
         return (self.first is None or step >= self.first) and (self.end is None or step < self.end)
 
 
@@ -66,6 +69,7 @@ class Difference(NamedTuple):
     answered: str
 
     def words(self) -> str:
+        """The difference as one line: step, pair, field, and both values."""
         where = f"step {self.step}"
         if self.pair is not None:
             where += f", pair {self.pair[0]}-{self.pair[1]}"
@@ -74,6 +78,8 @@ class Difference(NamedTuple):
 
 
 class Report(NamedTuple):
+    """Result of a replay, or of its part so far."""
+
     digest: str  # SHA-256 of all answers
     recorded_digest: str  # of those recorded for the same questions; "" if one of them has none
     steps: int  # questions asked, each counted once
@@ -128,6 +134,7 @@ class Replay:
 
     @property
     def total(self) -> int:
+        """Number of questions that the whole replay sends."""
         return len(self._plays) * self._order.loops
 
     def __iter__(self) -> Iterator[int]:
@@ -202,6 +209,7 @@ class InProcess:
         self.refusals: dict[str, str] = {}  # of bodies and events: kind, and its last reason
 
     def ask(self, run: Run, question: Question) -> tuple[bytes, float]:
+        """The answer, serialized with zeroed padding, and the time it took [s]. Raises Unanswered."""
         heading, run_id, states = deserialize_record(question.states, FragmentStates)
         if run is not self._run or question.bodies_before < self._bodies:
             # Back before a body was added or removed: only a world that never had it answers as the recorded one did.
@@ -250,6 +258,8 @@ class InProcess:
 
 
 class SettingsFound(NamedTuple):
+    """The settings of a replay."""
+
     settings: Settings
     words: list[str]  # notes on their origin
 

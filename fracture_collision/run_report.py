@@ -47,6 +47,8 @@ TIMES = (
 
 
 class TableRow(NamedTuple):
+    """A row of a table beside the paper's figures."""
+
     words: str
     average: float | None  # or the one figure there is; None: not measured
     worst: float | None

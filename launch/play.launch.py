@@ -1,5 +1,6 @@
-"""Starts a scene to smash: the collision service, the live simulator and the page in the browser, whose address the
-page's node prints.
+"""Starts a live scene: the collision service, the live simulator and the page in the browser.
+
+page_node prints the page's address.
 
 ros2 launch fracture_collision play.launch.py scene:=plates port:=8080
 

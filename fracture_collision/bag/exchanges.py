@@ -22,11 +22,15 @@ _TYPE_WORDS = {"float64": "double", "float32": "float", "bool": "boolean"}
 
 
 class Message(NamedTuple):
+    """A recorded message, serialized and as a record."""
+
     data: bytes  # as recorded
     received: Received
 
 
 class Question(NamedTuple):
+    """Recorded states and the answers to them."""
+
     step: int
     fracture_sequence: int
     time: int  # [ns] of its heading
@@ -36,6 +40,8 @@ class Question(NamedTuple):
 
 
 class Run(NamedTuple):
+    """All recorded messages of one run id."""
+
     run_id: int
     bodies: list[Message]  # in the order of recording
     events: list[Message]  # ascending in sequence

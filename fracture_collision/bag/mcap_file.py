@@ -52,6 +52,8 @@ class Piece(NamedTuple):
 
 
 class FoundMessage(NamedTuple):
+    """A message with the definitions of its channel and its type."""
+
     schema: Schema | None
     channel: Channel
     message: Message

@@ -22,6 +22,8 @@ MOST_FILES = 10_000
 
 
 class TopicEntry(NamedTuple):
+    """A topic as metadata.yaml lists it."""
+
     name: str  # absolute
     message_type: str  # package/msg/Name
     qos_profiles: list[dict[str, Any]]  # as offered by the publishers, in rosbag2's terms
@@ -30,6 +32,8 @@ class TopicEntry(NamedTuple):
 
 
 class Span(NamedTuple):
+    """Times of a bag's first and last message, since the epoch."""
+
     begin: int  # [ns]
     end: int  # [ns]
 

@@ -28,12 +28,16 @@ LARGEST_SETTINGS = 1 << 16  # [bytes]
 
 
 class BagMessage(NamedTuple):
-    topic: str
-    nanoseconds: int
+    """A serialized message as a bag stores it."""
+
+    topic: str  # absolute name
+    nanoseconds: int  # since the epoch
     data: bytes  # CDR
 
 
 class RecordedSettings(NamedTuple):
+    """Settings of the service that a recorder stored."""
+
     values: dict[str, Any]  # by name, as in the JSON; not validated yet
     changed: bool  # during the recording: some answers were made with others
 

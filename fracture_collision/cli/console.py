@@ -26,10 +26,9 @@ SHOW_CURSOR = "\x1b[?25h"  # a progress bar hides it
 
 
 class Interruption:
-    """Until the command ends, SIGINT and SIGTERM end it at the next `check` within `held`, and at once anywhere else or
-    on a second signal.
+    """Ends a command on SIGINT or SIGTERM: within `held` at the next `check`, elsewhere or on a second signal at once.
 
-    `parting`: printed when it ends at once.
+    `parting`: printed when it ends at once. The handlers are removed when the command ends.
     """
 
     def __init__(self, console: Console, parting: str) -> None:
@@ -41,8 +40,9 @@ class Interruption:
 
     @contextmanager
     def held(self) -> Iterator[None]:
-        """For work with partial results worth keeping; it must call `check` often, and the end of `held` calls it
-        once more.
+        """Delays the end to the next `check`: for work with partial results worth keeping.
+
+        The work must call `check` often; the end of `held` calls it once more.
         """
         self._holding = True
         try:
@@ -67,8 +67,9 @@ class Interruption:
 
 
 def interrupt_on_signals() -> None:
-    """Until the command ends, SIGTERM and SIGINT raise KeyboardInterrupt: a shell starts background processes with
-    SIGINT ignored.
+    """Makes SIGTERM and SIGINT raise KeyboardInterrupt until the command ends.
+
+    SIGINT has to be set too, since a shell starts background processes with SIGINT ignored.
     """
     _until_the_command_ends(_as_interrupt)
 

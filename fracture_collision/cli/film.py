@@ -29,6 +29,7 @@ class PictureSize(click.ParamType):
     name = "WxH"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """(width, height) [pixels]; a usage error unless both are at least 16."""
         if not isinstance(value, str):
             return value
         found = re.fullmatch(r"(\d{1,4})x(\d{1,4})", value)

@@ -38,10 +38,14 @@ compared is as recorded, but the bag lacks answers, or the states that answers b
 
 
 class NoBag(click.ClickException):
+    """BAG cannot be read, or holds no run."""
+
     exit_code = NO_BAG
 
 
 class NothingCompared(click.ClickException):
+    """The bag has no answer to any of the replayed questions."""
+
     exit_code = INCOMPLETE
 
 
@@ -51,6 +55,7 @@ class StepRange(click.ParamType):
     name = "A:B"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """(first, end), None where a side is empty; a usage error unless both are whole numbers >= 0."""
         if not isinstance(value, str):
             return value
         first, colon, end = value.partition(":")

@@ -70,7 +70,7 @@ def scene(
       steps.csv        those of each step, a row each
       times.png        what each step took
       film_strip.png   the run in pictures
-    """
+    """  # noqa: D301 - \b is click's mark of a paragraph that it must not wrap
     console = Console()
     interruption = Interruption(console, "stopped")
     # Imported late: --help should not wait for numba and matplotlib.
@@ -138,8 +138,9 @@ def parse_settings(assignments: tuple[str, ...]) -> Any:
 def _leave(
     run: Any, out: Path, pictures: bool, console: Console, check: Callable[[], None] = lambda: None
 ) -> list[Path]:
-    """Prints the tables, replaces an earlier run's files; returns their paths. If `check` raises, the files are
-    replaced without the remaining pictures.
+    """Prints the tables, replaces an earlier run's files; returns their paths.
+
+    If `check` raises, the files are replaced without the remaining pictures.
     """
     names = RESULTS if pictures else RESULTS[:2]
     with NewOutputs(out, RESULTS) as new:

@@ -51,7 +51,7 @@ def smash(scene: str, mesh: Path | None, size: float, out: Path, seed: int | Non
       report.json      the same as numbers
       logs/            what the nodes said
       scene.yaml       with --mesh: the scene made of it, and mesh.npz, its tetrahedra
-    """
+    """  # noqa: D301 - \b is click's mark of a paragraph that it must not wrap
     console = Console()
     interruption = Interruption(console, "stopped")
     # Imported late: --help should not wait for ROS, numba and matplotlib.

@@ -21,6 +21,7 @@ NODES = {
 
 
 def module_of(node: str) -> str:
+    """Import name of the module of one of NODES."""
     return f"fracture_collision.ros.{NODES[node]}.{node}"
 
 
@@ -31,22 +32,27 @@ def start(node: str) -> int:
 
 
 def collision_node() -> int:
+    """Runs the collision service; returns its exit status."""
     return start("collision_node")
 
 
 def simulator_node() -> int:
+    """Runs the simulator; returns its exit status."""
     return start("simulator_node")
 
 
 def live_simulator_node() -> int:
+    """Runs the live simulator; returns its exit status."""
     return start("live_simulator_node")
 
 
 def page_node() -> int:
+    """Runs the page; returns its exit status."""
     return start("page_node")
 
 
 def recorder_node() -> int:
+    """Runs the recorder; returns its exit status."""
     return start("recorder_node")
 
 

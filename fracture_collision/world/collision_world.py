@@ -97,9 +97,11 @@ class CollisionWorld:
         self.last_pairs = 0  # fragment pairs that its broad phase found
 
     def add_body(self, body: CollisionBody) -> None:
+        """Add a body, or remove one (REMOVE). A repetition of a message changes nothing."""
         self._ledger.add_body(body)
 
     def add_fracture(self, event: FractureEvent) -> None:
+        """Append an event to the log. A repetition of a message changes nothing."""
         self._ledger.add_fracture(event)
 
     @property
@@ -116,8 +118,9 @@ class CollisionWorld:
         return self._ledger.lacks(ahead)
 
     def change_settings(self, settings: Settings) -> None:
-        """Answer from now on as a new world with `settings` and the same messages would. Bodies and events stay. Limits
-        apply to later messages; existing content may exceed them.
+        """Answer from now on as a new world with `settings` and the same messages would.
+
+        Bodies and events stay. Limits apply to later messages; existing content may exceed them.
 
         After a change of `field`, `normals`, `tree`, `traversal`, or to or from `surfaces="sampled"`, the registry is
         rebuilt from the event log when it is next needed. Raises ValueError, and changes nothing, if a setting is out
@@ -218,8 +221,9 @@ class CollisionWorld:
         return checked, self._find(checked, self._registry.living().ids)
 
     def _advance(self, sequence: int) -> None:
-        """Bring the registry to `sequence` events and to the current bodies. It replays the log from the beginning if
-        the registry is past `sequence`; removing a body replays nothing.
+        """Bring the registry to `sequence` events and to the current bodies.
+
+        Replays the log from the beginning if the registry is past `sequence`; removing a body replays nothing.
         """
         built_for = geometry_settings(self.settings)
         gone, added = self._ledger.take_changes()

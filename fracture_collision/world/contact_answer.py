@@ -15,8 +15,10 @@ from fracture_collision.world.present import Present
 def contact_answer(
     checked: CheckedStates, here: Present, radius: np.ndarray, pairs: np.ndarray, found: PairContacts, tolerance: float
 ) -> ContactConstraintArray:
-    """List the pairs (p, 2), indices into `here`, that have contacts or a missed depth bound above `tolerance`, a share
-    of the smaller of their `radius` (n,) [m]. The contact arrays are those of `found`, not copies.
+    """Build the answer from the pairs (p, 2), indices into `here`, and the contacts `found` for them.
+
+    It lists pairs that have contacts or a missed depth bound above `tolerance`, a share of the smaller of their
+    `radius` (n,) [m]. Its contact arrays are those of `found`, not copies.
     """
     a, b, begin, bounds, friction, restitution, keys, exhausted = _list_pairs(
         here.ids, here.friction, here.restitution, radius, pairs, found.counts, found.bounds, found.exhausted,

@@ -29,6 +29,8 @@ LEAST_VOLUME = 1e-9
 
 
 class Ledger:
+    """Bodies and events of one run. Methods that take a message raise InvalidMessage, and then change nothing."""
+
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
         self._store = MeshStore()
@@ -53,6 +55,7 @@ class Ledger:
         self._settings = settings
 
     def add_body(self, body: CollisionBody) -> None:
+        """Validate and store a body, or remove one (REMOVE)."""
         operation = identifier("operation", body.operation)
         if operation == REMOVE:
             self._remove(identifier("body_id", body.body_id))
@@ -87,6 +90,7 @@ class Ledger:
         return gone, added
 
     def add_fracture(self, event: FractureEvent) -> None:
+        """Validate an event and append it to the log; keep the reason if the next one is rejected."""
         try:
             self._add_fracture(event)
         except InvalidMessage as error:

@@ -30,6 +30,8 @@ _TYPES = (np.int64, np.int64, np.int64, np.int64, np.bool_, np.float64, np.float
 
 
 class LivingFragments:
+    """A set of fragments that can be read as Columns."""
+
     def __init__(self) -> None:
         self._columns = Columns(*(np.empty(0, kind) for kind in _TYPES), np.empty((0, MASS_VALUES)))
         self._row: dict[int, int] = {}
@@ -37,12 +39,14 @@ class LivingFragments:
         self._went: set[int] = set()  # removed ids that are still in the columns
 
     def row_of(self, fragment_id: int) -> int | None:
+        """Row of a fragment in the pools; None if it does not live."""
         return self._row.get(fragment_id)
 
     def add(
         self, fragment_id: int, row: int, body_id: int, parent_id: int, is_static: bool, friction: float,
         restitution: float, density: float,
     ) -> None:  # fmt: skip
+        """Add a fragment; arguments as in Columns. Its id must be new."""
         self._row[fragment_id] = row
         self._came[fragment_id] = row, body_id, parent_id, is_static, friction, restitution, density
 

@@ -27,7 +27,10 @@ class Present(NamedTuple):
 
 
 def take_places(checked: CheckedStates, living: Columns, named: np.ndarray) -> Present:
-    """`named` (n,): indices into `living` of the fragments that the states name, in the states' order."""
+    """The fragments that take part, with their poses; static ones that the states do not name are at the origin.
+
+    `named` (n,): indices into `living` of the fragments that the states name, in the states' order.
+    """
     return Present(
         *_take_places(
             living.ids, living.rows, living.is_static, living.friction, living.restitution, named, checked.positions,

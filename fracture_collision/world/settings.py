@@ -10,6 +10,8 @@ from typing import NamedTuple
 
 
 class Settings(NamedTuple):
+    """All settings with their defaults; `check_settings` has their ranges."""
+
     # m of Glondu 2014, 5.2: contacts listed per pair before only those deeper than epsilon count. Six constraints lock
     # a rigid body; the paper found no better contact beyond eight (Fig. 16).
     contacts_per_pair: int = 8

@@ -45,8 +45,9 @@ class Neighbours:
         node.create_timer(LOOK_INTERVAL, self.look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def await_all(self) -> bool:
-        """Waits until all participants of this machine and their subscriptions are discovered: earlier messages would
-        not reach them. False: timed out after LONGEST_ACQUAINTANCE.
+        """Waits until all participants of this machine and their subscriptions are discovered.
+
+        Earlier messages would not reach them. False: timed out after LONGEST_ACQUAINTANCE.
         """
         deadline = time.monotonic() + LONGEST_ACQUAINTANCE
         while not self.are_all_known():
@@ -56,8 +57,9 @@ class Neighbours:
         return True
 
     def are_all_known(self) -> bool:
-        """Whether all participants of this machine are discovered and no new one has appeared for QUIET, as far as the
-        earlier calls show.
+        """Whether all participants of this machine are discovered.
+
+        Their number must also have stayed the same for QUIET, as far as the earlier calls show.
         """
         count = len(self._node.get_subscriptions_info_by_topic(_DISCOVERY_TOPIC, no_mangle=True))
         if count != self._count:
@@ -100,6 +102,7 @@ class Neighbours:
         return any(process is not None and is_stopped(process) for process in processes)
 
     def names(self, participants: Iterable[bytes]) -> str:
+        """Their names in one text, sorted; "nobody" if there are none."""
         return ", ".join(sorted(map(self.name, participants))) or "nobody"
 
     def said_of_the_slow(self) -> str:

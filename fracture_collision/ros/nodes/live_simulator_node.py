@@ -231,6 +231,7 @@ def _xyz(vector: object) -> np.ndarray:
 
 
 def main() -> int:
+    """Runs the node with the process's arguments; returns its exit status."""
     return run_node(LiveSimulatorNode, work)
 
 

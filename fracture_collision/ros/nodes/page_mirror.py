@@ -79,6 +79,7 @@ class Mirror:
 
     @property
     def wants_contacts(self) -> bool:
+        """Whether `hear_contacts` must be called."""
         return self._wanted.compares
 
     def new_run(self, run_id: int) -> None:
@@ -87,10 +88,11 @@ class Mirror:
             self._begin(run_id)
 
     def hear(self, message: Any) -> None:
-        """Keeps a body, as a record, or a fracture event, as a message, unchanged for a copy that is created later."""
+        """Keeps a body (a record) or a fracture event (a message) for a copy that is created later."""
         self._log.append(message)
 
     def hear_states(self, states: Received) -> None:
+        """Takes the newest states of the run."""
         with self._news:
             self._states[states.record.step] = states
             while len(self._states) > REMEMBERED:
@@ -98,6 +100,7 @@ class Mirror:
             self._have_news()
 
     def hear_contacts(self, contacts: ContactConstraintArray) -> None:
+        """Takes the service's answer to earlier states; ignored if those are no longer kept."""
         with self._news:
             states = self._states.get(contacts.step)
             if states is not None:
@@ -105,25 +108,30 @@ class Mirror:
                 self._have_news()
 
     def hear_times(self, collision_ms: float) -> None:
+        """Takes the time of the service's last answer [ms]."""
         self._collision_ms = collision_ms
 
     def hear_paused(self, paused: bool) -> None:
+        """Takes whether the scene is paused."""
         with self._news:
             if paused != self._paused:
                 self._paused = paused
                 self._have_news()
 
     def hear_settings(self, values: dict[str, Any]) -> None:
+        """Takes the service's settings, by name."""
         with self._news:
             self._settings = Settings(**values)
             self._have_news()
 
     def want(self, wanted: InsideWanted) -> None:
+        """Takes which views the user requests."""
         with self._news:
             self._wanted, self._is_new = wanted, True
             self._news.notify()
 
     def close(self) -> None:
+        """Ends the thread, after the current view or after ENDING."""
         with self._news:
             self._closed = True
             self._news.notify()

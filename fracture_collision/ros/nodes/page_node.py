@@ -106,6 +106,7 @@ class PageNode(Node):
         self.create_timer(LOOK_INTERVAL, self._settings.look)
 
     def close(self) -> None:
+        """Ends the mirror, the page and a recording."""
         self._mirror.close()
         self.page.close()
         with suppress(RecordingFailed):  # its log has the reason
@@ -383,6 +384,7 @@ def _work(node: PageNode) -> None:
 
 
 def main() -> int:
+    """Runs the node with the process's arguments; returns its exit status."""
     sys.setswitchinterval(SWITCH_INTERVAL)
     return run_node(PageNode, _work)
 

@@ -89,6 +89,7 @@ class RecorderNode(Node):
         self._bag.note(SETTINGS, text)
 
     def spin(self, executor: SingleThreadedExecutor) -> None:
+        """Records until rclpy shuts down and raises ExternalShutdownException."""
         told: dict[str, int] = {}
         due = flush_due = 0.0
         while True:
@@ -109,6 +110,7 @@ class RecorderNode(Node):
             self._bag.flush(settled)
 
     def finish(self) -> None:
+        """Completes the bag."""
         self._bag.close()
 
 
@@ -135,6 +137,7 @@ def _work(node: RecorderNode) -> None:
 
 
 def main() -> int:
+    """Runs the node with the process's arguments; returns its exit status."""
     return run_node(RecorderNode, _work)
 
 

@@ -39,8 +39,9 @@ PROGRESS_INTERVAL = 0.1  # [s]
 
 
 class SimulatorNode(Node):
-    """Parameters: `scene`, `seed`, `run_id`, `looks_ahead`, `wait_for_subscribers`, `timing_file`, `progress`. Topics:
-    ros/wire/qos.py.
+    """Simulates one scene and ends. Topics: ros/wire/qos.py.
+
+    Parameters: `scene`, `seed`, `run_id`, `looks_ahead`, `wait_for_subscribers`, `timing_file`, `progress`.
     """
 
     def __init__(self) -> None:
@@ -125,8 +126,10 @@ class SimulatorNode(Node):
         return self._simulation.finish_step(self._contacts, self._registry), *times
 
     def _await_subscribers(self, executor: PromptExecutor) -> None:
-        """A recorder that starts with the simulator must not miss the first steps. Enough others may be discovered
-        before it, so this waits for all participants that are on this machine by then.
+        """Waits for `wait_for_subscribers`, then for all participants that are on this machine by then.
+
+        A recorder that starts with the simulator must not miss the first steps, and enough others may be discovered
+        before it.
         """
         if self._subscribers == 0:
             return
@@ -150,8 +153,10 @@ class SimulatorNode(Node):
             self._events.publish(to_message(event, stamp, self._run_id))
 
     def _ask(self, states: FragmentStates, executor: PromptExecutor) -> tuple[float, float]:
-        """Publishes states until their contacts and registry have arrived. Returns the time the subscribers took to
-        acknowledge the last states [s], and the time from publishing these to their answer [s].
+        """Publishes states until their contacts and registry have arrived.
+
+        Returns the time the subscribers took to acknowledge the last states [s], and the time from publishing these to
+        their answer [s].
         """
         named = with_static_fragments(states, self._static_fragments)
         data = serialize_record(named, heading(self._simulation.time), self._run_id)
@@ -225,8 +230,10 @@ class SimulatorNode(Node):
 
 
 def with_static_fragments(states: FragmentStates, static_fragments: list[int]) -> FragmentStates:
-    """Adds the static fragments, with the world's frame as body frame, although the protocol allows leaving them out: a
-    service that has not received a body holds states that name it, but would answer others without it.
+    """Adds the static fragments to `states`, with the world's frame as body frame.
+
+    The protocol allows leaving them out. But a service that has not received a body holds states that name it, and
+    would answer others without it.
     """
     unnamed = np.setdiff1d(np.array(static_fragments, dtype=np.uint32), states.fragment_ids)
     at_rest = {"positions": (0.0, 0.0, 0.0), "orientations": (0.0, 0.0, 0.0, 1.0)}
@@ -262,6 +269,7 @@ def work(node: SimulatorNode) -> None:
 
 
 def main() -> int:
+    """Runs the node with the process's arguments; returns its exit status."""
     return run_node(SimulatorNode, work)
 
 

@@ -16,6 +16,8 @@ from fracture_collision.world.settings import check_settings
 
 
 class Range(NamedTuple):
+    """Lowest and highest value that a parameter may have."""
+
     low: float
     high: float
 
@@ -77,8 +79,10 @@ def warn_of_unknown(node: Node) -> None:
 
 
 class SettingsParameters:
-    """Every setting of the service as a parameter. All may change at run time, but only between two answers, so that
-    each answer stays a function of messages and settings.
+    """Every setting of the service as a parameter.
+
+    All may change at run time, but only between two answers, so that each answer stays a function of messages and
+    settings.
     """
 
     def __init__(self, node: Node, on_change: Callable[[Settings, Settings], None]) -> None:

@@ -82,15 +82,17 @@ def _help(make_node: Callable[[], Node]) -> str:
 
 
 def _end_in_time() -> None:
-    """Ends the process with status 1 after LONGEST_END, if it still runs, and prints the traceback of each thread. Does
-    not need the interpreter: a call into DDS may not return.
+    """Ends the process with status 1 after LONGEST_END, if it still runs, and prints the traceback of each thread.
+
+    Does not need the interpreter: a call into DDS may not return.
     """
     faulthandler.dump_traceback_later(LONGEST_END, exit=True)
 
 
 def _watch_signals() -> None:
-    """Calls `_end_in_time` on SIGINT and SIGTERM, also while the main thread is in a call that does not return and
-    Python's own handlers are not called.
+    """Calls `_end_in_time` on SIGINT and SIGTERM.
+
+    It also does while the main thread is in a call that does not return and Python's own handlers are not called.
     """
     heard, told = socket.socketpair()
     told.setblocking(False)
@@ -126,8 +128,9 @@ def _watch_ports(node: Node) -> None:
 
 
 def run_node(make_node: Callable[[], Node], work: Callable[[Node], None]) -> int:
-    """Runs `work` on a node of the class `make_node`; returns the process's exit status. If the arguments request help
-    it prints the docstrings of module and class, and creates no node.
+    """Runs `work` on a node of the class `make_node`; returns the process's exit status.
+
+    If the arguments request help it prints the docstrings of module and class, and creates no node.
 
     SIGINT and SIGTERM end it cleanly, with status 0: they are the usual way to stop a node. A process that still runs
     LONGEST_END later ends with status 1, as does one with ports that do not work.

@@ -37,11 +37,12 @@ def arguments() -> list[DeclareLaunchArgument | SetEnvironmentVariable]:
 
 
 def collision_node(ends_all: bool) -> Node:
+    """The collision service with the requested parameter file. `ends_all`: its end shuts down all nodes."""
     return node("collision_node", LaunchConfiguration("parameters"), ends_all=ends_all)
 
 
 def node(executable: str, parameters: Any, ends_all: bool = True) -> Node:
-    """In the requested namespace. `ends_all`: its end shuts down all nodes."""
+    """A node of this package in the requested namespace. `ends_all`: its end shuts down all nodes."""
     return Node(
         package=PACKAGE,
         executable=executable,
@@ -58,4 +59,5 @@ def text(name: str) -> ParameterValue:
 
 
 def whole(name: str) -> ParameterValue:
+    """A launch argument as a parameter of type integer."""
     return ParameterValue(LaunchConfiguration(name), value_type=int)

@@ -43,8 +43,10 @@ class Played(NamedTuple):
 
 @contextmanager
 def played(scene: str, seed: int, out: Path, host: str, port: int) -> Iterator[Played]:
-    """Starts all nodes and waits for the page; ends them all afterwards. The nodes' logs are in out/logs, where they
-    replace an earlier run's once the page is up. Raises PlayFailed, and OSError if `out` cannot be written.
+    """Starts all nodes and waits for the page; ends them all afterwards.
+
+    The nodes' logs are in out/logs, where they replace an earlier run's once the page is up. Raises PlayFailed, and
+    OSError if `out` cannot be written.
     """
     domain_id = default_domain_id()
     try:

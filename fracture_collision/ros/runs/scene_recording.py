@@ -29,8 +29,10 @@ CHUNK_BYTES = 1 << 24
 
 
 class Selection(NamedTuple):
-    """The steps to keep: every `every`-th from `first` to before `end`. Bodies and events are all kept, up to the last
-    step."""
+    """The steps to keep: every `every`-th from `first` to before `end`.
+
+    Bodies and events are all kept, up to the last step.
+    """
 
     first: int = 0
     end: int | None = None  # None: the scene's

@@ -80,8 +80,9 @@ class CollisionNode(Node):
     # --- start and end ---------------------------------------------------------------------------------------------
 
     def prepare(self) -> None:
-        """Loads the kernels from numba's cache, or compiles them, and logs which; then subscribes. A simulator that
-        waits for these subscriptions sends no states in vain.
+        """Loads the kernels from numba's cache, or compiles them, and logs which; then subscribes.
+
+        A simulator that waits for these subscriptions sends no states in vain.
         """
         doing = "loading kernels"
         if cache_is_cold():
@@ -108,6 +109,7 @@ class CollisionNode(Node):
         gc.enable()
 
     def finish(self) -> None:
+        """Completes the timing file, if requested."""
         self._answers.close()
 
     # --- messages --------------------------------------------------------------------------------------------------
@@ -275,6 +277,7 @@ def _work(node: CollisionNode) -> None:
 
 
 def main() -> int:
+    """Runs the node with the process's arguments; returns its exit status."""
     gc.disable()  # until it is ready: of half a million objects that numba creates almost none are garbage
     return run_node(CollisionNode, _work)
 

@@ -22,8 +22,10 @@ MAX_HELD_BYTES = 256 * 1024 * 1024  # of their arrays
 
 
 class Refusal(NamedTuple):
+    """A message that was rejected, or held for one that may never arrive."""
+
     topic: str
-    kind: str
+    kind: str  # as in InvalidMessage
     reason: str
 
 
@@ -46,6 +48,7 @@ class CollisionRun:
 
     @property
     def held_event_count(self) -> int:
+        """Number of events that wait for a body or an earlier event."""
         return len(self._held_events)
 
     @property
@@ -71,9 +74,10 @@ class CollisionRun:
         return self._apply_held_events()
 
     def add_fracture(self, event: FractureEvent) -> list[Refusal]:
-        """Applies an event, or holds it until its body has arrived and all events before it are applied. A held event
-        is reported as a rejected one, since what it waits for may never arrive; a later event of the same sequence
-        replaces it.
+        """Applies an event, or holds it until its body has arrived and all events before it are applied.
+
+        A held event is reported as a rejected one, since what it waits for may never arrive; a later event of the same
+        sequence replaces it.
         """
         if event.sequence <= self.event_count:
             return self._apply(event)
@@ -118,8 +122,10 @@ class CollisionRun:
         return True
 
     def answer(self, states: FragmentStates) -> ContactConstraintArray | None:
-        """Contacts, or None while events or bodies that the states need are missing; the same states are tried again
-        only when these have arrived. Raises InvalidMessage, also if an event that they need was rejected.
+        """Contacts, or None while events or bodies that the states need are missing.
+
+        The same states are tried again only when these have arrived. Raises InvalidMessage, also if an event that they
+        need was rejected.
         """
         if self._ahead is not None and self._ahead[0] is states and self.world.lacks(self._ahead[1]):
             return None

@@ -37,7 +37,9 @@ class Incoming:
         begin_anew: Callable[[], None],
         reject_event: Callable[[int, int, str], None],
     ) -> None:
-        """`largest_message`: [bytes]. `handlers`: by the topic's name. `begin_anew`: discards all earlier runs.
+        """Subscribes only when `listen` is called.
+
+        `largest_message`: [bytes]. `handlers`: by the topic's name. `begin_anew`: discards all earlier runs.
         `reject_event`: takes run id and sequence of an event that cannot be read, and the reason.
         """
         self._node = node
@@ -60,6 +62,7 @@ class Incoming:
         )  # fmt: skip
 
     def listen(self) -> None:
+        """Subscribes to TOPICS."""
         for topic in TOPICS:
             self._subscribe(topic)
 

@@ -1,10 +1,10 @@
-"""The scene as markers for RViz and Foxglove: surfaces of fragments, contacts coloured by gap. Made only while there is
-a subscriber.
+"""The scene as markers for RViz and Foxglove: surfaces of fragments, contacts coloured by gap.
 
-A marker that moves is sent with all its points again, since there is no transform to move it. So markers that have not
-moved are left out, and messages are written as bytes (ros/wire/marker_bytes.py). Messages follow answers, at most ten a
-second and never after two answers in a row, so that a step hardly ever waits for them. A message may get lost, and a
-late joiner receives only the last one, so every two seconds a message is complete.
+Markers are made only while there is a subscriber. A marker that moves is sent with all its points again, since there
+is no transform to move it. So markers that have not moved are left out, and messages are written as bytes
+(ros/wire/marker_bytes.py). Messages follow answers, at most ten a second and never after two answers in a row, so that
+a step hardly ever waits for them. A message may get lost, and a late joiner receives only the last one, so every two
+seconds a message is complete.
 """
 
 from __future__ import annotations
@@ -82,6 +82,7 @@ class FragmentMarkers:
         return [each for each in fragment_ids if each not in self._surfaces]
 
     def add_surface(self, mesh: FragmentMesh) -> None:
+        """Takes the surface of a fragment of the registry."""
         corners = mesh.vertices.reshape(-1, 3).astype(np.float64)[mesh.triangles.reshape(-1, 3)]
         paint = self._palette.paint(mesh.fragment_id, self._body_of[mesh.fragment_id])
         self._surfaces[mesh.fragment_id] = [
@@ -177,6 +178,7 @@ class MarkersPublisher:
     def after_answer(
         self, world: CollisionWorld, heading: Heading, states: FragmentStates, contacts: ContactConstraintArray
     ) -> None:
+        """Takes the newest answer and publishes it, unless the last message is too recent."""
         self._newest = world, heading, states, contacts
         self._is_pending = True
         self._answers_since += 1

@@ -13,7 +13,7 @@ _BUILT_IN = re.compile(r"(bool|byte|char|u?int(8|16|32|64)|float(32|64)|w?string
 
 
 def type_name(message_class: Any) -> str:
-    """package/msg/Name"""
+    """The ROS name of a message class: package/msg/Name."""
     return f"{message_class.__module__.split('.')[0]}/msg/{message_class.__name__}"
 
 

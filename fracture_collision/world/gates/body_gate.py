@@ -44,6 +44,8 @@ SHAPE_FIELDS = "primitive, plane, vertices"
 
 
 class CheckedBody(NamedTuple):
+    """A valid body. Exactly one of sphere, box, plane, mesh and surface is its shape."""
+
     body_id: int
     fragment_id: int
     is_static: bool

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NoReturn
+
 import numpy as np
 
 from fracture_collision.world.gates.errors import InvalidMessage
@@ -14,7 +16,8 @@ LARGEST_LENGTH = 1e9
 SMALLEST_LENGTH = 1e-6
 
 
-def refuse(kind: str, text: str) -> None:
+def refuse(kind: str, text: str) -> NoReturn:
+    """Raise InvalidMessage."""
     raise InvalidMessage(kind, text)
 
 
@@ -66,11 +69,13 @@ def _shaped(name: str, array: np.ndarray, columns: int) -> np.ndarray:
 
 
 def same_length(name: str, array: np.ndarray, other: str, count: int) -> None:
+    """Raise InvalidMessage unless `array` has one entry for each of `count` entries of `other`."""
     if len(array) != count:
         refuse("size_mismatch", f"{name}: {len(array)} entries for {count} {other}")
 
 
 def number(name: str, value, low: float, high: float = np.inf, open_low: bool = False) -> float:
+    """`value` as a finite float in [low, high], or in (low, high] with `open_low`."""
     try:
         number = float(value)
     except (TypeError, ValueError, OverflowError):
@@ -83,6 +88,7 @@ def number(name: str, value, low: float, high: float = np.inf, open_low: bool = 
 
 
 def identifier(name: str, value, maximum: int = UINT32_MAX) -> int:
+    """`value` as an int in 0 .. maximum; booleans are rejected."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer):
         refuse("wrong_type", f"{name}: not an integer")
     if not 0 <= int(value) <= maximum:
@@ -91,6 +97,7 @@ def identifier(name: str, value, maximum: int = UINT32_MAX) -> int:
 
 
 def each_once(name: str, values: np.ndarray) -> None:
+    """Raise InvalidMessage if an entry of `values` (n,) occurs more than once."""
     if (values[1:] > values[:-1]).all():
         return
     ordered = np.sort(values)

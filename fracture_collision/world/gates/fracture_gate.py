@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from typing import NamedTuple
+from typing import NamedTuple, NoReturn
 
 import numpy as np
 
@@ -37,6 +37,8 @@ CROSSING_TOLERANCE = 1e-9
 
 
 class CheckedFracture(NamedTuple):
+    """A valid fracture that fits its mesh."""
+
     body_id: int
     fragment_id: int
     new_fragment_ids: np.ndarray  # (k,) int64
@@ -89,8 +91,9 @@ def read_fracture(event: FractureEvent) -> FractureFields:
 def check_fracture(
     fields: FractureFields, mesh: TetMesh, node_fragment: np.ndarray, pinched: np.ndarray
 ) -> tuple[CheckedFracture, np.ndarray, np.ndarray]:
-    """Raise InvalidMessage unless the fields fit the mesh. Returns the checked fracture, the nodes pinched now, and the
-    new fragments that may have no volume.
+    """The checked fracture, the nodes pinched now, and the new fragments that may have no volume.
+
+    Raises InvalidMessage unless the fields fit the mesh.
 
     node_fragment (n,): fragment id of each mesh node now; pinched (n,) uint8: the nodes that planes of earlier
     fractures pass through. The caller, which has the whole run, checks ids and the sequence.
@@ -111,7 +114,8 @@ def check_fracture(
     return checked, pinched_now, np.flatnonzero(free == 0)
 
 
-def refuse_without_volume(fragment_id: int) -> None:
+def refuse_without_volume(fragment_id: int) -> NoReturn:
+    """Raise InvalidMessage: the planes of a fracture leave a new fragment no volume."""
     refuse("no_volume", f"cut_planes: fragment {fragment_id} has no volume: they pass through its nodes")
 
 

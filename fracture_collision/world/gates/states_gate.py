@@ -25,6 +25,8 @@ _TYPES = (np.dtype(np.uint32), *[np.dtype(np.float64)] * 4)  # of fragment_ids a
 
 
 class CheckedStates(NamedTuple):
+    """Valid states of n fragments; which ids live is not checked yet."""
+
     step: int
     fracture_sequence: int
     fragment_ids: np.ndarray  # (n,) int64, ascending
