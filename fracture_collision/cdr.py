@@ -18,7 +18,7 @@ import re
 from collections.abc import Callable, Iterator
 from operator import itemgetter
 from struct import Struct, calcsize
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from fracture_collision.records import SolidPrimitive
 
 # Name and type of each field, as in the generated message classes' get_fields_and_field_types.
 Layout = tuple[tuple[str, str], ...]
+ByteOrder = Literal["<", ">"]  # little-endian, big-endian
 
 SEQUENCE = re.compile(r"sequence<([^,>]+)(?:, (\d+))?>")
 ARRAY = re.compile(r"([^\[]+)\[(\d+)\]")
@@ -37,7 +38,7 @@ ELEMENTS = {
 }  # fmt: skip
 
 LITTLE_ENDIAN = b"\x00\x01"
-_BYTE_ORDERS = {LITTLE_ENDIAN: "<", b"\x00\x00": ">"}
+_BYTE_ORDERS: dict[bytes, ByteOrder] = {LITTLE_ENDIAN: "<", b"\x00\x00": ">"}
 _ENCAPSULATION = LITTLE_ENDIAN + b"\x00\x00"  # the last two are options, without meaning in plain CDR
 _COUNT = "I"
 _UNLIMITED = 2**32 - 1
@@ -239,7 +240,7 @@ def _leaves(name: str, kind: str, nested: Callable[[str], Layout]) -> Iterator[t
             yield from _leaves(own_name, own_kind, nested)
 
 
-def _steps(leaves: list[tuple[str, str]], order: str) -> Iterator[_Step]:
+def _steps(leaves: list[tuple[str, str]], order: ByteOrder) -> Iterator[_Step]:
     names: list[str] = []
     codes = ""
     for place, (name, kind) in enumerate([*leaves, ("", "")]):
@@ -259,19 +260,21 @@ def _steps(leaves: list[tuple[str, str]], order: str) -> Iterator[_Step]:
         names, codes = [], ""
 
 
-def _variable(name: str, kind: str, order: str) -> _Variable:
+def _variable(name: str, kind: str, order: ByteOrder) -> _Variable:
     if kind == "string":
         return _Variable(name, None, None, 1, 1, 1, True, 0, _UNLIMITED, True)
     sequence, array = SEQUENCE.fullmatch(kind), ARRAY.fullmatch(kind)
-    code, element = ELEMENTS[(sequence or array)[1]]
+    match = sequence or array
+    assert match is not None  # _leaves yields nothing else
+    code, element = ELEMENTS[match[1]]
     native = np.dtype(code)
     dtype, size = native.newbyteorder(order), native.itemsize
-    fewest, most = (int(array[2]),) * 2 if array else (0, int(sequence[2] or _UNLIMITED))
+    fewest, most = (0, int(match[2] or _UNLIMITED)) if sequence else (int(match[2]),) * 2
     is_plain = dtype.isnative and dtype.kind != "b"
     return _Variable(name, dtype, native, size, element * size, element, array is None, fewest, most, is_plain)
 
 
-def _packed(codes: str, order: str) -> tuple[Struct, ...]:
+def _packed(codes: str, order: ByteOrder) -> tuple[Struct, ...]:
     return tuple(
         Struct(order + "".join(f"{gap}x{code}" for code, gap, _ in _places(codes, begin))) for begin in range(_WIDEST)
     )

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import time
+from bisect import bisect_right
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
@@ -63,7 +64,7 @@ class Difference(NamedTuple):
     run_id: int
     step: int
     field: str
-    index: int | None  # of the number in the field; None: not an array, or of another length
+    entry: int | None  # of the number in the field; None: not an array, or of another length
     pair: tuple[int, int] | None  # of fragments, as recorded
     recorded: str
     answered: str
@@ -73,7 +74,7 @@ class Difference(NamedTuple):
         where = f"step {self.step}"
         if self.pair is not None:
             where += f", pair {self.pair[0]}-{self.pair[1]}"
-        place = self.field if self.index is None else f"{self.field}[{self.index}]"
+        place = self.field if self.entry is None else f"{self.field}[{self.entry}]"
         return f"{where}, {place}: recorded {self.recorded}, answered {self.answered}"
 
 
@@ -120,9 +121,7 @@ class Replay:
         wait: Callable[[], None] = lambda: None,
     ) -> None:  # fmt: skip
         """Raises BagError if no step is in the order's range."""
-        self._service = service
-        self._rate = rate
-        self._wait = wait
+        self._service, self._rate, self._wait = service, rate, wait
         self._plays = _plays(runs, order)
         if not self._plays:
             raise BagError(f"no step from {order.first} to {order.end}: {_range_words(runs)}")
@@ -206,6 +205,7 @@ class InProcess:
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
         self._run: Run | None = None
+        self._bodies = self._events = 0  # of the run, added to the world
         self.refusals: dict[str, str] = {}  # of bodies and events: kind, and its last reason
 
     def ask(self, run: Run, question: Question) -> tuple[bytes, float]:
@@ -217,40 +217,38 @@ class InProcess:
             self._bodies = self._events = 0
         started = time.perf_counter()
         while self._bodies < question.bodies_before:
-            self._tell_body()
-        while self._events < len(run.events) and self._next_sequence() <= states.fracture_sequence:
-            self._tell_event()
-        answer = self._answer(states)
+            self._add_body(run)
+        due = bisect_right(run.events, states.fracture_sequence, key=lambda event: event.received.record.sequence)
+        while self._events < due:
+            self._add_event(run)
+        answer = self._answer(run, states)
         seconds = time.perf_counter() - started
         return serialize_record(answer, heading, run_id), seconds
 
-    def _answer(self, states: FragmentStates) -> ContactConstraintArray:
+    def _answer(self, run: Run, states: FragmentStates) -> ContactConstraintArray:
         while True:
             try:
                 return self._world.contacts(states)
             except StatesAhead as error:
                 # Recorders keep no order across topics: the body may come after the states that name it.
-                if self._bodies < len(self._run.bodies):
-                    self._tell_body()
-                elif self._events < len(self._run.events):
-                    self._tell_event()
+                if self._bodies < len(run.bodies):
+                    self._add_body(run)
+                elif self._events < len(run.events):
+                    self._add_event(run)
                 else:
                     raise Unanswered(f"step {states.step}: {error}") from error
             except InvalidMessage:
                 return refusal_of(states)
 
-    def _next_sequence(self) -> int:
-        return self._run.events[self._events].received.record.sequence
-
-    def _tell_body(self) -> None:
+    def _add_body(self, run: Run) -> None:
         self._bodies += 1
-        self._tell(self._world.add_body, self._run.bodies[self._bodies - 1].received.record)
+        self._add(self._world.add_body, run.bodies[self._bodies - 1].received.record)
 
-    def _tell_event(self) -> None:
+    def _add_event(self, run: Run) -> None:
         self._events += 1
-        self._tell(self._world.add_fracture, self._run.events[self._events - 1].received.record)
+        self._add(self._world.add_fracture, run.events[self._events - 1].received.record)
 
-    def _tell(self, add: Callable[[Any], None], record: Any) -> None:
+    def _add(self, add: Callable[[Any], None], record: Any) -> None:
         try:
             add(record)
         except InvalidMessage as error:  # the recorded service rejected it too
@@ -290,10 +288,10 @@ def _checked_settings(bag: Path, values: Mapping[str, Any], words: list[str]) ->
             words.append(f"the bag's setting {name[:80]!r} is not known here")
             continue
         kind = type(getattr(settings, name))
-        value = float(value) if kind is float and type(value) is int else value
-        if type(value) is not kind:
+        taken: Any = float(value) if kind is float and type(value) is int else value
+        if type(taken) is not kind:
             raise BagError(f"{bag}: the setting {name}: {str(value)[:80]!r} is no {kind.__name__}")
-        settings = settings._replace(**{name: value})
+        settings = settings._replace(**{name: taken})
     try:
         check_settings(settings)
     except ValueError as error:

@@ -153,8 +153,10 @@ class McapFile:
 
     def _define(self, record: Schema | Channel) -> None:
         """Later definitions of an id repeat the first one, which is kept."""
-        known = self._schemas if isinstance(record, Schema) else self._channels
-        known.setdefault(record.id, record)
+        if isinstance(record, Schema):
+            self._schemas.setdefault(record.id, record)
+        else:
+            self._channels.setdefault(record.id, record)
 
     def _define_from_chunks(self, on_damage: Callable[[BagError], None] | None = None) -> None:
         with _open(self.path) as stream:

@@ -25,6 +25,12 @@ from fracture_collision.run_report import TableRow
 SHOW_CURSOR = "\x1b[?25h"  # a progress bar hides it
 
 
+class NoBag(click.ClickException):
+    """BAG cannot be read, or holds no run."""
+
+    exit_code = 2
+
+
 class Interruption:
     """Ends a command on SIGINT or SIGTERM: within `held` at the next `check`, elsewhere or on a second signal at once.
 
@@ -147,8 +153,12 @@ def beside_paper(title: str, rows: Iterable[TableRow]) -> Table:
     rows = list(rows)
     says = any(row.paper_average is not None or row.paper_worst is not None for row in rows)
     columns = ("average", "worst", "paper's average", "paper's worst") if says else ("average", "worst")
-    cells = ([row.words, *(_number(value) for value in row[1 : len(columns) + 1])] for row in rows)
+    cells = ([row.words, *map(_number, _figures(row)[: len(columns)])] for row in rows)
     return figures_table(title, columns, cells)
+
+
+def _figures(row: TableRow) -> tuple[float | None, ...]:
+    return row.average, row.worst, row.paper_average, row.paper_worst
 
 
 def _number(value: float | None) -> str:

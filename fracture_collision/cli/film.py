@@ -10,10 +10,8 @@ from typing import Any
 import click
 from rich.console import Console
 
-from fracture_collision.cli.console import Interruption, counting_bar
+from fracture_collision.cli.console import Interruption, NoBag, counting_bar
 from fracture_collision.early_signals import INTERRUPTED
-
-NO_BAG = 2
 
 EXAMPLES = """\b
 Examples:
@@ -82,9 +80,7 @@ def film(
 
             count = make_film(run, out, cut, drawn)
     except BagError as error:
-        failure = click.ClickException(str(error))
-        failure.exit_code = NO_BAG
-        raise failure from error
+        raise NoBag(str(error)) from error
     except (FilmError, OSError, ModuleNotFoundError) as error:
         raise click.ClickException(str(error)) from error
     except KeyboardInterrupt:

@@ -14,11 +14,10 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from fracture_collision.cli.console import Interruption
+from fracture_collision.cli.console import Interruption, NoBag
 from fracture_collision.early_signals import INTERRUPTED
 
 OTHERWISE = 1  # exit status: some answer differs from the recorded one
-NO_BAG = 2
 INCOMPLETE = 3  # exit status: some question has no answer in the bag, or some answer no question
 
 EXAMPLES = """\b
@@ -35,12 +34,6 @@ Examples:
 Exit status: 0: all as recorded; 1: some answer is another; 2: not a bag, or none with a run in it; 3: what could be
 compared is as recorded, but the bag lacks answers, or the states that answers belong to. 1 goes before 3.
 """
-
-
-class NoBag(click.ClickException):
-    """BAG cannot be read, or holds no run."""
-
-    exit_code = NO_BAG
 
 
 class NothingCompared(click.ClickException):

@@ -8,9 +8,7 @@ from pathlib import Path
 import click
 from rich.console import Console
 
-from fracture_collision.cli.console import Interruption, counting_bar
-
-NO_BAG = 2
+from fracture_collision.cli.console import Interruption, NoBag, counting_bar
 
 EXAMPLES = """\b
 Examples:
@@ -48,9 +46,7 @@ def view(bag: Path, speed: float, port: int, host: str, opens: bool, namespace: 
             run = read_run_with_meshes(bag, namespace, progress)
         player = BagPlayer(run, host, port, speed)
     except BagError as error:
-        failure = click.ClickException(str(error))
-        failure.exit_code = NO_BAG
-        raise failure from error
+        raise NoBag(str(error)) from error
     except OSError as error:
         raise click.ClickException(f"the page cannot be served at {host}, port {port}: {error}") from error
     with player:

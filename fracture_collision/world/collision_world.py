@@ -83,12 +83,13 @@ class CollisionWorld:
         check_settings(self.settings)
         self._ledger = Ledger(self.settings)
         self._registry = Registry(self.settings)
-        self._built_for = geometry_settings(self.settings)
+        self._built_for: tuple[str | bool, ...] | None = geometry_settings(self.settings)
         self._crew = _crew_of(self.settings)
         self._scratch: Scratch | None = None
         # Caches of the last answer, each with the state it is valid for; they speed up the next one, never change it
         self._remembered, self._remembered_of = NOTHING_REMEMBERED, self._what_is_remembered_of()
-        self._surfaces, self._surfaces_of = None, self._what_is_remembered_of()
+        self._surfaces: Surfaces | None = None
+        self._surfaces_of = self._what_is_remembered_of()
         self._ridge_work: RidgeWork | None = None
         self._paired, self._paired_of = NOTHING_PAIRED, self._asked_of()
         self._answered = _NOTHING_ANSWERED
@@ -258,7 +259,7 @@ class CollisionWorld:
     ) -> ContactConstraintArray | None:
         """The last answer, if the states equal the last ones; else None."""
         last = self._answered
-        if last[:3] != self._asked_of() or last.asked != asked:
+        if last.answer is None or last[:3] != self._asked_of() or last.asked != asked:
             return None
         return _copy_of(last.answer)._replace(step=checked.step)
 
@@ -313,7 +314,7 @@ class CollisionWorld:
 
 def _copy_of(answer: ContactConstraintArray) -> ContactConstraintArray:
     """The receiver owns its answer and may change it."""
-    return ContactConstraintArray(*[v.copy() if isinstance(v, np.ndarray) else v for v in answer])
+    return ContactConstraintArray._make([v.copy() if isinstance(v, np.ndarray) else v for v in answer])
 
 
 def _work_limits(settings: Settings) -> WorkLimits:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fracture_collision.core.bodies.collision_geometry import CollisionGeometry
+from fracture_collision.core.bodies.collision_geometry import CollisionGeometry, PreparedMesh
 from fracture_collision.records import ADD, REMOVE, CollisionBody, FractureEvent
 from fracture_collision.world.gates.body_gate import CheckedBody, MeshStore, check_body, read_body
 from fracture_collision.world.gates.checks import identifier, refuse
@@ -130,7 +130,7 @@ class Ledger:
             labels = self._labels[body.body_id]
             checked, pinched, doubtful = check_fracture(fields, body.mesh.mesh, labels, self._pinched[body.body_id])
             if len(doubtful):
-                self._have_volume(body, checked, doubtful)
+                self._have_volume(body, body.mesh, checked, doubtful)
             labels[checked.nodes] = checked.new_fragment_ids[checked.parts]
             self._pinched[body.body_id] = pinched
         self.rejected = None
@@ -141,15 +141,17 @@ class Ledger:
             self._owner[new_id] = fields.body_id
             self._born[new_id] = sequence
 
-    def _have_volume(self, body: CheckedBody, checked: CheckedFracture, doubtful: np.ndarray) -> None:
+    def _have_volume(
+        self, body: CheckedBody, mesh: PreparedMesh, checked: CheckedFracture, doubtful: np.ndarray
+    ) -> None:
         """Reject the fracture if a `doubtful` new fragment has no volume, measured in a separate geometry."""
         geometry = CollisionGeometry()
-        row = {body.fragment_id: geometry.add_tetrahedra(body.mesh)}
+        row = {body.fragment_id: geometry.add_tetrahedra(mesh)}
         earlier = [self.events[i] for i in self._events_of.get(body.body_id, ())]
         for event in [*earlier, checked]:
             first = apply_fracture(geometry, row[event.fragment_id], event)
             row.update((new_id, first + i) for i, new_id in enumerate(event.new_fragment_ids.tolist()))
-        least = LEAST_VOLUME * body.mesh.mesh.moments[:, 0].min()
+        least = LEAST_VOLUME * mesh.mesh.moments[:, 0].min()
         for new_id in checked.new_fragment_ids[doubtful].tolist():
             if not geometry.volume(row[new_id]) > least:
                 refuse_without_volume(new_id)

@@ -110,6 +110,7 @@ class _Entities:
         )  # fmt: skip
         for waitable in self._waitables:
             counts += waitable.get_num_entities()
+        assert context.handle is not None  # only before rclpy.init
         with context.handle:
             self._wait_set = rclpy_implementation.WaitSet(
                 counts.num_subscriptions, counts.num_guard_conditions, counts.num_timers, counts.num_clients,

@@ -13,7 +13,7 @@ from collections import deque
 from collections.abc import Callable
 
 import numpy as np
-from geometry_msgs.msg import Twist
+from geometry_msgs.msg import Point, Twist, Vector3
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
@@ -43,8 +43,9 @@ class LiveSimulatorNode(SimulatorNode):
     Parameters: `scene`, `seed`, `run_id`, `wait_for_subscribers`; at run time `rate` and `next_scene`.
     """
 
+    _live: LiveScene  # made by _make_simulation, which the constructor of SimulatorNode calls
+
     def __init__(self) -> None:
-        self._live: LiveScene | None = None
         super().__init__()
         declare(self, "rate", 1.0, "simulated time over real time; 0.1: slow motion", Range(0.01, 10.0))
         self._scene_name = self.get_parameter("scene").value  # as load_scene takes it
@@ -86,7 +87,7 @@ class LiveSimulatorNode(SimulatorNode):
             except Fatal as error:
                 self.get_logger().error(f"{error}; beginning again")
                 self._next = self._scene
-            self._begin_again()
+            self._begin_again(self._next or self._scene)
 
     def _run_once(self, executor: PromptExecutor) -> None:
         """Runs until a reset is requested."""
@@ -111,8 +112,8 @@ class LiveSimulatorNode(SimulatorNode):
             while self._commands and self._next is None:
                 self._commands.popleft()()
 
-    def _begin_again(self) -> None:
-        scene, self._next = self._next, None
+    def _begin_again(self, scene: Scene) -> None:
+        self._next = None
         self._live.close()
         self._simulation = self._make_simulation(scene, self._seed + 1)
         self._run_id = derived_run_id(f"{scene.name}/{time.time_ns()}", self._seed)
@@ -226,7 +227,7 @@ class LiveSimulatorNode(SimulatorNode):
         return response
 
 
-def _xyz(vector: object) -> np.ndarray:
+def _xyz(vector: Point | Vector3) -> np.ndarray:
     return np.array([vector.x, vector.y, vector.z])
 
 

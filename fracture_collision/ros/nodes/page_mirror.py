@@ -66,7 +66,11 @@ class Mirror:
         self._paused = False
         self._collision_ms: float | None = None
         self._closed = False
-        self._begin(0)
+        self._run_id = 0
+        self._log: list[Any] = []
+        self._states: dict[int, Received] = {}  # the last ones, by step
+        self._exchange: tuple[Received, ContactConstraintArray, Settings] | None = None  # the newest, and its settings
+        self._is_new = False
         # used by the thread only
         self._run: CollisionRun | None = None
         self._fed = 0  # entries of the run's log, applied
@@ -85,7 +89,8 @@ class Mirror:
     def new_run(self, run_id: int) -> None:
         """Stops showing anything of an earlier run."""
         with self._news:
-            self._begin(run_id)
+            self._run_id = run_id
+            self._log, self._states, self._exchange, self._is_new = [], {}, None, False
 
     def hear(self, message: Any) -> None:
         """Keeps a body (a record) or a fracture event (a message) for a copy that is created later."""
@@ -136,13 +141,6 @@ class Mirror:
             self._closed = True
             self._news.notify()
         self._thread.join(ENDING)
-
-    def _begin(self, run_id: int) -> None:
-        self._run_id = run_id
-        self._log: list[Any] = []
-        self._states: dict[int, Received] = {}  # the last ones, by step
-        self._exchange: tuple[Received, ContactConstraintArray, Settings] | None = None  # the newest, and its settings
-        self._is_new = False
 
     def _have_news(self) -> None:
         if self._wanted.anything:
@@ -199,7 +197,7 @@ class Mirror:
         world = self._world(job)
         states, wanted = job.states.record, job.wanted
         here = world.present(states)
-        spheres = self._spheres_of(job, world, here) if wanted.level is not None else None
+        spheres = self._spheres_of(job, world, here, wanted.level) if wanted.level is not None else None
         plane = self._plane(job, world, here, wanted.plane) if wanted.plane is not None else None
         if wanted.plane is None:
             self._reach = None
@@ -226,13 +224,11 @@ class Mirror:
         self._fed = job.told
         return self._run.world
 
-    def _spheres_of(self, job: _Job, world: CollisionWorld, here: Present) -> Spheres:
-        made_for = job.run_id, job.states.record.fracture_sequence, job.wanted.level, here.ids.tobytes()
+    def _spheres_of(self, job: _Job, world: CollisionWorld, here: Present, level: int) -> Spheres:
+        made_for = job.run_id, job.states.record.fracture_sequence, level, here.ids.tobytes()
         if self._spheres is None or self._spheres[0] != made_for:
-            found = spheres_of_level(world, here, job.wanted.level)
-            self._spheres = made_for, Spheres(
-                job.wanted.level, found.deepest, found.fragment_ids, found.centres, found.radii
-            )
+            found = spheres_of_level(world, here, level)
+            self._spheres = made_for, Spheres(level, found.deepest, found.fragment_ids, found.centres, found.radii)
         return self._spheres[1]
 
     def _plane(self, job: _Job, world: CollisionWorld, here: Present, wanted: PlaneWanted) -> PlanePicture | None:

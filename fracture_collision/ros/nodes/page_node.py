@@ -76,7 +76,7 @@ class PageNode(Node):
         self._service = AsyncParameterClient(self, SERVICE)
         self._mirror = Mirror(lambda view: self.page.show_inside(view))
         # Commands from the page's thread to this one.
-        self._orders: deque[Callable[[], None]] = deque()
+        self._orders: deque[Callable[[], object]] = deque()
         self._wake = self.create_guard_condition(self._obey)
 
         self._run_id = 0
@@ -246,7 +246,7 @@ class PageNode(Node):
     # --- commands of the user --------------------------------------------------------------------------------------
 
     def _handlers(self) -> Handlers:
-        def later(act: Callable[..., None]) -> Callable[..., None]:
+        def later(act: Callable[..., object]) -> Callable[..., None]:
             def order(*told: Any) -> None:
                 self._orders.append(lambda: act(*told))
                 self._wake.trigger()
@@ -276,13 +276,10 @@ class PageNode(Node):
 
     def _throw(self, ray: Ray, ball: Ball) -> None:
         """Aims higher, as the ball falls on its way: it meets the clicked ray at the distance of the scene's middle."""
-        middle = ray.origin + ray.direction if self._states is None else self._middle()
+        middle = ray.origin + ray.direction if self._states is None else _middle(self._states)
         seconds = float(np.linalg.norm(middle - ray.origin)) / ball.speed
         velocity = ball.speed * ray.direction + np.array([0.0, 0.0, 0.5 * GRAVITY * seconds])
         self._hands.throw(ray.origin + OUT_OF_THE_EYE * ray.direction, velocity, ball.radius)
-
-    def _middle(self) -> np.ndarray:
-        return np.median(self._states.positions.reshape(-1, 3), axis=0)
 
     def _take(self, drag: Drag) -> None:
         frame = self._frame(drag.fragment_id)
@@ -301,24 +298,27 @@ class PageNode(Node):
         self._hands.let_go()
 
     def _frame(self, fragment_id: int) -> tuple[np.ndarray, Rotation] | None:
-        rows = [] if self._states is None else np.flatnonzero(self._states.fragment_ids == fragment_id)
-        if not len(rows):
+        states = self._states
+        if states is None or not (states.fragment_ids == fragment_id).any():
             return None
-        row = rows[0]
-        positions, orientations = self._states.positions.reshape(-1, 3), self._states.orientations.reshape(-1, 4)
+        row = np.flatnonzero(states.fragment_ids == fragment_id)[0]
+        positions, orientations = states.positions.reshape(-1, 3), states.orientations.reshape(-1, 4)
         return positions[row], Rotation.from_quat(orientations[row])
 
     def _strike(self, arrow: str) -> None:
         x, y = ARROWS[arrow]
         self._hands.steer((HAMMER_SPEED * x, HAMMER_SPEED * y, 0.0))
-        if self._stop_timer is not None:
-            self.destroy_timer(self._stop_timer)
+        self._drop_stop_timer()
         self._stop_timer = self.create_timer(KEY_HOLDS, self._stand)
 
     def _stand(self) -> None:
-        self.destroy_timer(self._stop_timer)
-        self._stop_timer = None
+        self._drop_stop_timer()
         self._hands.steer((0.0, 0.0, 0.0))
+
+    def _drop_stop_timer(self) -> None:
+        if self._stop_timer is not None:
+            self.destroy_timer(self._stop_timer)
+            self._stop_timer = None
 
     def _choose(self, scene: str) -> None:
         def begin(done: Any) -> None:
@@ -368,6 +368,10 @@ class PageNode(Node):
                 self._say(f"recording into {self._recordings.begin()}")
         except RecordingFailed as error:
             self._warn(str(error))
+
+
+def _middle(states: FragmentStates) -> np.ndarray:
+    return np.median(states.positions.reshape(-1, 3), axis=0)
 
 
 def _work(node: PageNode) -> None:

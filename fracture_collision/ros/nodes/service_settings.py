@@ -65,7 +65,7 @@ class ServiceSettings:
             self._known, self._request_due = None, 0.0
 
     def _on_answer(self, future: Future) -> None:
-        if future is not self._request:
+        if future is not self._request or self._asking is None:
             return  # to a dropped request
         self._known, self._request = self._asking[0], None  # a restarted service is another publisher
         if future.exception() is not None:

@@ -8,6 +8,7 @@ import json
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rclpy.node import Node
@@ -122,8 +123,8 @@ class SimulatorNode(Node):
         """Makes one step; returns its report and both times of `_ask`."""
         request = self._simulation.begin_step()
         self._announce(request.bodies, request.events)
-        times = self._ask(request.states, executor)
-        return self._simulation.finish_step(self._contacts, self._registry), *times
+        contacts, registry, acknowledgement, round_trip = self._ask(request.states, executor)
+        return self._simulation.finish_step(contacts, registry), acknowledgement, round_trip
 
     def _await_subscribers(self, executor: PromptExecutor) -> None:
         """Waits for `wait_for_subscribers`, then for all participants that are on this machine by then.
@@ -152,11 +153,13 @@ class SimulatorNode(Node):
         for event in events:
             self._events.publish(to_message(event, stamp, self._run_id))
 
-    def _ask(self, states: FragmentStates, executor: PromptExecutor) -> tuple[float, float]:
+    def _ask(
+        self, states: FragmentStates, executor: PromptExecutor
+    ) -> tuple[ContactConstraintArray, FragmentRegistry, float, float]:
         """Publishes states until their contacts and registry have arrived.
 
-        Returns the time the subscribers took to acknowledge the last states [s], and the time from publishing these to
-        their answer [s].
+        Returns both, the time the subscribers took to acknowledge the last states [s], and the time from publishing
+        these to their answer [s].
         """
         named = with_static_fragments(states, self._static_fragments)
         data = serialize_record(named, heading(self._simulation.time), self._run_id)
@@ -170,11 +173,11 @@ class SimulatorNode(Node):
         deadline = time.monotonic() + pause
         while True:
             executor.spin_once(timeout_sec=LOOK_INTERVAL)
-            if self._contacts is not None and self._registry_covers(states):
+            if (answer := self._answer_to(states)) is not None:
                 round_trip = time.perf_counter() - published
                 if has_waited:
                     self.get_logger().info(f"step {states.step} is answered after {round_trip:.2f} s; going on")
-                return published - began, round_trip
+                return *answer, published - began, round_trip
             before, there = there, self._present()
             if before is not None and (there[0] > before[0] or there[1] > before[1]):
                 self.get_logger().info(f"a service may have come; asking again for step {states.step}")
@@ -192,13 +195,12 @@ class SimulatorNode(Node):
         """The number of subscribers to states, and of publishers of contacts."""
         return self._states.subscriber_count, self.count_publishers(self._contacts_topic)
 
-    def _registry_covers(self, states: FragmentStates) -> bool:
-        registry = self._registry
-        return (
-            registry is not None
-            and registry.fracture_sequence == states.fracture_sequence
-            and bool(np.isin(states.fragment_ids, registry.fragment_ids).all())
-        )
+    def _answer_to(self, states: FragmentStates) -> tuple[ContactConstraintArray, FragmentRegistry] | None:
+        """The contacts, and the registry with all fragments of `states`; None until both have arrived."""
+        contacts, registry = self._contacts, self._registry
+        if contacts is None or registry is None or registry.fracture_sequence != states.fracture_sequence:
+            return None
+        return (contacts, registry) if np.isin(states.fragment_ids, registry.fragment_ids).all() else None
 
     # --- answers ---------------------------------------------------------------------------------------------------
 
@@ -214,7 +216,7 @@ class SimulatorNode(Node):
             raise Fatal(f"the service refused the states of step {contacts.step}; /diagnostics says why")
         self._contacts = contacts
 
-    def _on_registry(self, message: qos.FRAGMENTS.message_class) -> None:
+    def _on_registry(self, message: Any) -> None:
         if message.run_id == self._run_id:
             self._registry = to_record(message)
 
@@ -240,7 +242,7 @@ def with_static_fragments(states: FragmentStates, static_fragments: list[int]) -
     at_rest |= {"linear_velocities": (0.0, 0.0, 0.0), "angular_velocities": (0.0, 0.0, 0.0)}
     ids = np.concatenate((states.fragment_ids, unnamed))
     order = np.argsort(ids)
-    columns = {}
+    columns: dict[str, Any] = {}
     for name, value in at_rest.items():
         given = getattr(states, name).reshape(-1, len(value))
         columns[name] = np.vstack((given, np.tile(value, (len(unnamed), 1))))[order].ravel()

@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
+from typing import TypeVar
 
 import rclpy
 from rclpy.clock import Clock, ClockType
@@ -31,6 +32,8 @@ from fracture_collision.ros.fastdds.shared_memory import remove_left_behind
 from fracture_collision.ros.fastdds.successor_ports import orphaned_ports_held
 from fracture_collision.ros.fastdds.this_machine import has_known_transports, keep_to_this_machine
 from fracture_collision.ros.processes.parameters import warn_of_unknown
+
+AnyNode = TypeVar("AnyNode", bound=Node)
 
 # [s] From SIGINT or SIGTERM, or from the end of the node's work, to the end of its process, whatever DDS does.
 LONGEST_END = 10.0
@@ -127,7 +130,7 @@ def _watch_ports(node: Node) -> None:
     node.create_timer(PORTS_INTERVAL, look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
 
-def run_node(make_node: Callable[[], Node], work: Callable[[Node], None]) -> int:
+def run_node(make_node: Callable[[], AnyNode], work: Callable[[AnyNode], None]) -> int:
     """Runs `work` on a node of the class `make_node`; returns the process's exit status.
 
     If the arguments request help it prints the docstrings of module and class, and creates no node.

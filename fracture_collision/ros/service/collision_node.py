@@ -115,11 +115,12 @@ class CollisionNode(Node):
     # --- messages --------------------------------------------------------------------------------------------------
 
     def _on_body(self, message: Received) -> None:
-        if self._run is None or message.run_id != self._run.run_id:
-            self._start_run(message.run_id)
-        self._note(*self._run.add_body(message.record))
-        self._answers.add_body(self._run, message.record)
-        self._go_on(self._run)
+        run = self._run
+        if run is None or message.run_id != run.run_id:
+            run = self._start_run(message.run_id)
+        self._note(*run.add_body(message.record))
+        self._answers.add_body(run, message.record)
+        self._go_on(run)
 
     def _on_fracture(self, message: Received) -> None:
         run = self._run_of_event(message.run_id)
@@ -149,13 +150,14 @@ class CollisionNode(Node):
         self._held = message
         self._answer_held()
 
-    def _start_run(self, run_id: int) -> None:
+    def _start_run(self, run_id: int) -> CollisionRun:
         """Discards the last run. Only a body starts a run: late events and states of an earlier run must not."""
         waiting = self._next_run
-        self._run = waiting if waiting and waiting.run_id == run_id else CollisionRun(run_id, self._settings)
+        self._run = run = waiting if waiting and waiting.run_id == run_id else CollisionRun(run_id, self._settings)
         self._next_run = None
         self._answers.forget()
         self.get_logger().info(f"run {run_id} begins, of {self._incoming.followed}", throttle_duration_sec=1.0)
+        return run
 
     def _forget_run(self) -> None:
         self._run = self._next_run = self._held = None
@@ -206,15 +208,15 @@ class CollisionNode(Node):
 
     def _every_second(self) -> None:
         self._seconds_held = self._seconds_held + 1 if self._held is not None else 0
-        if is_time_for_log(self._seconds_held):
-            self.get_logger().warning(f"{self._said_of_held()}; asking for bodies and events again")
+        if self._held is not None and is_time_for_log(self._seconds_held):
+            self.get_logger().warning(f"{self._said_of(self._held)}; asking for bodies and events again")
             self._incoming.ask_for_log()
         self._incoming.look_around()
         self._publish_diagnostics()
 
-    def _said_of_held(self) -> str:
-        """Describes what the held states wait for."""
-        _, run_id, states = self._held
+    def _said_of(self, held: Received) -> str:
+        """Describes what held states wait for."""
+        _, run_id, states = held
         if self._run is None or self._run.run_id != run_id:
             reason = "no body of this run has arrived"
         else:
@@ -245,7 +247,7 @@ class CollisionNode(Node):
         if rejected:
             message = rejected
         if self._held is not None:
-            message = self._said_of_held()
+            message = self._said_of(self._held)
         is_fine = self._held is None and not self._neighbours.slow and not rejected
         level = DiagnosticStatus.OK if is_fine else DiagnosticStatus.WARN
         self._diagnostics.publish(

@@ -172,9 +172,11 @@ class CollisionRun:
         """Applies the events that are due, one after the other, up to a rejected one."""
         refusals: list[Refusal] = []
         while (due := self.event_count + 1) in self._held_events and not refusals:
-            if self._held_events[due].body_id not in self._known_bodies:
+            event = self._held_events[due]
+            if event.body_id not in self._known_bodies:
                 break
-            refusals += self._apply(self._release(due))
+            self._release(due)
+            refusals += self._apply(event)
         if (reason := self._unreadable.get(due)) is not None:
             self.world.reject_fracture(due, reason)
         return refusals
@@ -186,11 +188,10 @@ class CollisionRun:
         self._release(sequence)
         self._first_dropped = min(self._first_dropped or sequence, sequence)
 
-    def _release(self, sequence: int) -> FractureEvent | None:
+    def _release(self, sequence: int) -> None:
         event = self._held_events.pop(sequence, None)
         if event is not None:
             self._held_bytes -= _array_bytes(event)
-        return event
 
 
 def _array_bytes(event: FractureEvent) -> int:

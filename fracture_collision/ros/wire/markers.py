@@ -147,6 +147,15 @@ def contact_markers(contacts: ContactConstraintArray) -> list[MarkerRecord]:
     ]  # fmt: skip
 
 
+class _Answer(NamedTuple):
+    """An answer of the service, and the world that made it."""
+
+    world: CollisionWorld
+    heading: Heading
+    states: FragmentStates
+    contacts: ContactConstraintArray
+
+
 class MarkersPublisher:
     """Publishes a node's `markers`."""
 
@@ -165,7 +174,7 @@ class MarkersPublisher:
         """Starts a new run."""
         self._markers = FragmentMarkers()
         self._listed_for: int | None = None  # number of events of the known registry
-        self._newest: tuple[CollisionWorld, Heading, FragmentStates, ContactConstraintArray] | None = None
+        self._newest: _Answer | None = None
         self._is_pending = False
         self._must_be_complete = True
 
@@ -179,7 +188,7 @@ class MarkersPublisher:
         self, world: CollisionWorld, heading: Heading, states: FragmentStates, contacts: ContactConstraintArray
     ) -> None:
         """Takes the newest answer and publishes it, unless the last message is too recent."""
-        self._newest = world, heading, states, contacts
+        self._newest = _Answer(world, heading, states, contacts)
         self._is_pending = True
         self._answers_since += 1
         if self._answers_since > 1 and time.monotonic() - self._last_sent >= INTERVAL:
@@ -204,10 +213,10 @@ class MarkersPublisher:
             if now - self._last_sent < ACKNOWLEDGEMENT:
                 return
             self._must_be_complete = True
-        self._send(self._must_be_complete or is_due)
+        self._send(self._newest, self._must_be_complete or is_due)
 
-    def _send(self, complete: bool) -> None:
-        world, heading, states, contacts = self._newest
+    def _send(self, answer: _Answer, complete: bool) -> None:
+        world, heading, states, contacts = answer
         if self._listed_for != states.fracture_sequence:
             self._listed_for = states.fracture_sequence
             record = world.fragments()

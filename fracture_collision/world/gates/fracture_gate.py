@@ -65,8 +65,8 @@ class FractureFields(NamedTuple):
 
 def read_fracture(event: FractureEvent) -> FractureFields:
     """Raise InvalidMessage unless each field by itself obeys the rules of FractureEvent.msg."""
-    ids = [identifier("sequence", event.sequence, UINT64_MAX)]
-    ids += [identifier("body_id", event.body_id), identifier("fragment_id", event.fragment_id)]
+    sequence = identifier("sequence", event.sequence, UINT64_MAX)
+    body_id, fragment_id = identifier("body_id", event.body_id), identifier("fragment_id", event.fragment_id)
     new_ids = indices("new_fragment_ids", event.new_fragment_ids)
     if len(new_ids) < 2:
         refuse("size_mismatch", f"new_fragment_ids: {len(new_ids)} fragments; a fracture makes at least 2")
@@ -82,10 +82,13 @@ def read_fracture(event: FractureEvent) -> FractureFields:
     if crooked >= 0:
         refuse("not_unit", f"cut_planes: the normal of entry {crooked} is not of length 1")
     digest = hashlib.sha256()
-    for content in (np.array(ids, np.uint64), new_ids, nodes, parts, edges, planes):
+    ids = np.array([sequence, body_id, fragment_id], np.uint64)
+    for content in (ids, new_ids, nodes, parts, edges, planes):
         digest.update(len(content).to_bytes(8, "little"))
-        digest.update(content)
-    return FractureFields(*ids, new_ids, nodes, parts, edges, planes, digest.digest())
+        digest.update(content.data)
+    return FractureFields(
+        sequence, body_id, fragment_id, new_ids, nodes, parts, edges, planes, digest.digest()
+    )  # fmt: skip
 
 
 def check_fracture(
