@@ -1,4 +1,4 @@
-"""Shared by the commands: a progress bar, tables, and an end by Ctrl-C.
+"""Shared by the commands: options as records, a progress bar, tables, and an end by Ctrl-C.
 
 A KeyboardInterrupt from a signal handler comes between any two bytecodes, also those that run on behalf of compiled
 code: while numba hands LLVM a cached kernel it is swallowed, and the kernel's address is null; while numba boxes a
@@ -12,7 +12,9 @@ import os
 import signal
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from functools import wraps
 from types import FrameType
+from typing import Any
 
 import click
 from rich.console import Console
@@ -29,6 +31,23 @@ class NoBag(click.ClickException):
     """BAG cannot be read, or holds no run."""
 
     exit_code = 2
+
+
+def options_as(record: Any) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Decorates a command: its options that are fields of the NamedTuple `record` are passed as one, `options`.
+
+    Stands below click's decorators.
+    """
+
+    def decorate(function: Callable[..., None]) -> Callable[..., None]:
+        @wraps(function)
+        def command(**given: Any) -> None:
+            options = record(**{name: given.pop(name) for name in record._fields})
+            function(**given, options=options)
+
+        return command
+
+    return decorate
 
 
 class Interruption:

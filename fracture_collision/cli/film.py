@@ -5,12 +5,12 @@ from __future__ import annotations
 import re
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import click
 from rich.console import Console
 
-from fracture_collision.cli.console import Interruption, NoBag, counting_bar
+from fracture_collision.cli.console import Interruption, NoBag, counting_bar, options_as
 from fracture_collision.early_signals import INTERRUPTED
 
 EXAMPLES = """\b
@@ -37,6 +37,17 @@ class PictureSize(click.ParamType):
         return width, height
 
 
+class FilmOptions(NamedTuple):
+    """Which part of the run is filmed, and how."""
+
+    fps: float  # frames a second of film
+    size: tuple[int, int]  # width and height [pixels]
+    begin: float  # [s] simulated
+    end: float | None  # [s] simulated; None: the end of the run
+    speed: float  # [s] simulated in a second of film
+    samples: int  # rays for each pixel
+
+
 @click.command(epilog=EXAMPLES)
 @click.argument("bag", type=click.Path(exists=True, path_type=Path))
 @click.option(
@@ -52,10 +63,8 @@ class PictureSize(click.ParamType):
 )
 @click.option("--samples", type=click.IntRange(1, 64), default=4, show_default=True, help="Rays a pixel.")
 @click.option("--namespace", help="Of the topics, in a bag of several services.")
-def film(
-    bag: Path, out: Path | None, fps: float, size: tuple[int, int], begin: float, end: float | None, speed: float,
-    samples: int, namespace: str | None,
-) -> None:  # fmt: skip
+@options_as(FilmOptions)
+def film(bag: Path, out: Path | None, namespace: str | None, options: FilmOptions) -> None:
     """Make a film of the last run of BAG: a rosbag2 folder, or one .mcap file.
 
     Times count from the first recorded states. The film is there when it is complete, and not before.
@@ -68,7 +77,8 @@ def film(
     from fracture_collision.viewer.film.film import Cut, FilmError, make_film
 
     out = out or bag.resolve().with_suffix(".webp")
-    cut = Cut(begin, float("inf") if end is None else end, speed, fps, *size, samples)
+    end = float("inf") if options.end is None else options.end
+    cut = Cut(options.begin, end, options.speed, options.fps, *options.size, options.samples)
     try:
         with counting_bar(console, "making meshes", "fractures") as progress:
             run = read_run_with_meshes(bag, namespace, progress)

@@ -7,14 +7,14 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import click
 import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from fracture_collision.cli.console import Interruption, NoBag
+from fracture_collision.cli.console import Interruption, NoBag, options_as
 from fracture_collision.early_signals import INTERRUPTED
 
 OTHERWISE = 1  # exit status: some answer differs from the recorded one
@@ -61,6 +61,15 @@ class StepRange(click.ParamType):
         return numbers
 
 
+class PlayOptions(NamedTuple):
+    """Which questions are asked, in what order and how fast."""
+
+    rate: float | None  # times the recorded pace; None: as fast as possible
+    steps: tuple[int | None, int | None] | None  # from the first to before the second; None: no limit
+    backwards: bool
+    loops: int
+
+
 @click.command(epilog=EXAMPLES)
 @click.argument("bag", type=click.Path(exists=True, path_type=Path))
 @click.option("--ros", is_flag=True, help="Ask a collision_node in a process of its own, over DDS.")
@@ -79,10 +88,10 @@ class StepRange(click.ParamType):
     help="Of the service, in place of those that the bag names; may be given several times.",
 )  # fmt: skip
 @click.option("--namespace", help="Of the topics, in a bag of several services.")
+@options_as(PlayOptions)
 def replay(
-    bag: Path, ros: bool, rate: float | None, threads: int, steps: tuple[int | None, int | None] | None,
-    backwards: bool, loops: int, settings: tuple[str, ...], namespace: str | None,
-) -> None:  # fmt: skip
+    bag: Path, ros: bool, threads: int, settings: tuple[str, ...], namespace: str | None, options: PlayOptions
+) -> None:
     """Ask the service again what was asked in BAG, and compare its answers with those recorded, byte for byte.
 
     BAG is a rosbag2 folder or one .mcap file, recorded by recorder_node or `ros2 bag record`; one whose recorder was
@@ -108,7 +117,7 @@ def replay(
             raise
         except ValueError as error:
             raise click.UsageError(str(error)) from error
-        order = Order(*(steps or (None, None)), backwards, loops)
+        order = Order(*(options.steps or (None, None)), options.backwards, options.loops)
         for sentence in (*words, *found.words):
             console.print(f"note: {sentence}", highlight=False, soft_wrap=True)
         # A node must be stopped in order; loading kernels into this process may be cut short.
@@ -116,7 +125,7 @@ def replay(
             interruption.held() if ros else nullcontext(),
             _service(ros, found.settings, console, interruption.check) as (service, refusals),
         ):
-            played = Replay(runs, service, order, rate, interruption.check)
+            played = Replay(runs, service, order, options.rate, interruption.check)
             with _bar(console) as bar, interruption.held():
                 task = bar.add_task("replaying", total=played.total)
                 for done in played:

@@ -6,13 +6,13 @@ import json
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import click
 import numpy as np
 from rich.console import Console
 
-from fracture_collision.cli.console import Interruption, ProgressBar, beside_paper, figures_table
+from fracture_collision.cli.console import Interruption, ProgressBar, beside_paper, figures_table, options_as
 from fracture_collision.early_signals import INTERRUPTED
 from fracture_collision.outputs import NewOutputs
 from fracture_collision.run_report import statistics_table, times_table
@@ -28,6 +28,16 @@ Examples:
 """
 
 RESULTS = ("report.json", "steps.csv", "times.png", "film_strip.png")
+
+
+class RunOptions(NamedTuple):
+    """What is varied of a scene and of the service."""
+
+    seed: int | None  # None: the scene's own
+    curvature: float | None  # of all cracks; None: as in the scene
+    settings: tuple[str, ...]  # NAME=VALUE[,...]
+    threads: int
+    steps: int | None  # at most; None: the scene's duration
 
 
 @click.command(epilog=EXAMPLES)
@@ -48,17 +58,8 @@ RESULTS = ("report.json", "steps.csv", "times.png", "film_strip.png")
 @click.option("--steps", type=click.IntRange(min=1), help="Stop after so many.  [default: the scene's duration]")
 @click.option("--count-colliding", is_flag=True, help="Count all colliding points, by a second, untimed query a step.")
 @click.option("--pictures/--no-pictures", default=True, help="Draw times.png and film_strip.png.  [default: pictures]")
-def scene(
-    name: str,
-    out: Path | None,
-    seed: int | None,
-    curvature: float | None,
-    settings: tuple[str, ...],
-    threads: int,
-    steps: int | None,
-    count_colliding: bool,
-    pictures: bool,
-) -> None:
+@options_as(RunOptions)
+def scene(name: str, out: Path | None, count_colliding: bool, pictures: bool, options: RunOptions) -> None:
     """Run the scene NAME without ROS and report what each step took.
 
     NAME is one that `scenes` lists, NAME:VARIANT, or a scene file. Simulator and service run in this process, in turn.
@@ -80,13 +81,13 @@ def scene(
     from fracture_collision.world.settings import check_settings
 
     try:
-        chosen = parse_settings(settings)._replace(threads=threads)
+        chosen = parse_settings(options.settings)._replace(threads=options.threads)
         check_settings(chosen)
         what = load_scene(name)
-        if curvature is not None:
-            what = with_curvature(what, curvature)
-        if steps is not None:
-            what = what._replace(duration=min(steps, what.step_count) * what.time_step)
+        if options.curvature is not None:
+            what = with_curvature(what, options.curvature)
+        if options.steps is not None:
+            what = what._replace(duration=min(options.steps, what.step_count) * what.time_step)
         out = Path("out", what.name.replace(":", "_")) if out is None else out
         with NewOutputs(out, RESULTS):  # fails before the run if it cannot be written
             pass
@@ -96,7 +97,7 @@ def scene(
     try:
         with ProgressBar(console) as bar:
             bar.show(0, 0, 0.0, 0, 0, "bringing kernels into memory; after a change of the sources this takes minutes")
-            run = SceneRun(what, chosen, seed, count_colliding)
+            run = SceneRun(what, chosen, options.seed, count_colliding)
             with run, interruption.held():
                 for row in run:
                     bar.show(row.step + 1, what.step_count, row.time, row.fragments, row.contacts)
