@@ -23,7 +23,6 @@ LONGER = {
     "fracture_collision/core/fracture/fracture_update.py",
     "fracture_collision/core/pair/narrow_phase.py",
     "fracture_collision/core/search/sample_search.py",
-    "fracture_collision/ros/nodes/page_node.py",
     "fracture_collision/simulation/simulation.py",
     "test/search/test_lookahead.py",
     "test/simulation/test_simulation_fracture.py",
