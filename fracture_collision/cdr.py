@@ -227,7 +227,7 @@ def flat_array(value: Any, dtype: Any) -> np.ndarray:
     """`value` as a contiguous array of `dtype`; ValueError if it has more than one dimension."""
     flat = np.ascontiguousarray(value, dtype=dtype)
     if flat.ndim != 1:
-        raise ValueError(f"an array of shape {flat.shape} where the message has a flat one")
+        raise ValueError(f"an array of shape {flat.shape}; pass a flat one, as in the message")
     return flat
 
 

@@ -271,11 +271,11 @@ def settings_of(bag: Path, given: Mapping[str, Any]) -> SettingsFound:
     words = []
     settings = Settings()
     if recorded is None:
-        words.append("the bag does not say with which settings it was answered; the defaults are taken for them")
+        words.append("the bag lacks the settings of the service; the replay uses the defaults")
     else:
         settings = _checked_settings(bag, recorded.values, words)
         if recorded.changed:
-            words.append("the service was started anew with other settings in mid-recording; the last are taken")
+            words.append("the settings changed during the recording; the replay uses the last ones")
     settings = settings._replace(**{"threads": 0, **given})
     check_settings(settings)
     return SettingsFound(settings, words)
@@ -285,12 +285,12 @@ def _checked_settings(bag: Path, values: Mapping[str, Any], words: list[str]) ->
     settings = Settings()
     for name, value in values.items():
         if name not in Settings._fields:
-            words.append(f"the bag's setting {name[:80]!r} is not known here")
+            words.append(f"the bag has the unknown setting {name[:80]!r}; the replay ignores it")
             continue
         kind = type(getattr(settings, name))
         taken: Any = float(value) if kind is float and type(value) is int else value
         if type(taken) is not kind:
-            raise BagError(f"{bag}: the setting {name}: {str(value)[:80]!r} is no {kind.__name__}")
+            raise BagError(f"{bag}: the setting {name}: {str(value)[:80]!r} is not of type {kind.__name__}")
         settings = settings._replace(**{name: taken})
     try:
         check_settings(settings)
@@ -320,7 +320,7 @@ def first_difference(run: Run, question: Question, answer: bytes) -> Difference:
             index = int(np.flatnonzero(one.view(bits) != other.view(bits))[0])
             pair = _pair_of(recorded.record, name, index)
             return Difference(*at, name, index, pair, repr(one[index].item()), repr(other[index].item()))
-    raise ValueError("the answers are the same")
+    raise ValueError("the answers are equal")
 
 
 def _pair_of(contacts: ContactConstraintArray, name: str, index: int) -> tuple[int, int] | None:

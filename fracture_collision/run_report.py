@@ -32,9 +32,9 @@ STATISTICS = (
     ("triangles_before", "triangles before"),
     ("triangles_after", "triangles after"),
     ("fragments", "fragments at the end"),
-    ("contacts", "contacts a step"),
-    ("colliding_points", "colliding points a step"),
-    ("pairs", "close pairs a step"),
+    ("contacts", "contacts per step"),
+    ("colliding_points", "colliding points per step"),
+    ("pairs", "close pairs per step"),
 )
 TIMES = (
     ("time_step_ms", "time step"),

@@ -21,10 +21,10 @@ def main() -> None:
     """Compiles all kernels and prints what it is compiling."""
     started = time.monotonic()
     service.compile_kernels(progress=_say)
-    _say("looking inside")
+    _say("inspection")
     service.compile_inspection_kernels()
     simulator.compile_kernels(progress=_say)
-    _say("a pane that breaks, and its pieces again")
+    _say("a whole run of the scene pane")
     with Lockstep(load_scene("pane")) as run:
         for _ in run:
             pass

@@ -187,7 +187,7 @@ class McapFile:
         """The chunk, decompressed. The library's own function allocates the size that the compressed data state."""
         size = chunk.uncompressed_size
         if size > LARGEST_CHUNK or size > max(SMALL_CHUNK, LARGEST_RATIO * len(chunk.data)):
-            raise BagError(f"{self.path}: the chunk at byte {piece.begin} says it has {size} bytes; too many")
+            raise BagError(f"{self.path}: the chunk at byte {piece.begin} states {size} bytes, which is too many")
         try:
             if chunk.compression == "zstd":
                 source = zstandard.ZstdDecompressor(max_window_size=1 << 27).stream_reader(BytesIO(chunk.data))
@@ -202,9 +202,9 @@ class McapFile:
             raise self._damaged(piece.begin, error) from error
         if len(data) != size:
             found = "more" if len(data) > size else str(len(data))
-            raise self._damaged(piece.begin, f"it says that it has {size} bytes and has {found}")
+            raise self._damaged(piece.begin, f"it states {size} bytes and has {found}")
         if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
-            raise self._damaged(piece.begin, "its checksum is another")
+            raise self._damaged(piece.begin, "its checksum is wrong")
         return Chunk("", data, chunk.message_end_time, chunk.message_start_time, 0, size)
 
     def _channel(self, message: Message, piece: Piece) -> Channel:

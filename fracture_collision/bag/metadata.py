@@ -116,12 +116,12 @@ def named_files(folder: Path, information: dict[str, Any]) -> list[Path]:
     for name in names:
         path = PurePosixPath(name)
         if not name.strip("./") or "\0" in name or path.is_absolute() or ".." in path.parts:
-            raise BagError(f"{where}: {name!r} is no file of this folder")
+            raise BagError(f"{where}: {name!r} is not a path inside this folder")
         file = folder / path
         if not file.resolve().is_relative_to(folder.resolve()):
             raise BagError(f"{where}: {name!r} leads out of this folder")
         if not file.is_file():
-            raise BagError(f"{where}: {name!r} is not there")
+            raise BagError(f"{where}: {name!r} does not exist")
         files.append(file)
     return files
 

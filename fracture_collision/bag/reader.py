@@ -75,7 +75,7 @@ def missing_words(bag: Path | str) -> list[str]:
         file = McapFile(path)
         if not file.is_whole:
             lost = f"; its last {file.lost_bytes} bytes cannot be read" if file.lost_bytes else ""
-            words.append(f"{path}: ends before its end, as when a recorder is killed{lost}")
+            words.append(f"{path}: is truncated, as when a recorder is killed{lost}")
     return words
 
 

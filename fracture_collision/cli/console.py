@@ -170,8 +170,8 @@ def figures_table(title: str, columns: Iterable[str], rows: Iterable[Iterable[st
 def beside_paper(title: str, rows: Iterable[TableRow]) -> Table:
     """Rows of `run_report`, with the paper's figures where there are any."""
     rows = list(rows)
-    says = any(row.paper_average is not None or row.paper_worst is not None for row in rows)
-    columns = ("average", "worst", "paper's average", "paper's worst") if says else ("average", "worst")
+    has_paper = any(row.paper_average is not None or row.paper_worst is not None for row in rows)
+    columns = ("average", "worst", "paper's average", "paper's worst") if has_paper else ("average", "worst")
     cells = ([row.words, *map(_number, _figures(row)[: len(columns)])] for row in rows)
     return figures_table(title, columns, cells)
 

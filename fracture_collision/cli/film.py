@@ -15,8 +15,8 @@ from fracture_collision.early_signals import INTERRUPTED
 
 EXAMPLES = """\b
 Examples:
-  fracture-collision film out/smash/bag                       out/smash/bag.webp, to put into a README
-  fracture-collision film out/smash/bag --out smash.mp4       by the ffmpeg that is installed
+  fracture-collision film out/smash/bag                       writes out/smash/bag.webp
+  fracture-collision film out/smash/bag --out smash.mp4       uses the installed ffmpeg
   fracture-collision film out/smash/bag --begin 0.3 --end 0.8 --speed 0.1 --out crash.gif
 """
 
@@ -33,7 +33,7 @@ class PictureSize(click.ParamType):
         found = re.fullmatch(r"(\d{1,4})x(\d{1,4})", value)
         width, height = map(int, found.groups()) if found else (0, 0)
         if min(width, height) < 16:
-            self.fail(f"{value!r} is no WxH of at least 16 pixels each", param, ctx)
+            self.fail(f"{value!r}: pass WxH, such as 640x360, of at least 16 pixels each", param, ctx)
         return width, height
 
 
@@ -54,23 +54,24 @@ class FilmOptions(NamedTuple):
     "--out", type=click.Path(dir_okay=False, path_type=Path),
     help="A .webp, .gif or .mp4.  [default: BAG.webp]",
 )  # fmt: skip
-@click.option("--fps", type=click.FloatRange(1.0, 100.0), default=25.0, show_default=True, help="Frames a second.")
-@click.option("--size", type=PictureSize(), default="640x360", show_default=True, help="Pixels.")
-@click.option("--begin", type=click.FloatRange(min=0.0), default=0.0, help="Simulated s.  [default: the beginning]")
-@click.option("--end", type=click.FloatRange(min=0.0), help="Simulated s.  [default: the end]")
+@click.option("--fps", type=click.FloatRange(1.0, 100.0), default=25.0, show_default=True, help="Frames per second.")
+@click.option("--size", type=PictureSize(), default="640x360", show_default=True, help="Width and height in pixels.")
+@click.option("--begin", type=click.FloatRange(min=0.0), default=0.0, help="Simulated time [s].  [default: first]")
+@click.option("--end", type=click.FloatRange(min=0.0), help="Simulated time [s].  [default: last]")
 @click.option(
-    "--speed", type=click.FloatRange(0.001, 100.0), default=1.0, show_default=True, help="Simulated s a second of film."
-)
-@click.option("--samples", type=click.IntRange(1, 64), default=4, show_default=True, help="Rays a pixel.")
-@click.option("--namespace", help="Of the topics, in a bag of several services.")
+    "--speed", type=click.FloatRange(0.001, 100.0), default=1.0, show_default=True,
+    help="Simulated seconds per second of film.",
+)  # fmt: skip
+@click.option("--samples", type=click.IntRange(1, 64), default=4, show_default=True, help="Rays per pixel.")
+@click.option("--namespace", help="Namespace of the topics, for a bag with several services.")
 @options_as(FilmOptions)
 def film(bag: Path, out: Path | None, namespace: str | None, options: FilmOptions) -> None:
     """Make a film of the last run of BAG: a rosbag2 folder, or one .mcap file.
 
-    Times count from the first recorded states. The film is there when it is complete, and not before.
+    Times count from the first recorded states. The film appears under its name when it is complete.
     """
     console = Console()
-    interruption = Interruption(console, "stopped; there is no film")
+    interruption = Interruption(console, "stopped; no film was written")
     # Imported late: --help should not wait for numba.
     from fracture_collision.bag.errors import BagError
     from fracture_collision.run_meshes import read_run_with_meshes
@@ -94,6 +95,6 @@ def film(bag: Path, out: Path | None, namespace: str | None, options: FilmOption
     except (FilmError, OSError, ModuleNotFoundError) as error:
         raise click.ClickException(str(error)) from error
     except KeyboardInterrupt:
-        console.print("stopped; there is no film")
+        console.print("stopped; no film was written")
         sys.exit(INTERRUPTED)
     console.print(f"  {out}: {count} frames, {out.stat().st_size / 1e6:.1f} MB", highlight=False, soft_wrap=True)

@@ -58,6 +58,6 @@ def recorder_node() -> int:
 
 if __name__ == "__main__":
     if sys.argv[1:2] == [] or sys.argv[1] not in NODES:
-        sys.exit(f"which node? One of {', '.join(NODES)}")
+        sys.exit(f"pass the name of a node: one of {', '.join(NODES)}")
     sys.argv[:2] = sys.argv[1:2]
     sys.exit(start(sys.argv[0]))

@@ -67,7 +67,7 @@ class Ledger:
         if fields.digest == (known.digest if known else self._removed.get(fields.body_id)):
             return  # a latched topic repeats its messages after a reconnection: the same content changes nothing
         if known:
-            refuse("doubled", f"body_id: body {fields.body_id} exists already with another content")
+            refuse("doubled", f"body_id: body {fields.body_id} already exists with different content")
         if fields.body_id in self._removed:
             refuse("retired_id", f"body_id: body {fields.body_id} was removed; ids are never reused")
         if len(self.bodies) >= self._settings.max_bodies:
@@ -108,17 +108,17 @@ class Ledger:
         sequence, fragment_id = fields.sequence, fields.fragment_id
         if 1 <= sequence <= len(self.events):
             if fields.digest != self.events[sequence - 1].digest:
-                refuse("sequence_repeat", f"sequence: {sequence} was another event")
+                refuse("sequence_repeat", f"sequence: event {sequence} already exists with different content")
             return  # delivered again by the latched topic
         if sequence != len(self.events) + 1:
-            refuse("sequence_gap", f"sequence: {sequence} follows {len(self.events)}")
+            refuse("sequence_gap", f"sequence: event {sequence} does not follow event {len(self.events)}")
         body = self.bodies.get(fields.body_id)
         if body is None and fields.body_id not in self._removed:
-            refuse("unknown_id", f"body_id: no body {fields.body_id}")
+            refuse("unknown_id", f"body_id: unknown body {fields.body_id}")
         if self._owner.get(fragment_id) != fields.body_id:
             refuse("unknown_id", f"fragment_id: body {fields.body_id} has no fragment {fragment_id}")
         if fragment_id in self._broke:
-            refuse("retired_id", f"fragment_id: fragment {fragment_id} broke already")
+            refuse("retired_id", f"fragment_id: fragment {fragment_id} has already broken")
         new_ids = fields.new_fragment_ids.tolist()
         self._check_new_fragments("new_fragment_ids", new_ids)
         if body is None:
@@ -196,13 +196,13 @@ class Ledger:
             refuse("limit_exceeded", f"{name}: the limit of {self._settings.max_fragments} fragments is reached")
         for fragment_id in fragment_ids:
             if fragment_id in self._owner:
-                refuse("doubled", f"{name}: fragment {fragment_id} exists or existed already; ids are never reused")
+                refuse("doubled", f"{name}: fragment {fragment_id} already exists or existed; ids are never reused")
 
     def _remove(self, body_id: int) -> None:
         if body_id in self._removed:
             return
         if body_id not in self.bodies:
-            refuse("unknown_id", f"body_id: no body {body_id} to remove")
+            refuse("unknown_id", f"body_id: unknown body {body_id} cannot be removed")
         body = self.bodies.pop(body_id)
         self._removed[body_id] = body.digest
         self._labels.pop(body_id, None)

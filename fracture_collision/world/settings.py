@@ -108,12 +108,12 @@ def check_settings(settings: Settings) -> None:
         ("surfaces", SURFACES),
     ):  # fmt: skip
         if getattr(settings, name) not in choices:
-            raise ValueError(f"{name}: {getattr(settings, name)!r} is none of {', '.join(choices)}")
+            raise ValueError(f"{name}: {getattr(settings, name)!r} is not one of {', '.join(choices)}")
     if settings.surfaces == SEARCHED and settings.field != "exact":
         raise ValueError("surfaces: 'searched' needs field 'exact': averaged depths bound nothing between samples")
     for name in ("contacts_per_pair", "deep_contacts_per_pair"):
         if getattr(settings, name) < 1:
-            raise ValueError(f"{name}: {getattr(settings, name)} is not at least 1")
+            raise ValueError(f"{name}: {getattr(settings, name)} is less than 1")
     for name in ("penetration_tolerance", "detection_tolerance"):
         if not 0.0 <= getattr(settings, name) <= 1.0:
             raise ValueError(f"{name}: {getattr(settings, name)} is not in [0, 1]")

@@ -34,5 +34,5 @@ def test_a_name_is_free_of_what_an_earlier_recorder_said(tmp_path: Path) -> None
 
 def test_no_folder_is_told(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(RecordingFailed, match="no recording: .*file"):
+    with pytest.raises(RecordingFailed, match="cannot start a recording: .*file"):
         Recordings(tmp_path / "file" / "play", "/").begin()

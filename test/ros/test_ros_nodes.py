@@ -158,7 +158,7 @@ def test_bad_input_is_refused_in_words_and_changes_nothing(service: NodeProcess,
 
     assert field_bytes(client.ask(STATES, RUN)) == field_bytes(good)
     # at most one line per second is logged, for the first rejection in it
-    assert "[collision_node]: refused, " in service.log_text()
+    assert "[collision_node]: rejected, " in service.log_text()
 
 
 def test_a_service_killed_and_started_again_goes_on(

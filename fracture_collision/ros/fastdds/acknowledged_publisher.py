@@ -98,7 +98,7 @@ class AcknowledgedPublisher:
         if name not in slow:
             slow[name] = listeners
             self._node.get_logger().warning(
-                f"{name}: a subscriber did not acknowledge the last message in time and may miss some. These listen:"
+                f"{name}: a subscriber did not acknowledge the last message in time and may miss messages. Subscribers:"
                 f" {self._neighbours.names(listeners)}",
                 throttle_duration_sec=5.0,
             )

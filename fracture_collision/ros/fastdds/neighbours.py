@@ -102,12 +102,12 @@ class Neighbours:
         return any(process is not None and is_stopped(process) for process in processes)
 
     def names(self, participants: Iterable[bytes]) -> str:
-        """Their names in one text, sorted; "nobody" if there are none."""
-        return ", ".join(sorted(map(self.name, participants))) or "nobody"
+        """Their names in one text, sorted; "none" if there are none."""
+        return ", ".join(sorted(map(self.name, participants))) or "none"
 
     def said_of_the_slow(self) -> str:
         """Topics with a slow subscriber, each with all subscribers that may be the slow one."""
-        return "; ".join(f"{topic}: {self.names(who)}" for topic, who in sorted(self.slow.items())) or "nobody"
+        return "; ".join(f"{topic}: {self.names(who)}" for topic, who in sorted(self.slow.items())) or "none"
 
     def _everybody(self) -> list[TopicEndpointInfo]:
         return [info for topic in EVERYBODYS_TOPICS for info in self._node.get_publishers_info_by_topic(topic)]
@@ -128,8 +128,8 @@ class Neighbours:
         deadline = time.monotonic() + LONGEST_FAREWELL
         while (is_listed := self._lists(participant)) and time.monotonic() < deadline:
             time.sleep(0.001)
-        outcome = "will be forgotten when its lease has run out" if is_listed else "is forgotten"
-        self._node.get_logger().info(f"{self.name(participant)} has died without a word and {outcome}")
+        outcome = "stays listed until its lease expires" if is_listed else "is removed"
+        self._node.get_logger().info(f"{self.name(participant)} has died; its participant {outcome}")
 
     def _lists(self, participant: bytes) -> bool:
         return any(participant_of(bytes(info.endpoint_gid)) == participant for info in self._everybody())

@@ -36,7 +36,7 @@ def fault_of_own_ports(domain_id: int) -> str:
         return f"no port of ROS domain {domain_id} could be opened in shared memory ({FOLDER})"
     lost = [port for port in own if not _is_listened_at(port, opened)]
     if lost:
-        return f"port {lost[0]} in shared memory ({FOLDER}) was removed by another process: nothing can be received"
+        return f"port {lost[0]} in shared memory ({FOLDER}) was removed by another process"
     return ""
 
 

@@ -52,7 +52,7 @@ class LiveSimulatorNode(SimulatorNode):
         # A page in a browser may set this: no paths are accepted, except the one given at the start.
         self._offered = ("", self._scene_name, *scene_names())
         self.add_on_set_parameters_callback(self._judge)
-        declare(self, "next_scene", "", "begun at the next reset: a name in config/scenes; '': the same")
+        declare(self, "next_scene", "", "scene of the next reset, a name in config/scenes; '': the same")
         self._commands: deque[Callable[[], None]] = deque()
         self._paused, self._steps_allowed = False, 0
         self._next: Scene | None = None
@@ -85,7 +85,7 @@ class LiveSimulatorNode(SimulatorNode):
             try:
                 self._run_once(executor)
             except Fatal as error:
-                self.get_logger().error(f"{error}; beginning again")
+                self.get_logger().error(f"{error}; restarting the scene")
                 self._next = self._scene
             self._begin_again(self._next or self._scene)
 
@@ -197,7 +197,7 @@ class LiveSimulatorNode(SimulatorNode):
     def _judge(self, parameters: list[Parameter]) -> SetParametersResult:
         if all(each.value in self._offered for each in parameters if each.name == "next_scene"):
             return SetParametersResult(successful=True)
-        reason = f"next_scene: needs the name of a scene: {', '.join(self._offered[1:])}"
+        reason = f"next_scene: pass the name of a scene: {', '.join(self._offered[1:])}"
         return SetParametersResult(successful=False, reason=reason)
 
     def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -207,10 +207,10 @@ class LiveSimulatorNode(SimulatorNode):
         except (SceneError, OSError) as error:
             # Errors quote the file, and its content must not leave this machine.
             self.get_logger().error(str(error))
-            response.message = f"{name} cannot be read; the log of simulator_node says why"
+            response.message = f"{name} cannot be read; see the log of simulator_node"
             return response
         self._scene_name = name
-        response.success, response.message = True, f"{name} begins again"
+        response.success, response.message = True, f"restarting {name}"
         return response
 
     def _on_step(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -218,12 +218,12 @@ class LiveSimulatorNode(SimulatorNode):
         if self._paused:
             self._steps_allowed += 1
         else:
-            response.message = "it is not paused"
+            response.message = "the scene is not paused"
         return response
 
     def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         self._paused, self._steps_allowed = request.data, 0
-        response.success, response.message = True, "paused" if request.data else "going on"
+        response.success, response.message = True, "paused" if request.data else "running"
         return response
 
 

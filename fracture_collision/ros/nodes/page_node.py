@@ -53,10 +53,10 @@ class PageNode(Node):
 
     def __init__(self) -> None:
         super().__init__("page_node")
-        host = declare_fixed(self, "host", "127.0.0.1", "address to serve; others than this machine get in by 0.0.0.0")
-        port = declare_fixed(self, "port", 0, "0: any that is free", Range(0, 65535))
-        scene = declare_fixed(self, "scene", "plates", "that runs when the page opens")
-        folder = Path(declare_fixed(self, "folder", "out/play", "where recordings go"))
+        host = declare_fixed(self, "host", "127.0.0.1", "address of the page; 0.0.0.0: open to the network")
+        port = declare_fixed(self, "port", 0, "port of the page; 0: any free one", Range(0, 65535))
+        scene = declare_fixed(self, "scene", "plates", "scene that runs when the page starts")
+        folder = Path(declare_fixed(self, "folder", "out/play", "folder of recordings"))
         self._mirror = Mirror(lambda view: self.page.show_inside(view))
         self._commands = PageCommands(self, folder, self._mirror.want, lambda words: self.page.notify(words))
 

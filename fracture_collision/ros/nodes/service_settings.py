@@ -69,7 +69,7 @@ class ServiceSettings:
             return  # to a dropped request
         self._known, self._request = self._asking[0], None  # a restarted service is another publisher
         if future.exception() is not None:
-            self._node.get_logger().warning(f"the service's settings are not known: {future.exception()}")
+            self._node.get_logger().warning(f"cannot read the service's settings: {future.exception()}")
             return
         values = [parameter_value_to_python(value) for value in future.result().values]
         if len(values) == len(Settings._fields) and None not in values:

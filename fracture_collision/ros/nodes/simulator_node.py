@@ -48,16 +48,21 @@ class SimulatorNode(Node):
     def __init__(self) -> None:
         super().__init__("simulator_node")
         scene_name = declare_fixed(self, "scene", "plates", "name in config/scenes, or the path of a scene file")
-        seed = declare_fixed(self, "seed", -1, "of the fracture patterns; -1: the scene's own", Range(-1, 2**62))
-        run_id = declare_fixed(self, "run_id", 0, "of all messages; 0: made from scene and seed", Range(0, 2**62))
+        seed = declare_fixed(self, "seed", -1, "seed of the fracture patterns; -1: the scene's own", Range(-1, 2**62))
+        run_id = declare_fixed(self, "run_id", 0, "run_id of all messages; 0: from scene and seed", Range(0, 2**62))
         self._looks_ahead = declare_fixed(
-            self, "looks_ahead", False, "whether the service's `lookahead` is the scene's time step, and not 0"
+            self, "looks_ahead", False, "whether the service's `lookahead` is the scene's time step instead of 0"
         )
         self._subscribers = declare_fixed(
-            self, "wait_for_subscribers", 1, "of states and of contacts, before the first step", Range(0, 100)
+            self, "wait_for_subscribers", 1, "subscribers of states, and of contacts, before the first step",
+            Range(0, 100),
+        )  # fmt: skip
+        self._timing_file = declare_fixed(
+            self, "timing_file", "", ".npy file for the times of each step, written at the end; '': none"
         )
-        self._timing_file = declare_fixed(self, "timing_file", "", "what each step took is written there at the end")
-        self._tells_progress = declare_fixed(self, "progress", False, "one line of JSON on stdout, ten times a second")
+        self._tells_progress = declare_fixed(
+            self, "progress", False, "print one line of JSON to stdout, ten times a second"
+        )
 
         try:
             scene = load_scene(scene_name)
@@ -140,9 +145,9 @@ class SimulatorNode(Node):
             executor.spin_once(timeout_sec=0.02)
             if time.monotonic() - started > said + 5.0:
                 said += 5.0
-                self.get_logger().info("waiting for the collision service (and recorders) to appear")
+                self.get_logger().info("waiting for the collision service (and recorders) to subscribe")
         if not self._neighbours.await_all():
-            self.get_logger().info("not all DDS participants of this machine are known; going on")
+            self.get_logger().info("not all DDS participants of this machine are discovered; continuing")
 
     def _announce(self, bodies: list, events: list) -> None:
         stamp = heading(self._simulation.time)
@@ -176,16 +181,16 @@ class SimulatorNode(Node):
             if (answer := self._answer_to(states)) is not None:
                 round_trip = time.perf_counter() - published
                 if has_waited:
-                    self.get_logger().info(f"step {states.step} is answered after {round_trip:.2f} s; going on")
+                    self.get_logger().info(f"step {states.step} is answered after {round_trip:.2f} s; continuing")
                 return *answer, published - began, round_trip
             before, there = there, self._present()
             if before is not None and (there[0] > before[0] or there[1] > before[1]):
-                self.get_logger().info(f"a service may have come; asking again for step {states.step}")
+                self.get_logger().info(f"new subscriber or publisher; publishing step {states.step} again")
                 pause = PAUSE_FOR_NEWCOMERS
             elif time.monotonic() < deadline:
                 continue
             else:
-                self.get_logger().warning(f"no answer to step {states.step} yet; asking again")
+                self.get_logger().warning(f"no answer to step {states.step} yet; publishing it again")
                 pause = min(pause * PAUSE_GROWTH, LONGEST_PAUSE)
             has_waited = True
             self._states.publish_again(data)
@@ -213,7 +218,7 @@ class SimulatorNode(Node):
         if run_id != self._run_id or (contacts.step, contacts.fracture_sequence) != self._asked:
             return  # a late answer to a repeated request
         if contacts.status & INVALID_STATES:
-            raise Fatal(f"the service refused the states of step {contacts.step}; /diagnostics says why")
+            raise Fatal(f"the service rejected the states of step {contacts.step}; see /diagnostics for the reason")
         self._contacts = contacts
 
     def _on_registry(self, message: Any) -> None:

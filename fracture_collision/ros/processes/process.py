@@ -79,7 +79,7 @@ def _help(make_node: Callable[[], Node]) -> str:
         f"usage: {name} [--ros-args -p NAME:=VALUE ... --params-file FILE -r FROM:=TO ...]",
         inspect.getdoc(sys.modules[make_node.__module__]) or "",
         inspect.getdoc(make_node) or "",
-        "`ros2 param list` and `ros2 param describe` tell more of a node that runs.",
+        "`ros2 param list` and `ros2 param describe` show the parameters of a running node.",
     )
     return "\n\n".join(lines)
 
@@ -117,7 +117,7 @@ def _watch_ports(node: Node) -> None:
         return
     domain_id = node.context.get_domain_id()
     if fault := fault_of_own_ports(domain_id):
-        raise Fatal(f"it would receive nothing: {fault}")
+        raise Fatal(f"the node cannot receive messages: {fault}")
     faults = 0
 
     def look() -> None:
@@ -125,7 +125,7 @@ def _watch_ports(node: Node) -> None:
         fault = fault_of_own_ports(domain_id)
         faults = faults + 1 if fault else 0
         if faults >= FAULTY_LOOKS:
-            raise Fatal(f"it receives nothing any more: {fault}")
+            raise Fatal(f"the node no longer receives messages: {fault}")
 
     node.create_timer(PORTS_INTERVAL, look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 

@@ -21,16 +21,16 @@ def arguments() -> list[DeclareLaunchArgument | SetEnvironmentVariable]:
     default_parameters = PathJoinSubstitution([FindPackageShare(PACKAGE), "config", "collision.yaml"])
     return [
         DeclareLaunchArgument("scene", default_value="plates", description="name in config/scenes, or a path"),
-        DeclareLaunchArgument("seed", default_value="-1", description="of fracture patterns; -1: the scene's"),
-        DeclareLaunchArgument("namespace", default_value="", description="put before every topic"),
+        DeclareLaunchArgument("seed", default_value="-1", description="seed of fracture patterns; -1: the scene's"),
+        DeclareLaunchArgument("namespace", default_value="", description="namespace of all nodes"),
         DeclareLaunchArgument(
-            "parameters", default_value=default_parameters, description="of the service, a parameter file"
+            "parameters", default_value=default_parameters, description="parameter file of the service"
         ),
         DeclareLaunchArgument(
             "discovery_range",
             default_value=EnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", default_value="LOCALHOST"),
             choices=["LOCALHOST", "SUBNET", "SYSTEM_DEFAULT"],
-            description="who may find the nodes",
+            description="range within which others discover the nodes",
         ),
         SetEnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", LaunchConfiguration("discovery_range")),
     ]

@@ -74,8 +74,8 @@ class OverDds:
             self._run, self._bodies, self._events = run, 0, 0
         elif question.bodies_before < self._bodies:
             raise Unanswered(
-                f"step {question.step}: bodies come or go after it, and what a service was told cannot be taken back;"
-                " such a bag is played forwards, once, or without --ros"
+                f"step {question.step}: bodies are added or removed after it, which a running service cannot undo;"
+                " play this bag forwards and once, or without --ros"
             )
         self._tell(qos.BODIES, run.bodies[self._bodies : question.bodies_before])
         self._bodies = max(self._bodies, question.bodies_before)

@@ -52,7 +52,7 @@ def record_scene(
     run_id = derived_run_id(scene.name, scene.seed if seed is None else seed)
     end = scene.step_count if selection.end is None else min(selection.end, scene.step_count)
     if bag.exists():
-        raise FileExistsError(EEXIST, "is there already", str(bag))
+        raise FileExistsError(EEXIST, "exists already", str(bag))
     topics = [bag_topic(f"/{topic.name}", topic) for topic in TOPICS]
     with Lockstep(scene, settings, seed) as run, BagWriter(bag, topics, CHUNK_BYTES) as writer:
 

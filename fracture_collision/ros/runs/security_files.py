@@ -169,9 +169,9 @@ def main() -> int:
     """Writes the files that the arguments describe and prints their paths; returns 0."""
     parser = argparse.ArgumentParser(description="Writes governance and permissions of DDS security for these nodes.")
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--namespace", default="", help="of all nodes, such as /cell")
+    parser.add_argument("--namespace", default="", help="namespace of all nodes, such as /cell")
     parser.add_argument("--domain", type=int, default=0, help="ROS_DOMAIN_ID")
-    parser.add_argument("--encrypt", action="store_true", help="contents of the run's topics, too")
+    parser.add_argument("--encrypt", action="store_true", help="also encrypt the contents of the run's topics")
     given = parser.parse_args()
     namespace = f"/{given.namespace.strip('/')}" if given.namespace.strip("/") else ""
     for path in write_files(given.folder, namespace, given.domain, given.encrypt):

@@ -193,4 +193,4 @@ def _await_recording(recorded: Callable[[], dict[str, int]], steps: int, *proces
 
 def _last_words(process: NodeProcess) -> str:
     tail = "\n".join(process.log_text().splitlines()[-15:])
-    return f"{process.name} ended with status {process.exit_status()}; the last that it said:\n{tail}"
+    return f"{process.name} ended with status {process.exit_status()}; the end of its log:\n{tail}"

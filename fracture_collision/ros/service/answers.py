@@ -32,7 +32,7 @@ class Answers:
     def __init__(self, node: Node, neighbours: Neighbours) -> None:
         self._node = node
         self._neighbours = neighbours
-        timing_file = declare_fixed(node, "timing_file", "", "times of each answer are written there")
+        timing_file = declare_fixed(node, "timing_file", "", ".npy file for the times of each answer; '': none")
         self._rows = _row_file(timing_file) if timing_file else None
         self._registry_version: tuple[int, int, int, int] | None = None
         self._meshes_published: set[int] = set()

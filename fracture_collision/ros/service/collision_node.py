@@ -100,7 +100,7 @@ class CollisionNode(Node):
         with nothing_to_lose():
             compile_kernels(progress=progress)
             if not self._neighbours.await_all():
-                self.get_logger().info("not all DDS participants of this machine are known; going on")
+                self.get_logger().info("not all DDS participants of this machine are discovered; continuing")
         self._incoming.listen()
         self._phase = "ready"
         self.get_logger().info(f"ready, {age_of(os.getpid()):.2f} s after its process was started")
@@ -156,7 +156,7 @@ class CollisionNode(Node):
         self._run = run = waiting if waiting and waiting.run_id == run_id else CollisionRun(run_id, self._settings)
         self._next_run = None
         self._answers.forget()
-        self.get_logger().info(f"run {run_id} begins, of {self._incoming.followed}", throttle_duration_sec=1.0)
+        self.get_logger().info(f"run {run_id} begins; publisher: {self._incoming.followed}", throttle_duration_sec=1.0)
         return run
 
     def _forget_run(self) -> None:
@@ -167,7 +167,7 @@ class CollisionNode(Node):
         for refusal in refusals:
             self._refusals.add(refusal)
             self.get_logger().warning(
-                f"refused, {refusal.topic}, {refusal.kind}: {refusal.reason}", throttle_duration_sec=1.0
+                f"rejected, {refusal.topic}, {refusal.kind}: {refusal.reason}", throttle_duration_sec=1.0
             )
 
     def _on_new_settings(self, former: Settings, settings: Settings) -> None:
@@ -209,7 +209,7 @@ class CollisionNode(Node):
     def _every_second(self) -> None:
         self._seconds_held = self._seconds_held + 1 if self._held is not None else 0
         if self._held is not None and is_time_for_log(self._seconds_held):
-            self.get_logger().warning(f"{self._said_of(self._held)}; asking for bodies and events again")
+            self.get_logger().warning(f"{self._said_of(self._held)}; requesting bodies and events again")
             self._incoming.ask_for_log()
         self._incoming.look_around()
         self._publish_diagnostics()
@@ -228,7 +228,7 @@ class CollisionNode(Node):
         values = {
             "phase": self._phase,
             "follows": incoming.followed,
-            "refused for it": ", ".join(incoming.waiting) or "nobody",
+            "refused for it": ", ".join(incoming.waiting) or "none",
             "slow subscribers": self._neighbours.said_of_the_slow(),
             "messages overtaken before all had them": self._answers.overtaken,
             "states dropped for newer ones": incoming.dropped_states + self._replaced_states,

@@ -89,8 +89,8 @@ class CollisionRun:
         if not self._has_room_for(size):
             self._drop(event.sequence)
             reason = (
-                f"{len(self._held_events)} events, {self._held_bytes} bytes, are held already; event {event.sequence}"
-                " is asked for again when it is due"
+                f"{len(self._held_events)} events, {self._held_bytes} bytes, are held already; the service will request"
+                f" event {event.sequence} again when it is due"
             )
             return [Refusal("fracture_events", "limit_exceeded", reason)]
         self._unreadable.pop(event.sequence, None)
@@ -139,7 +139,7 @@ class CollisionRun:
     def what_states_wait_for(self) -> str:
         """Explains why the last answer was None."""
         if self._ahead is None:
-            return "they have not been looked at yet"
+            return "they have not been tried yet"
         ahead = self._ahead[1]
         if ahead.fracture_sequence > self.event_count:
             return f"{ahead}; {self._what_events_wait_for()}"

@@ -43,7 +43,7 @@ class RefusalCounts:
             for (topic, kind), count in sorted(self._counts.items())
         }
         level = DiagnosticStatus.WARN if new else DiagnosticStatus.OK
-        return status("refused messages", level, f"{total} refused, {new} of them new" if total else "none", values)
+        return status("refused messages", level, f"{total} rejected, {new} of them new" if total else "none", values)
 
 
 class AnswerTimes:

@@ -58,7 +58,7 @@ class Incoming:
         self.dropped_states = 0
         declare(
             node, "allow_takeover", False,
-            "another publisher's run is followed at once; false: only when the one that is followed is gone",
+            "true: follow another publisher's run at once; false: only when the followed publisher is gone",
         )  # fmt: skip
 
     def listen(self) -> None:
@@ -91,7 +91,7 @@ class Incoming:
     @property
     def followed(self) -> str:
         """The participant that is followed."""
-        return self._neighbours.name(self._guard.leader) if self._guard.leader is not None else "nobody"
+        return self._neighbours.name(self._guard.leader) if self._guard.leader is not None else "none"
 
     @property
     def waiting(self) -> list[str]:
@@ -147,8 +147,8 @@ class Incoming:
         verdict = guard.judge(topic.name, participant, run_id == self._run_id, allow_takeover)
         if verdict is Verdict.REFUSE:
             reason = (
-                f"run {run_id} of {self._neighbours.name(participant)}: the service follows {self.followed} until that"
-                " one's publishers are gone; the parameter allow_takeover would let another in at once"
+                f"run {run_id} of {self._neighbours.name(participant)}: the service follows {self.followed} until its"
+                " publishers are gone; set the parameter allow_takeover to follow another run at once"
             )
             self._refuse(Refusal(topic.name, "other_publisher", reason))
             return False

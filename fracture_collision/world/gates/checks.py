@@ -25,7 +25,7 @@ def floats(name: str, values, columns: int = 0, limit: float = np.inf) -> np.nda
     """`values` as float64, all finite, none beyond +-limit; (n, columns) if columns are given."""
     given = _array(name, values)
     if given.dtype.kind not in "fiu":
-        refuse("wrong_type", f"{name}: not numbers but {given.dtype}")
+        refuse("wrong_type", f"{name}: {given.dtype} instead of numbers")
     with np.errstate(over="ignore"):  # values too large for a double become infinite, and are rejected
         array = np.ascontiguousarray(given, dtype=np.float64).ravel()
     if not np.isfinite(array).all():
@@ -44,7 +44,7 @@ def indices(name: str, values, columns: int = 0, below: int | None = None, of: s
         # an empty list has no integer type
         given = np.empty(0, dtype=np.int64)
     if given.dtype.kind not in "iu":
-        refuse("wrong_type", f"{name}: not integers but {given.dtype}")
+        refuse("wrong_type", f"{name}: {given.dtype} instead of integers")
     limit = UINT32_MAX + 1 if below is None else below
     flat = given.ravel()
     if flat.size and (flat.min() < 0 or flat.max() >= limit):
@@ -103,4 +103,4 @@ def each_once(name: str, values: np.ndarray) -> None:
     ordered = np.sort(values)
     twice = np.flatnonzero(ordered[1:] == ordered[:-1])
     if len(twice):
-        refuse("doubled", f"{name}: {ordered[twice[0]]} stands there more than once")
+        refuse("doubled", f"{name}: {ordered[twice[0]]} occurs more than once")

@@ -119,7 +119,7 @@ def check_fracture(
 
 def refuse_without_volume(fragment_id: int) -> NoReturn:
     """Raise InvalidMessage: the planes of a fracture leave a new fragment no volume."""
-    refuse("no_volume", f"cut_planes: fragment {fragment_id} has no volume: they pass through its nodes")
+    refuse("no_volume", f"cut_planes: fragment {fragment_id} has no volume: the planes pass through its nodes")
 
 
 def apply_fracture(geometry: CollisionGeometry, row: int, event: CheckedFracture) -> int:
@@ -153,7 +153,7 @@ def _labels(fields: FractureFields, mesh: TetMesh, node_fragment: np.ndarray) ->
         refuse("wrong_nodes", f"nodes: node {node} belongs to fragment {node_fragment[node]}, not {fragment_id}")
     expected = int((node_fragment == fragment_id).sum())
     if len(nodes) != expected:
-        refuse("wrong_nodes", f"nodes: {len(nodes)} of the {expected} nodes of fragment {fragment_id}")
+        refuse("wrong_nodes", f"nodes: {len(nodes)} of the {expected} nodes of fragment {fragment_id}; list all")
     part_of_node = np.full(len(mesh.nodes), -1, dtype=np.int32)
     part_of_node[nodes] = fields.parts
     return part_of_node
@@ -180,8 +180,8 @@ def _cuts(
     if problem != FINE:
         a, b = mesh.edges[row] if problem in (DOUBLED, EXTRA, MISSING) else ends[row]
         kind, text = {
-            NO_EDGE: ("no_edge", f"cut_edges: {a}-{b} (entry {row}) is no edge of the mesh"),
-            DOUBLED: ("doubled", f"cut_edges: {a}-{b} stands there more than once"),
+            NO_EDGE: ("no_edge", f"cut_edges: {a}-{b} (entry {row}) is not an edge of the mesh"),
+            DOUBLED: ("doubled", f"cut_edges: {a}-{b} occurs more than once"),
             EXTRA: ("wrong_cut", f"cut_edges: {a}-{b} does not join two of the new fragments"),
             MISSING: ("wrong_cut", f"cut_edges: {a}-{b} joins two of the new fragments but is not cut"),
             MISSED: ("missed_edge", f"cut_planes: entry {row} does not cross its edge {a}-{b} from first to second"),
