@@ -23,10 +23,12 @@ WHOLE, GROUND, LEFT, RIGHT = 1, 2, 3, 4  # fragments: ids are never reused
 
 
 def floats(values) -> array:
+    """Numbers of any shape as the flat array.array of a float64[] field."""
     return array("d", np.asarray(values, np.float64).tobytes())  # much faster than a list
 
 
 def indices(values) -> array:
+    """Whole numbers >= 0 of any shape as the flat array.array of a uint32[] field."""
     return array("I", np.asarray(values, np.uint32).tobytes())
 
 
@@ -66,6 +68,7 @@ def states(step: int, fractures: int, places: dict[int, tuple[float, float, floa
 
 
 def describe(contacts: ContactConstraintArray) -> None:
+    """Print the number of contacts, the deepest gap and the missed depth bound of each pair."""
     print(f"step {contacts.step}, after {contacts.fracture_sequence} fractures:", flush=True)
     for pair, (a, b) in enumerate(zip(contacts.fragment_a, contacts.fragment_b, strict=True)):
         rows = slice(contacts.pair_begin[pair], contacts.pair_begin[pair + 1])

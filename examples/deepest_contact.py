@@ -8,6 +8,7 @@ from rclpy.executors import ExternalShutdownException
 
 
 def on_contacts(contacts: ContactConstraintArray) -> None:
+    """Print the contact with the smallest gap, if there is one."""
     if not contacts.gaps:
         return
     deepest = min(range(len(contacts.gaps)), key=contacts.gaps.__getitem__)

@@ -1,9 +1,8 @@
-"""Records to serialized messages and back, without ROS and without message objects: for bags, for the messages of every
-step, and for untrusted messages.
+"""Records to serialized messages and back, without ROS and without message objects.
 
-rclpy's message objects copy each array four times, into new memory each time; here it is copied once. A written message
-has zeroed padding and nothing after its last field, and otherwise equals rclpy's bytes of the same message: equal
-messages have equal bytes.
+For bags, for the messages of every step, and for untrusted messages. rclpy's message objects copy each array four
+times, into new memory each time; here it is copied once. A written message has zeroed padding and nothing after its
+last field, and otherwise equals rclpy's bytes of the same message: equal messages have equal bytes.
 
 Reading takes no more memory than the message has bytes, whatever lengths it contains. Any fault in it raises one
 ValueError with an explanation.
@@ -19,7 +18,7 @@ import re
 from collections.abc import Callable, Iterator
 from operator import itemgetter
 from struct import Struct, calcsize
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -27,6 +26,7 @@ from fracture_collision.records import SolidPrimitive
 
 # Name and type of each field, as in the generated message classes' get_fields_and_field_types.
 Layout = tuple[tuple[str, str], ...]
+ByteOrder = Literal["<", ">"]  # little-endian, big-endian
 
 SEQUENCE = re.compile(r"sequence<([^,>]+)(?:, (\d+))?>")
 ARRAY = re.compile(r"([^\[]+)\[(\d+)\]")
@@ -38,7 +38,7 @@ ELEMENTS = {
 }  # fmt: skip
 
 LITTLE_ENDIAN = b"\x00\x01"
-_BYTE_ORDERS = {LITTLE_ENDIAN: "<", b"\x00\x00": ">"}
+_BYTE_ORDERS: dict[bytes, ByteOrder] = {LITTLE_ENDIAN: "<", b"\x00\x00": ">"}
 _ENCAPSULATION = LITTLE_ENDIAN + b"\x00\x00"  # the last two are options, without meaning in plain CDR
 _COUNT = "I"
 _UNLIMITED = 2**32 - 1
@@ -55,9 +55,11 @@ class Heading(NamedTuple):
 
 
 class Received(NamedTuple):
+    """A message as it was read: its header, its run, and the record of all other fields."""
+
     heading: Heading
     run_id: int
-    record: Any
+    record: Any  # of the class that the Codec was made for
 
 
 class _Nested(NamedTuple):
@@ -110,8 +112,9 @@ class Codec:
     """
 
     def __init__(self, record_class: Any, layout: Layout, nested: Callable[[str], Layout]) -> None:
-        """`layout`: with header and run_id, which the record does not have. `nested`: the layout of another message
-        type by its name; its exceptions are passed on.
+        """Compile `layout`, which has header and run_id besides the fields of `record_class`.
+
+        `nested` returns the layout of another message type by its name; its exceptions are passed on.
         """
         fields = [list(_leaves(name, kind, nested)) for name, kind in layout]
         leaves = [leaf for field in fields for leaf in field]
@@ -130,8 +133,10 @@ class Codec:
         self._in_own_order = itemgetter(*map(theirs.index, own))
 
     def write(self, record: NamedTuple, heading: Heading, run_id: int) -> bytes:
-        """Little-endian. ValueError if an array has more than one dimension, or a length out of its limits;
-        struct.error if a number does not fit.
+        """The serialized message, little-endian.
+
+        Raises ValueError if an array has more than one dimension or a length out of its limits, struct.error if a
+        number does not fit.
         """
         values = list(self._in_message_order((heading, run_id, *record)))
         for place, _, nested in self._nested:
@@ -161,7 +166,7 @@ class Codec:
         return b"".join(parts)
 
     def read(self, data: bytes) -> Received:
-        """The arrays are views of one copy of `data`, and may be written to.
+        """The message as a record; its arrays are views of one copy of `data` and may be written to.
 
         Raises ValueError if `data` is not such a message in plain CDR of either byte order. Bytes after its last field
         are ignored, as by rclpy.
@@ -222,7 +227,7 @@ def flat_array(value: Any, dtype: Any) -> np.ndarray:
     """`value` as a contiguous array of `dtype`; ValueError if it has more than one dimension."""
     flat = np.ascontiguousarray(value, dtype=dtype)
     if flat.ndim != 1:
-        raise ValueError(f"an array of shape {flat.shape} where the message has a flat one")
+        raise ValueError(f"an array of shape {flat.shape}; pass a flat one, as in the message")
     return flat
 
 
@@ -235,7 +240,7 @@ def _leaves(name: str, kind: str, nested: Callable[[str], Layout]) -> Iterator[t
             yield from _leaves(own_name, own_kind, nested)
 
 
-def _steps(leaves: list[tuple[str, str]], order: str) -> Iterator[_Step]:
+def _steps(leaves: list[tuple[str, str]], order: ByteOrder) -> Iterator[_Step]:
     names: list[str] = []
     codes = ""
     for place, (name, kind) in enumerate([*leaves, ("", "")]):
@@ -255,19 +260,21 @@ def _steps(leaves: list[tuple[str, str]], order: str) -> Iterator[_Step]:
         names, codes = [], ""
 
 
-def _variable(name: str, kind: str, order: str) -> _Variable:
+def _variable(name: str, kind: str, order: ByteOrder) -> _Variable:
     if kind == "string":
         return _Variable(name, None, None, 1, 1, 1, True, 0, _UNLIMITED, True)
     sequence, array = SEQUENCE.fullmatch(kind), ARRAY.fullmatch(kind)
-    code, element = ELEMENTS[(sequence or array)[1]]
+    match = sequence or array
+    assert match is not None  # _leaves yields nothing else
+    code, element = ELEMENTS[match[1]]
     native = np.dtype(code)
     dtype, size = native.newbyteorder(order), native.itemsize
-    fewest, most = (int(array[2]),) * 2 if array else (0, int(sequence[2] or _UNLIMITED))
+    fewest, most = (0, int(match[2] or _UNLIMITED)) if sequence else (int(match[2]),) * 2
     is_plain = dtype.isnative and dtype.kind != "b"
     return _Variable(name, dtype, native, size, element * size, element, array is None, fewest, most, is_plain)
 
 
-def _packed(codes: str, order: str) -> tuple[Struct, ...]:
+def _packed(codes: str, order: ByteOrder) -> tuple[Struct, ...]:
     return tuple(
         Struct(order + "".join(f"{gap}x{code}" for code, gap, _ in _places(codes, begin))) for begin in range(_WIDEST)
     )

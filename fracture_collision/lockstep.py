@@ -115,4 +115,5 @@ class Lockstep:
         return bool(news or request.bodies)
 
     def close(self) -> None:
+        """Frees the physics engine."""
         self.simulation.close()

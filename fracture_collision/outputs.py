@@ -18,8 +18,10 @@ NEW, OLD = ".new-", ".old-"
 
 
 class NewOutputs:
-    """Use as a context manager: at its end the contents of `folder` are published if `started` is true, whatever ended
-    the run, and deleted otherwise.
+    """The outputs of a run in progress. Use as a context manager.
+
+    At its end the contents of `folder` are published if `started` is true, whatever ended the run, and deleted
+    otherwise.
     """
 
     def __init__(self, out: Path, names: Sequence[str]) -> None:
@@ -47,8 +49,10 @@ class NewOutputs:
                 self.publish()
 
     def publish(self) -> None:
-        """Replaces the earlier run's outputs by the new ones; more may be written into these afterwards, under their
-        names in `out`."""
+        """Replaces the earlier run's outputs by the new ones.
+
+        More may be written into the new ones afterwards, under their names in `out`.
+        """
         with _locked(self._out):
             old = Path(tempfile.mkdtemp(prefix=OLD, dir=self._out))
             for name in self._names:

@@ -51,12 +51,12 @@ _LOGARITHM = (
 
 
 def sine(angle):
-    """sin of angles [rad] of at most LARGEST_ANGLE."""
+    """Sines of angles [rad] of at most LARGEST_ANGLE."""
     return sine_after(angle, 0.0)
 
 
 def cosine(angle):
-    """cos of angles [rad] of at most LARGEST_ANGLE."""
+    """Cosines of angles [rad] of at most LARGEST_ANGLE."""
     return sine_after(angle, 1.0)
 
 
@@ -106,13 +106,13 @@ def arctangent2(y, x) -> np.ndarray:
 
 
 def arccosine(x) -> np.ndarray:
-    """acos of numbers in [-1, 1], in [0, pi] [rad]."""
+    """Arccosines [rad], in [0, pi], of numbers in [-1, 1]."""
     x = np.asarray(x, np.float64)
     return 2.0 * arctangent2(np.sqrt(1.0 - x), np.sqrt(1.0 + x))
 
 
 def exponential(x) -> np.ndarray:
-    """e to the power of x; 0 and infinity beyond the range of float64."""
+    """Powers of e with exponents x; 0 and infinity beyond the range of float64."""
     x = np.clip(np.asarray(x, np.float64), -800.0, 800.0)
     k = np.floor(x / (_LN2 + _LN2_TAIL) + 0.5)
     high, low = x - k * _LN2, k * _LN2_TAIL
@@ -125,7 +125,7 @@ def exponential(x) -> np.ndarray:
 
 
 def logarithm(x) -> np.ndarray:
-    """ln of positive numbers."""
+    """Natural logarithms of positive numbers."""
     mantissa, k = np.frexp(np.asarray(x, np.float64))
     small = mantissa < np.sqrt(0.5)
     mantissa, k = np.where(small, 2.0 * mantissa, mantissa), np.where(small, k - 1, k).astype(np.float64)
@@ -204,7 +204,7 @@ def inverses(matrices: np.ndarray) -> np.ndarray:
 
 
 def solutions(matrices: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """x (..., 3) with matrices (..., 3, 3) x = right (..., 3), for well-conditioned matrices."""
+    """Vectors x (..., 3) with matrices (..., 3, 3) x = right (..., 3), for well-conditioned matrices."""
     return images(inverses(matrices), right)
 
 

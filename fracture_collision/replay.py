@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import time
+from bisect import bisect_right
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
@@ -35,6 +36,8 @@ class Unanswered(RuntimeError):
 
 
 class Service(Protocol):
+    """A collision service that a Replay sends questions to."""
+
     def ask(self, run: Run, question: Question) -> tuple[bytes, float]:
         """The answer, serialized with zeroed padding, and the time it took [s]. Raises Unanswered."""
 
@@ -48,6 +51,7 @@ class Order(NamedTuple):
     loops: int = 1
 
     def has(self, step: int) -> bool:
+        """Whether `step` is in the range."""
         return (self.first is None or step >= self.first) and (self.end is None or step < self.end)
 
 
@@ -60,20 +64,23 @@ class Difference(NamedTuple):
     run_id: int
     step: int
     field: str
-    index: int | None  # of the number in the field; None: not an array, or of another length
+    entry: int | None  # of the number in the field; None: not an array, or of another length
     pair: tuple[int, int] | None  # of fragments, as recorded
     recorded: str
     answered: str
 
     def words(self) -> str:
+        """The difference as one line: step, pair, field, and both values."""
         where = f"step {self.step}"
         if self.pair is not None:
             where += f", pair {self.pair[0]}-{self.pair[1]}"
-        place = self.field if self.index is None else f"{self.field}[{self.index}]"
+        place = self.field if self.entry is None else f"{self.field}[{self.entry}]"
         return f"{where}, {place}: recorded {self.recorded}, answered {self.answered}"
 
 
 class Report(NamedTuple):
+    """Result of a replay, or of its part so far."""
+
     digest: str  # SHA-256 of all answers
     recorded_digest: str  # of those recorded for the same questions; "" if one of them has none
     steps: int  # questions asked, each counted once
@@ -114,9 +121,7 @@ class Replay:
         wait: Callable[[], None] = lambda: None,
     ) -> None:  # fmt: skip
         """Raises BagError if no step is in the order's range."""
-        self._service = service
-        self._rate = rate
-        self._wait = wait
+        self._service, self._rate, self._wait = service, rate, wait
         self._plays = _plays(runs, order)
         if not self._plays:
             raise BagError(f"no step from {order.first} to {order.end}: {_range_words(runs)}")
@@ -128,6 +133,7 @@ class Replay:
 
     @property
     def total(self) -> int:
+        """Number of questions that the whole replay sends."""
         return len(self._plays) * self._order.loops
 
     def __iter__(self) -> Iterator[int]:
@@ -199,9 +205,11 @@ class InProcess:
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
         self._run: Run | None = None
+        self._bodies = self._events = 0  # of the run, added to the world
         self.refusals: dict[str, str] = {}  # of bodies and events: kind, and its last reason
 
     def ask(self, run: Run, question: Question) -> tuple[bytes, float]:
+        """The answer, serialized with zeroed padding, and the time it took [s]. Raises Unanswered."""
         heading, run_id, states = deserialize_record(question.states, FragmentStates)
         if run is not self._run or question.bodies_before < self._bodies:
             # Back before a body was added or removed: only a world that never had it answers as the recorded one did.
@@ -209,40 +217,38 @@ class InProcess:
             self._bodies = self._events = 0
         started = time.perf_counter()
         while self._bodies < question.bodies_before:
-            self._tell_body()
-        while self._events < len(run.events) and self._next_sequence() <= states.fracture_sequence:
-            self._tell_event()
-        answer = self._answer(states)
+            self._add_body(run)
+        due = bisect_right(run.events, states.fracture_sequence, key=lambda event: event.received.record.sequence)
+        while self._events < due:
+            self._add_event(run)
+        answer = self._answer(run, states)
         seconds = time.perf_counter() - started
         return serialize_record(answer, heading, run_id), seconds
 
-    def _answer(self, states: FragmentStates) -> ContactConstraintArray:
+    def _answer(self, run: Run, states: FragmentStates) -> ContactConstraintArray:
         while True:
             try:
                 return self._world.contacts(states)
             except StatesAhead as error:
                 # Recorders keep no order across topics: the body may come after the states that name it.
-                if self._bodies < len(self._run.bodies):
-                    self._tell_body()
-                elif self._events < len(self._run.events):
-                    self._tell_event()
+                if self._bodies < len(run.bodies):
+                    self._add_body(run)
+                elif self._events < len(run.events):
+                    self._add_event(run)
                 else:
                     raise Unanswered(f"step {states.step}: {error}") from error
             except InvalidMessage:
                 return refusal_of(states)
 
-    def _next_sequence(self) -> int:
-        return self._run.events[self._events].received.record.sequence
-
-    def _tell_body(self) -> None:
+    def _add_body(self, run: Run) -> None:
         self._bodies += 1
-        self._tell(self._world.add_body, self._run.bodies[self._bodies - 1].received.record)
+        self._add(self._world.add_body, run.bodies[self._bodies - 1].received.record)
 
-    def _tell_event(self) -> None:
+    def _add_event(self, run: Run) -> None:
         self._events += 1
-        self._tell(self._world.add_fracture, self._run.events[self._events - 1].received.record)
+        self._add(self._world.add_fracture, run.events[self._events - 1].received.record)
 
-    def _tell(self, add: Callable[[Any], None], record: Any) -> None:
+    def _add(self, add: Callable[[Any], None], record: Any) -> None:
         try:
             add(record)
         except InvalidMessage as error:  # the recorded service rejected it too
@@ -250,6 +256,8 @@ class InProcess:
 
 
 class SettingsFound(NamedTuple):
+    """The settings of a replay."""
+
     settings: Settings
     words: list[str]  # notes on their origin
 
@@ -263,11 +271,11 @@ def settings_of(bag: Path, given: Mapping[str, Any]) -> SettingsFound:
     words = []
     settings = Settings()
     if recorded is None:
-        words.append("the bag does not say with which settings it was answered; the defaults are taken for them")
+        words.append("the bag lacks the settings of the service; the replay uses the defaults")
     else:
         settings = _checked_settings(bag, recorded.values, words)
         if recorded.changed:
-            words.append("the service was started anew with other settings in mid-recording; the last are taken")
+            words.append("the settings changed during the recording; the replay uses the last ones")
     settings = settings._replace(**{"threads": 0, **given})
     check_settings(settings)
     return SettingsFound(settings, words)
@@ -277,13 +285,13 @@ def _checked_settings(bag: Path, values: Mapping[str, Any], words: list[str]) ->
     settings = Settings()
     for name, value in values.items():
         if name not in Settings._fields:
-            words.append(f"the bag's setting {name[:80]!r} is not known here")
+            words.append(f"the bag has the unknown setting {name[:80]!r}; the replay ignores it")
             continue
         kind = type(getattr(settings, name))
-        value = float(value) if kind is float and type(value) is int else value
-        if type(value) is not kind:
-            raise BagError(f"{bag}: the setting {name}: {str(value)[:80]!r} is no {kind.__name__}")
-        settings = settings._replace(**{name: value})
+        taken: Any = float(value) if kind is float and type(value) is int else value
+        if type(taken) is not kind:
+            raise BagError(f"{bag}: the setting {name}: {str(value)[:80]!r} is not of type {kind.__name__}")
+        settings = settings._replace(**{name: taken})
     try:
         check_settings(settings)
     except ValueError as error:
@@ -312,7 +320,7 @@ def first_difference(run: Run, question: Question, answer: bytes) -> Difference:
             index = int(np.flatnonzero(one.view(bits) != other.view(bits))[0])
             pair = _pair_of(recorded.record, name, index)
             return Difference(*at, name, index, pair, repr(one[index].item()), repr(other[index].item()))
-    raise ValueError("the answers are the same")
+    raise ValueError("the answers are equal")
 
 
 def _pair_of(contacts: ContactConstraintArray, name: str, index: int) -> tuple[int, int] | None:

@@ -48,7 +48,7 @@ def read_run_with_meshes(
                 meshes |= {fragment_id: world.fragment_mesh(fragment_id) for fragment_id in sorted(wanted)}
         progress(last + 1, last + 1)
     except InvalidMessage as error:
-        raise BagError(f"{bag}: no meshes can be made of what it holds: {error}") from error
+        raise BagError(f"{bag}: cannot compute meshes from its bodies and events: {error}") from error
     return run._replace(meshes=meshes)
 
 

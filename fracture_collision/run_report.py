@@ -32,9 +32,9 @@ STATISTICS = (
     ("triangles_before", "triangles before"),
     ("triangles_after", "triangles after"),
     ("fragments", "fragments at the end"),
-    ("contacts", "contacts a step"),
-    ("colliding_points", "colliding points a step"),
-    ("pairs", "close pairs a step"),
+    ("contacts", "contacts per step"),
+    ("colliding_points", "colliding points per step"),
+    ("pairs", "close pairs per step"),
 )
 TIMES = (
     ("time_step_ms", "time step"),
@@ -47,6 +47,8 @@ TIMES = (
 
 
 class TableRow(NamedTuple):
+    """A row of a table beside the paper's figures."""
+
     words: str
     average: float | None  # or the one figure there is; None: not measured
     worst: float | None

@@ -99,6 +99,7 @@ class SceneRun:
             gc.unfreeze()
 
     def step(self) -> StepFigures:
+        """One time step, also beyond the scene's duration; its figures, which are also the last of `rows`."""
         started = time.perf_counter()
         exchange = self._lockstep.step()
         world = self._lockstep.world

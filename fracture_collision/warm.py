@@ -18,12 +18,13 @@ from fracture_collision.viewer.pictures.ray_picture import Camera, TriangleScene
 
 
 def main() -> None:
+    """Compiles all kernels and prints what it is compiling."""
     started = time.monotonic()
     service.compile_kernels(progress=_say)
-    _say("looking inside")
+    _say("inspection")
     service.compile_inspection_kernels()
     simulator.compile_kernels(progress=_say)
-    _say("a pane that breaks, and its pieces again")
+    _say("a whole run of the scene pane")
     with Lockstep(load_scene("pane")) as run:
         for _ in run:
             pass
@@ -33,6 +34,7 @@ def main() -> None:
 
 
 def draw_one_triangle() -> None:
+    """Compiles the kernels of pictures by rendering one."""
     corners = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [0.0, 1.0, 1.0]])
     mesh = BodyMesh(corners, np.array([[0, 1, 2]], np.uint32))
     scene = TriangleScene(mesh.triangles, mesh.normals, np.full((1, 3), 0.5), np.zeros(1), 0.0)

@@ -1,4 +1,4 @@
-"""Starts the collision service and the simulator:
+"""Starts the collision service and the simulator.
 
 ros2 launch fracture_collision fracture_collision.launch.py scene:=plates seed:=1
 

@@ -1,5 +1,6 @@
-"""Starts a scene to smash: the collision service, the live simulator and the page in the browser, whose address the
-page's node prints.
+"""Starts a live scene: the collision service, the live simulator and the page in the browser.
+
+page_node prints the page's address.
 
 ros2 launch fracture_collision play.launch.py scene:=plates port:=8080
 
@@ -20,9 +21,9 @@ def generate_launch_description() -> LaunchDescription:
     return LaunchDescription(
         [
             *arguments(),
-            DeclareLaunchArgument("host", default_value="127.0.0.1", description="address where the page is served"),
-            DeclareLaunchArgument("port", default_value="0", description="of the page; 0: any that is free"),
-            DeclareLaunchArgument("folder", default_value="out/play", description="where recordings go"),
+            DeclareLaunchArgument("host", default_value="127.0.0.1", description="address of the page"),
+            DeclareLaunchArgument("port", default_value="0", description="port of the page; 0: any free one"),
+            DeclareLaunchArgument("folder", default_value="out/play", description="folder of recordings"),
             collision_node(ends_all=True),
             node("live_simulator_node", {"scene": text("scene"), "seed": whole("seed")}),
             node(

@@ -18,7 +18,6 @@ FILES, LINES = 15, 350
 LONGER = {
     "fracture_collision/core/bodies/collision_geometry.py",
     "fracture_collision/core/field/flood.py",
-    "fracture_collision/ros/nodes/page_node.py",
 }
 
 

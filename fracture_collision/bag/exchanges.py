@@ -22,11 +22,15 @@ _TYPE_WORDS = {"float64": "double", "float32": "float", "bool": "boolean"}
 
 
 class Message(NamedTuple):
+    """A recorded message, serialized and as a record."""
+
     data: bytes  # as recorded
     received: Received
 
 
 class Question(NamedTuple):
+    """Recorded states and the answers to them."""
+
     step: int
     fracture_sequence: int
     time: int  # [ns] of its heading
@@ -36,6 +40,8 @@ class Question(NamedTuple):
 
 
 class Run(NamedTuple):
+    """All recorded messages of one run id."""
+
     run_id: int
     bodies: list[Message]  # in the order of recording
     events: list[Message]  # ascending in sequence
@@ -83,9 +89,9 @@ def answers_missing(bag: Path, namespace: str | None = None) -> str:
     """Explains why a bag without answers has none."""
     name = PACKAGE + ContactConstraintArray.__name__
     if topics_of(bag, [ContactConstraintArray], namespace):
-        return f"no answer in {bag} is to one of these steps"
+        return f"{bag} has no answer to any of these steps"
     others = ", ".join(f"{topic} ({kind})" for topic, (kind, _) in topic_types(bag).items() if PACKAGE not in kind)
-    return f"{bag} has no topic of type {name}" + (f"; of other types it has {others[:300]}" if others else "")
+    return f"{bag} has no topic of type {name}" + (f"; its other topics are {others[:300]}" if others else "")
 
 
 def canonical(received: Received) -> bytes:
@@ -107,7 +113,7 @@ def topics_of(bag: Path, record_classes: Iterable[Any], namespace: str | None = 
     namespaces = sorted({topic.rpartition("/")[0] for topic in classes})
     if len(namespaces) > 1:
         names = ", ".join(each or "/" for each in namespaces)
-        raise BagError(f"{bag}: has the topics of several services, under {names}; say which by --namespace")
+        raise BagError(f"{bag}: has the topics of several services, under {names}; choose one with --namespace")
     return classes
 
 
@@ -145,7 +151,7 @@ def _gather(run: _Gathered, message: Message) -> None:
         if known[0] != message.data and canonical(deserialize_record(known[0], FragmentStates)) != canonical(
             message.received
         ):
-            raise BagError(f"step {record.step} was asked twice, with different states")
+            raise BagError(f"step {record.step} was queried twice with different states")
     else:
         run.answers.setdefault((record.step, record.fracture_sequence), {})[canonical(message.received)] = None
 

@@ -52,6 +52,8 @@ class Piece(NamedTuple):
 
 
 class FoundMessage(NamedTuple):
+    """A message with the definitions of its channel and its type."""
+
     schema: Schema | None
     channel: Channel
     message: Message
@@ -151,8 +153,10 @@ class McapFile:
 
     def _define(self, record: Schema | Channel) -> None:
         """Later definitions of an id repeat the first one, which is kept."""
-        known = self._schemas if isinstance(record, Schema) else self._channels
-        known.setdefault(record.id, record)
+        if isinstance(record, Schema):
+            self._schemas.setdefault(record.id, record)
+        else:
+            self._channels.setdefault(record.id, record)
 
     def _define_from_chunks(self, on_damage: Callable[[BagError], None] | None = None) -> None:
         with _open(self.path) as stream:
@@ -183,7 +187,7 @@ class McapFile:
         """The chunk, decompressed. The library's own function allocates the size that the compressed data state."""
         size = chunk.uncompressed_size
         if size > LARGEST_CHUNK or size > max(SMALL_CHUNK, LARGEST_RATIO * len(chunk.data)):
-            raise BagError(f"{self.path}: the chunk at byte {piece.begin} says it has {size} bytes; too many")
+            raise BagError(f"{self.path}: the chunk at byte {piece.begin} states {size} bytes, which is too many")
         try:
             if chunk.compression == "zstd":
                 source = zstandard.ZstdDecompressor(max_window_size=1 << 27).stream_reader(BytesIO(chunk.data))
@@ -198,9 +202,9 @@ class McapFile:
             raise self._damaged(piece.begin, error) from error
         if len(data) != size:
             found = "more" if len(data) > size else str(len(data))
-            raise self._damaged(piece.begin, f"it says that it has {size} bytes and has {found}")
+            raise self._damaged(piece.begin, f"it states {size} bytes and has {found}")
         if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
-            raise self._damaged(piece.begin, "its checksum is another")
+            raise self._damaged(piece.begin, "its checksum is wrong")
         return Chunk("", data, chunk.message_end_time, chunk.message_start_time, 0, size)
 
     def _channel(self, message: Message, piece: Piece) -> Channel:

@@ -17,16 +17,18 @@ from fracture_collision.bag.writer import CHUNK_BYTES
 
 
 class Mended(NamedTuple):
+    """What a repair kept and what it could not read."""
+
     messages: int
     lost_bytes: int  # unreadable ones at the end of files
     damaged: list[str]  # descriptions of the unreadable chunks
 
 
 def mend_bag(folder: Path) -> Mended:
-    """Rewrites the files of a rosbag2 folder; each replaces the old one when it is complete. Raises BagError if there
-    is nothing to repair, OSError if the folder cannot be written.
+    """Rewrites the files of a rosbag2 folder; each replaces the old one when it is complete.
 
-    Unreadable data is not in the new files.
+    Unreadable data is not in the new files. Raises BagError if there is nothing to repair, OSError if the folder cannot
+    be written.
     """
     if not folder.is_dir():
         raise BagError(f"{folder}: not a folder")

@@ -22,6 +22,8 @@ MOST_FILES = 10_000
 
 
 class TopicEntry(NamedTuple):
+    """A topic as metadata.yaml lists it."""
+
     name: str  # absolute
     message_type: str  # package/msg/Name
     qos_profiles: list[dict[str, Any]]  # as offered by the publishers, in rosbag2's terms
@@ -30,6 +32,8 @@ class TopicEntry(NamedTuple):
 
 
 class Span(NamedTuple):
+    """Times of a bag's first and last message, since the epoch."""
+
     begin: int  # [ns]
     end: int  # [ns]
 
@@ -112,12 +116,12 @@ def named_files(folder: Path, information: dict[str, Any]) -> list[Path]:
     for name in names:
         path = PurePosixPath(name)
         if not name.strip("./") or "\0" in name or path.is_absolute() or ".." in path.parts:
-            raise BagError(f"{where}: {name!r} is no file of this folder")
+            raise BagError(f"{where}: {name!r} is not a path inside this folder")
         file = folder / path
         if not file.resolve().is_relative_to(folder.resolve()):
             raise BagError(f"{where}: {name!r} leads out of this folder")
         if not file.is_file():
-            raise BagError(f"{where}: {name!r} is not there")
+            raise BagError(f"{where}: {name!r} does not exist")
         files.append(file)
     return files
 

@@ -28,12 +28,16 @@ LARGEST_SETTINGS = 1 << 16  # [bytes]
 
 
 class BagMessage(NamedTuple):
-    topic: str
-    nanoseconds: int
+    """A serialized message as a bag stores it."""
+
+    topic: str  # absolute name
+    nanoseconds: int  # since the epoch
     data: bytes  # CDR
 
 
 class RecordedSettings(NamedTuple):
+    """Settings of the service that a recorder stored."""
+
     values: dict[str, Any]  # by name, as in the JSON; not validated yet
     changed: bool  # during the recording: some answers were made with others
 
@@ -71,7 +75,7 @@ def missing_words(bag: Path | str) -> list[str]:
         file = McapFile(path)
         if not file.is_whole:
             lost = f"; its last {file.lost_bytes} bytes cannot be read" if file.lost_bytes else ""
-            words.append(f"{path}: ends before its end, as when a recorder is killed{lost}")
+            words.append(f"{path}: is truncated, as when a recorder is killed{lost}")
     return words
 
 

@@ -35,6 +35,8 @@ class OfferedQos(NamedTuple):
 
 
 class BagTopic(NamedTuple):
+    """A topic to record, with all that its channel in the bag states."""
+
     name: str  # absolute
     message_type: str  # package/msg/Name
     definition: str  # the .msg text with those it refers to, as `ros2msg` schemas require
@@ -43,8 +45,10 @@ class BagTopic(NamedTuple):
 
 
 class BagWriter:
-    """Writes one bag. Use as a context manager: without `close` the bag has no index and lacks messages after the last
-    `flush`, but it can still be read and repaired (bag/reader.py, bag/mend.py).
+    """Writes one bag. Use as a context manager.
+
+    Without `close` the bag has no index and lacks messages after the last `flush`, but it can still be read and
+    repaired (bag/reader.py, bag/mend.py).
     """
 
     def __init__(self, folder: Path | str, topics: Sequence[BagTopic], chunk_bytes: int = CHUNK_BYTES) -> None:
@@ -83,16 +87,20 @@ class BagWriter:
             self._write_first()
 
     def note(self, name: str, text: str) -> None:
-        """Adds custom data: to `custom_data` of metadata.yaml, and next to the messages, so that the MCAP file alone
-        has it too. The last text of a name counts."""
+        """Adds custom data `text` under `name`; the last text of a name counts.
+
+        It goes to `custom_data` of metadata.yaml and into the MCAP file, which may be read without metadata.yaml.
+        """
         self._custom_data[name] = text
         self._writer.add_metadata(NOTES, {name: text})
         self._stream.flush()
         self._write_metadata()
 
     def flush(self, until: int) -> None:
-        """Hands all messages up to the time `until` [ns] to the operating system: they stay in the bag even if this
-        process is killed. Messages up to that time must have arrived."""
+        """Hands all messages up to the time `until` [ns] to the operating system; all of them must have arrived.
+
+        They stay in the bag even if this process is killed.
+        """
         while self._held and self._held[0][0] <= until:
             self._write_first()
         self._writer.flush()

@@ -21,20 +21,20 @@ Examples:
 
 @click.command(epilog=RECORD_EXAMPLES)
 @click.argument("name")
-@click.option("--out", type=click.Path(path_type=Path), required=True, help="The bag's folder; must not be there yet.")
-@click.option("--seed", type=click.IntRange(min=0), help="Of the fracture patterns.  [default: the scene's own]")
-@click.option("--curvature", type=click.FloatRange(min=0.0), help="Of all cracks: 0 flat, 0.25 as in porcelain.")
-@click.option("--settings", multiple=True, metavar="NAME=VALUE[,...]", help="Of the collision service.")
-@click.option("--steps", type=click.IntRange(min=1), help="Stop after so many.  [default: the scene's duration]")
-@click.option("--every", type=click.IntRange(min=1), default=1, show_default=True, help="Keep one step of so many.")
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder of the bag; must not exist yet.")
+@click.option("--seed", type=click.IntRange(min=0), help="Seed of the fracture patterns.  [default: the scene's own]")
+@click.option("--curvature", type=click.FloatRange(min=0.0), help="Of all cracks: 0: flat; 0.25: as in porcelain.")
+@click.option("--settings", multiple=True, metavar="NAME=VALUE[,...]", help="Settings of the collision service.")
+@click.option("--steps", type=click.IntRange(min=1), help="Number of steps.  [default: the scene's duration]")
+@click.option("--every", type=click.IntRange(min=1), default=1, show_default=True, help="Record every N-th step.")
 def record(
     name: str, out: Path, seed: int | None, curvature: float | None, settings: tuple[str, ...], steps: int | None,
     every: int,
 ) -> None:  # fmt: skip
     """Run the scene NAME without DDS and record it.
 
-    The bag has bodies, fracture events, states and contacts, with the bytes that the nodes send and recorder_node
-    records; not registries, meshes and diagnostics. All of a scene is in a bag after some seconds.
+    The bag has bodies, fracture events, states and contacts, byte for byte as the nodes publish them and recorder_node
+    records them. It has no registries, meshes and diagnostics. Recording a scene takes some seconds.
     """
     console = Console()
     interruption = Interruption(console, "stopped")
@@ -63,7 +63,7 @@ def record(
     except (SceneError, ValueError, OSError) as error:
         raise click.ClickException(str(error)) from error
     except KeyboardInterrupt:
-        console.print(f"stopped; {out} has the steps up to there", highlight=False, soft_wrap=True)
+        console.print(f"stopped; {out} has the steps recorded so far", highlight=False, soft_wrap=True)
         sys.exit(INTERRUPTED)
     console.print(f"  {out}", highlight=False)
 
@@ -71,10 +71,10 @@ def record(
 @click.command()
 @click.argument("bag", type=click.Path(exists=True, file_okay=False, path_type=Path))
 def mend(bag: Path) -> None:
-    """Give a BAG folder whose recorder was killed the index and the metadata that it lacks.
+    """Repair a BAG folder whose recorder was killed: add the missing index and metadata.
 
-    Rewrites its .mcap files and metadata.yaml in place, each put there when it is complete. All messages that can be
-    read stay as they are; what cannot is said, and gone. A bag that is whole is rewritten all the same.
+    Rewrites its .mcap files and metadata.yaml; each replaces the old file when it is complete. All readable messages
+    stay as they are; unreadable data is reported and dropped. A complete bag is rewritten, too.
     """
     from fracture_collision.bag.errors import BagError
     from fracture_collision.bag.mend import mend_bag
@@ -85,18 +85,21 @@ def mend(bag: Path) -> None:
     except (BagError, OSError) as error:
         raise click.ClickException(str(error)) from error
     except KeyboardInterrupt:
-        click.echo(f"stopped; every file of {bag} is as it was, or mended")
+        click.echo(f"stopped; each file of {bag} is either unchanged or repaired")
         sys.exit(INTERRUPTED)
     for words in mended.damaged:
-        click.echo(f"left out: {words}")
-    lost = f"; {mended.lost_bytes} bytes that could not be read are gone" if mended.lost_bytes else ""
+        click.echo(f"dropped: {words}")
+    lost = f"; dropped {mended.lost_bytes} unreadable bytes" if mended.lost_bytes else ""
     click.echo(f"{bag}: {mended.messages} messages{lost}")
 
 
 @click.command()
 @click.argument("bag", type=click.Path(exists=True, path_type=Path))
 def digest(bag: Path) -> None:
-    """Print a SHA-256 of each topic of a BAG: equal if and only if all messages are, byte for byte."""
+    """Print a SHA-256 of each topic of a BAG.
+
+    Two digests are equal if and only if all messages are, byte for byte.
+    """
     from fracture_collision.bag.errors import BagError
     from fracture_collision.bag.reader import message_counts, missing_words, topic_digest
 

@@ -15,13 +15,13 @@ from fracture_collision.early_signals import INTERRUPTED
 
 EXAMPLES = """\b
 Examples:
-  fracture-collision bench                            all of it, some minutes, into docs/
-  fracture-collision bench --full                     as much of it as figures worth quoting need: hours
-  fracture-collision bench fig15 fig17 --out out/b    two of the paper's figures, elsewhere
+  fracture-collision bench                            all studies, in some minutes, into docs/
+  fracture-collision bench --full                     with enough trials for figures worth quoting: hours
+  fracture-collision bench fig15 fig17 --out out/b    two of the paper's figures, into another folder
   fracture-collision bench fig16 --full --drops 1000 --scheduler tcp://10.0.0.7:8786
 
 \b
-Workers for a scheduler of your own are started in a checkout of the same sources, one thread each:
+Start workers for your own scheduler in a checkout of the same sources, one thread each:
   dask scheduler
   PYTHONPATH=. dask worker tcp://10.0.0.7:8786 --nworkers 16 --nthreads 1
 """
@@ -29,28 +29,28 @@ Workers for a scheduler of your own are started in a checkout of the same source
 
 @click.command(epilog=EXAMPLES)
 @click.argument("names", nargs=-1)
-@click.option("--quick/--full", default=True, help="How much is run.  [default: quick]")
+@click.option("--quick/--full", default=True, help="Number of trials.  [default: quick]")
 @click.option(
     "--out", type=click.Path(file_okay=False, path_type=Path), help="Folder for the results.  [default: docs/]"
 )
-@click.option("--scheduler", metavar="ADDRESS", help="Of a dask scheduler.  [default: processes of this machine]")
+@click.option("--scheduler", metavar="ADDRESS", help="A dask scheduler.  [default: processes of this machine]")
 @click.option(
-    "--workers", type=click.IntRange(min=1), help="Processes of this machine, a thread each.  [default: one a core]"
+    "--workers", type=click.IntRange(min=1), help="Processes of this machine, one thread each.  [default: one per core]"
 )
 @click.option("--drops", type=click.IntRange(min=1), help="Random drops of fig16 for each number of contacts.")
 def bench(
     names: tuple[str, ...], quick: bool, out: Path | None, scheduler: str | None, workers: int | None, drops: int | None
 ) -> None:
-    """Repeat the figures and tables of Glondu et al. 2014, and two studies of our own: those named, or all.
+    """Repeat the paper's figures and tables, and two studies of our own: those named, or all.
 
-    NAMES are tables, fig5, fig12, resolution (section 7.2), fig15, fig16, fig17, flights: whether what touches within a
-    step is listed, against another library's continuous collision detection; and throws: whether anything fast goes
-    through anything in a simulation that looks a step ahead. Each leaves in the folder bench_NAME.csv, with the
-    machine's name and versions at its head, and bench_NAME.png; benchmarks.md is made of all CSV files that lie there.
-    Works in a checkout of the sources only: benchmarks/ is not installed.
+    The paper is Glondu et al. 2014. NAMES are tables, fig5, fig12, resolution (section 7.2), fig15, fig16, fig17,
+    flights (contacts within a step, compared with another library's continuous collision detection) and throws
+    (tunnelling of fast bodies in a simulation with lookahead). Each study writes bench_NAME.csv, which begins with the
+    machine's name and versions, and bench_NAME.png; benchmarks.md is made of all CSV files in the folder. Works in a
+    checkout of the sources only: benchmarks/ is not installed.
 
-    Trials run in processes of their own. What is timed runs alone, one after the other on one worker, while all other
-    workers are idle; all else runs side by side. Only times depend on the machine and on the number of workers.
+    Trials run in separate processes. Timed trials run one after another on one worker while all others are idle; all
+    other trials run in parallel. Only times depend on the machine and on the number of workers.
     """
     console = Console()
     root = _checkout()
@@ -62,16 +62,17 @@ def bench(
     except ModuleNotFoundError as error:
         if (error.name or "").split(".")[0] not in ("dask", "distributed"):
             raise
-        words = f"needs {error.name}: pip install -r {root / 'requirements' / 'pins.txt'} (make build does)"
+        pins = root / "requirements" / "pins.txt"
+        words = f"{error.name} is not installed: run `make build`, or pip install -r {pins}"
         raise click.ClickException(words) from error
     unknown = [name for name in names if name not in STUDIES]
     if unknown:
-        raise click.ClickException(f"{', '.join(unknown)}: none of {', '.join(STUDIES)}")
+        raise click.ClickException(f"{', '.join(unknown)}: no such study; choose from {', '.join(STUDIES)}")
     if scheduler is not None and workers is not None:
-        raise click.ClickException("--workers: the scheduler at --scheduler has workers of its own")
+        raise click.ClickException("--workers: the scheduler has its own workers; pass --workers or --scheduler")
     names = tuple(dict.fromkeys(names)) or tuple(STUDIES)
     if drops is not None and "fig16" not in names:
-        raise click.ClickException("--drops: is of fig16, which is not run")
+        raise click.ClickException("--drops applies to fig16, which is not run; add fig16 to NAMES")
     sizes = [STUDIES[name].quick if quick else STUDIES[name].full for name in names]
     if drops is not None:
         sizes[names.index("fig16")] = sizes[names.index("fig16")]._replace(drops=drops)
@@ -112,8 +113,8 @@ def _checkout() -> Path:
     root = Path(__file__).resolve().parents[2]
     if not (root / "benchmarks" / "studies" / "bench.py").is_file():
         raise click.ClickException(
-            f"benchmarks/ is not beside the package, in {root}: it is not installed. Run this in a checkout of the"
-            " sources, where `make build` has been run."
+            f"no benchmarks/ in {root}: it is not installed. Run this in a checkout of the sources, after"
+            " `make build`."
         )
     if str(root) not in sys.path:
         sys.path.insert(0, str(root))

@@ -18,20 +18,20 @@ EXAMPLES = """\b
 Examples:
   fracture-collision smash                        four plates on a shelf, over ROS 2, into out/smash
   fracture-collision smash --seed 3 --out out/3   the same with other cracks
-  fracture-collision smash --mesh bunny.obj       a closed surface of your own, dropped onto a floor
+  fracture-collision smash --mesh bunny.obj       your own closed surface, dropped onto a floor
   fracture-collision scene bricks                 a scene without ROS: times, tables, a film strip
-  fracture-collision scene --help                 ... and what can be varied
-  fracture-collision bench                        the paper's figures and tables again, in some minutes
-  fracture-collision scenes                       which scenes there are
-  fracture-collision digest out/smash/bag         equal for equal runs
-  fracture-collision replay out/smash/bag         asked again: is every answer the one recorded?
+  fracture-collision scene --help                 ... and its options
+  fracture-collision bench                        the paper's figures and tables, in some minutes
+  fracture-collision scenes                       names of all scenes
+  fracture-collision digest out/smash/bag         checksums, equal for equal runs
+  fracture-collision replay out/smash/bag         repeat all queries and compare the answers
   fracture-collision replay --help                ... over DDS, backwards, on 8 threads
   fracture-collision record bricks --out out/b    a bag without DDS
-  fracture-collision mend out/smash/bag           whose recorder was killed
+  fracture-collision mend out/smash/bag           repair a bag whose recorder was killed
   fracture-collision play                         smash it yourself, in the browser
   fracture-collision teleop                       the hammer of a live scene by keys, from another terminal
   fracture-collision view out/smash/bag           a recorded run in the browser
-  fracture-collision film out/smash/bag           ... as a picture that moves
+  fracture-collision film out/smash/bag           ... as an animated picture
 
 The nodes alone: collision_node and simulator_node, with --ros-args -p NAME:=VALUE.
 """
@@ -41,9 +41,9 @@ The nodes alone: collision_node and simulator_node, with --ros-args -p NAME:=VAL
 def main() -> None:
     """Collision detection for fracturing rigid bodies.
 
-    Bodies are tetrahedral meshes that break; the service answers every simulation step with contact constraints and
-    says how deep a penetration it could have missed. This command runs it end to end; as a library it is
-    `fracture_collision.world`, as a ROS 2 node `collision_node`.
+    Bodies are tetrahedral meshes that break. The service answers every simulation step with contact constraints and a
+    bound on the depth of penetrations that it may have missed. This command runs it end to end; the library is
+    `fracture_collision.world`, the ROS 2 node `collision_node`.
     """
 
 

@@ -1,4 +1,4 @@
-"""Shared by the commands: a progress bar, tables, and an end by Ctrl-C.
+"""Shared by the commands: options as records, a progress bar, tables, and an end by Ctrl-C.
 
 A KeyboardInterrupt from a signal handler comes between any two bytecodes, also those that run on behalf of compiled
 code: while numba hands LLVM a cached kernel it is swallowed, and the kernel's address is null; while numba boxes a
@@ -12,7 +12,9 @@ import os
 import signal
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from functools import wraps
 from types import FrameType
+from typing import Any
 
 import click
 from rich.console import Console
@@ -25,11 +27,33 @@ from fracture_collision.run_report import TableRow
 SHOW_CURSOR = "\x1b[?25h"  # a progress bar hides it
 
 
-class Interruption:
-    """Until the command ends, SIGINT and SIGTERM end it at the next `check` within `held`, and at once anywhere else or
-    on a second signal.
+class NoBag(click.ClickException):
+    """BAG cannot be read, or holds no run."""
 
-    `parting`: printed when it ends at once.
+    exit_code = 2
+
+
+def options_as(record: Any) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Decorates a command: its options that are fields of the NamedTuple `record` are passed as one, `options`.
+
+    Stands below click's decorators.
+    """
+
+    def decorate(function: Callable[..., None]) -> Callable[..., None]:
+        @wraps(function)
+        def command(**given: Any) -> None:
+            options = record(**{name: given.pop(name) for name in record._fields})
+            function(**given, options=options)
+
+        return command
+
+    return decorate
+
+
+class Interruption:
+    """Ends a command on SIGINT or SIGTERM: within `held` at the next `check`, elsewhere or on a second signal at once.
+
+    `parting`: printed when it ends at once. The handlers are removed when the command ends.
     """
 
     def __init__(self, console: Console, parting: str) -> None:
@@ -41,8 +65,9 @@ class Interruption:
 
     @contextmanager
     def held(self) -> Iterator[None]:
-        """For work with partial results worth keeping; it must call `check` often, and the end of `held` calls it
-        once more.
+        """Delays the end to the next `check`: for work with partial results worth keeping.
+
+        The work must call `check` often; the end of `held` calls it once more.
         """
         self._holding = True
         try:
@@ -67,8 +92,9 @@ class Interruption:
 
 
 def interrupt_on_signals() -> None:
-    """Until the command ends, SIGTERM and SIGINT raise KeyboardInterrupt: a shell starts background processes with
-    SIGINT ignored.
+    """Makes SIGTERM and SIGINT raise KeyboardInterrupt until the command ends.
+
+    SIGINT has to be set too, since a shell starts background processes with SIGINT ignored.
     """
     _until_the_command_ends(_as_interrupt)
 
@@ -144,10 +170,14 @@ def figures_table(title: str, columns: Iterable[str], rows: Iterable[Iterable[st
 def beside_paper(title: str, rows: Iterable[TableRow]) -> Table:
     """Rows of `run_report`, with the paper's figures where there are any."""
     rows = list(rows)
-    says = any(row.paper_average is not None or row.paper_worst is not None for row in rows)
-    columns = ("average", "worst", "paper's average", "paper's worst") if says else ("average", "worst")
-    cells = ([row.words, *(_number(value) for value in row[1 : len(columns) + 1])] for row in rows)
+    has_paper = any(row.paper_average is not None or row.paper_worst is not None for row in rows)
+    columns = ("average", "worst", "paper's average", "paper's worst") if has_paper else ("average", "worst")
+    cells = ([row.words, *map(_number, _figures(row)[: len(columns)])] for row in rows)
     return figures_table(title, columns, cells)
+
+
+def _figures(row: TableRow) -> tuple[float | None, ...]:
+    return row.average, row.worst, row.paper_average, row.paper_worst
 
 
 def _number(value: float | None) -> str:

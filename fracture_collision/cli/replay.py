@@ -7,41 +7,38 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import click
 import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from fracture_collision.cli.console import Interruption
+from fracture_collision.cli.console import Interruption, NoBag, options_as
 from fracture_collision.early_signals import INTERRUPTED
 
 OTHERWISE = 1  # exit status: some answer differs from the recorded one
-NO_BAG = 2
 INCOMPLETE = 3  # exit status: some question has no answer in the bag, or some answer no question
 
 EXAMPLES = """\b
 Examples:
-  fracture-collision replay out/smash/bag                  all steps, as fast as it goes
-  fracture-collision replay out/smash/bag --ros            ... by a collision_node of its own, over DDS
+  fracture-collision replay out/smash/bag                  all steps, as fast as possible
+  fracture-collision replay out/smash/bag --ros            ... by a separate collision_node, over DDS
   fracture-collision replay out/smash/bag --steps 160:200  from step 160 to before step 200
   fracture-collision replay out/smash/bag --steps 300:     from the middle on
   fracture-collision replay out/smash/bag --backwards --loop 3 --threads 8
   fracture-collision replay out/smash/bag --rate 0.5       at half the recorded pace
-  fracture-collision replay bag --settings contacts_per_pair=6   where the bag does not say it
+  fracture-collision replay bag --settings contacts_per_pair=6   for a bag without settings
 
 \b
-Exit status: 0: all as recorded; 1: some answer is another; 2: not a bag, or none with a run in it; 3: what could be
-compared is as recorded, but the bag lacks answers, or the states that answers belong to. 1 goes before 3.
+Exit status: 0: all answers equal the recorded ones; 1: some differ; 2: not a bag, or no run in it; 3: all that could be
+compared are equal, but the bag lacks answers, or the states of some answers. 1 takes precedence over 3.
 """
 
 
-class NoBag(click.ClickException):
-    exit_code = NO_BAG
-
-
 class NothingCompared(click.ClickException):
+    """The bag has no answer to any of the replayed questions."""
+
     exit_code = INCOMPLETE
 
 
@@ -51,6 +48,7 @@ class StepRange(click.ParamType):
     name = "A:B"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """(first, end), None where a side is empty; a usage error unless both are whole numbers >= 0."""
         if not isinstance(value, str):
             return value
         first, colon, end = value.partition(":")
@@ -59,38 +57,48 @@ class StepRange(click.ParamType):
         except ValueError:
             numbers = (-1,)
         if not colon or any(number is not None and number < 0 for number in numbers):
-            self.fail(f"{value!r} is no A:B, from step A to before step B; either may be left out", param, ctx)
+            self.fail(f"{value!r}: pass A:B, from step A to before step B; either may be left out", param, ctx)
         return numbers
+
+
+class PlayOptions(NamedTuple):
+    """Which questions are asked, in what order and how fast."""
+
+    rate: float | None  # times the recorded pace; None: as fast as possible
+    steps: tuple[int | None, int | None] | None  # from the first to before the second; None: no limit
+    backwards: bool
+    loops: int
 
 
 @click.command(epilog=EXAMPLES)
 @click.argument("bag", type=click.Path(exists=True, path_type=Path))
-@click.option("--ros", is_flag=True, help="Ask a collision_node in a process of its own, over DDS.")
+@click.option("--ros", is_flag=True, help="Query a separate collision_node, over DDS.")
 @click.option(
     "--rate", type=click.FloatRange(min=0.0, min_open=True),
-    help="Times the recorded pace, where that is slower than it goes.  [default: as fast as it goes]",
+    help="Multiple of the recorded pace, unless answers take longer.  [default: as fast as possible]",
 )  # fmt: skip
 @click.option(
-    "--threads", type=click.IntRange(min=0), default=0, show_default=True, help="Of the service; 0: one a core."
-)
+    "--threads", type=click.IntRange(min=0), default=0, show_default=True,
+    help="Threads of the service; 0: one per core.",
+)  # fmt: skip
 @click.option("--steps", type=StepRange(), help="From step A to before step B.  [default: all]")
-@click.option("--backwards", is_flag=True, help="The last step first.")
-@click.option("--loop", "loops", type=click.IntRange(min=1), default=1, show_default=True, help="Play it so often.")
+@click.option("--backwards", is_flag=True, help="Play the last step first.")
+@click.option("--loop", "loops", type=click.IntRange(min=1), default=1, show_default=True, help="Number of plays.")
 @click.option(
     "--settings", multiple=True, metavar="NAME=VALUE[,...]",
-    help="Of the service, in place of those that the bag names; may be given several times.",
+    help="Settings of the service, in place of the recorded ones; may be given several times.",
 )  # fmt: skip
-@click.option("--namespace", help="Of the topics, in a bag of several services.")
+@click.option("--namespace", help="Namespace of the topics, for a bag with several services.")
+@options_as(PlayOptions)
 def replay(
-    bag: Path, ros: bool, rate: float | None, threads: int, steps: tuple[int | None, int | None] | None,
-    backwards: bool, loops: int, settings: tuple[str, ...], namespace: str | None,
-) -> None:  # fmt: skip
-    """Ask the service again what was asked in BAG, and compare its answers with those recorded, byte for byte.
+    bag: Path, ros: bool, threads: int, settings: tuple[str, ...], namespace: str | None, options: PlayOptions
+) -> None:
+    """Repeat the queries of BAG and compare the answers with the recorded ones, byte for byte.
 
-    BAG is a rosbag2 folder or one .mcap file, recorded by recorder_node or `ros2 bag record`; one whose recorder was
-    killed will do. Bodies, fracture events and states go to the service as they were recorded. Prints one SHA-256 over
-    all answers, by step: it is the same in whatever order, however fast, however often and on however many threads the
-    questions are put; where answers differ from the recording, the first number that does; and how long answers took.
+    BAG is a rosbag2 folder or one .mcap file, recorded by recorder_node or `ros2 bag record`, which may have been
+    killed. The service gets bodies, fracture events and states as they were recorded. Prints one SHA-256 over all
+    answers, by step, which does not depend on order, pace, number of plays and number of threads; the first number
+    that differs from the recording, if any does; and the times that answers took.
     """
     console = Console()
     interruption = Interruption(console, "stopped before the first step")
@@ -110,7 +118,7 @@ def replay(
             raise
         except ValueError as error:
             raise click.UsageError(str(error)) from error
-        order = Order(*(steps or (None, None)), backwards, loops)
+        order = Order(*(options.steps or (None, None)), options.backwards, options.loops)
         for sentence in (*words, *found.words):
             console.print(f"note: {sentence}", highlight=False, soft_wrap=True)
         # A node must be stopped in order; loading kernels into this process may be cut short.
@@ -118,7 +126,7 @@ def replay(
             interruption.held() if ros else nullcontext(),
             _service(ros, found.settings, console, interruption.check) as (service, refusals),
         ):
-            played = Replay(runs, service, order, rate, interruption.check)
+            played = Replay(runs, service, order, options.rate, interruption.check)
             with _bar(console) as bar, interruption.held():
                 task = bar.add_task("replaying", total=played.total)
                 for done in played:
@@ -169,7 +177,7 @@ def _service(
         from fracture_collision.replay import InProcess
         from fracture_collision.world.warm_up import compile_kernels
 
-        with console.status("bringing kernels into memory; after a change of the sources this takes minutes"):
+        with console.status("loading kernels; after a change of the sources this takes minutes"):
             compile_kernels(progress=lambda _: None)
         service = InProcess(settings)
         yield service, service.refusals
@@ -190,23 +198,23 @@ def _tell(report: Any, refusals: dict[str, str], console: Console) -> None:
         return
     say(f"{report.digest}  {report.steps} steps")
     for kind, reason in refusals.items():
-        say(f"refused: {kind}: {reason}")
+        say(f"rejected: {kind}: {reason}")
     if report.contradicted:
         say(f"{_count(report.contradicted)} answered in two ways in this replay, first step {report.contradicted[0]}")
     if report.recorded_twice:
         say(f"{_count(report.recorded_twice)} answered in two ways in the bag, first step {report.recorded_twice[0]}")
     if report.differing:
-        words = f"{report.differing} of {report.compared} answers are not those recorded"
+        words = f"{report.differing} of {report.compared} answers differ from the recorded ones"
         say(f"{words}; the first: {report.difference.words()}")
     elif report.compared:
-        say(f"all {report.compared} answers are those recorded, byte for byte")
+        say(f"all {report.compared} answers equal the recorded ones, byte for byte")
     if report.unrecorded:
         say(f"the bag has no answer to {report.unrecorded} of these steps")
     if report.unasked:
         steps = "1 step" if len(report.unasked) == 1 else f"{len(report.unasked)} steps"
         say(f"the bag has answers, but no states, of {steps}, first step {report.unasked[0]}")
     milliseconds = 1e3 * report.seconds
-    say(f"an answer took {np.median(milliseconds):.2f} ms, the slowest {milliseconds.max():.2f} ms")
+    say(f"time per answer: {np.median(milliseconds):.2f} ms median, {milliseconds.max():.2f} ms worst")
 
 
 def _count(steps: list[int]) -> str:

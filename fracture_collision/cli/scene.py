@@ -6,13 +6,13 @@ import json
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import click
 import numpy as np
 from rich.console import Console
 
-from fracture_collision.cli.console import Interruption, ProgressBar, beside_paper, figures_table
+from fracture_collision.cli.console import Interruption, ProgressBar, beside_paper, figures_table, options_as
 from fracture_collision.early_signals import INTERRUPTED
 from fracture_collision.outputs import NewOutputs
 from fracture_collision.run_report import statistics_table, times_table
@@ -20,14 +20,24 @@ from fracture_collision.run_report import statistics_table, times_table
 EXAMPLES = """\b
 Examples:
   fracture-collision scene drop_bunnies
-  fracture-collision scene bricks --seed 3 --curvature 0.25   other cracks, curved ones
+  fracture-collision scene bricks --seed 3 --curvature 0.25   other cracks, and curved
   fracture-collision scene plates --settings contacts_per_pair=6,tree=plain
-  fracture-collision scene piggy_bank --count-colliding       what contacts are chosen from
-  fracture-collision scene reference_sphere:coarse_inside     a variant that the file describes
-  fracture-collision scene my.yaml --steps 200 --no-pictures  a scene of your own, not to its end
+  fracture-collision scene piggy_bank --count-colliding       how many points collide in all
+  fracture-collision scene reference_sphere:coarse_inside     a variant defined in the file
+  fracture-collision scene my.yaml --steps 200 --no-pictures  your own scene, its first steps
 """
 
 RESULTS = ("report.json", "steps.csv", "times.png", "film_strip.png")
+
+
+class RunOptions(NamedTuple):
+    """What is varied of a scene and of the service."""
+
+    seed: int | None  # None: the scene's own
+    curvature: float | None  # of all cracks; None: as in the scene
+    settings: tuple[str, ...]  # NAME=VALUE[,...]
+    threads: int
+    steps: int | None  # at most; None: the scene's duration
 
 
 @click.command(epilog=EXAMPLES)
@@ -35,42 +45,33 @@ RESULTS = ("report.json", "steps.csv", "times.png", "film_strip.png")
 @click.option(
     "--out", type=click.Path(file_okay=False, path_type=Path), help="Folder for the results.  [default: out/NAME]"
 )
-@click.option("--seed", type=click.IntRange(min=0), help="Of the fracture patterns.  [default: the scene's own]")
-@click.option("--curvature", type=click.FloatRange(min=0.0), help="Of all cracks: 0 flat, 0.25 as in porcelain.")
+@click.option("--seed", type=click.IntRange(min=0), help="Seed of the fracture patterns.  [default: the scene's own]")
+@click.option("--curvature", type=click.FloatRange(min=0.0), help="Of all cracks: 0: flat; 0.25: as in porcelain.")
 @click.option(
     "--settings", multiple=True, metavar="NAME=VALUE[,...]",
-    help="Of the collision service, as in config/collision.yaml; may be given several times.",
+    help="Settings of the collision service, as in config/collision.yaml; may be given several times.",
 )  # fmt: skip
 @click.option(
     "--threads", type=click.IntRange(min=0), default=1, show_default=True,
-    help="Of the collision service; 0: one a core. The paper's times are of one core.",
+    help="Threads of the service; 0: one per core. The paper's times are of one core.",
 )  # fmt: skip
-@click.option("--steps", type=click.IntRange(min=1), help="Stop after so many.  [default: the scene's duration]")
-@click.option("--count-colliding", is_flag=True, help="Count all colliding points, by a second, untimed query a step.")
+@click.option("--steps", type=click.IntRange(min=1), help="Number of steps.  [default: the scene's duration]")
+@click.option("--count-colliding", is_flag=True, help="Count all colliding points, by an untimed query per step.")
 @click.option("--pictures/--no-pictures", default=True, help="Draw times.png and film_strip.png.  [default: pictures]")
-def scene(
-    name: str,
-    out: Path | None,
-    seed: int | None,
-    curvature: float | None,
-    settings: tuple[str, ...],
-    threads: int,
-    steps: int | None,
-    count_colliding: bool,
-    pictures: bool,
-) -> None:
-    """Run the scene NAME without ROS and report what each step took.
+@options_as(RunOptions)
+def scene(name: str, out: Path | None, count_colliding: bool, pictures: bool, options: RunOptions) -> None:
+    """Run the scene NAME without ROS and report the times of each step.
 
-    NAME is one that `scenes` lists, NAME:VARIANT, or a scene file. Simulator and service run in this process, in turn.
-    Prints sizes, statistics and times as Tables 1 to 3 of Glondu et al. 2014 do, beside the paper's own figures where
-    its text has them, and leaves in the folder OUT:
+    NAME is a name that `scenes` lists, NAME:VARIANT, or a scene file. Simulator and service run in this process, in
+    turn. Prints sizes, statistics and times like Tables 1 to 3 of Glondu et al. 2014, beside the paper's figures where
+    its text has them, and writes to the folder OUT:
 
     \b
       report.json      all figures
-      steps.csv        those of each step, a row each
-      times.png        what each step took
+      steps.csv        figures of each step, one row per step
+      times.png        times of each step
       film_strip.png   the run in pictures
-    """
+    """  # noqa: D301 - \b is click's mark of a paragraph that it must not wrap
     console = Console()
     interruption = Interruption(console, "stopped")
     # Imported late: --help should not wait for numba and matplotlib.
@@ -80,13 +81,13 @@ def scene(
     from fracture_collision.world.settings import check_settings
 
     try:
-        chosen = parse_settings(settings)._replace(threads=threads)
+        chosen = parse_settings(options.settings)._replace(threads=options.threads)
         check_settings(chosen)
         what = load_scene(name)
-        if curvature is not None:
-            what = with_curvature(what, curvature)
-        if steps is not None:
-            what = what._replace(duration=min(steps, what.step_count) * what.time_step)
+        if options.curvature is not None:
+            what = with_curvature(what, options.curvature)
+        if options.steps is not None:
+            what = what._replace(duration=min(options.steps, what.step_count) * what.time_step)
         out = Path("out", what.name.replace(":", "_")) if out is None else out
         with NewOutputs(out, RESULTS):  # fails before the run if it cannot be written
             pass
@@ -95,8 +96,8 @@ def scene(
     interruption.parting = f"stopped after 0 of {what.step_count} steps"
     try:
         with ProgressBar(console) as bar:
-            bar.show(0, 0, 0.0, 0, 0, "bringing kernels into memory; after a change of the sources this takes minutes")
-            run = SceneRun(what, chosen, seed, count_colliding)
+            bar.show(0, 0, 0.0, 0, 0, "loading kernels; after a change of the sources this takes minutes")
+            run = SceneRun(what, chosen, options.seed, count_colliding)
             with run, interruption.held():
                 for row in run:
                     bar.show(row.step + 1, what.step_count, row.time, row.fragments, row.contacts)
@@ -104,15 +105,15 @@ def scene(
     except KeyboardInterrupt:
         words = f"stopped after {len(run.rows)} of {what.step_count} steps"
         _leave(run, out, False, console)
-        words += f"; {out / 'report.json'} and {out / 'steps.csv'} are of those"
+        words += f"; {out / 'report.json'} and {out / 'steps.csv'} have these steps"
         console.print(words, highlight=False, soft_wrap=True)
         sys.exit(INTERRUPTED)
-    interruption.parting = f"stopped; {out} is as it was before"
+    interruption.parting = f"stopped; {out} is unchanged"
     try:
         with interruption.held():
             left = _leave(run, out, pictures, console, interruption.check)
     except KeyboardInterrupt:
-        console.print("stopped; not all that the run was to leave is there")
+        console.print("stopped; some results are missing")
         sys.exit(INTERRUPTED)
     for file in left:
         console.print(f"  {file}", highlight=False)
@@ -126,20 +127,21 @@ def parse_settings(assignments: tuple[str, ...]) -> Any:
     for assignment in ",".join(assignments).split(",") if assignments else ():
         name, equals, value = (part.strip() for part in assignment.partition("="))
         if not equals or name not in Settings._fields:
-            raise ValueError(f"--settings {assignment}: needs NAME=VALUE, of {', '.join(Settings._fields)}")
+            raise ValueError(f"--settings {assignment}: pass NAME=VALUE, with a name of {', '.join(Settings._fields)}")
         kind = type(getattr(settings, name))
         try:
             settings = settings._replace(**{name: kind(value)})
         except ValueError as error:
-            raise ValueError(f"--settings {name}: {value!r} is no {kind.__name__}") from error
+            raise ValueError(f"--settings {name}: {value!r} is not of type {kind.__name__}") from error
     return settings
 
 
 def _leave(
     run: Any, out: Path, pictures: bool, console: Console, check: Callable[[], None] = lambda: None
 ) -> list[Path]:
-    """Prints the tables, replaces an earlier run's files; returns their paths. If `check` raises, the files are
-    replaced without the remaining pictures.
+    """Prints the tables, replaces an earlier run's files; returns their paths.
+
+    If `check` raises, the files are replaced without the remaining pictures.
     """
     names = RESULTS if pictures else RESULTS[:2]
     with NewOutputs(out, RESULTS) as new:
@@ -166,7 +168,7 @@ def _tell(report: dict[str, Any], console: Console) -> None:
     columns = ("bodies", "triangles", "tetrahedra", "points", "of these inside")
     console.print(figures_table(f"{report['scene']}: sizes", columns, sizes))
     console.print(beside_paper("statistics", statistics_table(report)))
-    title = f"{len(report['step'])} steps in {report['seconds']:.1f} s; milliseconds a step"
+    title = f"{len(report['step'])} steps in {report['seconds']:.1f} s; milliseconds per step"
     console.print(beside_paper(title, times_table(report)))
     deepest, fastest = -1e3 * np.minimum(report["deepest_gap"], 0.0), 1e3 * report["max_speed"][-1]
     words = f"penetration: worst {deepest.max():.2f} mm, {deepest[-1]:.3f} mm at the end; fastest at the end "

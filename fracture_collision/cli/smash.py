@@ -27,7 +27,7 @@ RESULTS = ("bag", "film_strip.png", "times.png", "report.json", "logs", OWN_SCEN
 @click.option("--scene", default="plates", show_default=True, help="A name that `scenes` lists, or a scene file.")
 @click.option(
     "--mesh", type=click.Path(path_type=Path),
-    help="A closed surface of your own instead (.obj, .stl, .ply, .off): dropped onto a floor, hit by a ball.",
+    help="Your own closed surface instead (.obj, .stl, .ply, .off): dropped onto a floor, hit by a ball.",
 )  # fmt: skip
 @click.option(
     "--size", type=click.FloatRange(0.01, 10.0), default=0.3, show_default=True,
@@ -37,21 +37,21 @@ RESULTS = ("bag", "film_strip.png", "times.png", "report.json", "logs", OWN_SCEN
     "--out", type=click.Path(file_okay=False, path_type=Path), default=Path("out/smash"), show_default=True,
     help="Folder for the results; those of an earlier run are replaced once this one has answered a step.",
 )  # fmt: skip
-@click.option("--seed", type=click.IntRange(min=0), help="Of the fracture patterns.  [default: the scene's own]")
+@click.option("--seed", type=click.IntRange(min=0), help="Seed of the fracture patterns.  [default: the scene's own]")
 def smash(scene: str, mesh: Path | None, size: float, out: Path, seed: int | None) -> None:
     """Run a scene over ROS 2 and record it.
 
-    Starts collision_node, simulator_node and a recorder as processes that talk over DDS on this machine alone, and
-    leaves in the folder OUT:
+    Starts collision_node, simulator_node and a recorder as processes that communicate over DDS on this machine only,
+    and writes to the folder OUT:
 
     \b
       bag/             all topics, rosbag2 layout with MCAP: for Foxglove, rosbags, `ros2 bag`
       film_strip.png   the run in pictures
-      times.png        what each step took
+      times.png        times of each step
       report.json      the same as numbers
-      logs/            what the nodes said
+      logs/            log of each node
       scene.yaml       with --mesh: the scene made of it, and mesh.npz, its tetrahedra
-    """
+    """  # noqa: D301 - \b is click's mark of a paragraph that it must not wrap
     console = Console()
     interruption = Interruption(console, "stopped")
     # Imported late: --help should not wait for ROS, numba and matplotlib.
@@ -70,7 +70,7 @@ def smash(scene: str, mesh: Path | None, size: float, out: Path, seed: int | Non
         if filled is None:
             load_scene(scene)
         with interruption.held(), new:
-            interruption.parting = "stopped; not all that the run was to leave is there"
+            interruption.parting = "stopped; some results are missing"
             if filled is not None or _is_same_file(scene, out / OWN_SCENE):
                 scene = str(_own_scene(filled, out, new.folder))
             with ProgressBar(console) as bar:
@@ -91,7 +91,7 @@ def smash(scene: str, mesh: Path | None, size: float, out: Path, seed: int | Non
     except (RunFailed, SceneError, OSError) as error:
         raise click.ClickException(str(error).replace(str(new.folder), str(out))) from error
     except KeyboardInterrupt:
-        as_before = "" if new.published else f", and {out} is as it was before"
+        as_before = "" if new.published else f", and {out} is unchanged"
         console.print(f"stopped; all nodes have ended{as_before}", highlight=False, soft_wrap=True)
         sys.exit(INTERRUPTED)
     for name in ("film_strip.png", "times.png", "report.json", "bag"):
@@ -135,9 +135,9 @@ def _is_same_file(scene: str, file: Path) -> bool:
 def _table(report: dict[str, Any]) -> Table:
     summary = report["summary"]
     rows = [
-        ("fragments at the end, fixed ones too", f"{report['living_fragments']}", ""),
+        ("fragments at the end, static ones included", f"{report['living_fragments']}", ""),
         ("triangles of their surfaces", f"{report['triangles']}", ""),
-        ("contacts a step", *(f"{summary['contacts'][name]:.0f}" for name in ("median", "worst"))),
+        ("contacts per step", *(f"{summary['contacts'][name]:.0f}" for name in ("median", "worst"))),
     ]
     for name, words in (
         ("collision_ms", "collision"),

@@ -8,9 +8,7 @@ from pathlib import Path
 import click
 from rich.console import Console
 
-from fracture_collision.cli.console import Interruption, counting_bar
-
-NO_BAG = 2
+from fracture_collision.cli.console import Interruption, NoBag, counting_bar
 
 EXAMPLES = """\b
 Examples:
@@ -19,22 +17,24 @@ Examples:
   fracture-collision view bags/plates --port 8080 --no-open
 
 \b
-Exit status: 0: ended by Ctrl-C; 130: likewise, before there was a page; 2: not a bag, or none with a run in it.
+Exit status: 0: ended by Ctrl-C; 130: likewise, before the page was served; 2: not a bag, or no run in it.
 """
 
 
 @click.command(epilog=EXAMPLES)
 @click.argument("bag", type=click.Path(exists=True, path_type=Path))
-@click.option("--speed", type=click.FloatRange(0.02, 2.0), default=1.0, show_default=True, help="Simulated s a second.")
-@click.option("--port", type=click.IntRange(0, 65535), default=0, help="Of the page.  [default: any free one]")
-@click.option("--host", default="127.0.0.1", show_default=True, help="0.0.0.0 shows it to the whole network.")
+@click.option(
+    "--speed", type=click.FloatRange(0.02, 2.0), default=1.0, show_default=True, help="Simulated seconds per second."
+)
+@click.option("--port", type=click.IntRange(0, 65535), default=0, help="Port of the page.  [default: any free one]")
+@click.option("--host", default="127.0.0.1", show_default=True, help="Of the page; 0.0.0.0: open to the network.")
 @click.option("--open/--no-open", "opens", default=True, help="Open a browser.  [default: open]")
-@click.option("--namespace", help="Of the topics, in a bag of several services.")
+@click.option("--namespace", help="Namespace of the topics, for a bag with several services.")
 def view(bag: Path, speed: float, port: int, host: str, opens: bool, namespace: str | None) -> None:
     """Play the last run of BAG in a page in the browser, until Ctrl-C.
 
     BAG is a rosbag2 folder or one .mcap file. The page has a time bar, and shows contacts, pairs and bounds where the
-    bag has the service's answers. Meshes of fragments that were not recorded are made anew.
+    bag has the service's answers. Meshes of fragments that were not recorded are computed.
     """
     console = Console()
     interruption = Interruption(console, "stopped")
@@ -48,9 +48,7 @@ def view(bag: Path, speed: float, port: int, host: str, opens: bool, namespace: 
             run = read_run_with_meshes(bag, namespace, progress)
         player = BagPlayer(run, host, port, speed)
     except BagError as error:
-        failure = click.ClickException(str(error))
-        failure.exit_code = NO_BAG
-        raise failure from error
+        raise NoBag(str(error)) from error
     except OSError as error:
         raise click.ClickException(f"the page cannot be served at {host}, port {port}: {error}") from error
     with player:

@@ -21,6 +21,7 @@ NODES = {
 
 
 def module_of(node: str) -> str:
+    """Import name of the module of one of NODES."""
     return f"fracture_collision.ros.{NODES[node]}.{node}"
 
 
@@ -31,27 +32,32 @@ def start(node: str) -> int:
 
 
 def collision_node() -> int:
+    """Runs the collision service; returns its exit status."""
     return start("collision_node")
 
 
 def simulator_node() -> int:
+    """Runs the simulator; returns its exit status."""
     return start("simulator_node")
 
 
 def live_simulator_node() -> int:
+    """Runs the live simulator; returns its exit status."""
     return start("live_simulator_node")
 
 
 def page_node() -> int:
+    """Runs the page; returns its exit status."""
     return start("page_node")
 
 
 def recorder_node() -> int:
+    """Runs the recorder; returns its exit status."""
     return start("recorder_node")
 
 
 if __name__ == "__main__":
     if sys.argv[1:2] == [] or sys.argv[1] not in NODES:
-        sys.exit(f"which node? One of {', '.join(NODES)}")
+        sys.exit(f"pass the name of a node: one of {', '.join(NODES)}")
     sys.argv[:2] = sys.argv[1:2]
     sys.exit(start(sys.argv[0]))

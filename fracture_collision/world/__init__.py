@@ -23,8 +23,9 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Import CollisionWorld on first access: it imports numba, which takes half a second. A node announces itself
-    before that.
+    """Import CollisionWorld on first access: it imports numba, which takes half a second.
+
+    A node announces itself before that.
     """
     if name != "CollisionWorld":
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -80,12 +80,13 @@ class CollisionWorld:
         check_settings(self.settings)
         self._ledger = Ledger(self.settings)
         self._registry = Registry(self.settings)
-        self._built_for = geometry_settings(self.settings)
+        self._built_for: tuple[str | bool, ...] | None = geometry_settings(self.settings)
         self._crew = _crew_of(self.settings)
         self._scratch: tuple[Scratch, ...] = ()
         # Caches of the last answer, each with the state it is valid for; they speed up the next one, never change it
         self._remembered, self._remembered_of = NOTHING_REMEMBERED, self._what_is_remembered_of()
-        self._surfaces, self._surfaces_of = None, self._what_is_remembered_of()
+        self._surfaces: ElementTable | None = None
+        self._surfaces_of = self._what_is_remembered_of()
         self._paired, self._paired_of = NOTHING_PAIRED, self._asked_of()
         self._answered = _NOTHING_ANSWERED
         self.last_timings: dict[str, float] = {"update": 0.0, "broad_phase": 0.0, "narrow_phase": 0.0}  # [s]
@@ -93,9 +94,11 @@ class CollisionWorld:
         self.last_pairs = 0  # fragment pairs that its broad phase found
 
     def add_body(self, body: CollisionBody) -> None:
+        """Add a body, or remove one (REMOVE). A repetition of a message changes nothing."""
         self._ledger.add_body(body)
 
     def add_fracture(self, event: FractureEvent) -> None:
+        """Append an event to the log. A repetition of a message changes nothing."""
         self._ledger.add_fracture(event)
 
     @property
@@ -112,8 +115,9 @@ class CollisionWorld:
         return self._ledger.lacks(ahead)
 
     def change_settings(self, settings: Settings) -> None:
-        """Answer from now on as a new world with `settings` and the same messages would. Bodies and events stay. Limits
-        apply to later messages; existing content may exceed them.
+        """Answer from now on as a new world with `settings` and the same messages would.
+
+        Bodies and events stay. Limits apply to later messages; existing content may exceed them.
 
         After a change of `field`, `normals`, `tree`, `traversal`, or to or from `surfaces="sampled"`, the registry is
         rebuilt from the event log when it is next needed. Raises ValueError, and changes nothing, if a setting is out
@@ -212,8 +216,9 @@ class CollisionWorld:
         return checked, self._find(checked, self._registry.living().ids)
 
     def _advance(self, sequence: int) -> None:
-        """Bring the registry to `sequence` events and to the current bodies. It replays the log from the beginning if
-        the registry is past `sequence`; removing a body replays nothing.
+        """Bring the registry to `sequence` events and to the current bodies.
+
+        Replays the log from the beginning if the registry is past `sequence`; removing a body replays nothing.
         """
         built_for = geometry_settings(self.settings)
         gone, added = self._ledger.take_changes()
@@ -247,7 +252,7 @@ class CollisionWorld:
     ) -> ContactConstraintArray | None:
         """The last answer, if the states equal the last ones; else None."""
         last = self._answered
-        if last[:3] != self._asked_of() or last.asked != asked:
+        if last.answer is None or last[:3] != self._asked_of() or last.asked != asked:
             return None
         return _copy_of(last.answer)._replace(step=checked.step)
 
@@ -294,7 +299,7 @@ class CollisionWorld:
 
 def _copy_of(answer: ContactConstraintArray) -> ContactConstraintArray:
     """The receiver owns its answer and may change it."""
-    return ContactConstraintArray(*[v.copy() if isinstance(v, np.ndarray) else v for v in answer])
+    return ContactConstraintArray._make([v.copy() if isinstance(v, np.ndarray) else v for v in answer])
 
 
 def _rule(settings: Settings) -> Rule:

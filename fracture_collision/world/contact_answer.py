@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from fracture_collision.core.memory.compiled import kernel
@@ -15,13 +17,14 @@ from fracture_collision.world.present import Present
 def contact_answer(
     checked: CheckedStates, here: Present, radius: np.ndarray, pairs: np.ndarray, found: PairContacts, tolerance: float
 ) -> ContactConstraintArray:
-    """List the pairs (p, 2), indices into `here`, that have contacts or a missed depth bound above `tolerance`, a share
-    of the smaller of their `radius` (n,) [m]. The contact arrays are those of `found`, not copies.
+    """Build the answer from the pairs (p, 2), indices into `here`, and the contacts `found` for them.
+
+    It lists pairs that have contacts or a missed depth bound above `tolerance`, a share of the smaller of their
+    `radius` (n,) [m]. Its contact arrays are those of `found`, not copies.
     """
-    a, b, begin, bounds, friction, restitution, keys, exhausted = _list_pairs(
-        here.ids, here.friction, here.restitution, radius, pairs, found.counts, found.bounds, found.exhausted,
-        found.samples, tolerance,
-    )  # fmt: skip
+    fragments = _Fragments(here.ids, here.friction, here.restitution, radius)
+    results = _Results(found.counts, found.bounds, found.exhausted, found.samples)
+    a, b, begin, bounds, friction, restitution, keys, exhausted = _list_pairs(fragments, pairs, results, tolerance)
     return ContactConstraintArray(
         step=checked.step,
         fracture_sequence=checked.fracture_sequence,
@@ -40,8 +43,28 @@ def contact_answer(
     )
 
 
+class _Fragments(NamedTuple):
+    """What an answer takes from the n fragments of a step."""
+
+    ids: np.ndarray  # (n,) int64
+    friction: np.ndarray  # (n,)
+    restitution: np.ndarray  # (n,)
+    radius: np.ndarray  # (n,) [m]
+
+
+class _Results(NamedTuple):
+    """What an answer takes from PairContacts: p pairs, N contacts in all."""
+
+    counts: np.ndarray  # (p,) int64
+    bounds: np.ndarray  # (p,) [m]
+    exhausted: np.ndarray  # (p,) uint8
+    samples: np.ndarray  # (N, 2) int64
+
+
 @kernel
-def _list_pairs(ids, friction, restitution, radius, pairs, counts, bounds, exhausted, samples, tolerance):
+def _list_pairs(fragments, pairs, found, tolerance):
+    ids, friction, restitution, radius = fragments
+    counts, bounds, exhausted, samples = found
     n, exhausted_any = 0, False
     is_listed = np.empty(len(pairs), np.bool_)
     for p in range(len(pairs)):

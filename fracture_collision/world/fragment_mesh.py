@@ -18,6 +18,7 @@ PLANE_HALF = 5.0  # [m] an unbounded plane is shown as a square of this half sid
 
 
 def fragment_mesh(fragment_id: int, geometry: CollisionGeometry, row: int) -> FragmentMesh:
+    """The surface of the fragment in `row` of `geometry`, in its body frame, with shared vertices merged."""
     fragment = geometry.pools.fragment
     kind, shape = fragment.kind[row], fragment.shape[row]
     if kind == PLANE:

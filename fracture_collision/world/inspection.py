@@ -1,5 +1,7 @@
-"""Views into a CollisionWorld for people; no answer needs them: spheres of a tree's level, the field on a plane, all
-contacts that an answer could have listed, and the difference between the two.
+"""Views into a CollisionWorld for users; no answer needs them.
+
+Spheres of a tree's level, the field on a plane, all contacts that an answer could have listed, and the difference
+between these and the answer.
 """
 
 from __future__ import annotations
@@ -29,8 +31,9 @@ FINEST = 192  # cells along the longer side of a plane's grid, by default
 
 
 class LevelSpheres(NamedTuple):
-    """A cover of each fragment's samples: the n spheres of one level of its tree, and leaf samples above that level, of
-    radius 0.
+    """A cover of the samples of each fragment.
+
+    It has n spheres: those of one level of its tree, and the leaf samples above that level, with radius 0.
     """
 
     fragment_ids: np.ndarray  # (n,) int64
@@ -62,8 +65,9 @@ class AnswerErrors(NamedTuple):
 
 
 def asked_with(world: CollisionWorld, states: FragmentStates, **settings: Any) -> ContactConstraintArray:
-    """The contacts that a world with other `settings` would answer at `states`; `world` keeps its own settings and
-    neighbour lists.
+    """The contacts that a world with other `settings` would answer at `states`.
+
+    `world` keeps its own settings and neighbour lists.
     """
     chosen = world.settings
     world.settings = chosen._replace(**settings | {"neighbour_lists": False})
@@ -84,7 +88,9 @@ def every_contact(world: CollisionWorld, states: FragmentStates) -> ContactConst
 def errors_of(
     answer: ContactConstraintArray, every: ContactConstraintArray, world: CollisionWorld, here: Present, epsilon: float
 ) -> AnswerErrors:
-    """`every`: every_contact for the same states, of a `world` with the exact field and nearest normals, with `here`
+    """Compare an answer with all contacts.
+
+    `every`: every_contact for the same states, of a `world` with the exact field and nearest normals, with `here`
     present; `epsilon`: the penetration tolerance of the answer, a share of R.
     """
     _, of_every, of_answer = np.intersect1d(every.contact_ids, answer.contact_ids, return_indices=True)
@@ -143,8 +149,10 @@ def reach_along(world: CollisionWorld, here: Present, axis: int) -> tuple[float,
 def field_on_plane(
     world: CollisionWorld, here: Present, axis: int, place: float, finest: int = FINEST
 ) -> PlaneField | None:
-    """The field of the world's settings on the plane at `place` [m] across a world axis, over the movable fragments it
-    cuts; None if it cuts none. Includes static bodies in that area, but no planes.
+    """The field on the plane at `place` [m] across a world axis, over the movable fragments that it cuts.
+
+    None if it cuts none. The field is that of the world's settings; `finest`: cells along the longer side. Includes
+    static bodies in that area, but no planes.
     """
     pools = world.geometry.pools
     boxes, is_solid = _solid_boxes(pools, here)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fracture_collision.core.bodies.collision_geometry import CollisionGeometry
+from fracture_collision.core.bodies.collision_geometry import CollisionGeometry, PreparedMesh
 from fracture_collision.records import ADD, REMOVE, CollisionBody, FractureEvent
 from fracture_collision.world.gates.body_gate import CheckedBody, MeshStore, check_body, read_body
 from fracture_collision.world.gates.checks import identifier, refuse
@@ -29,6 +29,8 @@ LEAST_VOLUME = 1e-9
 
 
 class Ledger:
+    """Bodies and events of one run. Methods that take a message raise InvalidMessage, and then change nothing."""
+
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
         self._store = MeshStore()
@@ -53,6 +55,7 @@ class Ledger:
         self._settings = settings
 
     def add_body(self, body: CollisionBody) -> None:
+        """Validate and store a body, or remove one (REMOVE)."""
         operation = identifier("operation", body.operation)
         if operation == REMOVE:
             self._remove(identifier("body_id", body.body_id))
@@ -64,7 +67,7 @@ class Ledger:
         if fields.digest == (known.digest if known else self._removed.get(fields.body_id)):
             return  # a latched topic repeats its messages after a reconnection: the same content changes nothing
         if known:
-            refuse("doubled", f"body_id: body {fields.body_id} exists already with another content")
+            refuse("doubled", f"body_id: body {fields.body_id} already exists with different content")
         if fields.body_id in self._removed:
             refuse("retired_id", f"body_id: body {fields.body_id} was removed; ids are never reused")
         if len(self.bodies) >= self._settings.max_bodies:
@@ -87,6 +90,7 @@ class Ledger:
         return gone, added
 
     def add_fracture(self, event: FractureEvent) -> None:
+        """Validate an event and append it to the log; keep the reason if the next one is rejected."""
         try:
             self._add_fracture(event)
         except InvalidMessage as error:
@@ -104,17 +108,17 @@ class Ledger:
         sequence, fragment_id = fields.sequence, fields.fragment_id
         if 1 <= sequence <= len(self.events):
             if fields.digest != self.events[sequence - 1].digest:
-                refuse("sequence_repeat", f"sequence: {sequence} was another event")
+                refuse("sequence_repeat", f"sequence: event {sequence} already exists with different content")
             return  # delivered again by the latched topic
         if sequence != len(self.events) + 1:
-            refuse("sequence_gap", f"sequence: {sequence} follows {len(self.events)}")
+            refuse("sequence_gap", f"sequence: event {sequence} does not follow event {len(self.events)}")
         body = self.bodies.get(fields.body_id)
         if body is None and fields.body_id not in self._removed:
-            refuse("unknown_id", f"body_id: no body {fields.body_id}")
+            refuse("unknown_id", f"body_id: unknown body {fields.body_id}")
         if self._owner.get(fragment_id) != fields.body_id:
             refuse("unknown_id", f"fragment_id: body {fields.body_id} has no fragment {fragment_id}")
         if fragment_id in self._broke:
-            refuse("retired_id", f"fragment_id: fragment {fragment_id} broke already")
+            refuse("retired_id", f"fragment_id: fragment {fragment_id} has already broken")
         new_ids = fields.new_fragment_ids.tolist()
         self._check_new_fragments("new_fragment_ids", new_ids)
         if body is None:
@@ -126,7 +130,7 @@ class Ledger:
             labels = self._labels[body.body_id]
             checked, pinched, doubtful = check_fracture(fields, body.mesh.mesh, labels, self._pinched[body.body_id])
             if len(doubtful):
-                self._have_volume(body, checked, doubtful)
+                self._have_volume(body, body.mesh, checked, doubtful)
             labels[checked.nodes] = checked.new_fragment_ids[checked.parts]
             self._pinched[body.body_id] = pinched
         self.rejected = None
@@ -137,15 +141,17 @@ class Ledger:
             self._owner[new_id] = fields.body_id
             self._born[new_id] = sequence
 
-    def _have_volume(self, body: CheckedBody, checked: CheckedFracture, doubtful: np.ndarray) -> None:
+    def _have_volume(
+        self, body: CheckedBody, mesh: PreparedMesh, checked: CheckedFracture, doubtful: np.ndarray
+    ) -> None:
         """Reject the fracture if a `doubtful` new fragment has no volume, measured in a separate geometry."""
         geometry = CollisionGeometry()
-        row = {body.fragment_id: geometry.add_tetrahedra(body.mesh)}
+        row = {body.fragment_id: geometry.add_tetrahedra(mesh)}
         earlier = [self.events[i] for i in self._events_of.get(body.body_id, ())]
         for event in [*earlier, checked]:
             first = apply_fracture(geometry, row[event.fragment_id], event)
             row.update((new_id, first + i) for i, new_id in enumerate(event.new_fragment_ids.tolist()))
-        least = LEAST_VOLUME * body.mesh.mesh.moments[:, 0].min()
+        least = LEAST_VOLUME * mesh.mesh.moments[:, 0].min()
         for new_id in checked.new_fragment_ids[doubtful].tolist():
             if not geometry.volume(row[new_id]) > least:
                 refuse_without_volume(new_id)
@@ -190,13 +196,13 @@ class Ledger:
             refuse("limit_exceeded", f"{name}: the limit of {self._settings.max_fragments} fragments is reached")
         for fragment_id in fragment_ids:
             if fragment_id in self._owner:
-                refuse("doubled", f"{name}: fragment {fragment_id} exists or existed already; ids are never reused")
+                refuse("doubled", f"{name}: fragment {fragment_id} already exists or existed; ids are never reused")
 
     def _remove(self, body_id: int) -> None:
         if body_id in self._removed:
             return
         if body_id not in self.bodies:
-            refuse("unknown_id", f"body_id: no body {body_id} to remove")
+            refuse("unknown_id", f"body_id: unknown body {body_id} cannot be removed")
         body = self.bodies.pop(body_id)
         self._removed[body_id] = body.digest
         self._labels.pop(body_id, None)

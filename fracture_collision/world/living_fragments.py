@@ -30,19 +30,23 @@ _TYPES = (np.int64, np.int64, np.int64, np.int64, np.bool_, np.float64, np.float
 
 
 class LivingFragments:
+    """A set of fragments that can be read as Columns."""
+
     def __init__(self) -> None:
-        self._columns = Columns(*(np.empty(0, kind) for kind in _TYPES), np.empty((0, MASS_VALUES)))
+        self._columns = Columns._make([*(np.empty(0, kind) for kind in _TYPES), np.empty((0, MASS_VALUES))])
         self._row: dict[int, int] = {}
         self._came: dict[int, tuple] = {}  # added ids -> values of all columns but the first and the last
         self._went: set[int] = set()  # removed ids that are still in the columns
 
     def row_of(self, fragment_id: int) -> int | None:
+        """Row of a fragment in the pools; None if it does not live."""
         return self._row.get(fragment_id)
 
     def add(
         self, fragment_id: int, row: int, body_id: int, parent_id: int, is_static: bool, friction: float,
         restitution: float, density: float,
     ) -> None:  # fmt: skip
+        """Add a fragment; arguments as in Columns. Its id must be new."""
         self._row[fragment_id] = row
         self._came[fragment_id] = row, body_id, parent_id, is_static, friction, restitution, density
 
@@ -61,7 +65,7 @@ class LivingFragments:
                 parts = [column[stays] for column in parts]
             if self._came:
                 values = [list(self._came), *zip(*self._came.values(), strict=True)]
-                more = [np.array(each, kind) for each, kind in zip(values, _TYPES, strict=True)]
+                more: list[np.ndarray] = [np.array(each, kind) for each, kind in zip(values, _TYPES, strict=True)]
                 more.append(np.full((len(self._came), MASS_VALUES), np.nan))
                 order = np.argsort(np.concatenate([parts[0], more[0]]), kind="stable")
                 parts = [np.concatenate(pair)[order] for pair in zip(parts, more, strict=True)]

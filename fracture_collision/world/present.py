@@ -27,17 +27,38 @@ class Present(NamedTuple):
 
 
 def take_places(checked: CheckedStates, living: Columns, named: np.ndarray) -> Present:
-    """`named` (n,): indices into `living` of the fragments that the states name, in the states' order."""
-    return Present(
-        *_take_places(
-            living.ids, living.rows, living.is_static, living.friction, living.restitution, named, checked.positions,
-            checked.orientations, checked.linear, checked.angular,
-        )  # fmt: skip
-    )
+    """The fragments that take part, with their poses; static ones that the states do not name are at the origin.
+
+    `named` (n,): indices into `living` of the fragments that the states name, in the states' order.
+    """
+    fragments = _Fragments(living.ids, living.rows, living.is_static, living.friction, living.restitution)
+    poses = _Poses(checked.positions, checked.orientations, checked.linear, checked.angular)
+    return Present(*_take_places(fragments, named, poses))
+
+
+class _Fragments(NamedTuple):
+    """What a step takes from the living fragments; shapes as in Columns."""
+
+    ids: np.ndarray
+    rows: np.ndarray
+    is_static: np.ndarray
+    friction: np.ndarray
+    restitution: np.ndarray
+
+
+class _Poses(NamedTuple):
+    """What a step takes from the states; shapes as in CheckedStates."""
+
+    positions: np.ndarray
+    orientations: np.ndarray
+    linear: np.ndarray
+    angular: np.ndarray
 
 
 @kernel
-def _take_places(ids, rows, is_static, friction, restitution, named, positions, orientations, linear, angular):
+def _take_places(fragments, named, poses):
+    ids, rows, is_static, friction, restitution = fragments
+    positions, orientations, linear, angular = poses
     stands_at = np.full(len(ids), -1)
     for k in range(len(named)):
         stands_at[named[k]] = k

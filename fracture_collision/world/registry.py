@@ -38,6 +38,7 @@ class Registry:
         self._fragments_of: dict[int, set[int]] = {}  # body id -> its living fragments
 
     def add_body(self, body: CheckedBody) -> None:
+        """Add a body with its one fragment before any fracture."""
         self.changes += 1
         if body.mesh is not None:
             row = self.geometry.add_tetrahedra(body.mesh)
@@ -81,6 +82,7 @@ class Registry:
         return self._living.columns()
 
     def row_of(self, fragment_id: int) -> int | None:
+        """Row of a fragment in the pools; None if it does not live."""
         return self._living.row_of(fragment_id)
 
     def digest(self) -> str:
@@ -91,6 +93,7 @@ class Registry:
         return whole.hexdigest()
 
     def record(self) -> FragmentRegistry:
+        """The registry as it is published; computes masses of new fragments."""
         living = self._living.columns()
         masses = self._masses(living)
         return FragmentRegistry(

@@ -10,6 +10,8 @@ from typing import NamedTuple
 
 
 class Settings(NamedTuple):
+    """All settings with their defaults; `check_settings` has their ranges."""
+
     # m of Glondu 2014, 5.2: contacts listed per pair before only those deeper than epsilon count. Six constraints lock
     # a rigid body; the paper found no better contact beyond eight (Fig. 16).
     contacts_per_pair: int = 8
@@ -106,12 +108,12 @@ def check_settings(settings: Settings) -> None:
         ("surfaces", SURFACES),
     ):  # fmt: skip
         if getattr(settings, name) not in choices:
-            raise ValueError(f"{name}: {getattr(settings, name)!r} is none of {', '.join(choices)}")
+            raise ValueError(f"{name}: {getattr(settings, name)!r} is not one of {', '.join(choices)}")
     if settings.surfaces == SEARCHED and settings.field != "exact":
         raise ValueError("surfaces: 'searched' needs field 'exact': averaged depths bound nothing between samples")
     for name in ("contacts_per_pair", "deep_contacts_per_pair"):
         if getattr(settings, name) < 1:
-            raise ValueError(f"{name}: {getattr(settings, name)} is not at least 1")
+            raise ValueError(f"{name}: {getattr(settings, name)} is less than 1")
     for name in ("penetration_tolerance", "detection_tolerance"):
         if not 0.0 <= getattr(settings, name) <= 1.0:
             raise ValueError(f"{name}: {getattr(settings, name)} is not in [0, 1]")

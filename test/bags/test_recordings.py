@@ -34,5 +34,5 @@ def test_a_new_recording_does_not_reuse_the_name_of_an_earlier_log(tmp_path: Pat
 
 def test_a_recording_without_a_folder_is_reported(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(RecordingFailed, match="no recording: .*file"):
+    with pytest.raises(RecordingFailed, match="cannot start a recording: .*file"):
         Recordings(tmp_path / "file" / "play", "/").begin()

@@ -124,7 +124,7 @@ def test_a_flipped_byte_is_found_and_located(bag: Path, tmp_path: Path, digest: 
         report = replayed(read_runs(changed_bag(tmp_path / name, bag, change)))
         found = report.difference
         assert not report.exact and report.differing == 1 and report.digest == digest != report.recorded_digest
-        assert (found.run_id, found.step, found.field, found.index) == (run_id, 20, name, index)
+        assert (found.run_id, found.step, found.field, found.entry) == (run_id, 20, name, index)
         assert (found.recorded, found.answered) == (repr(flipped[index].item()), repr(array[index].item()))
         if name in ("points_a", "points_b", "normals", "gaps", "contact_ids"):
             contact = index // (3 if len(array) == 3 * len(contacts.gaps) else 1)
@@ -198,7 +198,7 @@ def test_one_step_with_different_states_is_rejected_with_an_explanation(bag: Pat
     states = list(read_messages(bag, [STATES]))[3]
     stamp, run_id, record = deserialize_record(states.data, CLASSES[STATES])
     other = states._replace(data=serialize_record(record._replace(positions=record.positions + 1.0), stamp, run_id))
-    with pytest.raises(BagError, match="step 3 was asked twice"):
+    with pytest.raises(BagError, match="step 3 was queried twice"):
         read_runs(changed_bag(tmp_path / "two", bag, lambda m: [m, other] if m == states else [m]))
 
 
@@ -219,7 +219,7 @@ def test_two_runs_in_one_bag_are_replayed(bag: Path, tmp_path: Path, digest: str
 def test_a_bag_of_several_services_needs_a_namespace(bag: Path, tmp_path: Path, digest: str) -> None:
     messages = [m._replace(topic=space + m.topic) for m in read_messages(bag) for space in ("/left", "/right/arm")]
     both = write_bag(tmp_path / "both", messages, ("/left", "/right/arm"))
-    with pytest.raises(BagError, match="/left, /right/arm; say which by --namespace"):
+    with pytest.raises(BagError, match="/left, /right/arm; choose one with --namespace"):
         read_runs(both)
     for namespace in ("left", "/right/arm/"):
         assert replayed(read_runs(both, namespace)).recorded_digest == digest

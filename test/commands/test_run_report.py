@@ -33,12 +33,12 @@ def test_tables_show_figures_of_the_paper_where_it_has_any():
     statistics = {row.words: row[1:] for row in statistics_table(REPORT)}
     assert statistics["fragments at the end"] == (12, None, 156, None)
     assert statistics["triangles after"] == (900, None, 40_000, None)
-    assert statistics["contacts a step"] == (6.0, 9.0, None, None)
+    assert statistics["contacts per step"] == (6.0, 9.0, None, None)
     times = {row.words: row[1:] for row in times_table(REPORT)}
     assert times["whole step"] == (2.0, 3.0, 11.7, 29.5)
     assert times["time step"] == (2.5, None, None, None)
     assert times["update, at fractures"] == (None, None, None, None)
-    assert "colliding points a step" not in statistics and "physics" not in times
+    assert "colliding points per step" not in statistics and "physics" not in times
     own = times_table(REPORT | {"scene": "mine"})
     assert all(row.paper_average is None and row.paper_worst is None for row in own)
 

@@ -74,5 +74,5 @@ def test_the_launch_file_runs_a_scene(describe, tmp_path: Path) -> None:
             process.kill()
             process.wait()
     words = "".join(log.read_text() for log in logs.values())
-    assert "begins, of /cell/simulator_node [" in words
-    assert "there is none of that name" not in words  # every parameter is declared by its node
+    assert "begins; publisher: /cell/simulator_node [" in words
+    assert "is unknown and has no effect" not in words  # every parameter is declared by its node

@@ -71,7 +71,7 @@ def test_the_launch_file_serves_a_page(describe, tmp_path: Path) -> None:
         for process in processes:
             process.kill()
             process.wait()
-    assert "there is none of that name" not in "".join(log.read_text() for log in logs.values())
+    assert "is unknown and has no effect" not in "".join(log.read_text() for log in logs.values())
 
 
 def test_rviz_shows_the_markers_of_the_service() -> None:

@@ -37,7 +37,7 @@ class Terminal:
         os.close(inside)
         os.set_blocking(self._keyboard, False)
         self.shown = b""
-        self.until(lambda: b"1 listening" in self.shown, "somebody who listens")
+        self.until(lambda: b"subscribers: 1" in self.shown, "somebody who listens")
 
     def _hear(self, message) -> None:
         self.said.append((message.linear.x, message.linear.y, message.linear.z))

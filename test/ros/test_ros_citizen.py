@@ -125,8 +125,8 @@ def test_a_restarted_simulator_is_followed_at_once(stage: StageWithClients) -> N
     successor = stage.start("simulator_node", scene="pane", progress=True)
     assert successor.wait(240.0) == 0, successor.log_text()
     words = service.log_text()
-    assert words.count("begins, of") == 2
-    assert "died without a word and is forgotten" in words and "other_publisher" not in words
+    assert words.count("begins; publisher:") == 2
+    assert "has died; its participant is removed" in words and "other_publisher" not in words
 
 
 # --- parameters --------------------------------------------------------------------------------------------------
@@ -160,7 +160,7 @@ def test_invalid_parameter_changes_are_rejected_with_an_explanation(stage: Stage
     client.await_service()
     tell_all(client)
     for change, words in (
-        ({"field": "guessed"}, "field: 'guessed' is none of exact, averaged"),
+        ({"field": "guessed"}, "field: 'guessed' is not one of exact, averaged"),
         ({"contacts_per_pair": 0}, "contacts_per_pair"),
         ({"penetration_tolerance": -0.001}, "penetration_tolerance"),
         ({"penetration_tolerance": "much"}, "Wrong parameter type"),
@@ -179,9 +179,9 @@ def test_a_misspelt_parameter_is_named(stage: StageWithClients, tmp_path: Path) 
     stage.client().await_service()
     said = [line.partition("parameter ")[2] for line in service.log_text().splitlines() if "WARN" in line]
     assert said == [
-        "colour: there is none of that name, it changes nothing",
-        "contacts_per_pairs: there is none of that name, it changes nothing; did you mean contacts_per_pair?",
-        "visitbudget: there is none of that name, it changes nothing; did you mean visit_budget?",
+        "colour is unknown and has no effect",
+        "contacts_per_pairs is unknown and has no effect; did you mean contacts_per_pair?",
+        "visitbudget is unknown and has no effect; did you mean visit_budget?",
     ]
 
 
@@ -193,7 +193,7 @@ def test_limits_are_parameters(stage: StageWithClients) -> None:
     good = field_bytes(client.ask(STATES, RUN))
     another = breakable_body()._replace(body_id=9, fragment_id=90)
     for change, words in (
-        ({}, "2 bodies"), ({"max_bodies": 9}, "6 fragments"), ({"max_fragments": 99, "max_nodes": 20}, "limit on nodes")
+        ({}, "2 bodies"), ({"max_bodies": 9}, "6 fragments"), ({"max_fragments": 99, "max_nodes": 20}, "but max_nodes")
     ):  # fmt: skip
         client.set_parameters(**change)
         client.publish("bodies", another, RUN)
@@ -272,9 +272,9 @@ def test_a_thousand_rejections_are_a_few_log_lines(stage: StageWithClients) -> N
     started = time.monotonic()
     for sequence in range(100, 1100):
         client.publish("fracture_events", FIRST._replace(sequence=sequence), RUN)
-    client.spin_until(lambda: client.diagnostics.get(REFUSED, "").startswith("1000 refused"), "a thousand refusals")
+    client.spin_until(lambda: client.diagnostics.get(REFUSED, "").startswith("1000 rejected"), "a thousand refusals")
     seconds = time.monotonic() - started
-    lines = service.log_text().count("refused, ")
+    lines = service.log_text().count("rejected, ")
     assert 1 <= lines <= seconds + 2, (lines, seconds)
     assert client.details[REFUSED].keys() == {"fracture_events: sequence_gap"}
 

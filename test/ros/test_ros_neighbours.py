@@ -45,7 +45,7 @@ RUN = 43
 ANSWERS = "fracture_collision: answers"
 OVERTAKEN = "messages overtaken before all had them"
 SLOW = "slow subscribers"
-FORGOTTEN = "died without a word and is forgotten"
+FORGOTTEN = "has died; its participant is removed"
 
 
 @pytest.mark.parametrize("victim", ["recorder", "service"])
@@ -80,7 +80,7 @@ def test_a_stopped_subscriber_is_waited_for_once_and_named(stage: StageWithClien
     client.ask(STATES, RUN)
     client.diagnostics.clear()
     client.spin_until(lambda: client.diagnostics.get(ANSWERS) == "ready", "its word on that")
-    assert client.details[ANSWERS][SLOW] == "nobody" and client.details[ANSWERS][OVERTAKEN] == "0"
+    assert client.details[ANSWERS][SLOW] == "none" and client.details[ANSWERS][OVERTAKEN] == "0"
 
     recorder.send_signal(signal.SIGSTOP)
     for step in range(100, 140):
@@ -101,7 +101,7 @@ def test_a_stopped_subscriber_is_waited_for_once_and_named(stage: StageWithClien
         return client.diagnostics[ANSWERS] == "ready"
 
     client.spin_until(is_quick_again, "its word on nobody being slow")
-    assert client.details[ANSWERS][SLOW] == "nobody"
+    assert client.details[ANSWERS][SLOW] == "none"
 
 
 class Clock:
@@ -200,7 +200,7 @@ def test_a_subscriber_that_never_spins_is_not_waited_for(stage: StageWithClients
         client.ask(STATES._replace(step=step), RUN)
     client.details.clear()
     client.spin_until(lambda: ANSWERS in client.details, "its word on that")
-    assert client.details[ANSWERS][SLOW] == "nobody" and client.details[ANSWERS][OVERTAKEN] == "0"
+    assert client.details[ANSWERS][SLOW] == "none" and client.details[ANSWERS][OVERTAKEN] == "0"
     assert idle.answers == []
 
 

@@ -158,7 +158,7 @@ def test_bad_input_is_rejected_with_an_explanation(service: NodeProcess, client:
 
     assert field_bytes(client.ask(STATES, RUN)) == field_bytes(good)
     # at most one line per second is logged, for the first rejection in it
-    assert "[collision_node]: refused, " in service.log_text()
+    assert "[collision_node]: rejected, " in service.log_text()
 
 
 def test_a_restarted_service_continues_the_run(

@@ -160,7 +160,7 @@ def test_a_node_without_ports_reports_it_and_exits(module: str, tmp_path: Path) 
     with stage(tmp_path) as nodes, all_ports_locked(nodes.domain_id):
         node = nodes.start(module, **({"folder": str(tmp_path / "bag")} if module == "recorder_node" else {}))
         assert node.wait(60.0) == 1
-        assert "it would receive nothing: no port of ROS domain" in node.log_text()
+        assert "the node cannot receive messages: no port of ROS domain" in node.log_text()
         assert "ready, " not in node.log_text() and "Traceback" not in node.log_text()
 
 
@@ -175,7 +175,7 @@ def test_a_node_whose_port_is_removed_reports_it_and_exits(tmp_path: Path) -> No
         for port in own:
             port.unlink()
         assert node.wait(60.0) == 1
-        assert "it receives nothing any more: port" in node.log_text()
+        assert "the node no longer receives messages: port" in node.log_text()
 
 
 STUCK = """

@@ -88,7 +88,7 @@ def test_recordings_of_the_page_open_and_replay(scene: LivePage, page: Any, fold
     done = CliRunner().invoke(main, ["replay", str(bag)])
     # The recording may begin or end between states and their answer, and a busy recorder may miss one (INCOMPLETE).
     assert done.exit_code in (0, INCOMPLETE), done.output
-    assert "answers are those recorded, byte for byte" in done.output, done.output
+    assert "answers equal the recorded ones, byte for byte" in done.output, done.output
     # a second recording beside it
     page.get_by_label("record").check()
     until(lambda: (folder / "bag_2" / "metadata.yaml").exists(), bool)

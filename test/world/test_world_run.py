@@ -98,7 +98,7 @@ def test_states_of_a_removed_body_are_rejected(world: CollisionWorld) -> None:
     with pytest.raises(InvalidMessage, match="body_id: body 1 was removed") as refusal:
         world.add_body(tetrahedral(1, fragment_id=60))
     assert refusal.value.kind == "retired_id"
-    with pytest.raises(InvalidMessage, match="fragment_id: fragment 10 exists or existed"):
+    with pytest.raises(InvalidMessage, match="fragment_id: fragment 10 already exists or existed"):
         world.add_body(tetrahedral(30, fragment_id=10))
     world.add_body(tetrahedral(30))
     assert world.fragments().fragment_ids.tolist() == [2, 3, 4, 30]
@@ -118,7 +118,7 @@ def test_events_of_a_removed_body_keep_their_place_in_the_sequence(world: Collis
         late.add_fracture(SECOND._replace(sequence=1))
     for event in (FIRST, SECOND, third):
         late.add_fracture(event)
-    with pytest.raises(InvalidMessage, match="new_fragment_ids: fragment 12 exists"):
+    with pytest.raises(InvalidMessage, match="new_fragment_ids: fragment 12 already exists"):
         late.add_fracture(third._replace(sequence=4, fragment_id=31, new_fragment_ids=np.array([12, 40])))
     states = REFERENCE._replace(fracture_sequence=3, fragment_ids=np.array([3, 4, 31, 32]))
     assert record_bytes(late.contacts(states)) == record_bytes(world.contacts(states))

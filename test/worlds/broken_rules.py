@@ -137,7 +137,7 @@ BODIES = {
         TRI._replace(vertices=with_entry(TRI.vertices, slice(0, 3), TRI.vertices[3:6])), "bad_mesh", "has no area"
     ),
     "surface vertex unused": (TRI._replace(vertices=np.append(TRI.vertices, [2.0, 2.0, 2.0])), "bad_mesh", "vertices"),
-    "two solids": (rigid(20, joined(CUBE, CUBE._replace(vertices=CUBE.vertices + 3.0))), "bad_mesh", "2 solids"),
+    "two solids": (rigid(20, joined(CUBE, CUBE._replace(vertices=CUBE.vertices + 3.0))), "bad_mesh", "separate"),
     "solids that share a vertex": (rigid(20, corner_to_corner()), "bad_mesh", "touches itself in vertex"),
     "cavity outside": (
         rigid(20, joined(CUBE, RigidShape(0.5 * CUBE.vertices + 3.0, CUBE.triangles[:, ::-1]))), "bad_mesh", "no cavity"
@@ -165,11 +165,11 @@ MIDDLE_LAYER = (BRICK.vertices[SECOND.nodes, 1] == 0.0).astype(np.int64)
 ALONG = plane_along(*BRICK.vertices[CUTS[0]])
 
 EVENTS = {
-    "sequence gap": (SECOND._replace(sequence=3), "sequence_gap", "sequence: 3 follows 1"),
+    "sequence gap": (SECOND._replace(sequence=3), "sequence_gap", "sequence: event 3 does not follow event 1"),
     "sequence zero": (SECOND._replace(sequence=0), "sequence_gap", "sequence"),
     "sequence no integer": (SECOND._replace(sequence=2.0), "wrong_type", "sequence"),
-    "sequence repeated": (SECOND._replace(sequence=1), "sequence_repeat", "sequence: 1"),
-    "event repeated with another plane": (crack(1, 1, (10, 11), 0.11), "sequence_repeat", "sequence: 1"),
+    "sequence repeated": (SECOND._replace(sequence=1), "sequence_repeat", "event 1 already"),
+    "event repeated with another plane": (crack(1, 1, (10, 11), 0.11), "sequence_repeat", "event 1 already"),
     "body unknown": (SECOND._replace(body_id=9), "unknown_id", "body_id"),
     "body cannot break": (SECOND._replace(body_id=4, fragment_id=4), "rigid_body", "body_id"),
     "plane cannot break": (SECOND._replace(body_id=2, fragment_id=2), "rigid_body", "body_id"),

@@ -55,6 +55,7 @@ class AcknowledgedPublisher:
 
     @property
     def subscriber_count(self) -> int:
+        """Number of subscribers, reliable or not."""
         return self._publisher.get_subscription_count()
 
     def settle(self) -> None:
@@ -67,6 +68,7 @@ class AcknowledgedPublisher:
             self.overtaken += 1
 
     def publish(self, message: Any) -> None:
+        """Publishes a message, or its bytes, after `settle`."""
         self.settle()
         self._publisher.publish(message)
         self._published_at = time.monotonic()
@@ -96,7 +98,7 @@ class AcknowledgedPublisher:
         if name not in slow:
             slow[name] = listeners
             self._node.get_logger().warning(
-                f"{name}: a subscriber did not acknowledge the last message in time and may miss some. These listen:"
+                f"{name}: a subscriber did not acknowledge the last message in time and may miss messages. Subscribers:"
                 f" {self._neighbours.names(listeners)}",
                 throttle_duration_sec=5.0,
             )
@@ -126,5 +128,5 @@ class AcknowledgedPublisher:
 
 
 def _left(deadline: float) -> float:
-    """[s]"""
+    """Time [s] left until `deadline`, a time.monotonic(); 0 after it."""
     return max(deadline - time.monotonic(), 0.0)

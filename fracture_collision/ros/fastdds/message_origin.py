@@ -27,6 +27,7 @@ class Origin(NamedTuple):
 
     @property
     def participant(self) -> bytes:
+        """The participant that the publisher belongs to."""
         return participant_of(self.publisher)
 
 

@@ -45,8 +45,9 @@ class Neighbours:
         node.create_timer(LOOK_INTERVAL, self.look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def await_all(self) -> bool:
-        """Waits until all participants of this machine and their subscriptions are discovered: earlier messages would
-        not reach them. False: timed out after LONGEST_ACQUAINTANCE.
+        """Waits until all participants of this machine and their subscriptions are discovered.
+
+        Earlier messages would not reach them. False: timed out after LONGEST_ACQUAINTANCE.
         """
         deadline = time.monotonic() + LONGEST_ACQUAINTANCE
         while not self.are_all_known():
@@ -56,8 +57,9 @@ class Neighbours:
         return True
 
     def are_all_known(self) -> bool:
-        """Whether all participants of this machine are discovered and no new one has appeared for QUIET, as far as the
-        earlier calls show.
+        """Whether all participants of this machine are discovered.
+
+        Their number must also have stayed the same for QUIET, as far as the earlier calls show.
         """
         count = len(self._node.get_subscriptions_info_by_topic(_DISCOVERY_TOPIC, no_mangle=True))
         if count != self._count:
@@ -100,11 +102,12 @@ class Neighbours:
         return any(process is not None and is_stopped(process) for process in processes)
 
     def names(self, participants: Iterable[bytes]) -> str:
-        return ", ".join(sorted(map(self.name, participants))) or "nobody"
+        """Their names in one text, sorted; "none" if there are none."""
+        return ", ".join(sorted(map(self.name, participants))) or "none"
 
     def said_of_the_slow(self) -> str:
         """Topics with a slow subscriber, each with all subscribers that may be the slow one."""
-        return "; ".join(f"{topic}: {self.names(who)}" for topic, who in sorted(self.slow.items())) or "nobody"
+        return "; ".join(f"{topic}: {self.names(who)}" for topic, who in sorted(self.slow.items())) or "none"
 
     def _everybody(self) -> list[TopicEndpointInfo]:
         return [info for topic in EVERYBODYS_TOPICS for info in self._node.get_publishers_info_by_topic(topic)]
@@ -125,8 +128,8 @@ class Neighbours:
         deadline = time.monotonic() + LONGEST_FAREWELL
         while (is_listed := self._lists(participant)) and time.monotonic() < deadline:
             time.sleep(0.001)
-        outcome = "will be forgotten when its lease has run out" if is_listed else "is forgotten"
-        self._node.get_logger().info(f"{self.name(participant)} has died without a word and {outcome}")
+        outcome = "stays listed until its lease expires" if is_listed else "is removed"
+        self._node.get_logger().info(f"{self.name(participant)} has died; its participant {outcome}")
 
     def _lists(self, participant: bytes) -> bool:
         return any(participant_of(bytes(info.endpoint_gid)) == participant for info in self._everybody())

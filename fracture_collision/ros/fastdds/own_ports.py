@@ -19,8 +19,10 @@ _SEGMENT_LOCK = re.compile(r"fastrtps_[0-9a-f]{16}_el")
 
 
 def fault_of_own_ports(domain_id: int) -> str:
-    """Describes the fault; "" if the ports of this process's participant work. For a participant with both default
-    transports of Fast DDS, UDP and shared memory; on a system without shared memory Fast DDS works without it.
+    """Describes the fault of this process's ports; "" if they work.
+
+    For a participant with both default transports of Fast DDS, UDP and shared memory; on a system without shared memory
+    Fast DDS works without it.
     """
     if not own_metatraffic(domain_id):
         return f"no UDP port of ROS domain {domain_id} could be opened for discovery"
@@ -34,7 +36,7 @@ def fault_of_own_ports(domain_id: int) -> str:
         return f"no port of ROS domain {domain_id} could be opened in shared memory ({FOLDER})"
     lost = [port for port in own if not _is_listened_at(port, opened)]
     if lost:
-        return f"port {lost[0]} in shared memory ({FOLDER}) was removed by another process: nothing can be received"
+        return f"port {lost[0]} in shared memory ({FOLDER}) was removed by another process"
     return ""
 
 

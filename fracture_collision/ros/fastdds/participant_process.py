@@ -18,6 +18,8 @@ _PID_BITS = 16  # of the process id, in a GUID
 
 
 class Process(NamedTuple):
+    """A process, identified beyond the reuse of its pid."""
+
     pid: int
     started: int  # [clock ticks since boot]: pids are reused
 
@@ -28,12 +30,14 @@ def is_of_this_process(participant: bytes) -> bool:
 
 
 def are_of_one_host(participant: bytes, other: bytes) -> bool:
+    """Whether both GUIDs have the same vendor and host id."""
     return participant[:4] == other[:4]
 
 
 def process_of(participant: bytes) -> Process | None:
-    """The living process of this machine that created `participant`, if it is certain: the only process with its pid
-    that uses Fast DDS. The participant must be of this host.
+    """The living process of this machine that created `participant`; None if it is not certain.
+
+    It is certain if exactly one process with the pid uses Fast DDS. The participant must be of this host.
     """
     found = []
     for folder in Path("/proc").iterdir():
@@ -46,6 +50,7 @@ def process_of(participant: bytes) -> Process | None:
 
 
 def is_dead(process: Process) -> bool:
+    """Whether the process has ended; a zombie has."""
     status = _status(process.pid)
     if status is None or status.started != process.started:
         return True
@@ -54,7 +59,7 @@ def is_dead(process: Process) -> bool:
 
 
 def is_stopped(process: Process) -> bool:
-    """By SIGSTOP or a debugger."""
+    """Whether the process is stopped by SIGSTOP or a debugger."""
     status = _status(process.pid)
     return status is not None and status.started == process.started and status.state in "Tt"
 

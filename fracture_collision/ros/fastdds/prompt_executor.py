@@ -25,8 +25,10 @@ from fracture_collision.ros.fastdds.message_origin import take_with_origin
 
 
 class PromptExecutor(SingleThreadedExecutor):
-    """For nodes whose subscriptions have plain callbacks, not coroutines: with one argument, the message, or, if it is
-    raw, also with two, the second being its Origin (ros/fastdds/message_origin.py) in place of rclpy's message info.
+    """For nodes whose subscriptions have plain callbacks, not coroutines.
+
+    A callback has one argument, the message. For a raw message it may have two: the second is the message's Origin
+    (ros/fastdds/message_origin.py) in place of rclpy's message info.
 
     Messages are delivered in the order in which subscriptions were created, one of each before the next wait.
     """
@@ -36,15 +38,17 @@ class PromptExecutor(SingleThreadedExecutor):
         self._entities: _Entities | None = None  # None: to be collected again
 
     def add_node(self, node: Node) -> bool:
+        """As in rclpy; the wait set is built again."""
         self._entities = None
         return super().add_node(node)
 
     def remove_node(self, node: Node) -> None:
+        """As in rclpy; the wait set is built again."""
         self._entities = None
         super().remove_node(node)
 
     def wake(self) -> None:
-        """Also called by a node when one of its entities is created or destroyed."""
+        """Wakes a wait; a node calls it when one of its entities is created or destroyed."""
         self._entities = None
         super().wake()
 
@@ -106,6 +110,7 @@ class _Entities:
         )  # fmt: skip
         for waitable in self._waitables:
             counts += waitable.get_num_entities()
+        assert context.handle is not None  # only before rclpy.init
         with context.handle:
             self._wait_set = rclpy_implementation.WaitSet(
                 counts.num_subscriptions, counts.num_guard_conditions, counts.num_timers, counts.num_clients,

@@ -89,8 +89,9 @@ def _remove_unlocked(folder: Path, name: str) -> int:
 
 @contextmanager
 def _port_mutex(folder: Path, name: str) -> Iterator[bool]:
-    """Holds the mutex under which Fast DDS opens a port. Yields whether it does: not if another process holds it or it
-    does not exist.
+    """Holds the mutex under which Fast DDS opens a port; yields whether it is held.
+
+    It is not if another process holds it or it does not exist.
     """
     try:
         with (folder / f"sem.{name}_mutex").open("r+b") as file:
@@ -158,8 +159,9 @@ def _locked_inodes() -> set[int]:
 
 
 def _mapped(folder: Path) -> Iterator[str]:
-    """Names of the folder's files that are mapped by processes with maps that we may read; " (deleted)" is appended to
-    those of removed files.
+    """Names of the folder's files that are mapped by processes with maps that we may read.
+
+    Names of removed files end with " (deleted)".
     """
     for process in os.listdir("/proc"):  # a glob would stat each entry, and fail if one has gone
         if not process.isdigit():

@@ -24,8 +24,9 @@ MOST = 20
 
 @contextmanager
 def orphaned_ports_held(domain_id: int, folder: Path = FOLDER) -> Iterator[list[int]]:
-    """Holds UDP ports while a participant is created; yields which. In the domain each shared memory port stands for a
-    pair of UDP ports (DDSI-RTPS 2.2, 9.6.1.1).
+    """Holds UDP ports while a participant is created; yields which.
+
+    In the domain each shared memory port stands for a pair of UDP ports (DDSI-RTPS 2.2, 9.6.1.1).
     """
     first = PORT_BASE + PORTS_A_DOMAIN * domain_id
     orphans = sorted(orphaned_ports(folder))

@@ -22,8 +22,9 @@ PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 
 
 def keep_to_this_machine(environment: MutableMapping[str, str]) -> None:
-    """Selects the profile, if the range is LOCALHOST, for a participant created with `environment`. A user's own
-    profiles and other middleware are left alone.
+    """Selects the profile, if the range is LOCALHOST, for a participant created with `environment`.
+
+    A user's own profiles and other middleware are left alone.
     """
     has_profiles = any(environment.get(name) for name in PROFILES)
     if environment.get(RANGE) == LOCALHOST and not has_profiles and _is_fast_dds():
@@ -42,6 +43,7 @@ def as_the_user_has_it(environment: Mapping[str, str]) -> dict[str, str]:
 
 def has_known_transports(environment: Mapping[str, str]) -> bool:
     """Whether a participant created with `environment` has Fast DDS's default transports or those of our own profile.
+
     False for a user's own profiles and other middleware: their transports are unknown.
     """
     profiles = {environment.get(name, "") for name in PROFILES} - {""}

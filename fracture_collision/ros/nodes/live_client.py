@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 from geometry_msgs.msg import Point, Twist, Vector3
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -18,6 +19,7 @@ from fracture_collision.msg import HandTarget, ThrowBall
 from fracture_collision.ros.wire import qos
 
 SIMULATOR = "simulator_node"  # also the name of a live one
+Vector = Sequence[float] | np.ndarray  # of three numbers
 
 
 class LiveClient:
@@ -39,7 +41,7 @@ class LiveClient:
         return heard and all(each.service_is_ready() for each in (self._reset, self._step, self._pause))
 
     def throw(
-        self, position: Sequence[float], velocity: Sequence[float], radius: float = 0.04, density: float = 2000.0
+        self, position: Vector, velocity: Vector, radius: float = 0.04, density: float = 2000.0
     ) -> None:
         """Arguments as in ThrowBall.msg."""
         self._balls.publish(
@@ -49,7 +51,7 @@ class LiveClient:
             )  # fmt: skip
         )
 
-    def drag(self, run_id: int, fragment_id: int, grip: Sequence[float], target: Sequence[float]) -> None:
+    def drag(self, run_id: int, fragment_id: int, grip: Vector, target: Vector) -> None:
         """Arguments as in HandTarget.msg."""
         self._hand.publish(
             HandTarget(
@@ -62,7 +64,7 @@ class LiveClient:
         """Releases what the hand holds."""
         self._hand.publish(HandTarget(header=Header(frame_id="world")))
 
-    def steer(self, velocity: Sequence[float]) -> None:
+    def steer(self, velocity: Vector) -> None:
         """Moves the hammer with `velocity` (3,) [m/s], world axes, until the next command."""
         self._velocity.publish(Twist(linear=_vector(velocity)))
 
@@ -87,11 +89,11 @@ class LiveClient:
         return self._parameters.set_parameters([Parameter(name, value=value) for name, value in values.items()])
 
 
-def _point(values: Sequence[float]) -> Point:
+def _point(values: Vector) -> Point:
     x, y, z = map(float, values)
     return Point(x=x, y=y, z=z)
 
 
-def _vector(values: Sequence[float]) -> Vector3:
+def _vector(values: Vector) -> Vector3:
     x, y, z = map(float, values)
     return Vector3(x=x, y=y, z=z)

@@ -13,7 +13,7 @@ from collections import deque
 from collections.abc import Callable
 
 import numpy as np
-from geometry_msgs.msg import Twist
+from geometry_msgs.msg import Point, Twist, Vector3
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
@@ -43,15 +43,16 @@ class LiveSimulatorNode(SimulatorNode):
     Parameters: `scene`, `seed`, `run_id`, `wait_for_subscribers`; at run time `rate` and `next_scene`.
     """
 
+    _live: LiveScene  # made by _make_simulation, which the constructor of SimulatorNode calls
+
     def __init__(self) -> None:
-        self._live: LiveScene | None = None
         super().__init__()
         declare(self, "rate", 1.0, "simulated time over real time; 0.1: slow motion", Range(0.01, 10.0))
         self._scene_name = self.get_parameter("scene").value  # as load_scene takes it
         # A page in a browser may set this: no paths are accepted, except the one given at the start.
         self._offered = ("", self._scene_name, *scene_names())
         self.add_on_set_parameters_callback(self._judge)
-        declare(self, "next_scene", "", "begun at the next reset: a name in config/scenes; '': the same")
+        declare(self, "next_scene", "", "scene of the next reset, a name in config/scenes; '': the same")
         self._commands: deque[Callable[[], None]] = deque()
         self._paused, self._steps_allowed = False, 0
         self._next: Scene | None = None
@@ -84,9 +85,9 @@ class LiveSimulatorNode(SimulatorNode):
             try:
                 self._run_once(executor)
             except Fatal as error:
-                self.get_logger().error(f"{error}; beginning again")
+                self.get_logger().error(f"{error}; restarting the scene")
                 self._next = self._scene
-            self._begin_again()
+            self._begin_again(self._next or self._scene)
 
     def _run_once(self, executor: PromptExecutor) -> None:
         """Runs until a reset is requested."""
@@ -111,8 +112,8 @@ class LiveSimulatorNode(SimulatorNode):
             while self._commands and self._next is None:
                 self._commands.popleft()()
 
-    def _begin_again(self) -> None:
-        scene, self._next = self._next, None
+    def _begin_again(self, scene: Scene) -> None:
+        self._next = None
         self._live.close()
         self._simulation = self._make_simulation(scene, self._seed + 1)
         self._run_id = derived_run_id(f"{scene.name}/{time.time_ns()}", self._seed)
@@ -196,7 +197,7 @@ class LiveSimulatorNode(SimulatorNode):
     def _judge(self, parameters: list[Parameter]) -> SetParametersResult:
         if all(each.value in self._offered for each in parameters if each.name == "next_scene"):
             return SetParametersResult(successful=True)
-        reason = f"next_scene: needs the name of a scene: {', '.join(self._offered[1:])}"
+        reason = f"next_scene: pass the name of a scene: {', '.join(self._offered[1:])}"
         return SetParametersResult(successful=False, reason=reason)
 
     def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -206,10 +207,10 @@ class LiveSimulatorNode(SimulatorNode):
         except (SceneError, OSError) as error:
             # Errors quote the file, and its content must not leave this machine.
             self.get_logger().error(str(error))
-            response.message = f"{name} cannot be read; the log of simulator_node says why"
+            response.message = f"{name} cannot be read; see the log of simulator_node"
             return response
         self._scene_name = name
-        response.success, response.message = True, f"{name} begins again"
+        response.success, response.message = True, f"restarting {name}"
         return response
 
     def _on_step(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -217,20 +218,21 @@ class LiveSimulatorNode(SimulatorNode):
         if self._paused:
             self._steps_allowed += 1
         else:
-            response.message = "it is not paused"
+            response.message = "the scene is not paused"
         return response
 
     def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         self._paused, self._steps_allowed = request.data, 0
-        response.success, response.message = True, "paused" if request.data else "going on"
+        response.success, response.message = True, "paused" if request.data else "running"
         return response
 
 
-def _xyz(vector: object) -> np.ndarray:
+def _xyz(vector: Point | Vector3) -> np.ndarray:
     return np.array([vector.x, vector.y, vector.z])
 
 
 def main() -> int:
+    """Runs the node with the process's arguments; returns its exit status."""
     return run_node(LiveSimulatorNode, work)
 
 

@@ -66,7 +66,11 @@ class Mirror:
         self._paused = False
         self._collision_ms: float | None = None
         self._closed = False
-        self._begin(0)
+        self._run_id = 0
+        self._log: list[Any] = []
+        self._states: dict[int, Received] = {}  # the last ones, by step
+        self._exchange: tuple[Received, ContactConstraintArray, Settings] | None = None  # the newest, and its settings
+        self._is_new = False
         # used by the thread only
         self._run: CollisionRun | None = None
         self._fed = 0  # entries of the run's log, applied
@@ -79,18 +83,21 @@ class Mirror:
 
     @property
     def wants_contacts(self) -> bool:
+        """Whether `hear_contacts` must be called."""
         return self._wanted.compares
 
     def new_run(self, run_id: int) -> None:
         """Stops showing anything of an earlier run."""
         with self._news:
-            self._begin(run_id)
+            self._run_id = run_id
+            self._log, self._states, self._exchange, self._is_new = [], {}, None, False
 
     def hear(self, message: Any) -> None:
-        """Keeps a body, as a record, or a fracture event, as a message, unchanged for a copy that is created later."""
+        """Keeps a body (a record) or a fracture event (a message) for a copy that is created later."""
         self._log.append(message)
 
     def hear_states(self, states: Received) -> None:
+        """Takes the newest states of the run."""
         with self._news:
             self._states[states.record.step] = states
             while len(self._states) > REMEMBERED:
@@ -98,6 +105,7 @@ class Mirror:
             self._have_news()
 
     def hear_contacts(self, contacts: ContactConstraintArray) -> None:
+        """Takes the service's answer to earlier states; ignored if those are no longer kept."""
         with self._news:
             states = self._states.get(contacts.step)
             if states is not None:
@@ -105,36 +113,34 @@ class Mirror:
                 self._have_news()
 
     def hear_times(self, collision_ms: float) -> None:
+        """Takes the time of the service's last answer [ms]."""
         self._collision_ms = collision_ms
 
     def hear_paused(self, paused: bool) -> None:
+        """Takes whether the scene is paused."""
         with self._news:
             if paused != self._paused:
                 self._paused = paused
                 self._have_news()
 
     def hear_settings(self, values: dict[str, Any]) -> None:
+        """Takes the service's settings, by name."""
         with self._news:
             self._settings = Settings(**values)
             self._have_news()
 
     def want(self, wanted: InsideWanted) -> None:
+        """Takes which views the user requests."""
         with self._news:
             self._wanted, self._is_new = wanted, True
             self._news.notify()
 
     def close(self) -> None:
+        """Ends the thread, after the current view or after ENDING."""
         with self._news:
             self._closed = True
             self._news.notify()
         self._thread.join(ENDING)
-
-    def _begin(self, run_id: int) -> None:
-        self._run_id = run_id
-        self._log: list[Any] = []
-        self._states: dict[int, Received] = {}  # the last ones, by step
-        self._exchange: tuple[Received, ContactConstraintArray, Settings] | None = None  # the newest, and its settings
-        self._is_new = False
 
     def _have_news(self) -> None:
         if self._wanted.anything:
@@ -191,7 +197,7 @@ class Mirror:
         world = self._world(job)
         states, wanted = job.states.record, job.wanted
         here = world.present(states)
-        spheres = self._spheres_of(job, world, here) if wanted.level is not None else None
+        spheres = self._spheres_of(job, world, here, wanted.level) if wanted.level is not None else None
         plane = self._plane(job, world, here, wanted.plane) if wanted.plane is not None else None
         if wanted.plane is None:
             self._reach = None
@@ -218,13 +224,11 @@ class Mirror:
         self._fed = job.told
         return self._run.world
 
-    def _spheres_of(self, job: _Job, world: CollisionWorld, here: Present) -> Spheres:
-        made_for = job.run_id, job.states.record.fracture_sequence, job.wanted.level, here.ids.tobytes()
+    def _spheres_of(self, job: _Job, world: CollisionWorld, here: Present, level: int) -> Spheres:
+        made_for = job.run_id, job.states.record.fracture_sequence, level, here.ids.tobytes()
         if self._spheres is None or self._spheres[0] != made_for:
-            found = spheres_of_level(world, here, job.wanted.level)
-            self._spheres = made_for, Spheres(
-                job.wanted.level, found.deepest, found.fragment_ids, found.centres, found.radii
-            )
+            found = spheres_of_level(world, here, level)
+            self._spheres = made_for, Spheres(level, found.deepest, found.fragment_ids, found.centres, found.radii)
         return self._spheres[1]
 
     def _plane(self, job: _Job, world: CollisionWorld, here: Present, wanted: PlaneWanted) -> PlanePicture | None:

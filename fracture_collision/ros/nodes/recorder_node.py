@@ -42,10 +42,10 @@ class RecorderNode(Node):
 
     def __init__(self) -> None:
         super().__init__("recorder_node")
-        folder = declare_fixed(self, "folder", "", "of the bag to make; must not be there yet")
-        self._tells_progress = declare_fixed(self, "progress", False, "a line of JSON on stdout: messages by topic")
+        folder = declare_fixed(self, "folder", "", "folder of the bag; must not exist yet")
+        self._tells_progress = declare_fixed(self, "progress", False, "print JSON lines to stdout: messages by topic")
         if not folder:
-            raise Fatal("parameter folder: where shall the bag go?")
+            raise Fatal("parameter folder: empty; pass the folder of the bag")
         names = {topic.name: self.resolve_topic_name(topic.name) for topic in RECORDED}
         try:
             self._bag = BagWriter(folder, [bag_topic(names[topic.name], topic) for topic in RECORDED])
@@ -83,12 +83,13 @@ class RecorderNode(Node):
         if text == self._noted_settings:
             return
         if self._noted_settings is not None:
-            self.get_logger().warning("the service's settings have changed; the bag says so, not from which step on")
+            self.get_logger().warning("the service's settings have changed; the bag does not record at which step")
             self._bag.note(EARLIER_SETTINGS, self._noted_settings)
         self._noted_settings = text
         self._bag.note(SETTINGS, text)
 
     def spin(self, executor: SingleThreadedExecutor) -> None:
+        """Records until rclpy shuts down and raises ExternalShutdownException."""
         told: dict[str, int] = {}
         due = flush_due = 0.0
         while True:
@@ -109,6 +110,7 @@ class RecorderNode(Node):
             self._bag.flush(settled)
 
     def finish(self) -> None:
+        """Completes the bag."""
         self._bag.close()
 
 
@@ -135,6 +137,7 @@ def _work(node: RecorderNode) -> None:
 
 
 def main() -> int:
+    """Runs the node with the process's arguments; returns its exit status."""
     return run_node(RecorderNode, _work)
 
 

@@ -30,7 +30,7 @@ class Recordings:
                 arguments=("-r", f"__ns:={self._namespace}"),
             )  # fmt: skip
         except OSError as error:
-            raise RecordingFailed(f"no recording: {error}") from error
+            raise RecordingFailed(f"cannot start a recording: {error}") from error
         self._running = bag, node
         return bag
 

@@ -65,11 +65,11 @@ class ServiceSettings:
             self._known, self._request_due = None, 0.0
 
     def _on_answer(self, future: Future) -> None:
-        if future is not self._request:
+        if future is not self._request or self._asking is None:
             return  # to a dropped request
         self._known, self._request = self._asking[0], None  # a restarted service is another publisher
         if future.exception() is not None:
-            self._node.get_logger().warning(f"the service's settings are not known: {future.exception()}")
+            self._node.get_logger().warning(f"cannot read the service's settings: {future.exception()}")
             return
         values = [parameter_value_to_python(value) for value in future.result().values]
         if len(values) == len(Settings._fields) and None not in values:

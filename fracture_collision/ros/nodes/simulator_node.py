@@ -8,6 +8,7 @@ import json
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rclpy.node import Node
@@ -39,23 +40,29 @@ PROGRESS_INTERVAL = 0.1  # [s]
 
 
 class SimulatorNode(Node):
-    """Parameters: `scene`, `seed`, `run_id`, `looks_ahead`, `wait_for_subscribers`, `timing_file`, `progress`. Topics:
-    ros/wire/qos.py.
+    """Simulates one scene and ends. Topics: ros/wire/qos.py.
+
+    Parameters: `scene`, `seed`, `run_id`, `looks_ahead`, `wait_for_subscribers`, `timing_file`, `progress`.
     """
 
     def __init__(self) -> None:
         super().__init__("simulator_node")
         scene_name = declare_fixed(self, "scene", "plates", "name in config/scenes, or the path of a scene file")
-        seed = declare_fixed(self, "seed", -1, "of the fracture patterns; -1: the scene's own", Range(-1, 2**62))
-        run_id = declare_fixed(self, "run_id", 0, "of all messages; 0: made from scene and seed", Range(0, 2**62))
+        seed = declare_fixed(self, "seed", -1, "seed of the fracture patterns; -1: the scene's own", Range(-1, 2**62))
+        run_id = declare_fixed(self, "run_id", 0, "run_id of all messages; 0: from scene and seed", Range(0, 2**62))
         self._looks_ahead = declare_fixed(
-            self, "looks_ahead", False, "whether the service's `lookahead` is the scene's time step, and not 0"
+            self, "looks_ahead", False, "whether the service's `lookahead` is the scene's time step instead of 0"
         )
         self._subscribers = declare_fixed(
-            self, "wait_for_subscribers", 1, "of states and of contacts, before the first step", Range(0, 100)
+            self, "wait_for_subscribers", 1, "subscribers of states, and of contacts, before the first step",
+            Range(0, 100),
+        )  # fmt: skip
+        self._timing_file = declare_fixed(
+            self, "timing_file", "", ".npy file for the times of each step, written at the end; '': none"
         )
-        self._timing_file = declare_fixed(self, "timing_file", "", "what each step took is written there at the end")
-        self._tells_progress = declare_fixed(self, "progress", False, "one line of JSON on stdout, ten times a second")
+        self._tells_progress = declare_fixed(
+            self, "progress", False, "print one line of JSON to stdout, ten times a second"
+        )
 
         try:
             scene = load_scene(scene_name)
@@ -121,12 +128,14 @@ class SimulatorNode(Node):
         """Makes one step; returns its report and both times of `_ask`."""
         request = self._simulation.begin_step()
         self._announce(request.bodies, request.events)
-        times = self._ask(request.states, executor)
-        return self._simulation.finish_step(self._contacts, self._registry), *times
+        contacts, registry, acknowledgement, round_trip = self._ask(request.states, executor)
+        return self._simulation.finish_step(contacts, registry), acknowledgement, round_trip
 
     def _await_subscribers(self, executor: PromptExecutor) -> None:
-        """A recorder that starts with the simulator must not miss the first steps. Enough others may be discovered
-        before it, so this waits for all participants that are on this machine by then.
+        """Waits for `wait_for_subscribers`, then for all participants that are on this machine by then.
+
+        A recorder that starts with the simulator must not miss the first steps, and enough others may be discovered
+        before it.
         """
         if self._subscribers == 0:
             return
@@ -136,9 +145,9 @@ class SimulatorNode(Node):
             executor.spin_once(timeout_sec=0.02)
             if time.monotonic() - started > said + 5.0:
                 said += 5.0
-                self.get_logger().info("waiting for the collision service (and recorders) to appear")
+                self.get_logger().info("waiting for the collision service (and recorders) to subscribe")
         if not self._neighbours.await_all():
-            self.get_logger().info("not all DDS participants of this machine are known; going on")
+            self.get_logger().info("not all DDS participants of this machine are discovered; continuing")
 
     def _announce(self, bodies: list, events: list) -> None:
         stamp = heading(self._simulation.time)
@@ -149,9 +158,13 @@ class SimulatorNode(Node):
         for event in events:
             self._events.publish(to_message(event, stamp, self._run_id))
 
-    def _ask(self, states: FragmentStates, executor: PromptExecutor) -> tuple[float, float]:
-        """Publishes states until their contacts and registry have arrived. Returns the time the subscribers took to
-        acknowledge the last states [s], and the time from publishing these to their answer [s].
+    def _ask(
+        self, states: FragmentStates, executor: PromptExecutor
+    ) -> tuple[ContactConstraintArray, FragmentRegistry, float, float]:
+        """Publishes states until their contacts and registry have arrived.
+
+        Returns both, the time the subscribers took to acknowledge the last states [s], and the time from publishing
+        these to their answer [s].
         """
         named = with_static_fragments(states, self._static_fragments)
         data = serialize_record(named, heading(self._simulation.time), self._run_id)
@@ -165,19 +178,19 @@ class SimulatorNode(Node):
         deadline = time.monotonic() + pause
         while True:
             executor.spin_once(timeout_sec=LOOK_INTERVAL)
-            if self._contacts is not None and self._registry_covers(states):
+            if (answer := self._answer_to(states)) is not None:
                 round_trip = time.perf_counter() - published
                 if has_waited:
-                    self.get_logger().info(f"step {states.step} is answered after {round_trip:.2f} s; going on")
-                return published - began, round_trip
+                    self.get_logger().info(f"step {states.step} is answered after {round_trip:.2f} s; continuing")
+                return *answer, published - began, round_trip
             before, there = there, self._present()
             if before is not None and (there[0] > before[0] or there[1] > before[1]):
-                self.get_logger().info(f"a service may have come; asking again for step {states.step}")
+                self.get_logger().info(f"new subscriber or publisher; publishing step {states.step} again")
                 pause = PAUSE_FOR_NEWCOMERS
             elif time.monotonic() < deadline:
                 continue
             else:
-                self.get_logger().warning(f"no answer to step {states.step} yet; asking again")
+                self.get_logger().warning(f"no answer to step {states.step} yet; publishing it again")
                 pause = min(pause * PAUSE_GROWTH, LONGEST_PAUSE)
             has_waited = True
             self._states.publish_again(data)
@@ -187,13 +200,12 @@ class SimulatorNode(Node):
         """The number of subscribers to states, and of publishers of contacts."""
         return self._states.subscriber_count, self.count_publishers(self._contacts_topic)
 
-    def _registry_covers(self, states: FragmentStates) -> bool:
-        registry = self._registry
-        return (
-            registry is not None
-            and registry.fracture_sequence == states.fracture_sequence
-            and bool(np.isin(states.fragment_ids, registry.fragment_ids).all())
-        )
+    def _answer_to(self, states: FragmentStates) -> tuple[ContactConstraintArray, FragmentRegistry] | None:
+        """The contacts, and the registry with all fragments of `states`; None until both have arrived."""
+        contacts, registry = self._contacts, self._registry
+        if contacts is None or registry is None or registry.fracture_sequence != states.fracture_sequence:
+            return None
+        return (contacts, registry) if np.isin(states.fragment_ids, registry.fragment_ids).all() else None
 
     # --- answers ---------------------------------------------------------------------------------------------------
 
@@ -206,10 +218,10 @@ class SimulatorNode(Node):
         if run_id != self._run_id or (contacts.step, contacts.fracture_sequence) != self._asked:
             return  # a late answer to a repeated request
         if contacts.status & INVALID_STATES:
-            raise Fatal(f"the service refused the states of step {contacts.step}; /diagnostics says why")
+            raise Fatal(f"the service rejected the states of step {contacts.step}; see /diagnostics for the reason")
         self._contacts = contacts
 
-    def _on_registry(self, message: qos.FRAGMENTS.message_class) -> None:
+    def _on_registry(self, message: Any) -> None:
         if message.run_id == self._run_id:
             self._registry = to_record(message)
 
@@ -225,15 +237,17 @@ class SimulatorNode(Node):
 
 
 def with_static_fragments(states: FragmentStates, static_fragments: list[int]) -> FragmentStates:
-    """Adds the static fragments, with the world's frame as body frame, although the protocol allows leaving them out: a
-    service that has not received a body holds states that name it, but would answer others without it.
+    """Adds the static fragments to `states`, with the world's frame as body frame.
+
+    The protocol allows leaving them out. But a service that has not received a body holds states that name it, and
+    would answer others without it.
     """
     unnamed = np.setdiff1d(np.array(static_fragments, dtype=np.uint32), states.fragment_ids)
     at_rest = {"positions": (0.0, 0.0, 0.0), "orientations": (0.0, 0.0, 0.0, 1.0)}
     at_rest |= {"linear_velocities": (0.0, 0.0, 0.0), "angular_velocities": (0.0, 0.0, 0.0)}
     ids = np.concatenate((states.fragment_ids, unnamed))
     order = np.argsort(ids)
-    columns = {}
+    columns: dict[str, Any] = {}
     for name, value in at_rest.items():
         given = getattr(states, name).reshape(-1, len(value))
         columns[name] = np.vstack((given, np.tile(value, (len(unnamed), 1))))[order].ravel()
@@ -262,6 +276,7 @@ def work(node: SimulatorNode) -> None:
 
 
 def main() -> int:
+    """Runs the node with the process's arguments; returns its exit status."""
     return run_node(SimulatorNode, work)
 
 

@@ -32,8 +32,9 @@ _claims: deque[socket.socket] = deque()
 
 
 def free_domain_id() -> int:
-    """A ROS domain id that seems unused on this machine: its discovery port is not bound on all interfaces, and no
-    other call of this function has claimed it recently. Raises RuntimeError if all are in use.
+    """A ROS domain id that seems unused on this machine. Raises RuntimeError if all are in use.
+
+    Its discovery port is not bound on all interfaces, and no other call of this function has claimed it recently.
     """
     candidates = list(range(1, HIGHEST_DOMAIN_ID + 1))
     random.shuffle(candidates)  # concurrent searches should not find the same one
@@ -66,8 +67,10 @@ def chosen_domain_id() -> int:
 
 
 def loopback_environment(domain_id: int) -> dict[str, str]:
-    """Environment for nodes that communicate on this machine only, in a domain of their own, unless the user has set
-    another ROS_AUTOMATIC_DISCOVERY_RANGE. For its other effects on a node see ros/fastdds/this_machine.py.
+    """Environment for nodes that communicate on this machine only, in a domain of their own.
+
+    A ROS_AUTOMATIC_DISCOVERY_RANGE that the user has set stays as it is. For its other effects on a node see
+    ros/fastdds/this_machine.py.
     """
     environment = as_the_user_has_it(os.environ) | {"ROS_DOMAIN_ID": str(domain_id)}
     environment.setdefault(RANGE, LOCALHOST)
@@ -87,9 +90,10 @@ class NodeProcess:
         arguments: Sequence[str] = (),
         niceness: int = 0,
     ) -> None:
-        """`module`: a node of ros/start.py. The log gets stderr, and stdout too unless `stdout` is given. `arguments`:
-        more of --ros-args, such as namespace and remapping. `niceness`: 0 .. 19, by how much the node's priority on a
-        processor is lowered.
+        """Starts `module`, a node of ros/start.py.
+
+        The log gets stderr, and stdout too unless `stdout` is given. `arguments`: more of --ros-args, such as namespace
+        and remapping. `niceness`: 0 .. 19, by how much the node's priority on a processor is lowered.
         """
         given = [f"{name}:={json.dumps(value)}" for name, value in parameters.items()]
         command = [sys.executable, "-m", "fracture_collision.ros.start", module, "--ros-args", *arguments]
@@ -111,23 +115,25 @@ class NodeProcess:
 
     @property
     def stdout(self) -> IO[str]:
-        """With stdout=subprocess.PIPE."""
+        """The node's standard output, if it was started with stdout=subprocess.PIPE."""
         assert self._process.stdout is not None
         return self._process.stdout
 
     @property
     def pid(self) -> int:
+        """The node's process id."""
         return self._process.pid
 
     def exit_status(self) -> int | None:
-        """None while it runs; negative: the signal that ended it."""
+        """Exit status, None while it runs; negative: the signal that ended it."""
         return self._process.poll()
 
     def send_signal(self, order: signal.Signals) -> None:
+        """Sends a signal and does not wait; no effect if the process has ended."""
         self._process.send_signal(order)
 
     def wait(self, timeout: float) -> int:
-        """Exit status. Raises subprocess.TimeoutExpired."""
+        """Waits for its end; returns its exit status. Raises subprocess.TimeoutExpired after `timeout` [s]."""
         return self._process.wait(timeout)
 
     def stop(
@@ -148,6 +154,7 @@ class NodeProcess:
         return status
 
     def log_text(self) -> str:
+        """The contents of the log file so far."""
         return self.log.read_text(errors="replace")
 
 

@@ -27,7 +27,7 @@ def own_context(domain_id: int) -> Context:
 
 @contextmanager
 def _environment(values: Mapping[str, str]) -> Iterator[None]:
-    """rclpy reads the discovery range from the environment."""
+    """Sets variables for a while: rclpy reads the discovery range from the environment."""
     before = {name: os.environ.get(name) for name in values}
     os.environ.update(values)
     try:

@@ -16,35 +16,37 @@ from fracture_collision.world.settings import check_settings
 
 
 class Range(NamedTuple):
+    """Lowest and highest value that a parameter may have."""
+
     low: float
     high: float
 
 
 # name: (description for `ros2 param describe`, range of numbers)
 _DESCRIPTIONS: dict[str, tuple[str, Range | None]] = {
-    "contacts_per_pair": ("contacts of a pair before only those deeper than the tolerance count", Range(1, 1024)),
-    "selection": ("which contacts of many: 'sufficient', spread over all, or 'complete' (Glondu 2014, 5.2)", None),
-    "deep_contacts_per_pair": ("contacts of a pair of which more than its share are deep", Range(1, 1024)),
-    "penetration_tolerance": ("penetrations up to this may stay unlisted, as a share of the bodies' R", Range(0, 0.1)),
-    "detection_tolerance": ("surfaces this far apart are listed already, as a share of the bodies' R", Range(0, 0.1)),
-    "lookahead": ("what will penetrate by more within so many seconds is listed too; a step's length", Range(0, 1)),
+    "contacts_per_pair": ("contacts of a pair before only those deeper than the tolerance are listed", Range(1, 1024)),
+    "selection": ("choice among many contacts: 'sufficient', spread out, or 'complete' (Glondu 2014, 5.2)", None),
+    "deep_contacts_per_pair": ("contacts of a pair if more than contacts_per_pair are deep", Range(1, 1024)),
+    "penetration_tolerance": ("penetrations up to this share of R may stay unlisted", Range(0, 0.1)),
+    "detection_tolerance": ("contacts are listed up to a gap of this share of R", Range(0, 0.1)),
+    "lookahead": ("[s] penetrations to come within this time are listed too; one time step", Range(0, 1)),
     "field": ("depth inside a fragment: 'exact' (local flood) or 'averaged' (Glondu 2014, eq. 1-2)", None),
-    "surfaces": ("what is asked: 'sampled', 'edges' too, or all, 'searched', which the bound then holds for", None),
+    "surfaces": ("where contacts are searched: 'sampled', 'edges' (crossing ones, too) or 'searched' (all over)", None),
     "tree": ("trees of new fragments: 'restructured' (Glondu 2014, 6.2), 'plain' (its [27]) or 'rebuilt'", None),
-    "normals": ("which surface a normal is of: one 'facing' the sample, or the 'nearest' (Glondu 2014, 4.4)", None),
+    "normals": ("surface of a contact's normal: 'facing' the sample, or 'nearest' (Glondu 2014, 4.4)", None),
     "traversal": ("order of visits: 'alternating' between parents (Glondu 2014, 5.3) or 'queue' (its [27])", None),
-    "neighbour_lists": ("remember what is near and what has not moved; the answer does not depend on it", None),
-    "threads": ("threads of the narrow phase; 0: one for each core. The answer does not depend on it", Range(0, 256)),
+    "neighbour_lists": ("reuse samples and contacts of earlier steps; the answer does not depend on it", None),
+    "threads": ("threads of the narrow phase; 0: one per core. The answer does not depend on it", Range(0, 256)),
     "visit_budget": ("sphere tree nodes that a step may visit; 0: no limit", Range(0, 2**40)),
-    "max_pairs": ("states of which more pairs of boxes overlap are refused", Range(1, 2**31)),
-    "max_visits": ("tree nodes that pairs whose boxes mostly coincide share; others 25 times as many", Range(1, 2**40)),
-    "max_further_visits": ("nodes that pairs which have their contacts may visit for deeper ones", Range(1, 2**40)),
+    "max_pairs": ("states with more overlapping pairs of boxes are rejected", Range(1, 2**31)),
+    "max_visits": ("tree nodes of all pairs whose boxes mostly coincide; others get 25 times as many", Range(1, 2**40)),
+    "max_further_visits": ("tree nodes of pairs with contacts_per_pair contacts, for deeper ones", Range(1, 2**40)),
     "max_contacts_per_pair": ("contacts listed of a pair, the deepest; at least contacts_per_pair", Range(1, 2**31)),
-    "max_contacts": ("contacts in one answer; pairs that have most lose their shallowest", Range(1, 2**31)),
-    "max_bodies": ("more bodies are refused", Range(1, 2**31)),
-    "max_nodes": ("more mesh nodes, of all bodies together, are refused", Range(1, 2**31)),
-    "max_fragments": ("more fragments in one run are refused", Range(1, 2**31)),
-    "max_message_bytes": ("longer messages are refused", Range(1024, 2**32)),
+    "max_contacts": ("contacts in one answer; pairs with the most contacts lose their shallowest", Range(1, 2**31)),
+    "max_bodies": ("further bodies are rejected", Range(1, 2**31)),
+    "max_nodes": ("bodies with further mesh nodes, of all bodies together, are rejected", Range(1, 2**31)),
+    "max_fragments": ("events with further fragments in one run are rejected", Range(1, 2**31)),
+    "max_message_bytes": ("longer messages are rejected", Range(1024, 2**32)),
 }
 
 
@@ -73,12 +75,14 @@ def warn_of_unknown(node: Node) -> None:
     for name in sorted(given.keys() - set(declared)):
         nearest = get_close_matches(name, declared, n=1)
         advice = f"; did you mean {nearest[0]}?" if nearest else ""
-        node.get_logger().warning(f"parameter {name}: there is none of that name, it changes nothing{advice}")
+        node.get_logger().warning(f"parameter {name} is unknown and has no effect{advice}")
 
 
 class SettingsParameters:
-    """Every setting of the service as a parameter. All may change at run time, but only between two answers, so that
-    each answer stays a function of messages and settings.
+    """Every setting of the service as a parameter.
+
+    All may change at run time, but only between two answers, so that each answer stays a function of messages and
+    settings.
     """
 
     def __init__(self, node: Node, on_change: Callable[[Settings, Settings], None]) -> None:

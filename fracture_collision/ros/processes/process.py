@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
+from typing import TypeVar
 
 import rclpy
 from rclpy.clock import Clock, ClockType
@@ -31,6 +32,8 @@ from fracture_collision.ros.fastdds.shared_memory import remove_left_behind
 from fracture_collision.ros.fastdds.successor_ports import orphaned_ports_held
 from fracture_collision.ros.fastdds.this_machine import has_known_transports, keep_to_this_machine
 from fracture_collision.ros.processes.parameters import warn_of_unknown
+
+AnyNode = TypeVar("AnyNode", bound=Node)
 
 # [s] From SIGINT or SIGTERM, or from the end of the node's work, to the end of its process, whatever DDS does.
 LONGEST_END = 10.0
@@ -76,21 +79,23 @@ def _help(make_node: Callable[[], Node]) -> str:
         f"usage: {name} [--ros-args -p NAME:=VALUE ... --params-file FILE -r FROM:=TO ...]",
         inspect.getdoc(sys.modules[make_node.__module__]) or "",
         inspect.getdoc(make_node) or "",
-        "`ros2 param list` and `ros2 param describe` tell more of a node that runs.",
+        "`ros2 param list` and `ros2 param describe` show the parameters of a running node.",
     )
     return "\n\n".join(lines)
 
 
 def _end_in_time() -> None:
-    """Ends the process with status 1 after LONGEST_END, if it still runs, and prints the traceback of each thread. Does
-    not need the interpreter: a call into DDS may not return.
+    """Ends the process with status 1 after LONGEST_END, if it still runs, and prints the traceback of each thread.
+
+    Does not need the interpreter: a call into DDS may not return.
     """
     faulthandler.dump_traceback_later(LONGEST_END, exit=True)
 
 
 def _watch_signals() -> None:
-    """Calls `_end_in_time` on SIGINT and SIGTERM, also while the main thread is in a call that does not return and
-    Python's own handlers are not called.
+    """Calls `_end_in_time` on SIGINT and SIGTERM.
+
+    It also does while the main thread is in a call that does not return and Python's own handlers are not called.
     """
     heard, told = socket.socketpair()
     told.setblocking(False)
@@ -112,7 +117,7 @@ def _watch_ports(node: Node) -> None:
         return
     domain_id = node.context.get_domain_id()
     if fault := fault_of_own_ports(domain_id):
-        raise Fatal(f"it would receive nothing: {fault}")
+        raise Fatal(f"the node cannot receive messages: {fault}")
     faults = 0
 
     def look() -> None:
@@ -120,14 +125,15 @@ def _watch_ports(node: Node) -> None:
         fault = fault_of_own_ports(domain_id)
         faults = faults + 1 if fault else 0
         if faults >= FAULTY_LOOKS:
-            raise Fatal(f"it receives nothing any more: {fault}")
+            raise Fatal(f"the node no longer receives messages: {fault}")
 
     node.create_timer(PORTS_INTERVAL, look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
 
-def run_node(make_node: Callable[[], Node], work: Callable[[Node], None]) -> int:
-    """Runs `work` on a node of the class `make_node`; returns the process's exit status. If the arguments request help
-    it prints the docstrings of module and class, and creates no node.
+def run_node(make_node: Callable[[], AnyNode], work: Callable[[AnyNode], None]) -> int:
+    """Runs `work` on a node of the class `make_node`; returns the process's exit status.
+
+    If the arguments request help it prints the docstrings of module and class, and creates no node.
 
     SIGINT and SIGTERM end it cleanly, with status 0: they are the usual way to stop a node. A process that still runs
     LONGEST_END later ends with status 1, as does one with ports that do not work.

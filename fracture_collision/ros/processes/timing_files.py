@@ -38,6 +38,7 @@ class RowFile:
         self._write_header()
 
     def add(self, row: tuple[float, ...]) -> None:
+        """Writes one row; it must have as many numbers as the file has columns."""
         self._file.write(np.array(row, dtype="<f8").tobytes())
         self._rows += 1
 

@@ -21,27 +21,28 @@ def arguments() -> list[DeclareLaunchArgument | SetEnvironmentVariable]:
     default_parameters = PathJoinSubstitution([FindPackageShare(PACKAGE), "config", "collision.yaml"])
     return [
         DeclareLaunchArgument("scene", default_value="plates", description="name in config/scenes, or a path"),
-        DeclareLaunchArgument("seed", default_value="-1", description="of fracture patterns; -1: the scene's"),
-        DeclareLaunchArgument("namespace", default_value="", description="put before every topic"),
+        DeclareLaunchArgument("seed", default_value="-1", description="seed of fracture patterns; -1: the scene's"),
+        DeclareLaunchArgument("namespace", default_value="", description="namespace of all nodes"),
         DeclareLaunchArgument(
-            "parameters", default_value=default_parameters, description="of the service, a parameter file"
+            "parameters", default_value=default_parameters, description="parameter file of the service"
         ),
         DeclareLaunchArgument(
             "discovery_range",
             default_value=EnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", default_value="LOCALHOST"),
             choices=["LOCALHOST", "SUBNET", "SYSTEM_DEFAULT"],
-            description="who may find the nodes",
+            description="range within which others discover the nodes",
         ),
         SetEnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", LaunchConfiguration("discovery_range")),
     ]
 
 
 def collision_node(ends_all: bool) -> Node:
+    """The collision service with the requested parameter file. `ends_all`: its end shuts down all nodes."""
     return node("collision_node", LaunchConfiguration("parameters"), ends_all=ends_all)
 
 
 def node(executable: str, parameters: Any, ends_all: bool = True) -> Node:
-    """In the requested namespace. `ends_all`: its end shuts down all nodes."""
+    """A node of this package in the requested namespace. `ends_all`: its end shuts down all nodes."""
     return Node(
         package=PACKAGE,
         executable=executable,
@@ -58,4 +59,5 @@ def text(name: str) -> ParameterValue:
 
 
 def whole(name: str) -> ParameterValue:
+    """A launch argument as a parameter of type integer."""
     return ParameterValue(LaunchConfiguration(name), value_type=int)

@@ -43,8 +43,10 @@ class Played(NamedTuple):
 
 @contextmanager
 def played(scene: str, seed: int, out: Path, host: str, port: int) -> Iterator[Played]:
-    """Starts all nodes and waits for the page; ends them all afterwards. The nodes' logs are in out/logs, where they
-    replace an earlier run's once the page is up. Raises PlayFailed, and OSError if `out` cannot be written.
+    """Starts all nodes and waits for the page; ends them all afterwards.
+
+    The nodes' logs are in out/logs, where they replace an earlier run's once the page is up. Raises PlayFailed, and
+    OSError if `out` cannot be written.
     """
     domain_id = default_domain_id()
     try:
@@ -86,13 +88,13 @@ def _address(page: NodeProcess, others: tuple[NodeProcess, ...]) -> str:
             if node.exit_status() is not None:
                 raise _failed(node)
         if time.monotonic() > deadline:
-            raise PlayFailed(f"the page did not come within {PATIENCE:.0f} s; the last that it said:\n{_tail(page)}")
+            raise PlayFailed(f"the page did not start within {PATIENCE:.0f} s; the end of its log:\n{_tail(page)}")
         time.sleep(LOOK)
     return told[0]
 
 
 def _failed(node: NodeProcess) -> PlayFailed:
-    return PlayFailed(f"{node.name} ended with status {node.exit_status()}; the last that it said:\n{_tail(node)}")
+    return PlayFailed(f"{node.name} ended with status {node.exit_status()}; the end of its log:\n{_tail(node)}")
 
 
 def _tail(node: NodeProcess) -> str:

@@ -34,8 +34,8 @@ class OverDds:
         self._wait = wait
         self._run: Run | None = None
         self._bodies = self._events = 0  # of the run, already published
-        self._answer: tuple[tuple[int, int, int], bytes] | None = None
-        self._asked: tuple[int, int, int] | None = None
+        self._asked: tuple[int, int, int] | None = None  # run id, step, fracture sequence
+        self._answer: list[bytes] = []  # to `_asked`; empty until it arrives
 
     def __enter__(self) -> OverDds:
         domain_id = free_domain_id()
@@ -74,24 +74,27 @@ class OverDds:
             self._run, self._bodies, self._events = run, 0, 0
         elif question.bodies_before < self._bodies:
             raise Unanswered(
-                f"step {question.step}: bodies come or go after it, and what a service was told cannot be taken back;"
-                " such a bag is played forwards, once, or without --ros"
+                f"step {question.step}: bodies are added or removed after it, which a running service cannot undo;"
+                " play this bag forwards and once, or without --ros"
             )
         self._tell(qos.BODIES, run.bodies[self._bodies : question.bodies_before])
         self._bodies = max(self._bodies, question.bodies_before)
-        while self._events < len(run.events) and self._sequence(self._events) <= question.fracture_sequence:
-            self._tell(qos.FRACTURE_EVENTS, run.events[self._events : self._events + 1])
+        while self._events < len(run.events):
+            event = run.events[self._events]
+            if event.received.record.sequence > question.fracture_sequence:
+                break
+            self._tell(qos.FRACTURE_EVENTS, [event])
             self._events += 1
         return self._ask(run, question)
 
     def _ask(self, run: Run, question: Question) -> tuple[bytes, float]:
-        self._asked, self._answer = (run.run_id, question.step, question.fracture_sequence), None
+        self._asked, self._answer = (run.run_id, question.step, question.fracture_sequence), []
         deadline, pause = time.monotonic() + PATIENCE, FIRST_PAUSE
         started = time.perf_counter()
         while time.monotonic() < deadline:
             self._publishers[qos.FRAGMENT_STATES.name].publish(question.states)
-            if self._spin_until(lambda: self._answer is not None, pause):
-                return self._answer[1], time.perf_counter() - started
+            if self._spin_until(lambda: bool(self._answer), pause):
+                return self._answer[-1], time.perf_counter() - started
             # Recorders keep no order across topics: bodies and events may come after the states that need them.
             self._tell(qos.BODIES, run.bodies[self._bodies : self._bodies + 1])
             self._tell(qos.FRACTURE_EVENTS, run.events[self._events : self._events + 1])
@@ -99,9 +102,6 @@ class OverDds:
             self._events = min(self._events + 1, len(run.events))
             pause = min(2.0 * pause, LONGEST_PAUSE)
         raise Unanswered(f"step {question.step}: no answer in {PATIENCE:.0f} s; {self._last_words()}")
-
-    def _sequence(self, at: int) -> int:
-        return self._run.events[at].received.record.sequence
 
     def _tell(self, topic: qos.Topic, messages: list[Message]) -> None:
         for message in messages:
@@ -111,7 +111,7 @@ class OverDds:
         received = deserialize_record(data, ContactConstraintArray)
         key = received.run_id, received.record.step, received.record.fracture_sequence
         if key == self._asked:  # else a late answer to a repeated request
-            self._answer = key, canonical(received)
+            self._answer.append(canonical(received))
 
     def _await_service(self) -> None:
         """Waits until it subscribes, once its kernels are loaded, which takes minutes if they must be compiled."""

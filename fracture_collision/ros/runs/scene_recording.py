@@ -29,8 +29,10 @@ CHUNK_BYTES = 1 << 24
 
 
 class Selection(NamedTuple):
-    """The steps to keep: every `every`-th from `first` to before `end`. Bodies and events are all kept, up to the last
-    step."""
+    """The steps to keep: every `every`-th from `first` to before `end`.
+
+    Bodies and events are all kept, up to the last step.
+    """
 
     first: int = 0
     end: int | None = None  # None: the scene's
@@ -50,7 +52,7 @@ def record_scene(
     run_id = derived_run_id(scene.name, scene.seed if seed is None else seed)
     end = scene.step_count if selection.end is None else min(selection.end, scene.step_count)
     if bag.exists():
-        raise FileExistsError(EEXIST, "is there already", str(bag))
+        raise FileExistsError(EEXIST, "exists already", str(bag))
     topics = [bag_topic(f"/{topic.name}", topic) for topic in TOPICS]
     with Lockstep(scene, settings, seed) as run, BagWriter(bag, topics, CHUNK_BYTES) as writer:
 

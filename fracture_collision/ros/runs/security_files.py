@@ -62,6 +62,8 @@ ROLES = (
 
 
 class DdsNames(NamedTuple):
+    """DDS names of topics, sorted."""
+
     publishes: list[str]
     subscribes: list[str]
 
@@ -82,7 +84,7 @@ def dds_names(role: Role, namespace: str = "") -> DdsNames:
 
 
 def permissions(role: Role, namespace: str = "", domain_id: int = 0) -> ET.Element:
-    """Topics that are not named are denied."""
+    """The permissions document of a role, unsigned; topics that are not named are denied."""
     enclave = f"/fracture_collision/{role.enclave}"
     root = _root("permissions")
     grant = _add(_add(root, "permissions"), "grant")
@@ -102,8 +104,10 @@ def permissions(role: Role, namespace: str = "", domain_id: int = 0) -> ET.Eleme
 
 
 def governance(namespace: str = "", domain_id: int = 0, encrypt: bool = False) -> ET.Element:
-    """Participants need a certificate, and every message is signed. Contents of the run's topics are encrypted only on
-    request: they are not secret, and every step waits for them. All other topics are always encrypted.
+    """The governance document, unsigned: participants need a certificate, and every message is signed.
+
+    Contents of the run's topics are encrypted only on request: they are not secret, and every step waits for them. All
+    other topics are always encrypted.
     """
     root = _root("governance")
     rule = _add(_add(root, "domain_access_rules"), "domain_rule")
@@ -121,6 +125,7 @@ def governance(namespace: str = "", domain_id: int = 0, encrypt: bool = False) -
 
 
 def write_files(folder: Path, namespace: str = "", domain_id: int = 0, encrypt: bool = False) -> list[Path]:
+    """Writes governance.xml and the permissions of all ROLES below `folder`; returns the paths. Raises OSError."""
     files = {folder / "governance.xml": governance(namespace, domain_id, encrypt)}
     for role in ROLES:
         files[folder / "permissions" / f"{role.enclave}.xml"] = permissions(role, namespace, domain_id)
@@ -161,11 +166,12 @@ def _add(parent: ET.Element, tag: str, text: str | None = None) -> ET.Element:
 
 
 def main() -> int:
+    """Writes the files that the arguments describe and prints their paths; returns 0."""
     parser = argparse.ArgumentParser(description="Writes governance and permissions of DDS security for these nodes.")
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--namespace", default="", help="of all nodes, such as /cell")
+    parser.add_argument("--namespace", default="", help="namespace of all nodes, such as /cell")
     parser.add_argument("--domain", type=int, default=0, help="ROS_DOMAIN_ID")
-    parser.add_argument("--encrypt", action="store_true", help="contents of the run's topics, too")
+    parser.add_argument("--encrypt", action="store_true", help="also encrypt the contents of the run's topics")
     given = parser.parse_args()
     namespace = f"/{given.namespace.strip('/')}" if given.namespace.strip("/") else ""
     for path in write_files(given.folder, namespace, given.domain, given.encrypt):

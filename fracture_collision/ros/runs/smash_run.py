@@ -30,6 +30,8 @@ class RunFailed(RuntimeError):
 
 
 class Progress(NamedTuple):
+    """How far a run is."""
+
     step: int  # steps done
     steps: int  # in all; 0 until known
     time: float  # [s] simulated
@@ -39,10 +41,9 @@ class Progress(NamedTuple):
 
 
 def run_scene(scene: str, seed: int | None, out: Path, on_progress: Callable[[Progress], None]) -> dict[str, Any]:
-    """Runs `scene` to its end; writes out/bag and out/logs, which must not exist yet, and returns the report (see
-    `make_report`).
+    """Runs `scene` to its end; returns the report (see `make_report`).
 
-    Raises RunFailed. Whatever happens, no process is left behind.
+    Writes out/bag and out/logs, which must not exist yet. Raises RunFailed. In any case no process is left behind.
     """
     logs, bag = out / "logs", out / "bag"
     logs.mkdir(parents=True)
@@ -192,4 +193,4 @@ def _await_recording(recorded: Callable[[], dict[str, int]], steps: int, *proces
 
 def _last_words(process: NodeProcess) -> str:
     tail = "\n".join(process.log_text().splitlines()[-15:])
-    return f"{process.name} ended with status {process.exit_status()}; the last that it said:\n{tail}"
+    return f"{process.name} ended with status {process.exit_status()}; the end of its log:\n{tail}"

@@ -1,5 +1,6 @@
-"""What the service publishes for states: their contacts and, if it has changed, the registry; while there are
-subscribers, also surfaces of fragments, markers and times.
+"""What the service publishes for states: their contacts and, if it has changed, the registry.
+
+While there are subscribers, it also publishes surfaces of fragments, markers and times.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ class Answers:
     def __init__(self, node: Node, neighbours: Neighbours) -> None:
         self._node = node
         self._neighbours = neighbours
-        timing_file = declare_fixed(node, "timing_file", "", "times of each answer are written there")
+        timing_file = declare_fixed(node, "timing_file", "", ".npy file for the times of each answer; '': none")
         self._rows = _row_file(timing_file) if timing_file else None
         self._registry_version: tuple[int, int, int, int] | None = None
         self._meshes_published: set[int] = set()
@@ -72,13 +73,14 @@ class Answers:
             self._markers.add_body(body)
 
     def refuse(self, heading: Heading, run_id: int, states: FragmentStates) -> None:
+        """Publishes that `states` are invalid: no contacts, and the status INVALID_STATES."""
         self._contacts.publish(serialize_record(refusal_of(states), heading, run_id))
 
     def publish(
         self, run: CollisionRun, heading: Heading, states: FragmentStates, contacts: ContactConstraintArray,
         seconds: float,
     ) -> None:  # fmt: skip
-        """`seconds`: the time that the contacts took."""
+        """Publishes the answer to `states` and all that is due with it. `seconds`: the time that the contacts took."""
         began = perf_counter()
         self._publish_registry(run, heading, states.fracture_sequence)
         self._contacts.publish(serialize_record(contacts, heading, run.run_id))

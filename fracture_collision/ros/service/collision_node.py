@@ -80,8 +80,9 @@ class CollisionNode(Node):
     # --- start and end ---------------------------------------------------------------------------------------------
 
     def prepare(self) -> None:
-        """Loads the kernels from numba's cache, or compiles them, and logs which; then subscribes. A simulator that
-        waits for these subscriptions sends no states in vain.
+        """Loads the kernels from numba's cache, or compiles them, and logs which; then subscribes.
+
+        A simulator that waits for these subscriptions sends no states in vain.
         """
         doing = "loading kernels"
         if cache_is_cold():
@@ -99,7 +100,7 @@ class CollisionNode(Node):
         with nothing_to_lose():
             compile_kernels(progress=progress)
             if not self._neighbours.await_all():
-                self.get_logger().info("not all DDS participants of this machine are known; going on")
+                self.get_logger().info("not all DDS participants of this machine are discovered; continuing")
         self._incoming.listen()
         self._phase = "ready"
         self.get_logger().info(f"ready, {age_of(os.getpid()):.2f} s after its process was started")
@@ -108,16 +109,18 @@ class CollisionNode(Node):
         gc.enable()
 
     def finish(self) -> None:
+        """Completes the timing file, if requested."""
         self._answers.close()
 
     # --- messages --------------------------------------------------------------------------------------------------
 
     def _on_body(self, message: Received) -> None:
-        if self._run is None or message.run_id != self._run.run_id:
-            self._start_run(message.run_id)
-        self._note(*self._run.add_body(message.record))
-        self._answers.add_body(self._run, message.record)
-        self._go_on(self._run)
+        run = self._run
+        if run is None or message.run_id != run.run_id:
+            run = self._start_run(message.run_id)
+        self._note(*run.add_body(message.record))
+        self._answers.add_body(run, message.record)
+        self._go_on(run)
 
     def _on_fracture(self, message: Received) -> None:
         run = self._run_of_event(message.run_id)
@@ -147,13 +150,14 @@ class CollisionNode(Node):
         self._held = message
         self._answer_held()
 
-    def _start_run(self, run_id: int) -> None:
+    def _start_run(self, run_id: int) -> CollisionRun:
         """Discards the last run. Only a body starts a run: late events and states of an earlier run must not."""
         waiting = self._next_run
-        self._run = waiting if waiting and waiting.run_id == run_id else CollisionRun(run_id, self._settings)
+        self._run = run = waiting if waiting and waiting.run_id == run_id else CollisionRun(run_id, self._settings)
         self._next_run = None
         self._answers.forget()
-        self.get_logger().info(f"run {run_id} begins, of {self._incoming.followed}", throttle_duration_sec=1.0)
+        self.get_logger().info(f"run {run_id} begins; publisher: {self._incoming.followed}", throttle_duration_sec=1.0)
+        return run
 
     def _forget_run(self) -> None:
         self._run = self._next_run = self._held = None
@@ -163,7 +167,7 @@ class CollisionNode(Node):
         for refusal in refusals:
             self._refusals.add(refusal)
             self.get_logger().warning(
-                f"refused, {refusal.topic}, {refusal.kind}: {refusal.reason}", throttle_duration_sec=1.0
+                f"rejected, {refusal.topic}, {refusal.kind}: {refusal.reason}", throttle_duration_sec=1.0
             )
 
     def _on_new_settings(self, former: Settings, settings: Settings) -> None:
@@ -204,15 +208,15 @@ class CollisionNode(Node):
 
     def _every_second(self) -> None:
         self._seconds_held = self._seconds_held + 1 if self._held is not None else 0
-        if is_time_for_log(self._seconds_held):
-            self.get_logger().warning(f"{self._said_of_held()}; asking for bodies and events again")
+        if self._held is not None and is_time_for_log(self._seconds_held):
+            self.get_logger().warning(f"{self._said_of(self._held)}; requesting bodies and events again")
             self._incoming.ask_for_log()
         self._incoming.look_around()
         self._publish_diagnostics()
 
-    def _said_of_held(self) -> str:
-        """Describes what the held states wait for."""
-        _, run_id, states = self._held
+    def _said_of(self, held: Received) -> str:
+        """Describes what held states wait for."""
+        _, run_id, states = held
         if self._run is None or self._run.run_id != run_id:
             reason = "no body of this run has arrived"
         else:
@@ -224,7 +228,7 @@ class CollisionNode(Node):
         values = {
             "phase": self._phase,
             "follows": incoming.followed,
-            "refused for it": ", ".join(incoming.waiting) or "nobody",
+            "refused for it": ", ".join(incoming.waiting) or "none",
             "slow subscribers": self._neighbours.said_of_the_slow(),
             "messages overtaken before all had them": self._answers.overtaken,
             "states dropped for newer ones": incoming.dropped_states + self._replaced_states,
@@ -243,7 +247,7 @@ class CollisionNode(Node):
         if rejected:
             message = rejected
         if self._held is not None:
-            message = self._said_of_held()
+            message = self._said_of(self._held)
         is_fine = self._held is None and not self._neighbours.slow and not rejected
         level = DiagnosticStatus.OK if is_fine else DiagnosticStatus.WARN
         self._diagnostics.publish(
@@ -275,6 +279,7 @@ def _work(node: CollisionNode) -> None:
 
 
 def main() -> int:
+    """Runs the node with the process's arguments; returns its exit status."""
     gc.disable()  # until it is ready: of half a million objects that numba creates almost none are garbage
     return run_node(CollisionNode, _work)
 

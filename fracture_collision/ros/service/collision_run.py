@@ -22,8 +22,10 @@ MAX_HELD_BYTES = 256 * 1024 * 1024  # of their arrays
 
 
 class Refusal(NamedTuple):
+    """A message that was rejected, or held for one that may never arrive."""
+
     topic: str
-    kind: str
+    kind: str  # as in InvalidMessage
     reason: str
 
 
@@ -46,6 +48,7 @@ class CollisionRun:
 
     @property
     def held_event_count(self) -> int:
+        """Number of events that wait for a body or an earlier event."""
         return len(self._held_events)
 
     @property
@@ -71,9 +74,10 @@ class CollisionRun:
         return self._apply_held_events()
 
     def add_fracture(self, event: FractureEvent) -> list[Refusal]:
-        """Applies an event, or holds it until its body has arrived and all events before it are applied. A held event
-        is reported as a rejected one, since what it waits for may never arrive; a later event of the same sequence
-        replaces it.
+        """Applies an event, or holds it until its body has arrived and all events before it are applied.
+
+        A held event is reported as a rejected one, since what it waits for may never arrive; a later event of the same
+        sequence replaces it.
         """
         if event.sequence <= self.event_count:
             return self._apply(event)
@@ -85,8 +89,8 @@ class CollisionRun:
         if not self._has_room_for(size):
             self._drop(event.sequence)
             reason = (
-                f"{len(self._held_events)} events, {self._held_bytes} bytes, are held already; event {event.sequence}"
-                " is asked for again when it is due"
+                f"{len(self._held_events)} events, {self._held_bytes} bytes, are held already; the service will request"
+                f" event {event.sequence} again when it is due"
             )
             return [Refusal("fracture_events", "limit_exceeded", reason)]
         self._unreadable.pop(event.sequence, None)
@@ -118,8 +122,10 @@ class CollisionRun:
         return True
 
     def answer(self, states: FragmentStates) -> ContactConstraintArray | None:
-        """Contacts, or None while events or bodies that the states need are missing; the same states are tried again
-        only when these have arrived. Raises InvalidMessage, also if an event that they need was rejected.
+        """Contacts, or None while events or bodies that the states need are missing.
+
+        The same states are tried again only when these have arrived. Raises InvalidMessage, also if an event that they
+        need was rejected.
         """
         if self._ahead is not None and self._ahead[0] is states and self.world.lacks(self._ahead[1]):
             return None
@@ -133,7 +139,7 @@ class CollisionRun:
     def what_states_wait_for(self) -> str:
         """Explains why the last answer was None."""
         if self._ahead is None:
-            return "they have not been looked at yet"
+            return "they have not been tried yet"
         ahead = self._ahead[1]
         if ahead.fracture_sequence > self.event_count:
             return f"{ahead}; {self._what_events_wait_for()}"
@@ -166,9 +172,11 @@ class CollisionRun:
         """Applies the events that are due, one after the other, up to a rejected one."""
         refusals: list[Refusal] = []
         while (due := self.event_count + 1) in self._held_events and not refusals:
-            if self._held_events[due].body_id not in self._known_bodies:
+            event = self._held_events[due]
+            if event.body_id not in self._known_bodies:
                 break
-            refusals += self._apply(self._release(due))
+            self._release(due)
+            refusals += self._apply(event)
         if (reason := self._unreadable.get(due)) is not None:
             self.world.reject_fracture(due, reason)
         return refusals
@@ -180,11 +188,10 @@ class CollisionRun:
         self._release(sequence)
         self._first_dropped = min(self._first_dropped or sequence, sequence)
 
-    def _release(self, sequence: int) -> FractureEvent | None:
+    def _release(self, sequence: int) -> None:
         event = self._held_events.pop(sequence, None)
         if event is not None:
             self._held_bytes -= _array_bytes(event)
-        return event
 
 
 def _array_bytes(event: FractureEvent) -> int:

@@ -29,6 +29,7 @@ class RefusalCounts:
         self._new = 0
 
     def add(self, refusal: Refusal) -> None:
+        """Counts a rejected message."""
         key = (refusal.topic, refusal.kind)
         self._counts[key] = self._counts.get(key, 0) + 1
         self._reasons[key] = refusal.reason[:LONGEST_REASON]
@@ -42,7 +43,7 @@ class RefusalCounts:
             for (topic, kind), count in sorted(self._counts.items())
         }
         level = DiagnosticStatus.WARN if new else DiagnosticStatus.OK
-        return status("refused messages", level, f"{total} refused, {new} of them new" if total else "none", values)
+        return status("refused messages", level, f"{total} rejected, {new} of them new" if total else "none", values)
 
 
 class AnswerTimes:
@@ -54,13 +55,14 @@ class AnswerTimes:
         self.count = 0
 
     def add(self, seconds: Mapping[str, float], visits: int) -> None:
-        """`visits`: tree nodes tested."""
+        """Adds the times [s] of one answer by part, and the number of tree nodes it tested."""
         self.count += 1
         self._visits.append(visits)
         for part, value in seconds.items():
             self._parts.setdefault(part, deque(maxlen=WINDOW)).append(value)
 
     def values(self) -> dict[str, Any]:
+        """Number of answers; median and worst of each part and of the tree nodes, as texts for /diagnostics."""
         said: dict[str, Any] = {"answers": self.count}
         for part, seconds in self._parts.items():
             text = f"{1e3 * median(seconds):.3f} ms median, {1e3 * max(seconds):.3f} ms worst"
@@ -77,6 +79,7 @@ def settings_status(settings: Settings, since: str) -> DiagnosticStatus:
 
 
 def status(name: str, level: bytes, message: str, values: Mapping[str, Any]) -> DiagnosticStatus:
+    """A status of this package; `values` are published as texts."""
     return DiagnosticStatus(
         level=level,
         name=f"fracture_collision: {name}",

@@ -37,7 +37,9 @@ class Incoming:
         begin_anew: Callable[[], None],
         reject_event: Callable[[int, int, str], None],
     ) -> None:
-        """`largest_message`: [bytes]. `handlers`: by the topic's name. `begin_anew`: discards all earlier runs.
+        """Subscribes only when `listen` is called.
+
+        `largest_message`: [bytes]. `handlers`: by the topic's name. `begin_anew`: discards all earlier runs.
         `reject_event`: takes run id and sequence of an event that cannot be read, and the reason.
         """
         self._node = node
@@ -56,10 +58,11 @@ class Incoming:
         self.dropped_states = 0
         declare(
             node, "allow_takeover", False,
-            "another publisher's run is followed at once; false: only when the one that is followed is gone",
+            "true: follow another publisher's run at once; false: only when the followed publisher is gone",
         )  # fmt: skip
 
     def listen(self) -> None:
+        """Subscribes to TOPICS."""
         for topic in TOPICS:
             self._subscribe(topic)
 
@@ -88,7 +91,7 @@ class Incoming:
     @property
     def followed(self) -> str:
         """The participant that is followed."""
-        return self._neighbours.name(self._guard.leader) if self._guard.leader is not None else "nobody"
+        return self._neighbours.name(self._guard.leader) if self._guard.leader is not None else "none"
 
     @property
     def waiting(self) -> list[str]:
@@ -144,8 +147,8 @@ class Incoming:
         verdict = guard.judge(topic.name, participant, run_id == self._run_id, allow_takeover)
         if verdict is Verdict.REFUSE:
             reason = (
-                f"run {run_id} of {self._neighbours.name(participant)}: the service follows {self.followed} until that"
-                " one's publishers are gone; the parameter allow_takeover would let another in at once"
+                f"run {run_id} of {self._neighbours.name(participant)}: the service follows {self.followed} until its"
+                " publishers are gone; set the parameter allow_takeover to follow another run at once"
             )
             self._refuse(Refusal(topic.name, "other_publisher", reason))
             return False

@@ -15,6 +15,8 @@ from enum import Enum, auto
 
 
 class Verdict(Enum):
+    """What to do with a message."""
+
     FOLLOW = auto()  # the message belongs to the run
     BEGIN = auto()  # it does, and any earlier run must be discarded, even one with the same id
     REFUSE = auto()
@@ -33,11 +35,13 @@ class RunGuard:
         self.waiting: set[bytes] = set()  # participants that were rejected and are still present
 
     def follows(self, topic: str, participant: bytes) -> bool:
+        """Whether messages of `participant` on `topic` belong to the run."""
         return participant == self.leader or self._helpers.get(topic) == participant
 
     def judge(self, topic: str, participant: bytes, same_run: bool, allow_takeover: bool) -> Verdict:
-        """What to do with a message. `same_run`: it has the id of the followed run. The verdict on a participant that
-        is not followed yet depends on those present: call `observe` first.
+        """What to do with a message. `same_run`: it has the id of the followed run.
+
+        The verdict on a participant that is not followed yet depends on those present: call `observe` first.
         """
         if self.follows(topic, participant):
             return Verdict.FOLLOW
@@ -53,8 +57,10 @@ class RunGuard:
         return Verdict.REFUSE
 
     def observe(self, publishers: Mapping[str, Set[bytes]], log_topics: Set[str]) -> None:
-        """Stores which participants publish which topic now. A leader that is gone is dropped. If it published the
-        whole log, all of `log_topics`, its run ends with it; else the run continues with the next to publish.
+        """Stores which participants publish which topic now.
+
+        A leader that is gone is dropped. If it published the whole log, all of `log_topics`, its run ends with it; else
+        the run continues with the next to publish.
         """
         self._publishers = publishers
         present = set().union(*publishers.values())

@@ -23,8 +23,9 @@ _SIZES = {
 
 
 def zero_padding(data: bytes, message_class: Any) -> bytes:
-    """`data`, a little-endian CDR serialization of `message_class`, with zeroed padding and nothing after its last
-    field. Raises ValueError if `data` is not one.
+    """`data` with zeroed padding and nothing after its last field.
+
+    Raises ValueError unless `data` is a little-endian CDR serialization of `message_class`.
     """
     if data[:2] != LITTLE_ENDIAN:
         raise ValueError(f"no serialized {message_class.__name__}: begins with {data[:2].hex()}")

@@ -18,8 +18,9 @@ _LEADING_BYTES = 4096  # of an event: header with the name of a frame, run_id an
 
 
 def serialize_record(record: NamedTuple, heading: Heading, run_id: int) -> bytes:
-    """The serialized message of a record, as rclpy makes it of conversion.to_message, with zeroed padding
-    (ros/wire/cdr_padding.py). Raises as Codec.write does.
+    """The serialized message of a record. Raises as Codec.write does.
+
+    It equals rclpy's serialization of conversion.to_message with zeroed padding (ros/wire/cdr_padding.py).
     """
     return _codec(message_class_of(record)).write(record, heading, run_id)
 
@@ -36,8 +37,9 @@ class EventPlace(NamedTuple):
 
 
 def place_of_event(data: bytes) -> Received | None:
-    """The run and an EventPlace of a serialized FractureEvent that is too long or damaged farther on, if these can be
-    read.
+    """The run and an EventPlace of a serialized FractureEvent; None if these cannot be read.
+
+    For events that are too long or damaged farther on.
     """
     codec = Codec(EventPlace, layout_of(FractureEvent)[:3], lambda kind: layout_of(nested_class(kind)))
     try:
@@ -47,6 +49,7 @@ def place_of_event(data: bytes) -> Received | None:
 
 
 def layout_of(message_class: Any) -> Layout:
+    """The layout of a generated message class."""
     return tuple(message_class.get_fields_and_field_types().items())
 
 

@@ -36,10 +36,12 @@ _MESSAGE_OF = {record: message for message, record in _RECORD_OF.items()}
 
 
 def message_class_of(record: NamedTuple) -> Any:
+    """The generated message class of the same name as the record's class. Raises KeyError if there is none."""
     return _MESSAGE_OF[type(record)]
 
 
 def record_class_of(message_class: Any) -> Any:
+    """The record class of the same name as a generated message class. Raises KeyError if there is none."""
     return _RECORD_OF[message_class]
 
 
@@ -50,6 +52,7 @@ def heading(stamp_seconds: float, frame_id: str = "world") -> Heading:
 
 
 def header_of(head: Heading) -> Header:
+    """The ROS message of a heading."""
     return Header(stamp=Time(sec=head.sec, nanosec=head.nanosec), frame_id=head.frame_id)
 
 
@@ -84,7 +87,10 @@ def _to_field(value: Any, field_type: str) -> Any:
 
 
 def _four(value: Any) -> np.ndarray:
-    """rclpy does not check their number, and serializes the memory after them if there are too few."""
+    """Coefficients of a plane (4,). Raises ValueError for another number.
+
+    rclpy does not check it, and serializes the memory after them if there are too few.
+    """
     coefficients = flat_array(value, np.float64)
     if len(coefficients) != 4:
         raise ValueError(f"plane: {len(coefficients)} coefficients, not 4")

@@ -1,5 +1,7 @@
-"""Serialized visualization_msgs/MarkerArray, without rclpy's message objects: 100,000 points as Python objects take a
-second, as bytes one copy. Equal to rclpy's bytes of the same message with zeroed padding (cdr_padding.py).
+"""Serialized visualization_msgs/MarkerArray, without rclpy's message objects.
+
+100,000 points as Python objects take a second, as bytes one copy. Equal to rclpy's bytes of the same message with
+zeroed padding (cdr_padding.py).
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""The scene as markers for RViz and Foxglove: surfaces of fragments, contacts coloured by gap. Made only while there is
-a subscriber.
+"""The scene as markers for RViz and Foxglove: surfaces of fragments, contacts coloured by gap.
 
-A marker that moves is sent with all its points again, since there is no transform to move it. So markers that have not
-moved are left out, and messages are written as bytes (ros/wire/marker_bytes.py). Messages follow answers, at most ten a
-second and never after two answers in a row, so that a step hardly ever waits for them. A message may get lost, and a
-late joiner receives only the last one, so every two seconds a message is complete.
+Markers are made only while there is a subscriber. A marker that moves is sent with all its points again, since there
+is no transform to move it. So markers that have not moved are left out, and messages are written as bytes
+(ros/wire/marker_bytes.py). Messages follow answers, at most ten a second and never after two answers in a row, so that
+a step hardly ever waits for them. A message may get lost, and a late joiner receives only the last one, so every two
+seconds a message is complete.
 """
 
 from __future__ import annotations
@@ -82,6 +82,7 @@ class FragmentMarkers:
         return [each for each in fragment_ids if each not in self._surfaces]
 
     def add_surface(self, mesh: FragmentMesh) -> None:
+        """Takes the surface of a fragment of the registry."""
         corners = mesh.vertices.reshape(-1, 3).astype(np.float64)[mesh.triangles.reshape(-1, 3)]
         paint = self._palette.paint(mesh.fragment_id, self._body_of[mesh.fragment_id])
         self._surfaces[mesh.fragment_id] = [
@@ -146,6 +147,15 @@ def contact_markers(contacts: ContactConstraintArray) -> list[MarkerRecord]:
     ]  # fmt: skip
 
 
+class _Answer(NamedTuple):
+    """An answer of the service, and the world that made it."""
+
+    world: CollisionWorld
+    heading: Heading
+    states: FragmentStates
+    contacts: ContactConstraintArray
+
+
 class MarkersPublisher:
     """Publishes a node's `markers`."""
 
@@ -164,7 +174,7 @@ class MarkersPublisher:
         """Starts a new run."""
         self._markers = FragmentMarkers()
         self._listed_for: int | None = None  # number of events of the known registry
-        self._newest: tuple[CollisionWorld, Heading, FragmentStates, ContactConstraintArray] | None = None
+        self._newest: _Answer | None = None
         self._is_pending = False
         self._must_be_complete = True
 
@@ -177,7 +187,8 @@ class MarkersPublisher:
     def after_answer(
         self, world: CollisionWorld, heading: Heading, states: FragmentStates, contacts: ContactConstraintArray
     ) -> None:
-        self._newest = world, heading, states, contacts
+        """Takes the newest answer and publishes it, unless the last message is too recent."""
+        self._newest = _Answer(world, heading, states, contacts)
         self._is_pending = True
         self._answers_since += 1
         if self._answers_since > 1 and time.monotonic() - self._last_sent >= INTERVAL:
@@ -202,10 +213,10 @@ class MarkersPublisher:
             if now - self._last_sent < ACKNOWLEDGEMENT:
                 return
             self._must_be_complete = True
-        self._send(self._must_be_complete or is_due)
+        self._send(self._newest, self._must_be_complete or is_due)
 
-    def _send(self, complete: bool) -> None:
-        world, heading, states, contacts = self._newest
+    def _send(self, answer: _Answer, complete: bool) -> None:
+        world, heading, states, contacts = answer
         if self._listed_for != states.fracture_sequence:
             self._listed_for = states.fracture_sequence
             record = world.fragments()

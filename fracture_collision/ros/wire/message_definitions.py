@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import inspect
 import json
 import re
 from pathlib import Path
@@ -13,7 +14,7 @@ _BUILT_IN = re.compile(r"(bool|byte|char|u?int(8|16|32|64)|float(32|64)|w?string
 
 
 def type_name(message_class: Any) -> str:
-    """package/msg/Name"""
+    """The ROS name of a message class: package/msg/Name."""
     return f"{message_class.__module__.split('.')[0]}/msg/{message_class.__name__}"
 
 
@@ -57,7 +58,7 @@ def _used_types(text: str, package: str) -> list[str]:
 def _file(name: str, suffix: str) -> Path:
     package, _, message = name.split("/")
     # Not by the ament index: that needs AMENT_PREFIX_PATH, which Python environments with ROS from wheels do not set.
-    for prefix in Path(importlib.import_module(f"{package}.msg").__file__).resolve().parents:
+    for prefix in Path(inspect.getfile(importlib.import_module(f"{package}.msg"))).resolve().parents:
         file = prefix / "share" / package / "msg" / f"{message}{suffix}"
         if file.is_file():
             return file

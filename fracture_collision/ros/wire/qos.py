@@ -49,6 +49,8 @@ EACH_STEP = QoSProfile(
 
 
 class Topic(NamedTuple):
+    """A topic with its type and its quality of service."""
+
     name: str  # relative to the node's namespace
     message_class: Any
     qos: QoSProfile  # as offered by its publisher

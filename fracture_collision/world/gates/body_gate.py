@@ -44,6 +44,8 @@ SHAPE_FIELDS = "primitive, plane, vertices"
 
 
 class CheckedBody(NamedTuple):
+    """A valid body. Exactly one of sphere, box, plane, mesh and surface is its shape."""
+
     body_id: int
     fragment_id: int
     is_static: bool
@@ -108,7 +110,7 @@ def read_body(body: CollisionBody) -> BodyFields:
     if not isinstance(body.name, str):
         refuse("wrong_type", "name: not a string")
     if len(body.name) > MAX_NAME:
-        refuse("limit_exceeded", f"name: longer than {MAX_NAME} characters")
+        refuse("limit_exceeded", f"name: {len(body.name)} characters, more than {MAX_NAME}")
     if not isinstance(body.is_static, bool | np.bool_):
         refuse("wrong_type", "is_static: neither true nor false")
     density = number("density", body.density, 0.0, MAX_DENSITY, open_low=True)
@@ -149,9 +151,9 @@ def check_body(fields: BodyFields, store: MeshStore, room_for_nodes: int) -> Che
     else:
         vertices, tetrahedra, triangles = fields.vertices, fields.tetrahedra, fields.triangles
         if len(vertices) > room_for_nodes:
-            refuse("limit_exceeded", f"vertices: {len(vertices)}; the limit on nodes leaves room for {room_for_nodes}")
+            refuse("limit_exceeded", f"vertices: {len(vertices)}, but max_nodes leaves room for {room_for_nodes}")
         if not len(tetrahedra) and not len(triangles):
-            refuse("no_shape", "tetrahedra, triangles: the vertices have neither")
+            refuse("no_shape", "tetrahedra, triangles: both are empty, but there are vertices; pass one of them")
         if float(np.ptp(vertices, axis=0).max(initial=0.0)) < SMALLEST_LENGTH:
             refuse("out_of_range", f"vertices: the body is smaller than {SMALLEST_LENGTH:g} m")
         if len(tetrahedra):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NoReturn
+
 import numpy as np
 
 from fracture_collision.world.gates.errors import InvalidMessage
@@ -14,7 +16,8 @@ LARGEST_LENGTH = 1e9
 SMALLEST_LENGTH = 1e-6
 
 
-def refuse(kind: str, text: str) -> None:
+def refuse(kind: str, text: str) -> NoReturn:
+    """Raise InvalidMessage."""
     raise InvalidMessage(kind, text)
 
 
@@ -22,7 +25,7 @@ def floats(name: str, values, columns: int = 0, limit: float = np.inf) -> np.nda
     """`values` as float64, all finite, none beyond +-limit; (n, columns) if columns are given."""
     given = _array(name, values)
     if given.dtype.kind not in "fiu":
-        refuse("wrong_type", f"{name}: not numbers but {given.dtype}")
+        refuse("wrong_type", f"{name}: {given.dtype} instead of numbers")
     with np.errstate(over="ignore"):  # values too large for a double become infinite, and are rejected
         array = np.ascontiguousarray(given, dtype=np.float64).ravel()
     if not np.isfinite(array).all():
@@ -41,7 +44,7 @@ def indices(name: str, values, columns: int = 0, below: int | None = None, of: s
         # an empty list has no integer type
         given = np.empty(0, dtype=np.int64)
     if given.dtype.kind not in "iu":
-        refuse("wrong_type", f"{name}: not integers but {given.dtype}")
+        refuse("wrong_type", f"{name}: {given.dtype} instead of integers")
     limit = UINT32_MAX + 1 if below is None else below
     flat = given.ravel()
     if flat.size and (flat.min() < 0 or flat.max() >= limit):
@@ -66,11 +69,13 @@ def _shaped(name: str, array: np.ndarray, columns: int) -> np.ndarray:
 
 
 def same_length(name: str, array: np.ndarray, other: str, count: int) -> None:
+    """Raise InvalidMessage unless `array` has one entry for each of `count` entries of `other`."""
     if len(array) != count:
         refuse("size_mismatch", f"{name}: {len(array)} entries for {count} {other}")
 
 
 def number(name: str, value, low: float, high: float = np.inf, open_low: bool = False) -> float:
+    """`value` as a finite float in [low, high], or in (low, high] with `open_low`."""
     try:
         number = float(value)
     except (TypeError, ValueError, OverflowError):
@@ -83,6 +88,7 @@ def number(name: str, value, low: float, high: float = np.inf, open_low: bool = 
 
 
 def identifier(name: str, value, maximum: int = UINT32_MAX) -> int:
+    """`value` as an int in 0 .. maximum; booleans are rejected."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer):
         refuse("wrong_type", f"{name}: not an integer")
     if not 0 <= int(value) <= maximum:
@@ -91,9 +97,10 @@ def identifier(name: str, value, maximum: int = UINT32_MAX) -> int:
 
 
 def each_once(name: str, values: np.ndarray) -> None:
+    """Raise InvalidMessage if an entry of `values` (n,) occurs more than once."""
     if (values[1:] > values[:-1]).all():
         return
     ordered = np.sort(values)
     twice = np.flatnonzero(ordered[1:] == ordered[:-1])
     if len(twice):
-        refuse("doubled", f"{name}: {ordered[twice[0]]} stands there more than once")
+        refuse("doubled", f"{name}: {ordered[twice[0]]} occurs more than once")

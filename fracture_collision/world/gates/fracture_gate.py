@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from typing import NamedTuple
+from typing import NamedTuple, NoReturn
 
 import numpy as np
 
@@ -37,6 +37,8 @@ CROSSING_TOLERANCE = 1e-9
 
 
 class CheckedFracture(NamedTuple):
+    """A valid fracture that fits its mesh."""
+
     body_id: int
     fragment_id: int
     new_fragment_ids: np.ndarray  # (k,) int64
@@ -63,8 +65,8 @@ class FractureFields(NamedTuple):
 
 def read_fracture(event: FractureEvent) -> FractureFields:
     """Raise InvalidMessage unless each field by itself obeys the rules of FractureEvent.msg."""
-    ids = [identifier("sequence", event.sequence, UINT64_MAX)]
-    ids += [identifier("body_id", event.body_id), identifier("fragment_id", event.fragment_id)]
+    sequence = identifier("sequence", event.sequence, UINT64_MAX)
+    body_id, fragment_id = identifier("body_id", event.body_id), identifier("fragment_id", event.fragment_id)
     new_ids = indices("new_fragment_ids", event.new_fragment_ids)
     if len(new_ids) < 2:
         refuse("size_mismatch", f"new_fragment_ids: {len(new_ids)} fragments; a fracture makes at least 2")
@@ -80,17 +82,21 @@ def read_fracture(event: FractureEvent) -> FractureFields:
     if crooked >= 0:
         refuse("not_unit", f"cut_planes: the normal of entry {crooked} is not of length 1")
     digest = hashlib.sha256()
-    for content in (np.array(ids, np.uint64), new_ids, nodes, parts, edges, planes):
+    ids = np.array([sequence, body_id, fragment_id], np.uint64)
+    for content in (ids, new_ids, nodes, parts, edges, planes):
         digest.update(len(content).to_bytes(8, "little"))
-        digest.update(content)
-    return FractureFields(*ids, new_ids, nodes, parts, edges, planes, digest.digest())
+        digest.update(content.data)
+    return FractureFields(
+        sequence, body_id, fragment_id, new_ids, nodes, parts, edges, planes, digest.digest()
+    )  # fmt: skip
 
 
 def check_fracture(
     fields: FractureFields, mesh: TetMesh, node_fragment: np.ndarray, pinched: np.ndarray
 ) -> tuple[CheckedFracture, np.ndarray, np.ndarray]:
-    """Raise InvalidMessage unless the fields fit the mesh. Returns the checked fracture, the nodes pinched now, and the
-    new fragments that may have no volume.
+    """The checked fracture, the nodes pinched now, and the new fragments that may have no volume.
+
+    Raises InvalidMessage unless the fields fit the mesh.
 
     node_fragment (n,): fragment id of each mesh node now; pinched (n,) uint8: the nodes that planes of earlier
     fractures pass through. The caller, which has the whole run, checks ids and the sequence.
@@ -111,8 +117,9 @@ def check_fracture(
     return checked, pinched_now, np.flatnonzero(free == 0)
 
 
-def refuse_without_volume(fragment_id: int) -> None:
-    refuse("no_volume", f"cut_planes: fragment {fragment_id} has no volume: they pass through its nodes")
+def refuse_without_volume(fragment_id: int) -> NoReturn:
+    """Raise InvalidMessage: the planes of a fracture leave a new fragment no volume."""
+    refuse("no_volume", f"cut_planes: fragment {fragment_id} has no volume: the planes pass through its nodes")
 
 
 def apply_fracture(geometry: CollisionGeometry, row: int, event: CheckedFracture) -> int:
@@ -146,7 +153,7 @@ def _labels(fields: FractureFields, mesh: TetMesh, node_fragment: np.ndarray) ->
         refuse("wrong_nodes", f"nodes: node {node} belongs to fragment {node_fragment[node]}, not {fragment_id}")
     expected = int((node_fragment == fragment_id).sum())
     if len(nodes) != expected:
-        refuse("wrong_nodes", f"nodes: {len(nodes)} of the {expected} nodes of fragment {fragment_id}")
+        refuse("wrong_nodes", f"nodes: {len(nodes)} of the {expected} nodes of fragment {fragment_id}; list all")
     part_of_node = np.full(len(mesh.nodes), -1, dtype=np.int32)
     part_of_node[nodes] = fields.parts
     return part_of_node
@@ -173,8 +180,8 @@ def _cuts(
     if problem != FINE:
         a, b = mesh.edges[row] if problem in (DOUBLED, EXTRA, MISSING) else ends[row]
         kind, text = {
-            NO_EDGE: ("no_edge", f"cut_edges: {a}-{b} (entry {row}) is no edge of the mesh"),
-            DOUBLED: ("doubled", f"cut_edges: {a}-{b} stands there more than once"),
+            NO_EDGE: ("no_edge", f"cut_edges: {a}-{b} (entry {row}) is not an edge of the mesh"),
+            DOUBLED: ("doubled", f"cut_edges: {a}-{b} occurs more than once"),
             EXTRA: ("wrong_cut", f"cut_edges: {a}-{b} does not join two of the new fragments"),
             MISSING: ("wrong_cut", f"cut_edges: {a}-{b} joins two of the new fragments but is not cut"),
             MISSED: ("missed_edge", f"cut_planes: entry {row} does not cross its edge {a}-{b} from first to second"),

@@ -24,8 +24,9 @@ class CutRecord(NamedTuple):
 
 
 def first_split(edges: np.ndarray, edges_begin: np.ndarray, part_of_node: np.ndarray, count: int) -> tuple[int, int]:
-    """(the first of parts 0 .. count - 1 that edges between its own nodes do not connect, -1 if none; number of edges
-    that join two parts).
+    """The first part that is not connected, -1 if there is none, and the number of edges that join two parts.
+
+    A part, of 0 .. count - 1, is connected if edges between its own nodes join them all.
 
     edges (e, 2), edges_begin (n + 1,): as in TetMesh; part_of_node (n,), -1: of no part.
     """

@@ -24,7 +24,19 @@ QUATERNION_TOLERANCE = 1e-6
 _TYPES = (np.dtype(np.uint32), *[np.dtype(np.float64)] * 4)  # of fragment_ids and the columns after it
 
 
+class _Columns(NamedTuple):
+    """The arrays of states: flat as in the message, or with a row for each fragment as in CheckedStates."""
+
+    ids: np.ndarray
+    positions: np.ndarray
+    orientations: np.ndarray
+    linear: np.ndarray
+    angular: np.ndarray
+
+
 class CheckedStates(NamedTuple):
+    """Valid states of n fragments; which ids live is not checked yet."""
+
     step: int
     fracture_sequence: int
     fragment_ids: np.ndarray  # (n,) int64, ascending
@@ -47,21 +59,19 @@ def _as_they_are(states: FragmentStates) -> CheckedStates | None:
     step = identifier("step", states.step, UINT64_MAX)
     sequence = identifier("fracture_sequence", states.fracture_sequence, UINT64_MAX)
     n = len(states.fragment_ids)
-    ids, positions, orientations = np.empty(n, np.int64), np.empty((n, 3)), np.empty((n, 4))
-    linear, angular = np.zeros((n, 3)), np.zeros((n, 3))
-    if not _copy_if_sound(
-        *states[2:], LARGEST_LENGTH, QUATERNION_TOLERANCE, ids, positions, orientations, linear, angular
-    ):
+    rows = _Columns(
+        np.empty(n, np.int64), np.empty((n, 3)), np.empty((n, 4)), np.zeros((n, 3)), np.zeros((n, 3))
+    )  # fmt: skip
+    if not _copy_if_sound(_Columns(*states[2:]), rows, LARGEST_LENGTH, QUATERNION_TOLERANCE):
         return None
-    return CheckedStates(step, sequence, ids, positions, orientations, linear, angular)
+    return CheckedStates(step, sequence, *rows)
 
 
 @kernel
-def _copy_if_sound(
-    given_ids, given_positions, given_orientations, given_linear, given_angular, largest, tolerance, ids, positions,
-    orientations, linear, angular,
-):  # fmt: skip
-    """Copy the columns and return whether all rules hold; absent velocities leave their outputs unchanged."""
+def _copy_if_sound(flat, rows, largest, tolerance):
+    """Copy columns `flat` to `rows` and return whether all rules hold; absent velocities leave theirs unchanged."""
+    given_ids, given_positions, given_orientations, given_linear, given_angular = flat
+    ids, positions, orientations, linear, angular = rows
     n = len(ids)
     if len(given_positions) != 3 * n or len(given_orientations) != 4 * n:
         return False

@@ -84,7 +84,7 @@ def _one_solid(triangles: np.ndarray, corners: np.ndarray, opposite: np.ndarray)
     if not len(outer):
         refuse("bad_mesh", f"triangles: inside out (volume {volumes.sum():.3g} m3); order them counter-clockwise")
     if len(outer) > 1:
-        refuse("bad_mesh", f"triangles: {len(outer)} solids apart; each needs a body of its own")
+        refuse("bad_mesh", f"triangles: {len(outer)} separate solids; each needs a body of its own")
     cavities = np.flatnonzero(volumes <= 0.0)
     _, first = np.unique(piece, return_index=True)
     first = first[cavities]
