@@ -130,8 +130,11 @@ class CollisionGeometry:
     def retire_body(self, rows: np.ndarray) -> None:
         """Retire `rows` (n,), all fragments of one body: no query uses them again. `keep_only` frees their memory."""
         kind, index = (int(self._tables.fragment[name].view[rows[0]]) for name in ("kind", "mesh"))
-        shapes = {TETRAHEDRA: self._meshes, TRIANGLES: self._surfaces}.get(kind)
-        prepared = shapes[index][0] if shapes else None
+        prepared: PreparedMesh | PreparedSurface | None = None
+        if kind == TETRAHEDRA:
+            prepared = self._meshes[index][0]
+        elif kind == TRIANGLES:
+            prepared = self._surfaces[index][0]
         self._garbage += bytes_of_fragments(
             self._tables, rows, self._meshes[index][1] if kind == TETRAHEDRA else None, kind != TRIANGLES
         )
@@ -145,10 +148,8 @@ class CollisionGeometry:
 
     def keep_only(self, rows: np.ndarray) -> np.ndarray:
         """Drop all data that fragments `rows` (n,) do not need; returns their new rows (n,). Keeps their order."""
-        meshes, surfaces = [own for _, own in self._meshes], [own for _, own in self._surfaces]
-        moved, meshes, surfaces = compact(
-            self._tables, (self._moments, self._gaps), np.sort(rows), meshes, surfaces
-        )
+        own = [own for _, own in self._meshes], [own for _, own in self._surfaces]
+        moved, meshes, surfaces = compact(self._tables, (self._moments, self._gaps), np.sort(rows), *own)
         self._meshes = [(self._meshes[old][0], new) for old, new in meshes]
         self._surfaces = [(self._surfaces[old][0], new) for old, new in surfaces]
         if self._ridges is not None:

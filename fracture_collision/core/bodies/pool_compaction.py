@@ -91,7 +91,8 @@ def compact(
     moved = _moves(stays)
     bodies = _one_row_of_each_broken_body(tables, rows)
 
-    trees, leaves = _tree_moves(tables, rows, [each.tree for each in (*meshes, *surfaces)])
+    shared = [mesh.tree for mesh in meshes] + [surface.tree for surface in surfaces]
+    trees, leaves = _tree_moves(tables, rows, shared)
     words = _word_moves(tables, rows, meshes)
     mesh_moves = _compact_meshes(tables, meshes)
     # the seeds' edges are rows of the mesh pool

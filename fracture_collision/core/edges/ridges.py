@@ -40,7 +40,7 @@ class Ridges(NamedTuple):
     """Ridges of all fragments, those of one together, sorted along a curve, eight to a leaf as in sample_leaves.py."""
 
     first: np.ndarray  # (F,) int64 first row of a fragment, a multiple of LEAF
-    count: np.ndarray  # (F,) int64 how many it has
+    count: np.ndarray  # type: ignore[assignment] # (F,) int64 how many it has
     rows: np.ndarray  # (n, RIDGE) float64, body frame; rows that pad a last leaf are not counted
     boxes: np.ndarray  # (6 n / LEAF,) float32 [m] of leaves as in sample_leaves.Leaves, about the fragment's `middle`
     most: np.ndarray  # (n / LEAF, 2) float32: the greatest length [m] and turn in each leaf

@@ -14,7 +14,7 @@ if version("numba").startswith(TRIED_WITH):
 else:
     from numba import njit
 
-    KernelCache = None
+    KernelCache = None  # type: ignore[assignment, misc] # as a missing optional import
 
 
 def _cached(**options: Any) -> Callable[[Callable], Any]:

@@ -11,7 +11,7 @@ class Crew:
 
     def __init__(self, threads: int) -> None:
         self.threads = threads
-        self._pool = ThreadPoolExecutor(threads - 1, thread_name_prefix="narrow_phase") if threads > 1 else None
+        self._pool = ThreadPoolExecutor(max(threads - 1, 1), thread_name_prefix="narrow_phase")  # starts when used
 
     def share(self, kernel: Callable[..., None], *arguments: object, own: Sequence[object]) -> None:
         """Call kernel(*arguments, own[thread], (thread, threads)) for each thread from 0 on in parallel; wait for all.

@@ -21,7 +21,7 @@ from typing import Any
 def _not_to_be_imported(*names: str) -> Iterator[None]:
     """Hides modules from import, unless they are already imported."""
     hidden = [name for name in names if name not in sys.modules]
-    sys.modules |= dict.fromkeys(hidden)
+    sys.modules |= dict.fromkeys(hidden)  # type: ignore[arg-type] # None: an import of it fails
     try:
         yield
     finally:

@@ -21,7 +21,7 @@ class GrowableArray:
     """
 
     def __init__(self, columns: int, dtype: type, changed: Callable[[bool], None] = lambda moved: None) -> None:
-        self._buffer = np.zeros((16, columns) if columns else 16, dtype=dtype)
+        self._buffer: np.ndarray = np.zeros((16, columns) if columns else 16, dtype=dtype)
         self.used = 0
         self._view: np.ndarray | None = None  # cached: a fracture reads the views of all columns several times
         self._changed = changed

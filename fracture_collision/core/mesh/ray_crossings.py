@@ -36,7 +36,7 @@ class _Surface(NamedTuple):
     node_box: np.ndarray  # (b, 6) float64 [m]
     skip: np.ndarray  # (b,) int: the node after all below this one
     first: np.ndarray  # (b,) int: first triangle of a node
-    count: np.ndarray  # (b,) int: how many it has
+    triangles: np.ndarray  # (b,) int: how many it has
 
 
 def windings_of_others(corners: np.ndarray, piece: np.ndarray, points: np.ndarray, own: np.ndarray) -> np.ndarray:

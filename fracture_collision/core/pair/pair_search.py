@@ -55,7 +55,7 @@ class Slot(NamedTuple):
 class Found(NamedTuple):
     """Result of a search."""
 
-    count: int  # contacts, NOT_FOUND: none was run
+    count: int  # type: ignore[assignment] # contacts, NOT_FOUND: none was run
     bound: float  # [m] missed depth bound
     visits: int
     exhausted: int  # COMPLETE, BY_LIMIT or BY_FURTHER

@@ -19,7 +19,7 @@ LEAF_POINTS = 8
 
 class PointHierarchy(NamedTuple):
     points: np.ndarray  # (n, 3) float64 [m], leaf by leaf, ascending by index within a leaf
-    index: np.ndarray  # (n,) int32: index of each in the cloud
+    index: np.ndarray  # type: ignore[assignment] # (n,) int32: index of each in the cloud
     begin: np.ndarray  # (k,) int32: first of `points` below each node
     end: np.ndarray  # (k,) int32: one past the last
     box: np.ndarray  # (k, 6) float64 [m]: low x y z, high x y z
