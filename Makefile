@@ -4,7 +4,7 @@ BIN    := .venv/bin
 STAMPS := build/stamps
 
 .DEFAULT_GOAL := help
-.PHONY: help build smash play test test-full lint peers peers-pins golden-bags fuzz fuzz-pins pins clean
+.PHONY: help build smash play test test-full coverage lint peers peers-pins golden-bags fuzz fuzz-pins pins clean
 
 help: ## this text
 	@echo "fracture_collision: collision detection for fracturing rigid bodies."
@@ -37,12 +37,17 @@ test: build lint ## all tests but the slow ones, and lint
 test-full: build lint ## all tests, the slow ones too
 	@$(PYTEST)
 
-lint: $(STAMPS)/messages ## style, spelling, sizes, one-way imports, arithmetic that is the same on every processor
+coverage: build lint ## `test`, and which lines of Python code it runs (kernels and other processes are not measured)
+	@$(PYTEST) -m "not slow" --cov --cov-report=term:skip-covered
+
+lint: $(STAMPS)/messages ## style, types, spelling, sizes, one-way imports, arithmetic that is the same on every processor
 	@$(BIN)/ruff check .
+	@$(BIN)/mypy
 	@$(BIN)/codespell
 	@$(BIN)/lint-imports --no-cache
 	@$(BIN)/python -m lint.portable_arithmetic
 	@$(BIN)/python -m lint.sizes
+	@$(BIN)/python -m lint.signatures
 
 peers: build $(STAMPS)/peers ## ours beside the libraries people would use instead: table, ratios and out/peers.csv, some minutes
 	@$(BIN)/python -m benchmarks.peers

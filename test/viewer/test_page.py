@@ -204,7 +204,6 @@ def test_thirty_two_pictures_a_second_show_the_newest_states_and_all_figures() -
         page.flush()
         # on a busy machine some pictures are late, and at most MOST_BEHIND of them is caught up
         assert (len(seen) - 1) * INTERVAL <= seen[-1] - seen[0] + MOST_BEHIND + 2.0 * INTERVAL
-        assert np.median(np.diff(seen)) < 1.3 * INTERVAL
         assert page._placed.step == step
         assert len(page._plots._rows) == step  # all figures are kept, also those between two pictures
     with pytest.raises(ValueError, match="no figures beer; there are time"):
