@@ -57,7 +57,10 @@ def add_corners(mesh, broken, t, work, pattern, at_once, new, used):
 
 @inlined_kernel
 def _append(mesh, broken, t, corner, point, new, used):
-    """Append a corner (node of the tetrahedron, its fragment, sample number) if its fragment is new."""
+    """Append a corner to `new` at row `used` if its fragment is one of the Broken's new ones; returns the new length.
+
+    corner: (node of the tetrahedron, its fragment, sample number).
+    """
     i, label, number = corner
     if broken.first <= label < broken.end:
         for d in range(3):
