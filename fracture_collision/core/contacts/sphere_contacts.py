@@ -157,7 +157,7 @@ def _is_listed(contacts, count, place, one_place):
 
 @query_kernel
 def _choose(contacts, ids, wanted, epsilon, most):
-    """Move the rows to keep to the front: (how many, depth [m] of the deepest of the others)."""
+    """Move the rows to keep to the front; returns (their number, depth [m] of the deepest of the others)."""
     count = len(contacts)
     make_heap(contacts, ids, count)
     sort_heap(contacts, ids, count)
