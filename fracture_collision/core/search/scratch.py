@@ -41,22 +41,25 @@ class SurfaceWork(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """Each thread has its own; a few rows of padding keep the small arrays of two threads in different cache lines."""
+    """Working memory of one thread.
+
+    A few rows of padding keep the small arrays of two threads in different cache lines.
+    """
 
     visited: np.ndarray  # (tetrahedra,) int32: stamp of the last flood that reached it
     stamp: np.ndarray  # (1 + padding,) int32
     heap_key: np.ndarray  # (tetrahedra,) float64: squared box distance [m2]
     heap_tet: np.ndarray  # (tetrahedra,) int32
     roots: np.ndarray  # (ROOTS,) float64: where a ray may change its owner within a tetrahedron
-    node_int: np.ndarray  # (nodes, 4) int32: entry, side, next child, status
-    node_float: np.ndarray  # (nodes, 4) float64: point in the other's frame [m], depth bound [m]
+    node_int: np.ndarray  # (nodes, 4) int32: columns of traversal.py, or of contact_choice.py
+    node_float: np.ndarray  # (nodes, 4) float64 [m]: likewise, a point first
     queue: np.ndarray  # (2, 2 nodes) int32: rows of the two above
-    spread: np.ndarray  # (2, nodes) float64 [m2], [m]: see sample_search
+    spread: np.ndarray  # (2, nodes) float64: FAR [m2], MOST_DEPTH [m] of contact_choice.py
     ways: np.ndarray  # (8 + padding, 5) float64: directions out of a fragment, see deep_choice
     along: np.ndarray  # (nodes,) float32: extents of leaves of samples [m]
     looked_at: np.ndarray  # (4, nodes + LEAF) float32 [m]: places of samples, distance beyond planes
     leaves: np.ndarray  # (nodes,) int32: leaves of these samples
-    candidates: np.ndarray  # (nodes, 4) float64 [m]: samples to be queried, see sample_search
+    candidates: np.ndarray  # (nodes, 4) float64 [m]: samples to be queried, see candidates.py
     candidate_ids: np.ndarray  # (nodes, 2) int32: likewise
     planes: np.ndarray  # (8 + padding, 4) float32: half-spaces
     rotation: np.ndarray  # (2 + padding, 3, 3) float64: a pair's relative poses
@@ -75,7 +78,7 @@ class Scratch(NamedTuple):
     within: np.ndarray  # (MOST_WITHIN,) int64: triangles within a sphere's reach (sphere_contacts.py)
     touching: np.ndarray  # (MOST_TOUCHING,) int64: those at one point
     places: Sink  # MOST_PLACES rows: contacts of a sphere that are not chosen yet; row 0: of traversal.query_pair
-    kept: Sink  # `nodes` rows: contacts of candidate samples, sample_search.py
+    kept: Sink  # `nodes` rows: contacts of candidate samples, contact_choice.keep_answer
     ridge_work: RidgeWork
     surface_work: SurfaceWork
     none_listed: np.ndarray  # (0, 2) int32, and (0, PLACE) float32: for searches without a list (neighbour_lists.py)
@@ -85,9 +88,9 @@ class Scratch(NamedTuple):
 def scratch_for(
     pools: Pools, rows: np.ndarray, threads: int, before: tuple[Scratch, ...], edges: Ridges
 ) -> tuple[Scratch, ...]:
-    """`before` if it has room for all pairs of `rows` (n,), else new ones, one per thread.
+    """`before` if it has room for all pairs of `rows` (n,), else a new Scratch per thread.
 
-    edges: of all rows, NO_RIDGES where their crossings are not searched.
+    edges: Ridges of all rows, NO_RIDGES where their crossings are not searched.
     """
     crossings, ridges = (MOST_CROSSINGS, int(edges.count[rows].max(initial=0))) if len(edges.count) else (0, 0)
     nodes = 2 * _largest_tree(pools.fragment.tree_begin, pools.fragment.tree_end, rows) + 2 + crossings
