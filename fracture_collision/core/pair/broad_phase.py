@@ -39,7 +39,11 @@ NOTHING_PAIRED = Paired(
 
 @kernel
 def world_boxes(fragment_box, rows, rotations, positions, margins, boxes):
-    """World boxes (n, 6) [m] of fragments `rows` with poses (n, 3, 3) and (n, 3), grown by margins (n,)."""
+    """Write the world boxes of fragments `rows` (n,) to `boxes` (n, 6) [m].
+
+    fragment_box (F, 6): of FragmentPool; rotations (n, 3, 3), positions (n, 3) [m]: world poses; each box is grown by
+    its margin (n,) [m].
+    """
     for i in range(len(rows)):
         _put_world_box(fragment_box[rows[i]], rotations[i], positions[i], margins[i], boxes[i])
 
