@@ -33,9 +33,9 @@ from fracture_collision.core.memory.kinds import TETRAHEDRA, TRIANGLES
 from fracture_collision.core.memory.pools import EXACT
 from fracture_collision.core.tree.sample_leaves import farthest_sample, leaves_of, nearest_sample
 
-# Exit directions of deep samples that are kept to bound the depth of others.
+# Maximum number of exit directions of deep samples, kept to bound the depth of others.
 MOST_WAYS = 8
-# Samples of the other are hardly nearer to a point inside than this share of R.
+# The nearest sample of the other is rarely closer to a point inside than this share of R.
 SAMPLES_HELP = 0.02
 
 

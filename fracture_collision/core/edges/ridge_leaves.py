@@ -18,7 +18,7 @@ from fracture_collision.core.tree.sample_leaves import Leaves, worst_of_leaves
 
 # Single-precision rounding of a place along an edge, as a share of all lengths, for edges at a right angle.
 ROUNDING = 1e-6
-# An angle is no more than so many times its chord.
+# An angle is no more than its chord times this factor.
 OF_CHORD = 1.1
 
 

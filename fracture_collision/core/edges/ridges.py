@@ -20,7 +20,7 @@ from fracture_collision.core.mesh.surface_elements import count_triangles, put_t
 from fracture_collision.core.tree.sample_leaves import place_on_curve
 
 # Minimum turn of the surface at a ridge (chord of the angle), and minimum length as a share of R: where flatter or
-# shorter ones cross, samples beside them are hardly less deep.
+# shorter ones cross, samples beside them are about as deep.
 LEAST_TURN, LEAST_LENGTH = 0.06, 1e-4
 # Ridges that turn by less, as between the triangles of a fine mesh, have leaves of their own: they matter to few.
 SMOOTH = 0.12

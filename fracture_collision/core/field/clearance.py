@@ -147,7 +147,7 @@ def side_of_surface(pools, f, last, point, deep, rounding):
 
 @inlined_kernel
 def _is_clear_of_cells(pools, f, point, local, far, scratch):
-    """Whether no surface of `f` in the cells around a point outside f, wherever it lies, is within `far` [m]."""
+    """Whether no surface of `f` is within `far` [m] of a point outside f, by all tetrahedra in the cells around it."""
     mesh, near = pools.mesh, scratch.heap_tet
     for k in range(tetrahedra_near(pools, f, point[0], point[1], point[2], np.float64(far), scratch)):
         t = near[k]

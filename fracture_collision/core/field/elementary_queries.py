@@ -33,7 +33,7 @@ INSIDE = 2  # inside; closest point only if requested
 
 
 class Probe(NamedTuple):
-    """Answer for one point. The closest point and the normal are zeros unless `status` says that they were found."""
+    """Answer for one point. The closest point and the normal are zeros where none was searched or found."""
 
     status: int  # OUTSIDE, NEAR or INSIDE
     distance: float  # [m] signed; OUTSIDE: a lower bound; minus infinity: INSIDE, deeper than searched

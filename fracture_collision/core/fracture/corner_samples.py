@@ -22,7 +22,7 @@ MOST_CORNERS = 16
 
 @kernel
 def room_for_corners(tetrahedra):
-    """NewSamples with capacity for the corners of so many tetrahedra."""
+    """NewSamples with capacity for the corners of `tetrahedra` tetrahedra."""
     count = MOST_CORNERS * tetrahedra
     return NewSamples(
         np.empty((count, 3)), np.empty(count, np.int32), np.empty(count, np.int32), np.empty(count, np.int32)

@@ -37,7 +37,7 @@ class TouchedRoom(NamedTuple):
 
 
 def touched_room(tetrahedra: int) -> TouchedRoom:
-    """TouchedRoom for a mesh of so many tetrahedra, without marks."""
+    """TouchedRoom for a mesh of `tetrahedra` tetrahedra, without marks."""
     return TouchedRoom(
         np.zeros(tetrahedra, np.uint8), np.empty(tetrahedra, np.int32), np.empty(tetrahedra, np.int32),
         np.zeros(2, np.int64),

@@ -59,7 +59,7 @@ FARTHEST_REACH = 0.2
 # A list for the whole remaining path reaches slightly farther, so that rounding does not end it before the time is
 # over.
 TO_THE_END = 1.001
-# If more than MOST_AHEAD samples are within reach, it is reduced by this factor, at most so many times.
+# If more than MOST_AHEAD samples are within reach, it is reduced by a factor, up to a number of times.
 NARROWER, NARROWINGS = 0.25, 5
 # The search stops where a contact found before would be as deep as this share of R, or as THIN.
 HELD = 0.03

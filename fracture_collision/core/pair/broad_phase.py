@@ -14,7 +14,7 @@ from fracture_collision.core.memory.compiled import inlined_kernel, kernel
 from fracture_collision.core.memory.kinds import PLANE
 from fracture_collision.core.pair.crowds import Overlaps, overlaps_of
 
-# All pairs are recomputed if more than one fragment in so many has moved.
+# All pairs are recomputed if more than one fragment in FEW has moved.
 FEW = 16
 
 

@@ -23,14 +23,14 @@ from fracture_collision.core.memory.kinds import PLANE
 from fracture_collision.core.memory.prefetch import fetch
 from fracture_collision.core.memory.rotations import to_other
 
-# Samples a list has room for, and pairs of ridges (ridge_contacts.py).
+# Capacity of a list: samples, and pairs of ridges (ridge_contacts.py).
 MOST_LISTED, MOST_RIDGES = 256, 256
-# The same for the one pair per thread that is in look-ahead (first_touch.py).
+# The same for the one pair per thread that is searched ahead in time (first_touch.py).
 MOST_AHEAD = 4096
 # Lists are made for pairs that move by less than this share of the smaller R in a step.
 FAST = 0.003
-# Reach of a list beyond the tolerance: the pair's motion in so many steps, within these shares of R. A larger reach
-# lasts longer and lists more.
+# Reach of a list beyond the tolerance: the pair's motion in LASTS steps, within the other two shares of R. A larger
+# reach lasts longer and lists more.
 LASTS, LEAST_REACH, MOST_REACH = 4.0, 0.005, 0.02
 # How far beyond the tolerance a listed sample's distance is searched, likewise in steps: more means fewer queries.
 AHEAD = 2.0

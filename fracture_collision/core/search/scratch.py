@@ -22,7 +22,7 @@ from fracture_collision.core.separation.approach import ANY_WAY, WAY
 MOST_WITHIN = 8192
 MOST_PLACES = 1024
 MOST_TOUCHING = 256
-# Capacity for triangles that wait in a search between samples: one for each halving of the first. After so many
+# Capacity of the stack of triangles in a search between samples: one for each halving of the first. After this many
 # halvings no side is as long as a millionth of the first's.
 DEPTH_OF_STACK = 64
 # Behind each face of a tetrahedron, at most three planes separate fragments.
@@ -111,7 +111,7 @@ def _largest_tree(tree_begin, tree_end, rows):
 
 
 def make_scratch(tetrahedra: int, nodes: int, ridges: int = 0) -> Scratch:
-    """Working memory of one thread, for meshes, trees and ridges of up to so many rows.
+    """Working memory of one thread, for meshes, trees and ridges with up to these numbers of rows.
 
     Small arrays are padded by 128 bytes that are never written: threads that share a cache line wait for each other's
     writes, and two threads run 1.7 instead of 1.9 times as fast as one.

@@ -47,7 +47,7 @@ NO_PLANE = (0.0, 0.0, 0.0, 0.0)
 # How a search ended: complete; cut short by a limit on visits or contacts; cut short by the limit on further visits,
 # those after a pair has the contacts wanted.
 COMPLETE, BY_LIMIT, BY_FURTHER = 0, 1, 2
-# Triangles searched for a sphere's contacts at least, however few further visits are left.
+# Minimum number of triangles searched for a sphere's contacts, even if fewer further visits are left.
 LEAST_WITHIN = 32
 UNKNOWN = 3  # in addition to INSIDE, NEAR, OUTSIDE: not tested, because no depth it can have would count
 # Poses, as of neighbour_lists.keep_pose, of two fragments of one body in their places in the unbroken body.

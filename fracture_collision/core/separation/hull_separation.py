@@ -28,7 +28,7 @@ from fracture_collision.core.mesh.closest_point import closest_on_triangle
 MOST_STEPS = 12
 # GJK ends when the possible gain is less than this share of the distance.
 SETTLED = 1e-3
-# Subtrees of up to so many entries are scanned: culling their branches would take longer.
+# Subtrees of up to this many entries are scanned: culling their branches would take longer.
 BUNCH = 48
 
 

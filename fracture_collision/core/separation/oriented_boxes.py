@@ -10,7 +10,7 @@ import math
 from fracture_collision.core.memory.compiled import inlined_kernel
 from fracture_collision.core.memory.rotations import to_other
 
-# Two axes with a shorter cross product are parallel; the axes themselves separate whatever the product would.
+# Two axes with a shorter cross product are parallel; the axes themselves cover what the product would separate.
 PARALLEL = 1e-6
 
 
