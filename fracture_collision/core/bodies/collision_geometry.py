@@ -78,6 +78,7 @@ class CollisionGeometry:
 
     @property
     def pools(self) -> Pools:
+        """The pools as kernels read them; valid until the next change of the geometry."""
         return self._tables.pools
 
     @property
@@ -110,6 +111,7 @@ class CollisionGeometry:
         )  # fmt: skip
 
     def tree_entries(self, row: int) -> int:
+        """Number of entries of the fragment's tree."""
         return int(self._tables.fragment["tree_end"].view[row] - self._tables.fragment["tree_begin"].view[row])
 
     def volume(self, row: int) -> float:
@@ -158,17 +160,20 @@ class CollisionGeometry:
         return moved.position[rows]
 
     def add_plane(self, normal: np.ndarray, offset: float) -> int:
-        """Half-space normal . x <= offset; `normal` unit."""
+        """Add a half-space normal . x <= offset [m], `normal` (3,) unit, outward; returns its row."""
         box = np.array([-np.inf] * 3 + [np.inf] * 3)
         return self._add_row(PLANE, box, np.append(normal, offset), np.inf, NO_TREE, 0.0)
 
     def add_sphere(self, radius: float) -> int:
-        """A sphere's surface is searched as a whole (sphere_contacts.py), so its sampling gap is zero."""
+        """Add a sphere of `radius` [m] about its frame's origin; returns its row.
+
+        Its surface is searched as a whole (sphere_contacts.py), so its sampling gap is zero.
+        """
         box = np.array([-radius] * 3 + [radius] * 3)
         return self._add_row(SPHERE, box, np.array([radius, 0.0, 0.0, 0.0]), radius, NO_TREE, 0.0)
 
     def add_box(self, half: np.ndarray) -> int:
-        """`half` (3,) [m] half edge lengths."""
+        """Add a box of half edges `half` (3,) [m] about its frame's origin; returns its row."""
         points = box_edge_points(half)
         own = self._append_tree(build_sphere_tree(points, np.ones(len(points), np.uint8)))
         return self._add_row(
@@ -176,7 +181,7 @@ class CollisionGeometry:
         )
 
     def add_tetrahedra(self, prepared: PreparedMesh) -> int:
-        """A whole body; equal `prepared` objects share their pool rows."""
+        """Add a whole body of tetrahedra; equal `prepared` objects share their pool rows. Returns its row."""
         rows = self._mesh_rows(prepared)
         self._bodies_of[id(prepared)] += 1
         mesh = prepared.mesh
@@ -189,7 +194,7 @@ class CollisionGeometry:
         return row
 
     def add_triangles(self, prepared: PreparedSurface) -> int:
-        """A rigid body; equal `prepared` objects share their pool rows."""
+        """Add a rigid body of triangles; equal `prepared` objects share their pool rows. Returns its row."""
         rows = next((rows for known, rows in self._surfaces if known is prepared), None)
         if rows is None:
             tables = self._tables
@@ -244,7 +249,7 @@ class CollisionGeometry:
 
     @staticmethod
     def _append(column: GrowableArray, count: int) -> int:
-        """Append `count` rows, not initialized; returns the first."""
+        """Append `count` rows, not initialized; returns the index of the first."""
         column.reserve(count)
         return column.advance(count)
 
@@ -253,8 +258,9 @@ class CollisionGeometry:
         return Sums(self._moments.view, self._gaps.view, self._tables.roomy.fragment.box)
 
     def _rebuild_surfaces(self, broken: Broken, touched: Touched) -> NewSamples:
-        """Rebuild the polygons in the touched tetrahedra, and moments, boxes, gaps, cells of their fragments. Returns
-        the samples at their corners.
+        """Rebuild the polygons in the touched tetrahedra, and moments, boxes, gaps, cells of their fragments.
+
+        Returns the samples at corners of these fragments.
         """
         tables = self._tables
         columns = [tables.body[name] for name in ("triangles", "faces", "sides")]

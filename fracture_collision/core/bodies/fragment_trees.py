@@ -86,9 +86,10 @@ def split_trees(tables: PoolTables, broken: Broken, edges: np.ndarray, corners: 
 
 @kernel
 def _split_trees(pools, cut, broken, edges, corners, ordered, room):
-    """split_trees, to the rows of a _Room; returns the numbers of entries and leaves written.
+    """split_trees on the parts of the pools that it needs, to the rows of a _Room.
 
-    pools: mesh, fragment and tree; cut: BodyPool's node_fragment and edge_share.
+    pools: mesh, fragment and tree; cut: BodyPool's node_fragment and edge_share; ordered: see split_trees. Returns
+    (number of tree entries written, number of leaves written).
     """
     mesh, fragment, tree = pools
     node_fragment, edge_share = cut
@@ -188,8 +189,9 @@ def _new_samples(mesh, first, labels, share, cut, corners, low):
 
 @kernel
 def _parts_of_entries(mesh, first, entries, labels, low):
-    """The part (s,) int32 of each tree entry's point, rows of TreePool.entries; NOBODYS for corners, which depend on
-    all cracks around them and are made anew for the new fragments.
+    """The part (s,) int32 of the point of each of `entries`, rows of TreePool.entries.
+
+    NOBODYS for corners, which depend on all cracks around them and are made anew for the new fragments.
     """
     parts = np.empty(len(entries), np.int32)
     for i in range(len(entries)):

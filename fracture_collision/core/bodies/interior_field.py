@@ -29,6 +29,8 @@ CELLS_PER_EDGE = 3
 
 
 class InteriorField(NamedTuple):
+    """The averaged field of an unbroken body at its n nodes and on a grid."""
+
     node_field: np.ndarray  # (n, 7) float64 [m], as BodyPool.node_field
     origin: np.ndarray  # (3,) float64 [m] first grid point
     cell: float  # [m]
@@ -39,7 +41,10 @@ class InteriorField(NamedTuple):
 
 
 def make_interior_field(mesh: TetMesh) -> InteriorField:
-    """Measure the whole body. For points deep inside, a hierarchy over its surface is faster than a flood."""
+    """Measure the whole body.
+
+    For points deep inside, a hierarchy over its surface is faster than a flood.
+    """
     tables = PoolTables(ALTERNATING, EXACT, NEAREST)
     append_triangle_mesh(tables.triangles, build_triangle_mesh(mesh.nodes, mesh.surface))
     surface, stack = tables.pools.triangles, np.empty(STACK, np.int32)

@@ -55,6 +55,7 @@ class Moves(NamedTuple):
         return np.where(rows < 0, rows, self.position[np.maximum(rows, 0)])
 
     def keep(self, columns: dict[str, GrowableArray], *names: str) -> None:
+        """Drop the rows that do not stay from the named columns."""
         for name in names:
             columns[name].keep(self.stays)
 
@@ -148,7 +149,9 @@ def _one_row_of_each_broken_body(tables: PoolTables, rows: np.ndarray) -> np.nda
 
 
 def _tree_moves(tables: PoolTables, rows: np.ndarray, shared: list[TreeRows]) -> tuple[Moves, Moves]:
-    """Moves of the trees of the fragments and of whole meshes, which later bodies of these meshes use, and of leaves.
+    """(moves of tree entries, moves of leaves) of the trees that fragments `rows`, or later bodies of a mesh, use.
+
+    shared: the trees of whole meshes.
     """
     own = [tables.fragment[name].view[rows] for name in ("tree_begin", "tree_end", "leaf_begin", "leaf_end")]
     ends = [np.concatenate([column, [tree[k] for tree in shared]]).astype(np.int64) for k, column in enumerate(own)]

@@ -46,10 +46,10 @@ class SurfaceMeshRows(NamedTuple):
 
 
 def bytes_of_fragments(tables: PoolTables, rows: np.ndarray, mesh: MeshRows | None, has_own_tree: bool) -> int:
-    """Bytes that `compact` would free without `rows` (n,), all fragments of one body, except its mesh, which may be
-    shared.
+    """Bytes that `compact` would free without `rows` (n,), all fragments of one body, except its mesh.
 
-    mesh: of a body of tetrahedra. has_own_tree: false if its tree belongs to the mesh, even before it breaks.
+    mesh: of a body of tetrahedra; it may be shared. has_own_tree: false if its tree belongs to the mesh, even before it
+    breaks.
     """
     fragment = tables.fragment
     one = sum(column.row_bytes for column in fragment.values()) + _MOMENTS_AND_GAP

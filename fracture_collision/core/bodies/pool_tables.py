@@ -74,14 +74,16 @@ class PoolTables:
 
     @property
     def pools(self) -> Pools:
+        """The pools as kernels read them: views of all columns, cached until a column changes."""
         if self._pools is None:
             self._pools = self._pools_of(lambda column: column.view)
         return self._pools
 
     @property
     def roomy(self) -> Pools:
-        """`pools` with the spare capacity behind each column's rows, for kernels that write there: it stays the same
-        until a column is reallocated.
+        """`pools` with the spare capacity behind each column's rows, for kernels that write there.
+
+        It stays the same until a column is reallocated.
         """
         if self._roomy is None:
             self._roomy = self._pools_of(lambda column: column.whole)
@@ -101,6 +103,7 @@ class PoolTables:
 
     @property
     def bytes_used(self) -> int:
+        """Bytes of all rows in the pools, without spare capacity."""
         pools = (self.mesh, self.body, self.fragment, self.tree, self.samples, self.triangles, self.seeds)
         columns = [column for pool in pools for column in pool.values()]
         return sum(column.used * column.row_bytes for column in (*columns, self.occupancy))

@@ -16,7 +16,7 @@ from fracture_collision.portable_math import lengths
 
 
 class MassProperties(NamedTuple):
-    """Of a rigid body."""
+    """Mass properties of a rigid body."""
 
     mass: float  # [kg]
     center: np.ndarray  # (3,) [m], body frame

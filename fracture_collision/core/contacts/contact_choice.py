@@ -36,7 +36,10 @@ EQUAL = 1.0 - 1e-3
 
 
 class Rule(NamedTuple):
-    """Which of a pair's contacts are listed (Glondu 2014, section 5.2, and `choose`)."""
+    """Which of a pair's contacts are listed (Glondu 2014, section 5.2, and `choose`).
+
+    most = 0: the paper's rule; most > 0: ours.
+    """
 
     wanted: int  # m
     most: int  # most contacts listed where more than m are deeper than epsilon, up to `limit`; 0: the paper's rule
@@ -58,7 +61,7 @@ class Placed(NamedTuple):
 
 @inlined_kernel
 def placed(pools, side, entry):
-    """The sample of row `entry` of TreePool, which is on this Side: Placed."""
+    """The Placed sample of row `entry` of TreePool, a sample of this Side."""
     c, sample = pools.tree.spheres[entry], pools.tree.entries[entry, SAMPLE]
     x, y, z = to_other(side.rotation, side.translation, c[0], c[1], c[2])
     start = home_tetrahedron(pools, side.other, sample) if side.one_body else -1
@@ -68,14 +71,15 @@ def placed(pools, side, entry):
 
 @inlined_kernel
 def way_out_of_box(box, x, y, z):
-    """[m] from a point to the nearest side of the box (6,) around it: an upper bound on its depth."""
+    """Distance [m] from a point to the nearest side of the box (6,) around it: an upper bound on its depth."""
     return min(x - box[0], y - box[1], z - box[2], box[3] - x, box[4] - y, box[5] - z)
 
 
 @inlined_kernel
 def keep(pools, side, entry, sample, distance, deep, k, scratch):
-    """Store a Placed sample as candidate k, without an answer: at `distance` [m], or UNASKED, and no deeper than `deep`
-    [m].
+    """Store a Placed sample of a Side as candidate k, without an answer.
+
+    entry: its row of TreePool; distance [m]: from the other fragment, or UNASKED; deep [m]: it is no deeper than that.
     """
     node, point = scratch.node_int[k], scratch.node_float[k]
     node[ENTRY], node[SIDE], node[NUMBER], node[ANSWER] = entry, side.number, sample.number, -1
@@ -96,22 +100,26 @@ def keep_answer(answer, k, sample, scratch):
 
 @inlined_kernel
 def is_final(answer, looked, rule):
-    """Whether put_chosen would get the same answer. It may not if the probe searched farther than the tolerance, or
-    less deep than the point may be: of surfaces equally near it may then find another.
+    """Whether put_chosen would get the same Probe as this search, which covered `looked` [m] from outside.
+
+    It may not if the probe searched farther than the tolerance, or less deep than the point may be: of surfaces equally
+    near it may then find another.
     """
     return (answer.status == NEAR and looked == rule.near) or (answer.status == INSIDE and rule.most == 0)
 
 
 @inlined_kernel
 def choose(rule, count, scratch):
-    """Choose which of `count` near samples, at most `wanted` of them deeper than epsilon, to list: they come first.
-    Returns (how many, bound [m] on the depth of the others).
+    """Choose which of `count` near samples to list, where at most rule.wanted are deeper than epsilon.
 
-    All, if there are no more than wanted. Otherwise all deeper than epsilon, then, up to the contacts wanted, the one
-    farthest from those already chosen. A distance is weighted by how far the sample is within the detection tolerance,
-    up to epsilon: a contact that hardly touches supports nothing (as in Jolt's manifolds). Ties are broken by side and
-    sample. So that rounding does not change the contacts of a resting body, scores of at least EQUAL of the best are
-    ties; and where none is deeper than epsilon, the first is one of those within half of epsilon of the deepest.
+    The chosen ones are moved to the front. Returns (number chosen, bound [m] on the depth of the others).
+
+    All are chosen if there are no more than wanted. Otherwise all deeper than epsilon, then, up to the contacts wanted,
+    the one farthest from those already chosen. A distance is weighted by how far the sample is within the detection
+    tolerance, up to epsilon: a contact that hardly touches supports nothing (as in Jolt's manifolds). Ties are broken
+    by side and sample. So that rounding does not change the contacts of a resting body, scores of at least EQUAL of the
+    best are ties; and where none is deeper than epsilon, the first is one of those within half of epsilon of the
+    deepest.
     """
     if count <= rule.wanted:
         return count, 0.0
@@ -164,13 +172,14 @@ def _worth(rule, distance, far):
 
 @inlined_kernel
 def is_before(scratch, i, j):
-    """Order by side and sample."""
+    """Whether candidate i precedes candidate j in the order by side and sample."""
     one, other = scratch.node_int[i], scratch.node_int[j]
     return one[SIDE] < other[SIDE] or (one[SIDE] == other[SIDE] and one[NUMBER] < other[NUMBER])
 
 
 @inlined_kernel
 def swap(scratch, i, j):
+    """Swap candidates i and j in scratch."""
     node, point, spread = scratch.node_int, scratch.node_float, scratch.spread
     for c in range(4):
         node[i, c], node[j, c] = node[j, c], node[i, c]
@@ -182,7 +191,10 @@ def swap(scratch, i, j):
 
 @inlined_kernel
 def put_chosen(pools, pair, near, slack, sink, count, scratch):
-    """Write the first `count` candidates as contacts, sorted by side and sample."""
+    """Write the first `count` candidates of a Pair to a Sink as contacts, sorted by side and sample.
+
+    near [m]: detection tolerance; slack [m]: rounding_slack of the pair. Candidates without an answer are queried.
+    """
     contacts, ids = sink
     one_body = share_a_body(pools, pair.a, pair.b)
     for k in range(count):

@@ -29,7 +29,7 @@ def make_world_contacts(n: int) -> WorldContacts:
 
 @inlined_kernel
 def put_in_world(step, p, sink, c, out, o):
-    """Write contact `c` of a Sink, of pair `p` of a Step, to row `o` of WorldContacts."""
+    """Write contact `c` of a Sink, found for pair `p` of a Step, to row `o` of WorldContacts."""
     row, ids = sink.contacts[c], sink.ids[c]
     side = ids[ID_SIDE]
     other = step.pairs[p, 1] if side == 0 else step.pairs[p, 0]

@@ -1,8 +1,8 @@
-"""Choice of the contacts to list where more than wanted are deeper than epsilon: Glondu 2014, section 5.2, as in
-contact_choice.py.
+"""Choice of the contacts to list where more than wanted are deeper than epsilon: Glondu 2014, section 5.2.
 
-The deepest sample comes first, then of the other deep ones those farthest from the ones already chosen. Only a few need
-to be queried: those that may be the deepest, and those far from the chosen. So most wait here UNASKED.
+The deepest sample comes first, then of the other deep ones those farthest from the ones already chosen, as in
+contact_choice.py. Only a few need to be queried: those that may be the deepest, and those far from the chosen. So most
+wait here UNASKED.
 """
 
 from __future__ import annotations
@@ -33,24 +33,28 @@ from fracture_collision.core.memory.kinds import is_mesh
 from fracture_collision.core.memory.pools import EXACT
 from fracture_collision.core.tree.sample_leaves import farthest_sample, leaves_of, nearest_sample
 
-# Exit directions of deep samples that are kept to bound the depth of others.
+# Maximum number of exit directions of deep samples, kept to bound the depth of others.
 MOST_WAYS = 8
-# Samples of the other are hardly nearer to a point inside than this share of R.
+# The nearest sample of the other is rarely closer to a point inside than this share of R.
 SAMPLES_HELP = 0.02
 
 
 @inlined_kernel
 def may_wait(pools, other, rule, deep):
-    """Whether the query of a sample in `other` may be deferred, with `deep` others deeper than epsilon: only where
-    queries are slow. (Depths of the averaged field have no bound that is independent of which samples were queried.)
+    """Whether the query of a sample in `other` may be deferred, with `deep` others deeper than epsilon.
+
+    Only where queries are slow. (Depths of the averaged field have no bound that is independent of which samples were
+    queried.)
     """
     return rule.most > 0 and deep > rule.wanted and is_mesh(pools.fragment.kind[other]) and pools.field == EXACT
 
 
 @inlined_kernel
 def choose_deep(pools, pair, rule, slack, count, scratch):
-    """Like contact_choice.choose, where more than wanted of the samples are deeper than epsilon: the deepest, then of
-    these those farthest from the ones already chosen, up to rule.most and rule.limit.
+    """contact_choice.choose where more than rule.wanted of the samples are deeper than epsilon.
+
+    Chooses the deepest, then of these those farthest from the ones already chosen, up to rule.most and rule.limit.
+    Returns (number chosen, bound [m] on the depth of the others).
     """
     point, most_depth = scratch.node_float, scratch.spread[MOST_DEPTH]
     picked = scratch.queue[1]
@@ -84,8 +88,9 @@ def choose_deep(pools, pair, rule, slack, count, scratch):
 
 @inlined_kernel
 def _line_up(rule, count, first, scratch):
-    """Queue those of `count` samples that may be deeper than epsilon, except `first`, by their distance from it: a
-    heap, farthest first; returns how many.
+    """Queue those of `count` samples that may be deeper than epsilon, except `first`, by their distance from it.
+
+    The queue is a heap, farthest first. Returns its length.
     """
     point, most_depth = scratch.node_float, scratch.spread[MOST_DEPTH]
     keys, items, known = scratch.spread[FAR], scratch.queue[0], scratch.queue[0, count:]
@@ -101,11 +106,11 @@ def _line_up(rule, count, first, scratch):
 
 @inlined_kernel
 def _farthest(pools, pair, rule, slack, count, chosen, waiting, scratch):
-    """(the queued sample farthest from the `chosen` ones, -1: none is deeper than epsilon; how many are left in the
-    queue). Ties as in contact_choice.choose.
+    """The queued sample farthest from the `chosen` ones.
 
-    A sample's key is its distance from the first `known` chosen ones, an upper bound of the present distance (as in the
-    lazy greedy algorithm of Minoux 1978).
+    Returns (sample, -1: none is deeper than epsilon; length of the queue). Ties as in contact_choice.choose. A sample's
+    key is its distance from the first `known` chosen ones, an upper bound of the present distance (as in the lazy
+    greedy algorithm of Minoux 1978).
     """
     point, keys, items = scratch.node_float, scratch.spread[FAR], scratch.queue[0]
     known, picked, ties = scratch.queue[0, count:], scratch.queue[1], scratch.queue[1, count:]

@@ -23,6 +23,7 @@ def _is_before(row, row_ids, other, other_ids):
 
 @inlined_kernel
 def swap_contacts(contacts, ids, i, j):
+    """Swap rows i and j of contacts and ids, see Sink."""
     for c in range(contacts.shape[1]):
         contacts[i, c], contacts[j, c] = contacts[j, c], contacts[i, c]
     for c in range(ids.shape[1]):
@@ -51,8 +52,9 @@ def make_heap(contacts, ids, count):
 
 @query_kernel
 def keep_if_deeper(contacts, ids, count, row, row_ids):
-    """Drop either `row` (10,) with `row_ids` (5,) or the shallowest of the heap of `count` rows; returns the depth [m]
-    dropped.
+    """Keep the deeper of a new row and the shallowest row of a heap of `count` rows.
+
+    row (10,), row_ids (5,): the new row, as in a Sink. Returns the depth [m] of the row that is dropped.
     """
     if count > 0 and _is_before(row, row_ids, contacts[0], ids[0]):
         for c in range(len(row)):
@@ -73,7 +75,7 @@ def sort_heap(contacts, ids, count):
 
 @inlined_kernel
 def sort_by_sample(contacts, ids, count):
-    """Sort by side and sample; insertion sort, for few rows."""
+    """Sort the first `count` rows by side and sample; insertion sort, for few rows."""
     for i in range(1, count):
         k = i
         while k > 0 and (ids[k - 1, ID_SIDE], ids[k - 1, ID_SAMPLE]) > (ids[k, ID_SIDE], ids[k, ID_SAMPLE]):

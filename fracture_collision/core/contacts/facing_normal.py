@@ -77,8 +77,9 @@ def turn_contacts(pools, pair, near, sink, count, scratch):
 
 @inlined_kernel
 def turn_surface_point(pools, pair, side, outward, near, sink, scratch):
-    """Like turn_contacts, for the one contact of row 0, which is not at a sample: `outward` (x, y, z) is the normal of
-    its own surface, in the other's frame.
+    """turn_contacts for the one contact in row 0 of a Sink, which is not at a sample.
+
+    side: whose point it is (0: a's); outward (x, y, z): the normal of its own surface, in the other's frame.
     """
     a, b, _, _ = pair
     row, ids = sink.contacts[0], sink.ids[0]
@@ -92,7 +93,11 @@ def turn_surface_point(pools, pair, side, outward, near, sink, scratch):
 
 @inlined_kernel
 def _turn_to_facing(pools, f, own, outward, near, row, scratch):
-    """outward (x, y, z): the normal of own's surface in f's frame, not unit; zeros if unknown."""
+    """Turn a contact of a point of `own` with `f` to the nearest surface of f that faces the point, if that is near.
+
+    outward (x, y, z): the normal of own's surface in f's frame, not unit; zeros if unknown. Sets witness, normal and
+    gap of `row` (10,), see Sink.
+    """
     x, y, z, d = row[0], row[1], row[2], row[9]
     ox, oy, oz = outward
     along = ox * row[6] + oy * row[7] + oz * row[8]
@@ -119,8 +124,9 @@ def _turn_to_facing(pools, f, own, outward, near, row, scratch):
 
 @inlined_kernel
 def own_normal(pools, f, sample, x, y, z):
-    """Outward normal of f's own surface at one of its samples, not unit; zeros if unknown. (x, y, z) [m]: where it is,
-    body frame.
+    """Outward normal of f's own surface at one of its samples, not unit; zeros if unknown.
+
+    (x, y, z) [m]: the sample's place in f's body frame. Returns (nx, ny, nz) in that frame.
     """
     kind = pools.fragment.kind[f]
     if kind == BOX:
@@ -151,8 +157,9 @@ def _face_sign(x, half):
 
 @inlined_kernel
 def _nearest_facing(pools, f, inside, point, limit, toward, scratch):
-    """Nearest point within `limit` [m] of f's surface whose outward normal points against `toward`: (found, point,
-    normal).
+    """Nearest point of f's surface, closer than `limit` [m], whose outward normal points against `toward`.
+
+    Returns (found, x, y, z, nx, ny, nz).
     """
     x, y, z = point
     kind = pools.fragment.kind[f]
@@ -180,7 +187,7 @@ def _nearest_facing(pools, f, inside, point, limit, toward, scratch):
 
 @inlined_kernel
 def _facing_side(half, x, y, z, limit, toward):
-    """The same for the six sides of a box of half edges `half` [m]."""
+    """_nearest_facing for the six sides of a box of half edges `half` [m]."""
     best = (False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     least = limit * limit
     cx, cy, cz = min(max(x, -half[0]), half[0]), min(max(y, -half[1]), half[1]), min(max(z, -half[2]), half[2])

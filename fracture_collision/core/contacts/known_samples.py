@@ -1,4 +1,4 @@
-"""Contacts of crack samples, which are known before any search, and shared helpers for contacts of samples."""
+"""Contacts of crack samples, which are known before any search, and functions that all contacts of samples share."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def moved_since(sphere, x, y, z):
 
 @inlined_kernel
 def rounding_slack(pools, a, b, translation):
-    """How much rounding may reduce the bound [m] of a pair with these relative translations (2, 3)."""
+    """How much rounding may reduce the depth bound [m] of fragments a and b with relative translations (2, 3) [m]."""
     fragment = pools.fragment
     slack = BOUND_SLACK * min(fragment.radius[a], fragment.radius[b])
     slack += COORDINATE_SLACK * (_farthest(pools, a) + _farthest(pools, b))
@@ -105,7 +105,10 @@ def rounding_slack(pools, a, b, translation):
 
 @inlined_kernel
 def put_contact(sink, row, side, sample, point, answer):
-    """Write row `row` of a Sink from sample number `sample`, its point (x, y, z) and its Probe."""
+    """Write row `row` of a Sink from a side, a sample number, its point and the Probe of that point.
+
+    point (x, y, z) [m]: in the other's body frame.
+    """
     contact, ids = sink.contacts[row], sink.ids[row]
     contact[0], contact[1], contact[2] = point
     contact[3], contact[4], contact[5] = answer.x, answer.y, answer.z
@@ -126,10 +129,10 @@ def ask_sample(pools, other, point, near, deep, start, reached, scratch):
 
 @query_kernel
 def query_seeds(pools, pair, wanted, near, most, sink, scratch):
-    """Contacts at the crossings of the crack that two fragments of one body share, until there are `wanted`.
+    """Contacts of a Pair of one body at the crossings of the crack that they share, until there are `wanted`.
 
-    `most`: crossings queried at most, 0: all seeds. Returns (contacts, crossings queried). A crossing is a sample of
-    both: the two alternate as its owner.
+    near [m]: detection tolerance; most: crossings queried at most, 0: all seeds. A crossing is a sample of both: the
+    two alternate as its owner. Fills the Sink as far as it goes. Returns (contacts, crossings queried).
     """
     a, b, rotation, translation = pair
     mesh, body, fragment = pools.mesh, pools.body, pools.fragment

@@ -3,11 +3,11 @@
 A ball in a corner touches both wall and floor. Each is a local minimum of the distance between the centre and the
 surface, and each is a contact; a single nearest point would miss the others. A point of a triangle is such a minimum if
 no triangle that touches it comes nearer: distances to convex sets have no other minima. Planes, spheres and boxes have
-one contact in closed form; so has any body that contains the centre, since the way out to its nearest surface is deeper
-than all of the sphere.
+one contact in closed form. A body that contains the centre has one contact, too: its nearest surface gives a depth
+beyond the sphere's radius.
 
 A contact is identified by its triangle, numbered within the mesh: it keeps its id while the sphere stays on that
-triangle, whatever else the sphere touches.
+triangle, independent of the sphere's other contacts.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ DISTANCE_ROUNDING = 16.0 * np.finfo(np.float64).eps
 ONE_PLACE = 1e-6
 # How far before a rim the side of the surface is tested, as a share of R.
 BEFORE = 1e-6
-# Halvings of the reach at most, until the triangles within it fit in the buffer.
+# Maximum number of halvings of the reach until the triangles within it fit in the buffer.
 HALVINGS = 12
 # At most this many contacts are spread in direction, the others chosen by depth: comparing all is quadratic.
 SPREAD = 16
@@ -157,7 +157,7 @@ def _is_listed(contacts, count, place, one_place):
 
 @query_kernel
 def _choose(contacts, ids, wanted, epsilon, most):
-    """Move the rows to keep to the front: (how many, depth [m] of the deepest of the others)."""
+    """Move the rows to keep to the front; returns (their number, depth [m] of the deepest of the others)."""
     count = len(contacts)
     make_heap(contacts, ids, count)
     sort_heap(contacts, ids, count)

@@ -48,7 +48,7 @@ _AFTER_SAMPLES = 1 << 30
 
 
 class Separation(NamedTuple):
-    """What is known of how two fragments lie."""
+    """Relative position of two fragments: bounds that cull ridges."""
 
     beyond_b: tuple[float, float, float, float]  # all of b is behind it, in b's frame; see Approach.plane
     beyond_a: tuple[float, float, float, float]  # likewise for a
@@ -73,11 +73,11 @@ def have_ridges(edges, a, b):
 
 @inlined_kernel
 def add_crossings(pools, edges, pair, rule, listing, separation, found, scratch):
-    """Store the contacts of crossing ridges as candidates in scratch, after those `found`: how many samples, and how
-    many of them are deeper than epsilon, by a Rule.
+    """Store the contacts of crossing ridges of a Pair as candidates in scratch, by a Rule.
 
-    listing: with listing.reach > 0, pairs that may cross after a relative motion of no more than that are listed.
-    Returns (count, deep, number of these pairs).
+    found: (number of samples stored before, how many of them are deeper than epsilon). listing: with listing.reach > 0,
+    pairs of ridges that may cross after a relative motion of no more than that are listed. Returns (count, deep, number
+    of pairs to list), the first two updated from `found`; the number may exceed the capacity.
     """
     a, b, rotation, translation = pair
     count, deep = found
@@ -142,7 +142,7 @@ def add_crossings(pools, edges, pair, rule, listing, separation, found, scratch)
 
 @inlined_kernel
 def add_listed_crossings(pools, edges, pair, rule, listing, separation, found, scratch):
-    """add_crossings for a pair where listing.ridges holds all pairs of ridges that can cross: (count, deep)."""
+    """add_crossings for a Pair where listing.ridges holds all pairs of ridges that can cross; returns (count, deep)."""
     a, b, rotation, translation = pair
     count, deep = found
     row, carried = scratch.ridge_work.row, -1
@@ -160,8 +160,9 @@ def add_listed_crossings(pools, edges, pair, rule, listing, separation, found, s
 
 @inlined_kernel
 def least_apart(edges, pair, listed, near, of_far, scratch):
-    """Lower bound [m] of the distance beyond `near` between the ridges of all `listed` pairs (n, 2), no less than 0;
-    infinity: there is none. of_far: only of those that are not near.
+    """Lower bound [m] of the distance beyond `near` between the ridges of all `listed` pairs (n, 2), no less than 0.
+
+    of_far: only of those that are not near. Infinity: there is none.
     """
     a, b, rotation, translation = pair
     row, least = scratch.ridge_work.row, math.inf
@@ -175,7 +176,7 @@ def least_apart(edges, pair, listed, near, of_far, scratch):
 
 @inlined_kernel
 def _deepest(pools, a, b, separation):
-    """Depth [m] down to which crossings are searched."""
+    """Depth [m] down to which crossings of fragments a and b are searched, see DEEPEST and MOVED."""
     moved = MOVED * separation.apart + separation.slack
     return min(DEEPEST * min(pools.fragment.radius[a], pools.fragment.radius[b]), moved)
 

@@ -33,16 +33,19 @@ OF_TURN = 1.6
 
 @inlined_kernel
 def matters(r, s, epsilon):
-    """Whether two ridges can cross deeper than samples at their ends show: one as long as r enters what turns as little
-    as s only to a depth of about a quarter of their product.
+    """Whether two ridges can cross deeper than samples at their ends show.
+
+    One as long as r enters what turns as little as s only to a depth of about a quarter of their product.
     """
     return min(r[LENGTH] * s[TURN], s[LENGTH] * r[TURN]) >= MATTERS * epsilon
 
 
 @inlined_kernel
 def may_cross(r, s, rule, near, deep, turn):
-    """Whether the direction across both may point out of both after a rotation of no more than `turn`, and their
-    distance allows a crossing.
+    """Whether ridges r, of a, and s, of b, may cross after a rotation of no more than `turn`.
+
+    rule: ridges that do not matter by its epsilon do not cross. True if the direction across both, with either sign,
+    may point out of both, and their distance along it is between -deep and near [m]; also for parallel ridges.
     """
     if not matters(r, s, rule.epsilon):
         return False
@@ -58,8 +61,10 @@ def may_cross(r, s, rule, near, deep, turn):
 
 @inlined_kernel
 def _across(r, s):
-    """(x, y, z, sine, along): unit vector across two ridges, the sine between them, and the distance of r's line from
-    the line of s along it [m].
+    """Direction across ridges r and s, and their distance along it.
+
+    Returns (x, y, z, sine, along): a unit vector, the sine between the ridges, and the distance [m] of r's line from
+    the line of s along the vector.
     """
     ux, uy, uz = r[3] - r[0], r[4] - r[1], r[5] - r[2]
     vx, vy, vz = s[3] - s[0], s[4] - s[1], s[5] - s[2]
@@ -81,8 +86,10 @@ def _points_out(r, s, nx, ny, nz, room):
 
 @inlined_kernel
 def crossing(r, s, rule, deep, out):
-    """Whether ridges r, of a, and s, of b, cross, no deeper than `deep` [m], by a contact_choice.Rule; if so, writes to
-    `out` (10,) a point of r, one of s, the direction out of b, and the gap, as a contact of a's.
+    """Whether ridges r, of a, and s, of b, cross, no deeper than `deep` [m], by a Rule.
+
+    If so, writes to `out` (10,) a point of r, one of s, the direction out of b, and the gap [m], as in a Sink for a
+    sample of a.
     """
     if not matters(r, s, rule.epsilon):
         return False
@@ -111,9 +118,10 @@ def crossing(r, s, rule, deep, out):
 
 @inlined_kernel
 def _into_wedge(r, s, k, n, deep):
-    """Where ridge r is well inside the wedge of ridge s's faces: (distance along r from the crossing's foot [m], how
-    far it is behind the nearer face there [m]). k [m]: of the foot from r's begin; n: out of s; deep [m]: of the
-    crossing.
+    """Where ridge r is well inside the wedge of ridge s's faces.
+
+    k [m]: distance of the crossing's foot from r's begin; n: out of s; deep [m]: depth of the crossing. Returns
+    (distance along r from that foot [m], how far r is behind the nearer face there [m]).
     """
     ux, uy, uz = (r[3] - r[0]) / r[LENGTH], (r[4] - r[1]) / r[LENGTH], (r[5] - r[2]) / r[LENGTH]
     vx, vy, vz = (s[3] - s[0]) / s[LENGTH], (s[4] - s[1]) / s[LENGTH], (s[5] - s[2]) / s[LENGTH]
@@ -137,8 +145,9 @@ def _into_wedge(r, s, k, n, deep):
 
 @query_kernel
 def overlap(pools, pair, r, s, c, scratch):
-    """Whether ridges r, of a, and s, of b, in b's frame, are each inside the other's fragment next to their crossing
-    `c`.
+    """Whether ridges r, of a, and s, of b, are each inside the other's fragment next to their crossing.
+
+    r, s: in b's frame; c: of `crossing`.
     """
     for side in range(2):
         own, other, f, at, sign = (r, s, pair.b, 0, 1.0) if side == 0 else (s, r, pair.a, 3, -1.0)

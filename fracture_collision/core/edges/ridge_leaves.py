@@ -18,7 +18,7 @@ from fracture_collision.core.tree.sample_leaves import Leaves, worst_of_leaves
 
 # Single-precision rounding of a place along an edge, as a share of all lengths, for edges at a right angle.
 ROUNDING = 1e-6
-# An angle is no more than so many times its chord.
+# An angle is no more than its chord times this factor.
 OF_CHORD = 1.1
 
 
@@ -35,8 +35,10 @@ class Window(NamedTuple):
 
 @inlined_kernel
 def _see_leaves(pools, edges, pair, side, approach, out, scratch):
-    """Write to ridge_work.worst how far leaves of one side's ridges are beyond where they may come near the other by an
-    Approach: (how many leaves, how many half-spaces). out: any integers, as many.
+    """Measure how far leaves of one side's ridges are beyond where they may come near the other by an Approach.
+
+    Writes the distances [m] to ridge_work.worst and the half-spaces to scratch.planes. out: any integers, LEAF per
+    leaf. Returns (number of leaves, number of half-spaces).
     """
     own = pair.a if side == 0 else pair.b
     middle = pools.fragment.middle[own]
@@ -50,7 +52,7 @@ def _see_leaves(pools, edges, pair, side, approach, out, scratch):
 
 @inlined_kernel
 def may_reach(pools, edges, pair, side, approach, out, scratch):
-    """Write to `out` the ridges of one side that may come near the other, by half-spaces: how many."""
+    """Write to `out` the ridges of one side that may come near the other by an Approach; returns their number."""
     n, used = _see_leaves(pools, edges, pair, side, approach, out, scratch)
     own = pair.a if side == 0 else pair.b
     worst, planes = scratch.ridge_work.worst, scratch.planes
@@ -78,7 +80,7 @@ def may_reach(pools, edges, pair, side, approach, out, scratch):
 
 @inlined_kernel
 def leaves_that_may(pools, edges, pair, side, approach, out, boxes, scratch):
-    """The same for whole leaves, with their boxes (BOX_AND_MOST, .): how many."""
+    """may_reach for whole leaves; writes their boxes to `boxes` (BOX_AND_MOST, .), too. Returns their number."""
     n, _ = _see_leaves(pools, edges, pair, side, approach, out, scratch)
     own = pair.a if side == 0 else pair.b
     leaf, worst, found = edges.first[own] // LEAF, scratch.ridge_work.worst, 0
@@ -95,8 +97,10 @@ def leaves_that_may(pools, edges, pair, side, approach, out, boxes, scratch):
 
 @inlined_kernel
 def carry_leaf(lines, of, rotation, origin, ends):
-    """Transform those of the ridges `of` that are in the same leaf as the first, from its `lines`: a row each of ends,
-    length and turn; row LEAF is their box, from lower to upper corner, and the greatest length and turn.
+    """Transform to another frame those of the ridges `of` that are in the same leaf as the first.
+
+    lines: of that leaf, see Ridges; rotation (3, 3), origin (3,) [m]: to that frame. Writes to `ends` a row per ridge:
+    ends [m], length [m] and turn; row LEAF is their box, lower and upper corner, and the greatest length and turn.
     """
     box, leaf = ends[LEAF], of[0] // LEAF
     box[0] = box[1] = box[2] = math.inf
@@ -119,7 +123,7 @@ def carry_leaf(lines, of, rotation, origin, ends):
 
 @inlined_kernel
 def keep_near(of, boxes, count, excess, near, near_boxes):
-    """Keep those of `count` leaves that have no excess: how many."""
+    """Copy those of `count` leaves that have no excess to `near` and `near_boxes`; returns their number."""
     kept = 0
     for k in range(count):
         if excess[k] <= np.float32(0.0):
@@ -132,8 +136,10 @@ def keep_near(of, boxes, count, excess, near, near_boxes):
 
 @inlined_kernel
 def see_boxes(own, m, boxes, count, margin, enough, excess):
-    """Write by how much [m] boxes about `m` are farther than `margin` [m], along an axis, from the box `own`, which is
-    followed by its greatest length and turn; also more than 0 where no ridge in one matters to any in the other.
+    """Write to `excess` by how much [m] boxes about `m` are farther than `margin` [m] from a box along an axis.
+
+    own: that box, lower and upper corner, then the greatest length and turn in it. The excess is also more than 0 where
+    no ridge in one box matters to any in the other, see Window.enough.
     """
     lx, hx = np.float32(own[0] - m[0] - margin), np.float32(own[3] - m[0] + margin)
     ly, hy = np.float32(own[1] - m[1] - margin), np.float32(own[4] - m[1] + margin)
@@ -156,12 +162,12 @@ def see_boxes(own, m, boxes, count, margin, enough, excess):
 
 @inlined_kernel
 def see_lines(row, m, lines, window, excess):
-    """Write by how much [m] each ridge of a leaf fails to cross the ridge `row` (8,), see carry_leaf, now or after
-    motion; 0 or less: it may.
+    """Write to `excess` by how much [m] each ridge of a leaf fails to cross another ridge; 0 or less: it may cross.
 
-    A point of either moves by no more than reach, either rotates by no more than turn. So the line between the two, at
-    most `farthest` long when they cross, turns by OF_TURN turn / sine, and the crossing's foot on either moves by no
-    more than the displacement due to this and reach, over the sine.
+    row (8,): the other ridge, of carry_leaf; lines: of the leaf, about `m`. The result holds now and after motion: a
+    point of either ridge moves by no more than window.reach, either rotates by no more than window.turn. So the line
+    between the two, at most window.farthest long when they cross, turns by OF_TURN turn / sine, and the crossing's foot
+    on either moves by no more than the displacement due to this and reach, over the sine.
     """
     margin, reach, turn, farthest, size, enough = window
     length = row[6]

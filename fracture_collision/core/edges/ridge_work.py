@@ -22,7 +22,7 @@ class RidgeWork(NamedTuple):
     boxes: np.ndarray  # (2, BOX_AND_MOST, n) float32 [m]: of these leaves, see Ridges.boxes and most
     excess: np.ndarray  # (n,) float32 [m]: by how much leaves miss a ridge of a
     lanes: np.ndarray  # (LEAF + padding,) float32 [m]: by how much ridges of a leaf miss a ridge of a
-    ends: np.ndarray  # (LEAF + 1 + padding, 8) float64: ridges of a leaf of a in b's frame, see _carry_leaf
+    ends: np.ndarray  # (LEAF + 1 + padding, 8) float64: ridges of a leaf of a in b's frame, see carry_leaf
     row: np.ndarray  # (RIDGE + padding,) float64: a ridge of a in b's frame
     meeting: np.ndarray  # (10 + padding,) float64 [m], see ridge_crossing.crossing
 

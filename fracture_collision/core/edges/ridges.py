@@ -20,7 +20,7 @@ from fracture_collision.core.mesh.surface_elements import count_triangles, put_t
 from fracture_collision.core.tree.sample_leaves import place_on_curve
 
 # Minimum turn of the surface at a ridge (chord of the angle), and minimum length as a share of R: where flatter or
-# shorter ones cross, samples beside them are hardly less deep.
+# shorter ones cross, samples beside them are about as deep.
 LEAST_TURN, LEAST_LENGTH = 0.06, 1e-4
 # Ridges that turn by less, as between the triangles of a fine mesh, have leaves of their own: they matter to few.
 SMOOTH = 0.12
@@ -58,6 +58,7 @@ class RidgeTable:
 
     @property
     def view(self) -> Ridges:
+        """The Ridges of all fragments: views of the arrays."""
         lines = self._lines.view.reshape(-1, LINE, LEAF)
         boxes = self._boxes.view.reshape(-1)
         return Ridges(self._first.view, self._count.view, self._rows.view, boxes, self._most.view, lines)
@@ -96,7 +97,7 @@ NO_RIDGES = RidgeTable().view
 
 @kernel
 def find_ridges(pools, f, out):
-    """Write the ridges of fragment `f` as rows to out (n, RIDGE), as far as there is room; returns how many there are.
+    """Write the ridges of fragment `f` as rows to out (n, RIDGE), as far as there is room; returns their total number.
 
     Triangles of a surface share whole edges, whose ends are equal to the last bit in both; they are matched by a hash
     of these. An edge of one triangle alone borders a triangle lost to rounding, and is left out.
@@ -213,8 +214,10 @@ def _pieces_of(pools, f):
 
 @kernel
 def _put_on_curve(found, count, middle, rows, boxes, most, lines):
-    """Sort rows found (count, RIDGE) along a curve, the smooth ones last, into rows (LEAF n, RIDGE), and write boxes (6
-    n,), most and lines of their leaves.
+    """Sort ridges along a curve, the smooth ones last, and write the data of their leaves.
+
+    found (count, RIDGE): the ridges; middle (4,): see Leaves. Writes rows (LEAF n, RIDGE) and, for the n leaves, boxes
+    (6 n,), most and lines, see Ridges.
     """
     n = len(rows) // LEAF
     low, high, point = np.full(3, np.inf), np.full(3, -np.inf), np.empty(3)

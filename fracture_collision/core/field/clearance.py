@@ -49,8 +49,7 @@ def may_be_clear(pools, f):
 
 @inlined_kernel
 def _heights(walls, t, local):
-    """Heights [m], positive outside, above the four walls of tetrahedron `t` of a point relative to the grid's corner.
-    """
+    """Heights [m] of a point above the four walls of tetrahedron `t`, positive outside; local: see _held_by."""
     w = walls[t]
     x, y, z = local
     return (
@@ -61,8 +60,10 @@ def _heights(walls, t, local):
 
 @inlined_kernel
 def _held_by(mesh, k, last, point, local, slack):
-    """(tetrahedron of mesh `k` that holds a point, -1: none; its distance [m] behind the nearest wall, a lower bound
-    up to rounding); last: see `clearance`; local: the point relative to the grid's corner.
+    """The tetrahedron of mesh `k` that holds a point, and its distance behind the nearest wall.
+
+    last: see `clearance`; local: the point relative to the grid's corner, single precision; slack [m]: rounding of
+    heights. Returns (tetrahedron, -1: none; distance [m], a lower bound up to rounding).
     """
     t, steps = last, 0
     while t >= 0:
@@ -87,11 +88,10 @@ def _held_by(mesh, k, last, point, local, slack):
 
 @inlined_kernel
 def clearance(pools, f, last, point, within, rounding, scratch):
-    """(lower bound [m] of a point's distance from fragment `f`, 0: it may be within `within` [m]; a tetrahedron near
-    the point).
+    """Lower bound of a point's distance from fragment `f`, which must satisfy may_be_clear.
 
-    last: a tetrahedron near the point, -1: none is known. f: must satisfy may_be_clear. rounding [m]: error bound of
-    the point (x, y, z).
+    last: a tetrahedron near the point (x, y, z), -1: none is known; rounding [m]: error bound of the point. Returns
+    (lower bound [m], 0: the point may be within `within` [m]; a tetrahedron near the point).
     """
     x, y, z = point
     mesh = pools.mesh
@@ -116,8 +116,10 @@ def clearance(pools, f, last, point, within, rounding, scratch):
 
 @inlined_kernel
 def side_of_surface(pools, f, last, point, deep, rounding):
-    """(BEYOND if a point is certainly not in fragment `f`; DEEP if it certainly is, with nothing else within `deep` [m]
-    of it; else UNKNOWN; a tetrahedron near the point). Arguments as in `clearance`.
+    """Whether a point is certainly outside fragment `f`, or certainly deep inside.
+
+    Arguments as in `clearance`. Returns (BEYOND: not in f; DEEP: in f, with nothing else within `deep` [m]; else
+    UNKNOWN; a tetrahedron near the point).
     """
     x, y, z = point
     mesh = pools.mesh
@@ -145,7 +147,7 @@ def side_of_surface(pools, f, last, point, deep, rounding):
 
 @inlined_kernel
 def _is_clear_of_cells(pools, f, point, local, far, scratch):
-    """Whether no surface of `f` in the cells around a point outside f, wherever it lies, is within `far` [m]."""
+    """Whether no surface of `f` is within `far` [m] of a point outside f, by all tetrahedra in the cells around it."""
     mesh, near = pools.mesh, scratch.heap_tet
     for k in range(tetrahedra_near(pools, f, point[0], point[1], point[2], np.float64(far), scratch)):
         t = near[k]
@@ -165,8 +167,11 @@ def _above_plane(region, local):
 
 @inlined_kernel
 def _around(pools, f, start, point, local, far, reached):
-    """CLEAR if no tetrahedron around the point in `start` has surface of `f` within reach, NEAR if one may have;
-    UNKNOWN if the outside of the body, or too many tetrahedra, are within reach.
+    """Whether surface of `f` may be within `far` [m] of a point outside f, by the tetrahedra around the point.
+
+    start: the tetrahedron that holds the point; reached (STACK,) int32: working space. Returns CLEAR: none of them has
+    surface within reach; NEAR: one may have; UNKNOWN: the outside of the body, or too many tetrahedra, are within
+    reach.
     """
     mesh = pools.mesh
     reached[0] = start
@@ -201,8 +206,9 @@ def _around(pools, f, start, point, local, far, reached):
 
 @inlined_kernel
 def _has_surface_near(pools, f, t, point, local, far):
-    """Whether surface of `f` in tetrahedron `t` may be within `far` [m] of a point outside f; local: the point
-    relative to the grid's corner.
+    """Whether surface of `f` in tetrahedron `t` may be within `far` [m] of a point outside f.
+
+    local: the point relative to the grid's corner.
     """
     x, y, z = point
     tet = t + pools.fragment.tet_shift[f]
@@ -219,8 +225,9 @@ def _has_surface_near(pools, f, t, point, local, far):
 
 @inlined_kernel
 def _way_within(pools, f, t, point, local, far, slack):
-    """Lower bound [m], up to rounding, of the distance from a point in tetrahedron `t` to f's part of `t`, if that is
-    below `far` [m]; 0 if the point may be in f.
+    """Lower bound [m], up to rounding, of the distance from a point in tetrahedron `t` to f's part of `t`.
+
+    0: the point may be in f; `far` [m] or more: no part is nearer than that.
     """
     x, y, z = point
     tet = t + pools.fragment.tet_shift[f]

@@ -101,8 +101,7 @@ def crack_direction(pools, f, g, source, t):
 
 @inlined_kernel
 def sum_of_planes(pools, f, g, t):
-    """Sum of the normals out of fragment `f`, towards `g` or ANYBODY, of the planes that cut edges of tetrahedron `t`.
-    """
+    """Sum of the normals, out of `f` towards `g` or ANYBODY, of the planes that cut edges of tetrahedron `t`."""
     mesh, body = pools.mesh, pools.body
     node_shift, edge_shift = pools.fragment.node_shift[f], pools.fragment.edge_shift[f]
     sx = sy = sz = 0.0

@@ -33,7 +33,7 @@ INSIDE = 2  # inside; closest point only if requested
 
 
 class Probe(NamedTuple):
-    """Answer for one point. The closest point and the normal are zeros unless `status` says that they were found."""
+    """Answer for one point. The closest point and the normal are zeros where none was searched or found."""
 
     status: int  # OUTSIDE, NEAR or INSIDE
     distance: float  # [m] signed; OUTSIDE: a lower bound; minus infinity: INSIDE, deeper than searched
@@ -72,10 +72,10 @@ def probe(pools, f, point, near, deep, scratch):
 
 @inlined_kernel
 def bounded_probe(pools, f, point, near, deep, start, reached, scratch):
-    """`probe` with all that is known of the point: a Probe.
+    """`probe` with everything computed for the point: a Probe.
 
-    Inside a broken body, the averaged field has no error bound: most_depth is then more than minus the distance.
-    start: a tetrahedron near the point, -1 if none is known; reached: sphere_test returned that f may be within `near`.
+    Inside a broken body, the averaged field has no error bound: most_depth is then more than minus the distance. start:
+    a tetrahedron near the point, -1 if none is known; reached: sphere_test returned that f may be within `near`.
     """
     x, y, z = point
     kind = pools.fragment.kind[f]

@@ -64,8 +64,9 @@ def _face_is_farther(mesh, t, face, x, y, z, d2):
 
 @inlined_kernel
 def may_leave_over(mesh, t, face, x, y, z, d2):
-    """Whether a segment from the point, at most sqrt(d2) [m] long, may leave tetrahedron `t` across a face: only if
-    the point is on t's side of the face, and no farther than that from its plane.
+    """Whether a segment from the point, at most sqrt(d2) [m] long, may leave tetrahedron `t` across a face.
+
+    It may only if the point is on t's side of the face, and no farther than that from its plane.
     """
     weight, slope = _weight_and_slope(mesh, t, face, x, y, z)
     if weight < 0.0:
@@ -76,8 +77,7 @@ def may_leave_over(mesh, t, face, x, y, z, d2):
 
 @inlined_kernel
 def least_distance_squared(mesh, t, x, y, z):
-    """Lower bound [m2] of the squared distance of a point from tetrahedron `t`, from its box and its four face planes.
-    """
+    """Lower bound [m2] of a point's squared distance from tetrahedron `t`, from its box and its four face planes."""
     least = box_distance_squared(x, y, z, mesh.boxes[t])
     for face in range(4):
         weight, slope = _weight_and_slope(mesh, t, face, x, y, z)
@@ -88,8 +88,9 @@ def least_distance_squared(mesh, t, x, y, z):
 
 @inlined_kernel
 def nothing_within(limit):
-    """Initial `best` of a search for surface closer than `limit` [m]: (squared distance, x, y, z, feature, source,
-    tetrahedron).
+    """Initial `best` of a search for surface closer than `limit` [m].
+
+    (squared distance [m2], x, y, z [m], feature, source, tetrahedron), with NO_SOURCE.
     """
     return limit * limit, 0.0, 0.0, 0.0, ON_RIM, NO_SOURCE, -1
 
@@ -227,8 +228,10 @@ def nearest_from_outside(pools, f, at, point, limit, only, scratch):
 
 @inlined_kernel
 def tetrahedra_near(pools, f, x, y, z, limit, scratch):
-    """Write the tetrahedra that hold part of f and may be within `limit` [m] of a point to scratch.heap_tet; returns
-    their number. None is missed: the parts of the location grid's cells bound them.
+    """Find the tetrahedra that hold part of f and may be within `limit` [m] of a point.
+
+    Writes them to scratch.heap_tet and returns their number. None is missed: the parts of the location grid's cells
+    bound them.
     """
     mesh, k = pools.mesh, pools.fragment.mesh[f]
     near, visited, stamp, count = scratch.heap_tet, scratch.visited, next_stamp(scratch), 0
@@ -263,8 +266,9 @@ def tetrahedra_near(pools, f, x, y, z, limit, scratch):
 
 @inlined_kernel
 def _is_clear_within(pools, f, t, x, y, z, limit):
-    """Whether tetrahedron `t` alone shows that nothing of f is within `limit` [m] of a point in `t` outside f: true for
-    most query points.
+    """Whether tetrahedron `t` alone shows that nothing of f is within `limit` [m] of a point in `t` outside f.
+
+    True for most query points.
     """
     body, tet_shift, d2 = pools.body, pools.fragment.tet_shift[f], limit * limit
     if tet_shift == NEVER_BROKEN:
@@ -303,8 +307,10 @@ def _region_is_farther(pools, f, t, x, y, z, d2):
 
 @inlined_kernel
 def _nearest_around(pools, f, at, point, only, scratch, best):
-    """nearest_from_outside for a point in tetrahedron `at`, across faces within reach: (improved `best`, whether the
-    search is complete). It is not if the old surface is within reach: f may be near across the air.
+    """nearest_from_outside for a point in tetrahedron `at`, across faces within reach.
+
+    Returns (improved `best`, whether the search is complete). It is incomplete if the old surface is within reach: f
+    may be near across the air.
     """
     x, y, z = point
     mesh = pools.mesh

@@ -22,7 +22,7 @@ MOST_CORNERS = 16
 
 @kernel
 def room_for_corners(tetrahedra):
-    """NewSamples with capacity for the corners of so many tetrahedra."""
+    """NewSamples with capacity for the corners of `tetrahedra` tetrahedra."""
     count = MOST_CORNERS * tetrahedra
     return NewSamples(
         np.empty((count, 3)), np.empty(count, np.int32), np.empty(count, np.int32), np.empty(count, np.int32)
@@ -57,7 +57,10 @@ def add_corners(mesh, broken, t, work, pattern, at_once, new, used):
 
 @inlined_kernel
 def _append(mesh, broken, t, corner, point, new, used):
-    """Append a corner (node of the tetrahedron, its fragment, sample number) if its fragment is new."""
+    """Append a corner to `new` at row `used` if its fragment is one of the Broken's new ones; returns the new length.
+
+    corner: (node of the tetrahedron, its fragment, sample number).
+    """
     i, label, number = corner
     if broken.first <= label < broken.end:
         for d in range(3):

@@ -24,6 +24,7 @@ _grouped = kernel(grouping.grouped)
 
 @inlined_kernel
 def seed_key(a, b):
+    """Key of SeedPool for two rows of FragmentPool, in any order: int64 smaller row << 32 | larger row."""
     return np.int64(min(a, b)) << np.int64(32) | np.int64(max(a, b))
 
 
@@ -45,11 +46,12 @@ def find_seeds(fragment, seeds, a, b):
 
 @kernel
 def choose_seeds(pools, broken, edges, cut_tetrahedra, first_key, first_seed):
-    """The body's rows of SeedPool, from `first_key` and `first_seed` on, after a fragment broke: kept rows of pairs
-    without it, new rows of pairs that share edges of `cut_tetrahedra` (n,).
+    """The body's rows of SeedPool after a fragment broke, from rows `first_key` and `first_seed` on.
 
-    pools: mesh, body, fragment and seeds; broken: Broken; edges: number of the mesh's edges; labels and crossings are
-    those after the fracture. Writes FragmentPool.seeds of all fragments with rows. Returns (keys, ranges, edges).
+    Rows of pairs without the broken fragment are kept; pairs that share edges of `cut_tetrahedra` (n,) get new ones.
+    pools: mesh, body, fragment and seeds are used, with labels and crossings as after the fracture; broken: a Broken;
+    edges: number of the mesh's edges. Writes FragmentPool.seeds of all fragments with rows. Returns (keys, ranges,
+    edges).
     """
     mesh, body, fragment, seeds = pools
     parent, first_edge = broken.parent, mesh.first[broken.mesh, 1]
@@ -75,8 +77,9 @@ def choose_seeds(pools, broken, edges, cut_tetrahedra, first_key, first_seed):
 
 @kernel
 def _choose_seeds(mesh, body, broken, own, cut_tetrahedra, first_seed):
-    """choose_seeds for the new pairs alone; own: first and end row of the mesh's edges. Returns (sorted keys, ranges,
-    edges).
+    """choose_seeds for the new pairs alone: returns (sorted keys, ranges, edges).
+
+    own: first row and end row of the mesh's edges in the pool.
     """
     edge_shift = broken.edge_shift
     cut, low, high = _cut_edges(mesh, body, broken, own, cut_tetrahedra)
@@ -108,8 +111,9 @@ def _choose_seeds(mesh, body, broken, own, cut_tetrahedra, first_seed):
 
 @kernel
 def _cut_edges(mesh, body, broken, own, cut_tetrahedra):
-    """Cut edges with the smaller and the larger label of their ends (n, 3) int32, ascending; least and largest label
-    overall.
+    """Cut edges of tetrahedra with an end in a new fragment, and the labels of their ends.
+
+    Returns (cut (n, 3) int32: edge, ascending, smaller label, larger label; least label; largest label).
     """
     first_edge, last_edge = own
     node_shift, edge_shift = broken.node_shift, broken.edge_shift

@@ -1,5 +1,6 @@
-"""Face points and hub of a tetrahedron divided like a fan: see cut_tetrahedron.py, and docs/numerics.md for the rule
-that places each of them.
+"""Placement of the face points and the hub of a tetrahedron divided like a fan.
+
+See cut_tetrahedron.py; docs/numerics.md has the rule that places each of them.
 """
 
 from __future__ import annotations
@@ -108,8 +109,10 @@ def _place_face_points(mesh, t, work):
 
 @inlined_kernel
 def _decide_by_events(work, oldest):
-    """For a tetrahedron cut by several fractures, the first being `oldest`: (event that places the hub, number of
-    groups made up to that event, whether the hub is computed from face points). Fills `group`.
+    """Which crack places the hub of a tetrahedron cut by several fractures, the first being `oldest`.
+
+    Returns (event that places the hub, number of groups made up to that event, whether the hub is computed from face
+    points). Fills work.group.
     """
     groups = _part_into_groups(work, oldest)
     if groups > 2:
@@ -186,8 +189,9 @@ def _oldest_is_flat(work, oldest):
 
 @inlined_kernel
 def _lone_of_first(work, newest):
-    """The lone node, cut off by an older fracture, if the fracture `newest` separated all three others at once: its
-    opposite face does not contribute to the hub. -1 otherwise.
+    """Node cut off by an older fracture, if the fracture `newest` separated all three others at once; -1 otherwise.
+
+    The face opposite this node does not contribute to the hub.
     """
     for i in range(4):
         lone = True
@@ -255,12 +259,12 @@ def _share(work, i, j):
 
 @inlined_kernel
 def _common_point_of_face(work, a, b, c, out):
-    """The point of a face nearest to the planes of its three edges (least squares), within the triangle of their
-    crossings: cells are convex, so where planes agree and meet in the face, they do so within it.
+    """Point of a face nearest to the planes of its three edges (least squares), within the triangle of their crossings.
 
-    If it is beyond an edge, the fragment of the opposite node would reach across that edge: then it is this edge's
-    crossing, so that the two fragments there share no more than they must. Otherwise it is clipped to the triangle,
-    along the line from the centroid.
+    Cells are convex: where planes agree and meet in the face, they do so within that triangle. If the point is beyond
+    an edge, the fragment of the opposite node would reach across that edge: then it is this edge's crossing, so that
+    the two fragments there share no more than they must. Otherwise it is clipped to the triangle, along the line from
+    the centroid.
     """
     x = work.crossings
     p, q, r = x[EDGE_BETWEEN[a, b]], x[EDGE_BETWEEN[b, c]], x[EDGE_BETWEEN[a, c]]

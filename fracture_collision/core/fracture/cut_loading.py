@@ -18,8 +18,7 @@ def _load_nodes(mesh, body, node_shift, t, work):
 
 @inlined_kernel
 def load_sides(mesh, body, broken, t, work):
-    """(bit mask of the first fragment's nodes; first fragment; second) of a tetrahedron of two, the smaller row first.
-    """
+    """(bit mask of the first fragment's nodes, first fragment, second) of a tetrahedron of two, smaller row first."""
     _load_nodes(mesh, body, broken.node_shift, t, work)
     a, b, c, d = work.labels[0], work.labels[1], work.labels[2], work.labels[3]
     low, high = min(a, b, c, d), max(a, b, c, d)
@@ -38,8 +37,9 @@ def load_pattern(mesh, body, broken, t, work):
 
 @inlined_kernel
 def load_plane(mesh, body, broken, t, side, work):
-    """Load the crossings of a tetrahedron of two fragments; returns whether its planes are bitwise equal, and the plane
-    (nx, ny, nz, offset) out of the first.
+    """Load the crossings of a tetrahedron of two fragments, with the nodes of the first as bit mask `side`.
+
+    Returns (whether its planes are bitwise equal, the plane (nx, ny, nz, offset) out of the first fragment).
     """
     v = mesh.tetrahedra[t]
     pattern = PATTERN_OF_SIDE[side]

@@ -47,8 +47,9 @@ def _sector(fragments: int, face: int, i: int, j: int, k: int) -> list[tuple[int
 
 
 def _fan(fragments: int, face: int, i: int, j: int, k: int) -> list[tuple[int, ...]]:
-    """(b, c, samples, node, node, face): the triangles (hub, b, c) between the fragments of two nodes; the last
-    `samples` corners are samples.
+    """(b, c, samples, node, node, face): the triangles (hub, b, c) between the fragments of two nodes.
+
+    The last `samples` corners are samples.
     """
     ij, jk, ik, m = _crossing(i, j), _crossing(j, k), _crossing(i, k), FACE_POINT + face
     if fragments == 2:

@@ -72,8 +72,9 @@ def write_section(work, side, pair, plane, out, written, sums):
 
 @inlined_kernel
 def _plane_of_lone_node(work, side, mx, my, mz, longest):
-    """The plane of the section out of the first fragment; m, `longest`: the section's normal and the longer of two
-    squared sides, from measure_triangle.
+    """Plane (nx, ny, nz, offset) of the section of a tetrahedron with a lone node, out of the first fragment.
+
+    (mx, my, mz): the section's normal [m2]; longest [m2]: the longer of two squared sides; both from measure_triangle.
     """
     points = work.points
     a = points[SECTION[side, 0, 0]]

@@ -15,7 +15,7 @@ RESIDUE = 1e-13
 
 
 class SurfaceRows(NamedTuple):
-    """New rows of BodyPool's polygon arrays."""
+    """New rows of BodyPool's polygon arrays, with the same columns."""
 
     first: int  # where they begin
     triangles: np.ndarray
@@ -76,6 +76,7 @@ def is_residue(nx, ny, nz, ab, ac):
 
 @inlined_kernel
 def grow(box, x, y, z):
+    """Grow a box (6,) [m] so that it holds the point (x, y, z)."""
     box[0], box[1], box[2] = min(box[0], x), min(box[1], y), min(box[2], z)
     box[3], box[4], box[5] = max(box[3], x), max(box[4], y), max(box[5], z)
 
@@ -89,8 +90,10 @@ def grow_by_box(box, low, high):
 
 @inlined_kernel
 def write_row(corners, plane_of_it, owners, out, at):
-    """Write a triangle to row `at` of SurfaceRows: its corners, its plane (nx, ny, nz, offset), and the fragments in
-    front and behind with the kind.
+    """Write a triangle to row `at` of SurfaceRows.
+
+    corners: three points; plane_of_it: (nx, ny, nz, offset), out of the front; owners: the fragment in front, the
+    fragment behind, and the kind, see BodyPool.sides.
     """
     a, b, c = corners
     triangle, plane = out.triangles[at], out.faces[at]
@@ -104,9 +107,10 @@ def write_row(corners, plane_of_it, owners, out, at):
 
 @inlined_kernel
 def write_fan_row(corners, measures, owners, out, at):
-    """write_row for a triangle whose plane follows from its own `measures`: measure_triangle, the normal out of front.
+    """write_row for a triangle whose plane follows from its own `measures`.
 
-    Writes a residue, too, with a plane of NaN: every comparison with it is false.
+    measures: of measure_triangle, with the normal out of front. Also writes a residue, with a plane of NaN: every
+    comparison with it is false.
     """
     nx, ny, nz, ab, ac, _ = measures
     a = corners[0]

@@ -25,8 +25,9 @@ class Touched(NamedTuple):
 
 
 class TouchedRoom(NamedTuple):
-    """Working space for the tetrahedra of one mesh, kept between fractures, so that a fracture that affects few of them
-    need not clear every mark.
+    """Working space for the tetrahedra of one mesh, kept between fractures.
+
+    A fracture that affects few tetrahedra need not clear every mark.
     """
 
     kinds: np.ndarray  # (m,) uint8, as the last Touched.kinds
@@ -36,6 +37,7 @@ class TouchedRoom(NamedTuple):
 
 
 def touched_room(tetrahedra: int) -> TouchedRoom:
+    """TouchedRoom for a mesh of `tetrahedra` tetrahedra, without marks."""
     return TouchedRoom(
         np.zeros(tetrahedra, np.uint8), np.empty(tetrahedra, np.int32), np.empty(tetrahedra, np.int32),
         np.zeros(2, np.int64),
@@ -52,10 +54,11 @@ class Cut(NamedTuple):
 
 
 def find_touched(pools: Pools, broken: Broken, cut: Cut, tetrahedra: int, sums: Sums, room: TouchedRoom) -> Touched:
-    """Cut a fragment into new ones, whose rows exist; returns the touched tetrahedra.
+    """Cut a fragment into the new ones of a Broken, whose rows exist; returns the Touched tetrahedra.
 
-    tetrahedra: number in its mesh. Tetrahedra of one fragment are complete after this: their owner is written, their
-    moments added, the gap grown by their faces of the old surface, the box by their nodes.
+    tetrahedra: number in its mesh; room: the mesh's TouchedRoom. Tetrahedra of one fragment are complete after this:
+    their owner is written, their moments are added to the Sums, the gap is grown by their faces of the old surface, the
+    box by their nodes.
     """
     used, cuts, rows, first = _find_touched(pools.mesh, pools.body, pools.fragment, broken, cut, tetrahedra, sums, room)
     return Touched(room.rows[:used], first, room.kinds, room.cut[:cuts], rows)
@@ -63,7 +66,11 @@ def find_touched(pools: Pools, broken: Broken, cut: Cut, tetrahedra: int, sums: 
 
 @query_kernel
 def _find_touched(mesh, body, fragment, broken, cut, tetrahedra, sums, room):
-    """find_touched on the parts of the pools that it needs: (touched, cut, upper bound of surface rows, first row)."""
+    """find_touched on the parts of the pools that it needs.
+
+    Returns (number of touched tetrahedra, number cut, upper bound of surface rows, row of the mesh's first
+    tetrahedron).
+    """
     first_node, first_edge, _, first_tet, _ = mesh.first[broken.mesh]
     _inherit(fragment, broken)
     for f in range(broken.first, broken.end):

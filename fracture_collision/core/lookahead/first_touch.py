@@ -59,7 +59,7 @@ FARTHEST_REACH = 0.2
 # A list for the whole remaining path reaches slightly farther, so that rounding does not end it before the time is
 # over.
 TO_THE_END = 1.001
-# If more than MOST_AHEAD samples are within reach, it is reduced by this factor, at most so many times.
+# If more than MOST_AHEAD samples are within reach, it is reduced by a factor, up to a number of times.
 NARROWER, NARROWINGS = 0.25, 5
 # The search stops where a contact found before would be as deep as this share of R, or as THIN.
 HELD = 0.03
@@ -68,7 +68,7 @@ SHORTEST_OF_THIN = 0.1
 
 
 class Listed(NamedTuple):
-    """What scratch.ahead_samples and its like list at a moment."""
+    """The list of a pair in scratch.ahead_samples, ahead_places and ahead_ridges at a moment."""
 
     samples: int  # -1: no list, or too many
     ridges: int
@@ -76,7 +76,7 @@ class Listed(NamedTuple):
 
 
 class Search(NamedTuple):
-    """How far a search at one moment looks."""
+    """Limits of the search at one moment."""
 
     far: float  # [m] how far the two can still close
     reach: float  # [m] samples are listed up to it, 0: no list
@@ -85,14 +85,14 @@ class Search(NamedTuple):
 
 @query_kernel
 def first_touch(pools, edges, pair, moving, since, rule, sink, scratch):
-    """Contacts of the two of a Moving at the first moment after one at which they are near, by a Rule.
+    """Contacts of the two fragments of a Moving at the first moment from a given one at which they are near, by a Rule.
 
     since: that moment [s], and how many contacts found before the Sink already holds: the new ones are written to the
     rows after them. With any, the search covers all further contacts that are apart now, up to rule.limit in all, and
     runs until earlier contacts hold the two: any of them, or only those found here if the moment is 0. Points are
-    reported where they are now. pair: its rotation and translation are working space.
+    reported where they are now. pair: its relative poses are working space.
 
-    Returns (contacts, the moment [s], visits, distance [m] by which the two may have closed unobserved).
+    Returns (new contacts, the moment [s], visits, distance [m] by which the two may have closed unobserved).
     """
     a, b, rotation, translation = pair
     i, j, rotations, positions, motion = moving
@@ -181,9 +181,10 @@ def first_touch(pools, edges, pair, moving, since, rule, sink, scratch):
 
 @inlined_kernel
 def near_now(pools, edges, pair, rule, search, listed, sink, scratch):
-    """Contacts of a Pair by a Rule at the given poses, by a Search; listed: a Listed.
+    """Contacts of a Pair at its relative poses, by a Rule, written to a Sink.
 
-    Returns (contacts, lower bound [m] of the clearance beyond near, updated `listed`, visits).
+    search: a Search; listed: Listed, which is used as long as it lasts, else made anew. Returns (contacts, lower bound
+    [m] of the clearance beyond near, updated Listed, visits).
     """
     a, b, rotation, translation = pair
     far, touches = search.far, search.touches
@@ -228,7 +229,7 @@ def near_now(pools, edges, pair, rule, search, listed, sink, scratch):
 
 @inlined_kernel
 def _drop_near(samples, places, count):
-    """Remove those of `count` listed samples that were near; returns how many remain."""
+    """Remove those of `count` listed samples that were near; returns the number that remains."""
     kept = 0
     for k in range(count):
         if places[k, UNTIL] != NEAR_LAST:

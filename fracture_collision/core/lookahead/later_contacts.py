@@ -12,8 +12,10 @@ from fracture_collision.core.memory.rotations import relative_pose, rotated, to_
 
 @inlined_kernel
 def put_poses(moving, t, of_world, place, pair):
-    """Write the poses of the two of a Moving after `t` [s]: world rotations of_world (2, 3, 3), positions place (2, 3)
-    [m], and the relative poses of the Pair.
+    """Compute the poses of the two fragments of a Moving after `t` [s].
+
+    Writes world rotations to of_world (2, 3, 3), world positions to place (2, 3) [m], and the relative poses to the
+    Pair.
     """
     put_pose(moving.motion, moving.rotations, moving.positions, moving.i, t, of_world[0], place[0])
     put_pose(moving.motion, moving.rotations, moving.positions, moving.j, t, of_world[1], place[1])
@@ -23,7 +25,10 @@ def put_poses(moving, t, of_world, place, pair):
 
 @inlined_kernel
 def keep_new(sink, known, found, near):
-    """Keep those of `found` contacts after the `known` ones that are apart now and not among them; returns how many."""
+    """Of `found` contacts behind the `known` ones, keep those that are apart now and not among the known.
+
+    near [m]: contacts with a larger gap are apart. Returns the number kept.
+    """
     contacts, ids = sink
     kept = known
     for c in range(known, known + found):
@@ -41,8 +46,9 @@ def keep_new(sink, known, found, near):
 
 @inlined_kernel
 def gap_then(sink, begin, end, moving, pair):
-    """The least gap [m] of the contacts in rows begin .. end, given in current frames, at the Pair's relative poses;
-    each along its normal, which turns with the fragment that does not own the sample.
+    """The least gap [m] of contacts begin .. end - 1 of a Sink, given in current frames, at the Pair's relative poses.
+
+    Each gap is along the contact's normal, which turns with the fragment that does not own the sample.
     """
     contacts, ids = sink
     _, _, rotation, translation = pair
@@ -61,8 +67,9 @@ def gap_then(sink, begin, end, moving, pair):
 
 @inlined_kernel
 def bring_back(moving, of_world, pair, sink, count):
-    """Transform the first `count` contacts of a later moment to current frames; pair, of_world (2, 3, 3): relative
-    poses and world rotations at that moment.
+    """Transform the first `count` contacts of a Sink from a later moment to current frames.
+
+    pair, of_world (2, 3, 3): relative poses and world rotations at that moment, see put_poses.
     """
     contacts, ids = sink
     _, _, rotation, translation = pair

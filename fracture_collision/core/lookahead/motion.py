@@ -87,7 +87,9 @@ def fastest(velocities):
 
 @inlined_kernel
 def put_pose(motion, rotations, positions, i, t, rotation, position):
-    """Write the pose of fragment i after `t` [s] to rotation (3, 3) and position (3,) [m]; rotations, positions: now.
+    """Write the pose of fragment i after `t` [s] to rotation (3, 3) and position (3,) [m].
+
+    rotations (n, 3, 3), positions (n, 3) [m]: world poses now.
     """
     w, spin = motion.angular[i], _spin(motion.angular[i])
     for d in range(3):
@@ -133,9 +135,10 @@ def turned_in(motion, i, left):
 
 @inlined_kernel
 def _seen_from(motion, i, j, t, left):
-    """Motion of fragment i in the frame of fragment j, from `t` [s] on for `left` [s], all [m/s]: (velocity of its
-    centre at t (x, y, z); excess speed of its points due to rotation; excess due to its growing distance; how far that
-    velocity turns in the time).
+    """Motion of fragment i in the frame of fragment j, from `t` [s] on for `left` [s].
+
+    Returns (x, y, z, turning, farther, sway), all [m/s]: velocity of i's centre at t, world axes; excess speed of i's
+    points due to rotation; excess due to the growing distance; how far the velocity turns in the time.
     """
     a, b = motion.linear[i], motion.linear[j]
     wa, wb = motion.angular[i], motion.angular[j]
@@ -166,8 +169,9 @@ def closing_speed(motion, i, j, t, left):
 
 @inlined_kernel
 def closing_along(motion, i, j, t, left, x, y, z):
-    """The same for the two hulls along the unit vector (x, y, z) from j to i, world axes at `t`, that turns with one of
-    the two; negative: they separate.
+    """Upper bound [m/s] on how fast the hulls of i and j approach each other along a direction; negative: they part.
+
+    (x, y, z): unit vector from j to i, world axes at `t` [s], that turns with one of the two; it holds for `left` [s].
     """
     u, w = motion.angular[i], motion.angular[j]
     wx, wy, wz = u[0] - w[0], u[1] - w[1], u[2] - w[2]
@@ -183,8 +187,9 @@ def closing_along(motion, i, j, t, left, x, y, z):
 
 @inlined_kernel
 def put_way(motion, i, j, t, left, time, turn, out):
-    """Write how points of fragment i move within `time` [s] of the `left` [s] from t on, in the frame of fragment j:
-    row out of (2, WAY) [m], for `approach.nearer_along`. turn (3, 3): j's rotation at t.
+    """Write how points of fragment i move in the frame of fragment j within `time` [s] of the `left` [s] from t on.
+
+    turn (3, 3): j's world rotation at t; out (WAY,) [m]: a way, for `approach.nearer_along`.
     """
     x, y, z, turning, farther, sway = _seen_from(motion, i, j, t, left)
     out[0], out[1], out[2] = turned_back(turn, time * x, time * y, time * z)

@@ -26,9 +26,9 @@ ABOUT_TO = 0.1
 
 @inlined_kernel
 def boxes_stay_apart(pools, pair, moving, near):
-    """Whether two stay more than `near` [m] apart along an axis of either box; negative: penetrate no deeper than that.
+    """Whether two boxes stay more than `near` [m] apart along one of their axes.
 
-    pair: with relative poses now; moving: a Moving.
+    near: negative: they penetrate no deeper than that. pair: with relative poses now; moving: a Moving.
     """
     a, b, rotation, translation = pair
     i, j, rotations, _, motion = moving
@@ -57,8 +57,11 @@ def boxes_stay_apart(pools, pair, moving, near):
 
 @inlined_kernel
 def hulls_stay_apart(pools, pair, moving, near, toward, scratch):
-    """The same for the hulls along `toward` (3,), b's frame, or, where it is zero, along the line between box centres.
-    A cheap test before first_touch: any direction is valid, and a pair it settles is never near.
+    """Whether two hulls stay more than `near` [m] apart along a direction.
+
+    near: negative: they penetrate no deeper than that. The direction is `toward` (3,) in b's frame or, where that is
+    zero, the line between box centres. pair: with relative poses now; moving: a Moving. A cheap test before
+    first_touch: any direction is valid, and a pair it settles is never near.
     """
     a, b, _, translation = pair
     i, j, rotations, _, motion = moving
@@ -74,16 +77,18 @@ def hulls_stay_apart(pools, pair, moving, near, toward, scratch):
 
 @inlined_kernel
 def may_get_through(boxes, a, b, i, j, motion):
-    """Whether fragments a and b, the i-th and j-th of `motion`, close by more than THIN of the thinner one's thickness;
-    boxes (F, 6) [m]: of all.
+    """Whether fragments a and b close by more than THIN of the thinner one's thickness within motion.time.
+
+    boxes (F, 6) [m]: of all fragments; i, j: their indices in the Motion.
     """
     return closing_speed(motion, i, j, 0.0, motion.time) * motion.time > THIN * thickness(boxes, a, b)
 
 
 @inlined_kernel
 def may_touch_again(pools, pair, moving, moment, contacts, scratch):
-    """Whether two that touch at `moment` [s], or are about to, by their `contacts`, may pass through each other
-    elsewhere before the time is over. pair: with relative poses at that moment; moving: a Moving.
+    """Whether two fragments that touch, or are about to, may pass through each other elsewhere before the time is over.
+
+    pair: with relative poses at `moment` [s]; moving: a Moving; contacts: their contacts at that moment, see Sink.
     """
     a, b, _, translation = pair
     i, j, rotations, _, motion = moving
@@ -122,10 +127,11 @@ def thickness(boxes, a, b):
 
 @inlined_kernel
 def gap_of_hulls(pools, pair, enough, toward, scratch, most_steps=MOST_STEPS):
-    """Lower bound [m] of the distance between the hulls of two fragments (the search stops once it exceeds `enough`),
-    and its direction (x, y, z) from b to a, in b's frame; minus infinity: spheres are not handled.
+    """Lower bound [m] of the distance between the hulls of a Pair, and its direction.
 
-    toward, most_steps: see leaf_separation.
+    enough [m]: the search stops once the distance exceeds it; toward, most_steps: see leaf_separation. Returns (gap
+    [m], x, y, z), the direction from b to a in b's frame; minus infinity: spheres, and fragments without samples, are
+    not handled.
     """
     a, b, rotation, translation = pair
     kind_a, kind_b = pools.fragment.kind[a], pools.fragment.kind[b]
@@ -160,8 +166,10 @@ def _reach_of_hull(pools, f, x, y, z, bounds):
 
 @inlined_kernel
 def least_gap_ahead(pools, pair, moving, t, gap, n, slack, scratch):
-    """Lower bound [m] of the gap between two hulls along n, a world unit vector from b to a, from `t` [s], when it is
-    `gap` [m], to the end of the time. slack [m]: rounding of poses. moving: a Moving.
+    """Lower bound [m] of the gap between two hulls along a direction, from `t` [s] to the end of the time.
+
+    pair: a Pair; moving: a Moving; gap [m]: the gap at t; n: world unit vector from b to a; slack [m]: rounding of
+    poses.
     """
     a, b, _, _ = pair
     i, j, rotations, positions, motion = moving

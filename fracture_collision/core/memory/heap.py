@@ -1,4 +1,4 @@
-"""A binary heap in two arrays: keys, the least first, and what they belong to."""
+"""A binary min-heap in two arrays: keys, and the items that they belong to."""
 
 from __future__ import annotations
 

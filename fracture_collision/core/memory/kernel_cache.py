@@ -19,7 +19,7 @@ from typing import Any
 
 @contextmanager
 def _not_to_be_imported(*names: str) -> Iterator[None]:
-    """Hides modules from import, unless they are already imported."""
+    """Hide modules from import, unless they are already imported."""
     hidden = [name for name in names if name not in sys.modules]
     sys.modules |= dict.fromkeys(hidden)  # type: ignore[arg-type] # None: an import of it fails
     try:
@@ -59,21 +59,22 @@ class KernelCache(FunctionCache):
 
 
 class WithoutLiterals:
-    """Resolves a call of a kernel from another one for the types of its arguments, not for their values.
+    """Resolves a call from one kernel to another by the types of its arguments, not their values.
 
-    Where an argument is a constant, or a variable that begins as one, numba compiles the kernel for that value, too:
-    code that is never or hardly used, and took a third of the time of a build.
+    Where an argument is a constant, or a variable that begins as one, numba would compile the kernel for that value,
+    too: code that is rarely used and took a third of the build time.
     """
 
     def __init__(self, resolve: Callable) -> None:
         self._resolve = resolve
 
     def __call__(self, args: tuple, kws: dict) -> Any:
+        """Signature of a call with positional types `args` and keyword types `kws`, literal types made general."""
         return self._resolve(tuple(map(_general, args)), {name: _general(kind) for name, kind in kws.items()})
 
 
 def _general(kind: Any) -> Any:
-    """The type of all values, of the type of one."""
+    """The type of a literal type's value; any other type unchanged."""
     return kind if isinstance(kind, types.BaseNamedTuple) else types.unliteral(kind)
 
 

@@ -1,4 +1,4 @@
-"""What queries take and fill: the fragments of a step, a pair with its relative poses, and room for its contacts."""
+"""Arguments of queries: the fragments of a step, a pair with its relative poses, and a buffer for its contacts."""
 
 from __future__ import annotations
 
@@ -30,7 +30,10 @@ class Step(NamedTuple):
 
 @inlined_kernel
 def put_pair(step, p, rotation, translation):
-    """The Pair number p of a Step; its relative poses are written to rotation (2, 3, 3) and translation (2, 3) [m]."""
+    """Pair number p of a Step.
+
+    Its relative poses are computed into rotation (2, 3, 3) and translation (2, 3) [m].
+    """
     i, j = step.pairs[p, 0], step.pairs[p, 1]
     rotations, positions = step.rotations, step.positions
     relative_pose(rotations[i], positions[i], rotations[j], positions[j], rotation[0], translation[0])
@@ -39,11 +42,14 @@ def put_pair(step, p, rotation, translation):
 
 
 class Sink(NamedTuple):
-    """Room for the contacts of one pair. A query that finds more returns their number, to be repeated with more room.
+    """Buffer for the contacts of one pair.
 
-    contacts: sample point, witness on the other, the other's outward normal, all in the other's body frame, gap [m].
-    ids: side (0: a's sample in b), sample (of a sphere: sphere_contacts.py), source and tetrahedron of the witness,
-    tetrahedron of the sample (elementary_queries.Probe); columns ID_... of known_samples.py.
+    A query that finds more contacts than fit returns their number; it must be repeated with a larger buffer.
+
+    contacts: sample point (3), witness on the other fragment (3), the other's outward unit normal (3), all in the
+    other's body frame; gap [m]. ids: side (0: a's sample in b), sample (of a sphere: sphere_contacts.py), source and
+    tetrahedron of the witness, tetrahedron of the sample (elementary_queries.Probe); columns ID_... of
+    known_samples.py.
     """
 
     contacts: np.ndarray  # (n, 10) float64
@@ -51,5 +57,5 @@ class Sink(NamedTuple):
 
 
 def make_sink(room: int) -> Sink:
-    """A Sink of `room` rows."""
+    """A Sink of `room` rows, zero."""
     return Sink(np.zeros((room, 10)), np.zeros((room, 5), np.int64))

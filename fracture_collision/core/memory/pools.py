@@ -53,7 +53,7 @@ class GrowableArray:
         return self._buffer[self.used : end]
 
     def advance(self, count: int) -> int:
-        """Returns the index of the first."""
+        """Append the next `count` rows of the buffer, as written by the caller; returns the index of the first."""
         self.used, self._view = self.used + count, None
         self._changed(False)
         return self.used - count
@@ -74,10 +74,12 @@ class GrowableArray:
 
     @property
     def row_bytes(self) -> int:
+        """Size of a row [bytes]."""
         return self._buffer.dtype.itemsize * int(np.prod(self._buffer.shape[1:], dtype=np.int64))
 
     @property
     def view(self) -> np.ndarray:
+        """The rows in use, contiguous; a new view after each change of their number."""
         if self._view is None:
             self._view = self._buffer[: self.used]
         return self._view
@@ -201,8 +203,10 @@ SAMPLE_ROUNDING = 1e-6
 
 
 class SeedPool(NamedTuple):
-    """Crack seeds (crack_seeds.py). A body's rows are sorted by key, in the range given by FragmentPool.seeds. Its rows
-    from before its last fracture stay as garbage, and so do the edges of broken fragments; other edges do not move.
+    """Crack seeds (crack_seeds.py).
+
+    A body's rows are sorted by key, in the range given by FragmentPool.seeds. Its rows from before its last fracture
+    stay as garbage, and so do the edges of broken fragments; other edges do not move.
     """
 
     keys: np.ndarray  # int64 smaller row of the fragment pool << 32 | larger row
@@ -211,6 +215,8 @@ class SeedPool(NamedTuple):
 
 
 class Pools(NamedTuple):
+    """All pools, and the switches that select the variants of the algorithms."""
+
     mesh: MeshPool
     body: BodyPool
     fragment: FragmentPool

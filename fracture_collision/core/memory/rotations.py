@@ -7,6 +7,7 @@ from fracture_collision.core.memory.compiled import inlined_kernel
 
 @inlined_kernel
 def rotated(rotation, x, y, z):
+    """Apply rotation (3, 3) to (x, y, z)."""
     return (
         rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z,
         rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z,
@@ -16,14 +17,14 @@ def rotated(rotation, x, y, z):
 
 @inlined_kernel
 def to_other(rotation, translation, x, y, z):
-    """Apply rotation (3, 3), then translation (3,)."""
+    """Apply rotation (3, 3), then translation (3,) [m] to the point (x, y, z)."""
     x, y, z = rotated(rotation, x, y, z)
     return x + translation[0], y + translation[1], z + translation[2]
 
 
 @inlined_kernel
 def turned_back(rotation, x, y, z):
-    """Apply the inverse of a rotation (3, 3)."""
+    """Apply the inverse of rotation (3, 3) to (x, y, z)."""
     return (
         rotation[0, 0] * x + rotation[1, 0] * y + rotation[2, 0] * z,
         rotation[0, 1] * x + rotation[1, 1] * y + rotation[2, 1] * z,
@@ -33,7 +34,10 @@ def turned_back(rotation, x, y, z):
 
 @inlined_kernel
 def relative_pose(rotation_from, position_from, rotation_to, position_to, rotation, translation):
-    """Write the pose from one fragment's frame to another's to rotation (3, 3), translation (3,); inputs in world."""
+    """Write the pose from one fragment's body frame to another's to rotation (3, 3) and translation (3,) [m].
+
+    rotation_from, position_from, rotation_to, position_to: world poses of the two fragments.
+    """
     for i in range(3):
         translation[i] = 0.0
         for k in range(3):

@@ -23,8 +23,9 @@ def connected_pieces(edges: np.ndarray, labels: np.ndarray) -> np.ndarray:
 
 
 def joined(first: np.ndarray, second: np.ndarray, count: int) -> np.ndarray:
-    """The connected pieces of 0 .. count - 1 with links (first[i], second[i]): (count,) int32, numbered from 0 in the
-    order of their smallest members.
+    """Connected pieces of 0 .. count - 1 with links (first[i], second[i]).
+
+    Returns (count,) int32, numbered from 0 in the order of their smallest members.
     """
     first, second = (np.ascontiguousarray(each, dtype=np.int64) for each in (first, second))
     return _joined(first, second, count)

@@ -54,6 +54,7 @@ class CutScratch(NamedTuple):
 
 
 def make_cut_scratch() -> CutScratch:
+    """CutScratch, zero; corners, crossings, face points and hub share the memory of `points`."""
     points = np.zeros((POINTS, 3))
     return CutScratch(
         np.zeros(4, np.int64), points, points[:CROSSING], points[CROSSING:FACE_POINT], points[FACE_POINT:HUB],

@@ -87,8 +87,9 @@ def _pyramid_moments(o, triangles, row):
 
 
 def mass_properties(moments: np.ndarray, density: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Masses (n,) [kg], centres of mass (n, 3) [m] and inertias (n, 6) [kg m2] about them (body axes: xx xy xz yy yz
-    zz) of solids with `moments` (n, 10) and `density` (n,) [kg/m3].
+    """Masses, centres of mass and inertias of solids with `moments` (n, 10) and `density` (n,) [kg/m3].
+
+    Returns (masses (n,) [kg], centres (n, 3) [m], inertias (n, 6) [kg m2] about them, body axes: xx xy xz yy yz zz).
     """
     volume = moments[:, :1]
     center = moments[:, 1:4] / volume
@@ -100,12 +101,14 @@ def mass_properties(moments: np.ndarray, density: np.ndarray) -> tuple[np.ndarra
 
 
 def sphere_mass_properties(radius: float, density: float) -> tuple[float, np.ndarray, np.ndarray]:
+    """(mass [kg], centre (3,) [m], inertia (6,) [kg m2]) of a ball of `radius` [m] and `density` [kg/m3]."""
     mass = density * 4.0 / 3.0 * math.pi * radius * radius * radius
     moment = 0.4 * mass * radius * radius
     return mass, np.zeros(3), np.array([moment, 0.0, 0.0, moment, 0.0, moment])
 
 
 def box_mass_properties(half: np.ndarray, density: float) -> tuple[float, np.ndarray, np.ndarray]:
+    """(mass [kg], centre (3,) [m], inertia (6,) [kg m2]) of a box of half edges (3,) [m] and `density` [kg/m3]."""
     mass = density * 8.0 * float(np.prod(half))
     xx, yy, zz = half * half * mass / 3.0
     return mass, np.zeros(3), np.array([yy + zz, 0.0, 0.0, xx + zz, 0.0, xx + yy])

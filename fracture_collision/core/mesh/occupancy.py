@@ -1,4 +1,4 @@
-"""The multi-level grid of Glondu 2014, section 4.5: does a sphere outside reach any tetrahedron that holds fragment f?
+"""The multi-level grid of Glondu 2014, section 4.5: whether a sphere outside may reach fragment f.
 
 Level 0 is the location grid, restricted to the fragment's own cells, one word per cell: every cell has 4 x 4 x 4 parts,
 and a part's bit is set if a tetrahedron that holds f may meet it. A cell of level k + 1 is set if ANY of its eight
@@ -87,8 +87,10 @@ def mark_fragments(mesh, body, fragment, occupancy, broken):
 
 @query_kernel
 def _mark_fragments(mesh, body, fragment, occupancy, broken, words, holders):
-    """Mark level 0. Working space: words (high - low,) uint64, zero, the parts of a cell that each fragment holds;
-    holders (high - low,) int32, the fragments that hold any.
+    """Mark level 0 for the new fragments of a Broken.
+
+    Working space, one entry per new fragment: words (broken.end - broken.first,) uint64, zero, the parts of a cell that
+    each holds; holders, of the same length, int32, the fragments that hold any.
     """
     low, high, tet_shift = broken.first, broken.end, broken.tet_shift
     cells = fragment.cells[low:high]
@@ -234,8 +236,10 @@ def sphere_may_touch(pools, f, x, y, z, r):
 
 @query_kernel
 def cells_of_boxes(boxes, grid, dims, first_word, cells):
-    """Write the cells (n, 7), see FragmentPool.cells, of fragments with bounding boxes (n, 6) [m] in a location grid,
-    rows of MeshPool.grid and grid_dims; their words are consecutive from `first_word` on. Returns the number of words.
+    """Write the cells (n, 7), see FragmentPool.cells, of fragments with bounding boxes (n, 6) [m] in a location grid.
+
+    grid, dims: rows of MeshPool.grid and grid_dims. The words of the fragments are consecutive from `first_word` on.
+    Returns the number of words.
     """
     end = first_word
     for i in range(len(boxes)):

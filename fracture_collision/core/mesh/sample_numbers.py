@@ -45,23 +45,25 @@ def corner_number(first, tetrahedron, which):
 
 @inlined_kernel
 def is_node(first, sample):
+    """Whether a sample is a node of the mesh."""
     return sample < first[NODES]
 
 
 @inlined_kernel
 def is_crossing(first, sample):
+    """Whether a sample is a crossing of a mesh edge."""
     return first[NODES] <= sample < first[NODES] + 2 * first[EDGES]
 
 
 @inlined_kernel
 def edge_of(first, sample):
-    """(row in the pool, side) of a crossing."""
+    """(row in the pool, side) of the mesh edge of a crossing."""
     return first[FIRST_EDGE] + (sample - first[NODES]) // 2, (sample - first[NODES]) % 2
 
 
 @inlined_kernel
 def tetrahedron_of(first, sample):
-    """Row in the pool of a corner's tetrahedron."""
+    """Row in the pool of the tetrahedron of a corner."""
     return first[FIRST_TETRAHEDRON] + (sample - first[NODES] - 2 * first[EDGES]) // CORNERS_EACH
 
 

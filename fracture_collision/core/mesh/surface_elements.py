@@ -91,8 +91,10 @@ class ElementTable:
 
 @kernel
 def _elements_of(pools, f, origin, out):
-    """Write f's elements, as far as capacity allows; returns (number of elements, number of their corners), which may
-    exceed the capacity. out: see _put; first (n,) of it: end row of an element's corners.
+    """Write the elements of fragment `f` to `out`, as far as capacity allows.
+
+    origin (3,) [m]: the point that corners are relative to. out: see _put; first (n,) of it: end row of an element's
+    corners. Returns (number of elements, number of their corners), which may exceed the capacity.
     """
     used, points, kind = 0, 0, pools.fragment.kind[f]
     work = np.empty((MOST_CORNERS, 3))
@@ -180,8 +182,10 @@ def count_triangles(pools, f, piece):
 
 @inlined_kernel
 def put_triangle(pools, f, piece, k, rotation, translation, out):
-    """Write the corners of the k-th triangle of an element, counter-clockwise from outside, transformed to another
-    frame, to out (9,) [m]; returns whether that triangle exists.
+    """Write the corners of the k-th triangle of an element, transformed to another frame, to out (9,) [m].
+
+    Corners are counter-clockwise from outside; rotation (3, 3), translation (3,) [m]: to that frame. Returns whether
+    the triangle exists.
     """
     kind = pools.fragment.kind[f]
     if kind == TRIANGLES:

@@ -32,6 +32,8 @@ WALL = 1e-6
 
 
 class TetMesh(NamedTuple):
+    """One mesh's preprocess, indices local to it."""
+
     nodes: np.ndarray  # (n, 3) float64 [m], body frame
     tetrahedra: np.ndarray  # (m, 4) int32, positive volume
     neighbours: np.ndarray  # (m, 4) int32, across the face opposite vertex i; -1: the old surface
@@ -141,8 +143,7 @@ def _rounded_outwards(boxes: np.ndarray) -> np.ndarray:
 
 
 def _cell_size(volume: float, extent: np.ndarray, count: int) -> float:
-    """Edge of a regular tetrahedron of the mesh's mean volume, enlarged until the number of cells is within its limit.
-    """
+    """Edge [m] of a regular tetrahedron of the mesh's mean volume, or more: the number of cells is limited."""
     cell = cube_root(6.0 * np.sqrt(2.0) * volume / count)
     limit = CELLS_PER_TETRAHEDRON * count + 64
     while np.prod(np.floor(extent / cell) + 2) > limit:

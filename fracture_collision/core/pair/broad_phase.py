@@ -14,7 +14,7 @@ from fracture_collision.core.memory.compiled import inlined_kernel, kernel
 from fracture_collision.core.memory.kinds import PLANE, is_bounded
 from fracture_collision.core.pair.crowds import Overlaps, overlaps_of
 
-# All pairs are recomputed if more than one fragment in so many has moved.
+# All pairs are recomputed if more than one fragment in FEW has moved.
 FEW = 16
 
 
@@ -39,7 +39,11 @@ NOTHING_PAIRED = Paired(
 
 @kernel
 def world_boxes(fragment_box, rows, rotations, positions, margins, boxes):
-    """World boxes (n, 6) [m] of fragments `rows` with poses (n, 3, 3) and (n, 3), grown by margins (n,)."""
+    """Write the world boxes of fragments `rows` (n,) to `boxes` (n, 6) [m].
+
+    fragment_box (F, 6): of FragmentPool; rotations (n, 3, 3), positions (n, 3) [m]: world poses; each box is grown by
+    its margin (n,) [m].
+    """
     for i in range(len(rows)):
         _put_world_box(fragment_box[rows[i]], rotations[i], positions[i], margins[i], boxes[i])
 

@@ -2,7 +2,7 @@
 
 A hundred bodies in one place make five thousand pairs, each of which a search must traverse to the last sample. So
 pairs whose boxes mostly coincide share a number of visits, and a pair whose share is too small to begin with is not
-searched at all. All others share 25 times that number, which they hardly ever reach: for these, only nodes in the
+searched at all. All others share 25 times that number, which they rarely reach: for these, only nodes in the
 other's box are counted, since the rest is culled early. A pair's share depends on the boxes and on the sizes of the
 trees, and on no state kept from an earlier step.
 """

@@ -68,7 +68,7 @@ NOTHING_REMEMBERED = Remembered(NO_LISTS, NOTHING_KEPT)
 
 
 class Scene(NamedTuple):
-    """What is searched, and where it is."""
+    """The input of a step: geometry, poses, motion and pairs."""
 
     geometry: Geometry
     step: Step
@@ -184,8 +184,10 @@ class _Search:
         )  # fmt: skip
 
     def run(self, moved: np.ndarray, stands_at: np.ndarray) -> np.ndarray:
-        """Search the pairs `moved` (m,); stands_at (p,): where the others stand in the last answer, -1 for those that
-        lose contacts to a limit and are searched here. Returns the pairs cut short by their further visits.
+        """Search the pairs `moved` (m,); returns the pairs cut short by their further visits.
+
+        stands_at (p,): where the others stand in the last answer; -1 is written for those searched here to drop
+        contacts.
         """
         counts, limits = self.out.counts, self._limits
         if len(moved):
@@ -310,9 +312,10 @@ def query_pairs(
 
 @kernel
 def _without_those_that_leave(boxes, step, motion, counts, stands_at):
-    """Drop moving pairs from those in place (see pairs_in_place), unless they touch and move so slowly that their
-    present contacts are all they can have; returns the pairs that are not in place then (m,). boxes (F, 6) [m]: of all
-    fragments.
+    """Drop moving pairs from those in place (see pairs_in_place); returns the pairs that are not in place then (m,).
+
+    Pairs that touch stay if they move so slowly that their present contacts are all they can have. boxes (F, 6) [m]: of
+    all fragments.
     """
     is_in_motion = is_moving(motion)
     for p in range(len(step.pairs)):
@@ -326,7 +329,7 @@ def _without_those_that_leave(boxes, step, motion, counts, stands_at):
 
 @kernel
 def _tally(counts, exhausted, searched, begin):
-    """Returns (pairs that ended BY_FURTHER, contacts of all pairs, how many of the pairs `searched` did not fit)."""
+    """(pairs that ended BY_FURTHER, contacts of all pairs, pairs of `searched` that did not fit), numbers of each."""
     cuts = total = unstored = 0
     for p in range(len(counts)):
         total += counts[p]

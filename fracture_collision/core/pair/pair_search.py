@@ -37,14 +37,14 @@ NOT_FOUND = -1  # contacts, where another search must be run
 
 
 class Geometry(NamedTuple):
-    """What is searched."""
+    """The pools and the ridges that a search reads."""
 
     pools: Pools
     edges: Ridges  # of all rows; NO_RIDGES where crossings are not searched
 
 
 class Slot(NamedTuple):
-    """Where a pair's list is kept."""
+    """A pair's row of the NeighbourLists."""
 
     lists: NeighbourLists
     row: int  # -1: nowhere
@@ -64,7 +64,10 @@ class Found(NamedTuple):
 
 @inlined_kernel
 def search_pair(geometry, pair, rule, limits, slot, sink, scratch):
-    """The contacts of a Pair at its present poses, by a Rule, written to a Sink: Found. limits: VisitLimits."""
+    """The Found of a Pair at its present relative poses, by a Rule; the contacts are written to a Sink.
+
+    limits: VisitLimits; slot: the pair's Slot, whose list is used and renewed.
+    """
     pools = geometry.pools
     a, b, rotation, translation = pair
     radius = min(pools.fragment.radius[a], pools.fragment.radius[b])
@@ -96,7 +99,10 @@ def search_pair(geometry, pair, rule, limits, slot, sink, scratch):
 
 @inlined_kernel
 def _from_list(geometry, pair, rule, moves, slot, sink, scratch):
-    """Found of a pair that has a list, if it still holds; moves [m]: how far the two moved since the last step."""
+    """The Found of a Pair that has a list; NOT_FOUND if the list does not hold any more.
+
+    moves [m]: how far the two moved since the last step.
+    """
     pools = geometry.pools
     a, b, _, translation = pair
     lists, row = slot.lists, slot.row
@@ -121,7 +127,7 @@ def _from_list(geometry, pair, rule, moves, slot, sink, scratch):
 
 @inlined_kernel
 def _among_samples(geometry, pair, rule, moves, slot, sink, scratch):
-    """Found of a pair whose samples are searched, with a new list if it has a slot."""
+    """The Found of a Pair whose samples are searched, with a new list if it has a slot; moves [m]: see _from_list."""
     pools = geometry.pools
     radius = min(pools.fragment.radius[pair.a], pools.fragment.radius[pair.b])
     listed, places, ridges = scratch.none_listed, scratch.no_places, scratch.none_listed
@@ -168,9 +174,10 @@ def _left_of(geometry, pair, rule, listing, count, scratch):
 
 @inlined_kernel
 def look_ahead(geometry, pair, moving, rule, found, slot, sink, scratch):
-    """Contacts of the time ahead, written to a Sink after those `found` now: (Found of both, whether any was added).
+    """Search the time ahead for contacts of the two fragments of a Moving, after the `found` of now.
 
-    It runs its own searches: remembered state cannot change its result.
+    The contacts are written to the Sink after those found now. Returns (the Found of both, whether any was added). It
+    runs its own searches: remembered state cannot change its result.
     """
     pools, edges = geometry.pools, geometry.edges
     i, j, _, _, motion = moving

@@ -35,11 +35,11 @@ PLACE_OF, HOME = 0, 1
 
 @inlined_kernel
 def find_candidates(pools, pair, side, mine, approach, within, is_home, scratch):
-    """Write those of the samples `mine` (Leaves of this Side) that may be within `within` [m] of the other to
-    scratch.candidates (point in the other's frame, depth bound [m]) and scratch.candidate_ids: (leaves searched, how
-    many).
+    """Find the samples of a Side that may be within `within` [m] of the other fragment.
 
-    is_home: the samples are not far from where they were in the unbroken body.
+    mine: Leaves of the side's fragment; approach: an Approach; is_home: the samples are not far from where they were in
+    the unbroken body. Writes to scratch.candidates (point in the other's frame, depth bound [m]) and
+    scratch.candidate_ids. Returns (leaves searched, number of samples).
     """
     other, worst, m = side.other, scratch.along, mine.middle
     planes = scratch.planes
@@ -82,10 +82,11 @@ def find_candidates(pools, pair, side, mine, approach, within, is_home, scratch)
 
 @inlined_kernel
 def ask(pools, side, rule, entry, looked, reached, count, scratch):
-    """(distance [m] of a sample from the other, searched to at least `looked` [m]; whether it is within the tolerance:
-    then it is stored as candidate number `count`).
+    """Query a sample of a Side, row `entry` of TreePool, and store it as candidate number `count` if it is near.
 
-    By our rule the probe stops at depth epsilon, and the depth is computed later: minus infinity.
+    looked [m]: it is searched to at least that distance; reached: see bounded_probe. Returns (distance [m] from the
+    other, whether it is within the tolerance and so was stored). By our rule the probe stops at depth epsilon, and the
+    depth is computed later: minus infinity.
     """
     other, sample = side.other, placed(pools, side, entry)
     point = sample.x, sample.y, sample.z
@@ -106,8 +107,10 @@ def ask(pools, side, rule, entry, looked, reached, count, scratch):
 
 @inlined_kernel
 def keep_for_later(pools, side, rule, entry, where, count, scratch):
-    """Store a sample as candidate number `count` if it may be deeper than epsilon, UNASKED if that is not certain;
-    returns the new count. where: DEEP or UNKNOWN, see side_of_surface.
+    """Store a sample as candidate number `count` if it may be deeper than epsilon; returns the new count.
+
+    entry: its row of TreePool; where: DEEP or UNKNOWN, see side_of_surface. Only at DEEP is it certainly deeper; else
+    it is UNASKED.
     """
     sample = placed(pools, side, entry)
     out = way_out_of_box(pools.fragment.box[side.other], sample.x, sample.y, sample.z)
@@ -120,8 +123,10 @@ def keep_for_later(pools, side, rule, entry, where, count, scratch):
 
 @inlined_kernel
 def choose_contacts(pools, pair, rule, slack, found, sink, scratch):
-    """Write the contacts to list of `found`: how many candidates, and how many of them are known to be deeper than
-    epsilon; returns (contacts, missed depth bound [m]).
+    """Choose among the candidates of a Pair, by a Rule, and write the contacts to a Sink.
+
+    slack [m]: rounding_slack of the pair; found: (number of candidates, how many of them are known to be deeper than
+    epsilon). Returns (contacts, missed depth bound [m]).
     """
     count, deep = found
     if rule.most > 0 and deep > rule.wanted:

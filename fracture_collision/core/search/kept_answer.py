@@ -61,9 +61,9 @@ def _keep(rows, slots, room, exhausted):
 
 
 def keep(answer: KeptAnswer, rows: np.ndarray, slots: np.ndarray, room: int) -> KeptAnswer:
-    """The answer with its indices. slots (p,), -1: do not keep; `room` slots in all.
+    """The KeptAnswer with its indices: rows (n,) of FragmentPool, and slots (p,) of its pairs, -1: do not keep.
 
-    Its contacts must not be modified afterwards.
+    room: number of slots in all. The answer's contacts must not be modified afterwards.
     """
     index_of_row, pair_of_slot = _keep(rows, slots, room, answer.contacts.exhausted)
     return answer._replace(index_of_row=index_of_row, pair_of_slot=pair_of_slot)
@@ -71,7 +71,7 @@ def keep(answer: KeptAnswer, rows: np.ndarray, slots: np.ndarray, room: int) -> 
 
 @kernel
 def pose_bits(rotations, positions):
-    """(n, 12) uint64 of poses (n, 3, 3), (n, 3)."""
+    """Bits of rotations (n, 3, 3) and positions (n, 3): (n, 12) uint64."""
     poses = np.empty((len(positions), 12))
     for i in range(len(positions)):
         for d in range(3):
@@ -83,12 +83,13 @@ def pose_bits(rotations, positions):
 
 @kernel
 def pairs_in_place(kept, kinds, step, poses, slots, limits, out):
-    """Index in `kept` of each pair of a Step, -1: absent, or the answer may differ; and the pairs with -1 (m,). For the
-    others, `out`: counts and bounds (p,), are written.
+    """Find the pairs of a Step whose answer in `kept` still holds, and write their counts and bounds (p,) to `out`.
 
-    poses (n, 12): pose_bits; slots: slots and known (p,) of with_pairs; limits: shares (p,) and further, the visit
-    limits of each pair, in all and after it has the contacts wanted. From then on, the search handles a node at most
-    twice per visit.
+    kinds (F,): of FragmentPool; poses (n, 12): pose_bits; slots: slots and known (p,) of with_pairs; limits: shares
+    (p,) and further, the visit limits of each pair, in all and after it has the contacts wanted. From then on, the
+    search handles a node at most twice per visit.
+
+    Returns (index in `kept` of each pair (p,), -1: absent, or the answer may differ; the pairs with -1 (m,)).
     """
     rows, pairs = step.rows, step.pairs
     slot_of, known = slots
@@ -118,8 +119,9 @@ def pairs_in_place(kept, kinds, step, poses, slots, limits, out):
 
 @kernel
 def gather_kept(kept, stands_at, offsets, out, searched):
-    """Copy the contacts of the pairs that are in `kept` to WorldContacts, from offsets[p] on, and their `searched`
-    (p,).
+    """Copy the contacts of pairs from `kept` to WorldContacts, from offsets[p] on, and their `searched` (p,).
+
+    stands_at (p,): of pairs_in_place; pairs with -1 are left out.
     """
     points_a, points_b, normals, gaps, samples = out
     old = kept.contacts

@@ -23,14 +23,14 @@ from fracture_collision.core.memory.kinds import is_bounded
 from fracture_collision.core.memory.prefetch import fetch
 from fracture_collision.core.memory.rotations import to_other
 
-# Samples a list has room for, and pairs of ridges (ridge_contacts.py).
+# Capacity of a list: samples, and pairs of ridges (ridge_contacts.py).
 MOST_LISTED, MOST_RIDGES = 256, 256
-# The same for the one pair per thread that is in look-ahead (first_touch.py).
+# The same for the one pair per thread that is searched ahead in time (first_touch.py).
 MOST_AHEAD = 4096
 # Lists are made for pairs that move by less than this share of the smaller R in a step.
 FAST = 0.003
-# Reach of a list beyond the tolerance: the pair's motion in so many steps, within these shares of R. A larger reach
-# lasts longer and lists more.
+# Reach of a list beyond the tolerance: the pair's motion in LASTS steps, within the other two shares of R. A larger
+# reach lasts longer and lists more.
 LASTS, LEAST_REACH, MOST_REACH = 4.0, 0.005, 0.02
 # How far beyond the tolerance a listed sample's distance is searched, likewise in steps: more means fewer queries.
 AHEAD = 2.0
@@ -51,9 +51,9 @@ LEAST_ROOM = 64
 
 
 class Listing(NamedTuple):
-    """What a search of a pair lists for later queries, and how far it searches for that."""
+    """What a search of a pair lists for later queries, and how far it searches for the list."""
 
-    reach: float  # [m] samples that may be within near + reach are listed; 0: no list
+    reach: float  # [m] samples that may be within near + reach are listed; 0: no new list
     ahead: float  # [m] distances of samples are searched up to so far beyond near
     ways: np.ndarray  # (2, WAY) float64: motion of a's points relative to b, of b's relative to a (motion.put_way)
     samples: np.ndarray  # (n, 2) int32: WHO and WHERE, those of a before those of b
@@ -93,7 +93,7 @@ NO_LISTS = _make_lists(0)
 
 @kernel
 def pair_keys(rows, pairs):
-    """Keys (p,) int64 of `pairs` (p, 2) of indices into `rows` (n,) int64."""
+    """Keys (p,) int64 of `pairs` (p, 2), indices into `rows` (n,) int64 of FragmentPool."""
     keys = np.empty(len(pairs), np.int64)
     for p in range(len(pairs)):
         keys[p] = (rows[pairs[p, 0]] << 32) | rows[pairs[p, 1]]
@@ -101,10 +101,10 @@ def pair_keys(rows, pairs):
 
 
 def with_pairs(before: NeighbourLists, keys: np.ndarray) -> tuple[NeighbourLists, np.ndarray, np.ndarray]:
-    """The lists of a step whose pairs have `keys` (p,), with the slot of each (p,), and whether it had that slot before
-    (p,).
+    """The lists of a step whose pairs have `keys` (p,).
 
-    `before` must not be used afterwards: columns are shared.
+    Returns (lists, slot of each pair (p,), whether it had that slot before (p,)). `before` must not be used afterwards:
+    columns are shared.
     """
     room = len(before.counts)
     if room < len(keys):
@@ -134,8 +134,10 @@ def _copy_lists(old, new):
 
 @kernel
 def _take_slots(known_keys, known_slots, keys, counts, toward):
-    """(keys ascending, their slots, slots (p,) of `keys`: the ones they had, or free ones, which they had (p,)). A free
-    slot drops the state of its previous pair.
+    """Assign slots to the pairs of a step: the ones they had, or free ones.
+
+    A free slot drops the state of its previous pair. Returns (keys ascending, their slots, slots (p,) of `keys`,
+    whether each pair had its slot before (p,)).
     """
     order = np.arange(len(keys))
     for k in range(1, len(keys)):
@@ -164,8 +166,9 @@ def _take_slots(known_keys, known_slots, keys, counts, toward):
 
 @inlined_kernel
 def reach_of(moves, radius):
-    """(reach of a list, how far ahead a sample's distance is searched) [m] for a pair that moves by `moves` [m] a step;
-    0, 0: no list. radius [m]: the smaller R.
+    """Reach of a list, and how far ahead a sample's distance is searched, for a pair that moves by `moves` [m] a step.
+
+    radius [m]: the smaller R. Returns (reach, ahead) [m]; (0, 0): no list.
     """
     if moves >= FAST * radius:
         return 0.0, 0.0
@@ -187,8 +190,10 @@ def fetch_slot(lists, slot):
 
 @inlined_kernel
 def frame_between(own, other, rotation, translation):
-    """Transform of a place relative to own's middle (4,) into one relative to the other's, in the other's frame: an
-    offset (x, y, z) float32, and the rounding of the distance of two such places [m]. own, other: of Leaves.
+    """Transform of a place relative to own's middle into one relative to the other's, in the other's frame.
+
+    own, other (4,): middles of Leaves; rotation (3, 3), translation (3,) [m]: from own's body frame to the other's.
+    Returns (x, y, z, rounding) float32 [m]: an offset, and the rounding error bound of the distance of two such places.
     """
     x, y, z = to_other(rotation, translation, own[0], own[1], own[2])
     x, y, z = x - other[0], y - other[1], z - other[2]
@@ -209,7 +214,10 @@ def place_of(row, rotation, frame):
 
 @inlined_kernel
 def see(row, rotation, frame, distance, near):
-    """Record that the sample of a row of `places` is `distance` [m] from the other, near at `near`, or NEAR_LAST."""
+    """Record that the sample of a row of `places` is `distance` [m] from the other, where it is near at `near` [m].
+
+    distance: NEAR_LAST if it is near now; frame: of frame_between.
+    """
     row[SEEN], row[SEEN + 1], row[SEEN + 2] = place_of(row, rotation, frame)
     row[UNTIL] = NEAR_LAST if distance == NEAR_LAST else max(np.float32(distance - near) - frame[3], np.float32(0.0))
 
@@ -227,8 +235,10 @@ def may_be_near(row, rotation, frame):
 
 @inlined_kernel
 def least_left(listed, places, count, middle_a, middle_b, rotation, translation, of_far):
-    """Lower bound [m] of how far the listed samples of a pair must still move before one can be near; infinity: there
-    is none. rotation (2, 3, 3), translation (2, 3): current relative poses; of_far: only samples that were not near.
+    """Lower bound [m] of how far the listed samples of a pair must still move before one can be near.
+
+    listed, places: `count` rows; middle_a, middle_b: of Leaves; rotation (2, 3, 3), translation (2, 3): current
+    relative poses, see Pair; of_far: only samples that were not near. Infinity: there is none.
     """
     left, side = np.float32(np.inf), 0
     frame = frame_between(middle_a, middle_b, rotation[0], translation[0])

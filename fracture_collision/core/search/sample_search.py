@@ -69,8 +69,8 @@ def search_samples(pools, edges, pair, rule, listing, sink, scratch):
     listed. listing.toward is replaced by the direction found.
 
     Returns (contacts, missed depth bound [m], visits, samples within reach, pairs of ridges likewise, clearance [m]),
-    as query_pair does, with leaves and samples counted as visits; -1 contacts: there are as many as wanted by the
-    paper's rule, and query_pair must be run.
+    as query_pair does, with leaves and samples counted as visits; more samples or ridges than `listing` has room for:
+    the list is incomplete. -1 contacts: there are as many as wanted by the paper's rule, and query_pair must be run.
     """
     a, b, rotation, translation = pair
     fragment = pools.fragment
@@ -152,8 +152,10 @@ def search_samples(pools, edges, pair, rule, listing, sink, scratch):
 
 @inlined_kernel
 def _planes_between(pools, pair, leaves, within, rounding, toward, scratch):
-    """(distance [m] of the hulls up to `rounding`, a lower bound; a plane that all of b is behind, in b's frame;
-    likewise for a). The search stops beyond `within` [m].
+    """Distance of the hulls of a Pair, by its Leaves, and planes that bound them; the search stops beyond `within` [m].
+
+    Returns (distance [m] up to `rounding`, a lower bound; a plane that all of b is behind, in b's frame; likewise for
+    a, in a's frame), planes as in Approach.
     """
     n, low, high = parting_plane_of_leaves(pools, pair, leaves, within + rounding, toward, scratch.along)
     x, y, z = n
@@ -166,8 +168,7 @@ def _planes_between(pools, pair, leaves, within, rounding, toward, scratch):
 
 @query_kernel
 def query_listed(pools, edges, pair, rule, listing, sink, scratch):
-    """search_samples for a pair whose `listing` holds all samples that can be near, and all pairs of ridges that can
-    cross.
+    """search_samples for a Pair whose Listing holds all samples that can be near, and all ridges that can cross.
 
     The distance of a sample that is not near is searched listing.ahead [m] beyond the detection tolerance, and its row
     of places is renewed. Returns (contacts, missed depth bound [m], visits), -1 contacts as search_samples does.

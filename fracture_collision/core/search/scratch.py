@@ -22,7 +22,7 @@ from fracture_collision.core.separation.approach import ANY_WAY, WAY
 MOST_WITHIN = 8192
 MOST_PLACES = 1024
 MOST_TOUCHING = 256
-# Capacity for triangles that wait in a search between samples: one for each halving of the first. After so many
+# Capacity of the stack of triangles in a search between samples: one for each halving of the first. After this many
 # halvings no side is as long as a millionth of the first's.
 DEPTH_OF_STACK = 64
 # Behind each face of a tetrahedron, at most three planes separate fragments.
@@ -41,22 +41,25 @@ class SurfaceWork(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """Each thread has its own; a few rows of padding keep the small arrays of two threads in different cache lines."""
+    """Working memory of one thread.
+
+    A few rows of padding keep the small arrays of two threads in different cache lines.
+    """
 
     visited: np.ndarray  # (tetrahedra,) int32: stamp of the last flood that reached it
     stamp: np.ndarray  # (1 + padding,) int32
     heap_key: np.ndarray  # (tetrahedra,) float64: squared box distance [m2]
     heap_tet: np.ndarray  # (tetrahedra,) int32
     roots: np.ndarray  # (ROOTS,) float64: where a ray may change its owner within a tetrahedron
-    node_int: np.ndarray  # (nodes, 4) int32: entry, side, next child, status
-    node_float: np.ndarray  # (nodes, 4) float64: point in the other's frame [m], depth bound [m]
+    node_int: np.ndarray  # (nodes, 4) int32: columns of traversal.py, or of contact_choice.py
+    node_float: np.ndarray  # (nodes, 4) float64 [m]: likewise, a point first
     queue: np.ndarray  # (2, 2 nodes) int32: rows of the two above
-    spread: np.ndarray  # (2, nodes) float64 [m2], [m]: see sample_search
+    spread: np.ndarray  # (2, nodes) float64: FAR [m2], MOST_DEPTH [m] of contact_choice.py
     ways: np.ndarray  # (8 + padding, 5) float64: directions out of a fragment, see deep_choice
     along: np.ndarray  # (nodes,) float32: extents of leaves of samples [m]
     looked_at: np.ndarray  # (4, nodes + LEAF) float32 [m]: places of samples, distance beyond planes
     leaves: np.ndarray  # (nodes,) int32: leaves of these samples
-    candidates: np.ndarray  # (nodes, 4) float64 [m]: samples to be queried, see sample_search
+    candidates: np.ndarray  # (nodes, 4) float64 [m]: samples to be queried, see candidates.py
     candidate_ids: np.ndarray  # (nodes, 2) int32: likewise
     planes: np.ndarray  # (8 + padding, 4) float32: half-spaces
     rotation: np.ndarray  # (2 + padding, 3, 3) float64: a pair's relative poses
@@ -75,7 +78,7 @@ class Scratch(NamedTuple):
     within: np.ndarray  # (MOST_WITHIN,) int64: triangles within a sphere's reach (sphere_contacts.py)
     touching: np.ndarray  # (MOST_TOUCHING,) int64: those at one point
     places: Sink  # MOST_PLACES rows: contacts of a sphere that are not chosen yet; row 0: of traversal.query_pair
-    kept: Sink  # `nodes` rows: contacts of candidate samples, sample_search.py
+    kept: Sink  # `nodes` rows: contacts of candidate samples, contact_choice.keep_answer
     ridge_work: RidgeWork
     surface_work: SurfaceWork
     none_listed: np.ndarray  # (0, 2) int32, and (0, PLACE) float32: for searches without a list (neighbour_lists.py)
@@ -85,9 +88,9 @@ class Scratch(NamedTuple):
 def scratch_for(
     pools: Pools, rows: np.ndarray, threads: int, before: tuple[Scratch, ...], edges: Ridges
 ) -> tuple[Scratch, ...]:
-    """`before` if it has room for all pairs of `rows` (n,), else new ones, one per thread.
+    """`before` if it has room for all pairs of `rows` (n,), else a new Scratch per thread.
 
-    edges: of all rows, NO_RIDGES where their crossings are not searched.
+    edges: Ridges of all rows, NO_RIDGES where their crossings are not searched.
     """
     crossings, ridges = (MOST_CROSSINGS, int(edges.count[rows].max(initial=0))) if len(edges.count) else (0, 0)
     nodes = 2 * _largest_tree(pools.fragment.tree_begin, pools.fragment.tree_end, rows) + 2 + crossings
@@ -108,7 +111,7 @@ def _largest_tree(tree_begin, tree_end, rows):
 
 
 def make_scratch(tetrahedra: int, nodes: int, ridges: int = 0) -> Scratch:
-    """Working memory of one thread, for meshes, trees and ridges of up to so many rows.
+    """Working memory of one thread, for meshes, trees and ridges with up to these numbers of rows.
 
     Small arrays are padded by 128 bytes that are never written: threads that share a cache line wait for each other's
     writes, and two threads run 1.7 instead of 1.9 times as fast as one.

@@ -47,7 +47,7 @@ NO_PLANE = (0.0, 0.0, 0.0, 0.0)
 # How a search ended: complete; cut short by a limit on visits or contacts; cut short by the limit on further visits,
 # those after a pair has the contacts wanted.
 COMPLETE, BY_LIMIT, BY_FURTHER = 0, 1, 2
-# Triangles searched for a sphere's contacts at least, however few further visits are left.
+# Minimum number of triangles searched for a sphere's contacts, even if fewer further visits are left.
 LEAST_WITHIN = 32
 UNKNOWN = 3  # in addition to INSIDE, NEAR, OUTSIDE: not tested, because no depth it can have would count
 # Poses, as of neighbour_lists.keep_pose, of two fragments of one body in their places in the unbroken body.
@@ -63,8 +63,9 @@ def depth_limit(pools, f):
 
 @inlined_kernel
 def most_depth(pools, other, x, y, z, plane):
-    """A cheap upper bound [m] of a point's depth in `other`, which lies behind `plane`: a unit normal and an offset
-    [m].
+    """A cheap upper bound [m] of the depth of a point in `other`, which lies behind `plane`.
+
+    plane: unit normal and offset [m], see Approach.
     """
     least = least_distance(pools, other, x, y, z)
     beyond = plane[0] * x + plane[1] * y + plane[2] * z - plane[3]
@@ -290,8 +291,10 @@ def _clearance_of_boxes(pools, pair, enough):
 
 @inlined_kernel
 def _planes_between(pools, pair, near, slack):
-    """(distance of the hulls beyond `near` and rounding `slack` [m], 0: none; a plane that all of b is behind, in b's
-    frame; likewise for a).
+    """Distance of the hulls of a Pair beyond `near` and the rounding `slack` [m], and planes that bound the hulls.
+
+    Returns (distance [m], 0: none; a plane that all of b is behind, in b's frame; likewise for a, in a's frame), planes
+    as in Approach.
     """
     a, b, rotation, translation = pair
     way = way_between(pools.fragment.box[a], pools.fragment.box[b], rotation[0], translation[0])
@@ -314,7 +317,11 @@ def _reach_node(node, node_point, k, reached, point, depth):
 
 @inlined_kernel
 def _bound_of_rest(pools, pair, node, node_point, queue, which, begin, end):
-    """Upper bound [m] of the depth of all samples below the nodes still queued when a budget ends."""
+    """Upper bound [m] of the depth of all samples below the nodes still queued when a budget ends.
+
+    pair: (whether a and b are of one body, spin between their frames, a, b); the nodes are entries begin .. end - 1 of
+    queue[which].
+    """
     one_body, turned, a, b = pair
     bound = 0.0
     for i in range(begin, end):

@@ -28,7 +28,7 @@ from fracture_collision.core.mesh.closest_point import closest_on_triangle
 MOST_STEPS = 12
 # GJK ends when the possible gain is less than this share of the distance.
 SETTLED = 1e-3
-# Subtrees of up to so many entries are scanned: culling their branches would take longer.
+# Subtrees of up to this many entries are scanned: culling their branches would take longer.
 BUNCH = 48
 
 
@@ -41,6 +41,7 @@ class Hull(NamedTuple):
 
 @inlined_kernel
 def hull_of(pools, f):
+    """The Hull of fragment `f`: views of its tree."""
     fragment = pools.fragment
     begin, end = fragment.tree_begin[f], fragment.tree_end[f]
     return Hull(pools.tree.spheres[begin:end], pools.tree.entries[begin:end])
@@ -132,8 +133,9 @@ def _difference(rotation, translation, p, q):
 
 @inlined_kernel
 def next_simplex(new, k0, k1, k2):
-    """The triangle nearest to the origin of those formed by `new` and two of the other three corners: its nearest
-    point, and its corners.
+    """Of the triangles formed by `new` and two of the corners k0, k1, k2, the one nearest to the origin.
+
+    Returns (its nearest point (x, y, z), its three corners).
     """
     least, x, y, z, _ = _nearest_to_origin(new, k0, k1)
     v, dropped = (x, y, z), 2

@@ -23,10 +23,13 @@ from fracture_collision.core.tree.sample_leaves import farthest_sample, sample_a
 
 @inlined_kernel
 def parting_plane_of_leaves(pools, pair, leaves, distance, toward, bounds, most_steps=MOST_STEPS):
-    """hull_separation.parting_plane over leaves: ((x, y, z), low, high), in single precision: the bounds may be off by
-    the rounding given in both middles.
+    """hull_separation.parting_plane over the leaves of a Pair, in single precision.
 
-    toward (3,): see neighbour_lists.Listing. bounds: working space, scratch.along. most_steps: 1: along `toward` only.
+    leaves: Leaves of a and of b. toward (3,): initial direction in b's frame, zeros: unknown (neighbour_lists.Listing);
+    replaced by the direction found. The search stops beyond `distance` [m]. bounds: working space, scratch.along.
+    most_steps: 1: along `toward` only.
+
+    Returns ((x, y, z), low, high); the bounds may be off by the rounding given in both middles.
     """
     a, b, rotation, translation = pair
     of_a, of_b = leaves
@@ -81,8 +84,10 @@ class Approach(NamedTuple):
 
 @inlined_kernel
 def half_spaces(pools, pair, side, middle, approach, planes):
-    """Bounds on where samples of one side's fragment may be near the other by an Approach: writes half-spaces n . x <=
-    o about its `middle` to `planes` (8, 4) float32; returns how many.
+    """Half-spaces outside of which no sample of one side's fragment may be near the other, by an Approach.
+
+    middle (4,): see Leaves. Writes half-spaces n . x <= o relative to `middle`, rows (n, o [m]), to `planes` (8, 4)
+    float32; returns their number.
     """
     other = pair.b if side == 0 else pair.a
     kind, box, used = pools.fragment.kind[other], pools.fragment.box[other], 0
@@ -105,8 +110,10 @@ def half_spaces(pools, pair, side, middle, approach, planes):
 
 @inlined_kernel
 def _put_half_space(back, normal, offset, approach, m, planes, row):
-    """Write n . x <= offset of the other's frame, extended by the motion, about own's middle, which is at m there; back
-    (3, 3): to own's frame.
+    """Write row `row` of `planes`: n . x <= offset in the other's frame, extended by the motion of an Approach.
+
+    m: own's middle in the other's frame; back (3, 3): rotation to own's frame, where the row is relative to that
+    middle. Returns the next row.
     """
     nx, ny, nz = normal
     if approach.reach > 0.0:

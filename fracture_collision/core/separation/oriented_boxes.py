@@ -10,7 +10,7 @@ import math
 from fracture_collision.core.memory.compiled import inlined_kernel
 from fracture_collision.core.memory.rotations import to_other
 
-# Two axes with a shorter cross product are parallel; the axes themselves separate whatever the product would.
+# Two axes with a shorter cross product are parallel; the axes themselves cover what the product would separate.
 PARALLEL = 1e-6
 
 
@@ -25,12 +25,12 @@ def way_between(box_a, box_b, rotation, translation):
 
 @inlined_kernel
 def box_clearance(box_a, box_b, rotation, translation, distance):
-    """Lower bound [m] of the distance between two boxes (6,) in their own frames along one of the 15 candidate axes; 0
-    where they are no more than `distance` [m] apart along any of them.
+    """Lower bound [m] of the distance between two oriented boxes, by the 15 candidate axes.
 
-    rotation (3, 3), translation (3,): from a's frame to b's. The result is the largest over b's axes, else over a's and
-    b's axes, else that of the first separating cross product. Axes without length are skipped, so the test may report
-    separated boxes as near, never the reverse.
+    box_a, box_b (6,) [m]: in their own frames; rotation (3, 3), translation (3,) [m]: from a's frame to b's. Returns 0
+    if they are no more than `distance` [m] apart along every axis; else the largest distance over b's axes, else over
+    a's and b's axes, else that of the first separating cross product. Axes without length are skipped, so the test may
+    report separated boxes as near, never the reverse.
     """
     clearance = 0.0
     for i in range(3):

@@ -39,14 +39,16 @@ OWN_ROUNDING = 1e-6
 
 @inlined_kernel
 def room_for_rounding(pools, f, own):
-    """[m] Single-precision error in the height of a point of fragment `own` in f's frame."""
+    """Single-precision error bound [m] of the height of a point of fragment `own` in f's frame."""
     return WALL_ROUNDING * pools.fragment.radius[f] + OWN_ROUNDING * pools.fragment.radius[own]
 
 
 @inlined_kernel
 def gather_near(pools, f, ball, slack, scratch):
-    """Write the tetrahedra that hold some of fragment `f` and may reach a ball (x, y, z, r) [m] in f's frame to
-    scratch.heap_tet; returns how many. Of other kinds: 1.
+    """Write the tetrahedra that hold part of `f` and may reach a ball to scratch.heap_tet; returns their number.
+
+    ball (x, y, z, r) [m]: in f's frame; slack [m]: rounding of heights. For fragments of other kinds: 1, nothing
+    written.
     """
     if pools.fragment.kind[f] != TETRAHEDRA:
         return 1
@@ -69,10 +71,10 @@ def gather_near(pools, f, ball, slack, scratch):
 
 @inlined_kernel
 def hull_avoids(pools, f, near, points, way, ball, slack):
-    """Whether the hull of points (n, 3) [m] in f's frame, which lies in a ball (x, y, z, r) [m], avoids f.
+    """Whether the hull of points avoids the interior of fragment `f`, a box or of tetrahedra.
 
-    near: the tetrahedra that gather_near has found about it; way: the unit vector that leads out of f. f: of
-    tetrahedra, or a box.
+    points (n, 3) [m]: in f's frame; ball (x, y, z, r) [m]: contains them; near: the tetrahedra that gather_near has
+    found about it; way: a unit vector out of f; slack [m]: rounding of heights.
     """
     if pools.fragment.kind[f] == BOX:
         return _avoids_box(pools.fragment.shape[f], points, slack)
@@ -120,7 +122,10 @@ def hull_avoids(pools, f, near, points, way, ball, slack):
 
 @inlined_kernel
 def triangle_avoids(pools, f, near, p, ball, slack, scratch):
-    """The same for the triangle p (9,) [m] in f's frame; the ball is about its middle."""
+    """Whether the triangle p (9,) [m] in f's frame avoids the interior of fragment `f`, of any kind.
+
+    near, slack: see hull_avoids; ball (x, y, z, r) [m]: about the triangle's middle.
+    """
     x, y, z, _ = ball
     kind, points = pools.fragment.kind[f], p[:9].reshape(3, 3)
     if kind == BOX:

@@ -62,11 +62,11 @@ class Judgement(NamedTuple):
 
 @query_kernel
 def judge_surfaces(pools, elements, pair, deepest, normal, epsilon, scratch):
-    """The Judgement of fragments `a` and `b` with relative poses as query_pair's.
+    """The Judgement of the surfaces of a Pair.
 
-    deepest [m]: the depth of their deepest contact; negative: none touches. normal (x, y, z): its normal, unit, out of
-    b in b's frame; zeros: there is none. A point that is deeper by LISTED epsilon [m] is found; then surface_work.best
-    (3,) [m] is its place in the frame of the other fragment.
+    elements: Elements of both. deepest [m]: the depth of their deepest contact; negative: none touches. normal (x, y,
+    z): its normal, unit, out of b in b's frame; zeros: there is none. epsilon [m]: a point that is deeper by LISTED
+    epsilon is found; then surface_work.best (3,) [m] is its place in the frame of the other fragment.
     """
     a, b, rotation, translation = pair
     slack = rounding_slack(pools, a, b, translation)
@@ -132,8 +132,9 @@ def judge_surfaces(pools, elements, pair, deepest, normal, epsilon, scratch):
 
 @inlined_kernel
 def _extents_of_hulls(pools, pair, normal, slack, scratch):
-    """(unit vector in b's frame: `normal`, or a separating direction if it is zeros; the lowest of a along it [m], the
-    highest of b [m], rounding [m]).
+    """Extents of the hulls of a Pair along `normal` or, if that is zeros, along a separating direction.
+
+    Returns (unit vector in b's frame, the lowest of a along it, the highest of b, rounding), all but the first [m].
     """
     leaves = leaves_of(pools, pair.a), leaves_of(pools, pair.b)
     rounding = slack + leaves[0].middle[3] + leaves[1].middle[3]
@@ -149,7 +150,10 @@ def _extents_of_hulls(pools, pair, normal, slack, scratch):
 
 @inlined_kernel
 def _way_out(pair, side, normal, low, high):
-    """(unit vector out of the other fragment, in its frame; how far it extends along it [m]) for elements of a side."""
+    """Direction out of the other fragment, in its frame, for elements of a side.
+
+    Returns (unit vector, how far the other extends along it [m]).
+    """
     if side == 0:
         return normal, high
     x, y, z = rotated(pair.rotation[1], -normal[0], -normal[1], -normal[2])
@@ -159,7 +163,10 @@ def _way_out(pair, side, normal, low, high):
 
 @inlined_kernel
 def _extents(leaves, rotation, translation, n, bounds):
-    """(the lowest of a, the highest of b) along a unit vector n of b's frame [m], as in parting_plane_of_leaves."""
+    """(lowest of a, highest of b) [m] along a unit vector n of b's frame, as in parting_plane_of_leaves.
+
+    leaves: Leaves of a and of b.
+    """
     of_a, of_b = leaves
     _, reach = farthest_sample(of_b, n, 0, bounds)
     high = n[0] * of_b.middle[0] + n[1] * of_b.middle[1] + n[2] * of_b.middle[2] + np.float64(reach)
@@ -171,8 +178,9 @@ def _extents(leaves, rotation, translation, n, bounds):
 
 @inlined_kernel
 def _may_be_deeper(pools, f, ball, depth, way, highest):
-    """Whether something in a ball (x, y, z, r) [m] may be deeper than `depth` [m] in fragment f, all of which is below
-    `highest` along `way`.
+    """Whether a point in a ball (x, y, z, r) [m] may be deeper than `depth` [m] in fragment f.
+
+    way: unit vector; all of f is below `highest` [m] along it.
     """
     x, y, z, r = ball
     inner, box = r - depth, pools.fragment.box[f]
@@ -187,8 +195,10 @@ def _may_be_deeper(pools, f, ball, depth, way, highest):
 
 @inlined_kernel
 def _moved_corners(elements, e, rotation, origin, shift, points):
-    """Write the corners of an element, which are about `origin` (x, y, z) [m], displaced by `shift` to `points` (., 3);
-    returns the rows used.
+    """Write the corners of element `e`, transformed to another frame and displaced, to `points` (., 3) [m].
+
+    rotation (3, 3): to that frame; origin (x, y, z) [m]: where Elements.origin is there; shift (x, y, z) [m]: the
+    displacement. Returns the rows used.
     """
     mx, my, mz = shift
     ox, oy, oz = origin

@@ -35,8 +35,9 @@ OBLIQUE = 3.0
 
 @query_kernel
 def put_surface_contact(pools, pair, judgement, epsilon, near, sink, scratch):
-    """Write the contact of `judgement`, for which surface_work.best holds a point, to row 0 of a Sink; near [m]: the
-    detection tolerance.
+    """Write the contact of a Judgement that found a point to row 0 of a Sink.
+
+    The point is in surface_work.best, which is overwritten; epsilon, near [m]: as in a Rule.
     """
     number = judgement.side
     own, other = (pair.a, pair.b) if number == 0 else (pair.b, pair.a)
@@ -64,7 +65,9 @@ def put_surface_contact(pools, pair, judgement, epsilon, near, sink, scratch):
 
 @inlined_kernel
 def _turn_across_edges(pools, pair, side, p, sharp, row, scratch):
-    """Turn a contact where an edge of the triangle p (9,), of side `side`, crosses one of the other; returns whether.
+    """Turn a contact where an edge of the triangle p (9,) crosses one of the other fragment; returns whether it did.
+
+    side: whose triangle it is (0: a's), in the other's frame; sharp [m]: resolution of the point; row (10,): see Sink.
     """
     own, other = (pair.a, pair.b) if side == 0 else (pair.b, pair.a)
     x, y, z, depth = row[0], row[1], row[2], -row[9]

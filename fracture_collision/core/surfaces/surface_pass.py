@@ -44,10 +44,10 @@ def judge_pairs(
     pools: Pools, elements: ElementTable, step: Step, work: tuple[np.ndarray, np.ndarray], rule: Rule,
     found: PairContacts, scratch: tuple[Scratch, ...], crew: Crew,
 ) -> PairContacts:  # fmt: skip
-    """`found` with bounds that hold for the surfaces of the pairs `todo`, and with deeper points between samples added.
+    """`found` with bounds that hold for whole surfaces, and with deeper points between samples added.
 
-    work: the pairs `todo` (m,) that `found` was searched for, and whether the visits of each pair were unlimited (p,):
-    others get only a bound. rule: with epsilon and near as shares of the smaller R.
+    work: the pairs `todo` (m,) of the Step that `found` was searched for, and whether the visits of each pair were
+    unlimited (p,): others get only a bound. rule: with epsilon and near as shares of the smaller R.
     """
     todo, is_free = work
     rows, pairs = step.rows, step.pairs
@@ -87,8 +87,9 @@ def _bound_by_thickness(pools, rows, pairs, todo, bounds):
 
 @threaded_kernel
 def _judge_share(geometry, step, todo, rule, found, out, scratch, part):
-    """Process every pair of `todo` that is a thread's, see Crew.share. geometry: pools and Elements; found:
-    PairContacts and their offsets; out: Judged.
+    """Process every pair of `todo` that is a thread's, see Crew.share.
+
+    geometry: pools and Elements; rule: as in judge_pairs; found: PairContacts and their offsets; out: Judged.
     """
     pools, elements = geometry
     thread, threads = part

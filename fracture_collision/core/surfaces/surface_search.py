@@ -37,27 +37,30 @@ def moved_triangle_avoids(pools, other, near, p, shift, ball, slack, scratch):
 
 
 class Margins(NamedTuple):
-    """What a search for a deeper point has to find or to show, in addition to the deepest depth known [m]."""
+    """Targets of a search for a deeper point, in addition to the deepest depth known [m]."""
 
-    prove: float  # margin to prove as a depth bound
-    limit: float  # a point that is deeper by more is found
+    prove: float  # [m] margin to prove as a depth bound
+    limit: float  # [m] a point that is deeper by more is found
     finest: float  # [m] a triangle within that of its middle is not halved
     most_asked: int  # points queried at most; if they do not suffice, the bound is infinite
 
 
 @inlined_kernel
 def along(way, s):
-    """The displacement by `s` [m] along a unit vector."""
+    """The displacement (x, y, z) by `s` [m] along a unit vector."""
     return s * way[0], s * way[1], s * way[2]
 
 
 @query_kernel
 def search_triangle(pools, other, deepest, margins, way, slack, found, scratch):
-    """For the triangle in row 0 of surface_work.stack, in the frame of `other`: (a bound [m] on the depth of its
-    points, unless a deeper one was found; depth of the deepest point found, or else `deepest`; points queried).
+    """Search a triangle for a point deeper than `deepest` [m] in fragment `other`, or bound the depth of its points.
 
-    margins: Margins; a point beyond the limit is written to `found` (3,), and `deepest` is its depth from then on. way:
-    a unit vector along which the triangle may be displaced.
+    The triangle is row 0 of surface_work.stack, in the frame of `other`. margins: Margins; way: a unit vector along
+    which the triangle may be displaced; slack [m]: rounding of heights. A point beyond margins.limit is written to
+    `found` (3,) [m], and `deepest` is its depth from then on.
+
+    Returns (bound [m] on the depth of the triangle's points, unless a deeper one was found; infinity:
+    margins.most_asked did not suffice; depth [m] of the deepest point found, or else `deepest`; points queried).
     """
     prove, limit, finest, most_asked = margins
     stack = scratch.surface_work.stack

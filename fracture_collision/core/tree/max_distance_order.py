@@ -20,6 +20,8 @@ from fracture_collision.core.tree.point_hierarchy import build_point_hierarchy, 
 
 
 class MaxDistanceOrder(NamedTuple):
+    """Points in maximum-distance order; a point's rank is its index in `order`."""
+
     order: np.ndarray  # (n,) int32 point indices
     parent: np.ndarray  # (n,) int32: rank of the nearest point one level up (section 5.1); rank 0: itself
     level: np.ndarray  # (n,) int32: level at which the rank enters, 0 for rank 0, l for ranks 2^(l-1) .. 2^l - 1

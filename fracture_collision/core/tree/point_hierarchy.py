@@ -18,6 +18,8 @@ LEAF_POINTS = 8
 
 
 class PointHierarchy(NamedTuple):
+    """The points of a cloud, and k boxes over them, level by level."""
+
     points: np.ndarray  # (n, 3) float64 [m], leaf by leaf, ascending by index within a leaf
     index: np.ndarray  # type: ignore[assignment] # (n,) int32: index of each in the cloud
     begin: np.ndarray  # (k,) int32: first of `points` below each node

@@ -31,6 +31,7 @@ class Leaves(NamedTuple):
 
 @inlined_kernel
 def leaves_of(pools, f):
+    """The Leaves of fragment `f`: views of the pools."""
     begin, end = pools.fragment.leaf_begin[f], pools.fragment.leaf_end[f]
     return Leaves(
         pools.samples.values[LEAF_VALUES * begin : LEAF_VALUES * end],
@@ -147,10 +148,10 @@ def _digit(place, shift):
 
 @inlined_kernel
 def worst_of_leaves(leaves, planes, used, worst):
-    """Write a lower bound [m] of each leaf box's distance beyond the farthest of half-spaces n . x <= o to `worst` (n,)
-    float32: 0 or less if it reaches into all.
+    """Write a lower bound of each leaf box's distance beyond the farthest of half-spaces n . x <= o to `worst`.
 
-    planes (used, 4) float32: n unit, o [m], relative to the leaves' middle.
+    worst (n,) float32 [m]; 0 or less: the box reaches into all. planes (used, 4) float32: n unit, o [m], relative to
+    the leaves' middle.
     """
     n = len(leaves.entries) // LEAF
     values = leaves.values
@@ -174,9 +175,11 @@ def _see_beyond(plane, x, y, z, count, worst):
 
 @inlined_kernel
 def worst_of_samples(leaves, planes, used, worst, looked_at, reaching):
-    """Write the leaves that reach into all half-spaces (`worst` of worst_of_leaves) to `reaching`, and the distance of
-    each of their samples beyond the farthest, 0 or less if in all, to looked_at[3] (LEAF per leaf); returns the number
-    of leaves.
+    """Find the leaves that reach into all half-spaces, and how far each of their samples is beyond the farthest.
+
+    worst: of worst_of_leaves, for the same planes. Writes these leaves to `reaching`, the places of their samples to
+    looked_at[:3] (LEAF per leaf), and their distances [m], 0 or less if in all half-spaces, to looked_at[3]. Returns
+    the number of leaves.
     """
     n = len(leaves.entries) // LEAF
     values, count = leaves.values, 0
@@ -201,7 +204,8 @@ def worst_of_samples(leaves, planes, used, worst, looked_at, reaching):
 def farthest_sample(leaves, direction, hint, bounds):
     """(place in `entries`, height [m]) of the sample farthest along a direction (x, y, z), a unit vector.
 
-    Relative to the leaves' middle, in single precision. hint: a likely place; `bounds` (n,) float32: working space.
+    The height is relative to the leaves' middle, in single precision. hint: a likely place; `bounds` (n,) float32:
+    working space.
     """
     n = len(leaves.entries) // LEAF
     values = leaves.values
@@ -227,8 +231,9 @@ def farthest_sample(leaves, direction, hint, bounds):
 
 @inlined_kernel
 def nearest_sample(leaves, x, y, z, bounds):
-    """Upper bound [m] of the distance of the nearest sample from a point relative to the leaves' middle; infinity if
-    there is none. `bounds` (n,) float32: working space.
+    """Upper bound [m] of the distance of the nearest sample from a point; infinity if there is none.
+
+    (x, y, z) [m]: the point, relative to the leaves' middle; `bounds` (n,) float32: working space.
     """
     n = len(leaves.entries) // LEAF
     values = leaves.values

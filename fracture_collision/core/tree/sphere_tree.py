@@ -21,6 +21,8 @@ from fracture_collision.portable_math import lengths
 
 
 class SphereTree(NamedTuple):
+    """A sphere tree of s entries in preorder."""
+
     center: np.ndarray  # (s, 3) float64 [m], body frame
     radius: np.ndarray  # (s,) float64 [m]
     size: np.ndarray  # (s,) int32

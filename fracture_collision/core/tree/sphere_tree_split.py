@@ -67,12 +67,11 @@ class TreeArrays(NamedTuple):
 
 @kernel
 def split_sphere_tree(tree, fragment_of_entry, fragments, added, ordered, out):
-    """Write one tree per fragment, consecutively, from the tree of the broken fragment; returns where each begins
-    (fragments + 1,) int64.
+    """Write one tree per fragment, consecutively, from the tree of the broken fragment.
 
-    tree, out: TreeArrays, `out` of rows_of_split rows; fragment_of_entry (s,) int32: the fragment that gets each
+    tree, out: TreeArrays, `out` with rows_of_split rows; fragment_of_entry (s,) int32: the fragment that gets each
     entry's point, or NOBODYS; added: NewSamples, inserted under their parents; ordered: keep the maximum-distance
-    order.
+    order. Returns the first row of each tree and the end row, (fragments + 1,) int64.
     """
     spheres, entries = tree
     points, parents = added.points, added.parents
@@ -313,7 +312,7 @@ def _write(size, share, own, added_points, new, out):
 
 @inlined_kernel
 def _write_entry(out, at, center, radius, entry):
-    """Write a sphere, and its size, sample and mark, to row `at`."""
+    """Write a sphere (centre, radius) [m] and its `entry` (size, sample, mark) to row `at` of TreeArrays."""
     s, e = out.spheres[at], out.entries[at]
     s[0], s[1], s[2], s[3] = center[0], center[1], center[2], radius
     e[SIZE], e[SAMPLE], e[SURFACE] = entry
