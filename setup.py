@@ -1,6 +1,7 @@
-"""Lets `pip install .` build the ROS messages: CMake generates and compiles them into a staging prefix. The Python part
-goes into the package, the rest (shared libraries, interface files, config, launch) into the environment, laid out as an
-ament prefix. Everything unrelated to messages is in pyproject.toml.
+"""Lets `pip install .` build the ROS messages: CMake generates and compiles them into a staging prefix.
+
+The Python part goes into the package, the rest (shared libraries, interface files, config, launch) into the
+environment, laid out as an ament prefix. Everything unrelated to messages is in pyproject.toml.
 """
 
 from __future__ import annotations

@@ -32,12 +32,8 @@ from fracture_collision.core.memory.pools import (
     EXACT,
     FACING,
     NEVER_BROKEN,
-    OWN_SAMPLE,
     OWNER,
     REGION,
-    SAMPLE,
-    SIZE,
-    SURFACE,
     GrowableArray,
     Pools,
 )
@@ -102,13 +98,7 @@ class CollisionGeometry:
 
     def sphere_tree(self, row: int) -> SphereTree:
         """A copy of the fragment's tree."""
-        tables = self._tables
-        part = slice(int(tables.fragment["tree_begin"].view[row]), int(tables.fragment["tree_end"].view[row]))
-        spheres, entries = tables.tree["spheres"].view[part], tables.tree["entries"].view[part]
-        return SphereTree(
-            spheres[:, :3].copy(), spheres[:, 3].copy(), entries[:, SIZE].copy(), entries[:, SAMPLE].copy(),
-            (entries[:, SURFACE] == OWN_SAMPLE).astype(np.uint8),
-        )  # fmt: skip
+        return self._tables.sphere_tree(row)
 
     def tree_entries(self, row: int) -> int:
         """Number of entries of the fragment's tree."""
@@ -329,9 +319,8 @@ class CollisionGeometry:
         values = dict(
             kind=kind, mesh=mesh, node_shift=NEVER_BROKEN, tet_shift=NEVER_BROKEN, edge_shift=NEVER_BROKEN, box=box,
             shape=shape, radius=radius, tree_begin=tree.begin, tree_end=tree.end, leaf_begin=tree.leaf_begin,
-            leaf_end=tree.leaf_end, middle=tree.middle,
+            leaf_end=tree.leaf_end, middle=tree.middle, seeds=np.zeros(2, np.int32),
             cells=np.zeros(7, np.int32) if cells is None else cells,
-            seeds=np.zeros(2, np.int32),
         )  # fmt: skip
         for name, value in values.items():
             self._tables.fragment[name].append(np.asarray(value)[None])

@@ -9,6 +9,7 @@ import numpy as np
 from fracture_collision.core.memory.pools import (
     LEAF,
     LEAF_VALUES,
+    OWN_SAMPLE,
     REGION,
     SAMPLE,
     SIZE,
@@ -118,6 +119,15 @@ class PoolTables:
         begin = self.tree["spheres"].advance(count)
         self.tree["entries"].advance(count)
         return begin
+
+    def sphere_tree(self, row: int) -> SphereTree:
+        """A copy of the tree of a fragment, by its row."""
+        part = slice(int(self.fragment["tree_begin"].view[row]), int(self.fragment["tree_end"].view[row]))
+        spheres, entries = self.tree["spheres"].view[part], self.tree["entries"].view[part]
+        return SphereTree(
+            spheres[:, :3].copy(), spheres[:, 3].copy(), entries[:, SIZE].copy(), entries[:, SAMPLE].copy(),
+            (entries[:, SURFACE] == OWN_SAMPLE).astype(np.uint8),
+        )  # fmt: skip
 
     def append_leaves(self, begins: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Append the leaves of samples of consecutive trees, rows begins[i] .. begins[i + 1] - 1 of the pool.

@@ -20,7 +20,8 @@ import numpy as np
 from fracture_collision.core.contacts.deepest_contacts import GAP, make_heap, sort_heap, swap_contacts
 from fracture_collision.core.contacts.known_samples import ID_AT, ID_SAMPLE, ID_SIDE, ID_SOURCE, ID_TETRAHEDRON
 from fracture_collision.core.field.elementary_queries import INSIDE, OUTSIDE, bounded_probe, inside_tetrahedron
-from fracture_collision.core.field.flood import NO_SOURCE, next_stamp
+from fracture_collision.core.field.flood import NO_SOURCE
+from fracture_collision.core.field.tetrahedra_near import next_stamp
 from fracture_collision.core.memory.compiled import inlined_kernel, query_kernel
 from fracture_collision.core.memory.kinds import TETRAHEDRA, TRIANGLES, is_mesh
 from fracture_collision.core.memory.pools import BACK_SIDE, FRONT_SIDE, NEVER_BROKEN, OWNER, ROW

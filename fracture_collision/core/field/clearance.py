@@ -11,13 +11,8 @@ import math
 
 import numpy as np
 
-from fracture_collision.core.field.flood import (
-    EVERYTHING,
-    NO_SOURCE,
-    nearest_in_tetrahedron,
-    nothing_within,
-    tetrahedra_near,
-)
+from fracture_collision.core.field.flood import EVERYTHING, NO_SOURCE, nearest_in_tetrahedron, nothing_within
+from fracture_collision.core.field.tetrahedra_near import tetrahedra_near
 from fracture_collision.core.memory.compiled import inlined_kernel
 from fracture_collision.core.memory.kinds import TETRAHEDRA
 from fracture_collision.core.memory.pools import (

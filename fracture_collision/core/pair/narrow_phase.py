@@ -299,7 +299,7 @@ def query_pairs(
         gather_kept(before.answer, stands_at, offsets, columns, searched)
     found = PairContacts(counts, bounds, visits, exhausted, *columns)
     if scene.elements is not None:
-        work = moved, shares == UNSHARED
+        work = np.flatnonzero(stands_at < 0), shares == UNSHARED  # `run` marks those in place that it searched
         found = judge_pairs(pools, scene.elements, step, work, rule, found, scratch, crew)
         offsets = begins_of(found.counts)
     if lists is NO_LISTS:

@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from fracture_collision.core.field.clearance import WALL_ROUNDING
-from fracture_collision.core.field.flood import tetrahedra_near
+from fracture_collision.core.field.tetrahedra_near import tetrahedra_near
 from fracture_collision.core.memory.compiled import inlined_kernel
 from fracture_collision.core.memory.kinds import BOX, TETRAHEDRA, TRIANGLES
 from fracture_collision.core.memory.pools import (
