@@ -14,7 +14,7 @@ from fracture_collision.core.edges.ridges import Ridges
 from fracture_collision.core.lookahead.first_touch import first_touch
 from fracture_collision.core.lookahead.motion import between_balls, closing_speed
 from fracture_collision.core.lookahead.staying_apart import boxes_stay_apart, hulls_stay_apart, may_touch_again
-from fracture_collision.core.memory.compiled import inlined_kernel
+from fracture_collision.core.memory.compiled import inlined_kernel, query_kernel
 from fracture_collision.core.memory.pools import Pools
 from fracture_collision.core.pair.crowds import UNSHARED
 from fracture_collision.core.search.neighbour_lists import (
@@ -62,7 +62,7 @@ class Found(NamedTuple):
     clear: float  # [m] lower bound of the distance in excess of the detection tolerance, 0: unknown
 
 
-@inlined_kernel
+@query_kernel
 def search_pair(geometry, pair, rule, limits, slot, sink, scratch):
     """The Found of a Pair at its present relative poses, by a Rule; the contacts are written to a Sink.
 
@@ -172,7 +172,7 @@ def _left_of(geometry, pair, rule, listing, count, scratch):
     return min(left, least_apart(geometry.edges, pair, listing.ridges, rule.near, False, scratch))
 
 
-@inlined_kernel
+@query_kernel
 def look_ahead(geometry, pair, moving, rule, found, slot, sink, scratch):
     """Search the time ahead for contacts of the two fragments of a Moving, after the `found` of now.
 
