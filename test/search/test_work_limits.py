@@ -70,6 +70,22 @@ def test_shares_do_not_depend_on_threads_lists_or_earlier_steps(kind: str) -> No
     assert len(set(answers)) == 1
 
 
+@pytest.mark.parametrize("kind", ["boxes", "tetrahedra", "mixed"])
+def test_bounds_between_samples_do_not_depend_on_earlier_steps(kind: str) -> None:
+    """Bodies arrive, and pairs that stand still lose contacts to the limit: they are searched between samples again."""
+    answers = []
+    for lists in (True, False):
+        world, states = crowd(
+            kind, 12, 1.3, neighbour_lists=lists, surfaces="searched", max_contacts=60, contacts_per_pair=4
+        )
+        positions = np.append(states.positions[:18], 3.0 * states.positions[18:])
+        before = world.contacts(states._replace(positions=positions))
+        after = world.contacts(states)
+        answers.append((bytes_of(before), bytes_of(after)))
+    assert before.status == 0 and after.status == BUDGET_EXHAUSTED
+    assert answers[0] == answers[1]
+
+
 def test_pairs_that_exceed_their_buffer_are_searched_again(monkeypatch) -> None:
     """More contacts than rows in the first buffer: the same bytes as with enough rows."""
     world, states = crowd("boxes", 30, 0.05, contacts_per_pair=400, threads=2)
