@@ -29,7 +29,7 @@ from fracture_collision.core.edges.ridge_leaves import (
 from fracture_collision.core.edges.ridges import BEGIN, END, FIRST_FACE, LENGTH, OUTWARD, TURN
 from fracture_collision.core.field.elementary_queries import INSIDE, Probe
 from fracture_collision.core.field.flood import NO_SOURCE
-from fracture_collision.core.memory.compiled import inlined_kernel
+from fracture_collision.core.memory.compiled import inlined_kernel, spliced_kernel
 from fracture_collision.core.memory.pools import LEAF
 from fracture_collision.core.memory.rotations import rotated, to_other
 from fracture_collision.core.mesh.closest_point import segment_distance
@@ -71,7 +71,7 @@ def have_ridges(edges, a, b):
     return len(edges.count) > 0 and edges.count[a] > 0 and edges.count[b] > 0
 
 
-@inlined_kernel
+@spliced_kernel
 def add_crossings(pools, edges, pair, rule, listing, separation, found, scratch):
     """Store the contacts of crossing ridges of a Pair as candidates in scratch, by a Rule.
 
@@ -140,7 +140,7 @@ def add_crossings(pools, edges, pair, rule, listing, separation, found, scratch)
     return count, deep, pairs
 
 
-@inlined_kernel
+@spliced_kernel
 def add_listed_crossings(pools, edges, pair, rule, listing, separation, found, scratch):
     """add_crossings for a Pair where listing.ridges holds all pairs of ridges that can cross; returns (count, deep)."""
     a, b, rotation, translation = pair

@@ -28,7 +28,7 @@ from fracture_collision.core.field.elementary_queries import INSIDE, bounded_pro
 from fracture_collision.core.lookahead.later_contacts import bring_back, gap_then, keep_new, put_poses
 from fracture_collision.core.lookahead.motion import closing_along, closing_speed, put_way
 from fracture_collision.core.lookahead.staying_apart import THIN, gap_of_hulls, least_gap_ahead, thickness
-from fracture_collision.core.memory.compiled import inlined_kernel, query_kernel
+from fracture_collision.core.memory.compiled import inlined_kernel, query_kernel, spliced_kernel
 from fracture_collision.core.memory.kinds import SPHERE
 from fracture_collision.core.memory.pair import Sink
 from fracture_collision.core.memory.pools import FACING
@@ -179,7 +179,7 @@ def first_touch(pools, edges, pair, moving, since, rule, sink, scratch):
     return new, t, visits, unseen
 
 
-@inlined_kernel
+@spliced_kernel
 def near_now(pools, edges, pair, rule, search, listed, sink, scratch):
     """Contacts of a Pair at its relative poses, by a Rule, written to a Sink.
 

@@ -38,5 +38,8 @@ kernel = _cached()
 query_kernel = _cached(_nrt=False)
 # For the inner loops of a query: a call would copy the pools, several hundred words, onto the stack.
 inlined_kernel = _cached(_nrt=False, forceinline=True)
+# For code that only structures one large kernel: numba inserts it into its caller and does not compile it on its own.
+# Compiling a kernel generates all that it calls again, so a level of calls, even inlined, costs as much as its kernel.
+spliced_kernel = _cached(_nrt=False, inline="always")
 # For kernels that a crew of threads runs in parallel: releases the GIL.
 threaded_kernel = _cached(_nrt=False, nogil=True)

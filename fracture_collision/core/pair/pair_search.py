@@ -14,7 +14,7 @@ from fracture_collision.core.edges.ridges import Ridges
 from fracture_collision.core.lookahead.first_touch import first_touch
 from fracture_collision.core.lookahead.motion import between_balls, closing_speed
 from fracture_collision.core.lookahead.staying_apart import boxes_stay_apart, hulls_stay_apart, may_touch_again
-from fracture_collision.core.memory.compiled import inlined_kernel, query_kernel
+from fracture_collision.core.memory.compiled import spliced_kernel
 from fracture_collision.core.memory.pools import Pools
 from fracture_collision.core.pair.crowds import UNSHARED
 from fracture_collision.core.search.neighbour_lists import (
@@ -62,7 +62,7 @@ class Found(NamedTuple):
     clear: float  # [m] lower bound of the distance in excess of the detection tolerance, 0: unknown
 
 
-@query_kernel
+@spliced_kernel
 def search_pair(geometry, pair, rule, limits, slot, sink, scratch):
     """The Found of a Pair at its present relative poses, by a Rule; the contacts are written to a Sink.
 
@@ -97,7 +97,7 @@ def search_pair(geometry, pair, rule, limits, slot, sink, scratch):
     return found
 
 
-@inlined_kernel
+@spliced_kernel
 def _from_list(geometry, pair, rule, moves, slot, sink, scratch):
     """The Found of a Pair that has a list; NOT_FOUND if the list does not hold any more.
 
@@ -125,7 +125,7 @@ def _from_list(geometry, pair, rule, moves, slot, sink, scratch):
     return Found(count, bound, visits, _ended(count, rule), clear)
 
 
-@inlined_kernel
+@spliced_kernel
 def _among_samples(geometry, pair, rule, moves, slot, sink, scratch):
     """The Found of a Pair whose samples are searched, with a new list if it has a slot; moves [m]: see _from_list."""
     pools = geometry.pools
@@ -156,13 +156,13 @@ def _among_samples(geometry, pair, rule, moves, slot, sink, scratch):
     return Found(count, bound, visits, _ended(count, rule), clear)
 
 
-@inlined_kernel
+@spliced_kernel
 def _ended(count, rule):
     """How a search of samples ended: the limit cut it short only where more contacts could be listed."""
     return BY_LIMIT if count == rule.limit < rule.most else COMPLETE
 
 
-@inlined_kernel
+@spliced_kernel
 def _left_of(geometry, pair, rule, listing, count, scratch):
     """Lower bound [m] of how far the first `count` listed samples, and all listed ridges, are from being near."""
     middles = geometry.pools.fragment.middle
@@ -172,7 +172,7 @@ def _left_of(geometry, pair, rule, listing, count, scratch):
     return min(left, least_apart(geometry.edges, pair, listing.ridges, rule.near, False, scratch))
 
 
-@query_kernel
+@spliced_kernel
 def look_ahead(geometry, pair, moving, rule, found, slot, sink, scratch):
     """Search the time ahead for contacts of the two fragments of a Moving, after the `found` of now.
 
