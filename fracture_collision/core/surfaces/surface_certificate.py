@@ -95,8 +95,8 @@ def judge_surfaces(pools, elements, pair, deepest, normal, epsilon, scratch):
                 continue
             s = deepest + shown
             near = scratch.heap_tet[: gather_near(pools, other, (x, y, z, r + s), corner_slack, scratch)]
-            origin_there, shift = (ox, oy, oz), along(way, s)
-            points = _moved_corners(elements, e, rotation[side], origin_there, shift, scratch.surface_work.points)
+            shift, room = along(way, s), scratch.surface_work.points
+            points = room[: _put_corners(elements, e, rotation[side], (ox, oy, oz), shift, room)]
             ball = x + shift[0], y + shift[1], z + shift[2], r
             if len(near) == 0 or hull_avoids(pools, other, near, points, way, ball, corner_slack):
                 bound = max(bound, s)
@@ -194,7 +194,7 @@ def _may_be_deeper(pools, f, ball, depth, way, highest):
 
 
 @inlined_kernel
-def _moved_corners(elements, e, rotation, origin, shift, points):
+def _put_corners(elements, e, rotation, origin, shift, points):
     """Write the corners of element `e`, transformed to another frame and displaced, to `points` (., 3) [m].
 
     rotation (3, 3): to that frame; origin (x, y, z) [m]: where Elements.origin is there; shift (x, y, z) [m]: the
@@ -208,4 +208,4 @@ def _moved_corners(elements, e, rotation, origin, shift, points):
         px, py, pz = rotated(rotation, np.float64(p[0]), np.float64(p[1]), np.float64(p[2]))
         points[count, 0], points[count, 1], points[count, 2] = px + ox + mx, py + oy + my, pz + oz + mz
         count += 1
-    return points[:count]
+    return count
