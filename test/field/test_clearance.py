@@ -60,7 +60,7 @@ def test_samples_proven_inside_or_beyond_are(shape: str) -> None:
     for f, points in fragments:
         last = -1
         for point in points:
-            side, last = side_of_surface(pools, f, last, *point, DEPTH, ROUNDING)
+            side, last = side_of_surface(pools, f, last, tuple(point), DEPTH, ROUNDING)
             status, distance = probe(pools, f, tuple(point), 1.0, np.inf, scratch)[:2]
             is_inside = status == INSIDE
             assert side != BEYOND or not is_inside

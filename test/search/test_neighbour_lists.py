@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from worlds.fractured_worlds import FracturedWorld, fractured_world, with_settings
 from worlds.hard_worlds import tetrahedral_body
 
+from fracture_collision.core.memory.pair import Pair
 from fracture_collision.core.pair.narrow_phase import NOTHING_REMEMBERED
 from fracture_collision.core.search.neighbour_lists import NO_LISTS, displacement, with_pairs
 from fracture_collision.core.separation.oriented_boxes import box_clearance
@@ -160,7 +161,7 @@ def test_no_point_moves_farther_than_its_bound() -> None:
     for size in (1e-4, 1e-2, 1.0, 3.0):
         before, now = (_relative_poses(random, size) for _ in range(2))
         kept = np.array([np.append(turn.ravel(), shift) for turn, shift in zip(*before, strict=True)])
-        bound, farthest = displacement(pools, a, b, *now, kept), 0.0
+        bound, farthest = displacement(pools, Pair(a, b, *now), kept), 0.0
         for side, f in enumerate((a, b)):
             box = pools.fragment.box[f]
             points = box[:3] + random.random((200, 3)) * (box[3:] - box[:3])
