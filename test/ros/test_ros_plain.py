@@ -44,8 +44,14 @@ def test_a_plain_service_answers_two_runs_and_restarts(
         client.ask(STATES, run)
     service.stop(patience=0.0, orders=(signal.SIGKILL,))
     service = stage.start("collision_node", threads=1)
-    client.await_service()
-    client.ask(STATES._replace(step=STATES.step + 1), RUN + 1)
+    later = STATES._replace(step=STATES.step + 1)
+
+    def is_answered() -> bool:
+        client.publish("fragment_states", later, RUN + 1)
+        client.spin_once(0.5)
+        return any(answer.step == later.step and answer.run_id == RUN + 1 for answer in client.answers)
+
+    client.spin_until(is_answered, "an answer of the next service")
     assert service.stop() == 0 and "Traceback" not in service.log_text()
 
 
