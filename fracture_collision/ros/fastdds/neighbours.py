@@ -33,8 +33,10 @@ _UNKNOWN = "_NODE_NAME_UNKNOWN_"  # rmw's name for a node of which it has discov
 class Neighbours:
     """Checks the other participants once a second while its node spins, and on each call of `look`."""
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Node, sees_processes: bool = True) -> None:
+        """`sees_processes`: whether participants of this machine are counted, and dead and stopped ones detected."""
         self._node = node
+        self._sees_processes = sees_processes
         self._names: dict[bytes, str] = {}
         self._processes: dict[bytes, Process | None] = {}  # None: not known to be of this machine
         self.dead: set[bytes] = set()  # dead participants that are still listed, or were at the last look
@@ -64,8 +66,9 @@ class Neighbours:
         count = len(self._node.get_subscriptions_info_by_topic(_DISCOVERY_TOPIC, no_mangle=True))
         if count != self._count:
             self._count, self._count_since = count, time.monotonic()
-        is_quiet = time.monotonic() - self._count_since >= QUIET
-        return is_quiet and count >= participants_here(self._node.context.get_domain_id())
+        if time.monotonic() - self._count_since < QUIET:
+            return False
+        return not self._sees_processes or count >= participants_here(self._node.context.get_domain_id())
 
     def look(self, *more: TopicEndpointInfo) -> None:
         """Registers new participants, including those of `more`, and removes those with a dead process."""
@@ -79,7 +82,7 @@ class Neighbours:
             if not is_nameless(info):
                 name = f"{info.node_namespace.rstrip('/')}/{info.node_name}"
                 self._names[participant_of(bytes(info.endpoint_gid))] = name
-        own = self._own(infos)
+        own = self._own(infos) if self._sees_processes else None
         if own is None:
             return
         for participant in sorted(present - self._processes.keys()):
@@ -92,6 +95,8 @@ class Neighbours:
 
     def name(self, participant: bytes) -> str:
         """Node name with part of the GUID, since two nodes may share a name; and whether its process is stopped."""
+        if not participant:
+            return "a node"
         process = self._processes.get(participant)
         state = ", stopped" if process is not None and is_stopped(process) else ""
         return f"{self._names.get(participant, 'a node')} [{participant[4:].hex()}]{state}"

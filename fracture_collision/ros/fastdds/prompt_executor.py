@@ -4,8 +4,8 @@ For every callback rclpy's executor collects all entities and creates a wait set
 and after each callback it wakes itself once more without work. Here the wait set is kept and messages are taken
 directly from it; everything else (timers, services, events) takes rclpy's path. Nothing is polled: one wait covers all.
 
-rclpy's own EventsExecutor would do the same, but as of rclpy 7.1.6 its threads deadlock at the first timer: one holds
-the lock of its queue and needs the interpreter's, another the reverse.
+rclpy.experimental's EventsExecutor is as fast, but does not provide the publisher of a message. In rclpy 7.1.6 its
+`spin` keeps a core busy and runs no timer, and it fails if a callback takes message info (docs/decisions/0028).
 """
 
 from __future__ import annotations

@@ -15,13 +15,13 @@ from collections.abc import Callable
 import numpy as np
 from geometry_msgs.msg import Point, Twist, Vector3
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.executors import Executor
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 
 from fracture_collision.msg import HandTarget, SimulationStatus, ThrowBall
-from fracture_collision.ros.fastdds.prompt_executor import PromptExecutor
 from fracture_collision.ros.nodes.simulator_node import SimulatorNode, derived_run_id, work
 from fracture_collision.ros.processes.parameters import Range, declare
 from fracture_collision.ros.processes.process import Fatal, run_node
@@ -78,7 +78,7 @@ class LiveSimulatorNode(SimulatorNode):
 
     # --- the run ---------------------------------------------------------------------------------------------------
 
-    def run(self, executor: PromptExecutor) -> None:
+    def run(self, executor: Executor) -> None:
         """Runs until rclpy shuts down and raises ExternalShutdownException."""
         self._await_subscribers(executor)
         while True:
@@ -89,7 +89,7 @@ class LiveSimulatorNode(SimulatorNode):
                 self._next = self._scene
             self._begin_again(self._next or self._scene)
 
-    def _run_once(self, executor: PromptExecutor) -> None:
+    def _run_once(self, executor: Executor) -> None:
         """Runs until a reset is requested."""
         self._announce(self._simulation.start_bodies(), [])
         due = time.monotonic()

@@ -20,7 +20,7 @@ from sensor_msgs.msg import JointState
 from fracture_collision.cdr import Received
 from fracture_collision.msg import AnswerTimes, SimulationStatus
 from fracture_collision.records import REMOVE
-from fracture_collision.ros.fastdds.prompt_executor import PromptExecutor
+from fracture_collision.ros.fastdds.extras import make_executor
 from fracture_collision.ros.nodes.page_commands import PageCommands
 from fracture_collision.ros.nodes.page_mirror import Mirror
 from fracture_collision.ros.nodes.service_settings import ServiceSettings
@@ -214,7 +214,7 @@ class PageNode(Node):
 
 
 def _work(node: PageNode) -> None:
-    executor = PromptExecutor()
+    executor = make_executor()
     executor.add_node(node)
     try:
         with nothing_to_lose():

@@ -17,7 +17,7 @@ from rclpy.parameter import parameter_value_to_python
 from rclpy.qos import qos_profile_parameter_events
 from rclpy.task import Future
 
-from fracture_collision.ros.fastdds.neighbours import is_nameless
+from fracture_collision.ros.fastdds.extras import is_nameless
 from fracture_collision.world import Settings
 
 ASK_AGAIN = 5.0  # [s]

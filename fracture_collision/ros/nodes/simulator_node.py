@@ -11,13 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 
 from fracture_collision.records import ADD, INVALID_STATES, ContactConstraintArray, FragmentRegistry, FragmentStates
-from fracture_collision.ros.fastdds.acknowledged_publisher import AcknowledgedPublisher
-from fracture_collision.ros.fastdds.neighbours import Neighbours
-from fracture_collision.ros.fastdds.prompt_executor import PromptExecutor
+from fracture_collision.ros.fastdds.extras import AcknowledgedPublisher, make_executor, make_neighbours
 from fracture_collision.ros.processes.parameters import Range, declare_fixed
 from fracture_collision.ros.processes.process import Fatal, nothing_to_lose, run_node
 from fracture_collision.ros.processes.timing_files import SIMULATOR_COLUMNS
@@ -74,7 +73,7 @@ class SimulatorNode(Node):
         self._run_id = run_id or derived_run_id(scene.name, scene.seed if seed < 0 else seed)
 
         self._bodies, self._events = self._open_log()
-        self._neighbours = Neighbours(self)
+        self._neighbours = make_neighbours(self)
         self._states = AcknowledgedPublisher(self, qos.FRAGMENT_STATES, "collision_node", self._neighbours)
         self._contacts_topic = self.resolve_topic_name(qos.CONTACT_CONSTRAINTS.name)  # it may be remapped
         for topic, callback, raw in (
@@ -91,7 +90,7 @@ class SimulatorNode(Node):
 
     # --- the run ---------------------------------------------------------------------------------------------------
 
-    def run(self, executor: PromptExecutor) -> None:
+    def run(self, executor: Executor) -> None:
         """Simulates the scene to its end. Raises Fatal if the service rejects the states."""
         self._await_subscribers(executor)
         self._announce(self._simulation.start_bodies(), [])
@@ -124,14 +123,14 @@ class SimulatorNode(Node):
         )
         return bodies, events
 
-    def _step(self, executor: PromptExecutor) -> tuple[StepReport, float, float]:
+    def _step(self, executor: Executor) -> tuple[StepReport, float, float]:
         """Makes one step; returns its report and both times of `_ask`."""
         request = self._simulation.begin_step()
         self._announce(request.bodies, request.events)
         contacts, registry, acknowledgement, round_trip = self._ask(request.states, executor)
         return self._simulation.finish_step(contacts, registry), acknowledgement, round_trip
 
-    def _await_subscribers(self, executor: PromptExecutor) -> None:
+    def _await_subscribers(self, executor: Executor) -> None:
         """Waits for `wait_for_subscribers`, then for all participants that are on this machine by then.
 
         A recorder that starts with the simulator must not miss the first steps, and enough others may be discovered
@@ -159,7 +158,7 @@ class SimulatorNode(Node):
             self._events.publish(to_message(event, stamp, self._run_id))
 
     def _ask(
-        self, states: FragmentStates, executor: PromptExecutor
+        self, states: FragmentStates, executor: Executor
     ) -> tuple[ContactConstraintArray, FragmentRegistry, float, float]:
         """Publishes states until their contacts and registry have arrived.
 
@@ -262,7 +261,7 @@ def derived_run_id(scene_name: str, seed: int) -> int:
 
 def work(node: SimulatorNode) -> None:
     """Runs the node to its end, or until it is shut down."""
-    executor = PromptExecutor()
+    executor = make_executor()
     executor.add_node(node)
     try:
         # otherwise the first timed step would load them

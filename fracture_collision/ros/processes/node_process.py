@@ -17,9 +17,13 @@ from functools import partial
 from pathlib import Path
 from typing import IO, Any
 
-from fracture_collision.ros.fastdds.farewell import PORT_BASE, PORTS_A_DOMAIN
-from fracture_collision.ros.fastdds.shared_memory import remove_left_behind
-from fracture_collision.ros.fastdds.this_machine import LOCALHOST, RANGE, as_the_user_has_it
+from fracture_collision.ros.fastdds.extras import (
+    LOCALHOST,
+    RANGE,
+    as_the_user_has_it,
+    discovery_port,
+    remove_unused_files,
+)
 
 # Domains above this have ports that Linux assigns to any process (REP 2000's "safe on all platforms").
 HIGHEST_DOMAIN_ID = 101
@@ -44,7 +48,7 @@ def free_domain_id() -> int:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as discovery:
             try:
                 claim.bind(f"\0fracture_collision/domain/{domain_id}")
-                discovery.bind(("", PORT_BASE + PORTS_A_DOMAIN * domain_id))
+                discovery.bind(("", discovery_port(domain_id)))
             except OSError:
                 claim.close()
                 continue
@@ -150,7 +154,7 @@ class NodeProcess:
                 except subprocess.TimeoutExpired:
                     continue
         status = self._process.wait()
-        remove_left_behind()
+        remove_unused_files()
         return status
 
     def log_text(self) -> str:

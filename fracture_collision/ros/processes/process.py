@@ -27,10 +27,12 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 
-from fracture_collision.ros.fastdds.own_ports import fault_of_own_ports
-from fracture_collision.ros.fastdds.shared_memory import remove_left_behind
-from fracture_collision.ros.fastdds.successor_ports import orphaned_ports_held
-from fracture_collision.ros.fastdds.this_machine import has_known_transports, keep_to_this_machine
+from fracture_collision.ros.fastdds.extras import (
+    fault_of_ports,
+    keep_to_this_machine,
+    ports_for_new_node,
+    remove_unused_files,
+)
 from fracture_collision.ros.processes.parameters import warn_of_unknown
 
 AnyNode = TypeVar("AnyNode", bound=Node)
@@ -113,16 +115,14 @@ def _watch_signals() -> None:
 
 def _watch_ports(node: Node) -> None:
     """Raises Fatal if the node's ports do not work; later, while it spins, from one of its timers."""
-    if not has_known_transports(os.environ):
-        return
     domain_id = node.context.get_domain_id()
-    if fault := fault_of_own_ports(domain_id):
+    if fault := fault_of_ports(domain_id):
         raise Fatal(f"the node cannot receive messages: {fault}")
     faults = 0
 
     def look() -> None:
         nonlocal faults
-        fault = fault_of_own_ports(domain_id)
+        fault = fault_of_ports(domain_id)
         faults = faults + 1 if fault else 0
         if faults >= FAULTY_LOOKS:
             raise Fatal(f"the node no longer receives messages: {fault}")
@@ -144,12 +144,12 @@ def run_node(make_node: Callable[[], AnyNode], work: Callable[[AnyNode], None]) 
     for order in (signal.SIGINT, signal.SIGTERM):
         signal.signal(order, _on_signal)
     _watch_signals()
-    remove_left_behind()  # of a killed node that this one may replace
+    remove_unused_files()  # of a killed node that this one may replace
     keep_to_this_machine(os.environ)
     rclpy.init()
     node = None
     try:
-        with orphaned_ports_held(rclpy.get_default_context().get_domain_id()):
+        with ports_for_new_node(rclpy.get_default_context().get_domain_id()):
             node = make_node()
         _watch_ports(node)
         warn_of_unknown(node)

@@ -13,8 +13,7 @@ from rclpy.node import Node
 
 from fracture_collision.cdr import Heading
 from fracture_collision.records import ADD, CollisionBody, ContactConstraintArray, FragmentStates, refusal_of
-from fracture_collision.ros.fastdds.acknowledged_publisher import AcknowledgedPublisher
-from fracture_collision.ros.fastdds.neighbours import Neighbours
+from fracture_collision.ros.fastdds.extras import AcknowledgedPublisher, Neighbours
 from fracture_collision.ros.processes.parameters import declare_fixed
 from fracture_collision.ros.processes.process import Fatal
 from fracture_collision.ros.processes.timing_files import SERVICE_COLUMNS, RowFile

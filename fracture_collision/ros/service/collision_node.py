@@ -18,9 +18,7 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
 from fracture_collision.cdr import Received
-from fracture_collision.ros.fastdds.neighbours import Neighbours
-from fracture_collision.ros.fastdds.participant_process import age_of
-from fracture_collision.ros.fastdds.prompt_executor import PromptExecutor
+from fracture_collision.ros.fastdds.extras import age_of, make_executor, make_neighbours
 from fracture_collision.ros.processes.parameters import SettingsParameters
 from fracture_collision.ros.processes.process import Fatal, nothing_to_lose, run_node
 from fracture_collision.ros.service.answers import Answers
@@ -54,7 +52,7 @@ class CollisionNode(Node):
         self._refusals = RefusalCounts()
         self._settings_since = "the start"
 
-        self._neighbours = Neighbours(self)
+        self._neighbours = make_neighbours(self)
         self._incoming = Incoming(
             self,
             self._neighbours,
@@ -268,7 +266,7 @@ def is_time_for_log(seconds_held: int) -> bool:
 def _work(node: CollisionNode) -> None:
     # One thread: contacts depend on the order in which bodies, events and states are applied, and on nothing else.
     # Created before the node reports that it is ready: after a shutdown none can be created.
-    executor = PromptExecutor()
+    executor = make_executor()
     executor.add_node(node)
     try:
         node.prepare()

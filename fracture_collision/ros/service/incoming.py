@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import partial
+from typing import Any
 
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 
 from fracture_collision.cdr import Received
-from fracture_collision.ros.fastdds.message_origin import Origin, participant_of
-from fracture_collision.ros.fastdds.neighbours import Neighbours
+from fracture_collision.ros.fastdds.extras import Neighbours, Origin, origin_of, participant_of
 from fracture_collision.ros.processes.parameters import declare
 from fracture_collision.ros.service.collision_run import Refusal
 from fracture_collision.ros.service.run_guard import RunGuard, Verdict
@@ -24,7 +24,7 @@ TOPICS = (*LOG, qos.FRAGMENT_STATES)
 class Incoming:
     """Subscriptions to TOPICS; messages are read, judged by a RunGuard and passed on. Parameter: allow_takeover.
 
-    Needs a PromptExecutor, which provides the publisher of a message.
+    Needs the executor of extras.make_executor, which provides the publisher of a message.
     """
 
     def __init__(
@@ -103,10 +103,12 @@ class Incoming:
             topic.message_class, topic.name, partial(self._on_message, topic), topic.qos, raw=True
         )
 
-    def _on_message(self, topic: qos.Topic, data: bytes, origin: Origin) -> None:
+    def _on_message(self, topic: qos.Topic, data: bytes, info: Origin | Mapping[str, Any]) -> None:
+        origin = origin_of(info)
         last = self._states_from
         if topic is qos.FRAGMENT_STATES and last is not None and origin.publisher == last.publisher:
-            self.dropped_states += origin.sequence_number - last.sequence_number - 1
+            # of two unknown publishers, the second begins again at 1
+            self.dropped_states += max(origin.sequence_number - last.sequence_number - 1, 0)
             self._states_from = origin
         limit = self._largest_message()
         if len(data) > limit:

@@ -1,0 +1,130 @@
+"""ROS overhead of a small scene's steps with each executor: from states published to contacts received.
+
+    python -m benchmarks.executors [--scene plates] [--seconds 1] [--repeats 3]
+
+Service and simulator are the project's own nodes. `prompt` is ros/fastdds/prompt_executor.py; `plain` is rclpy's
+SingleThreadedExecutor; `events` is rclpy.experimental's EventsExecutor. Repeats are interleaved.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.experimental import EventsExecutor
+from rclpy.utilities import get_default_context
+
+from fracture_collision.ros.fastdds import extras
+from fracture_collision.ros.processes.node_process import free_domain_id, loopback_environment
+from fracture_collision.ros.processes.timing_files import SERVICE_COLUMNS, SIMULATOR_COLUMNS
+from fracture_collision.ros.service.incoming import Incoming
+from fracture_collision.ros.start import start
+from fracture_collision.share import share_directory
+
+
+class _Events:
+    """EventsExecutor with a `spin` of its own.
+
+    In rclpy 7.1.5 a wait without a timeout keeps a core busy and runs no timer. A callback that also takes message info
+    fails, so messages here have no known publisher.
+    """
+
+    def __init__(self, context: Context | None) -> None:
+        self._context = context or get_default_context()
+        self._executor = EventsExecutor(context=context)
+        on_message = Incoming._on_message
+        Incoming._on_message = lambda self, topic, data: on_message(self, topic, data, extras.Origin(b"", 1))
+
+    def spin(self) -> None:
+        while self._context.ok():
+            self.spin_once(timeout_sec=1.0)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._executor, name)
+
+
+EXECUTORS = {
+    "prompt": extras.make_executor,
+    "plain": lambda context=None: SingleThreadedExecutor(context=context),
+    "events": lambda context=None: _Events(context),
+}
+WARM_UP = 20  # steps
+PATIENCE = 60.0  # [s] for one run
+
+
+def main() -> None:
+    """Prints a table, or runs one node with an executor, for this program's own child processes."""
+    if sys.argv[1:2] == ["--node"]:
+        extras.make_executor = EXECUTORS[sys.argv[2]]
+        del sys.argv[1:3]
+        sys.argv[:2] = sys.argv[1:2]
+        sys.exit(start(sys.argv[0]))
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scene", default="plates", help="a scene of config/scenes (default: plates)")
+    parser.add_argument("--seconds", type=float, default=1.0, help="simulated time (default: 1)")
+    parser.add_argument("--repeats", type=int, default=3, help="runs with each executor (default: 3)")
+    options = parser.parse_args()
+    found: dict[str, list[np.ndarray]] = {name: [] for name in EXECUTORS}
+    for _ in range(options.repeats):
+        for name, times in found.items():
+            times.append(_overhead(name, options.scene, options.seconds))
+    print(f"{options.scene}, {options.seconds:g} s, {options.repeats} runs each; overhead of a step in ms")
+    print(f"{'executor':10}{'median':>8}{'99 %':>8}  medians of the runs")
+    for name, times in found.items():
+        together = 1e3 * np.concatenate(times)
+        medians = ", ".join(f"{1e3 * np.median(each):.2f}" for each in times)
+        print(f"{name:10}{np.median(together):8.2f}{np.percentile(together, 99):8.2f}  {medians}")
+
+
+def _overhead(executor: str, scene: str, seconds: float) -> np.ndarray:
+    """[s] of each step after WARM_UP: round trip less the service's computation."""
+    with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
+        folder, domain_id = Path(name), free_domain_id()
+        content = yaml.safe_load((share_directory() / "config" / "scenes" / f"{scene}.yaml").read_text())
+        file = folder / f"{scene}.yaml"
+        file.write_text(yaml.safe_dump(content | {"duration": seconds}))
+
+        def node(module: str, **parameters: object) -> subprocess.Popen:
+            command = [sys.executable, "-m", "benchmarks.executors", "--node", executor, module, "--ros-args"]
+            for key, value in parameters.items():
+                command += ["-p", f"{key}:={value}"]
+            log = stack.enter_context((folder / f"{module}.log").open("wb"))
+            process = subprocess.Popen(
+                command, env=loopback_environment(domain_id), stdout=log, stderr=log, cwd=Path(__file__).parents[1]
+            )
+            stack.callback(process.wait)
+            stack.callback(process.kill)
+            return process
+
+        service = node("collision_node", threads=1, timing_file=folder / "service.npy")
+        simulator = node("simulator_node", scene=file, timing_file=folder / "simulator.npy")
+        deadline = time.monotonic() + PATIENCE
+        while simulator.poll() is None:
+            if service.poll() is not None or time.monotonic() > deadline:
+                logs = "\n".join(log.read_text()[-1500:] for log in folder.glob("*.log"))
+                raise RuntimeError(f"no end with executor {executor}:\n{logs}")
+            time.sleep(0.05)
+        os.kill(service.pid, signal.SIGINT)
+        service.wait(PATIENCE)
+        simulated = dict(zip(SIMULATOR_COLUMNS, np.load(folder / "simulator.npy").T, strict=True))
+        answered = np.load(folder / "service.npy")
+    # if states were published again, one step has two answers
+    columns = dict(zip(SERVICE_COLUMNS, answered[np.unique(answered[:, 0], return_index=True)[1]].T, strict=True))
+    _, here, there = np.intersect1d(simulated["step"], columns["step"], return_indices=True)
+    return (simulated["round_trip"][here] - columns["collision"][there] - columns["update"][there])[WARM_UP:]
+
+
+if __name__ == "__main__":
+    main()
