@@ -108,7 +108,7 @@ $(STAMPS)/messages: $(STAMPS)/environment $(wildcard msg/*.msg) CMakeLists.txt p
 	  > build/messages.log 2>&1 || { cat build/messages.log; exit 1; }
 	@touch $@
 
-# Numba caches a kernel by its own file's date and does not see that a function it calls in another file has changed:
+# Numba caches a kernel by its own file's content and does not see that a function it calls in another file has changed:
 # any change throws all compiled kernels away.
 KERNEL_SOURCES := $(shell find fracture_collision -name '*.py' -not -path '*/ros/*' -not -path '*/bag/*' -not -path '*/cli/*' -not -name 'page*.py' -not -name 'run_meshes.py' -not -name 'replay.py' -not -name 'cdr.py' -not -name 'outputs.py' -not -name 'early_signals.py')
 $(STAMPS)/kernels: $(STAMPS)/messages $(KERNEL_SOURCES)
