@@ -26,7 +26,7 @@ from fracture_collision.core.search.kept_answer import (
     KeptAnswer,
     PairContacts,
     gather_kept,
-    keep,
+    indices_of_kept,
     pairs_in_place,
     pose_bits,
 )
@@ -220,19 +220,17 @@ class _Search:
         """Search the pairs `todo` with room for `room` contacts per thread; returns the pairs that did not fit."""
         threads, p = self._crew.threads, len(self.out.counts)
         contacts, ids = np.empty((threads, room, 10)), np.empty((threads, room, 5), np.int64)
-        out = self.out._replace(begin=np.empty(p, np.int64))
-        work = self._work._replace(todo=todo)
-        if self.passes:  # only the first search of a pair uses its list
-            work = work._replace(slots=np.full(p, -1))
+        begin, its = np.empty(p, np.int64), self._work
+        # only the first search of a pair uses its list
+        slots = np.full(p, -1) if self.passes else its.slots
+        work = _Work(todo, its.shares, its.further, its.lists, slots, its.known)
         own = [_Own(Sink(contacts[t], ids[t]), self._scratch[t]) for t in range(threads)]
-        self._crew.share(
-            _query_share, self._scene.geometry, self._scene.step, self._scene.motion, self._rule._replace(limit=limit),
-            work, out, own=own,
-        )  # fmt: skip
+        scene, rule, out = self._scene, Rule(*self._rule[:-1], limit), _Results(begin, *self.out[1:])
+        self._crew.share(_query_share, scene.geometry, scene.step, scene.motion, rule, work, out, own=own)
         for earlier in self.passes:
             earlier.begin[todo] = -1
-        self.passes.append(_Pass(todo, contacts, ids, out.begin))
-        return todo[out.begin[todo] < 0]
+        self.passes.append(_Pass(todo, contacts, ids, begin))
+        return todo[begin[todo] < 0]
 
     def _most_kept(self) -> int:
         counts, most = self.out.counts, self._limits.contacts
@@ -306,8 +304,11 @@ def query_pairs(
         return found, NOTHING_REMEMBERED
     slots[cut] = -1  # their second share may be smaller at the next step
     slots[search.out.is_ahead] = -1  # their look-ahead contacts hold for this step only
-    answer = KeptAnswer(scene.stamp, _NONE, poses, _NONE, searched, shares, share, offsets, found)
-    return found, Remembered(lists, keep(answer, step.rows, slots, len(lists.counts)))
+    index_of_row, pair_of_slot = indices_of_kept(step.rows, slots, len(lists.counts), found.exhausted)
+    answer = KeptAnswer(
+        scene.stamp, index_of_row, poses, pair_of_slot, searched, shares, share, offsets, found
+    )
+    return found, Remembered(lists, answer)
 
 
 @kernel

@@ -49,8 +49,11 @@ NOTHING_KEPT = KeptAnswer(
 
 
 @kernel
-def _keep(rows, slots, room, exhausted):
-    """index_of_row and pair_of_slot of KeptAnswer."""
+def indices_of_kept(rows, slots, room, exhausted):
+    """index_of_row and pair_of_slot of a KeptAnswer for fragments `rows` (n,).
+
+    slots (p,), -1: do not keep the pair; `room` slots in all; exhausted (p,): of PairContacts, others are not kept.
+    """
     index_of_row, pair_of_slot = np.full(rows.max() + 1 if len(rows) else 0, -1), np.full(room, -1)
     for i in range(len(rows)):
         index_of_row[rows[i]] = i
@@ -58,15 +61,6 @@ def _keep(rows, slots, room, exhausted):
         if slots[p] >= 0 and exhausted[p] == 0:
             pair_of_slot[slots[p]] = p
     return index_of_row, pair_of_slot
-
-
-def keep(answer: KeptAnswer, rows: np.ndarray, slots: np.ndarray, room: int) -> KeptAnswer:
-    """The KeptAnswer with its indices: rows (n,) of FragmentPool, and slots (p,) of its pairs, -1: do not keep.
-
-    room: number of slots in all. The answer's contacts must not be modified afterwards.
-    """
-    index_of_row, pair_of_slot = _keep(rows, slots, room, answer.contacts.exhausted)
-    return answer._replace(index_of_row=index_of_row, pair_of_slot=pair_of_slot)
 
 
 @kernel
