@@ -27,5 +27,5 @@ def grouped(groups, count):
 def begins_of(counts: np.ndarray) -> np.ndarray:
     """Where each of n consecutive groups of `counts` (n,) rows begins, and the end: (n + 1,) int64."""
     begins = np.zeros(len(counts) + 1, np.int64)
-    np.cumsum(counts, out=begins[1:])
+    counts.cumsum(out=begins[1:])
     return begins

@@ -25,7 +25,7 @@ from fracture_collision.core.fracture.crack_seeds import choose_seeds
 from fracture_collision.core.fracture.crack_surfaces import rebuild_surfaces
 from fracture_collision.core.fracture.surface_rows import Broken, Sums, SurfaceRows
 from fracture_collision.core.fracture.touched_tetrahedra import Cut, Touched, touched_room
-from fracture_collision.core.memory.kinds import BOX, MESHES, PLANE, SPHERE, TETRAHEDRA, TRIANGLES
+from fracture_collision.core.memory.kinds import BOX, PLANE, SPHERE, TETRAHEDRA, TRIANGLES
 from fracture_collision.core.memory.pools import (
     ALTERNATING,
     AVERAGED,
@@ -112,7 +112,7 @@ class CollisionGeometry:
         """Mass properties of fragments `rows` (n,) with `density` (n,) [kg/m3] each."""
         kinds, shapes = (self._tables.fragment[name].view for name in ("kind", "shape"))
         kind = kinds[rows]
-        is_shape = ~np.isin(kind, MESHES)
+        is_shape = (kind != TETRAHEDRA) & (kind != TRIANGLES)
         meshed = iter(zip(*mass_properties(self._moments.view[rows[~is_shape]], density[~is_shape]), strict=True))
         return [
             mass_of_shape(int(kinds[row]), shapes[row], float(own)) if shape else MassProperties(*next(meshed))

@@ -156,9 +156,8 @@ def _query_share(geometry, step, motion, rule, work, out, own, part):
 
 
 @kernel
-def _gather(step, searched, counts, offsets, out):
-    """Write the contacts that a search has left to WorldContacts, from offsets[p] on; searched: _Pass."""
-    todo, contacts, ids, begin = searched
+def _gather(step, todo, contacts, ids, begin, counts, offsets, out):
+    """Write the contacts that a search has left to WorldContacts, from offsets[p] on."""
     for k in range(len(todo)):
         p, thread = todo[k], k % len(contacts)
         if begin[p] < 0:
@@ -243,7 +242,7 @@ class _Search:
         """Contacts of all pairs searched, from offsets[p] on; offsets (p + 1,) int64."""
         columns = make_world_contacts(int(offsets[-1]))
         for searched in self.passes:
-            _gather(self._scene.step, searched, self.out.counts, offsets, columns)
+            _gather(self._scene.step, *searched, self.out.counts, offsets, columns)
         return columns
 
 
