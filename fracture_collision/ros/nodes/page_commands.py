@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from time import monotonic
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,8 @@ from fracture_collision.ros.nodes.live_client import LiveClient
 from fracture_collision.ros.nodes.recordings import RecordingFailed, Recordings
 from fracture_collision.viewer.page.page_events import Ball, Drag, Handlers, InsideWanted, Ray, ServiceSliders
 
+# [s] A request to the service that has no answer by then is lost: it is sent again.
+RETRY = 2.0
 SERVICE = "collision_node"
 GRAVITY = 9.81  # [m/s2] for which the aim of a thrown ball compensates
 OUT_OF_THE_EYE = 0.2  # [m] in front of the eye, where a ball starts
@@ -54,6 +57,7 @@ class PageCommands:
         self._stop_timer: Timer | None = None  # of the hammer, after the last arrow key
         self._set: list[ServiceSliders] = []  # by the user, since the last value that the service confirmed
         self._ahead = 0.0  # [s] lookahead that was set in the service
+        self._requested = 0.0, 0.0  # [s] the last lookahead requested, and when
 
     def close(self) -> None:
         """Ends a recording."""
@@ -71,10 +75,22 @@ class PageCommands:
         self._states = states
 
     def look_ahead(self, time_step: float) -> None:
-        """Sets the service's lookahead to a step of the scene [s], once the service is there."""
-        if time_step != self._ahead and self._service.services_are_ready():
-            self._ahead = time_step
-            self._set_parameters(lookahead=time_step)
+        """Sets the service's lookahead to a step of the scene [s], once the service is there.
+
+        Called with each status: a request that has not been answered after RETRY is sent again.
+        """
+        value, since = self._requested
+        if time_step == self._ahead or not self._service.services_are_ready():
+            return
+        if time_step == value and monotonic() < since + RETRY:
+            return
+
+        def answered(done: Any) -> None:
+            if done.result() is not None:
+                self._ahead = time_step
+
+        self._requested = time_step, monotonic()
+        self._set_parameters(lookahead=time_step).add_done_callback(answered)
 
     def confirm(self, sliders: ServiceSliders) -> bool:
         """Takes the values that the service has now; returns whether the user set them.
@@ -179,10 +195,12 @@ class PageCommands:
         self._set.append(sliders)
         self._set_parameters(**sliders._asdict())
 
-    def _set_parameters(self, **values: Any) -> None:
-        """Sets parameters of the service; shows its rejections."""
+    def _set_parameters(self, **values: Any) -> Any:
+        """Sets parameters of the service; shows its rejections. Returns the future of the answer."""
         parameters = [Parameter(name, value=value) for name, value in values.items()]
-        self._service.set_parameters(parameters).add_done_callback(self._all_taken)
+        answer = self._service.set_parameters(parameters)
+        answer.add_done_callback(self._all_taken)
+        return answer
 
     def _all_taken(self, done: Any) -> bool:
         """Whether all parameters were set; shows the reasons if not."""
