@@ -29,7 +29,7 @@ play: build ## smash the plates yourself, in the browser; its address is printed
 	@$(BIN)/fracture-collision play --scene plates --out out/play
 
 # A file of tests stays with one worker, so that what its tests share is made once.
-PYTEST := $(BIN)/python -m pytest --numprocesses auto --dist loadfile
+PYTEST := $(BIN)/python -m pytest --numprocesses auto --dist loadfile --no-loadscope-reorder
 
 test: build lint ## all tests but the slow ones, and lint
 	@$(PYTEST) -m "not slow"
