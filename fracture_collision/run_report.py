@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-# Of each scene: figures by name, as average and worst where there are two. Times in milliseconds a step.
+# Of each scene: figures by name, as average and worst where there are two. Times in milliseconds per step.
 PAPER: dict[str, dict[str, tuple[float | None, float | None]]] = {
     "plates": {"total_ms": (7.4, 13.2), "triangles_after": (45_000, None)},  # Fig. 1
     "bunnies": {"total_ms": (2.0, 10.0)},  # Fig. 9

@@ -38,7 +38,7 @@ STYLES = dict(
     )
 )
 SETTINGS = {
-    "contacts_per_pair": ("contacts a pair", "#0072B2", "o"),
+    "contacts_per_pair": ("contacts per pair", "#0072B2", "o"),
     "penetration_tolerance": ("penetration tolerance, % R", "#D55E00", "s"),
     "visit_budget": ("visits a step", "#009E73", "^"),
     RESOLUTION: ("resolution (surface frequency)", "#000000", "D"),

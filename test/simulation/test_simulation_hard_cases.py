@@ -256,7 +256,7 @@ def worst_drift(name: str, curvature: float, duration: float, contacts_per_pair:
 @pytest.mark.parametrize("curvature", [0.0, 0.25])
 @pytest.mark.parametrize("name", ["pane", "brick"])
 def test_a_fresh_fracture_on_the_ground_stays_in_place(duration, name, curvature):
-    """Five seeds each, 16 contacts a pair: no node of any fragment moves by more than 0.1 % R; energy does not rise.
+    """Five seeds each, 16 contacts per pair: no node of any fragment moves by more than 0.1 % R; energy does not rise.
 
     A brick half as high as long has cracks that lean by more than 27 degrees; on those, friction of 0.5 lets pieces
     slide (by 3 % R with seed 1), as it should. Its friction is 1.
@@ -269,7 +269,7 @@ def test_a_fresh_fracture_on_the_ground_stays_in_place(duration, name, curvature
 @pytest.mark.parametrize("curvature", [0.0, 0.25])
 @pytest.mark.parametrize("name", ["pane", "brick"])
 def test_a_fresh_fracture_with_fewer_contacts_moves_within_the_tolerance(name, curvature):
-    """With the usual 8 contacts a pair, pieces may tilt until others are epsilon deep.
+    """With the usual 8 contacts per pair, pieces may tilt until others are epsilon deep.
 
     The contacts can stand close together in a crack. The depth is about 0.2 % R, no more than 0.3 %.
     """

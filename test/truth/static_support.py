@@ -20,7 +20,7 @@ from fracture_collision.world.inspection import asked_with
 TOLERANCE = 0.05  # of the weight
 FACETS = 12  # of a friction cone
 SPEED_AT_REST = 2e-3  # [m/s] of any point of the body
-ROOM = 4096  # contacts a pair: all within the detection tolerance
+ROOM = 4096  # contacts per pair: all within the detection tolerance
 # [m] A sample on one face of a box and this little behind another would be free if moved by that much. The support is
 # valid but invisible: a body that hangs by it seems to float.
 HOOK = 2e-4

@@ -134,7 +134,7 @@ def draw(tables: Mapping[str, Table]) -> Figure:
         times.set_ylim(bottom=0.1)
         counts.set_yscale("log")
         finish(counts, f"{scene}: what there is to do", "", "number a step", "lower right")
-        finish(times, f"{scene}: times", "simulated time [s]", "milliseconds a step", None)
+        finish(times, f"{scene}: times", "simulated time [s]", "milliseconds per step", None)
         times.legend(fontsize=7, loc="lower right", ncols=2, framealpha=0.85)
     return figure
 

@@ -105,7 +105,7 @@ def draw(tables: Mapping[str, Table]) -> Figure:
         row[3].barh(at, replayed.column("query_ms_average"), color=[COLOURS[one["method"]] for one in replayed.rows])
         row[3].set_yticks(at, [one["method"].replace(", ", ",\n") for one in replayed.rows], fontsize=8)
         row[3].invert_yaxis()
-        finish(row[3], f"query on one course, {cracks} cracks", "milliseconds a step, average", "", None)
+        finish(row[3], f"query on one course, {cracks} cracks", "milliseconds per step, average", "", None)
         for panel in row[:3]:
             panel.set_ylim(0.0, 1.3 * panel.get_ylim()[1])
     return figure

@@ -28,7 +28,7 @@ def plot_times(report: Mapping[str, Sequence[float]], png_path: Path | str) -> N
     `report` has lists of equal length: time [s], contacts, fragments, collision_ms, update_ms, solver_ms, and those of
     OPTIONAL_CURVES that were measured.
 
-    The upper panel has milliseconds a step on a logarithmic axis (each step pale, the running median bold; updates at
+    The upper panel has milliseconds per step on a logarithmic axis (each step pale, the running median bold; updates at
     fractures as dots, as most steps have none), the lower one contacts and fragments. Raises ValueError if a list is
     missing or the lengths differ.
     """

@@ -1,4 +1,4 @@
-"""Plots of the last seconds: milliseconds a step, contacts, fragments, and any other rows with a time."""
+"""Plots of the last seconds: milliseconds per step, contacts, fragments, and any other rows with a time."""
 
 from __future__ import annotations
 
