@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
+from xml.etree import ElementTree
 
 import numpy as np
 import pybullet
@@ -14,7 +15,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from fracture_collision.lockstep import Exchange, Lockstep
-from fracture_collision.simulation.actors.arm import JOINTS, MOVING, PARTS, URDF, ArmKinematics, require_within
+from fracture_collision.share import share_directory
+from fracture_collision.simulation.actors.arm import JOINTS, MOVING, PARTS, URDF, ArmKinematics, Part, require_within
+from fracture_collision.simulation.config.shapes import Shape
 from fracture_collision.simulation.config.urdf_chain import link_frames, read_chain
 from fracture_collision.simulation.live import CommandRefused, LiveScene
 from fracture_collision.simulation.rotations import from_euler_angles
@@ -91,11 +94,11 @@ def test_poses_of_the_arm_equal_those_of_the_urdf(kinematics: ArmKinematics) -> 
 def test_poses_of_the_arm_equal_those_of_bullet() -> None:
     """Bullet computes in single precision."""
     position, orientation = np.array([0.1, -0.2, 0.3]), from_euler_angles(np.array([0.3, -0.4, 2.0]))
-    chain = read_chain(Path(pybullet_data.getDataPath()) / URDF)
+    chain = read_chain(share_directory() / URDF)
     client = pybullet.connect(pybullet.DIRECT)
     try:
         arm = pybullet.loadURDF(
-            str(Path(pybullet_data.getDataPath()) / URDF), position.tolist(), orientation.tolist(), useFixedBase=True,
+            str(share_directory() / URDF), position.tolist(), orientation.tolist(), useFixedBase=True,
             physicsClientId=client,
         )  # fmt: skip
         told = [pybullet.getJointInfo(arm, j, physicsClientId=client) for j in range(JOINTS)]
@@ -113,9 +116,25 @@ def test_poses_of_the_arm_equal_those_of_bullet() -> None:
         pybullet.disconnect(client)
 
 
+def test_the_urdf_has_the_geometry_of_the_parts() -> None:
+    """Once to be shown and once to collide, in the frames of its links."""
+    links = ElementTree.parse(share_directory() / URDF).getroot().findall("link")
+    for tag in ("visual", "collision"):
+        found = []
+        for number, link in enumerate(links):
+            for element in link.findall(tag):
+                origin, (shape,) = element.find("origin"), element.find("geometry")
+                center = tuple(map(float, origin.get("xyz").split()))
+                assert origin.get("rpy") == "0 0 0"
+                size = tuple(map(float, shape.get("size").split())) if shape.tag == "box" else ()
+                made = Shape(shape.tag, size=size, radius=float(shape.get("radius", 0.0)))
+                found.append(Part(element.get("name"), number, center, made))
+        assert tuple(found) == PARTS
+
+
 def test_collision_parts_cover_the_meshes_of_the_links() -> None:
     for link in range(1, JOINTS + 1):
-        file = Path(pybullet_data.getDataPath()) / URDF.parent / "meshes" / f"link_{link}.obj"
+        file = Path(pybullet_data.getDataPath(), "kuka_iiwa", "meshes", f"link_{link}.obj")
         rows = [line.split()[1:4] for line in file.read_text().splitlines() if line.startswith("v ")]
         vertices = np.array(rows, np.float64)
         spheres = [part for part in MOVING if part.link == link and part.shape.kind == "sphere"]

@@ -1,4 +1,4 @@
-"""A robot arm in a scene, the KUKA LBR iiwa that comes with PyBullet: its parts, its kinematics, its recorded swing.
+"""A robot arm in a scene, a KUKA LBR iiwa (config/robots): its parts, its kinematics, its recorded swing.
 
 Each link is represented by one to three spheres, the flange carries a block to strike with, and the foot is a box that
 cannot move; to the collision service they are bodies like any other. `arm_control` makes them follow their links.
@@ -11,16 +11,16 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import pybullet_data
 from scipy.interpolate import PchipInterpolator
 
+from fracture_collision.share import share_directory
 from fracture_collision.simulation.actors.hand import rows_of_file
 from fracture_collision.simulation.config.scene_fields import Fields, SceneError, quoted
 from fracture_collision.simulation.config.shapes import Shape
 from fracture_collision.simulation.config.urdf_chain import JointLimits, link_frames, read_chain
 from fracture_collision.simulation.rotations import DEGREE, from_euler_angles, rotation_matrices, turned
 
-URDF = Path("kuka_iiwa") / "model.urdf"
+URDF = Path("config", "robots", "lbr_iiwa.urdf")
 JOINTS = 7
 COLUMNS = ["time", *(f"joint_{j}" for j in range(1, JOINTS + 1))]
 LOOK = 1e-3  # [s] sampling interval of the check of a swing's speed
@@ -39,7 +39,8 @@ def _ball(link: int, which: str, center: tuple[float, float, float], radius: flo
     return Part(f"arm link {link}{which}", link, center, Shape("sphere", radius=radius))
 
 
-# Fitted by eye into the extents of the URDF's own link meshes; mesh vertices lie no farther than 3.5 cm outside them.
+# Fitted by eye into the extents of the robot's own link meshes; mesh vertices lie no farther than 3.5 cm outside them.
+# The URDF shows the same parts.
 PARTS = (
     Part("arm foot", 0, (0.0, 0.0, 0.079), Shape("box", size=(0.24, 0.24, 0.158))),
     _ball(1, "a", (0.0, 0.0, 0.07), 0.085),
@@ -98,7 +99,7 @@ class ArmKinematics:
 
     def __init__(self, position: np.ndarray, orientation: np.ndarray) -> None:
         self._position, self._orientation = position, orientation
-        self._chain = read_chain(Path(pybullet_data.getDataPath()) / URDF)
+        self._chain = read_chain(share_directory() / URDF)
         self._links = np.array([part.link - 1 for part in MOVING])
         self._centers = np.array([part.center for part in MOVING])
 
