@@ -4,7 +4,7 @@ BIN    := .venv/bin
 STAMPS := build/stamps
 
 .DEFAULT_GOAL := help
-.PHONY: help build smash play test test-full coverage lint peers peers-pins golden-bags fuzz fuzz-pins pins clean
+.PHONY: help build smash play test test-full coverage wheel lint peers peers-pins golden-bags fuzz fuzz-pins pins clean
 
 help: ## this text
 	@echo "fracture_collision: collision detection for fracturing rigid bodies."
@@ -72,8 +72,14 @@ pins: $(STAMPS)/environment ## resolve requirements/*.in anew into requirements/
 	@$(BIN)/uv pip compile requirements/develop.in --output-file requirements/pins.txt --universal --upgrade \
 	  --python-version 3.10 --no-annotate --quiet --custom-compile-command "make pins"
 
+wheel: $(STAMPS)/environment ## dist/: wheels of the library and of its ROS messages, to be installed without this checkout
+	@rm -rf dist build/lib build/bdist.*
+	@FRACTURE_COLLISION_RELEASE=1 $(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps \
+	  --no-build-isolation --wheel-dir dist . ./messages
+	@ls dist
+
 clean: ## remove all that was built; out/ stays
-	@rm -rf build install log .venv .pytest_cache .ruff_cache .hypothesis *.egg-info
+	@rm -rf build dist install log .venv .pytest_cache .ruff_cache .hypothesis *.egg-info
 	@find fracture_collision test \( -name '*.nb[ic]' -o -name '*.pyc' \) -delete
 
 # --- what `build` is made of ------------------------------------------------------------------------------------------
@@ -102,15 +108,16 @@ $(STAMPS)/fuzz: requirements/fuzz.txt $(STAMPS)/environment
 	@touch $@
 
 # An editable install: nodes and tests run from the working tree; the generated messages lie in the .venv.
-$(STAMPS)/messages: $(STAMPS)/environment $(wildcard msg/*.msg) CMakeLists.txt package.xml setup.py pyproject.toml
+$(STAMPS)/messages: $(STAMPS)/environment $(wildcard msg/*.msg) CMakeLists.txt package.xml setup.py pyproject.toml \
+  $(wildcard messages/*)
 	@echo "== messages: generate and compile (about 20 s)"
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable . \
-	  > build/messages.log 2>&1 || { cat build/messages.log; exit 1; }
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation ./messages \
+	  --editable . > build/messages.log 2>&1 || { cat build/messages.log; exit 1; }
 	@touch $@
 
 # Numba caches a kernel by its own file's content and does not see that a function it calls in another file has changed:
 # any change throws all compiled kernels away.
-KERNEL_SOURCES := $(shell find fracture_collision -name '*.py' -not -path '*/ros/*' -not -path '*/bag/*' -not -path '*/cli/*' -not -name 'page*.py' -not -name 'run_meshes.py' -not -name 'replay.py' -not -name 'cdr.py' -not -name 'outputs.py' -not -name 'early_signals.py')
+KERNEL_SOURCES := $(shell find fracture_collision -name '*.py' -not -path '*/ros/*' -not -path '*/bag/*' -not -path '*/cli/*' -not -name 'page*.py' -not -name 'run_meshes.py' -not -name 'replay.py' -not -name 'cdr.py' -not -path '*/process/*' -not -name 'near_names.py')
 $(STAMPS)/kernels: $(STAMPS)/messages $(KERNEL_SOURCES)
 	@echo "== kernels: compile into the cache (some minutes)"
 	@find fracture_collision -name '*.nb[ic]' -delete

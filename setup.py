@@ -1,133 +1,35 @@
-"""Lets `pip install .` build the ROS messages: CMake generates and compiles them into a staging prefix.
-
-The Python part goes into the package, the rest (shared libraries, interface files, config, launch) into the
-environment, laid out as an ament prefix. Everything unrelated to messages is in pyproject.toml.
-"""
+"""Adds what pyproject.toml cannot say: the extras, of which `ros` names a folder of this checkout, and shared files."""
 
 from __future__ import annotations
 
 import os
-import shutil
-import subprocess
-import sys
-import sysconfig
 from pathlib import Path
 
-from setuptools import Command, Distribution, setup
-from setuptools.command.build import build
-
-# isort: split
-from distutils.command.install_data import install_data  # provided by setuptools, which has no own name for it
+from setuptools import setup
 
 ROOT = Path(__file__).resolve().parent
-PACKAGE = "fracture_collision"
+# `make wheel` sets it: its wheels are to be installed elsewhere, the messages from a wheel beside this one.
+MESSAGES = "fracture-collision-msgs"
+FOR_RELEASE = "FRACTURE_COLLISION_RELEASE" in os.environ
 
 
-def requirements(file: Path) -> list[str]:
-    """The requirements in a file with one requirement per line."""
-    lines = (line.split("#")[0].strip() for line in file.read_text().splitlines())
+def requirements(name: str) -> list[str]:
+    """The requirements in a file of requirements/, one per line."""
+    lines = (line.split("#")[0].strip() for line in (ROOT / "requirements" / name).read_text().splitlines())
     return [line for line in lines if line]
 
 
-def ament_prefixes() -> list[str]:
-    """Every prefix that holds ROS packages: an installed ROS, this environment, pip's isolated build environment."""
-    from_environment = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
-    above_site_packages = [str(Path(entry).parents[2]) for entry in sys.path if entry.endswith("-packages")]
-    candidates = dict.fromkeys([*from_environment, *above_site_packages, sys.prefix])
-    return [prefix for prefix in candidates if prefix and Path(prefix, "share", "ament_index").is_dir()]
-
-
-class BuildMessages(Command):
-    """Runs CMake; afterwards `stage` holds the installed messages."""
-
-    description = "generate and compile the ROS messages"
-
-    def initialize_options(self) -> None:
-        self.build_base = None
-        self.build_lib = None
-        self.editable_mode = False
-
-    def finalize_options(self) -> None:
-        self.set_undefined_options("build", ("build_base", "build_base"), ("build_lib", "build_lib"))
-        work = Path(self.build_base).resolve() / f"messages-{sysconfig.get_platform()}-{sys.implementation.cache_tag}"
-        self.cmake_folder = work / "cmake"
-        self.stage = work / "stage"
-
-    def run(self) -> None:
-        shutil.rmtree(self.stage, ignore_errors=True)
-        # A CMake cache from another environment (pip's isolated ones are new each time) would contain wrong paths.
-        (self.cmake_folder / "CMakeCache.txt").unlink(missing_ok=True)
-        prefixes = ";".join(ament_prefixes())
-        environment = os.environ | {"AMENT_PREFIX_PATH": prefixes.replace(";", os.pathsep)}
-        configure = [
-            "cmake", "-S", str(ROOT), "-B", str(self.cmake_folder),
-            f"-DCMAKE_INSTALL_PREFIX={self.stage}",
-            f"-DCMAKE_PREFIX_PATH={prefixes}",
-            f"-DPython3_EXECUTABLE={sys.executable}",
-            f"-DCMAKE_BUILD_TYPE={os.environ.get('CMAKE_BUILD_TYPE', 'Release')}",
-            "-DBUILD_TESTING=OFF",
-            "-DINSTALL_PYTHON_PACKAGE=OFF",
-        ]  # fmt: skip
-        subprocess.run(configure, check=True, env=environment)
-        jobs = str(os.cpu_count() or 1)
-        subprocess.run(["cmake", "--build", str(self.cmake_folder), "-j", jobs], check=True, env=environment)
-        subprocess.run(["cmake", "--install", str(self.cmake_folder)], check=True, env=environment)
-        self._keep_one_package_init()
-        if not self.editable_mode:
-            shutil.copytree(self._staged_package(), Path(self.build_lib, PACKAGE), dirs_exist_ok=True)
-            shutil.rmtree(self._staged_package())
-
-    def _staged_package(self) -> Path:
-        (folder,) = self.stage.glob(f"**/*-packages/{PACKAGE}")
-        return folder
-
-    def _keep_one_package_init(self) -> None:
-        """Removes the generated, empty __init__.py and metadata, which would shadow the package's own."""
-        package = self._staged_package()
-        (package / "__init__.py").unlink()
-        for generated in [*package.rglob("__pycache__"), *package.parent.glob("*.egg-info")]:
-            shutil.rmtree(generated)
-
-    def get_source_files(self) -> list[str]:
-        sources = [Path("CMakeLists.txt"), Path("package.xml"), *Path("requirements").glob("*.in")]
-        for folder in ("msg", "config", "launch"):
-            sources += [file for file in Path(folder).rglob("*") if file.is_file()]
-        return sorted(str(file) for file in sources)
-
-    def get_outputs(self) -> list[str]:
-        return []
-
-    def get_output_mapping(self) -> dict[str, str]:
-        return {}
-
-
-class InstallData(install_data):
-    """Installs what BuildMessages staged, at the same place below the environment."""
-
-    def run(self) -> None:
-        stage = self.get_finalized_command("build_messages").stage
-        files = sorted(file for file in stage.rglob("*") if file.is_file())
-        self.data_files = [(str(file.parent.relative_to(stage)), [str(file)]) for file in files]
-        super().run()
-
-
-class Build(build):
-    sub_commands = [("build_messages", None), *build.sub_commands]
-
-
-class MessageDistribution(Distribution):
-    def has_ext_modules(self) -> bool:
-        return True  # compiled type support: the wheel is specific to one platform and one Python
-
-    def has_data_files(self) -> bool:
-        return True
-
-    has_data = has_data_files  # the name that editable installs use
+def shared_files() -> list[tuple[str, list[str]]]:
+    """What `fracture_collision.share` looks for, below the environment as colcon installs it."""
+    files = sorted(file for folder in ("config", "launch") for file in Path(folder).rglob("*") if file.is_file())
+    files = [file for file in files if "__pycache__" not in file.parts]
+    return [(str(Path("share", "fracture_collision", file.parent)), [str(file)]) for file in files]
 
 
 setup(
-    distclass=MessageDistribution,
-    data_files=[],
-    cmdclass={"build": Build, "build_messages": BuildMessages, "install_data": InstallData},
-    setup_requires=requirements(ROOT / "requirements" / "build.in"),
+    data_files=shared_files(),
+    extras_require={
+        "ros": [*requirements("ros.in"), MESSAGES if FOR_RELEASE else f"{MESSAGES} @ {(ROOT / 'messages').as_uri()}"],
+        "mesher": requirements("mesher.in"),
+    },
 )

@@ -36,13 +36,17 @@ STATISTICS = (
     ("colliding_points", "colliding points per step"),
     ("pairs", "close pairs per step"),
 )
+# A whole step consists of the five parts below it, in every table.
 TIMES = (
     ("time_step_ms", "time step"),
     ("total_ms", "whole step"),
     ("collision_ms", "collision detection"),
-    ("physics_ms", "physics"),
     ("update_ms", "update, at fractures"),
+    ("physics_ms", "physics"),
+    ("solver_ms", "  of that, the contact solver"),
     ("fracture_ms", "fracture computation"),
+    ("ros_ms", "ROS"),
+    ("acknowledge_ms", "  of that, the wait for subscribers"),
 )
 
 
@@ -73,13 +77,24 @@ def summaries(columns: Mapping[str, Sequence[float]]) -> dict[str, dict[str, flo
 
 
 def statistics_table(report: Mapping[str, Any]) -> list[TableRow]:
-    """Table 2 of the paper, from the report that `scene_run` makes."""
+    """Table 2 of the paper, from the report of a run."""
     return _table(report, STATISTICS)
 
 
 def times_table(report: Mapping[str, Any]) -> list[TableRow]:
-    """Table 3 of the paper, in milliseconds, from the report that `scene_run` makes."""
+    """Table 3 of the paper, in milliseconds, from the report of a run."""
     return _table(report, TIMES)
+
+
+def last_words(report: Mapping[str, Any]) -> str:
+    """A sentence on the penetration and the speed of a run: their worst, and what is left at the end."""
+    depths = -1e3 * np.minimum(report["deepest_gap"], 0.0)
+    worst = int(np.argmax(depths))
+    sentence = f"deepest penetration: {depths[-1]:.3f} mm at the end"
+    if depths[worst] > depths[-1]:
+        moment = f"{depths[worst]:.2f} mm for a moment, at {report['time'][worst]:.2f} s"
+        sentence += f"; {moment}, when bodies hit each other within a time step"
+    return f"{sentence}. Fastest at the end: {1e3 * report['max_speed'][-1]:.2f} mm/s"
 
 
 def _table(report: Mapping[str, Any], rows: Sequence[tuple[str, str]]) -> list[TableRow]:

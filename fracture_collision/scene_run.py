@@ -15,8 +15,8 @@ import numpy as np
 import fracture_collision.simulation.warm_up as simulator
 import fracture_collision.world.warm_up as service
 from fracture_collision.geometry.tetrahedra import boundary_triangles
-from fracture_collision.kept_memory import keep_memory
 from fracture_collision.lockstep import Exchange, Lockstep
+from fracture_collision.process.kept_memory import keep_memory
 from fracture_collision.run_report import summaries
 from fracture_collision.simulation.scene.scene import Scene
 from fracture_collision.viewer.film.recorded_run import RecordedRun, RecordedStates

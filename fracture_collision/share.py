@@ -15,6 +15,6 @@ def share_directory() -> Path:
         return package.parent
     for prefix in package.parents:
         share = prefix / "share" / "fracture_collision"
-        if (share / "package.xml").is_file():
+        if (share / "config").is_dir():
             return share
     raise FileNotFoundError(f"no share/fracture_collision in any folder above {package}")

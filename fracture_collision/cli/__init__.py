@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from fracture_collision.early_signals import INTERRUPTED, signals_end_at_once
+from fracture_collision.process.early_signals import INTERRUPTED, signals_end_at_once
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

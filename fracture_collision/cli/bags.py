@@ -9,8 +9,8 @@ import click
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from fracture_collision.cli.console import Interruption, interrupt_on_signals
-from fracture_collision.early_signals import INTERRUPTED
+from fracture_collision.cli.console import BadInput, Interruption, interrupt_on_signals
+from fracture_collision.process.early_signals import INTERRUPTED
 
 RECORD_EXAMPLES = """\b
 Examples:
@@ -50,6 +50,11 @@ def record(
         scene = load_scene(name)
         if curvature is not None:
             scene = with_curvature(scene, curvature)
+        if out.exists():
+            raise BadInput(f"{out} exists already; pass the name of a new folder")
+    except (SceneError, ValueError) as error:
+        raise BadInput(str(error)) from error
+    try:
         total = scene.step_count if steps is None else min(steps, scene.step_count)
         progress = Progress(
             TextColumn("recording"), BarColumn(), MofNCompleteColumn(), TextColumn("steps"), TimeElapsedColumn(),
@@ -60,7 +65,7 @@ def record(
             for done in record_scene(scene, chosen, seed, out, Selection(end=total, every=every)):
                 bar.update(task, completed=done)
                 interruption.check()
-    except (SceneError, ValueError, OSError) as error:
+    except OSError as error:
         raise click.ClickException(str(error)) from error
     except KeyboardInterrupt:
         console.print(f"stopped; {out} has the steps recorded so far", highlight=False, soft_wrap=True)
@@ -82,7 +87,9 @@ def mend(bag: Path) -> None:
     try:
         interrupt_on_signals()
         mended = mend_bag(bag)
-    except (BagError, OSError) as error:
+    except BagError as error:
+        raise BadInput(str(error)) from error
+    except OSError as error:
         raise click.ClickException(str(error)) from error
     except KeyboardInterrupt:
         click.echo(f"stopped; each file of {bag} is either unchanged or repaired")
@@ -109,4 +116,4 @@ def digest(bag: Path) -> None:
         for topic, count in message_counts(bag).items():
             click.echo(f"{topic_digest(bag, topic)}  {count:6}  {topic}")
     except BagError as error:
-        raise click.ClickException(str(error)) from error
+        raise BadInput(str(error)) from error

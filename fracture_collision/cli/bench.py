@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from fracture_collision.cli.console import interrupt_on_signals
-from fracture_collision.early_signals import INTERRUPTED
+from fracture_collision.process.early_signals import INTERRUPTED
 
 EXAMPLES = """\b
 Examples:

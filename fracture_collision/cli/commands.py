@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import click
 
+from fracture_collision import __version__
 from fracture_collision.cli.bags import digest, mend, record
 from fracture_collision.cli.bench import bench
 from fracture_collision.cli.film import film
@@ -13,6 +16,7 @@ from fracture_collision.cli.scene import scene
 from fracture_collision.cli.smash import smash
 from fracture_collision.cli.teleop import teleop
 from fracture_collision.cli.view import view
+from fracture_collision.ros.missing import REMEDY, is_ros_missing
 
 EXAMPLES = """\b
 Examples:
@@ -23,6 +27,7 @@ Examples:
   fracture-collision scene --help                 ... and its options
   fracture-collision bench                        the paper's figures and tables, in some minutes
   fracture-collision scenes                       names of all scenes
+  fracture-collision settings                     settings of the service, for --settings NAME=VALUE
   fracture-collision digest out/smash/bag         checksums, equal for equal runs
   fracture-collision replay out/smash/bag         repeat all queries and compare the answers
   fracture-collision replay --help                ... over DDS, backwards, on 8 threads
@@ -37,7 +42,25 @@ The nodes alone: collision_node and simulator_node, with --ros-args -p NAME:=VAL
 """
 
 
-@click.group(epilog=EXAMPLES, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+class Commands(click.Group):
+    """All commands; those that need ROS say so where it is not installed."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """As click does."""
+        try:
+            return super().invoke(ctx)
+        except ModuleNotFoundError as error:
+            if not is_ros_missing(error):
+                raise
+            raise click.ClickException(f"this command needs {REMEDY}") from error
+
+
+@click.group(
+    cls=Commands,
+    epilog=EXAMPLES,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
+@click.version_option(__version__, prog_name="fracture-collision")
 def main() -> None:
     """Collision detection for fracturing rigid bodies.
 
@@ -52,6 +75,18 @@ main.add_command(scene)
 main.add_command(bench)
 for command in (play, teleop, view, film, replay, record, mend, digest):
     main.add_command(command)
+
+
+@main.command()
+def settings() -> None:
+    """List the settings of the collision service, with defaults and meaning.
+
+    They are the parameters of collision_node, the fields of `fracture_collision.world.Settings`, and what the option
+    --settings NAME=VALUE of other commands takes.
+    """
+    from fracture_collision.share import share_directory
+
+    click.echo((share_directory() / "config" / "collision.yaml").read_text(encoding="utf-8"))
 
 
 @main.command()

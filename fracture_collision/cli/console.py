@@ -21,14 +21,14 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from fracture_collision.early_signals import INTERRUPTED
+from fracture_collision.process.early_signals import INTERRUPTED
 from fracture_collision.run_report import TableRow
 
 SHOW_CURSOR = "\x1b[?25h"  # a progress bar hides it
 
 
-class NoBag(click.ClickException):
-    """BAG cannot be read, or holds no run."""
+class BadInput(click.ClickException):
+    """An argument that cannot be used: no such scene, a damaged bag, a folder that exists; reported before any work."""
 
     exit_code = 2
 

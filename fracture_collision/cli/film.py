@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import click
 from rich.console import Console
 
-from fracture_collision.cli.console import Interruption, NoBag, counting_bar, options_as
-from fracture_collision.early_signals import INTERRUPTED
+from fracture_collision.cli.console import BadInput, Interruption, counting_bar, options_as
+from fracture_collision.process.early_signals import INTERRUPTED
 
 EXAMPLES = """\b
 Examples:
@@ -75,12 +75,13 @@ def film(bag: Path, out: Path | None, namespace: str | None, options: FilmOption
     # Imported late: --help should not wait for numba.
     from fracture_collision.bag.errors import BagError
     from fracture_collision.run_meshes import read_run_with_meshes
-    from fracture_collision.viewer.film.film import Cut, FilmError, make_film
+    from fracture_collision.viewer.film.film import Cut, FilmError, make_film, require_format
 
     out = out or bag.resolve().with_suffix(".webp")
     end = float("inf") if options.end is None else options.end
     cut = Cut(options.begin, end, options.speed, options.fps, *options.size, options.samples)
     try:
+        require_format(out)
         with counting_bar(console, "making meshes", "fractures") as progress:
             run = read_run_with_meshes(bag, namespace, progress)
         with counting_bar(console, "drawing", "frames") as progress, interruption.held():
@@ -90,9 +91,9 @@ def film(bag: Path, out: Path | None, namespace: str | None, options: FilmOption
                 progress(done, total)
 
             count = make_film(run, out, cut, drawn)
-    except BagError as error:
-        raise NoBag(str(error)) from error
-    except (FilmError, OSError, ModuleNotFoundError) as error:
+    except (BagError, FilmError) as error:
+        raise BadInput(str(error)) from error
+    except (OSError, ModuleNotFoundError) as error:
         raise click.ClickException(str(error)) from error
     except KeyboardInterrupt:
         console.print("stopped; no film was written")

@@ -10,7 +10,7 @@ import click
 from rich.console import Console
 from rich.panel import Panel
 
-from fracture_collision.cli.console import interrupt_on_signals
+from fracture_collision.cli.console import BadInput, interrupt_on_signals
 
 LOOK = 0.2  # [s]
 
@@ -43,6 +43,7 @@ def play(scene: str, seed: int | None, host: str, port: int, opens: bool, out: P
     console = Console()
     # Imported late: --help should not wait for ROS.
     from fracture_collision.ros.runs.play_run import PlayFailed, played
+    from fracture_collision.simulation.config.scene_fields import SceneError
 
     try:
         interrupt_on_signals()
@@ -58,6 +59,8 @@ def play(scene: str, seed: int | None, host: str, port: int, opens: bool, out: P
             while True:
                 run.check()
                 time.sleep(LOOK)
+    except SceneError as error:
+        raise BadInput(str(error)) from error
     except (PlayFailed, OSError) as error:
         raise click.ClickException(str(error)) from error
     except KeyboardInterrupt:

@@ -14,8 +14,8 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from fracture_collision.cli.console import Interruption, NoBag, options_as
-from fracture_collision.early_signals import INTERRUPTED
+from fracture_collision.cli.console import BadInput, Interruption, options_as
+from fracture_collision.process.early_signals import INTERRUPTED
 
 OTHERWISE = 1  # exit status: some answer differs from the recorded one
 INCOMPLETE = 3  # exit status: some question has no answer in the bag, or some answer no question
@@ -139,7 +139,7 @@ def replay(
             _tell(played.report(), refusals, console)
         sys.exit(INTERRUPTED)
     except BagError as error:
-        raise NoBag(str(error)) from error
+        raise BadInput(str(error)) from error
     except Unanswered as error:
         raise click.ClickException(str(error)) from error
     _tell(played.report(), refusals, console)

@@ -9,13 +9,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import click
-import numpy as np
 from rich.console import Console
 
-from fracture_collision.cli.console import Interruption, ProgressBar, beside_paper, figures_table, options_as
-from fracture_collision.early_signals import INTERRUPTED
-from fracture_collision.outputs import NewOutputs
-from fracture_collision.run_report import statistics_table, times_table
+from fracture_collision.cli.console import BadInput, Interruption, ProgressBar, beside_paper, figures_table, options_as
+from fracture_collision.process.early_signals import INTERRUPTED
+from fracture_collision.process.outputs import NewOutputs
+from fracture_collision.run_report import last_words, statistics_table, times_table
 
 EXAMPLES = """\b
 Examples:
@@ -91,7 +90,9 @@ def scene(name: str, out: Path | None, count_colliding: bool, pictures: bool, op
         out = Path("out", what.name.replace(":", "_")) if out is None else out
         with NewOutputs(out, RESULTS):  # fails before the run if it cannot be written
             pass
-    except (SceneError, ValueError, OSError) as error:
+    except (SceneError, ValueError) as error:
+        raise BadInput(str(error)) from error
+    except OSError as error:
         raise click.ClickException(str(error)) from error
     interruption.parting = f"stopped after 0 of {what.step_count} steps"
     try:
@@ -121,13 +122,17 @@ def scene(name: str, out: Path | None, count_colliding: bool, pictures: bool, op
 
 def parse_settings(assignments: tuple[str, ...]) -> Any:
     """The service's settings with NAME=VALUE, separated by commas; ValueError names what is wrong."""
+    from fracture_collision.near_names import did_you_mean
     from fracture_collision.world import Settings
 
     settings = Settings()
     for assignment in ",".join(assignments).split(",") if assignments else ():
         name, equals, value = (part.strip() for part in assignment.partition("="))
-        if not equals or name not in Settings._fields:
-            raise ValueError(f"--settings {assignment}: pass NAME=VALUE, with a name of {', '.join(Settings._fields)}")
+        if not equals:
+            raise ValueError(f"--settings {assignment}: pass NAME=VALUE, such as contacts_per_pair=6")
+        if name not in Settings._fields:
+            hint = did_you_mean(name, Settings._fields)
+            raise ValueError(f"--settings: no setting {name!r}{hint} `fracture-collision settings` lists all")
         kind = type(getattr(settings, name))
         try:
             settings = settings._replace(**{name: kind(value)})
@@ -170,6 +175,4 @@ def _tell(report: dict[str, Any], console: Console) -> None:
     console.print(beside_paper("statistics", statistics_table(report)))
     title = f"{len(report['step'])} steps in {report['seconds']:.1f} s; milliseconds per step"
     console.print(beside_paper(title, times_table(report)))
-    deepest, fastest = -1e3 * np.minimum(report["deepest_gap"], 0.0), 1e3 * report["max_speed"][-1]
-    words = f"penetration: worst {deepest.max():.2f} mm, {deepest[-1]:.3f} mm at the end; fastest at the end "
-    console.print(f"{words}{fastest:.2f} mm/s", highlight=False, soft_wrap=True)
+    console.print(last_words(report), highlight=False, soft_wrap=True)

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 from rich.console import Console
-from rich.table import Table
 
-from fracture_collision.cli.console import Interruption, ProgressBar, figures_table
-from fracture_collision.early_signals import INTERRUPTED
+from fracture_collision.cli.console import BadInput, Interruption, ProgressBar, beside_paper
+from fracture_collision.process.early_signals import INTERRUPTED
+from fracture_collision.run_report import last_words, statistics_table, times_table
 
 if TYPE_CHECKING:
     from fracture_collision.geometry.generators import TetGeometry
@@ -55,7 +55,7 @@ def smash(scene: str, mesh: Path | None, size: float, out: Path, seed: int | Non
     console = Console()
     interruption = Interruption(console, "stopped")
     # Imported late: --help should not wait for ROS, numba and matplotlib.
-    from fracture_collision.outputs import NewOutputs
+    from fracture_collision.process.outputs import NewOutputs
     from fracture_collision.ros.runs.smash_run import Progress, RunFailed, run_scene
     from fracture_collision.simulation.scene.scene import SceneError, load_scene
     from fracture_collision.viewer.film.film_strip import render_film_strip
@@ -69,6 +69,9 @@ def smash(scene: str, mesh: Path | None, size: float, out: Path, seed: int | Non
     try:
         if filled is None:
             load_scene(scene)
+    except SceneError as error:
+        raise BadInput(str(error)) from error
+    try:
         with interruption.held(), new:
             interruption.parting = "stopped; some results are missing"
             if filled is not None or _is_same_file(scene, out / OWN_SCENE):
@@ -83,12 +86,12 @@ def smash(scene: str, mesh: Path | None, size: float, out: Path, seed: int | Non
                 report = run_scene(scene, seed, new.folder, progress)
             report["scene"] = scene.replace(str(new.folder), str(out))
             (new.folder / "report.json").write_text(json.dumps(report, indent=1))
-            console.print(_table(report))
+            _tell(report, console)
             interruption.check()
             with console.status("drawing pictures"):
                 plot_times(report, new.folder / "times.png")
                 render_film_strip(new.folder / "bag", new.folder / "film_strip.png")
-    except (RunFailed, SceneError, OSError) as error:
+    except (RunFailed, OSError) as error:
         raise click.ClickException(str(error).replace(str(new.folder), str(out))) from error
     except KeyboardInterrupt:
         as_before = "" if new.published else f", and {out} is unchanged"
@@ -105,7 +108,9 @@ def _filled(file: Path, size: float) -> TetGeometry:
 
     try:
         return tetrahedralize_surface(*read_surface(file, size), size / NODES_ALONG)
-    except (ValueError, ModuleNotFoundError) as error:
+    except ValueError as error:
+        raise BadInput(str(error)) from error
+    except ModuleNotFoundError as error:
         raise click.ClickException(str(error)) from error
 
 
@@ -132,25 +137,8 @@ def _is_same_file(scene: str, file: Path) -> bool:
     return Path(scene).exists() and file.exists() and Path(scene).samefile(file)
 
 
-def _table(report: dict[str, Any]) -> Table:
-    summary = report["summary"]
-    rows = [
-        ("fragments at the end, static ones included", f"{report['living_fragments']}", ""),
-        ("triangles of their surfaces", f"{report['triangles']}", ""),
-        ("contacts per step", *(f"{summary['contacts'][name]:.0f}" for name in ("median", "worst"))),
-    ]
-    for name, words in (
-        ("collision_ms", "collision"),
-        ("solver_ms", "contact solver"),
-        ("update_ms", "update at a fracture"),
-        ("round_trip_ms", "ROS round trip beyond those"),
-        ("acknowledge_ms", "wait for the recorder"),
-    ):
-        values = summary[name]
-        rows.append((f"{words}, ms", *(f"{values[at]:.2f}" if values else "-" for at in ("median", "worst"))))
-    title = f"{report['scene']}: {len(report['step'])} steps in {report['seconds']:.1f} s"
-    rows += [
-        ("fastest at the end, mm/s", "", f"{1e3 * report['max_speed'][-1]:.3f}"),
-        ("deepest at the end, mm", "", f"{max(-1e3 * report['deepest_gap'][-1], 0.0):.3f}"),
-    ]
-    return figures_table(title, ("median", "worst"), rows)
+def _tell(report: dict[str, Any], console: Console) -> None:
+    console.print(beside_paper(f"{report['scene']}: statistics", statistics_table(report)))
+    title = f"{len(report['step'])} steps in {report['seconds']:.1f} s; milliseconds per step"
+    console.print(beside_paper(title, times_table(report)))
+    console.print(last_words(report), highlight=False, soft_wrap=True)

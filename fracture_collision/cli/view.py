@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 from rich.console import Console
 
-from fracture_collision.cli.console import Interruption, NoBag, counting_bar
+from fracture_collision.cli.console import BadInput, Interruption, counting_bar
 
 EXAMPLES = """\b
 Examples:
@@ -48,7 +48,7 @@ def view(bag: Path, speed: float, port: int, host: str, opens: bool, namespace: 
             run = read_run_with_meshes(bag, namespace, progress)
         player = BagPlayer(run, host, port, speed)
     except BagError as error:
-        raise NoBag(str(error)) from error
+        raise BadInput(str(error)) from error
     except OSError as error:
         raise click.ClickException(f"the page cannot be served at {host}, port {port}: {error}") from error
     with player:

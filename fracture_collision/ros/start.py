@@ -8,7 +8,8 @@ from __future__ import annotations
 import sys
 from importlib import import_module
 
-from fracture_collision.early_signals import signals_end_at_once
+from fracture_collision.process.early_signals import signals_end_at_once
+from fracture_collision.ros.missing import REMEDY, is_ros_missing
 
 # node -> its folder
 NODES = {
@@ -28,7 +29,14 @@ def module_of(node: str) -> str:
 def start(node: str) -> int:
     """Runs one of NODES with the process's arguments; returns its exit status."""
     signals_end_at_once(0)
-    return import_module(module_of(node)).main()
+    try:
+        module = import_module(module_of(node))
+    except ModuleNotFoundError as error:
+        if not is_ros_missing(error):
+            raise
+        print(f"{node} needs {REMEDY}", file=sys.stderr)
+        return 1
+    return module.main()
 
 
 def collision_node() -> int:

@@ -128,7 +128,8 @@ def test_a_recorded_bag_is_mended(tmp_path: Path) -> None:
     assert done.returncode == 0
     times = [m.nanoseconds for m in read_messages(out, [CONTACTS])]
     assert times == [step * 2_500_000 for step in range(0, 21, 5)]
-    assert run("record", "pane", "--out", out).returncode == 1
+    again = run("record", "pane", "--out", out)
+    assert again.returncode == 2 and "exists already" in again.stderr
     file = out / "bag_0.mcap"
     file.write_bytes(file.read_bytes()[:-3000])
     (out / "metadata.yaml").unlink()

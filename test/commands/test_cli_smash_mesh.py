@@ -62,7 +62,7 @@ def test_a_mesh_with_holes_is_rejected_with_an_explanation(tmp_path: Path) -> No
     box = trimesh.creation.box((1.0, 1.0, 1.0))
     trimesh.Trimesh(box.vertices, box.faces[2:], process=False).export(file)
     result = CliRunner().invoke(smash, ["--mesh", str(file), "--out", str(tmp_path / "out")])
-    assert result.exit_code == 1
+    assert result.exit_code == 2
     words = " ".join(result.output.split())
     assert "edges with only one face: the surface has holes, the first between (" in words
     assert not (tmp_path / "out").exists()

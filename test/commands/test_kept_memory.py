@@ -12,7 +12,7 @@ import pytest
 COUNT_FAULTS = """
 import json, resource, sys
 import numpy as np
-from fracture_collision.kept_memory import keep_memory
+from fracture_collision.process.kept_memory import keep_memory
 size = int(sys.argv[1])
 done = keep_memory(size) if size else None
 def faults():

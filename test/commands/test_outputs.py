@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from fracture_collision.outputs import NewOutputs
+from fracture_collision.process.outputs import NewOutputs
 
 NAMES = ("bag", "report.json", "pictures")
 
@@ -86,7 +86,7 @@ def test_the_next_run_removes_outputs_of_killed_runs_but_not_of_living_ones(out:
     code = f"""
 import os, signal
 from pathlib import Path
-from fracture_collision.outputs import NewOutputs
+from fracture_collision.process.outputs import NewOutputs
 with NewOutputs(Path({str(out)!r}), {NAMES!r}) as new:
     (new.folder / "report.json").write_text("killed")
     os.kill(os.getpid(), signal.SIGKILL)

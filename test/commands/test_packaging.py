@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
+import email
 import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+import zipfile
+from collections.abc import Iterable, Iterator
+from importlib import metadata
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+from fracture_collision import __version__
 
 ROOT = Path(__file__).resolve().parents[2]
+DISTRIBUTIONS = ("fracture-collision", "fracture-collision-msgs")
 EXECUTABLES = ("collision_node", "simulator_node", "live_simulator_node", "page_node", "fracture-collision")
 UNOPTIMIZED = {"CFLAGS": "-O0", "CXXFLAGS": "-O0", "CMAKE_BUILD_TYPE": ""}  # compiled in half the time
-NOT_SOURCES = (".git", ".venv", "build", "install", "log", "out", "*.egg-info", "__pycache__", ".*_cache")
+NOT_SOURCES = (".git", ".venv", "build", "dist", "install", "log", "out", "*.egg-info", "__pycache__", ".*_cache")
 
 # Runs in the installed package's environment, away from the sources: uses a message, prints where it was loaded from.
 USE_MESSAGES = """
@@ -65,7 +74,7 @@ def environment_copy(workplace: Path) -> Path:
     """A separate environment with the .venv's packages but without this project."""
     copy = workplace / "venv"
     shutil.copytree(sys.prefix, copy, symlinks=True, copy_function=os.link)
-    run(copy / "bin" / "python", "-m", "pip", "uninstall", "--yes", "fracture-collision",
+    run(copy / "bin" / "python", "-m", "pip", "uninstall", "--yes", *DISTRIBUTIONS,
         cwd=workplace, environment=clean_environment())  # fmt: skip
     return copy
 
@@ -74,7 +83,7 @@ def test_pip_installs_the_package(workplace: Path, sources: Path, environment_co
     environment = clean_environment()
     python = environment_copy / "bin" / "python"
     run(python, "-m", "pip", "install", "--no-deps", "--no-build-isolation", "--no-index", sources,
-        cwd=workplace, environment=environment)  # fmt: skip
+        sources / "messages", cwd=workplace, environment=environment)  # fmt: skip
     imported_from = run(python, "-c", USE_MESSAGES, cwd=workplace, environment=environment).strip()
     assert environment_copy.resolve() in Path(imported_from).parents
     for name in EXECUTABLES:
@@ -84,9 +93,96 @@ def test_pip_installs_the_package(workplace: Path, sources: Path, environment_co
     help_text = run(environment_copy / "bin" / "fracture-collision", "--help", cwd=workplace, environment=environment)
     assert "smash" in help_text
 
-    run(python, "-m", "pip", "uninstall", "--yes", "fracture-collision", cwd=workplace, environment=environment)
+    run(python, "-m", "pip", "uninstall", "--yes", *DISTRIBUTIONS, cwd=workplace, environment=environment)
     left = [path for path in environment_copy.rglob("*fracture_collision*") if path.is_file()]
     assert not left, left
+
+
+@pytest.fixture(scope="module")
+def wheels(workplace: Path, sources: Path) -> Path:
+    """The folder with what `make wheel` makes."""
+    stamp = sources / "build" / "stamps" / "environment"
+    stamp.parent.mkdir(parents=True)
+    stamp.touch()
+    run("make", "wheel", f"BIN={Path(sys.prefix, 'bin')}", cwd=sources, environment=clean_environment())
+    return sources / "dist"
+
+
+def requirements_for(extra: str, lines: Iterable[str]) -> list[Requirement]:
+    needed = map(Requirement, lines)
+    return [each for each in needed if each.marker is None or each.marker.evaluate({"extra": extra})]
+
+
+def all_requirements_of(wheel: Path) -> set[str]:
+    """Names of the distributions that pip would install with it, without extras."""
+    with zipfile.ZipFile(wheel) as files:
+        (name,) = (each for each in files.namelist() if each.endswith(".dist-info/METADATA"))
+        lines = email.message_from_bytes(files.read(name)).get_all("Requires-Dist")
+    waiting = requirements_for("", lines)
+    found: set[str] = set()
+    while waiting:
+        needed = waiting.pop()
+        if canonicalize_name(needed.name) in found:
+            continue
+        found.add(canonicalize_name(needed.name))
+        for extra in ("", *needed.extras):
+            waiting += requirements_for(extra, metadata.requires(needed.name) or ())
+    return found
+
+
+@pytest.fixture(scope="module")
+def without_ros(workplace: Path, wheels: Path) -> Path:
+    """A new environment with the library's wheel and what it requires, which is linked from the .venv."""
+    place = workplace / "without_ros"
+    run(sys.executable, "-m", "venv", place, cwd=workplace, environment=clean_environment())
+    (wheel,) = wheels.glob("fracture_collision-*.whl")
+    (packages,) = place.glob("lib/python*/site-packages")
+    for name in all_requirements_of(wheel):
+        for file in metadata.distribution(name).files:
+            target = packages / file
+            if ".." not in file.parts and "__pycache__" not in file.parts and not target.exists():
+                target.parent.mkdir(parents=True, exist_ok=True)
+                os.link(file.locate(), target)
+    run(place / "bin" / "python", "-m", "pip", "install", "--no-index", wheel,
+        cwd=workplace, environment=clean_environment())  # fmt: skip
+    for kernel in (ROOT / "fracture_collision").rglob("*.nb[ic]"):  # the same sources: spares minutes of compilation
+        target = packages / kernel.relative_to(ROOT)
+        target.parent.mkdir(exist_ok=True)
+        os.link(kernel, target)
+    return place
+
+
+def test_the_wheel_is_for_every_platform_and_knows_its_version(wheels: Path, without_ros: Path) -> None:
+    assert {file.name.split("-")[0] for file in wheels.iterdir()} == {"fracture_collision", "fracture_collision_msgs"}
+    assert (wheels / f"fracture_collision-{__version__}-py3-none-any.whl").is_file()
+    command = without_ros / "bin" / "fracture-collision"
+    said = run(command, "--version", cwd=without_ros, environment=clean_environment())
+    assert said.split()[-1] == __version__
+    assert ElementTree.parse(ROOT / "package.xml").find("version").text == __version__
+
+
+def test_the_library_works_without_ros(without_ros: Path) -> None:
+    environment = clean_environment()
+    pip = (without_ros / "bin" / "python", "-m", "pip")
+    installed = run(*pip, "freeze", cwd=without_ros, environment=environment)
+    names = {line.split("==")[0].split(" @")[0] for line in installed.splitlines()}
+    assert "numba" in names and not [name for name in names if name.startswith("ros-") or name.endswith("-msgs")]
+    run(*pip, "check", cwd=without_ros, environment=environment)
+    command = without_ros / "bin" / "fracture-collision"
+    said = run(command, "scene", "pane", "--steps", "20", "--out", without_ros / "out",
+               cwd=without_ros, environment=environment)  # fmt: skip
+    assert "collision detection" in said and (without_ros / "out" / "film_strip.png").is_file()
+    bag = ROOT / "bags" / "plate_in_bowl"
+    said = run(command, "replay", bag, "--steps", ":20", cwd=without_ros, environment=environment)
+    assert "all 20 answers equal the recorded ones, byte for byte" in said
+
+
+@pytest.mark.parametrize("words", ["fracture-collision smash", "fracture-collision play", "collision_node"])
+def test_what_needs_ros_says_so(without_ros: Path, words: str) -> None:
+    command = ["sh", "-c", f"bin/{words}"]
+    done = subprocess.run(command, cwd=without_ros, env=clean_environment(), capture_output=True, text=True, timeout=100)
+    assert done.returncode == 1 and "Traceback" not in done.stderr
+    assert "pip install '.[ros]'" in " ".join(done.stderr.split())
 
 
 def test_colcon_builds_the_package(workplace: Path, sources: Path, environment_copy: Path) -> None:

@@ -36,7 +36,7 @@ def contents(out: Path) -> dict[str, str]:
 def test_a_missing_scene_is_reported_before_nodes_start(out: Path) -> None:
     before = contents(out)
     done = CliRunner().invoke(main, ["play", "--scene", "no_such_scene", "--no-open", "--out", str(out)])
-    assert done.exit_code == 1 and "no scene 'no_such_scene'" in done.output
+    assert done.exit_code == 2 and "no scene 'no_such_scene'" in done.output
     assert contents(out) == before
 
 

@@ -99,7 +99,7 @@ def test_mp4_needs_ffmpeg(bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyP
         assert int(stream["nb_read_frames"]) == 12 and (stream["width"], stream["height"]) == (96, 64)
     monkeypatch.setenv("PATH", str(tmp_path))
     done = call(bag, "--out", tmp_path / "b.mp4", "--size", "64x48", "--samples", "1")
-    assert done.exit_code == 1 and "apt install ffmpeg" in done.output and "Traceback" not in done.output
+    assert done.exit_code == 2 and "apt install ffmpeg" in done.output and "Traceback" not in done.output
     broken = tmp_path / "ffmpeg"
     broken.write_text("#!/bin/sh\necho no such encoder >&2\nexit 3\n")
     broken.chmod(0o755)
@@ -110,8 +110,8 @@ def test_mp4_needs_ffmpeg(bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 def test_invalid_arguments_are_rejected_with_an_explanation(bag: Path, tmp_path: Path) -> None:
     for words, said, status in (
-        (("--out", tmp_path / "a.avi"), ".webp", 1),
-        (("--begin", "9"), "the run is 1.18 s long", 1),
+        (("--out", tmp_path / "a.avi"), ".webp", 2),
+        (("--begin", "9"), "the run is 1.18 s long", 2),
         (("--size", "large"), "pass WxH", 2),
     ):
         done = call(bag, *words)

@@ -95,10 +95,12 @@ class SimulatorNode(Node):
         self._await_subscribers(executor)
         self._announce(self._simulation.start_bodies(), [])
         while not self._simulation.finished:
+            began = time.perf_counter()
             report, acknowledgement, round_trip = self._step(executor)
+            total = time.perf_counter() - began
             self._rows.append(
                 (
-                    report.step, report.time, report.contacts, report.fragments, acknowledgement, round_trip,
+                    report.step, report.time, report.contacts, report.fragments, total, acknowledgement, round_trip,
                     report.solver_seconds, report.fracture_seconds, report.kinetic_energy, report.potential_energy,
                     report.drift_energy, report.max_speed, report.deepest_gap,
                 )

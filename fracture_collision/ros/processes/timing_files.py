@@ -15,6 +15,7 @@ SIMULATOR_COLUMNS = (
     "time",
     "contacts",
     "fragments",
+    "total",
     "acknowledgement",
     "round_trip",
     "solver",

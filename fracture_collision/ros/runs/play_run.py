@@ -11,9 +11,9 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
-from fracture_collision.outputs import NewOutputs
+from fracture_collision.process.outputs import NewOutputs
 from fracture_collision.ros.processes.node_process import NodeProcess, default_domain_id
-from fracture_collision.simulation.scene.scene import SceneError, load_scene
+from fracture_collision.simulation.scene.scene import load_scene
 
 LOGS = "logs"
 LOOK = 0.05  # [s]
@@ -24,7 +24,7 @@ BEHIND = 5
 
 
 class PlayFailed(RuntimeError):
-    """There is no such scene, or a node did not start, or ended. Its text has the end of the log."""
+    """A node did not start, or ended. Its text has the end of the log."""
 
 
 class Played(NamedTuple):
@@ -45,14 +45,11 @@ class Played(NamedTuple):
 def played(scene: str, seed: int, out: Path, host: str, port: int) -> Iterator[Played]:
     """Starts all nodes and waits for the page; ends them all afterwards.
 
-    The nodes' logs are in out/logs, where they replace an earlier run's once the page is up. Raises PlayFailed, and
-    OSError if `out` cannot be written.
+    The nodes' logs are in out/logs, where they replace an earlier run's once the page is up. Raises PlayFailed,
+    SceneError, and OSError if `out` cannot be written.
     """
     domain_id = default_domain_id()
-    try:
-        time_step = load_scene(scene).time_step
-    except (SceneError, OSError) as error:
-        raise PlayFailed(str(error)) from error
+    time_step = load_scene(scene).time_step
     with NewOutputs(out, (LOGS,)) as new, ExitStack() as nodes:
         logs = new.folder / LOGS
         logs.mkdir()

@@ -6,6 +6,7 @@ import json
 import subprocess
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -15,7 +16,7 @@ import numpy as np
 from rclpy.serialization import deserialize_message
 
 from fracture_collision.bag.reader import message_counts, read_messages, topic_digest
-from fracture_collision.msg import FragmentMesh, FragmentRegistry
+from fracture_collision.msg import CollisionBody, FragmentMesh, FragmentRegistry
 from fracture_collision.ros.processes.node_process import NodeProcess, chosen_domain_id
 from fracture_collision.ros.processes.timing_files import SERVICE_COLUMNS, SIMULATOR_COLUMNS
 from fracture_collision.run_report import summaries
@@ -84,13 +85,15 @@ def run_scene(scene: str, seed: int | None, out: Path, on_progress: Callable[[Pr
     for topic in ("/fragment_states", "/contact_constraints"):
         if counts[topic] < steps:
             raise RunFailed(f"{bag}: {counts[topic]} messages on {topic}, but the run had {steps} steps")
-    living, triangles = _living_triangles(bag)
+    living, totals = _at_the_end(bag)
+    totals["time_step_ms"] = 1e3 * float(report["time"][0])
     return {
         "scene": scene,
         "seed": seed,
         "seconds": seconds,
         "living_fragments": living,
-        "triangles": triangles,
+        "triangles": totals["triangles_after"],
+        "totals": totals,
         "digests": {topic: topic_digest(bag, topic) for topic in ("/fragment_states", "/contact_constraints")},
         "messages": counts,
         **report,
@@ -100,9 +103,11 @@ def run_scene(scene: str, seed: int | None, out: Path, on_progress: Callable[[Pr
 def make_report(service: np.ndarray, simulator: np.ndarray) -> dict[str, Any]:
     """Lists with one number per step from both nodes' timing files, and the median, average and worst of each.
 
-    collision_ms: broad and narrow phase. update_ms: applying fracture events, in steps that brought some, else 0.
-    solver_ms: contact solver. round_trip_ms: from states published to contacts received, less collision and update.
-    acknowledge_ms: before that, until all subscribers had acknowledged the last states (acknowledged_publisher.py).
+    total_ms: the whole step. collision_ms: broad and narrow phase. update_ms: applying fracture events, in steps that
+    brought some, else 0. solver_ms: contact solver. fracture_ms: making the patterns of what breaks. physics_ms: the
+    rest of the simulator's part. ros_ms: all else; of that, round_trip_ms from states published to contacts received,
+    less collision and update; acknowledge_ms before that, until all subscribers had acknowledged the last states
+    (acknowledged_publisher.py).
     """
     answers = {name: service[:, column] for column, name in enumerate(SERVICE_COLUMNS)}
     report = {name: simulator[:, column] for column, name in enumerate(SIMULATOR_COLUMNS)}
@@ -114,11 +119,15 @@ def make_report(service: np.ndarray, simulator: np.ndarray) -> dict[str, Any]:
     rows = np.array([row_of[int(step)] for step in report["step"]], dtype=np.int64)
     collision, update = answers["collision"][rows], answers["update"][rows]
     broke = np.diff(answers["fracture_sequence"][rows], prepend=0.0) > 0
+    waited = report["acknowledgement"] + report["round_trip"]
     milliseconds = {
+        "total_ms": report["total"],
         "collision_ms": collision,
         "update_ms": np.where(broke, update, 0.0),
+        "physics_ms": report["total"] - waited - report["fracture"],
         "solver_ms": report["solver"],
         "fracture_ms": report["fracture"],
+        "ros_ms": waited - collision - update,
         "acknowledge_ms": report["acknowledgement"],
         "round_trip_ms": report["round_trip"] - collision - update,
     }
@@ -126,23 +135,28 @@ def make_report(service: np.ndarray, simulator: np.ndarray) -> dict[str, Any]:
     for name in ("time", "kinetic_energy", "potential_energy", "drift_energy", "max_speed", "deepest_gap"):
         columns[name] = report[name]
     integers = {name: report[name].astype(int).tolist() for name in ("step", "contacts", "fragments")}
-    summarized = ("collision_ms", "solver_ms", "round_trip_ms", "acknowledge_ms", "update_ms")
-    summary = summaries({name: columns[name] for name in summarized} | {"contacts": report["contacts"]})
+    summary = summaries({name: columns[name] for name in milliseconds} | {"contacts": report["contacts"]})
     return {"summary": summary, **integers, **{name: values.tolist() for name, values in columns.items()}}
 
 
-def _living_triangles(bag: Path) -> tuple[int, int]:
-    """Number of fragments at the end, unbroken bodies included, and of triangles of their surfaces."""
-    meshes = {}
-    for message in read_messages(bag, ["/fragment_meshes"]):
-        mesh = deserialize_message(message.data, FragmentMesh)
-        meshes[mesh.fragment_id] = len(mesh.triangles) // 3
-    registry = None
-    for message in read_messages(bag, ["/fragments"]):
-        registry = deserialize_message(message.data, FragmentRegistry)
-    if registry is None:
+def _at_the_end(bag: Path) -> tuple[int, dict[str, float]]:
+    """Number of all fragments at the end, and totals as in `scene_run`, of bodies that are tetrahedral meshes."""
+    meshes = {m.fragment_id: len(m.triangles) // 3 for m in _messages(bag, "/fragment_meshes", FragmentMesh)}
+    pieces_of = {m.body_id: m.is_static for m in _messages(bag, "/bodies", CollisionBody) if len(m.tetrahedra)}
+    registries = deque(_messages(bag, "/fragments", FragmentRegistry), maxlen=1)
+    if not registries:
         raise RunFailed(f"{bag}: no FragmentRegistry")
-    return len(registry.fragment_ids), sum(meshes[fragment_id] for fragment_id in registry.fragment_ids)
+    registry = registries.pop()
+    pieces = [(i, body) for i, body in zip(registry.fragment_ids, registry.body_ids, strict=True) if body in pieces_of]
+    return len(registry.fragment_ids), {
+        "triangles_after": sum(meshes[fragment_id] for fragment_id, _ in pieces),
+        "fragments": sum(not pieces_of[body] for _, body in pieces),
+    }
+
+
+def _messages(bag: Path, topic: str, message_class: Any) -> Iterator[Any]:
+    for message in read_messages(bag, [topic]):
+        yield deserialize_message(message.data, message_class)
 
 
 @contextmanager

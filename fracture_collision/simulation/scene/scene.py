@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fracture_collision.geometry.generators import TetGeometry
+from fracture_collision.near_names import did_you_mean
 from fracture_collision.share import share_directory
 from fracture_collision.simulation.actors.arm import PARTS, Arm, ArmKinematics, parse_arm
 from fracture_collision.simulation.actors.hand import Hand, parse_hand
@@ -172,7 +173,10 @@ def _find(name: str) -> tuple[Path, str]:
     for path, wanted in candidates:
         if path.is_file():
             return path, wanted
-    raise SceneError(f"no scene {name!r}: no file {' or '.join(str(path) for path, _ in candidates)}")
+    if Path(name).suffix or len(Path(name).parts) > 1:
+        raise SceneError(f"{name}: no such file")
+    known = [file.path.stem for file in scene_files()]
+    raise SceneError(f"no scene {name!r}{did_you_mean(stem, known)} `fracture-collision scenes` lists all")
 
 
 def _variants(content: Any) -> Mapping[str, Any]:

@@ -54,9 +54,8 @@ def make_film(run: RecordedRun, path: Path, cut: Cut, progress: Progress = lambd
     The file appears only when complete; if anything fails, or `progress` raises, an existing file is kept. Raises
     FilmError, and BagError if the run lacks meshes.
     """
+    require_format(path)
     suffix = path.suffix.lower()
-    if suffix not in (*ANIMATED, ".mp4"):
-        raise FilmError(f"{path}: the suffix must be {', '.join(ANIMATED)} or .mp4")
     indices = frame_indices(run, cut)
     write = _write_mp4 if suffix == ".mp4" else _write_animated
     handle, name = tempfile.mkstemp(suffix=suffix, prefix=f".{path.stem}-", dir=path.parent)
@@ -69,6 +68,15 @@ def make_film(run: RecordedRun, path: Path, cut: Cut, progress: Progress = lambd
     finally:
         unfinished.unlink(missing_ok=True)
     return len(indices)
+
+
+def require_format(path: Path) -> None:
+    """Raise FilmError unless the suffix selects a format that can be written on this machine."""
+    suffix = path.suffix.lower()
+    if suffix not in (*ANIMATED, ".mp4"):
+        raise FilmError(f"{path}: the suffix must be {', '.join(ANIMATED)} or .mp4")
+    if suffix == ".mp4" and shutil.which("ffmpeg") is None:
+        raise FilmError("an MP4 needs ffmpeg, which is not installed: apt install ffmpeg, or choose a .webp")
 
 
 def frame_indices(run: RecordedRun, cut: Cut) -> list[int]:
@@ -115,11 +123,8 @@ def _write_animated(frames: Iterator[np.ndarray], path: Path, cut: Cut) -> None:
 
 
 def _write_mp4(frames: Iterator[np.ndarray], path: Path, cut: Cut) -> None:
-    program = shutil.which("ffmpeg")
-    if program is None:
-        raise FilmError("an MP4 needs ffmpeg, which is not installed: apt install ffmpeg, or choose a .webp")
     command = [
-        program, "-y", "-loglevel", "error", "-f", "rawvideo", "-pixel_format", "rgb24",
+        "ffmpeg", "-y", "-loglevel", "error", "-f", "rawvideo", "-pixel_format", "rgb24",
         "-video_size", f"{cut.width}x{cut.height}", "-framerate", f"{cut.fps:g}", "-i", "-",
         # browsers play yuv420p, which has one colour for two by two pixels
         "-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-pix_fmt", "yuv420p", "-crf", str(MP4_QUALITY),
