@@ -1,4 +1,4 @@
-"""`python -m benchmarks.speed_error`: measures, writes the CSV and draws both pictures from it."""
+"""`python -m benchmarks.speed_error`: measures, writes the CSV and draws its pictures from it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ DOCS = Path(__file__).resolve().parents[2] / "docs"
 @click.option("--png", type=click.Path(path_type=Path, dir_okay=False), default=DOCS / "speed_error.png")
 @click.option("--redraw", is_flag=True, help="Measure nothing, draw from the CSV.")
 def main(quick: bool, repeats: int, table: Path, png: Path, redraw: bool) -> None:
-    """Time against error of every method and setting: queries in PNG, updates in a second one named after it."""
+    """Time against error of every method and setting: queries in PNG, beside it updates and an overview."""
     if not redraw:
         pin_to_one_core()
         # deferred import: it reads the environment
@@ -38,15 +38,17 @@ def main(quick: bool, repeats: int, table: Path, png: Path, redraw: bool) -> Non
             if row.failure:
                 console.print(f"{row.world}: {row.method}: {row.failure}", markup=False)
         write_csv(rows, table)
+    from benchmarks.speed_error.overview import draw_overview
     from benchmarks.speed_error.picture import draw, draw_update
 
     with table.open(newline="") as file:
         lines = list(csv.DictReader(file))
     png.parent.mkdir(parents=True, exist_ok=True)
-    update_png = png.with_stem(f"{png.stem}_update")
+    update_png, overview_png = (png.with_stem(f"{png.stem}_{name}") for name in ("update", "overview"))
     draw(lines, png)
     draw_update(lines, update_png)
-    for path in (table, png, update_png):
+    draw_overview(lines, overview_png)
+    for path in (table, png, update_png, overview_png):
         click.echo(path)
 
 

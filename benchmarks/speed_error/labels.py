@@ -33,8 +33,11 @@ class Label(NamedTuple):
     needed: bool = True  # False: written only if it fits next to its point and covers nothing
 
 
-def place_labels(figure: Figure, labels: Sequence[Label], size: float) -> None:
-    """Writes `labels`, type of `size` points, once limits and layout are final; points are those of all labels."""
+def place_labels(figure: Figure, labels: Sequence[Label], size: float, radius: float = 0.0) -> None:
+    """Writes `labels`, type of `size` points, once limits and layout are final.
+
+    Their points are markers of `radius` [pixels].
+    """
     renderer = FigureCanvasAgg(figure).get_renderer()
     taken: list[Bbox] = []
     for axes in figure.axes:
@@ -52,7 +55,7 @@ def place_labels(figure: Figure, labels: Sequence[Label], size: float) -> None:
             text.update_positions(renderer)
             box = Text.get_window_extent(text, renderer).padded(1.0)  # an annotation's own extent includes its line
             cost = STEP * rank + OVER_WORDS * sum(box.overlaps(other) for other in taken)
-            cost += OVER_POINT * _count(points, box) + OVER_LINE * _count(lines, box)
+            cost += OVER_POINT * _count(points, box.padded(radius)) + OVER_LINE * _count(lines, box)
             cost += OUTSIDE * (not _holds(label.axes.get_window_extent(), box))
             if cost < least:
                 if best is not None:

@@ -61,8 +61,8 @@ MEASURE = (
 
 def draw(rows: Sequence[Line], png: Path) -> None:
     """Query time against error: jittered frames, ours in jittered frames zoomed in, piled frames."""
-    worlds = _worlds(rows)
-    figure, grid = _panels(worlds, 9.0, (3.4, 1.3, 2.8, 2.8))
+    worlds = worlds_of(rows)
+    figure, grid = panels(worlds, 9.0, (3.4, 1.3, 2.8, 2.8))
     labels = []
     for column, (world, title) in enumerate(worlds):
         jitter, near_worst, near_mean, pile = (row[column] for row in grid)
@@ -77,7 +77,7 @@ def draw(rows: Sequence[Line], png: Path) -> None:
         for axes in (jitter, near_mean, pile):
             axes.set_xlabel(QUERY, fontsize=8)
     for row in (grid[0], grid[3]):
-        _same_limits(row)
+        same_limits(row)
     # above the panels, where they cover nothing; the taller one makes room for both
     figure.legend(handles=_family_handles(), title="methods", loc="upper left", ncols=2, **LEGEND)
     figure.legend(handles=_setting_handles(), title="our settings", loc="outside upper right", ncols=2, **LEGEND)
@@ -86,19 +86,19 @@ def draw(rows: Sequence[Line], png: Path) -> None:
 
 def draw_update(rows: Sequence[Line], png: Path) -> None:
     """Time of an update and the first query after it against the error of jittered frames."""
-    worlds = _worlds(rows)
-    figure, grid = _panels(worlds, 9.0, (3.8,))
+    worlds = worlds_of(rows)
+    figure, grid = panels(worlds, 9.0, (3.8,))
     labels = []
     for axes, (world, title) in zip(grid[0], worlds, strict=True):
         labels += _all_methods(axes, points_of(rows, world, "jitter", ["update", "first_query"]))
         axes.set_title(title, fontsize=9)
         axes.set_xlabel(UPDATE, fontsize=8)
-    _same_limits(grid[0])
+    same_limits(grid[0])
     figure.legend(handles=_family_handles(), loc="outside upper center", ncols=4, **LEGEND)
     _finish(figure, rows, labels, png)
 
 
-def _worlds(rows: Sequence[Line]) -> list[tuple[str, str]]:
+def worlds_of(rows: Sequence[Line]) -> list[tuple[str, str]]:
     """Name and title of the first world with curved cracks and of the first with flat ones."""
     found = {}
     for row in rows:
@@ -108,7 +108,7 @@ def _worlds(rows: Sequence[Line]) -> list[tuple[str, str]]:
     return [found[cracks] for cracks in ("curved", "flat") if cracks in found]
 
 
-def _panels(worlds: Sequence, width: float, heights: tuple[float, ...]) -> tuple[Figure, list[list[Axes]]]:
+def panels(worlds: Sequence, width: float, heights: tuple[float, ...]) -> tuple[Figure, list[list[Axes]]]:
     figure = Figure((width, sum(heights) + 0.6), dpi=DPI, layout="constrained")
     grid = figure.subplots(len(heights), len(worlds), squeeze=False, height_ratios=heights)
     for axes in grid.ravel():
@@ -189,7 +189,7 @@ def _floored(error: float) -> float:
     return max(error, FLOOR)
 
 
-def _same_limits(row: Sequence[Axes]) -> None:
+def same_limits(row: Sequence[Axes]) -> None:
     """The floor at the bottom, and the range that all panels of a row need."""
     for get, put in ((Axes.get_xlim, Axes.set_xlim), (Axes.get_ylim, Axes.set_ylim)):
         limits = [get(axes) for axes in row]

@@ -179,8 +179,10 @@ def test_the_library_works_without_ros(without_ros: Path) -> None:
 
 @pytest.mark.parametrize("words", ["fracture-collision smash", "fracture-collision play", "collision_node"])
 def test_what_needs_ros_says_so(without_ros: Path, words: str) -> None:
-    command = ["sh", "-c", f"bin/{words}"]
-    done = subprocess.run(command, cwd=without_ros, env=clean_environment(), capture_output=True, text=True, timeout=100)
+    done = subprocess.run(
+        ["sh", "-c", f"bin/{words}"], cwd=without_ros, env=clean_environment(), capture_output=True, text=True,
+        timeout=100,
+    )  # fmt: skip
     assert done.returncode == 1 and "Traceback" not in done.stderr
     assert "pip install '.[ros]'" in " ".join(done.stderr.split())
 

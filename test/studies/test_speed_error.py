@@ -16,6 +16,7 @@ from benchmarks.peers.libraries.ours_settings import DEFAULTS, RESOLUTION, SETTI
 from benchmarks.peers.method import contacts_of, no_contacts
 from benchmarks.peers.worlds import EDGES, break_body, clustered_seeds
 from benchmarks.speed_error.measure import _body, resampled
+from benchmarks.speed_error.overview import draw_overview
 from benchmarks.speed_error.picture import SETTINGS as DRAWN
 from benchmarks.speed_error.picture import draw, draw_update
 from benchmarks.speed_error.points import family, peer_label, points_of, setting_lines
@@ -93,7 +94,8 @@ def test_points_and_settings_of_the_csv(lines: list[dict[str, str]]) -> None:
 def test_pictures_are_drawn_from_csv_lines(lines: list[dict[str, str]], tmp_path: Path) -> None:
     draw(lines, tmp_path / "queries.png")
     draw_update(lines, tmp_path / "updates.png")
-    for name in ("queries", "updates"):
+    draw_overview(lines, tmp_path / "overview.png")
+    for name in ("queries", "updates", "overview"):
         image = imread(tmp_path / f"{name}.png")[..., :3]
         assert image.shape[1] >= 900
         # our method, hulls and meshes are drawn, each in its colour
