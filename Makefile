@@ -4,7 +4,7 @@ BIN    := .venv/bin
 STAMPS := build/stamps
 
 .DEFAULT_GOAL := help
-.PHONY: help build smash play test test-full coverage wheel lint peers peers-pins golden-bags fuzz fuzz-pins pins clean
+.PHONY: help build smash play test test-full coverage wheel docs lint peers peers-pins golden-bags fuzz fuzz-pins pins clean
 
 help: ## this text
 	@echo "fracture_collision: collision detection for fracturing rigid bodies."
@@ -77,6 +77,12 @@ wheel: $(STAMPS)/environment ## dist/: wheels of the library and of its ROS mess
 	@FRACTURE_COLLISION_RELEASE=1 $(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps \
 	  --no-build-isolation --wheel-dir dist . ./messages
 	@ls dist
+
+docs: $(STAMPS)/messages ## build/site: README, docs/ and an API reference as pages; a broken link or reference fails
+	@rm -rf build/site
+	@$(BIN)/python -m sphinx --builder html --conf-dir docs/site --doctree-dir build/doctrees --fail-on-warning \
+	  --keep-going --quiet . build/site
+	@echo build/site/index.html
 
 clean: ## remove all that was built; out/ stays
 	@rm -rf build dist install log .venv .pytest_cache .ruff_cache .hypothesis *.egg-info
