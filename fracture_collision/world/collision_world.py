@@ -26,6 +26,7 @@ from fracture_collision.core.pair.narrow_phase import (
 )
 from fracture_collision.core.pair.pair_search import Geometry
 from fracture_collision.core.search.scratch import Scratch, scratch_for
+from fracture_collision.process.compile_progress import report_compilation
 from fracture_collision.records import (
     CollisionBody,
     ContactConstraintArray,
@@ -76,6 +77,7 @@ class CollisionWorld:
     """
 
     def __init__(self, settings: Settings | None = None) -> None:
+        report_compilation()
         self.settings = settings if settings is not None else Settings()
         check_settings(self.settings)
         self._ledger = Ledger(self.settings)
