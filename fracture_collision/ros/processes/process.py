@@ -31,7 +31,7 @@ from fracture_collision.ros.fastdds.extras import (
     ports_for_new_node,
     remove_unused_files,
 )
-from fracture_collision.ros.processes.node_help import answer_to
+from fracture_collision.ros.processes.node_help import answer_to, name_of
 from fracture_collision.ros.processes.parameters import warn_of_unknown
 
 AnyNode = TypeVar("AnyNode", bound=Node)
@@ -142,7 +142,7 @@ def run_node(make_node: Callable[[], AnyNode], work: Callable[[AnyNode], None]) 
             raise
         return 0  # shut down between two calls of rclpy, so that the second failed
     except (Fatal, InvalidParameterTypeException, InvalidParameterValueException) as error:
-        print(f"{node.get_name() if node else 'node'}: {error}", file=sys.stderr)
+        print(f"{node.get_name() if node else name_of(make_node)}: {error}", file=sys.stderr)
         return 1
     finally:
         _end_in_time()
