@@ -1,4 +1,4 @@
-"""launch/play.launch.py against stand-ins of launch as in test_launch_file.py; the files of config/ for RViz and Foxglove."""
+"""launch/play.launch.py, against stand-ins of launch as in test_launch_file.py; the files for RViz and Foxglove."""
 
 from __future__ import annotations
 

@@ -53,7 +53,7 @@ class LiveSimulatorNode(SimulatorNode):
     INTERFACE = interfaces.LIVE_SIMULATOR
     EXAMPLES = (
         "--ros-args -p scene:=vase -p rate:=0.5",
-        "--ros-args -r __ns:=/cell -r cmd_vel:=/cmd_vel -r joint_commands:=/joint_states_of_the_operator",
+        "--ros-args -r __ns:=/cell -r cmd_vel:=/cmd_vel -r joint_commands:=/operator/joint_states",
     )
 
     _live: LiveScene  # made by _make_simulation, which the constructor of SimulatorNode calls
