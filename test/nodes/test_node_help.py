@@ -63,6 +63,12 @@ def test_help_and_version_start_no_dds(node: str) -> None:
         assert f"\n  {node} {example}" in told.stdout
 
 
+def test_a_pager_may_end_before_all_help_is_read() -> None:
+    command = f"{sys.executable} -m fracture_collision.ros.start collision_node --help | (read line; echo $line)"
+    done = subprocess.run(["sh", "-c", command], capture_output=True, text=True, timeout=120.0)
+    assert done.stdout.startswith("usage: collision_node ") and not done.stderr
+
+
 @pytest.mark.parametrize("node", NODES)
 def test_examples_use_declared_parameters(node: str) -> None:
     made = class_of(node)

@@ -1,9 +1,8 @@
 """An interactive simulator: paced by the clock, it runs until it is shut down and takes commands from topics.
 
 ~/throw_ball, ~/hand_target and cmd_vel (of any teleop tool) act on the scene, joint_commands on its arm. An arm is
-published as robot_description, joint_states and tf. The services ~/reset, ~/pause and ~/step control the run; ~ is the
-node's name. Commands are executed between two steps, in order of arrival. The steps themselves are those of
-simulator_node.
+published as robot_description, joint_states and tf. The services ~/reset, ~/pause and ~/step control the run. The steps
+themselves are those of simulator_node.
 """
 
 from __future__ import annotations
@@ -47,7 +46,10 @@ NEXT_SCENE = Declaration(
 
 
 class LiveSimulatorNode(SimulatorNode):
-    """Simulates a live scene; to the service it is the same as simulator_node."""
+    """Simulates a live scene; to the service it is the same as simulator_node.
+
+    ~ in names is the node's name. Commands are executed between two steps, in order of arrival.
+    """
 
     PARAMETERS = (*SimulatorNode.PARAMETERS, RATE, NEXT_SCENE)
     INTERFACE = interfaces.LIVE_SIMULATOR

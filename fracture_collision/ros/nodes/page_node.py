@@ -47,8 +47,8 @@ LOOK_INTERVAL = 0.2  # [s] between two checks for the service and its settings
 class PageNode(Node):
     """Prints the page's address as a line of JSON.
 
-    Sets the service's lookahead to a step of the current scene, whenever that changes: a user throws faster than a
-    scene does.
+    Everything comes from topics, so the page may start and end while a scene runs. It sets the service's lookahead to a
+    step of the current scene, whenever that changes: a user throws faster than a scene does.
     """
 
     PARAMETERS = (

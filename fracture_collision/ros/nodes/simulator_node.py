@@ -63,7 +63,7 @@ class SimulatorNode(Node):
         "--ros-args -p scene:=/home/me/my_scene.yaml -p publish_clock:=false -r __ns:=/cell",
     )
 
-    def __init__(self, name: str = "simulator_node") -> None:
+    def __init__(self, name: str = interfaces.SIMULATOR_NODE) -> None:
         super().__init__(name)
         given = declare_all(self, PARAMETERS)
         scene_name, seed, run_id = given["scene"], given["seed"], given["run_id"]

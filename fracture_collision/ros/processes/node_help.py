@@ -57,7 +57,7 @@ def help_of(make_node: Any) -> str:
     examples = "\n".join(f"  {name} {arguments}" for arguments in make_node.EXAMPLES)
     parts = (
         f"usage: {name} [--help] [--version] [--ros-args -p NAME:=VALUE ... --params-file FILE -r FROM:=TO ...]",
-        inspect.getdoc(sys.modules[make_node.__module__]) or "",
+        (inspect.getdoc(sys.modules[make_node.__module__]) or "").partition("\n\n")[0],
         inspect.getdoc(make_node) or "",
         _section("Parameters", map(_parameter, make_node.PARAMETERS)),
         _section("Subscribes to", map(_topic, interface.subscribes)),

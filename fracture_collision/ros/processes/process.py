@@ -119,6 +119,7 @@ def run_node(make_node: Callable[[], AnyNode], work: Callable[[AnyNode], None]) 
     LONGEST_END later ends with status 1, as does one with ports that do not work.
     """
     if (answer := answer_to(make_node, sys.argv[1:])) is not None:
+        signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # a pager may end first
         print(answer)
         return 0
     for order in (signal.SIGINT, signal.SIGTERM):

@@ -19,14 +19,14 @@ from fracture_collision.ros.processes.process import Fatal
 from fracture_collision.ros.processes.timing_files import SERVICE_COLUMNS, RowFile
 from fracture_collision.ros.service.collision_run import CollisionRun
 from fracture_collision.ros.service.diagnostics import AnswerTimes
-from fracture_collision.ros.wire import qos
+from fracture_collision.ros.wire import interfaces, qos
 from fracture_collision.ros.wire.cdr_records import serialize_record
 from fracture_collision.ros.wire.contact_poses import serialize_contact_poses
 from fracture_collision.ros.wire.conversion import header_of, to_message
 from fracture_collision.ros.wire.markers import MarkersPublisher
 
 TIMING_FILE = Declaration("timing_file", "", ".npy file for the times of each answer; '': none")
-SIMULATORS = ("simulator_node", "live_simulator_node")  # default names
+SIMULATORS = (interfaces.SIMULATOR_NODE, interfaces.LIVE_SIMULATOR_NODE)
 
 
 class Answers:

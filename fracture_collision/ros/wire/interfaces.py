@@ -8,7 +8,8 @@ from std_srvs.srv import SetBool, Trigger
 
 from fracture_collision.ros.wire import qos
 
-COLLISION_NODE, LIVE_SIMULATOR_NODE = "collision_node", "live_simulator_node"  # default names
+# default names
+COLLISION_NODE, SIMULATOR_NODE, LIVE_SIMULATOR_NODE = "collision_node", "simulator_node", "live_simulator_node"
 
 
 class Service(NamedTuple):
