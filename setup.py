@@ -39,10 +39,9 @@ def ament_prefixes() -> list[str]:
 
 
 def is_provided(source: Path) -> bool:
-    """Whether a prefix has the package of a source folder, other than from here."""
+    """Whether a prefix has the package of a source folder, other than from here; our copy names this package."""
     installed = (Path(prefix, "share", source.name, "package.xml") for prefix in ament_prefixes())
-    own = (source / "package.xml").read_bytes()
-    return any(file.is_file() and file.read_bytes() != own for file in installed)
+    return any(file.is_file() and PACKAGE not in file.read_text() for file in installed)
 
 
 class BuildMessages(Command):

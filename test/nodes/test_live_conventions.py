@@ -22,10 +22,12 @@ from std_msgs.msg import String
 from fracture_collision.ros.nodes.live_client import LiveClient
 from fracture_collision.ros.wire import qos
 from fracture_collision.ros.wire.interfaces import LIVE_STATUS
+from fracture_collision.ros.wire.message_definitions import type_hash
 from fracture_collision.simulation.scene.scene import load_scene
 
 CELL = ("-r", "__ns:=/cell")
 JOINTS = [f"lbr_iiwa_joint_{j}" for j in range(1, 8)]
+TF_HASH = "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087"
 LINKS = [f"lbr_iiwa_link_{j}" for j in range(8)]
 
 
@@ -148,6 +150,7 @@ def test_a_late_viewer_gets_the_arm_and_none_where_there_is_none(visitor: Visito
 
 def test_tf_has_the_frames_of_the_links(visitor: Visitor) -> None:
     tf2_msgs = pytest.importorskip("tf2_msgs.msg", reason="tf2_msgs is neither of a ROS nor built by pip install")
+    assert type_hash(tf2_msgs.TFMessage) == TF_HASH, "that of every ROS, from Iron on"
     visitor.begin("vase")
     moving: list[tf2_msgs.TFMessage] = []
     fixed: list[tf2_msgs.TFMessage] = []

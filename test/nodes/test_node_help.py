@@ -19,6 +19,7 @@ from stages.ros_client import ServiceClient
 from stages.ros_stage import StageWithClients
 
 from fracture_collision.ros.processes.node_help import TYPES
+from fracture_collision.ros.processes.node_process import free_domain_id, loopback_environment
 from fracture_collision.ros.start import NODES, module_of
 from fracture_collision.ros.wire.message_definitions import type_name
 
@@ -67,6 +68,26 @@ def test_a_pager_may_end_before_all_help_is_read() -> None:
     command = f"{sys.executable} -m fracture_collision.ros.start collision_node --help | true"
     done = subprocess.run(["sh", "-c", command], capture_output=True, text=True, timeout=120.0)
     assert done.returncode == 0 and not done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "words"),
+    [
+        (("-p", "penetration_tolerance:=0.1"), 2, "unknown argument -p; put --ros-args before it"),
+        (("--hlep",), 2, "unknown argument --hlep; --help lists what there is"),
+        (("scene:=wall", "--ros-args", "-p", "threads:=1"), 2, "unknown argument scene:=wall;"),
+        (("--ros-args", "--params-file", "nowhere.yaml"), 1, "nowhere.yaml"),
+        (("--ros-args", "-p", ":=1"), 1, ":=1"),
+        (("--ros-args", "-q", "1"), 1, "-q"),
+        (("--ros-args", "-p", "penetration_tolerance:=0"), 1, "expecting type 'DOUBLE'"),
+        (("--ros-args", "-p", "penetration_tolerance:=7.0"), 1, "out of range Min: 0.0, Max: 0.1"),
+    ],
+)
+def test_invalid_arguments_are_explained(arguments: tuple[str, ...], status: int, words: str) -> None:
+    done = run("collision_node", *arguments, **loopback_environment(free_domain_id()))
+    assert done.returncode == status
+    explanation = done.stderr.splitlines()[-1]  # after rcl's own log
+    assert explanation.startswith("collision_node: ") and words in explanation and "Traceback" not in done.stderr
 
 
 @pytest.mark.parametrize("node", NODES)

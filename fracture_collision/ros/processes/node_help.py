@@ -19,6 +19,7 @@ from fracture_collision.share import share_directory
 WIDTH = 100
 # as `ros2 param describe` names them
 TYPES = {bool: "boolean", int: "integer", float: "double", str: "string"}
+ROS_OPTIONS = ("-p", "--param", "-r", "--remap", "--params-file", "--log-level", "-e", "--enclave")
 OF_EVERY_NODE = """\
 Also, as of every node: /rosout, /parameter_events, and services such as ~/set_parameters. Parameters that are not
 fixed may change at run time: `ros2 param set`, or rqt."""
@@ -29,12 +30,25 @@ def answer_to(make_node: Any, arguments: Sequence[str]) -> str | None:
 
     `make_node`: a class of nodes with PARAMETERS, INTERFACE and EXAMPLES.
     """
-    own = arguments[: arguments.index("--ros-args")] if "--ros-args" in arguments else arguments
+    own = _own(arguments)
     if "--help" in own or "-h" in own:
         return help_of(make_node)
     if "--version" in own:
         return f"{name_of(make_node)} {version()}"
     return None
+
+
+def fault_of_arguments(arguments: Sequence[str]) -> str:
+    """Describes arguments that rclpy ignores: all before --ros-args, above all `-p NAME:=VALUE` without it."""
+    own = _own(arguments)
+    if not own:
+        return ""
+    advice = "put --ros-args before it" if own[0] in ROS_OPTIONS else "--help lists what there is"
+    return f"unknown argument {own[0]}; {advice}"
+
+
+def _own(arguments: Sequence[str]) -> Sequence[str]:
+    return arguments[: arguments.index("--ros-args")] if "--ros-args" in arguments else arguments
 
 
 def version() -> str:

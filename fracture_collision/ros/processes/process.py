@@ -31,7 +31,7 @@ from fracture_collision.ros.fastdds.extras import (
     ports_for_new_node,
     remove_unused_files,
 )
-from fracture_collision.ros.processes.node_help import answer_to, name_of
+from fracture_collision.ros.processes.node_help import answer_to, fault_of_arguments, name_of
 from fracture_collision.ros.processes.parameters import warn_of_unknown
 
 AnyNode = TypeVar("AnyNode", bound=Node)
@@ -113,7 +113,8 @@ def _watch_ports(node: Node) -> None:
 def run_node(make_node: Callable[[], AnyNode], work: Callable[[AnyNode], None]) -> int:
     """Runs `work` on a node of the class `make_node`; returns the process's exit status.
 
-    If the arguments request help or the version it prints these (node_help.py), and creates no node.
+    If the arguments request help or the version it prints these (node_help.py), and creates no node. Arguments that
+    rclpy would ignore are rejected with status 2.
 
     SIGINT and SIGTERM end it cleanly, with status 0: they are the usual way to stop a node. A process that still runs
     LONGEST_END later ends with status 1, as does one with ports that do not work.
@@ -122,12 +123,19 @@ def run_node(make_node: Callable[[], AnyNode], work: Callable[[AnyNode], None]) 
         signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # a pager may end first
         print(answer)
         return 0
+    if fault := fault_of_arguments(sys.argv[1:]):
+        print(f"{name_of(make_node)}: {fault}", file=sys.stderr)
+        return 2
     for order in (signal.SIGINT, signal.SIGTERM):
         signal.signal(order, _on_signal)
     _watch_signals()
     remove_unused_files()  # of a killed node that this one may replace
     keep_to_this_machine(os.environ)
-    rclpy.init()
+    try:
+        rclpy.init()
+    except (rclpy_implementation.RCLError, rclpy_implementation.UnknownROSArgsError) as error:
+        print(f"{name_of(make_node)}: {error}", file=sys.stderr)
+        return 1
     node = None
     try:
         with ports_for_new_node(rclpy.get_default_context().get_domain_id()):
