@@ -114,8 +114,8 @@ $(STAMPS)/fuzz: requirements/fuzz.txt $(STAMPS)/environment
 	@touch $@
 
 # An editable install: nodes and tests run from the working tree; the generated messages lie in the .venv.
-$(STAMPS)/messages: $(STAMPS)/environment $(wildcard msg/*.msg) CMakeLists.txt package.xml setup.py pyproject.toml \
-  $(wildcard messages/*)
+$(STAMPS)/messages: $(STAMPS)/environment $(wildcard msg/*.msg vendor/*/msg/*.msg cmake/* messages/*) CMakeLists.txt \
+  package.xml setup.py pyproject.toml
 	@echo "== messages: generate and compile (about 20 s)"
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation ./messages \
 	  --editable . > build/messages.log 2>&1 || { cat build/messages.log; exit 1; }

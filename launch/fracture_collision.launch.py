@@ -14,11 +14,11 @@ from fracture_collision.ros.runs.launch_parts import arguments, collision_node, 
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Both nodes in one namespace; when the simulator ends, everything ends."""
+    """Both nodes in one namespace; when either of them ends, both end."""
     return LaunchDescription(
         [
             *arguments(),
-            collision_node(ends_all=False),
+            collision_node(),
             node("simulator_node", {"scene": text("scene"), "seed": whole("seed")}),
         ]
     )

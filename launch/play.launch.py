@@ -24,7 +24,7 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument("host", default_value="127.0.0.1", description="address of the page"),
             DeclareLaunchArgument("port", default_value="0", description="port of the page; 0: any free one"),
             DeclareLaunchArgument("folder", default_value="out/play", description="folder of recordings"),
-            collision_node(ends_all=True),
+            collision_node(),
             node("live_simulator_node", {"scene": text("scene"), "seed": whole("seed")}),
             node(
                 "page_node",

@@ -23,6 +23,7 @@ from distutils.command.install_data import install_data  # provided by setuptool
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = "fracture_collision"
+TF2_MSGS = ROOT / "vendor" / "tf2_msgs"  # not among the ROS wheels
 
 
 def requirements(file: Path) -> list[str]:
@@ -46,6 +47,12 @@ def ament_prefixes() -> list[str]:
     return [prefix for prefix in candidates if prefix and Path(prefix, "share", "ament_index").is_dir()]
 
 
+def is_provided(source: Path) -> bool:
+    """Whether a prefix has the package of a source folder, other than from here; our copy names this package."""
+    installed = (Path(prefix, "share", source.name, "package.xml") for prefix in ament_prefixes())
+    return any(file.is_file() and PACKAGE not in file.read_text() for file in installed)
+
+
 class BuildMessages(Command):
     """Runs CMake; afterwards `stage` holds the installed messages."""
 
@@ -62,12 +69,21 @@ class BuildMessages(Command):
 
     def run(self) -> None:
         shutil.rmtree(self.stage, ignore_errors=True)
+        self._install(ROOT, self.cmake_folder)
+        if not is_provided(TF2_MSGS):
+            self._install(TF2_MSGS, self.cmake_folder.with_name(TF2_MSGS.name))
+        self._keep_one_package_init()
+        shutil.copytree(self._staged_package(), Path(self.build_lib, PACKAGE), dirs_exist_ok=True)
+        shutil.rmtree(self._staged_package())
+
+    def _install(self, source: Path, folder: Path) -> None:
+        """Builds a CMake project in `folder` and installs it into `stage`."""
         # A CMake cache from another environment (pip's isolated ones are new each time) would contain wrong paths.
-        (self.cmake_folder / "CMakeCache.txt").unlink(missing_ok=True)
+        (folder / "CMakeCache.txt").unlink(missing_ok=True)
         prefixes = ";".join(ament_prefixes())
         environment = os.environ | {"AMENT_PREFIX_PATH": prefixes.replace(";", os.pathsep)}
         configure = [
-            "cmake", "-S", str(ROOT), "-B", str(self.cmake_folder),
+            "cmake", "-S", str(source), "-B", str(folder),
             f"-DCMAKE_INSTALL_PREFIX={self.stage}",
             f"-DCMAKE_PREFIX_PATH={prefixes}",
             f"-DPython3_EXECUTABLE={sys.executable}",
@@ -77,21 +93,18 @@ class BuildMessages(Command):
         ]  # fmt: skip
         subprocess.run(configure, check=True, env=environment)
         jobs = str(os.cpu_count() or 1)
-        subprocess.run(["cmake", "--build", str(self.cmake_folder), "-j", jobs], check=True, env=environment)
-        subprocess.run(["cmake", "--install", str(self.cmake_folder)], check=True, env=environment)
-        self._keep_one_package_init()
-        shutil.copytree(self._staged_package(), Path(self.build_lib, PACKAGE), dirs_exist_ok=True)
-        shutil.rmtree(self._staged_package())
+        subprocess.run(["cmake", "--build", str(folder), "-j", jobs], check=True, env=environment)
+        subprocess.run(["cmake", "--install", str(folder)], check=True, env=environment)
 
     def _staged_package(self) -> Path:
         (folder,) = self.stage.glob(f"**/*-packages/{PACKAGE}")
         return folder
 
     def _keep_one_package_init(self) -> None:
-        """Removes the generated, empty __init__.py and metadata, which would shadow the package's own."""
+        """Removes the generated, empty __init__.py and metadata, which would shadow the package's own; and caches."""
         package = self._staged_package()
         (package / "__init__.py").unlink()
-        for generated in [*package.rglob("__pycache__"), *package.parent.glob("*.egg-info")]:
+        for generated in [*package.parent.rglob("__pycache__"), *package.parent.glob("*.egg-info")]:
             shutil.rmtree(generated)
 
 

@@ -19,6 +19,7 @@ from fracture_collision.ros.processes.node_process import free_domain_id
 from fracture_collision.ros.processes.own_context import own_context
 from fracture_collision.ros.runs.play_run import Played, played
 from fracture_collision.ros.wire import qos
+from fracture_collision.ros.wire.interfaces import LIVE_STATUS
 
 PATIENCE = 120.0  # [s]
 PLATES = tuple((0.3 * i - 0.45, 0.0, 0.7227) for i in range(4))  # [m] in the scene `plates`
@@ -40,7 +41,7 @@ class Person:
         self.hands = LiveClient(self._node)
         self.fractures: list[Fracture] = []
         self.status: Any = None
-        events, told = qos.FRACTURE_EVENTS, qos.SIMULATION_STATUS
+        events, told = qos.FRACTURE_EVENTS, LIVE_STATUS
         self._node.create_subscription(events.message_class, events.name, self._on_fracture, events.qos)
         self._node.create_subscription(told.message_class, told.name, self._on_status, LOOKING)
         self.until(lambda: self.hands.is_there() and self.status is not None, "a live scene")

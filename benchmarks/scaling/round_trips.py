@@ -85,7 +85,7 @@ class _Simulator:
             self._node.create_publisher(topic.message_class, topic.name, topic.qos)
             for topic in (qos.BODIES, qos.FRACTURE_EVENTS)
         )
-        self._states = AcknowledgedPublisher(self._node, qos.FRAGMENT_STATES, answerers="collision_node")
+        self._states = AcknowledgedPublisher(self._node, qos.FRAGMENT_STATES, answerers=("collision_node",))
         topic = qos.CONTACT_CONSTRAINTS
         self._node.create_subscription(topic.message_class, topic.name, self._take, topic.qos, raw=True)
         self.answer: Received | None = None

@@ -18,10 +18,11 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 from fracture_collision import __version__
+from fracture_collision.ros.start import NODES
 
 ROOT = Path(__file__).resolve().parents[2]
 DISTRIBUTIONS = ("fracture-collision", "fracture-collision-msgs")
-EXECUTABLES = ("collision_node", "simulator_node", "live_simulator_node", "page_node", "fracture-collision")
+EXECUTABLES = (*NODES, "fracture-collision")
 UNOPTIMIZED = {"CFLAGS": "-O0", "CXXFLAGS": "-O0", "CMAKE_BUILD_TYPE": ""}  # compiled in half the time
 NOT_SOURCES = (".git", ".venv", "build", "dist", "install", "log", "out", "*.egg-info", "__pycache__", ".*_cache")
 
@@ -35,6 +36,15 @@ received = deserialize_message(serialize_message(sent), ContactConstraintArray)
 assert received == sent and received.gaps[0] == -0.25, received
 import fracture_collision.records
 print(pathlib.Path(fracture_collision.records.__file__).resolve())
+"""
+
+# tf2_msgs is not among the ROS wheels: pip builds its message.
+USE_TRANSFORMS = """
+from geometry_msgs.msg import TransformStamped
+from rclpy.serialization import deserialize_message, serialize_message
+from tf2_msgs.msg import TFMessage
+sent = TFMessage(transforms=[TransformStamped(child_frame_id="link")])
+assert deserialize_message(serialize_message(sent), TFMessage) == sent
 """
 
 
@@ -85,6 +95,7 @@ def test_pip_installs_the_package(workplace: Path, sources: Path, environment_co
     run(python, "-m", "pip", "install", "--no-deps", "--no-build-isolation", "--no-index", sources,
         sources / "messages", cwd=workplace, environment=environment)  # fmt: skip
     imported_from = run(python, "-c", USE_MESSAGES, cwd=workplace, environment=environment).strip()
+    run(python, "-c", USE_TRANSFORMS, cwd=workplace, environment=environment)
     assert environment_copy.resolve() in Path(imported_from).parents
     for name in EXECUTABLES:
         assert os.access(environment_copy / "bin" / name, os.X_OK)
@@ -94,7 +105,8 @@ def test_pip_installs_the_package(workplace: Path, sources: Path, environment_co
     assert "smash" in help_text
 
     run(python, "-m", "pip", "uninstall", "--yes", *DISTRIBUTIONS, cwd=workplace, environment=environment)
-    left = [path for path in environment_copy.rglob("*fracture_collision*") if path.is_file()]
+    ours = (*environment_copy.rglob("*fracture_collision*"), *environment_copy.rglob("*tf2_msgs*"))
+    left = [path for path in ours if path.is_file()]
     assert not left, left
 
 

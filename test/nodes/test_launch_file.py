@@ -1,7 +1,7 @@
 """The launch file without ROS's launch, which is not available as a wheel.
 
-It is executed against stand-ins of the documented interface, and the resulting commands are run. Whether launch itself
-accepts it is not tested here.
+It is executed against stand-ins of the documented interface, and the resulting commands are run. Where launch is
+installed, test_launch_for_real.py starts it.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def describe(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 def test_arguments_reach_the_nodes(describe) -> None:
     service, simulator = describe({}, scene="wall", seed="7", namespace="cell")
     assert [node.executable for node in (service, simulator)] == ["collision_node", "simulator_node"]
-    assert service.on_exit is None and simulator.on_exit is not None  # the simulator's exit shuts down everything
+    assert service.on_exit is not None and simulator.on_exit is not None  # the end of either ends both
     for node in (service, simulator):
         assert os.access(node.command[0], os.X_OK) and "__ns:=/cell" in node.command
         assert node.environment[RANGE] == "LOCALHOST"

@@ -14,6 +14,7 @@ from stages.ros_stage import StageWithClients
 
 from fracture_collision.ros.nodes.live_client import LiveClient
 from fracture_collision.ros.wire import qos
+from fracture_collision.ros.wire.interfaces import LIVE_STATUS
 from fracture_collision.share import share_directory
 
 PLATE = np.array([-0.45, 0.0, 0.7227])  # [m] the first plate
@@ -31,7 +32,7 @@ class Player:
         self.states: list[FragmentStates] = []
         self.joints: list[JointState] = []
         for topic, collected in (
-            (qos.SIMULATION_STATUS, self.told), (qos.FRAGMENT_STATES, self.states), (qos.JOINT_STATES, self.joints),
+            (LIVE_STATUS, self.told), (qos.FRAGMENT_STATES, self.states), (qos.JOINT_STATES, self.joints),
         ):  # fmt: skip
             self._ears.node.create_subscription(topic.message_class, topic.name, collected.append, topic.qos)
         self.until(lambda: self.hands.is_there() and bool(self.told) and bool(self.states), "a live scene")
@@ -192,7 +193,7 @@ def test_scenes_are_loaded_by_name_and_errors_reveal_no_file_content(stage: Stag
     assert answer(hands.reset()).success
     own.write_text(secret.read_text())
     refused = answer(hands.reset())
-    assert not refused.success and "hunter2" not in refused.message and "log of simulator_node" in refused.message
+    assert not refused.success and "hunter2" not in refused.message and "log of live_simulator_node" in refused.message
     assert "hunter2" in simulator.log_text()
 
 

@@ -10,6 +10,7 @@ from statistics import median
 import numpy as np
 import pytest
 import yaml
+from diagnostic_msgs.msg import DiagnosticStatus
 from fracture_collision.msg import FragmentStates as FragmentStatesMessage
 from stages.ros_client import ServiceClient
 from stages.ros_stage import StageWithClients
@@ -176,13 +177,18 @@ def test_a_misspelt_parameter_is_named(stage: StageWithClients, tmp_path: Path) 
     given = {"/**/collision_node": {"ros__parameters": {"contacts_per_pairs": 3, "colour": "red", "field": "averaged"}}}
     file.write_text(yaml.safe_dump(given))
     service = stage.start("collision_node", "--params-file", str(file), threads=1, visitbudget=5, use_sim_time=False)
-    stage.client().await_service()
-    said = [line.partition("parameter ")[2] for line in service.log_text().splitlines() if "WARN" in line]
+    client = stage.client()
+    client.await_service()
+    said = [line.partition("]: ")[2] for line in service.log_text().splitlines() if "ERROR" in line]
     assert said == [
-        "colour is unknown and has no effect",
-        "contacts_per_pairs is unknown and has no effect; did you mean contacts_per_pair?",
-        "visitbudget is unknown and has no effect; did you mean visit_budget?",
+        "parameter colour is unknown and has no effect",
+        "parameter contacts_per_pairs is unknown and has no effect; did you mean contacts_per_pair?",
+        "parameter visitbudget is unknown and has no effect; did you mean visit_budget?",
     ]
+    client.spin_until(lambda: SETTINGS in client.diagnostics, "diagnostics")
+    assert client.diagnostics[SETTINGS] == "; ".join(("since the start", *said))
+    assert client.levels[SETTINGS] == DiagnosticStatus.WARN
+    assert client.details[SETTINGS]["contacts_per_pair"] == "8" and client.details[SETTINGS]["field"] == "averaged"
 
 
 def test_limits_are_parameters(stage: StageWithClients) -> None:

@@ -14,6 +14,7 @@ from fracture_collision.msg import ContactConstraintArray, FragmentStates, Simul
 from fracture_collision.ros.processes.node_process import free_domain_id
 from fracture_collision.ros.runs.play_run import Played, played
 from fracture_collision.ros.wire import qos
+from fracture_collision.ros.wire.interfaces import LIVE_STATUS
 from stages.browser import knob, picture_of, until
 from stages.ros_client import PATIENCE, ServiceClient
 
@@ -27,7 +28,7 @@ class LivePage:
         self.ears = ServiceClient(run.domain_id)
         self.told: list[SimulationStatus] = []
         self.states: list[FragmentStates] = []
-        for topic, heard in ((qos.SIMULATION_STATUS, self.told), (qos.FRAGMENT_STATES, self.states)):
+        for topic, heard in ((LIVE_STATUS, self.told), (qos.FRAGMENT_STATES, self.states)):
             self.ears.node.create_subscription(topic.message_class, topic.name, heard.append, topic.qos)
         self.until(lambda: bool(self.told) and bool(self.states), "a live scene")
 

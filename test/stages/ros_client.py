@@ -40,6 +40,7 @@ class ServiceClient:
         self.answers: list[Any] = []
         self.registries: list[Any] = []
         self.diagnostics: dict[str, str] = {}
+        self.levels: dict[str, bytes] = {}
         self.details: dict[str, dict[str, str]] = {}  # status name -> its key-value pairs
         self.diagnostics_came: list[float] = []  # time.monotonic()
         self._refusals: dict[str, str] = {}
@@ -127,7 +128,7 @@ class ServiceClient:
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         self.diagnostics_came.append(time.monotonic())
         for status in message.status:
-            self.diagnostics[status.name] = status.message
+            self.diagnostics[status.name], self.levels[status.name] = status.message, status.level
             self.details[status.name] = {value.key: value.value for value in status.values}
             if status.name.endswith("refused messages"):
                 self._refusals = {value.key: value.value for value in status.values}

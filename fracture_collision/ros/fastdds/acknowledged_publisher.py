@@ -12,6 +12,7 @@ to it; without a third subscriber there is no wait. Setting that delay to 0 by a
 from __future__ import annotations
 
 import time
+from collections.abc import Collection
 from typing import Any
 
 from rclpy.duration import Duration
@@ -38,11 +39,13 @@ LOOK_INTERVAL = 0.05  # [s] between two checks for dead or stopped processes
 class AcknowledgedPublisher:
     """Publishes on `topic` without overwriting a message that some subscriber has yet to receive.
 
-    `answerers`: nodes of this name need not acknowledge, since they answer; without other subscribers there is no wait.
+    `answerers`: nodes of these names need not acknowledge, since they answer; without others there is no wait.
     `neighbours`: shared by all publishers of a node: a subscriber for which one timed out does not delay the others.
     """
 
-    def __init__(self, node: Node, topic: Topic, answerers: str = "", neighbours: Neighbours | None = None) -> None:
+    def __init__(
+        self, node: Node, topic: Topic, answerers: Collection[str] = (), neighbours: Neighbours | None = None
+    ) -> None:
         self._topic = topic
         self._node = node
         self._answerers = answerers
@@ -122,7 +125,7 @@ class AcknowledgedPublisher:
             self._known_listeners = frozenset(
                 participant_of(bytes(info.endpoint_gid))
                 for info in infos
-                if info.node_name != self._answerers and info.qos_profile.reliability == ReliabilityPolicy.RELIABLE
+                if info.node_name not in self._answerers and info.qos_profile.reliability == ReliabilityPolicy.RELIABLE
             )
         return self._known_listeners
 

@@ -16,23 +16,28 @@ from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 
 from fracture_collision.msg import HandTarget, ThrowBall
-from fracture_collision.ros.wire import qos
+from fracture_collision.ros.wire import interfaces, qos
 
-SIMULATOR = "simulator_node"  # also the name of a live one
 Vector = Sequence[float] | np.ndarray  # of three numbers
 
 
 class LiveClient:
     """Commands of one `node`. Futures complete while the node spins."""
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Node, simulator: str = interfaces.LIVE_SIMULATOR_NODE) -> None:
+        """`simulator`: name of the live simulator, in the namespace of `node`."""
         self._balls, self._hand, self._velocity, self._joints = (
             node.create_publisher(topic.message_class, topic.name, topic.qos)
-            for topic in (qos.THROW_BALL, qos.HAND_TARGET, qos.CMD_VEL, qos.JOINT_COMMANDS)
+            for topic in (
+                qos.of_node(qos.THROW_BALL, simulator), qos.of_node(qos.HAND_TARGET, simulator), qos.CMD_VEL,
+                qos.JOINT_COMMANDS,
+            )
+        )  # fmt: skip
+        self._reset, self._step, self._pause = (
+            node.create_client(service.service_class, service.name.replace("~", simulator))
+            for service in (interfaces.RESET, interfaces.STEP, interfaces.PAUSE)
         )
-        self._reset, self._step = (node.create_client(Trigger, name) for name in ("reset", "step"))
-        self._pause = node.create_client(SetBool, "pause")
-        self._parameters = AsyncParameterClient(node, SIMULATOR)
+        self._parameters = AsyncParameterClient(node, simulator)
 
     def is_there(self) -> bool:
         """Whether a live simulator subscribes to all topics and provides all services."""

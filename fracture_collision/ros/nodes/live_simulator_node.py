@@ -1,8 +1,8 @@
 """An interactive simulator: paced by the clock, it runs until it is shut down and takes commands from topics.
 
-throw_ball, hand_target and cmd_vel (of any teleop tool) act on the scene, joint_commands on its arm. If there is an
-arm, its state is published on joint_states. The services reset, pause and step control the run. Commands are executed
-between two steps, in order of arrival. The steps themselves are those of simulator_node.
+~/throw_ball, ~/hand_target and cmd_vel (of any teleop tool) act on the scene, joint_commands on its arm. An arm is
+published as robot_description, joint_states and tf. The services ~/reset, ~/pause and ~/step control the run. The steps
+themselves are those of simulator_node.
 """
 
 from __future__ import annotations
@@ -22,10 +22,12 @@ from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 
 from fracture_collision.msg import HandTarget, SimulationStatus, ThrowBall
+from fracture_collision.ros.nodes.arm_publisher import ArmPublisher
 from fracture_collision.ros.nodes.simulator_node import SimulatorNode, derived_run_id, work
-from fracture_collision.ros.processes.parameters import Range, declare
+from fracture_collision.ros.processes.parameters import Declaration, Range, declare
 from fracture_collision.ros.processes.process import Fatal, run_node
-from fracture_collision.ros.wire import qos
+from fracture_collision.ros.wire import interfaces, qos
+from fracture_collision.ros.wire.conversion import header_of, heading
 from fracture_collision.simulation.live import Ball, CommandRefused, LiveScene
 from fracture_collision.simulation.scene.scene import Scene, SceneError, load_scene, scene_names
 from fracture_collision.simulation.simulation import Simulation, StepReport
@@ -35,24 +37,37 @@ PAUSE_LOOK = 0.05  # [s] between two checks while paused
 # [s] If a run falls further behind the clock, it drops the rest of the lag: nothing is gained by catching up.
 MOST_BEHIND = 0.1
 RATE_WINDOW = 1.0  # [s] over which the achieved rate is measured
+RATE = Declaration(
+    "rate", 1.0, "simulated time over real time; 0.1: slow motion", Range(0.01, 10.0), fixed=False
+)
+NEXT_SCENE = Declaration(
+    "next_scene", "", "scene of the next reset, a name in config/scenes; '': the same", fixed=False
+)
 
 
 class LiveSimulatorNode(SimulatorNode):
-    """A node with the name of SimulatorNode, and the same to the service.
+    """Simulates a live scene; to the service it is the same as simulator_node.
 
-    Parameters: `scene`, `seed`, `run_id`, `wait_for_subscribers`; at run time `rate` and `next_scene`.
+    ~ in names is the node's name. Commands are executed between two steps, in order of arrival.
     """
+
+    PARAMETERS = (*SimulatorNode.PARAMETERS, RATE, NEXT_SCENE)
+    INTERFACE = interfaces.LIVE_SIMULATOR
+    EXAMPLES = (
+        "--ros-args -p scene:=vase -p rate:=0.5",
+        "--ros-args -r __ns:=/cell -r cmd_vel:=/cmd_vel -r joint_commands:=/operator/joint_states",
+    )
 
     _live: LiveScene  # made by _make_simulation, which the constructor of SimulatorNode calls
 
     def __init__(self) -> None:
-        super().__init__()
-        declare(self, "rate", 1.0, "simulated time over real time; 0.1: slow motion", Range(0.01, 10.0))
+        super().__init__(interfaces.LIVE_SIMULATOR_NODE)
+        declare(self, RATE)
         self._scene_name = self.get_parameter("scene").value  # as load_scene takes it
         # A page in a browser may set this: no paths are accepted, except the one given at the start.
         self._offered = ("", self._scene_name, *scene_names())
         self.add_on_set_parameters_callback(self._judge)
-        declare(self, "next_scene", "", "scene of the next reset, a name in config/scenes; '': the same")
+        declare(self, NEXT_SCENE)
         self._commands: deque[Callable[[], None]] = deque()
         self._paused, self._steps_allowed = False, 0
         self._next: Scene | None = None
@@ -64,13 +79,13 @@ class LiveSimulatorNode(SimulatorNode):
             (qos.JOINT_COMMANDS, self._on_joints),
         ):  # fmt: skip
             self.create_subscription(topic.message_class, topic.name, callback, topic.qos)
-        self._status, self._joints = (
-            self.create_publisher(topic.message_class, topic.name, topic.qos)
-            for topic in (qos.SIMULATION_STATUS, qos.JOINT_STATES)
-        )
-        self.create_service(Trigger, "reset", self._on_reset)
-        self.create_service(Trigger, "step", self._on_step)
-        self.create_service(SetBool, "pause", self._on_pause)
+        topic = qos.SIMULATION_STATUS
+        self._status = self.create_publisher(topic.message_class, topic.name, topic.qos)
+        self._arm = ArmPublisher(self)
+        for service, answer in (
+            (interfaces.RESET, self._on_reset), (interfaces.STEP, self._on_step), (interfaces.PAUSE, self._on_pause),
+        ):  # fmt: skip
+            self.create_service(service.service_class, service.name, answer)
 
     def _make_simulation(self, scene: Scene, seed: int) -> Simulation:
         self._live, self._scene, self._seed = LiveScene(scene, seed, self._looks_ahead), scene, seed
@@ -91,12 +106,14 @@ class LiveSimulatorNode(SimulatorNode):
 
     def _run_once(self, executor: Executor) -> None:
         """Runs until a reset is requested."""
+        self._arm.begin(self._scene.arm)
         self._announce(self._simulation.start_bodies(), [])
         due = time.monotonic()
         report, round_trip = None, 0.0
         while self._next is None:
             # the first step is made even if paused: viewers have nothing to show before it
             if self._paused and not self._steps_allowed and report is not None:
+                self._publish_time()
                 self._tell(report, round_trip)
                 executor.spin_once(timeout_sec=PAUSE_LOOK)
                 due = time.monotonic()
@@ -141,26 +158,20 @@ class LiveSimulatorNode(SimulatorNode):
         self._next_status = now + STATUS_INTERVAL
         status = SimulationStatus(
             header=Header(frame_id="world"), run_id=self._run_id, scene=self._scene.name, paused=self._paused,
-            time_step=self._scene.time_step, rate=self._rate, round_trip=round_trip, refused=self._refused,
+            time_step_s=self._scene.time_step, rate=self._rate, round_trip_s=round_trip, refused=self._refused,
         )  # fmt: skip
         if len(self._reached) > 1:
             (began, first), (ended, last) = self._reached[0], self._reached[-1]
             status.achieved_rate = (last - first) / max(ended - began, 1e-9)
         if report is not None:
-            seconds, nanoseconds = divmod(round(report.time * 1e9), 10**9)
-            status.header.stamp.sec, status.header.stamp.nanosec = seconds, nanoseconds
+            status.header = header_of(heading(report.time))
             status.step, status.fragments, status.contacts = report.step + 1, report.fragments, report.contacts
-            status.solver, status.fracture = report.solver_seconds, report.fracture_seconds
+            status.solver_s, status.fracture_s = report.solver_seconds, report.fracture_seconds
             status.kinetic_energy = report.kinetic_energy
         self._status.publish(status)
         arm = self._simulation.arm
         if arm is not None:
-            self._joints.publish(
-                JointState(
-                    header=Header(stamp=status.header.stamp), name=list(arm.limits.names),
-                    position=arm.angles.tolist(), velocity=arm.speeds.tolist(),
-                )  # fmt: skip
-            )
+            self._arm.publish(arm, heading(0.0 if report is None else report.time))
 
     # --- commands --------------------------------------------------------------------------------------------------
 
@@ -171,7 +182,7 @@ class LiveSimulatorNode(SimulatorNode):
             try:
                 command()
             except CommandRefused as error:
-                self._refused = f"{topic.name}: {error}"
+                self._refused = f"{topic.name.removeprefix('~/')}: {error}"
                 self.get_logger().warning(self._refused, throttle_duration_sec=1.0)
 
         self._commands.append(act)
@@ -207,7 +218,7 @@ class LiveSimulatorNode(SimulatorNode):
         except (SceneError, OSError) as error:
             # Errors quote the file, and its content must not leave this machine.
             self.get_logger().error(str(error))
-            response.message = f"{name} cannot be read; see the log of simulator_node"
+            response.message = f"{name} cannot be read; see the log of {self.get_name()}"
             return response
         self._scene_name = name
         response.success, response.message = True, f"restarting {name}"

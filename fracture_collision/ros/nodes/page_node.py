@@ -24,9 +24,9 @@ from fracture_collision.ros.fastdds.extras import make_executor
 from fracture_collision.ros.nodes.page_commands import PageCommands
 from fracture_collision.ros.nodes.page_mirror import Mirror
 from fracture_collision.ros.nodes.service_settings import ServiceSettings
-from fracture_collision.ros.processes.parameters import Range, declare_fixed
+from fracture_collision.ros.processes.parameters import Declaration, Range, declare_all
 from fracture_collision.ros.processes.process import Fatal, nothing_to_lose, run_node
-from fracture_collision.ros.wire import qos
+from fracture_collision.ros.wire import interfaces, qos
 from fracture_collision.ros.wire.cdr_records import deserialize_record
 from fracture_collision.ros.wire.conversion import to_record
 from fracture_collision.simulation.actors.arm import PARTS, joint_limits
@@ -45,20 +45,26 @@ LOOK_INTERVAL = 0.2  # [s] between two checks for the service and its settings
 
 
 class PageNode(Node):
-    """Prints the page's address as a line of JSON. Parameters: `host`, `port`, `scene`, `folder` of recordings.
+    """Prints the page's address as a line of JSON.
 
-    Sets the service's lookahead to a step of the current scene, whenever that changes: a user throws faster than a
-    scene does.
+    Everything comes from topics, so the page may start and end while a scene runs. It sets the service's lookahead to a
+    step of the current scene, whenever that changes: a user throws faster than a scene does.
     """
+
+    PARAMETERS = (
+        Declaration("host", "127.0.0.1", "address of the page; 0.0.0.0: open to the network"),
+        Declaration("port", 0, "port of the page; 0: any free one", Range(0, 65535)),
+        Declaration("scene", "plates", "scene that runs when the page starts"),
+        Declaration("folder", "out/play", "folder of recordings"),
+    )
+    INTERFACE = interfaces.PAGE
+    EXAMPLES = ("--ros-args -p port:=8080", "--ros-args -p scene:=vase -r __ns:=/cell")
 
     def __init__(self) -> None:
         super().__init__("page_node")
-        host = declare_fixed(self, "host", "127.0.0.1", "address of the page; 0.0.0.0: open to the network")
-        port = declare_fixed(self, "port", 0, "port of the page; 0: any free one", Range(0, 65535))
-        scene = declare_fixed(self, "scene", "plates", "scene that runs when the page starts")
-        folder = Path(declare_fixed(self, "folder", "out/play", "folder of recordings"))
+        host, port, scene, folder = declare_all(self, self.PARAMETERS).values()
         self._mirror = Mirror(lambda view: self.page.show_inside(view))
-        self._commands = PageCommands(self, folder, self._mirror.want, lambda words: self.page.notify(words))
+        self._commands = PageCommands(self, Path(folder), self._mirror.want, lambda words: self.page.notify(words))
 
         self._run_id = 0
         self._body_of: dict[int, int] = {}  # of each fragment
@@ -95,7 +101,7 @@ class PageNode(Node):
             (qos.FRAGMENT_MESHES, self._on_mesh, qos.FRAGMENT_MESHES.qos, True),
             (qos.FRAGMENT_STATES, self._on_states, LOOKING, True),
             (qos.CONTACT_CONSTRAINTS, self._on_contacts, LOOKING, True),
-            (qos.SIMULATION_STATUS, self._on_status, LOOKING, False),
+            (interfaces.LIVE_STATUS, self._on_status, LOOKING, False),
             (qos.ANSWER_TIMES, self._on_times, LOOKING, False),
             (qos.JOINT_STATES, self._on_joints, LOOKING, False),
         ):
@@ -178,7 +184,7 @@ class PageNode(Node):
         if self._of_this_run(message.run_id):
             self._status = message
             self._mirror.hear_paused(message.paused)
-            self._commands.look_ahead(message.time_step)
+            self._commands.look_ahead(message.time_step_s)
             if message.refused and message.refused != self._refused:
                 self.page.notify(message.refused)
             self._refused = message.refused
@@ -198,14 +204,14 @@ class PageNode(Node):
         status = self._status
         if status is None or not self._of_this_run(message.run_id):
             return
-        self._mirror.hear_times(1e3 * message.collision)
-        beyond = status.round_trip - message.collision - message.update
+        self._mirror.hear_times(1e3 * message.collision_s)
+        beyond = status.round_trip_s - message.collision_s - message.update_s
         self.page.show_figures(
             Figures(
                 time=message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec,
-                collision_ms=1e3 * message.collision,
-                update_ms=1e3 * message.update,
-                solver_ms=1e3 * status.solver,
+                collision_ms=1e3 * message.collision_s,
+                update_ms=1e3 * message.update_s,
+                solver_ms=1e3 * status.solver_s,
                 ros_ms=1e3 * max(beyond, 0.0),
                 contacts=status.contacts,
                 fragments=status.fragments,

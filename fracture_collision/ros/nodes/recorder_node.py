@@ -12,22 +12,20 @@ import sys
 import time
 from collections.abc import Callable
 
-from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
 
 from fracture_collision.bag.reader import EARLIER_SETTINGS, SETTINGS
 from fracture_collision.bag.writer import BagTopic, BagWriter, OfferedQos
 from fracture_collision.ros.nodes.service_settings import ServiceSettings
-from fracture_collision.ros.processes.parameters import declare_fixed
+from fracture_collision.ros.processes.parameters import Declaration, declare_all
 from fracture_collision.ros.processes.process import Fatal, run_node
-from fracture_collision.ros.wire import qos
+from fracture_collision.ros.wire import interfaces, qos
 from fracture_collision.ros.wire.cdr_padding import zero_padding
 from fracture_collision.ros.wire.message_definitions import message_definition, type_hash, type_name
 
-DIAGNOSTICS = qos.Topic("/diagnostics", DiagnosticArray, QoSProfile(depth=10))
-RECORDED = (*qos.TOPICS, DIAGNOSTICS)
+RECORDED = interfaces.RECORDER.subscribes
 
 PROGRESS_INTERVAL = 0.1  # [s]
 FLUSH_INTERVAL = 1.0  # [s]
@@ -38,12 +36,18 @@ _STAMP_OFFSET = 4
 
 
 class RecorderNode(Node):
-    """Parameters: `folder` of the bag to create; `progress`: prints the number of messages by topic to stdout."""
+    """Records until it is stopped; never overwrites a bag."""
+
+    PARAMETERS = (
+        Declaration("folder", "", "folder of the bag; must not exist yet"),
+        Declaration("progress", False, "print JSON lines to stdout: messages by topic"),
+    )
+    INTERFACE = interfaces.RECORDER
+    EXAMPLES = ("--ros-args -p folder:=out/my_bag", "--ros-args -p folder:=out/my_bag -r __ns:=/cell")
 
     def __init__(self) -> None:
         super().__init__("recorder_node")
-        folder = declare_fixed(self, "folder", "", "folder of the bag; must not exist yet")
-        self._tells_progress = declare_fixed(self, "progress", False, "print JSON lines to stdout: messages by topic")
+        folder, self._tells_progress = declare_all(self, self.PARAMETERS).values()
         if not folder:
             raise Fatal("parameter folder: empty; pass the folder of the bag")
         names = {topic.name: self.resolve_topic_name(topic.name) for topic in RECORDED}
@@ -70,7 +74,7 @@ class RecorderNode(Node):
                 self.get_logger().warning(f"{name}: not recorded: {error}", throttle_duration_sec=1.0)
                 return
             self._counts[topic.name] += 1
-            if topic is not DIAGNOSTICS:  # they carry wall clock time, all others simulation time
+            if topic is not qos.DIAGNOSTICS:  # they carry wall clock time, all others simulation time
                 seconds, nanoseconds = _STAMP.unpack_from(data, _STAMP_OFFSET)
                 self._newest_time = max(seconds * 10**9 + nanoseconds, 0)  # bags have no times before the epoch
             self._bag.write(name, clear, self._newest_time)

@@ -8,7 +8,7 @@ import json
 import sys
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from rclpy.executors import Executor
@@ -17,12 +17,13 @@ from rclpy.publisher import Publisher
 
 from fracture_collision.records import ADD, INVALID_STATES, ContactConstraintArray, FragmentRegistry, FragmentStates
 from fracture_collision.ros.fastdds.extras import AcknowledgedPublisher, make_executor, make_neighbours
-from fracture_collision.ros.processes.parameters import Range, declare_fixed
+from fracture_collision.ros.processes.parameters import Declaration, Range, declare_all
 from fracture_collision.ros.processes.process import Fatal, nothing_to_lose, run_node
 from fracture_collision.ros.processes.timing_files import SIMULATOR_COLUMNS
-from fracture_collision.ros.wire import qos
+from fracture_collision.ros.wire import interfaces, qos
 from fracture_collision.ros.wire.cdr_records import deserialize_record, serialize_record
-from fracture_collision.ros.wire.conversion import heading, to_message, to_record
+from fracture_collision.ros.wire.conversion import header_of, heading, to_message, to_record
+from fracture_collision.ros.wire.interfaces import COLLISION_NODE, Interface
 from fracture_collision.simulation.scene.scene import Scene, SceneError, load_scene
 from fracture_collision.simulation.simulation import Simulation, StepReport
 from fracture_collision.simulation.warm_up import compile_kernels
@@ -38,30 +39,36 @@ LOOK_INTERVAL = 0.02  # [s] between two checks for new subscribers and publisher
 PROGRESS_INTERVAL = 0.1  # [s]
 
 
+PARAMETERS = (
+    Declaration("scene", "plates", "name in config/scenes, or the path of a scene file"),
+    Declaration("seed", -1, "seed of the fracture patterns; -1: the scene's own", Range(-1, 2**62)),
+    Declaration("run_id", 0, "run_id of all messages; 0: from scene and seed", Range(0, 2**62)),
+    Declaration("looks_ahead", False, "whether the service's `lookahead` is the scene's time step instead of 0"),
+    Declaration(
+        "wait_for_subscribers", 1, "subscribers of states, and of contacts, before the first step", Range(0, 100)
+    ),
+    Declaration("publish_clock", True, "whether simulation time is published on /clock; one node of a system may"),
+    Declaration("timing_file", "", ".npy file for the times of each step, written at the end; '': none"),
+    Declaration("progress", False, "print one line of JSON to stdout, ten times a second"),
+)
+
+
 class SimulatorNode(Node):
-    """Simulates one scene and ends. Topics: ros/wire/qos.py.
+    """Simulates one scene, as fast as the service answers, and ends. Also the base of live_simulator_node."""
 
-    Parameters: `scene`, `seed`, `run_id`, `looks_ahead`, `wait_for_subscribers`, `timing_file`, `progress`.
-    """
+    PARAMETERS: ClassVar[tuple[Declaration, ...]] = PARAMETERS
+    INTERFACE: ClassVar[Interface] = interfaces.SIMULATOR
+    EXAMPLES: ClassVar[tuple[str, ...]] = (
+        "--ros-args -p scene:=wall -p seed:=7",
+        "--ros-args -p scene:=/home/me/my_scene.yaml -p publish_clock:=false -r __ns:=/cell",
+    )
 
-    def __init__(self) -> None:
-        super().__init__("simulator_node")
-        scene_name = declare_fixed(self, "scene", "plates", "name in config/scenes, or the path of a scene file")
-        seed = declare_fixed(self, "seed", -1, "seed of the fracture patterns; -1: the scene's own", Range(-1, 2**62))
-        run_id = declare_fixed(self, "run_id", 0, "run_id of all messages; 0: from scene and seed", Range(0, 2**62))
-        self._looks_ahead = declare_fixed(
-            self, "looks_ahead", False, "whether the service's `lookahead` is the scene's time step instead of 0"
-        )
-        self._subscribers = declare_fixed(
-            self, "wait_for_subscribers", 1, "subscribers of states, and of contacts, before the first step",
-            Range(0, 100),
-        )  # fmt: skip
-        self._timing_file = declare_fixed(
-            self, "timing_file", "", ".npy file for the times of each step, written at the end; '': none"
-        )
-        self._tells_progress = declare_fixed(
-            self, "progress", False, "print one line of JSON to stdout, ten times a second"
-        )
+    def __init__(self, name: str = interfaces.SIMULATOR_NODE) -> None:
+        super().__init__(name)
+        given = declare_all(self, PARAMETERS)
+        scene_name, seed, run_id = given["scene"], given["seed"], given["run_id"]
+        self._looks_ahead, self._subscribers = given["looks_ahead"], given["wait_for_subscribers"]
+        self._timing_file, self._tells_progress = given["timing_file"], given["progress"]
 
         try:
             scene = load_scene(scene_name)
@@ -74,7 +81,12 @@ class SimulatorNode(Node):
 
         self._bodies, self._events = self._open_log()
         self._neighbours = make_neighbours(self)
-        self._states = AcknowledgedPublisher(self, qos.FRAGMENT_STATES, "collision_node", self._neighbours)
+        self._states = AcknowledgedPublisher(self, qos.FRAGMENT_STATES, (COLLISION_NODE,), self._neighbours)
+        self._time_publisher = (
+            self.create_publisher(qos.CLOCK.message_class, qos.CLOCK.name, qos.CLOCK.qos)
+            if given["publish_clock"]
+            else None
+        )
         self._contacts_topic = self.resolve_topic_name(qos.CONTACT_CONSTRAINTS.name)  # it may be remapped
         for topic, callback, raw in (
             (qos.CONTACT_CONSTRAINTS, self._on_contacts, True),
@@ -127,10 +139,17 @@ class SimulatorNode(Node):
 
     def _step(self, executor: Executor) -> tuple[StepReport, float, float]:
         """Makes one step; returns its report and both times of `_ask`."""
+        self._publish_time()
         request = self._simulation.begin_step()
         self._announce(request.bodies, request.events)
         contacts, registry, acknowledgement, round_trip = self._ask(request.states, executor)
         return self._simulation.finish_step(contacts, registry), acknowledgement, round_trip
+
+    def _publish_time(self) -> None:
+        """Publishes the time that the next messages are stamped with."""
+        if self._time_publisher is not None:
+            stamp = header_of(heading(self._simulation.time)).stamp
+            self._time_publisher.publish(qos.CLOCK.message_class(clock=stamp))
 
     def _await_subscribers(self, executor: Executor) -> None:
         """Waits for `wait_for_subscribers`, then for all participants that are on this machine by then.

@@ -1,10 +1,9 @@
-"""The service's settings as ROS parameters: names and defaults from world.Settings, meaning and range here."""
+"""Parameters of nodes, and the service's settings as such: defaults from world.Settings, meaning and range here."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from difflib import get_close_matches
-from functools import partial
 from typing import Any, NamedTuple
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
@@ -50,10 +49,24 @@ _DESCRIPTIONS: dict[str, tuple[str, Range | None]] = {
 }
 
 
-def declare(
-    node: Node, name: str, default: Any, description: str, limits: Range | None = None, fixed: bool = False
-) -> Any:
-    """Declares a parameter; returns its value. `fixed`: read-only after the start."""
+class Declaration(NamedTuple):
+    """A parameter of a node, for its descriptor and for --help."""
+
+    name: str
+    default: Any
+    description: str
+    limits: Range | None = None
+    fixed: bool = True  # read-only after the start
+
+
+SETTINGS = tuple(
+    Declaration(name, default, *_DESCRIPTIONS[name], fixed=False) for name, default in Settings()._asdict().items()
+)
+
+
+def declare(node: Node, declaration: Declaration) -> Any:
+    """Declares a parameter; returns its value."""
+    name, default, description, limits, fixed = declaration
     descriptor = ParameterDescriptor(description=description, read_only=fixed)
     if limits is not None and isinstance(default, int):
         descriptor.integer_range = [IntegerRange(from_value=int(limits.low), to_value=int(limits.high))]
@@ -64,18 +77,31 @@ def declare(
     return node.declare_parameter(name, default, descriptor).value
 
 
-declare_fixed = partial(declare, fixed=True)
+def declare_all(node: Node, declarations: Iterable[Declaration]) -> dict[str, Any]:
+    """Declares parameters; returns their values by name."""
+    return {declaration.name: declare(node, declaration) for declaration in declarations}
 
 
-def warn_of_unknown(node: Node) -> None:
-    """Warns of parameters of a file or the command line that `node` has not declared, and that rclpy ignores."""
+def unknown_parameters(node: Node) -> list[str]:
+    """Describes parameters of a file or the command line that `node` has not declared, and that rclpy ignores."""
     with node.handle:
         given = node.handle.get_parameters(Parameter)
     declared = list(node.get_parameters_by_prefix(""))
+    described = []
     for name in sorted(given.keys() - set(declared)):
         nearest = get_close_matches(name, declared, n=1)
         advice = f"; did you mean {nearest[0]}?" if nearest else ""
-        node.get_logger().warning(f"parameter {name} is unknown and has no effect{advice}")
+        described.append(f"parameter {name} is unknown and has no effect{advice}")
+    return described
+
+
+def warn_of_unknown(node: Node) -> None:
+    """Logs the parameters that have no effect.
+
+    No rejection: a file for all nodes (`/**`) may well have parameters of others.
+    """
+    for description in unknown_parameters(node):
+        node.get_logger().error(description)
 
 
 class SettingsParameters:
@@ -90,10 +116,7 @@ class SettingsParameters:
 
         Raises rclpy's InvalidParameterValueException or ValueError for a value out of range.
         """
-        values = {}
-        for name, default in Settings()._asdict().items():
-            values[name] = declare(node, name, default, *_DESCRIPTIONS[name])
-        self.current = Settings(**values)
+        self.current = Settings(**declare_all(node, SETTINGS))
         check_settings(self.current)
         self._on_change = on_change
         node.add_on_set_parameters_callback(self._judge)

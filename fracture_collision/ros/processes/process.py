@@ -8,15 +8,13 @@ that raises nothing is installed instead, and a node ends at its next call of rc
 from __future__ import annotations
 
 import faulthandler
-import inspect
 import os
 import signal
 import socket
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from types import FrameType
 from typing import TypeVar
 
@@ -33,6 +31,7 @@ from fracture_collision.ros.fastdds.extras import (
     ports_for_new_node,
     remove_unused_files,
 )
+from fracture_collision.ros.processes.node_help import answer_to, fault_of_arguments, name_of
 from fracture_collision.ros.processes.parameters import warn_of_unknown
 
 AnyNode = TypeVar("AnyNode", bound=Node)
@@ -65,25 +64,6 @@ def nothing_to_lose() -> Iterator[None]:
 def _on_signal(_signal: int, _frame: FrameType | None) -> None:
     if _nothing_to_lose:
         os._exit(0)
-
-
-def _asks_for_help(arguments: Sequence[str]) -> bool:
-    """Ignores --ros-args and what follows."""
-    own = arguments[: arguments.index("--ros-args")] if "--ros-args" in arguments else arguments
-    return "--help" in own or "-h" in own
-
-
-def _help(make_node: Callable[[], Node]) -> str:
-    name = make_node.__module__.rpartition(".")[2]
-    if name == "__main__":
-        name = Path(sys.argv[0]).stem
-    lines = (
-        f"usage: {name} [--ros-args -p NAME:=VALUE ... --params-file FILE -r FROM:=TO ...]",
-        inspect.getdoc(sys.modules[make_node.__module__]) or "",
-        inspect.getdoc(make_node) or "",
-        "`ros2 param list` and `ros2 param describe` show the parameters of a running node.",
-    )
-    return "\n\n".join(lines)
 
 
 def _end_in_time() -> None:
@@ -133,20 +113,29 @@ def _watch_ports(node: Node) -> None:
 def run_node(make_node: Callable[[], AnyNode], work: Callable[[AnyNode], None]) -> int:
     """Runs `work` on a node of the class `make_node`; returns the process's exit status.
 
-    If the arguments request help it prints the docstrings of module and class, and creates no node.
+    If the arguments request help or the version it prints these (node_help.py), and creates no node. Arguments that
+    rclpy would ignore are rejected with status 2.
 
     SIGINT and SIGTERM end it cleanly, with status 0: they are the usual way to stop a node. A process that still runs
     LONGEST_END later ends with status 1, as does one with ports that do not work.
     """
-    if _asks_for_help(sys.argv[1:]):
-        print(_help(make_node))
+    if (answer := answer_to(make_node, sys.argv[1:])) is not None:
+        signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # a pager may end first
+        print(answer)
         return 0
+    if fault := fault_of_arguments(sys.argv[1:]):
+        print(f"{name_of(make_node)}: {fault}", file=sys.stderr)
+        return 2
     for order in (signal.SIGINT, signal.SIGTERM):
         signal.signal(order, _on_signal)
     _watch_signals()
     remove_unused_files()  # of a killed node that this one may replace
     keep_to_this_machine(os.environ)
-    rclpy.init()
+    try:
+        rclpy.init()
+    except (rclpy_implementation.RCLError, rclpy_implementation.UnknownROSArgsError) as error:
+        print(f"{name_of(make_node)}: {error}", file=sys.stderr)
+        return 1
     node = None
     try:
         with ports_for_new_node(rclpy.get_default_context().get_domain_id()):
@@ -162,7 +151,7 @@ def run_node(make_node: Callable[[], AnyNode], work: Callable[[AnyNode], None]) 
             raise
         return 0  # shut down between two calls of rclpy, so that the second failed
     except (Fatal, InvalidParameterTypeException, InvalidParameterValueException) as error:
-        print(f"{node.get_name() if node else 'node'}: {error}", file=sys.stderr)
+        print(f"{node.get_name() if node else name_of(make_node)}: {error}", file=sys.stderr)
         return 1
     finally:
         _end_in_time()

@@ -36,20 +36,20 @@ def arguments() -> list[DeclareLaunchArgument | SetEnvironmentVariable]:
     ]
 
 
-def collision_node(ends_all: bool) -> Node:
-    """The collision service with the requested parameter file. `ends_all`: its end shuts down all nodes."""
-    return node("collision_node", LaunchConfiguration("parameters"), ends_all=ends_all)
+def collision_node() -> Node:
+    """The collision service with the requested parameter file."""
+    return node("collision_node", LaunchConfiguration("parameters"))
 
 
-def node(executable: str, parameters: Any, ends_all: bool = True) -> Node:
-    """A node of this package in the requested namespace. `ends_all`: its end shuts down all nodes."""
+def node(executable: str, parameters: Any) -> Node:
+    """A node of this package in the requested namespace. When it ends, all others end too: none is of use alone."""
     return Node(
         package=PACKAGE,
         executable=executable,
         namespace=LaunchConfiguration("namespace"),
         parameters=[parameters],
         output="screen",
-        on_exit=Shutdown() if ends_all else None,
+        on_exit=Shutdown(),
     )
 
 

@@ -14,7 +14,7 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import NamedTuple
 
-from fracture_collision.ros.wire import qos
+from fracture_collision.ros.wire import interfaces, qos
 
 _SCHEMAS = "http://www.omg.org/spec/DDS-SECURITY/20170901"
 _SCHEMA_LOCATION = "{http://www.w3.org/2001/XMLSchema-instance}noNamespaceSchemaLocation"
@@ -29,11 +29,8 @@ NODE_SERVICES = (
 PARAMETER_EVENTS = "rt/parameter_events"
 NODE_PUBLISHES = ("rt/rosout", PARAMETER_EVENTS, "ros_discovery_info")
 NODE_SUBSCRIBES = ("ros_discovery_info", "rt/clock")  # the clock under use_sim_time
-DIAGNOSTICS = "rt/diagnostics"
 
-_RUN = (qos.BODIES, qos.FRACTURE_EVENTS, qos.FRAGMENT_STATES)
-_RESULTS = (qos.CONTACT_CONSTRAINTS, qos.FRAGMENTS, qos.FRAGMENT_MESHES)
-_SHOWN = (qos.ANSWER_TIMES, qos.MARKERS)
+_SHOWN = (qos.ANSWER_TIMES, qos.MARKERS, qos.CONTACT_POSES, qos.CLOCK)
 
 
 class Role(NamedTuple):
@@ -42,20 +39,19 @@ class Role(NamedTuple):
     enclave: str  # also the name of its node
     publishes: tuple[qos.Topic, ...] = ()
     subscribes: tuple[qos.Topic, ...] = ()
-    also_publishes: tuple[str, ...] = ()  # DDS names
-    also_subscribes: tuple[str, ...] = ()
+    also_subscribes: tuple[str, ...] = ()  # DDS names
     calls: tuple[str, ...] = ()  # of collision_node's NODE_SERVICES
 
 
 ROLES = (
-    Role("collision_node", publishes=(*_RESULTS, *_SHOWN), subscribes=_RUN, also_publishes=(DIAGNOSTICS,)),
-    Role("simulator_node", publishes=_RUN, subscribes=(qos.CONTACT_CONSTRAINTS, qos.FRAGMENTS)),
+    Role("collision_node", interfaces.COLLISION.publishes, interfaces.COLLISION.subscribes),
+    Role("simulator_node", interfaces.SIMULATOR.publishes, interfaces.SIMULATOR.subscribes),
     Role(
-        "recorder_node", subscribes=qos.TOPICS, also_subscribes=(DIAGNOSTICS, PARAMETER_EVENTS),
+        "recorder_node", subscribes=interfaces.RECORDER.subscribes, also_subscribes=(PARAMETER_EVENTS,),
         calls=("get_parameters",),
     ),
     Role(
-        "viewer", subscribes=(*qos.TOPICS, *_SHOWN), also_subscribes=(DIAGNOSTICS, PARAMETER_EVENTS),
+        "viewer", subscribes=(*qos.TOPICS, qos.DIAGNOSTICS, *_SHOWN), also_subscribes=(PARAMETER_EVENTS,),
         calls=NODE_SERVICES,
     ),
 )
@@ -72,7 +68,7 @@ def dds_names(role: Role, namespace: str = "") -> DdsNames:
     """DDS topics that a node of the role in `namespace` writes and reads."""
     publishes = [_topic(topic, namespace) for topic in role.publishes]
     subscribes = [_topic(topic, namespace) for topic in role.subscribes]
-    publishes += [*role.also_publishes, *NODE_PUBLISHES]
+    publishes += NODE_PUBLISHES
     subscribes += [*role.also_subscribes, *NODE_SUBSCRIBES]
     requests, replies = _service_topics(role.enclave, namespace, NODE_SERVICES)
     publishes += replies
@@ -137,7 +133,7 @@ def write_files(folder: Path, namespace: str = "", domain_id: int = 0, encrypt: 
 
 
 def _topic(topic: qos.Topic, namespace: str) -> str:
-    return f"rt{namespace}/{topic.name}"
+    return f"rt{topic.name}" if topic.name.startswith("/") else f"rt{namespace}/{topic.name}"
 
 
 def _service_topics(node: str, namespace: str, services: tuple[str, ...]) -> tuple[list[str], list[str]]:

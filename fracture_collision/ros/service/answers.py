@@ -1,6 +1,6 @@
 """What the service publishes for states: their contacts and, if it has changed, the registry.
 
-While there are subscribers, it also publishes surfaces of fragments, markers and times.
+While there are subscribers, it also publishes surfaces of fragments, markers, contact poses and times.
 """
 
 from __future__ import annotations
@@ -14,15 +14,19 @@ from rclpy.node import Node
 from fracture_collision.cdr import Heading
 from fracture_collision.records import ADD, CollisionBody, ContactConstraintArray, FragmentStates, refusal_of
 from fracture_collision.ros.fastdds.extras import AcknowledgedPublisher, Neighbours
-from fracture_collision.ros.processes.parameters import declare_fixed
+from fracture_collision.ros.processes.parameters import Declaration, declare
 from fracture_collision.ros.processes.process import Fatal
 from fracture_collision.ros.processes.timing_files import SERVICE_COLUMNS, RowFile
 from fracture_collision.ros.service.collision_run import CollisionRun
 from fracture_collision.ros.service.diagnostics import AnswerTimes
-from fracture_collision.ros.wire import qos
+from fracture_collision.ros.wire import interfaces, qos
 from fracture_collision.ros.wire.cdr_records import serialize_record
+from fracture_collision.ros.wire.contact_poses import serialize_contact_poses
 from fracture_collision.ros.wire.conversion import header_of, to_message
 from fracture_collision.ros.wire.markers import MarkersPublisher
+
+TIMING_FILE = Declaration("timing_file", "", ".npy file for the times of each answer; '': none")
+SIMULATORS = (interfaces.SIMULATOR_NODE, interfaces.LIVE_SIMULATOR_NODE)
 
 
 class Answers:
@@ -31,7 +35,7 @@ class Answers:
     def __init__(self, node: Node, neighbours: Neighbours) -> None:
         self._node = node
         self._neighbours = neighbours
-        timing_file = declare_fixed(node, "timing_file", "", ".npy file for the times of each answer; '': none")
+        timing_file = declare(node, TIMING_FILE)
         self._rows = _row_file(timing_file) if timing_file else None
         self._registry_version: tuple[int, int, int, int] | None = None
         self._meshes_published: set[int] = set()
@@ -39,12 +43,14 @@ class Answers:
         self.times = AnswerTimes()
         self.last = "no answer yet"
 
-        self._contacts = AcknowledgedPublisher(node, qos.CONTACT_CONSTRAINTS, "simulator_node", neighbours)
-        self._fragments = AcknowledgedPublisher(node, qos.FRAGMENTS, "simulator_node", neighbours)
+        self._contacts = AcknowledgedPublisher(node, qos.CONTACT_CONSTRAINTS, SIMULATORS, neighbours)
+        self._fragments = AcknowledgedPublisher(node, qos.FRAGMENTS, SIMULATORS, neighbours)
         self._meshes = AcknowledgedPublisher(node, qos.FRAGMENT_MESHES, neighbours=neighbours)
         self._markers = MarkersPublisher(node)
-        topic = qos.ANSWER_TIMES
-        self._answer_times = node.create_publisher(topic.message_class, topic.name, topic.qos)
+        self._answer_times, self._poses = (
+            node.create_publisher(topic.message_class, topic.name, topic.qos)
+            for topic in (qos.ANSWER_TIMES, qos.CONTACT_POSES)
+        )
 
     @property
     def overtaken(self) -> int:
@@ -88,6 +94,8 @@ class Answers:
         self.last = f"the answer to step {states.step} of run {run.run_id}"
         self._tell_times(run, heading, states, parts)
         self._publish_meshes(run, heading)
+        if self._poses.get_subscription_count():
+            self._poses.publish(serialize_contact_poses(contacts, heading))
         self._markers.after_answer(run.world, heading, states, contacts)
 
     def _publish_registry(self, run: CollisionRun, heading: Heading, fracture_sequence: int) -> None:
@@ -103,8 +111,8 @@ class Answers:
         update, conversion = parts["update"], parts["conversion and publishing"]
         if self._answer_times.get_subscription_count():
             told = qos.ANSWER_TIMES.message_class(
-                header=header_of(heading), run_id=run.run_id, step=states.step, collision=collision, update=update,
-                conversion=conversion, visits=visits,
+                header=header_of(heading), run_id=run.run_id, step=states.step, collision_s=collision, update_s=update,
+                conversion_s=conversion, visits=visits,
             )  # fmt: skip
             self._answer_times.publish(told)
         if self._rows is not None:

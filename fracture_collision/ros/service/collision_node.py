@@ -12,20 +12,20 @@ import sys
 import time
 
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
 from fracture_collision.cdr import Received
 from fracture_collision.ros.fastdds.extras import age_of, make_executor, make_neighbours
-from fracture_collision.ros.processes.parameters import SettingsParameters
+from fracture_collision.ros.processes.parameters import SETTINGS, SettingsParameters, unknown_parameters
 from fracture_collision.ros.processes.process import Fatal, nothing_to_lose, run_node
-from fracture_collision.ros.service.answers import Answers
+from fracture_collision.ros.service.answers import TIMING_FILE, Answers
 from fracture_collision.ros.service.collision_run import CollisionRun, Refusal
 from fracture_collision.ros.service.diagnostics import RefusalCounts, diagnostic_array, settings_status, status
-from fracture_collision.ros.service.incoming import Incoming
-from fracture_collision.ros.wire import qos
+from fracture_collision.ros.service.incoming import ALLOW_TAKEOVER, Incoming
+from fracture_collision.ros.wire import interfaces, qos
 from fracture_collision.world import InvalidMessage, Settings
 from fracture_collision.world.warm_up import cache_is_cold, compile_kernels
 
@@ -35,10 +35,17 @@ LOG_PAUSES = (2, 4, 8, 16, 32, 64, 128)
 
 
 class CollisionNode(Node):
-    """Parameters: those of world.Settings, `allow_takeover` and `timing_file`. Topics: ros/wire/qos.py."""
+    """Answers each FragmentStates with one ContactConstraintArray of the same step."""
+
+    PARAMETERS = (*SETTINGS, ALLOW_TAKEOVER, TIMING_FILE)
+    INTERFACE = interfaces.COLLISION
+    EXAMPLES = (
+        "--ros-args -p penetration_tolerance:=0.001 -p contacts_per_pair:=16",
+        "--ros-args --params-file config/collision.yaml -r __ns:=/cell",
+    )
 
     def __init__(self) -> None:
-        super().__init__("collision_node")
+        super().__init__(interfaces.COLLISION_NODE)
         try:
             self._changeable = SettingsParameters(self, self._on_new_settings)
         except ValueError as error:
@@ -51,6 +58,7 @@ class CollisionNode(Node):
         self._replaced_states = 0  # held ones that newer ones replaced
         self._refusals = RefusalCounts()
         self._settings_since = "the start"
+        self._without_effect: list[str] = []  # parameters, described
 
         self._neighbours = make_neighbours(self)
         self._incoming = Incoming(
@@ -67,7 +75,9 @@ class CollisionNode(Node):
             self._on_unreadable_event,
         )
         self._answers = Answers(self, self._neighbours)
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._diagnostics = self.create_publisher(
+            qos.DIAGNOSTICS.message_class, qos.DIAGNOSTICS.name, qos.DIAGNOSTICS.qos
+        )
         # Not the node's clock: under use_sim_time it stands still until /clock is published.
         self.create_timer(1.0, self._every_second, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
@@ -82,6 +92,7 @@ class CollisionNode(Node):
 
         A simulator that waits for these subscriptions sends no states in vain.
         """
+        self._without_effect = unknown_parameters(self)
         doing = "loading kernels"
         if cache_is_cold():
             doing = "compiling kernels (cold cache, one to two minutes)"
@@ -253,7 +264,7 @@ class CollisionNode(Node):
                 self,
                 status("answers", level, message, values | self._answers.times.values()),
                 self._refusals.status(),
-                settings_status(self._settings, self._settings_since),
+                settings_status(self._settings, self._settings_since, self._without_effect),
             )
         )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from statistics import median
 from typing import Any
 
@@ -73,9 +73,13 @@ class AnswerTimes:
         return said
 
 
-def settings_status(settings: Settings, since: str) -> DiagnosticStatus:
-    """The current settings: with these and the messages a recording has all that its answers depend on."""
-    return status("settings", DiagnosticStatus.OK, f"since {since}", settings._asdict())
+def settings_status(settings: Settings, since: str, without_effect: Sequence[str]) -> DiagnosticStatus:
+    """The current settings: with these and the messages a recording has all that its answers depend on.
+
+    WARN if parameters were given `without_effect`, each described in words.
+    """
+    level = DiagnosticStatus.WARN if without_effect else DiagnosticStatus.OK
+    return status("settings", level, "; ".join((f"since {since}", *without_effect)), settings._asdict())
 
 
 def status(name: str, level: bytes, message: str, values: Mapping[str, Any]) -> DiagnosticStatus:

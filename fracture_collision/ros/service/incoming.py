@@ -11,7 +11,7 @@ from rclpy.subscription import Subscription
 
 from fracture_collision.cdr import Received
 from fracture_collision.ros.fastdds.extras import Neighbours, Origin, origin_of, participant_of
-from fracture_collision.ros.processes.parameters import declare
+from fracture_collision.ros.processes.parameters import Declaration, declare
 from fracture_collision.ros.service.collision_run import Refusal
 from fracture_collision.ros.service.run_guard import RunGuard, Verdict
 from fracture_collision.ros.wire import qos
@@ -19,6 +19,10 @@ from fracture_collision.ros.wire.cdr_records import deserialize_record, place_of
 
 LOG = (qos.BODIES, qos.FRACTURE_EVENTS)  # a run can be rebuilt from these
 TOPICS = (*LOG, qos.FRAGMENT_STATES)
+ALLOW_TAKEOVER = Declaration(
+    "allow_takeover", False,
+    "true: follow another publisher's run at once; false: only when the followed publisher is gone", fixed=False,
+)  # fmt: skip
 
 
 class Incoming:
@@ -56,10 +60,7 @@ class Incoming:
         self._asked_in_vain: tuple[Origin, Received] | None = None  # the newest states of another publisher
         self._states_from: Origin | None = None  # the newest states of the followed publisher
         self.dropped_states = 0
-        declare(
-            node, "allow_takeover", False,
-            "true: follow another publisher's run at once; false: only when the followed publisher is gone",
-        )  # fmt: skip
+        declare(node, ALLOW_TAKEOVER)
 
     def listen(self) -> None:
         """Subscribes to TOPICS."""

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from geometry_msgs.msg import Twist
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseArray, Twist
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
+from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
 from fracture_collision.msg import (
@@ -21,6 +24,11 @@ from fracture_collision.msg import (
     SimulationStatus,
     ThrowBall,
 )
+
+try:
+    from tf2_msgs.msg import TFMessage
+except ImportError:  # not among the ROS wheels; `pip install` builds it from vendor/
+    TFMessage = None
 
 # Every message ever sent, for late joiners too: a restarted service rebuilds the whole run from these. "Every" ends at
 # 5000 messages a topic, which a Fast DDS publisher keeps unless a profile allows more (max_samples): a later joiner
@@ -51,34 +59,50 @@ EACH_STEP = QoSProfile(
 class Topic(NamedTuple):
     """A topic with its type and its quality of service."""
 
-    name: str  # relative to the node's namespace
+    name: str  # relative to the node's namespace; ~/NAME: to the node's own, private one; /NAME: absolute
     message_class: Any
     qos: QoSProfile  # as offered by its publisher
+    description: str  # for --help
 
 
-BODIES = Topic("bodies", CollisionBody, LATCHED)
-FRACTURE_EVENTS = Topic("fracture_events", FractureEvent, LATCHED)
-FRAGMENT_STATES = Topic("fragment_states", FragmentStates, EACH_STEP)
-CONTACT_CONSTRAINTS = Topic("contact_constraints", ContactConstraintArray, EACH_STEP)
-FRAGMENTS = Topic("fragments", FragmentRegistry, LATCHED_NEWEST)
-FRAGMENT_MESHES = Topic("fragment_meshes", FragmentMesh, LATCHED)
+BODIES = Topic("bodies", CollisionBody, LATCHED, "bodies as they are before anything breaks")
+FRACTURE_EVENTS = Topic("fracture_events", FractureEvent, LATCHED, "fragments that break")
+FRAGMENT_STATES = Topic("fragment_states", FragmentStates, EACH_STEP, "poses and velocities at one step")
+CONTACT_CONSTRAINTS = Topic("contact_constraints", ContactConstraintArray, EACH_STEP, "contacts of these states")
+FRAGMENTS = Topic("fragments", FragmentRegistry, LATCHED_NEWEST, "all living fragments: masses, inertias")
+FRAGMENT_MESHES = Topic("fragment_meshes", FragmentMesh, LATCHED, "surfaces, made while subscribed to")
 
 # For RViz and Foxglove (ros/wire/markers.py): for late joiners the last message.
-MARKERS = Topic("markers", MarkerArray, LATCHED_NEWEST)
+MARKERS = Topic("markers", MarkerArray, LATCHED_NEWEST, "surfaces and contacts to look at")
+# For PlotJuggler and Foxglove (ros/wire/contact_poses.py).
+CONTACT_POSES = Topic("contact_poses", PoseArray, EACH_STEP, "a pose per contact, z along its normal")
+ANSWER_TIMES = Topic("answer_times", AnswerTimes, EACH_STEP, "times of one answer")
+DIAGNOSTICS = Topic("/diagnostics", DiagnosticArray, QoSProfile(depth=10), "state, times, counts, rejections; 1 Hz")
+
+# Simulation time, for nodes with use_sim_time. rclcpp and rclpy subscribe best-effort, `ros2 topic echo` may not.
+CLOCK = Topic("/clock", Clock, EACH_STEP, "simulation time")
 
 # Inputs and outputs of a live scene (live_simulator_node.py). Of velocities and hand targets only the newest counts, of
-# balls all.
+# balls all. Topics of standard tools are relative, those that only this node has are private.
 COMMANDS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
-THROW_BALL = Topic("throw_ball", ThrowBall, COMMANDS)
-HAND_TARGET = Topic("hand_target", HandTarget, EACH_STEP)
-CMD_VEL = Topic("cmd_vel", Twist, EACH_STEP)
+THROW_BALL = Topic("~/throw_ball", ThrowBall, COMMANDS, "a ball to throw into the scene")
+HAND_TARGET = Topic("~/hand_target", HandTarget, EACH_STEP, "a hand that drags a fragment")
+SIMULATION_STATUS = Topic("~/status", SimulationStatus, EACH_STEP, "step, times, rate, last rejected command")
+CMD_VEL = Topic("cmd_vel", Twist, EACH_STEP, "velocity of the hammer: linear, world axes")
 # Of an arm: target and actual positions of its joints; only `name` and `position` of a command count.
-JOINT_COMMANDS = Topic("joint_commands", JointState, COMMANDS)
-JOINT_STATES = Topic("joint_states", JointState, EACH_STEP)
-SIMULATION_STATUS = Topic("simulation_status", SimulationStatus, EACH_STEP)
-ANSWER_TIMES = Topic("answer_times", AnswerTimes, EACH_STEP)
+JOINT_COMMANDS = Topic("joint_commands", JointState, COMMANDS, "target angles of the arm's joints")
+JOINT_STATES = Topic("joint_states", JointState, EACH_STEP, "angles and speeds of the arm's joints")
+# QoS as of robot_state_publisher and of tf2_ros's broadcasters.
+ROBOT_DESCRIPTION = Topic("robot_description", String, LATCHED_NEWEST, "the arm as URDF")
+TF = Topic("/tf", TFMessage, QoSProfile(depth=100), "frames of the arm's links, each in that of the link before")
+TF_STATIC = Topic("/tf_static", TFMessage, LATCHED_NEWEST, "frame of the arm's foot in the world")
 
 TOPICS = (BODIES, FRACTURE_EVENTS, FRAGMENT_STATES, CONTACT_CONSTRAINTS, FRAGMENTS, FRAGMENT_MESHES)
+
+
+def of_node(topic: Topic, node: str) -> Topic:
+    """A private topic of `node`, as named by another node of the same namespace."""
+    return topic._replace(name=topic.name.replace("~", node, 1))
 
 
 def recording(qos: QoSProfile) -> QoSProfile:

@@ -17,7 +17,7 @@ from fracture_collision.share import share_directory
 from fracture_collision.simulation.actors.hand import rows_of_file
 from fracture_collision.simulation.config.scene_fields import Fields, SceneError, quoted
 from fracture_collision.simulation.config.shapes import Shape
-from fracture_collision.simulation.config.urdf_chain import JointLimits, link_frames, read_chain
+from fracture_collision.simulation.config.urdf_chain import JointLimits, joint_turns, link_frames, read_chain
 from fracture_collision.simulation.rotations import DEGREE, from_euler_angles, rotation_matrices, turned
 
 URDF = Path("config", "robots", "lbr_iiwa.urdf")
@@ -99,7 +99,7 @@ class ArmKinematics:
 
     def __init__(self, position: np.ndarray, orientation: np.ndarray) -> None:
         self._position, self._orientation = position, orientation
-        self._chain = read_chain(share_directory() / URDF)
+        self._chain = read_chain(_file())
         self._links = np.array([part.link - 1 for part in MOVING])
         self._centers = np.array([part.center for part in MOVING])
 
@@ -107,6 +107,15 @@ class ArmKinematics:
     def limits(self) -> JointLimits:
         """Names and limits of the joints, in their order."""
         return self._chain.limits
+
+    @property
+    def links(self) -> tuple[str, ...]:
+        """Names of the links, from the foot, which does not move."""
+        return self._chain.links
+
+    def transforms(self, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Origins (7, 3) [m] and orientations (7, 4) of the links that move, each in the frame of the link before."""
+        return self._chain.places, joint_turns(self._chain, angles)
 
     def places(self, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Centres (n, 3) [m] and orientations (n, 4) of the parts that move, in their order; world frame."""
@@ -118,6 +127,11 @@ class ArmKinematics:
 def joint_limits() -> JointLimits:
     """Joint limits, independent of the arm's pose."""
     return ArmKinematics(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])).limits
+
+
+def robot_description() -> str:
+    """The arm's URDF; it has no meshes, so any machine can show it."""
+    return _file().read_text()
 
 
 def parse_arm(fields: Fields, folder: Path | None) -> Arm:
@@ -144,6 +158,10 @@ def require_within(limits: JointLimits, angles: Sequence[float] | np.ndarray) ->
     for name, angle, lower, upper in zip(limits.names, angles, limits.lower, limits.upper, strict=True):
         if not lower <= angle <= upper:
             raise ValueError(f"{name}: {angle:.4g} rad is not between {lower:.4g} and {upper:.4g} rad")
+
+
+def _file() -> Path:
+    return share_directory() / URDF
 
 
 def _rows(swing: list, path: str) -> np.ndarray:

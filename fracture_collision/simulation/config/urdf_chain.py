@@ -1,4 +1,4 @@
-"""A chain of revolute joints from a URDF file, and the frames of its links for given joint angles.
+"""A URDF file: its chain of revolute joints, the frames of its links for given joint angles, its text for others.
 
 Forward kinematics: the frame of link j is that of link j - 1, moved by the joint's `origin` and turned about its
 `axis` by the joint's angle (REP-103 axes; URDF's rpy are rotations about fixed x, y, z axes in this order).
@@ -29,6 +29,7 @@ class Chain(NamedTuple):
     """k revolute joints, each at the end of the previous link."""
 
     limits: JointLimits
+    links: tuple[str, ...]  # k + 1 names, from the base link
     places: np.ndarray  # (k, 3) [m], of the joint in the frame of the previous link
     turns: np.ndarray  # (k, 4) unit quaternions x y z w, likewise
     axes: np.ndarray  # (k, 3) unit, in the joint's frame
@@ -48,6 +49,7 @@ def read_chain(file: Path) -> Chain:
     axes = np.array([_numbers(joint, "axis", "xyz") for joint in joints])
     return Chain(
         limits,
+        (_attribute(joints[0], "parent", "link"), *(_attribute(joint, "child", "link") for joint in joints)),
         np.array([_numbers(joint, "origin", "xyz") for joint in joints]),
         np.array([from_euler_angles(_numbers(joint, "origin", "rpy")) for joint in joints]),
         axes / lengths(axes)[:, None],
@@ -59,14 +61,19 @@ def link_frames(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Origins (k, 3) [m] and orientations (k, 4) of the links after each joint, given the base link's frame."""
     origins, orientations = np.empty_like(chain.places), np.empty_like(chain.turns)
-    half = 0.5 * np.asarray(angles)
-    about = np.column_stack((sine(half)[:, None] * chain.axes, cosine(half)))
-    local = quaternion_products(chain.turns, about)
+    local = joint_turns(chain, angles)
     for j in range(len(angles)):
         position = position + turned_by(orientation, chain.places[j])
         orientation = quaternion_products(orientation[None], local[j : j + 1])[0]
         origins[j], orientations[j] = position, orientation
     return origins, orientations
+
+
+def joint_turns(chain: Chain, angles: np.ndarray) -> np.ndarray:
+    """Orientations (k, 4) of the links after each joint, in the frame of the link before it."""
+    half = 0.5 * np.asarray(angles)
+    about = np.column_stack((sine(half)[:, None] * chain.axes, cosine(half)))
+    return quaternion_products(chain.turns, about)
 
 
 def _numbers(joint: ElementTree.Element, tag: str, key: str) -> np.ndarray:
