@@ -10,7 +10,8 @@ from typing import Any
 TRIED_WITH = "0.68."
 
 if version("numba").startswith(TRIED_WITH):
-    from fracture_collision.core.memory.kernel_cache import KernelCache, WithoutLiterals, njit
+    from fracture_collision.core.memory.callees import keep_callees_from_python
+    from fracture_collision.core.memory.kernel_cache import ForKernels, KernelCache, njit
 else:
     from numba import njit
 
@@ -26,7 +27,8 @@ def _cached(**options: Any) -> Callable[[Callable], Any]:
         dispatcher = compiled(function)
         if dispatcher is not function:  # they are the same under NUMBA_DISABLE_JIT
             dispatcher._cache = KernelCache(function)  # replaces the cache that cache=True would set
-            dispatcher.get_call_template = WithoutLiterals(dispatcher.get_call_template)
+            dispatcher.get_call_template = ForKernels(dispatcher)
+            keep_callees_from_python(dispatcher)
         return dispatcher
 
     return decorate

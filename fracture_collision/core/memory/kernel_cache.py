@@ -12,7 +12,7 @@ test_core_kernel_cache.py detects where it no longer fits.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -36,15 +36,26 @@ with _not_to_be_imported("scipy", "coverage"):
     from numba import njit, types
     from numba.core.caching import FunctionCache
     from numba.core.codegen import JITCodeLibrary
+    from numba.core.environment import lookup_environment
     from numba.core.runtime import _nrt_python as runtime
 
-__all__ = ["KernelCache", "WithoutLiterals", "njit"]
+    from fracture_collision.core.memory.callees import (
+        compiled_as_callee,
+        is_callee,
+        left_to_link,
+        rebuilt,
+        reduced,
+    )
+
+__all__ = ["ForKernels", "KernelCache", "njit"]
 
 _WRAPPER = "_ZN7cpython"  # prefix of the functions that Python calls; every cached kernel has one
 
 
 class KernelCache(FunctionCache):
-    """The cache of one kernel, in numba's own files."""
+    """The cache of one kernel, in numba's own files; what other kernels call has keys of its own."""
+
+    of_callees = False  # whether the code for other kernels is meant
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """As in FunctionCache, without target_context.refresh(), which numba's compiler calls itself."""
@@ -58,19 +69,39 @@ class KernelCache(FunctionCache):
             return self._load_overload(sig, target_context)
 
 
-class WithoutLiterals:
-    """Resolves a call from one kernel to another by the types of its arguments, not their values.
+    def _load_overload(self, sig: Any, target_context: Any) -> Any:
+        if not self.of_callees:
+            return super()._load_overload(sig, target_context)
+        parts = self._cache_file.load(self._index_key(sig, target_context.codegen()))
+        return None if parts is None else rebuilt(target_context, parts)
+
+    def _save_overload(self, sig: Any, data: Any) -> None:
+        if not is_callee(data):
+            super()._save_overload(sig, data)
+        elif self._impl.check_cachable(data):
+            self._impl.locator.ensure_cache_path()
+            self._cache_file.save(self._index_key(sig, data.codegen), reduced(data))
+
+    def _index_key(self, sig: Any, codegen: Any) -> tuple:
+        return (*super()._index_key(sig, codegen), self.of_callees)
+
+
+class ForKernels:
+    """Resolves a call from one kernel to another, by the types of its arguments, not their values.
+
+    The other is compiled as a callee (callees.py).
 
     Where an argument is a constant, or a variable that begins as one, numba would compile the kernel for that value,
     too: code that is rarely used and took a third of the build time.
     """
 
-    def __init__(self, resolve: Callable) -> None:
-        self._resolve = resolve
+    def __init__(self, dispatcher: Any) -> None:
+        self._dispatcher, self._resolve = dispatcher, dispatcher.get_call_template
 
     def __call__(self, args: tuple, kws: dict) -> Any:
         """Signature of a call with positional types `args` and keyword types `kws`, literal types made general."""
-        return self._resolve(tuple(map(_general, args)), {name: _general(kind) for name, kind in kws.items()})
+        with compiled_as_callee(self._dispatcher):
+            return self._resolve(tuple(map(_general, args)), {name: _general(kind) for name, kind in kws.items()})
 
 
 def _general(kind: Any) -> Any:
@@ -79,10 +110,21 @@ def _general(kind: Any) -> Any:
 
 
 class _Library(JITCodeLibrary):
-    """A library that parses its bitcode only when another is linked with it."""
+    """A library that parses its bitcode only when another is linked with it, and links what callees left to link."""
 
     _bitcode = b""  # not parsed yet
     _module: Any = None
+
+    def add_linking_library(self, library: Any) -> None:
+        super().add_linking_library(library)
+        self._linking_libraries += left_to_link(library)
+
+    def finalize(self) -> None:
+        super().finalize()
+        for variable in self._final_module.global_variables:  # the environments of callees are in this library only
+            environment = lookup_environment(variable.name)
+            if environment is not None and not variable.is_declaration:
+                self._codegen.set_env(variable.name, environment)
 
     @classmethod
     def _unserialize(cls, codegen: Any, state: tuple[str, str, Any]) -> JITCodeLibrary:

@@ -1,0 +1,155 @@
+"""Compiles a kernel that another kernel calls without machine code of its own.
+
+numba makes every compiled function callable from Python: a wrapper that unpacks all arguments (a kernel's pools are
+several hundred arrays), optimized code that contains all it calls, machine code. A kernel that another one calls needs
+none of that: its code is linked into the caller and optimized there. Two thirds of the compile time were spent on code
+that nothing ran.
+
+A kernel compiled as a callee keeps its own LLVM module and the list of those it calls. What is called from Python links
+all of them and optimizes once. If Python calls a kernel that was compiled as a callee, it is compiled again, as usual.
+
+This relies on numba internals: kernel_cache.py uses it, only with the versions it was tested with.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from llvmlite import binding as llvm
+from numba.core import compiler
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler_lock import global_compiler_lock
+from numba.core.compiler_machinery import register_pass
+from numba.core.typed_passes import NativeLowering
+
+
+class CallableFromKernels:
+    """What numba finds a callee by, in place of a function that Python can call."""
+
+
+class UnlinkedLibrary(JITCodeLibrary):
+    """The code of one function, neither linked with what it calls nor optimized as a whole."""
+
+    def finalize(self) -> None:
+        """Nothing is added to the execution engine."""
+        self._raise_if_finalized()
+        self._finalize_dynamic_globals()
+        self._finalized = True
+
+    def add_linking_library(self, library: Any) -> None:
+        """Also what that library left for its callers to link."""
+        super().add_linking_library(library)
+        self._linking_libraries += left_to_link(library)
+
+    def as_bitcode(self) -> bytes:
+        """The function and all it calls."""
+        module = self._get_module_for_linking().clone()
+        for library in dict.fromkeys(self._linking_libraries):
+            module.link_in(library._get_module_for_linking(), preserve=True)
+        return module.as_bitcode()
+
+    @classmethod
+    def from_bitcode(cls, codegen: Any, name: str, bitcode: bytes) -> UnlinkedLibrary:
+        """The library of which `as_bitcode` was stored."""
+        self = cls(codegen, name)
+        self._final_module = self._shared_module = llvm.parse_bitcode(bitcode)
+        self._finalized = True
+        return self
+
+
+def left_to_link(library: Any) -> list[Any]:
+    """The libraries that a caller of this one must link besides."""
+    return library._linking_libraries if isinstance(library, UnlinkedLibrary) else []
+
+
+@register_pass(mutates_CFG=True, analysis_only=False)
+class CalleeLowering(NativeLowering):
+    """Lowers into an UnlinkedLibrary, without wrappers."""
+
+    _name = "callee_lowering"
+
+    def run_pass(self, state: Any) -> bool:
+        """As numba's, up to the execution."""
+        flags = state.flags
+        flags.no_cpython_wrapper = flags.no_cfunc_wrapper = flags.no_compile = True
+        state.library = UnlinkedLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
+        super().run_pass(state)
+        state.library.finalize()
+        key = CallableFromKernels()
+        state.targetctx.insert_user_function(key, state["cr"].fndesc, [state.library])
+        state.reload_init.extend(state.library._reload_init)
+        state["cr"] = state["cr"]._replace(cfunc=key)
+        return True
+
+
+class CalleeCompiler(compiler.Compiler):
+    """numba's compiler, with CalleeLowering."""
+
+    def define_pipelines(self) -> list[Any]:
+        """As numba's, with one pass replaced."""
+        managers = super().define_pipelines()
+        for manager in managers:
+            manager.passes = [
+                (CalleeLowering if each is NativeLowering else each, words) for each, words in manager.passes
+            ]
+        return managers
+
+
+def is_callee(result: Any) -> bool:
+    """Whether a CompileResult is one of a callee."""
+    return isinstance(result.entry_point, CallableFromKernels)
+
+
+def reduced(result: Any) -> tuple:
+    """A callee's CompileResult in parts that can be stored."""
+    descriptor = result.fndesc
+    descriptor.typemap = descriptor.calltypes = None  # not needed, and perhaps not storable
+    library = result.library
+    return library.name, library.as_bitcode(), descriptor, result.environment, result.signature, result.reload_init
+
+
+def rebuilt(target_context: Any, parts: tuple) -> Any:
+    """The CompileResult of which the parts were stored."""
+    name, bitcode, descriptor, environment, signature, reload_init = parts
+    for function in reload_init:
+        function()
+    return compiler.compile_result(
+        typing_context=target_context.typing_context, target_context=target_context, entry_point=CallableFromKernels(),
+        library=UnlinkedLibrary.from_bitcode(target_context.codegen(), name, bitcode), fndesc=descriptor,
+        environment=environment, signature=signature, reload_init=reload_init, objectmode=False, lifted=(),
+        type_annotation="", referenced_envs=(),
+    )  # fmt: skip
+
+
+@contextmanager
+def compiled_as_callee(dispatcher: Any) -> Iterator[None]:
+    """Within, numba compiles the dispatcher's function for other kernels only, or loads it so."""
+    before, dispatcher._compiler.pipeline_class = dispatcher._compiler.pipeline_class, CalleeCompiler
+    dispatcher._cache.of_callees = True
+    try:
+        yield
+    finally:
+        dispatcher._cache.of_callees = False
+        dispatcher._compiler.pipeline_class = before
+
+
+def keep_callees_from_python(dispatcher: Any) -> None:
+    """Make a call from Python compile the kernel as usual, where it is there as a callee only."""
+    add, compile_for = dispatcher.add_overload, dispatcher._compile_for_args
+
+    def add_overload(result: Any) -> None:
+        if is_callee(result):
+            dispatcher.overloads[tuple(result.signature.args)] = result
+        else:
+            add(result)
+
+    def compile_for_args(*args: Any, **named: Any) -> Callable:
+        with global_compiler_lock:
+            for signature, result in list(dispatcher.overloads.items()):
+                if is_callee(result):
+                    del dispatcher.overloads[signature]
+        return compile_for(*args, **named)
+
+    dispatcher.add_overload, dispatcher._compile_for_args = add_overload, compile_for_args
