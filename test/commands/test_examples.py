@@ -17,9 +17,9 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 PATIENCE = 120.0  # [s]
 
 
-def test_the_subscriber_in_the_readme_is_the_example() -> None:
+def test_the_subscriber_in_the_documents_is_the_example() -> None:
     code = (EXAMPLES / "deepest_contact.py").read_text().split('"""\n\n', 1)[1]
-    assert code in (EXAMPLES.parent / "README.md").read_text()
+    assert code in (EXAMPLES.parent / "docs" / "ros.md").read_text()
 
 
 @pytest.mark.parametrize("order", [signal.SIGINT, signal.SIGTERM])
