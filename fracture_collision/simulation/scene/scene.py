@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from fracture_collision.fracture.pattern import PatternSettings
 from fracture_collision.geometry.generators import TetGeometry
 from fracture_collision.share import share_directory
 from fracture_collision.simulation.actors.arm import PARTS, Arm, ArmKinematics, parse_arm
@@ -20,7 +21,6 @@ from fracture_collision.simulation.actors.hand import Hand, parse_hand
 from fracture_collision.simulation.config.scene_fields import Fields, SceneError, numbers, quoted
 from fracture_collision.simulation.config.scene_files import read_yaml
 from fracture_collision.simulation.config.shapes import Shape, parse_shape
-from fracture_collision.simulation.fracture.fracture_pattern import PatternSettings
 from fracture_collision.simulation.rotations import DEGREE, from_euler_angles, turned_by
 from fracture_collision.simulation.solver.contact_solver import SolverSettings
 
