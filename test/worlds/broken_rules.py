@@ -116,7 +116,7 @@ BODIES = {
     "tetrahedra flat": (TET._replace(vertices=FLAT_BRICK), "bad_mesh", "tetrahedron 0 is flat"),
     "tetrahedron inverted": (TET._replace(tetrahedra=INVERTED), "bad_mesh", "tetrahedron 0 is inverted"),
     "tetrahedron twice": (
-        TET._replace(tetrahedra=np.append(TET.tetrahedra, [TET.tetrahedra[:4]] * 2)), "bad_mesh", "tetrahedra: a face"
+        TET._replace(tetrahedra=np.append(TET.tetrahedra, [TET.tetrahedra[:4]] * 2)), "bad_mesh", "tetrahedra: the face"
     ),
     "tetrahedra in two pieces": (TWO_BRICKS, "bad_mesh", "tetrahedra: the mesh falls into 2"),
     "triangles of another mesh": (TET._replace(triangles=np.array([0, 1, 2])), "bad_mesh", "triangles"),
