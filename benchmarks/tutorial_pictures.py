@@ -1,11 +1,10 @@
 """Draws the pictures of docs/tutorial.md from the bodies and events that its code makes.
 
-    python -m benchmarks.tutorial_pictures [FOLDER]    # docs/ by default
+Usage: python -m benchmarks.tutorial_pictures [FOLDER], docs/ by default.
 """
 
 from __future__ import annotations
 
-import contextlib
 import os
 import sys
 import tempfile
@@ -78,8 +77,10 @@ def side_by_side(images: list[Image.Image], file: Path) -> None:
 
 def main(folder: Path) -> None:
     """Run the tutorial in a temporary folder, and draw."""
-    with tempfile.TemporaryDirectory() as scratch, contextlib.chdir(scratch):
+    with tempfile.TemporaryDirectory() as scratch:
+        os.chdir(scratch)
         names, _ = run(DOCS / "tutorial.md")
+        os.chdir(folder)
     body, event, second = names["bunny"], names["event"], names["second"]
     palette = Palette()
     for family in range(len(FAMILY_HUES)):
@@ -101,9 +102,9 @@ def main(folder: Path) -> None:
         places = np.array([spread(once[i]) for i in owner[is_shard].tolist()])
         points.append(witnesses.reshape(-1, 3)[is_shard] - height + places)
         colours.append(gap_colours(contacts.gaps[is_shard]) ** 2)
-    side_by_side([picture(views[0], (np.concatenate(points), np.concatenate(colours)))], folder / "tutorial_contacts.png")
+    with_points = picture(views[0], (np.concatenate(points), np.concatenate(colours)))
+    side_by_side([with_points], folder / "tutorial_contacts.png")
 
 
 if __name__ == "__main__":
-    os.nice(5)
     main(Path(sys.argv[1]).resolve() if len(sys.argv) > 1 else DOCS)

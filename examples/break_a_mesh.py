@@ -21,4 +21,4 @@ contacts = world.contacts(FragmentStates(1, 1, ids, [(0.0, 0.0, height)] * len(i
 for pair, (a, b) in enumerate(zip(contacts.fragment_a, contacts.fragment_b, strict=True)):
     gaps = 1e3 * contacts.gaps[contacts.pair_begin[pair] : contacts.pair_begin[pair + 1]]
     bound = 1e3 * contacts.missed_depth_bound[pair]
-    print(f"fragments {a} and {b}: {len(gaps)} contacts, the deepest gap {min(gaps):.3f} mm; unlisted to {bound:.3f} mm")
+    print(f"fragments {a} and {b}: {len(gaps)} contacts, deepest gap {min(gaps):.3f} mm; unlisted to {bound:.3f} mm")

@@ -25,16 +25,26 @@ from fracture_collision.fracture.pieces import (
     seed_pairs,
 )
 from fracture_collision.portable_math import cosine, dots, images, lengths, normal_numbers, power, products, sine
+from fracture_collision.records import documented
 
 
+@documented
 class PatternSettings(NamedTuple):
-    """How a material breaks; the scene file gives the reasons."""
+    """How a material breaks; the scene file gives the reasons.
 
-    seeds: int = 12  # of the largest break
-    seeds_per_overload: float = 4.0  # seeds of a blow, per multiple of the strength in its impulse
-    concentration: float = 1.0  # a node's weight as a seed falls with this power of its distance from the impact
-    curvature: float = 0.0  # amplitude of the warp as a share of the distance between seeds; 0: flat cracks
-    minimum_nodes: int = 4  # smaller pieces stay with the neighbour they share most edges with
+    Fields:
+      seeds: seeds of the largest break
+      seeds_per_overload: seeds of a blow, per multiple of the strength in its impulse, at least 2
+      concentration: a node's weight as a seed falls with this power of its distance from the impact
+      curvature: amplitude of the curves of cracks as a share of the distance between seeds; 0: flat cracks
+      minimum_nodes: smaller pieces stay with the neighbour they share most edges with
+    """
+
+    seeds: int = 12
+    seeds_per_overload: float = 4.0
+    concentration: float = 1.0
+    curvature: float = 0.0
+    minimum_nodes: int = 4
 
 
 class Pattern(NamedTuple):

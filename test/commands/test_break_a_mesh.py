@@ -17,10 +17,10 @@ EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "break_a_mesh.py"
 
 
 def pairs_of(*arguments: Path) -> dict[tuple[int, int], tuple[int, float, float]]:
-    """For each pair printed the number of contacts, the deepest gap and the bound [mm]."""
+    """For each pair printed the number of its contacts, their deepest gap and the bound [mm]."""
     done = subprocess.run([sys.executable, EXAMPLE, *arguments], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    row = r"fragments (\d+) and (\d+): (\d+) contacts, the deepest gap (\S+) mm; unlisted to (\S+) mm"
+    row = r"fragments (\d+) and (\d+): (\d+) contacts, deepest gap (\S+) mm; unlisted to (\S+) mm"
     return {
         (int(a), int(b)): (int(count), float(gap), float(bound))
         for a, b, count, gap, bound in re.findall(row, done.stdout)
