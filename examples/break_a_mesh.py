@@ -3,7 +3,7 @@
 import sys
 
 from fracture_collision.fracture import voronoi
-from fracture_collision.geometry.mesh_files import read_mesh
+from fracture_collision.meshing import read_mesh
 from fracture_collision.share import share_directory
 from fracture_collision.world import CollisionBody, CollisionWorld, FragmentStates
 

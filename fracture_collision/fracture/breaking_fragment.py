@@ -66,9 +66,7 @@ def mesh_of(body: CollisionBody) -> tuple[np.ndarray, np.ndarray]:
         raise ValueError(f"body: {type(body).__name__} instead of a CollisionBody")
     points, tetrahedra = np.asarray(body.vertices), np.asarray(body.tetrahedra)
     if not tetrahedra.size:
-        raise ValueError(
-            "body: has no tetrahedra and cannot break; a surface is filled by geometry.mesh_files.read_mesh"
-        )
+        raise ValueError("body: has no tetrahedra and cannot break; fracture_collision.meshing fills surfaces")
     for name, array, columns, kinds in (("vertices", points, 3, "fiu"), ("tetrahedra", tetrahedra, 4, "iu")):
         if array.dtype.kind not in kinds:
             raise ValueError(f"body.{name}: {array.dtype} instead of {'numbers' if 'f' in kinds else 'integers'}")

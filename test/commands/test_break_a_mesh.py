@@ -47,7 +47,5 @@ def test_it_breaks_the_mesh_of_the_package_and_a_file(tmp_path: Path) -> None:
 
 
 def test_it_breaks_a_surface(tmp_path: Path) -> None:
-    pytest.importorskip("pyvista")
-    pytest.importorskip("pytetwild")
     trimesh.creation.torus(0.5, 0.2).export(tmp_path / "ring.stl")
     assert_broken(pairs_of(tmp_path / "ring.stl"))

@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from fracture_collision.geometry import mesh_files
 from fracture_collision.geometry.generators import brick
-from fracture_collision.geometry.mesh_files import read_mesh
 from fracture_collision.geometry.tetrahedra import tetrahedron_volumes
+from fracture_collision.meshing import mesh_files, read_mesh
 
 BRICK = brick((0.2, 0.1, 0.06), 0.05)
 
@@ -61,13 +60,21 @@ def test_without_meshio_the_error_names_the_command(tmp_path: Path, monkeypatch:
         read_mesh(tmp_path / "brick.msh")
 
 
-def test_a_surface_is_filled(tmp_path: Path) -> None:
-    pytest.importorskip("pyvista")
-    pytest.importorskip("pytetwild")
+@pytest.mark.parametrize(("mesher", "accuracy"), [("lattice", 0.06), ("ftetwild", 0.01)])
+def test_a_surface_is_filled(tmp_path: Path, mesher: str, accuracy: float) -> None:
+    if mesher == "ftetwild":
+        pytest.importorskip("pyvista")
+        pytest.importorskip("pytetwild")
     trimesh.creation.box((2.0, 1.0, 1.0)).export(tmp_path / "box.stl")
-    mesh = read_mesh(tmp_path / "box.stl", longest_side=0.2, edge_length=0.03)
-    assert tetrahedron_volumes(mesh.vertices, mesh.tetrahedra).sum() == pytest.approx(0.2 * 0.1 * 0.1, rel=1e-2)
-    assert len(read_mesh(tmp_path / "box.stl").vertices) > len(mesh.vertices)
+    mesh = read_mesh(tmp_path / "box.stl", longest_side=0.2, edge_length=0.025, mesher=mesher)
+    assert tetrahedron_volumes(mesh.vertices, mesh.tetrahedra).sum() == pytest.approx(0.2 * 0.1 * 0.1, rel=accuracy)
+    assert len(read_mesh(tmp_path / "box.stl", mesher=mesher).vertices) > len(mesh.vertices)
+
+
+def test_a_surface_that_cannot_be_filled_is_named(tmp_path: Path) -> None:
+    trimesh.creation.box((2.0, 1.0, 0.01)).export(tmp_path / "sheet.stl")
+    with pytest.raises(ValueError, match=r"sheet.stl: edge_length: 0.5 m is too long, no lattice point"):
+        read_mesh(tmp_path / "sheet.stl", edge_length=0.5)
 
 
 def test_errors_name_the_argument_or_the_file(tmp_path: Path) -> None:
@@ -80,6 +87,7 @@ def test_errors_name_the_argument_or_the_file(tmp_path: Path) -> None:
         ((tmp_path / "brick",), "brick: no suffix is none of"),
         ((tmp_path / "none.npz",), "none.npz: no such file"),
         ((tmp_path / "none.obj",), "none.obj: no such file"),
+        ((file, None, None, "gmsh"), "mesher: 'gmsh' is not one of lattice, ftetwild"),
     ):
         with pytest.raises(ValueError, match=words):
             read_mesh(*arguments)
