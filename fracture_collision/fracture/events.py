@@ -10,8 +10,9 @@ from fracture_collision.fracture.pattern import Pattern
 from fracture_collision.portable_math import dots, lengths
 from fracture_collision.records import FractureEvent
 
-# A crack no farther than this share of a cut edge from the edge's end runs through the node there.
-AT_NODE = 1e-8
+# A crack no farther than this share of a cut edge from the edge's end counts as running through the node there: what it
+# cuts off is no fragment to simulate.
+AT_NODE = 1e-3
 
 
 OTHER_CORNERS = np.array([(1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2)])
@@ -59,7 +60,7 @@ def pinched_ends(points: np.ndarray, edges: np.ndarray, planes: np.ndarray) -> n
 
 
 def without_flat_pieces(pattern: Pattern, nodes: np.ndarray, mesh: CrackedMesh) -> Pattern:
-    """The pattern with each piece that has no volume joined to the neighbour with which it shares most edges.
+    """The pattern with each piece that has hardly any volume joined to the neighbour with which it shares most edges.
 
     A piece with mesh nodes (k,) is flat if cracks pass through all its nodes and, in each tetrahedron, cut off the
     corner there: a plane along a face of the body leaves such a piece behind it.

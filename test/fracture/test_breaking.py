@@ -138,6 +138,16 @@ def test_a_plane_along_a_face_takes_off_nothing() -> None:
     assert len(assert_divides(BRICK, [event])) == 2
 
 
+@pytest.mark.parametrize("share", [0.0, 1e-12, 1e-9, 1e-6, 5e-4])
+def test_a_plane_that_hardly_touches_a_corner_takes_off_nothing(share: float) -> None:
+    normal = np.array([1.0, 1.3, 0.7]) / np.linalg.norm([1.0, 1.3, 0.7])
+    offset = float(normal @ BRICK.vertices[0])
+    with pytest.raises(ValueError, match="no plane separates"):
+        fracture.planes(body_of(BRICK), normal, offset + 0.3 * share * 0.02)
+    event = fracture.planes(body_of(BRICK), normal, offset + 0.02)
+    assert len(assert_divides(BRICK, [event])) == 2
+
+
 def test_cuts_through_the_nodes_of_earlier_cuts_are_valid() -> None:
     """The slab between x = 0 and x = 0.02 has the nodes of its upper face alone, where two cracks pass."""
     first = fracture.planes(body_of(BRICK), (1.0, 0.0, 0.0), 0.0)
