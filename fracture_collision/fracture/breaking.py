@@ -64,7 +64,10 @@ def voronoi(
     if random is None and (is_count or curvature > 0.0):
         what = "random seeds" if is_count else "curved cracks"
         raise ValueError(f"random: {what} need a number or a numpy Generator, for example random=1")
-    generator = np.random.default_rng(random)
+    try:
+        generator = np.random.default_rng(random)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"random: {random!r} is neither a whole number >= 0 nor a numpy Generator") from error
     places = _random_seeds(fragment, seeds, impact_point, generator) if is_count else _rows("seeds", seeds, 3)
     if len(places) < 2:
         raise ValueError(f"seeds: {len(places)}; a fracture needs at least 2")

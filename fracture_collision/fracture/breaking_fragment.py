@@ -33,6 +33,8 @@ def breaking_fragment(
 ) -> BreakingFragment:
     """The fragment `fragment_id` of `body` after the events `after`; raises ValueError that names the field."""
     points, tetrahedra = mesh_of(body)
+    if not isinstance(after, Iterable):
+        raise ValueError(f"after: {type(after).__name__} instead of the events so far; without any, leave it out")
     events = [after] if isinstance(after, FractureEvent) else list(after)
     owner = np.full(len(points), body.fragment_id, dtype=np.int64)
     for i, event in enumerate(events):
