@@ -29,6 +29,7 @@ from fracture_collision.core.mesh.triangle_field import (
 from fracture_collision.geometry.generators import TetGeometry, oriented, require_affordable, require_positive
 from fracture_collision.geometry.surface_meshing import require_closed_surface
 from fracture_collision.geometry.tetrahedra import tetrahedron_volumes, unique_edges
+from fracture_collision.meshing.pinches import without_pinches
 from fracture_collision.portable_math import lengths
 
 # Of a lattice of cubes with sides of 1, edges have lengths 1 (two of a tetrahedron) and sqrt(3) / 2 (four): on average
@@ -65,8 +66,8 @@ def tetrahedralize_by_lattice(vertices: np.ndarray, triangles: np.ndarray, edge_
         raise ValueError(f"edge_length: {edge_length} m is too long, no lattice point is well inside the surface")
     used, tetrahedra = np.unique(tetrahedra, return_inverse=True)
     mesh = oriented(points[used], tetrahedra.reshape(-1, 4))
-    mesh = _in_one_piece(*_put_on(surface, mesh, on_surface[used]), edge_length)
-    return mesh
+    vertices, tetrahedra = _put_on(surface, mesh, on_surface[used])
+    return _in_one_piece(*without_pinches(vertices, tetrahedra), edge_length)
 
 
 class _Surface:

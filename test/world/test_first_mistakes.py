@@ -107,7 +107,7 @@ STATES = {
         [0, 0, 0], [2, 0, 0, 0],
     ),
     r"positions: 2 entries for 1 fragment_ids": ([[0, 0, 0]] * 2, [0, 0, 0, 1]),
-    r"positions: shape \(3, 1\); pass shape \(n, 3\)": ([[0], [0], [0]], [0, 0, 0, 1]),
+    r"positions: shape \(3, 2\); pass shape \(n, 3\)": ([[0, 0], [0, 0], [0, 0]], [0, 0, 0, 1]),
 }  # fmt: skip
 
 

@@ -64,7 +64,7 @@ def _array(name: str, values, columns: int) -> np.ndarray:
             "wrong_type", f"{name}: not an array of numbers; pass a numpy array, or a list without gaps"
         ) from None
     # Rows in another order, or transposed, would be read as other numbers.
-    if given.ndim > 1 and given.size and given.shape != (given.size // (columns or 1), columns or 1):
+    if given.ndim > 2 or (given.ndim == 2 and given.size and given.shape[1] not in (1, columns)):
         rows = f"(n, {columns})" if columns else "(n,)"
         refuse("size_mismatch", f"{name}: shape {given.shape}; pass shape {rows}, or the same numbers flat")
     return given
