@@ -1,4 +1,4 @@
-"""Groups of indices, stored one behind the other: the counting sort and where each group begins."""
+"""Groups of indices: the counting sort, where each group begins, and disjoint sets."""
 
 from __future__ import annotations
 
@@ -22,6 +22,17 @@ def grouped(groups, count):
             order[free[groups[i]]] = i
             free[groups[i]] += 1
     return order, begin
+
+
+def root_of(root, i):
+    """Root of i in a forest of parents `root` (n,) int64; halves the path to it (union-find).
+
+    Plain Python, as `grouped`.
+    """
+    while root[i] != i:
+        root[i] = root[root[i]]
+        i = root[i]
+    return i
 
 
 def begins_of(counts: np.ndarray) -> np.ndarray:

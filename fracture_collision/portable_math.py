@@ -3,8 +3,8 @@
 BLAS and LAPACK choose their kernels by the processor, numpy dispatches its elementary functions likewise, and glibc has
 sin, cos, atan2, exp, log and pow with and without fused multiply-add. All of these round differently. What is here uses
 only what IEEE 754 defines to the last bit: + - * /, square roots, rounding to integers, scaling by powers of two and
-comparisons, in the order in which they are written. core, world, geometry and simulation use nothing else
-(`python -m lint.portable_arithmetic`).
+comparisons, in the order in which they are written. core, world, geometry, fracture and simulation use
+nothing else (`python -m lint.portable_arithmetic`).
 
 The elementary functions are those of fdlibm (Sun Microsystems 1993, "Freely Distributable LIBM"): argument reduction
 and minimax polynomials with errors below one unit in the last place. All functions work on arrays of any shape.

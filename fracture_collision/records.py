@@ -1,12 +1,13 @@
 """The messages of msg/*.msg as plain numpy records: what all folders exchange, with or without ROS.
 
 Fields are named and shaped as in the messages (flat arrays, SI units, frames and signs as written there), less
-`header` and `run_id`. Nothing is validated here: `world/gates` does that.
+`header` and `run_id`. Nothing is validated here: `world/gates` does that. `documented` serves other records, too.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import re
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -14,6 +15,36 @@ ADD = 0
 REMOVE = 1
 BUDGET_EXHAUSTED = 1
 INVALID_STATES = 2
+
+_Record = TypeVar("_Record")
+_ENTRY = re.compile(r" *(\w+): (.*)")
+
+
+def documented(record: type[_Record]) -> type[_Record]:
+    """Class decorator: the docstring's section `Fields:` becomes the documentation of each field.
+
+    An entry is `name: text`, its further lines are indented more; the section ends with the docstring. A field without
+    an entry, or an entry without a field, is a TypeError when the class is made.
+    """
+    text = record.__doc__
+    if text is None or "Fields:\n" not in text:  # python -OO
+        return record
+    names = record._fields  # type: ignore[attr-defined]
+    entries: dict[str, str] = {}
+    name = ""
+    for line in text.split("Fields:\n", 1)[1].rstrip().splitlines():
+        entry = _ENTRY.fullmatch(line)
+        if entry is not None and entry[1] in names:
+            name = entry[1]
+            entries[name] = entry[2]
+        elif name:
+            entries[name] += " " + line.strip()
+    if tuple(entries) != names:
+        missing = sorted(set(names) ^ set(entries)) or "in another order"
+        raise TypeError(f"{record.__name__}: fields and their documentation differ: {missing}")
+    for name, entry_text in entries.items():
+        record.__dict__[name].__doc__ = entry_text
+    return record
 
 
 def _floats(n: int = 0) -> np.ndarray:
@@ -24,8 +55,14 @@ def _indices(n: int = 0) -> np.ndarray:
     return np.zeros(n, dtype=np.uint32)
 
 
+@documented
 class SolidPrimitive(NamedTuple):
-    """shape_msgs/SolidPrimitive: BOX with dimensions (x, y, z) [m] edge lengths, SPHERE with (radius,) [m]; 0: none."""
+    """A box or a sphere about the origin of the body frame (shape_msgs/SolidPrimitive).
+
+    Fields:
+      type: BOX (1), SPHERE (2), or 0: none
+      dimensions: [m] of a BOX its edge lengths (x, y, z), of a SPHERE its (radius,)
+    """
 
     type: int = 0
     dimensions: tuple[float, ...] = ()
@@ -35,66 +72,142 @@ BOX = 1
 SPHERE = 2
 
 
+@documented
 class CollisionBody(NamedTuple):
-    """One body before any fracture (CollisionBody.msg)."""
+    """One body before any fracture (CollisionBody.msg).
+
+    A body has exactly one shape: a primitive, a plane, tetrahedra, or triangles alone. Arrays may be lists, and of any
+    numeric type; integers where indices are asked for.
+
+    Fields:
+      body_id: uint32, unique in a run
+      fragment_id: uint32, the one fragment it is before the first fracture; fragment ids are unique in a run and never
+        used again
+      operation: ADD (0), or REMOVE (1): a promise that no later states name the body
+      name: up to 256 characters, for viewers and logs
+      primitive: a box or sphere; type 0: none
+      plane: (4,) float64 a, b, c, d: the half-space a x + b y + c z + d < 0 [m] is solid; all 0: none. The body must be
+        static
+      vertices: (3n,) or (n, 3) float64 [m], body frame; each is used by a tetrahedron or triangle
+      triangles: (3t,) or (t, 3) uint32, indices of vertices from 0; closed, counter-clockwise seen from outside. Beside
+        tetrahedra leave them empty, or pass their boundary
+      tetrahedra: (4m,) or (m, 4) uint32, indices of vertices from 0; positive volume: seen from the fourth, the first
+        three run counter-clockwise. Empty: rigid, cannot break
+      is_static: it does not move; states may leave it out, its body frame is then the world
+      density: [kg/m3], above 0
+      friction: Coulomb coefficient, at least 0; a pair has the geometric mean
+      restitution: 0 to 1; a pair has the larger one
+    """
 
     body_id: int
     fragment_id: int
     operation: int = ADD
     name: str = ""
     primitive: SolidPrimitive = SolidPrimitive()
-    plane: np.ndarray = _floats(4)  # a x + b y + c z + d = 0, solid where negative; all 0: none
-    vertices: np.ndarray = _floats()  # 3n [m], body frame
-    triangles: np.ndarray = _indices()  # 3t, closed, seen counter-clockwise from outside
-    tetrahedra: np.ndarray = _indices()  # 4m, positive volume; empty: rigid, cannot break
+    plane: np.ndarray = _floats(4)
+    vertices: np.ndarray = _floats()
+    triangles: np.ndarray = _indices()
+    tetrahedra: np.ndarray = _indices()
     is_static: bool = False
-    density: float = 1000.0  # [kg/m3]
-    friction: float = 0.5  # Coulomb coefficient
-    restitution: float = 0.0  # 0..1
+    density: float = 1000.0
+    friction: float = 0.5
+    restitution: float = 0.0
 
 
+@documented
 class FractureEvent(NamedTuple):
-    """The instantaneous fracture of one fragment, in the body frame (FractureEvent.msg)."""
+    """The instantaneous fracture of one fragment, in the body frame (FractureEvent.msg).
+
+    `fracture_collision.fracture` makes valid ones.
+
+    Fields:
+      sequence: uint64 1, 2, 3 ... over all bodies of a run, without gaps
+      body_id: uint32
+      fragment_id: uint32, the fragment that breaks; its id is not used again
+      new_fragment_ids: (k,) uint32, at least 2, never used before
+      nodes: (n,) uint32, every vertex of the tetrahedral mesh that the breaking fragment owns, once
+      node_fragments: (n,) uint32, for each of nodes an index into new_fragment_ids; the nodes of each new fragment are
+        connected by mesh edges between them
+      cut_edges: (2c,) or (c, 2) uint32, the two nodes of every mesh edge that joins two of the new fragments
+      cut_planes: (4c,) or (c, 4) float64, the plane that cuts each of them: unit normal, from the first node to the
+        second, and offset [m] with normal . x = offset; it crosses its edge
+    """
 
     sequence: int
     body_id: int
     fragment_id: int
     new_fragment_ids: np.ndarray
-    nodes: np.ndarray  # every tet-mesh node of the breaking fragment, once
-    node_fragments: np.ndarray  # for each, an index into new_fragment_ids
-    cut_edges: np.ndarray  # 2k node indices
-    cut_planes: np.ndarray  # 4k: unit normal from first node to second, offset: n.x = offset
+    nodes: np.ndarray
+    node_fragments: np.ndarray
+    cut_edges: np.ndarray
+    cut_planes: np.ndarray
 
 
+@documented
 class FragmentStates(NamedTuple):
-    """Poses and velocities of the fragments at one step (FragmentStates.msg)."""
+    """Poses and velocities of the fragments at one step (FragmentStates.msg).
+
+    Fields:
+      step: uint64, strictly increasing within a run; a replay may go back
+      fracture_sequence: uint64, how many fracture events have happened
+      fragment_ids: (n,) uint32, each once: the living fragments that take part; static ones may be left out
+      positions: (3n,) or (n, 3) float64 [m], of the origin of each body frame (not the centre of mass), in the world
+      orientations: (4n,) or (n, 4) float64, unit quaternions x y z w, from the body frame to the world
+      linear_velocities: (3n,) or (n, 3) float64 [m/s] of that origin, world axes; empty: zero. Used by lookahead alone
+      angular_velocities: (3n,) or (n, 3) float64 [rad/s], world axes; empty: zero. Used by lookahead alone
+    """
 
     step: int
     fracture_sequence: int
     fragment_ids: np.ndarray
-    positions: np.ndarray  # 3n [m], of the body frame of each fragment, in the world
-    orientations: np.ndarray  # 4n, unit quaternions x y z w, body frame to world
-    linear_velocities: np.ndarray = _floats()  # 3n [m/s], of that frame's origin; empty: zero
-    angular_velocities: np.ndarray = _floats()  # 3n [rad/s], world axes; empty: zero
+    positions: np.ndarray
+    orientations: np.ndarray
+    linear_velocities: np.ndarray = _floats()
+    angular_velocities: np.ndarray = _floats()
 
 
+@documented
 class ContactConstraintArray(NamedTuple):
-    """The answer to one FragmentStates (ContactConstraintArray.msg)."""
+    """The answer to one FragmentStates (ContactConstraintArray.msg): p pairs with N contacts.
+
+    Row i of the pairs has the contacts pair_begin[i] .. pair_begin[i + 1] - 1. Listed are pairs with a contact, or with
+    a missed_depth_bound above the penetration tolerance.
+
+    Fields:
+      step: uint64, that of the states
+      fracture_sequence: uint64, that of the states
+      status: bits: BUDGET_EXHAUSTED (1), a limit cut the search short, as missed_depth_bound says; INVALID_STATES (2)
+      fragment_a: (p,) uint32, ascending by (a, b), a < b
+      fragment_b: (p,) uint32
+      pair_begin: (p + 1,) uint32, where the contacts of each pair begin
+      missed_depth_bound: (p,) float64 [m], no surface sample of either fragment is deeper in the other than this
+        without being listed; with `surfaces: searched` no point of either surface is deeper than the larger of this and
+        the deepest contact
+      friction: (p,) float64, geometric mean of the two coefficients
+      restitution: (p,) float64, the larger of the two
+      points_a: (3N,) float64 [m], world: witness point on a
+      points_b: (3N,) float64 [m], world: witness point on b
+      normals: (3N,) float64, unit, world axes, from a to b: an impulse along it pushes b, its opposite a
+      gaps: (N,) float64 [m], normal . (point_b - point_a); negative: penetration; with lookahead also large ones,
+        touches to come
+      contact_ids: (N,) uint64, the same number in every step for the same sample of the same fragment against the same
+        other; with it impulses are carried over (warm starting)
+    """
 
     step: int
     fracture_sequence: int
     status: int
-    fragment_a: np.ndarray  # ascending by (a, b), a < b
+    fragment_a: np.ndarray
     fragment_b: np.ndarray
-    pair_begin: np.ndarray  # pairs + 1
-    missed_depth_bound: np.ndarray  # [m]
+    pair_begin: np.ndarray
+    missed_depth_bound: np.ndarray
     friction: np.ndarray
     restitution: np.ndarray
-    points_a: np.ndarray  # 3N [m], world
-    points_b: np.ndarray  # 3N [m], world
-    normals: np.ndarray  # 3N, unit, from a to b
-    gaps: np.ndarray  # N [m] = normal . (point_b - point_a); negative: penetration; large: a touch to come
-    contact_ids: np.ndarray  # uint64
+    points_a: np.ndarray
+    points_b: np.ndarray
+    normals: np.ndarray
+    gaps: np.ndarray
+    contact_ids: np.ndarray
 
 
 def refusal_of(states: FragmentStates) -> ContactConstraintArray:
@@ -108,24 +221,45 @@ def refusal_of(states: FragmentStates) -> ContactConstraintArray:
     )  # fmt: skip
 
 
+@documented
 class FragmentRegistry(NamedTuple):
-    """All living fragments after `fracture_sequence` events (FragmentRegistry.msg)."""
+    """All living fragments after `fracture_sequence` events (FragmentRegistry.msg): n of them.
+
+    Fields:
+      fracture_sequence: uint64, how many events it includes
+      fragment_ids: (n,) uint32, ascending
+      body_ids: (n,) uint32, the body that each belongs to
+      parent_ids: (n,) uint32, the fragment it broke from; itself if none
+      masses: (n,) float64 [kg]; 0 for planes
+      centers_of_mass: (3n,) float64 [m], body frame
+      inertias: (6n,) float64 [kg m2], about the centre of mass, body axes: xx xy xz yy yz zz
+      sampling_gaps: (n,) float64 [m], no point of the fragment's surface is farther than this from a sample
+      digest: SHA-256, hex, chained over the bodies and events the registry was built from
+    """
 
     fracture_sequence: int
     fragment_ids: np.ndarray
     body_ids: np.ndarray
     parent_ids: np.ndarray
-    masses: np.ndarray  # [kg]
-    centers_of_mass: np.ndarray  # 3n [m], body frame
-    inertias: np.ndarray  # 6n [kg m2], about the centre of mass, body axes: xx xy xz yy yz zz
-    sampling_gaps: np.ndarray  # [m]
+    masses: np.ndarray
+    centers_of_mass: np.ndarray
+    inertias: np.ndarray
+    sampling_gaps: np.ndarray
     digest: str
 
 
+@documented
 class FragmentMesh(NamedTuple):
-    """One fragment's surface for viewers (FragmentMesh.msg)."""
+    """One fragment's surface for viewers (FragmentMesh.msg).
+
+    Fields:
+      fragment_id: uint32
+      vertices: (3n,) float32 [m], body frame
+      triangles: (3t,) uint32, counter-clockwise from outside
+      is_crack: (t,) bool, whether each triangle lies on a crack
+    """
 
     fragment_id: int
-    vertices: np.ndarray  # float32 3n [m], body frame
-    triangles: np.ndarray  # 3t
-    is_crack: np.ndarray  # t
+    vertices: np.ndarray
+    triangles: np.ndarray
+    is_crack: np.ndarray

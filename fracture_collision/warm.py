@@ -11,7 +11,10 @@ import numpy as np
 
 import fracture_collision.simulation.warm_up as simulator
 import fracture_collision.world.warm_up as service
+from fracture_collision.geometry.generators import brick
+from fracture_collision.geometry.tetrahedra import boundary_triangles
 from fracture_collision.lockstep import Lockstep
+from fracture_collision.meshing import tetrahedralize_by_lattice
 from fracture_collision.simulation.scene.scene import load_scene
 from fracture_collision.viewer.pictures.body_mesh import BodyMesh
 from fracture_collision.viewer.pictures.ray_picture import Camera, TriangleScene, render
@@ -28,6 +31,9 @@ def main() -> None:
     with Lockstep(load_scene("pane")) as run:
         for _ in run:
             pass
+    _say("mesher")
+    cube = brick((1.0, 1.0, 1.0), 1.0)
+    tetrahedralize_by_lattice(cube.vertices, boundary_triangles(cube.tetrahedra), 0.25)
     _say("pictures")
     draw_one_triangle()
     _say(f"all kernels are in the cache, after {time.monotonic() - started:.0f} s")

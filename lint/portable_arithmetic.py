@@ -1,8 +1,8 @@
 """Forbids arithmetic that may round differently from processor to processor in what affects a trajectory or an answer.
 
-In core, world, geometry and simulation this forbids BLAS and LAPACK (`numpy.linalg`, `dot`, `@`, ...), elementary
-functions of numpy, of `math` and of numba (which calls libm for both), powers (except integer ones in kernels),
-normally distributed numbers, sorts that leave the order of equal keys open, and scipy. Replacements are in
+In core, world, geometry, fracture, meshing and simulation this forbids BLAS and LAPACK (`numpy.linalg`, `dot`, `@`,
+...), elementary functions of numpy, of `math` and of numba (which calls libm for both), powers (except integer ones in
+kernels), normally distributed numbers, sorts that leave the order of equal keys open, and scipy. Replacements are in
 fracture_collision/portable_math.py. EXCEPTIONS lists permitted cases, with the reason.
 
     python -m lint.portable_arithmetic
@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1] / "fracture_collision"
-ROOMS = ("core", "world", "geometry", "simulation")
+ROOMS = ("core", "world", "geometry", "fracture", "meshing", "simulation")
 FILES = (PACKAGE / "portable_math.py", PACKAGE / "lockstep.py", PACKAGE / "records.py")
 
 # (file, what): why it is allowed

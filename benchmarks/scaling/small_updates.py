@@ -11,11 +11,11 @@ import numpy as np
 
 from benchmarks.peers.worlds import DENSITY, empty_states
 from benchmarks.scaling.growth import Progress, silent
+from fracture_collision.fracture.pattern import PatternSettings
 from fracture_collision.geometry.generators import TetGeometry
 from fracture_collision.geometry.sampled_bodies import sampled_ball
 from fracture_collision.records import CollisionBody, FractureEvent
-from fracture_collision.simulation.fracture.breakable_body import BreakableBody
-from fracture_collision.simulation.fracture.fracture_pattern import PatternSettings
+from fracture_collision.simulation.breakable_body import BreakableBody
 from fracture_collision.world import CollisionWorld, Settings
 
 PIECES, SMALL_PIECES = 150, 4  # seeds of the first fracture, and of each fracture that is timed

@@ -19,16 +19,23 @@ import numpy as np
 
 from fracture_collision.geometry.tetrahedra import tetrahedron_volumes
 from fracture_collision.portable_math import arctangent2, cosine, lengths, products, sine
+from fracture_collision.records import documented
 
 # Beyond this a mesh is an input error (an edge length in millimetres), not a body to simulate.
 TETRAHEDRA_LIMIT = 4_000_000
 
 
+@documented
 class TetGeometry(NamedTuple):
-    """A tetrahedral mesh in the body frame."""
+    """A tetrahedral mesh in the body frame.
 
-    vertices: np.ndarray  # (n, 3) float64 [m]
-    tetrahedra: np.ndarray  # (m, 4) int32, positive volume
+    Fields:
+      vertices: (n, 3) float64 [m]
+      tetrahedra: (m, 4) int32, positive volume: seen from vertex 3, vertices 0, 1, 2 run counter-clockwise
+    """
+
+    vertices: np.ndarray
+    tetrahedra: np.ndarray
 
 
 def ball(radius: float, edge_length: float) -> TetGeometry:

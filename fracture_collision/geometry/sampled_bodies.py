@@ -38,6 +38,9 @@ def sampled_shell(
     require_positive(outer_radius=outer_radius, frequency=outer_frequency)
     if not 0.0 <= inner_radius < outer_radius:
         raise ValueError(f"inner_radius: {inner_radius} m is not from 0 to outer_radius, {outer_radius} m")
+    for name, count in (("inner_frequency", inner_frequency), ("interior_points", interior_points)):
+        if count < 0:
+            raise ValueError(f"{name}: {count} is less than 0")
     surface = [outer_radius * geodesic_sphere(outer_frequency)[0]]
     if inner_radius > 0.0:
         surface.append(inner_radius * geodesic_sphere(inner_frequency)[0])

@@ -26,8 +26,10 @@ class Surface(NamedTuple):
     triangles: np.ndarray  # (t, 3) int64, closed, counter-clockwise from outside
 
 
-def read_surface(file: Path, longest_side: float) -> Surface:
+def read_surface(file: Path, longest_side: float | None) -> Surface:
     """The surface in a file, centred in a box about the origin, scaled to a longest side of `longest_side` [m].
+
+    None: its own coordinates, which count as metres.
 
     Raises ValueError that names the file, the fault and its place, in the file's own coordinates.
     """
@@ -46,6 +48,8 @@ def read_surface(file: Path, longest_side: float) -> Surface:
         require_solid(vertices, triangles)
     except ValueError as error:
         raise ValueError(f"{file}: {error}") from error
+    if longest_side is None:
+        return Surface(vertices, triangles)
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     return Surface((vertices - 0.5 * (low + high)) * (longest_side / (high - low).max()), triangles)
 

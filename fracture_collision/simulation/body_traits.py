@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fracture_collision.simulation.breakable_body import BreakableBody
 from fracture_collision.simulation.engine.engine import BodyStates
-from fracture_collision.simulation.fracture.breakable_body import BreakableBody
 from fracture_collision.simulation.scene.scene import SceneBody
 
 

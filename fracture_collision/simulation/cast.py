@@ -10,8 +10,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from fracture_collision.records import REMOVE, CollisionBody, FractureEvent, FragmentRegistry
+from fracture_collision.simulation.breakable_body import BreakableBody
 from fracture_collision.simulation.engine.engine import Engine, FrameState, MassProperties
-from fracture_collision.simulation.fracture.breakable_body import BreakableBody
 from fracture_collision.simulation.scene.scene import SceneBody
 from fracture_collision.simulation.scene.scene_records import collision_body
 

@@ -6,10 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 
+from fracture_collision.fracture.pattern import PatternSettings
 from fracture_collision.geometry import generators
 from fracture_collision.records import ContactConstraintArray, FragmentRegistry
-from fracture_collision.simulation.fracture.breakable_body import BreakableBody
-from fracture_collision.simulation.fracture.fracture_pattern import PatternSettings
+from fracture_collision.simulation.breakable_body import BreakableBody
 from fracture_collision.simulation.scene.scene import parse_scene
 from fracture_collision.simulation.simulation import Simulation
 

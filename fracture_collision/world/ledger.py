@@ -116,7 +116,7 @@ class Ledger:
         if body is None and fields.body_id not in self._removed:
             refuse("unknown_id", f"body_id: unknown body {fields.body_id}")
         if self._owner.get(fragment_id) != fields.body_id:
-            refuse("unknown_id", f"fragment_id: body {fields.body_id} has no fragment {fragment_id}")
+            refuse("unknown_id", f"fragment_id: body {fields.body_id} has no fragment {fragment_id} and never had")
         if fragment_id in self._broke:
             refuse("retired_id", f"fragment_id: fragment {fragment_id} has already broken")
         new_ids = fields.new_fragment_ids.tolist()
@@ -196,7 +196,11 @@ class Ledger:
             refuse("limit_exceeded", f"{name}: the limit of {self._settings.max_fragments} fragments is reached")
         for fragment_id in fragment_ids:
             if fragment_id in self._owner:
-                refuse("doubled", f"{name}: fragment {fragment_id} already exists or existed; ids are never reused")
+                refuse(
+                    "doubled",
+                    f"{name}: fragment {fragment_id} already exists or existed; ids are never reused, those above "
+                    f"{max(self._owner)} are free",
+                )
 
     def _remove(self, body_id: int) -> None:
         if body_id in self._removed:

@@ -8,22 +8,36 @@ import numpy as np
 
 from fracture_collision.core.memory.compiled import kernel
 from fracture_collision.core.memory.rotations import put_rotation
+from fracture_collision.records import documented
 from fracture_collision.world.gates.states_gate import CheckedStates
 from fracture_collision.world.living_fragments import Columns
 
 
+@documented
 class Present(NamedTuple):
-    """The n fragments that take part in a step, by ascending id: those that the states name, and the static ones."""
+    """The n fragments that take part in a step, by ascending id: those that the states name, and the static ones.
 
-    ids: np.ndarray  # (n,) int64
-    rows: np.ndarray  # (n,) int64, in the pools
-    positions: np.ndarray  # (n, 3) [m] of the body frame, in the world
-    rotations: np.ndarray  # (n, 3, 3) body frame to world
-    linear: np.ndarray  # (n, 3) [m/s] of the body frame's origin
-    angular: np.ndarray  # (n, 3) [rad/s] world axes
-    is_static: np.ndarray  # (n,) bool
-    friction: np.ndarray  # (n,)
-    restitution: np.ndarray  # (n,)
+    Fields:
+      ids: (n,) int64
+      rows: (n,) int64, in the pools of CollisionWorld.geometry
+      positions: (n, 3) float64 [m], of the body frame, in the world
+      rotations: (n, 3, 3) float64, body frame to world
+      linear: (n, 3) float64 [m/s], of the body frame's origin
+      angular: (n, 3) float64 [rad/s], world axes
+      is_static: (n,) bool
+      friction: (n,) float64, Coulomb coefficient
+      restitution: (n,) float64, 0 to 1
+    """
+
+    ids: np.ndarray
+    rows: np.ndarray
+    positions: np.ndarray
+    rotations: np.ndarray
+    linear: np.ndarray
+    angular: np.ndarray
+    is_static: np.ndarray
+    friction: np.ndarray
+    restitution: np.ndarray
 
 
 def take_places(checked: CheckedStates, living: Columns, named: np.ndarray) -> Present:

@@ -8,70 +8,91 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from fracture_collision.records import documented
 
+
+@documented
 class Settings(NamedTuple):
-    """All settings with their defaults; `check_settings` has their ranges."""
+    """All settings with their defaults; `check_settings` has their ranges.
 
-    # m of Glondu 2014, 5.2: contacts listed per pair before only those deeper than epsilon count. Six constraints lock
-    # a rigid body; the paper found no better contact beyond eight (Fig. 16).
+    max_visits to max_contacts limit the work for one answer, far above the need of bodies that push each other apart;
+    without them, bodies at one place would have millions of contacts. missed_depth_bound covers what they leave out,
+    with BUDGET_EXHAUSTED.
+
+    Fields:
+      contacts_per_pair: Contacts listed per pair before only those deeper than penetration_tolerance count, at least 1;
+        m of Glondu 2014, 5.2. Six constraints lock a rigid body; the paper found no better contact beyond eight (Fig.
+        16).
+      selection: Which contacts of a pair are listed if more samples are near. `sufficient`: contacts_per_pair, spread
+        over all of them; all that are deeper than the penetration tolerance, but if these exceed contacts_per_pair the
+        deepest and others spread over them, up to deep_contacts_per_pair. It depends on the samples' depths and
+        positions alone. `complete`: the paper's rule: the first ones found, then all that are deeper than the
+        tolerance; without neighbour_lists by the paper's algorithm alone. A visit_budget uses the paper's rule too.
+      deep_contacts_per_pair: Most contacts per pair with selection `sufficient`, where more than contacts_per_pair are
+        deep; at least 1.
+      penetration_tolerance: A share of R, half the longest side of the smaller of the two bodies, 0 to 1; epsilon of
+        5.2: penetrations up to this may stay unlisted once a pair has its contacts.
+      detection_tolerance: A share of R, 0 to 1; delta of 5.2: contacts are listed up to this gap, so that the solver
+        has constraints for surfaces about to touch and the traversal can end.
+      lookahead: [s], 0 to 1. For pairs that do not touch, also list contacts that will be deeper than the penetration
+        tolerance within this time, by the velocities of the states, with positive gaps. This keeps fast bodies from
+        tunnelling through thin ones between two steps. A simulator sets its time step; 0: only contacts that are near
+        now are listed.
+      field: `exact`: local flood, no error; `averaged`: the paper's front propagation (eq. 1-2): depths and normals
+        inside a broken body are approximate, the missed depth bound is as certain and looser.
+      normals: `facing`: two fragments of one body are separated along the crack they share, other bodies along a
+        surface that faces the sample, if one is near; `nearest`: along the shortest way to any surface, as in the
+        paper, which at rims often points along the surface between the two.
+      surfaces: `sampled`: contacts are searched at samples, and missed_depth_bound holds for these. `edges`: also where
+        edges of the two cross between their samples, with the normal across both (not in the paper's rule: `complete`
+        and a visit_budget search samples alone). A query takes 1.2 to 1.4 times as long, an update up to twice.
+        `searched`: the bound holds for all points of both surfaces, and deeper points between samples are listed. For
+        checking what samples miss: it takes 30 to 100 times as long (docs/numerics.md), and needs field `exact`.
+      tree: `restructured`: trees are split, restructured and extended at a fracture (6.2, 6.3); `plain`: as in the
+        paper's earlier version [27], ignoring the maximum-distance order; `rebuilt`: from scratch (Fig. 15).
+      traversal: `alternating`: children of different parents first (5.3); `queue`: a parent's children in a row, as in
+        [27].
+      neighbour_lists: Whether to cache, from one step to the next, which samples of slow pairs are near, how far apart
+        others are, and the contacts of pairs that do not move (core/search: neighbour_lists, kept_answer). The answer
+        does not depend on it; without it every step costs as much as the first.
+      threads: Threads of the narrow phase; 0: all cores. The answer does not depend on it.
+      visit_budget: Tree nodes a step may test, shared evenly by its pairs; 0: no limit. The bound covers what a limit
+        leaves out.
+      max_pairs: Pairs of fragments whose boxes overlap; states with more are rejected with a reason.
+      max_visits: Tree nodes of pairs whose boxes coincide, in total; for the other pairs 25 times as many
+        (core/pair/crowds.py).
+      max_further_visits: Tree nodes of pairs with contacts_per_pair contacts, for deeper ones.
+      max_contacts_per_pair: Of more contacts, a pair keeps the deepest; never fewer than contacts_per_pair.
+      max_contacts: Contacts in one answer; of more, the pairs with most lose their shallowest.
+      max_bodies: A further body is rejected with a reason.
+      max_nodes: Tetrahedral-mesh and surface vertices of all bodies together; a body beyond is rejected.
+      max_fragments: Fragments made in one run; an event beyond is rejected.
+      max_message_bytes: Serialized size of a message of the service; larger ones are rejected.
+    """
+
     contacts_per_pair: int = 8
-    # Which contacts of a pair are listed if more samples are near. `sufficient`: contacts_per_pair, spread over all of
-    # them; all that are deeper than the penetration tolerance, but if these exceed contacts_per_pair the deepest and
-    # others spread over them, up to deep_contacts_per_pair. It depends on the samples' depths and positions alone.
-    # `complete`: the paper's rule: the first ones found, then all that are deeper than the tolerance; without
-    # neighbour_lists by the paper's algorithm alone. A visit_budget uses the paper's rule too.
     selection: str = "sufficient"
     deep_contacts_per_pair: int = 16
-    # epsilon of 5.2, as a share of R (the smaller of the two bodies' half longest side): penetrations up to this may
-    # stay unlisted once a pair has its contacts.
     penetration_tolerance: float = 0.002
-    # delta of 5.2, as a share of R: contacts are listed up to this gap, so that the solver has constraints for surfaces
-    # about to touch and the traversal can end.
     detection_tolerance: float = 0.002
-    # [s] For pairs that do not touch, also list contacts that will be deeper than the penetration tolerance within this
-    # time, by the velocities of the states, with positive gaps. This keeps fast bodies from tunnelling through thin
-    # ones between two steps. A simulator sets its time step; 0: only contacts that are near now are listed.
     lookahead: float = 0.0
-    # `exact`: local flood, no error; `averaged`: the paper's front propagation (eq. 1-2): depths and normals inside a
-    # broken body are approximate, the missed depth bound is as certain and looser.
     field: str = "exact"
-    # `facing`: two fragments of one body are separated along the crack they share, other bodies along a surface that
-    # faces the sample, if one is near; `nearest`: along the shortest way to any surface, as in the paper, which at
-    # rims often points along the surface between the two.
     normals: str = "facing"
-    # `sampled`: contacts are searched at samples, and missed_depth_bound holds for these. `edges`: also where edges of
-    # the two cross between their samples, with the normal across both (not in the paper's rule: `complete` and a
-    # visit_budget search samples alone). A query takes 1.2 to 1.4 times as long, an update up to twice.
-    # `searched`: the bound holds for all points of both surfaces, and deeper points between samples are listed.
-    # For checking what samples miss: it takes 30 to 100 times as long (docs/numerics.md), and needs field `exact`.
     surfaces: str = "sampled"
-    # `restructured`: trees are split, restructured and extended at a fracture (6.2, 6.3); `plain`: as in the paper's
-    # earlier version [27], ignoring the maximum-distance order; `rebuilt`: from scratch (Fig. 15).
     tree: str = "restructured"
-    # `alternating`: children of different parents first (5.3); `queue`: a parent's children in a row, as in [27].
     traversal: str = "alternating"
-    # Whether to cache, from one step to the next, which samples of slow pairs are near, how far apart others are, and
-    # the contacts of pairs that do not move (core/search: neighbour_lists, kept_answer). The answer does not depend on
-    # it; without it every step costs as much as the first.
     neighbour_lists: bool = True
-    # Threads of the narrow phase; 0: all cores. The answer does not depend on it.
     threads: int = 0
-    # Tree nodes a step may test, shared evenly by its pairs; 0: no limit. The bound covers what a limit leaves out.
     visit_budget: int = 0
-    # Limits on the work for one answer. missed_depth_bound covers what they leave out, with BUDGET_EXHAUSTED, except
-    # max_pairs: states with more overlapping pairs of boxes are rejected with a reason. They are far above the need of
-    # bodies that push each other apart; without them, bodies at one place would have millions of contacts.
-    max_pairs: int = 100_000  # pairs of fragments whose boxes overlap
-    # tree nodes of pairs whose boxes coincide, in total; for the other pairs 25 times as many (core/pair/crowds.py)
+    max_pairs: int = 100_000
     max_visits: int = 4_000_000
-    max_further_visits: int = 2_000_000  # tree nodes of pairs with contacts_per_pair contacts, for deeper ones
-    max_contacts_per_pair: int = 1_000  # the deepest; never fewer than contacts_per_pair
-    max_contacts: int = 200_000  # in one answer; the pairs with most contacts lose their shallowest
-    # Limits: a message that exceeds them is rejected with a reason.
+    max_further_visits: int = 2_000_000
+    max_contacts_per_pair: int = 1_000
+    max_contacts: int = 200_000
     max_bodies: int = 10_000
-    max_nodes: int = 2_000_000  # tetrahedral-mesh and surface vertices of all bodies together
-    max_fragments: int = 100_000  # total made in one run
-    max_message_bytes: int = 256 * 1024 * 1024  # serialized
+    max_nodes: int = 2_000_000
+    max_fragments: int = 100_000
+    max_message_bytes: int = 256 * 1024 * 1024
 
 
 LONGEST_LOOKAHEAD = 1.0  # [s] longer than any time step

@@ -8,11 +8,11 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from truth.counted_work import calls_of
 
+from fracture_collision.fracture.pattern import PatternSettings
+from fracture_collision.fracture.pieces import connected_pieces
 from fracture_collision.geometry import generators
 from fracture_collision.geometry.tetrahedra import unique_edges
-from fracture_collision.simulation.fracture.breakable_body import BreakableBody
-from fracture_collision.simulation.fracture.fracture_pattern import PatternSettings
-from fracture_collision.simulation.fracture.pattern_pieces import connected_pieces
+from fracture_collision.simulation.breakable_body import BreakableBody
 
 PLATE = generators.plate(0.25, 0.008, 0.0125, 0.018, 2)
 BRICK = generators.brick((0.2, 0.1, 0.06), 0.02)

@@ -75,6 +75,7 @@ BODIES = {
     "name too long": (TET._replace(name="x" * 257), "limit_exceeded", "name"),
     "name no string": (TET._replace(name=None), "wrong_type", "name"),
     "static no boolean": (TET._replace(is_static="yes"), "wrong_type", "is_static"),
+    "vertices transposed": (TET._replace(vertices=BRICK.vertices.T), "size_mismatch", "vertices: shape (3, "),
     "nothing": (CollisionBody(20, 20), "no_shape", "primitive, plane, vertices: "),
     "two shapes": (sphere(20, plane=plane(2).plane, is_static=True), "no_shape", "primitive, plane, vertices: "),
     "mesh and primitive": (TET._replace(primitive=sphere(1).primitive), "no_shape", "primitive, plane, vertices: "),
@@ -116,7 +117,7 @@ BODIES = {
     "tetrahedra flat": (TET._replace(vertices=FLAT_BRICK), "bad_mesh", "tetrahedron 0 is flat"),
     "tetrahedron inverted": (TET._replace(tetrahedra=INVERTED), "bad_mesh", "tetrahedron 0 is inverted"),
     "tetrahedron twice": (
-        TET._replace(tetrahedra=np.append(TET.tetrahedra, [TET.tetrahedra[:4]] * 2)), "bad_mesh", "tetrahedra: a face"
+        TET._replace(tetrahedra=np.append(TET.tetrahedra, [TET.tetrahedra[:4]] * 2)), "bad_mesh", "tetrahedra: the face"
     ),
     "tetrahedra in two pieces": (TWO_BRICKS, "bad_mesh", "tetrahedra: the mesh falls into 2"),
     "triangles of another mesh": (TET._replace(triangles=np.array([0, 1, 2])), "bad_mesh", "triangles"),

@@ -13,9 +13,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
+from fracture_collision.records import documented
 from fracture_collision.share import share_directory
 from fracture_collision.simulation.actors.hand import rows_of_file
-from fracture_collision.simulation.config.scene_fields import Fields, SceneError, quoted
+from fracture_collision.simulation.config.scene_fields import ROTATION, Fields, SceneError, meaning, quoted
 from fracture_collision.simulation.config.shapes import Shape
 from fracture_collision.simulation.config.urdf_chain import JointLimits, joint_turns, link_frames, read_chain
 from fracture_collision.simulation.rotations import DEGREE, from_euler_angles, rotation_matrices, turned
@@ -61,15 +62,25 @@ PARTS = (
 MOVING = PARTS[1:]
 
 
+@documented
 class ArmSettings(NamedTuple):
-    """Limits of the arm's joints, and the stiffness with which it holds its parts."""
+    """Limits of the arm's joints, and the stiffness with which it holds its parts.
 
-    speed_limit: float = 3.0  # [rad/s] of a joint; the URDF's own limit counts as well
-    acceleration_limit: float = 15.0  # [rad/s2] of a joint on its way to a commanded angle
-    force_limit: float = 500.0  # [N] with which the arm holds each of its parts, and so pushes
-    frequency: float = 25.0  # [Hz] natural frequency of a part about its place: the arm's stiffness
-    damping_ratio: float = 1.0  # 1: critical
-    lag_limit: float = 0.03  # [m] joints wait for a part that lags this far
+    Fields:
+      speed_limit: [rad/s] of a joint; the URDF's own limit counts as well
+      acceleration_limit: [rad/s2] of a joint on its way to a commanded angle
+      force_limit: [N] with which the arm holds each of its parts, and so pushes
+      frequency: [Hz] natural frequency of a part about its place: the arm's stiffness
+      damping_ratio: of that motion; 1: critical
+      lag_limit: [m] joints wait for a part that lags this far
+    """
+
+    speed_limit: float = 3.0
+    acceleration_limit: float = 15.0
+    force_limit: float = 500.0
+    frequency: float = 25.0
+    damping_ratio: float = 1.0
+    lag_limit: float = 0.03
 
 
 class Arm(NamedTuple):
@@ -137,11 +148,13 @@ def robot_description() -> str:
 def parse_arm(fields: Fields, folder: Path | None) -> Arm:
     """`swing` is a CSV file beside the scene, or a list of its rows: a time [s] and seven angles [degrees]."""
     default = ArmSettings()
-    settings = ArmSettings(*[fields.number(key, default._asdict()[key], above=0.0) for key in ArmSettings._fields])
-    position = fields.vector("position", 3, (0.0, 0.0, 0.0))
-    rotation = fields.vector("rotation", 3, (0.0, 0.0, 0.0))
+    values = default._asdict()
+    settings = ArmSettings(*[fields.number(key, meaning(default, key), values[key], above=0.0) for key in values])
+    position = fields.vector("position", "[m] of its foot", 3, (0.0, 0.0, 0.0))
+    rotation = fields.vector("rotation", f"[degrees] of its foot, {ROTATION}", 3, (0.0, 0.0, 0.0))
     orientation = from_euler_angles(DEGREE * rotation)
-    swing, path = fields.take("swing"), fields.name("swing")
+    words = "rows of time [s] and seven joint angles [degrees]; it stands as in the first row until then"
+    swing, path = fields.take("swing", words, kind="CSV file, or list of rows"), fields.name("swing")
     if isinstance(swing, str):
         swing = rows_of_file((folder or Path()) / swing, path, COLUMNS)
     if not isinstance(swing, list) or not swing:

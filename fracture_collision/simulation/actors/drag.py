@@ -8,8 +8,8 @@ import numpy as np
 
 from fracture_collision.portable_math import lengths
 from fracture_collision.simulation.actors.hand import Grip, Hand, HandSettings, HandTrack, HeldBody, kick
+from fracture_collision.simulation.breakable_body import BreakableBody
 from fracture_collision.simulation.engine.engine import BodyStates
-from fracture_collision.simulation.fracture.breakable_body import BreakableBody
 from fracture_collision.simulation.rotations import turned_back, turned_by
 from fracture_collision.simulation.solver.contact_solver import kinetic_energy
 

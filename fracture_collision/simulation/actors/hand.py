@@ -19,18 +19,26 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fracture_collision.portable_math import images, inverses, lengths, products, solutions
-from fracture_collision.simulation.config.scene_fields import Fields, SceneError, quoted
+from fracture_collision.records import documented
+from fracture_collision.simulation.config.scene_fields import Fields, SceneError, meaning, quoted
 from fracture_collision.simulation.config.scene_files import MAX_TRACK_BYTES, read_text
 
 COLUMNS = ["time", "x", "y", "z", "holds"]
 
 
+@documented
 class HandSettings(NamedTuple):
-    """The spring between the hand and the fragment that it holds."""
+    """The spring between the hand and the fragment that it holds.
 
-    frequency: float = 4.0  # f [Hz] natural frequency of the held fragment about the hand
-    damping_ratio: float = 1.0  # zeta; 1: critical
-    force_limit: float = 200.0  # [N] largest pull of the hand
+    Fields:
+      frequency: [Hz] f, natural frequency of the held fragment about the hand
+      damping_ratio: zeta of the spring; 1: critical
+      force_limit: [N] largest pull of the hand
+    """
+
+    frequency: float = 4.0
+    damping_ratio: float = 1.0
+    force_limit: float = 200.0
 
 
 class HandTrack(NamedTuple):
@@ -67,12 +75,14 @@ class Grip(NamedTuple):
 
 def parse_hand(fields: Fields, folder: Path | None, names: list[str]) -> Hand:
     """`track` is a CSV file beside the scene, or a list of its rows; `names`: the bodies that the hand may hold."""
+    default = HandSettings()
     settings = HandSettings(
-        fields.number("frequency", HandSettings().frequency, above=0.0),
-        fields.number("damping_ratio", HandSettings().damping_ratio, minimum=0.0),
-        fields.number("force_limit", HandSettings().force_limit, above=0.0),
+        fields.number("frequency", meaning(default, "frequency"), default.frequency, above=0.0),
+        fields.number("damping_ratio", meaning(default, "damping_ratio"), default.damping_ratio, minimum=0.0),
+        fields.number("force_limit", meaning(default, "force_limit"), default.force_limit, above=0.0),
     )
-    track, path = fields.take("track"), fields.name("track")
+    words = "rows of time [s], x, y, z [m] of the hand, and the name of the body that it holds from then on, or nothing"
+    track, path = fields.take("track", words, kind="CSV file, or list of rows"), fields.name("track")
     if isinstance(track, str):
         rows = rows_of_file((folder or Path()) / track, path, COLUMNS)
     elif isinstance(track, list):

@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 import reprlib
 import sys
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from difflib import get_close_matches
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,6 +17,7 @@ class SceneError(ValueError):
     """An invalid scene file; the text begins with the field's path."""
 
 
+ROTATION = "about the fixed axes x, y and z, one after the other"
 MOST_QUOTED = 40  # characters of a value: enough to find it, and little of a file that is no scene
 
 
@@ -28,69 +31,112 @@ def shortened(text: str) -> str:
     return text if len(text) <= MOST_QUOTED else f"{text[: MOST_QUOTED - 3]}..."
 
 
+class Entry(NamedTuple):
+    """A field that a scene file may have, as the parser reads it."""
+
+    path: str  # full name, of one scene
+    kind: str  # "number", "3 numbers", "text" ...
+    default: Any  # ...: it must be given
+    limits: str  # of numbers; "": any
+    words: str  # "[unit] meaning"
+
+
+_recorded: list[Entry] | None = None
+
+
+@contextmanager
+def recorded() -> Iterator[list[Entry]]:
+    """All fields that are read meanwhile, in the order of reading, whether given or not."""
+    global _recorded
+    before, _recorded = _recorded, []
+    try:
+        yield _recorded
+    finally:
+        _recorded = before
+
+
 class Fields:
-    """A mapping consumed field by field; a field left at the end is an error, probably a typo."""
+    """A mapping consumed field by field; a field left at the end is an error, probably a typo.
+
+    Each field is read with `words`, its unit and meaning: errors quote them, and docs/scenes.md lists them.
+    """
 
     def __init__(self, content: Any, path: str) -> None:
         if not isinstance(content, Mapping):
             raise SceneError(f"{path or 'scene'}: needs fields, got {quoted(content)}")
         self._left = dict(content)
         self._path = path
+        self._known: list[str] = []
 
     def name(self, key: str) -> str:
         """Full name of a field, as errors print it."""
         return f"{self._path}.{key}" if self._path else key
 
-    def take(self, key: str, default: Any = ...) -> Any:
+    def take(self, key: str, words: str, default: Any = ..., kind: str = "", limits: str = "") -> Any:
         """The value of a field, consumed; SceneError if it is missing and has no default."""
+        self._known.append(key)
+        if _recorded is not None:
+            _recorded.append(Entry(self.name(key), kind, default, limits, words))
         if key in self._left:
             return self._left.pop(key)
         if default is ...:
-            raise SceneError(f"{self.name(key)}: missing")
+            raise SceneError(f"{self.name(key)}: missing; it is: {words}")
         return default
 
-    def number(self, key: str, default: Any = ..., minimum: float = -math.inf, above: float = -math.inf) -> float:
-        """A finite number of at least `minimum` and more than `above`; raises SceneError."""
-        value = self.take(key, default)
+    def number(
+        self,
+        key: str,
+        words: str,
+        default: Any = ...,
+        minimum: float = -math.inf,
+        above: float = -math.inf,
+        maximum: float = math.inf,
+    ) -> float:
+        """A finite number from `minimum`, or more than `above`, to `maximum`; raises SceneError."""
+        limits = [f"at least {minimum:g}"] * (minimum > -math.inf) + [f"more than {above:g}"] * (above > -math.inf)
+        limits += [f"at most {maximum:g}"] * (maximum < math.inf)
+        value = self.take(key, words, default, "number", ", ".join(limits))
         if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= sys.float_info.max:
             raise SceneError(f"{self.name(key)}: needs a finite number, got {quoted(value)}")
-        if value < minimum or value <= above:
-            limit = f"at least {minimum}" if value < minimum else f"more than {above}"
-            raise SceneError(f"{self.name(key)}: needs {limit}, got {value}")
+        if value < minimum or value <= above or value > maximum:
+            broken = f"more than {above}" if value <= above else f"at most {maximum:g}"
+            broken = f"at least {minimum}" if value < minimum else broken
+            raise SceneError(f"{self.name(key)}: needs {broken}, got {value}")
         return float(value)
 
-    def text(self, key: str) -> str:
+    def text(self, key: str, words: str) -> str:
         """A text, or a number as text."""
-        value = self.take(key)
+        value = self.take(key, words, kind="text")
         if isinstance(value, bool) or not isinstance(value, str | int | float):
             raise SceneError(f"{self.name(key)}: needs a text, got {quoted(value)}")
         return str(value)
 
-    def integer(self, key: str, default: Any = ..., minimum: int = 0) -> int:
+    def integer(self, key: str, words: str, default: Any = ..., minimum: int = 0) -> int:
         """A whole number of at least `minimum`; raises SceneError."""
-        value = self.take(key, default)
+        value = self.take(key, words, default, "whole number", f"at least {minimum}")
         if isinstance(value, bool) or not isinstance(value, int) or value < minimum:
             raise SceneError(f"{self.name(key)}: needs a whole number of at least {minimum}, got {quoted(value)}")
         return value
 
-    def vector(self, key: str, size: int, default: Any = ...) -> np.ndarray:
-        """`size` finite numbers, (size,) float64; raises SceneError."""
-        value = self.take(key, default)
+    def vector(self, key: str, words: str, size: int, default: Any = ..., above: float = -math.inf) -> np.ndarray:
+        """`size` finite numbers, more than `above`, (size,) float64; raises SceneError."""
+        value = self.take(key, words, default, f"{size} numbers", f"more than {above:g}" if above > -math.inf else "")
         if not isinstance(value, list | tuple) or len(value) != size:
             raise SceneError(f"{self.name(key)}: needs {size} numbers, got {quoted(value)}")
-        parts = Fields({str(i): part for i, part in enumerate(value)}, self.name(key))
-        return np.array([parts.number(str(i)) for i in range(size)])
+        with recorded():  # elements are no fields
+            parts = Fields({str(i): part for i, part in enumerate(value)}, self.name(key))
+            return np.array([parts.number(str(i), words, above=above) for i in range(size)])
 
-    def mapping(self, key: str, default: Any = ...) -> Mapping:
+    def mapping(self, key: str, words: str, default: Any = ...) -> Mapping:
         """A mapping, of further fields; raises SceneError."""
-        value = self.take(key, default)
+        value = self.take(key, words, default, "fields")
         if not isinstance(value, Mapping):
             raise SceneError(f"{self.name(key)}: needs fields, got {quoted(value)}")
         return value
 
-    def sequence(self, key: str) -> list:
+    def sequence(self, key: str, words: str) -> list:
         """A list with at least one entry; raises SceneError."""
-        value = self.take(key)
+        value = self.take(key, words, kind="list", limits="at least one")
         if not isinstance(value, list) or not value:
             raise SceneError(f"{self.name(key)}: needs a list, got {quoted(value)}")
         return value
@@ -102,14 +148,22 @@ class Fields:
     def finish(self) -> None:
         """Raise SceneError if a field is left: it is unknown."""
         for key in self._left:
-            raise SceneError(f"{self.name(shortened(str(key)))}: unknown field")
+            near = get_close_matches(str(key), self._known, n=1)
+            advice = f"did you mean {near[0]}?" if near else f"there are {', '.join(self._known)}"
+            raise SceneError(f"{self.name(shortened(str(key)))}: unknown field; {advice}")
 
 
 def numbers(fields: Fields, defaults: Any) -> Any:
-    """A NamedTuple of non-negative numbers from fields of the same names."""
+    """A NamedTuple of non-negative numbers from fields of the same names, documented by those of the NamedTuple."""
     values = {
-        key: fields.integer(key, default) if isinstance(default, int) else fields.number(key, default, minimum=0.0)
+        key: fields.integer(key, meaning(defaults, key), default)
+        if isinstance(default, int) else fields.number(key, meaning(defaults, key), default, minimum=0.0)
         for key, default in defaults._asdict().items()
-    }
+    }  # fmt: skip
     fields.finish()
     return type(defaults)(**values)
+
+
+def meaning(record: Any, key: str) -> str:
+    """What the documentation of a NamedTuple says about its field."""
+    return getattr(type(record), key).__doc__

@@ -11,8 +11,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-
 from fracture_collision.geometry import concave_shapes, generators, sampled_bodies, stored_meshes
 from fracture_collision.geometry.generators import TetGeometry
 from fracture_collision.geometry.piggy_bank import piggy_bank
@@ -35,7 +33,45 @@ MESHES: dict[str, Callable[..., TetGeometry]] = {
     "stored_mesh": stored_meshes.stored_mesh,
     "vase": vase,
 }
+# What the fields of shapes mean; checked by the functions that make the meshes.
+WORDS = {
+    "coefficients": "a, b, c, d [m]: solid where a x + b y + c z + d < 0; (a, b, c) of unit length",
+    "radius": "[m]",
+    "edge_length": "[m] of the tetrahedra, about",
+    "outer_radius": "[m]",
+    "inner_radius": "[m] of the hollow",
+    "layers": "of tetrahedra through the wall; by default as many as edge_length gives, at least 2",
+    "size_xyz": "[m] lengths of its edges",
+    "diameter": "[m]",
+    "thickness": "[m]",
+    "rim_height": "[m] by which the rim rises, up to half the diameter",
+    "depth": "[m] from the rim to the lowest point outside, up to half the diameter",
+    "major_radius": "[m] of the ring",
+    "minor_radius": "[m] of its tube",
+    "notch_xy": "[m] lengths of the missing corner along x and y",
+    "frequency": "each edge of an icosahedron is divided into so many: 20 frequency^2 triangles",
+    "outer_frequency": "that of the outer surface, as of sampled_ball",
+    "inner_frequency": "that of the inner surface",
+    "interior_points": "nodes inside, about",
+    "longest_side": "[m]",
+    "length": "[m] from snout to tail",
+    "wall": "[m] thickness of the wall",
+    "file": "name of a .npz file beside the scene, with arrays vertices [m] and tetrahedra",
+    "height": "[m]",
+}
+ARGUMENTS = {
+    "float": "number", "int": "whole number", "int | None": "whole number", "str": "text",
+    "tuple[float, float, float]": "3 numbers", "tuple[float, float]": "2 numbers",
+}  # fmt: skip
+LIMITS = {
+    "number": "more than 0", "whole number": "at least 1", "text": "", "3 numbers": "more than 0",
+    "2 numbers": "more than 0", "rim_height": "at least 0", "inner_radius": "at least 0, less than outer_radius",
+    "interior_points": "at least 0", "inner_frequency": "at least 0",
+}  # fmt: skip
 KINDS = ("plane", "box", "sphere", *MESHES)
+_PRIMITIVES = {"plane": "a half-space", "box": "a box about the origin", "sphere": "a sphere about the origin"}
+# Each kind with the first sentence of what makes it.
+SHAPES = _PRIMITIVES | {kind: (make.__doc__ or "").split("\n\n")[0] for kind, make in MESHES.items()}
 
 
 class Shape(NamedTuple):
@@ -57,19 +93,17 @@ def parse_shape(fields: Fields, made: dict[tuple, TetGeometry], folder: Path | N
     if len(kinds) != 1 or kinds[0] not in KINDS:
         raise SceneError(f"{fields.name('')[:-1]}: needs just one of {', '.join(KINDS)}, got {quoted(kinds)}")
     kind = kinds[0]
-    part = Fields(fields.mapping(kind), fields.name(kind))
+    part = Fields(fields.mapping(kind, SHAPES[kind]), fields.name(kind))
     if kind == "plane":
-        plane = part.vector("coefficients", 4)
+        plane = part.vector("coefficients", WORDS["coefficients"], 4)
         if not math.isclose(float(lengths(plane[:3])), 1.0, abs_tol=1e-9):
             raise SceneError(f"{part.name('coefficients')}: the normal (a, b, c) is not of unit length")
         shape = Shape(kind, plane=tuple(map(float, plane)))
     elif kind == "box":
-        size = part.vector("size", 3)
-        if np.any(size <= 0.0):
-            raise SceneError(f"{part.name('size')}: needs positive lengths, got {size.tolist()}")
+        size = part.vector("size", "[m] lengths of its edges", 3, above=0.0)
         shape = Shape(kind, size=tuple(map(float, size)))
     elif kind == "sphere":
-        shape = Shape(kind, radius=part.number("radius", above=0.0))
+        shape = Shape(kind, radius=part.number("radius", WORDS["radius"], above=0.0))
     else:
         shape = Shape(kind, mesh=_mesh(kind, part, made, folder))
     part.finish()
@@ -81,7 +115,8 @@ def _mesh(kind: str, fields: Fields, made: dict[tuple, TetGeometry], folder: Pat
     arguments = {}
     for key, parameter in inspect.signature(make).parameters.items():
         default = ... if parameter.default is inspect.Parameter.empty else parameter.default
-        value = fields.take(key, default)
+        kind_of_value = ARGUMENTS[str(parameter.annotation)]
+        value = fields.take(key, WORDS[key], default, kind_of_value, LIMITS.get(key, LIMITS[kind_of_value]))
         arguments[key] = tuple(value) if isinstance(value, list) else value
     if kind == "stored_mesh" and isinstance(arguments["file"], str):
         arguments["file"] = str((folder or Path()) / arguments["file"])

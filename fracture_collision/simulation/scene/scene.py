@@ -13,20 +13,27 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from fracture_collision.fracture.pattern import PatternSettings
 from fracture_collision.geometry.generators import TetGeometry
 from fracture_collision.near_names import did_you_mean
 from fracture_collision.share import share_directory
 from fracture_collision.simulation.actors.arm import PARTS, Arm, ArmKinematics, parse_arm
 from fracture_collision.simulation.actors.hand import Hand, parse_hand
-from fracture_collision.simulation.config.scene_fields import Fields, SceneError, numbers, quoted
+from fracture_collision.simulation.config.scene_fields import ROTATION, Fields, SceneError, numbers, quoted
 from fracture_collision.simulation.config.scene_files import read_yaml
 from fracture_collision.simulation.config.shapes import Shape, parse_shape
-from fracture_collision.simulation.fracture.fracture_pattern import PatternSettings
 from fracture_collision.simulation.rotations import DEGREE, from_euler_angles, turned_by
 from fracture_collision.simulation.solver.contact_solver import SolverSettings
 
 MAX_STEPS = 1_000_000_000
 EARTH = (0.0, 0.0, -9.81)  # [m/s2] gravity, unless a scene has its own
+# What longer descriptions of fields say.
+VARIANTS = "scenes derived from this one, by name: fields that replace those above, bodies by their names"
+SOLVER = "settings of the contact solver; equations in simulation/solver/contact_solver.py"
+RESTITUTION = "0: no bounce, 1: no loss; a pair has the larger one"
+ROLLING_ARM = "[m] rolling and spinning resistance, torque per normal force; a pair has the larger one"
+STRENGTH = "[N s] sum of the normal impulses that a fragment bears in a step"
+PATTERN = "of the cracks: Voronoi cells around the impact"
 
 
 class Fracture(NamedTuple):
@@ -124,16 +131,18 @@ def parse_scene(content: Any, name: str, variant: str = "", folder: Path | None 
             raise SceneError(f"{name}: has no variant {variant!r}; there are {', '.join(known) or 'none'}")
         content, name = _merged(content, known[variant], "variants." + variant), f"{name}:{variant}"
     root = Fields(content, "")
-    root.mapping("variants", {})
+    root.mapping("variants", VARIANTS, {})
     materials = {
-        str(key): _material(Fields(value, f"materials.{key}")) for key, value in root.mapping("materials").items()
+        str(key): _material(Fields(value, f"materials.{key}"))
+        for key, value in root.mapping("materials", "materials by name").items()
     }
     made: dict[tuple, TetGeometry] = {}
     bodies = tuple(
-        _body(Fields(value, f"bodies[{i}]"), materials, made, folder) for i, value in enumerate(root.sequence("bodies"))
+        _body(Fields(value, f"bodies[{i}]"), materials, made, folder)
+        for i, value in enumerate(root.sequence("bodies", "all bodies"))
     )
     dragged = [body.name for body in bodies if not body.is_static]
-    arm = root.take("arm", None)
+    arm = root.take("arm", "a robot arm, the KUKA LBR iiwa", None, "fields")
     if arm is not None:
         arm_fields = Fields(arm, "arm")
         material = _material_of(arm_fields, materials)
@@ -143,16 +152,16 @@ def parse_scene(content: Any, name: str, variant: str = "", folder: Path | None 
     for body_name in names:
         if names.count(body_name) > 1:
             raise SceneError(f"bodies: the name {quoted(body_name)} occurs {names.count(body_name)} times")
-    hand = root.take("hand", None)
+    hand = root.take("hand", "a hand that takes hold of bodies and drags them", None, "fields")
     if hand is not None:
         hand = parse_hand(Fields(hand, "hand"), folder, dragged)
     scene = Scene(
         name=name,
-        seed=root.integer("seed", 1),
-        gravity=root.vector("gravity", 3, EARTH),
-        time_step=root.number("time_step", above=0.0),
-        duration=root.number("duration", above=0.0),
-        solver=numbers(Fields(root.mapping("solver", {}), "solver"), SolverSettings()),
+        seed=root.integer("seed", "of the fracture patterns: another seed, other cracks", 1),
+        gravity=root.vector("gravity", "[m/s2]", 3, EARTH),
+        time_step=root.number("time_step", "[s] of the simulation", above=0.0),
+        duration=root.number("duration", "[s] of the run", above=0.0),
+        solver=numbers(Fields(root.mapping("solver", SOLVER, {}), "solver"), SolverSettings()),
         bodies=bodies,
         hand=hand,
         arm=arm,
@@ -180,7 +189,7 @@ def _find(name: str) -> tuple[Path, str]:
 
 
 def _variants(content: Any) -> Mapping[str, Any]:
-    return Fields(content, "").mapping("variants", {})
+    return Fields(content, "").mapping("variants", VARIANTS, {})
 
 
 def _merged(content: Any, change: Any, path: str) -> Any:
@@ -200,21 +209,19 @@ def _merged(content: Any, change: Any, path: str) -> Any:
 
 def _material(fields: Fields) -> Material:
     material = Material(
-        density=fields.number("density", above=0.0),
-        friction=fields.number("friction", minimum=0.0),
-        restitution=fields.number("restitution", 0.0, minimum=0.0),
-        rolling_arm=fields.number("rolling_arm", 0.0, minimum=0.0),
+        density=fields.number("density", "[kg/m3]", above=0.0),
+        friction=fields.number("friction", "Coulomb coefficient; a pair has the geometric mean", minimum=0.0),
+        restitution=fields.number("restitution", RESTITUTION, 0.0, minimum=0.0, maximum=1.0),
+        rolling_arm=fields.number("rolling_arm", ROLLING_ARM, 0.0, minimum=0.0),
         fracture=None,
     )
-    if material.restitution > 1.0:
-        raise SceneError(f"{fields.name('restitution')}: needs at most 1, got {material.restitution}")
-    breaks = fields.take("fracture", None)
+    breaks = fields.take("fracture", "when and how it breaks; without it, it does not", None, "fields")
     if breaks is not None:
         part = Fields(breaks, fields.name("fracture"))
         fracture = Fracture(
-            strength=part.number("strength", above=0.0),
-            minimum_mass=part.number("minimum_mass", minimum=0.0),
-            pattern=numbers(Fields(part.mapping("pattern", {}), part.name("pattern")), PatternSettings()),
+            strength=part.number("strength", STRENGTH, above=0.0),
+            minimum_mass=part.number("minimum_mass", "[kg] lighter fragments do not break", minimum=0.0),
+            pattern=numbers(Fields(part.mapping("pattern", PATTERN, {}), part.name("pattern")), PatternSettings()),
         )
         part.finish()
         material = material._replace(fracture=fracture)
@@ -223,7 +230,7 @@ def _material(fields: Fields) -> Material:
 
 
 def _material_of(fields: Fields, materials: Mapping[str, Material]) -> Material:
-    name = fields.text("material")
+    name = fields.text("material", "name of its material")
     if name not in materials:
         raise SceneError(f"{fields.name('material')}: {quoted(name)} is none of {', '.join(materials)}")
     return materials[name]
@@ -247,19 +254,20 @@ def _body(
     fields: Fields, materials: Mapping[str, Material], made: dict[tuple, TetGeometry], folder: Path | None
 ) -> SceneBody:
     material = _material_of(fields, materials)
-    is_static = fields.take("static", False)
+    is_static = fields.take("static", "whether it cannot move", False, "true or false")
     if not isinstance(is_static, bool):
         raise SceneError(f"{fields.name('static')}: needs true or false, got {quoted(is_static)}")
+    shape = fields.mapping("shape", "one of the shapes below, by its name")
     body = SceneBody(
-        name=fields.text("name"),
-        shape=parse_shape(Fields(fields.mapping("shape"), fields.name("shape")), made, folder),
+        name=fields.text("name", "of the body; each once"),
+        shape=parse_shape(Fields(shape, fields.name("shape")), made, folder),
         material=material,
         is_static=is_static,
-        position=fields.vector("position", 3, (0.0, 0.0, 0.0)),
-        orientation=from_euler_angles(DEGREE * fields.vector("rotation", 3, (0.0, 0.0, 0.0))),
-        start_time=fields.number("start_time", 0.0, minimum=0.0),
-        linear_velocity=fields.vector("linear_velocity", 3, (0.0, 0.0, 0.0)),
-        angular_velocity=fields.vector("angular_velocity", 3, (0.0, 0.0, 0.0)),
+        position=fields.vector("position", "[m] of the body frame, in the world", 3, (0.0, 0.0, 0.0)),
+        orientation=from_euler_angles(DEGREE * fields.vector("rotation", f"[degrees] {ROTATION}", 3, (0.0, 0.0, 0.0))),
+        start_time=fields.number("start_time", "[s] when it enters the scene", 0.0, minimum=0.0),
+        linear_velocity=fields.vector("linear_velocity", "[m/s] at its start", 3, (0.0, 0.0, 0.0)),
+        angular_velocity=fields.vector("angular_velocity", "[rad/s] at its start, world axes", 3, (0.0, 0.0, 0.0)),
     )
     if body.shape.kind == "plane" and not body.is_static:
         raise SceneError(f"{fields.name('static')}: a plane cannot move")

@@ -21,6 +21,7 @@ from fracture_collision.simulation.solver.contact_step import drift_velocities, 
 from fracture_collision.simulation.solver.small_matrices import invert_symmetric
 
 _grouped = njit(cache=True)(grouping.grouped)
+_root_of = njit(cache=True)(grouping.root_of)
 # A contact at rest never penetrates by this many rest gaps.
 DEEP = 5.0
 
@@ -84,13 +85,13 @@ def islands_of(begin, body_a, body_b, count):
         if b < count:
             touches[b] = True
         if a < count and b < count:
-            a, b = root_of(root, a), root_of(root, b)
+            a, b = _root_of(root, a), _root_of(root, b)
             root[max(a, b)] = min(a, b)
     label = np.full(count, -1)
     island_count = 0
     for i in range(count):
         if touches[i]:
-            r = root_of(root, i)
+            r = _root_of(root, i)
             if r == i:
                 label[i] = island_count
                 island_count += 1
@@ -106,15 +107,6 @@ def islands_of(begin, body_a, body_b, count):
     pairs, pair_begin = _grouped(of_pair, island_count)
     bodies, body_begin = _grouped(label, island_count)
     return Islands(pairs, pair_begin, bodies, body_begin)
-
-
-@uncounted
-def root_of(root, i):
-    """Root of i in a forest of parents `root` (n,) int64; halves the path to it (union-find)."""
-    while root[i] != i:
-        root[i] = root[root[i]]
-        i = root[i]
-    return i
 
 
 @njit(cache=True)

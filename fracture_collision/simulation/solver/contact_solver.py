@@ -40,27 +40,46 @@ import numpy as np
 from numba import njit
 
 from fracture_collision.portable_math import dots, images
-from fracture_collision.records import ContactConstraintArray
+from fracture_collision.records import ContactConstraintArray, documented
 from fracture_collision.simulation.solver.contact_islands import Bodies, Contacts, Result, islands_of, solve_islands
 
 
+@documented
 class SolverSettings(NamedTuple):
-    """Parameters of the method; the scene file gives the reason for each value."""
+    """Parameters of the method; the scene file gives the reason for each value.
 
-    iterations: int = 40  # of (2), (3), (5), at most; each visits every contact twice
-    accuracy: float = 1.0e-12  # they end when no velocity changes by more than this share of what contacts change
-    rounds: int = 5  # of these iterations, at most; another follows where the step would still gain energy
-    restitution_iterations: int = 8  # further iterations with (4), at most
-    drift_iterations: int = 8  # of (6), likewise
-    restitution_speed: float = 0.2  # v_e [m/s]
-    rest_gap: float = 1.0e-4  # [m] see rest_gaps
-    rest_slop: float = 8.0e-5  # [m] by which a gap may fall short of the rest gap
-    drift_fraction: float = 0.2  # f, the share of the penetration taken out in one step
-    drift_speed: float = 0.3  # v_max [m/s]
-    memory_reach: float = 2.5e-4  # [m] see contact_memory
-    ahead_gap: float = 5.0e-4  # [m] contacts with larger gaps lie ahead, see touch_ahead
-    sleep_speed: float = 1.0e-3  # [m/s] see sleep
-    sleep_time: float = 0.25  # [s] likewise; 0: no sleeping
+    Fields:
+      iterations: of (2), (3) and (5) at most; each visits every contact twice
+      accuracy: iterations end when no velocity changes by more than this share of what contacts change
+      rounds: of these iterations at most; another follows where the step would still gain energy
+      restitution_iterations: further ones with (4) at most
+      drift_iterations: of (6) at most
+      restitution_speed: [m/s] v_e; slower impacts do not bounce
+      rest_gap: [m] distance at which bodies rest, see rest_gaps
+      rest_slop: [m] by which a gap may fall short of the rest gap without correction
+      drift_fraction: f, the share of a penetration taken out in one step
+      drift_speed: [m/s] v_max, limit of that correction
+      memory_reach: [m] remembered contacts are kept up to this gap, see contact_memory
+      ahead_gap: [m] contacts with larger gaps lie ahead: they hold bodies back and transmit no impulse, see touch_ahead
+      sleep_speed: [m/s] bodies fall asleep that moved, for sleep_time, no farther than this speed would take them, see
+        sleep
+      sleep_time: [s] likewise; 0: no sleeping
+    """
+
+    iterations: int = 40
+    accuracy: float = 1.0e-12
+    rounds: int = 5
+    restitution_iterations: int = 8
+    drift_iterations: int = 8
+    restitution_speed: float = 0.2
+    rest_gap: float = 1.0e-4
+    rest_slop: float = 8.0e-5
+    drift_fraction: float = 0.2
+    drift_speed: float = 0.3
+    memory_reach: float = 2.5e-4
+    ahead_gap: float = 5.0e-4
+    sleep_speed: float = 1.0e-3
+    sleep_time: float = 0.25
 
 
 class RigidBodies(NamedTuple):

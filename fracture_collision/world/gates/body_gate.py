@@ -108,11 +108,11 @@ def read_body(body: CollisionBody) -> BodyFields:
     """Raise InvalidMessage unless each field by itself obeys the rules of CollisionBody.msg."""
     body_id, fragment_id = identifier("body_id", body.body_id), identifier("fragment_id", body.fragment_id)
     if not isinstance(body.name, str):
-        refuse("wrong_type", "name: not a string")
+        refuse("wrong_type", f"name: {type(body.name).__name__} instead of a string")
     if len(body.name) > MAX_NAME:
         refuse("limit_exceeded", f"name: {len(body.name)} characters, more than {MAX_NAME}")
     if not isinstance(body.is_static, bool | np.bool_):
-        refuse("wrong_type", "is_static: neither true nor false")
+        refuse("wrong_type", f"is_static: {type(body.is_static).__name__} instead of true or false")
     density = number("density", body.density, 0.0, MAX_DENSITY, open_low=True)
     friction = number("friction", body.friction, 0.0, MAX_FRICTION)
     restitution = number("restitution", body.restitution, 0.0, 1.0)
@@ -121,7 +121,7 @@ def read_body(body: CollisionBody) -> BodyFields:
     triangles = indices("triangles", body.triangles, 3, len(vertices), "vertices")
     plane = floats("plane", body.plane, limit=LARGEST_LENGTH)
     if len(plane) != 4:
-        refuse("size_mismatch", f"plane: {len(plane)} coefficients, not 4")
+        refuse("size_mismatch", f"plane: {len(plane)} coefficients, not 4: a, b, c, d of a x + b y + c z + d = 0")
     dimensions = floats("primitive.dimensions", getattr(body.primitive, "dimensions", None), limit=LARGEST_LENGTH)
     kind = identifier("primitive.type", getattr(body.primitive, "type", None))
     content = (
@@ -140,7 +140,14 @@ def check_body(fields: BodyFields, store: MeshStore, room_for_nodes: int) -> Che
     """Raise InvalidMessage unless the fields together form a body; prepare its geometry."""
     has_mesh = bool(len(fields.vertices) or len(fields.tetrahedra) or len(fields.triangles))
     if (fields.primitive != 0) + bool(fields.plane.any()) + has_mesh != 1:
-        refuse("no_shape", f"{SHAPE_FIELDS}: a body needs exactly one of these, vertices with tetrahedra or triangles")
+        given = [name for name, is_given in (
+            ("primitive", fields.primitive != 0), ("plane", fields.plane.any()), ("vertices", has_mesh)
+        ) if is_given]  # fmt: skip
+        refuse(
+            "no_shape",
+            f"{SHAPE_FIELDS}: a body needs exactly one of these, vertices with tetrahedra or triangles; this one has "
+            + (" and ".join(given) or "none"),
+        )
     sphere, box, half_space, mesh, surface = 0.0, None, None, None, None
     if fields.primitive:
         sphere, box = _primitive(fields.primitive, fields.dimensions)
@@ -155,7 +162,7 @@ def check_body(fields: BodyFields, store: MeshStore, room_for_nodes: int) -> Che
         if not len(tetrahedra) and not len(triangles):
             refuse("no_shape", "tetrahedra, triangles: both are empty, but there are vertices; pass one of them")
         if float(np.ptp(vertices, axis=0).max(initial=0.0)) < SMALLEST_LENGTH:
-            refuse("out_of_range", f"vertices: the body is smaller than {SMALLEST_LENGTH:g} m")
+            refuse("out_of_range", f"vertices: the body is smaller than {SMALLEST_LENGTH:g} m; lengths are in metres")
         if len(tetrahedra):
             _check_tetrahedra(vertices, tetrahedra, triangles)
             mesh = store.prepared(
@@ -192,7 +199,8 @@ def _primitive(kind: int, dimensions: np.ndarray) -> tuple[float, np.ndarray | N
     if kind not in DIMENSIONS:
         refuse("out_of_range", f"primitive.type: {kind} is neither BOX (1) nor SPHERE (2)")
     if len(dimensions) != DIMENSIONS[kind]:
-        refuse("size_mismatch", f"primitive.dimensions: {len(dimensions)} numbers, not {DIMENSIONS[kind]}")
+        needed = "1, the radius" if kind == SPHERE else "3, the lengths of the edges"
+        refuse("size_mismatch", f"primitive.dimensions: {len(dimensions)} numbers, not {needed}")
     if (dimensions < SMALLEST_LENGTH).any():
         refuse("out_of_range", f"primitive.dimensions: {dimensions.min()} is less than {SMALLEST_LENGTH:g} m")
     return (float(dimensions[0]), None) if kind == SPHERE else (0.0, dimensions / 2.0)
@@ -201,18 +209,27 @@ def _primitive(kind: int, dimensions: np.ndarray) -> tuple[float, np.ndarray | N
 def _check_tetrahedra(vertices: np.ndarray, tetrahedra: np.ndarray, triangles: np.ndarray) -> None:
     unused = np.flatnonzero(np.bincount(tetrahedra.ravel(), minlength=len(vertices)) == 0)
     if len(unused):
-        refuse("bad_mesh", f"vertices: vertex {unused[0]} belongs to no tetrahedron")
+        refuse(
+            "bad_mesh",
+            f"vertices: vertex {unused[0]} belongs to no tetrahedron ({len(unused)} of {len(vertices)} do not); leave "
+            "out unused vertices and renumber the others, as by numpy.unique(tetrahedra, return_inverse=True)",
+        )
     volumes = tetrahedron_volumes(vertices, tetrahedra)
     corners = vertices[tetrahedra]
     longest = np.max([lengths(corners[:, i] - corners[:, j]) for i in range(4) for j in range(i)], axis=0)
     bad = np.flatnonzero(volumes <= FLAT_TETRAHEDRON * longest * longest * longest)
     if len(bad):
-        what = "inverted" if volumes[bad[0]] < 0 else "flat"
-        refuse("bad_mesh", f"tetrahedra: tetrahedron {bad[0]} is {what} (volume {volumes[bad[0]]:.3g} m3)")
+        inverted = int((volumes < 0.0).sum())
+        if volumes[bad[0]] < 0.0:
+            what, advice = "inverted", f"{inverted} of {len(volumes)} are; exchange two corners of each"
+        else:
+            what, advice = "flat", "leave it out, or mesh the body again"
+        refuse("bad_mesh", f"tetrahedra: tetrahedron {bad[0]} is {what} (volume {volumes[bad[0]]:.3g} m3); {advice}")
     faces = np.sort(tetrahedra[:, [[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]]].reshape(-1, 3), axis=1)
-    _, uses = np.unique(faces, axis=0, return_counts=True)
+    kinds, uses = np.unique(faces, axis=0, return_counts=True)
     if uses.max() > 2:
-        refuse("bad_mesh", f"tetrahedra: a face belongs to {uses.max()} tetrahedra")
+        face = "-".join(map(str, kinds[uses.argmax()]))
+        refuse("bad_mesh", f"tetrahedra: the face {face} belongs to {uses.max()} tetrahedra, not 1 or 2; some overlap")
     pieces = connected_pieces(unique_edges(tetrahedra), np.zeros(len(vertices), np.int64))
     if pieces.max() > 0:
         refuse("bad_mesh", f"tetrahedra: the mesh falls into {pieces.max() + 1} pieces; each needs a body of its own")

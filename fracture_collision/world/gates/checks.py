@@ -22,10 +22,10 @@ def refuse(kind: str, text: str) -> NoReturn:
 
 
 def floats(name: str, values, columns: int = 0, limit: float = np.inf) -> np.ndarray:
-    """`values` as float64, all finite, none beyond +-limit; (n, columns) if columns are given."""
-    given = _array(name, values)
+    """`values`, flat or in rows, as float64, all finite, none beyond +-limit; (n, columns) if columns are given."""
+    given = _array(name, values, columns)
     if given.dtype.kind not in "fiu":
-        refuse("wrong_type", f"{name}: {given.dtype} instead of numbers")
+        refuse("wrong_type", f"{name}: {given.dtype} instead of numbers; pass an array of float64")
     with np.errstate(over="ignore"):  # values too large for a double become infinite, and are rejected
         array = np.ascontiguousarray(given, dtype=np.float64).ravel()
     if not np.isfinite(array).all():
@@ -38,26 +38,36 @@ def floats(name: str, values, columns: int = 0, limit: float = np.inf) -> np.nda
 
 
 def indices(name: str, values, columns: int = 0, below: int | None = None, of: str = "") -> np.ndarray:
-    """`values` as int64, each in 0 .. below - 1 (default: uint32); (n, columns) if columns are given."""
-    given = _array(name, values)
+    """`values` as int64, each in 0 .. below - 1 (default: uint32); (n, columns) as in `floats`."""
+    given = _array(name, values, columns)
     if not given.size:
         # an empty list has no integer type
         given = np.empty(0, dtype=np.int64)
     if given.dtype.kind not in "iu":
-        refuse("wrong_type", f"{name}: {given.dtype} instead of integers")
+        refuse("wrong_type", f"{name}: {given.dtype} instead of integers; convert it, as by .astype(numpy.uint32)")
     limit = UINT32_MAX + 1 if below is None else below
     flat = given.ravel()
     if flat.size and (flat.min() < 0 or flat.max() >= limit):
         i = int(np.flatnonzero((flat < 0) | (flat >= limit))[0])
-        refuse("out_of_range", f"{name}: index {flat[i]} (entry {i}) is not below {limit}{' ' + of if of else ''}")
+        what = "is negative" if flat[i] < 0 else f"is not below {limit}{' ' + of if of else ''}"
+        from_one = below is not None and flat.min() == 1 and flat.max() == limit
+        advice = "; the indices seem to start at 1: subtract 1 from all" if from_one else ""
+        refuse("out_of_range", f"{name}: index {flat[i]} (entry {i}) {what}{advice}")
     return _shaped(name, np.ascontiguousarray(flat, dtype=np.int64), columns)
 
 
-def _array(name: str, values) -> np.ndarray:
+def _array(name: str, values, columns: int) -> np.ndarray:
     try:
-        return np.asarray(values)
+        given = np.asarray(values)
     except (TypeError, ValueError, OverflowError):
-        raise InvalidMessage("wrong_type", f"{name}: not an array of numbers") from None
+        raise InvalidMessage(
+            "wrong_type", f"{name}: not an array of numbers; pass a numpy array, or a list without gaps"
+        ) from None
+    # Rows in another order, or transposed, would be read as other numbers.
+    if given.ndim > 2 or (given.ndim == 2 and given.size and given.shape[1] not in (1, columns)):
+        rows = f"(n, {columns})" if columns else "(n,)"
+        refuse("size_mismatch", f"{name}: shape {given.shape}; pass shape {rows}, or the same numbers flat")
+    return given
 
 
 def _shaped(name: str, array: np.ndarray, columns: int) -> np.ndarray:
@@ -79,7 +89,7 @@ def number(name: str, value, low: float, high: float = np.inf, open_low: bool = 
     try:
         number = float(value)
     except (TypeError, ValueError, OverflowError):
-        raise InvalidMessage("wrong_type", f"{name}: not a number") from None
+        raise InvalidMessage("wrong_type", f"{name}: {type(value).__name__} instead of a number") from None
     if not np.isfinite(number):
         refuse("not_finite", f"{name}: {number}")
     if number < low or number > high or (open_low and number == low):
@@ -90,7 +100,7 @@ def number(name: str, value, low: float, high: float = np.inf, open_low: bool = 
 def identifier(name: str, value, maximum: int = UINT32_MAX) -> int:
     """`value` as an int in 0 .. maximum; booleans are rejected."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer):
-        refuse("wrong_type", f"{name}: not an integer")
+        refuse("wrong_type", f"{name}: {type(value).__name__} instead of an integer")
     if not 0 <= int(value) <= maximum:
         refuse("out_of_range", f"{name}: {value} is not in 0 .. {maximum}")
     return int(value)
@@ -103,4 +113,4 @@ def each_once(name: str, values: np.ndarray) -> None:
     ordered = np.sort(values)
     twice = np.flatnonzero(ordered[1:] == ordered[:-1])
     if len(twice):
-        refuse("doubled", f"{name}: {ordered[twice[0]]} occurs more than once")
+        refuse("doubled", f"{name}: {ordered[twice[0]]} occurs more than once; list each once")

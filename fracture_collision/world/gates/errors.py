@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from fracture_collision.records import documented
+
 
 class InvalidMessage(ValueError):
     """A message breaks a rule of the protocol; it was rejected as a whole and changed nothing.
@@ -30,8 +32,14 @@ class StatesAhead(InvalidMessage):
         self.fragment_ids = fragment_ids or []
 
 
+@documented
 class Rejection(NamedTuple):
-    """The next fracture event arrived and was rejected; another of the same sequence is accepted at any time."""
+    """The next fracture event arrived and was rejected; another of the same sequence is accepted at any time.
+
+    Fields:
+      sequence: of the event
+      reason: the text of the InvalidMessage
+    """
 
     sequence: int
     reason: str

@@ -9,6 +9,7 @@ import numpy as np
 
 from fracture_collision.core.bodies.collision_geometry import CollisionGeometry
 from fracture_collision.core.mesh.tet_mesh import TetMesh
+from fracture_collision.portable_math import dots, lengths
 from fracture_collision.records import FractureEvent
 from fracture_collision.world.gates.checks import (
     UINT64_MAX,
@@ -69,7 +70,7 @@ def read_fracture(event: FractureEvent) -> FractureFields:
     body_id, fragment_id = identifier("body_id", event.body_id), identifier("fragment_id", event.fragment_id)
     new_ids = indices("new_fragment_ids", event.new_fragment_ids)
     if len(new_ids) < 2:
-        refuse("size_mismatch", f"new_fragment_ids: {len(new_ids)} fragments; a fracture makes at least 2")
+        refuse("size_mismatch", f"new_fragment_ids: {len(new_ids)} of them; a fracture makes at least 2 fragments")
     each_once("new_fragment_ids", new_ids)
     nodes = indices("nodes", event.nodes)
     parts = indices("node_fragments", event.node_fragments, 0, len(new_ids), "new fragments")
@@ -80,7 +81,12 @@ def read_fracture(event: FractureEvent) -> FractureFields:
     same_length("cut_planes", planes, "cut edges", len(edges))
     crooked = first_crooked(planes, UNIT_TOLERANCE)
     if crooked >= 0:
-        refuse("not_unit", f"cut_planes: the normal of entry {crooked} is not of length 1")
+        with np.errstate(over="ignore"):
+            size = float(lengths(planes[crooked, :3]))
+        refuse(
+            "not_unit",
+            f"cut_planes: the normal of entry {crooked} is of length {size:.9g}, not 1; divide the four numbers by it",
+        )
     digest = hashlib.sha256()
     ids = np.array([sequence, body_id, fragment_id], np.uint64)
     for content in (ids, new_ids, nodes, parts, edges, planes):
@@ -164,11 +170,29 @@ def _connected(fields: FractureFields, mesh: TetMesh, part_of_node: np.ndarray) 
     new_ids = fields.new_fragment_ids
     nodes_of = np.bincount(fields.parts, minlength=len(new_ids))
     if not nodes_of.all():
-        refuse("empty_fragment", f"node_fragments: fragment {new_ids[np.argmin(nodes_of)]} has no node")
+        empty = int(np.argmin(nodes_of))
+        refuse(
+            "empty_fragment",
+            f"node_fragments: fragment {new_ids[empty]} has no node: index {empty} of new_fragment_ids does not occur",
+        )
     split, between = first_split(mesh.edges, mesh.edges_begin, part_of_node, len(new_ids))
     if split >= 0:
-        refuse("disconnected", f"node_fragments: fragment {new_ids[split]} falls into pieces that no edge joins")
+        refuse(
+            "disconnected",
+            f"node_fragments: fragment {new_ids[split]} falls into pieces that no edge joins; make each a fragment, as "
+            "fracture_collision.fracture.labels does",
+        )
     return between
+
+
+def _refuse_missed(plane: np.ndarray, edge: list[int], ends: np.ndarray, row: int) -> NoReturn:
+    """Raise InvalidMessage: a plane (4,) does not cross its edge between two nodes at `ends` (2, 3)."""
+    (a, b), (at_a, at_b) = edge, dots(ends, plane[:3]) - plane[3]
+    refuse(
+        "missed_edge",
+        f"cut_planes: entry {row} does not cross its edge {a}-{b} from first to second: normal . x - offset is "
+        f"{at_a:.6g} m at node {a} (needed: at most 0) and {at_b:.6g} m at node {b} (needed: more than 0)",
+    )
 
 
 def _cuts(
@@ -177,14 +201,15 @@ def _cuts(
     """The cut mesh edges, ascending (k,) int32, their planes (k, 4), and the nodes that these pinch (n,) uint8."""
     ends = indices("cut_edges", fields.cut_edges, 2, len(mesh.nodes), "mesh nodes")
     problem, row, found = match_cuts(mesh, part_of_node, between, ends, fields.cut_planes, CROSSING_TOLERANCE)
+    if problem == MISSED:
+        _refuse_missed(fields.cut_planes[row], ends[row].tolist(), mesh.nodes[ends[row]], row)
     if problem != FINE:
-        a, b = mesh.edges[row] if problem in (DOUBLED, EXTRA, MISSING) else ends[row]
+        a, b = ends[row] if problem == NO_EDGE else mesh.edges[row]
         kind, text = {
             NO_EDGE: ("no_edge", f"cut_edges: {a}-{b} (entry {row}) is not an edge of the mesh"),
             DOUBLED: ("doubled", f"cut_edges: {a}-{b} occurs more than once"),
-            EXTRA: ("wrong_cut", f"cut_edges: {a}-{b} does not join two of the new fragments"),
-            MISSING: ("wrong_cut", f"cut_edges: {a}-{b} joins two of the new fragments but is not cut"),
-            MISSED: ("missed_edge", f"cut_planes: entry {row} does not cross its edge {a}-{b} from first to second"),
+            EXTRA: ("wrong_cut", f"cut_edges: {a}-{b} does not join two of the new fragments; leave it out"),
+            MISSING: ("wrong_cut", f"cut_edges: {a}-{b} joins two of the new fragments but is not cut; list it"),
         }[problem]
         refuse(kind, text)
     return found.edges, found.planes, found.pinched

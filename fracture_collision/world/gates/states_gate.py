@@ -120,7 +120,11 @@ def _put_in_order(states: FragmentStates) -> CheckedStates:
     crooked = np.flatnonzero(~(np.abs(length - 1.0) <= QUATERNION_TOLERANCE))
     if len(crooked):
         i = crooked[0]
-        refuse("not_unit", f"orientations: the quaternion of fragment {ids[i]} has length {length[i]:.9g}, not 1")
+        refuse(
+            "not_unit",
+            f"orientations: the quaternion of fragment {ids[i]} has length {length[i]:.9g}, not 1; divide it by that, "
+            "and order it x y z w",
+        )
     order = np.argsort(ids, kind="stable")
     columns = (np.ascontiguousarray(column[order]) for column in (positions, orientations, *both))
     return CheckedStates(step, sequence, ids[order], *columns)

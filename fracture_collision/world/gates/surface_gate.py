@@ -21,13 +21,17 @@ def check_surface(vertices: np.ndarray, triangles: np.ndarray) -> None:
     """
     unused = np.flatnonzero(np.bincount(triangles.ravel(), minlength=len(vertices)) == 0)
     if len(unused):
-        refuse("bad_mesh", f"vertices: vertex {unused[0]} belongs to no triangle")
+        refuse("bad_mesh", f"vertices: vertex {unused[0]} belongs to no triangle; leave out unused vertices")
     corners = vertices[triangles]
     sides = np.roll(corners, -1, axis=1) - corners
     twice_area = lengths(np.cross(sides[:, 0], sides[:, 1]))
     flat = np.flatnonzero(twice_area <= FLAT_TRIANGLE * dots(sides, sides).max(axis=1))
     if len(flat):
-        refuse("bad_mesh", f"triangles: triangle {flat[0]} has no area ({0.5 * twice_area[flat[0]]:.3g} m2)")
+        refuse(
+            "bad_mesh",
+            f"triangles: triangle {flat[0]} has no area ({0.5 * twice_area[flat[0]]:.3g} m2); merge vertices at equal "
+            "places",
+        )
     opposite = _opposite_sides(triangles, len(vertices))
     _one_fan_a_vertex(triangles, opposite, len(vertices))
     _one_solid(triangles, corners, opposite)
@@ -59,7 +63,8 @@ def _opposite_sides(triangles: np.ndarray, vertex_count: int) -> np.ndarray:
     unmatched = np.flatnonzero(ordered[found] != back)
     if len(unmatched):
         side = unmatched[0]
-        refuse("bad_mesh", f"triangles: edge {start[side]}-{end[side]} belongs to one triangle; the surface is open")
+        ends = f"{start[side]}-{end[side]}"
+        refuse("bad_mesh", f"triangles: edge {ends} belongs to one triangle; the surface is open: close its holes")
     return order[found]
 
 

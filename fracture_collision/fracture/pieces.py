@@ -1,4 +1,4 @@
-"""Pieces into which seeds divide the nodes of a fragment, and the edges this cuts: the loops of `fracture_pattern`.
+"""Pieces into which seeds divide the nodes of a fragment, and the edges this cuts: the loops of `pattern`.
 
 Nodes and edges are those of the fragment, numbered within it.
 """
@@ -8,8 +8,9 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from fracture_collision.simulation.compiled import uncounted
-from fracture_collision.simulation.solver.contact_islands import root_of
+from fracture_collision import grouping
+
+_root_of = njit(cache=True)(grouping.root_of)
 
 
 @njit(cache=True)
@@ -63,14 +64,14 @@ def connected_pieces(labels, edges, minimum_nodes):
     for e in range(len(edges)):
         a, b = edges[e, 0], edges[e, 1]
         if labels[a] == labels[b]:
-            a, b = root_of(root, a), root_of(root, b)
+            a, b = _root_of(root, a), _root_of(root, b)
             root[max(a, b)] = min(a, b)
         else:
             between[between_count, 0], between[between_count, 1] = a, b
             between_count += 1
     pieces = np.empty(labels.size, np.int64)
     for i in range(labels.size):
-        pieces[i] = root_of(root, i)
+        pieces[i] = _root_of(root, i)
     count = _number_by_first(pieces)
     between = between[:between_count]
     _join_small(pieces, count, between, minimum_nodes)
@@ -109,7 +110,7 @@ def range_between(sides, rows, count):
     return highest, lowest
 
 
-@uncounted
+@njit(cache=True)
 def _squared_distance(a, b):
     x, y, z = a[0] - b[0], a[1] - b[1], a[2] - b[2]
     return x * x + y * y + z * z

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from fracture_collision.fracture.events import Naming, event_of
+from fracture_collision.fracture.pattern import PatternSettings, voronoi_pattern
+from fracture_collision.fracture.pieces import inside_fragment
 from fracture_collision.geometry.generators import TetGeometry
 from fracture_collision.geometry.tetrahedra import unique_edges
 from fracture_collision.portable_math import lengths
 from fracture_collision.records import FractureEvent
-from fracture_collision.simulation.fracture.fracture_pattern import PatternSettings, voronoi_pattern
-from fracture_collision.simulation.fracture.pattern_pieces import inside_fragment
 
 
 class BreakableBody:
@@ -61,13 +62,4 @@ class BreakableBody:
         del self._node_counts[fragment_id]
         counts = np.bincount(pattern.pieces, minlength=pattern.piece_count)
         self._node_counts.update(zip(new_ids.tolist(), counts.tolist(), strict=True))
-        return FractureEvent(
-            sequence=sequence,
-            body_id=self._body_id,
-            fragment_id=fragment_id,
-            new_fragment_ids=new_ids.astype(np.uint32),
-            nodes=nodes.astype(np.uint32),
-            node_fragments=pattern.pieces.astype(np.uint32),
-            cut_edges=nodes[pattern.cut_edges].astype(np.uint32).ravel(),
-            cut_planes=np.ascontiguousarray(pattern.cut_planes).ravel(),
-        )
+        return event_of(pattern, nodes, Naming(sequence, self._body_id, fragment_id, first_new_id))

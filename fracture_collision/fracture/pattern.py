@@ -17,24 +17,34 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.portable_math import cosine, dots, images, lengths, normal_numbers, power, products, sine
-from fracture_collision.simulation.fracture.pattern_pieces import (
+from fracture_collision.fracture.pieces import (
     connected_pieces,
     edge_lengths,
     nearest_seeds,
     range_between,
     seed_pairs,
 )
+from fracture_collision.portable_math import cosine, dots, images, lengths, normal_numbers, power, products, sine
+from fracture_collision.records import documented
 
 
+@documented
 class PatternSettings(NamedTuple):
-    """How a material breaks; the scene file gives the reasons."""
+    """How a material breaks; the scene file gives the reasons.
 
-    seeds: int = 12  # of the largest break
-    seeds_per_overload: float = 4.0  # seeds of a blow, per multiple of the strength in its impulse
-    concentration: float = 1.0  # a node's weight as a seed falls with this power of its distance from the impact
-    curvature: float = 0.0  # amplitude of the warp as a share of the distance between seeds; 0: flat cracks
-    minimum_nodes: int = 4  # smaller pieces stay with the neighbour they share most edges with
+    Fields:
+      seeds: seeds of the largest break
+      seeds_per_overload: seeds of a blow, per multiple of the strength in its impulse, at least 2
+      concentration: a node's weight as a seed falls with this power of its distance from the impact
+      curvature: amplitude of the curves of cracks as a share of the distance between seeds; 0: flat cracks
+      minimum_nodes: smaller pieces stay with the neighbour they share most edges with
+    """
+
+    seeds: int = 12
+    seeds_per_overload: float = 4.0
+    concentration: float = 1.0
+    curvature: float = 0.0
+    minimum_nodes: int = 4
 
 
 class Pattern(NamedTuple):
@@ -46,12 +56,15 @@ class Pattern(NamedTuple):
     cut_planes: np.ndarray  # (c, 4) unit normal from the first node to the second, and offset n.x [m]
 
 
-class _Warp(NamedTuple):
+class Warp(NamedTuple):
+    """A smooth map of space, x + A sin(K x + p): the sum of w waves."""
+
     amplitudes: np.ndarray  # (w, 3) [m]
     waves: np.ndarray  # (w, 3) [1/m]
     phases: np.ndarray  # (w,)
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
+        """Images (n, 3) [m] of points (n, 3) [m]."""
         return points + products(sine(self._angles(points)), self.amplitudes)
 
     def jacobians(self, points: np.ndarray) -> np.ndarray:
@@ -76,11 +89,18 @@ def voronoi_pattern(
     `edges` (e, 2) int64 are the mesh edges inside the fragment. Returns None if it holds together: fewer than two
     pieces of at least `settings.minimum_nodes`. Equal arguments and generator state give equal bytes.
     """
-    seeds = _draw_seeds(points, edges, impact_point, min(seed_count, len(points)), settings, generator)
-    warp = _draw_warp(points, len(seeds), settings, generator) if settings.curvature > 0.0 else None
+    seeds = draw_seeds(points, edges, impact_point, min(seed_count, len(points)), settings.concentration, generator)
+    warp = draw_warp(points, len(seeds), settings.curvature, generator)
+    return cells_of_seeds(points, edges, seeds, warp, settings.minimum_nodes)
+
+
+def cells_of_seeds(
+    points: np.ndarray, edges: np.ndarray, seeds: np.ndarray, warp: Warp | None, minimum_nodes: int
+) -> Pattern | None:
+    """Break the fragment into the cells of `seeds` (s, 3) [m], curved by `warp`; the rest as in `voronoi_pattern`."""
     places, centers = (points, seeds) if warp is None else (warp(points), warp(seeds))
     labels = nearest_seeds(places, centers)
-    pieces, piece_count, cut = connected_pieces(labels, edges, settings.minimum_nodes)
+    pieces, piece_count, cut = connected_pieces(labels, edges, minimum_nodes)
     if piece_count < 2:
         return None
     # From the lower seed to the higher, so that all edges between two seeds share one plane. No edge connects two
@@ -93,31 +113,35 @@ def voronoi_pattern(
     return Pattern(pieces, piece_count, cut, planes)
 
 
-def _draw_seeds(
+def draw_seeds(
     points: np.ndarray,
     edges: np.ndarray,
     impact_point: np.ndarray,
     count: int,
-    settings: PatternSettings,
+    concentration: float,
     generator: np.random.Generator,
 ) -> np.ndarray:
     """Nodes drawn with weights by distance from the impact, each moved by up to half an edge: no two distances tie."""
     edge_length = edge_lengths(points, edges).mean() if len(edges) else 0.0
     distance = lengths(points - impact_point)
-    weights = power(distance + 2.0 * edge_length + np.finfo(float).tiny, -settings.concentration)
+    weights = power(distance + 2.0 * edge_length + np.finfo(float).tiny, -concentration)
     chosen = generator.choice(len(points), size=count, replace=False, p=weights / weights.sum())
     return points[chosen] + 0.5 * edge_length * generator.uniform(-1.0, 1.0, (count, 3))
 
 
-def _draw_warp(points: np.ndarray, seed_count: int, settings: PatternSettings, generator: np.random.Generator) -> _Warp:
-    """Three waves as long as two cells; the amplitude stays below the fold, |A| |K| < 1."""
+def draw_warp(
+    points: np.ndarray, seed_count: int, curvature: float, generator: np.random.Generator
+) -> Warp | None:
+    """Three waves as long as two cells; the amplitude stays below the fold, |A| |K| < 1. None for flat cracks."""
+    if curvature <= 0.0:
+        return None
     extent = np.ptp(points, axis=0)
     cell = np.sqrt(np.sort(extent)[1:].prod() / seed_count)
     directions = normal_numbers(generator, (2, 3, 3))
     directions /= lengths(directions)[..., None]
     wave_number = np.pi / cell
-    amplitude = min(settings.curvature * cell, 0.8 / wave_number) / 3.0
-    return _Warp(amplitude * directions[0], wave_number * directions[1], generator.uniform(0.0, 2.0 * np.pi, 3))
+    amplitude = min(curvature * cell, 0.8 / wave_number) / 3.0
+    return Warp(amplitude * directions[0], wave_number * directions[1], generator.uniform(0.0, 2.0 * np.pi, 3))
 
 
 def _flat_planes(points: np.ndarray, seeds: np.ndarray, labels: np.ndarray, cut: np.ndarray) -> np.ndarray:
@@ -135,7 +159,7 @@ def _flat_planes(points: np.ndarray, seeds: np.ndarray, labels: np.ndarray, cut:
 
 
 def _curved_planes(
-    points: np.ndarray, warped_seeds: np.ndarray, labels: np.ndarray, cut: np.ndarray, warp: _Warp
+    points: np.ndarray, warped_seeds: np.ndarray, labels: np.ndarray, cut: np.ndarray, warp: Warp
 ) -> np.ndarray:
     start, end = points[cut[:, 0]], points[cut[:, 1]]
     s, t = warped_seeds[labels[cut[:, 0]]], warped_seeds[labels[cut[:, 1]]]

@@ -1,0 +1,110 @@
+"""Tetrahedral meshes from the user's files: a mesher's output is read, a surface is filled.
+
+- .npz: arrays `vertices` and `tetrahedra`, as numpy.savez writes them;
+- .msh .vtu .vtk .mesh .inp .xdmf .med: tetrahedra of Gmsh, VTK and others, read by meshio;
+- .obj .stl .ply .off: a closed surface, filled by `lattice_mesher`, or by fTetWild where pytetwild is installed.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fracture_collision.geometry.generators import TETRAHEDRA_LIMIT, TetGeometry, oriented
+from fracture_collision.geometry.stored_meshes import read_tetrahedra
+from fracture_collision.geometry.surface_files import SUFFIXES, read_surface
+from fracture_collision.geometry.surface_meshing import tetrahedralize_surface
+from fracture_collision.meshing.lattice_mesher import tetrahedralize_by_lattice
+
+MESH_SUFFIXES = (".msh", ".vtu", ".vtk", ".mesh", ".inp", ".xdmf", ".med")
+EDGES_ALONG = 15  # edges along the longest side, where no length is given: one to three thousand nodes
+LATTICE, FTETWILD = MESHERS = ("lattice", "ftetwild")
+CORNERS = {"tetra": 4, "tetra10": 4}  # meshio's names; of quadratic tetrahedra the corners are used
+
+
+def read_mesh(
+    file: str | Path, longest_side: float | None = None, edge_length: float | None = None, mesher: str = LATTICE
+) -> TetGeometry:
+    """The tetrahedral mesh in `file`, or one that fills the surface in it.
+
+    longest_side [m]: the mesh is moved to a box about the origin and scaled to this longest side; by default its
+    coordinates are kept and count as metres. edge_length [m]: of the tetrahedra in a surface, by default a fifteenth of
+    its longest side; half of it makes eight times as many nodes. Where the file holds tetrahedra, it must be left out.
+
+    mesher, of surfaces: "lattice" needs nothing else and gives the same mesh on every machine, but rounds sharp edges
+    by up to an edge length, and loses parts that are thinner. "ftetwild" keeps both. It needs pytetwild[all], 600 MB
+    with VTK, and gives a slightly different mesh in each call: keep one for repeatable runs, with
+    numpy.savez("mesh.npz", vertices=mesh.vertices, tetrahedra=mesh.tetrahedra).
+
+    Tetrahedra of negative volume are turned, vertices of none are dropped.
+
+    Raises ValueError that names the file and the fault, and ModuleNotFoundError with the command that installs what
+    reads the format.
+
+    >>> from fracture_collision.meshing import read_mesh
+    >>> from fracture_collision.share import share_directory
+    >>> bunny = read_mesh(share_directory() / "config" / "meshes" / "bunny.npz", longest_side=0.2)
+    >>> bunny.vertices.shape, bunny.tetrahedra.shape
+    ((2010, 3), (7954, 4))
+    """
+    file = Path(file)
+    for name, length in (("longest_side", longest_side), ("edge_length", edge_length)):
+        if length is not None and not (math.isfinite(length) and length > 0.0):
+            raise ValueError(f"{name}: {length} is not a positive length in metres")
+    if mesher not in MESHERS:
+        raise ValueError(f"mesher: {mesher!r} is not one of {', '.join(MESHERS)}")
+    suffix = file.suffix.lower()
+    if suffix not in (".npz", *MESH_SUFFIXES, *SUFFIXES):
+        raise ValueError(
+            f"{file}: {suffix or 'no suffix'} is none of {', '.join(('.npz', *MESH_SUFFIXES))} (tetrahedra) and "
+            f"{', '.join(SUFFIXES)} (surfaces)"
+        )
+    if not file.is_file():
+        raise ValueError(f"{file}: no such file")
+    if suffix in SUFFIXES:
+        surface = read_surface(file, longest_side)
+        length = edge_length or float(np.ptp(surface.vertices, axis=0).max()) / EDGES_ALONG
+        fill = tetrahedralize_surface if mesher == FTETWILD else tetrahedralize_by_lattice
+        try:
+            return fill(*surface, length)
+        except ValueError as error:
+            raise ValueError(f"{file}: {error}") from error
+    if edge_length is not None:
+        raise ValueError(f"edge_length: {file} holds tetrahedra, whose size is not changed; leave it out")
+    mesh = read_tetrahedra(file) if suffix == ".npz" else _read_by_meshio(file)
+    if longest_side is None:
+        return mesh
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    return TetGeometry((mesh.vertices - 0.5 * (low + high)) * (longest_side / (high - low).max()), mesh.tetrahedra)
+
+
+def _read_by_meshio(file: Path) -> TetGeometry:
+    try:
+        import meshio
+    except ModuleNotFoundError as missing:
+        if missing.name != "meshio":
+            raise
+        raise ModuleNotFoundError(
+            f"{file}: reading {file.suffix} needs meshio: pip install meshio", name=missing.name
+        ) from missing
+    try:
+        mesh: Any = meshio.read(file)
+        points = np.asarray(mesh.points, dtype=np.float64)
+        blocks = [np.asarray(b.data)[:, : CORNERS[b.type]] for b in mesh.cells if b.type in CORNERS]
+    except (Exception, SystemExit) as error:  # of any kind, depending on the fault of the file
+        raise ValueError(f"{file}: cannot be read as {file.suffix[1:]}: {error}") from error
+    if not blocks or not sum(map(len, blocks)):
+        kinds = ", ".join(sorted({b.type for b in mesh.cells})) or "nothing"
+        raise ValueError(f"{file}: has {kinds}, but no tetrahedra; a surface can be filled from {', '.join(SUFFIXES)}")
+    tetrahedra = np.concatenate(blocks)
+    if len(tetrahedra) > TETRAHEDRA_LIMIT:
+        raise ValueError(f"{file}: {len(tetrahedra)} tetrahedra, more than {TETRAHEDRA_LIMIT}")
+    if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
+        raise ValueError(f"{file}: the points, of shape {points.shape}, are not finite rows of 3")
+    if tetrahedra.min() < 0 or tetrahedra.max() >= len(points):
+        raise ValueError(f"{file}: a tetrahedron has a corner that is not among the {len(points)} points")
+    used, renumbered = np.unique(tetrahedra, return_inverse=True)
+    return oriented(points[used], renumbered.reshape(-1, 4))

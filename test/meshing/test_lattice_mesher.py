@@ -1,0 +1,132 @@
+"""Isosurface stuffing: volumes, angles, boundary and repeatability of the meshes, and what cannot be filled."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+
+from fracture_collision.geometry.generators import TetGeometry
+from fracture_collision.geometry.tetrahedra import (
+    FACE_VERTICES,
+    boundary_triangles,
+    face_neighbours,
+    tetrahedron_volumes,
+    unique_edges,
+)
+from fracture_collision.meshing import tetrahedralize_by_lattice
+from fracture_collision.meshing.lattice_mesher import MEAN_EDGE, _lattice
+from fracture_collision.records import CollisionBody
+from fracture_collision.world import CollisionWorld
+
+
+def hollow() -> trimesh.Trimesh:
+    inside = trimesh.creation.icosphere(3, 0.05)
+    inside.invert()
+    return trimesh.util.concatenate(trimesh.creation.icosphere(3, 0.1), inside)
+
+
+SURFACES = {
+    "ball": trimesh.creation.icosphere(4, 0.1),
+    "box": trimesh.creation.box((0.2, 0.1, 0.06)),
+    "torus": trimesh.creation.torus(0.1, 0.04),
+    "cylinder": trimesh.creation.cylinder(0.05, 0.2),
+    "hollow": hollow(),
+    "turned box": trimesh.creation.box((0.2, 0.1, 0.06)).apply_transform(
+        trimesh.transformations.rotation_matrix(0.7, (1, 2, 3), (5, 0, 0))
+    ),
+}
+
+
+def filled(name: str, edges_along: float) -> TetGeometry:
+    surface = SURFACES[name]
+    return tetrahedralize_by_lattice(surface.vertices, surface.faces, surface.extents.max() / edges_along)
+
+
+def dihedral_angles(mesh: TetGeometry) -> np.ndarray:
+    corners = mesh.vertices[mesh.tetrahedra[:, FACE_VERTICES]]  # (m, 4, 3, 3)
+    normals = np.cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0])
+    normals /= np.linalg.norm(normals, axis=2, keepdims=True)
+    pairs = [(normals[:, i] * normals[:, j]).sum(axis=1) for i in range(4) for j in range(i)]
+    return 180.0 - np.degrees(np.arccos(np.clip(pairs, -1.0, 1.0)))
+
+
+@pytest.mark.parametrize("name", SURFACES)
+def test_a_mesh_fills_its_surface(name: str) -> None:
+    surface, mesh = SURFACES[name], filled(name, 16)
+    volumes = tetrahedron_volumes(*mesh)
+    assert volumes.min() > 0.0
+    assert 0.94 < volumes.sum() / surface.volume < 1.01
+    angles = dihedral_angles(mesh)
+    assert angles.min() > 9.0 and angles.max() < 160.0
+    ends = mesh.vertices[unique_edges(mesh.tetrahedra)]
+    assert np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).mean() == pytest.approx(surface.extents.max() / 16, rel=0.1)
+    boundary = trimesh.Trimesh(mesh.vertices, boundary_triangles(mesh.tetrahedra), process=False)
+    assert boundary.is_watertight and boundary.is_winding_consistent
+    assert len(np.unique(mesh.tetrahedra)) == len(mesh.vertices)
+
+
+@pytest.mark.parametrize("name", SURFACES)
+def test_the_boundary_lies_on_the_surface(name: str) -> None:
+    surface, mesh = SURFACES[name], filled(name, 16)
+    on_boundary = mesh.vertices[np.unique(boundary_triangles(mesh.tetrahedra))]
+    _, distance, _ = trimesh.proximity.closest_point_naive(surface, on_boundary)
+    longest = surface.extents.max()
+    assert np.mean(distance < 1e-9 * longest) > 0.9
+    assert distance.max() < 0.5 * longest / 16
+
+
+@pytest.mark.parametrize("name", ["box", "turned box"])
+def test_corners_are_rounded_by_less_than_an_edge(name: str) -> None:
+    mesh = filled(name, 16)
+    boundary = trimesh.Trimesh(mesh.vertices, boundary_triangles(mesh.tetrahedra), process=False)
+    _, distance, _ = trimesh.proximity.closest_point_naive(boundary, SURFACES[name].vertices)
+    assert distance.max() < SURFACES[name].extents.max() / 16
+
+
+def test_the_error_of_the_volume_falls_with_the_edge_length() -> None:
+    errors = [1.0 - tetrahedron_volumes(*filled("ball", n)).sum() / SURFACES["ball"].volume for n in (10, 20)]
+    assert errors[0] / errors[1] > 3.0
+
+
+@pytest.mark.parametrize("name", SURFACES)
+def test_a_world_accepts_it(name: str) -> None:
+    mesh = filled(name, 12)
+    world = CollisionWorld()
+    world.add_body(CollisionBody(1, 1, vertices=mesh.vertices, tetrahedra=mesh.tetrahedra))
+    assert world.fragments().masses[0] == pytest.approx(1000.0 * tetrahedron_volumes(*mesh).sum(), rel=1e-12)
+
+
+def test_equal_arguments_give_equal_bytes() -> None:
+    for one, again in zip(filled("torus", 12), filled("torus", 12), strict=True):
+        assert one.tobytes() == again.tobytes()
+
+
+def test_the_lattice_fills_its_box_with_equal_tetrahedra() -> None:
+    points, tetrahedra = _lattice(np.zeros(3), np.array([3.0, 2.0, 1.0]), 1.0)
+    volumes = np.abs(tetrahedron_volumes(points, tetrahedra))
+    assert np.allclose(volumes, 1.0 / 12.0)
+    assert face_neighbours(tetrahedra).shape == (len(tetrahedra), 4)  # raises if more than two share a face
+    assert volumes.sum() == pytest.approx((4 * 4 * 3 + 5 * 3 * 3 + 5 * 4 * 2) / 3.0)  # pairs of cubes, a third each
+    ends = points[unique_edges(tetrahedra)]
+    assert {*np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).round(6)} == {1.0, 0.866025}
+    assert pytest.approx((2.0 + 4.0 * 0.866025) / 6.0) == MEAN_EDGE
+
+
+def test_what_cannot_be_filled_is_named() -> None:
+    box = SURFACES["box"]
+    dumbbell = trimesh.util.concatenate(
+        [trimesh.creation.icosphere(3, 0.1).apply_translation((x, 0.0, 0.0)) for x in (-0.2, 0.2)]
+    )
+    rods = [trimesh.creation.box((0.4, 0.002, 0.002)) for _ in range(2)]
+    rods[1].apply_transform(trimesh.transformations.rotation_matrix(0.5, (1, 1, 1)))
+    for vertices, triangles, length, words in (
+        (box.vertices, box.faces[1:], 0.02, "triangles: the surface has holes"),
+        (box.vertices, box.faces[:, ::-1], 0.02, "triangles: clockwise"),
+        (box.vertices, box.faces, 0.0, "edge_length: 0.0 is not a positive length"),
+        (box.vertices, box.faces, 1e-5, "edge_length: gives .* tetrahedra, more than"),
+        *[(rod.vertices, rod.faces, 0.1, "edge_length: 0.1 m is too long, no lattice point") for rod in rods],
+        (dumbbell.vertices, dumbbell.faces, 0.02, "edge_length: at 0.02 m thin parts are lost and 2 pieces are left"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            tetrahedralize_by_lattice(vertices, triangles, length)

@@ -1,0 +1,98 @@
+"""read_mesh: tetrahedra of the package's and of other formats, surfaces where the mesher is installed; its errors."""
+
+from __future__ import annotations
+
+import doctest
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from fracture_collision.geometry.generators import brick
+from fracture_collision.geometry.tetrahedra import tetrahedron_volumes
+from fracture_collision.meshing import mesh_files, read_mesh
+
+BRICK = brick((0.2, 0.1, 0.06), 0.05)
+
+
+def stored(file: Path) -> Path:
+    np.savez(file, vertices=BRICK.vertices, tetrahedra=BRICK.tetrahedra)
+    return file
+
+
+def test_a_stored_mesh_keeps_its_coordinates_or_is_scaled(tmp_path: Path) -> None:
+    file = stored(tmp_path / "brick.npz")
+    assert np.array_equal(read_mesh(file).vertices, BRICK.vertices)
+    scaled = read_mesh(str(file), longest_side=1.0)
+    assert np.ptp(scaled.vertices, axis=0) == pytest.approx([1.0, 0.5, 0.3])
+    assert scaled.vertices.max(axis=0) == pytest.approx(-scaled.vertices.min(axis=0))
+
+
+@pytest.mark.parametrize("suffix", ["msh", "vtu", "vtk", "mesh"])
+def test_tetrahedra_of_other_programs_are_read(tmp_path: Path, suffix: str) -> None:
+    meshio = pytest.importorskip("meshio")
+    inverted = BRICK.tetrahedra[:, [1, 0, 2, 3]].astype(np.int64)
+    with_loose_point = np.vstack(([(9.0, 9.0, 9.0)], BRICK.vertices))
+    cells = [("triangle", np.array([[1, 2, 3]])), ("tetra", 1 + inverted)]
+    meshio.write(tmp_path / f"brick.{suffix}", meshio.Mesh(with_loose_point, cells))
+    mesh = read_mesh(tmp_path / f"brick.{suffix}")
+    assert mesh.vertices.shape == BRICK.vertices.shape
+    volumes = tetrahedron_volumes(mesh.vertices, mesh.tetrahedra)
+    assert volumes.min() > 0.0 and volumes.sum() == pytest.approx(0.2 * 0.1 * 0.06)
+
+
+def test_a_file_without_tetrahedra_or_with_damage_is_rejected(tmp_path: Path) -> None:
+    meshio = pytest.importorskip("meshio")
+    meshio.write(tmp_path / "sheet.vtu", meshio.Mesh(np.eye(3), [("triangle", np.array([[0, 1, 2]]))]))
+    with pytest.raises(ValueError, match="has triangle, but no tetrahedra; a surface can be filled from .obj"):
+        read_mesh(tmp_path / "sheet.vtu")
+    (tmp_path / "noise.msh").write_bytes(b"\x00\x01 no mesh")
+    with pytest.raises(ValueError, match="noise.msh: cannot be read as msh"):
+        read_mesh(tmp_path / "noise.msh")
+
+
+def test_without_meshio_the_error_names_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "meshio", None)
+    (tmp_path / "brick.msh").touch()
+    with pytest.raises(ModuleNotFoundError, match=r"brick.msh: reading .msh needs meshio: pip install meshio"):
+        read_mesh(tmp_path / "brick.msh")
+
+
+@pytest.mark.parametrize(("mesher", "accuracy"), [("lattice", 0.06), ("ftetwild", 0.01)])
+def test_a_surface_is_filled(tmp_path: Path, mesher: str, accuracy: float) -> None:
+    if mesher == "ftetwild":
+        pytest.importorskip("pyvista")
+        pytest.importorskip("pytetwild")
+    trimesh.creation.box((2.0, 1.0, 1.0)).export(tmp_path / "box.stl")
+    mesh = read_mesh(tmp_path / "box.stl", longest_side=0.2, edge_length=0.025, mesher=mesher)
+    assert tetrahedron_volumes(mesh.vertices, mesh.tetrahedra).sum() == pytest.approx(0.2 * 0.1 * 0.1, rel=accuracy)
+    assert len(read_mesh(tmp_path / "box.stl", mesher=mesher).vertices) > len(mesh.vertices)
+
+
+def test_a_surface_that_cannot_be_filled_is_named(tmp_path: Path) -> None:
+    trimesh.creation.box((2.0, 1.0, 0.01)).export(tmp_path / "sheet.stl")
+    with pytest.raises(ValueError, match=r"sheet.stl: edge_length: 0.5 m is too long, no lattice point"):
+        read_mesh(tmp_path / "sheet.stl", edge_length=0.5)
+
+
+def test_errors_name_the_argument_or_the_file(tmp_path: Path) -> None:
+    file = stored(tmp_path / "brick.npz")
+    for arguments, words in (
+        ((file, -1.0), "longest_side: -1.0 is not a positive length in metres"),
+        ((file, None, 0.0), "edge_length: 0.0 is not a positive length"),
+        ((file, None, 0.01), "edge_length: .*brick.npz holds tetrahedra.* leave it out"),
+        ((tmp_path / "brick.blend",), r"brick.blend: .blend is none of .npz, .msh, .* \(tetrahedra\) and .obj"),
+        ((tmp_path / "brick",), "brick: no suffix is none of"),
+        ((tmp_path / "none.npz",), "none.npz: no such file"),
+        ((tmp_path / "none.obj",), "none.obj: no such file"),
+        ((file, None, None, "gmsh"), "mesher: 'gmsh' is not one of lattice, ftetwild"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            read_mesh(*arguments)
+
+
+def test_the_example_in_the_docstring_runs() -> None:
+    done = doctest.testmod(mesh_files)
+    assert done.attempted and not done.failed
