@@ -86,7 +86,12 @@ def _add_contents(_app, name: str, source: list[str]) -> None:
 
 
 def _to_restructured_text(_app, _what, _name, _object, _options, lines: list[str]) -> None:
-    """Docstrings are plain text with `code` in single backticks, which reStructuredText takes for roles."""
+    """Docstrings are plain text with `code` in single backticks, which reStructuredText takes for roles.
+
+    Entries of `Fields:` stand beside each field.
+    """
+    if "Fields:" in lines:
+        del lines[lines.index("Fields:") :]
     lines[:] = [re.sub(r"(?<!`)`([^`]+)`(?!`)", r"``\1``", line).replace("*", r"\*") for line in lines]
 
 

@@ -18,7 +18,6 @@ from fracture_collision.run_report import last_words, statistics_table, times_ta
 if TYPE_CHECKING:
     from fracture_collision.geometry.generators import TetGeometry
 
-NODES_ALONG = 15  # the longest side of a user's own mesh
 OWN_SCENE, OWN_MESH = "scene.yaml", "mesh.npz"
 RESULTS = ("bag", "film_strip.png", "times.png", "report.json", "logs", OWN_SCENE, OWN_MESH)
 
@@ -27,7 +26,8 @@ RESULTS = ("bag", "film_strip.png", "times.png", "report.json", "logs", OWN_SCEN
 @click.option("--scene", default="plates", show_default=True, help="A name that `scenes` lists, or a scene file.")
 @click.option(
     "--mesh", type=click.Path(path_type=Path),
-    help="Your own closed surface instead (.obj, .stl, .ply, .off): dropped onto a floor, hit by a ball.",
+    help="Your own body instead, dropped onto a floor and hit by a ball: a closed surface (.obj, .stl, .ply, .off), or"
+    " tetrahedra (.npz; .msh, .vtu and others with meshio).",
 )  # fmt: skip
 @click.option(
     "--size", type=click.FloatRange(0.01, 10.0), default=0.3, show_default=True,
@@ -102,12 +102,11 @@ def smash(scene: str, mesh: Path | None, size: float, out: Path, seed: int | Non
 
 
 def _filled(file: Path, size: float) -> TetGeometry:
-    """The surface of a file, filled with tetrahedra."""
-    from fracture_collision.geometry.surface_files import read_surface
-    from fracture_collision.geometry.surface_meshing import tetrahedralize_surface
+    """The tetrahedra of a file, or those that fill its surface."""
+    from fracture_collision.meshing import read_mesh
 
     try:
-        return tetrahedralize_surface(*read_surface(file, size), size / NODES_ALONG)
+        return read_mesh(file, longest_side=size)
     except ValueError as error:
         raise BadInput(str(error)) from error
     except ModuleNotFoundError as error:

@@ -35,12 +35,11 @@ def test_meshes_of_any_size_fall_and_break(tmp_path: Path, radius: float) -> Non
 
 
 def test_a_surface_is_filled(tmp_path: Path) -> None:
-    pytest.importorskip("pytetwild", exc_type=ModuleNotFoundError)
     file = tmp_path / "ring.obj"
     trimesh.creation.torus(0.5, 0.2).export(file)
     scene = load_scene(_own_scene(_filled(file, 0.4), tmp_path / "out", tmp_path))
     body = scene.bodies[1]
-    assert np.ptp(body.shape.mesh.vertices, axis=0).max() == pytest.approx(0.4, rel=0.01)
+    assert np.ptp(body.shape.mesh.vertices, axis=0).max() == pytest.approx(0.4, rel=0.02)
     assert len(body.shape.mesh.vertices) > 100
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.snippets import DOCS, blocks, run
 
-WITH_CODE = ["tutorial.md", "solvers.md"]
+WITH_CODE = ["tutorial.md", "solvers.md", "../README.md"]
 
 
 @pytest.mark.parametrize("name", WITH_CODE)
@@ -26,12 +26,11 @@ def test_every_block_has_a_language_that_is_checked(name: str) -> None:
     assert {block.language for block in blocks(DOCS / name)} <= {"python", "text"}
 
 
-@pytest.mark.parametrize("name", [*WITH_CODE, "scenes.md"])
+@pytest.mark.parametrize("name", [*(file.name for file in sorted(DOCS.glob("*.md"))), "../README.md"])
 def test_links_and_pictures_exist(name: str) -> None:
-    targets = re.findall(r"\]\(([^)#:]+)(?:#([\w-]+))?\)", (DOCS / name).read_text())
-    assert targets
-    for target, anchor in targets:
-        assert (DOCS / target).exists(), target
+    place = (DOCS / name).parent
+    for target, anchor in re.findall(r"\]\(([^)#:]+)(?:#([\w-]+))?\)", (DOCS / name).read_text()):
+        assert (place / target).exists(), target
         if anchor:
-            headings = re.findall(r"^#+ (.*)$", (DOCS / target).read_text(), re.MULTILINE)
+            headings = re.findall(r"^#+ (.*)$", (place / target).read_text(), re.MULTILINE)
             assert anchor in {re.sub(r"[^\w -]", "", h).strip().lower().replace(" ", "-") for h in headings}, anchor

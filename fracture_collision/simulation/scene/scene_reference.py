@@ -42,7 +42,7 @@ HEAD = """# Scene files
 
 A scene is a YAML file: bodies, their places and materials, and what is thrown at them. `fracture-collision scene FILE`
 runs it, `fracture-collision play --scene FILE` plays it, and `fracture-collision scenes` lists those of the package, in
-[config/scenes](../config/scenes). An unknown field, a missing one or one out of range is an error that names it.
+`config/scenes/`. An unknown field, a missing one or one out of range is an error that names it.
 
 Units are metres, seconds, kilograms and degrees; the world's z axis points up. Positions are those of body frames.
 YAML aliases (`&plate`, `<<: *plate`) serve for bodies that are alike. Of the package's scenes,
