@@ -14,7 +14,6 @@ from test_fragment_bounds import assert_kept, check_fragments
 from truth.contact_truth import ContactTruth, assert_true, check_all_pairs, surface_samples
 
 from fracture_collision.core.field.elementary_queries import inside_tetrahedron
-from fracture_collision.core.search.scratch import make_scratch
 from fracture_collision.geometry.generators import TetGeometry, brick
 from fracture_collision.geometry.tetrahedra import tetrahedron_volumes
 from fracture_collision.records import BOX, CollisionBody, FractureEvent, FragmentStates, SolidPrimitive
@@ -117,9 +116,9 @@ def anywhere(case: FracturedWorld, count: int, seed: int) -> np.ndarray:
 
 def fragments_with(case: FracturedWorld, points: np.ndarray) -> np.ndarray:
     """The service's inside test of each point (n, 3) in each fragment, by ascending id: (n, fragments) bool."""
-    scratch, pools = make_scratch(len(case.oracle.tetrahedra), 8), case.geometry.pools
+    pools = case.geometry.pools
     rows = [case.row(f) for f in case.oracle.fragment_ids]
-    return np.array([[inside_tetrahedron(pools, row, *x, scratch) >= 0 for row in rows] for x in points.tolist()])
+    return np.array([[inside_tetrahedron(pools, row, *x) >= 0 for row in rows] for x in points.tolist()])
 
 
 def assert_partition(case: FracturedWorld, points: int = 500) -> None:

@@ -58,7 +58,7 @@ def choose_deep(pools, pair, rule, slack, count, scratch):
     """
     point, most_depth = scratch.node_float, scratch.spread[MOST_DEPTH]
     picked = scratch.queue[1]
-    deepest = _find_deepest(pools, pair, rule, slack, count, scratch)
+    deepest = _find_deepest(pools, pair, slack, count, scratch)
     first, aim = -1, max(min(rule.most, rule.limit), rule.wanted)
     for k in range(count):
         if point[k, DISTANCE] == -deepest and (first < 0 or is_before(scratch, k, first)):
@@ -161,7 +161,7 @@ def _is_deep(pools, pair, rule, slack, k, scratch):
 
 
 @inlined_kernel
-def _find_deepest(pools, pair, rule, slack, count, scratch):
+def _find_deepest(pools, pair, slack, count, scratch):
     """Query those of the first `count` samples that may be the deepest; returns its depth [m].
 
     The depth of a sample inside is at most its distance from any part of the other's surface: the part in the
@@ -169,7 +169,7 @@ def _find_deepest(pools, pair, rule, slack, count, scratch):
     distance along a direction n from n . x to the other's farthest point; the exit direction of a deep sample is a good
     n for its neighbours.
     """
-    a, b, rotation, translation = pair
+    a, b = pair.a, pair.b
     point, spread, node = scratch.node_float, scratch.spread, scratch.node_int
     keys, items, ways = spread[FAR], scratch.queue[0], scratch.ways
     one_body, deepest, waiting, known = share_a_body(pools, a, b), 0.0, 0, 0

@@ -21,7 +21,7 @@ from fracture_collision.core.contacts.deepest_contacts import GAP, make_heap, so
 from fracture_collision.core.contacts.known_samples import ID_AT, ID_SAMPLE, ID_SIDE, ID_SOURCE, ID_TETRAHEDRON
 from fracture_collision.core.field.elementary_queries import INSIDE, OUTSIDE, bounded_probe, inside_tetrahedron
 from fracture_collision.core.field.flood import NO_SOURCE
-from fracture_collision.core.field.tetrahedra_near import next_stamp
+from fracture_collision.core.field.tetrahedra_near import tetrahedra_near
 from fracture_collision.core.memory.compiled import inlined_kernel, query_kernel
 from fracture_collision.core.memory.kinds import TETRAHEDRA, TRIANGLES, is_mesh
 from fracture_collision.core.memory.pools import BACK_SIDE, FRONT_SIDE, NEVER_BROKEN, OWNER, ROW
@@ -32,8 +32,7 @@ from fracture_collision.core.mesh.closest_point import (
     triangle_normal,
 )
 from fracture_collision.core.mesh.cut_tetrahedron import FACE_VERTICES
-from fracture_collision.core.mesh.occupancy import ROUNDING, parts_within
-from fracture_collision.core.mesh.point_location import holds_fragment
+from fracture_collision.core.mesh.sample_numbers import FIRST_TETRAHEDRON
 from fracture_collision.core.mesh.triangle_field import triangle_distance
 
 # Sample number of a sphere's contact without a triangle.
@@ -211,7 +210,7 @@ def _place_of(pools, f, code, center, touching, scratch):
 @inlined_kernel
 def _holds(pools, f, x, y, z, scratch):
     if pools.fragment.kind[f] == TETRAHEDRA:
-        return inside_tetrahedron(pools, f, x, y, z, scratch) >= 0
+        return inside_tetrahedron(pools, f, x, y, z) >= 0
     k, radius = pools.fragment.mesh[f], pools.fragment.radius[f]
     return triangle_distance(pools.triangles, k, radius, x, y, z, scratch.stack)[0] < 0.0
 
@@ -233,7 +232,7 @@ def _number(pools, f, code):
     k = pools.fragment.mesh[f]
     if pools.fragment.kind[f] == TRIANGLES:
         return code - pools.triangles.triangle_range[k, 0]
-    return code - ROWS_EACH * pools.mesh.first[k, 3]
+    return code - ROWS_EACH * pools.mesh.first[k, FIRST_TETRAHEDRON]
 
 
 @inlined_kernel
@@ -278,31 +277,10 @@ def _triangles_within(pools, f, point, r, found, scratch):
                 count = _note(pools, f, t, point, r, found, count)
             node += 1
         return count
-    mesh, visited, stamp = pools.mesh, scratch.visited, next_stamp(scratch)
-    k, cells = pools.fragment.mesh[f], pools.fragment.cells[f]
-    ny, nz, first = mesh.grid_dims[k, 1:]
-    per_cell = 1.0 / mesh.grid[k, 3]
-    px, py, pz = (x - mesh.grid[k, 0]) * per_cell, (y - mesh.grid[k, 1]) * per_cell, (z - mesh.grid[k, 2]) * per_cell
-    wide = r * per_cell * (1.0 + ROUNDING) + ROUNDING
-    i0, i1 = max(math.floor(px - wide), cells[0]), min(math.floor(px + wide), cells[0] + cells[3] - 1)
-    j0, j1 = max(math.floor(py - wide), cells[1]), min(math.floor(py + wide), cells[1] + cells[4] - 1)
-    l0, l1 = max(math.floor(pz - wide), cells[2]), min(math.floor(pz + wide), cells[2] + cells[5] - 1)
-    for i in range(i0, i1 + 1):
-        for j in range(j0, j1 + 1):
-            for l in range(l0, l1 + 1):  # noqa: E741
-                bit = ((i - cells[0]) * cells[4] + (j - cells[1])) * cells[5] + (l - cells[2])
-                word = pools.occupancy[cells[6] + bit]
-                within = word & parts_within(px - i, py - j, pz - l, wide) if word else word
-                if not within:
-                    continue
-                c = first + (i * ny + j) * nz + l
-                for e in range(mesh.cell_begin[c], mesh.cell_begin[c + 1]):
-                    t = mesh.cell_tets[e]
-                    if not mesh.cell_parts[e] & within or visited[t] == stamp:
-                        continue
-                    visited[t] = stamp
-                    if box_distance_squared(x, y, z, mesh.boxes[t]) <= r2 and holds_fragment(pools, f, t):
-                        count = _note_tetrahedron(pools, f, t, point, r, found, count)
+    for k in range(tetrahedra_near(pools, f, x, y, z, r, scratch)):
+        t = scratch.heap_tet[k]
+        if box_distance_squared(x, y, z, pools.mesh.boxes[t]) <= r2:
+            count = _note_tetrahedron(pools, f, t, point, r, found, count)
     return count
 
 

@@ -50,7 +50,7 @@ class Probe(NamedTuple):
 
 
 @inlined_kernel
-def inside_tetrahedron(pools, f, x, y, z, scratch):
+def inside_tetrahedron(pools, f, x, y, z):
     """insideTest: the tetrahedron row in which the point belongs to fragment `f`, -1 if it does not."""
     t = tetrahedron_at(pools.mesh, pools.fragment.mesh[f], x, y, z)
     if t >= 0 and owner_in_tetrahedron(pools, f, t, x, y, z) != f:

@@ -94,8 +94,8 @@ def first_touch(pools, edges, pair, moving, since, rule, sink, scratch):
 
     Returns (new contacts, the moment [s], visits, distance [m] by which the two may have closed unobserved).
     """
-    a, b, rotation, translation = pair
-    i, j, rotations, positions, motion = moving
+    a, b, translation = pair.a, pair.b, pair.translation
+    i, j, motion = moving.i, moving.j, moving.motion
     start, known = since
     contacts, ids = sink
     radius = min(pools.fragment.radius[a], pools.fragment.radius[b])

@@ -316,13 +316,13 @@ def _reach_node(node, node_point, k, reached, point, depth):
 
 
 @inlined_kernel
-def _bound_of_rest(pools, pair, node, node_point, queue, which, begin, end):
+def _bound_of_rest(pools, two, node, node_point, queue, which, begin, end):
     """Upper bound [m] of the depth of all samples below the nodes still queued when a budget ends.
 
-    pair: (whether a and b are of one body, spin between their frames, a, b); the nodes are entries begin .. end - 1 of
+    two: (whether a and b are of one body, spin between their frames, a, b); the nodes are entries begin .. end - 1 of
     queue[which].
     """
-    one_body, turned, a, b = pair
+    one_body, turned, a, b = two
     bound = 0.0
     for i in range(begin, end):
         k = queue[which, i]
