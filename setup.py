@@ -30,6 +30,7 @@ setup(
     data_files=shared_files(),
     extras_require={
         "ros": [*requirements("ros.in"), MESSAGES if FOR_RELEASE else f"{MESSAGES} @ {(ROOT / 'messages').as_uri()}"],
+        "formats": requirements("formats.in"),
         "mesher": requirements("mesher.in"),
     },
 )

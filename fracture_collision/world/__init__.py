@@ -4,7 +4,17 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from fracture_collision.records import CollisionBody, FractureEvent, FragmentStates
+from fracture_collision.records import (
+    BOX,
+    SPHERE,
+    CollisionBody,
+    ContactConstraintArray,
+    FractureEvent,
+    FragmentMesh,
+    FragmentRegistry,
+    FragmentStates,
+    SolidPrimitive,
+)
 from fracture_collision.world.gates.errors import InvalidMessage, StatesAhead
 from fracture_collision.world.settings import Settings
 
@@ -12,12 +22,18 @@ if TYPE_CHECKING:
     from fracture_collision.world.collision_world import CollisionWorld
 
 __all__ = [
+    "BOX",
+    "SPHERE",
     "CollisionBody",
     "CollisionWorld",
+    "ContactConstraintArray",
     "FractureEvent",
+    "FragmentMesh",
+    "FragmentRegistry",
     "FragmentStates",
     "InvalidMessage",
     "Settings",
+    "SolidPrimitive",
     "StatesAhead",
 ]
 
