@@ -73,8 +73,8 @@ class Gate:
 
 
 @contextmanager
-def guarded(gate: Gate) -> Iterator[None]:
-    """A viser server created inside answers only requests that `gate` accepts.
+def guarded(gate: Gate, edited: Callable[[Response], Response] = lambda response: response) -> Iterator[None]:
+    """A viser server created inside answers only requests that `gate` accepts, with its responses as `edited` them.
 
     Raises GateError; then the server must not be used: it may listen without any check.
     """
@@ -92,6 +92,7 @@ def guarded(gate: Gate) -> Iterator[None]:
                 return Response(http.HTTPStatus.FORBIDDEN, "Forbidden", headers, body)
             response = None if process_request is None else process_request(connection, request)
             if response is not None:
+                response = edited(response)
                 response.headers.update(NOT_FRAMED)
             return response
 

@@ -12,6 +12,8 @@ import viser
 
 SHOWN = 4.0  # [s] of simulated time that a plot covers
 INTERVAL = 0.25  # [s]
+Y_TICKS = 62  # [px] room for labels such as 200,000
+PADDING = (8, 16, 0, 4)  # [px] top, right, bottom, left
 FLOORS = {"_ms": 1e-2, "_mm": 1e-4}  # by suffix of the name: a logarithmic axis has no zero
 
 Group = tuple[str, tuple[str, ...]]  # a plot: its title, and the names of its curves
@@ -26,7 +28,7 @@ class Figures(NamedTuple):
     solver_ms: float | None = None
     ros_ms: float | None = None  # rest of the round trip
     contacts: int | None = None  # listed
-    fragments: int | None = None
+    fragments: int | None = None  # of bodies that can break; by the page itself if None
 
 
 CURVES = {
@@ -39,7 +41,7 @@ CURVES = {
 PLOTS: tuple[Group, ...] = (
     ("milliseconds per step", ("collision_ms", "update_ms", "solver_ms", "ros_ms")),
     ("contacts", ("contacts",)),
-    ("fragments", ("fragments",)),
+    ("fragments of breakable bodies", ("fragments",)),
 )
 
 
@@ -97,12 +99,17 @@ class Plots:
         if now < self._next or not self._rows:
             return
         self._next = now + self._interval
-        moments = np.array([row.time for row in self._rows])
+        moments = [row.time for row in self._rows]
+        # Both ends of a window of fixed width, without values: so the axis does not stretch around a few points.
+        begin = max(moments[-1] - SHOWN, min(moments[0], 0.0))
+        ends = begin, begin + SHOWN
         for plot, names in self._plots:
             floor = _floor(names)
             columns = [[np.nan if (v := getattr(row, name)) is None else max(v, floor) for row in self._rows]
                        for name in names]  # fmt: skip
-            plot.data = (moments, *map(np.array, columns))
+            plot.data = tuple(np.array([first, *column, last]) for first, column, last in (
+                (ends[0], moments, ends[1]), *((np.nan, column, np.nan) for column in columns)
+            ))  # fmt: skip
 
 
 def _floor(names: tuple[str, ...]) -> float:
@@ -119,4 +126,5 @@ def _plot(gui: viser.GuiApi, title: str, names: tuple[str, ...], visible: bool) 
     return gui.add_uplot(
         data=tuple(np.zeros(1) for _ in series), series=tuple(series), title=title, height=150, visible=visible,
         scales={"x": uplot.Scale(time=False, auto=True), "y": scale},
+        axes=(uplot.Axis(space=40), uplot.Axis(size=Y_TICKS)), padding=PADDING,
     )  # fmt: skip
