@@ -132,7 +132,9 @@ class LiveSimulatorNode(SimulatorNode):
 
     def _tell(self, report: StepReport | None, round_trip: float) -> None:
         now = time.monotonic()
-        if report is not None:
+        if self._paused:
+            self._reached.clear()
+        elif report is not None:
             self._reached.append((now, report.time))
         while self._reached and self._reached[0][0] < now - RATE_WINDOW:
             self._reached.popleft()
@@ -146,6 +148,7 @@ class LiveSimulatorNode(SimulatorNode):
         if len(self._reached) > 1:
             (began, first), (ended, last) = self._reached[0], self._reached[-1]
             status.achieved_rate = (last - first) / max(ended - began, 1e-9)
+            self._live.keep_pace(status.achieved_rate)
         if report is not None:
             seconds, nanoseconds = divmod(round(report.time * 1e9), 10**9)
             status.header.stamp.sec, status.header.stamp.nanosec = seconds, nanoseconds

@@ -154,7 +154,6 @@ class Page:
 
         `fits`: adapt it to each window, as Cameras.look_from does.
         """
-
         self._order(lambda: self._cameras.look_from(camera, fits, follow=True))
 
     def show_scene(self, name: str) -> None:

@@ -13,6 +13,7 @@ WIDE = FREE_ASPECT / (1.0 - PANEL_SHARE)  # aspect of a window with that panel a
 UPRIGHT = 1.0  # windows narrower than this have no panel beside the scene, but below it
 LIFT = 0.35  # of the target in such a window, as a share of its half height
 ABOVE_FLOOR = 0.05  # [m] least height of a camera
+NEAR_HOME = 0.01  # [m]
 
 
 class Cameras:
@@ -59,11 +60,15 @@ class Cameras:
             for client in self._server.get_clients().values():
                 self.go_home(client)
 
+    def _home(self, camera: viser.CameraHandle) -> Camera:
+        assert self._view is not None
+        return fitted(self._view, camera.aspect) if self._fits else self._view
+
     def go_home(self, client: viser.ClientHandle) -> None:
         """Move a browser's camera to the view, if there is one."""
         if self._view is None:
             return
-        camera = fitted(self._view, client.camera.aspect) if self._fits else self._view
+        camera = self._home(client.camera)
         with client.atomic():
             client.camera.position = camera.position  # it takes look_at along: look_at comes after it
             client.camera.look_at = camera.target
@@ -72,11 +77,24 @@ class Cameras:
 
     async def on_connect(self, client: viser.ClientHandle) -> None:
         """For each new browser: a coroutine, so that it precedes the first movement."""
-        client.camera.on_update(self._keep_above)
+        arrived = False  # the first cameras that a browser reports are not in its scene yet
+
+        async def keep_above(camera: viser.CameraHandle) -> None:
+            nonlocal arrived
+            arrived = arrived or self._is_home(camera)
+            if arrived:
+                self._keep_above(camera)
+
+        client.camera.on_update(keep_above)
         if self._fits and client.camera.aspect < WIDE:
             self.go_home(client)
 
-    async def _keep_above(self, camera: viser.CameraHandle) -> None:
+    def _is_home(self, camera: viser.CameraHandle) -> bool:
+        return self._view is not None and bool(
+            np.linalg.norm(self._home(camera).position - camera.position) < NEAR_HOME
+        )
+
+    def _keep_above(self, camera: viser.CameraHandle) -> None:
         if self._floor is None or camera.position[2] >= self._floor + 0.9 * ABOVE_FLOOR:
             return
         position, target = np.array(camera.position), np.array(camera.look_at)

@@ -71,6 +71,7 @@ class Plots:
         self._rows: deque[Any] = deque()
         self._interval = interval
         self._next = 0.0  # [s] of the wall clock
+        self._begin: float | None = None  # [s] of the axis of time; None: it fits the rows
         self._plots = [(_plot(gui, title, names, visible), names) for title, names in groups]
 
     def show(self, visible: Sequence[bool]) -> None:
@@ -99,21 +100,29 @@ class Plots:
         if now < self._next or not self._rows:
             return
         self._next = now + self._interval
-        moments = [row.time for row in self._rows]
-        # Both ends of a window of fixed width, without values: so the axis does not stretch around a few points.
-        begin = max(moments[-1] - SHOWN, min(moments[0], 0.0))
-        ends = begin, begin + SHOWN
+        moments = np.array([row.time for row in self._rows])
+        # An axis fitted to one point would end at 100 s.
+        begin = float(max(moments[0] - SHOWN, 0.0)) if len(moments) == 1 else None
         for plot, names in self._plots:
+            if begin != self._begin:
+                plot.scales = _scales(names, begin)
             floor = _floor(names)
             columns = [[np.nan if (v := getattr(row, name)) is None else max(v, floor) for row in self._rows]
                        for name in names]  # fmt: skip
-            plot.data = tuple(np.array([first, *column, last]) for first, column, last in (
-                (ends[0], moments, ends[1]), *((np.nan, column, np.nan) for column in columns)
-            ))  # fmt: skip
+            plot.data = (moments, *map(np.array, columns))
+        self._begin = begin
 
 
 def _floor(names: tuple[str, ...]) -> float:
     return next((floor for ending, floor in FLOORS.items() if names[0].endswith(ending)), 0.0)
+
+
+def _scales(names: tuple[str, ...], begin: float | None) -> dict[str, Any]:
+    scale = viser.uplot.Scale
+    return {
+        "x": scale(time=False, auto=True) if begin is None else scale(time=False, range=(begin, begin + SHOWN)),
+        "y": scale(distr=3) if _floor(names) else scale(auto=True),
+    }
 
 
 def _plot(gui: viser.GuiApi, title: str, names: tuple[str, ...], visible: bool) -> viser.GuiUplotHandle:
@@ -122,9 +131,7 @@ def _plot(gui: viser.GuiApi, title: str, names: tuple[str, ...], visible: bool) 
     for name in names:
         label, colour = CURVES[name]
         series.append(uplot.Series(label=label, stroke=colour, width=1.5))
-    scale = uplot.Scale(distr=3) if _floor(names) else uplot.Scale(auto=True)
     return gui.add_uplot(
         data=tuple(np.zeros(1) for _ in series), series=tuple(series), title=title, height=150, visible=visible,
-        scales={"x": uplot.Scale(time=False, auto=True), "y": scale},
-        axes=(uplot.Axis(space=40), uplot.Axis(size=Y_TICKS)), padding=PADDING,
+        scales=_scales(names, None), axes=(uplot.Axis(space=40), uplot.Axis(size=Y_TICKS)), padding=PADDING,
     )  # fmt: skip

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import struct
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,7 +17,8 @@ from fracture_collision.geometry.unique_rows import unique_rows
 from fracture_collision.viewer.pictures.body_mesh import BodyMesh
 from fracture_collision.viewer.pictures.palette import Paint
 
-GLAZE_ROUGHNESS, PLAIN_ROUGHNESS, CRACK_ROUGHNESS = 0.32, 0.75, 1.0
+ROUGHNESS = ((0.5, 0.18), (0.2, 0.32), (0.0, 0.75))  # by least shine of a paint
+CRACK_ROUGHNESS = 1.0
 GRAIN = 0.22  # share of a crack's brightness that varies from corner to corner
 _STEPS = 255  # normals that agree when rounded to 1/255 belong to one smooth surface
 
@@ -25,18 +27,25 @@ _FLOAT, _UINT32, _UINT8 = 5126, 5125, 5121
 _MAGIC, _VERSION, _JSON, _BIN = 0x46546C67, 2, 0x4E4F534A, 0x004E4942
 
 
+class Surface(NamedTuple):
+    """What a material does with light."""
+
+    roughness: float  # 0..1
+    is_metal: bool = False
+
+
 def glb_of_mesh(mesh: BodyMesh, paint: Paint) -> bytes:
     """The whole file, with a mesh of up to two primitives: outside and crack, if present."""
     file = _File()
     outside, crack = ~mesh.is_crack, mesh.is_crack
     if outside.any():
         corners, index = _smooth_corners(mesh.triangles[outside], mesh.normals[outside], mesh.places[outside])
-        roughness = GLAZE_ROUGHNESS if paint.shine > 0.2 else PLAIN_ROUGHNESS
-        file.add_primitive(corners, index, paint.outside, roughness, None)
+        roughness = next(rough for shine, rough in ROUGHNESS if paint.shine >= shine)
+        file.add_primitive(corners, index, paint.outside, Surface(roughness, paint.is_metal), None)
     if crack.any():
         corners = mesh.triangles[crack].reshape(-1, 3)
         grain = 1.0 - GRAIN * np.random.default_rng(len(corners)).random(len(corners))
-        file.add_primitive(corners, np.arange(len(corners)), paint.crack, CRACK_ROUGHNESS, grain)
+        file.add_primitive(corners, np.arange(len(corners)), paint.crack, Surface(CRACK_ROUGHNESS), grain)
     return file.bytes()
 
 
@@ -65,7 +74,7 @@ class _File:
         corners: np.ndarray,
         index: np.ndarray,
         colour: tuple[float, float, float],
-        roughness: float,
+        surface: Surface,
         brightness: np.ndarray | None,
     ) -> None:
         """`colour`: linear RGB; `brightness` (n,): its factor at each corner."""
@@ -77,7 +86,10 @@ class _File:
             rgba = np.full((len(corners), 4), 255, dtype=np.uint8)
             rgba[:, :3] = np.round(255.0 * brightness)[:, None]
             attributes["COLOR_0"] = self._add(rgba, _UINT8, "VEC4", {"normalized": True})
-        surface = {"baseColorFactor": [*colour, 1.0], "metallicFactor": 0.0, "roughnessFactor": roughness}
+        material = {
+            "baseColorFactor": [*colour, 1.0], "metallicFactor": float(surface.is_metal),
+            "roughnessFactor": surface.roughness,
+        }  # fmt: skip
         self._primitives.append(
             {
                 "attributes": attributes,
@@ -85,7 +97,7 @@ class _File:
                 "material": len(self._materials),
             }
         )
-        self._materials.append({"pbrMetallicRoughness": surface})
+        self._materials.append({"pbrMetallicRoughness": material})
 
     def bytes(self) -> bytes:
         description = {
