@@ -160,15 +160,14 @@ class Page:
         """Name the scene that runs: in the title and its control. If it is another one, cameras move to its view."""
 
         def show() -> None:
-            if name == self._document.name:
-                return
             self._document.name = name
             for client in self._server.get_clients().values():
                 self._retitle(client)
             self._controls.show_scene(name)
             self._cameras.follow()
 
-        self._order(show)
+        if name != self._document.name:
+            self._order(show)
 
     def show_rate(self, achieved: float, requested: float, paused: bool) -> None:
         """Simulated time over real time, at present and as requested; to be called several times a second."""

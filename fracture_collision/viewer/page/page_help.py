@@ -42,8 +42,10 @@ def help_text(handlers: Handlers, start: Start, is_recorded: bool) -> str:
         acts.append("**Hammer**: the arrow keys drive a steel ball, or the buttons *hammer*.")
     acts.append(CAMERA)
     lines = [line for line, is_there in _controls(handlers, start) if is_there]
-    return "\n\n".join((*acts, _listed((*(RECORDED if is_recorded else ()), *lines, *LAYERS,
-                                        *(INSIDE if handlers.looking_inside else ())))))  # fmt: skip
+    if is_recorded:
+        lines = [*RECORDED, *lines]
+    inside = INSIDE if handlers.looking_inside else ()
+    return "\n".join(f"- {line}" for line in (*acts, *lines, *LAYERS, *inside))
 
 
 def add_help(gui: viser.GuiApi, text: str) -> None:
@@ -60,14 +62,16 @@ def add_help(gui: viser.GuiApi, text: str) -> None:
         if earlier is not None and not earlier.closed:
             earlier.close()
         modal = opened[client.client_id] = client.gui.add_modal("Help")
-        with modal:
-            client.gui.add_markdown(text)
-            close = client.gui.add_button("close")
 
-        @close.on_click
-        async def _(_event: viser.GuiEvent) -> None:
-            if opened.pop(client.client_id, None) is modal:
+        async def close(_event: viser.GuiEvent) -> None:
+            if opened.get(client.client_id) is modal:
+                del opened[client.client_id]
                 modal.close()
+
+        with modal:
+            client.gui.add_button("close").on_click(close)
+            client.gui.add_markdown(text)
+            client.gui.add_button("close").on_click(close)  # the text may be longer than the window
 
 
 def _controls(handlers: Handlers, start: Start) -> Sequence[tuple[str, bool]]:
@@ -79,7 +83,3 @@ def _controls(handlers: Handlers, start: Start) -> Sequence[tuple[str, bool]]:
         ("*joint 1* to *joint 7*: the robot arm, in scenes that have one", bool(handlers.joint_set and start.joints)),
         *((f"*{name}*: {knob.hint}", handlers.service_set is not None) for name, knob in start.settings.items()),
     )
-
-
-def _listed(lines: Sequence[str]) -> str:
-    return "\n".join(f"- {line}" for line in lines)

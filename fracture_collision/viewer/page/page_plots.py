@@ -14,6 +14,7 @@ SHOWN = 4.0  # [s] of simulated time that a plot covers
 INTERVAL = 0.25  # [s]
 Y_TICKS = 62  # [px] room for labels such as 200,000
 PADDING = (8, 16, 0, 4)  # [px] top, right, bottom, left
+NO_TICKS = viser.uplot.Axis_Ticks(show=False)  # on a logarithmic axis marks and grid would be black bars
 FLOORS = {"_ms": 1e-2, "_mm": 1e-4}  # by suffix of the name: a logarithmic axis has no zero
 
 Group = tuple[str, tuple[str, ...]]  # a plot: its title, and the names of its curves
@@ -131,7 +132,9 @@ def _plot(gui: viser.GuiApi, title: str, names: tuple[str, ...], visible: bool) 
     for name in names:
         label, colour = CURVES[name]
         series.append(uplot.Series(label=label, stroke=colour, width=1.5))
+    across = uplot.Axis(space=40, ticks=NO_TICKS)
+    upward = uplot.Axis(size=Y_TICKS, ticks=NO_TICKS, grid=uplot.Axis_Grid(show=not _floor(names)))
     return gui.add_uplot(
         data=tuple(np.zeros(1) for _ in series), series=tuple(series), title=title, height=150, visible=visible,
-        scales=_scales(names, None), axes=(uplot.Axis(space=40), uplot.Axis(size=Y_TICKS)), padding=PADDING,
+        scales=_scales(names, None), axes=(across, upward), padding=PADDING,
     )  # fmt: skip

@@ -56,7 +56,7 @@ class Summary:
         self._lock = threading.Lock()
         self._figures: Figures | None = None
         self._census: Census | None = None
-        self._rate: float | None = None
+        self._pace_words = ""  # none for a recording
         self._pace = Pace()
         self._said = ""
 
@@ -80,7 +80,7 @@ class Summary:
     def show_rate(self, now: float, achieved: float, requested: float, paused: bool) -> None:
         """Arguments as in Pace.is_slow; to be called several times a second."""
         with self._lock:
-            self._rate = None if paused else achieved
+            self._pace_words = "paused" if paused else f"{achieved:.2f} × real time"
             is_slow = self._pace.is_slow(now, achieved, requested, paused)
             if is_slow != self._warning.visible:
                 self._warning.visible = is_slow
@@ -89,12 +89,9 @@ class Summary:
     def _say(self) -> None:
         if self._figures is None:
             return
-        first = [f"**{self._figures.time:.2f} s**"]
-        if self._rate is not None:
-            first.append(f"{self._rate:.2f} × real time")
-        if self._figures.contacts is not None:
-            first.append(f"{self._figures.contacts} contacts")
-        text = "  \n".join(filter(None, (" · ".join(first), "" if self._census is None else words_of(self._census))))
+        listed = "" if self._figures.contacts is None else f"{self._figures.contacts} contacts"
+        first = " · ".join(filter(None, (f"**{self._figures.time:.2f} s**", self._pace_words, listed)))
+        text = "  \n".join(filter(None, (first, "" if self._census is None else words_of(self._census))))
         if text != self._said:
             self._line.content = self._said = text
 

@@ -73,7 +73,7 @@ class Palette:
             colour = STATIC_COLOURS[self._static_rank[body_id] % len(STATIC_COLOURS)]
             return Paint(colour, colour, PLAIN_SHINE)
         if body_id in self._steel:
-            return Paint(STEEL_COLOUR, STEEL_COLOUR, POLISH_SHINE, is_metal=True)
+            return Paint(STEEL_COLOUR, STEEL_COLOUR, GLAZE_SHINE, is_metal=True)
         if body_id in self._arm:
             return Paint(ARM_COLOUR, ARM_COLOUR, GLAZE_SHINE)
         return Paint(BALL_COLOUR, BALL_COLOUR, POLISH_SHINE)
