@@ -32,7 +32,7 @@ DENSITIES = (10.0, 20000.0)  # [kg/m3]
 MOST_SPEED = 40.0  # [m/s] of a ball
 MOST_HAMMER_SPEED = 4.0  # [m/s]
 FARTHEST = 100.0  # [m] from the world's origin
-SLOWEST_HAND = 0.05  # simulated time over real time; below it a hand lags
+SLOWEST_HAND = 0.1  # simulated time over real time; below it a hand lags, as the force on what it pulls is limited
 
 
 class Ball(NamedTuple):
