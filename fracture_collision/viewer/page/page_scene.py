@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +10,7 @@ import viser
 
 from fracture_collision.records import CollisionBody, FragmentMesh, FragmentStates
 from fracture_collision.viewer.page.page_events import Drag, Ray
+from fracture_collision.viewer.page.page_grips import Grips, Piece
 from fracture_collision.viewer.page.page_stream import LiveValues
 from fracture_collision.viewer.page.page_summary import Census
 from fracture_collision.viewer.pictures.body_mesh import BodyMesh, mesh_of_body, mesh_of_fragment
@@ -35,6 +36,7 @@ class _Fragment(NamedTuple):
     body_id: int
     glb: bytes  # binary glTF
     centre: np.ndarray  # (3,) [m], body frame
+    corners: np.ndarray  # (n, 3) [m], body frame, of its surface
 
 
 class SceneNodes:
@@ -67,6 +69,7 @@ class SceneNodes:
         self._fragments: dict[int, _Fragment] = {}
         self._nodes: dict[int, viser.GlbHandle] = {}
         self._poses: dict[int, np.ndarray] = {}  # (7,) of the present ones
+        self._grips = Grips()
         self._hidden: frozenset[int] = frozenset()  # present, but hidden because they occlude the view
         self._planes: set[int] = set()  # fragments that are the floor or a wall, drawn as grids
         self._counted: np.ndarray | None = None  # ids of the fragments of which `census` is
@@ -124,9 +127,18 @@ class SceneNodes:
             for fragment_id in sorted(gone):
                 if not self._bodies[self._fragments[fragment_id].body_id].is_static:
                     del self._poses[fragment_id]
-                    self._nodes[fragment_id].visible = False
+                    if not self._grips.keep(fragment_id, self._pieces()):
+                        self._nodes[fragment_id].visible = False
             self._count(states.fragment_ids)
+        if followers := self._grips.followers(self._poses, self._pieces()):
+            self._live.pose([name for name, _ in followers], np.array([pose for _, pose in followers]))
         return all_there
+
+    def _pieces(self) -> Iterator[Piece]:
+        """The fragments that are present."""
+        for fragment_id in self._poses:
+            fragment = self._fragments[fragment_id]
+            yield Piece(fragment_id, fragment.body_id, fragment.corners)
 
     def centre(self, fragment_id: int) -> np.ndarray | None:
         """(3,) [m], world: the centre of a fragment's surface; None if it is not present."""
@@ -190,7 +202,7 @@ class SceneNodes:
     def _add(self, fragment_id: int, body_id: int, mesh: BodyMesh) -> None:
         self.remove(fragment_id)
         glb = glb_of_mesh(mesh, self._palette.paint(fragment_id, body_id))
-        self._fragments[fragment_id] = _Fragment(body_id, glb, mesh.centre)
+        self._fragments[fragment_id] = _Fragment(body_id, glb, mesh.centre, mesh.triangles.reshape(-1, 3))
 
     def _place(self, ids: list[int], poses: np.ndarray) -> None:
         names = []
@@ -215,7 +227,13 @@ class SceneNodes:
             async def on_drag(event: viser.SceneNodeDragEvent) -> None:
                 target, eye = np.array(event.end_position), np.array(event.client.camera.position)
                 ray = Ray(eye, (target - eye) / max(float(np.linalg.norm(target - eye)), 1e-12))
-                self._drag[event.phase](Drag(fragment_id, np.array(event.start_position), target, ray))
+                grip, held_at = np.array(event.start_position), self._poses.get(fragment_id)
+                if event.phase == "start" and held_at is not None:
+                    back = held_at[3:] * [1.0, -1.0, -1.0, -1.0]
+                    self._grips.take(fragment_id, node, turned(grip - held_at[:3], back), fragment.body_id)
+                elif event.phase == "end":
+                    self._grips.release(fragment_id)
+                self._drag[event.phase](Drag(fragment_id, grip, target, ray))
 
             node.on_drag("left")(on_drag)
         return node
