@@ -11,6 +11,7 @@ import numpy as np
 import viser
 
 from fracture_collision.records import FragmentStates
+from fracture_collision.viewer.film.animated_gltf import animated_glb
 from fracture_collision.viewer.film.recorded_run import RecordedRun
 from fracture_collision.viewer.film.run_camera import camera_of, chosen_moments
 from fracture_collision.viewer.film.run_scene import RunScene
@@ -42,6 +43,8 @@ class BagPlayer:
         self._rows: dict[int, Figures] = {}  # by index of the states, those needed so far
         bodies = (fragment for fragment, body_id in run.body_of.items() if len(run.bodies[body_id].tetrahedra))
         self._breakable = np.fromiter(bodies, np.int64)  # fragments of bodies that can break
+        self._name = name
+        self._exporting, self._exported = threading.Lock(), b""  # the run in one file, once somebody wants it
         self._lock = threading.RLock()
         self._playing, self._speed = True, min(max(speed, SLOWEST), FASTEST)
         self._at = 0.0  # [s] simulated, since the first states
@@ -149,6 +152,12 @@ class BagPlayer:
 
     _showed_contacts = False
 
+    def _animation(self) -> bytes:
+        with self._exporting:
+            if not self._exported:
+                self._exported = animated_glb(self._run)
+        return self._exported
+
     def _set_playing(self, playing: bool) -> None:
         self._playing = playing
         self._button.label = "pause" if playing else "play"
@@ -160,6 +169,9 @@ class BagPlayer:
             self._bar = gui.add_slider("time, s", 0.0, max(round(self.duration, 3), step), round(step, 6), 0.0)
             self._button = gui.add_button("pause", icon=viser.Icon.PLAYER_PAUSE)
             steps = gui.add_button_group("one step", ("back", "forward"))
+            download = gui.add_button(
+                "download .glb", icon=viser.Icon.DOWNLOAD, color="gray", hint="The run as a 3D animation in one file."
+            )
             speed = gui.add_slider("speed", SLOWEST, FASTEST, 0.02, self._speed, hint="Simulated seconds per second.")
 
         # Coroutines, because viser calls those in order; its thread pool would not.
@@ -175,6 +187,12 @@ class BagPlayer:
         @steps.on_click
         async def _(_event: viser.GuiEvent) -> None:
             self.step(1 if steps.value == "forward" else -1)
+
+        @download.on_click
+        def _(event: viser.GuiEvent) -> None:  # in a thread of viser's pool: it takes a while
+            if event.client is not None:
+                name = f"{self._name or 'run'}.glb"
+                event.client.send_file_download(name, self._animation(), save_immediately=True)
 
         @speed.on_update
         async def _(event: viser.GuiEvent) -> None:

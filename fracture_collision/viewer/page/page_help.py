@@ -27,6 +27,7 @@ INSIDE = (
 )
 RECORDED = (
     "*time*, *play*, *one step*: move in the recording",
+    "*download .glb*: the run as a 3D animation in one file, for viewers such as Blender",
     "*speed*: simulated seconds per second",
 )
 
