@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from stages import page_client
 from stages.browser import HEIGHT, chromium, opened, picture_of, until
 from worlds.small_run import small_run
 
@@ -113,6 +114,23 @@ def test_a_camera_over_a_scene_without_a_floor_may_be_anywhere(browser: Any) -> 
             reported = reports_of(page)
             orbit(seen, 0.0, -200.0)
             until(lambda: bool(reported) and reported[-1][2], lambda height: height < -0.3)
+
+
+@pytest.mark.parametrize("camera", [{"image_height": 0}, {"position": (float("nan"), 0.0, 0.0)}, {"image_width": -5}])
+def test_a_client_with_a_senseless_camera_does_not_hinder_others(
+    browser: Any, camera: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(page_client, "CAMERA", page_client.CAMERA | camera)
+    with Page() as page:
+        page.cast_shadows(False)
+        begin(page)
+        with page_client.page_client(page.address), opened(browser, page.address) as seen:
+            until(lambda: page.browsers, lambda count: count == 2)
+            until(lambda: seen_bricks(seen), lambda count: count > 300)
+            begin(page, shift=20.0)
+            page.show_scene("far away")
+            page.flush()
+            until(lambda: seen_bricks(seen), lambda count: count > 300)
 
 
 @pytest.mark.parametrize("aspect", [390 / 844, 0.8, 1.0, 4 / 3, WIDE, 16 / 9, 3.0])

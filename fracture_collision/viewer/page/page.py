@@ -69,7 +69,7 @@ class Page:
         self._scene = SceneNodes(self._server, self._live, drag)
         self._cameras = Cameras(self._server)
         self._summary = Summary(self._server.gui)
-        add_help(self._server.gui, help_text(handlers, start, add_controls is not None))
+        add_help(self._server, help_text(handlers, start, add_controls is not None))
         if add_controls is not None:
             add_controls(self._server.gui)
         self._controls = Controls(self._server, handlers, start)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import numpy as np
 import viser
 
@@ -12,6 +14,7 @@ PANEL_SHARE = 0.25  # of the width of the window
 WIDE = FREE_ASPECT / (1.0 - PANEL_SHARE)  # aspect of a window with that panel and that free part
 UPRIGHT = 1.0  # windows narrower than this have no panel beside the scene, but below it
 LIFT = 0.35  # of the target in such a window, as a share of its half height
+LEAST_ASPECT = 0.1
 ABOVE_FLOOR = 0.05  # [m] least height of a camera
 NEAR_HOME = 0.01  # [m]
 
@@ -58,11 +61,12 @@ class Cameras:
         if follow or self._follows:
             self._follows = False
             for client in self._server.get_clients().values():
-                self.go_home(client)
+                with suppress(ValueError):  # of a camera that is nowhere: a client need not be a browser
+                    self.go_home(client)
 
     def _home(self, camera: viser.CameraHandle) -> Camera:
         assert self._view is not None
-        return fitted(self._view, camera.aspect) if self._fits else self._view
+        return fitted(self._view, aspect_of(camera)) if self._fits else self._view
 
     def go_home(self, client: viser.ClientHandle) -> None:
         """Move a browser's camera to the view, if there is one."""
@@ -86,7 +90,7 @@ class Cameras:
                 self._keep_above(camera)
 
         client.camera.on_update(keep_above)
-        if self._fits and client.camera.aspect < WIDE:
+        if self._fits and aspect_of(client.camera) < WIDE:
             self.go_home(client)
 
     def _is_home(self, camera: viser.CameraHandle) -> bool:
@@ -103,6 +107,12 @@ class Cameras:
         with camera.client.atomic():
             camera.position = position
             camera.look_at = target
+
+
+def aspect_of(camera: viser.CameraHandle) -> float:
+    """Width of the window over its height, as far as the client tells anything sensible."""
+    aspect = camera.image_width / camera.image_height if camera.image_height > 0 else WIDE
+    return aspect if LEAST_ASPECT <= aspect <= 1.0 / LEAST_ASPECT else WIDE
 
 
 def fitted(camera: Camera, aspect: float) -> Camera:

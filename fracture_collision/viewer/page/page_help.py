@@ -49,10 +49,11 @@ def help_text(handlers: Handlers, start: Start, is_recorded: bool) -> str:
     return "\n".join(f"- {line}" for line in (*acts, *lines, *LAYERS, *inside))
 
 
-def add_help(gui: viser.GuiApi, text: str) -> None:
+def add_help(server: viser.ViserServer, text: str) -> None:
     """Add the button."""
-    button = gui.add_button("help", icon=viser.Icon.HELP, color="gray")
+    button = server.gui.add_button("help", icon=viser.Icon.HELP, color="gray")
     opened: dict[int, Any] = {}  # by client: at most one each
+    server.on_client_disconnect(lambda client: opened.pop(client.client_id, None))
 
     @button.on_click
     async def _(event: viser.GuiEvent) -> None:
