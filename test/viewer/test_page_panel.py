@@ -187,6 +187,9 @@ def test_the_pace_is_shown_with_a_message_while_it_is_slow(browser: Any) -> None
         slow.wait_for(state="hidden")
         page.show_rate(0.0, 1.0, True)
         seen.get_by_text("paused").wait_for()
+        until(seen.get_by_label("pause").is_checked, bool)
+        page.show_rate(1.0, 1.0, False)
+        until(seen.get_by_label("pause").is_checked, lambda ticked: not ticked)
 
 
 # Of the plot of contacts: the widest label of its vertical axis, and the room for it [px].

@@ -171,6 +171,7 @@ class Page:
     def show_rate(self, achieved: float, requested: float, paused: bool) -> None:
         """Simulated time over real time, at present and as requested; to be called several times a second."""
         self._summary.show_rate(time.monotonic(), achieved, requested, paused)
+        self._controls.show_paused(paused)
 
     def cast_shadows(self, on: bool) -> None:
         """Same as the switch on the page."""

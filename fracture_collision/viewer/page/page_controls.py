@@ -33,6 +33,8 @@ class Controls:
         self._service: dict[str, Any] = {}  # by name of a setting
         self._arm: viser.GuiFolderHandle | None = None
         self._joints: list[viser.GuiSliderHandle] = []
+        self._pause: viser.GuiCheckboxHandle | None = None
+        self._paused = False  # the scene, when last heard
         self._scene: viser.GuiDropdownHandle[str] | None = None
         if handlers.scene_chosen and start.scenes:
             self._scene = self._gui.add_dropdown("scene", start.scenes, initial_value=start.scene or start.scenes[0])
@@ -52,6 +54,11 @@ class Controls:
         if self._scene is not None and name in self._scene.options and self._scene.value != name:
             self._scene.value = name  # type: ignore[misc]  # mypy misses viser's setter
 
+    def show_paused(self, paused: bool) -> None:
+        """Show whether the scene is paused, once that has changed: a box that a user has just ticked stays ticked."""
+        if self._pause is not None and paused != self._paused:
+            self._paused = self._pause.value = paused  # type: ignore[misc]  # mypy misses viser's setter
+
     def show_service(self, service: ServiceSliders) -> None:
         """Show the current settings of the service."""
         for name, knob in self._service.items():
@@ -67,7 +74,8 @@ class Controls:
     def _add_time(self, start: Start) -> None:
         handlers = self._handlers
         if handlers.paused:
-            on_update(self._gui.add_checkbox("pause", False), handlers.paused)
+            self._pause = self._gui.add_checkbox("pause", False)
+            on_update(self._pause, handlers.paused)
         if handlers.one_step:
             _on_click(self._gui.add_button("one step", icon=viser.Icon.PLAYER_TRACK_NEXT), handlers.one_step)
         if handlers.reset:

@@ -177,6 +177,8 @@ class SceneNodes:
         if not len(centres):
             return None
         low, high = centres.min(axis=0), centres.max(axis=0)
+        if self.floor is not None and not any(fragment_id not in shown for fragment_id in self._poses):
+            low[2] = min(low[2], self.floor)  # nothing but the floor stops what falls
         target, size = 0.5 * (low + high), max(float(np.linalg.norm(high - low)), 0.5)
         return Camera(target + size * np.array([0.5, -1.5, 0.6]), target, OPENING)
 
