@@ -74,6 +74,7 @@ def test_the_inside_view_works_in_the_browser(scene: tuple[Any, LivePage]) -> No
         few, colliding = until(lambda: listed_and_colliding(page), lambda counts: counts[0] < counts[1])
         unlisted, promised = unlisted_and_promised(page)
         assert unlisted <= promised
+        drawn = until(lambda: shown_plots(page), lambda plots: plots != drawn)
         knob(page, "contacts_per_pair").fill("32")
         more, still = until(lambda: listed_and_colliding(page), lambda counts: counts[0] > few)
         assert still == colliding >= more
