@@ -7,7 +7,7 @@ from difflib import get_close_matches
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """`, did you mean 'x'?`, with the nearest of the names known; empty where none is near."""
+    """`; did you mean x?`, with the nearest of the names known; empty where none is near."""
     names = {each.lower(): each for each in known}
     found = get_close_matches(name.lower(), names, n=1, cutoff=0.6)
-    return f", did you mean {names[found[0]]!r}?" if found else ""
+    return f"; did you mean {names[found[0]]}?" if found else ""

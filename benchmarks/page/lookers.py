@@ -193,6 +193,7 @@ class Browser:
     def save_picture(self, path: Path) -> None:
         """Waits until everything that has arrived is drawn; hides notifications."""
         self._page.add_style_tag(content=".mantine-Notification-root { display: none }")
+        self._page.mouse.move(1, 1)  # away from a control, whose hint would be in the picture
         self._page.wait_for_function(f"window.__notes.pictures > {self.drawn() + AT_REST}")
         self._page.screenshot(path=path, timeout=PATIENCE_MS)
 

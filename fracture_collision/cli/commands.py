@@ -9,6 +9,7 @@ import click
 from fracture_collision import __version__
 from fracture_collision.cli.bags import digest, mend, record
 from fracture_collision.cli.bench import bench
+from fracture_collision.cli.export import export
 from fracture_collision.cli.film import film
 from fracture_collision.cli.play import play
 from fracture_collision.cli.replay import replay
@@ -37,6 +38,7 @@ Examples:
   fracture-collision teleop                       the hammer of a live scene by keys, from another terminal
   fracture-collision view out/smash/bag           a recorded run in the browser
   fracture-collision film out/smash/bag           ... as an animated picture
+  fracture-collision export out/smash/bag         ... as a 3D animation (.glb) that needs no server
 
 The nodes alone: collision_node and simulator_node, with --ros-args -p NAME:=VALUE.
 """
@@ -73,7 +75,7 @@ def main() -> None:
 main.add_command(smash)
 main.add_command(scene)
 main.add_command(bench)
-for command in (play, teleop, view, film, replay, record, mend, digest):
+for command in (play, teleop, view, film, export, replay, record, mend, digest):
     main.add_command(command)
 
 

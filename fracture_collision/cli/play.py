@@ -19,7 +19,8 @@ On the page:
   click              throw a ball there (speed and size by slider)
   drag a fragment    pull it by a spring
   arrow keys         drive the hammer; `fracture-collision teleop` and other publishers of cmd_vel do as well
-  sliders            set contacts per pair, epsilon, field and visit budget of the service
+  settings           contacts_per_pair, penetration_tolerance, field and visit_budget of the service
+  help               explains every control
   record             write a bag for `fracture-collision view`, `film` and `replay`
 """
 

@@ -46,7 +46,7 @@ def view(bag: Path, speed: float, port: int, host: str, opens: bool, namespace: 
     try:
         with counting_bar(console, "making meshes", "fractures") as progress:
             run = read_run_with_meshes(bag, namespace, progress)
-        player = BagPlayer(run, host, port, speed)
+        player = BagPlayer(run, host, port, speed, bag.resolve().name)
     except BagError as error:
         raise BadInput(str(error)) from error
     except OSError as error:

@@ -32,6 +32,7 @@ DENSITIES = (10.0, 20000.0)  # [kg/m3]
 MOST_SPEED = 40.0  # [m/s] of a ball
 MOST_HAMMER_SPEED = 4.0  # [m/s]
 FARTHEST = 100.0  # [m] from the world's origin
+SLOWEST_HAND = 0.1  # simulated time over real time; below it a hand lags, as the force on what it pulls is limited
 
 
 class Ball(NamedTuple):
@@ -59,6 +60,7 @@ class LiveScene:
         self._balls: deque[int] = deque()
         self._thrown = 0
         self._taken = 0  # fragment that the hand was commanded to take, even if it has broken since
+        self._grip = np.zeros(3)  # [m] where, in its body frame
 
     def throw(self, ball: Ball) -> None:
         """Throw a ball, from the next step on. Raises CommandRefused."""
@@ -85,12 +87,16 @@ class LiveScene:
         _finite("grip", grip)
         _finite("target", target)
         _within("target", float(np.abs(target).max()), (0.0, FARTHEST), "m")
-        if fragment_id != self._taken:
-            self._taken = fragment_id
+        if fragment_id != self._taken or not np.array_equal(grip, self._grip):
+            self._taken, self._grip = fragment_id, np.array(grip)
             if not self.simulation.hold(fragment_id, grip, target):
                 self._taken = 0
                 raise CommandRefused(f"fragment_id: {fragment_id} is not a movable fragment")
         hand.move(np.asarray(target, np.float64), np.zeros(3))
+
+    def keep_pace(self, rate: float) -> None:
+        """`rate`: simulated time over real time, now. Where it is low, the hand is quicker: users are in real time."""
+        self.simulation.drag.quicken(1.0 / min(max(rate, SLOWEST_HAND), 1.0))
 
     def steer(self, velocity: np.ndarray) -> None:
         """Move the hammer with `velocity` (3,) [m/s], world axes, until the next command. Raises CommandRefused.

@@ -95,7 +95,24 @@ class Settings(NamedTuple):
     max_message_bytes: int = 256 * 1024 * 1024
 
 
-LONGEST_LOOKAHEAD = 1.0  # [s] longer than any time step
+class Range(NamedTuple):
+    """Lowest and highest value that a setting may have."""
+
+    low: float
+    high: float
+
+
+# Of every number among the settings: for the command line, the service's parameters and the page.
+RANGES = {
+    "contacts_per_pair": Range(1, 1024), "deep_contacts_per_pair": Range(1, 1024),
+    "penetration_tolerance": Range(0, 1), "detection_tolerance": Range(0, 1),
+    "lookahead": Range(0, 1),  # longer than any time step
+    "threads": Range(0, 256), "visit_budget": Range(0, 1 << 40),
+    "max_pairs": Range(1, 1 << 31), "max_visits": Range(1, 1 << 40), "max_further_visits": Range(1, 1 << 40),
+    "max_contacts_per_pair": Range(1, 1 << 31), "max_contacts": Range(1, 1 << 31),
+    "max_bodies": Range(1, 1 << 31), "max_nodes": Range(1, 1 << 31), "max_fragments": Range(1, 1 << 31),
+    "max_message_bytes": Range(1024, 1 << 32),
+}  # fmt: skip
 FIELDS = ("exact", "averaged")
 SELECTIONS = ("sufficient", "complete")
 NORMALS = ("facing", "nearest")
@@ -132,14 +149,9 @@ def check_settings(settings: Settings) -> None:
             raise ValueError(f"{name}: {getattr(settings, name)!r} is not one of {', '.join(choices)}")
     if settings.surfaces == SEARCHED and settings.field != "exact":
         raise ValueError("surfaces: 'searched' needs field 'exact': averaged depths bound nothing between samples")
-    for name in ("contacts_per_pair", "deep_contacts_per_pair"):
-        if getattr(settings, name) < 1:
-            raise ValueError(f"{name}: {getattr(settings, name)} is less than 1")
-    for name in ("penetration_tolerance", "detection_tolerance"):
-        if not 0.0 <= getattr(settings, name) <= 1.0:
-            raise ValueError(f"{name}: {getattr(settings, name)} is not in [0, 1]")
-    if not 0.0 <= settings.lookahead <= LONGEST_LOOKAHEAD:
-        raise ValueError(f"lookahead: {settings.lookahead} s is not in [0, {LONGEST_LOOKAHEAD:g}]")
-    for name in ("threads", *(field for field in Settings._fields if field.startswith("max_")), "visit_budget"):
-        if getattr(settings, name) < 0:
-            raise ValueError(f"{name}: {getattr(settings, name)} is negative")
+    for name, limits in RANGES.items():
+        value = getattr(settings, name)
+        if value < limits.low:
+            raise ValueError(f"{name}: {value} is less than {limits.low:g}")
+        if not value <= limits.high:  # NaN, too
+            raise ValueError(f"{name}: {value} is not in [{limits.low:g}, {limits.high:.15g}]")

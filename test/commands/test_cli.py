@@ -170,7 +170,7 @@ def test_an_interrupted_command_leaves_no_process(tmp_path: Path, order: signal.
     ("words", "domain", "said", "status"),
     [
         (("--scene", "no_such_scene"), "", "no_such_scene", 2),
-        (("--scene", "palte"), "", "did you mean 'plates'? `fracture-collision scenes` lists all", 2),
+        (("--scene", "palte"), "", "did you mean plates? `fracture-collision scenes` lists all", 2),
         (("--scene", "reference_sphere:nope"), "", "no variant", 2),
         (("--mesh", "nowhere.obj"), "", "nowhere.obj", 2),
         (("--scene", SCENE), "9999", "ended with status", 1),  # no ports exist for this domain: no node reaches a step

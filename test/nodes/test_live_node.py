@@ -133,6 +133,26 @@ def test_a_hand_lifts_and_releases_a_plate(player: Player) -> None:
     player.until(lambda: plate not in player.newest_ids() or player.place(plate)[2] < begin[2], "a plate that fell")
 
 
+def test_a_hand_follows_a_user_in_a_scene_at_a_tenth_of_real_time(player: Player) -> None:
+    player.begin_again()
+    assert player.answer(player.hands.set_parameters(rate=0.1)).results[0].successful
+    player.until(lambda: 0.05 < player.status.achieved_rate < 0.15, "slow motion")
+    player.hands.drag(player.status.run_id, 5, np.zeros(3), PLATE + [0.0, -0.2, 0.2])
+    begin = player.status.step
+    # 0.06 s, half a second or more for the user: the spring's own frequency would bring the plate less than half way
+    player.until(lambda: player.status.step > begin + 24, "0.06 s")
+    assert np.linalg.norm(player.place(5) - (PLATE + [0.0, -0.2, 0.2])) < 0.05
+    player.until(lambda: player.status.step > begin + 120, "rest")
+    assert np.linalg.norm(player.place(5) - (PLATE + [0.0, -0.2, 0.2])) < 0.01
+    player.hands.let_go()
+    begin = player.status.step
+    player.until(lambda: player.status.step > begin + 40, "0.1 s")
+    there = player.place(5)
+    player.until(lambda: player.status.step > begin + 60, "0.15 s")
+    assert player.place(5)[2] < there[2] - 0.01, "it falls"
+    player.answer(player.hands.set_parameters(rate=1.0))
+
+
 def test_a_hammer_is_added_driven_and_stopped(player: Player) -> None:
     known = player.newest_ids()
     player.hands.steer([0.0, 1.0, 0.0])

@@ -49,12 +49,12 @@ def chromium() -> Iterator[Any]:
 
 
 @contextmanager
-def opened(browser: Any, address: str) -> Iterator[Any]:
-    """A page that has loaded the scene.
+def opened(browser: Any, address: str, width: int = WIDTH, height: int = HEIGHT) -> Iterator[Any]:
+    """A page that has loaded the scene, in a window of this size.
 
     On exit it asserts that the console has no errors and that every request went to the address.
     """
-    context = browser.new_context(viewport={"width": WIDTH, "height": HEIGHT})
+    context = browser.new_context(viewport={"width": width, "height": height})
     context.add_init_script(UNSEEN)
     page = context.new_page()
     page.set_default_timeout(1e3 * PATIENCE)

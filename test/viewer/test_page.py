@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import subprocess
 import sys
 import threading
@@ -19,9 +20,9 @@ from fracture_collision.records import CollisionBody, FragmentMesh, FragmentStat
 from fracture_collision.viewer.page.page import INTERVAL, MOST_BEHIND, Page
 from fracture_collision.viewer.page.page_plots import Figures
 from fracture_collision.viewer.page.page_stream import STILL, LiveValues
-from fracture_collision.viewer.pictures.body_mesh import mesh_of_fragment
+from fracture_collision.viewer.pictures.body_mesh import mesh_of_body, mesh_of_fragment
 from fracture_collision.viewer.pictures.gltf import glb_of_mesh
-from fracture_collision.viewer.pictures.palette import Palette
+from fracture_collision.viewer.pictures.palette import Palette, display_colour
 
 SERVE = """
 import sys
@@ -81,6 +82,34 @@ def test_fragments_have_shades_of_their_body_and_paler_cracks() -> None:
     assert np.argmax(first.outside) == np.argmax(second.outside) != np.argmax(other.outside)
     assert min(first.crack) > max(min(first.outside), min(second.outside))
     assert palette.is_breakable(3) and not palette.is_breakable(5)
+
+
+def test_what_does_not_break_has_no_hue_and_hammer_balls_and_arm_differ() -> None:
+    palette = Palette()
+    plate = next(body for body in records_of(CollisionBody) if len(body.tetrahedra))
+    for body_id in range(10, 18):  # one of each family of colours
+        palette.add(plate._replace(body_id=body_id))
+    ball = next(body for body in records_of(CollisionBody) if body.name == "ball")
+    for body_id, name, density in ((1, "thrown 1", 2000.0), (2, "hammer", 7800.0), (3, "arm link 1a", 1000.0)):
+        palette.add(ball._replace(body_id=body_id, name=name, density=density))
+    paints = [palette.paint(body_id, body_id) for body_id in (1, 2, 3)]
+    assert len({paint.outside for paint in paints}) == 3
+    assert [paint.is_metal for paint in paints] == [False, True, False]
+    for paint in paints:
+        assert max(display_colour(paint.outside)) - min(display_colour(paint.outside)) < 0.05
+    for body_id in range(10, 18):
+        for fragment_id in range(30):
+            colour = display_colour(palette.paint(fragment_id, body_id).outside)
+            assert max(colour) - min(colour) > 0.3
+    assert materials(glb_of_mesh(mesh_of_body(ball), paints[1])) == [1.0]
+    assert materials(glb_of_mesh(mesh_of_body(ball), paints[0])) == [0.0]
+
+
+def materials(glb: bytes) -> list[float]:
+    """The metallic factor of each material of a file."""
+    length = int.from_bytes(glb[12:16], "little")
+    described = json.loads(glb[20 : 20 + length])
+    return [material["pbrMetallicRoughness"]["metallicFactor"] for material in described["materials"]]
 
 
 class OneBrowser:

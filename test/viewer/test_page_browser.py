@@ -242,6 +242,52 @@ def test_the_inside_view_works_in_the_browser(browser: Any) -> None:
             until(lambda: seen.locator(".uplot").count(), lambda count: count == 1)
 
 
+def test_a_held_body_that_breaks_stays_in_the_hand(browser: Any) -> None:
+    heard: queue.Queue[tuple[str, Any]] = queue.Queue()
+    handlers = Handlers(
+        drag_begun=lambda drag: heard.put(("begun", drag)), drag_moved=lambda drag: heard.put(("moved", drag)),
+        drag_ended=lambda drag: heard.put(("ended", drag)),
+    )  # fmt: skip
+    records = [record for _, record in small_run()]
+    states = [record for record in records if isinstance(record, FragmentStates)]
+    with Page(handlers) as page:
+        for record in records:
+            if isinstance(record, CollisionBody):
+                page.add_body(record)
+        page.look_from(Camera(np.array([-0.4, -3.0, 0.6]), np.array([-0.4, 0.0, 0.6]), 0.6))  # at the brick that breaks
+        page.cast_shadows(False)
+        page.show_states(states[0])
+        with opened(browser, page.address) as seen:
+            until(lambda: picture_of(seen), lambda picture: np.count_nonzero(blue(picture)) > 150)
+            x, y = WIDTH / 2, HEIGHT / 2
+            seen.mouse.move(x, y)
+            seen.mouse.down()
+            seen.mouse.move(x, y - 60, steps=8)
+            assert heard.get(timeout=PATIENCE)[0] == "begun"
+            # the pull is seen: an arrow from the grip to the pointer
+            until(lambda: picture_of(seen), lambda picture: np.count_nonzero(orange(picture)) > 20)
+            for record in records:
+                if type(record).__name__ == "FragmentMesh":
+                    page.add_fragment(record, 3)
+            page.show_states(states[-1])
+            page.flush()
+            while not heard.empty():
+                assert heard.get()[0] == "moved"
+            until(lambda: picture_of(seen), lambda picture: np.count_nonzero(blue(picture)) > 100)
+            seen.mouse.move(x + 60, y - 60, steps=8)
+            name, drag = heard.get(timeout=PATIENCE)
+            assert name == "moved" and drag.fragment_id == 3, "the hand still knows it by the id it took"
+            until(lambda: picture_of(seen), lambda picture: np.count_nonzero(orange(picture)) > 20)
+            seen.mouse.up()
+            until(lambda: heard.get(timeout=PATIENCE)[0], lambda name: name == "ended")
+            assert not page._scene._nodes[3].visible
+
+
+def orange(picture: np.ndarray) -> np.ndarray:
+    """Mask of the arrow of a drag."""
+    return (picture[..., 0] > 0.85) & (abs(picture[..., 1] - 0.5) < 0.15) & (picture[..., 2] < 0.4)
+
+
 EDGES = 500  # pixels that may differ when edges are redrawn
 
 

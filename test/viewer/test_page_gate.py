@@ -12,7 +12,7 @@ import viser
 from stages.page_client import page_client
 from websockets import Headers
 
-from fracture_collision.viewer.page import page as page_module
+from fracture_collision.viewer.page import page_gate
 from fracture_collision.viewer.page.page import Page
 from fracture_collision.viewer.page.page_events import Handlers, Start
 from fracture_collision.viewer.page.page_gate import Gate, GateError, guarded
@@ -123,7 +123,7 @@ def test_another_version_of_viser_serves_no_page(monkeypatch: pytest.MonkeyPatch
         def stop(self) -> None:
             stopped.append(self)
 
-    monkeypatch.setattr(page_module, "LocalServer", Other)
+    monkeypatch.setattr(page_gate, "LocalServer", Other)
     with pytest.raises(GateError, match=viser.__version__):
         Page()
     assert len(stopped) == 1

@@ -61,7 +61,7 @@ def test_the_inside_view_works_in_the_browser(scene: tuple[Any, LivePage]) -> No
         page.get_by_text("unlisted penetrations: up to").wait_for()
         until(lambda: len(shown_plots(page)), lambda count: count == plots + 2)
         # while running, the figures are of the service's own answers
-        knob(page, "contacts per pair").fill("32")
+        knob(page, "contacts_per_pair").fill("32")
         many, colliding = until(lambda: listed_and_colliding(page), lambda counts: counts[0] > 20)
         assert many <= colliding
 
@@ -69,12 +69,13 @@ def test_the_inside_view_works_in_the_browser(scene: tuple[Any, LivePage]) -> No
         page.get_by_label("pause").check()
         scene.until(lambda: scene.status.paused, "a pause")
         drawn = shown_plots(page)
-        knob(page, "contacts per pair").fill("1")
+        knob(page, "contacts_per_pair").fill("1")
         page.get_by_text("by a copy of the service").wait_for()
         few, colliding = until(lambda: listed_and_colliding(page), lambda counts: counts[0] < counts[1])
         unlisted, promised = unlisted_and_promised(page)
         assert unlisted <= promised
-        knob(page, "contacts per pair").fill("32")
+        drawn = until(lambda: shown_plots(page), lambda plots: plots != drawn)
+        knob(page, "contacts_per_pair").fill("32")
         more, still = until(lambda: listed_and_colliding(page), lambda counts: counts[0] > few)
         assert still == colliding >= more
         until(lambda: shown_plots(page), lambda plots: plots != drawn)

@@ -112,22 +112,22 @@ def test_sliders_reach_the_service_and_its_answers(scene: LivePage, page: Any) -
 
     smash(scene, page)
     scene.until(lambda: most_contacts() > 1, "pairs with several contacts")
-    knob(page, "epsilon, share of R").fill("0.02")
+    knob(page, "penetration_tolerance").fill("0.02")
     has("penetration_tolerance", 0.02)
-    knob(page, "contacts per pair").fill("1")
+    knob(page, "contacts_per_pair").fill("1")
     has("contacts_per_pair", 1)
     scene.until(lambda: most_contacts() == 1, "pairs with one contact each")
-    knob(page, "contacts per pair").fill("8")
+    knob(page, "contacts_per_pair").fill("8")
     has("contacts_per_pair", 8)
-    knob(page, "epsilon, share of R").fill("0")
+    knob(page, "penetration_tolerance").fill("0")
     has("penetration_tolerance", 0.0)
     scene.until(lambda: most_contacts() > 1, "pairs with several contacts")
 
     assert not scene.answer.status & BUDGET_EXHAUSTED
-    knob(page, "visit budget").fill("1")
+    knob(page, "visit_budget").fill("1")
     has("visit_budget", 1)
     scene.until(lambda: scene.answer.status & BUDGET_EXHAUSTED, "a budget that is used up")
-    knob(page, "visit budget").fill("0")
+    knob(page, "visit_budget").fill("0")
     has("visit_budget", 0)
     scene.until(lambda: not scene.answer.status & BUDGET_EXHAUSTED, "no budget")
 
@@ -140,9 +140,9 @@ def test_sliders_reach_the_service_and_its_answers(scene: LivePage, page: Any) -
 
     # the other direction: parameters set by another client appear on the panel
     assert scene.ears.set_parameters(contacts_per_pair=5) == [""]
-    until(lambda: knob(page, "contacts per pair").input_value(), lambda value: value == "5")
+    until(lambda: knob(page, "contacts_per_pair").input_value(), lambda value: value == "5")
     assert scene.ears.set_parameters(contacts_per_pair=8) == [""]
-    until(lambda: knob(page, "contacts per pair").input_value(), lambda value: value == "8")
+    until(lambda: knob(page, "contacts_per_pair").input_value(), lambda value: value == "8")
 
 
 def test_slow_motion_works_in_the_browser(scene: LivePage, page: Any) -> None:

@@ -149,7 +149,9 @@ class LiveSimulatorNode(SimulatorNode):
 
     def _tell(self, report: StepReport | None, round_trip: float) -> None:
         now = time.monotonic()
-        if report is not None:
+        if self._paused:
+            self._reached.clear()
+        elif report is not None:
             self._reached.append((now, report.time))
         while self._reached and self._reached[0][0] < now - RATE_WINDOW:
             self._reached.popleft()
@@ -163,6 +165,7 @@ class LiveSimulatorNode(SimulatorNode):
         if len(self._reached) > 1:
             (began, first), (ended, last) = self._reached[0], self._reached[-1]
             status.achieved_rate = (last - first) / max(ended - began, 1e-9)
+            self._live.keep_pace(status.achieved_rate)
         if report is not None:
             status.header = header_of(heading(report.time))
             status.step, status.fragments, status.contacts = report.step + 1, report.fragments, report.contacts

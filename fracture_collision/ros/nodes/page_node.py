@@ -9,6 +9,7 @@ from __future__ import annotations
 import gc
 import json
 import sys
+import time
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ from fracture_collision.ros.fastdds.extras import make_executor
 from fracture_collision.ros.nodes.page_commands import PageCommands
 from fracture_collision.ros.nodes.page_mirror import Mirror
 from fracture_collision.ros.nodes.service_settings import ServiceSettings
-from fracture_collision.ros.processes.parameters import Declaration, Range, declare_all
+from fracture_collision.ros.processes.parameters import DESCRIPTIONS, Declaration, Range, declare_all
 from fracture_collision.ros.processes.process import Fatal, nothing_to_lose, run_node
 from fracture_collision.ros.wire import interfaces, qos
 from fracture_collision.ros.wire.cdr_records import deserialize_record
@@ -32,16 +33,25 @@ from fracture_collision.ros.wire.conversion import to_record
 from fracture_collision.simulation.actors.arm import PARTS, joint_limits
 from fracture_collision.simulation.scene.scene import scene_files
 from fracture_collision.viewer.page.page import Page
-from fracture_collision.viewer.page.page_events import Joint, ServiceSliders, Start
+from fracture_collision.viewer.page.page_events import Joint, ServiceSliders, SettingKnob, Start
 from fracture_collision.viewer.page.page_plots import Figures
 from fracture_collision.viewer.pictures.body_mesh import compile_mesh_kernels
+from fracture_collision.world.settings import FIELDS, RANGES
 
 LOOKING = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 TOLD = frozenset({"collision_ms", "update_ms", "solver_ms", "ros_ms", "contacts", "fragments"})
 # [s] Messages, pictures and browsers have a thread each: with Python's default of 5 ms, a thread with a short task
 # waits too long for one with a long task.
 SWITCH_INTERVAL = 0.5e-3
-LOOK_INTERVAL = 0.2  # [s] between two checks for the service and its settings
+LOOK_INTERVAL = 0.2  # [s] between two checks for the service and its settings, and of the pace
+LONG_STEP = 1.0  # [s] without a status: the simulator is within a step
+
+# The page's controls of settings, with the meanings and ranges that the service's parameters have.
+CHOICES = {"field": FIELDS}
+KNOBS = {
+    name: SettingKnob(DESCRIPTIONS[name], *RANGES.get(name, (0.0, 0.0)), CHOICES.get(name, ()))
+    for name in ServiceSliders._fields
+}
 
 
 class PageNode(Node):
@@ -71,6 +81,7 @@ class PageNode(Node):
         self._meshes: dict[int, Any] = {}  # that arrived before the body of their fragment was known
         self._early: Received | None = None  # states that arrived before the first body of their run
         self._status: SimulationStatus | None = None
+        self._status_at = 0.0  # time.monotonic() of its arrival
         self._awaits_joints = False  # of an arm that was added
         self._refused = ""  # the last rejection that the simulator reported
 
@@ -78,20 +89,26 @@ class PageNode(Node):
         joints = tuple(map(Joint, limits.names, limits.lower.tolist(), limits.upper.tolist()))
         scenes = tuple(dict.fromkeys((scene, *(file.path.stem for file in scene_files()))))
         try:
-            start = Start(scenes=scenes, scene=scene, joints=joints)
+            start = Start(scenes=scenes, scene=scene, settings=KNOBS, joints=joints)
             self.page = Page(self._commands.handlers(), start, host, port, TOLD)
         except OSError as error:
             raise Fatal(f"the page cannot be served at {host}:{port}: {error}") from error
         print(json.dumps({"address": self.page.address}), flush=True)
         self._listen()
         self._settings = ServiceSettings(self, qos.CONTACT_CONSTRAINTS.name, self._on_settings)
-        self.create_timer(LOOK_INTERVAL, self._settings.look)
+        self.create_timer(LOOK_INTERVAL, self._look)
 
     def close(self) -> None:
         """Ends the mirror, the page and a recording."""
         self._mirror.close()
         self.page.close()
         self._commands.close()
+
+    def _look(self) -> None:
+        self._settings.look()
+        if (status := self._status) is not None:
+            in_step = time.monotonic() - self._status_at > LONG_STEP
+            self.page.show_rate(0.0 if in_step else status.achieved_rate, status.rate, status.paused)
 
     def _listen(self) -> None:
         for topic, callback, profile, raw in (
@@ -182,7 +199,8 @@ class PageNode(Node):
 
     def _on_status(self, message: SimulationStatus) -> None:
         if self._of_this_run(message.run_id):
-            self._status = message
+            self._status, self._status_at = message, time.monotonic()
+            self.page.show_scene(message.scene)
             self._mirror.hear_paused(message.paused)
             self._commands.look_ahead(message.time_step_s)
             if message.refused and message.refused != self._refused:
@@ -214,7 +232,6 @@ class PageNode(Node):
                 solver_ms=1e3 * status.solver_s,
                 ros_ms=1e3 * max(beyond, 0.0),
                 contacts=status.contacts,
-                fragments=status.fragments,
             )
         )
 

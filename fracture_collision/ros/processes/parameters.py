@@ -1,51 +1,43 @@
-"""Parameters of nodes, and the service's settings as such: defaults from world.Settings, meaning and range here."""
+"""Parameters of nodes, and the service's settings as such: defaults and ranges from world/settings.py, meaning here."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from difflib import get_close_matches
 from typing import Any, NamedTuple
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from fracture_collision.near_names import did_you_mean
 from fracture_collision.world import Settings
-from fracture_collision.world.settings import check_settings
+from fracture_collision.world.settings import RANGES, Range, check_settings
 
-
-class Range(NamedTuple):
-    """Lowest and highest value that a parameter may have."""
-
-    low: float
-    high: float
-
-
-# name: (description for `ros2 param describe`, range of numbers)
-_DESCRIPTIONS: dict[str, tuple[str, Range | None]] = {
-    "contacts_per_pair": ("contacts of a pair before only those deeper than the tolerance are listed", Range(1, 1024)),
-    "selection": ("choice among many contacts: 'sufficient', spread out, or 'complete' (Glondu 2014, 5.2)", None),
-    "deep_contacts_per_pair": ("contacts of a pair if more than contacts_per_pair are deep", Range(1, 1024)),
-    "penetration_tolerance": ("penetrations up to this share of R may stay unlisted", Range(0, 0.1)),
-    "detection_tolerance": ("contacts are listed up to a gap of this share of R", Range(0, 0.1)),
-    "lookahead": ("[s] penetrations to come within this time are listed too; one time step", Range(0, 1)),
-    "field": ("depth inside a fragment: 'exact' (local flood) or 'averaged' (Glondu 2014, eq. 1-2)", None),
-    "surfaces": ("where contacts are searched: 'sampled', 'edges' (crossing ones, too) or 'searched' (all over)", None),
-    "tree": ("trees of new fragments: 'restructured' (Glondu 2014, 6.2), 'plain' (its [27]) or 'rebuilt'", None),
-    "normals": ("surface of a contact's normal: 'facing' the sample, or 'nearest' (Glondu 2014, 4.4)", None),
-    "traversal": ("order of visits: 'alternating' between parents (Glondu 2014, 5.3) or 'queue' (its [27])", None),
-    "neighbour_lists": ("reuse samples and contacts of earlier steps; the answer does not depend on it", None),
-    "threads": ("threads of the narrow phase; 0: one per core. The answer does not depend on it", Range(0, 256)),
-    "visit_budget": ("sphere tree nodes that a step may visit; 0: no limit", Range(0, 2**40)),
-    "max_pairs": ("states with more overlapping pairs of boxes are rejected", Range(1, 2**31)),
-    "max_visits": ("tree nodes of all pairs whose boxes mostly coincide; others get 25 times as many", Range(1, 2**40)),
-    "max_further_visits": ("tree nodes of pairs with contacts_per_pair contacts, for deeper ones", Range(1, 2**40)),
-    "max_contacts_per_pair": ("contacts listed of a pair, the deepest; at least contacts_per_pair", Range(1, 2**31)),
-    "max_contacts": ("contacts in one answer; pairs with the most contacts lose their shallowest", Range(1, 2**31)),
-    "max_bodies": ("further bodies are rejected", Range(1, 2**31)),
-    "max_nodes": ("bodies with further mesh nodes, of all bodies together, are rejected", Range(1, 2**31)),
-    "max_fragments": ("events with further fragments in one run are rejected", Range(1, 2**31)),
-    "max_message_bytes": ("longer messages are rejected", Range(1024, 2**32)),
+# for `ros2 param describe`
+DESCRIPTIONS: dict[str, str] = {
+    "contacts_per_pair": "contacts of a pair before only those deeper than the tolerance are listed",
+    "selection": "choice among many contacts: 'sufficient', spread out, or 'complete' (Glondu 2014, 5.2)",
+    "deep_contacts_per_pair": "contacts of a pair if more than contacts_per_pair are deep",
+    "penetration_tolerance": "penetrations up to this share of R may stay unlisted",
+    "detection_tolerance": "contacts are listed up to a gap of this share of R",
+    "lookahead": "[s] penetrations to come within this time are listed too; one time step",
+    "field": "depth inside a fragment: 'exact' (local flood) or 'averaged' (Glondu 2014, eq. 1-2)",
+    "surfaces": "where contacts are searched: 'sampled', 'edges' (crossing ones, too) or 'searched' (all over)",
+    "tree": "trees of new fragments: 'restructured' (Glondu 2014, 6.2), 'plain' (its [27]) or 'rebuilt'",
+    "normals": "surface of a contact's normal: 'facing' the sample, or 'nearest' (Glondu 2014, 4.4)",
+    "traversal": "order of visits: 'alternating' between parents (Glondu 2014, 5.3) or 'queue' (its [27])",
+    "neighbour_lists": "reuse samples and contacts of earlier steps; the answer does not depend on it",
+    "threads": "threads of the narrow phase; 0: one per core. The answer does not depend on it",
+    "visit_budget": "sphere tree nodes that a step may visit; 0: no limit",
+    "max_pairs": "states with more overlapping pairs of boxes are rejected",
+    "max_visits": "tree nodes of all pairs whose boxes mostly coincide; others get 25 times as many",
+    "max_further_visits": "tree nodes of pairs with contacts_per_pair contacts, for deeper ones",
+    "max_contacts_per_pair": "contacts listed of a pair, the deepest; at least contacts_per_pair",
+    "max_contacts": "contacts in one answer; pairs with the most contacts lose their shallowest",
+    "max_bodies": "further bodies are rejected",
+    "max_nodes": "bodies with further mesh nodes, of all bodies together, are rejected",
+    "max_fragments": "events with further fragments in one run are rejected",
+    "max_message_bytes": "longer messages are rejected",
 }
 
 
@@ -60,7 +52,8 @@ class Declaration(NamedTuple):
 
 
 SETTINGS = tuple(
-    Declaration(name, default, *_DESCRIPTIONS[name], fixed=False) for name, default in Settings()._asdict().items()
+    Declaration(name, default, DESCRIPTIONS[name], RANGES.get(name), fixed=False)
+    for name, default in Settings()._asdict().items()
 )
 
 
@@ -89,9 +82,7 @@ def unknown_parameters(node: Node) -> list[str]:
     declared = list(node.get_parameters_by_prefix(""))
     described = []
     for name in sorted(given.keys() - set(declared)):
-        nearest = get_close_matches(name, declared, n=1)
-        advice = f"; did you mean {nearest[0]}?" if nearest else ""
-        described.append(f"parameter {name} is unknown and has no effect{advice}")
+        described.append(f"parameter {name} is unknown and has no effect{did_you_mean(name, declared)}")
     return described
 
 

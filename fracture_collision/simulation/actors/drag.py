@@ -34,6 +34,7 @@ class Drag:
         self._grip: Grip | None = None
         self._holds = ""  # name of the body in the recorded hand
         self._position, self._velocity = np.zeros((2, 3))
+        self._quickness = 1.0
 
     @property
     def held(self) -> int | None:
@@ -79,6 +80,10 @@ class Drag:
         """Set the hand's position (3,) [m] and velocity (3,) [m/s] for the next step; world."""
         self._position, self._velocity = np.asarray(position, np.float64), np.asarray(velocity, np.float64)
 
+    def quicken(self, factor: float) -> None:
+        """Follow the hand in 1/`factor` of the simulated time, from now on."""
+        self._quickness = factor
+
     def release(self) -> None:
         """Release the held fragment, if any."""
         self._grip = None
@@ -105,7 +110,8 @@ class Drag:
         # The spring includes this step's weight, or what hangs from it would hang too low.
         falling = before + np.concatenate((time_step * gravity, np.zeros(3)))
         body = HeldBody(states.masses[i], states.inertias[i], states.centers[i], falling, held_at)
-        pushes[i] = kick(self._settings, body, self._position, self._velocity, time_step)
+        settings = self._settings._replace(frequency=self._quickness * self._settings.frequency)
+        pushes[i] = kick(settings, body, self._position, self._velocity, time_step)
         of_body = states.masses[i : i + 1], states.inertias[i : i + 1]
         gain = kinetic_energy(*of_body, (before + pushes[i])[None]) - kinetic_energy(*of_body, before[None])
         return pushes, gain

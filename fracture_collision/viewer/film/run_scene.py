@@ -9,7 +9,7 @@ from fracture_collision.bag.reader import BagError
 from fracture_collision.records import CollisionBody
 from fracture_collision.viewer.film.recorded_run import RecordedRun, RecordedStates
 from fracture_collision.viewer.pictures.body_mesh import BodyMesh, mesh_of_body, mesh_of_fragment
-from fracture_collision.viewer.pictures.palette import Palette
+from fracture_collision.viewer.pictures.palette import Paint, Palette
 from fracture_collision.viewer.pictures.ray_picture import TriangleScene
 
 
@@ -30,7 +30,7 @@ class RunScene:
             mesh = self.mesh(fragment_id)
             triangles.append(mesh.triangles @ rotation.T + position)
             normals.append(mesh.normals @ rotation.T)
-            paint = self._palette.paint(fragment_id, self.run.body_of[fragment_id])
+            paint = self.paint(fragment_id)
             colours.append(np.where(mesh.is_crack[:, None], paint.crack, paint.outside))
             shine.append(np.where(mesh.is_crack, 0.0, paint.shine))
         if not triangles:
@@ -65,6 +65,10 @@ class RunScene:
     def is_breakable(self, fragment_id: int) -> bool:
         """Whether the fragment's body can break."""
         return self._palette.is_breakable(self.run.body_of[fragment_id])
+
+    def paint(self, fragment_id: int) -> Paint:
+        """Its colours."""
+        return self._palette.paint(fragment_id, self.run.body_of[fragment_id])
 
     def mesh(self, fragment_id: int) -> BodyMesh:
         """From the fragment's FragmentMesh; if there is none, from its body, which never broke."""

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import threading
 import time
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable
 
+import numpy as np
 import viser
 
 from fracture_collision.records import FragmentStates
+from fracture_collision.viewer.film.animated_gltf import animated_glb
 from fracture_collision.viewer.film.recorded_run import RecordedRun
 from fracture_collision.viewer.film.run_camera import camera_of, chosen_moments
 from fracture_collision.viewer.film.run_scene import RunScene
-from fracture_collision.viewer.page.page import INTERVAL, LOCALHOST, Page
-from fracture_collision.viewer.page.page_plots import Figures
-from fracture_collision.viewer.page.page_scene import FREE_ASPECT, beside_the_panel
+from fracture_collision.viewer.page.page import INTERVAL, Page
+from fracture_collision.viewer.page.page_camera import FREE_ASPECT
+from fracture_collision.viewer.page.page_gate import LOCALHOST
+from fracture_collision.viewer.page.page_plots import SHOWN, Figures
 
 MOMENTS = 6  # of the run from which the camera is chosen
 SLIDER_INTERVAL = 0.2  # [s] between two movements of the time bar
@@ -28,23 +31,30 @@ class BagPlayer:
     Call `advance` often; its own page is served from construction to `close`.
     """
 
-    def __init__(self, run: RecordedRun, host: str = LOCALHOST, port: int = 0, speed: float = 1.0) -> None:
-        """Serve the page. `speed`: simulated seconds a second.
+    def __init__(
+        self, run: RecordedRun, host: str = LOCALHOST, port: int = 0, speed: float = 1.0, name: str = ""
+    ) -> None:
+        """Serve the page. `speed`: simulated seconds a second; `name`: of the recording.
 
         Raises BagError if the run lacks a body, OSError if the page cannot be served.
         """
         self._run = run
         self._moments = [states.time for states in run.states]
+        self._rows: dict[int, Figures] = {}  # by index of the states, those needed so far
+        bodies = (fragment for fragment, body_id in run.body_of.items() if len(run.bodies[body_id].tetrahedra))
+        self._breakable = np.fromiter(bodies, np.int64)  # fragments of bodies that can break
+        self._name = name
+        self._exporting, self._exported = threading.Lock(), b""  # the run in one file, once somebody wants it
         self._lock = threading.RLock()
         self._playing, self._speed = True, min(max(speed, SLOWEST), FASTEST)
         self._at = 0.0  # [s] simulated, since the first states
         self._shown = -1  # index of the shown states
         self._advanced_at = time.monotonic()
         self._slider_at = 0.0
-        camera = beside_the_panel(camera_of(RunScene(run), chosen_moments(run, MOMENTS), FREE_ASPECT))
+        camera = camera_of(RunScene(run), chosen_moments(run, MOMENTS), FREE_ASPECT)
         told = frozenset({"fragments", "contacts"} if run.answers else {"fragments"})
-        self.page = Page(host=host, port=port, told=told, add_controls=self._add_controls)
-        self.page.look_from(camera)
+        self.page = Page(host=host, port=port, told=told, add_controls=self._add_controls, name=name)
+        self.page.look_from(camera, fits=True)
         for body_id in sorted(run.bodies):
             self.page.add_body(run.bodies[body_id])
         for fragment_id in sorted(run.meshes):
@@ -113,7 +123,7 @@ class BagPlayer:
         wants_contacts = self.page.wants_contacts
         if index == self._shown and wants_contacts == self._showed_contacts:
             return
-        self._shown, self._showed_contacts = index, wants_contacts
+        before, self._shown, self._showed_contacts = self._shown, index, wants_contacts
         states = self._run.states[index]
         self.page.show_states(
             FragmentStates(
@@ -121,13 +131,32 @@ class BagPlayer:
                 states.orientations.ravel(),
             )
         )  # fmt: skip
-        contacts = self._run.contacts(states.step)
         if wants_contacts:
-            self.page.show_contacts(contacts)
-        listed = None if contacts is None else len(contacts.gaps)
-        self.page.show_figures(Figures(states.time, contacts=listed, fragments=len(states.fragment_ids)))
+            self.page.show_contacts(self._run.contacts(states.step))
+        # The plots show the recording before this moment, even after a jump.
+        begin = bisect_left(self._moments, states.time - SHOWN)
+        begin = before + 1 if begin <= before < index else begin
+        for row in range(begin, index + 1):
+            self.page.show_figures(self._figures(row))
+
+    def _figures(self, index: int) -> Figures:
+        if index not in self._rows:
+            states = self._run.states[index]
+            contacts = self._run.contacts(states.step)
+            self._rows[index] = Figures(
+                states.time,
+                contacts=None if contacts is None else len(contacts.gaps),
+                fragments=int(np.isin(states.fragment_ids, self._breakable).sum()),
+            )
+        return self._rows[index]
 
     _showed_contacts = False
+
+    def _animation(self) -> bytes:
+        with self._exporting:
+            if not self._exported:
+                self._exported = animated_glb(self._run)
+        return self._exported
 
     def _set_playing(self, playing: bool) -> None:
         self._playing = playing
@@ -140,6 +169,9 @@ class BagPlayer:
             self._bar = gui.add_slider("time, s", 0.0, max(round(self.duration, 3), step), round(step, 6), 0.0)
             self._button = gui.add_button("pause", icon=viser.Icon.PLAYER_PAUSE)
             steps = gui.add_button_group("one step", ("back", "forward"))
+            download = gui.add_button(
+                "download .glb", icon=viser.Icon.DOWNLOAD, color="gray", hint="The run as a 3D animation in one file."
+            )
             speed = gui.add_slider("speed", SLOWEST, FASTEST, 0.02, self._speed, hint="Simulated seconds per second.")
 
         # Coroutines, because viser calls those in order; its thread pool would not.
@@ -155,6 +187,12 @@ class BagPlayer:
         @steps.on_click
         async def _(_event: viser.GuiEvent) -> None:
             self.step(1 if steps.value == "forward" else -1)
+
+        @download.on_click
+        def _(event: viser.GuiEvent) -> None:  # in a thread of viser's pool: it takes a while
+            if event.client is not None:
+                name = f"{self._name or 'run'}.glb"
+                event.client.send_file_download(name, self._animation(), save_immediately=True)
 
         @speed.on_update
         async def _(event: viser.GuiEvent) -> None:

@@ -8,9 +8,6 @@ several at once.
 
 from __future__ import annotations
 
-import contextlib
-import io
-import socket
 import threading
 import time
 import traceback
@@ -20,30 +17,24 @@ from collections.abc import Callable, Sequence
 import viser
 
 from fracture_collision.records import CollisionBody, ContactConstraintArray, FragmentMesh, FragmentStates
+from fracture_collision.viewer.page.page_camera import Cameras
 from fracture_collision.viewer.page.page_contacts import ContactLayers
 from fracture_collision.viewer.page.page_controls import Controls
+from fracture_collision.viewer.page.page_document import TITLE, Document
 from fracture_collision.viewer.page.page_events import Handlers, ServiceSliders, Start
-from fracture_collision.viewer.page.page_gate import Gate, GateError, bracketed, guarded
+from fracture_collision.viewer.page.page_gate import LOCALHOST, bracketed, started_server, stop_server
+from fracture_collision.viewer.page.page_help import add_help, help_text
 from fracture_collision.viewer.page.page_inside import Inside, InsideView
 from fracture_collision.viewer.page.page_plots import Figures, Plots, check_told, plots_of
 from fracture_collision.viewer.page.page_scene import DragHandlers, SceneNodes
-from fracture_collision.viewer.page.page_stream import LiveValues
+from fracture_collision.viewer.page.page_stream import LiveValues, run_script
+from fracture_collision.viewer.page.page_summary import Summary
 from fracture_collision.viewer.pictures.ray_picture import Camera
 
-LOCALHOST = "127.0.0.1"
 INTERVAL = 1.0 / 32.0  # [s] between two frames: some are late, and thirty a second should remain
 MOST_BEHIND = 3.0 * INTERVAL  # [s] At most this backlog of frames, missed because states were late, is caught up.
-TITLE = "fracture_collision"
 BRAND = (38, 94, 150)
 NOTICE = 8.0  # [s] that a notification stays
-
-
-class LocalServer(viser.ViserServer):
-    """Serves only this machine, or the interface of its host: sharing through a public relay is disabled."""
-
-    def request_share_url(self, verbose: bool = True) -> str | None:
-        """Always None: there is no public address."""
-        return None
 
 
 class Page:
@@ -56,18 +47,19 @@ class Page:
         host: str = LOCALHOST,
         port: int = 0,
         told: frozenset[str] = frozenset(),
-        add_controls: Callable[[viser.GuiApi], None] = lambda gui: None,
+        add_controls: Callable[[viser.GuiApi], None] | None = None,
+        name: str = "",
     ) -> None:
         """Serve the page; `port` 0: any free one.
 
-        `told`: the fields of Figures that will be set; only those get a plot. `add_controls` adds the caller's own
-        controls above all others. Raises OSError if the address cannot be served, ValueError if `told` contains a name
-        that is not a figure.
+        `told`: the fields of Figures that will be set; only those get a plot. `add_controls` adds the controls of a
+        recording above all others. `name`: of the recording, for the title. Raises OSError if the address cannot be
+        served, ValueError if `told` contains a name that is not a figure.
         """
-        handlers = handlers or Handlers()
+        handlers, start = handlers or Handlers(), start or Start()
         check_told(told)
-        _check_free(host, port)
-        self._server = _server(host, port)
+        self._document = Document(name or start.scene)
+        self._server = started_server(host, port, self._document, TITLE)
         self.address = f"http://{bracketed(host)}:{self._server.get_port()}"
         self._server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=BRAND)
         self._live = LiveValues(self._server)
@@ -75,9 +67,13 @@ class Page:
         if handlers.drag_begun and handlers.drag_moved and handlers.drag_ended:
             drag = {"start": handlers.drag_begun, "update": handlers.drag_moved, "end": handlers.drag_ended}
         self._scene = SceneNodes(self._server, self._live, drag)
-        self._summary = self._server.gui.add_markdown("")
-        add_controls(self._server.gui)
-        self._controls = Controls(self._server, handlers, start or Start())
+        self._cameras = Cameras(self._server)
+        self._summary = Summary(self._server.gui)
+        add_help(self._server, help_text(handlers, start, add_controls is not None))
+        if add_controls is not None:
+            add_controls(self._server.gui)
+        self._controls = Controls(self._server, handlers, start)
+        self._add_reset_view()
         self._layers = ContactLayers(self._server, self._live, self._redraw_contacts)
         shadows = self._server.gui.add_checkbox("shadows", True, hint="Switch off on a slow graphics processor.")
         shadows.on_update(lambda _event: self._order(lambda: self._scene.cast_shadows(shadows.value)))
@@ -86,6 +82,8 @@ class Page:
         if handlers.looking_inside:
             self._inside = Inside(self._server, self._live, self._scene, handlers.looking_inside, self._redraw_inside)
         self._plots = self._add_plots(told)
+        self._server.on_client_connect(self._cameras.on_connect)
+        self._server.on_client_connect(self._retitle)
         self._server.on_client_connect(self._live.send_all)
 
         self._news = threading.Condition()
@@ -97,7 +95,6 @@ class Page:
         self._figures: list[Figures] = []
         self._view: InsideView | None = None
         self._inside_is_new = False
-        self._said = ""
         self._busy = self._closed = False
         self.pictures = 0  # states sent to the browsers so far
         self.paint_seconds = 0.0  # CPU time spent on that, meshes included
@@ -151,9 +148,30 @@ class Page:
         """Permanent. To hide a fragment for a while, leave it out of the states."""
         self._order(lambda: self._scene.remove(fragment_id))
 
-    def look_from(self, camera: Camera) -> None:
-        """Without this call, the page chooses the camera at the first states of a run."""
-        self._order(lambda: self._scene.look_from(camera))
+    def look_from(self, camera: Camera, fits: bool = False) -> None:
+        """Without this call, the page chooses the camera at the first states of a run. Open pages move there.
+
+        `fits`: adapt it to each window, as Cameras.look_from does.
+        """
+        self._order(lambda: self._cameras.look_from(camera, fits, follow=True))
+
+    def show_scene(self, name: str) -> None:
+        """Name the scene that runs: in the title and its control. If it is another one, cameras move to its view."""
+
+        def show() -> None:
+            self._document.name = name
+            for client in self._server.get_clients().values():
+                self._retitle(client)
+            self._controls.show_scene(name)
+            self._cameras.follow()
+
+        if name != self._document.name:
+            self._order(show)
+
+    def show_rate(self, achieved: float, requested: float, paused: bool) -> None:
+        """Simulated time over real time, at present and as requested; to be called several times a second."""
+        self._summary.show_rate(time.monotonic(), achieved, requested, paused)
+        self._controls.show_paused(paused)
 
     def cast_shadows(self, on: bool) -> None:
         """Same as the switch on the page."""
@@ -208,8 +226,7 @@ class Page:
             self._closed = True
             self._news.notify_all()
         self._thread.join()
-        with _viser_is_quiet():
-            self._server.stop()
+        stop_server(self._server)
 
     def _order(self, order: Callable[[], None]) -> None:
         with self._news:
@@ -236,9 +253,22 @@ class Page:
                 self._inside.add_plots()
         return plots
 
+    def _add_reset_view(self) -> None:
+        button = self._server.gui.add_button("reset view", icon=viser.Icon.FOCUS_CENTERED, color="gray")
+
+        @button.on_click
+        async def _(event: viser.GuiEvent) -> None:
+            if event.client is not None:
+                self._cameras.go_home(event.client)
+
+    def _retitle(self, client: viser.ClientHandle) -> None:
+        run_script(client, self._document.retitling())
+
     def _clear(self) -> None:
         self._placed = None
         self._scene.clear()
+        self._cameras.forget()
+        self._summary.clear()
         self._controls.show_arm(None)
         self._plots.clear()
         if self._inside is not None:
@@ -295,52 +325,21 @@ class Page:
                 self.pictures += 1
             if self._placed is not None and (states is not None or orders):  # the last states may name a new fragment
                 all_there = self._scene.place(self._placed, again=states is None)
-                if all_there and not self._scene.is_looked_at:
-                    self._scene.look_at_all()
+                if all_there:
+                    self._note_scene()
         if orders:
             self._server.flush()  # else new nodes would wait in the buffer for more messages, as poses may
         if redraw:
             self._layers.draw(contacts, self._scene.centre)
         for row in figures:
-            self._plots.add(row)
+            self._plots.add(row if row.fragments is not None else row._replace(fragments=self._scene.census.fragments))
         if figures:
             self._plots.draw()
-            self._say(figures[-1])
+            self._summary.show_figures(figures[-1])
 
-    def _say(self, figures: Figures) -> None:
-        counts = {"fragments": figures.fragments, "contacts": figures.contacts}
-        known = (f"{count} {name}" for name, count in counts.items() if count is not None)
-        text = " · ".join((f"**{figures.time:.2f} s**", *known))
-        if text != self._said:
-            self._summary.content = self._said = text
-
-
-def _check_free(host: str, port: int) -> None:
-    """Raise OSError if the address cannot be bound.
-
-    viser would wait for ever on a host that is not this machine's, and use the next port if this one is taken.
-    """
-    with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as trial:
-        trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        trial.bind((host, port))
-
-
-def _server(host: str, port: int) -> LocalServer:
-    """Raises GateError, after stopping the server, if requests would go unchecked."""
-    server = None
-    with _viser_is_quiet():
-        try:
-            with guarded(Gate(host)):
-                server = LocalServer(host=host, port=port, label=TITLE, verbose=False)
-        except GateError:
-            if server is not None:
-                server.stop()
-            raise
-    return server
-
-
-@contextlib.contextmanager
-def _viser_is_quiet():
-    """Suppress the table of addresses and the farewell that viser prints at any verbosity."""
-    with contextlib.redirect_stdout(io.StringIO()):
-        yield
+    def _note_scene(self) -> None:
+        """Once all fragments of the states are known."""
+        self._cameras.stand_on(self._scene.floor)
+        if not self._cameras.has_view and (view := self._scene.view_of_all()) is not None:
+            self._cameras.look_from(view, fits=True)
+        self._summary.show_census(self._scene.census)

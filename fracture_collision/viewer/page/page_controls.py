@@ -15,7 +15,7 @@ ArrowKey = Literal["arrowup", "arrowdown", "arrowleft", "arrowright"]
 ARROWS: tuple[tuple[str, ArrowKey], ...] = (
     ("up", "arrowup"), ("down", "arrowdown"), ("left", "arrowleft"), ("right", "arrowright"),
 )  # fmt: skip
-FIELDS: tuple[str, ...] = ("exact", "averaged")
+STEPS = {"penetration_tolerance": 0.0005, "visit_budget": 1000}  # of a number's arrows
 SLOWEST, FASTEST_BALL, LARGEST_BALL = 0.02, 30.0, 0.15  # -, m/s, m
 SMALLEST_BALL = 0.01  # [m]
 
@@ -30,23 +30,34 @@ class Controls:
     def __init__(self, server: viser.ViserServer, handlers: Handlers, start: Start) -> None:
         self._gui = server.gui
         self._handlers = handlers
-        self._service: dict[str, Any] = {}
+        self._service: dict[str, Any] = {}  # by name of a setting
         self._arm: viser.GuiFolderHandle | None = None
         self._joints: list[viser.GuiSliderHandle] = []
+        self._pause: viser.GuiCheckboxHandle | None = None
+        self._paused = False  # the scene, when last heard
+        self._scene: viser.GuiDropdownHandle[str] | None = None
         if handlers.scene_chosen and start.scenes:
-            scene = self._gui.add_dropdown("scene", start.scenes, initial_value=start.scene or start.scenes[0])
-            on_update(scene, _one_of(start.scenes, handlers.scene_chosen))
+            self._scene = self._gui.add_dropdown("scene", start.scenes, initial_value=start.scene or start.scenes[0])
+            on_update(self._scene, _one_of(start.scenes, handlers.scene_chosen))
         self._add_time(start)
         if handlers.clicked:
             self._add_ball(server, start.ball, handlers.clicked)
         if handlers.joint_set and start.joints:
             self._add_arm(start.joints, handlers.joint_set)
-        if handlers.service_set:
-            self._add_service(start.service, handlers.service_set)
         if handlers.arrow:
-            for word, key in ARROWS:
-                command = self._gui.add_command(f"hammer {word}", hotkey=key)
-                command.on_trigger(_as_coroutine(_on_arrow(handlers.arrow, word)))
+            self._add_hammer(handlers.arrow)
+        if handlers.service_set and start.settings:
+            self._add_service(start, handlers.service_set)
+
+    def show_scene(self, name: str) -> None:
+        """Show which scene runs, if it is one of those offered."""
+        if self._scene is not None and name in self._scene.options and self._scene.value != name:
+            self._scene.value = name  # type: ignore[misc]  # mypy misses viser's setter
+
+    def show_paused(self, paused: bool) -> None:
+        """Show whether the scene is paused, once that has changed: a box that a user has just ticked stays ticked."""
+        if self._pause is not None and paused != self._paused:
+            self._paused = self._pause.value = paused  # type: ignore[misc]  # mypy misses viser's setter
 
     def show_service(self, service: ServiceSliders) -> None:
         """Show the current settings of the service."""
@@ -63,7 +74,8 @@ class Controls:
     def _add_time(self, start: Start) -> None:
         handlers = self._handlers
         if handlers.paused:
-            on_update(self._gui.add_checkbox("pause", False), handlers.paused)
+            self._pause = self._gui.add_checkbox("pause", False)
+            on_update(self._pause, handlers.paused)
         if handlers.one_step:
             _on_click(self._gui.add_button("one step", icon=viser.Icon.PLAYER_TRACK_NEXT), handlers.one_step)
         if handlers.reset:
@@ -81,6 +93,15 @@ class Controls:
         rays = _rays(clicked, lambda: Ball(float(speed.value), float(radius.value)))
         server.scene.on_click()(rays)
 
+    def _add_hammer(self, arrow: Callable[[str], None]) -> None:
+        for word, key in ARROWS:
+            command = self._gui.add_command(f"hammer {word}", hotkey=key)
+            command.on_trigger(_as_coroutine(_on_arrow(arrow, word)))
+        buttons = self._gui.add_button_group(
+            "hammer", [word for word, _ in ARROWS], hint="Drive a steel ball, as the arrow keys do."
+        )
+        buttons.on_click(_as_coroutine(lambda event: arrow(event.target.value)))
+
     def _add_arm(self, joints: Sequence[Joint], joint_set: Callable[[str, float], None]) -> None:
         self._arm = self._gui.add_folder("Arm: joints, degrees", visible=False)
         with self._arm:
@@ -94,26 +115,24 @@ class Controls:
 
                 on_update(slider, bend)
 
-    def _add_service(self, service: ServiceSliders, service_set: Callable[[ServiceSliders], None]) -> None:
+    def _add_service(self, start: Start, service_set: Callable[[ServiceSliders], None]) -> None:
         with self._gui.add_folder("Collision service"):
-            knobs: dict[str, Any] = {
-                "contacts_per_pair": self._gui.add_slider("contacts per pair", 1, 32, 1, service.contacts_per_pair),
-                "penetration_tolerance": self._gui.add_slider(
-                    "epsilon, share of R", 0.0, 0.02, 0.0005, service.penetration_tolerance,
-                    hint="Once a pair has its contacts, penetrations up to this depth may stay unlisted.",
-                ),
-                "field": self._gui.add_dropdown("field", FIELDS, initial_value=service.field),
-                "visit_budget": self._gui.add_slider(
-                    "visit budget", 0, 200_000, 1000, service.visit_budget,
-                    hint="Most tree nodes tested per step; 0: no limit. The missed depth bound covers the rest.",
-                ),
-            }  # fmt: skip
-        self._service = knobs
+            for name, knob in start.settings.items():
+                value = getattr(start.service, name)
+                if knob.choices:
+                    self._service[name] = self._gui.add_dropdown(
+                        name, knob.choices, initial_value=value, hint=knob.hint
+                    )
+                else:
+                    kind = type(value)
+                    self._service[name] = self._gui.add_number(
+                        name, value, min=kind(knob.low), max=kind(knob.high), step=STEPS.get(name, 1), hint=knob.hint
+                    )
 
         def told(_value: Any) -> None:
-            service_set(ServiceSliders(**{name: knob.value for name, knob in knobs.items()}))
+            service_set(start.service._replace(**{name: knob.value for name, knob in self._service.items()}))
 
-        for knob in knobs.values():
+        for knob in self._service.values():
             on_update(knob, told)
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -32,12 +33,21 @@ class Ball(NamedTuple):
 
 
 class ServiceSliders(NamedTuple):
-    """Settings of the collision service with sliders on the page; names and meaning as in config/collision.yaml."""
+    """Settings of the collision service with controls on the page; names and meaning as in config/collision.yaml."""
 
     contacts_per_pair: int = 8
     penetration_tolerance: float = 0.002
     field: str = "exact"
     visit_budget: int = 0
+
+
+class SettingKnob(NamedTuple):
+    """The control of a setting."""
+
+    hint: str
+    low: float = 0.0  # of a number
+    high: float = 0.0
+    choices: tuple[str, ...] = ()  # of a text
 
 
 class PlaneWanted(NamedTuple):
@@ -104,4 +114,5 @@ class Start(NamedTuple):
     ball: Ball = Ball(6.0, 0.04)
     slow_motion: float = 1.0
     service: ServiceSliders = ServiceSliders()
+    settings: Mapping[str, SettingKnob] = MappingProxyType({})  # by field of `service`; those that have a control
     joints: tuple[Joint, ...] = ()

@@ -1,4 +1,4 @@
-"""Request check of the page: it answers only browsers that opened it by its own address.
+"""The server of the page, with its request check: it answers only browsers that opened it by its own address.
 
 A browser lets any web page open a websocket to any address and leaves the check of the Origin to the server; viser does
 none. And a web page whose name resolves to this machine (DNS rebinding) has an Origin of its own that matches its Host.
@@ -16,12 +16,13 @@ replaced by one that runs the check first (written for viser 1.1); if viser does
 
 from __future__ import annotations
 
+import contextlib
 import http
+import io
 import ipaddress
 import socket
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import viser
@@ -30,6 +31,9 @@ from viser.infra import _infra as viser_infra
 from websockets import Headers
 from websockets.http11 import Request, Response
 
+from fracture_collision.viewer.page.page_document import Document
+
+LOCALHOST = "127.0.0.1"
 LOOPBACK_HOSTS = ("localhost", "127.0.0.1", "[::1]")
 NOT_FRAMED = {"X-Frame-Options": "DENY", "Content-Security-Policy": "frame-ancestors 'none'"}
 _HTTP_PORT = 80  # default port, which Host may omit
@@ -72,9 +76,9 @@ class Gate:
         return name in self._hosts or (self._is_open and _address(name.strip("[]")) is not None)
 
 
-@contextmanager
-def guarded(gate: Gate) -> Iterator[None]:
-    """A viser server created inside answers only requests that `gate` accepts.
+@contextlib.contextmanager
+def guarded(gate: Gate, edited: Callable[[Response], Response] = lambda response: response) -> Iterator[None]:
+    """A viser server created inside answers only requests that `gate` accepts, with its responses as `edited` them.
 
     Raises GateError; then the server must not be used: it may listen without any check.
     """
@@ -92,6 +96,7 @@ def guarded(gate: Gate) -> Iterator[None]:
                 return Response(http.HTTPStatus.FORBIDDEN, "Forbidden", headers, body)
             response = None if process_request is None else process_request(connection, request)
             if response is not None:
+                response = edited(response)
                 response.headers.update(NOT_FRAMED)
             return response
 
@@ -131,3 +136,53 @@ def _address(text: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
         return ipaddress.ip_address(text)
     except ValueError:
         return None
+
+
+class LocalServer(viser.ViserServer):
+    """Serves only this machine, or the interface of its host: sharing through a public relay is disabled."""
+
+    def request_share_url(self, verbose: bool = True) -> str | None:
+        """Always None: there is no public address."""
+        return None
+
+
+def started_server(host: str, port: int, document: Document, label: str) -> LocalServer:
+    """A server that answers with `document`; `port` 0: any free one; `label`: the heading of the panel.
+
+    Raises OSError if the address cannot be served; GateError, after stopping the server, if requests would go
+    unchecked.
+    """
+    _check_free(host, port)
+    server = None
+    with _viser_is_quiet():
+        try:
+            with guarded(Gate(host), document.edited):
+                server = LocalServer(host=host, port=port, label=label, verbose=False)
+        except GateError:
+            if server is not None:
+                server.stop()
+            raise
+    return server
+
+
+def stop_server(server: LocalServer) -> None:
+    """End the page for all browsers."""
+    with _viser_is_quiet():
+        server.stop()
+
+
+def _check_free(host: str, port: int) -> None:
+    """Raise OSError if the address cannot be bound.
+
+    viser would wait for ever on a host that is not this machine's, and use the next port if this one is taken.
+    """
+    with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as trial:
+        trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        trial.bind((host, port))
+
+
+@contextlib.contextmanager
+def _viser_is_quiet():
+    """Suppress the table of addresses and the farewell that viser prints at any verbosity."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        yield

@@ -12,6 +12,9 @@ import viser
 
 SHOWN = 4.0  # [s] of simulated time that a plot covers
 INTERVAL = 0.25  # [s]
+Y_TICKS = 62  # [px] room for labels such as 200,000
+PADDING = (8, 16, 0, 4)  # [px] top, right, bottom, left
+NO_TICKS = viser.uplot.Axis_Ticks(show=False)  # on a logarithmic axis marks and grid would be black bars
 FLOORS = {"_ms": 1e-2, "_mm": 1e-4}  # by suffix of the name: a logarithmic axis has no zero
 
 Group = tuple[str, tuple[str, ...]]  # a plot: its title, and the names of its curves
@@ -26,7 +29,7 @@ class Figures(NamedTuple):
     solver_ms: float | None = None
     ros_ms: float | None = None  # rest of the round trip
     contacts: int | None = None  # listed
-    fragments: int | None = None
+    fragments: int | None = None  # of bodies that can break; by the page itself if None
 
 
 CURVES = {
@@ -39,7 +42,7 @@ CURVES = {
 PLOTS: tuple[Group, ...] = (
     ("milliseconds per step", ("collision_ms", "update_ms", "solver_ms", "ros_ms")),
     ("contacts", ("contacts",)),
-    ("fragments", ("fragments",)),
+    ("fragments of breakable bodies", ("fragments",)),
 )
 
 
@@ -69,6 +72,7 @@ class Plots:
         self._rows: deque[Any] = deque()
         self._interval = interval
         self._next = 0.0  # [s] of the wall clock
+        self._begin: float | None = None  # [s] of the axis of time; None: it fits the rows
         self._plots = [(_plot(gui, title, names, visible), names) for title, names in groups]
 
     def show(self, visible: Sequence[bool]) -> None:
@@ -98,15 +102,28 @@ class Plots:
             return
         self._next = now + self._interval
         moments = np.array([row.time for row in self._rows])
+        # An axis fitted to one point would end at 100 s.
+        begin = float(max(moments[0] - SHOWN, 0.0)) if len(moments) == 1 else None
         for plot, names in self._plots:
+            if begin != self._begin:
+                plot.scales = _scales(names, begin)
             floor = _floor(names)
             columns = [[np.nan if (v := getattr(row, name)) is None else max(v, floor) for row in self._rows]
                        for name in names]  # fmt: skip
             plot.data = (moments, *map(np.array, columns))
+        self._begin = begin
 
 
 def _floor(names: tuple[str, ...]) -> float:
     return next((floor for ending, floor in FLOORS.items() if names[0].endswith(ending)), 0.0)
+
+
+def _scales(names: tuple[str, ...], begin: float | None) -> dict[str, Any]:
+    scale = viser.uplot.Scale
+    return {
+        "x": scale(time=False, auto=True) if begin is None else scale(time=False, range=(begin, begin + SHOWN)),
+        "y": scale(distr=3) if _floor(names) else scale(auto=True),
+    }
 
 
 def _plot(gui: viser.GuiApi, title: str, names: tuple[str, ...], visible: bool) -> viser.GuiUplotHandle:
@@ -115,8 +132,9 @@ def _plot(gui: viser.GuiApi, title: str, names: tuple[str, ...], visible: bool) 
     for name in names:
         label, colour = CURVES[name]
         series.append(uplot.Series(label=label, stroke=colour, width=1.5))
-    scale = uplot.Scale(distr=3) if _floor(names) else uplot.Scale(auto=True)
+    across = uplot.Axis(space=40, ticks=NO_TICKS)
+    upward = uplot.Axis(size=Y_TICKS, ticks=NO_TICKS, grid=uplot.Axis_Grid(show=not _floor(names)))
     return gui.add_uplot(
         data=tuple(np.zeros(1) for _ in series), series=tuple(series), title=title, height=150, visible=visible,
-        scales={"x": uplot.Scale(time=False, auto=True), "y": scale},
+        scales=_scales(names, None), axes=(across, upward), padding=PADDING,
     )  # fmt: skip

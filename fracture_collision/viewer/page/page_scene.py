@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +10,9 @@ import viser
 
 from fracture_collision.records import CollisionBody, FragmentMesh, FragmentStates
 from fracture_collision.viewer.page.page_events import Drag, Ray
+from fracture_collision.viewer.page.page_grips import Grips, Piece
 from fracture_collision.viewer.page.page_stream import LiveValues
+from fracture_collision.viewer.page.page_summary import Census
 from fracture_collision.viewer.pictures.body_mesh import BodyMesh, mesh_of_body, mesh_of_fragment
 from fracture_collision.viewer.pictures.gltf import glb_of_mesh
 from fracture_collision.viewer.pictures.palette import Palette, display_colour
@@ -26,8 +28,6 @@ SUN = (-0.9, -1.3, 2.0)  # towards it
 SUN_COLOUR, SUN_STRENGTH = (255, 244, 228), 3.0
 DAYLIGHT = 0.55  # strength of the light from all sides
 OPENING = np.radians(38.0)  # of the camera
-FREE_ASPECT = 1.1  # of the part of the window that the panel leaves free
-PANEL_SHARE = 0.25  # of the width of the window
 
 DragHandlers = dict[str, Callable[[Drag], None]]  # by viser's phase names: start, update, end
 
@@ -36,6 +36,7 @@ class _Fragment(NamedTuple):
     body_id: int
     glb: bytes  # binary glTF
     centre: np.ndarray  # (3,) [m], body frame
+    corners: np.ndarray  # (n, 3) [m], body frame, of its surface
 
 
 class SceneNodes:
@@ -68,9 +69,12 @@ class SceneNodes:
         self._fragments: dict[int, _Fragment] = {}
         self._nodes: dict[int, viser.GlbHandle] = {}
         self._poses: dict[int, np.ndarray] = {}  # (7,) of the present ones
+        self._grips = Grips()
         self._hidden: frozenset[int] = frozenset()  # present, but hidden because they occlude the view
         self._planes: set[int] = set()  # fragments that are the floor or a wall, drawn as grids
-        self.is_looked_at = False  # the camera has been set
+        self._counted: np.ndarray | None = None  # ids of the fragments of which `census` is
+        self.census = Census(0, 0, 0, 0)  # of the last states whose fragments were all known
+        self.floor: float | None = None  # [m] height of the highest one
 
     def add_body(self, body: CollisionBody) -> None:
         """Add a body; it is shown once states name its fragment, planes and static bodies at once."""
@@ -123,8 +127,18 @@ class SceneNodes:
             for fragment_id in sorted(gone):
                 if not self._bodies[self._fragments[fragment_id].body_id].is_static:
                     del self._poses[fragment_id]
-                    self._nodes[fragment_id].visible = False
+                    if not self._grips.keep(fragment_id, self._pieces()):
+                        self._nodes[fragment_id].visible = False
+            self._count(states.fragment_ids)
+        if followers := self._grips.followers(self._poses, self._pieces()):
+            self._live.pose([name for name, _ in followers], np.array([pose for _, pose in followers]))
         return all_there
+
+    def _pieces(self) -> Iterator[Piece]:
+        """The fragments that are present."""
+        for fragment_id in self._poses:
+            fragment = self._fragments[fragment_id]
+            yield Piece(fragment_id, fragment.body_id, fragment.corners)
 
     def centre(self, fragment_id: int) -> np.ndarray | None:
         """(3,) [m], world: the centre of a fragment's surface; None if it is not present."""
@@ -152,31 +166,45 @@ class SceneNodes:
                 self._nodes[fragment_id].visible = fragment_id not in fragment_ids
         self._hidden = fragment_ids
 
-    def look_from(self, camera: Camera) -> None:
-        """Set the initial camera of each page; open pages move there."""
-        page_camera = self._server.initial_camera
-        page_camera.position, page_camera.look_at = tuple(camera.position.tolist()), tuple(camera.target.tolist())
-        page_camera.fov = camera.opening
-        self.is_looked_at = True
-
     def cast_shadows(self, on: bool) -> None:
         """Without shadows a page costs a quarter of the GPU time."""
         self._sun.cast_shadow = on
 
-    def look_at_all(self) -> None:
-        """Look from the front, a little above, far enough away to see everything movable."""
+    def view_of_all(self) -> Camera | None:
+        """From the front, a little above, far enough away to see everything movable; None: there is nothing."""
         shown = [f for f in self._poses if not self._bodies[self._fragments[f].body_id].is_static] or list(self._poses)
         centres = np.array([self.centre(f) for f in shown]).reshape(-1, 3)
-        if len(centres):
-            low, high = centres.min(axis=0), centres.max(axis=0)
-            target, size = 0.5 * (low + high), max(float(np.linalg.norm(high - low)), 0.5)
-            eye = target + size * np.array([0.5, -1.5, 0.6])
-            self.look_from(beside_the_panel(Camera(eye, target, OPENING)))
+        if not len(centres):
+            return None
+        low, high = centres.min(axis=0), centres.max(axis=0)
+        if self.floor is not None and not any(fragment_id not in shown for fragment_id in self._poses):
+            low[2] = min(low[2], self.floor)  # nothing but the floor stops what falls
+        target, size = 0.5 * (low + high), max(float(np.linalg.norm(high - low)), 0.5)
+        return Camera(target + size * np.array([0.5, -1.5, 0.6]), target, OPENING)
+
+    def _count(self, fragment_ids: np.ndarray) -> None:
+        if self._counted is not None and np.array_equal(fragment_ids, self._counted):
+            return
+        self._counted = fragment_ids
+        unbroken = pieces = others = 0
+        broken = set()
+        for fragment_id in self._poses:
+            body = self._bodies[self._fragments[fragment_id].body_id]
+            if body.is_static:
+                continue
+            if not self._palette.is_breakable(body.body_id):
+                others += 1
+            elif fragment_id == body.fragment_id:
+                unbroken += 1
+            else:
+                pieces += 1
+                broken.add(body.body_id)
+        self.census = Census(unbroken, len(broken), pieces, others)
 
     def _add(self, fragment_id: int, body_id: int, mesh: BodyMesh) -> None:
         self.remove(fragment_id)
         glb = glb_of_mesh(mesh, self._palette.paint(fragment_id, body_id))
-        self._fragments[fragment_id] = _Fragment(body_id, glb, mesh.centre)
+        self._fragments[fragment_id] = _Fragment(body_id, glb, mesh.centre, mesh.triangles.reshape(-1, 3))
 
     def _place(self, ids: list[int], poses: np.ndarray) -> None:
         names = []
@@ -201,7 +229,13 @@ class SceneNodes:
             async def on_drag(event: viser.SceneNodeDragEvent) -> None:
                 target, eye = np.array(event.end_position), np.array(event.client.camera.position)
                 ray = Ray(eye, (target - eye) / max(float(np.linalg.norm(target - eye)), 1e-12))
-                self._drag[event.phase](Drag(fragment_id, np.array(event.start_position), target, ray))
+                grip, held_at = np.array(event.start_position), self._poses.get(fragment_id)
+                if event.phase == "start" and held_at is not None:
+                    back = held_at[3:] * [1.0, -1.0, -1.0, -1.0]
+                    self._grips.take(fragment_id, node, turned(grip - held_at[:3], back), fragment.body_id)
+                elif event.phase == "end":
+                    self._grips.release(fragment_id)
+                self._drag[event.phase](Drag(fragment_id, grip, target, ray))
 
             node.on_drag("left")(on_drag)
         return node
@@ -210,6 +244,8 @@ class SceneNodes:
         normal = body.plane[:3] / np.linalg.norm(body.plane[:3])
         point = -body.plane[3] / np.linalg.norm(body.plane[:3]) * normal
         is_floor = normal[2] > 0.999
+        if is_floor:
+            self.floor = float(point[2]) if self.floor is None else max(self.floor, float(point[2]))
         self._server.scene.add_grid(
             f"{self._root.name}/plane{body.body_id}", 6.0, 6.0, infinite_grid=is_floor, fade_distance=FLOOR_FADE,
             plane_color=FLOOR_COLOUR, plane_opacity=1.0 if is_floor else 0.4, shadow_opacity=SHADOW,
@@ -228,15 +264,6 @@ class SceneNodes:
         share = np.linspace(0.0, 1.0, 256)[:, None] ** 0.7
         rows = (1.0 - share) * np.array(SKY[0]) + share * np.array(SKY[1])
         scene.set_background_image(np.tile(rows[:, None], (1, 8, 1)).astype(np.uint8), format="png")
-
-
-def beside_the_panel(camera: Camera) -> Camera:
-    """Turn the camera a little to the right, so that its target is in the middle of the free part of the window."""
-    ahead = camera.target - camera.position
-    right = np.cross(ahead, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    half_width = np.linalg.norm(ahead) * np.tan(0.5 * camera.opening) * FREE_ASPECT / (1.0 - PANEL_SHARE)
-    return camera._replace(target=camera.target + PANEL_SHARE * half_width * right)
 
 
 def turned(vectors: np.ndarray, wxyz: np.ndarray) -> np.ndarray:

@@ -6,7 +6,7 @@ connects after an hour would have to skip millions of log entries. So these mess
 which viser does not keep and in which a newer value replaces an older one of the same thing: a slow page skips frames
 and does not lag behind. `send_all` sends the last values to a page that connects later.
 
-This file and `page_gate` use internals of viser 1.1 (here the queue and two message types).
+This file, `page_gate` and `page_document` use internals of viser 1.1 (here the queue and some message types).
 """
 
 from __future__ import annotations
@@ -76,6 +76,11 @@ class LiveValues:
             self.messages_sent += len(queued)
             for client in self._server.get_clients().values():
                 _queue(client, queued)
+
+
+def run_script(client: viser.ClientHandle, source: str) -> None:
+    """Run JavaScript in one page; pages that connect later do not run it."""
+    _queue(client, [messages.RunJavascriptMessage(source)])
 
 
 _NOWHERE = np.full(7, np.inf)

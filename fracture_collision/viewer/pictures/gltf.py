@@ -1,4 +1,4 @@
-"""A fragment's mesh as binary glTF 2.0, which browsers load directly: a glazed outside, and cracks of another material.
+"""Fragments as binary glTF 2.0, which browsers load directly: a glazed outside, and cracks of another material.
 
 General writers support one material or vertex colours, not both, and a fragment needs a rough crack beside its smooth
 outside. The reader recomputes normals from the corners that triangles share. So corners are shared where the surface is
@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import json
 import struct
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,7 +18,8 @@ from fracture_collision.geometry.unique_rows import unique_rows
 from fracture_collision.viewer.pictures.body_mesh import BodyMesh
 from fracture_collision.viewer.pictures.palette import Paint
 
-GLAZE_ROUGHNESS, PLAIN_ROUGHNESS, CRACK_ROUGHNESS = 0.32, 0.75, 1.0
+ROUGHNESS = ((0.5, 0.18), (0.2, 0.32), (0.0, 0.75))  # by least shine of a paint
+CRACK_ROUGHNESS = 1.0
 GRAIN = 0.22  # share of a crack's brightness that varies from corner to corner
 _STEPS = 255  # normals that agree when rounded to 1/255 belong to one smooth surface
 
@@ -25,19 +28,18 @@ _FLOAT, _UINT32, _UINT8 = 5126, 5125, 5121
 _MAGIC, _VERSION, _JSON, _BIN = 0x46546C67, 2, 0x4E4F534A, 0x004E4942
 
 
+class Surface(NamedTuple):
+    """What a material does with light."""
+
+    roughness: float  # 0..1
+    is_metal: bool = False
+
+
 def glb_of_mesh(mesh: BodyMesh, paint: Paint) -> bytes:
     """The whole file, with a mesh of up to two primitives: outside and crack, if present."""
-    file = _File()
-    outside, crack = ~mesh.is_crack, mesh.is_crack
-    if outside.any():
-        corners, index = _smooth_corners(mesh.triangles[outside], mesh.normals[outside], mesh.places[outside])
-        roughness = GLAZE_ROUGHNESS if paint.shine > 0.2 else PLAIN_ROUGHNESS
-        file.add_primitive(corners, index, paint.outside, roughness, None)
-    if crack.any():
-        corners = mesh.triangles[crack].reshape(-1, 3)
-        grain = 1.0 - GRAIN * np.random.default_rng(len(corners)).random(len(corners))
-        file.add_primitive(corners, np.arange(len(corners)), paint.crack, CRACK_ROUGHNESS, grain)
-    return file.bytes()
+    file = GltfFile()
+    number = file.add_mesh(mesh, paint)
+    return file.bytes([] if number is None else [file.add_node({"mesh": number})])
 
 
 def _smooth_corners(
@@ -49,8 +51,8 @@ def _smooth_corners(
     return triangles.reshape(-1, 3)[chosen], index
 
 
-class _File:
-    """Collects arrays and their descriptions in the file."""
+class GltfFile:
+    """Collects meshes, nodes and their movements, and the arrays that describe them."""
 
     def __init__(self) -> None:
         self._data: list[bytes] = []
@@ -58,16 +60,83 @@ class _File:
         self._views: list[dict] = []
         self._accessors: list[dict] = []
         self._materials: list[dict] = []
-        self._primitives: list[dict] = []
+        self._meshes: list[dict] = []
+        self._nodes: list[dict] = []
+        self._samplers: list[dict] = []
+        self._channels: list[dict] = []
+        self._times: dict[bytes, int] = {}  # accessors of equal times are shared
 
-    def add_primitive(
+    def add_mesh(self, mesh: BodyMesh, paint: Paint) -> int | None:
+        """The number of the mesh; None if it has no triangles."""
+        primitives = []
+        outside, crack = ~mesh.is_crack, mesh.is_crack
+        if outside.any():
+            corners, index = _smooth_corners(mesh.triangles[outside], mesh.normals[outside], mesh.places[outside])
+            roughness = next(rough for shine, rough in ROUGHNESS if paint.shine >= shine)
+            primitives.append(self._primitive(corners, index, paint.outside, Surface(roughness, paint.is_metal)))
+        if crack.any():
+            corners = mesh.triangles[crack].reshape(-1, 3)
+            grain = 1.0 - GRAIN * np.random.default_rng(len(corners)).random(len(corners))
+            index = np.arange(len(corners))
+            primitives.append(self._primitive(corners, index, paint.crack, Surface(CRACK_ROUGHNESS), grain))
+        if not primitives:
+            return None
+        self._meshes.append({"primitives": primitives})
+        return len(self._meshes) - 1
+
+    def add_node(self, node: dict[str, Any]) -> int:
+        """The number of a node with these fields of glTF: name, mesh, translation, rotation, children."""
+        self._nodes.append(node)
+        return len(self._nodes) - 1
+
+    def move(self, node: int, path: str, times: np.ndarray, values: np.ndarray, steps: bool = False) -> None:
+        """Let a node's translation (n, 3), rotation (n, 4) x y z w or scale (n, 3) have `values` at `times` (n,) [s].
+
+        Between two times it is interpolated, or with `steps` keeps the earlier value.
+        """
+        times, values = times.astype("<f4"), values.astype("<f4")
+        if times.tobytes() not in self._times:
+            bounds = {"min": [float(times[0])], "max": [float(times[-1])]}
+            self._times[times.tobytes()] = self._add(times, _FLOAT, "SCALAR", bounds)
+        self._channels.append({"sampler": len(self._samplers), "target": {"node": node, "path": path}})
+        self._samplers.append(
+            {
+                "input": self._times[times.tobytes()],
+                "output": self._add(values, _FLOAT, f"VEC{values.shape[1]}", {}),
+                "interpolation": "STEP" if steps else "LINEAR",
+            }
+        )
+
+    def bytes(self, roots: Sequence[int]) -> bytes:
+        """The file; `roots`: the nodes that are in the scene, with their children."""
+        description: dict[str, Any] = {
+            "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": list(roots)} if roots else {}],
+        }  # fmt: skip
+        if self._size:
+            description["buffers"] = [{"byteLength": self._size}]
+        for name, entries in (
+            ("nodes", self._nodes), ("meshes", self._meshes), ("materials", self._materials),
+            ("accessors", self._accessors), ("bufferViews", self._views),
+        ):  # fmt: skip
+            if entries:
+                description[name] = entries
+        if self._channels:
+            description["animations"] = [{"channels": self._channels, "samplers": self._samplers}]
+        text = json.dumps(description, separators=(",", ":")).encode()
+        chunks = [(_JSON, text + b" " * (-len(text) % 4))]
+        if self._size:
+            chunks.append((_BIN, b"".join(self._data)))
+        body = b"".join(struct.pack("<II", len(chunk), kind) + chunk for kind, chunk in chunks)
+        return struct.pack("<III", _MAGIC, _VERSION, 12 + len(body)) + body
+
+    def _primitive(
         self,
         corners: np.ndarray,
         index: np.ndarray,
         colour: tuple[float, float, float],
-        roughness: float,
-        brightness: np.ndarray | None,
-    ) -> None:
+        surface: Surface,
+        brightness: np.ndarray | None = None,
+    ) -> dict:
         """`colour`: linear RGB; `brightness` (n,): its factor at each corner."""
         corners = corners.astype("<f4")
         columns = np.ascontiguousarray(corners.T)  # along rows numpy's minimum takes ten times as long
@@ -77,37 +146,16 @@ class _File:
             rgba = np.full((len(corners), 4), 255, dtype=np.uint8)
             rgba[:, :3] = np.round(255.0 * brightness)[:, None]
             attributes["COLOR_0"] = self._add(rgba, _UINT8, "VEC4", {"normalized": True})
-        surface = {"baseColorFactor": [*colour, 1.0], "metallicFactor": 0.0, "roughnessFactor": roughness}
-        self._primitives.append(
-            {
-                "attributes": attributes,
-                "indices": self._add(index.astype("<u4"), _UINT32, "SCALAR", {}),
-                "material": len(self._materials),
-            }
-        )
-        self._materials.append({"pbrMetallicRoughness": surface})
-
-    def bytes(self) -> bytes:
-        description = {
-            "asset": {"version": "2.0"},
-            "scene": 0,
-            "scenes": [{"nodes": [0] if self._primitives else []}],
-            "buffers": [{"byteLength": self._size}] if self._size else [],
+        material = {
+            "baseColorFactor": [*colour, 1.0], "metallicFactor": float(surface.is_metal),
+            "roughnessFactor": surface.roughness,
+        }  # fmt: skip
+        self._materials.append({"pbrMetallicRoughness": material})
+        return {
+            "attributes": attributes,
+            "indices": self._add(index.astype("<u4"), _UINT32, "SCALAR", {}),
+            "material": len(self._materials) - 1,
         }
-        if self._primitives:
-            description |= {
-                "nodes": [{"mesh": 0}],
-                "meshes": [{"primitives": self._primitives}],
-                "materials": self._materials,
-                "accessors": self._accessors,
-                "bufferViews": self._views,
-            }
-        else:
-            del description["buffers"]
-        text = json.dumps(description, separators=(",", ":")).encode()
-        chunks = [(_JSON, text + b" " * (-len(text) % 4)), (_BIN, b"".join(self._data))]
-        body = b"".join(struct.pack("<II", len(chunk), kind) + chunk for kind, chunk in chunks)
-        return struct.pack("<III", _MAGIC, _VERSION, 12 + len(body)) + body
 
     def _add(self, array: np.ndarray, component: int, kind: str, more: dict) -> int:
         """All arrays have elements of a multiple of four bytes, so their offsets are aligned to four bytes."""

@@ -11,14 +11,17 @@ from fracture_collision.records import CollisionBody
 
 # Each breakable body has a family of colours, by hue (HLS); other bodies have muted colours, in linear RGB.
 FAMILY_HUES = (0.56, 0.03, 0.11, 0.43, 0.78, 0.33, 0.93, 0.64)
-THROWN_COLOUR = (0.10, 0.10, 0.12)
+BALL_COLOUR = (0.012, 0.012, 0.015)  # of what else moves: black and polished
+STEEL_COLOUR = (0.60, 0.62, 0.66)
+STEEL_DENSITY = 7000.0  # [kg/m3] and more: steel, such as a hammer
+ARM, ARM_COLOUR = "arm ", (0.55, 0.56, 0.55)  # how the names of a robot arm's parts begin
 STATIC_COLOURS = ((0.46, 0.29, 0.16), (0.34, 0.21, 0.12), (0.62, 0.60, 0.56), (0.40, 0.42, 0.44))
 # Gap [m] -> display colour: penetration red, touching yellow, about to touch green.
 GAP_SCALE = 5e-4  # [m] at this gap or more the colour is saturated
 PENETRATING, TOUCHING, APART = (
     np.array(colour) / 255.0 for colour in ((226, 26, 28), (250, 214, 40), (50, 180, 90))
 )
-GLAZE_SHINE, PLAIN_SHINE = 0.35, 0.06
+GLAZE_SHINE, PLAIN_SHINE, POLISH_SHINE = 0.35, 0.06, 0.6
 
 
 class Paint(NamedTuple):
@@ -27,14 +30,20 @@ class Paint(NamedTuple):
     outside: tuple[float, float, float]  # linear RGB, 0..1
     crack: tuple[float, float, float]
     shine: float  # of the outside, 0..1; cracks are matt
+    is_metal: bool = False
 
 
 class Palette:
-    """Colours of the bodies added to it: a family for each breakable body, in the order of `add`."""
+    """Colours of the bodies added to it: a family for each breakable body, in the order of `add`.
+
+    What moves and cannot break has no hue, by its material: balls are black, a hammer is of steel, an arm is white.
+    """
 
     def __init__(self) -> None:
         self._family: dict[int, int] = {}
         self._static_rank: dict[int, int] = {}
+        self._steel: set[int] = set()
+        self._arm: set[int] = set()
 
     def add(self, body: CollisionBody) -> None:
         """Give a body its colours."""
@@ -42,6 +51,10 @@ class Palette:
             self._family.setdefault(body.body_id, len(self._family))
         elif body.is_static and not np.any(body.plane):
             self._static_rank.setdefault(body.body_id, len(self._static_rank))
+        elif body.name.startswith(ARM):
+            self._arm.add(body.body_id)
+        elif body.density >= STEEL_DENSITY:
+            self._steel.add(body.body_id)
 
     def is_breakable(self, body_id: int) -> bool:
         """Whether the body, added before, can break."""
@@ -56,9 +69,14 @@ class Palette:
             outside = colorsys.hls_to_rgb(hue + 0.02 * (spread - 0.5), 0.42 + 0.12 * spread, 0.62)
             crack = colorsys.hls_to_rgb(hue, 0.80, 0.45)
             return Paint(_linear(outside), _linear(crack), GLAZE_SHINE)
-        rank = self._static_rank.get(body_id)
-        colour = THROWN_COLOUR if rank is None else STATIC_COLOURS[rank % len(STATIC_COLOURS)]
-        return Paint(colour, colour, PLAIN_SHINE)
+        if body_id in self._static_rank:
+            colour = STATIC_COLOURS[self._static_rank[body_id] % len(STATIC_COLOURS)]
+            return Paint(colour, colour, PLAIN_SHINE)
+        if body_id in self._steel:
+            return Paint(STEEL_COLOUR, STEEL_COLOUR, GLAZE_SHINE, is_metal=True)
+        if body_id in self._arm:
+            return Paint(ARM_COLOUR, ARM_COLOUR, GLAZE_SHINE)
+        return Paint(BALL_COLOUR, BALL_COLOUR, POLISH_SHINE)
 
 
 def gap_colours(gaps: np.ndarray) -> np.ndarray:

@@ -1,0 +1,243 @@
+"""The panel and the tab of the page: title, icon, help, summary, settings, plots, and the layout on a phone."""
+
+from __future__ import annotations
+
+import gzip
+import itertools
+import re
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+from queue import Queue
+from typing import Any
+from urllib.parse import unquote
+
+import numpy as np
+import pytest
+from stages.browser import chromium, knob, opened, until
+from worlds.small_run import small_run
+
+from fracture_collision.records import CollisionBody, FragmentMesh, FragmentStates
+from fracture_collision.run_meshes import read_run_with_meshes
+from fracture_collision.viewer.page.bag_player import BagPlayer
+from fracture_collision.viewer.page.page import Page
+from fracture_collision.viewer.page.page_events import Handlers, Joint, ServiceSliders, SettingKnob, Start
+from fracture_collision.viewer.page.page_help import help_text
+from fracture_collision.viewer.page.page_plots import SHOWN, Figures
+from fracture_collision.viewer.page.page_summary import PATIENCE, Census, Pace, words_of
+
+PHONE, DESKTOP = (390, 844), (1280, 720)
+KNOBS = {
+    "contacts_per_pair": SettingKnob("contacts of a pair", 1, 1024),
+    "penetration_tolerance": SettingKnob("penetrations", 0, 1),
+    "field": SettingKnob("depths", choices=("exact", "averaged")),
+    "visit_budget": SettingKnob("nodes", 0, 2**40),
+}
+ALL = Handlers(*(lambda *_: None,) * len(Handlers._fields))
+START = Start(("plates", "vase"), "plates", settings=KNOBS, joints=tuple(Joint(f"j{i}", -1, 1) for i in range(7)))
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with chromium() as running:
+        yield running
+
+
+def begin(page: Page, step: int = 0) -> None:
+    records = [record for _, record in small_run()]
+    page.cast_shadows(False)
+    for record in records:
+        if isinstance(record, CollisionBody):
+            page.add_body(record)
+        elif isinstance(record, FragmentMesh):
+            page.add_fragment(record, 3)
+    page.show_states([record for record in records if isinstance(record, FragmentStates)][step])
+    page.show_figures(Figures(0.15, contacts=76))
+    page.flush()
+
+
+@pytest.mark.parametrize("encoding", ["gzip", "identity"])
+def test_the_document_has_a_title_and_an_icon_of_its_own(encoding: str) -> None:
+    with Page(name='a "bag" <1>') as page:
+        request = urllib.request.Request(page.address, headers={"Accept-Encoding": encoding})
+        with urllib.request.urlopen(request, timeout=30) as answer:
+            body = answer.read()
+            assert len(body) == int(answer.headers["Content-Length"])
+            assert answer.headers.get("Content-Encoding", "identity") == encoding
+    text = (gzip.decompress(body) if encoding == "gzip" else body).decode()
+    assert re.findall("<title>(.*?)</title>", text) == ["a &quot;bag&quot; &lt;1&gt; - fracture_collision"]
+    (icon,) = re.findall(r'<link\s+rel="icon"\s+href="data:image/svg\+xml,(.*?)"', text, re.DOTALL)
+    assert unquote(icon).startswith("<svg") and "#265e96" in unquote(icon)
+
+
+def test_the_title_names_the_scene_that_runs(browser: Any) -> None:
+    with Page(ALL, START) as page, opened(browser, page.address) as seen:
+        assert seen.title() == "plates - fracture_collision"
+        until(lambda: page.browsers, bool)
+        page.show_scene("vase")
+        until(seen.title, lambda title: title == "vase - fracture_collision")
+        until(lambda: knob(seen, "scene").input_value(), lambda name: name == "vase")
+        seen.reload()
+        until(seen.title, lambda title: title == "vase - fracture_collision")
+
+
+def test_the_help_mentions_every_control() -> None:
+    for handlers, start in ((ALL, START), (Handlers(), Start())):
+        with Page(handlers, start) as page:
+            handles = page._server.gui._gui_input_handle_from_uuid.values()
+            labels = {handle._impl.props.label for handle in handles} - {"help"}
+        text = help_text(handlers, start, is_recorded=False)
+        named = {label.split(",")[0] for label in labels}  # without units
+        assert not {name for name in named if f"*{name}*" not in text and not re.match(r"joint [2-6]$", name)}
+        assert ("Throw" in text) == (handlers is ALL)
+
+
+@pytest.mark.parametrize("size", [PHONE, DESKTOP])
+def test_the_help_opens_and_closes_in_one_browser(browser: Any, size: tuple[int, int]) -> None:
+    with Page(ALL, START) as page:
+        begin(page)
+        with opened(browser, page.address, *size) as seen, opened(browser, page.address) as other:
+            if size == PHONE:
+                seen.get_by_text("fracture_collision").click()
+            seen.get_by_role("button", name="help").click()
+            seen.get_by_text("The arrow shows the pull").wait_for()
+            box = seen.get_by_role("dialog").bounding_box()
+            assert box["x"] >= 0 and box["x"] + box["width"] <= size[0] and box["y"] + box["height"] <= size[1]
+            assert not other.get_by_role("dialog").count()
+            seen.get_by_role("button", name="close").last.scroll_into_view_if_needed()
+            seen.get_by_role("button", name="close").last.click()
+            until(lambda: seen.get_by_role("dialog").count(), lambda count: not count)
+            seen.get_by_role("button", name="help").click()  # again
+            seen.get_by_role("button", name="close").first.click()
+            until(lambda: seen.get_by_role("dialog").count(), lambda count: not count)
+
+
+def test_the_controls_do_not_cover_the_scene_on_a_phone(browser: Any) -> None:
+    width, height = PHONE
+    with Page(ALL, START) as page:
+        begin(page)
+        with opened(browser, page.address, *PHONE) as seen:
+            handle = seen.get_by_text("fracture_collision")
+            bar = until(handle.bounding_box, lambda box: box["y"] > height - 60)  # closed at first
+            assert seen.evaluate(f"document.elementFromPoint({width / 2}, {bar['y'] - 30}).tagName") == "CANVAS"
+            handle.click()
+            opened_at = until(handle.bounding_box, lambda box: box["y"] < 0.6 * height)
+            assert opened_at["y"] > 0.45 * height  # half of the window stays free
+            for name in ("help", "start over", "reset view"):
+                button = seen.get_by_role("button", name=name)
+                button.scroll_into_view_if_needed()
+                box = button.bounding_box()
+                assert box["height"] > 25 and box["width"] > 0.8 * width and box["x"] + box["width"] <= width
+            label = knob(seen, "visit_budget")
+            label.scroll_into_view_if_needed()
+            assert label.bounding_box()["x"] + label.bounding_box()["width"] <= width
+            handle.click()
+            until(handle.bounding_box, lambda box: box["y"] > height - 60)
+
+
+def test_settings_have_their_names_and_ranges(browser: Any) -> None:
+    heard: Queue[ServiceSliders] = Queue()
+    with Page(ALL._replace(service_set=heard.put), START) as page, opened(browser, page.address) as seen:
+        knob(seen, "visit_budget").fill("1099511627776")
+        assert heard.get(timeout=60).visit_budget == 2**40
+        knob(seen, "contacts_per_pair").fill("1024")
+        assert heard.get(timeout=60).contacts_per_pair == 1024
+        knob(seen, "contacts_per_pair").fill("2000")
+        knob(seen, "contacts_per_pair").press("Tab")
+        until(lambda: knob(seen, "contacts_per_pair").input_value(), lambda value: value == "1024")
+        knob(seen, "penetration_tolerance").fill("0.3")
+        until(lambda: heard.get(timeout=60), lambda settings: settings.penetration_tolerance == 0.3)
+
+
+def test_the_summary_counts_what_can_break_apart_from_the_rest() -> None:
+    assert words_of(Census(1, 0, 0, 14)) == "1 unbroken · 14 other bodies"
+    assert words_of(Census(2, 2, 45, 1)) == "2 unbroken · 2 in 45 pieces · 1 other body"
+    with Page() as page:
+        begin(page)
+        assert page._summary._said == "**0.15 s** · 76 contacts  \n2 unbroken · 1 other body"  # the shelf is fixed
+        begin(page, step=-1)
+        pieces = sum(isinstance(record, FragmentMesh) for _, record in small_run())
+        assert page._summary._said.endswith(f"1 unbroken · 1 in {pieces} pieces · 1 other body")
+
+
+def test_a_simulation_is_slow_only_after_a_while_and_not_in_slow_motion() -> None:
+    pace = Pace()
+    assert not pace.is_slow(10.0, 0.4, 1.0, False) and not pace.is_slow(10.0 + PATIENCE, 0.4, 1.0, False)
+    assert pace.is_slow(10.1 + PATIENCE, 0.4, 1.0, False)
+    assert not pace.is_slow(20.0, 0.4, 0.5, False), "slow motion at its pace"
+    assert not pace.is_slow(21.0, 0.4, 1.0, False), "it counts from the start again"
+    assert pace.is_slow(24.0, 0.1, 1.0, False) and not pace.is_slow(25.0, 0.0, 1.0, True)
+
+
+def test_the_pace_is_shown_with_a_message_while_it_is_slow(browser: Any) -> None:
+    with Page(ALL, START) as page, opened(browser, page.address) as seen:
+        begin(page)
+        page.show_rate(0.97, 1.0, False)
+        seen.get_by_text("0.97 × real time").wait_for()
+        slow = seen.get_by_text("The simulation is slow.")
+        assert not slow.is_visible()
+
+        def crawling() -> bool:
+            page.show_rate(0.2, 1.0, False)
+            return slow.is_visible()
+
+        until(crawling, bool)
+        seen.get_by_text("0.20 × real time").wait_for()
+        page.show_rate(0.8, 1.0, False)
+        slow.wait_for(state="hidden")
+        page.show_rate(0.0, 1.0, True)
+        seen.get_by_text("paused").wait_for()
+        until(seen.get_by_label("pause").is_checked, bool)
+        page.show_rate(1.0, 1.0, False)
+        until(seen.get_by_label("pause").is_checked, lambda ticked: not ticked)
+
+
+# Of the plot of contacts: the widest label of its vertical axis, and the room for it [px].
+ROOM = """() => {
+  const chart = Object.values(window.__viserTestpoints.uplots)[0].chart, axis = chart.axes[1];
+  chart.ctx.save(); chart.ctx.font = axis.font[0];
+  const widths = axis._values.map(label => chart.ctx.measureText(label).width / devicePixelRatio);
+  chart.ctx.restore();
+  return [Math.max(...widths), axis._size - axis.gap];
+}"""
+
+
+def test_labels_of_the_plots_have_room(browser: Any) -> None:
+    with Page(told=frozenset({"contacts"})) as page, opened(browser, page.address) as seen:
+        begin(page)
+        steps = itertools.count()
+
+        def measured() -> list[float]:
+            step = next(steps)
+            page.show_figures(Figures(0.2 + 1e-3 * step, contacts=190_000 + step))
+            return seen.evaluate(ROOM)
+
+        widest, room = until(measured, lambda found: found[0] > 40.0)  # as wide as 200,000
+        assert widest < room
+
+
+def test_plots_show_the_recording_before_a_jump() -> None:
+    run = read_run_with_meshes(Path(__file__).parents[2] / "bags" / "plates")
+    with BagPlayer(run, name="plates") as player:
+        plot = player.page._plots._plots[0][0]
+
+        def times() -> list[float]:
+            player.advance()
+            player.page.flush()
+            player.page._plots._next = 0.0  # draw now
+            player.page._plots.draw()
+            return list(plot.data[0])
+
+        player.play(False)
+        recorded = [states.time for states in run.states]
+        assert times() == recorded[:1]
+        assert plot.scales["x"]["range"] == (max(recorded[0] - SHOWN, 0.0), max(recorded[0] - SHOWN, 0.0) + SHOWN)
+        player.seek(player.duration)
+        assert times() == recorded, "all of it, also what was skipped"
+        assert "range" not in plot.scales["x"]
+        player.step(-5)
+        assert times() == recorded[:-5]
+        player.step(1)
+        assert times() == recorded[:-4]
+        listed = [len(run.contacts(states.step).gaps) for states in run.states]
+        assert np.array_equal(plot.data[1], listed[:-4])
