@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
+from pathlib import Path
 
 LOAD_THEN_COMPILE = """
 import json, sys
@@ -51,3 +53,55 @@ def test_cached_kernels_load_without_preparing_to_compile() -> None:
 
 def test_a_service_announces_itself_before_numba_and_never_needs_scipy() -> None:
     assert said(START) == [[], ["numba"]]
+
+
+FROM_KERNELS = """
+import json
+import numpy as np
+from fracture_collision.core.memory.callees import is_callee
+from kernels_for_the_cache import outer, inner, allocating
+first = outer(np.arange(6.0)).tolist()
+callees = [name.py_func.__name__ for name in (inner, allocating) if all(map(is_callee, name.overloads.values()))]
+hits = sum(outer.stats.cache_hits.values())
+print(json.dumps([first, callees, hits, float(inner(np.arange(3.0), 2.0)), outer(np.arange(6.0)).tolist()]))
+"""
+
+KERNELS = """
+import numpy as np
+from fracture_collision.core.memory.compiled import inlined_kernel, kernel
+
+@inlined_kernel
+def twice(x):
+    return 2.0 * x
+
+@kernel
+def allocating(values):
+    return np.sort(np.concatenate((values, values[::-1] + 0.5)))[: len(values)].reshape(2, -1)
+
+@kernel
+def inner(values, x):
+    if x < 0.0:
+        raise ValueError("negative")
+    total = 0.0
+    for value in values:
+        total += twice(value) * x
+    return total
+
+@kernel
+def outer(values):
+    return allocating(values) + inner(values, 1.0)
+"""
+
+
+def test_callees_are_linked_into_what_python_calls(tmp_path: Path) -> None:
+    """Compiled here, then loaded by another process, which has nothing else compiled that it might be linked with."""
+    (tmp_path / "kernels_for_the_cache.py").write_text(KERNELS)
+    expected = [[30.0, 30.5, 31.0], [31.5, 32.0, 32.5]]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])}
+    for hits, callees in ((0, ["inner", "allocating"]), (1, ["inner", "allocating"])):
+        done = subprocess.run(
+            [sys.executable, "-c", FROM_KERNELS], cwd=tmp_path, env=environment, capture_output=True, text=True,
+            timeout=240,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        assert json.loads(done.stdout) == [expected, callees, hits, 12.0, expected]

@@ -46,7 +46,7 @@ class UnlinkedLibrary(JITCodeLibrary):
     def as_bitcode(self) -> bytes:
         """The function and all it calls."""
         module = self._get_module_for_linking().clone()
-        for library in dict.fromkeys(self._linking_libraries):
+        for library in callers_first(self._linking_libraries):
             module.link_in(library._get_module_for_linking(), preserve=True)
         return module.as_bitcode()
 
@@ -57,6 +57,14 @@ class UnlinkedLibrary(JITCodeLibrary):
         self._final_module = self._shared_module = llvm.parse_bitcode(bitcode)
         self._finalized = True
         return self
+
+
+def callers_first(libraries: list[Any]) -> list[Any]:
+    """Each library once, before those that it calls: LLVM links of a library only what something linked before uses.
+
+    In the list, each library is followed by all that it left to link.
+    """
+    return list(dict.fromkeys(reversed(libraries)))[::-1]
 
 
 def left_to_link(library: Any) -> list[Any]:

@@ -40,6 +40,7 @@ with _not_to_be_imported("scipy", "coverage"):
     from numba.core.runtime import _nrt_python as runtime
 
     from fracture_collision.core.memory.callees import (
+        callers_first,
         compiled_as_callee,
         is_callee,
         left_to_link,
@@ -120,6 +121,7 @@ class _Library(JITCodeLibrary):
         self._linking_libraries += left_to_link(library)
 
     def finalize(self) -> None:
+        self._linking_libraries = callers_first(self._linking_libraries)
         super().finalize()
         for variable in self._final_module.global_variables:  # the environments of callees are in this library only
             environment = lookup_environment(variable.name)
