@@ -95,8 +95,14 @@ class Settings(NamedTuple):
     max_message_bytes: int = 256 * 1024 * 1024
 
 
+@documented
 class Range(NamedTuple):
-    """Lowest and highest value that a setting may have."""
+    """What a setting may be.
+
+    Fields:
+      low: the lowest value
+      high: the highest value
+    """
 
     low: float
     high: float
