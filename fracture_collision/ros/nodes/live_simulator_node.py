@@ -11,6 +11,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 from geometry_msgs.msg import Point, Twist, Vector3
@@ -24,6 +25,7 @@ from std_srvs.srv import SetBool, Trigger
 from fracture_collision.msg import HandTarget, SimulationStatus, ThrowBall
 from fracture_collision.ros.nodes.arm_publisher import ArmPublisher
 from fracture_collision.ros.nodes.simulator_node import SimulatorNode, derived_run_id, work
+from fracture_collision.ros.nodes.uploaded_scenes import UPLOADS, scene_file
 from fracture_collision.ros.processes.parameters import Declaration, Range, declare
 from fracture_collision.ros.processes.process import Fatal, run_node
 from fracture_collision.ros.wire import interfaces, qos
@@ -41,8 +43,9 @@ RATE = Declaration(
     "rate", 1.0, "simulated time over real time; 0.1: slow motion", Range(0.01, 10.0), fixed=False
 )
 NEXT_SCENE = Declaration(
-    "next_scene", "", "scene of the next reset, a name in config/scenes; '': the same", fixed=False
+    "next_scene", "", "scene of the next reset, a name in config/scenes or of an upload; '': the same", fixed=False
 )
+FOLDER = Declaration("folder", "out/play", "that of the page, with the scenes of uploaded meshes")
 
 
 class LiveSimulatorNode(SimulatorNode):
@@ -51,7 +54,7 @@ class LiveSimulatorNode(SimulatorNode):
     ~ in names is the node's name. Commands are executed between two steps, in order of arrival.
     """
 
-    PARAMETERS = (*SimulatorNode.PARAMETERS, RATE, NEXT_SCENE)
+    PARAMETERS = (*SimulatorNode.PARAMETERS, RATE, FOLDER, NEXT_SCENE)
     INTERFACE = interfaces.LIVE_SIMULATOR
     EXAMPLES = (
         "--ros-args -p scene:=vase -p rate:=0.5",
@@ -64,6 +67,7 @@ class LiveSimulatorNode(SimulatorNode):
         super().__init__(interfaces.LIVE_SIMULATOR_NODE)
         declare(self, RATE)
         self._scene_name = self.get_parameter("scene").value  # as load_scene takes it
+        self._uploads = Path(declare(self, FOLDER)) / UPLOADS
         # A page in a browser may set this: no paths are accepted, except the one given at the start.
         self._offered = ("", self._scene_name, *scene_names())
         self.add_on_set_parameters_callback(self._judge)
@@ -209,7 +213,8 @@ class LiveSimulatorNode(SimulatorNode):
         self._later(qos.JOINT_COMMANDS, lambda: self._live.command_joints(names, positions))
 
     def _judge(self, parameters: list[Parameter]) -> SetParametersResult:
-        if all(each.value in self._offered for each in parameters if each.name == "next_scene"):
+        names = [each.value for each in parameters if each.name == "next_scene"]
+        if all(name in self._offered or scene_file(self._uploads, name) for name in names):
             return SetParametersResult(successful=True)
         reason = f"next_scene: pass the name of a scene: {', '.join(self._offered[1:])}"
         return SetParametersResult(successful=False, reason=reason)
@@ -217,7 +222,7 @@ class LiveSimulatorNode(SimulatorNode):
     def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         name = self.get_parameter("next_scene").value or self._scene_name
         try:
-            self._next = load_scene(name)
+            self._next = load_scene(name if name in self._offered else scene_file(self._uploads, name) or name)
         except (SceneError, OSError) as error:
             # Errors quote the file, and its content must not leave this machine.
             self.get_logger().error(str(error))
