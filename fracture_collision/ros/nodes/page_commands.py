@@ -120,6 +120,7 @@ class PageCommands:
             scene_chosen=later(self._choose),
             uploaded=later(self._uploads.add),
             reset=later(lambda: self._answered(self._hands.reset(), "reset")),
+            rewind=later(lambda: self._answered(self._hands.rewind(), "rewind")),
             paused=later(lambda paused: self._answered(self._hands.pause(paused), "pause")),
             one_step=later(lambda: self._answered(self._hands.step(), "one step")),
             slow_motion=later(lambda rate: self._hands.set_parameters(rate=float(rate))),

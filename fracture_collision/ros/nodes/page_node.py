@@ -161,13 +161,17 @@ class PageNode(Node):
         self._mirror.hear(message)
         for fragment_id in message.new_fragment_ids:
             self._body_of[fragment_id] = message.body_id
-            if fragment_id in self._meshes:
-                self.page.add_fragment(self._meshes.pop(fragment_id), message.body_id)
+        self._add_waiting()
 
     def _on_registry(self, message: Any) -> None:
         """Living fragments, for a page that joins a run late."""
         if self._of_this_run(message.run_id):
             self._body_of.update(zip(message.fragment_ids, message.body_ids, strict=True))
+            self._add_waiting()
+
+    def _add_waiting(self) -> None:
+        for fragment_id in [each for each in self._meshes if each in self._body_of]:
+            self.page.add_fragment(self._meshes.pop(fragment_id), self._body_of[fragment_id])
 
     def _on_mesh(self, data: bytes) -> None:
         with suppress(ValueError):  # not a mesh
