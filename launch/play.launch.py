@@ -23,9 +23,9 @@ def generate_launch_description() -> LaunchDescription:
             *arguments(),
             DeclareLaunchArgument("host", default_value="127.0.0.1", description="address of the page"),
             DeclareLaunchArgument("port", default_value="0", description="port of the page; 0: any free one"),
-            DeclareLaunchArgument("folder", default_value="out/play", description="folder of recordings"),
+            DeclareLaunchArgument("folder", default_value="out/play", description="folder of recordings and uploads"),
             collision_node(),
-            node("live_simulator_node", {"scene": text("scene"), "seed": whole("seed")}),
+            node("live_simulator_node", {"scene": text("scene"), "seed": whole("seed"), "folder": text("folder")}),
             node(
                 "page_node",
                 {"scene": text("scene"), "host": text("host"), "port": whole("port"), "folder": text("folder")},

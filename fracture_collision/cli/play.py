@@ -20,6 +20,8 @@ On the page:
   drag a fragment    pull it by a spring
   arrow keys         drive the hammer; `fracture-collision teleop` and other publishers of cmd_vel do as well
   settings           contacts_per_pair, penetration_tolerance, field and visit_budget of the service
+  rewind 10 s        go back and try again; the scene waits there, paused
+  upload a mesh      your own body, to smash
   help               explains every control
   record             write a bag for `fracture-collision view`, `film` and `replay`
 """
@@ -33,7 +35,7 @@ On the page:
 @click.option("--open/--no-open", "opens", default=True, show_default=True, help="Open a browser.")
 @click.option(
     "--out", type=click.Path(file_okay=False, path_type=Path), default=Path("out/play"), show_default=True,
-    help="Folder for recordings and logs.",
+    help="Folder for recordings, uploads and logs.",
 )  # fmt: skip
 def play(scene: str, seed: int | None, host: str, port: int, opens: bool, out: Path) -> None:
     """Smash a scene yourself, in the browser.

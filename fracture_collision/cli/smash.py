@@ -115,10 +115,7 @@ def _filled(file: Path, size: float) -> TetGeometry:
 
 def _own_scene(filled: TetGeometry | None, out: Path, folder: Path) -> Path:
     """Writes mesh and scene to `folder`; None: copies those of an earlier run from `out`."""
-    import numpy as np
-    import yaml
-
-    from fracture_collision.simulation.engine.own_body import own_body_scene
+    from fracture_collision.simulation.engine.own_body import write_own_scene
 
     scene = folder / OWN_SCENE
     if filled is None:
@@ -126,8 +123,7 @@ def _own_scene(filled: TetGeometry | None, out: Path, folder: Path) -> Path:
             if (out / name).exists():
                 shutil.copyfile(out / name, folder / name)
         return scene
-    np.savez(folder / OWN_MESH, vertices=filled.vertices, tetrahedra=filled.tetrahedra)
-    scene.write_text(yaml.safe_dump(own_body_scene(Path(OWN_MESH), filled), sort_keys=False), encoding="utf-8")
+    write_own_scene(scene, OWN_MESH, filled)
     return scene
 
 

@@ -5,6 +5,7 @@ The error names what is wrong with a rejected surface.
 
 from __future__ import annotations
 
+from io import BytesIO
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -59,7 +60,8 @@ def _read(file: Path) -> Surface:
     import trimesh  # late: the import is slow
 
     try:
-        mesh: Any = trimesh.load(file, force="mesh", process=False)
+        data = BytesIO(file.read_bytes())  # of a path, trimesh would also read materials and pictures that it names
+        mesh: Any = trimesh.load(data, file_type=file.suffix[1:].lower(), force="mesh", process=False)
         places, triangles = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
     except Exception as error:  # of any kind, depending on the fault of the file
         raise ValueError(f"{file}: cannot be read as {file.suffix[1:].upper()}: {error}") from error

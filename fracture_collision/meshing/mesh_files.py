@@ -17,6 +17,7 @@ from fracture_collision.geometry.generators import TETRAHEDRA_LIMIT, TetGeometry
 from fracture_collision.geometry.stored_meshes import read_tetrahedra
 from fracture_collision.geometry.surface_files import SUFFIXES, read_surface
 from fracture_collision.geometry.surface_meshing import tetrahedralize_surface
+from fracture_collision.geometry.tetrahedra import tetrahedron_volumes
 from fracture_collision.meshing.lattice_mesher import tetrahedralize_by_lattice
 
 MESH_SUFFIXES = (".msh", ".vtu", ".vtk", ".mesh", ".inp", ".xdmf", ".med")
@@ -74,7 +75,9 @@ def read_mesh(
             raise ValueError(f"{file}: {error}") from error
     if edge_length is not None:
         raise ValueError(f"edge_length: {file} holds tetrahedra, whose size is not changed; leave it out")
-    mesh = read_tetrahedra(file) if suffix == ".npz" else _read_by_meshio(file)
+    mesh = oriented(*read_tetrahedra(file)) if suffix == ".npz" else _read_by_meshio(file)
+    if flat := int(np.count_nonzero(tetrahedron_volumes(*mesh) <= 0.0)):
+        raise ValueError(f"{file}: {flat} of the {len(mesh.tetrahedra)} tetrahedra have no volume")
     if longest_side is None:
         return mesh
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import copy
+from typing import Any
+
 import numpy as np
 
 from fracture_collision.fracture.events import Naming, event_of
@@ -22,6 +25,12 @@ class BreakableBody:
         self._edges = unique_edges(mesh.tetrahedra)
         self._node_fragments = np.full(len(mesh.vertices), fragment_id, dtype=np.int64)
         self._node_counts = {fragment_id: len(mesh.vertices)}
+
+    def __deepcopy__(self, _memo: dict[int, Any]) -> BreakableBody:
+        """A body that breaks independently; it shares the mesh, which never changes."""
+        made = copy.copy(self)
+        made._node_fragments, made._node_counts = self._node_fragments.copy(), dict(self._node_counts)
+        return made
 
     def node_count(self, fragment_id: int) -> int:
         """Number of nodes that a fragment owns."""

@@ -6,6 +6,7 @@ arm does not swing. Everything else is the scene's, and the physics is that of s
 
 from __future__ import annotations
 
+import copy
 from collections import deque
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -124,6 +125,16 @@ class LiveScene:
             self.simulation.arm.command(names, positions)
         except ValueError as error:
             raise CommandRefused(str(error)) from error
+
+    def copied(self) -> LiveScene:
+        """A copy between two steps; both take the same course if the same happens to them."""
+        return copy.deepcopy(self)
+
+    def rest(self) -> None:
+        """Let go of what the hand holds, and stop the hammer: the commands of a user who is not there."""
+        self.drag(0, np.zeros(3), np.zeros(3))
+        if self._hammer is not None:
+            self._hammer.steer(np.zeros(3))
 
     def close(self) -> None:
         """Release the simulation's resources."""

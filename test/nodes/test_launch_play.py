@@ -44,7 +44,7 @@ def test_arguments_reach_the_nodes(describe) -> None:
     assert [node.executable for node in nodes] == NAMES
     assert all(node.on_exit is not None and "__ns:=/cell" in node.command for node in nodes)
     assert Path(service.command[-1]).name == "collision.yaml"
-    assert parameters(simulator) == {"scene": "wall", "seed": 7}
+    assert parameters(simulator) == {"scene": "wall", "seed": 7, "folder": "out/play"}
     assert parameters(page) == {"scene": "wall", "host": "127.0.0.1", "port": 8123, "folder": "out/play"}
 
 

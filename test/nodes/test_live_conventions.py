@@ -117,7 +117,7 @@ def test_names_are_private_or_those_of_standard_tools(visitor: Visitor) -> None:
     heard = dict(node.get_subscriber_names_and_types_by_node("live_simulator_node", "/cell"))
     said = dict(node.get_publisher_names_and_types_by_node("live_simulator_node", "/cell"))
     own = "/cell/live_simulator_node"
-    assert services[f"{own}/reset"] == services[f"{own}/step"] == ["std_srvs/srv/Trigger"]
+    assert services[f"{own}/reset"] == services[f"{own}/step"] == services[f"{own}/rewind"] == ["std_srvs/srv/Trigger"]
     assert services[f"{own}/pause"] == ["std_srvs/srv/SetBool"]
     assert {f"{own}/throw_ball", f"{own}/hand_target", "/cell/cmd_vel", "/cell/joint_commands"} <= heard.keys()
     assert {f"{own}/status", "/cell/joint_states", "/cell/robot_description", "/cell/bodies", "/clock"} <= said.keys()

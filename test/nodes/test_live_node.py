@@ -7,66 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fracture_collision.msg import FragmentStates, SimulationStatus
-from sensor_msgs.msg import JointState
-from stages.ros_client import PATIENCE
+from stages.live_player import PLATE, Player
 from stages.ros_stage import StageWithClients
 
 from fracture_collision.ros.nodes.live_client import LiveClient
-from fracture_collision.ros.wire import qos
-from fracture_collision.ros.wire.interfaces import LIVE_STATUS
 from fracture_collision.share import share_directory
-
-PLATE = np.array([-0.45, 0.0, 0.7227])  # [m] the first plate
-
-
-class Player:
-    """A user of a live scene of plates."""
-
-    def __init__(self, stage: StageWithClients) -> None:
-        self.service = stage.start("collision_node")
-        self.simulator = stage.start("live_simulator_node", scene="plates", seed=7)
-        self._ears = stage.client()
-        self.hands = LiveClient(self._ears.node)
-        self.told: list[SimulationStatus] = []
-        self.states: list[FragmentStates] = []
-        self.joints: list[JointState] = []
-        for topic, collected in (
-            (LIVE_STATUS, self.told), (qos.FRAGMENT_STATES, self.states), (qos.JOINT_STATES, self.joints),
-        ):  # fmt: skip
-            self._ears.node.create_subscription(topic.message_class, topic.name, collected.append, topic.qos)
-        self.until(lambda: self.hands.is_there() and bool(self.told) and bool(self.states), "a live scene")
-
-    @property
-    def status(self) -> SimulationStatus:
-        return self.told[-1]
-
-    def until(self, condition, what: str) -> None:
-        self._ears.spin_until(condition, what, 2 * PATIENCE)
-
-    def answer(self, future):
-        self.until(future.done, "an answer")
-        return future.result()
-
-    def steps_go_on(self, count: int = 10) -> None:
-        """Waits for `count` more steps of the same run."""
-        run_id, step = self.status.run_id, self.status.step
-        self.until(lambda: self.status.run_id == run_id and self.status.step >= step + count, "more steps")
-
-    def begin_again(self, scene: str = "plates") -> None:
-        self.answer(self.hands.set_parameters(next_scene=scene, rate=1.0))
-        self.answer(self.hands.pause(False))
-        before = self.status.run_id
-        assert self.answer(self.hands.reset()).success
-        self.until(lambda: self.status.run_id != before and self.status.step > 5, "another run")
-
-    def place(self, fragment_id: int) -> np.ndarray:
-        """Position [m] of its body frame."""
-        row = list(self.states[-1].fragment_ids).index(fragment_id)
-        return np.array(self.states[-1].positions[3 * row : 3 * row + 3])
-
-    def newest_ids(self) -> set[int]:
-        return set(self.states[-1].fragment_ids)
 
 
 @pytest.fixture(scope="module")

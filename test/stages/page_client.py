@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
+from uuid import uuid4
 
 import msgspec
 import viser
@@ -27,6 +28,8 @@ class PageClient:
         self._connection = connection
         self._knobs: dict[str, str] = {}  # by label
         self.notices: list[str] = []
+        self.acknowledged: list[int] = []  # bytes of uploads
+        self.removed: list[str] = []  # notices
         self._send(CAMERA)  # viser ignores a client until it sends its camera
         self._thread = threading.Thread(target=self._take, daemon=True)
         self._thread.start()
@@ -35,6 +38,21 @@ class PageClient:
         """Sets a control as a user would."""
         wait_until(lambda: label in self._knobs)
         self._send({"type": "GuiUpdateMessage", "uuid": self._knobs[label], "updates": {"value": value}})
+
+    def upload(self, label: str, name: str, parts: list[bytes], size: int | None = None) -> None:
+        """Sends a file as a browser would; `size`: that it declares, by default its own."""
+        wait_until(lambda: label in self._knobs)
+        button, transfer = self._knobs[label], str(uuid4())
+        self._send(
+            {"type": "FileTransferStartUpload", "source_component_uuid": button, "transfer_uuid": transfer,
+             "filename": name, "mime_type": "", "part_count": len(parts),
+             "size_bytes": sum(map(len, parts)) if size is None else size}
+        )  # fmt: skip
+        for index, part in enumerate(parts):
+            self._send(
+                {"type": "FileTransferPart", "source_component_uuid": button, "transfer_uuid": transfer,
+                 "part_index": index, "content": part}
+            )  # fmt: skip
 
     def _send(self, message: dict[str, Any]) -> None:
         self._connection.send(msgspec.msgpack.encode(message))
@@ -48,6 +66,10 @@ class PageClient:
                         self._knobs[label] = message["uuid"]
                     if message["type"] == "NotificationShowMessage":
                         self.notices.append(message["props"]["body"])
+                    elif message["type"] == "FileTransferPartAck":
+                        self.acknowledged.append(message["transferred_bytes"])
+                    elif message["type"] == "RemoveNotificationMessage":
+                        self.removed.append(message["uuid"])
         except ConnectionClosed:
             pass
 

@@ -19,7 +19,7 @@ from worlds.small_run import small_run
 from fracture_collision.records import CollisionBody, FragmentMesh, FragmentStates
 from fracture_collision.viewer.page.page import INTERVAL, MOST_BEHIND, Page
 from fracture_collision.viewer.page.page_plots import Figures
-from fracture_collision.viewer.page.page_stream import STILL, LiveValues
+from fracture_collision.viewer.page.server.page_stream import STILL, LiveValues
 from fracture_collision.viewer.pictures.body_mesh import mesh_of_body, mesh_of_fragment
 from fracture_collision.viewer.pictures.gltf import glb_of_mesh
 from fracture_collision.viewer.pictures.palette import Palette, display_colour

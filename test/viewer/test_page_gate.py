@@ -12,10 +12,10 @@ import viser
 from stages.page_client import page_client
 from websockets import Headers
 
-from fracture_collision.viewer.page import page_gate
 from fracture_collision.viewer.page.page import Page
 from fracture_collision.viewer.page.page_events import Handlers, Start
-from fracture_collision.viewer.page.page_gate import Gate, GateError, guarded
+from fracture_collision.viewer.page.server import page_gate
+from fracture_collision.viewer.page.server.page_gate import Gate, GateError, guarded
 
 FOREIGN = ("http://evil.example", "https://evil.example", "null", "http://localhost.evil.example", "file://")
 

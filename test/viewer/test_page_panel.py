@@ -34,7 +34,8 @@ KNOBS = {
     "visit_budget": SettingKnob("nodes", 0, 2**40),
 }
 ALL = Handlers(*(lambda *_: None,) * len(Handlers._fields))
-START = Start(("plates", "vase"), "plates", settings=KNOBS, joints=tuple(Joint(f"j{i}", -1, 1) for i in range(7)))
+JOINTS = tuple(Joint(f"j{i}", -1, 1) for i in range(7))
+START = Start(("plates", "vase"), "plates", mesh_suffixes=(".obj",), settings=KNOBS, joints=JOINTS)
 
 
 @pytest.fixture(scope="module")

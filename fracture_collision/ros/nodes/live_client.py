@@ -33,9 +33,9 @@ class LiveClient:
                 qos.JOINT_COMMANDS,
             )
         )  # fmt: skip
-        self._reset, self._step, self._pause = (
+        self._reset, self._rewind, self._step, self._pause = self._services = tuple(
             node.create_client(service.service_class, service.name.replace("~", simulator))
-            for service in (interfaces.RESET, interfaces.STEP, interfaces.PAUSE)
+            for service in (interfaces.RESET, interfaces.REWIND, interfaces.STEP, interfaces.PAUSE)
         )
         self._parameters = AsyncParameterClient(node, simulator)
 
@@ -43,7 +43,7 @@ class LiveClient:
         """Whether a live simulator subscribes to all topics and provides all services."""
         said = (self._balls, self._hand, self._velocity, self._joints)
         heard = all(each.get_subscription_count() > 0 for each in said)
-        return heard and all(each.service_is_ready() for each in (self._reset, self._step, self._pause))
+        return heard and all(each.service_is_ready() for each in self._services)
 
     def throw(
         self, position: Vector, velocity: Vector, radius: float = 0.04, density: float = 2000.0
@@ -80,6 +80,10 @@ class LiveClient:
     def reset(self) -> Future:
         """Future of a Trigger.Response."""
         return self._reset.call_async(Trigger.Request())
+
+    def rewind(self) -> Future:
+        """Future of a Trigger.Response, whose message has the time to which the scene goes back."""
+        return self._rewind.call_async(Trigger.Request())
 
     def pause(self, paused: bool) -> Future:
         """Future of a SetBool.Response."""

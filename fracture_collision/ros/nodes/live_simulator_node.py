@@ -1,8 +1,8 @@
 """An interactive simulator: paced by the clock, it runs until it is shut down and takes commands from topics.
 
 ~/throw_ball, ~/hand_target and cmd_vel (of any teleop tool) act on the scene, joint_commands on its arm. An arm is
-published as robot_description, joint_states and tf. The services ~/reset, ~/pause and ~/step control the run. The steps
-themselves are those of simulator_node.
+published as robot_description, joint_states and tf. The services ~/reset, ~/rewind, ~/pause and ~/step control the
+run. The steps themselves are those of simulator_node.
 """
 
 from __future__ import annotations
@@ -11,6 +11,8 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 from geometry_msgs.msg import Point, Twist, Vector3
@@ -24,10 +26,12 @@ from std_srvs.srv import SetBool, Trigger
 from fracture_collision.msg import HandTarget, SimulationStatus, ThrowBall
 from fracture_collision.ros.nodes.arm_publisher import ArmPublisher
 from fracture_collision.ros.nodes.simulator_node import SimulatorNode, derived_run_id, work
+from fracture_collision.ros.nodes.uploaded_scenes import UPLOADS, scene_file
 from fracture_collision.ros.processes.parameters import Declaration, Range, declare
 from fracture_collision.ros.processes.process import Fatal, run_node
 from fracture_collision.ros.wire import interfaces, qos
 from fracture_collision.ros.wire.conversion import header_of, heading
+from fracture_collision.simulation.history import REACH, History, Moment
 from fracture_collision.simulation.live import Ball, CommandRefused, LiveScene
 from fracture_collision.simulation.scene.scene import Scene, SceneError, load_scene, scene_names
 from fracture_collision.simulation.simulation import Simulation, StepReport
@@ -41,8 +45,9 @@ RATE = Declaration(
     "rate", 1.0, "simulated time over real time; 0.1: slow motion", Range(0.01, 10.0), fixed=False
 )
 NEXT_SCENE = Declaration(
-    "next_scene", "", "scene of the next reset, a name in config/scenes; '': the same", fixed=False
+    "next_scene", "", "scene of the next reset, a name in config/scenes or of an upload; '': the same", fixed=False
 )
+FOLDER = Declaration("folder", "out/play", "that of the page, with the scenes of uploaded meshes")
 
 
 class LiveSimulatorNode(SimulatorNode):
@@ -51,7 +56,7 @@ class LiveSimulatorNode(SimulatorNode):
     ~ in names is the node's name. Commands are executed between two steps, in order of arrival.
     """
 
-    PARAMETERS = (*SimulatorNode.PARAMETERS, RATE, NEXT_SCENE)
+    PARAMETERS = (*SimulatorNode.PARAMETERS, RATE, FOLDER, NEXT_SCENE)
     INTERFACE = interfaces.LIVE_SIMULATOR
     EXAMPLES = (
         "--ros-args -p scene:=vase -p rate:=0.5",
@@ -64,13 +69,14 @@ class LiveSimulatorNode(SimulatorNode):
         super().__init__(interfaces.LIVE_SIMULATOR_NODE)
         declare(self, RATE)
         self._scene_name = self.get_parameter("scene").value  # as load_scene takes it
+        self._uploads = Path(declare(self, FOLDER)) / UPLOADS
         # A page in a browser may set this: no paths are accepted, except the one given at the start.
         self._offered = ("", self._scene_name, *scene_names())
         self.add_on_set_parameters_callback(self._judge)
         declare(self, NEXT_SCENE)
         self._commands: deque[Callable[[], None]] = deque()
         self._paused, self._steps_allowed = False, 0
-        self._next: Scene | None = None
+        self._next: Callable[[], None] | None = None  # makes what runs next, once this run is to end
         self._next_status = 0.0
         self._refused = ""
         self._reached: deque[tuple[float, float]] = deque()  # real and simulated time of the last steps
@@ -83,12 +89,14 @@ class LiveSimulatorNode(SimulatorNode):
         self._status = self.create_publisher(topic.message_class, topic.name, topic.qos)
         self._arm = ArmPublisher(self)
         for service, answer in (
-            (interfaces.RESET, self._on_reset), (interfaces.STEP, self._on_step), (interfaces.PAUSE, self._on_pause),
+            (interfaces.RESET, self._on_reset), (interfaces.REWIND, self._on_rewind),
+            (interfaces.STEP, self._on_step), (interfaces.PAUSE, self._on_pause),
         ):  # fmt: skip
             self.create_service(service.service_class, service.name, answer)
 
     def _make_simulation(self, scene: Scene, seed: int) -> Simulation:
         self._live, self._scene, self._seed = LiveScene(scene, seed, self._looks_ahead), scene, seed
+        self._history = History()
         return self._live.simulation
 
     # --- the run ---------------------------------------------------------------------------------------------------
@@ -101,13 +109,13 @@ class LiveSimulatorNode(SimulatorNode):
                 self._run_once(executor)
             except Fatal as error:
                 self.get_logger().error(f"{error}; restarting the scene")
-                self._next = self._scene
-            self._begin_again(self._next or self._scene)
+                self._next = None
+            self._begin_again(self._next or partial(self._start, self._scene))
 
     def _run_once(self, executor: Executor) -> None:
-        """Runs until a reset is requested."""
+        """Runs until a reset or a rewind is requested."""
         self._arm.begin(self._scene.arm)
-        self._announce(self._simulation.start_bodies(), [])
+        self._announce(self._simulation.start_bodies(), self._history.events)
         due = time.monotonic()
         report, round_trip = None, 0.0
         while self._next is None:
@@ -122,6 +130,7 @@ class LiveSimulatorNode(SimulatorNode):
                 continue
             else:
                 self._steps_allowed = max(self._steps_allowed - 1, 0)
+                self._history.keep(self._live)
                 report, _, round_trip = self._step(executor)
                 due = max(due + self._scene.time_step / self._rate, time.monotonic() - MOST_BEHIND)
                 self._tell(report, round_trip)
@@ -129,11 +138,26 @@ class LiveSimulatorNode(SimulatorNode):
             while self._commands and self._next is None:
                 self._commands.popleft()()
 
-    def _begin_again(self, scene: Scene) -> None:
+    def _announce(self, bodies: list, events: list) -> None:
+        super()._announce(bodies, events)
+        self._history.add(events)
+
+    def _start(self, scene: Scene) -> None:
+        self._simulation = self._make_simulation(scene, self._seed + 1)
+
+    def _go_back(self, moment: Moment) -> None:
+        self._history = self._history.until(moment)
+        self._live = moment.live.copied()
+        self._live.rest()
+        self._simulation = self._live.simulation
+
+    def _begin_again(self, make: Callable[[], None]) -> None:
+        """Begins a new run with what `make` makes."""
         self._next = None
         self._live.close()
-        self._simulation = self._make_simulation(scene, self._seed + 1)
-        self._run_id = derived_run_id(f"{scene.name}/{time.time_ns()}", self._seed)
+        make()
+        self._run_id = derived_run_id(f"{self._scene.name}/{time.time_ns()}", self._seed)
+        self._registry = None  # of the run before
         self._commands.clear()
         self._reached.clear()
         self._refused = ""
@@ -209,7 +233,8 @@ class LiveSimulatorNode(SimulatorNode):
         self._later(qos.JOINT_COMMANDS, lambda: self._live.command_joints(names, positions))
 
     def _judge(self, parameters: list[Parameter]) -> SetParametersResult:
-        if all(each.value in self._offered for each in parameters if each.name == "next_scene"):
+        names = [each.value for each in parameters if each.name == "next_scene"]
+        if all(name in self._offered or scene_file(self._uploads, name) for name in names):
             return SetParametersResult(successful=True)
         reason = f"next_scene: pass the name of a scene: {', '.join(self._offered[1:])}"
         return SetParametersResult(successful=False, reason=reason)
@@ -217,14 +242,26 @@ class LiveSimulatorNode(SimulatorNode):
     def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         name = self.get_parameter("next_scene").value or self._scene_name
         try:
-            self._next = load_scene(name)
+            scene = load_scene(name if name in self._offered else scene_file(self._uploads, name) or name)
         except (SceneError, OSError) as error:
             # Errors quote the file, and its content must not leave this machine.
             self.get_logger().error(str(error))
             response.message = f"{name} cannot be read; see the log of {self.get_name()}"
             return response
         self._scene_name = name
+        self._next = partial(self._start, scene)
         response.success, response.message = True, f"restarting {name}"
+        return response
+
+    def _on_rewind(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        now = self._simulation.time
+        moment = self._history.moment(now - REACH)
+        if moment is None:
+            response.message = "the scene has not begun"
+            return response
+        self._next = partial(self._go_back, moment)
+        self._paused, self._steps_allowed = True, 0
+        response.success, response.message = True, f"from {now:.2f} s back to {moment.time:.2f} s, paused"
         return response
 
     def _on_step(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:

@@ -19,7 +19,8 @@ from scipy.spatial.transform import Rotation
 from fracture_collision.records import FragmentStates
 from fracture_collision.ros.nodes.live_client import LiveClient
 from fracture_collision.ros.nodes.recordings import RecordingFailed, Recordings
-from fracture_collision.viewer.page.page_events import Ball, Drag, Handlers, InsideWanted, Ray, ServiceSliders
+from fracture_collision.ros.nodes.uploaded_scenes import UPLOADS, UploadedScenes
+from fracture_collision.viewer.page.page_events import Ball, Drag, Handlers, InsideWanted, Ray, ServiceSliders, Upload
 
 # [s] A request to the service that has no answer by then is lost: it is sent again.
 RETRY = 2.0
@@ -40,11 +41,14 @@ class PageCommands:
         folder: Path,
         look_inside: Callable[[InsideWanted], None],
         notify: Callable[[str], None],
+        add_scene: Callable[[str], None],
     ) -> None:
-        """`folder`: of recordings. `notify` shows a text on the page."""
+        """`folder`: of recordings and uploads. `notify` shows a text on the page, `add_scene` offers one more there."""
         self._node = node
+        self._add_scene = add_scene
         self._look_inside = look_inside
         self._notify = notify
+        self._uploads = UploadedScenes(folder / UPLOADS, self._later(self._show_upload))
         self._recordings = Recordings(folder, node.get_namespace())
         self._hands = LiveClient(node)
         self._service = AsyncParameterClient(node, SERVICE)
@@ -60,7 +64,8 @@ class PageCommands:
         self._requested = 0.0, 0.0  # [s] the last lookahead requested, and when
 
     def close(self) -> None:
-        """Ends a recording."""
+        """Ends a recording, and the making of a scene."""
+        self._uploads.close()
         with suppress(RecordingFailed):  # its log has the reason
             self._recordings.end()
 
@@ -105,14 +110,7 @@ class PageCommands:
 
     def handlers(self) -> Handlers:
         """Handlers of all input of the page."""
-
-        def later(act: Callable[..., object]) -> Callable[..., None]:
-            def order(*told: Any) -> None:
-                self._orders.append(lambda: act(*told))
-                self._wake.trigger()
-
-            return order
-
+        later = self._later
         return Handlers(
             clicked=later(self._throw),
             drag_begun=later(self._take),
@@ -120,7 +118,9 @@ class PageCommands:
             drag_ended=later(self._let_go),
             arrow=later(self._strike),
             scene_chosen=later(self._choose),
+            uploaded=later(self._uploads.add),
             reset=later(lambda: self._answered(self._hands.reset(), "reset")),
+            rewind=later(lambda: self._answered(self._hands.rewind(), "rewind")),
             paused=later(lambda paused: self._answered(self._hands.pause(paused), "pause")),
             one_step=later(lambda: self._answered(self._hands.step(), "one step")),
             slow_motion=later(lambda rate: self._hands.set_parameters(rate=float(rate))),
@@ -129,6 +129,15 @@ class PageCommands:
             recording=later(self._record),
             looking_inside=later(self._look_inside),
         )
+
+    def _later(self, act: Callable[..., object]) -> Callable[..., None]:
+        """`act` for any thread to call; it runs in the node's."""
+
+        def order(*told: Any) -> None:
+            self._orders.append(lambda: act(*told))
+            self._wake.trigger()
+
+        return order
 
     def _obey(self) -> None:
         while self._orders:
@@ -190,6 +199,11 @@ class PageCommands:
                 self._answered(self._hands.reset(), f"scene {scene}")
 
         self._hands.set_parameters(next_scene=scene).add_done_callback(begin)
+
+    def _show_upload(self, scene: str, upload: Upload) -> None:
+        upload.tell(f"{upload.name} is the scene {scene}")
+        self._add_scene(scene)
+        self._choose(scene)
 
     def _set_service(self, sliders: ServiceSliders) -> None:
         self._set.append(sliders)

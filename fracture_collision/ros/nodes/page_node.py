@@ -32,6 +32,7 @@ from fracture_collision.ros.wire.cdr_records import deserialize_record
 from fracture_collision.ros.wire.conversion import to_record
 from fracture_collision.simulation.actors.arm import PARTS, joint_limits
 from fracture_collision.simulation.scene.scene import scene_files
+from fracture_collision.uploaded_scene import SUFFIXES
 from fracture_collision.viewer.page.page import Page
 from fracture_collision.viewer.page.page_events import Joint, ServiceSliders, SettingKnob, Start
 from fracture_collision.viewer.page.page_plots import Figures
@@ -65,7 +66,7 @@ class PageNode(Node):
         Declaration("host", "127.0.0.1", "address of the page; 0.0.0.0: open to the network"),
         Declaration("port", 0, "port of the page; 0: any free one", Range(0, 65535)),
         Declaration("scene", "plates", "scene that runs when the page starts"),
-        Declaration("folder", "out/play", "folder of recordings"),
+        Declaration("folder", "out/play", "folder of recordings and of uploads"),
     )
     INTERFACE = interfaces.PAGE
     EXAMPLES = ("--ros-args -p port:=8080", "--ros-args -p scene:=vase -r __ns:=/cell")
@@ -74,7 +75,10 @@ class PageNode(Node):
         super().__init__("page_node")
         host, port, scene, folder = declare_all(self, self.PARAMETERS).values()
         self._mirror = Mirror(lambda view: self.page.show_inside(view))
-        self._commands = PageCommands(self, Path(folder), self._mirror.want, lambda words: self.page.notify(words))
+        self._commands = PageCommands(
+            self, Path(folder), self._mirror.want, lambda words: self.page.notify(words),
+            lambda name: self.page.add_scene(name),
+        )  # fmt: skip
 
         self._run_id = 0
         self._body_of: dict[int, int] = {}  # of each fragment
@@ -89,7 +93,7 @@ class PageNode(Node):
         joints = tuple(map(Joint, limits.names, limits.lower.tolist(), limits.upper.tolist()))
         scenes = tuple(dict.fromkeys((scene, *(file.path.stem for file in scene_files()))))
         try:
-            start = Start(scenes=scenes, scene=scene, settings=KNOBS, joints=joints)
+            start = Start(scenes=scenes, scene=scene, mesh_suffixes=SUFFIXES, settings=KNOBS, joints=joints)
             self.page = Page(self._commands.handlers(), start, host, port, TOLD)
         except OSError as error:
             raise Fatal(f"the page cannot be served at {host}:{port}: {error}") from error
@@ -157,13 +161,17 @@ class PageNode(Node):
         self._mirror.hear(message)
         for fragment_id in message.new_fragment_ids:
             self._body_of[fragment_id] = message.body_id
-            if fragment_id in self._meshes:
-                self.page.add_fragment(self._meshes.pop(fragment_id), message.body_id)
+        self._add_waiting()
 
     def _on_registry(self, message: Any) -> None:
         """Living fragments, for a page that joins a run late."""
         if self._of_this_run(message.run_id):
             self._body_of.update(zip(message.fragment_ids, message.body_ids, strict=True))
+            self._add_waiting()
+
+    def _add_waiting(self) -> None:
+        for fragment_id in [each for each in self._meshes if each in self._body_of]:
+            self.page.add_fragment(self._meshes.pop(fragment_id), self._body_of[fragment_id])
 
     def _on_mesh(self, data: bytes) -> None:
         with suppress(ValueError):  # not a mesh

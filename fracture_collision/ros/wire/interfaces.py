@@ -31,6 +31,7 @@ class Interface(NamedTuple):
 RESET = Service("~/reset", Trigger, "starts the scene `next_scene` from its beginning, as a new run")
 PAUSE = Service("~/pause", SetBool, "true: pauses the run, false: continues it")
 STEP = Service("~/step", Trigger, "makes one step of a paused run")
+REWIND = Service("~/rewind", Trigger, "goes back by up to ten simulated seconds, as a new run, and pauses it")
 
 _RUN = (qos.BODIES, qos.FRACTURE_EVENTS, qos.FRAGMENT_STATES)
 _TRANSFORMS = (qos.TF, qos.TF_STATIC) if qos.TFMessage is not None else ()
@@ -48,7 +49,7 @@ LIVE_SIMULATOR = Interface(
     publishes=(
         *SIMULATOR.publishes, qos.SIMULATION_STATUS, qos.JOINT_STATES, qos.ROBOT_DESCRIPTION, *_TRANSFORMS,
     ),
-    serves=(RESET, PAUSE, STEP),
+    serves=(RESET, REWIND, PAUSE, STEP),
 )  # fmt: skip
 LIVE_STATUS = qos.of_node(qos.SIMULATION_STATUS, LIVE_SIMULATOR_NODE)  # as others subscribe to it
 RECORDER = Interface(subscribes=(*qos.TOPICS, qos.DIAGNOSTICS))

@@ -67,6 +67,10 @@ class SceneBody(NamedTuple):
     linear_velocity: np.ndarray  # (3,) [m/s] at its start
     angular_velocity: np.ndarray  # (3,) [rad/s], world axes
 
+    def __deepcopy__(self, _memo: dict[int, Any]) -> SceneBody:
+        """Itself: nothing changes it, and its mesh may be large."""
+        return self
+
 
 class Scene(NamedTuple):
     """A scene: its bodies, and all settings of the simulation."""
@@ -85,6 +89,10 @@ class Scene(NamedTuple):
     def step_count(self) -> int:
         """Number of steps that cover `duration`."""
         return math.ceil(self.duration / self.time_step - 1e-9)
+
+    def __deepcopy__(self, _memo: dict[int, Any]) -> Scene:
+        """Itself: nothing changes it."""
+        return self
 
 
 class SceneFile(NamedTuple):

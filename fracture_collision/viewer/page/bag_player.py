@@ -17,8 +17,8 @@ from fracture_collision.viewer.film.run_camera import camera_of, chosen_moments
 from fracture_collision.viewer.film.run_scene import RunScene
 from fracture_collision.viewer.page.page import INTERVAL, Page
 from fracture_collision.viewer.page.page_camera import FREE_ASPECT
-from fracture_collision.viewer.page.page_gate import LOCALHOST
 from fracture_collision.viewer.page.page_plots import SHOWN, Figures
+from fracture_collision.viewer.page.server.page_gate import LOCALHOST
 
 MOMENTS = 6  # of the run from which the camera is chosen
 SLIDER_INTERVAL = 0.2  # [s] between two movements of the time bar

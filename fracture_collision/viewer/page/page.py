@@ -20,21 +20,20 @@ from fracture_collision.records import CollisionBody, ContactConstraintArray, Fr
 from fracture_collision.viewer.page.page_camera import Cameras
 from fracture_collision.viewer.page.page_contacts import ContactLayers
 from fracture_collision.viewer.page.page_controls import Controls
-from fracture_collision.viewer.page.page_document import TITLE, Document
 from fracture_collision.viewer.page.page_events import Handlers, ServiceSliders, Start
-from fracture_collision.viewer.page.page_gate import LOCALHOST, bracketed, started_server, stop_server
 from fracture_collision.viewer.page.page_help import add_help, help_text
 from fracture_collision.viewer.page.page_inside import Inside, InsideView
 from fracture_collision.viewer.page.page_plots import Figures, Plots, check_told, plots_of
 from fracture_collision.viewer.page.page_scene import DragHandlers, SceneNodes
-from fracture_collision.viewer.page.page_stream import LiveValues, run_script
 from fracture_collision.viewer.page.page_summary import Summary
+from fracture_collision.viewer.page.server.page_document import TITLE, Document
+from fracture_collision.viewer.page.server.page_gate import LOCALHOST, bracketed, started_server, stop_server
+from fracture_collision.viewer.page.server.page_stream import LiveValues, run_script, show_notice
 from fracture_collision.viewer.pictures.ray_picture import Camera
 
 INTERVAL = 1.0 / 32.0  # [s] between two frames: some are late, and thirty a second should remain
 MOST_BEHIND = 3.0 * INTERVAL  # [s] At most this backlog of frames, missed because states were late, is caught up.
 BRAND = (38, 94, 150)
-NOTICE = 8.0  # [s] that a notification stays
 
 
 class Page:
@@ -168,6 +167,10 @@ class Page:
         if name != self._document.name:
             self._order(show)
 
+    def add_scene(self, name: str) -> None:
+        """Offer one more scene."""
+        self._order(lambda: self._controls.add_scene(name))
+
     def show_rate(self, achieved: float, requested: float, paused: bool) -> None:
         """Simulated time over real time, at present and as requested; to be called several times a second."""
         self._summary.show_rate(time.monotonic(), achieved, requested, paused)
@@ -188,7 +191,7 @@ class Page:
     def notify(self, words: str) -> None:
         """Show a notification for some seconds in all connected browsers."""
         for client in self._server.get_clients().values():
-            client.add_notification(TITLE, words, auto_close_seconds=NOTICE)
+            show_notice(client, words)
 
     def show_states(self, states: FragmentStates) -> None:
         """Show states; those not yet shown are skipped."""

@@ -8,7 +8,7 @@ import numpy as np
 import viser
 
 from fracture_collision.records import ContactConstraintArray
-from fracture_collision.viewer.page.page_stream import LiveValues
+from fracture_collision.viewer.page.server.page_stream import LiveValues
 from fracture_collision.viewer.pictures.palette import gap_colours
 
 MILLI = 1e3

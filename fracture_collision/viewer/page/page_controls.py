@@ -10,6 +10,7 @@ import numpy as np
 import viser
 
 from fracture_collision.viewer.page.page_events import Ball, Handlers, Joint, Ray, ServiceSliders, Start
+from fracture_collision.viewer.page.server.page_upload import Uploads
 
 ArrowKey = Literal["arrowup", "arrowdown", "arrowleft", "arrowright"]
 ARROWS: tuple[tuple[str, ArrowKey], ...] = (
@@ -38,7 +39,9 @@ class Controls:
         self._scene: viser.GuiDropdownHandle[str] | None = None
         if handlers.scene_chosen and start.scenes:
             self._scene = self._gui.add_dropdown("scene", start.scenes, initial_value=start.scene or start.scenes[0])
-            on_update(self._scene, _one_of(start.scenes, handlers.scene_chosen))
+            on_update(self._scene, _one_of(self._scene, handlers.scene_chosen))
+        if handlers.uploaded and start.mesh_suffixes:
+            Uploads(server, "upload a mesh", start.mesh_suffixes, handlers.uploaded)
         self._add_time(start)
         if handlers.clicked:
             self._add_ball(server, start.ball, handlers.clicked)
@@ -53,6 +56,11 @@ class Controls:
         """Show which scene runs, if it is one of those offered."""
         if self._scene is not None and name in self._scene.options and self._scene.value != name:
             self._scene.value = name  # type: ignore[misc]  # mypy misses viser's setter
+
+    def add_scene(self, name: str) -> None:
+        """Offer one more scene."""
+        if self._scene is not None and name not in self._scene.options:
+            self._scene.options = (*self._scene.options, name)
 
     def show_paused(self, paused: bool) -> None:
         """Show whether the scene is paused, once that has changed: a box that a user has just ticked stays ticked."""
@@ -80,6 +88,8 @@ class Controls:
             _on_click(self._gui.add_button("one step", icon=viser.Icon.PLAYER_TRACK_NEXT), handlers.one_step)
         if handlers.reset:
             _on_click(self._gui.add_button("start over", icon=viser.Icon.REFRESH), handlers.reset)
+        if handlers.rewind:
+            _on_click(self._gui.add_button("rewind 10 s", icon=viser.Icon.REWIND_BACKWARD_10), handlers.rewind)
         if handlers.slow_motion:
             slider = self._gui.add_slider("slow motion", SLOWEST, 1.0, 0.01, start.slow_motion)
             on_update(slider, handlers.slow_motion)
@@ -136,11 +146,11 @@ class Controls:
             on_update(knob, told)
 
 
-def _one_of(options: Sequence[str], handler: Callable[[str], None]) -> Callable[[str], None]:
+def _one_of(scenes: viser.GuiDropdownHandle[str], handler: Callable[[str], None]) -> Callable[[str], None]:
     """Drop other options: the browser offers none, but a client need not be a browser."""
 
     def chosen(option: str) -> None:
-        if option in options:
+        if option in scenes.options:
             handler(option)
 
     return chosen

@@ -84,6 +84,14 @@ class Joint(NamedTuple):
     upper: float  # [rad]
 
 
+class Upload(NamedTuple):
+    """A file that a user has sent."""
+
+    name: str  # as the browser gave it: text for messages, never a path
+    content: bytes
+    tell: Callable[[str], None]  # shows a notification in the browser that sent it; any thread may call
+
+
 class Handlers(NamedTuple):
     """Handlers of user input; the page has no control for a missing handler.
 
@@ -96,7 +104,9 @@ class Handlers(NamedTuple):
     drag_ended: Callable[[Drag], None] | None = None
     arrow: Callable[[str], None] | None = None  # "up", "down", "left", "right", repeated while a key is held
     scene_chosen: Callable[[str], None] | None = None
+    uploaded: Callable[[Upload], None] | None = None  # of a mesh, whose name ends in one of Start.mesh_suffixes
     reset: Callable[[], None] | None = None
+    rewind: Callable[[], None] | None = None
     paused: Callable[[bool], None] | None = None
     one_step: Callable[[], None] | None = None
     slow_motion: Callable[[float], None] | None = None  # simulated seconds a second of the wall clock, at most 1
@@ -111,6 +121,7 @@ class Start(NamedTuple):
 
     scenes: tuple[str, ...] = ()
     scene: str = ""
+    mesh_suffixes: tuple[str, ...] = ()  # of files that may be uploaded
     ball: Ball = Ball(6.0, 0.04)
     slow_motion: float = 1.0
     service: ServiceSliders = ServiceSliders()

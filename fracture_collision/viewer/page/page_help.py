@@ -79,7 +79,15 @@ def add_help(server: viser.ViserServer, text: str) -> None:
 def _controls(handlers: Handlers, start: Start) -> Sequence[tuple[str, bool]]:
     return (
         ("*scene*: begins another one", bool(handlers.scene_chosen and start.scenes)),
+        (
+            f"*upload a mesh*: your own body ({', '.join(start.mesh_suffixes)}), 0.3 m long, becomes a scene to smash",
+            bool(handlers.uploaded and start.mesh_suffixes),
+        ),
         ("*pause*, *one step*, *start over*: time of the scene", handlers.paused is not None),
+        (
+            "*rewind 10 s*: back by up to ten simulated seconds, and paused; *pause* lets the scene go on from there",
+            handlers.rewind is not None,
+        ),
         ("*slow motion*: simulated seconds per second", handlers.slow_motion is not None),
         ("*record*: writes a bag, for `fracture-collision view`, `film` and `replay`", handlers.recording is not None),
         ("*joint 1* to *joint 7*: the robot arm, in scenes that have one", bool(handlers.joint_set and start.joints)),

@@ -16,7 +16,7 @@ from fracture_collision.viewer.page.page_controls import on_update
 from fracture_collision.viewer.page.page_events import InsideWanted, PlaneWanted
 from fracture_collision.viewer.page.page_plots import Group, Plots
 from fracture_collision.viewer.page.page_scene import SceneNodes, turned
-from fracture_collision.viewer.page.page_stream import STILL, LiveValues
+from fracture_collision.viewer.page.server.page_stream import STILL, LiveValues
 
 MILLI = 1e3
 DEEPEST_LEVEL = 16  # of the slider: a tree of 2^16 points

@@ -11,8 +11,8 @@ import viser
 from fracture_collision.records import CollisionBody, FragmentMesh, FragmentStates
 from fracture_collision.viewer.page.page_events import Drag, Ray
 from fracture_collision.viewer.page.page_grips import Grips, Piece
-from fracture_collision.viewer.page.page_stream import LiveValues
 from fracture_collision.viewer.page.page_summary import Census
+from fracture_collision.viewer.page.server.page_stream import LiveValues
 from fracture_collision.viewer.pictures.body_mesh import BodyMesh, mesh_of_body, mesh_of_fragment
 from fracture_collision.viewer.pictures.gltf import glb_of_mesh
 from fracture_collision.viewer.pictures.palette import Palette, display_colour

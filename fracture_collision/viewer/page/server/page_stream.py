@@ -6,7 +6,7 @@ connects after an hour would have to skip millions of log entries. So these mess
 which viser does not keep and in which a newer value replaces an older one of the same thing: a slow page skips frames
 and does not lag behind. `send_all` sends the last values to a page that connects later.
 
-This file, `page_gate` and `page_document` use internals of viser 1.1 (here the queue and some message types).
+All files of this folder use internals of viser 1.1 (here the queue and some message types).
 """
 
 from __future__ import annotations
@@ -19,8 +19,11 @@ import numpy as np
 import viser
 from viser import _messages as messages
 
+from fracture_collision.viewer.page.server.page_document import TITLE
+
 # [m], and for quaternion components: smaller changes are not sent. Rounding moves resting bodies by less than this.
 STILL = 1e-6
+NOTICE = 8.0  # [s] that a notification stays
 
 
 class LiveValues:
@@ -76,6 +79,11 @@ class LiveValues:
             self.messages_sent += len(queued)
             for client in self._server.get_clients().values():
                 _queue(client, queued)
+
+
+def show_notice(client: viser.ClientHandle, words: str) -> None:
+    """Show a notification for some seconds in one browser."""
+    client.add_notification(TITLE, words, auto_close_seconds=NOTICE)
 
 
 def run_script(client: viser.ClientHandle, source: str) -> None:

@@ -31,7 +31,7 @@ from viser.infra import _infra as viser_infra
 from websockets import Headers
 from websockets.http11 import Request, Response
 
-from fracture_collision.viewer.page.page_document import Document
+from fracture_collision.viewer.page.server.page_document import Document
 
 LOCALHOST = "127.0.0.1"
 LOOPBACK_HOSTS = ("localhost", "127.0.0.1", "[::1]")
