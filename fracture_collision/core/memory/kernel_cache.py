@@ -115,6 +115,7 @@ class _Library(JITCodeLibrary):
 
     _bitcode = b""  # not parsed yet
     _module: Any = None
+    _linking_libraries: list[Any]  # numba's
 
     def add_linking_library(self, library: Any) -> None:
         super().add_linking_library(library)
