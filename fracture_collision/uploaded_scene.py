@@ -19,6 +19,7 @@ from fracture_collision.geometry.surface_files import SUFFIXES as SURFACES
 
 SUFFIXES = (*SURFACES, ".npz")
 SECONDS = 60.0  # for reading and filling
+ORPHANED = 90  # [s] of a processor, if nobody is left who waits for the outcome
 MEMORY = 4 << 30  # [bytes] of addresses
 MOST_TETRAHEDRA = 60_000  # a live scene must keep up with the clock
 LONGEST_SIDE = 0.3  # [m]
@@ -115,7 +116,7 @@ def main() -> None:
     outcome, scene = file.with_name(OUTCOME), file.with_name(scene_name)
     os.nice(LATER)
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
-    resource.setrlimit(resource.RLIMIT_CPU, (int(SECONDS), int(SECONDS)))
+    resource.setrlimit(resource.RLIMIT_CPU, (ORPHANED, ORPHANED))
     outcome.write_text(json.dumps(_write_scene(file, scene)), encoding="utf-8")
 
 

@@ -31,7 +31,7 @@ class _Transfer(NamedTuple):
 
 
 class Uploads:
-    """The button that sends a file. All methods run in the thread of viser's event loop."""
+    """The button that sends a file. Its methods, except `_tell`, run in the thread of viser's event loop."""
 
     def __init__(
         self, server: viser.ViserServer, label: str, suffixes: tuple[str, ...], uploaded: Callable[[Upload], None]
@@ -97,7 +97,12 @@ class Uploads:
             return
         del self._transfers[client_id]
         self._end(client, transfer.uuid, transfer.size)
-        self._uploaded(Upload(transfer.name, bytes(transfer.content), lambda words: show_notice(client, words)))
+        self._uploaded(Upload(transfer.name, bytes(transfer.content), lambda words: self._tell(client, words)))
+
+    def _tell(self, client: viser.ClientHandle, words: str) -> None:
+        """Any thread may call, also when the browser has gone."""
+        if client.client_id in self._server.get_clients():
+            show_notice(client, words)
 
     def _end(self, client: viser.ClientHandle, uuid: str, size: int) -> None:
         """Make the browser's button ready again, and remove its notice of progress: another one has the outcome."""
