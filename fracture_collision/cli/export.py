@@ -9,7 +9,7 @@ import click
 from rich.console import Console
 
 from fracture_collision.cli.console import BadInput, Interruption, counting_bar
-from fracture_collision.early_signals import INTERRUPTED
+from fracture_collision.process.early_signals import INTERRUPTED
 
 EXAMPLES = """\b
 Examples:
