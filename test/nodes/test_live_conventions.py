@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
@@ -22,7 +21,8 @@ from fracture_collision.ros.nodes.live_client import LiveClient
 from fracture_collision.ros.wire import qos
 from fracture_collision.ros.wire.interfaces import LIVE_STATUS
 from fracture_collision.ros.wire.message_definitions import type_hash
-from fracture_collision.simulation.actors.arm import PARTS
+from fracture_collision.share import share_directory
+from fracture_collision.simulation.actors.arm import PARTS, URDF
 from fracture_collision.simulation.scene.scene import load_scene
 
 CELL = ("-r", "__ns:=/cell")
@@ -193,15 +193,11 @@ def composed(chain: list) -> tuple[np.ndarray, Rotation]:
 
 def bullet_frames(angles: list[float]) -> tuple[np.ndarray, np.ndarray]:
     """Frames of the links by Bullet, for the arm of the scene `vase`."""
-    import pybullet_data
-
-    from fracture_collision.simulation.actors.arm import URDF
-
     arm = load_scene("vase").arm
     client = pybullet.connect(pybullet.DIRECT)
     try:
         robot = pybullet.loadURDF(
-            str(Path(pybullet_data.getDataPath()) / URDF), arm.position.tolist(), arm.orientation.tolist(),
+            str(share_directory() / URDF), arm.position.tolist(), arm.orientation.tolist(),
             useFixedBase=True, physicsClientId=client,
         )  # fmt: skip
         for j, angle in enumerate(angles):

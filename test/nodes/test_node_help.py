@@ -80,7 +80,7 @@ def test_a_pager_may_end_before_all_help_is_read() -> None:
         (("--ros-args", "-p", ":=1"), 1, ":=1"),
         (("--ros-args", "-q", "1"), 1, "-q"),
         (("--ros-args", "-p", "penetration_tolerance:=0"), 1, "expecting type 'DOUBLE'"),
-        (("--ros-args", "-p", "penetration_tolerance:=7.0"), 1, "out of range Min: 0.0, Max: 0.1"),
+        (("--ros-args", "-p", "penetration_tolerance:=7.0"), 1, "out of range Min: 0.0, Max: 1"),
     ],
 )
 def test_invalid_arguments_are_explained(arguments: tuple[str, ...], status: int, words: str) -> None:
