@@ -47,7 +47,9 @@ def play(scene: str, seed: int | None, host: str, port: int, opens: bool, out: P
     # Imported late: --help should not wait for ROS.
     from fracture_collision.ros.runs.play_run import PlayFailed, played
     from fracture_collision.simulation.config.scene_fields import SceneError
+    from fracture_collision.world.warm_up import cache_is_cold
 
+    cold = cache_is_cold()
     try:
         interrupt_on_signals()
         with console.status("starting the nodes"), played(scene, -1 if seed is None else seed, out, host, port) as run:
@@ -57,6 +59,8 @@ def play(scene: str, seed: int | None, host: str, port: int, opens: bool, out: P
                     title=f"{scene}, to smash", expand=False,
                 )  # fmt: skip
             )
+            if cold:
+                console.print("The first start compiles kernels: the scene moves in some minutes.")
             if opens:
                 webbrowser.open(run.address)
             while True:

@@ -95,7 +95,7 @@ class CollisionNode(Node):
         self._without_effect = unknown_parameters(self)
         doing = "loading kernels"
         if cache_is_cold():
-            doing = "compiling kernels (cold cache, one to two minutes)"
+            doing = "compiling kernels (cold cache: some minutes)"
             gc.enable()
 
         def progress(text: str) -> None:
