@@ -65,7 +65,9 @@ def _read_array(archive: zipfile.ZipFile, name: str, columns: int, kinds: str, m
             shape, is_fortran, dtype = read_header(stream, max_header_size=MAX_HEADER)
         except (ValueError, KeyError) as error:
             raise ValueError(f"{name}: not an array: {error}") from error
-        if dtype.kind not in kinds or is_fortran:
+        if is_fortran:
+            raise ValueError(f"{name}: stored by columns; save numpy.ascontiguousarray({name})")
+        if dtype.kind not in kinds:
             raise ValueError(f"{name}: not rows of {'floats' if kinds == 'f' else 'integers'} but {dtype}")
         if len(shape) != 2 or shape[1] != columns or not 0 < shape[0] <= most_rows:
             raise ValueError(f"{name}: needs (n, {columns}) numbers, n from 1 to {most_rows}, got {shape}")
