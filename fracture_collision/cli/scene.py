@@ -132,7 +132,7 @@ def parse_settings(assignments: tuple[str, ...]) -> Any:
             raise ValueError(f"--settings {assignment}: pass NAME=VALUE, such as contacts_per_pair=6")
         if name not in Settings._fields:
             hint = did_you_mean(name, Settings._fields)
-            raise ValueError(f"--settings: no setting {name!r}{hint} `fracture-collision settings` lists all")
+            raise ValueError(f"--settings: no setting {name!r}{hint or ';'} `fracture-collision settings` lists all")
         kind = type(getattr(settings, name))
         try:
             settings = settings._replace(**{name: kind(value)})

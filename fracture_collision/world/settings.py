@@ -110,7 +110,7 @@ class Range(NamedTuple):
 
 # Of every number among the settings: for the command line, the service's parameters and the page.
 RANGES = {
-    "contacts_per_pair": Range(1, 1024), "deep_contacts_per_pair": Range(1, 1024),
+    "contacts_per_pair": Range(1, 1 << 31), "deep_contacts_per_pair": Range(1, 1 << 31),
     "penetration_tolerance": Range(0, 1), "detection_tolerance": Range(0, 1),
     "lookahead": Range(0, 1),  # longer than any time step
     "threads": Range(0, 256), "visit_budget": Range(0, 1 << 40),

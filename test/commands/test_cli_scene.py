@@ -118,7 +118,7 @@ def test_curvature_changes_the_run(tmp_path: Path) -> None:
     [
         (["nowhere"], "no scene 'nowhere'"),
         (["reference_sphere:finest"], "has no variant 'finest'; there are fine_surface, coarse_inside"),
-        (["pane", "--settings", "contacts=3"], "--settings contacts=3: pass NAME=VALUE, with a name of contacts"),
+        (["pane", "--settings", "contacts=3"], "--settings: no setting 'contacts'; did you mean max_contacts?"),
         (["pane", "--settings", "contacts_per_pair=many"], "--settings contacts_per_pair: 'many' is not of type int"),
         (["pane", "--settings", "contacts_per_pair=0"], "contacts_per_pair: 0 is less than 1"),
         (["pane", "--settings", "tree=oak"], "tree: 'oak' is not one of"),

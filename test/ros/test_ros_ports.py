@@ -181,6 +181,7 @@ def test_a_node_whose_port_is_removed_reports_it_and_exits(tmp_path: Path) -> No
 STUCK = """
 import sys, time
 import fracture_collision.ros.processes.process as process
+where = sys.argv.pop()
 process.LONGEST_END = 1.0
 import rclpy, ctypes
 from rclpy.node import Node
@@ -188,12 +189,12 @@ class Stuck(Node):
     def __init__(self):
         super().__init__("stuck")
     def destroy_node(self):
-        if sys.argv[1] == "end":
+        if where == "end":
             ctypes.PyDLL(None).sleep(1000)  # as DDS may: with the interpreter's lock held
         super().destroy_node()
 def work(node):
     print("working", flush=True)
-    while sys.argv[1] == "work":
+    while where == "work":
         ctypes.CDLL(None).sleep(1000)
     while rclpy.ok():
         time.sleep(0.01)

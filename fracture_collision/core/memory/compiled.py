@@ -10,8 +10,7 @@ from typing import Any
 TRIED_WITH = "0.68."
 
 if version("numba").startswith(TRIED_WITH):
-    from fracture_collision.core.memory.callees import keep_callees_from_python
-    from fracture_collision.core.memory.kernel_cache import ForKernels, KernelCache, njit
+    from fracture_collision.core.memory.kernel_cache import ForKernels, KernelCache, keep_callees_from_python, njit
 else:
     from numba import njit
 

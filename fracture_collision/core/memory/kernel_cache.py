@@ -43,12 +43,13 @@ with _not_to_be_imported("scipy", "coverage"):
         callers_first,
         compiled_as_callee,
         is_callee,
+        keep_callees_from_python,
         left_to_link,
         rebuilt,
         reduced,
     )
 
-__all__ = ["ForKernels", "KernelCache", "njit"]
+__all__ = ["ForKernels", "KernelCache", "keep_callees_from_python", "njit"]
 
 _WRAPPER = "_ZN7cpython"  # prefix of the functions that Python calls; every cached kernel has one
 

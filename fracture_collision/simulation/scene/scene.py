@@ -193,7 +193,7 @@ def _find(name: str) -> tuple[Path, str]:
     if Path(name).suffix or len(Path(name).parts) > 1:
         raise SceneError(f"{name}: no such file")
     known = [file.path.stem for file in scene_files()]
-    raise SceneError(f"no scene {name!r}{did_you_mean(stem, known)} `fracture-collision scenes` lists all")
+    raise SceneError(f"no scene {name!r}{did_you_mean(stem, known) or ';'} `fracture-collision scenes` lists all")
 
 
 def _variants(content: Any) -> Mapping[str, Any]:
