@@ -36,17 +36,17 @@ STATISTICS = (
     ("colliding_points", "colliding points per step"),
     ("pairs", "close pairs per step"),
 )
-# A whole step consists of the five parts below it, in every table.
+# A whole step consists of the five parts below it, in every table; an indented row is a part of the one above it.
 TIMES = (
     ("time_step_ms", "time step"),
     ("total_ms", "whole step"),
     ("collision_ms", "collision detection"),
     ("update_ms", "update, at fractures"),
     ("physics_ms", "physics"),
-    ("solver_ms", "  of that, the contact solver"),
+    ("solver_ms", "  contact solver"),
     ("fracture_ms", "fracture computation"),
     ("ros_ms", "ROS"),
-    ("acknowledge_ms", "  of that, the wait for subscribers"),
+    ("acknowledge_ms", "  wait for subscribers"),
 )
 
 
@@ -88,7 +88,7 @@ def times_table(report: Mapping[str, Any]) -> list[TableRow]:
 
 def last_words(report: Mapping[str, Any]) -> str:
     """A sentence on the penetration and the speed of a run: their worst, and what is left at the end."""
-    depths = -1e3 * np.minimum(report["deepest_gap"], 0.0)
+    depths = 1e3 * np.maximum(-np.asarray(report["deepest_gap"]), 0.0) + 0.0  # no minus zero
     worst = int(np.argmax(depths))
     sentence = f"deepest penetration: {depths[-1]:.3f} mm at the end"
     if depths[worst] > depths[-1]:

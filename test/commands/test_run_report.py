@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from fracture_collision.run_report import PAPER, statistics_table, summaries, summary_of, times_table
+from fracture_collision.run_report import PAPER, last_words, statistics_table, summaries, summary_of, times_table
 from fracture_collision.simulation.scene.scene import load_scene
 
 REPORT = {
@@ -46,3 +46,9 @@ def test_tables_show_figures_of_the_paper_where_it_has_any():
 @pytest.mark.parametrize("name", sorted(PAPER))
 def test_every_scene_with_a_figure_in_the_paper_exists(name):
     assert load_scene(name).name == name
+
+
+def test_no_penetration_is_a_plain_zero():
+    said = last_words({"deepest_gap": [-0.002, 0.0, 0.1], "time": [0.1, 0.2, 0.3], "max_speed": [1.0, 0.5, 0.0]})
+    assert said.startswith("deepest penetration: 0.000 mm at the end; 2.00 mm for a moment, at 0.10 s")
+    assert "moment" not in last_words({"deepest_gap": [0.0, 0.1], "time": [0.1, 0.2], "max_speed": [1.0, 0.0]})

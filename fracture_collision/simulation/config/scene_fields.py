@@ -7,10 +7,11 @@ import reprlib
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from difflib import get_close_matches
 from typing import Any, NamedTuple
 
 import numpy as np
+
+from fracture_collision.near_names import did_you_mean
 
 
 class SceneError(ValueError):
@@ -148,9 +149,8 @@ class Fields:
     def finish(self) -> None:
         """Raise SceneError if a field is left: it is unknown."""
         for key in self._left:
-            near = get_close_matches(str(key), self._known, n=1)
-            advice = f"did you mean {near[0]}?" if near else f"there are {', '.join(self._known)}"
-            raise SceneError(f"{self.name(shortened(str(key)))}: unknown field; {advice}")
+            advice = did_you_mean(str(key), self._known) or f"; there are {', '.join(self._known)}"
+            raise SceneError(f"{self.name(shortened(str(key)))}: unknown field{advice}")
 
 
 def numbers(fields: Fields, defaults: Any) -> Any:
