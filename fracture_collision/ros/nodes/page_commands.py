@@ -6,7 +6,6 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from time import monotonic
 from typing import Any
 
 import numpy as np
@@ -19,15 +18,15 @@ from scipy.spatial.transform import Rotation
 from fracture_collision.records import FragmentStates
 from fracture_collision.ros.nodes.live_client import LiveClient
 from fracture_collision.ros.nodes.recordings import RecordingFailed, Recordings
+from fracture_collision.ros.nodes.repeated_request import RepeatedRequest
 from fracture_collision.ros.nodes.uploaded_scenes import UPLOADS, UploadedScenes
 from fracture_collision.viewer.page.page_events import Ball, Drag, Handlers, InsideWanted, Ray, ServiceSliders, Upload
 
-# [s] A request to the service that has no answer by then is lost: it is sent again.
-RETRY = 2.0
 SERVICE = "collision_node"
 GRAVITY = 9.81  # [m/s2] for which the aim of a thrown ball compensates
 OUT_OF_THE_EYE = 0.2  # [m] in front of the eye, where a ball starts
 HAMMER_SPEED = 1.0  # [m/s]
+MOST_EARLY = 20  # commands that wait for the simulator to be discovered; more drop the first
 KEY_HOLDS = 0.3  # [s] that the hammer keeps moving after the last event of an arrow key
 ARROWS = {"up": (0.0, 1.0), "down": (0.0, -1.0), "right": (1.0, 0.0), "left": (-1.0, 0.0)}  # x, y
 
@@ -60,8 +59,10 @@ class PageCommands:
         self._held: tuple[int, np.ndarray] | None = None  # fragment and grip in its body frame
         self._stop_timer: Timer | None = None  # of the hammer, after the last arrow key
         self._set: list[ServiceSliders] = []  # by the user, since the last value that the service confirmed
-        self._ahead = 0.0  # [s] lookahead that was set in the service
-        self._requested = 0.0, 0.0  # [s] the last lookahead requested, and when
+        self._early: deque[Callable[[], object]] = deque(maxlen=MOST_EARLY)  # before the simulator was discovered
+        self._choice = RepeatedRequest(self._hands.is_there)
+        self._ahead = 0.0  # [s] lookahead that was set in the service, or is being set
+        self._lookahead = RepeatedRequest(self._service.services_are_ready)
 
     def close(self) -> None:
         """Ends a recording, and the making of a scene."""
@@ -79,23 +80,18 @@ class PageCommands:
         """Takes the newest states of the run, which the user sees."""
         self._states = states
 
+    def look(self) -> None:
+        """Sends what waits for the simulator or the service to be discovered. Must be called regularly."""
+        self._choice.look()
+        self._lookahead.look()
+        while self._early and self._hands.is_there():
+            self._early.popleft()()
+
     def look_ahead(self, time_step: float) -> None:
-        """Sets the service's lookahead to a step of the scene [s], once the service is there.
-
-        Called with each status: a request that has not been answered after RETRY is sent again.
-        """
-        value, since = self._requested
-        if time_step == self._ahead or not self._service.services_are_ready():
-            return
-        if time_step == value and monotonic() < since + RETRY:
-            return
-
-        def answered(done: Any) -> None:
-            if done.result() is not None:
-                self._ahead = time_step
-
-        self._requested = time_step, monotonic()
-        self._set_parameters(lookahead=time_step).add_done_callback(answered)
+        """Sets the service's lookahead to a step of the scene [s], once the service is there."""
+        if time_step != self._ahead:
+            self._ahead = time_step
+            self._lookahead.begin(lambda: self._request_parameters(lookahead=time_step), self._all_taken)
 
     def confirm(self, sliders: ServiceSliders) -> bool:
         """Takes the values that the service has now; returns whether the user set them.
@@ -110,22 +106,22 @@ class PageCommands:
 
     def handlers(self) -> Handlers:
         """Handlers of all input of the page."""
-        later = self._later
+        later, simulator = self._later, self._to_simulator
         return Handlers(
-            clicked=later(self._throw),
+            clicked=simulator(self._throw),
             drag_begun=later(self._take),
             drag_moved=later(self._pull),
             drag_ended=later(self._let_go),
             arrow=later(self._strike),
             scene_chosen=later(self._choose),
             uploaded=later(self._uploads.add),
-            reset=later(lambda: self._answered(self._hands.reset(), "reset")),
-            rewind=later(lambda: self._answered(self._hands.rewind(), "rewind")),
-            paused=later(lambda paused: self._answered(self._hands.pause(paused), "pause")),
-            one_step=later(lambda: self._answered(self._hands.step(), "one step")),
-            slow_motion=later(lambda rate: self._hands.set_parameters(rate=float(rate))),
+            reset=simulator(lambda: self._answered(self._hands.reset(), "reset")),
+            rewind=simulator(lambda: self._answered(self._hands.rewind(), "rewind")),
+            paused=simulator(lambda paused: self._answered(self._hands.pause(paused), "pause")),
+            one_step=simulator(lambda: self._answered(self._hands.step(), "one step")),
+            slow_motion=simulator(lambda rate: self._hands.set_parameters(rate=float(rate))),
             service_set=later(self._set_service),
-            joint_set=later(lambda name, angle: self._hands.command_joints([angle], [name])),
+            joint_set=simulator(lambda name, angle: self._hands.command_joints([angle], [name])),
             recording=later(self._record),
             looking_inside=later(self._look_inside),
         )
@@ -138,6 +134,15 @@ class PageCommands:
             self._wake.trigger()
 
         return order
+
+    def _to_simulator(self, act: Callable[..., object]) -> Callable[..., None]:
+        """As `_later`; before the simulator has been discovered, which takes a moment, `act` waits for that."""
+
+        def when_there(*told: Any) -> None:
+            self._early.append(lambda: act(*told))
+            self.look()
+
+        return self._later(when_there)
 
     def _obey(self) -> None:
         while self._orders:
@@ -198,7 +203,7 @@ class PageCommands:
             if self._all_taken(done):
                 self._answered(self._hands.reset(), f"scene {scene}")
 
-        self._hands.set_parameters(next_scene=scene).add_done_callback(begin)
+        self._choice.begin(lambda: self._hands.set_parameters(next_scene=scene), begin)
 
     def _show_upload(self, scene: str, upload: Upload) -> None:
         upload.tell(f"{upload.name} is the scene {scene}")
@@ -207,14 +212,10 @@ class PageCommands:
 
     def _set_service(self, sliders: ServiceSliders) -> None:
         self._set.append(sliders)
-        self._set_parameters(**sliders._asdict())
+        self._request_parameters(**sliders._asdict()).add_done_callback(self._all_taken)
 
-    def _set_parameters(self, **values: Any) -> Any:
-        """Sets parameters of the service; shows its rejections. Returns the future of the answer."""
-        parameters = [Parameter(name, value=value) for name, value in values.items()]
-        answer = self._service.set_parameters(parameters)
-        answer.add_done_callback(self._all_taken)
-        return answer
+    def _request_parameters(self, **values: Any) -> Any:
+        return self._service.set_parameters([Parameter(name, value=value) for name, value in values.items()])
 
     def _all_taken(self, done: Any) -> bool:
         """Whether all parameters were set; shows the reasons if not."""

@@ -110,6 +110,7 @@ class PageNode(Node):
 
     def _look(self) -> None:
         self._settings.look()
+        self._commands.look()
         if (status := self._status) is not None:
             in_step = time.monotonic() - self._status_at > LONG_STEP
             self.page.show_rate(0.0 if in_step else status.achieved_rate, status.rate, status.paused)

@@ -1,0 +1,46 @@
+"""A request that is sent again until it has a response.
+
+A request or its response may be lost: a writer that has not discovered its reader sends into nothing, and rmw_fastrtps
+drops a response if it has not discovered the client's reader 100 ms after the request, although it knew the client's
+writer.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from rclpy.task import Future
+
+ASK_AGAIN = 2.0  # [s]
+
+
+class RepeatedRequest:
+    """One request at a time, which may be executed more than once. `look` must be called regularly."""
+
+    def __init__(self, is_ready: Callable[[], bool]) -> None:
+        """`is_ready`: whether the service has been discovered; nothing is sent before."""
+        self._is_ready = is_ready
+        self._call: Callable[[], Future] | None = None  # without a response yet
+        self._due = 0.0  # time.monotonic() of the next sending
+
+    def begin(self, call: Callable[[], Future], then: Callable[[Future], None]) -> None:
+        """Sends `call` until it has a response, which `then` gets; drops an earlier request."""
+        self._call, self._then, self._due = (lambda: call()), then, 0.0
+        self.look()
+
+    def drop(self) -> None:
+        """Neither sends the request again nor takes its response."""
+        self._call = None
+
+    def look(self) -> None:
+        """Sends the request if it is due."""
+        call = self._call
+        if call is not None and time.monotonic() >= self._due and self._is_ready():
+            self._due = time.monotonic() + ASK_AGAIN
+            call().add_done_callback(lambda done: self._answered(call, done))
+
+    def _answered(self, call: Callable[[], Future], done: Future) -> None:
+        if call is self._call:  # the first response to it
+            self._call = None
+            self._then(done)
