@@ -18,7 +18,7 @@ from fracture_collision.core.field.flood import (
     nearest_from_outside,
     outward_direction,
 )
-from fracture_collision.core.memory.compiled import inlined_kernel
+from fracture_collision.core.memory.compiled import inlined_kernel, query_kernel
 from fracture_collision.core.memory.kinds import TETRAHEDRA, TRIANGLES, is_mesh
 from fracture_collision.core.memory.pools import AVERAGED, NEVER_BROKEN
 from fracture_collision.core.mesh.closest_point import box_distance_squared
@@ -86,6 +86,14 @@ def bounded_probe(pools, f, point, near, deep, start, reached, scratch):
     reach = math.sqrt(box_distance_squared(x, y, z, pools.fragment.box[f]))
     if reach > near:
         return Probe(OUTSIDE, reach, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -reach, NO_SOURCE, -1, -1)
+    return _probe_mesh(pools, f, point, near, deep, start, reached, reach, scratch)
+
+
+@query_kernel  # a call, not inlined: with a copy in each of a dozen callers, code and compile time are twice as large
+def _probe_mesh(pools, f, point, near, deep, start, reached, reach, scratch):
+    """bounded_probe of a mesh whose box has the distance `reach` [m], at most `near`, to the point."""
+    x, y, z = point
+    kind = pools.fragment.kind[f]
     if kind == TRIANGLES:
         d, nx, ny, nz, qx, qy, qz = triangle_distance(
             pools.triangles, pools.fragment.mesh[f], pools.fragment.radius[f], x, y, z, scratch.stack

@@ -13,6 +13,7 @@ This relies on numba internals: kernel_cache.py uses it, only with the versions 
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -23,6 +24,8 @@ from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.compiler_machinery import register_pass
 from numba.core.typed_passes import NativeLowering
+
+COLLECT_AFTER = 100_000  # new objects, while a kernel is compiled; Python's default is 700
 
 
 class CallableFromKernels:
@@ -84,6 +87,9 @@ class CalleeLowering(NativeLowering):
         flags.no_cpython_wrapper = flags.no_cfunc_wrapper = flags.no_compile = True
         state.library = UnlinkedLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
         super().run_pass(state)
+        if not flags.nrt and not flags.forceinline:
+            # LLVM takes the many arguments of a call for its cost, and would inline functions of any size, anywhere.
+            state.library._final_module.get_function(state["cr"].fndesc.llvm_func_name).add_function_attribute("noinline")
         state.library.finalize()
         key = CallableFromKernels()
         state.targetctx.insert_user_function(key, state["cr"].fndesc, [state.library])
@@ -132,6 +138,20 @@ def rebuilt(target_context: Any, parts: tuple) -> Any:
 
 
 @contextmanager
+def _fewer_collections() -> Iterator[None]:
+    """Within, Python's garbage collector runs less often; numba's many long-lived objects take it a tenth of the time.
+
+    Under numba's lock: one thread at a time changes the thresholds.
+    """
+    youngest, *older = gc.get_threshold()
+    gc.set_threshold(max(youngest, COLLECT_AFTER), *older)
+    try:
+        yield
+    finally:
+        gc.set_threshold(youngest, *older)
+
+
+@contextmanager
 def compiled_as_callee(dispatcher: Any) -> Iterator[None]:
     """Within, numba compiles the dispatcher's function for other kernels only, or loads it so."""
     before, dispatcher._compiler.pipeline_class = dispatcher._compiler.pipeline_class, CalleeCompiler
@@ -158,6 +178,7 @@ def keep_callees_from_python(dispatcher: Any) -> None:
             for signature, result in list(dispatcher.overloads.items()):
                 if is_callee(result):
                     del dispatcher.overloads[signature]
-        return compile_for(*args, **named)
+            with _fewer_collections():
+                return compile_for(*args, **named)
 
     dispatcher.add_overload, dispatcher._compile_for_args = add_overload, compile_for_args

@@ -35,8 +35,8 @@ def _cached(**options: Any) -> Callable[[Callable], Any]:
 
 kernel = _cached()
 # Query kernels allocate nothing, so reference counting is off: with it, six sevenths of a query's time went into atomic
-# increments for arrays taken out of the pools.
-query_kernel = _cached(_nrt=False)
+# increments for arrays taken out of the pools. Where another kernel calls one, it stays a call (callees.py).
+query_kernel = _cached(_nrt=False, forceinline=False)  # unset, it would be inherited from the caller
 # For the inner loops of a query: a call would copy the pools, several hundred words, onto the stack.
 inlined_kernel = _cached(_nrt=False, forceinline=True)
 # For code that only structures one large kernel: numba inserts it into its caller and does not compile it on its own.

@@ -51,6 +51,7 @@ with _not_to_be_imported("scipy", "coverage"):
 
 __all__ = ["ForKernels", "KernelCache", "keep_callees_from_python", "njit"]
 
+_FUNCTION = "_ZN"  # prefix of the functions that numba compiles
 _WRAPPER = "_ZN7cpython"  # prefix of the functions that Python calls; every cached kernel has one
 
 
@@ -69,7 +70,6 @@ class KernelCache(FunctionCache):
         hidden = () if "numba.np.arraymath" in sys.modules else ("scipy",)
         with self._guard_against_spurious_io_errors(), _not_to_be_imported(*hidden):
             return self._load_overload(sig, target_context)
-
 
     def _load_overload(self, sig: Any, target_context: Any) -> Any:
         if not self.of_callees:
@@ -129,6 +129,13 @@ class _Library(JITCodeLibrary):
             environment = lookup_environment(variable.name)
             if environment is not None and not variable.is_declaration:
                 self._codegen.set_env(variable.name, environment)
+
+    def _optimize_final_module(self) -> None:
+        # Nobody else links this library's copies of callees: private to it, they lose the arguments that they do not use.
+        for function in self._final_module.functions:
+            if function.linkage == llvm.Linkage.linkonce_odr and function.name.startswith(_FUNCTION):
+                function.linkage = llvm.Linkage.internal
+        super()._optimize_final_module()
 
     @classmethod
     def _unserialize(cls, codegen: Any, state: tuple[str, str, Any]) -> JITCodeLibrary:
