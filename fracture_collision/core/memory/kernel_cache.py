@@ -131,7 +131,7 @@ class _Library(JITCodeLibrary):
                 self._codegen.set_env(variable.name, environment)
 
     def _optimize_final_module(self) -> None:
-        # Nobody else links this library's copies of callees: private to it, they lose the arguments that they do not use.
+        # Nobody else links this library's copies of callees: private to it, they lose unused arguments.
         for function in self._final_module.functions:
             if function.linkage == llvm.Linkage.linkonce_odr and function.name.startswith(_FUNCTION):
                 function.linkage = llvm.Linkage.internal
