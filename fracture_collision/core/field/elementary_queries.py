@@ -86,12 +86,12 @@ def bounded_probe(pools, f, point, near, deep, start, reached, scratch):
     reach = math.sqrt(box_distance_squared(x, y, z, pools.fragment.box[f]))
     if reach > near:
         return Probe(OUTSIDE, reach, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -reach, NO_SOURCE, -1, -1)
-    return _probe_mesh(pools, f, point, near, deep, start, reached, reach, scratch)
+    return _probe_mesh(pools, f, point, near, deep, start, reached, scratch)
 
 
 @query_kernel  # a call, not inlined: with a copy in each of a dozen callers, code and compile time are twice as large
-def _probe_mesh(pools, f, point, near, deep, start, reached, reach, scratch):
-    """bounded_probe of a mesh whose box has the distance `reach` [m], at most `near`, to the point."""
+def _probe_mesh(pools, f, point, near, deep, start, reached, scratch):
+    """bounded_probe of a mesh whose box is at most `near` [m] from the point, which is then not negative."""
     x, y, z = point
     kind = pools.fragment.kind[f]
     if kind == TRIANGLES:
@@ -102,7 +102,7 @@ def _probe_mesh(pools, f, point, near, deep, start, reached, reach, scratch):
         return Probe(status, d, nx, ny, nz, qx, qy, qz, -d, NO_SOURCE, -1, -1)
     # saves most points the search for their tetrahedron
     if not reached and not sphere_may_touch(pools, f, x, y, z, near):
-        return Probe(OUTSIDE, max(reach, near), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -max(reach, near), NO_SOURCE, -1, -1)
+        return Probe(OUTSIDE, near, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -near, NO_SOURCE, -1, -1)
     k = pools.fragment.mesh[f]
     t = tetrahedron_at(pools.mesh, k, x, y, z) if start < 0 else tetrahedron_from(pools.mesh, k, start, x, y, z)
     if t >= 0 and owner_in_tetrahedron(pools, f, t, x, y, z) == f:
@@ -116,10 +116,10 @@ def _probe_mesh(pools, f, point, near, deep, start, reached, reach, scratch):
         d = math.sqrt(best[0])
         return Probe(INSIDE, -d, nx, ny, nz, best[1], best[2], best[3], d, best[5], best[6], t)
     if near <= 0.0:
-        return Probe(OUTSIDE, reach, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -reach, NO_SOURCE, -1, t)
+        return Probe(OUTSIDE, near, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -near, NO_SOURCE, -1, t)
     best = nearest_from_outside(pools, f, t, point, near, EVERYTHING, scratch)
     if best[5] == NO_SOURCE:
-        return Probe(OUTSIDE, max(reach, near), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -max(reach, near), NO_SOURCE, -1, t)
+        return Probe(OUTSIDE, near, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -near, NO_SOURCE, -1, t)
     nx, ny, nz = outward_direction(pools, f, x, y, z, best, False)
     d = math.sqrt(best[0])
     return Probe(NEAR, d, nx, ny, nz, best[1], best[2], best[3], -d, best[5], best[6], t)

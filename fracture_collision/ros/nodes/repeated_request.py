@@ -24,7 +24,7 @@ class RepeatedRequest:
         self._call: Callable[[], Future] | None = None  # without a response yet
         self._due = 0.0  # time.monotonic() of the next sending
 
-    def begin(self, call: Callable[[], Future], then: Callable[[Future], None]) -> None:
+    def begin(self, call: Callable[[], Future], then: Callable[[Future], object]) -> None:
         """Sends `call` until it has a response, which `then` gets; drops an earlier request."""
         self._call, self._then, self._due = (lambda: call()), then, 0.0
         self.look()
