@@ -32,7 +32,7 @@ from fracture_collision.bag.reader import message_counts, missing_words, read_me
 from fracture_collision.cdr import Heading
 from fracture_collision.records import FractureEvent
 from fracture_collision.replay import Order, Replay, settings_of
-from fracture_collision.ros.nodes import service_settings
+from fracture_collision.ros.nodes import repeated_request
 from fracture_collision.ros.nodes.service_settings import ServiceSettings
 from fracture_collision.ros.processes.node_process import NodeProcess, free_domain_id
 from fracture_collision.ros.processes.own_context import own_context
@@ -193,7 +193,7 @@ def test_settings_are_requested_and_requested_again_when_they_change() -> None:
 
 
 def test_settings_are_requested_again_if_the_answer_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(service_settings, "ASK_AGAIN", 0.2)
+    monkeypatch.setattr(repeated_request, "ASK_AGAIN", 0.2)
     context = own_context(free_domain_id())
     service = rclpy.create_node("service", context=context, start_parameter_services=False)
     recorder = rclpy.create_node("recorder", context=context)
