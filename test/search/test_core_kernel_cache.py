@@ -38,8 +38,14 @@ print(json.dumps([announced, sorted({"numba", "scipy", "coverage"} & sys.modules
 """
 
 
-def said(script: str) -> object:
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=240)
+def said(script: str, folder: Path | None = None) -> object:
+    """What a process prints; `folder`: it runs there, and imports from there."""
+    environment = dict(os.environ)
+    if folder is not None:
+        environment["PYTHONPATH"] = os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")])
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=folder, env=environment, capture_output=True, text=True, timeout=240
+    )
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
 
@@ -97,14 +103,8 @@ def test_callees_are_linked_into_what_python_calls(tmp_path: Path) -> None:
     """Compiled here, then loaded by another process, which has nothing else compiled that it might be linked with."""
     (tmp_path / "kernels_for_the_cache.py").write_text(KERNELS)
     expected = 32.5
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])}
     for hits, callees in ((0, ["inner", "allocating"]), (1, ["inner", "allocating"])):
-        done = subprocess.run(
-            [sys.executable, "-c", FROM_KERNELS], cwd=tmp_path, env=environment, capture_output=True, text=True,
-            timeout=240,
-        )  # fmt: skip
-        assert done.returncode == 0, done.stderr
-        assert json.loads(done.stdout) == [expected, callees, hits, 12.0, expected]
+        assert said(FROM_KERNELS, tmp_path) == [expected, callees, hits, 12.0, expected]
 
 
 CALLS = """
@@ -140,9 +140,4 @@ def outer(values):
 
 def test_a_query_kernel_stays_a_call_even_below_inlined_ones(tmp_path: Path) -> None:
     (tmp_path / "some_kernels.py").write_text(KERNELS_WITH_CALLS)
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])}
-    done = subprocess.run(
-        [sys.executable, "-c", CALLS], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=240
-    )
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout) == [77.0, {"kept": 1, "between": 0}], "functions of its machine code"
+    assert said(CALLS, tmp_path) == [77.0, {"kept": 1, "between": 0}], "functions of its machine code"

@@ -21,26 +21,29 @@ class RepeatedRequest:
     def __init__(self, is_ready: Callable[[], bool]) -> None:
         """`is_ready`: whether the service has been discovered; nothing is sent before."""
         self._is_ready = is_ready
-        self._call: Callable[[], Future] | None = None  # without a response yet
+        self._wanted: tuple[Callable[[], Future], Callable[[Future], object]] | None = None  # without a response yet
         self._due = 0.0  # time.monotonic() of the next sending
 
     def begin(self, call: Callable[[], Future], then: Callable[[Future], object]) -> None:
         """Sends `call` until it has a response, which `then` gets; drops an earlier request."""
-        self._call, self._then, self._due = (lambda: call()), then, 0.0
+        self._wanted, self._due = (call, then), 0.0
         self.look()
 
     def drop(self) -> None:
         """Neither sends the request again nor takes its response."""
-        self._call = None
+        self._wanted = None
 
     def look(self) -> None:
         """Sends the request if it is due."""
-        call = self._call
-        if call is not None and time.monotonic() >= self._due and self._is_ready():
-            self._due = time.monotonic() + ASK_AGAIN
-            call().add_done_callback(lambda done: self._answered(call, done))
+        wanted = self._wanted
+        if wanted is None or time.monotonic() < self._due or not self._is_ready():
+            return
+        self._due = time.monotonic() + ASK_AGAIN
+        call, then = wanted
 
-    def _answered(self, call: Callable[[], Future], done: Future) -> None:
-        if call is self._call:  # the first response to it
-            self._call = None
-            self._then(done)
+        def answered(done: Future) -> None:
+            if wanted is self._wanted:  # the first response to it
+                self._wanted = None
+                then(done)
+
+        call().add_done_callback(answered)
