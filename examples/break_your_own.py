@@ -34,13 +34,13 @@ def indices(values) -> array:
 
 # A bar of 40 x 10 x 10 cm about the origin of its own frame, as tetrahedra. Any tetrahedral mesh will do.
 mesh = brick((0.4, 0.1, 0.1), 0.05)
-bar = CollisionBody(run_id=RUN_ID, body_id=BAR, fragment_id=WHOLE, name="bar", density=2400.0, friction=0.5)
+bar = CollisionBody(run_id=RUN_ID, sequence=1, body_id=BAR, fragment_id=WHOLE, name="bar", density=2400.0, friction=0.5)
 bar.header.frame_id = "world"
 bar.vertices, bar.tetrahedra = floats(mesh.vertices), indices(mesh.tetrahedra)
 
-floor = CollisionBody(run_id=RUN_ID, body_id=FLOOR, fragment_id=GROUND, name="floor", is_static=True, density=2400.0)
+floor = CollisionBody(run_id=RUN_ID, sequence=2, body_id=FLOOR, fragment_id=GROUND, name="floor", is_static=True)
 floor.header.frame_id = "world"
-floor.friction = 0.5
+floor.density, floor.friction = 2400.0, 0.5
 floor.plane.coef = np.array([0.0, 0.0, 1.0, 0.0])  # solid where z < 0
 
 # It breaks in the plane x = 1 cm. Each node is assigned to a fragment. Each edge between two fragments has the plane
@@ -60,7 +60,7 @@ fracture.cut_planes = floats(np.column_stack([towards, 0.0 * towards, 0.0 * towa
 
 def states(step: int, fractures: int, places: dict[int, tuple[float, float, float]]) -> FragmentStates:
     """Pose of each fragment's body frame [m]. `fractures`: number of fractures so far."""
-    message = FragmentStates(run_id=RUN_ID, step=step, fracture_sequence=fractures)
+    message = FragmentStates(run_id=RUN_ID, step=step, fracture_sequence=fractures, body_sequence=2)  # bar and floor
     message.header.frame_id = "world"
     message.fragment_ids, message.positions = indices(list(places)), floats(list(places.values()))
     message.orientations = floats([0.0, 0.0, 0.0, 1.0] * len(places))  # x y z w

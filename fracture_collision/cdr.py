@@ -114,7 +114,8 @@ class Codec:
     def __init__(self, record_class: Any, layout: Layout, nested: Callable[[str], Layout]) -> None:
         """Compile `layout`, which has header and run_id besides the fields of `record_class`.
 
-        `nested` returns the layout of another message type by its name; its exceptions are passed on.
+        It may lack fields that have a default value: an earlier definition of the message. `nested` returns the layout
+        of another message type by its name; its exceptions are passed on.
         """
         fields = [list(_leaves(name, kind, nested)) for name, kind in layout]
         leaves = [leaf for field in fields for leaf in field]
@@ -130,7 +131,10 @@ class Codec:
             begin += len(field)
         own, theirs = ("header", "run_id", *record_class._fields), [name for name, _ in layout]
         self._in_message_order = itemgetter(*map(own.index, theirs))
-        self._in_own_order = itemgetter(*map(theirs.index, own))
+        lacking = [name for name in own if name not in theirs]
+        self._defaults = [record_class._field_defaults[name] for name in lacking]
+        self._in_own_order = itemgetter(*map([*theirs, *lacking].index, own))
+        self.is_complete = not lacking
 
     def write(self, record: NamedTuple, heading: Heading, run_id: int) -> bytes:
         """The serialized message, little-endian.
@@ -213,7 +217,7 @@ class Codec:
             values[place] = bool(values[place])
         for _, places, nested in self._nested:
             values[places] = (nested.make(*values[places]),)
-        heading, run_id, *record = self._in_own_order(values)
+        heading, run_id, *record = self._in_own_order(values + self._defaults)
         return Received(heading, run_id, self._make(record))
 
     def _too_few(self, data: bytes, field: str) -> ValueError:

@@ -97,6 +97,7 @@ class CollisionBody(NamedTuple):
       density: [kg/m3], above 0
       friction: Coulomb coefficient, at least 0; a pair has the geometric mean
       restitution: 0 to 1; a pair has the larger one
+      sequence: uint64 1, 2, 3 ... over all bodies added and removed in a run, without gaps; 0: not numbered
     """
 
     body_id: int
@@ -112,6 +113,7 @@ class CollisionBody(NamedTuple):
     density: float = 1000.0
     friction: float = 0.5
     restitution: float = 0.0
+    sequence: int = 0
 
 
 @documented
@@ -155,6 +157,8 @@ class FragmentStates(NamedTuple):
       orientations: (4n,) or (n, 4) float64, unit quaternions x y z w, from the body frame to the world
       linear_velocities: (3n,) or (n, 3) float64 [m/s] of that origin, world axes; empty: zero. Used by lookahead alone
       angular_velocities: (3n,) or (n, 3) float64 [rad/s], world axes; empty: zero. Used by lookahead alone
+      body_sequence: uint64, how many bodies were added or removed before these states: the static ones among them take
+        part; 0: unknown, all static bodies that have arrived take part
     """
 
     step: int
@@ -164,6 +168,7 @@ class FragmentStates(NamedTuple):
     orientations: np.ndarray
     linear_velocities: np.ndarray = _floats()
     angular_velocities: np.ndarray = _floats()
+    body_sequence: int = 0
 
 
 @documented

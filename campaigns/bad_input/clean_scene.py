@@ -18,11 +18,13 @@ AHEAD = SETTINGS._replace(lookahead=0.01)
 FAST = REFERENCE._replace(linear_velocities=np.full(3 * len(REFERENCE.fragment_ids), 1e8))
 AT_ONE_PLACE = REFERENCE._replace(positions=np.tile([0.0, 0.0, -0.2], len(REFERENCE.fragment_ids)))
 
+_BODIES = (
+    tetrahedral(1), plane(2), sphere(3), box(REMOVED, is_static=True), box(REMOVED, operation=REMOVE), rigid(4)
+)  # fmt: skip
 # (topic, record), in order; afterwards the scene answers REFERENCE
 CLEAN = (
-    ("bodies", tetrahedral(1)), ("bodies", plane(2)), ("bodies", sphere(3)), ("bodies", box(REMOVED)),
-    ("bodies", box(REMOVED, operation=REMOVE)), ("bodies", rigid(4)), ("fracture_events", FIRST),
-    ("fragment_states", REFERENCE),
+    *(("bodies", body._replace(sequence=number)) for number, body in enumerate(_BODIES, 1)),
+    ("fracture_events", FIRST), ("fragment_states", REFERENCE),
 )  # fmt: skip
 # The rest of the scene: the second fracture, and states of both registries.
 _STILL = REFERENCE._replace(step=8, fracture_sequence=2, fragment_ids=np.array([3, 4, 10, 12]))

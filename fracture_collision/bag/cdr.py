@@ -17,7 +17,7 @@ _FIRST = (("header", "std_msgs/Header"), ("run_id", "uint64"))
 # Those of the generated message classes, without which bags can be read.
 LAYOUTS: dict[type, Layout] = {
     CollisionBody: (
-        *_FIRST, ("operation", "uint8"), ("body_id", "uint32"), ("fragment_id", "uint32"),
+        *_FIRST, ("operation", "uint8"), ("sequence", "uint64"), ("body_id", "uint32"), ("fragment_id", "uint32"),
         ("name", "string"), ("primitive", "shape_msgs/SolidPrimitive"), ("plane", "shape_msgs/Plane"),
         ("vertices", "sequence<double>"), ("triangles", "sequence<uint32>"), ("tetrahedra", "sequence<uint32>"),
         ("is_static", "boolean"), ("density", "double"), ("friction", "double"), ("restitution", "double"),
@@ -28,8 +28,8 @@ LAYOUTS: dict[type, Layout] = {
         ("node_fragments", "sequence<uint32>"), ("cut_edges", "sequence<uint32>"), ("cut_planes", "sequence<double>"),
     ),
     FragmentStates: (
-        *_FIRST, ("step", "uint64"), ("fracture_sequence", "uint64"), ("fragment_ids", "sequence<uint32>"),
-        ("positions", "sequence<double>"), ("orientations", "sequence<double>"),
+        *_FIRST, ("step", "uint64"), ("fracture_sequence", "uint64"), ("body_sequence", "uint64"),
+        ("fragment_ids", "sequence<uint32>"), ("positions", "sequence<double>"), ("orientations", "sequence<double>"),
         ("linear_velocities", "sequence<double>"), ("angular_velocities", "sequence<double>"),
     ),
     ContactConstraintArray: (
@@ -59,6 +59,19 @@ NESTED_LAYOUTS: dict[str, Layout] = {
 _CODECS = {
     record_class: Codec(record_class, layout, NESTED_LAYOUTS.__getitem__) for record_class, layout in LAYOUTS.items()
 }
+
+
+def codec_of(record_class: Any, layout: Layout) -> Codec | None:
+    """Reads messages of a layout from a bag: the present one, or an earlier one without fields that have a default.
+
+    None if it is neither.
+    """
+    present = LAYOUTS[record_class]
+    if layout == present:
+        return _CODECS[record_class]
+    names = {name for name, _ in layout}
+    earlier = tuple(field for field in present if field[0] in names or field[0] not in record_class._field_defaults)
+    return Codec(record_class, layout, NESTED_LAYOUTS.__getitem__) if layout == earlier else None
 
 
 def serialize_record(record: NamedTuple, heading: Heading, run_id: int) -> bytes:

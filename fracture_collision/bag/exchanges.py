@@ -9,10 +9,10 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from fracture_collision.bag.cdr import LAYOUTS, deserialize_record, serialize_record
+from fracture_collision.bag.cdr import LAYOUTS, codec_of, deserialize_record, serialize_record
 from fracture_collision.bag.errors import BagError
 from fracture_collision.bag.reader import read_messages, topic_types
-from fracture_collision.cdr import Received
+from fracture_collision.cdr import Codec, Received
 from fracture_collision.records import CollisionBody, ContactConstraintArray, FractureEvent, FragmentStates
 
 PACKAGE = "fracture_collision/msg/"
@@ -65,17 +65,17 @@ def read_runs(bag: Path, namespace: str | None = None) -> list[Run]:
     `namespace`: of the topics, if there are several. A repeated message counts once. Raises BagError with an
     explanation if the bag holds no run, or a message is not of its topic's type.
     """
-    classes = topics_of(bag, _CLASSES, namespace)
+    codecs = topics_of(bag, _CLASSES, namespace)
     runs: dict[int, _Gathered] = {}
-    for count, message in enumerate(read_messages(bag, list(classes))):
-        record_class = classes[message.topic]
+    for count, message in enumerate(read_messages(bag, list(codecs))):
+        codec = codecs[message.topic]
         try:
-            received = deserialize_record(message.data, record_class)
+            received = codec.read(message.data)
         except ValueError as error:
             raise BagError(f"{bag}: {message.topic}, message {count} at {message.nanoseconds} ns: {error}") from error
         run = runs.setdefault(received.run_id, _Gathered())
         try:
-            _gather(run, Message(message.data, received))
+            _gather(run, Message(message.data if codec.is_complete else canonical(received), received))
         except BagError as error:
             raise BagError(f"{bag}: {message.topic}: {error}") from error
     found = [_run(run_id, run) for run_id, run in runs.items()]
@@ -99,31 +99,31 @@ def canonical(received: Received) -> bytes:
     return serialize_record(received.record, received.heading, received.run_id)
 
 
-def topics_of(bag: Path, record_classes: Iterable[Any], namespace: str | None = None) -> dict[str, Any]:
-    """Record class by topic, for the topics whose message types are those of `record_classes`.
+def topics_of(bag: Path, record_classes: Iterable[Any], namespace: str | None = None) -> dict[str, Codec]:
+    """What reads each topic's messages, for the topics whose message types are those of `record_classes`.
 
-    Raises BagError if they are of several services, or were recorded with another definition.
+    Raises BagError if they are of several services, or were recorded with a definition that this package never had.
     """
     known = {PACKAGE + record_class.__name__: record_class for record_class in record_classes}
-    classes: dict[str, Any] = {}
+    codecs: dict[str, Codec] = {}
     for topic, (name, definition) in topic_types(bag).items():
         if name in known and (namespace is None or topic.rpartition("/")[0] == "/" + namespace.strip("/")):
-            _check_definition(bag, topic, known[name], definition)
-            classes[topic] = known[name]
-    namespaces = sorted({topic.rpartition("/")[0] for topic in classes})
+            codecs[topic] = _codec(bag, topic, known[name], definition)
+    namespaces = sorted({topic.rpartition("/")[0] for topic in codecs})
     if len(namespaces) > 1:
         names = ", ".join(each or "/" for each in namespaces)
         raise BagError(f"{bag}: has the topics of several services, under {names}; choose one with --namespace")
-    return classes
+    return codecs
 
 
-def _check_definition(bag: Path, topic: str, record_class: Any, definition: str) -> None:
-    expected = list(LAYOUTS[record_class])
-    found = defined_fields(definition)
-    if found != expected:
+def _codec(bag: Path, topic: str, record_class: Any, definition: str) -> Codec:
+    expected, found = list(LAYOUTS[record_class]), defined_fields(definition)
+    codec = codec_of(record_class, tuple(found))
+    if codec is None:
         differing = [name for name, kind in expected + found if ((name, kind) in expected) != ((name, kind) in found)]
         what = ", ".join(dict.fromkeys(differing)) or "the order of its fields"
         raise BagError(f"{bag}: {topic}: recorded with another definition of {record_class.__name__}: {what[:200]}")
+    return codec
 
 
 def defined_fields(definition: str) -> list[tuple[str, str]]:

@@ -74,8 +74,8 @@ def mesh_of(body: CollisionBody) -> tuple[np.ndarray, np.ndarray]:
             raise ValueError(f"body.{name}: {array.dtype} instead of {'numbers' if 'f' in kinds else 'integers'}")
         if array.size % columns or (array.ndim != 1 and array.shape[1:] != (columns,)):
             raise ValueError(f"body.{name}: shape {array.shape}; needs (n, {columns}), or the same numbers flat")
-    points = np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 3)
-    tetrahedra = np.ascontiguousarray(tetrahedra, dtype=np.int64).reshape(-1, 4)
+    points = np.require(points, np.float64, ("C", "A", "W")).reshape(-1, 3)
+    tetrahedra = np.require(tetrahedra, np.int64, ("C", "A", "W")).reshape(-1, 4)
     if not np.isfinite(points).all():
         raise ValueError("body.vertices: not all finite")
     if tetrahedra.min() < 0 or tetrahedra.max() >= len(points):

@@ -6,14 +6,14 @@ Nodes and edges are those of the fragment, numbered within it.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from fracture_collision import grouping
+from fracture_collision.kernel_sources import cached_njit
 
-_root_of = njit(cache=True)(grouping.root_of)
+_root_of = cached_njit(grouping.root_of)
 
 
-@njit(cache=True)
+@cached_njit
 def inside_fragment(node_fragments, edges, fragment_id):
     """The fragment's nodes (k,) int64, ascending, and its inner edges (i, 2) int64 as indices into these."""
     place = np.full(node_fragments.size, -1)
@@ -31,7 +31,7 @@ def inside_fragment(node_fragments, edges, fragment_id):
     return nodes[:count].copy(), inside[:edge_count].copy()
 
 
-@njit(cache=True)
+@cached_njit
 def edge_lengths(points, edges):
     """Lengths (e,) [m] of the edges."""
     lengths = np.empty(len(edges))
@@ -40,7 +40,7 @@ def edge_lengths(points, edges):
     return lengths
 
 
-@njit(cache=True)
+@cached_njit
 def nearest_seeds(points, seeds):
     """Index of the seed (s, 3) nearest to each point (k, 3), the lowest of several: (k,) int64."""
     nearest = np.empty(len(points), np.int64)
@@ -53,7 +53,7 @@ def nearest_seeds(points, seeds):
     return nearest
 
 
-@njit(cache=True)
+@cached_njit
 def connected_pieces(labels, edges, minimum_nodes):
     """Connected pieces of equal label, the small ones joined to neighbours: (k,) int64, numbered by their first nodes.
 
@@ -83,7 +83,7 @@ def connected_pieces(labels, edges, minimum_nodes):
     return pieces, count, between[:cut_count].copy()
 
 
-@njit(cache=True)
+@cached_njit
 def seed_pairs(labels, cut, seed_count):
     """Pairs of seeds (p, 2) on both sides of cut edges (c, 2), ascending, and each edge's row among them (c,)."""
     row_of = np.full(seed_count * seed_count, -1)
@@ -100,7 +100,7 @@ def seed_pairs(labels, cut, seed_count):
     return pairs[:count].copy(), rows
 
 
-@njit(cache=True)
+@cached_njit
 def range_between(sides, rows, count):
     """For each of `count` pairs the highest first end and the lowest second end of its edges; sides (c, 2) [m]."""
     highest, lowest = np.full(count, -np.inf), np.full(count, np.inf)
@@ -110,13 +110,13 @@ def range_between(sides, rows, count):
     return highest, lowest
 
 
-@njit(cache=True)
+@cached_njit
 def _squared_distance(a, b):
     x, y, z = a[0] - b[0], a[1] - b[1], a[2] - b[2]
     return x * x + y * y + z * z
 
 
-@njit(cache=True)
+@cached_njit
 def _number_by_first(pieces):
     """Renumber (k,) labels below k, 0 .. count - 1 in the order of their first nodes; returns the count."""
     number, count = np.full(pieces.size, -1), 0
@@ -128,7 +128,7 @@ def _number_by_first(pieces):
     return count
 
 
-@njit(cache=True)
+@cached_njit
 def _join_small(pieces, count, between, minimum_nodes):
     """Join the smallest piece below `minimum_nodes` to the neighbour with most shared edges, until none is left."""
     sizes = np.bincount(pieces, minlength=count)

@@ -29,8 +29,8 @@ def tetrahedralize_surface(
     Raises ValueError for a surface that is open, inside out, or has an index out of range, and ModuleNotFoundError
     with the command that installs the mesher.
     """
-    vertices = np.ascontiguousarray(vertices, dtype=np.float64)
-    triangles = np.ascontiguousarray(triangles, dtype=np.int32)
+    vertices = np.require(vertices, np.float64, ("C", "A", "W"))
+    triangles = np.require(triangles, np.int32, ("C", "A", "W"))
     require_closed_surface(vertices, triangles)
     if not (math.isfinite(edge_length) and edge_length > 0.0):
         raise ValueError(f"edge_length: {edge_length} is not a positive length in metres")

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from fracture_collision.kernel_sources import cached_njit
 
 _EMPTY = -1
 _FACTOR = 0x9E3779B97F4A7C15  # odd, its bits all over (Knuth, "Sorting and Searching", section 6.4)
@@ -20,7 +21,7 @@ def unique_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return chosen[: _group(numbers.view(np.uint64), slots, chosen, kind)], kind
 
 
-@njit(cache=True)
+@cached_njit
 def _group(bits, slots, chosen, kind):
     """Fill `chosen` and `kind` from bits (n, k); returns the number of kinds. len(slots): a power of two above 2 n."""
     count, last = 0, np.uint64(len(slots) - 1)
@@ -39,7 +40,7 @@ def _group(bits, slots, chosen, kind):
     return count
 
 
-@njit(cache=True)
+@cached_njit
 def _same(bits, i, j):
     d = 0
     while d < bits.shape[1] and bits[i, d] == bits[j, d]:

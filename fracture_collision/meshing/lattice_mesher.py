@@ -52,8 +52,8 @@ def tetrahedralize_by_lattice(vertices: np.ndarray, triangles: np.ndarray, edge_
     falls into pieces.
     """
     require_positive(edge_length=edge_length)
-    vertices = np.ascontiguousarray(vertices, dtype=np.float64)
-    triangles = np.ascontiguousarray(triangles, dtype=np.int32)
+    vertices = np.require(vertices, np.float64, ("C", "A", "W"))
+    triangles = np.require(triangles, np.int32, ("C", "A", "W"))
     require_closed_surface(vertices, triangles)
     surface = _Surface(vertices, triangles)
     points, tetrahedra = _lattice(vertices.min(axis=0), vertices.max(axis=0), edge_length / MEAN_EDGE)

@@ -18,7 +18,7 @@ _reporters: list[_Reporter] = []
 
 
 class _Reporter(event.Listener):
-    """Counts compilations; a thread reports them until all are done."""
+    """Counts compilations of this package's functions; a thread reports them until all are done."""
 
     def __init__(self) -> None:
         self._depth = 0  # kernels are compiled inside those that call them
@@ -26,14 +26,18 @@ class _Reporter(event.Listener):
         self._began = 0.0
         self._changed = threading.Condition()
 
-    def on_start(self, event: Any) -> None:  # noqa: ARG002 - numba's signature
+    def on_start(self, event: Any) -> None:
+        if not _is_ours(event):
+            return
         with self._changed:
             self._depth += 1
             if self._depth == 1 and not self._done:
                 self._began = time.monotonic()
                 threading.Thread(target=self._report, name="compile progress", daemon=True).start()
 
-    def on_end(self, event: Any) -> None:  # noqa: ARG002
+    def on_end(self, event: Any) -> None:
+        if not _is_ours(event):
+            return
         with self._changed:
             self._depth -= 1
             self._done += 1
@@ -57,6 +61,10 @@ class _Reporter(event.Listener):
 
     def _spent(self) -> float:
         return time.monotonic() - self._began
+
+
+def _is_ours(event: Any) -> bool:
+    return event.data["dispatcher"].py_func.__module__.split(".")[0] == __name__.split(".")[0]
 
 
 def report_compilation() -> None:

@@ -36,6 +36,7 @@ class Cast:
         self.waiting: dict[int, FrameState] = {}
         self._unthrown = sorted((body.start_time, i) for i, body in self.body_of.items() if not body.is_static)
         self._next_fragment_id = len(bodies) + 1
+        self.body_sequence = 0  # number of bodies announced, or about to be: those that came and those that went
         self._news = self._announcements()  # bodies not yet announced
 
     @property
@@ -48,7 +49,7 @@ class Cast:
         return self.body_of[self.body_id_of[fragment_id]]
 
     def announce(self) -> list[CollisionBody]:
-        """All present bodies; clears the news."""
+        """All present bodies, numbered from 1; clears the news."""
         self._news.clear()
         return self._announcements()
 
@@ -71,7 +72,7 @@ class Cast:
         self.body_of[number], self.body_id_of[number] = body, number
         if body.shape.mesh is not None:
             self.breakable[number] = BreakableBody(number, number, body.shape.mesh)
-        self._news.append(collision_body(number, body))
+        self._news.append(self._numbered(collision_body(number, body)))
         self._enter(number)
         return number
 
@@ -87,7 +88,7 @@ class Cast:
             del self.body_id_of[fragment_id]
         self._unthrown = [each for each in self._unthrown if each[1] != body_id]
         del self.body_of[body_id]
-        self._news.append(collision_body(body_id, body)._replace(operation=REMOVE))
+        self._news.append(self._numbered(collision_body(body_id, body)._replace(operation=REMOVE)))
         return gone
 
     def replace(self, event: FractureEvent, frame: FrameState, engine: Engine) -> None:
@@ -119,7 +120,12 @@ class Cast:
         self.waiting.clear()
 
     def _announcements(self) -> list[CollisionBody]:
-        return [collision_body(i, body) for i, body in self.body_of.items()]
+        self.body_sequence = 0
+        return [self._numbered(collision_body(i, body)) for i, body in self.body_of.items()]
+
+    def _numbered(self, body: CollisionBody) -> CollisionBody:
+        self.body_sequence += 1
+        return body._replace(sequence=self.body_sequence)
 
     def _enter(self, body_id: int) -> None:
         body = self.body_of[body_id]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from numba import njit
+from fracture_collision.kernel_sources import cached_njit
 
 # Kernels that allocate nothing count no references: counting costs more than the arithmetic of a contact.
-uncounted = njit(cache=True, error_model="numpy", _nrt=False)
+uncounted = cached_njit(error_model="numpy", _nrt=False)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from fracture_collision.kernel_sources import cached_njit
 from fracture_collision.portable_math import cosine, images, normal_numbers, sine
 
 DEGREE = np.pi / 180.0  # [rad]
 
 
-@njit(cache=True)
+@cached_njit
 def rotation_matrices(quaternions):
     """(n, 4) unit quaternions as (n, 3, 3) matrices."""
     result = np.empty((len(quaternions), 3, 3))
@@ -28,7 +28,7 @@ def rotation_matrices(quaternions):
     return result
 
 
-@njit(cache=True)
+@cached_njit
 def quaternion_products(p, q):
     """Products p q (n, 4), row by row, to unit length: first q's rotation, then p's."""
     result = np.empty_like(p)
@@ -43,7 +43,7 @@ def quaternion_products(p, q):
     return result
 
 
-@njit(cache=True)
+@cached_njit
 def crossed(first, second):
     """Cross products of vectors (n, 3), row by row."""
     result = np.empty_like(first)
@@ -55,7 +55,7 @@ def crossed(first, second):
     return result
 
 
-@njit(cache=True)
+@cached_njit
 def turned_along(before, after, vectors):
     """Vectors (n, 3) carried along by frames that turn from quaternions `before` (n, 4) to `after`."""
     was, now = rotation_matrices(before), rotation_matrices(after)
@@ -68,7 +68,7 @@ def turned_along(before, after, vectors):
     return result
 
 
-@njit(cache=True)
+@cached_njit
 def turned(rotations, vectors):
     """Vectors (n, 3) turned by matrices (n, 3, 3)."""
     result = np.zeros_like(vectors)
@@ -79,7 +79,7 @@ def turned(rotations, vectors):
     return result
 
 
-@njit(cache=True)
+@cached_njit
 def turned_matrices(rotations, matrices):
     """R M R^T, (n, 3, 3), of matrices M (n, 3, 3) in frames turned by R (n, 3, 3)."""
     result, half = np.zeros_like(matrices), np.empty((3, 3))

@@ -149,7 +149,8 @@ class Simulation:
             states = self._engine.states()
             self._planned = planned(states.fragment_ids, self._pushes(states), self._taken)
         others = self._cast.static_frames | self._cast.waiting
-        self._requested = fragment_states(self._step, self._sequence, self._to_search(self._engine.states()), others)
+        requested = fragment_states(self._step, self._sequence, self._to_search(self._engine.states()), others)
+        self._requested = requested._replace(body_sequence=self._cast.body_sequence)
         return StepRequest(self._requested, self._cast.take_news(), list(self._events))
 
     def finish_step(self, contacts: ContactConstraintArray, registry: FragmentRegistry) -> StepReport:

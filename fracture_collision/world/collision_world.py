@@ -62,7 +62,7 @@ class _Answered(NamedTuple):
     registry: Registry | None
     changes: int
     settings: Settings | None
-    asked: tuple[bytes, ...]  # ids, positions and orientations; with lookahead also velocities
+    asked: tuple[bytes, ...]  # ids, positions and orientations, with lookahead also velocities; static bodies
     answer: ContactConstraintArray | None
 
 
@@ -108,6 +108,10 @@ class CollisionWorld:
         """Of the next event, if it was rejected. States that need it are rejected until a corrected one is accepted."""
         return self._ledger.rejected
 
+    def reject_body(self, sequence: int, reason: str) -> None:
+        """Record that body message `sequence` arrived but cannot be read. States after it are rejected."""
+        self._ledger.reject_body(sequence, reason)
+
     def reject_fracture(self, sequence: int, reason: str) -> None:
         """Record that event `sequence` arrived but cannot be read. No effect unless it is the next event."""
         self._ledger.reject(sequence, reason)
@@ -141,12 +145,14 @@ class CollisionWorld:
         started = perf_counter()
         checked, moving = self._bring_to(states)
         updated = perf_counter()
-        asked = tuple(column.tobytes() for column in (checked[2:] if self.settings.lookahead else checked[2:5]))
+        static_until = self._registry.static_until(checked.body_sequence)
+        columns = checked[2:7] if self.settings.lookahead else checked[2:5]
+        asked = (*(column.tobytes() for column in columns), static_until.to_bytes(8, "little"))
         if self.settings.neighbour_lists and (again := self._answer_again(checked, asked)) is not None:
             self.last_visits = 0
             self.last_timings = {"update": updated - started, "broad_phase": 0.0, "narrow_phase": 0.0}
             return again
-        here = take_places(checked, self._registry.living(), moving)
+        here = take_places(checked, self._registry.living(), moving, static_until)
         rows, positions, rotations = here.rows, here.positions, here.rotations
         pools = self._registry.geometry.pools
         edges = self._edges_to_search()
@@ -191,7 +197,8 @@ class CollisionWorld:
     def present(self, states: FragmentStates) -> Present:
         """The fragments that take part at `states`, with their poses. Raises as `contacts` does."""
         checked, moving = self._bring_to(states)
-        return take_places(checked, self._registry.living(), moving)
+        static_until = self._registry.static_until(checked.body_sequence)
+        return take_places(checked, self._registry.living(), moving, static_until)
 
     def fragments(self) -> FragmentRegistry:
         """The registry of the last states, including bodies that arrived since."""
@@ -210,6 +217,7 @@ class CollisionWorld:
     def _bring_to(self, states: FragmentStates) -> tuple[CheckedStates, np.ndarray]:
         """Validate the states and bring the registry to theirs; also returns indices of the living fragments named."""
         checked = check_states(states)
+        self._ledger.require_bodies(checked.body_sequence)
         self._ledger.require_events(checked.fracture_sequence)
         if checked.fracture_sequence != self._registry.sequence:
             # rejected states must not move the registry

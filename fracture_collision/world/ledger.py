@@ -10,8 +10,9 @@ import numpy as np
 
 from fracture_collision.core.bodies.collision_geometry import CollisionGeometry, PreparedMesh
 from fracture_collision.records import ADD, REMOVE, CollisionBody, FractureEvent
+from fracture_collision.world.body_sequence import BodySequence
 from fracture_collision.world.gates.body_gate import CheckedBody, MeshStore, check_body, read_body
-from fracture_collision.world.gates.checks import identifier, refuse
+from fracture_collision.world.gates.checks import UINT64_MAX, identifier, refuse
 from fracture_collision.world.gates.errors import InvalidMessage, Rejection, StatesAhead
 from fracture_collision.world.gates.fracture_gate import (
     CheckedFracture,
@@ -46,6 +47,7 @@ class Ledger:
         self.events: list[CheckedFracture] = []
         self._events_of: dict[int, list[int]] = {}  # body id -> indices of its events
         self.rejected: Rejection | None = None  # why the next event was rejected, until it is accepted
+        self._body_messages = BodySequence()
         self._added: dict[int, CheckedBody] = {}  # bodies added since the last `take_changes`
         self._gone: list[int] = []  # ids of bodies that were present then and removed since
 
@@ -55,13 +57,29 @@ class Ledger:
         self._settings = settings
 
     def add_body(self, body: CollisionBody) -> None:
-        """Validate and store a body, or remove one (REMOVE)."""
-        operation = identifier("operation", body.operation)
-        if operation == REMOVE:
-            self._remove(identifier("body_id", body.body_id))
-            return
-        if operation != ADD:
-            refuse("out_of_range", f"operation: {operation} is neither ADD (0) nor REMOVE (1)")
+        """Validate and store a body, or remove one (REMOVE); keep the reason if it is rejected."""
+        try:
+            sequence = identifier("sequence", body.sequence, UINT64_MAX)
+            operation = identifier("operation", body.operation)
+            body_id = identifier("body_id", body.body_id)
+            self._body_messages.check(sequence, operation, body_id)
+            if operation == REMOVE:
+                self._remove(body_id, sequence)
+            elif operation == ADD:
+                self._add(body)
+            else:
+                refuse("out_of_range", f"operation: {operation} is neither ADD (0) nor REMOVE (1)")
+        except InvalidMessage as error:
+            if isinstance(body.sequence, int | np.integer):
+                self.reject_body(int(body.sequence), str(error))
+            raise
+        self._body_messages.accept(sequence, operation, body_id)
+
+    def reject_body(self, sequence: int, reason: str) -> None:
+        """Record that body message `sequence` arrived and is not acceptable. States that follow it are rejected."""
+        self._body_messages.reject(sequence, reason)
+
+    def _add(self, body: CollisionBody) -> None:
         fields = read_body(body)
         known = self.bodies.get(fields.body_id)
         if fields.digest == (known.digest if known else self._removed.get(fields.body_id)):
@@ -156,6 +174,10 @@ class Ledger:
             if not geometry.volume(row[new_id]) > least:
                 refuse_without_volume(new_id)
 
+    def require_bodies(self, sequence: int) -> None:
+        """Raise unless the bodies after `sequence` messages are known, as BodySequence.require."""
+        self._body_messages.require(sequence)
+
     def require_events(self, sequence: int) -> None:
         """Raise unless `sequence` events are known: InvalidMessage if the next was rejected, else StatesAhead."""
         known = len(self.events)
@@ -164,8 +186,9 @@ class Ledger:
         if self.rejected is not None:
             refuse("event_rejected", f"fracture_sequence: {sequence}, but {self.rejected}")
         raise StatesAhead(
-            "sequence_gap", f"fracture_sequence: {sequence}, but only {known} events are known", sequence
-        )
+            "sequence_gap", f"fracture_sequence: {sequence}, but only {known} events are known",
+            fracture_sequence=sequence,
+        )  # fmt: skip
 
     def require_living(self, fragment_ids: np.ndarray, sequence: int) -> None:
         """Raise unless all live after `sequence` events: InvalidMessage if one never will, else StatesAhead."""
@@ -180,11 +203,14 @@ class Ledger:
                 refuse("retired_id", f"fragment_ids: fragment {fragment_id} does not live after {sequence} events")
         if unknown:
             raise StatesAhead(
-                "unknown_id", f"fragment_ids: no fragment {unknown[0]} is known yet", sequence, sorted(unknown)
-            )
+                "unknown_id", f"fragment_ids: no fragment {unknown[0]} is known yet",
+                fracture_sequence=sequence, fragment_ids=sorted(unknown),
+            )  # fmt: skip
 
     def lacks(self, ahead: StatesAhead) -> bool:
         """Whether something that the states of `ahead` need is still missing. Amortized O(1) per missing fragment."""
+        if ahead.body_sequence:
+            return self._body_messages.lacks(ahead.body_sequence)
         if ahead.fracture_sequence > len(self.events):
             return self.rejected is None
         while ahead.fragment_ids and ahead.fragment_ids[-1] in self._owner:
@@ -202,13 +228,15 @@ class Ledger:
                     f"{max(self._owner)} are free",
                 )
 
-    def _remove(self, body_id: int) -> None:
+    def _remove(self, body_id: int, sequence: int) -> None:
         if body_id in self._removed:
             return
         if body_id not in self.bodies:
             refuse("unknown_id", f"body_id: unknown body {body_id} cannot be removed")
         body = self.bodies.pop(body_id)
         self._removed[body_id] = body.digest
+        if body.is_static:
+            self._body_messages.remove_static(body_id, body.sequence, sequence)
         self._labels.pop(body_id, None)
         self._pinched.pop(body_id, None)
         self._room_for_nodes += self._nodes.pop(body_id)

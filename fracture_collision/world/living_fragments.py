@@ -9,6 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fracture_collision.world.gates.body_gate import CheckedBody
+
 MASS_VALUES = 10  # mass [kg], centre of mass (3) [m], inertia (6) [kg m2]; body frame
 
 
@@ -23,10 +25,11 @@ class Columns(NamedTuple):
     friction: np.ndarray  # (n,) float64
     restitution: np.ndarray  # (n,) float64
     density: np.ndarray  # (n,) float64 [kg/m3]
+    sequences: np.ndarray  # (n,) uint64 of the message that added the body; 0: not numbered
     masses: np.ndarray  # (n, MASS_VALUES) float64; NaN: not computed yet
 
 
-_TYPES = (np.int64, np.int64, np.int64, np.int64, np.bool_, np.float64, np.float64, np.float64)
+_TYPES = (np.int64, np.int64, np.int64, np.int64, np.bool_, np.float64, np.float64, np.float64, np.uint64)
 
 
 class LivingFragments:
@@ -42,13 +45,12 @@ class LivingFragments:
         """Row of a fragment in the pools; None if it does not live."""
         return self._row.get(fragment_id)
 
-    def add(
-        self, fragment_id: int, row: int, body_id: int, parent_id: int, is_static: bool, friction: float,
-        restitution: float, density: float,
-    ) -> None:  # fmt: skip
-        """Add a fragment; arguments as in Columns. Its id must be new."""
+    def add(self, fragment_id: int, row: int, body: CheckedBody, parent_id: int) -> None:
+        """Add a fragment of `body`; other arguments as in Columns. Its id must be new."""
         self._row[fragment_id] = row
-        self._came[fragment_id] = row, body_id, parent_id, is_static, friction, restitution, density
+        self._came[fragment_id] = (
+            row, body.body_id, parent_id, body.is_static, body.friction, body.restitution, body.density, body.sequence
+        )  # fmt: skip
 
     def remove(self, fragment_id: int) -> int:
         """Returns its row."""

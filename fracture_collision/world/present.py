@@ -40,12 +40,14 @@ class Present(NamedTuple):
     restitution: np.ndarray
 
 
-def take_places(checked: CheckedStates, living: Columns, named: np.ndarray) -> Present:
+def take_places(checked: CheckedStates, living: Columns, named: np.ndarray, static_until: int) -> Present:
     """The fragments that take part, with their poses; static ones that the states do not name are at the origin.
 
-    `named` (n,): indices into `living` of the fragments that the states name, in the states' order.
+    `named` (n,): indices into `living` of the fragments that the states name, in the states' order; `static_until`:
+    the last message whose static bodies take part unnamed.
     """
-    fragments = _Fragments(living.ids, living.rows, living.is_static, living.friction, living.restitution)
+    always = living.is_static & (living.sequences <= np.uint64(static_until))
+    fragments = _Fragments(living.ids, living.rows, living.is_static, always, living.friction, living.restitution)
     poses = _Poses(checked.positions, checked.orientations, checked.linear, checked.angular)
     return Present(*_take_places(fragments, named, poses))
 
@@ -56,6 +58,7 @@ class _Fragments(NamedTuple):
     ids: np.ndarray
     rows: np.ndarray
     is_static: np.ndarray
+    always: np.ndarray  # (n,) bool: takes part without being named
     friction: np.ndarray
     restitution: np.ndarray
 
@@ -71,12 +74,12 @@ class _Poses(NamedTuple):
 
 @kernel
 def _take_places(fragments, named, poses):
-    ids, rows, is_static, friction, restitution = fragments
+    ids, rows, is_static, always, friction, restitution = fragments
     positions, orientations, linear, angular = poses
     stands_at = np.full(len(ids), -1)
     for k in range(len(named)):
         stands_at[named[k]] = k
-    chosen = np.flatnonzero(is_static | (stands_at >= 0))
+    chosen = np.flatnonzero(always | (stands_at >= 0))
     n = len(chosen)
     placed, rotations, velocities, spins = np.zeros((n, 3)), np.empty((n, 3, 3)), np.zeros((n, 3)), np.zeros((n, 3))
     for i in range(n):

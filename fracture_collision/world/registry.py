@@ -20,6 +20,9 @@ _NORMALS = dict(zip(NORMALS, (FACING, NEAREST), strict=True))
 _TRAVERSAL = dict(zip(TRAVERSALS, (ALTERNATING, QUEUE), strict=True))
 
 
+NO_LIMIT = 2**64 - 1
+
+
 class Registry:
     """Adds and removes bodies, applies events in order; reclaiming a removed body costs its size, amortized."""
 
@@ -33,6 +36,7 @@ class Registry:
         self.changes = 0  # number of changes of any kind
         self._centers, self._centers_at = np.zeros((0, 3)), 0  # of mass, of all living; `changes` when computed
         self._bodies: dict[int, CheckedBody] = {}
+        self._last_static = 0  # sequence of the last message that added a static body
         self._chain = hashlib.sha256().digest()
         self._living = LivingFragments()
         self._fragments_of: dict[int, set[int]] = {}  # body id -> its living fragments
@@ -50,6 +54,8 @@ class Registry:
             row = self.geometry.add_plane(body.plane[:3], body.plane[3])
         else:
             row = self.geometry.add_sphere(body.sphere)
+        if body.is_static:
+            self._last_static = max(self._last_static, body.sequence)
         self._bodies[body.body_id] = body
         self._fragments_of[body.body_id] = set()
         self._add_fragment(body.fragment_id, body, body.fragment_id, row)
@@ -80,6 +86,13 @@ class Registry:
     def living(self) -> Columns:
         """Living fragments by ascending id."""
         return self._living.columns()
+
+    def static_until(self, body_sequence: int) -> int:
+        """Static bodies of later messages than this do not take part in states after `body_sequence` messages.
+
+        NO_LIMIT where all take part; so states of another sequence with the same bodies are the same query.
+        """
+        return body_sequence if 0 < body_sequence < self._last_static else NO_LIMIT
 
     def row_of(self, fragment_id: int) -> int | None:
         """Row of a fragment in the pools; None if it does not live."""
@@ -127,6 +140,4 @@ class Registry:
 
     def _add_fragment(self, fragment_id: int, body: CheckedBody, parent_id: int, row: int) -> None:
         self._fragments_of[body.body_id].add(fragment_id)
-        self._living.add(
-            fragment_id, row, body.body_id, parent_id, body.is_static, body.friction, body.restitution, body.density
-        )
+        self._living.add(fragment_id, row, body, parent_id)

@@ -30,12 +30,19 @@ def lines(caplog: pytest.LogCaptureFixture) -> list[str]:
     return [record.getMessage() for record in caplog.records if record.name == "fracture_collision"]
 
 
+def of_the_package(function):
+    function.__module__ = "fracture_collision.somewhere"
+    return function
+
+
 def test_a_long_compilation_is_reported_until_its_end(reporting: pytest.LogCaptureFixture) -> None:
     @numba.njit
+    @of_the_package
     def inner(x):
         return x + 1
 
     @numba.njit
+    @of_the_package
     def outer(x):
         return inner(x) * inner(x + 1.0)
 
@@ -50,8 +57,18 @@ def test_a_long_compilation_is_reported_until_its_end(reporting: pytest.LogCaptu
     assert all(record.levelno == logging.WARNING for record in reporting.records)
 
 
+def test_the_users_own_functions_are_not_reported(reporting: pytest.LogCaptureFixture) -> None:
+    @numba.njit
+    def own(x):
+        return x + 1
+
+    own(1)
+    assert compile_progress._reporters[0]._done == 0 and not lines(reporting)
+
+
 def test_loaded_kernels_are_not_reported(reporting: pytest.LogCaptureFixture) -> None:
     @numba.njit
+    @of_the_package
     def once(x):
         return x
 

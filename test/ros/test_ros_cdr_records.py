@@ -185,13 +185,13 @@ def test_random_bytes_are_read_or_rejected() -> None:
 
 def test_big_endian_messages_are_read() -> None:
     """A hand-written big-endian FragmentStates."""
-    head = Struct(">iII4sQQQII").pack(3, 5, 4, b"map\0", 41, 7, 2, 1, 0xDEADBEEF)
+    head = Struct(">iII4sQQQQII").pack(3, 5, 4, b"map\0", 41, 7, 2, 6, 1, 0xDEADBEEF)
     positions = Struct(">I4xddd").pack(3, 1.0, 2.0, 3.0)
     orientations = Struct(">I4xdddd").pack(4, 0.0, 0.0, 0.0, 1.0)
     data = b"\x00\x00\x00\x00" + head + positions + orientations + Struct(">II").pack(0, 0)
     received = deserialize_record(data, message_class_of(states(0)))
     assert received.heading == Heading(3, 5, "map") and received.run_id == 41
-    assert received.record.fragment_ids.tolist() == [0xDEADBEEF]
+    assert received.record.body_sequence == 6 and received.record.fragment_ids.tolist() == [0xDEADBEEF]
     assert received.record.positions.tolist() == [1.0, 2.0, 3.0]
     assert received.record.orientations.tolist() == [0.0, 0.0, 0.0, 1.0]
     for wrong in (data[:-6], b"\x07\x07" + data[2:], b"\x00\x07" + data[2:], b""):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from fracture_collision.msg import FractureEvent as FractureEventMessage
 
 from fracture_collision.geometry.generators import brick
 from fracture_collision.geometry.tetrahedra import unique_edges
@@ -18,7 +19,7 @@ from fracture_collision.records import (
 from fracture_collision.ros.service import collision_run
 from fracture_collision.ros.service.collision_node import is_time_for_log
 from fracture_collision.ros.service.collision_run import CollisionRun
-from fracture_collision.ros.wire.cdr_records import place_of_event, serialize_record
+from fracture_collision.ros.wire.cdr_records import place_in_log, serialize_record
 from fracture_collision.ros.wire.conversion import heading
 from fracture_collision.world import CollisionWorld, InvalidMessage, Settings, StatesAhead
 
@@ -195,9 +196,9 @@ def test_events_after_one_that_is_rejected_late_are_kept() -> None:
 def test_an_undecodable_event_is_known_by_its_sequence() -> None:
     data = bytearray(serialize_record(SECOND, heading(1.5), 7))
     for damaged in (data[:-40], data[:400], data):
-        place = place_of_event(bytes(damaged))
+        place = place_in_log(bytes(damaged), FractureEventMessage)
         assert (place.run_id, place.record.sequence) == (7, 2)
-    assert place_of_event(bytes(data[:20])) is None
+    assert place_in_log(bytes(data[:20]), FractureEventMessage) is None
     run = ready_run()
     run.reject_fracture(2, "too long")
     assert run.rejected_event == "" and run.answer(STATES) is None  # event 1 may still arrive

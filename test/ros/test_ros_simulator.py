@@ -1,16 +1,14 @@
-"""The simulator in its own process: what it rejects, and the states it publishes."""
+"""The simulator in its own process: what it rejects, and its run ids."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from campaigns.kills.stage import Stage, stage
-from fracture_collision.records import FragmentStates
-from fracture_collision.ros.nodes.simulator_node import derived_run_id, with_static_fragments
+from fracture_collision.ros.nodes.simulator_node import derived_run_id
 
 
 @pytest.fixture
@@ -23,18 +21,6 @@ def test_a_missing_scene_is_reported_with_an_explanation(nodes: Stage) -> None:
     simulator = nodes.start("simulator_node", scene="no_such_scene")
     assert simulator.wait(30.0) == 1
     assert "no_such_scene" in simulator.log_text() and "Traceback" not in simulator.log_text()
-
-
-def test_static_fragments_are_published_once_with_their_poses() -> None:
-    states = FragmentStates(
-        3, 0, np.array([2, 5], np.uint32), np.arange(6.0), np.tile([0.0, 0.0, 0.0, 1.0], 2), np.ones(6), np.ones(6)
-    )
-    named = with_static_fragments(states, [5, 1, 9])
-    assert named.fragment_ids.tolist() == [1, 2, 5, 9] and named.fragment_ids.dtype == np.uint32
-    assert named.positions.reshape(-1, 3)[1:3].ravel().tolist() == states.positions.tolist()
-    assert named.positions.reshape(-1, 3)[[0, 3]].tolist() == [[0.0] * 3] * 2
-    assert named.orientations.reshape(-1, 4).tolist() == [[0.0, 0.0, 0.0, 1.0]] * 4
-    assert named.linear_velocities.reshape(-1, 3).sum(axis=1).tolist() == [0.0, 3.0, 3.0, 0.0]
 
 
 def test_run_ids_differ_by_scene_and_seed() -> None:

@@ -27,17 +27,27 @@ TOPICS = {
 }
 
 
-def write_bag(folder: Path, records: Iterable[tuple[float, Any]], namespace: str = "", run_id: int = 1) -> None:
-    """`records`: (simulated time [s], record) in order; `folder` is created, or the records are appended to it."""
+def write_bag(
+    folder: Path, records: Iterable[tuple[float, Any]], namespace: str = "", run_id: int = 1,
+    lacking: frozenset[str] = frozenset(),
+) -> None:  # fmt: skip
+    """`records`: (simulated time [s], record) in order; `folder` is created, or the records are appended to it.
+
+    `lacking`: fields that the messages' definitions do not have, as those of an earlier version.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     name = f"{folder.name}_{len(list(folder.glob('*.mcap')))}.mcap"
     with (folder / name).open("wb") as stream:
         writer = Writer(stream)
-        schemas = {kind: writer.register_msgdef(f"fracture_collision/msg/{kind}", _definition(kind)) for kind in TOPICS}
+        schemas = {
+            kind: writer.register_msgdef(f"fracture_collision/msg/{kind}", _definition(kind, lacking))
+            for kind in TOPICS
+        }
         for time, record in records:
             kind = type(record).__name__
             stamp = {"sec": int(time), "nanosec": round((time - int(time)) * 1e9)}
             message = {"header": {"stamp": stamp, "frame_id": "world"}, "run_id": run_id, **_fields(record)}
+            message = {name: value for name, value in message.items() if name not in lacking or kind == "FractureEvent"}
             writer.write_message(f"{namespace}/{TOPICS[kind]}", schemas[kind], message, log_time=round(time * 1e9))
         writer.finish()
     files = sorted(path.name for path in folder.glob("*.mcap"))
@@ -46,8 +56,11 @@ def write_bag(folder: Path, records: Iterable[tuple[float, Any]], namespace: str
     )
 
 
-def _definition(kind: str) -> str:
-    parts = [(MESSAGES / f"{kind}.msg").read_text()]
+def _definition(kind: str, lacking: frozenset[str]) -> str:
+    lines = (MESSAGES / f"{kind}.msg").read_text().splitlines()
+    if kind != "FractureEvent":  # its sequence was always there
+        lines = [line for line in lines if lacking.isdisjoint(line.split()[1:2])]
+    parts = ["\n".join(lines)]
     parts += [f"MSG: {name}\n{text}" for name, text in DEPENDENCIES.items()]
     return ("\n" + "=" * 80 + "\n").join(parts)
 

@@ -143,6 +143,7 @@ BODIES = {
     "cavity outside": (
         rigid(20, joined(CUBE, RigidShape(0.5 * CUBE.vertices + 3.0, CUBE.triangles[:, ::-1]))), "bad_mesh", "no cavity"
     ),
+    "sequence negative": (TET._replace(sequence=-1), "out_of_range", "sequence"),
     "remove unknown": (CollisionBody(99, 99, operation=REMOVE), "unknown_id", "body_id"),
 }  # fmt: skip
 
@@ -246,6 +247,8 @@ STATES = {
     "step too large": (REFERENCE._replace(step=2**64), "out_of_range", "step"),
     "sequence no integer": (REFERENCE._replace(fracture_sequence="1"), "wrong_type", "fracture_sequence"),
     "event to come": (REFERENCE._replace(fracture_sequence=2), "sequence_gap", "fracture_sequence: 2"),
+    "bodies no integer": (REFERENCE._replace(body_sequence=1.0), "wrong_type", "body_sequence"),
+    "body to come": (REFERENCE._replace(body_sequence=9), "sequence_gap", "body_sequence: 9, but body message"),
     "fragment to come": (
         REFERENCE._replace(fragment_ids=with_entry(IDS, 0, 50)), "unknown_id", "fragment_ids: no fragment 50"
     ),
@@ -305,4 +308,4 @@ STATES = {
 }  # fmt: skip
 
 
-AHEAD = {"event to come", "fragment to come", "fragment to come, other registry"}
+AHEAD = {"body to come", "event to come", "fragment to come", "fragment to come, other registry"}

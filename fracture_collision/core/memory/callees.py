@@ -19,7 +19,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from llvmlite import binding as llvm
-from numba.core import compiler
+from numba.core import compiler, types
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.compiler_machinery import register_pass
@@ -98,17 +98,22 @@ class CalleeLowering(NativeLowering):
         return True
 
 
-class CalleeCompiler(compiler.Compiler):
-    """numba's compiler, with CalleeLowering."""
+def with_lowering(lowering: type) -> type:
+    """Numba's compiler, with its lowering replaced."""
 
-    def define_pipelines(self) -> list[Any]:
-        """As numba's, with one pass replaced."""
-        managers = super().define_pipelines()
-        for manager in managers:
-            manager.passes = [
-                (CalleeLowering if each is NativeLowering else each, words) for each, words in manager.passes
-            ]
-        return managers
+    class Compiler(compiler.Compiler):
+        def define_pipelines(self) -> list[Any]:
+            managers = super().define_pipelines()
+            for manager in managers:
+                manager.passes = [
+                    (lowering if each is NativeLowering else each, words) for each, words in manager.passes
+                ]
+            return managers
+
+    return Compiler
+
+
+CalleeCompiler = with_lowering(CalleeLowering)
 
 
 def is_callee(result: Any) -> bool:
@@ -151,34 +156,66 @@ def _fewer_collections() -> Iterator[None]:
         gc.set_threshold(youngest, *older)
 
 
-@contextmanager
-def compiled_as_callee(dispatcher: Any) -> Iterator[None]:
-    """Within, numba compiles the dispatcher's function for other kernels only, or loads it so."""
-    before, dispatcher._compiler.pipeline_class = dispatcher._compiler.pipeline_class, CalleeCompiler
-    dispatcher._cache.of_callees = True
-    try:
-        yield
-    finally:
-        dispatcher._cache.of_callees = False
-        dispatcher._compiler.pipeline_class = before
+class KernelCalls:
+    """What of a dispatcher's work differs from numba's; it concerns this dispatcher only.
 
+    A call from another kernel is resolved by the types of its arguments, not their values, and compiled as a callee.
+    For an argument that is a constant, or a variable that begins as one, numba would compile the kernel for that value,
+    too: code that is rarely used and took a third of the build time. A call from Python, or from a function that is no
+    kernel, compiles the kernel as usual, even if it exists as a callee.
+    """
 
-def keep_callees_from_python(dispatcher: Any) -> None:
-    """Make a call from Python compile the kernel as usual, where it is there as a callee only."""
-    add, compile_for = dispatcher.add_overload, dispatcher._compile_for_args
+    _inside = 0  # kernels that are being compiled; read and written under numba's lock
 
-    def add_overload(result: Any) -> None:
+    def __init__(self, dispatcher: Any) -> None:
+        self._dispatcher = dispatcher
+        self._add, self._resolve = dispatcher.add_overload, dispatcher.get_call_template
+        self._compile, self._compile_for_args = dispatcher.compile, dispatcher._compile_for_args
+        dispatcher.add_overload, dispatcher.get_call_template = self.add_overload, self.get_call_template
+        dispatcher.compile, dispatcher._compile_for_args = self.compile, self.compile_for_args
+
+    def add_overload(self, result: Any) -> None:
+        """Python cannot call a callee."""
         if is_callee(result):
-            dispatcher.overloads[tuple(result.signature.args)] = result
+            self._dispatcher.overloads[tuple(result.signature.args)] = result
         else:
-            add(result)
+            self._add(result)
 
-    def compile_for_args(*args: Any, **named: Any) -> Callable:
+    def get_call_template(self, args: tuple, kws: dict) -> Any:
+        """Signature of a call with positional types `args` and keyword types `kws`, literal types made general."""
+        if not KernelCalls._inside:
+            self._drop_callees()
+            return self._resolve(args, kws)
+        dispatcher = self._dispatcher
+        before, dispatcher._compiler.pipeline_class = dispatcher._compiler.pipeline_class, CalleeCompiler
+        dispatcher._cache.of_callees = True
+        try:
+            return self._resolve(tuple(map(_general, args)), {name: _general(kind) for name, kind in kws.items()})
+        finally:
+            dispatcher._cache.of_callees = False
+            dispatcher._compiler.pipeline_class = before
+
+    def compile(self, signature: Any) -> Any:
+        """Compile, or load from the cache."""
         with global_compiler_lock:
-            for signature, result in list(dispatcher.overloads.items()):
-                if is_callee(result):
-                    del dispatcher.overloads[signature]
-            with _fewer_collections():
-                return compile_for(*args, **named)
+            KernelCalls._inside += 1
+            try:
+                return self._compile(signature)
+            finally:
+                KernelCalls._inside -= 1
 
-    dispatcher.add_overload, dispatcher._compile_for_args = add_overload, compile_for_args
+    def compile_for_args(self, *args: Any, **named: Any) -> Callable:
+        """Compile for a call from Python."""
+        with global_compiler_lock, _fewer_collections():
+            self._drop_callees()
+            return self._compile_for_args(*args, **named)
+
+    def _drop_callees(self) -> None:
+        for signature, result in list(self._dispatcher.overloads.items()):
+            if is_callee(result):
+                del self._dispatcher.overloads[signature]
+
+
+def _general(kind: Any) -> Any:
+    """The type of a literal type's value; any other type unchanged."""
+    return kind if isinstance(kind, types.BaseNamedTuple) else types.unliteral(kind)  # type: ignore[attr-defined]

@@ -6,28 +6,27 @@ from collections.abc import Callable
 from importlib.metadata import version
 from typing import Any
 
+from fracture_collision.kernel_sources import cached_njit
+
 # The faster kernel loading relies on numba internals (kernel_cache.py): other versions use numba's own cache.
 TRIED_WITH = "0.68."
 
 if version("numba").startswith(TRIED_WITH):
-    from fracture_collision.core.memory.kernel_cache import ForKernels, KernelCache, keep_callees_from_python, njit
+    from fracture_collision.core.memory.callees import KernelCalls
+    from fracture_collision.core.memory.kernel_cache import KernelCache, KernelCompiler
 else:
-    from numba import njit
-
     KernelCache = None  # type: ignore[assignment, misc] # as a missing optional import
 
 
 def _cached(**options: Any) -> Callable[[Callable], Any]:
     if KernelCache is None:
-        return njit(error_model="numpy", cache=True, **options)
-    compiled = njit(error_model="numpy", **options)
+        return cached_njit(error_model="numpy", **options)
 
     def decorate(function: Callable) -> Any:
-        dispatcher = compiled(function)
+        dispatcher = cached_njit(function, error_model="numpy", pipeline_class=KernelCompiler, **options)
         if dispatcher is not function:  # they are the same under NUMBA_DISABLE_JIT
-            dispatcher._cache = KernelCache(function)  # replaces the cache that cache=True would set
-            dispatcher.get_call_template = ForKernels(dispatcher)
-            keep_callees_from_python(dispatcher)
+            dispatcher._cache = KernelCache(function)
+            KernelCalls(dispatcher)
         return dispatcher
 
     return decorate

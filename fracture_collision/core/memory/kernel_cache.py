@@ -11,71 +11,47 @@ test_core_kernel_cache.py detects where it no longer fits.
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
+from llvmlite import binding as llvm
+from numba.core import compiler
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler_machinery import register_pass
+from numba.core.environment import lookup_environment
+from numba.core.runtime import _nrt_python as runtime
+from numba.core.typed_passes import NativeLowering
 
-@contextmanager
-def _not_to_be_imported(*names: str) -> Iterator[None]:
-    """Hide modules from import, unless they are already imported."""
-    hidden = [name for name in names if name not in sys.modules]
-    sys.modules |= dict.fromkeys(hidden)  # type: ignore[arg-type] # None: an import of it fails
-    try:
-        yield
-    finally:
-        for name in hidden:
-            del sys.modules[name]
-
-
-# numba imports both if they are installed: scipy to check its version, and in a module that kernels need for other
-# reasons (without scipy it does not support np.cov); coverage to measure the coverage of compiled code.
-with _not_to_be_imported("scipy", "coverage"):
-    from llvmlite import binding as llvm
-    from numba import njit, types
-    from numba.core.caching import FunctionCache
-    from numba.core.codegen import JITCodeLibrary
-    from numba.core.environment import lookup_environment
-    from numba.core.runtime import _nrt_python as runtime
-
-    from fracture_collision.core.memory.callees import (
-        callers_first,
-        compiled_as_callee,
-        is_callee,
-        keep_callees_from_python,
-        left_to_link,
-        rebuilt,
-        reduced,
-    )
-
-__all__ = ["ForKernels", "KernelCache", "keep_callees_from_python", "njit"]
+from fracture_collision.core.memory.callees import (
+    callers_first,
+    is_callee,
+    left_to_link,
+    rebuilt,
+    reduced,
+    with_lowering,
+)
+from fracture_collision.kernel_sources import SourceCache
 
 _FUNCTION = "_ZN"  # prefix of the functions that numba compiles
 _WRAPPER = "_ZN7cpython"  # prefix of the functions that Python calls; every cached kernel has one
 
 
-class KernelCache(FunctionCache):
+class KernelCache(SourceCache):
     """The cache of one kernel, in numba's own files; what other kernels call has keys of its own."""
 
     of_callees = False  # whether the code for other kernels is meant
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """As in FunctionCache, without target_context.refresh(), which numba's compiler calls itself."""
-        codegen = target_context.codegen()
-        if codegen._library_class is not _Library:
-            codegen._library_class = _Library
-            for name, address in runtime.c_helpers.items():  # as in rtsys.initialize
-                llvm.add_symbol(name if name.startswith("_") else f"NRT_{name}", address)
-        hidden = () if "numba.np.arraymath" in sys.modules else ("scipy",)
-        with self._guard_against_spurious_io_errors(), _not_to_be_imported(*hidden):
+        for name, address in runtime.c_helpers.items():  # as in rtsys.initialize
+            llvm.add_symbol(name if name.startswith("_") else f"NRT_{name}", address)
+        with self._guard_against_spurious_io_errors():
             return self._load_overload(sig, target_context)
 
     def _load_overload(self, sig: Any, target_context: Any) -> Any:
-        if not self.of_callees:
-            return super()._load_overload(sig, target_context)
         parts = self._cache_file.load(self._index_key(sig, target_context.codegen()))
-        return None if parts is None else rebuilt(target_context, parts)
+        if parts is None:
+            return None
+        return (rebuilt if self.of_callees else _rebuilt_whole)(target_context, parts)
 
     def _save_overload(self, sig: Any, data: Any) -> None:
         if not is_callee(data):
@@ -88,27 +64,18 @@ class KernelCache(FunctionCache):
         return (*super()._index_key(sig, codegen), self.of_callees)
 
 
-class ForKernels:
-    """Resolves a call from one kernel to another, by the types of its arguments, not their values.
-
-    The other is compiled as a callee (callees.py).
-
-    Where an argument is a constant, or a variable that begins as one, numba would compile the kernel for that value,
-    too: code that is rarely used and took a third of the build time.
-    """
-
-    def __init__(self, dispatcher: Any) -> None:
-        self._dispatcher, self._resolve = dispatcher, dispatcher.get_call_template
-
-    def __call__(self, args: tuple, kws: dict) -> Any:
-        """Signature of a call with positional types `args` and keyword types `kws`, literal types made general."""
-        with compiled_as_callee(self._dispatcher):
-            return self._resolve(tuple(map(_general, args)), {name: _general(kind) for name, kind in kws.items()})
-
-
-def _general(kind: Any) -> Any:
-    """The type of a literal type's value; any other type unchanged."""
-    return kind if isinstance(kind, types.BaseNamedTuple) else types.unliteral(kind)
+def _rebuilt_whole(target_context: Any, parts: tuple) -> Any:
+    """As CompileResult._rebuild, with a library of ours."""
+    library_data, descriptor, environment, signature, object_mode, lifted, annotation, reload_init, environments = parts
+    for function in reload_init:
+        function()
+    library = _Library.loaded(target_context.codegen(), library_data)
+    return compiler.compile_result(
+        typing_context=target_context.typing_context, target_context=target_context, library=library, fndesc=descriptor,
+        entry_point=target_context.get_executable(library, descriptor, environment), environment=environment,
+        signature=signature, objectmode=object_mode, lifted=lifted, type_annotation=annotation,
+        reload_init=reload_init, referenced_envs=environments,
+    )  # fmt: skip
 
 
 class _Library(JITCodeLibrary):
@@ -138,11 +105,10 @@ class _Library(JITCodeLibrary):
         super()._optimize_final_module()
 
     @classmethod
-    def _unserialize(cls, codegen: Any, state: tuple[str, str, Any]) -> JITCodeLibrary:
-        name, kind, data = state
-        if kind != "object":
-            return super()._unserialize(codegen, state)
-        self = codegen.create_library(name)
+    def loaded(cls, codegen: Any, state: tuple[str, str, Any]) -> _Library:
+        """The library that numba stored as object code, with its bitcode."""
+        name, _, data = state
+        self = cls(codegen, name)
         self.enable_object_caching()
         code, self._bitcode = data
         self._set_compiled_object(code)
@@ -166,3 +132,19 @@ class _Library(JITCodeLibrary):
             return self._codegen._engine.get_function_address(name)
         _ = self._shared_module  # parses the bitcode, which defines the names for numba
         return super().get_pointer_to_function(name)
+
+
+@register_pass(mutates_CFG=True, analysis_only=False)
+class KernelLowering(NativeLowering):
+    """Lowers what Python calls into a library of ours."""
+
+    _name = "kernel_lowering"
+
+    def run_pass(self, state: Any) -> bool:
+        """As numba's."""
+        state.library = _Library(state.targetctx.codegen(), state.func_id.func_qualname)
+        state.library.enable_object_caching()
+        return super().run_pass(state)
+
+
+KernelCompiler = with_lowering(KernelLowering)

@@ -161,7 +161,6 @@ class LiveSimulatorNode(SimulatorNode):
         self._commands.clear()
         self._reached.clear()
         self._refused = ""
-        self._static_fragments.clear()
         # late joiners must receive this run only
         for publisher in (self._bodies, self._events):
             self.destroy_publisher(publisher)

@@ -15,7 +15,7 @@ from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 
-from fracture_collision.records import ADD, INVALID_STATES, ContactConstraintArray, FragmentRegistry, FragmentStates
+from fracture_collision.records import INVALID_STATES, ContactConstraintArray, FragmentRegistry, FragmentStates
 from fracture_collision.ros.fastdds.extras import AcknowledgedPublisher, make_executor, make_neighbours
 from fracture_collision.ros.processes.parameters import Declaration, Range, declare_all
 from fracture_collision.ros.processes.process import Fatal, nothing_to_lose, run_node
@@ -93,7 +93,6 @@ class SimulatorNode(Node):
             (qos.FRAGMENTS, self._on_registry, False),
         ):
             self.create_subscription(topic.message_class, topic.name, callback, topic.qos, raw=raw)
-        self._static_fragments: list[int] = []
         self._asked = (0, 0)
         self._contacts: ContactConstraintArray | None = None
         self._registry: FragmentRegistry | None = None
@@ -172,8 +171,6 @@ class SimulatorNode(Node):
     def _announce(self, bodies: list, events: list) -> None:
         stamp = heading(self._simulation.time)
         for body in bodies:
-            if body.is_static and body.operation == ADD:
-                self._static_fragments.append(body.fragment_id)
             self._bodies.publish(to_message(body, stamp, self._run_id))
         for event in events:
             self._events.publish(to_message(event, stamp, self._run_id))
@@ -186,8 +183,7 @@ class SimulatorNode(Node):
         Returns both, the time the subscribers took to acknowledge the last states [s], and the time from publishing
         these to their answer [s].
         """
-        named = with_static_fragments(states, self._static_fragments)
-        data = serialize_record(named, heading(self._simulation.time), self._run_id)
+        data = serialize_record(states, heading(self._simulation.time), self._run_id)
         self._asked = (states.step, states.fracture_sequence)
         self._contacts = None
         began = time.perf_counter()
@@ -254,24 +250,6 @@ class SimulatorNode(Node):
             step, seconds, contacts, fragments = self._rows[-1][:4]
             told = {"step": step + 1, "steps": self._total_steps, "time": seconds, "contacts": contacts}
             print(json.dumps(told | {"fragments": fragments}), flush=True)
-
-
-def with_static_fragments(states: FragmentStates, static_fragments: list[int]) -> FragmentStates:
-    """Adds the static fragments to `states`, with the world's frame as body frame.
-
-    The protocol allows leaving them out. But a service that has not received a body holds states that name it, and
-    would answer others without it.
-    """
-    unnamed = np.setdiff1d(np.array(static_fragments, dtype=np.uint32), states.fragment_ids)
-    at_rest = {"positions": (0.0, 0.0, 0.0), "orientations": (0.0, 0.0, 0.0, 1.0)}
-    at_rest |= {"linear_velocities": (0.0, 0.0, 0.0), "angular_velocities": (0.0, 0.0, 0.0)}
-    ids = np.concatenate((states.fragment_ids, unnamed))
-    order = np.argsort(ids)
-    columns: dict[str, Any] = {}
-    for name, value in at_rest.items():
-        given = getattr(states, name).reshape(-1, len(value))
-        columns[name] = np.vstack((given, np.tile(value, (len(unnamed), 1))))[order].ravel()
-    return states._replace(fragment_ids=ids[order], **columns)
 
 
 def derived_run_id(scene_name: str, seed: int) -> int:

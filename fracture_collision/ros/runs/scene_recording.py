@@ -16,7 +16,7 @@ from fracture_collision.bag.writer import BagWriter
 from fracture_collision.cdr import Heading
 from fracture_collision.lockstep import Lockstep
 from fracture_collision.ros.nodes.recorder_node import bag_topic
-from fracture_collision.ros.nodes.simulator_node import derived_run_id, with_static_fragments
+from fracture_collision.ros.nodes.simulator_node import derived_run_id
 from fracture_collision.ros.wire import qos
 from fracture_collision.ros.wire.cdr_records import serialize_record
 from fracture_collision.ros.wire.conversion import heading
@@ -62,9 +62,7 @@ def record_scene(
 
         # The number of threads changes no answer and depends on this machine.
         writer.note(SETTINGS, json.dumps(settings._replace(threads=Settings().threads)._asdict()))
-        bodies = run.simulation.start_bodies()
-        static_fragments = [body.fragment_id for body in bodies if body.is_static]
-        for body in bodies:
+        for body in run.simulation.start_bodies():
             write(qos.BODIES, body, heading(0.0))
         for step in range(end):
             stamp = heading(run.simulation.time)
@@ -72,7 +70,6 @@ def record_scene(
                 write(qos.FRACTURE_EVENTS, event, stamp)
             exchange = run.step()
             if step >= selection.first and (step - selection.first) % selection.every == 0:
-                states = with_static_fragments(exchange.states, static_fragments)
-                write(qos.FRAGMENT_STATES, states, stamp)
+                write(qos.FRAGMENT_STATES, exchange.states, stamp)
                 write(qos.CONTACT_CONSTRAINTS, exchange.contacts, stamp)
             yield step + 1

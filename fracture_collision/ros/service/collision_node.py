@@ -32,6 +32,10 @@ from fracture_collision.world.warm_up import cache_is_cold, compile_kernels
 # [s] After states were held for so long, bodies and events are requested again. They are latched and arrive by
 # themselves, but discovery sometimes omits a reader that appeared while others were killed. The last pause repeats.
 LOG_PAUSES = (2, 4, 8, 16, 32, 64, 128)
+NO_BODY_SEQUENCE = (
+    "states are answered, but have no body_sequence: answers would lack a static body that has not arrived. Number the"
+    " bodies (sequence 1, 2, 3 ...) and set body_sequence to the number of those published before the states"
+)
 
 
 class CollisionNode(Node):
@@ -72,7 +76,7 @@ class CollisionNode(Node):
             },
             self._note,
             self._forget_run,
-            self._on_unreadable_event,
+            self._on_unreadable,
         )
         self._answers = Answers(self, self._neighbours)
         self._diagnostics = self.create_publisher(
@@ -136,9 +140,15 @@ class CollisionNode(Node):
         self._note(*run.add_fracture(message.record))
         self._go_on(run)
 
-    def _on_unreadable_event(self, run_id: int, sequence: int, reason: str) -> None:
-        run = self._run_of_event(run_id)
-        run.reject_fracture(sequence, reason)
+    def _on_unreadable(self, topic: qos.Topic, run_id: int, sequence: int, reason: str) -> None:
+        if topic is qos.FRACTURE_EVENTS:
+            run = self._run_of_event(run_id)
+            run.reject_fracture(sequence, reason)
+        elif self._run is not None and run_id == self._run.run_id:
+            run = self._run
+            run.world.reject_body(sequence, reason)
+        else:
+            return  # a run begins with a body that can be read
         self._go_on(run)
 
     def _run_of_event(self, run_id: int) -> CollisionRun:
@@ -211,6 +221,9 @@ class CollisionNode(Node):
             return
         if contacts is not None:
             self._held = None
+            if not states.body_sequence and not self._run.warned:
+                self._run.warned = True
+                self._note(Refusal(qos.FRAGMENT_STATES.name, "no_body_sequence", NO_BODY_SEQUENCE))
             self._answers.publish(self._run, heading, states, contacts, time.perf_counter() - started)
 
     # --- diagnostics -----------------------------------------------------------------------------------------------

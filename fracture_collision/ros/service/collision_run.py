@@ -39,6 +39,7 @@ class CollisionRun:
         self._known_bodies: set[int] = set()  # removed ones too: an event of theirs may still be on its way
         self.event_count = 0
         self.removals = 0
+        self.warned = False  # that its states do not say which bodies precede them
         self._held_events: dict[int, FractureEvent] = {}  # by sequence
         self._held_bytes = 0
         self._unreadable: dict[int, str] = {}  # sequences of events that could not be read, with the reason
@@ -141,6 +142,8 @@ class CollisionRun:
         if self._ahead is None:
             return "they have not been tried yet"
         ahead = self._ahead[1]
+        if ahead.body_sequence:
+            return str(ahead)
         if ahead.fracture_sequence > self.event_count:
             return f"{ahead}; {self._what_events_wait_for()}"
         for fragment_id in ahead.fragment_ids:

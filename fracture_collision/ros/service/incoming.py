@@ -15,7 +15,7 @@ from fracture_collision.ros.processes.parameters import Declaration, declare
 from fracture_collision.ros.service.collision_run import Refusal
 from fracture_collision.ros.service.run_guard import RunGuard, Verdict
 from fracture_collision.ros.wire import qos
-from fracture_collision.ros.wire.cdr_records import deserialize_record, place_of_event
+from fracture_collision.ros.wire.cdr_records import deserialize_record, place_in_log
 
 LOG = (qos.BODIES, qos.FRACTURE_EVENTS)  # a run can be rebuilt from these
 TOPICS = (*LOG, qos.FRAGMENT_STATES)
@@ -39,12 +39,12 @@ class Incoming:
         handlers: Mapping[str, Callable[[Received], None]],
         refuse: Callable[[Refusal], None],
         begin_anew: Callable[[], None],
-        reject_event: Callable[[int, int, str], None],
+        reject: Callable[[qos.Topic, int, int, str], None],
     ) -> None:
         """Subscribes only when `listen` is called.
 
         `largest_message`: [bytes]. `handlers`: by the topic's name. `begin_anew`: discards all earlier runs.
-        `reject_event`: takes run id and sequence of an event that cannot be read, and the reason.
+        `reject`: takes topic, run id and sequence of a message of the log that cannot be read, and the reason.
         """
         self._node = node
         self._neighbours = neighbours
@@ -52,7 +52,7 @@ class Incoming:
         self._handlers = handlers
         self._refuse = refuse
         self._begin_anew = begin_anew
-        self._reject_event = reject_event
+        self._reject = reject
         self._guard = RunGuard()
         self._run_id: int | None = None  # of the last message that was let through
         self._subscriptions: dict[str, Subscription] = {}
@@ -124,11 +124,11 @@ class Incoming:
         self._let_through(topic, origin, received)
 
     def _refuse_unread(self, topic: qos.Topic, data: bytes, origin: Origin, kind: str, reason: str) -> None:
-        """Also reports an event that cannot be read to its run, for later events and the states that need it."""
+        """Also reports a message of the log that cannot be read to its run, for the states that need it."""
         self._refuse(Refusal(topic.name, kind, reason))
-        place = place_of_event(data) if topic is qos.FRACTURE_EVENTS else None
+        place = place_in_log(data, topic.message_class) if topic in LOG else None
         if place is not None and self._is_followed(topic, origin.participant, place.run_id):
-            self._reject_event(place.run_id, place.record.sequence, reason)
+            self._reject(topic, place.run_id, place.record.sequence, reason)
 
     def _let_through(self, topic: qos.Topic, origin: Origin, received: Received) -> None:
         if not self._is_followed(topic, origin.participant, received.run_id):

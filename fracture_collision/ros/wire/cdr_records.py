@@ -11,10 +11,9 @@ from functools import cache
 from typing import Any, NamedTuple
 
 from fracture_collision.cdr import Codec, Heading, Layout, Received
-from fracture_collision.msg import FractureEvent
 from fracture_collision.ros.wire.conversion import message_class_of, record_class_of
 
-_LEADING_BYTES = 4096  # of an event: header with the name of a frame, run_id and sequence
+_LEADING_BYTES = 4096  # of a message of the log: header with the name of a frame, run_id and sequence
 
 
 def serialize_record(record: NamedTuple, heading: Heading, run_id: int) -> bytes:
@@ -30,18 +29,20 @@ def deserialize_record(data: bytes, message_class: Any) -> Received:
     return _codec(message_class).read(data)
 
 
-class EventPlace(NamedTuple):
-    """The first fields of a FractureEvent, without header and run_id."""
+class Place(NamedTuple):
+    """The place of a message of the log, a CollisionBody or FractureEvent, among those of its topic."""
 
     sequence: int
 
 
-def place_of_event(data: bytes) -> Received | None:
-    """The run and an EventPlace of a serialized FractureEvent; None if these cannot be read.
+def place_in_log(data: bytes, message_class: Any) -> Received | None:
+    """The run and Place of a serialized message of the log; None if these cannot be read.
 
-    For events that are too long or damaged farther on.
+    For messages that are too long or damaged farther on.
     """
-    codec = Codec(EventPlace, layout_of(FractureEvent)[:3], lambda kind: layout_of(nested_class(kind)))
+    layout = layout_of(message_class)
+    first = layout[: 1 + [name for name, _ in layout].index("sequence")]
+    codec = Codec(Place, first, lambda kind: layout_of(nested_class(kind)))
     try:
         return codec.read(data[:_LEADING_BYTES])
     except ValueError:

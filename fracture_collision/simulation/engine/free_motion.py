@@ -12,8 +12,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
+from fracture_collision.kernel_sources import cached_njit
 from fracture_collision.simulation.compiled import uncounted
 
 NEWTON_STEPS = 12
@@ -25,7 +24,7 @@ CONVERGED = 1.0e-15
 NEARLY = 1.0e-12
 
 
-@njit(cache=True)
+@cached_njit
 def free_velocities(velocities, inertias, gravity, time_step):
     """(n, 6) v [m/s] and w [rad/s] one `time_step` [s] on, under `gravity` (3,) [m/s2]; inertias (n, 3, 3) [kg m2]."""
     result = velocities.copy()

@@ -15,9 +15,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from fracture_collision import portable_math
+from fracture_collision.kernel_sources import cached_njit
 from fracture_collision.simulation.engine.engine import BodyStates, FrameState, MassProperties
 from fracture_collision.simulation.rotations import (
     crossed,
@@ -31,7 +31,7 @@ from fracture_collision.simulation.rotations import (
 # [rad] sin(x) / x is 1 to the last bit below this angle.
 SMALL_ANGLE = 1e-8
 
-_sine_after = njit(cache=True)(portable_math.sine_after)
+_sine_after = cached_njit(portable_math.sine_after)
 
 
 class _Bodies(NamedTuple):
@@ -152,7 +152,7 @@ def _leading_minors(matrix: np.ndarray) -> tuple[float, float, float]:
     return float(matrix[0, 0]), float(two), float(portable_math.determinants(matrix))
 
 
-@njit(cache=True)
+@cached_njit
 def _turns(spins, time_step):
     """exp(h w / 2): the quaternions (n, 4) by which spins (n, 3) [rad/s] turn in a time step [s]."""
     result = np.empty((len(spins), 4))

@@ -11,17 +11,17 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from fracture_collision import grouping
+from fracture_collision.kernel_sources import cached_njit
 from fracture_collision.simulation.compiled import uncounted
 from fracture_collision.simulation.solver.contact_face import Iterate
 from fracture_collision.simulation.solver.contact_rows import RECORD, TANGENT1, TANGENT2, Rows, Surfaces, fill_record
 from fracture_collision.simulation.solver.contact_step import drift_velocities, find_velocities
 from fracture_collision.simulation.solver.small_matrices import invert_symmetric
 
-_grouped = njit(cache=True)(grouping.grouped)
-_root_of = njit(cache=True)(grouping.root_of)
+_grouped = cached_njit(grouping.grouped)
+_root_of = cached_njit(grouping.root_of)
 # A contact at rest never penetrates by this many rest gaps.
 DEEP = 5.0
 
@@ -71,7 +71,7 @@ class Result(NamedTuple):
     rolling: np.ndarray  # (p, 3) likewise
 
 
-@njit(cache=True)
+@cached_njit
 def islands_of(begin, body_a, body_b, count):
     """Islands of `count` bodies, in the order of their first bodies; pairs without contacts are ignored."""
     root = np.arange(count)
@@ -109,7 +109,7 @@ def islands_of(begin, body_a, body_b, count):
     return Islands(pairs, pair_begin, bodies, body_begin)
 
 
-@njit(cache=True)
+@cached_njit
 def solve_islands(islands, bodies, contacts, settings, time_step, only_limited, asleep, result):
     """Solve one step of all bodies in contact into `result`, which holds u* and no drift for all others.
 
@@ -155,7 +155,7 @@ def _is_limited(pairs, contacts):
     return False
 
 
-@njit(cache=True)
+@cached_njit
 def _rows_of_island(members, pairs, local, bodies, contacts, settings):
     size, pair_count = members.size + 1, pairs.size
     masses, inverse_masses = np.zeros(size), np.zeros(size)
@@ -234,7 +234,7 @@ def _mark_against_parting(records, gaps, both_move, center_a, center_b, deep, ag
             against[c] = False
 
 
-@njit(cache=True)
+@cached_njit
 def _impulses_of_island(pairs, rows, contacts, result):
     """The last step's impulses along n, t1, t2: projected again, since the normal may have turned."""
     impulses, rolling = np.empty((rows.contacts.shape[0], 3)), np.empty((pairs.size, 3))

@@ -13,8 +13,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from fracture_collision.kernel_sources import cached_njit
 from fracture_collision.records import ContactConstraintArray, FragmentStates
 from fracture_collision.simulation.compiled import uncounted
 from fracture_collision.simulation.rotations import rotation_matrices
@@ -97,7 +97,7 @@ def with_remembered(
     return merged, ContactMemory(contacts.fragment_a, contacts.fragment_b, begin, contact_ids, *local)
 
 
-@njit(cache=True)
+@cached_njit
 def _merge(listed, frames, memory, reach):
     fragment_a, fragment_b, begin, contact_ids, points_a, points_b, normals, gaps = listed
     frame_a, frame_b, positions, rotations = frames
@@ -154,7 +154,7 @@ def _merge(listed, frames, memory, reach):
     )  # fmt: skip
 
 
-@njit(cache=True)
+@cached_njit
 def _listed(contact_ids, first, end, wanted):
     for c in range(first, end):  # noqa: SIM110 (compiled)
         if contact_ids[c] == wanted:
@@ -162,7 +162,7 @@ def _listed(contact_ids, first, end, wanted):
     return False
 
 
-@njit(cache=True)
+@cached_njit
 def _pushes_as_one_of(normals, first, end, normal):
     for c in range(first, end):  # noqa: SIM110 (compiled)
         if normals[c, 0] * normal[0] + normals[c, 1] * normal[1] + normals[c, 2] * normal[2] > SAME_WAY:

@@ -37,8 +37,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from fracture_collision.kernel_sources import cached_njit
 from fracture_collision.portable_math import dots, images
 from fracture_collision.records import ContactConstraintArray, documented
 from fracture_collision.simulation.solver.contact_islands import Bodies, Contacts, Result, islands_of, solve_islands
@@ -175,7 +175,7 @@ def solve_contacts(
     return Solution(result.velocities, result.drift, result.normal_impulses, carried)
 
 
-@njit(cache=True)
+@cached_njit
 def carried_impulses(fragment_a, fragment_b, begin, contact_ids, warm_start):
     """Impulses (N, 3), world axes, and rolling (p, 3) from the last step where it had the same contact; else zero.
 

@@ -6,8 +6,8 @@ Symbols and equation numbers are those of `contact_solver`.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from fracture_collision.kernel_sources import cached_njit
 from fracture_collision.simulation.compiled import uncounted
 from fracture_collision.simulation.solver.contact_face import Iterate
 from fracture_collision.simulation.solver.contact_rows import Surfaces, normal_velocities
@@ -19,7 +19,7 @@ ROUNDING = 1.0e-7
 SHARPER = 0.1
 
 
-@njit(cache=True)
+@cached_njit
 def find_velocities(rows, surfaces, gaps, restitution, before, iterate, settings, time_step):
     """Solve (1)-(5): the Iterate has u* and a first guess of the impulses, and gets u(t + h) and the impulses.
 
@@ -58,7 +58,7 @@ def find_velocities(rows, surfaces, gaps, restitution, before, iterate, settings
         rolling[:] = plastic_rolling + share * (rolling - plastic_rolling)
 
 
-@njit(cache=True)
+@cached_njit
 def drift_velocities(rows, gaps, before, after, against, settings, time_step):
     """u_d by (6), with u(t) and u(t + h); contacts in `against` are left out."""
     u = np.zeros_like(before)
@@ -87,7 +87,7 @@ def drift_velocities(rows, gaps, before, after, against, settings, time_step):
     return u
 
 
-@njit(cache=True)
+@cached_njit
 def _share_without_energy_gain(rows, before, gravity, plastic, bounced):
     """The largest s in [0, 1] for which plastic + s (bounced - plastic) gains no energy, or no more than plastic does.
 
@@ -104,7 +104,7 @@ def _share_without_energy_gain(rows, before, gravity, plastic, bounced):
     return (-b + np.sqrt(max(b * b - a * c, 0.0))) / a
 
 
-@njit(cache=True)
+@cached_njit
 def _energy_gain(rows, before, gravity, u):
     """Gain of mechanical energy [J] in a step in which the bodies move with u.
 
@@ -114,7 +114,7 @@ def _energy_gain(rows, before, gravity, u):
     return 0.5 * (_inner(rows, u, u) - _inner(rows, before, before)) - _inner(rows, gravity, u)
 
 
-@njit(cache=True)
+@cached_njit
 def _gravity(before, free):
     """M^-1 times the impulse of gravity; the gyroscopic torque does no work."""
     change = free - before

@@ -8,8 +8,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from fracture_collision.kernel_sources import cached_njit
 from fracture_collision.simulation.compiled import uncounted
 from fracture_collision.simulation.solver.contact_face import (
     Face,
@@ -44,7 +44,7 @@ from fracture_collision.simulation.solver.contact_rows import (
 FACES = 3
 
 
-@njit(cache=True)
+@cached_njit
 def apply_warm_start(rows, targets, iterate):
     """Add the carried impulses of an Iterate to its u, scaled down where they overshoot.
 
@@ -77,7 +77,7 @@ def apply_warm_start(rows, targets, iterate):
     u += share * carried.u
 
 
-@njit(cache=True)
+@cached_njit
 def sweep(rows, surfaces, targets, free, iterate, iterations, accuracy):
     """Projected Gauss-Seidel on (2), (3), (5), accelerated. Changes the Iterate.
 
@@ -170,7 +170,7 @@ def _keep(way, iterate, live):
             way.rolling[pair, k] = rolling[pair, k]
 
 
-@njit(cache=True)
+@cached_njit
 def _no_way(iterate):
     impulses, rolling, u = iterate
     return Way(np.zeros_like(impulses), np.zeros_like(rolling), np.zeros_like(u), np.zeros_like(u))

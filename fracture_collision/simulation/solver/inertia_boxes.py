@@ -6,8 +6,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from fracture_collision.kernel_sources import cached_njit
 from fracture_collision.simulation.compiled import uncounted
 
 # Jacobi's method converges quadratically: six sweeps are enough for 3 x 3, more change nothing.
@@ -37,7 +37,7 @@ def boxes_of(masses: np.ndarray, inertias: np.ndarray) -> Boxes:
     return Boxes(*_boxes(masses, inertias))
 
 
-@njit(cache=True)
+@cached_njit
 def _boxes(masses, inertias):
     n = len(masses)
     axes, halves = np.zeros((n, 3, 3)), np.zeros((n, 3))

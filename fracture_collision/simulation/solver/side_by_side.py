@@ -8,8 +8,8 @@ bodies' inertia boxes enlarged by LARGER, an estimate of their extent.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from fracture_collision.kernel_sources import cached_njit
 from fracture_collision.simulation.compiled import uncounted
 from fracture_collision.simulation.solver.straight_motion import length, turned
 
@@ -22,7 +22,7 @@ LARGER = 1.5
 ENOUGH = 1.01
 
 
-@njit(cache=True)
+@cached_njit
 def shares_side_by_side(shares, motion, boxes, spare):
     """`shares` (n,) of the step for which bodies move, reduced where one may run into another that is held back more.
 

@@ -13,8 +13,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from fracture_collision.kernel_sources import cached_njit
 from fracture_collision.simulation.solver.contact_islands import islands_of
 from fracture_collision.simulation.solver.contact_solver import SolverSettings
 
@@ -68,7 +68,7 @@ def settled(rest: Rest, begin: np.ndarray, body_a: np.ndarray, body_b: np.ndarra
     return rest._replace(quiet=quiet, asleep=asleep)
 
 
-@njit(cache=True)
+@cached_njit
 def _settle(bodies, body_begin, was_asleep, sleep_time, quiet, asleep):
     """Bodies without contacts are in no island and stay awake."""
     for i in range(len(body_begin) - 1):
@@ -93,7 +93,7 @@ def after_step(
     return rest._replace(quiet=quiet, gone=gone)
 
 
-@njit(cache=True)
+@cached_njit
 def _stay(quiet, gone, masses, inertias, moves, farthest, time_step):
     """A rotation counts as the RMS displacement of the body's points, by the inertia tensor as in kinetic energy."""
     after, way = np.zeros(len(quiet)), gone + time_step * moves

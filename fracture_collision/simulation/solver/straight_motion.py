@@ -9,9 +9,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from fracture_collision import portable_math
+from fracture_collision.kernel_sources import cached_njit
 from fracture_collision.simulation.compiled import uncounted
 
 
@@ -23,7 +23,7 @@ class Motion(NamedTuple):
     time_step: float  # [s]
 
 
-_sine_after = njit(cache=True)(portable_math.sine_after)
+_sine_after = cached_njit(portable_math.sine_after)
 
 
 @uncounted

@@ -18,9 +18,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from fracture_collision.grouping import begins_of
+from fracture_collision.kernel_sources import cached_njit
 from fracture_collision.portable_math import dots, lengths
 from fracture_collision.records import ContactConstraintArray
 from fracture_collision.simulation.compiled import uncounted
@@ -225,7 +225,7 @@ def _by_middles_of_spheres(touches: Touches, centers: np.ndarray, is_round: np.n
     return touches._replace(points_a=points[0], points_b=points[1], least=least)
 
 
-@njit(cache=True)
+@cached_njit
 def shares_until_touch(touches, motion, most, is_turning, is_round):
     """(n,) share of the step for which each body may move, at most `most` (n,).
 

@@ -77,7 +77,7 @@ def _meshes(bag: Path, run_id: int, namespace: str | None) -> dict[int, Fragment
         return meshes
     for message in read_messages(bag, list(topics)):
         try:
-            received = deserialize_record(message.data, FragmentMesh)
+            received = topics[message.topic].read(message.data)
         except ValueError as error:
             raise BagError(f"{bag}: {message.topic}: {error}") from error
         mesh = received.record

@@ -10,11 +10,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from fracture_collision import grouping
+from fracture_collision.kernel_sources import cached_njit
 
-_grouped = njit(cache=True)(grouping.grouped)
+_grouped = cached_njit(grouping.grouped)
 SUN_RADIANCE = (2.6, 2.4, 2.1)
 SKY_RADIANCE = (0.78, 0.86, 1.0)
 HORIZON = (0.80, 0.84, 0.88)
@@ -54,7 +54,7 @@ class Blockers(NamedTuple):
     of_sky: np.ndarray  # (n,)
 
 
-@njit(cache=True)
+@cached_njit
 def _sample(pixel: int, index: int, stream: int) -> tuple[float, float]:
     """Point `index` of a low-discrepancy sequence in the unit square, for one pixel and one purpose."""
     state = np.uint32(pixel) * np.uint32(747796405) + np.uint32(2891336453 + 97 * stream)  # PCG hash (Jarzynski 2020)
@@ -65,7 +65,7 @@ def _sample(pixel: int, index: int, stream: int) -> tuple[float, float]:
     return u - math.floor(u), v - math.floor(v)
 
 
-@njit(cache=True)
+@cached_njit
 def _turned(x: float, y: float, z: float, radius: float, angle: float) -> tuple[float, float, float]:
     """The unit vector (x, y, z), deflected by `radius` (a tangent) in the direction `angle` [rad] across it."""
     if abs(x) < 0.7:
@@ -81,7 +81,7 @@ def _turned(x: float, y: float, z: float, radius: float, angle: float) -> tuple[
     return x / size, y / size, z / size
 
 
-@njit(cache=True)
+@cached_njit
 def camera_rays(axes, scale, width, height, index, directions):
     """Directions (width * height, 3) through the pixels; axes (3, 3): right, up, ahead; scale: a pixel's tangent."""
     for pixel in range(width * height):
@@ -93,7 +93,7 @@ def camera_rays(axes, scale, width, height, index, directions):
             directions[pixel, i] = (x * axes[0, i] + y * axes[1, i] + axes[2, i]) / size
 
 
-@njit(cache=True)
+@cached_njit
 def light_rays(eye, rays, hits, normals, sun, index, light):
     """Write the LightRays `light` of each pixel.
 
@@ -132,7 +132,7 @@ def light_rays(eye, rays, hits, normals, sun, index, light):
         to_sky[pixel] = _turned(nx, ny, nz, math.sqrt(a / max(1.0 - a, 1e-6)), 2.0 * math.pi * b)
 
 
-@njit(cache=True)
+@cached_njit
 def add_light(rays, hits, light, blockers, colours, shine, horizon, total):
     """Add each pixel's radiance to `total` (n, 3); horizon: where the floor fades [m]."""
     distance, primitive = hits.distance, hits.primitive
@@ -174,7 +174,7 @@ def add_light(rays, hits, light, blockers, colours, shine, horizon, total):
             total[pixel, i] += (1.0 - fade) * light + fade * ((1.0 - height) * HORIZON[i] + height * ZENITH[i])
 
 
-@njit(cache=True)
+@cached_njit
 def smooth_normals(triangles, is_crack, places, crease, normals):
     """Corner normals (3t, 3): the area-weighted mean of the triangles that meet there without a crease.
 

@@ -26,6 +26,7 @@ from fracture_collision.records import BOX, SPHERE, CollisionBody
 from fracture_collision.world.gates.checks import (
     LARGEST_LENGTH,
     SMALLEST_LENGTH,
+    UINT64_MAX,
     floats,
     identifier,
     indices,
@@ -58,6 +59,7 @@ class CheckedBody(NamedTuple):
     mesh: PreparedMesh | None
     digest: bytes  # SHA-256 of the message's content
     surface: PreparedSurface | None = None  # of a rigid body with triangles only
+    sequence: int = 0  # of the message among those of bodies; 0: not numbered
 
 
 class BodyFields(NamedTuple):
@@ -75,7 +77,8 @@ class BodyFields(NamedTuple):
     vertices: np.ndarray  # (n, 3)
     tetrahedra: np.ndarray  # (m, 4)
     triangles: np.ndarray  # (t, 3)
-    digest: bytes
+    digest: bytes  # of all but the sequence
+    sequence: int
 
 
 class MeshStore:
@@ -132,7 +135,7 @@ def read_body(body: CollisionBody) -> BodyFields:
     digest = hashlib.sha256(b"".join(len(c).to_bytes(8, "little") + c for c in content)).digest()
     return BodyFields(
         body_id, fragment_id, bool(body.is_static), density, friction, restitution, kind, dimensions, plane,
-        vertices, tetrahedra, triangles, digest,
+        vertices, tetrahedra, triangles, digest, identifier("sequence", body.sequence, UINT64_MAX),
     )  # fmt: skip
 
 
@@ -175,7 +178,7 @@ def check_body(fields: BodyFields, store: MeshStore, room_for_nodes: int) -> Che
             )
     return CheckedBody(
         fields.body_id, fields.fragment_id, fields.is_static, fields.density, fields.friction, fields.restitution,
-        sphere, box, half_space, mesh, fields.digest, surface,
+        sphere, box, half_space, mesh, fields.digest, surface, fields.sequence,
     )  # fmt: skip
 
 

@@ -16,6 +16,10 @@ LARGEST_LENGTH = 1e9
 SMALLEST_LENGTH = 1e-6
 
 
+# Contiguous, aligned, writeable: numba compiles kernels again for arrays that are not, such as read-only ones.
+KERNELS_TAKE = ("C", "A", "W")
+
+
 def refuse(kind: str, text: str) -> NoReturn:
     """Raise InvalidMessage."""
     raise InvalidMessage(kind, text)
@@ -27,7 +31,7 @@ def floats(name: str, values, columns: int = 0, limit: float = np.inf) -> np.nda
     if given.dtype.kind not in "fiu":
         refuse("wrong_type", f"{name}: {given.dtype} instead of numbers; pass an array of float64")
     with np.errstate(over="ignore"):  # values too large for a double become infinite, and are rejected
-        array = np.ascontiguousarray(given, dtype=np.float64).ravel()
+        array = np.require(given, np.float64, KERNELS_TAKE).ravel()
     if not np.isfinite(array).all():
         i = int(np.flatnonzero(~np.isfinite(array))[0])
         refuse("not_finite", f"{name}: entry {i} is {array[i]}")
@@ -53,7 +57,7 @@ def indices(name: str, values, columns: int = 0, below: int | None = None, of: s
         from_one = below is not None and flat.min() == 1 and flat.max() == limit
         advice = "; the indices seem to start at 1: subtract 1 from all" if from_one else ""
         refuse("out_of_range", f"{name}: index {flat[i]} (entry {i}) {what}{advice}")
-    return _shaped(name, np.ascontiguousarray(flat, dtype=np.int64), columns)
+    return _shaped(name, np.require(flat, np.int64, KERNELS_TAKE), columns)
 
 
 def _array(name: str, values, columns: int) -> np.ndarray:

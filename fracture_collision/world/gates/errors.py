@@ -22,12 +22,17 @@ class InvalidMessage(ValueError):
 class StatesAhead(InvalidMessage):
     """States that need an event or a body that has not arrived yet: to be held, not dropped.
 
-    `fracture_sequence`: number of events they need. `fragment_ids`: their ids that no known body or event has created,
-    ascending; empty while events are missing.
+    `body_sequence`, `fracture_sequence`: numbers of body messages and events they need; 0 if it is not these that are
+    missing. `fragment_ids`: their ids that no known body or event has created, ascending; empty while messages are
+    missing.
     """
 
-    def __init__(self, kind: str, text: str, fracture_sequence: int, fragment_ids: list[int] | None = None) -> None:
+    def __init__(
+        self, kind: str, text: str, *, body_sequence: int = 0, fracture_sequence: int = 0,
+        fragment_ids: list[int] | None = None,
+    ) -> None:  # fmt: skip
         super().__init__(kind, text)
+        self.body_sequence = body_sequence
         self.fracture_sequence = fracture_sequence
         self.fragment_ids = fragment_ids or []
 

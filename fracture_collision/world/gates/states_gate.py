@@ -44,6 +44,7 @@ class CheckedStates(NamedTuple):
     orientations: np.ndarray  # (n, 4) float64, x y z w
     linear: np.ndarray  # (n, 3) float64 [m/s] of the frame's origin
     angular: np.ndarray  # (n, 3) float64 [rad/s] world axes
+    body_sequence: int  # body messages before them; 0: unknown
 
 
 def check_states(states: FragmentStates) -> CheckedStates:
@@ -53,18 +54,22 @@ def check_states(states: FragmentStates) -> CheckedStates:
 
 def _as_they_are(states: FragmentStates) -> CheckedStates | None:
     """Fast path for states that obey every rule and ascend by id, as most do; None: use `_put_in_order`."""
-    for column, dtype in zip(states[2:], _TYPES, strict=True):
-        if type(column) is not np.ndarray or column.dtype != dtype or column.ndim != 1 or not column.flags.c_contiguous:
+    given = _Columns(
+        states.fragment_ids, states.positions, states.orientations, states.linear_velocities, states.angular_velocities
+    )
+    for column, dtype in zip(given, _TYPES, strict=True):
+        if type(column) is not np.ndarray or column.dtype != dtype or column.ndim != 1 or not column.flags.carray:
             return None
     step = identifier("step", states.step, UINT64_MAX)
     sequence = identifier("fracture_sequence", states.fracture_sequence, UINT64_MAX)
+    bodies = identifier("body_sequence", states.body_sequence, UINT64_MAX)
     n = len(states.fragment_ids)
     rows = _Columns(
         np.empty(n, np.int64), np.empty((n, 3)), np.empty((n, 4)), np.zeros((n, 3)), np.zeros((n, 3))
     )  # fmt: skip
-    if not _copy_if_sound(_Columns(*states[2:]), rows, LARGEST_LENGTH, QUATERNION_TOLERANCE):
+    if not _copy_if_sound(given, rows, LARGEST_LENGTH, QUATERNION_TOLERANCE):
         return None
-    return CheckedStates(step, sequence, *rows)
+    return CheckedStates(step, sequence, *rows, bodies)
 
 
 @kernel
@@ -103,6 +108,7 @@ def _copy_if_sound(flat, rows, largest, tolerance):
 def _put_in_order(states: FragmentStates) -> CheckedStates:
     step = identifier("step", states.step, UINT64_MAX)
     sequence = identifier("fracture_sequence", states.fracture_sequence, UINT64_MAX)
+    bodies = identifier("body_sequence", states.body_sequence, UINT64_MAX)
     ids = indices("fragment_ids", states.fragment_ids)
     each_once("fragment_ids", ids)
     positions = floats("positions", states.positions, 3, LARGEST_LENGTH)
@@ -126,5 +132,7 @@ def _put_in_order(states: FragmentStates) -> CheckedStates:
             "and order it x y z w",
         )
     order = np.argsort(ids, kind="stable")
-    columns = (np.ascontiguousarray(column[order]) for column in (positions, orientations, *both))
-    return CheckedStates(step, sequence, ids[order], *columns)
+    positions, orientations, linear, angular = (
+        np.ascontiguousarray(column[order]) for column in (positions, orientations, *both)
+    )
+    return CheckedStates(step, sequence, ids[order], positions, orientations, linear, angular, bodies)

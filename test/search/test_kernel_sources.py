@@ -1,0 +1,187 @@
+"""Cached machine code is used only if all that it was compiled from is unchanged, and numba itself is left alone."""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import fracture_collision
+from fracture_collision.kernel_sources import _imports, _source, source_digest, sources_of
+
+PACKAGE = Path(fracture_collision.__file__).resolve().parent
+
+
+def said(script: str, folder: Path) -> Any:
+    """What a process prints that imports from `folder` first."""
+    environment = os.environ | {"PYTHONPATH": str(folder)}
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=folder, env=environment, capture_output=True, text=True, timeout=800
+    )
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+def imported_by(tree: ast.AST) -> set[Path]:
+    """Files of this package that a syntax tree imports from: the slow twin of the regular expression."""
+    names: list[str] = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            names += [str(node.module), *(f"{node.module}.{alias.name}" for alias in node.names)]
+    return {path for name in names if (path := _source(PACKAGE.parent, name)) is not None}
+
+
+def test_every_import_is_found() -> None:
+    files = sorted(PACKAGE.rglob("*.py"))
+    assert len(files) > 100
+    for file in files:
+        assert _imports(file) == imported_by(ast.parse(file.read_text())), file
+
+
+def test_a_kernel_knows_what_it_calls_in_other_files() -> None:
+    assert PACKAGE / "core" / "field" / "flood.py" in sources_of(PACKAGE / "core" / "pair" / "narrow_phase.py")
+    assert PACKAGE / "ros" / "wire" / "qos.py" not in sources_of(PACKAGE / "core" / "pair" / "narrow_phase.py")
+    memory = PACKAGE / "core" / "memory"
+    assert source_digest(memory / "heap.py") != source_digest(memory / "kinds.py")
+
+
+CALLER = """
+from {kinds} import {kind}
+from callee import part
+
+@{kind}
+def whole(x):
+    return part(x) + 1.0
+"""
+
+CALLEE = """
+from {kinds} import {kind}
+import factors
+
+@{kind}
+def part(x):
+    return factors.FACTOR * x
+"""
+
+CALL = """
+import json
+from caller import whole
+value = whole(2.0)
+print(json.dumps([value, sum(whole.stats.cache_hits.values())]))
+"""
+
+
+@pytest.mark.parametrize(
+    ("kinds", "kind"),
+    [
+        ("fracture_collision.core.memory.compiled", "kernel"),
+        ("fracture_collision.core.memory.compiled", "query_kernel"),
+        ("fracture_collision.kernel_sources", "cached_njit"),
+    ],
+)
+def test_an_edit_below_a_cached_kernel_compiles_it_again(kinds: str, kind: str, tmp_path: Path) -> None:
+    """The edit is two files away from the kernel that Python calls."""
+    (tmp_path / "caller.py").write_text(CALLER.format(kinds=kinds, kind=kind))
+    (tmp_path / "callee.py").write_text(CALLEE.format(kinds=kinds, kind=kind))
+    (tmp_path / "factors.py").write_text("FACTOR = 3.0\n")
+    assert said(CALL, tmp_path) == [7.0, 0]
+    assert said(CALL, tmp_path) == [7.0, 1]
+    before = set(tmp_path.rglob("*.nb[ic]"))
+    (tmp_path / "factors.py").write_text("FACTOR = 5.0\n")
+    assert said(CALL, tmp_path) == [11.0, 0]
+    after = set(tmp_path.rglob("*.nb[ic]"))
+    assert after and not after & before, "files of the old digest are removed"
+
+
+BESIDE_NUMBA = """
+import json, sys
+import numpy as np
+import numba
+from numba.core.registry import cpu_target
+from numba.core.codegen import JITCodeLibrary
+from fracture_collision.core.mesh.connected_pieces import joined
+joined(np.array([0, 3]), np.array([2, 4]), 6)
+print(json.dumps([cpu_target.target_context.codegen()._library_class is JITCodeLibrary, None in sys.modules.values()]))
+"""
+
+
+def test_numba_is_the_same_after_a_kernel_was_loaded(tmp_path: Path) -> None:
+    assert said(BESIDE_NUMBA, tmp_path) == [True, False]
+
+
+USER = """
+import json
+import numpy as np
+from numba import njit
+from user_kernels import outer, inner, middle
+
+first = outer(np.arange(6.0))
+
+@njit
+def of_the_user(values):
+    return middle(values, 3.0) + outer(values)
+
+print(json.dumps([first, of_the_user(np.arange(6.0)), float(inner(np.arange(3.0), 2.0))]))
+"""
+
+USER_KERNELS = """
+from fracture_collision.core.memory.compiled import kernel, query_kernel
+
+@query_kernel
+def inner(values, x):
+    total = 0.0
+    for value in values:
+        total += value * x
+    return total
+
+@query_kernel
+def middle(values, x):
+    return inner(values, x) + 1.0
+
+@kernel
+def outer(values):
+    return middle(values, 2.0)
+"""
+
+
+def test_a_function_of_the_user_calls_kernels_that_were_compiled_for_others(tmp_path: Path) -> None:
+    """Compiled by the first process, loaded from the cache by the second."""
+    (tmp_path / "user_kernels.py").write_text(USER_KERNELS)
+    for _ in range(2):
+        assert said(USER, tmp_path) == [31.0, 46.0 + 31.0, 6.0]
+
+
+DEPTH = """
+import json
+import numpy as np
+from fracture_collision.geometry.generators import brick
+from fracture_collision.world import CollisionBody, CollisionWorld, FragmentStates
+mesh = brick((1.0, 1.0, 1.0), 0.5)
+world = CollisionWorld()
+for number in (1, 2):
+    world.add_body(CollisionBody(number, number, vertices=mesh.vertices.ravel(), tetrahedra=mesh.tetrahedra.ravel()))
+positions, turns = np.array([0.0, 0.0, 0.0, 0.03, 0.04, 0.98]), np.tile([0.0, 0.0, 0.0, 1.0], 2)
+print(json.dumps(world.contacts(FragmentStates(1, 0, np.array([1, 2]), positions, turns)).gaps.min()))
+"""
+
+
+@pytest.mark.slow
+def test_an_edit_of_the_exact_field_changes_the_next_answer(tmp_path: Path) -> None:
+    """A whole copy of the package with its compiled kernels, of which one line is edited by hand: some minutes."""
+    shutil.copytree(PACKAGE, tmp_path / "fracture_collision")
+    before = said(DEPTH, tmp_path)
+    assert abs(before + 0.02) < 1e-12
+    flood = tmp_path / "fracture_collision" / "core" / "field" / "flood.py"
+    text = flood.read_text()
+    assert text.count(" d = math.sqrt(d2)") == 1
+    flood.write_text(text.replace(" d = math.sqrt(d2)", " d = 4.0 * math.sqrt(d2)"))
+    assert said(DEPTH, tmp_path) != before
