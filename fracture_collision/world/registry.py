@@ -10,6 +10,7 @@ from fracture_collision.core.bodies.collision_geometry import CollisionGeometry
 from fracture_collision.core.memory.pools import ALTERNATING, AVERAGED, EXACT, FACING, NEAREST, QUEUE
 from fracture_collision.records import FragmentRegistry
 from fracture_collision.world.gates.body_gate import CheckedBody
+from fracture_collision.world.gates.checks import UINT64_MAX
 from fracture_collision.world.gates.fracture_gate import CheckedFracture, apply_fracture
 from fracture_collision.world.living_fragments import Columns, LivingFragments
 from fracture_collision.world.settings import FIELDS, NORMALS, SAMPLED, TRAVERSALS, Settings
@@ -19,8 +20,6 @@ _FIELD = dict(zip(FIELDS, (EXACT, AVERAGED), strict=True))
 _NORMALS = dict(zip(NORMALS, (FACING, NEAREST), strict=True))
 _TRAVERSAL = dict(zip(TRAVERSALS, (ALTERNATING, QUEUE), strict=True))
 
-
-NO_LIMIT = 2**64 - 1
 
 
 class Registry:
@@ -90,9 +89,9 @@ class Registry:
     def static_until(self, body_sequence: int) -> int:
         """Static bodies of later messages than this do not take part in states after `body_sequence` messages.
 
-        NO_LIMIT where all take part; so states of another sequence with the same bodies are the same query.
+        UINT64_MAX where all take part, so states of another sequence with the same bodies are the same query.
         """
-        return body_sequence if 0 < body_sequence < self._last_static else NO_LIMIT
+        return body_sequence if 0 < body_sequence < self._last_static else UINT64_MAX
 
     def row_of(self, fragment_id: int) -> int | None:
         """Row of a fragment in the pools; None if it does not live."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NoReturn
+from typing import Literal, NoReturn
 
 import numpy as np
 
@@ -17,7 +17,7 @@ SMALLEST_LENGTH = 1e-6
 
 
 # Contiguous, aligned, writeable: numba compiles kernels again for arrays that are not, such as read-only ones.
-KERNELS_TAKE = ("C", "A", "W")
+KERNELS_TAKE: tuple[Literal["C", "A", "W"], ...] = ("C", "A", "W")
 
 
 def refuse(kind: str, text: str) -> NoReturn:
