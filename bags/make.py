@@ -52,7 +52,7 @@ def make(recipe: dict[str, Any], bag: Path) -> None:
     scene = load_scene(recipe["scene"])
     if "curvature" in recipe:
         scene = with_curvature(scene, recipe["curvature"])
-    settings = Settings()._replace(**recipe.get("settings", {}))
+    settings = Settings(lookahead=scene.time_step)._replace(**recipe.get("settings", {}))
     for _ in record_scene(scene, settings, None, bag, Selection(*recipe["steps"])):
         pass
 

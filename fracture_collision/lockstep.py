@@ -43,12 +43,14 @@ class Lockstep:
     """A run of one scene: an iterator over its steps. Use as a context manager, or `close` it.
 
     `simulation` and `world` may be inspected between steps. Equal arguments give equal bytes.
+
+    Without `settings` it has the defaults, with `lookahead` the scene's time step.
     """
 
     def __init__(
         self, scene: Scene, settings: Settings | None = None, seed: int | None = None, engine: Engine | None = None
     ) -> None:
-        settings = Settings() if settings is None else settings
+        settings = Settings(lookahead=scene.time_step) if settings is None else settings
         self.world = CollisionWorld(settings)
         self.simulation = Simulation(scene, seed, engine, settings.lookahead > 0.0)
         self._told = 0  # events that the service has

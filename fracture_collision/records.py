@@ -7,7 +7,8 @@ Fields are named and shaped as in the messages (flat arrays, SI units, frames an
 from __future__ import annotations
 
 import re
-from typing import NamedTuple, TypeVar
+from collections.abc import Iterable
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -48,11 +49,17 @@ def documented(record: type[_Record]) -> type[_Record]:
 
 
 def _floats(n: int = 0) -> np.ndarray:
-    return np.zeros(n, dtype=np.float64)
+    return _read_only(np.zeros(n, dtype=np.float64))
 
 
-def _indices(n: int = 0) -> np.ndarray:
-    return np.zeros(n, dtype=np.uint32)
+def _indices() -> np.ndarray:
+    return _read_only(np.zeros(0, dtype=np.uint32))
+
+
+def _read_only(default: np.ndarray) -> np.ndarray:
+    """All records of a class share a default: who writes to it would change the others."""
+    default.setflags(write=False)
+    return default
 
 
 @documented
@@ -214,13 +221,25 @@ class ContactConstraintArray(NamedTuple):
     gaps: np.ndarray
     contact_ids: np.ndarray
 
+    def __len__(self) -> int:
+        """The number of contacts: a record without any is false."""
+        return len(self.gaps)
+
+
+def _made_of_fields(fields: Iterable[Any]) -> ContactConstraintArray:
+    """As a NamedTuple's own, which counts the fields by len()."""
+    return ContactConstraintArray(*fields)
+
+
+ContactConstraintArray._make = staticmethod(_made_of_fields)  # type: ignore[method-assign, assignment]
+
 
 def refusal_of(states: FragmentStates) -> ContactConstraintArray:
     """The answer to invalid states: no contacts, and the status INVALID_STATES."""
-    floats, ids = _floats(), _indices()
+    floats, ids = np.zeros(0), np.zeros(0, np.uint32)
     return ContactConstraintArray(
         step=states.step, fracture_sequence=states.fracture_sequence, status=INVALID_STATES,
-        fragment_a=ids, fragment_b=ids, pair_begin=_indices(1), missed_depth_bound=floats,
+        fragment_a=ids, fragment_b=ids, pair_begin=np.zeros(1, np.uint32), missed_depth_bound=floats,
         friction=floats, restitution=floats, points_a=floats, points_b=floats, normals=floats, gaps=floats,
         contact_ids=np.zeros(0, dtype=np.uint64),
     )  # fmt: skip

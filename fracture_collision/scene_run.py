@@ -66,7 +66,7 @@ class SceneRun:
         self, scene: Scene, settings: Settings | None = None, seed: int | None = None, count_colliding: bool = False
     ) -> None:
         self.scene = scene
-        self.settings = Settings() if settings is None else settings
+        self.settings = Settings(lookahead=scene.time_step) if settings is None else settings
         self.seed = scene.seed if seed is None else seed
         self.rows: list[StepFigures] = []
         self._count_colliding = count_colliding

@@ -24,7 +24,10 @@ Examples:
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder of the bag; must not exist yet.")
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of the fracture patterns.  [default: the scene's own]")
 @click.option("--curvature", type=click.FloatRange(min=0.0), help="Of all cracks: 0: flat; 0.25: as in porcelain.")
-@click.option("--settings", multiple=True, metavar="NAME=VALUE[,...]", help="Settings of the collision service.")
+@click.option(
+    "--settings", multiple=True, metavar="NAME=VALUE[,...]",
+    help="Settings of the collision service.  [default of lookahead: the scene's time step]",
+)  # fmt: skip
 @click.option("--steps", type=click.IntRange(min=1), help="Number of steps.  [default: the scene's duration]")
 @click.option("--every", type=click.IntRange(min=1), default=1, show_default=True, help="Record every N-th step.")
 def record(
@@ -42,12 +45,12 @@ def record(
     from fracture_collision.ros.runs.scene_recording import Selection, record_scene
     from fracture_collision.simulation.scene.scene import SceneError, load_scene
     from fracture_collision.simulation.scene.scene_changes import with_curvature
-    from fracture_collision.world.settings import check_settings
+    from fracture_collision.world.settings import Settings, check_settings
 
     try:
-        chosen = parse_settings(settings)
-        check_settings(chosen)
         scene = load_scene(name)
+        chosen = Settings(**{"lookahead": scene.time_step} | parse_settings(settings))
+        check_settings(chosen)
         if curvature is not None:
             scene = with_curvature(scene, curvature)
         if out.exists():

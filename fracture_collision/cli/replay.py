@@ -106,6 +106,7 @@ def replay(
     from fracture_collision.bag.errors import BagError
     from fracture_collision.bag.exchanges import answers_missing, read_runs
     from fracture_collision.bag.reader import missing_words
+    from fracture_collision.cli.scene import parse_settings
     from fracture_collision.replay import Order, Replay, Unanswered, settings_of
 
     played: Any = None
@@ -113,7 +114,7 @@ def replay(
         words = missing_words(bag)
         runs = read_runs(bag, namespace)
         try:
-            found = settings_of(bag, {**_given(settings), "threads": threads})
+            found = settings_of(bag, {**parse_settings(settings), "threads": threads})
         except BagError:
             raise
         except ValueError as error:
@@ -149,15 +150,6 @@ def replay(
         raise NothingCompared(f"nothing was compared: {answers_missing(bag, namespace)}")
     if not played.report().complete:
         sys.exit(INCOMPLETE)
-
-
-def _given(assignments: tuple[str, ...]) -> dict[str, Any]:
-    """The settings that were given, by name. ValueError names what is wrong."""
-    from fracture_collision.cli.scene import parse_settings
-
-    parsed = parse_settings(assignments)
-    names = [part.partition("=")[0].strip() for each in assignments for part in each.split(",")]
-    return {name: getattr(parsed, name) for name in names}
 
 
 @contextmanager

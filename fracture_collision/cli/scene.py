@@ -48,7 +48,8 @@ class RunOptions(NamedTuple):
 @click.option("--curvature", type=click.FloatRange(min=0.0), help="Of all cracks: 0: flat; 0.25: as in porcelain.")
 @click.option(
     "--settings", multiple=True, metavar="NAME=VALUE[,...]",
-    help="Settings of the collision service, as in config/collision.yaml; may be given several times.",
+    help="Settings of the collision service, as in config/collision.yaml; may be given several times.  [default of "
+    "lookahead: the scene's time step]",
 )  # fmt: skip
 @click.option(
     "--threads", type=click.IntRange(min=0), default=1, show_default=True,
@@ -77,12 +78,13 @@ def scene(name: str, out: Path | None, count_colliding: bool, pictures: bool, op
     from fracture_collision.scene_run import SceneRun
     from fracture_collision.simulation.scene.scene import SceneError, load_scene
     from fracture_collision.simulation.scene.scene_changes import with_curvature
-    from fracture_collision.world.settings import check_settings
+    from fracture_collision.world.settings import Settings, check_settings
 
     try:
-        chosen = parse_settings(options.settings)._replace(threads=options.threads)
-        check_settings(chosen)
         what = load_scene(name)
+        given = {"lookahead": what.time_step} | parse_settings(options.settings) | {"threads": options.threads}
+        chosen = Settings(**given)
+        check_settings(chosen)
         if options.curvature is not None:
             what = with_curvature(what, options.curvature)
         if options.steps is not None:
@@ -120,12 +122,12 @@ def scene(name: str, out: Path | None, count_colliding: bool, pictures: bool, op
         console.print(f"  {file}", highlight=False)
 
 
-def parse_settings(assignments: tuple[str, ...]) -> Any:
-    """The service's settings with NAME=VALUE, separated by commas; ValueError names what is wrong."""
+def parse_settings(assignments: tuple[str, ...]) -> dict[str, Any]:
+    """The service's settings given as NAME=VALUE, separated by commas; ValueError names what is wrong."""
     from fracture_collision.near_names import did_you_mean
     from fracture_collision.world import Settings
 
-    settings = Settings()
+    given: dict[str, Any] = {}
     for assignment in ",".join(assignments).split(",") if assignments else ():
         name, equals, value = (part.strip() for part in assignment.partition("="))
         if not equals:
@@ -133,12 +135,12 @@ def parse_settings(assignments: tuple[str, ...]) -> Any:
         if name not in Settings._fields:
             hint = did_you_mean(name, Settings._fields)
             raise ValueError(f"--settings: no setting {name!r}{hint or ';'} `fracture-collision settings` lists all")
-        kind = type(getattr(settings, name))
+        kind = type(getattr(Settings(), name))
         try:
-            settings = settings._replace(**{name: kind(value)})
+            given[name] = kind(value)
         except ValueError as error:
             raise ValueError(f"--settings {name}: {value!r} is not of type {kind.__name__}") from error
-    return settings
+    return given
 
 
 def _leave(

@@ -100,6 +100,11 @@ class Simulation:
             self._pushers.append(self.arm)
 
     @property
+    def time_step(self) -> float:
+        """Simulated time of a step [s]."""
+        return self._scene.time_step
+
+    @property
     def time(self) -> float:
         """Simulated [s]."""
         return self._step * self._scene.time_step

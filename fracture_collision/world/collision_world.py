@@ -83,6 +83,7 @@ class CollisionWorld:
         self._ledger = Ledger(self.settings)
         self._registry = Registry(self.settings)
         self._built_for: tuple[str | bool, ...] | None = geometry_settings(self.settings)
+        self._events_asked_with = 0  # number of events known at the last states
         self._crew = _crew_of(self.settings)
         self._scratch: tuple[Scratch, ...] = ()
         # Caches of the last answer, each with the state it is valid for; they speed up the next one, never change it
@@ -201,18 +202,23 @@ class CollisionWorld:
         return take_places(checked, self._registry.living(), moving, static_until)
 
     def fragments(self) -> FragmentRegistry:
-        """The registry of the last states, including bodies that arrived since."""
-        self._advance(self._registry.sequence)
+        """The registry of the last states, including bodies that arrived since; if events did, after all of them."""
+        self._advance_to_news()
         return self._registry.record()
 
     def fragment_mesh(self, fragment_id: int) -> FragmentMesh:
-        """Surface of a living fragment for viewers. Raises InvalidMessage if it does not live or the id is invalid."""
+        """Surface of a fragment that `fragments` lists, for viewers. Raises InvalidMessage for any other id."""
         number = identifier("fragment_id", fragment_id)
-        self._advance(self._registry.sequence)
+        self._advance_to_news()
         row = self._registry.row_of(number)
         if row is None:
             refuse("unknown_id", f"fragment_id: no living fragment {number}")
         return fragment_mesh(number, self._registry.geometry, row)
+
+    def _advance_to_news(self) -> None:
+        """Bring the registry to the last states or, if events were added since, to the last event."""
+        known = len(self._ledger.events)
+        self._advance(known if known > self._events_asked_with else self._registry.sequence)
 
     def _bring_to(self, states: FragmentStates) -> tuple[CheckedStates, np.ndarray]:
         """Validate the states and bring the registry to theirs; also returns indices of the living fragments named."""
@@ -223,6 +229,7 @@ class CollisionWorld:
             # rejected states must not move the registry
             self._ledger.require_living(checked.fragment_ids, checked.fracture_sequence)
         self._advance(checked.fracture_sequence)
+        self._events_asked_with = len(self._ledger.events)
         return checked, self._find(checked, self._registry.living().ids)
 
     def _advance(self, sequence: int) -> None:

@@ -65,9 +65,7 @@ class Registry:
         del self._bodies[body_id]
         rows = [self._living.remove(fragment_id) for fragment_id in self._fragments_of.pop(body_id)]
         self.geometry.retire_body(np.array(sorted(rows)))
-        if self.geometry.is_mostly_garbage():
-            self._living.renumber(self.geometry.keep_only(self._living.columns().rows))
-            self.renumbered += 1
+        self._reclaim_memory()
 
     def apply(self, event: CheckedFracture) -> None:
         """Apply the next event of the log; one of a removed body only advances the sequence and the digest."""
@@ -81,6 +79,12 @@ class Registry:
         first = apply_fracture(self.geometry, self._living.remove(event.fragment_id), event)
         for i, new_id in enumerate(event.new_fragment_ids.tolist()):
             self._add_fragment(new_id, body, event.fragment_id, first + i)
+        self._reclaim_memory()
+
+    def _reclaim_memory(self) -> None:
+        if self.geometry.is_mostly_garbage():
+            self._living.renumber(self.geometry.keep_only(self._living.columns().rows))
+            self.renumbered += 1
 
     def living(self) -> Columns:
         """Living fragments by ascending id."""

@@ -13,6 +13,7 @@ from fracture_collision.core.bodies.pool_rows import (
     MeshRows,
     SurfaceMeshRows,
     TreeRows,
+    bytes_of_broken,
     bytes_of_fragments,
     bytes_of_mesh,
 )
@@ -70,7 +71,7 @@ class CollisionGeometry:
         self._meshes: list[tuple[PreparedMesh, MeshRows]] = []  # by row in the pools
         self._surfaces: list[tuple[PreparedSurface, SurfaceMeshRows]] = []
         self._bodies_of: Counter[int] = Counter()  # id of a preprocess -> number of bodies that use it
-        self._garbage = 0  # [bytes] of bodies retired since the last compaction
+        self._garbage = 0  # [bytes] of bodies and fragments retired since the last compaction
 
     @property
     def pools(self) -> Pools:
@@ -211,6 +212,7 @@ class CollisionGeometry:
         """
         tables = self._tables
         prepared, rows = self._meshes[int(tables.fragment["mesh"].view[row])]
+        was_broken = bool(tables.fragment["node_shift"].view[row] != NEVER_BROKEN)
         self._own_body_rows(row, prepared, rows)
         first = [self._append(column, count) for column in (*tables.fragment.values(), self._moments, self._gaps)][-1]
         cut = Cut(nodes, parts, edges, tables.body["planes"].append(planes))
@@ -222,6 +224,8 @@ class CollisionGeometry:
         if len(self._room.kinds) < tetrahedra:
             self._room = touched_room(tetrahedra)
         touched = touched_tetrahedra.find_touched(tables.roomy, broken, cut, tetrahedra, self._sums(), self._room)
+        if was_broken:
+            self._garbage += bytes_of_broken(tables, row, touched.rows)
         corners = self._rebuild_surfaces(broken, touched)
         if self._tree_kind == REBUILT:
             append_rebuilt_trees(tables, broken, prepared.mesh, rows.edge, cut, corners)

@@ -72,6 +72,22 @@ def bytes_of_fragments(tables: PoolTables, rows: np.ndarray, mesh: MeshRows | No
     return total + 8 * sum(pyramid_words(cells) for cells in fragment["cells"].view[rows])
 
 
+def bytes_of_broken(tables: PoolTables, row: int, touched: np.ndarray) -> int:
+    """Bytes that `compact` would free after fragment `row` broke, before anything is rebuilt.
+
+    touched (n,): rows of the mesh's tetrahedra whose polygons will be replaced. Not of a body that breaks for the first
+    time: its tree belongs to its mesh.
+    """
+    fragment, body = tables.fragment, tables.body
+    total = sum(column.row_bytes for column in fragment.values()) + _MOMENTS_AND_GAP
+    for name, table in (("tree", tables.tree), ("leaf", tables.samples)):
+        count = int(fragment[f"{name}_end"].view[row]) - int(fragment[f"{name}_begin"].view[row])
+        total += count * sum(column.row_bytes for column in table.values())
+    polygons = int(body["cut_count"].view[touched + int(fragment["tet_shift"].view[row])].sum())
+    total += polygons * sum(body[name].row_bytes for name in OF_POLYGONS)
+    return total + 8 * pyramid_words(fragment["cells"].view[row])
+
+
 def bytes_of_mesh(prepared: NamedTuple) -> int:
     """Approximate bytes of a mesh, or a surface, in the pools: the size of its preprocess."""
     parts = [array for part in prepared if isinstance(part, tuple) for array in part]

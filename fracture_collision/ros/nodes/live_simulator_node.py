@@ -114,6 +114,7 @@ class LiveSimulatorNode(SimulatorNode):
 
     def _run_once(self, executor: Executor) -> None:
         """Runs until a reset or a rewind is requested."""
+        self._set_lookahead(executor)
         self._arm.begin(self._scene.arm)
         self._announce(self._simulation.start_bodies(), self._history.events)
         due = time.monotonic()

@@ -61,8 +61,6 @@ class PageCommands:
         self._set: list[ServiceSliders] = []  # by the user, since the last value that the service confirmed
         self._early: deque[Callable[[], object]] = deque(maxlen=MOST_EARLY)  # before the simulator was discovered
         self._choice = RepeatedRequest(self._hands.is_there)
-        self._ahead = 0.0  # [s] lookahead that was set in the service, or is being set
-        self._lookahead = RepeatedRequest(self._service.services_are_ready)
 
     def close(self) -> None:
         """Ends a recording, and the making of a scene."""
@@ -83,15 +81,8 @@ class PageCommands:
     def look(self) -> None:
         """Sends what waits for the simulator or the service to be discovered. Must be called regularly."""
         self._choice.look()
-        self._lookahead.look()
         while self._early and self._hands.is_there():
             self._early.popleft()()
-
-    def look_ahead(self, time_step: float) -> None:
-        """Sets the service's lookahead to a step of the scene [s], once the service is there."""
-        if time_step != self._ahead:
-            self._ahead = time_step
-            self._lookahead.begin(lambda: self._request_parameters(lookahead=time_step), self._all_taken)
 
     def confirm(self, sliders: ServiceSliders) -> bool:
         """Takes the values that the service has now; returns whether the user set them.
@@ -212,10 +203,8 @@ class PageCommands:
 
     def _set_service(self, sliders: ServiceSliders) -> None:
         self._set.append(sliders)
-        self._request_parameters(**sliders._asdict()).add_done_callback(self._all_taken)
-
-    def _request_parameters(self, **values: Any) -> Any:
-        return self._service.set_parameters([Parameter(name, value=value) for name, value in values.items()])
+        wanted = [Parameter(name, value=value) for name, value in sliders._asdict().items()]
+        self._service.set_parameters(wanted).add_done_callback(self._all_taken)
 
     def _all_taken(self, done: Any) -> bool:
         """Whether all parameters were set; shows the reasons if not."""

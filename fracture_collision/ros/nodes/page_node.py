@@ -58,8 +58,7 @@ KNOBS = {
 class PageNode(Node):
     """Prints the page's address as a line of JSON.
 
-    Everything comes from topics, so the page may start and end while a scene runs. It sets the service's lookahead to a
-    step of the current scene, whenever that changes: a user throws faster than a scene does.
+    Everything comes from topics, so the page may start and end while a scene runs.
     """
 
     PARAMETERS = (
@@ -211,7 +210,6 @@ class PageNode(Node):
             self._status, self._status_at = message, time.monotonic()
             self.page.show_scene(message.scene)
             self._mirror.hear_paused(message.paused)
-            self._commands.look_ahead(message.time_step_s)
             if message.refused and message.refused != self._refused:
                 self.page.notify(message.refused)
             self._refused = message.refused

@@ -13,10 +13,14 @@ from typing import Any, ClassVar
 import numpy as np
 from rclpy.executors import Executor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.parameter_client import AsyncParameterClient
 from rclpy.publisher import Publisher
+from rclpy.task import Future
 
 from fracture_collision.records import INVALID_STATES, ContactConstraintArray, FragmentRegistry, FragmentStates
 from fracture_collision.ros.fastdds.extras import AcknowledgedPublisher, make_executor, make_neighbours
+from fracture_collision.ros.nodes.repeated_request import RepeatedRequest
 from fracture_collision.ros.processes.parameters import Declaration, Range, declare_all
 from fracture_collision.ros.processes.process import Fatal, nothing_to_lose, run_node
 from fracture_collision.ros.processes.timing_files import SIMULATOR_COLUMNS
@@ -34,6 +38,7 @@ FIRST_PAUSE = 1.0  # [s]
 PAUSE_GROWTH = 1.5
 LONGEST_PAUSE = 15.0  # [s]
 PAUSE_FOR_NEWCOMERS = 0.05  # [s]
+PARAMETER_PATIENCE = 5.0  # [s] for a service that is there to take its lookahead
 LOOK_INTERVAL = 0.02  # [s] between two checks for new subscribers and publishers
 
 PROGRESS_INTERVAL = 0.1  # [s]
@@ -43,7 +48,7 @@ PARAMETERS = (
     Declaration("scene", "plates", "name in config/scenes, or the path of a scene file"),
     Declaration("seed", -1, "seed of the fracture patterns; -1: the scene's own", Range(-1, 2**62)),
     Declaration("run_id", 0, "run_id of all messages; 0: from scene and seed", Range(0, 2**62)),
-    Declaration("looks_ahead", False, "whether the service's `lookahead` is the scene's time step instead of 0"),
+    Declaration("looks_ahead", True, "set the service's `lookahead` to the scene's time step, and count on it"),
     Declaration(
         "wait_for_subscribers", 1, "subscribers of states, and of contacts, before the first step", Range(0, 100)
     ),
@@ -87,6 +92,8 @@ class SimulatorNode(Node):
             if given["publish_clock"]
             else None
         )
+        self._service = AsyncParameterClient(self, COLLISION_NODE)
+        self._lookahead = RepeatedRequest(self._service.services_are_ready)
         self._contacts_topic = self.resolve_topic_name(qos.CONTACT_CONSTRAINTS.name)  # it may be remapped
         for topic, callback, raw in (
             (qos.CONTACT_CONSTRAINTS, self._on_contacts, True),
@@ -104,6 +111,7 @@ class SimulatorNode(Node):
     def run(self, executor: Executor) -> None:
         """Simulates the scene to its end. Raises Fatal if the service rejects the states."""
         self._await_subscribers(executor)
+        self._set_lookahead(executor)
         self._announce(self._simulation.start_bodies(), [])
         while not self._simulation.finished:
             began = time.perf_counter()
@@ -168,6 +176,23 @@ class SimulatorNode(Node):
         if not self._neighbours.await_all():
             self.get_logger().info("not all DDS participants of this machine are discovered; continuing")
 
+    def _set_lookahead(self, executor: Executor) -> None:
+        """Sets the service's lookahead to the time step, before states that count on it."""
+        if not self._looks_ahead or not self._states.subscriber_count:
+            return
+        wanted = [Parameter("lookahead", value=self._simulation.time_step)]
+        answers: list[Future] = []
+        self._lookahead.begin(lambda: self._service.set_parameters(wanted), answers.append)
+        deadline = time.monotonic() + PARAMETER_PATIENCE
+        while not answers and time.monotonic() < deadline:
+            executor.spin_once(timeout_sec=LOOK_INTERVAL)
+            self._lookahead.look()
+        if not answers or not all(result.successful for result in answers[0].result().results):
+            self.get_logger().warning(
+                f"{COLLISION_NODE} does not take the parameter lookahead:={self._simulation.time_step:g}; set it there,"
+                " or start this node with looks_ahead:=false"
+            )
+
     def _announce(self, bodies: list, events: list) -> None:
         stamp = heading(self._simulation.time)
         for body in bodies:
@@ -202,6 +227,7 @@ class SimulatorNode(Node):
             before, there = there, self._present()
             if before is not None and (there[0] > before[0] or there[1] > before[1]):
                 self.get_logger().info(f"new subscriber or publisher; publishing step {states.step} again")
+                self._set_lookahead(executor)
                 pause = PAUSE_FOR_NEWCOMERS
             elif time.monotonic() < deadline:
                 continue

@@ -59,11 +59,8 @@ def played(scene: str, seed: int, out: Path, host: str, port: int) -> Iterator[P
             nodes.callback(node.stop, ENDING)
             return node
 
-        # a user throws faster than a scene does; later the page sets the service's lookahead
-        simulator = start(
-            "live_simulator_node", scene=scene, seed=seed, niceness=BEHIND, looks_ahead=True, folder=str(out)
-        )
-        service = start("collision_node", niceness=BEHIND, lookahead=time_step, surfaces="edges")
+        simulator = start("live_simulator_node", scene=scene, seed=seed, niceness=BEHIND, folder=str(out))
+        service = start("collision_node", niceness=BEHIND, lookahead=time_step)
         page = start("page_node", subprocess.PIPE, host=host, port=port, folder=str(out), scene=scene)
         run = Played(_address(page, (service, simulator)), domain_id, (service, simulator, page))
         new.publish()

@@ -20,6 +20,7 @@ from fracture_collision.msg import CollisionBody, FragmentMesh, FragmentRegistry
 from fracture_collision.ros.processes.node_process import NodeProcess, chosen_domain_id
 from fracture_collision.ros.processes.timing_files import SERVICE_COLUMNS, SIMULATOR_COLUMNS
 from fracture_collision.run_report import summaries
+from fracture_collision.simulation.scene.scene import load_scene
 
 # [s] for the recorder to receive what is on its way when the simulator has ended.
 RECORDER_PATIENCE = 20.0
@@ -55,6 +56,7 @@ def run_scene(scene: str, seed: int | None, out: Path, on_progress: Callable[[Pr
     }  # fmt: skip
     if seed is not None:
         simulator_parameters["seed"] = seed
+    time_step = load_scene(scene).time_step
     started = time.monotonic()
     with ExitStack() as processes:
         def start(module: str, parameters: dict[str, Any], stdout: int | None = None) -> NodeProcess:
@@ -62,7 +64,7 @@ def run_scene(scene: str, seed: int | None, out: Path, on_progress: Callable[[Pr
             processes.callback(process.stop)
             return process
 
-        service = start("collision_node", {"timing_file": str(times["collision_node"])})
+        service = start("collision_node", {"timing_file": str(times["collision_node"]), "lookahead": time_step})
         recorder = start("recorder_node", {"folder": str(bag), "progress": True}, subprocess.PIPE)
         simulator = start("simulator_node", simulator_parameters, subprocess.PIPE)
         with _last_line(simulator.stdout) as told, _last_line(recorder.stdout) as recorded:
