@@ -8,6 +8,11 @@ from __future__ import annotations
 from fracture_collision.world.gates.checks import refuse
 from fracture_collision.world.gates.errors import StatesAhead
 
+# A topic keeps the order of its messages.
+OVERTAKEN = (
+    ", but later ones have: its publisher does not keep it any more (Fast DDS keeps the last 5,000 messages of a latched"
+    " topic); start a new run"
+)
 MOST_REJECTED = 10_000  # reasons that are kept
 
 
@@ -69,6 +74,8 @@ class BodySequence:
                 f" one with sequence {due} is awaited",
             )
         arrived = f"body message {due} has not arrived"
+        if any(later > due for later in self._subjects):
+            arrived += OVERTAKEN
         if self._unnumbered:
             arrived += f"; {self._unnumbered} arrived without a sequence: number them 1, 2, 3 ..."
         raise StatesAhead("sequence_gap", f"body_sequence: {sequence}, but {arrived}", body_sequence=sequence)

@@ -96,6 +96,16 @@ def test_a_repeated_delivery_changes_nothing_and_another_body_cannot_take_its_nu
     assert touched(world.contacts(states(2))) == [1]
 
 
+def test_a_log_whose_beginning_is_gone_is_reported_as_such() -> None:
+    """A restarted service gets what the publisher still keeps; it must not wait without a word."""
+    run = CollisionRun(1, SETTINGS)
+    run.add_body(BODY)
+    run.add_body(WALL)
+    assert run.answer(states(3)) is None
+    assert "body message 1 has not arrived, but later ones have" in run.what_states_wait_for()
+    assert "start a new run" in run.what_states_wait_for()
+
+
 def test_bodies_without_numbers_are_named_where_states_wait_for_numbered_ones() -> None:
     world = CollisionWorld(SETTINGS)
     for body in (FLOOR, BODY):

@@ -13,6 +13,7 @@ import numpy as np
 
 from fracture_collision import world
 from fracture_collision.records import ADD, CollisionBody, ContactConstraintArray, FractureEvent, FragmentStates
+from fracture_collision.world.body_sequence import OVERTAKEN
 from fracture_collision.world.gates.errors import InvalidMessage, StatesAhead
 from fracture_collision.world.settings import Settings
 
@@ -157,7 +158,7 @@ class CollisionRun:
         if self.rejected_event:
             return self.rejected_event
         if due not in self._held_events:
-            return f"event {due} has not arrived"
+            return f"event {due} has not arrived" + OVERTAKEN * any(later > due for later in self._held_events)
         body_id = self._held_events[due].body_id
         if body_id in self._rejected_bodies:
             return f"event {due} waits for body {body_id}, which was rejected: {self._rejected_bodies[body_id][1]}"
