@@ -10,8 +10,8 @@ from fracture_collision.world.gates.errors import StatesAhead
 
 # A topic keeps the order of its messages.
 OVERTAKEN = (
-    ", but later ones have: its publisher does not keep it any more (Fast DDS keeps the last 5,000 messages of a latched"
-    " topic); start a new run"
+    ", but later ones have: its publisher does not keep it any more (Fast DDS keeps the last 5,000 messages of a"
+    " latched topic); start a new run"
 )
 MOST_REJECTED = 10_000  # reasons that are kept
 
