@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import gc
 import hashlib
 import time
 from collections.abc import Iterator
@@ -16,15 +15,12 @@ import fracture_collision.simulation.warm_up as simulator
 import fracture_collision.world.warm_up as service
 from fracture_collision.geometry.tetrahedra import boundary_triangles
 from fracture_collision.lockstep import Exchange, Lockstep
-from fracture_collision.process.kept_memory import keep_memory
 from fracture_collision.run_report import summaries
 from fracture_collision.simulation.scene.scene import Scene
 from fracture_collision.viewer.film.recorded_run import RecordedRun, RecordedStates
 from fracture_collision.world import Settings
 
 MILLI = 1e3
-# [bytes] for working space, and for each tetrahedron that may break; more is allocated when a run needs it.
-KEPT, KEPT_EACH = 32 << 20, 400
 COUNTS = ("contacts", "colliding_points", "pairs", "visits")
 
 
@@ -58,8 +54,8 @@ class StepFigures(NamedTuple):
 class SceneRun:
     """A run of one scene: an iterator over its steps, and afterwards, or when stopped half way, their report.
 
-    Kernels are loaded first, and memory for fractures is allocated, so that no step waits for them. `count_colliding`
-    adds a query per step, outside the times. Use as a context manager.
+    Kernels are loaded first, so that no step waits for them; garbage collection and memory are those of any user of the
+    library. `count_colliding` adds a query per step, outside the times. Use as a context manager.
     """
 
     def __init__(
@@ -72,8 +68,6 @@ class SceneRun:
         self._count_colliding = count_colliding
         service.compile_kernels(progress=_say_nothing)
         simulator.compile_kernels(progress=_say_nothing)
-        meshes = [body.shape.mesh for body in scene.bodies if body.shape.mesh is not None and body.material.fracture]
-        keep_memory(KEPT + KEPT_EACH * sum(len(mesh.tetrahedra) for mesh in meshes))
         self._lockstep = Lockstep(scene, self.settings, self.seed)
         bodies = {body.body_id: body for body in self._lockstep.simulation.start_bodies()}
         self.film = RecordedRun(bodies, {body.fragment_id: i for i, body in bodies.items()}, {}, [])
@@ -89,14 +83,8 @@ class SceneRun:
 
     def __iter__(self) -> Iterator[StepFigures]:
         """The remaining steps."""
-        # Garbage collection would walk all meshes during some step.
-        gc.collect()
-        gc.freeze()
-        try:
-            while not self._lockstep.simulation.finished:
-                yield self.step()
-        finally:
-            gc.unfreeze()
+        while not self._lockstep.simulation.finished:
+            yield self.step()
 
     def step(self) -> StepFigures:
         """One time step, also beyond the scene's duration; its figures, which are also the last of `rows`."""

@@ -33,7 +33,8 @@ def scene_trial(
 ) -> Trial:
     """A run of a scene, at most `duration` [s] of it; its result is the report of `scene_run.SceneRun`.
 
-    Each step's times are its minimum over `repeats` equal runs, which excludes interference from other programs.
+    Each step's times are its minimum over `repeats` equal runs, which excludes interference from other programs; the
+    worst is that of all runs.
 
     Counting all colliding points fills caches that the next step's query would have to fill: this does not affect the
     counts, but the times of such a run are invalid.
@@ -52,7 +53,9 @@ def scene_with(name: str, cracks: str, duration: float | None = None) -> Scene:
 
 def in_words(repeats: int) -> str:
     """Describes the times of such trials."""
-    return f"Each step's time is the shortest of {repeats} equal runs." if repeats > 1 else "Times are from one run."
+    if repeats == 1:
+        return "Times are from one run."
+    return f"Averages are of each step's shortest time in {repeats} equal runs; worst is the longest step of all runs."
 
 
 def run_scene(
@@ -74,10 +77,13 @@ def run_scene(
 
 
 def with_shortest_times(reports: list[dict[str, Any]]) -> dict[str, Any]:
-    """The first of the reports of equal runs, with the minimum of each step's times and of their summary."""
+    """The first of the reports of equal runs, with the minimum of each step's times, and the worst of all runs."""
     first = reports[0]
     if any(report["digest"] != first["digest"] for report in reports):
         raise StudyError(f"{first['scene']}: equal runs took different courses")
     times = [name for name in first["summary"] if name.endswith("_ms")]
     shortest = {name: np.min([report[name] for report in reports], axis=0).tolist() for name in times}
-    return first | shortest | {"summary": first["summary"] | summaries(shortest)}
+    summary = summaries(shortest)
+    for name in summary:
+        summary[name] |= {"worst": max(report["summary"][name]["worst"] for report in reports)} if summary[name] else {}
+    return first | shortest | {"summary": first["summary"] | summary}

@@ -115,8 +115,8 @@ def section(tables: Mapping[str, Table]) -> str:
 The piggy bank falls once. Its states and events ({fractures} steps with fractures) are then replayed with different
 settings, so that all runs process the same queries. D is the distance field: updated as in the paper (`averaged`) or
 exact (`exact`, evaluated at each query point: no field is rebuilt). S is the sphere tree: restructured, or rebuilt on
-the new surface. Normals are the paper's (`nearest`) except in the last row. Times are the shortest of {repeats}
-interleaved runs. Average / worst:
+the new surface. Normals are the paper's (`nearest`) except in the last row. Averages are
+of each step's shortest time in {repeats} interleaved runs, worst is the longest of all runs. Average / worst:
 
 {markdown_table(("field and tree; cracks", "query, ms", "visited nodes per step", "ns per visit", "contacts",
                  "update, ms"), rows)}"""

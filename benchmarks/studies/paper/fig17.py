@@ -138,8 +138,8 @@ Average / worst per step; depths are those of the listed contacts:
                  "update, ms", "deepest, mm"), runs)}
 The paper's whole step takes {PAPER[SCENE]["total_ms"][0]} ms on average and {PAPER[SCENE]["total_ms"][1]} ms at worst.
 
-All methods on the trajectory of the new ones, {tables["replay"].rows[0]["steps"]} steps with close pairs. Times are the
-shortest of {tables["replay"].rows[0]["repeats"]} interleaved runs:
+All methods on the trajectory of the new ones, {tables["replay"].rows[0]["steps"]} steps with close pairs. Averages are
+of each step's shortest time in {tables["replay"].rows[0]["repeats"]} interleaved runs, worst is the longest of all:
 
 {markdown_table(("method; cracks", "contacts", "visited nodes", "query, ms", "update, ms"), replays)}"""
 
