@@ -74,9 +74,9 @@ def measure(
     """Ours against rapier and against each of `peers`, including rapier; errors at `error_steps` steps."""
     from benchmarks.frames.measure import at_last_registry, is_busy, ours, times_of
     from benchmarks.frames.recording import record
-    from fracture_collision.world import Settings
 
-    recording, settings = record(scene), Settings(threads=1)
+    recording = record(scene)
+    settings = recording.settings
     ours(recording, settings)  # loads the kernels
     # interleaved, as the machine's speed varies over time
     rounds = [

@@ -24,6 +24,7 @@ class Step(NamedTuple):
 
 class Recording(NamedTuple):
     name: str  # of the scene, with @ and its curvature
+    settings: Settings  # of the service: the defaults of what simulates, one thread
     steps: list[Step]
 
 
@@ -33,11 +34,12 @@ def record(name: str) -> Recording:
     scene = load_scene(scene_name)
     if curvature:
         scene = with_curvature(scene, float(curvature))
+    settings = Settings(threads=1, lookahead=scene.time_step)
     steps, bodies, events = [], None, []
-    with Lockstep(scene, Settings(threads=1)) as lockstep:
+    with Lockstep(scene, settings) as lockstep:
         bodies = lockstep.simulation.start_bodies()
         for exchange in lockstep:
             speeds = np.sqrt((exchange.states.linear_velocities.reshape(-1, 3) ** 2).sum(axis=1))
             steps.append(Step(bodies, events, exchange.states, int((speeds > MOVES).sum())))
             bodies, events = [], exchange.report.events
-    return Recording(name, steps)
+    return Recording(name, settings, steps)
