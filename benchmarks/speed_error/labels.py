@@ -20,7 +20,8 @@ RINGS, DIRECTIONS = (16.0, 24.0, 34.0, 46.0), 16
 TURNS = np.linspace(0.0, 2.0 * np.pi, DIRECTIONS, endpoint=False) + np.pi / DIRECTIONS
 PLACES = (*BESIDE, *((r * np.cos(a), 0.8 * r * np.sin(a)) for r in RINGS for a in TURNS))
 STEP = 0.05  # cost per rank in PLACES
-OVER_WORDS, OVER_POINT, OVER_LINE, OUTSIDE = 30.0, 3.0, 0.3, 100.0  # cost of covering them; of a line, per SPACING
+# Costs of covering words, a marker's edge and its middle, of a line per SPACING, and of lying outside.
+OVER_WORDS, OVER_POINT, OVER_MIDDLE, OVER_LINE, OUTSIDE = 30.0, 3.0, 10.0, 0.3, 100.0
 SPACING = 4.0  # [pixels]
 
 
@@ -56,6 +57,7 @@ def place_labels(figure: Figure, labels: Sequence[Label], size: float, radius: f
             box = Text.get_window_extent(text, renderer).padded(1.0)  # an annotation's own extent includes its line
             cost = STEP * rank + OVER_WORDS * sum(box.overlaps(other) for other in taken)
             cost += OVER_POINT * _count(points, box.padded(radius)) + OVER_LINE * _count(lines, box)
+            cost += OVER_MIDDLE * _count(points, box)
             cost += OUTSIDE * (not _holds(label.axes.get_window_extent(), box))
             if cost < least:
                 if best is not None:

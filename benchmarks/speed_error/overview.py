@@ -23,17 +23,20 @@ NAMES = {
 
 
 def draw_overview(rows: Sequence[Line], png: Path) -> None:
-    """Query time against mean error in jittered frames; of each family one method."""
+    """Time of the update after a fracture, and of a query, against mean error in jittered frames; one per family."""
     worlds = worlds_of(rows)
-    chosen = _representatives(points_of(rows, worlds[0][0], "jitter", ["jitter_query"]))
-    figure, ((*panel,),) = panels(worlds, 9.0, (3.6,))
+    chosen = _representatives(points_of(rows, worlds[0][0], "jitter", ["jitter_native"]))
+    figure, grid = panels(worlds, 9.0, (3.2, 3.2))
     labels = []
-    for axes, (world, title) in zip(panel, worlds, strict=True):
-        labels += _points(axes, points_of(rows, world, "jitter", ["jitter_query"]), chosen)
-        axes.set_title(title.split(" (")[0], fontsize=11)
-        axes.set_xlabel("time for all contacts [ms]", fontsize=9)
-    same_limits(panel)
-    panel[0].set_ylabel("mean error of a pair [% R]", fontsize=9)
+    for panel, column, words in zip(
+        grid, ("update", "jitter_native"), ("update after the fracture [ms]", "query of all contacts [ms]"), strict=True
+    ):
+        for axes, (world, title) in zip(panel, worlds, strict=True):
+            labels += _points(axes, points_of(rows, world, "jitter", [column]), chosen)
+            axes.set_title(title.split(" (")[0], fontsize=11)
+            axes.set_xlabel(words, fontsize=9)
+        same_limits(panel)
+        panel[0].set_ylabel("mean error of a pair [% R]", fontsize=9)
     figure.draw_without_rendering()
     figure.set_layout_engine("none")  # labels next to points must not move the panels
     place_labels(figure, labels, 9.0, radius=8.0)

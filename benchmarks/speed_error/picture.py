@@ -55,7 +55,7 @@ MEASURE = (
     "remains plus the displacement\nthat was unnecessary; by exact distances of whole surfaces, so that what lies "
     "between our samples counts.\nMarker: mean over all pairs whose boxes overlap; bar: up to the worst. A missed pair "
     "counts with its true depth, a false one with its whole translation.\n"
-    f"Errors below {FLOOR} % R are drawn there. Calls from Python, one core of: "
+    f"Errors below {FLOOR} % R are drawn there. Times within the libraries, one core of: "
 )
 
 
@@ -66,10 +66,10 @@ def draw(rows: Sequence[Line], png: Path) -> None:
     labels = []
     for column, (world, title) in enumerate(worlds):
         jitter, near_worst, near_mean, pile = (row[column] for row in grid)
-        points = points_of(rows, world, "jitter", ["jitter_query"])
+        points = points_of(rows, world, "jitter", ["jitter_native"])
         labels += _all_methods(jitter, points)
         labels += _our_settings(near_worst, near_mean, points)
-        labels += _all_methods(pile, points_of(rows, world, "pile", ["pile_query"]))
+        labels += _all_methods(pile, points_of(rows, world, "pile", ["pile_native"]))
         jitter.set_title(f"{title}\njittered: moved by up to 1 % R and 1°", fontsize=9)
         near_worst.set_title("our settings from near: worst pair", fontsize=9)
         near_mean.set_title("our settings from near: mean", fontsize=9)
