@@ -97,6 +97,29 @@ def last_words(report: Mapping[str, Any]) -> str:
     return f"{sentence}. Fastest at the end: {1e3 * report['max_speed'][-1]:.2f} mm/s"
 
 
+def where_time_goes(report: Mapping[str, Any]) -> str:
+    """Sentences on the share of ROS in an average step, and on what made the longest step long."""
+    words = {name: text for name, text in TIMES if not text.startswith(" ")}
+    parts = [name for name in words if name in report and name not in ("time_step_ms", "total_ms")]
+    total = np.asarray(report["total_ms"])
+    order = np.argsort(total)[::-1]
+    longest = int(order[0])
+    largest = max(parts, key=lambda name: report[name][longest])
+    sentence = (
+        f"The longest step is number {report['step'][longest]}, {total[longest]:.1f} ms, of which"
+        f" {report[largest][longest]:.1f} are {words[largest].partition(',')[0]}"
+    )
+    if len(order) > 1:
+        sentence += f"; the next longest takes {total[order[1]]:.1f} ms"
+    if "ros_ms" in report:
+        ros, waits = (np.mean(report[name]) for name in ("ros_ms", "acknowledge_ms"))
+        sentence = (
+            f"ROS takes {ros:.1f} of the {total.mean():.1f} ms of an average step, {waits:.1f} of these to wait for"
+            f" subscribers; the paper's step has no such part. {sentence}"
+        )
+    return sentence + "."
+
+
 def _table(report: Mapping[str, Any], rows: Sequence[tuple[str, str]]) -> list[TableRow]:
     paper = PAPER.get(report["scene"], {})
     result = []

@@ -14,7 +14,7 @@ from rich.console import Console
 from fracture_collision.cli.console import BadInput, Interruption, ProgressBar, beside_paper, figures_table, options_as
 from fracture_collision.process.early_signals import INTERRUPTED
 from fracture_collision.process.outputs import NewOutputs
-from fracture_collision.run_report import last_words, statistics_table, times_table
+from fracture_collision.run_report import last_words, statistics_table, times_table, where_time_goes
 
 EXAMPLES = """\b
 Examples:
@@ -177,4 +177,5 @@ def _tell(report: dict[str, Any], console: Console) -> None:
     console.print(beside_paper("statistics", statistics_table(report)))
     title = f"{len(report['step'])} steps in {report['seconds']:.1f} s; milliseconds per step"
     console.print(beside_paper(title, times_table(report)))
+    console.print(where_time_goes(report), highlight=False, soft_wrap=True)
     console.print(last_words(report), highlight=False, soft_wrap=True)

@@ -4,7 +4,15 @@ from __future__ import annotations
 
 import pytest
 
-from fracture_collision.run_report import PAPER, last_words, statistics_table, summaries, summary_of, times_table
+from fracture_collision.run_report import (
+    PAPER,
+    last_words,
+    statistics_table,
+    summaries,
+    summary_of,
+    times_table,
+    where_time_goes,
+)
 from fracture_collision.simulation.scene.scene import load_scene
 
 REPORT = {
@@ -52,3 +60,15 @@ def test_no_penetration_is_a_plain_zero():
     said = last_words({"deepest_gap": [-0.002, 0.0, 0.1], "time": [0.1, 0.2, 0.3], "max_speed": [1.0, 0.5, 0.0]})
     assert said.startswith("deepest penetration: 0.000 mm at the end; 2.00 mm for a moment, at 0.10 s")
     assert "moment" not in last_words({"deepest_gap": [0.0, 0.1], "time": [0.1, 0.2], "max_speed": [1.0, 0.0]})
+
+
+def test_the_share_of_ros_and_the_longest_step_are_explained():
+    parts = {"collision_ms": [1.0, 2.0], "update_ms": [0.0, 0.0], "physics_ms": [70.0, 1.0], "fracture_ms": [0.0, 0.0]}
+    report = {"step": [0, 1], "total_ms": [81.0, 5.0], **parts}
+    said = where_time_goes(report)
+    assert said == (
+        "The longest step is number 0, 81.0 ms, of which 70.0 are physics; the next longest takes 5.0 ms."
+    )
+    said = where_time_goes(report | {"ros_ms": [10.0, 2.0], "acknowledge_ms": [1.0, 1.0]})
+    assert said.startswith("ROS takes 6.0 of the 43.0 ms of an average step, 1.0 of these to wait for subscribers")
+    assert where_time_goes({"step": [4], "total_ms": [2.0], "collision_ms": [2.0]}).endswith("are collision detection.")
