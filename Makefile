@@ -123,7 +123,7 @@ $(STAMPS)/messages: $(STAMPS)/environment $(wildcard msg/*.msg vendor/*/msg/*.ms
 
 # Numba caches a kernel by its own file's content and does not see that a function it calls in another file has changed:
 # any change throws all compiled kernels away.
-KERNEL_SOURCES := $(shell find fracture_collision -name '*.py' -not -path '*/ros/*' -not -path '*/bag/*' -not -path '*/cli/*' -not -name 'page*.py' -not -name 'run_meshes.py' -not -name 'replay.py' -not -name 'cdr.py' -not -path '*/process/*' -not -name 'near_names.py')
+KERNEL_SOURCES := $(shell find fracture_collision -name '*.py' -not -path '*/ros/*' -not -path '*/bag/*' -not -path '*/cli/*' -not -name 'page*.py' -not -name 'run_meshes.py' -not -name 'replay.py' -not -name 'cdr.py' -not -path '*/process/*' -not -name 'near_names.py' -not -name 'plain_yaml.py')
 $(STAMPS)/kernels: $(STAMPS)/messages $(KERNEL_SOURCES)
 	@echo "== kernels: compile into the cache (some minutes)"
 	@find fracture_collision -name '*.nb[ic]' -delete
