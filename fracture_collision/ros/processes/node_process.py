@@ -61,13 +61,10 @@ def free_domain_id() -> int:
 
 def default_domain_id() -> int:
     """ROS's own default: ROS_DOMAIN_ID, else 0. Raises ValueError if it is not a number."""
-    return int(os.environ.get("ROS_DOMAIN_ID") or 0)
-
-
-def chosen_domain_id() -> int:
-    """ROS_DOMAIN_ID if the user has set it, so that the user's own nodes can subscribe; else a free one."""
-    given = os.environ.get("ROS_DOMAIN_ID", "")
-    return int(given) if given.isdigit() else free_domain_id()
+    given = os.environ.get("ROS_DOMAIN_ID") or "0"
+    if not given.isdecimal():
+        raise ValueError(f"ROS_DOMAIN_ID is {given!r}, not a number; set it to one of 0 .. {HIGHEST_DOMAIN_ID}")
+    return int(given)
 
 
 def loopback_environment(domain_id: int) -> dict[str, str]:

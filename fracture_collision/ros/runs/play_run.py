@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from fracture_collision.process.outputs import NewOutputs
-from fracture_collision.ros.processes.node_process import NodeProcess, default_domain_id
+from fracture_collision.ros.processes.node_process import NodeProcess
+from fracture_collision.ros.runs.run_domain import run_domain
 from fracture_collision.simulation.scene.scene import load_scene
 
 LOGS = "logs"
@@ -46,11 +47,10 @@ def played(scene: str, seed: int, out: Path, host: str, port: int) -> Iterator[P
     """Starts all nodes and waits for the page; ends them all afterwards.
 
     The nodes' logs are in out/logs, where they replace an earlier run's once the page is up. Raises PlayFailed,
-    SceneError, and OSError if `out` cannot be written.
+    DomainTaken, SceneError, and OSError if `out` cannot be written.
     """
-    domain_id = default_domain_id()
     time_step = load_scene(scene).time_step
-    with NewOutputs(out, (LOGS,)) as new, ExitStack() as nodes:
+    with run_domain(default=0) as domain_id, NewOutputs(out, (LOGS,)) as new, ExitStack() as nodes:
         logs = new.folder / LOGS
         logs.mkdir()
 

@@ -17,8 +17,9 @@ from rclpy.serialization import deserialize_message
 
 from fracture_collision.bag.reader import message_counts, read_messages, topic_digest
 from fracture_collision.msg import CollisionBody, FragmentMesh, FragmentRegistry
-from fracture_collision.ros.processes.node_process import NodeProcess, chosen_domain_id
+from fracture_collision.ros.processes.node_process import NodeProcess
 from fracture_collision.ros.processes.timing_files import SERVICE_COLUMNS, SIMULATOR_COLUMNS
+from fracture_collision.ros.runs.run_domain import run_domain
 from fracture_collision.run_report import summaries
 
 # [s] for the recorder to receive what is on its way when the simulator has ended.
@@ -44,19 +45,19 @@ class Progress(NamedTuple):
 def run_scene(scene: str, seed: int | None, out: Path, on_progress: Callable[[Progress], None]) -> dict[str, Any]:
     """Runs `scene` to its end; returns the report (see `make_report`).
 
-    Writes out/bag and out/logs, which must not exist yet. Raises RunFailed. In any case no process is left behind.
+    Writes out/bag and out/logs, which must not exist yet. Raises RunFailed, DomainTaken. In any case no process is left
+    behind.
     """
     logs, bag = out / "logs", out / "bag"
     logs.mkdir(parents=True)
     times = {name: logs / f"{name}.npy" for name in ("collision_node", "simulator_node")}
-    domain_id = chosen_domain_id()
     simulator_parameters = {
         "scene": scene, "timing_file": str(times["simulator_node"]), "progress": True, "wait_for_subscribers": 2,
     }  # fmt: skip
     if seed is not None:
         simulator_parameters["seed"] = seed
     started = time.monotonic()
-    with ExitStack() as processes:
+    with run_domain() as domain_id, ExitStack() as processes:
         def start(module: str, parameters: dict[str, Any], stdout: int | None = None) -> NodeProcess:
             process = NodeProcess(module, parameters, domain_id, logs / f"{module}.log", stdout)
             processes.callback(process.stop)
