@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import traceback
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
@@ -85,7 +86,7 @@ class PageCommands:
         self._choice.look()
         self._lookahead.look()
         while self._early and self._hands.is_there():
-            self._early.popleft()()
+            self._carry_out(self._early.popleft())
 
     def look_ahead(self, time_step: float) -> None:
         """Sets the service's lookahead to a step of the scene [s], once the service is there."""
@@ -146,7 +147,15 @@ class PageCommands:
 
     def _obey(self) -> None:
         while self._orders:
-            self._orders.popleft()()
+            self._carry_out(self._orders.popleft())
+
+    def _carry_out(self, order: Callable[[], object]) -> None:
+        """An order that fails leaves the page running: a client need not be a browser, and may send anything."""
+        try:
+            order()
+        except Exception as error:
+            self._node.get_logger().error(traceback.format_exc())
+            self._notify(f"a command failed: {error}; the log of {self._node.get_name()} has more")
 
     # --- the scene -------------------------------------------------------------------------------------------------
 
