@@ -26,6 +26,8 @@ from mcap.records import Channel, Chunk, Message, Metadata, Schema
 from fracture_collision.bag.errors import BagError
 
 MAGIC = b"\x89MCAP0\r\n"
+SQLITE_MAGIC, ZSTD_MAGIC = b"SQLite format 3\0", b"\x28\xb5\x2f\xfd"  # rosbag2's other storage, and its compression
+CONVERT = "convert the bag: `pip install rosbags`, then `rosbags-convert --src BAG --dst NEW --dst-storage mcap`"
 # [bytes] Decompressed. A writer ends a chunk above about one megabyte, so it has at most that and one message.
 LARGEST_CHUNK = 1 << 29
 # Meshes and contacts compress to a half or a tenth. A large chunk that states more than a thousand times its size is an
@@ -116,7 +118,12 @@ class McapFile:
 
     def _scan(self, stream: IO[bytes]) -> None:
         size = os.fstat(stream.fileno()).st_size
-        if stream.read(len(MAGIC)) != MAGIC:
+        first = stream.read(len(SQLITE_MAGIC))
+        if first == SQLITE_MAGIC:
+            raise BagError(f"{self.path}: an SQLite file; {CONVERT}")
+        if first.startswith(ZSTD_MAGIC):
+            raise BagError(f"{self.path}: a compressed file; {CONVERT}")
+        if not first.startswith(MAGIC):
             raise BagError(f"{self.path}: not an MCAP file")
         at = len(MAGIC)
         has_footer = False
@@ -245,6 +252,8 @@ class McapFile:
 
     def _found(self, message: Message) -> FoundMessage:
         channel = self._channels[message.channel_id]
+        if message.data.startswith(ZSTD_MAGIC):
+            raise BagError(f"{self.path}: {channel.topic}: compressed messages; {CONVERT}")
         return FoundMessage(self._schemas.get(channel.schema_id), channel, message)
 
     def _damaged(self, begin: int, reason: Exception | str) -> BagError:
