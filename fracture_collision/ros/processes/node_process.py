@@ -17,6 +17,7 @@ from functools import partial
 from pathlib import Path
 from typing import IO, Any
 
+from fracture_collision.process.full_disk import REMEDY, STATUS
 from fracture_collision.ros.fastdds.extras import (
     LOCALHOST,
     RANGE,
@@ -153,6 +154,16 @@ class NodeProcess:
         status = self._process.wait()
         remove_unused_files()
         return status
+
+    def last_words(self) -> str:
+        """Why it has ended, for an error: its exit status and the end of its log."""
+        status = self.exit_status()
+        reason = f" (the disk is full; {REMEDY})" if status == STATUS else ""
+        return f"{self.name} ended with status {status}{reason}; {self.log_end()}"
+
+    def log_end(self) -> str:
+        """The last lines of its log, for an error."""
+        return "the end of its log:\n" + "\n".join(self.log_text().splitlines()[-15:])
 
     def log_text(self) -> str:
         """The contents of the log file so far."""

@@ -39,7 +39,7 @@ class Played(NamedTuple):
         """Raises PlayFailed if a node has ended."""
         for node in self.nodes:
             if node.exit_status() is not None:
-                raise _failed(node)
+                raise PlayFailed(node.last_words())
 
 
 @contextmanager
@@ -85,16 +85,8 @@ def _address(page: NodeProcess, others: tuple[NodeProcess, ...]) -> str:
     while not told:
         for node in (page, *others):
             if node.exit_status() is not None:
-                raise _failed(node)
+                raise PlayFailed(node.last_words())
         if time.monotonic() > deadline:
-            raise PlayFailed(f"the page did not start within {PATIENCE:.0f} s; the end of its log:\n{_tail(page)}")
+            raise PlayFailed(f"the page did not start within {PATIENCE:.0f} s; {page.log_end()}")
         time.sleep(LOOK)
     return told[0]
-
-
-def _failed(node: NodeProcess) -> PlayFailed:
-    return PlayFailed(f"{node.name} ended with status {node.exit_status()}; the end of its log:\n{_tail(node)}")
-
-
-def _tail(node: NodeProcess) -> str:
-    return "\n".join(node.log_text().splitlines()[-10:])

@@ -72,14 +72,14 @@ def run_scene(scene: str, seed: int | None, out: Path, on_progress: Callable[[Pr
                 on_progress(_progress(told(), service))
                 time.sleep(POLL_INTERVAL)
             if status != 0:
-                raise RunFailed(_last_words(simulator))
+                raise RunFailed(simulator.last_words())
             on_progress(_progress(told(), service))
             steps = told()["step"]
             _await_recording(recorded, steps, service, recorder)
         # In this order: the service must run until the recorder has ended.
         for process in (recorder, service):
             if process.stop() != 0:
-                raise RunFailed(_last_words(process))
+                raise RunFailed(process.last_words())
     seconds = time.monotonic() - started
     report = make_report(np.load(times["collision_node"]), np.load(times["simulator_node"]))
     counts = message_counts(bag)
@@ -193,7 +193,7 @@ def _progress(told: dict[str, Any], service: NodeProcess) -> Progress:
 def _check_alive(*processes: NodeProcess) -> None:
     for process in processes:
         if process.exit_status() is not None:
-            raise RunFailed(_last_words(process))
+            raise RunFailed(process.last_words())
 
 
 def _await_recording(recorded: Callable[[], dict[str, int]], steps: int, *processes: NodeProcess) -> None:
@@ -204,8 +204,3 @@ def _await_recording(recorded: Callable[[], dict[str, int]], steps: int, *proces
         if time.monotonic() > deadline:
             raise RunFailed(f"the recorder has only {recorded()} of {steps} steps")
         time.sleep(POLL_INTERVAL)
-
-
-def _last_words(process: NodeProcess) -> str:
-    tail = "\n".join(process.log_text().splitlines()[-15:])
-    return f"{process.name} ended with status {process.exit_status()}; the end of its log:\n{tail}"
