@@ -121,7 +121,7 @@ $(STAMPS)/messages: $(STAMPS)/environment $(wildcard msg/*.msg vendor/*/msg/*.ms
 	  --editable . > build/messages.log 2>&1 || { cat build/messages.log; exit 1; }
 	@touch $@
 
-KERNEL_SOURCES := $(shell find fracture_collision -name '*.py' -not -path '*/ros/*' -not -path '*/bag/*' -not -path '*/cli/*' -not -name 'page*.py' -not -name 'run_meshes.py' -not -name 'replay.py' -not -name 'cdr.py' -not -path '*/process/*' -not -name 'near_names.py')
+KERNEL_SOURCES := $(shell find fracture_collision -name '*.py' -not -path '*/ros/*' -not -path '*/cli/*')
 $(STAMPS)/kernels: $(STAMPS)/messages $(KERNEL_SOURCES)
 	@echo "== kernels: compile what has changed (some minutes the first time)"
 	@$(BIN)/python -m fracture_collision.warm

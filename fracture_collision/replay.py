@@ -236,7 +236,8 @@ class InProcess:
                 elif self._events < len(run.events):
                     self._add_event(run)
                 else:
-                    raise Unanswered(f"step {states.step}: {error}") from error
+                    missing = "the bag lacks bodies or fracture events of its run; record it from its first step"
+                    raise Unanswered(f"step {states.step}: {error}; {missing}") from error
             except InvalidMessage:
                 return refusal_of(states)
 

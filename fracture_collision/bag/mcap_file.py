@@ -22,23 +22,28 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Message, Metadata, Schema
-from mcap.stream_reader import breakup_chunk
 
 from fracture_collision.bag.errors import BagError
 
 MAGIC = b"\x89MCAP0\r\n"
+SQLITE_MAGIC, ZSTD_MAGIC = b"SQLite format 3\0", b"\x28\xb5\x2f\xfd"  # rosbag2's other storage, and its compression
+CONVERT = "convert the bag: `pip install rosbags`, then `rosbags-convert --src BAG --dst NEW --dst-storage mcap`"
 # [bytes] Decompressed. A writer ends a chunk above about one megabyte, so it has at most that and one message.
 LARGEST_CHUNK = 1 << 29
 # Meshes and contacts compress to a half or a tenth. A large chunk that states more than a thousand times its size is an
 # attempt to exhaust memory.
 LARGEST_RATIO = 1000
 SMALL_CHUNK = 1 << 24  # [bytes] Decompressed; up to here the ratio is not checked.
-# [bytes] Of one record of definitions or metadata; a message's definition is some kilobytes.
+# Records of a chunk per byte in the file: times differ from message to message, so each takes about a byte or more.
+MOST_RECORDS = 2
+# [bytes] Of all definitions of a file, and of one record of metadata; a message's definition is some kilobytes.
 LARGEST_DEFINITION = 1 << 24
 
 _HEAD = struct.Struct("<BQ")  # of a record: opcode, length
 _TIMES = struct.Struct("<QQ")  # a chunk begins with the times of its first and last message
-_MESSAGE_TIME = struct.Struct("<HIQ")  # a message with its channel, sequence and time
+_MESSAGE_TIME = struct.Struct("<HIQ")
+_MESSAGE = struct.Struct("<HIQQ")  # a message begins with its channel, sequence, time, and time of publication
+_ID = struct.Struct("<H")  # a definition begins with its id
 _MALFORMED = (McapError, struct.error, UnicodeDecodeError, OverflowError)
 
 
@@ -68,6 +73,8 @@ class McapFile:
         self.metadata: list[Metadata] = []
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
+        self._definition_bytes = 0  # of both
+        self._are_chunks_searched = False  # for definitions
         self.is_whole = False  # ends with a footer and MAGIC
         self.lost_bytes = 0  # after the last whole record, if it does not
         with _open(path) as stream:
@@ -111,7 +118,12 @@ class McapFile:
 
     def _scan(self, stream: IO[bytes]) -> None:
         size = os.fstat(stream.fileno()).st_size
-        if stream.read(len(MAGIC)) != MAGIC:
+        first = stream.read(len(SQLITE_MAGIC))
+        if first == SQLITE_MAGIC:
+            raise BagError(f"{self.path}: an SQLite file; {CONVERT}")
+        if first.startswith(ZSTD_MAGIC):
+            raise BagError(f"{self.path}: a compressed file; {CONVERT}")
+        if not first.startswith(MAGIC):
             raise BagError(f"{self.path}: not an MCAP file")
         at = len(MAGIC)
         has_footer = False
@@ -142,23 +154,30 @@ class McapFile:
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA):
             if length > LARGEST_DEFINITION:
                 raise BagError(f"{self.path}: a definition of {length} bytes at byte {begin}")
-            content = ReadDataStream(BytesIO(stream.read(length)))
+            content = stream.read(length)
             try:
                 if opcode == Opcode.METADATA:
-                    self.metadata.append(Metadata.read(content))
+                    self.metadata.append(Metadata.read(ReadDataStream(BytesIO(content))))
                 else:
-                    self._define(Schema.read(content) if opcode == Opcode.SCHEMA else Channel.read(content))
+                    self._define(opcode, content, begin)
             except _MALFORMED as error:
                 raise self._damaged(begin, error) from error
 
-    def _define(self, record: Schema | Channel) -> None:
+    def _define(self, opcode: int, content: bytes, begin: int) -> None:
         """Later definitions of an id repeat the first one, which is kept."""
-        if isinstance(record, Schema):
-            self._schemas.setdefault(record.id, record)
-        else:
-            self._channels.setdefault(record.id, record)
+        kind, known = (Schema, self._schemas) if opcode == Opcode.SCHEMA else (Channel, self._channels)
+        if _ID.unpack_from(content)[0] in known:
+            return
+        self._definition_bytes += len(content)
+        if self._definition_bytes > LARGEST_DEFINITION:
+            raise BagError(f"{self.path}: more than {LARGEST_DEFINITION} bytes of definitions at byte {begin}")
+        record = kind.read(ReadDataStream(BytesIO(content)))
+        known[record.id] = record
 
     def _define_from_chunks(self, on_damage: Callable[[BagError], None] | None = None) -> None:
+        if self._are_chunks_searched:
+            return
+        self._are_chunks_searched = True
         with _open(self.path) as stream:
             for piece in self.pieces:
                 try:
@@ -174,16 +193,32 @@ class McapFile:
         content = stream.read(piece.size)
         try:
             if piece.opcode == Opcode.MESSAGE:
-                return [Message.read(ReadDataStream(BytesIO(content)), piece.size)]
-            records = breakup_chunk(self._opened(Chunk.read(ReadDataStream(BytesIO(content))), piece))
+                return [_message(content)]
+            data = self._opened(Chunk.read(ReadDataStream(BytesIO(content))), piece)
+            return self._messages_in(data, piece)
         except _MALFORMED as error:
             raise self._damaged(piece.begin, error) from error
-        for record in records:
-            if isinstance(record, Schema | Channel):
-                self._define(record)
-        return [record for record in records if isinstance(record, Message)]
 
-    def _opened(self, chunk: Chunk, piece: Piece) -> Chunk:
+    def _messages_in(self, data: bytes, piece: Piece) -> list[Message]:
+        """The messages of a chunk's decompressed data; its definitions are stored."""
+        messages: list[Message] = []
+        at, left = 0, MOST_RECORDS * piece.size
+        while at < len(data):
+            if not left:
+                words = f"has more than {MOST_RECORDS * piece.size} records, which is too many for its size"
+                raise BagError(f"{self.path}: the chunk at byte {piece.begin} {words}")
+            opcode, length = _HEAD.unpack_from(data, at)
+            at, left = at + _HEAD.size, left - 1
+            if length > len(data) - at:
+                raise self._damaged(piece.begin, "a record is longer than its chunk")
+            if opcode == Opcode.MESSAGE:
+                messages.append(_message(data[at : at + length]))
+            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                self._define(opcode, data[at : at + length], piece.begin)
+            at += length
+        return messages
+
+    def _opened(self, chunk: Chunk, piece: Piece) -> bytes:
         """The chunk, decompressed. The library's own function allocates the size that the compressed data state."""
         size = chunk.uncompressed_size
         if size > LARGEST_CHUNK or size > max(SMALL_CHUNK, LARGEST_RATIO * len(chunk.data)):
@@ -205,7 +240,7 @@ class McapFile:
             raise self._damaged(piece.begin, f"it states {size} bytes and has {found}")
         if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
             raise self._damaged(piece.begin, "its checksum is wrong")
-        return Chunk("", data, chunk.message_end_time, chunk.message_start_time, 0, size)
+        return data
 
     def _channel(self, message: Message, piece: Piece) -> Channel:
         if message.channel_id not in self._channels:
@@ -217,6 +252,8 @@ class McapFile:
 
     def _found(self, message: Message) -> FoundMessage:
         channel = self._channels[message.channel_id]
+        if message.data.startswith(ZSTD_MAGIC):
+            raise BagError(f"{self.path}: {channel.topic}: compressed messages; {CONVERT}")
         return FoundMessage(self._schemas.get(channel.schema_id), channel, message)
 
     def _damaged(self, begin: int, reason: Exception | str) -> BagError:
@@ -229,6 +266,11 @@ def _open(path: Path) -> IO[bytes]:
         return path.open("rb")
     except OSError as error:
         raise BagError(f"{path}: {error.strerror}") from error
+
+
+def _message(content: bytes) -> Message:
+    channel_id, sequence, time, publish_time = _MESSAGE.unpack_from(content)
+    return Message(channel_id, time, content[_MESSAGE.size :], publish_time, sequence)
 
 
 def _read_all(read: Callable[[int], bytes], size: int) -> bytes:

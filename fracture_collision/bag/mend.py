@@ -96,7 +96,7 @@ def _copy(file: McapFile, new: Path, tally: _Tally) -> None:
 
 def _entry(channel: Channel, schema: Schema | None) -> metadata.TopicEntry:
     text = channel.metadata.get("offered_qos_profiles", "")
-    profiles = metadata.load_yaml(text, channel.topic) if len(text) <= metadata.LARGEST else None
+    profiles = metadata.plain_content(text, channel.topic) if len(text) <= metadata.LARGEST else None
     if not isinstance(profiles, list) or not all(isinstance(profile, dict) for profile in profiles):
         profiles = []
     message_type = schema.name if schema is not None else ""

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import yaml
 
 from fracture_collision.bag.errors import BagError
+from fracture_collision.plain_yaml import YamlError, load_yaml
 
 FILE_NAME = "metadata.yaml"
 KEY = "rosbag2_bagfile_information"
@@ -88,20 +89,19 @@ def read_metadata(folder: Path) -> dict[str, Any] | None:
     path = folder / FILE_NAME
     if not path.is_file():
         return None
-    content = load_yaml(_text(path), str(path))
+    content = plain_content(_text(path), str(path))
     information = content.get(KEY) if isinstance(content, dict) else None
     if not isinstance(information, dict):
         raise BagError(f"{path}: not the metadata of a rosbag2 folder")
     return information
 
 
-def load_yaml(text: str, where: str) -> Any:
-    """YAML as data only. Raises BagError."""
+def plain_content(text: str, where: str) -> Any:
+    """YAML of a bag as plain data. Raises BagError, which begins with `where`."""
     try:
-        return yaml.safe_load(text)
-    except (yaml.YAMLError, ValueError, RecursionError, OverflowError) as error:
-        words = "nested too deeply" if isinstance(error, RecursionError) else " ".join(str(error).split())
-        raise BagError(f"{where}: not YAML: {words[:200]}") from error
+        return load_yaml(text)
+    except YamlError as error:
+        raise BagError(f"{where}: {error}") from error
 
 
 def named_files(folder: Path, information: dict[str, Any]) -> list[Path]:

@@ -136,7 +136,7 @@ def _noted(record: Metadata, path: Path) -> dict[str, str]:
     text = record.metadata.get("serialized_metadata", "") if record.name == _ROSBAG2 else ""
     if not text or len(text) > metadata.LARGEST:
         return {}
-    content = metadata.load_yaml(text, str(path))
+    content = metadata.plain_content(text, str(path))
     information = content.get(metadata.KEY) if isinstance(content, dict) else None
     return metadata.custom_data(information) if isinstance(information, dict) else {}
 

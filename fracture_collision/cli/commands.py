@@ -17,6 +17,7 @@ from fracture_collision.cli.scene import scene
 from fracture_collision.cli.smash import smash
 from fracture_collision.cli.teleop import teleop
 from fracture_collision.cli.view import view
+from fracture_collision.process.full_disk import full_disk_words
 from fracture_collision.ros.missing import REMEDY, is_ros_missing
 
 EXAMPLES = """\b
@@ -45,7 +46,7 @@ The nodes alone: collision_node and simulator_node, with --ros-args -p NAME:=VAL
 
 
 class Commands(click.Group):
-    """All commands; those that need ROS say so where it is not installed."""
+    """All commands; those that need ROS say so where it is not installed, and all say if a disk is full."""
 
     def invoke(self, ctx: click.Context) -> Any:
         """As click does."""
@@ -55,6 +56,10 @@ class Commands(click.Group):
             if not is_ros_missing(error):
                 raise
             raise click.ClickException(f"this command needs {REMEDY}") from error
+        except OSError as error:
+            if not (words := full_disk_words(error)):
+                raise
+            raise click.ClickException(words) from error
 
 
 @click.group(

@@ -41,11 +41,13 @@ def play(scene: str, seed: int | None, host: str, port: int, opens: bool, out: P
     """Smash a scene yourself, in the browser.
 
     Starts collision_node, live_simulator_node and the page as processes that communicate over DDS on this machine only,
-    and runs until Ctrl-C. Other nodes, such as `ros2 topic list`, see the topics in the domain that it prints.
+    and runs until Ctrl-C. Other nodes, such as `ros2 topic list`, see the topics in the domain that it prints:
+    ROS_DOMAIN_ID if set, else 0, or a free one if another run has that.
     """
     console = Console()
     # Imported late: --help should not wait for ROS.
     from fracture_collision.ros.runs.play_run import PlayFailed, played
+    from fracture_collision.ros.runs.run_domain import DomainTaken
     from fracture_collision.simulation.config.scene_fields import SceneError
     from fracture_collision.world.warm_up import cache_is_cold
 
@@ -68,7 +70,7 @@ def play(scene: str, seed: int | None, host: str, port: int, opens: bool, out: P
                 time.sleep(LOOK)
     except SceneError as error:
         raise BadInput(str(error)) from error
-    except (PlayFailed, OSError) as error:
+    except (PlayFailed, DomainTaken, OSError) as error:
         raise click.ClickException(str(error)) from error
     except KeyboardInterrupt:
         console.print("stopped; all nodes have ended")

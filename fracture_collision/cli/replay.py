@@ -19,6 +19,7 @@ from fracture_collision.process.early_signals import INTERRUPTED
 
 OTHERWISE = 1  # exit status: some answer differs from the recorded one
 INCOMPLETE = 3  # exit status: some question has no answer in the bag, or some answer no question
+UNANSWERED = 4  # exit status: some question cannot be answered
 
 EXAMPLES = """\b
 Examples:
@@ -32,7 +33,8 @@ Examples:
 
 \b
 Exit status: 0: all answers equal the recorded ones; 1: some differ; 2: not a bag, or no run in it; 3: all that could be
-compared are equal, but the bag lacks answers, or the states of some answers. 1 takes precedence over 3.
+compared are equal, but the bag lacks answers, or the states of some answers; 4: a step cannot be answered, as the bag
+lacks bodies or fracture events before it, or the service failed. 1 takes precedence over 3.
 """
 
 
@@ -40,6 +42,12 @@ class NothingCompared(click.ClickException):
     """The bag has no answer to any of the replayed questions."""
 
     exit_code = INCOMPLETE
+
+
+class NotAnswered(click.ClickException):
+    """A question that cannot be answered."""
+
+    exit_code = UNANSWERED
 
 
 class StepRange(click.ParamType):
@@ -142,7 +150,7 @@ def replay(
     except BagError as error:
         raise BadInput(str(error)) from error
     except Unanswered as error:
-        raise click.ClickException(str(error)) from error
+        raise NotAnswered(str(error)) from error
     _tell(played.report(), refusals, console)
     if not played.report().exact:
         sys.exit(OTHERWISE)

@@ -56,6 +56,7 @@ def smash(scene: str, mesh: Path | None, size: float, out: Path, seed: int | Non
     interruption = Interruption(console, "stopped")
     # Imported late: --help should not wait for ROS, numba and matplotlib.
     from fracture_collision.process.outputs import NewOutputs
+    from fracture_collision.ros.runs.run_domain import DomainTaken
     from fracture_collision.ros.runs.smash_run import Progress, RunFailed, run_scene
     from fracture_collision.simulation.scene.scene import SceneError, load_scene
     from fracture_collision.viewer.film.film_strip import render_film_strip
@@ -91,7 +92,7 @@ def smash(scene: str, mesh: Path | None, size: float, out: Path, seed: int | Non
             with console.status("drawing pictures"):
                 plot_times(report, new.folder / "times.png")
                 render_film_strip(new.folder / "bag", new.folder / "film_strip.png")
-    except (RunFailed, OSError) as error:
+    except (RunFailed, DomainTaken, OSError) as error:
         raise click.ClickException(str(error).replace(str(new.folder), str(out))) from error
     except KeyboardInterrupt:
         as_before = "" if new.published else f", and {out} is unchanged"

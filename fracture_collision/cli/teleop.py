@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from fracture_collision.cli.console import interrupt_on_signals
+from fracture_collision.cli.console import BadInput, interrupt_on_signals
 
 KEYS = """\b
 Keys:
@@ -43,7 +43,10 @@ def teleop(speed: float, namespace: str) -> None:
     from fracture_collision.ros.processes.node_process import default_domain_id
 
     console = Console()
-    domain_id = default_domain_id()
+    try:
+        domain_id = default_domain_id()
+    except ValueError as error:
+        raise BadInput(str(error)) from error
     click.echo(KEYS.replace("\b\n", ""))
     with suppress(KeyboardInterrupt), Live(console=console, refresh_per_second=10) as line:
 

@@ -20,14 +20,17 @@ import zstandard
 from stages.mcap_bytes import CHANNEL, CHUNK, MESSAGE, SCHEMA, chunk, record, text
 from worlds.recorded_pane import changed_bag, record_pane, write_bag
 
+from fracture_collision.bag import mcap_file
 from fracture_collision.bag.errors import BagError
 from fracture_collision.bag.exchanges import read_runs
-from fracture_collision.bag.mcap_file import MAGIC
+from fracture_collision.bag.mcap_file import MAGIC, McapFile
 from fracture_collision.bag.metadata import KEY, LARGEST
 from fracture_collision.bag.reader import mcap_files, missing_words, recorded_settings
+from fracture_collision.plain_yaml import load_yaml
 from fracture_collision.replay import settings_of
 
 FILE = "pane_0.mcap"
+MERGED = "a0: &a0 {x: 1}\n" + "".join(f"a{i}: &a{i} {{<<: [*a{i - 1}, *a{i - 1}]}}\n" for i in range(1, 60))
 
 
 @pytest.fixture(scope="module")
@@ -54,6 +57,7 @@ def mcap_files_that_lie() -> dict[str, tuple[bytes, str]]:
     lz4_bomb = lz4.frame.compress(bytes(1 << 28))
     huge = struct.pack("<I", 2**32 - 1)
     nested = chunk(inner, "", len(inner))
+    empty = record(0xFF, b"") * 1_500_000
     return {
         "empty": (b"", "not an MCAP file"),
         "noise": (np.random.default_rng(0).bytes(100_000), "not an MCAP file"),
@@ -81,6 +85,7 @@ def mcap_files_that_lie() -> dict[str, tuple[bytes, str]]:
         "no unicode": (head + record(SCHEMA, struct.pack("<HI", 1, 2) + b"\xff\xfe" + text("") + text("")), "damaged"),
         "another definition": (head + schema + channel, "another definition of FragmentStates"),
         "a channel of no schema": (head + channel, "holds no"),
+        "empty records": (head + chunk(lz4.frame.compress(empty), "lz4", len(empty)), "records, which is too many"),
         "a chunk in a chunk": (head + chunk(nested, "", len(nested)), "holds no"),
     }
 
@@ -179,14 +184,51 @@ def test_metadata_of_wrong_types_or_with_foreign_paths_is_rejected(name: str, ba
         (b"[" * 50_000, "nested too deeply"),
         (b"!!python/object/apply:os.system ['touch /tmp/harm']", "not YAML"),
         (b"date: 2001-99-99", "not YAML"),
+        (b"a: !!bool x", "'x' is not of the type !!bool, line 1"),
+        (b"a: !!int ''", "'' is not of the type !!int, line 1"),
+        (b"a: !!timestamp x", "'x' is not of the type !!timestamp, line 1"),
+        (b"a: 0x" + b"f" * 10_000, "Exceeds the limit"),
+        (MERGED.encode(), "aliases written out"),
+        (b"[" + b"1," * 400_000 + b"]", "more than 100000 parts"),
         (b"a: &a [x, x]\nb: &b [*a, *a]\nc: &c [*b, *b]", "not the metadata"),
         (b" " * (LARGEST + 1), "more than"),
     ],
 )  # fmt: skip
+@pytest.mark.timeout(20)
 def test_yaml_is_parsed_as_data_only(bag: Path, content: bytes, words: str) -> None:
     (bag / "metadata.yaml").write_bytes(content)
     with pytest.raises(BagError, match=words):
         mcap_files(bag)
+
+
+def test_a_number_in_base_60_is_a_text() -> None:
+    """PyYAML's conversion takes time quadratic in the length, and Python cannot print the result."""
+    digits = ":".join(["59"] * 300_000)
+    assert load_yaml(f"a: {digits}") == {"a": digits}
+    assert load_yaml("[1:30, 1:30.5, 10, 0x1f, 1.5e+3]") == ["1:30", "1:30.5", 10, 31, 1500.0]
+
+
+def test_definitions_of_a_file_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mcap_file, "LARGEST_DEFINITION", 1000)
+    schemas = [record(SCHEMA, struct.pack("<H", i) + text("x") + text("") + text("y" * 200)) for i in range(1, 6)]
+    for content in (b"".join(schemas), b"".join(chunk(each, "", len(each)) for each in schemas)):
+        path = tmp_path / "definitions.mcap"
+        path.write_bytes(MAGIC + content)
+        with pytest.raises(BagError, match="more than 1000 bytes of definitions"):
+            McapFile(path).channels()
+
+
+def test_chunks_without_definitions_are_searched_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each of a hundred chunks has a message of a channel that no chunk defines."""
+    path = tmp_path / "undefined.mcap"
+    message = record(MESSAGE, struct.pack("<HIQQ", 9, 0, 0, 0))
+    path.write_bytes(MAGIC + chunk(message, "", len(message)) * 100)
+    opened: list[int] = []
+    read = McapFile._messages_in
+    monkeypatch.setattr(McapFile, "_messages_in", lambda file, data, piece: opened.append(1) or read(file, data, piece))
+    damaged: list[BagError] = []
+    assert not list(McapFile(path).messages(on_damage=damaged.append))
+    assert len(damaged) == 100 and len(opened) == 200
 
 
 @pytest.mark.parametrize(

@@ -69,6 +69,40 @@ def test_differing_answers_give_status_1_and_are_named(bag: Path, tmp_path: Path
     assert "the bag lacks the settings of the service" in done.stdout
 
 
+def test_a_step_that_cannot_be_answered_gives_status_4(bag: Path, tmp_path: Path) -> None:
+    """Not that of answers that differ."""
+    lacking = changed_bag(tmp_path / "lacking", bag, lambda m: [] if m.topic == "/bodies" else [m])
+    done = run("replay", lacking)
+    assert done.returncode == 4 and "step 0: fragment_ids: no fragment 1 is known yet" in done.stderr
+    assert "the bag lacks bodies or fracture events of its run; record it from its first step" in done.stderr
+
+
+ROSBAGS = Path(sys.executable).with_name("rosbags-convert")
+
+
+@pytest.mark.parametrize(
+    ("storage", "words"),
+    [
+        (("--dst-storage", "sqlite3"), "an SQLite file"),
+        (("--dst-storage", "mcap", "--compress", "zstd", "--compress-mode", "file"), "a compressed file"),
+        (("--dst-storage", "mcap", "--compress", "zstd", "--compress-mode", "message"), "compressed messages"),
+    ],
+)  # fmt: skip
+def test_bags_of_other_storage_are_rejected_with_a_command_that_converts_them(
+    storage: tuple[str, ...], words: str, bag: Path, tmp_path: Path
+) -> None:
+    subprocess.run([ROSBAGS, "--src", bag, "--dst", tmp_path / "other", *storage], check=True)
+    before = {file: file.read_bytes() for file in (tmp_path / "other").iterdir()}
+    for name in ("replay", "digest", "mend", "view"):
+        done = run(name, tmp_path / "other")
+        assert done.returncode == 2 and words in done.stderr and "convert the bag: " in done.stderr, name
+    assert {file: file.read_bytes() for file in (tmp_path / "other").iterdir()} == before
+    given = re.findall("`rosbags-convert (.*?)`", " ".join(done.stderr.split()))[-1]
+    given = given.replace("BAG", str(tmp_path / "other")).replace("NEW", str(tmp_path / "converted"))
+    subprocess.run([ROSBAGS, *given.split()], check=True)
+    assert list(read_messages(tmp_path / "converted")) == list(read_messages(bag))
+
+
 def test_a_missing_bag_gives_status_2(tmp_path: Path, bag: Path) -> None:
     (tmp_path / "empty").mkdir()
     states = write_bag(tmp_path / "nothing", [m for m in read_messages(bag) if m.topic == "/bodies"])

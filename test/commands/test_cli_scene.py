@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import errno
 import json
 import os
 import signal
@@ -19,6 +20,7 @@ from worlds.scene_of_length import scene_of_length
 
 from fracture_collision.cli.commands import main
 from fracture_collision.cli.scene import RESULTS, parse_settings
+from fracture_collision.process.full_disk import REMEDY
 from fracture_collision.scene_run import SceneRun, StepFigures
 from fracture_collision.simulation.scene.scene import load_scene
 from fracture_collision.world import Settings
@@ -26,6 +28,16 @@ from fracture_collision.world import Settings
 
 def call(*words: str | Path) -> Result:
     return CliRunner().invoke(main, ["scene", *map(str, words)])
+
+
+def test_a_full_disk_is_reported_without_a_traceback(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(SceneRun, "write_steps", full)
+    done = call("pane", "--steps", "2", "--no-pictures", "--out", tmp_path / "out")
+    assert done.exit_code == 1 and f"Error: No space left on device; {REMEDY}" in done.output
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.fixture(scope="module")

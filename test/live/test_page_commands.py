@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 from rclpy.task import Future
 from stages.ros_stage import StageWithClients
@@ -13,6 +14,7 @@ from fracture_collision.ros.nodes import repeated_request
 from fracture_collision.ros.nodes.page_commands import PageCommands
 from fracture_collision.ros.nodes.repeated_request import RepeatedRequest
 from fracture_collision.ros.wire.interfaces import LIVE_STATUS
+from fracture_collision.viewer.page.page_events import Ball, Ray, ServiceSliders
 
 
 @pytest.fixture
@@ -37,6 +39,19 @@ def test_a_scene_and_a_pause_chosen_before_the_simulator_is_there_are_not_lost(
     stage.start("live_simulator_node", scene="plates", seed=7)
     ears.spin_until(lambda: bool(told) and told[-1].scene == "pane" and told[-1].paused, "the paused scene")
     assert not notices
+    commands.close()
+
+
+def test_a_command_that_fails_leaves_the_page_running(stage: StageWithClients, tmp_path: Path) -> None:
+    """A ball without speed never arrives, and no parameter takes an integer of more than 64 bits."""
+    ears, notices = stage.client(), []
+    commands = PageCommands(ears.node, tmp_path, lambda _: None, notices.append, lambda _: None)
+    commands._hands.is_there = lambda: True  # type: ignore[method-assign]
+    ray = Ray(np.zeros(3), np.array([1.0, 0.0, 0.0]))
+    commands.handlers().clicked(ray, Ball(speed=0.0, radius=0.04))
+    commands.handlers().service_set(ServiceSliders(contacts_per_pair=10**30))
+    ears.spin_until(lambda: len(notices) == 2, "two notices")
+    assert all(notice.startswith("a command failed: ") for notice in notices)
     commands.close()
 
 

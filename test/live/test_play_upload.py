@@ -71,5 +71,11 @@ def test_an_uploaded_torus_is_smashed(browser: Any, scene: LivePage, tmp_path: P
         page.wait_for_selector("canvas")
         choose(page, "scene", "upload_1")
         scene.until(lambda: scene.status.scene == "upload_1" and scene.status.fragments == 1, "the torus, whole again")
+
+        page.get_by_label("pause").check()
+        scene.until(lambda: scene.status.paused, "a pause")
+        choose(page, "scene", "plates")
+        scene.until(lambda: scene.status.scene == "plates" and scene.status.step == 1, "one step of a paused scene")
+        page.get_by_text(f"paused: untick pause to go on · {scene.status.contacts} contacts").wait_for()
     written = sorted(file.name for file in (tmp_path / "play" / "uploads").iterdir())
     assert written == ["upload_1.npz", "upload_1.yaml"]

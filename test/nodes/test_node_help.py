@@ -21,6 +21,7 @@ from stages.ros_stage import StageWithClients
 from fracture_collision.ros.processes.node_help import TYPES
 from fracture_collision.ros.processes.node_process import free_domain_id, loopback_environment
 from fracture_collision.ros.start import NODES, module_of
+from fracture_collision.ros.wire import qos
 from fracture_collision.ros.wire.message_definitions import type_name
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -103,6 +104,9 @@ def test_running_nodes_have_what_help_says(node: str, stage: StageWithClients, t
     given = {"recorder_node": {"folder": str(tmp_path / "bag")}, "page_node": {"folder": str(tmp_path)}}.get(node, {})
     stage.start(node, "-r", "__ns:=/cell", **given)
     client = stage.client("-r", "__ns:=/cell")
+    if node == "recorder_node":  # it records states once there is a service
+        topic = qos.CONTACT_CONSTRAINTS
+        client.node.create_publisher(topic.message_class, topic.name, topic.qos)
     made = class_of(node)
     subscribes, publishes = (expanded(topics, node) for topics in (made.INTERFACE.subscribes, made.INTERFACE.publishes))
     if node == "live_simulator_node":  # these exist while the scene has an arm; test_live_conventions.py

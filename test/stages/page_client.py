@@ -34,10 +34,10 @@ class PageClient:
         self._thread = threading.Thread(target=self._take, daemon=True)
         self._thread.start()
 
-    def set(self, label: str, value: Any) -> None:
-        """Sets a control as a user would."""
+    def set(self, label: str, value: Any, property: str = "value") -> None:
+        """Sets a control as a user would; another `property` as nobody would."""
         wait_until(lambda: label in self._knobs)
-        self._send({"type": "GuiUpdateMessage", "uuid": self._knobs[label], "updates": {"value": value}})
+        self._send({"type": "GuiUpdateMessage", "uuid": self._knobs[label], "updates": {property: value}})
 
     def upload(self, label: str, name: str, parts: list[bytes], size: int | None = None) -> None:
         """Sends a file as a browser would; `size`: that it declares, by default its own."""

@@ -5,15 +5,17 @@ from __future__ import annotations
 import socket
 from collections.abc import Iterator
 from queue import Queue
+from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
 import viser
-from stages.page_client import page_client
+from stages.page_client import PageClient, page_client
 from websockets import Headers
 
 from fracture_collision.viewer.page.page import Page
-from fracture_collision.viewer.page.page_events import Handlers, Start
+from fracture_collision.viewer.page.page_controls import SLOWEST
+from fracture_collision.viewer.page.page_events import Handlers, SettingKnob, Start
 from fracture_collision.viewer.page.server import page_gate
 from fracture_collision.viewer.page.server.page_gate import Gate, GateError, guarded
 
@@ -108,6 +110,39 @@ def test_only_offered_scenes_can_be_chosen() -> None:
         for scene in ("/etc/passwd", "no such scene", "pane"):
             client.set("scene", scene)
         assert chosen.get(timeout=30.0) == "pane"
+
+
+def test_values_are_kept_within_their_controls(browserless: tuple[Queue[Any], PageClient, PageClient]) -> None:
+    """Regardless of what a client sends; other clients stay connected."""
+    heard, client, other = browserless
+    for value in (float("nan"), "7", True, None, [1], {}, 10.0**30):
+        client.set("contacts_per_pair", value)
+    assert heard.get(timeout=30.0).contacts_per_pair == 1024
+    for value in ("none", 1, "averaged"):
+        client.set("field", value)
+    assert heard.get(timeout=30.0).field == "averaged"
+    client.set("slow motion", 0)
+    assert heard.get(timeout=30.0) == SLOWEST
+    client.set("slow motion", "1", property="update_cb")  # would replace the control's handlers
+    other.set("slow motion", float("inf"))
+    assert heard.get(timeout=30.0) == 1.0
+    assert heard.empty()
+
+
+@pytest.fixture
+def browserless() -> Iterator[tuple[Queue[Any], PageClient, PageClient]]:
+    """What the handlers of a page hear, and two clients of it."""
+    heard: Queue[Any] = Queue()
+    knobs = {
+        "contacts_per_pair": SettingKnob("contacts of a pair", 1, 1024),
+        "field": SettingKnob("depths", choices=("exact", "averaged")),
+    }
+    with (
+        Page(Handlers(slow_motion=heard.put, service_set=heard.put), Start(settings=knobs)) as page,
+        page_client(page.address) as client,
+        page_client(page.address) as other,
+    ):
+        yield heard, client, other
 
 
 def test_another_version_of_viser_serves_no_page(monkeypatch: pytest.MonkeyPatch) -> None:

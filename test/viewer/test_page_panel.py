@@ -24,7 +24,16 @@ from fracture_collision.viewer.page.page import Page
 from fracture_collision.viewer.page.page_events import Handlers, Joint, ServiceSliders, SettingKnob, Start
 from fracture_collision.viewer.page.page_help import help_text
 from fracture_collision.viewer.page.page_plots import SHOWN, Figures
-from fracture_collision.viewer.page.page_summary import PATIENCE, Census, Pace, words_of
+from fracture_collision.viewer.page.page_summary import (
+    BUSY_WORDS,
+    PATIENCE,
+    PAUSED_WORDS,
+    SLOW_WORDS,
+    Census,
+    Pace,
+    has_time_left,
+    words_of,
+)
 
 PHONE, DESKTOP = (390, 844), (1280, 720)
 KNOBS = {
@@ -168,6 +177,34 @@ def test_a_simulation_is_slow_only_after_a_while_and_not_in_slow_motion() -> Non
     assert not pace.is_slow(20.0, 0.4, 0.5, False), "slow motion at its pace"
     assert not pace.is_slow(21.0, 0.4, 1.0, False), "it counts from the start again"
     assert pace.is_slow(24.0, 0.1, 1.0, False) and not pace.is_slow(25.0, 0.0, 1.0, True)
+
+
+def test_a_simulation_whose_steps_are_short_waits_for_a_busy_machine() -> None:
+    """36 contacts take a millisecond; interrupted steps take longer."""
+    assert has_time_left([1.0] * 40 + [30.0] * 20, step_ms=5.0)
+    assert not has_time_left([4.0] * 60, step_ms=5.0)
+    assert not has_time_left([1.0] * 60, step_ms=0.0) and not has_time_left([], step_ms=5.0)
+    with Page() as page:
+        summary = page._summary
+        for solver_ms, words in ((0.5, BUSY_WORDS), (20.0, SLOW_WORDS)):
+            page.new_run()
+            page.show_figures(Figures(0.1, collision_ms=0.5, update_ms=0.0, solver_ms=solver_ms, contacts=36))
+            page.flush()
+            for now in (10.0, 10.1 + PATIENCE):
+                summary.show_rate(now, 0.2, 1.0, False, step_ms=5.0)
+            assert summary._warning.visible and summary._warning.content == words
+            summary.show_rate(20.0, 1.0, 1.0, False, step_ms=5.0)
+            assert not summary._warning.visible
+
+
+def test_a_new_run_has_no_figures_of_the_last_one_and_a_hint_if_it_is_paused() -> None:
+    with Page() as page:
+        begin(page)
+        page.show_rate(0.0, 1.0, True)
+        assert "76 contacts" in page._summary._said
+        page.new_run()
+        page.flush()
+        assert page._summary._said == page._summary._line.content == PAUSED_WORDS
 
 
 def test_the_pace_is_shown_with_a_message_while_it_is_slow(browser: Any) -> None:

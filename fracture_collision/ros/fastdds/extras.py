@@ -18,7 +18,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from fracture_collision.ros.fastdds.acknowledged_publisher import AcknowledgedPublisher
-from fracture_collision.ros.fastdds.farewell import PORT_BASE, PORTS_A_DOMAIN
+from fracture_collision.ros.fastdds.farewell import PORT_BASE, PORTS_A_DOMAIN, processes_here
 from fracture_collision.ros.fastdds.message_origin import Origin, participant_of
 from fracture_collision.ros.fastdds.neighbours import Neighbours, is_nameless
 from fracture_collision.ros.fastdds.own_ports import fault_of_own_ports
@@ -53,6 +53,7 @@ __all__ = [
     "origin_of",
     "participant_of",
     "ports_for_new_node",
+    "processes_in",
     "remove_unused_files",
 ]
 
@@ -99,6 +100,11 @@ def ports_for_new_node(domain_id: int) -> AbstractContextManager[Any]:
 def fault_of_ports(domain_id: int) -> str:
     """Describes why this process's participant receives nothing; "" if it does, or if that cannot be determined."""
     return fault_of_own_ports(domain_id) if not is_plain() and has_known_transports(os.environ) else ""
+
+
+def processes_in(domain_id: int) -> list[int]:
+    """Ids of this user's processes with a node in the domain; none in a plain process."""
+    return [] if is_plain() else processes_here(domain_id)
 
 
 def discovery_port(domain_id: int) -> int:

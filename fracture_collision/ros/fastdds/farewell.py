@@ -13,6 +13,7 @@ import re
 import socket
 import struct
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 # DDSI-RTPS 2.2: 9.6.1.1 (ports), 9.3.1.3 (entities), 9.4.5.3 (Data), 9.6.3 (inline parameters)
@@ -50,16 +51,29 @@ def participants_here(domain_id: int) -> int:
 
 def own_metatraffic(domain_id: int) -> list[tuple[str, int]]:
     """Addresses at which participants of this process receive discovery messages."""
-    inodes = set()
-    for file in Path("/proc/self/fd").iterdir():
-        try:
-            target = os.readlink(file)
-        except OSError:  # closed in the meantime
-            continue
-        if (inode := re.fullmatch(r"socket:\[(\d+)\]", target)) is not None:
-            inodes.add(inode[1])
+    inodes = _sockets_of(os.getpid())
     found = [(host, port) for host, port, inode in _metatraffic(domain_id) if inode in inodes]
     return [("127.0.0.1" if host == "0.0.0.0" else host, port) for host, port in found]
+
+
+def processes_here(domain_id: int) -> list[int]:
+    """Ids of the processes of this machine with participants in the domain; those of other users only for root."""
+    inodes = {inode for _, _, inode in _metatraffic(domain_id)}
+    if not inodes:
+        return []
+    pids = sorted(int(folder.name) for folder in Path("/proc").iterdir() if folder.name.isdigit())
+    return [pid for pid in pids if not inodes.isdisjoint(_sockets_of(pid))]
+
+
+def _sockets_of(pid: int) -> set[str]:
+    """Inodes of a process's sockets; none if we may not read them, or it has ended."""
+    inodes = set()
+    with suppress(OSError):
+        for file in Path(f"/proc/{pid}/fd").iterdir():
+            with suppress(OSError):  # closed in the meantime
+                if (inode := re.fullmatch(r"socket:\[(\d+)\]", os.readlink(file))) is not None:
+                    inodes.add(inode[1])
+    return inodes
 
 
 def _metatraffic(domain_id: int) -> Iterator[tuple[str, int, str]]:

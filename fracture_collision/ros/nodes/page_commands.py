@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import traceback
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
@@ -82,7 +83,7 @@ class PageCommands:
         """Sends what waits for the simulator or the service to be discovered. Must be called regularly."""
         self._choice.look()
         while self._early and self._hands.is_there():
-            self._early.popleft()()
+            self._carry_out(self._early.popleft())
 
     def confirm(self, sliders: ServiceSliders) -> bool:
         """Takes the values that the service has now; returns whether the user set them.
@@ -137,7 +138,15 @@ class PageCommands:
 
     def _obey(self) -> None:
         while self._orders:
-            self._orders.popleft()()
+            self._carry_out(self._orders.popleft())
+
+    def _carry_out(self, order: Callable[[], object]) -> None:
+        """An order that fails leaves the page running: a client need not be a browser, and may send anything."""
+        try:
+            order()
+        except Exception as error:
+            self._node.get_logger().error(traceback.format_exc())
+            self._notify(f"a command failed: {error}; the log of {self._node.get_name()} has more")
 
     # --- the scene -------------------------------------------------------------------------------------------------
 

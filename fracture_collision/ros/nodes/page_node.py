@@ -84,6 +84,7 @@ class PageNode(Node):
         self._meshes: dict[int, Any] = {}  # that arrived before the body of their fragment was known
         self._early: Received | None = None  # states that arrived before the first body of their run
         self._status: SimulationStatus | None = None
+        self._times: AnswerTimes | None = None  # not shown yet
         self._status_at = 0.0  # time.monotonic() of its arrival
         self._awaits_joints = False  # of an arm that was added
         self._refused = ""  # the last rejection that the simulator reported
@@ -112,7 +113,11 @@ class PageNode(Node):
         self._commands.look()
         if (status := self._status) is not None:
             in_step = time.monotonic() - self._status_at > LONG_STEP
-            self.page.show_rate(0.0 if in_step else status.achieved_rate, status.rate, status.paused)
+            if in_step:
+                self.page.show_rate(0.0, status.rate, status.paused)
+            else:
+                step_ms = 1e3 * status.time_step_s / max(status.rate, 1e-9)
+                self.page.show_rate(status.achieved_rate, status.rate, status.paused, step_ms)
 
     def _listen(self) -> None:
         for topic, callback, profile, raw in (
@@ -208,6 +213,7 @@ class PageNode(Node):
     def _on_status(self, message: SimulationStatus) -> None:
         if self._of_this_run(message.run_id):
             self._status, self._status_at = message, time.monotonic()
+            self._show_figures()
             self.page.show_scene(message.scene)
             self._mirror.hear_paused(message.paused)
             if message.refused and message.refused != self._refused:
@@ -226,10 +232,17 @@ class PageNode(Node):
             self.page.show_service(has)
 
     def _on_times(self, message: AnswerTimes) -> None:
-        status = self._status
-        if status is None or not self._of_this_run(message.run_id):
+        if self._of_this_run(message.run_id):
+            self._times = message
+            self._mirror.hear_times(1e3 * message.collision_s)
+            self._show_figures()
+
+    def _show_figures(self) -> None:
+        """Once both messages of a run have come: after a reset the simulator's follows, for a while."""
+        status, message = self._status, self._times
+        if status is None or message is None or status.run_id != message.run_id:
             return
-        self._mirror.hear_times(1e3 * message.collision_s)
+        self._times = None
         beyond = status.round_trip_s - message.collision_s - message.update_s
         self.page.show_figures(
             Figures(

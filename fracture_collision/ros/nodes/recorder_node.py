@@ -2,6 +2,10 @@
 
 Once a second all settled messages go to disk, so that a killed recorder leaves a readable bag. The bag's custom data
 has the settings of the service: contacts are a function of the messages and the settings.
+
+A run without its answers is no recording. States are subscribed to once the service's publisher of answers is
+discovered, so a simulator that waits for its subscribers begins with a recorder that receives the answers. A recorder
+that loses them ends with an error: DDS does not always discover a participant again whose lease has expired.
 """
 
 from __future__ import annotations
@@ -10,6 +14,7 @@ import json
 import struct
 import sys
 import time
+from collections import deque
 from collections.abc import Callable
 
 from rclpy.executors import SingleThreadedExecutor
@@ -29,6 +34,8 @@ RECORDED = interfaces.RECORDER.subscribes
 
 PROGRESS_INTERVAL = 0.1  # [s]
 FLUSH_INTERVAL = 1.0  # [s]
+FEW = 3  # Fewer steps may lack their answers: those on their way when the recording ends, or when a simulator ended.
+RECENT = 64  # answers
 
 # Every message here begins with a header, whose stamp follows the four bytes of CDR's encapsulation.
 _STAMP = struct.Struct("<iI")
@@ -62,9 +69,17 @@ class RecorderNode(Node):
         self._unflushed = 0  # messages
         self._noted_settings: str | None = None
         self._settings = ServiceSettings(self, qos.CONTACT_CONSTRAINTS.name, self._note_settings)
+        self._records_states = False
+        self._unanswered: set[int] = set()  # [ns] times of the steps without answers, since the first answer
+        self._answered: deque[int] = deque(maxlen=RECENT)  # [ns] an answer may be taken before its states
+        self._lacks_service = False  # at the last check
         for topic in RECORDED:
-            keep = self._keep(topic, names[topic.name])
-            self.create_subscription(topic.message_class, topic.name, keep, qos.recording(topic.qos), raw=True)
+            if topic is not qos.FRAGMENT_STATES:
+                self._record(topic)
+
+    def _record(self, topic: qos.Topic) -> None:
+        keep = self._keep(topic, self.resolve_topic_name(topic.name))
+        self.create_subscription(topic.message_class, topic.name, keep, qos.recording(topic.qos), raw=True)
 
     def _keep(self, topic: qos.Topic, name: str) -> Callable[[bytes], None]:
         def keep(data: bytes) -> None:
@@ -77,6 +92,13 @@ class RecorderNode(Node):
             if topic is not qos.DIAGNOSTICS:  # they carry wall clock time, all others simulation time
                 seconds, nanoseconds = _STAMP.unpack_from(data, _STAMP_OFFSET)
                 self._newest_time = max(seconds * 10**9 + nanoseconds, 0)  # bags have no times before the epoch
+            if topic is qos.FRAGMENT_STATES and self._newest_time not in self._answered:
+                self._unanswered.add(self._newest_time)
+            elif topic is qos.CONTACT_CONSTRAINTS:
+                if self._counts[topic.name] == 1:
+                    self._unanswered.clear()
+                self._unanswered.discard(self._newest_time)
+                self._answered.append(self._newest_time)
             self._bag.write(name, clear, self._newest_time)
             self._unflushed += 1
 
@@ -93,12 +115,15 @@ class RecorderNode(Node):
         self._bag.note(SETTINGS, text)
 
     def spin(self, executor: SingleThreadedExecutor) -> None:
-        """Records until rclpy shuts down and raises ExternalShutdownException."""
+        """Records until rclpy shuts down and raises ExternalShutdownException, or returns if the service is lost."""
         told: dict[str, int] = {}
         due = flush_due = 0.0
         while True:
             executor.spin_once(timeout_sec=PROGRESS_INTERVAL)
             now = time.monotonic()
+            if not self._records_states and self._has_service():
+                self._records_states = True
+                self._record(qos.FRAGMENT_STATES)
             if self._tells_progress and now >= due and self._counts != told:
                 due, told = now + PROGRESS_INTERVAL, dict(self._counts)
                 print(json.dumps(told), flush=True)
@@ -106,6 +131,16 @@ class RecorderNode(Node):
                 flush_due = now + FLUSH_INTERVAL
                 self._settings.look()
                 self._flush()
+                lacked_service, self._lacks_service = self._lacks_service, self._has_lost_service()
+                if lacked_service and self._lacks_service:
+                    return
+
+    def _has_service(self) -> bool:
+        return self.count_publishers(qos.CONTACT_CONSTRAINTS.name) > 0
+
+    def _has_lost_service(self) -> bool:
+        """Whether a run goes on with a service that is not discovered here."""
+        return len(self._unanswered) >= FEW and not self._has_service()
 
     def _flush(self) -> None:
         settled, self._settled_time = self._settled_time, self._newest_time
@@ -114,8 +149,17 @@ class RecorderNode(Node):
             self._bag.flush(settled)
 
     def finish(self) -> None:
-        """Completes the bag."""
+        """Completes the bag. Raises Fatal if answers are missing in it."""
         self._bag.close()
+        if not self._records_states:
+            self.get_logger().warning("no collision service was there: the bag has no states")
+        if len(self._unanswered) >= FEW:
+            first = 1e-9 * min(self._unanswered)
+            reason = "the service is no longer discovered" if self._lacks_service else "they have not arrived"
+            raise Fatal(
+                f"{len(self._unanswered)} recorded steps lack their answers, the first at {first:.4g} s: {reason}."
+                " Record the run again."
+            )
 
 
 def bag_topic(name: str, topic: qos.Topic) -> BagTopic:

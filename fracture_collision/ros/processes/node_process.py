@@ -17,6 +17,7 @@ from functools import partial
 from pathlib import Path
 from typing import IO, Any
 
+from fracture_collision.process.full_disk import REMEDY, STATUS
 from fracture_collision.ros.fastdds.extras import (
     LOCALHOST,
     RANGE,
@@ -61,13 +62,10 @@ def free_domain_id() -> int:
 
 def default_domain_id() -> int:
     """ROS's own default: ROS_DOMAIN_ID, else 0. Raises ValueError if it is not a number."""
-    return int(os.environ.get("ROS_DOMAIN_ID") or 0)
-
-
-def chosen_domain_id() -> int:
-    """ROS_DOMAIN_ID if the user has set it, so that the user's own nodes can subscribe; else a free one."""
-    given = os.environ.get("ROS_DOMAIN_ID", "")
-    return int(given) if given.isdigit() else free_domain_id()
+    given = os.environ.get("ROS_DOMAIN_ID") or "0"
+    if not given.isdecimal():
+        raise ValueError(f"ROS_DOMAIN_ID is {given!r}, not a number; set it to one of 0 .. {HIGHEST_DOMAIN_ID}")
+    return int(given)
 
 
 def loopback_environment(domain_id: int) -> dict[str, str]:
@@ -156,6 +154,16 @@ class NodeProcess:
         status = self._process.wait()
         remove_unused_files()
         return status
+
+    def last_words(self) -> str:
+        """Why it has ended, for an error: its exit status and the end of its log."""
+        status = self.exit_status()
+        reason = f" (the disk is full; {REMEDY})" if status == STATUS else ""
+        return f"{self.name} ended with status {status}{reason}; {self.log_end()}"
+
+    def log_end(self) -> str:
+        """The last lines of its log, for an error."""
+        return "the end of its log:\n" + "\n".join(self.log_text().splitlines()[-15:])
 
     def log_text(self) -> str:
         """The contents of the log file so far."""

@@ -14,7 +14,7 @@ import socket
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import TypeVar
 
@@ -25,6 +25,8 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 
+from fracture_collision.process import full_disk
+from fracture_collision.process.full_disk import full_disk_words
 from fracture_collision.ros.fastdds.extras import (
     fault_of_ports,
     keep_to_this_machine,
@@ -117,7 +119,7 @@ def run_node(make_node: Callable[[], AnyNode], work: Callable[[AnyNode], None]) 
     rclpy would ignore are rejected with status 2.
 
     SIGINT and SIGTERM end it cleanly, with status 0: they are the usual way to stop a node. A process that still runs
-    LONGEST_END later ends with status 1, as does one with ports that do not work.
+    LONGEST_END later ends with status 1, as does one with ports that do not work. A full disk: full_disk.STATUS.
     """
     if (answer := answer_to(make_node, sys.argv[1:])) is not None:
         signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # a pager may end first
@@ -153,6 +155,12 @@ def run_node(make_node: Callable[[], AnyNode], work: Callable[[AnyNode], None]) 
     except (Fatal, InvalidParameterTypeException, InvalidParameterValueException) as error:
         print(f"{node.get_name() if node else name_of(make_node)}: {error}", file=sys.stderr)
         return 1
+    except OSError as error:
+        if not (words := full_disk_words(error)):
+            raise
+        with suppress(OSError):  # a log may be on the same disk
+            print(f"{node.get_name() if node else name_of(make_node)}: {words}", file=sys.stderr, flush=True)
+        return full_disk.STATUS
     finally:
         _end_in_time()
         if node is not None:

@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from fracture_collision.process.outputs import NewOutputs
-from fracture_collision.ros.processes.node_process import NodeProcess, default_domain_id
+from fracture_collision.ros.processes.node_process import NodeProcess
+from fracture_collision.ros.runs.run_domain import run_domain
 from fracture_collision.simulation.scene.scene import load_scene
 
 LOGS = "logs"
@@ -38,7 +39,7 @@ class Played(NamedTuple):
         """Raises PlayFailed if a node has ended."""
         for node in self.nodes:
             if node.exit_status() is not None:
-                raise _failed(node)
+                raise PlayFailed(node.last_words())
 
 
 @contextmanager
@@ -46,11 +47,10 @@ def played(scene: str, seed: int, out: Path, host: str, port: int) -> Iterator[P
     """Starts all nodes and waits for the page; ends them all afterwards.
 
     The nodes' logs are in out/logs, where they replace an earlier run's once the page is up. Raises PlayFailed,
-    SceneError, and OSError if `out` cannot be written.
+    DomainTaken, SceneError, and OSError if `out` cannot be written.
     """
-    domain_id = default_domain_id()
     time_step = load_scene(scene).time_step
-    with NewOutputs(out, (LOGS,)) as new, ExitStack() as nodes:
+    with run_domain(default=0) as domain_id, NewOutputs(out, (LOGS,)) as new, ExitStack() as nodes:
         logs = new.folder / LOGS
         logs.mkdir()
 
@@ -82,16 +82,8 @@ def _address(page: NodeProcess, others: tuple[NodeProcess, ...]) -> str:
     while not told:
         for node in (page, *others):
             if node.exit_status() is not None:
-                raise _failed(node)
+                raise PlayFailed(node.last_words())
         if time.monotonic() > deadline:
-            raise PlayFailed(f"the page did not start within {PATIENCE:.0f} s; the end of its log:\n{_tail(page)}")
+            raise PlayFailed(f"the page did not start within {PATIENCE:.0f} s; {page.log_end()}")
         time.sleep(LOOK)
     return told[0]
-
-
-def _failed(node: NodeProcess) -> PlayFailed:
-    return PlayFailed(f"{node.name} ended with status {node.exit_status()}; the end of its log:\n{_tail(node)}")
-
-
-def _tail(node: NodeProcess) -> str:
-    return "\n".join(node.log_text().splitlines()[-10:])

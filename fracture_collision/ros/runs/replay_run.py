@@ -101,7 +101,7 @@ class OverDds:
             self._bodies = min(self._bodies + 1, len(run.bodies))
             self._events = min(self._events + 1, len(run.events))
             pause = min(2.0 * pause, LONGEST_PAUSE)
-        raise Unanswered(f"step {question.step}: no answer in {PATIENCE:.0f} s; {self._last_words()}")
+        raise Unanswered(f"step {question.step}: no answer in {PATIENCE:.0f} s; {self._process.log_end()}")
 
     def _tell(self, topic: qos.Topic, messages: list[Message]) -> None:
         for message in messages:
@@ -124,13 +124,9 @@ class OverDds:
         while not condition():
             self._wait()
             if self._process.exit_status() is not None:
-                raise Unanswered(f"the service ended with status {self._process.exit_status()}; {self._last_words()}")
+                raise Unanswered(self._process.last_words())
             left = deadline - time.monotonic()
             if left <= 0:
                 return False
             self._executor.spin_once(timeout_sec=min(left, WAITING_INTERVAL))
         return True
-
-    def _last_words(self) -> str:
-        lines = self._process.log_text().splitlines()
-        return f"the end of {self._log}:\n" + "\n".join(lines[-10:])

@@ -17,8 +17,9 @@ from rclpy.serialization import deserialize_message
 
 from fracture_collision.bag.reader import message_counts, read_messages, topic_digest
 from fracture_collision.msg import CollisionBody, FragmentMesh, FragmentRegistry
-from fracture_collision.ros.processes.node_process import NodeProcess, chosen_domain_id
+from fracture_collision.ros.processes.node_process import NodeProcess
 from fracture_collision.ros.processes.timing_files import SERVICE_COLUMNS, SIMULATOR_COLUMNS
+from fracture_collision.ros.runs.run_domain import run_domain
 from fracture_collision.run_report import summaries
 from fracture_collision.simulation.scene.scene import load_scene
 
@@ -45,12 +46,12 @@ class Progress(NamedTuple):
 def run_scene(scene: str, seed: int | None, out: Path, on_progress: Callable[[Progress], None]) -> dict[str, Any]:
     """Runs `scene` to its end; returns the report (see `make_report`).
 
-    Writes out/bag and out/logs, which must not exist yet. Raises RunFailed. In any case no process is left behind.
+    Writes out/bag and out/logs, which must not exist yet. Raises RunFailed, DomainTaken. In any case no process is left
+    behind.
     """
     logs, bag = out / "logs", out / "bag"
     logs.mkdir(parents=True)
     times = {name: logs / f"{name}.npy" for name in ("collision_node", "simulator_node")}
-    domain_id = chosen_domain_id()
     simulator_parameters = {
         "scene": scene, "timing_file": str(times["simulator_node"]), "progress": True, "wait_for_subscribers": 2,
     }  # fmt: skip
@@ -58,7 +59,7 @@ def run_scene(scene: str, seed: int | None, out: Path, on_progress: Callable[[Pr
         simulator_parameters["seed"] = seed
     time_step = load_scene(scene).time_step
     started = time.monotonic()
-    with ExitStack() as processes:
+    with run_domain() as domain_id, ExitStack() as processes:
         def start(module: str, parameters: dict[str, Any], stdout: int | None = None) -> NodeProcess:
             process = NodeProcess(module, parameters, domain_id, logs / f"{module}.log", stdout)
             processes.callback(process.stop)
@@ -73,14 +74,14 @@ def run_scene(scene: str, seed: int | None, out: Path, on_progress: Callable[[Pr
                 on_progress(_progress(told(), service))
                 time.sleep(POLL_INTERVAL)
             if status != 0:
-                raise RunFailed(_last_words(simulator))
+                raise RunFailed(simulator.last_words())
             on_progress(_progress(told(), service))
             steps = told()["step"]
             _await_recording(recorded, steps, service, recorder)
         # In this order: the service must run until the recorder has ended.
         for process in (recorder, service):
             if process.stop() != 0:
-                raise RunFailed(_last_words(process))
+                raise RunFailed(process.last_words())
     seconds = time.monotonic() - started
     report = make_report(np.load(times["collision_node"]), np.load(times["simulator_node"]))
     counts = message_counts(bag)
@@ -194,7 +195,7 @@ def _progress(told: dict[str, Any], service: NodeProcess) -> Progress:
 def _check_alive(*processes: NodeProcess) -> None:
     for process in processes:
         if process.exit_status() is not None:
-            raise RunFailed(_last_words(process))
+            raise RunFailed(process.last_words())
 
 
 def _await_recording(recorded: Callable[[], dict[str, int]], steps: int, *processes: NodeProcess) -> None:
@@ -205,8 +206,3 @@ def _await_recording(recorded: Callable[[], dict[str, int]], steps: int, *proces
         if time.monotonic() > deadline:
             raise RunFailed(f"the recorder has only {recorded()} of {steps} steps")
         time.sleep(POLL_INTERVAL)
-
-
-def _last_words(process: NodeProcess) -> str:
-    tail = "\n".join(process.log_text().splitlines()[-15:])
-    return f"{process.name} ended with status {process.exit_status()}; the end of its log:\n{tail}"

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fracture_collision.near_names import did_you_mean
+from fracture_collision.plain_yaml import shortened
 
 
 class SceneError(ValueError):
@@ -19,17 +20,11 @@ class SceneError(ValueError):
 
 
 ROTATION = "about the fixed axes x, y and z, one after the other"
-MOST_QUOTED = 40  # characters of a value: enough to find it, and little of a file that is no scene
 
 
 def quoted(value: Any) -> str:
     """The value, shortened for an error."""
     return shortened(reprlib.repr(value))
-
-
-def shortened(text: str) -> str:
-    """`text`, cut to MOST_QUOTED characters."""
-    return text if len(text) <= MOST_QUOTED else f"{text[: MOST_QUOTED - 3]}..."
 
 
 class Entry(NamedTuple):

@@ -57,7 +57,7 @@ class Page:
         """
         handlers, start = handlers or Handlers(), start or Start()
         check_told(told)
-        self._document = Document(name or start.scene)
+        self._document = Document(name or start.scene, has_arrow_commands=handlers.arrow is not None)
         self._server = started_server(host, port, self._document, TITLE)
         self.address = f"http://{bracketed(host)}:{self._server.get_port()}"
         self._server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=BRAND)
@@ -171,9 +171,9 @@ class Page:
         """Offer one more scene."""
         self._order(lambda: self._controls.add_scene(name))
 
-    def show_rate(self, achieved: float, requested: float, paused: bool) -> None:
-        """Simulated time over real time, at present and as requested; to be called several times a second."""
-        self._summary.show_rate(time.monotonic(), achieved, requested, paused)
+    def show_rate(self, achieved: float, requested: float, paused: bool, step_ms: float = 0.0) -> None:
+        """Simulated time over real time; to be called several times a second. `step_ms`: Summary.show_rate."""
+        self._summary.show_rate(time.monotonic(), achieved, requested, paused, step_ms)
         self._controls.show_paused(paused)
 
     def cast_shadows(self, on: bool) -> None:

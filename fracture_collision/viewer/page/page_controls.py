@@ -39,7 +39,7 @@ class Controls:
         self._scene: viser.GuiDropdownHandle[str] | None = None
         if handlers.scene_chosen and start.scenes:
             self._scene = self._gui.add_dropdown("scene", start.scenes, initial_value=start.scene or start.scenes[0])
-            on_update(self._scene, _one_of(self._scene, handlers.scene_chosen))
+            on_update(self._scene, handlers.scene_chosen)
         if handlers.uploaded and start.mesh_suffixes:
             Uploads(server, "upload a mesh", start.mesh_suffixes, handlers.uploaded)
         self._add_time(start)
@@ -144,16 +144,6 @@ class Controls:
 
         for knob in self._service.values():
             on_update(knob, told)
-
-
-def _one_of(scenes: viser.GuiDropdownHandle[str], handler: Callable[[str], None]) -> Callable[[str], None]:
-    """Drop other options: the browser offers none, but a client need not be a browser."""
-
-    def chosen(option: str) -> None:
-        if option in scenes.options:
-            handler(option)
-
-    return chosen
 
 
 def _rays(clicked: Callable[[Ray, Ball], None], ball: Callable[[], Ball]) -> Callable[..., Any]:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import threading
+from collections import deque
+from collections.abc import Collection
 from typing import NamedTuple
 
 import viser
@@ -15,6 +17,13 @@ SLOW_WORDS = (
     "**The simulation is slow.** To speed it up, choose a smaller scene, start over, lower *contacts_per_pair* or set a"
     " *visit_budget*."
 )
+BUSY_WORDS = (
+    "**The simulation is slow**, but its steps are not: the machine is busy. Close other programs, and other windows"
+    " with this page."
+)
+PAUSED_WORDS = "paused: untick *pause* to go on"
+WORK = 0.5  # share of the time for a step: shorter work is not why a simulation is slow
+STEPS = 60  # about those of PATIENCE, as the page shows thirty a second
 
 
 class Census(NamedTuple):
@@ -52,23 +61,27 @@ class Summary:
 
     def __init__(self, gui: viser.GuiApi) -> None:
         self._line = gui.add_markdown("")
-        self._warning = gui.add_markdown(SLOW_WORDS, visible=False)
+        self._warning = gui.add_markdown("", visible=False)
         self._lock = threading.Lock()
         self._figures: Figures | None = None
         self._census: Census | None = None
         self._pace_words = ""  # none for a recording
         self._pace = Pace()
+        self._work: deque[float] = deque(maxlen=STEPS)  # [ms] of steps
         self._said = ""
 
     def clear(self) -> None:
         """Drop what belongs to the last run."""
         with self._lock:
             self._figures = self._census = None
+            self._work.clear()
+            self._say()
 
     def show_figures(self, figures: Figures) -> None:
         """The time and the contacts of a step."""
         with self._lock:
             self._figures = figures
+            self._work.append(sum(filter(None, (figures.collision_ms, figures.update_ms, figures.solver_ms))))
             self._say()
 
     def show_census(self, census: Census) -> None:
@@ -77,23 +90,37 @@ class Summary:
             self._census = census
             self._say()
 
-    def show_rate(self, now: float, achieved: float, requested: float, paused: bool) -> None:
-        """Arguments as in Pace.is_slow; to be called several times a second."""
+    def show_rate(self, now: float, achieved: float, requested: float, paused: bool, step_ms: float) -> None:
+        """Arguments as in Pace.is_slow; to be called several times a second.
+
+        `step_ms`: real time for each step at the requested pace; 0: unknown.
+        """
         with self._lock:
-            self._pace_words = "paused" if paused else f"{achieved:.2f} × real time"
+            self._pace_words = PAUSED_WORDS if paused else f"{achieved:.2f} × real time"
             is_slow = self._pace.is_slow(now, achieved, requested, paused)
+            words = BUSY_WORDS if has_time_left(self._work, step_ms) else SLOW_WORDS
+            if is_slow and self._warning.content != words:
+                self._warning.content = words
             if is_slow != self._warning.visible:
                 self._warning.visible = is_slow
             self._say()
 
     def _say(self) -> None:
-        if self._figures is None:
-            return
-        listed = "" if self._figures.contacts is None else f"{self._figures.contacts} contacts"
-        first = " · ".join(filter(None, (f"**{self._figures.time:.2f} s**", self._pace_words, listed)))
+        figures = self._figures
+        time = "" if figures is None else f"**{figures.time:.2f} s**"
+        listed = "" if figures is None or figures.contacts is None else f"{figures.contacts} contacts"
+        first = " · ".join(filter(None, (time, self._pace_words, listed)))
         text = "  \n".join(filter(None, (first, "" if self._census is None else words_of(self._census))))
         if text != self._said:
             self._line.content = self._said = text
+
+
+def has_time_left(work: Collection[float], step_ms: float) -> bool:
+    """Whether most steps take less than their time; then a simulation that is slow waits for the processor.
+
+    `work`: [ms] of each step. Steps that were interrupted take longer, so it is the lower quartile that counts.
+    """
+    return len(work) > 0 and sorted(work)[len(work) // 4] < WORK * step_ms
 
 
 def words_of(census: Census) -> str:

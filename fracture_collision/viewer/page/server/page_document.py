@@ -48,11 +48,22 @@ watch.observe(document, {{ childList: true, subtree: true }});
 """
 
 
+# viser's client listens to the arrow keys twice: for commands at the root element, for its camera at the document. An
+# event reaches the root first, and is stopped there.
+ARROWS_FOR_COMMANDS = """
+document.documentElement.addEventListener("keydown", (event) => {
+  if (event.code.startsWith("Arrow")) event.stopPropagation();
+});
+"""
+
+
 class Document:
     """The document with its current title. Any thread may set `name`."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, has_arrow_commands: bool = False) -> None:
+        """`has_arrow_commands`: the arrow keys are those of commands, and do not turn the camera."""
         self.name = name  # of the scene or recording; "": none
+        self._script = SCRIPT + (ARROWS_FOR_COMMANDS if has_arrow_commands else "")
 
     @property
     def title(self) -> str:
@@ -76,7 +87,7 @@ class Document:
         return f"document.title = {json.dumps(self.title)};"
 
     def _edited(self, text: str) -> str:
-        head = f"<title>{html.escape(self.title)}</title>\n<style>{STYLE}</style>\n<script>{SCRIPT}</script>"
+        head = f"<title>{html.escape(self.title)}</title>\n<style>{STYLE}</style>\n<script>{self._script}</script>"
         icon = f'<link rel="icon" href="data:image/svg+xml,{quote(ICON)}" />'
         text = re.sub(r'<link\s+rel="icon"\s[^>]*>', lambda _found: icon, text, count=1)
         return re.sub(r"<title>.*?</title>", lambda _found: head, text, count=1)

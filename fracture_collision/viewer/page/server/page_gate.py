@@ -32,6 +32,7 @@ from websockets import Headers
 from websockets.http11 import Request, Response
 
 from fracture_collision.viewer.page.server.page_document import Document
+from fracture_collision.viewer.page.server.page_values import keep_values_in_range
 
 LOCALHOST = "127.0.0.1"
 LOOPBACK_HOSTS = ("localhost", "127.0.0.1", "[::1]")
@@ -162,6 +163,7 @@ def started_server(host: str, port: int, document: Document, label: str) -> Loca
             if server is not None:
                 server.stop()
             raise
+    keep_values_in_range(server)
     return server
 
 
