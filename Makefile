@@ -40,13 +40,12 @@ test-full: build lint ## all tests, the slow ones too
 coverage: build lint ## `test`, and which lines of Python code it runs (kernels and other processes are not measured)
 	@$(PYTEST) -m "not slow" --cov --cov-report=term:skip-covered
 
-lint: $(STAMPS)/messages ## style, types, spelling, sizes, one-way imports, arithmetic that is the same on every processor
+lint: $(STAMPS)/messages ## style, types, spelling, signatures, one-way imports, arithmetic that is the same on every processor
 	@$(BIN)/ruff check .
 	@$(BIN)/mypy
 	@$(BIN)/codespell
 	@$(BIN)/lint-imports --no-cache
 	@$(BIN)/python -m lint.portable_arithmetic
-	@$(BIN)/python -m lint.sizes
 	@$(BIN)/python -m lint.signatures
 
 peers: build $(STAMPS)/peers ## ours beside the libraries people would use instead: table, ratios and out/peers.csv, some minutes
