@@ -132,6 +132,12 @@ class SourceCache(FunctionCache):
                     path.unlink()
 
 
+def is_cached(dispatcher: Any) -> bool:
+    """Whether the cache has code, for whatever types, of a function that `cached_njit` made from the present sources."""
+    cache = getattr(dispatcher, "_cache", None)  # None under NUMBA_DISABLE_JIT
+    return cache is not None and any(Path(cache.cache_path).glob(f"{cache._impl.filename_base}.*.nbc"))
+
+
 def cached_njit(function: Callable | None = None, **options: Any) -> Any:
     """Numba's njit, cached on disk until a source that the code was compiled from changes."""
     if function is None:

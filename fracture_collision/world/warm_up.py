@@ -6,11 +6,9 @@ Runs one small scene with all kinds of shapes, a fracture, and every query.
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 
-import fracture_collision
 from fracture_collision import world as service
 from fracture_collision.geometry.generators import TetGeometry, brick
 from fracture_collision.geometry.tetrahedra import unique_edges
@@ -19,9 +17,11 @@ from fracture_collision.world.settings import Settings
 
 
 def cache_is_cold() -> bool:
-    """Whether the largest kernel has no file in the cache beside its source: the first start compiles."""
-    cache = Path(fracture_collision.__file__).parent / "core" / "pair" / "__pycache__"
-    return not any(cache.glob("narrow_phase._query_share*.nbc"))
+    """Whether the largest kernel is not in the cache: the first start compiles."""
+    from fracture_collision.core.pair.narrow_phase import _query_share
+    from fracture_collision.kernel_sources import is_cached  # a node announces itself before numba is imported
+
+    return not is_cached(_query_share)
 
 
 def compile_kernels(progress: Callable[[str], None]) -> None:

@@ -189,6 +189,18 @@ def test_the_library_works_without_ros(without_ros: Path) -> None:
     assert "answers equal the recorded ones, byte for byte" in " ".join(said.split())
 
 
+@pytest.mark.slow
+def test_an_installed_wheel_answers_the_same_when_it_compiles_its_own_kernels(
+    without_ros: Path, tmp_path: Path
+) -> None:
+    """With an empty cache, as after `pip install`: some minutes."""
+    environment = clean_environment(NUMBA_CACHE_DIR=str(tmp_path))
+    bag = ROOT / "bags" / "pane"
+    said = run(without_ros / "bin" / "fracture-collision", "replay", bag, cwd=without_ros, environment=environment)
+    assert "answers equal the recorded ones, byte for byte" in " ".join(said.split())
+    assert any(tmp_path.rglob("narrow_phase.*.nbc"))
+
+
 @pytest.mark.parametrize("words", ["fracture-collision smash", "fracture-collision play", "collision_node"])
 def test_what_needs_ros_says_so(without_ros: Path, words: str) -> None:
     done = subprocess.run(
