@@ -133,7 +133,7 @@ class SourceCache(FunctionCache):
 
 
 def is_cached(dispatcher: Any) -> bool:
-    """Whether the cache has code, for whatever types, of a function that `cached_njit` made from the present sources."""
+    """Whether the cache has code, for whatever types, of a function of `cached_njit`, made from the present sources."""
     cache = getattr(dispatcher, "_cache", None)  # None under NUMBA_DISABLE_JIT
     return cache is not None and any(Path(cache.cache_path).glob(f"{cache._impl.filename_base}.*.nbc"))
 
