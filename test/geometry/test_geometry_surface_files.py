@@ -36,6 +36,25 @@ def test_a_hollow_body_is_read(tmp_path: Path) -> None:
     assert len(read_surface(stored(hollow, tmp_path / "hollow.ply"), 1.0).triangles) == len(hollow.faces)
 
 
+@pytest.mark.parametrize("apart", [5e-16, 3e-8])
+def test_corners_that_differ_by_rounding_are_merged(tmp_path: Path, apart: float) -> None:
+    """Each triangle has corners of its own, as in STL, all of them moved; 3e-8 of the size is what STL rounds off."""
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.5)
+    corners = ball.triangles + np.random.default_rng(1).uniform(-apart, apart, ball.triangles.shape)
+    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in corners.reshape(-1, 3).tolist()]  # trimesh writes fewer digits
+    lines += [f"f {3 * i + 1} {3 * i + 2} {3 * i + 3}" for i in range(len(corners))]
+    (tmp_path / "ball.obj").write_text("\n".join(lines))
+    read = read_surface(tmp_path / "ball.obj", None)
+    assert len(read.vertices) == len(ball.vertices) and len(read.triangles) == len(ball.faces)
+    assert trimesh.Trimesh(*read, process=False).is_volume
+
+
+def test_small_features_of_a_closed_surface_are_kept(tmp_path: Path) -> None:
+    """Where equal corners close the surface, nothing else is merged."""
+    sheet = trimesh.creation.box((1.0, 1.0, 1e-8))
+    assert len(read_surface(stored(sheet, tmp_path / "sheet.ply"), None).vertices) == 8
+
+
 def holes() -> trimesh.Trimesh:
     return trimesh.Trimesh(BOX.vertices, BOX.faces[1:], process=False)
 
