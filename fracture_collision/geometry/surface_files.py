@@ -1,4 +1,4 @@
-"""Closed surfaces from the user's files (OBJ, STL, PLY, OFF, by trimesh), checked to bound one solid.
+"""Closed surfaces from the user's files (OBJ, STL, PLY, OFF, GLB, by trimesh), checked to bound one solid.
 
 The error names what is wrong with a rejected surface.
 """
@@ -14,9 +14,10 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
+from fracture_collision.geometry.tetrahedra import pyramid_volumes
 from fracture_collision.portable_math import dots
 
-SUFFIXES = (".obj", ".stl", ".ply", ".off")
+SUFFIXES = (".obj", ".stl", ".ply", ".off", ".glb")
 MAX_TRIANGLES = 200_000
 # Of the longest side: an open surface's corners that are nearer are one vertex. A rounding of STL's numbers: 6e-8.
 MERGED = 1e-7
@@ -33,7 +34,7 @@ class Surface(NamedTuple):
 def read_surface(file: Path, longest_side: float | None) -> Surface:
     """The surface in a file, centred in a box about the origin, scaled to a longest side of `longest_side` [m].
 
-    None: its own coordinates, which count as metres.
+    None: its own coordinates, which count as metres. A surface with all triangles clockwise from outside is turned.
 
     Raises ValueError that names the file, the fault and its place, in the file's own coordinates.
     """
@@ -51,6 +52,8 @@ def read_surface(file: Path, longest_side: float | None) -> Surface:
     if not np.all(np.isfinite(places[triangles])):
         raise ValueError(f"{file}: some vertices are not finite")
     vertices, triangles = _merged(places, triangles)
+    if pyramid_volumes(vertices[triangles]).sum() < 0.0:
+        triangles = np.ascontiguousarray(triangles[:, ::-1])
     try:
         require_solid(vertices, triangles)
     except ValueError as error:
@@ -67,7 +70,8 @@ def _read(file: Path) -> tuple[np.ndarray, np.ndarray]:
 
     try:
         data = BytesIO(file.read_bytes())  # of a path, trimesh would also read materials and pictures that it names
-        mesh: Any = trimesh.load(data, file_type=file.suffix[1:].lower(), force="mesh", process=False)
+        kind = file.suffix[1:].lower()
+        mesh: Any = trimesh.load(data, file_type=kind, force="mesh", process=False, skip_materials=True)
         places, triangles = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
     except Exception as error:  # of any kind, depending on the fault of the file
         raise ValueError(f"{file}: cannot be read as {file.suffix[1:].upper()}: {error}") from error
@@ -127,13 +131,15 @@ def require_solid(vertices: np.ndarray, triangles: np.ndarray) -> None:
     refuse_edges(forward != 1, "whose two faces have opposite winding: reverse some of the triangles")
 
     part = _components(np.argsort(edge_of, kind="stable").reshape(-1, 2) // 3, len(triangles))
-    a, b, c = (vertices[triangles[:, i]] for i in range(3))
-    volumes = np.bincount(part, dots(np.cross(a, b), c) / 6.0)
+    volumes = np.bincount(part, pyramid_volumes(vertices[triangles]))
     if not np.any(volumes > 0.0):
-        raise ValueError("all triangles are clockwise seen from outside: reverse their vertex order")
+        raise ValueError("the surface encloses no volume: give the body a thickness")
     if np.count_nonzero(volumes > 0.0) > 1:
         sizes = ", ".join(map(str, np.sort(np.bincount(part))[::-1][:5]))
-        raise ValueError(f"{len(volumes)} separate parts, of {sizes} triangles: a body needs a single one")
+        raise ValueError(
+            f"{len(volumes)} separate parts, of {sizes} triangles: a body needs a single one; join parts that touch in "
+            "a modelling program (Boolean union), or save each in a file of its own, as a body of its own"
+        )
     crossing = _first_crossing(vertices, triangles)
     if crossing is not None:
         raise ValueError(f"the surface intersects itself, first near {_place(crossing)}")

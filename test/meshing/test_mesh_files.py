@@ -5,6 +5,7 @@ from __future__ import annotations
 import doctest
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -51,6 +52,39 @@ def test_a_file_without_tetrahedra_or_with_damage_is_rejected(tmp_path: Path) ->
     (tmp_path / "noise.msh").write_bytes(b"\x00\x01 no mesh")
     with pytest.raises(ValueError, match="noise.msh: cannot be read as msh"):
         read_mesh(tmp_path / "noise.msh")
+    (tmp_path / "noise.vtk").write_bytes(b"\x00\x01 no mesh")
+    with pytest.raises(ValueError, match="noise.vtk: cannot be read as vtk: Illegal VTK header"):
+        read_mesh(tmp_path / "noise.vtk")
+
+
+def test_the_reason_that_a_reader_prints_before_it_exits_is_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    def read(_file: Path) -> None:
+        print("Illegal VTK header")
+        sys.exit(1)
+
+    monkeypatch.setitem(sys.modules, "meshio", SimpleNamespace(read=read))
+    (tmp_path / "noise.vtk").touch()
+    with pytest.raises(ValueError, match=r"noise.vtk: cannot be read as vtk: Illegal VTK header"):
+        read_mesh(tmp_path / "noise.vtk")
+    assert capsys.readouterr().out == ""
+
+
+def test_a_body_in_millimetres_is_reported(tmp_path: Path, recwarn: pytest.WarningsRecorder) -> None:
+    trimesh.creation.box((80.0, 90.0, 60.0)).export(tmp_path / "part.stl")
+    np.savez(tmp_path / "part.npz", vertices=1000.0 * BRICK.vertices, tetrahedra=BRICK.tetrahedra)
+    for name, longest_side in (("part.stl", "0.09"), ("part.npz", "0.2")):
+        with pytest.warns(UserWarning, match=rf"{name}: \d+ m long.* longest_side={longest_side}") as caught:
+            read_mesh(tmp_path / name)
+        assert caught[0].filename == __file__
+        read_mesh(tmp_path / name, longest_side=float(longest_side))
+    assert not recwarn.list
+
+
+def test_a_mesh_object_is_rejected_with_the_remedy() -> None:
+    with pytest.raises(TypeError, match=r"file: needs a path, got Trimesh.*mesh.export\(\"part.stl\"\)"):
+        read_mesh(trimesh.creation.box())
 
 
 def test_without_meshio_the_error_names_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
