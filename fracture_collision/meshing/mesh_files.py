@@ -22,11 +22,10 @@ from fracture_collision.geometry.stored_meshes import read_tetrahedra
 from fracture_collision.geometry.surface_files import SUFFIXES, read_surface
 from fracture_collision.geometry.surface_meshing import tetrahedralize_surface
 from fracture_collision.geometry.tetrahedra import tetrahedron_volumes
-from fracture_collision.meshing.lattice_mesher import tetrahedralize_by_lattice
+from fracture_collision.meshing.resolved_walls import EDGES_ALONG, fill_resolved
 
 MESH_SUFFIXES = (".msh", ".vtu", ".vtk", ".mesh", ".inp", ".xdmf", ".med")
 LARGE = 50.0  # [m] a longer body is more likely one in millimetres
-EDGES_ALONG = 15  # edges along the longest side, where no length is given: one to three thousand nodes
 LATTICE, FTETWILD = MESHERS = ("lattice", "ftetwild")
 CORNERS = {"tetra": 4, "tetra10": 4}  # meshio's names; of quadratic tetrahedra the corners are used
 
@@ -38,10 +37,11 @@ def read_mesh(
 
     longest_side [m]: the mesh is moved to a box about the origin and scaled to this longest side; by default its
     coordinates are kept and count as metres. edge_length [m]: of the tetrahedra in a surface, by default a fifteenth of
-    its longest side; half of it makes eight times as many nodes. Where the file holds tetrahedra, it must be left out.
+    its longest side, or shorter where walls are thinner; half of it makes eight times as many nodes. A length at which
+    walls would be lost is rejected, with one that works. Where the file holds tetrahedra, it must be left out.
 
     mesher, of surfaces: "lattice" needs nothing else and gives the same mesh on every machine, but rounds sharp edges
-    by up to an edge length, and loses parts that are thinner. "ftetwild" keeps both. It needs pytetwild[all], 600 MB
+    by up to an edge length. "ftetwild" keeps them. It needs pytetwild[all], 600 MB
     with VTK, and gives a slightly different mesh in each call: keep one for repeatable runs, with
     numpy.savez("mesh.npz", vertices=mesh.vertices, tetrahedra=mesh.tetrahedra).
 
@@ -78,10 +78,11 @@ def read_mesh(
     if suffix in SUFFIXES:
         surface = read_surface(file, longest_side)
         _warn_if_large(file, surface.vertices, longest_side)
-        length = edge_length or float(np.ptp(surface.vertices, axis=0).max()) / EDGES_ALONG
-        fill = tetrahedralize_surface if mesher == FTETWILD else tetrahedralize_by_lattice
         try:
-            return fill(*surface, length)
+            if mesher == LATTICE:
+                return fill_resolved(surface, edge_length)
+            length = edge_length or float(np.ptp(surface.vertices, axis=0).max()) / EDGES_ALONG
+            return tetrahedralize_surface(*surface, length)
         except ValueError as error:
             raise ValueError(f"{file}: {error}") from error
     if edge_length is not None:

@@ -12,7 +12,7 @@ import pytest
 import trimesh
 
 from fracture_collision.geometry.generators import brick
-from fracture_collision.geometry.tetrahedra import tetrahedron_volumes
+from fracture_collision.geometry.tetrahedra import boundary_triangles, tetrahedron_volumes
 from fracture_collision.meshing import mesh_files, read_mesh
 
 BRICK = brick((0.2, 0.1, 0.06), 0.05)
@@ -109,6 +109,32 @@ def test_a_surface_that_cannot_be_filled_is_named(tmp_path: Path) -> None:
     trimesh.creation.box((2.0, 1.0, 0.01)).export(tmp_path / "sheet.stl")
     with pytest.raises(ValueError, match=r"sheet.stl: edge_length: 0.5 m is too long, no lattice point"):
         read_mesh(tmp_path / "sheet.stl", edge_length=0.5)
+
+
+def cup() -> trimesh.Trimesh:
+    """80 x 90 mm, with walls of 5 mm."""
+    profile = [(0.0, 0.0), (0.04, 0.0), (0.04, 0.09), (0.035, 0.09), (0.035, 0.005), (0.0, 0.005)]
+    return trimesh.creation.revolve(np.array(profile), sections=48)
+
+
+def test_thin_walls_are_resolved_or_rejected_with_a_length_that_works(tmp_path: Path) -> None:
+    whole = cup()
+    whole.export(tmp_path / "cup.stl")
+    mesh = read_mesh(tmp_path / "cup.stl")
+    filled = trimesh.Trimesh(mesh.vertices, boundary_triangles(mesh.tetrahedra), process=False)
+    assert filled.volume == pytest.approx(whole.volume, rel=0.05) and filled.euler_number == 2
+    assert filled.area == pytest.approx(whole.area, rel=0.05)
+    words = r"cup.stl: edge_length: at 0.006 m .*; 0.00\d+ m works, with \d+ nodes"
+    with pytest.raises(ValueError, match=words) as caught:
+        read_mesh(tmp_path / "cup.stl", edge_length=0.006)
+    length = float(str(caught.value).split("; ")[1].split(" m works")[0])
+    assert len(read_mesh(tmp_path / "cup.stl", edge_length=length).vertices) > 2000
+
+
+def test_walls_that_need_too_many_nodes_are_rejected(tmp_path: Path) -> None:
+    trimesh.creation.box((1.0, 1.0, 1e-3)).export(tmp_path / "sheet.stl")
+    with pytest.raises(ValueError, match=r"sheet.stl: .*walls of 0.000998 m on average need .* more than 50000 nodes"):
+        read_mesh(tmp_path / "sheet.stl")
 
 
 def test_errors_name_the_argument_or_the_file(tmp_path: Path) -> None:
