@@ -274,7 +274,7 @@ class FragmentRegistry(NamedTuple):
 
 @documented
 class FragmentMesh(NamedTuple):
-    """One fragment's surface for viewers (FragmentMesh.msg).
+    """One fragment's surface for viewers (FragmentMesh.msg), closed unless it is an unbounded plane.
 
     Fields:
       fragment_id: uint32

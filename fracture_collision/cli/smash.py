@@ -26,8 +26,8 @@ RESULTS = ("bag", "film_strip.png", "times.png", "report.json", "logs", OWN_SCEN
 @click.option("--scene", default="plates", show_default=True, help="A name that `scenes` lists, or a scene file.")
 @click.option(
     "--mesh", type=click.Path(path_type=Path),
-    help="Your own body instead, dropped onto a floor and hit by a ball: a closed surface (.obj, .stl, .ply, .off), or"
-    " tetrahedra (.npz; .msh, .vtu and others with meshio).",
+    help="Your own body instead, dropped onto a floor and hit by a ball: a closed surface (.obj .stl .ply .off .glb),"
+    " or tetrahedra (.npz; .msh, .vtu and others with meshio).",
 )  # fmt: skip
 @click.option(
     "--size", type=click.FloatRange(0.01, 10.0), default=0.3, show_default=True,

@@ -30,8 +30,18 @@ def bunny(longest_side: float = 0.2) -> TetGeometry:
 
 
 def stored_mesh(file: str) -> TetGeometry:
-    """A mesh [m] read and checked by `read_tetrahedra`."""
-    return read_tetrahedra(Path(file))
+    """A mesh [m] read and checked by `read_tetrahedra`.
+
+    Raises ValueError for a file that is not .npz, with the call that makes one of it.
+    """
+    path = Path(file)
+    if path.suffix.lower() != ".npz":
+        raise ValueError(
+            f"{file}: stored_mesh reads tetrahedra from .npz; make it with mesh = fracture_collision.meshing.read_mesh("
+            f"{path.name!r}) and numpy.savez({path.with_suffix('.npz').name!r}, vertices=mesh.vertices, "
+            "tetrahedra=mesh.tetrahedra)"
+        )
+    return read_tetrahedra(path)
 
 
 def read_tetrahedra(file: Path) -> TetGeometry:

@@ -1,4 +1,4 @@
-"""Closed surfaces from the user's files (OBJ, STL, PLY, OFF, by trimesh), checked to bound one solid.
+"""Closed surfaces from the user's files (OBJ, STL, PLY, OFF, GLB, by trimesh), checked to bound one solid.
 
 The error names what is wrong with a rejected surface.
 """
@@ -12,11 +12,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
 
+from fracture_collision.geometry.tetrahedra import pyramid_volumes
 from fracture_collision.portable_math import dots
 
-SUFFIXES = (".obj", ".stl", ".ply", ".off")
+SUFFIXES = (".obj", ".stl", ".ply", ".off", ".glb")
 MAX_TRIANGLES = 200_000
+# Of the longest side: an open surface's corners that are nearer are one vertex. A rounding of STL's numbers: 6e-8.
+MERGED = 1e-7
 _PAIRS_AT_ONCE = 2_000_000
 
 
@@ -30,7 +34,7 @@ class Surface(NamedTuple):
 def read_surface(file: Path, longest_side: float | None) -> Surface:
     """The surface in a file, centred in a box about the origin, scaled to a longest side of `longest_side` [m].
 
-    None: its own coordinates, which count as metres.
+    None: its own coordinates, which count as metres. A surface with all triangles clockwise from outside is turned.
 
     Raises ValueError that names the file, the fault and its place, in the file's own coordinates.
     """
@@ -38,13 +42,18 @@ def read_surface(file: Path, longest_side: float | None) -> Surface:
         raise ValueError(f"{file}: {file.suffix or 'no suffix'} is none of {', '.join(SUFFIXES)}")
     if not file.is_file():
         raise ValueError(f"{file}: no such file")
-    vertices, triangles = _read(file)
+    places, triangles = _read(file)
     if not len(triangles):
         raise ValueError(f"{file}: no faces")
     if len(triangles) > MAX_TRIANGLES:
         raise ValueError(f"{file}: {len(triangles)} triangles, more than {MAX_TRIANGLES}")
-    if not np.all(np.isfinite(vertices)):
+    if triangles.min() < 0 or triangles.max() >= len(places):
+        raise ValueError(f"{file}: a face refers to a vertex that is not among the {len(places)}")
+    if not np.all(np.isfinite(places[triangles])):
         raise ValueError(f"{file}: some vertices are not finite")
+    vertices, triangles = _merged(places, triangles)
+    if pyramid_volumes(vertices[triangles]).sum() < 0.0:
+        triangles = np.ascontiguousarray(triangles[:, ::-1])
     try:
         require_solid(vertices, triangles)
     except ValueError as error:
@@ -55,24 +64,51 @@ def read_surface(file: Path, longest_side: float | None) -> Surface:
     return Surface((vertices - 0.5 * (low + high)) * (longest_side / (high - low).max()), triangles)
 
 
-def _read(file: Path) -> Surface:
-    """The file's triangles: vertices at equal places are merged, triangles with a repeated vertex dropped."""
+def _read(file: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and triangles of a file as it has them."""
     import trimesh  # late: the import is slow
 
     try:
         data = BytesIO(file.read_bytes())  # of a path, trimesh would also read materials and pictures that it names
-        mesh: Any = trimesh.load(data, file_type=file.suffix[1:].lower(), force="mesh", process=False)
+        kind = file.suffix[1:].lower()
+        mesh: Any = trimesh.load(data, file_type=kind, force="mesh", process=False, skip_materials=True)
         places, triangles = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
     except Exception as error:  # of any kind, depending on the fault of the file
         raise ValueError(f"{file}: cannot be read as {file.suffix[1:].upper()}: {error}") from error
-    if not len(triangles):
-        return Surface(places.reshape(-1, 3), triangles.reshape(-1, 3))
-    if triangles.min() < 0 or triangles.max() >= len(places):
-        raise ValueError(f"{file}: a face refers to a vertex that is not among the {len(places)}")
+    return places.reshape(-1, 3), triangles.reshape(-1, 3)
+
+
+def _merged(places: np.ndarray, triangles: np.ndarray) -> Surface:
+    """The surface with vertices at equal places merged and, if that leaves holes, those nearer than MERGED.
+
+    Triangles with a repeated vertex are dropped.
+    """
     vertices, number = np.unique(places[triangles.ravel()], axis=0, return_inverse=True)
-    triangles = number.reshape(-1, 3)
+    triangles = _with_area(number.reshape(-1, 3))
+    if not np.any(_edges(triangles)[2] == 1):
+        return Surface(vertices, triangles)
+    near = KDTree(vertices).query_pairs(MERGED * np.ptp(vertices, axis=0).max(), output_type="ndarray")
+    group = _components(near, len(vertices))
+    return Surface(vertices[np.unique(group, return_index=True)[1]], _with_area(group[triangles]))
+
+
+def _with_area(triangles: np.ndarray) -> np.ndarray:
+    """The triangles of three different vertices."""
     a, b, c = triangles.T
-    return Surface(vertices, np.ascontiguousarray(triangles[(a != b) & (b != c) & (c != a)]))
+    return np.ascontiguousarray(triangles[(a != b) & (b != c) & (c != a)], dtype=np.int64)
+
+
+def _edges(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Edges (e, 2), the smaller end first; of each side (3 t,) its edge; the number of sides of each edge (e,)."""
+    ends = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    base = int(triangles.max(initial=0)) + 1
+    key, edge_of, sides = np.unique(ends[:, 0] * base + ends[:, 1], return_inverse=True, return_counts=True)
+    return np.column_stack((key // base, key % base)), edge_of, sides
+
+
+def _components(links: np.ndarray, count: int) -> np.ndarray:
+    """(count,) the connected component of each of 0 .. count - 1, numbered in the order of their smallest members."""
+    return connected_components(coo_array((np.ones(len(links)), links.T), shape=(count, count)), directed=False)[1]
 
 
 def require_solid(vertices: np.ndarray, triangles: np.ndarray) -> None:
@@ -80,9 +116,7 @@ def require_solid(vertices: np.ndarray, triangles: np.ndarray) -> None:
 
     The winding is counter-clockwise seen from outside.
     """
-    directed = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-    ends, edge_of, faces = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True, return_counts=True)
-    edge_of = edge_of.ravel()
+    ends, edge_of, faces = _edges(triangles)
 
     def refuse_edges(bad: np.ndarray, words: str) -> None:
         if np.any(bad):
@@ -92,19 +126,20 @@ def require_solid(vertices: np.ndarray, triangles: np.ndarray) -> None:
 
     refuse_edges(faces == 1, "with only one face: the surface has holes")
     refuse_edges(faces > 2, "with more than two faces: the surface bounds no solid there")
-    forward = np.bincount(edge_of[directed[:, 0] < directed[:, 1]], minlength=len(ends))
+    is_forward = (triangles < np.roll(triangles, -1, axis=1)).ravel()
+    forward = np.bincount(edge_of[is_forward], minlength=len(ends))
     refuse_edges(forward != 1, "whose two faces have opposite winding: reverse some of the triangles")
 
-    order = np.argsort(edge_of, kind="stable").reshape(-1, 2) // 3
-    graph = coo_array((np.ones(len(order)), (order[:, 0], order[:, 1])), shape=(len(triangles),) * 2)
-    count, part = connected_components(graph, directed=False)
-    a, b, c = (vertices[triangles[:, i]] for i in range(3))
-    volumes = np.bincount(part, dots(np.cross(a, b), c) / 6.0, count)
+    part = _components(np.argsort(edge_of, kind="stable").reshape(-1, 2) // 3, len(triangles))
+    volumes = np.bincount(part, pyramid_volumes(vertices[triangles]))
     if not np.any(volumes > 0.0):
-        raise ValueError("all triangles are clockwise seen from outside: reverse their vertex order")
+        raise ValueError("the surface encloses no volume: give the body a thickness")
     if np.count_nonzero(volumes > 0.0) > 1:
         sizes = ", ".join(map(str, np.sort(np.bincount(part))[::-1][:5]))
-        raise ValueError(f"{count} separate parts, of {sizes} triangles: a body needs a single one")
+        raise ValueError(
+            f"{len(volumes)} separate parts, of {sizes} triangles: a body needs a single one; join parts that touch in "
+            "a modelling program (Boolean union), or save each in a file of its own, as a body of its own"
+        )
     crossing = _first_crossing(vertices, triangles)
     if crossing is not None:
         raise ValueError(f"the surface intersects itself, first near {_place(crossing)}")

@@ -11,8 +11,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from fracture_collision.geometry.generators import TetGeometry
-from fracture_collision.geometry.tetrahedra import face_neighbours, tetrahedron_volumes
-from fracture_collision.portable_math import dots
+from fracture_collision.geometry.tetrahedra import face_neighbours, pyramid_volumes, tetrahedron_volumes
 
 
 def tetrahedralize_surface(
@@ -98,6 +97,5 @@ def require_closed_surface(vertices: np.ndarray, triangles: np.ndarray) -> None:
         values, counts = np.unique(forward, return_counts=True)
         a, b = divmod(int(values[counts > 1][0]), len(vertices))
         raise ValueError(f"triangles: more than two share the edge between vertices {a} and {b}")
-    a, b, c = (vertices[triangles[:, i]] for i in range(3))
-    if dots(np.cross(a, b), c).sum() <= 0.0:
+    if pyramid_volumes(vertices[triangles]).sum() <= 0.0:
         raise ValueError("triangles: clockwise seen from outside (the enclosed volume is not positive); reverse them")

@@ -67,6 +67,15 @@ def tetrahedron_volumes(vertices: np.ndarray, tetrahedra: np.ndarray) -> np.ndar
     return dots(np.cross(a, b), c) / 6.0
 
 
+def pyramid_volumes(corners: np.ndarray) -> np.ndarray:
+    """Signed volumes (t,) [m3] over triangles (t, 3, 3) [m] with one apex, in the middle of their box.
+
+    Those of a closed surface, counter-clockwise from outside, add up to the volume that it encloses.
+    """
+    a, b, c = np.moveaxis(corners - 0.5 * (corners.min(axis=(0, 1)) + corners.max(axis=(0, 1))), 1, 0)
+    return dots(np.cross(a, b), c) / 6.0
+
+
 def _edge_keys(tetrahedra: np.ndarray, base: int = 1) -> tuple[int, np.ndarray]:
     ends = np.sort(np.asarray(tetrahedra)[:, EDGE_VERTICES].reshape(-1, 2).astype(np.int64), axis=1)
     base = max(base, int(ends.max(initial=0)) + 1)

@@ -2,12 +2,16 @@
 
 - .npz: arrays `vertices` and `tetrahedra`, as numpy.savez writes them;
 - .msh .vtu .vtk .mesh .inp .xdmf .med: tetrahedra of Gmsh, VTK and others, read by meshio;
-- .obj .stl .ply .off: a closed surface, filled by `lattice_mesher`, or by fTetWild where pytetwild is installed.
+- .obj .stl .ply .off .glb: a closed surface, filled by `lattice_mesher`, or by fTetWild where it is installed.
 """
 
 from __future__ import annotations
 
+import contextlib
+import io
 import math
+import os
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +22,10 @@ from fracture_collision.geometry.stored_meshes import read_tetrahedra
 from fracture_collision.geometry.surface_files import SUFFIXES, read_surface
 from fracture_collision.geometry.surface_meshing import tetrahedralize_surface
 from fracture_collision.geometry.tetrahedra import tetrahedron_volumes
-from fracture_collision.meshing.lattice_mesher import tetrahedralize_by_lattice
+from fracture_collision.meshing.resolved_walls import EDGES_ALONG, fill_resolved
 
 MESH_SUFFIXES = (".msh", ".vtu", ".vtk", ".mesh", ".inp", ".xdmf", ".med")
-EDGES_ALONG = 15  # edges along the longest side, where no length is given: one to three thousand nodes
+LARGE = 50.0  # [m] a longer body is more likely one in millimetres
 LATTICE, FTETWILD = MESHERS = ("lattice", "ftetwild")
 CORNERS = {"tetra": 4, "tetra10": 4}  # meshio's names; of quadratic tetrahedra the corners are used
 
@@ -33,17 +37,18 @@ def read_mesh(
 
     longest_side [m]: the mesh is moved to a box about the origin and scaled to this longest side; by default its
     coordinates are kept and count as metres. edge_length [m]: of the tetrahedra in a surface, by default a fifteenth of
-    its longest side; half of it makes eight times as many nodes. Where the file holds tetrahedra, it must be left out.
+    its longest side, or shorter where walls are thinner; half of it makes eight times as many nodes. A length at which
+    walls would be lost is rejected, with one that works. Where the file holds tetrahedra, it must be left out.
 
     mesher, of surfaces: "lattice" needs nothing else and gives the same mesh on every machine, but rounds sharp edges
-    by up to an edge length, and loses parts that are thinner. "ftetwild" keeps both. It needs pytetwild[all], 600 MB
+    by up to an edge length. "ftetwild" keeps them. It needs pytetwild[all], 600 MB
     with VTK, and gives a slightly different mesh in each call: keep one for repeatable runs, with
     numpy.savez("mesh.npz", vertices=mesh.vertices, tetrahedra=mesh.tetrahedra).
 
     Tetrahedra of negative volume are turned, vertices of none are dropped.
 
-    Raises ValueError that names the file and the fault, and ModuleNotFoundError with the command that installs what
-    reads the format.
+    Raises ValueError that names the file and the fault, ModuleNotFoundError with the command that installs what reads
+    the format, and TypeError for anything but a path. Warns of a body longer than 50 m without `longest_side`.
 
     >>> from fracture_collision.meshing import read_mesh
     >>> from fracture_collision.share import share_directory
@@ -51,6 +56,11 @@ def read_mesh(
     >>> bunny.vertices.shape, bunny.tetrahedra.shape
     ((2010, 3), (7954, 4))
     """
+    if not isinstance(file, (str, os.PathLike)):
+        raise TypeError(
+            f"file: needs a path, got {type(file).__name__}; write a mesh object to a file first (trimesh: "
+            'mesh.export("part.stl")), or fill its arrays: tetrahedralize_by_lattice(vertices, triangles, edge_length)'
+        )
     file = Path(file)
     for name, length in (("longest_side", longest_side), ("edge_length", edge_length)):
         if length is not None and not (math.isfinite(length) and length > 0.0):
@@ -67,10 +77,12 @@ def read_mesh(
         raise ValueError(f"{file}: no such file")
     if suffix in SUFFIXES:
         surface = read_surface(file, longest_side)
-        length = edge_length or float(np.ptp(surface.vertices, axis=0).max()) / EDGES_ALONG
-        fill = tetrahedralize_surface if mesher == FTETWILD else tetrahedralize_by_lattice
+        _warn_if_large(file, surface.vertices, longest_side)
         try:
-            return fill(*surface, length)
+            if mesher == LATTICE:
+                return fill_resolved(surface, edge_length)
+            length = edge_length or float(np.ptp(surface.vertices, axis=0).max()) / EDGES_ALONG
+            return tetrahedralize_surface(*surface, length)
         except ValueError as error:
             raise ValueError(f"{file}: {error}") from error
     if edge_length is not None:
@@ -78,10 +90,21 @@ def read_mesh(
     mesh = oriented(*read_tetrahedra(file)) if suffix == ".npz" else _read_by_meshio(file)
     if flat := int(np.count_nonzero(tetrahedron_volumes(*mesh) <= 0.0)):
         raise ValueError(f"{file}: {flat} of the {len(mesh.tetrahedra)} tetrahedra have no volume")
+    _warn_if_large(file, mesh.vertices, longest_side)
     if longest_side is None:
         return mesh
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     return TetGeometry((mesh.vertices - 0.5 * (low + high)) * (longest_side / (high - low).max()), mesh.tetrahedra)
+
+
+def _warn_if_large(file: Path, vertices: np.ndarray, longest_side: float | None) -> None:
+    longest = float(np.ptp(vertices, axis=0).max())
+    if longest_side is None and longest > LARGE:
+        warnings.warn(
+            f"{file}: {longest:.4g} m long, as coordinates count as metres; if they are millimetres, pass "
+            f"longest_side={longest / 1000.0:.6g}",
+            stacklevel=3,
+        )
 
 
 def _read_by_meshio(file: Path) -> TetGeometry:
@@ -93,12 +116,15 @@ def _read_by_meshio(file: Path) -> TetGeometry:
         raise ModuleNotFoundError(
             f"{file}: reading {file.suffix} needs meshio: pip install meshio", name=missing.name
         ) from missing
+    printed = io.StringIO()  # where meshio has the reason, before it exits
     try:
-        mesh: Any = meshio.read(file)
+        with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
+            mesh: Any = meshio.read(file)
         points = np.asarray(mesh.points, dtype=np.float64)
         blocks = [np.asarray(b.data)[:, : CORNERS[b.type]] for b in mesh.cells if b.type in CORNERS]
     except (Exception, SystemExit) as error:  # of any kind, depending on the fault of the file
-        raise ValueError(f"{file}: cannot be read as {file.suffix[1:]}: {error}") from error
+        reason = " ".join(printed.getvalue().split()) if isinstance(error, SystemExit) else error
+        raise ValueError(f"{file}: cannot be read as {file.suffix[1:]}: {reason}") from error
     if not blocks or not sum(map(len, blocks)):
         kinds = ", ".join(sorted({b.type for b in mesh.cells})) or "nothing"
         raise ValueError(f"{file}: has {kinds}, but no tetrahedra; a surface can be filled from {', '.join(SUFFIXES)}")

@@ -1,12 +1,13 @@
-"""A fragment's surface for viewers: the original surface and the crack polygons that the field measures against."""
+"""A fragment's surface for viewers and files: closed, of the old surface and the crack polygons."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from fracture_collision.core.bodies.collision_geometry import CollisionGeometry
+from fracture_collision.core.fracture.closed_surface import closed_surface
 from fracture_collision.core.memory.kinds import BOX, PLANE, SPHERE, TRIANGLES
-from fracture_collision.core.mesh.surface_triangles import surface_triangles
+from fracture_collision.core.mesh.thin_triangles import without_thin_triangles
 from fracture_collision.geometry.generators import ball, brick
 from fracture_collision.geometry.tetrahedra import boundary_triangles
 from fracture_collision.geometry.unique_rows import unique_rows
@@ -14,11 +15,16 @@ from fracture_collision.portable_math import lengths
 from fracture_collision.records import FragmentMesh
 
 SPHERE_EDGE = 0.2  # of the radius: looks round enough
+THIN = 1e-6  # of the longest side: shorter edges and lower triangles are removed
 PLANE_HALF = 5.0  # [m] an unbounded plane is shown as a square of this half side
 
 
 def fragment_mesh(fragment_id: int, geometry: CollisionGeometry, row: int) -> FragmentMesh:
-    """The surface of the fragment in `row` of `geometry`, in its body frame, with shared vertices merged."""
+    """The surface of the fragment in `row` of `geometry`, in its body frame, with shared vertices merged.
+
+    Of tetrahedra it is closed and encloses the fragment's volume, but for changes by THIN of its size: single precision
+    would make crossings of so short edges and so low triangles.
+    """
     fragment = geometry.pools.fragment
     kind, shape = fragment.kind[row], fragment.shape[row]
     if kind == PLANE:
@@ -30,9 +36,25 @@ def fragment_mesh(fragment_id: int, geometry: CollisionGeometry, row: int) -> Fr
     elif kind == TRIANGLES:
         corners = geometry.rigid_triangles(row)
     else:
-        corners, is_crack = surface_triangles(geometry.pools, row, geometry.tet_range(row))
-        return _record(fragment_id, corners, is_crack)
+        vertices, triangles, is_crack = closed_surface(geometry.pools, row, geometry.tet_range(row))
+        vertices = vertices.astype(np.float32)
+        tolerance = THIN * float(np.ptp(vertices, axis=0).max())
+        vertices, triangles, is_crack = without_thin_triangles(vertices, triangles, is_crack, tolerance)
+        _move_apart(vertices, triangles, 4.0 * tolerance)
+        return FragmentMesh(fragment_id, vertices.ravel(), triangles.astype(np.uint32).ravel(), is_crack)
     return _record(fragment_id, corners, np.zeros(len(corners), np.bool_))
+
+
+def _move_apart(vertices: np.ndarray, triangles: np.ndarray, distance: float) -> None:
+    """Move vertices (n, 3) at the place of an earlier one by `distance` [m], towards the mean of their neighbours.
+
+    Readers of files merge vertices at equal places, which would join sheets of the surface that touch.
+    """
+    first, _ = unique_rows(vertices)
+    for i in np.setdiff1d(np.arange(len(vertices)), first):
+        beside = vertices[triangles[(triangles == i).any(axis=1)]]
+        way = beside.astype(np.float64).mean(axis=(0, 1)) - vertices[i]
+        vertices[i] += way * (distance / max(float(lengths(way)), distance))
 
 
 def _boundary(body) -> np.ndarray:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 
 from fracture_collision.geometry.surface_files import read_surface
 
@@ -18,7 +19,7 @@ def stored(mesh: trimesh.Trimesh, file: Path) -> Path:
     return file
 
 
-@pytest.mark.parametrize("suffix", ["obj", "stl", "ply", "off"])
+@pytest.mark.parametrize("suffix", ["obj", "stl", "ply", "off", "glb"])
 def test_closed_surfaces_of_every_format_are_read(tmp_path: Path, suffix: str) -> None:
     ring = trimesh.creation.torus(0.5, 0.2)
     vertices, triangles = read_surface(stored(ring, tmp_path / f"ring.{suffix}"), 0.3)
@@ -29,11 +30,46 @@ def test_closed_surfaces_of_every_format_are_read(tmp_path: Path, suffix: str) -
     assert mesh.volume == pytest.approx(ring.volume * (0.3 / ring.extents.max()) ** 3, rel=1e-4)
 
 
-def test_a_hollow_body_is_read(tmp_path: Path) -> None:
+@pytest.mark.parametrize("inverted", [False, True])
+@pytest.mark.parametrize("place", [0.0, -9e3])
+def test_a_hollow_body_is_read_and_turned_if_inverted(tmp_path: Path, inverted: bool, place: float) -> None:
     inside = trimesh.creation.icosphere(subdivisions=1, radius=0.2)
     inside.invert()
-    hollow = trimesh.util.concatenate(BOX, inside)
-    assert len(read_surface(stored(hollow, tmp_path / "hollow.ply"), 1.0).triangles) == len(hollow.faces)
+    hollow = trimesh.util.concatenate(BOX, inside).apply_translation([place] * 3)
+    volume = hollow.volume
+    if inverted:
+        hollow.invert()
+    read = read_surface(stored(hollow, tmp_path / "hollow.obj"), None)
+    assert len(read.triangles) == len(hollow.faces)
+    assert trimesh.Trimesh(*read, process=False).volume == pytest.approx(volume, rel=1e-3 if place else 1e-6)
+
+
+def test_materials_and_pictures_in_a_file_are_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ball = trimesh.creation.icosphere(subdivisions=1)
+    ball.visual = trimesh.visual.TextureVisuals(uv=ball.vertices[:, :2], image=Image.new("RGB", (4, 4)))
+    stored(ball, tmp_path / "ball.glb")
+    opened: list[object] = []
+    monkeypatch.setattr(Image, "open", opened.append)
+    assert len(read_surface(tmp_path / "ball.glb", None).triangles) == len(ball.faces) and not opened
+
+
+@pytest.mark.parametrize("apart", [5e-16, 3e-8])
+def test_corners_that_differ_by_rounding_are_merged(tmp_path: Path, apart: float) -> None:
+    """Each triangle has corners of its own, as in STL, all of them moved; 3e-8 of the size is what STL rounds off."""
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.5)
+    corners = ball.triangles + np.random.default_rng(1).uniform(-apart, apart, ball.triangles.shape)
+    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in corners.reshape(-1, 3).tolist()]  # trimesh writes fewer digits
+    lines += [f"f {3 * i + 1} {3 * i + 2} {3 * i + 3}" for i in range(len(corners))]
+    (tmp_path / "ball.obj").write_text("\n".join(lines))
+    read = read_surface(tmp_path / "ball.obj", None)
+    assert len(read.vertices) == len(ball.vertices) and len(read.triangles) == len(ball.faces)
+    assert trimesh.Trimesh(*read, process=False).is_volume
+
+
+def test_small_features_of_a_closed_surface_are_kept(tmp_path: Path) -> None:
+    """Where equal corners close the surface, nothing else is merged."""
+    sheet = trimesh.creation.box((1.0, 1.0, 1e-8))
+    assert len(read_surface(stored(sheet, tmp_path / "sheet.ply"), None).vertices) == 8
 
 
 def holes() -> trimesh.Trimesh:
@@ -44,8 +80,10 @@ def one_turned() -> trimesh.Trimesh:
     return trimesh.Trimesh(BOX.vertices, np.vstack((BOX.faces[:1, ::-1], BOX.faces[1:])), process=False)
 
 
-def inside_out() -> trimesh.Trimesh:
-    return trimesh.Trimesh(BOX.vertices, BOX.faces[:, ::-1], process=False)
+def flat() -> trimesh.Trimesh:
+    """A square with two sides."""
+    corners = [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (1.0, 1.0, 0.0), (0.0, 1.0, 0.0)]
+    return trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]], process=False)
 
 
 def two_parts() -> trimesh.Trimesh:
@@ -76,8 +114,8 @@ def cut_through() -> trimesh.Trimesh:
     [
         (holes, r"3 edges with only one face: the surface has holes, the first between \(-1, -0.5, -0.5\) and"),
         (one_turned, r"3 edges whose two faces have opposite winding"),
-        (inside_out, r"all triangles are clockwise seen from outside"),
-        (two_parts, r"2 separate parts, of 12, 12 triangles"),
+        (flat, r"the surface encloses no volume: give the body a thickness"),
+        (two_parts, r"2 separate parts, of 12, 12 triangles: .*save each in a file of its own"),
         (fin, r"1 edge with more than two faces"),
         (cut_through, r"the surface intersects itself, first near \("),
     ],

@@ -5,13 +5,14 @@ from __future__ import annotations
 import doctest
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import trimesh
 
 from fracture_collision.geometry.generators import brick
-from fracture_collision.geometry.tetrahedra import tetrahedron_volumes
+from fracture_collision.geometry.tetrahedra import boundary_triangles, tetrahedron_volumes
 from fracture_collision.meshing import mesh_files, read_mesh
 
 BRICK = brick((0.2, 0.1, 0.06), 0.05)
@@ -51,6 +52,39 @@ def test_a_file_without_tetrahedra_or_with_damage_is_rejected(tmp_path: Path) ->
     (tmp_path / "noise.msh").write_bytes(b"\x00\x01 no mesh")
     with pytest.raises(ValueError, match="noise.msh: cannot be read as msh"):
         read_mesh(tmp_path / "noise.msh")
+    (tmp_path / "noise.vtk").write_bytes(b"\x00\x01 no mesh")
+    with pytest.raises(ValueError, match="noise.vtk: cannot be read as vtk: Illegal VTK header"):
+        read_mesh(tmp_path / "noise.vtk")
+
+
+def test_the_reason_that_a_reader_prints_before_it_exits_is_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    def read(_file: Path) -> None:
+        print("Illegal VTK header")
+        sys.exit(1)
+
+    monkeypatch.setitem(sys.modules, "meshio", SimpleNamespace(read=read))
+    (tmp_path / "noise.vtk").touch()
+    with pytest.raises(ValueError, match=r"noise.vtk: cannot be read as vtk: Illegal VTK header"):
+        read_mesh(tmp_path / "noise.vtk")
+    assert capsys.readouterr().out == ""
+
+
+def test_a_body_in_millimetres_is_reported(tmp_path: Path, recwarn: pytest.WarningsRecorder) -> None:
+    trimesh.creation.box((80.0, 90.0, 60.0)).export(tmp_path / "part.stl")
+    np.savez(tmp_path / "part.npz", vertices=1000.0 * BRICK.vertices, tetrahedra=BRICK.tetrahedra)
+    for name, longest_side in (("part.stl", "0.09"), ("part.npz", "0.2")):
+        with pytest.warns(UserWarning, match=rf"{name}: \d+ m long.* longest_side={longest_side}") as caught:
+            read_mesh(tmp_path / name)
+        assert caught[0].filename == __file__
+        read_mesh(tmp_path / name, longest_side=float(longest_side))
+    assert not recwarn.list
+
+
+def test_a_mesh_object_is_rejected_with_the_remedy() -> None:
+    with pytest.raises(TypeError, match=r"file: needs a path, got Trimesh.*mesh.export\(\"part.stl\"\)"):
+        read_mesh(trimesh.creation.box())
 
 
 def test_without_meshio_the_error_names_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -75,6 +109,32 @@ def test_a_surface_that_cannot_be_filled_is_named(tmp_path: Path) -> None:
     trimesh.creation.box((2.0, 1.0, 0.01)).export(tmp_path / "sheet.stl")
     with pytest.raises(ValueError, match=r"sheet.stl: edge_length: 0.5 m is too long, no lattice point"):
         read_mesh(tmp_path / "sheet.stl", edge_length=0.5)
+
+
+def cup() -> trimesh.Trimesh:
+    """80 x 90 mm, with walls of 5 mm."""
+    profile = [(0.0, 0.0), (0.04, 0.0), (0.04, 0.09), (0.035, 0.09), (0.035, 0.005), (0.0, 0.005)]
+    return trimesh.creation.revolve(np.array(profile), sections=48)
+
+
+def test_thin_walls_are_resolved_or_rejected_with_a_length_that_works(tmp_path: Path) -> None:
+    whole = cup()
+    whole.export(tmp_path / "cup.stl")
+    mesh = read_mesh(tmp_path / "cup.stl")
+    filled = trimesh.Trimesh(mesh.vertices, boundary_triangles(mesh.tetrahedra), process=False)
+    assert filled.volume == pytest.approx(whole.volume, rel=0.05) and filled.euler_number == 2
+    assert filled.area == pytest.approx(whole.area, rel=0.05)
+    words = r"cup.stl: edge_length: at 0.006 m .*; 0.00\d+ m works, with \d+ nodes"
+    with pytest.raises(ValueError, match=words) as caught:
+        read_mesh(tmp_path / "cup.stl", edge_length=0.006)
+    length = float(str(caught.value).split("; ")[1].split(" m works")[0])
+    assert len(read_mesh(tmp_path / "cup.stl", edge_length=length).vertices) > 2000
+
+
+def test_walls_that_need_too_many_nodes_are_rejected(tmp_path: Path) -> None:
+    trimesh.creation.box((1.0, 1.0, 1e-3)).export(tmp_path / "sheet.stl")
+    with pytest.raises(ValueError, match=r"sheet.stl: .*walls of 0.000998 m on average need .* more than 50000 nodes"):
+        read_mesh(tmp_path / "sheet.stl")
 
 
 def test_errors_name_the_argument_or_the_file(tmp_path: Path) -> None:

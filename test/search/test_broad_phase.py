@@ -67,3 +67,13 @@ def test_pairs_after_partial_motion_equal_those_of_a_full_sweep(seed: int) -> No
             np.testing.assert_array_equal(got, wanted)
         assert len(paired.pairs) > count
     assert quick > 5
+
+
+def test_no_fragments_have_no_pairs_whatever_came_before() -> None:
+    random = np.random.default_rng(1)
+    shapes, is_static = heap(60, random)
+    rows, paired = np.arange(60), NOTHING_PAIRED
+    for count in (0, 60, 0):
+        placed = (rows[:count], *(poses(count, random) if count else (np.zeros((0, 3, 3)), np.zeros((0, 3)))))
+        _, paired = pairs_within_reach(shapes, placed, NO_MOTION, is_static[:count], TOLERANCE, MOST, paired)
+        assert (len(paired.pairs) > 0) == (count > 0) and len(paired.boxes) == count

@@ -54,6 +54,12 @@ YAML = {
                       "shape: {brick: {size_xyz: [1, 1, 1], edge_length: 1.0e-9}}"),
         r"bodies\[0\].shape.brick.edge_length: gives",
     ),
+    "a surface for a stored mesh": (
+        SCENE.replace("static: true, shape: {plane: {coefficients: [0, 0, 1, 0]}}",
+                      "shape: {stored_mesh: {file: parts/cup.stl}}"),
+        r"parts/cup.stl: stored_mesh reads tetrahedra from .npz; make it with .*read_mesh\('cup.stl'\) and "
+        r"numpy.savez\('cup.npz'",
+    ),
     "a track elsewhere": (SCENE + "hand: {track: ../../../../etc/passwd}", "hand.track: "),
     "a track that never ends": (SCENE + "hand: {track: /dev/zero}", "hand.track: "),
 }  # fmt: skip

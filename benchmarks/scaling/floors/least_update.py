@@ -55,6 +55,7 @@ def least_update(world: World) -> tuple[float, str]:
     parts = np.zeros(len(mesh.nodes), np.int64)
     parts[event.nodes] = event.node_fragments
     sums = np.zeros((len(event.new_fragment_ids), mesh.moments.shape[1]))
+    places = mesh.nodes - mesh.grid_origin  # as the moments have them
     points, corners = np.unique(left["body.triangles"].reshape(-1, 3), axis=0, return_inverse=True)
     corners = corners.reshape(-1, 3)
     given = {plane.tobytes() for plane in np.vstack((planes, -planes))}
@@ -73,14 +74,14 @@ def least_update(world: World) -> tuple[float, str]:
         lambda: [hashlib.sha256(array).digest() for array in arrays],
         lambda: (find(), _pieces(mesh.edges, parts, roots)),
         put,
-        lambda: _sums(mesh.tetrahedra, mesh.tetrahedron_edges, mesh.moments, mesh.nodes, shares, parts, sums),
+        lambda: _sums(mesh.tetrahedra, mesh.tetrahedron_edges, mesh.moments, places, shares, parts, sums),
         lambda: _radii(spheres),
         lambda: _planes(points, corners, bent, faces),
         lambda: [array.copy() for array in left.values()],
     )
     find()
     put()
-    whole = int(_sums(mesh.tetrahedra, mesh.tetrahedron_edges, mesh.moments, mesh.nodes, shares, parts, sums))
+    whole = int(_sums(mesh.tetrahedra, mesh.tetrahedron_edges, mesh.moments, places, shares, parts, sums))
     times = [_cold_median(one) for one in passes]
     megabytes = 1e-6 * sum(array.nbytes for array in left.values())
     words = (

@@ -112,12 +112,12 @@ class CollisionGeometry:
     def mass_properties(self, rows: np.ndarray, density: np.ndarray) -> list[MassProperties]:
         """Mass properties of fragments `rows` (n,) with `density` (n,) [kg/m3] each."""
         kinds, shapes = (self._tables.fragment[name].view for name in ("kind", "shape"))
-        kind = kinds[rows]
-        is_shape = (kind != TETRAHEDRA) & (kind != TRIANGLES)
-        meshed = iter(zip(*mass_properties(self._moments.view[rows[~is_shape]], density[~is_shape]), strict=True))
+        meshed = np.isin(kinds[rows], (TETRAHEDRA, TRIANGLES))
+        moments, origins = self._moments.view[rows[meshed]], self._tables.moment_origins(rows[meshed])
+        each = zip(*mass_properties(moments, origins, density[meshed]), strict=True)
         return [
-            mass_of_shape(int(kinds[row]), shapes[row], float(own)) if shape else MassProperties(*next(meshed))
-            for row, own, shape in zip(rows.tolist(), density, is_shape.tolist(), strict=True)
+            MassProperties(*next(each)) if mesh else mass_of_shape(int(kinds[row]), shapes[row], float(own))
+            for row, own, mesh in zip(rows.tolist(), density, meshed.tolist(), strict=True)
         ]
 
     def retire_body(self, rows: np.ndarray) -> None:

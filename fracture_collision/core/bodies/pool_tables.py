@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from fracture_collision.core.memory.kinds import TETRAHEDRA
 from fracture_collision.core.memory.pools import (
     LEAF,
     LEAF_VALUES,
@@ -108,6 +109,14 @@ class PoolTables:
         pools = (self.mesh, self.body, self.fragment, self.tree, self.samples, self.triangles, self.seeds)
         columns = [column for pool in pools for column in pool.values()]
         return sum(column.used * column.row_bytes for column in (*columns, self.occupancy))
+
+    def moment_origins(self, rows: np.ndarray) -> np.ndarray:
+        """(n, 3) [m] points that the moments of fragments `rows` (n,), of tetrahedra or triangles, are about."""
+        origins = self.fragment["box"].view[rows, :3]
+        is_tetrahedral = self.fragment["kind"].view[rows] == TETRAHEDRA
+        grids = self.fragment["mesh"].view[rows[is_tetrahedral]]
+        origins[is_tetrahedral] = self.mesh["grid"].view[grids, :3]
+        return origins
 
     def append_tree(self, tree: SphereTree) -> int:
         """Append a tree, or several consecutive ones; returns the row of the first root."""

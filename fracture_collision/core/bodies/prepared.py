@@ -36,7 +36,7 @@ class PreparedSurface(NamedTuple):
 
     mesh: TriangleMesh
     tree: SphereTree
-    moments: np.ndarray  # (10,), see moments.py
+    moments: np.ndarray  # (10,) about the lower corner of its box, see moments.py
     sampling_gap: float  # [m]
 
 
@@ -49,10 +49,11 @@ def prepare_surface(vertices: np.ndarray, triangles: np.ndarray) -> PreparedSurf
     """Preprocess a closed mesh (vertices (n, 3) [m], triangles (t, 3)); every vertex is a sample."""
     corners = vertices[triangles]
     longest = lengths(corners - np.roll(corners, -1, axis=1)).max()
+    mesh = build_triangle_mesh(vertices, triangles)
     return PreparedSurface(
-        build_triangle_mesh(vertices, triangles),
+        mesh,
         build_sphere_tree(vertices, np.ones(len(vertices), np.uint8)),
-        surface_moments(corners),
+        surface_moments(corners, mesh.node_box[0, :3]),
         # the corners of a triangle with longest side L cover it with balls of radius L / sqrt(3)
         float(longest / np.sqrt(3.0)),
     )

@@ -122,7 +122,7 @@ def _rebuild_fanned(mesh, body, broken, touched, out, update, corners, work):
         for i in range(4):
             if GROUP[pattern, i] == i:
                 _grow_reach(mesh, t, work.labels[i], broken, update.reaches)
-        add_parts(work, pattern, broken, update.moments)
+        add_parts(mesh, work, pattern, broken, update.moments)
         written = write_fan(work, pattern, out, written, update)
         written = write_old_faces(mesh, t, work, pattern, out, written, update.gaps)
         found = add_corners(mesh, broken, t, work, pattern, oldest == newest, corners, found)

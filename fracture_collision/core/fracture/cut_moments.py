@@ -22,7 +22,7 @@ def add_sides(mesh, t, work, side, pair, broken, moments):
         nx, ny, nz, _, _, _ = measure_triangle(a, b, c)
         if not nx * (d[0] - a[0]) + ny * (d[1] - a[1]) + nz * (d[2] - a[2]) > 0.0:
             b, c = c, b
-        m = tetrahedron_terms(a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2], d[0], d[1], d[2])
+        m = _terms(mesh.grid[broken.mesh], a, b, c, d)
         s0, s1, s2, s3, s4 = s0 + m[0], s1 + m[1], s2 + m[2], s3 + m[3], s4 + m[4]
         s5, s6, s7, s8, s9 = s5 + m[5], s6 + m[6], s7 + m[7], s8 + m[8], s9 + m[9]
     part = PART_OF_SIDE[side]
@@ -39,7 +39,7 @@ def add_sides(mesh, t, work, side, pair, broken, moments):
 
 
 @inlined_kernel
-def add_parts(work, pattern, broken, moments):
+def add_parts(mesh, work, pattern, broken, moments):
     """Add the moments of all parts between hub and faces to those of the new fragments."""
     o, points = work.hub, work.points
     for k in range(PART_COUNT[pattern]):
@@ -47,5 +47,15 @@ def add_parts(work, pattern, broken, moments):
         label = work.labels[row[3]]
         if broken.first <= label < broken.end:
             a, b, c = points[row[0]], points[row[1]], points[row[2]]
-            m = tetrahedron_terms(o[0], o[1], o[2], a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2])
+            m = _terms(mesh.grid[broken.mesh], o, a, b, c)
             add_row(moments[label], m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8], m[9])
+
+
+@inlined_kernel
+def _terms(grid, o, a, b, c):
+    """tetrahedron_terms of four points about the origin of a mesh's grid, a row of MeshPool.grid."""
+    x, y, z = grid[0], grid[1], grid[2]
+    return tetrahedron_terms(
+        o[0] - x, o[1] - y, o[2] - z, a[0] - x, a[1] - y, a[2] - z, b[0] - x, b[1] - y, b[2] - z, c[0] - x, c[1] - y,
+        c[2] - z,
+    )  # fmt: skip

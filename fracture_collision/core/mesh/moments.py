@@ -1,6 +1,8 @@
-"""Exact mass moments of polyhedral pieces: volume, first and second moments about the body frame's origin.
+"""Exact mass moments of polyhedral pieces: volume, first and second moments about a point near them.
 
-A moment row (10,) is [V, Sx, Sy, Sz, Sxx, Sxy, Sxz, Syy, Syz, Szz] with S_ij = integral of x_i x_j dV [m3, m4, m5].
+A moment row (10,) is [V, Sx, Sy, Sz, Sxx, Sxy, Sxz, Syy, Syz, Szz] with S_ij = integral of x_i x_j dV [m3, m4, m5],
+x from a point of the body (PoolTables.moment_origins). About the origin of a frame that is far away, inertias would be
+small differences of large numbers.
 Tonon, "Explicit exact formulas for the 3-D tetrahedron inertia tensor" (2004), in its covariance form.
 """
 
@@ -13,10 +15,10 @@ import numpy as np
 from fracture_collision.core.memory.compiled import inlined_kernel, kernel, query_kernel
 
 
-def tetrahedron_moments(corners: np.ndarray) -> np.ndarray:
-    """Moment rows (m, 10) of tetrahedra given by `corners` (m, 4, 3) [m]."""
+def tetrahedron_moments(corners: np.ndarray, origin: np.ndarray) -> np.ndarray:
+    """Moment rows (m, 10) about `origin` (3,) [m] of tetrahedra given by `corners` (m, 4, 3) [m]."""
     rows = np.zeros((len(corners), 10))
-    _tetrahedra_moments(np.ascontiguousarray(corners), rows)
+    _tetrahedra_moments(np.ascontiguousarray(corners - origin), rows)
     return rows
 
 
@@ -32,7 +34,7 @@ def _tetrahedra_moments(corners, rows):
 
 @inlined_kernel
 def tetrahedron_terms(ox, oy, oz, ax, ay, az, bx, by, bz, cx, cy, cz):
-    """The signed moment row of the tetrahedron (o, a, b, c), ten numbers."""
+    """The signed moment row of the tetrahedron (o, a, b, c), ten numbers, about the origin of these coordinates."""
     ux, uy, uz = ax - ox, ay - oy, az - oz
     vx, vy, vz = bx - ox, by - oy, bz - oz
     wx, wy, wz = cx - ox, cy - oy, cz - oz
@@ -69,12 +71,12 @@ def add_tetrahedron(ox, oy, oz, ax, ay, az, bx, by, bz, cx, cy, cz, row):
     add_row(row, m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8], m[9])
 
 
-def surface_moments(corners: np.ndarray) -> np.ndarray:
-    """Moment row (10,) of the solid within closed triangles (t, 3, 3) [m], counter-clockwise from outside.
+def surface_moments(corners: np.ndarray, origin: np.ndarray) -> np.ndarray:
+    """Moment row (10,) about `origin` (3,) [m] of the solid in closed triangles (t, 3, 3) [m], seen counter-clockwise.
 
     The divergence theorem: the tetrahedra over all triangles with one common apex add up to the solid.
     """
-    row = np.zeros(10)
+    row, corners = np.zeros(10), corners - origin
     apex = 0.5 * (corners.min(axis=(0, 1)) + corners.max(axis=(0, 1)))
     _pyramid_moments(apex, np.ascontiguousarray(corners).reshape(-1, 9), row)
     return row
@@ -86,8 +88,10 @@ def _pyramid_moments(o, triangles, row):
         add_tetrahedron(o[0], o[1], o[2], p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8], row)
 
 
-def mass_properties(moments: np.ndarray, density: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Masses, centres of mass and inertias of solids with `moments` (n, 10) and `density` (n,) [kg/m3].
+def mass_properties(
+    moments: np.ndarray, origins: np.ndarray, density: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Masses, centres of mass and inertias of solids with `moments` (n, 10) about `origins` (n, 3), of `density` (n,).
 
     Returns (masses (n,) [kg], centres (n, 3) [m], inertias (n, 6) [kg m2] about them, body axes: xx xy xz yy yz zz).
     """
@@ -97,7 +101,7 @@ def mass_properties(moments: np.ndarray, density: np.ndarray) -> tuple[np.ndarra
     products = np.column_stack([x * x, x * y, x * z, y * y, y * z, z * z])
     sxx, sxy, sxz, syy, syz, szz = (moments[:, 4:10] - volume * products).T
     inertia = density[:, None] * np.column_stack([syy + szz, -sxy, -sxz, sxx + szz, -syz, sxx + syy])
-    return density * volume[:, 0], center, inertia
+    return density * volume[:, 0], center + origins, inertia
 
 
 def sphere_mass_properties(radius: float, density: float) -> tuple[float, np.ndarray, np.ndarray]:

@@ -1,4 +1,8 @@
-"""All triangles of a fragment's surface, in pool order: for viewers, tests and plots, not for queries."""
+"""All triangles that queries measure a fragment's surface by, in pool order: for tests and plots.
+
+Triangles without area are left out, so that others may end in the middle of a side; core/fracture/closed_surface.py has
+a surface whose triangles share all sides.
+"""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ class TetMesh(NamedTuple):
     boxes: np.ndarray  # (m, 6) float32 [m], lower and upper corner, rounded outwards
     barycentric: np.ndarray  # (m, 12) float64, rows (gx, gy, gz, c) of vertices 1, 2, 3: weight = g . x + c
     walls: np.ndarray  # (m, 16) float32: n_x, n_y, n_z and offsets [m] of faces 0 .. 3 from the grid's corner, outwards
-    moments: np.ndarray  # (m, 10) float64, see moments.py
+    moments: np.ndarray  # (m, 10) float64 about grid_origin, see moments.py
     on_surface: np.ndarray  # (n,) uint8, 1: vertex of the old surface
     node_normals: np.ndarray  # (n, 3) float64 unit, outward, of the old surface; zero inside
     node_tets_begin: np.ndarray  # (n + 1,) int32
@@ -95,7 +95,7 @@ def build_tet_mesh(nodes: np.ndarray, tetrahedra: np.ndarray) -> TetMesh:
         boxes=_rounded_outwards(boxes),
         barycentric=barycentric,
         walls=_walls(barycentric, origin),
-        moments=tetrahedron_moments(corners),
+        moments=tetrahedron_moments(corners, origin),
         on_surface=on_surface,
         node_normals=vertex_normals(nodes, surface),
         node_tets_begin=begin,

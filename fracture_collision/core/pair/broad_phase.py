@@ -139,7 +139,7 @@ def pairs_within_reach(fragment, placed, motion, is_static, tolerance, most, bef
     margins = np.where(np.isfinite(radius), tolerance * radius, 0.0)
     kinds, shapes = fragment.kind[rows], fragment.shape[rows]
     has_moved = _that_moved(before, rows, rotations, positions, motion)
-    if FEW * np.count_nonzero(has_moved) > len(rows):
+    if len(before.rows) != len(rows) or FEW * np.count_nonzero(has_moved) > len(rows):
         boxes = np.empty((len(rows), 6))
         world_boxes(fragment.box, rows, rotations, positions, margins, boxes)
         for i in range(len(motion.reach)):

@@ -42,13 +42,12 @@ def glb_of_mesh(mesh: BodyMesh, paint: Paint) -> bytes:
     return file.bytes([] if number is None else [file.add_node({"mesh": number})])
 
 
-def _smooth_corners(
-    triangles: np.ndarray, normals: np.ndarray, places: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+def _smooth_corners(triangles: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Corners (n, 3) and indices (3 t,): corners with the same place and normal are merged."""
+    corners = triangles.reshape(-1, 3)
     steps = np.round(_STEPS * normals.reshape(-1, 3))
-    chosen, index = unique_rows(np.column_stack((places.ravel(), steps)))
-    return triangles.reshape(-1, 3)[chosen], index
+    chosen, index = unique_rows(np.column_stack((corners, steps)))
+    return corners[chosen], index
 
 
 class GltfFile:
@@ -71,7 +70,7 @@ class GltfFile:
         primitives = []
         outside, crack = ~mesh.is_crack, mesh.is_crack
         if outside.any():
-            corners, index = _smooth_corners(mesh.triangles[outside], mesh.normals[outside], mesh.places[outside])
+            corners, index = _smooth_corners(mesh.triangles[outside], mesh.normals[outside])
             roughness = next(rough for shine, rough in ROUGHNESS if paint.shine >= shine)
             primitives.append(self._primitive(corners, index, paint.outside, Surface(roughness, paint.is_metal)))
         if crack.any():

@@ -6,6 +6,7 @@ import numpy as np
 
 from fracture_collision.core.mesh.connected_pieces import joined
 from fracture_collision.core.mesh.ray_crossings import UNDECIDED, windings_of_others
+from fracture_collision.geometry.tetrahedra import pyramid_volumes
 from fracture_collision.portable_math import dots, lengths
 from fracture_collision.world.gates.checks import refuse
 
@@ -82,9 +83,7 @@ def _one_fan_a_vertex(triangles: np.ndarray, opposite: np.ndarray, vertex_count:
 
 def _one_solid(triangles: np.ndarray, corners: np.ndarray, opposite: np.ndarray) -> None:
     piece = joined(np.arange(len(triangles)).repeat(3), opposite // 3, len(triangles))
-    apex = 0.5 * (corners.min(axis=(0, 1)) + corners.max(axis=(0, 1)))
-    a, b, c = (corners[:, i] - apex for i in range(3))
-    volumes = np.bincount(piece, dots(np.cross(a, b), c) / 6.0)
+    volumes = np.bincount(piece, pyramid_volumes(corners))
     outer = np.flatnonzero(volumes > 0.0)
     if not len(outer):
         refuse("bad_mesh", f"triangles: inside out (volume {volumes.sum():.3g} m3); order them counter-clockwise")
