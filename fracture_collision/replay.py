@@ -282,8 +282,12 @@ def settings_of(bag: Path, given: Mapping[str, Any]) -> SettingsFound:
     return SettingsFound(settings, words)
 
 
+# What a service did before it had the setting, where that is not today's default.
+BEFORE_THERE_WERE = {"surfaces": "sampled"}
+
+
 def _checked_settings(bag: Path, values: Mapping[str, Any], words: list[str]) -> Settings:
-    settings = Settings()
+    settings = Settings(**BEFORE_THERE_WERE)
     for name, value in values.items():
         if name not in Settings._fields:
             words.append(f"the bag has the unknown setting {name[:80]!r}; the replay ignores it")

@@ -73,7 +73,7 @@ def test_a_step_that_cannot_be_answered_gives_status_4(bag: Path, tmp_path: Path
     """Not that of answers that differ."""
     lacking = changed_bag(tmp_path / "lacking", bag, lambda m: [] if m.topic == "/bodies" else [m])
     done = run("replay", lacking)
-    assert done.returncode == 4 and "step 0: fragment_ids: no fragment 1 is known yet" in done.stderr
+    assert done.returncode == 4 and "step 0: body_sequence: 3, but body message 1 has not arrived" in done.stderr
     assert "the bag lacks bodies or fracture events of its run; record it from its first step" in done.stderr
 
 

@@ -108,7 +108,7 @@ class RecorderNode(Node):
         text = json.dumps(settings)
         if text == self._noted_settings:
             return
-        if self._noted_settings is not None:
+        if self._noted_settings is not None and self._counts[qos.FRAGMENT_STATES.name]:
             self.get_logger().warning("the service's settings have changed; the bag does not record at which step")
             self._bag.note(EARLIER_SETTINGS, self._noted_settings)
         self._noted_settings = text
