@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+import sysconfig
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
@@ -30,6 +31,7 @@ from numba.core.caching import (
 from fracture_collision import __version__
 
 PACKAGE = Path(__file__).resolve().parent
+INSTALLED = {Path(sysconfig.get_path(name)).resolve() for name in ("purelib", "platlib")}
 VERSIONS = f"{__version__} {numba.__version__} {llvmlite.__version__}"
 IMPORT = re.compile(
     r"^[ \t]*(?:from[ \t]+([\w.]+)[ \t]+import[ \t]+(?:\(([^)]*)\)|([^\n#]*))|import[ \t]+([\w., \t]+))", re.MULTILINE
@@ -46,7 +48,10 @@ def source_digest(file: Path) -> str:
 
 
 def sources_of(file: Path) -> set[Path]:
-    """`file` and all files that it imports from, directly or indirectly: of this package and beside `file`'s own."""
+    """`file` and all files that it imports from, directly or indirectly: of this package, and of its own or beside it.
+
+    Not of other installed packages: of numba, the version stands for the content.
+    """
     found, left = {file}, [file]
     while left:
         new = _imports(left.pop()) - found
@@ -62,12 +67,16 @@ def _content(file: Path) -> bytes:
 
 @cache
 def _imports(file: Path) -> frozenset[Path]:
-    roots = (PACKAGE.parent, _import_root(file.parent))
+    own_root = _import_root(file.parent)
+    installed = own_root in INSTALLED
+    own_top = file.relative_to(own_root).parts[0].removesuffix(".py")
     names: list[str] = []
     for module, bracketed, listed, modules in IMPORT.findall(_content(file).decode()):
         imported = re.findall(r"\w+", re.sub("#.*", "", bracketed) or listed)
         names += [module, *(f"{module}.{name}" for name in imported), *re.split(r"[\s,]+", modules)]
-    return frozenset(path for root in roots for name in names if (path := _source(root, name)) is not None)
+    found = {_source(PACKAGE.parent, name) for name in names if name.partition(".")[0] == PACKAGE.name}
+    found |= {_source(own_root, name) for name in names if not installed or name.partition(".")[0] == own_top}
+    return frozenset(path for path in found if path is not None)
 
 
 @cache

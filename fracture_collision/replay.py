@@ -283,7 +283,7 @@ def settings_of(bag: Path, given: Mapping[str, Any]) -> SettingsFound:
 
 
 # What a service did before it had the setting, where that is not today's default.
-BEFORE_THERE_WERE = {"surfaces": "sampled"}
+BEFORE_THERE_WERE: dict[str, Any] = {"surfaces": "sampled"}
 
 
 def _checked_settings(bag: Path, values: Mapping[str, Any], words: list[str]) -> Settings:

@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 import fracture_collision
+from fracture_collision import kernel_sources
 from fracture_collision.kernel_sources import _imports, _source, source_digest, sources_of
 
 PACKAGE = Path(fracture_collision.__file__).resolve().parent
@@ -52,6 +53,23 @@ def test_a_kernel_knows_what_it_calls_in_other_files() -> None:
     assert PACKAGE / "ros" / "wire" / "qos.py" not in sources_of(PACKAGE / "core" / "pair" / "narrow_phase.py")
     memory = PACKAGE / "core" / "memory"
     assert source_digest(memory / "heap.py") != source_digest(memory / "kinds.py")
+
+
+def test_an_installed_package_has_the_digests_of_its_checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Numba and all others lie beside it there."""
+    site = tmp_path / "site-packages"
+    shutil.copytree(PACKAGE, site / "fracture_collision", ignore=shutil.ignore_patterns("__pycache__"))
+    (site / "numba").mkdir()
+    (site / "numba" / "__init__.py").write_text("")
+    (site / "ast.py").write_text("")
+    monkeypatch.setattr(kernel_sources, "PACKAGE", site / "fracture_collision")
+    monkeypatch.setattr(kernel_sources, "INSTALLED", {site})
+    kernels = Path("core", "pair", "narrow_phase.py")
+    found = sources_of(site / "fracture_collision" / kernels)
+    assert {path.relative_to(site) for path in found} == {
+        path.relative_to(PACKAGE.parent) for path in sources_of(PACKAGE / kernels)
+    }
+    assert source_digest(site / "fracture_collision" / kernels) == source_digest(PACKAGE / kernels)
 
 
 CALLER = """
