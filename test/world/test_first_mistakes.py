@@ -76,7 +76,7 @@ BODIES = {
     r"tetrahedra: the face 0-\d+-\d+ belongs to 3 tetrahedra, not 1 or 2; some overlap": {
         "tetrahedra": np.vstack((T, T[:1]))
     },
-    r"tetrahedra: tetrahedra 0 and 1 lie on the same side of their face 0-1-2, so they overlap .*move a vertex across": {
+    r"tetrahedra: tetrahedra 0 and 1 lie on the same side of their face 0-1-2, so they overlap .*move a vertex": {
         "vertices": [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0.1, 0.1, 1.0), (0.3, 0.3, 0.5)],
         "tetrahedra": [(0, 1, 2, 3), (0, 1, 2, 4)],
     },
