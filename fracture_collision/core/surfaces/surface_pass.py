@@ -9,7 +9,7 @@ import numpy as np
 
 from fracture_collision.core.contacts.contact_choice import Rule
 from fracture_collision.core.contacts.contact_places import make_world_contacts, put_in_world
-from fracture_collision.core.memory.compiled import kernel, threaded_kernel
+from fracture_collision.core.memory.compiled import kernel, query_kernel, threaded_kernel
 from fracture_collision.core.memory.crew import Crew
 from fracture_collision.core.memory.kinds import WITH_FACES
 from fracture_collision.core.memory.pair import Sink, Step, put_pair
@@ -78,7 +78,7 @@ def judge_pairs(
     return PairContacts(counts, bounds, visits, exhausted, *columns)
 
 
-@kernel
+@query_kernel
 def _bound_by_thickness(pools, step, todo, bounds, scratch):
     """Set bounds for the surfaces of pairs that are not searched."""
     for p in todo:
