@@ -9,7 +9,14 @@ import numpy as np
 
 from fracture_collision.fracture.breaking_fragment import BreakingFragment, breaking_fragment
 from fracture_collision.fracture.events import event_of, without_flat_pieces
-from fracture_collision.fracture.pattern import Pattern, cells_of_seeds, draw_seeds, draw_warp
+from fracture_collision.fracture.pattern import (
+    CROSSING_ROUNDING,
+    Pattern,
+    cells_of_seeds,
+    draw_seeds,
+    draw_warp,
+    middle_planes,
+)
 from fracture_collision.fracture.pieces import connected_pieces
 from fracture_collision.geometry.unique_rows import unique_rows
 from fracture_collision.portable_math import dots, lengths
@@ -113,6 +120,8 @@ def planes(
         raise ValueError(f"normals: row {int(np.argmin(length))} is (0, 0, 0) and has no direction")
     directions = directions / length[:, None]
     heights = dots(fragment.points[:, None], directions) - distances  # (k, p) above each plane
+    rounding = CROSSING_ROUNDING * float(np.abs(fragment.points).max())
+    heights = np.where(np.abs(heights) <= rounding, 0.0, heights)
     _, label = unique_rows(heights > 0.0)
     pieces, count, cut = connected_pieces(label, fragment.edges, 1)
     start, end = heights[cut[:, 0]], heights[cut[:, 1]]  # (c, p)
@@ -165,8 +174,7 @@ def labels(
     if count < 2:
         return _event(fragment, None, "labels: the nodes of fragment {} have one label and are connected")
     start, end = fragment.points[cut[:, 0]], fragment.points[cut[:, 1]]
-    normals = (end - start) / lengths(end - start)[:, None]
-    cut_planes = np.column_stack((normals, dots(normals, 0.5 * (start + end))))
+    cut_planes = middle_planes(start, end)
     ends = names[label.ravel()[cut]]  # (c, 2) labels
     for pair, plane in (planes or {}).items():
         _use_plane(pair, plane, (start, end, ends), cut_planes)

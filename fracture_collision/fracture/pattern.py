@@ -27,6 +27,9 @@ from fracture_collision.fracture.pieces import (
 from fracture_collision.portable_math import cosine, dots, images, lengths, normal_numbers, power, products, sine
 from fracture_collision.records import documented
 
+# How far a plane may pass beyond an edge's end, as a share of the edge: a tenth of what the service accepts.
+CROSSING_ROUNDING = 1e-10
+
 
 @documented
 class PatternSettings(NamedTuple):
@@ -133,10 +136,11 @@ def draw_warp(
     points: np.ndarray, seed_count: int, curvature: float, generator: np.random.Generator
 ) -> Warp | None:
     """Three waves as long as two cells; the amplitude stays below the fold, |A| |K| < 1. None for flat cracks."""
-    if curvature <= 0.0:
+    if curvature <= 0.0 or seed_count < 2:
         return None
-    extent = np.ptp(points, axis=0)
-    cell = np.sqrt(np.sort(extent)[1:].prod() / seed_count)
+    _, across, along = np.sort(np.ptp(points, axis=0))
+    # nodes on a line parallel to an axis have cells along that line
+    cell = np.sqrt(across * along / seed_count) if across > 0.0 else along / seed_count
     directions = normal_numbers(generator, (2, 3, 3))
     directions /= lengths(directions)[..., None]
     wave_number = np.pi / cell
@@ -155,7 +159,19 @@ def _flat_planes(points: np.ndarray, seeds: np.ndarray, labels: np.ndarray, cut:
     highest_first, lowest_second = range_between(sides, inverse, len(pair))
     between = (highest_first <= offsets) & (offsets < lowest_second)
     offsets = np.where(between, offsets, 0.5 * (highest_first + lowest_second))
-    return np.column_stack((normals, offsets))[inverse]
+    planes = np.column_stack((normals, offsets))[inverse]
+    # With seeds at nodes, both ends of an edge may be in the bisector: it is cut in its middle, at a right angle.
+    start, end = points[cut[:, 0]], points[cut[:, 1]]
+    slack = CROSSING_ROUNDING * lengths(end - start)
+    low, high = sides[:, 0] - planes[:, 3], sides[:, 1] - planes[:, 3]
+    crossed = (low <= slack) & (high >= -slack) & (high - low > slack)
+    return np.where(crossed[:, None], planes, middle_planes(start, end))
+
+
+def middle_planes(start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Planes (c, 4) through the middles of edges from `start` to `end` (c, 3) [m], at right angles to them."""
+    normals = (end - start) / lengths(end - start)[:, None]
+    return np.column_stack((normals, dots(normals, 0.5 * (start + end))))
 
 
 def _curved_planes(

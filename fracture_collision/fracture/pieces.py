@@ -43,7 +43,7 @@ def edge_lengths(points, edges):
 @cached_njit
 def nearest_seeds(points, seeds):
     """Index of the seed (s, 3) nearest to each point (k, 3), the lowest of several: (k,) int64."""
-    nearest = np.empty(len(points), np.int64)
+    nearest = np.zeros(len(points), np.int64)
     for i in range(len(points)):
         least = np.inf
         for s in range(len(seeds)):

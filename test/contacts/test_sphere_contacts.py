@@ -239,6 +239,32 @@ def test_the_bound_holds_if_few_triangles_are_tested(visits: int) -> None:
     assert depth[apart > 1e-6].max() <= answer.missed_depth_bound[0]
 
 
+def test_a_point_of_hundreds_of_triangles_is_one_contact_at_most() -> None:
+    """A cone of 600 facets is convex: a sphere has one contact with it, wherever it is, with one id at the apex."""
+    count = 600
+    angle = np.arange(count) * 2.0 * np.pi / count
+    ring = np.column_stack((np.cos(angle), np.sin(angle), np.zeros(count)))
+    vertices = np.vstack((ring, [(0.0, 0.0, 1.0), (0.0, 0.0, 0.0)]))
+    i, after = np.arange(count), (np.arange(count) + 1) % count
+    sides = np.column_stack((i, after, np.full(count, count)))
+    base = np.column_stack((after, i, np.full(count, count + 1)))
+    world = CollisionWorld(SETTINGS)
+    world.add_body(CollisionBody(1, 1, vertices=vertices.ravel(), triangles=np.vstack((sides, base)).ravel()))
+    world.add_body(CollisionBody(2, BALL, primitive=SolidPrimitive(SPHERE, (0.3,))))
+    ids = sample_ids(BALL, 1, np.arange(-1, 2 * count))
+    at_apex = set()
+    for turn in (0.001, 0.7, 1.9, 2.8, 4.1, 5.6):
+        around = np.array([np.cos(turn), np.sin(turn), 0.0])
+        center = np.array([0.0, 0.0, 1.296]) + 0.03 * around
+        answer = answer_at(world, center)
+        assert len(places_of(answer, center, 0.3)) == 1
+        at_apex |= set(answer.contact_ids[np.isin(answer.contact_ids, ids)].tolist())
+        # beside the apex, which is within reach, too
+        center = np.array([0.0, 0.0, 0.9995]) + 0.0005 * around + 0.299 / np.sqrt(2.0) * (around + [0.0, 0.0, 1.0])
+        assert len(places_of(answer_at(world, center), center, 0.3)) == 1, turn
+    assert len(at_apex) == 1
+
+
 def test_contact_ids_stay_with_the_face() -> None:
     """Regardless of whether wall or floor is deeper, and of other contacts."""
     world, ids = world_of(room(), 0.5), []

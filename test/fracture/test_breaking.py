@@ -282,3 +282,29 @@ def test_an_error_names_the_argument_and_says_what_to_pass(words: str) -> None:
 def test_the_examples_in_the_docstrings_run() -> None:
     done = doctest.testmod(breaking)
     assert done.attempted > 10 and not done.failed
+
+
+@pytest.mark.parametrize("curvature", [0.0, 0.25])
+@pytest.mark.parametrize("mesh", [brick((1.0, 1.0, 1.0), 0.25), brick((2.0, 1.0, 1.0), 0.5)], ids=["cube", "brick"])
+def test_seeds_at_nodes_make_events_that_the_service_accepts(mesh, curvature: float) -> None:
+    """Where cells are equally far, rounding may put both ends of an edge into the bisector of two seeds."""
+    for random in range(30):
+        generator = np.random.default_rng(random)
+        nodes = generator.choice(len(mesh.vertices), generator.integers(2, 9), replace=False)
+        seeds = mesh.vertices[nodes]
+        assert_divides(mesh, [fracture.voronoi(body_of(mesh), seeds, random=random, curvature=curvature)])
+
+
+def test_nodes_within_rounding_of_a_plane_are_on_it() -> None:
+    """Three nodes give a plane with the rounding of its numbers; those behind its normal get all nodes on it."""
+    mesh = ball(0.5, 0.3)
+    for random in range(30):
+        p, q, r = mesh.vertices[np.random.default_rng(random).choice(len(mesh.vertices), 3, replace=False)]
+        normal = np.cross(q - p, r - p) / np.linalg.norm(np.cross(q - p, r - p))
+        for offset in (normal @ p, np.nextafter(normal @ p, 1.0), np.nextafter(normal @ p, -1.0)):
+            try:
+                event = fracture.planes(body_of(mesh), normal, offset)
+            except ValueError:  # no node is in front of it
+                continue
+            heights = mesh.vertices[event.cut_edges.reshape(-1, 2)] @ normal - normal @ p
+            assert (np.abs(heights).max(axis=1) > 1e-9).all(), "an edge in the plane is cut"

@@ -179,3 +179,20 @@ def _relative_poses(random: np.random.Generator, size: float) -> tuple[np.ndarra
     rotation = (w * w - u @ u) * np.eye(3) + 2.0 * np.outer(u, u) + 2.0 * w * cross
     translation = random.uniform(-size, size, 3)
     return np.array([rotation, rotation.T]), np.array([translation, -rotation.T @ translation])
+
+
+@pytest.mark.parametrize("selection", ["sufficient", "complete"])
+def test_lists_do_not_change_what_touches_without_a_detection_tolerance(selection: str) -> None:
+    """A sample exactly on the other's surface is at distance 0: a list searches beyond that, and must not list it."""
+    settings = (LISTED, SEARCHED)
+    worlds = [CollisionWorld(s._replace(detection_tolerance=0.0, selection=selection)) for s in settings]
+    for world in worlds:
+        world.add_body(tetrahedral_body(brick((1.0, 1.0, 1.0), 0.5), 1))
+        world.add_body(tetrahedral_body(brick((1.0, 1.0, 1.0), 0.5), 2))
+    random = np.random.default_rng(1)
+    ids, upright = np.array([1, 2]), np.tile([0.0, 0.0, 0.0, 1.0], 2)
+    for step in range(60):
+        # flush at every other step, and beside that a little off
+        shift = np.array([0.25, 0.0, 1.0]) + (step % 2) * random.choice([-(2.0**-12), 0.0, 2.0**-12], 3)
+        states = FragmentStates(1, 0, ids, np.append(np.zeros(3), shift), upright)
+        assert_same(*(world.contacts(states) for world in worlds))

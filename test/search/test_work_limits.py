@@ -6,14 +6,21 @@ import numpy as np
 import pytest
 from truth.contact_truth import COARSE_SHAPES, ContactTruth, Poses, check_pair, pairs_of
 from worlds.fractured_worlds import SETTINGS, fractured_world, with_settings
+from worlds.hard_worlds import tetrahedral_body
 
 from benchmarks.scaling.crowds import CLOSE, crowd, measure_crowds
 from fracture_collision.core.pair.narrow_phase import _level
+from fracture_collision.geometry.generators import ball
 from fracture_collision.records import (
+    BOX,
     BUDGET_EXHAUSTED,
+    SPHERE,
+    CollisionBody,
     ContactConstraintArray,
+    FragmentStates,
+    SolidPrimitive,
 )
-from fracture_collision.world import InvalidMessage
+from fracture_collision.world import CollisionWorld, InvalidMessage
 
 
 def size_of(answer: ContactConstraintArray) -> int:
@@ -135,3 +142,28 @@ def test_the_limit_per_pair_is_the_largest_that_fits() -> None:
         level = _level(counts, most)
         assert np.minimum(counts, level).sum() <= most
         assert level == counts.max() or np.minimum(counts, level + 1).sum() > most
+
+
+def test_a_pair_with_a_plane_has_a_finite_bound_when_a_limit_leaves_it_unsearched() -> None:
+    """No visit is left for the pairs: the bound is by the boxes, and no true contact is deeper."""
+    for height in (0.3, 0.0, -0.3):
+        answers = []
+        for limits in ({"max_visits": 1}, {}):
+            world = CollisionWorld(SETTINGS._replace(**limits))
+            world.add_body(tetrahedral_body(ball(0.5, 0.1)))
+            world.add_body(CollisionBody(2, 2, plane=[0.0, 0.0, 1.0, 0.0], is_static=True))
+            world.add_body(CollisionBody(3, 3, primitive=SolidPrimitive(BOX, (0.5, 0.5, 0.5))))
+            world.add_body(CollisionBody(4, 4, primitive=SolidPrimitive(SPHERE, (0.5,))))
+            places = np.array([[0.0, 0.0, height], [0.0, 0.0, 0.0], [5.0, 0.0, height], [10.0, 0.0, height]])
+            turns = np.tile([0.0, 0.0, 0.0, 1.0], 4)
+            answers.append(world.contacts(FragmentStates(1, 0, np.arange(1, 5), places.ravel(), turns)))
+        limited, full = answers
+        assert limited.status == BUDGET_EXHAUSTED and np.isfinite(limited.missed_depth_bound).all()
+        depth, left = ({(a, b): (k, answer) for k, (a, b) in enumerate(
+            zip(answer.fragment_a.tolist(), answer.fragment_b.tolist(), strict=True)
+        )} for answer in (full, limited))  # fmt: skip
+        for pair, (k, _) in depth.items():
+            deepest = -full.gaps[full.pair_begin[k] : full.pair_begin[k + 1]].min(initial=0.0)
+            its = left[pair][0]
+            listed = -limited.gaps[limited.pair_begin[its] : limited.pair_begin[its + 1]].min(initial=0.0)
+            assert deepest <= max(listed, limited.missed_depth_bound[its]), pair

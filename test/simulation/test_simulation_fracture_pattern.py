@@ -8,7 +8,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from truth.counted_work import calls_of
 
-from fracture_collision.fracture.pattern import PatternSettings
+from fracture_collision.fracture.pattern import PatternSettings, voronoi_pattern
 from fracture_collision.fracture.pieces import connected_pieces
 from fracture_collision.geometry import generators
 from fracture_collision.geometry.tetrahedra import unique_edges
@@ -187,3 +187,27 @@ def test_python_calls_do_not_grow_with_the_mesh():
         break_once(mesh, 1, 0.3)  # loads kernels
     few, many = (calls_of(lambda mesh=mesh: break_once(mesh, 1, 0.3)) for mesh in (coarse, fine))
     assert many < 1.5 * few
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("count", [1, 2, 3, 6])
+def test_curved_cracks_divide_nodes_on_a_line(axis: int, count: int) -> None:
+    """A piece may have its nodes on a line parallel to an axis, or one node; equal arguments give equal patterns."""
+    points = np.zeros((count, 3))
+    points[:, axis] = np.arange(count)
+    edges = np.column_stack((np.arange(count - 1), np.arange(1, count)))
+    settings = PatternSettings(curvature=0.25, minimum_nodes=1)
+    for seed in range(20):
+        twice = [
+            voronoi_pattern(points, edges, points[0], 4, settings, np.random.default_rng(seed)) for _ in range(2)
+        ]
+        if twice[0] is None:
+            assert twice[1] is None
+            continue
+        for one, other in zip(*twice, strict=True):
+            assert np.array_equal(one, other)
+        pattern = twice[0]
+        assert np.isfinite(pattern.cut_planes).all()
+        start, end = points[pattern.cut_edges[:, 0]], points[pattern.cut_edges[:, 1]]
+        normals, offsets = pattern.cut_planes[:, :3], pattern.cut_planes[:, 3]
+        assert ((start * normals).sum(axis=1) <= offsets).all() and ((end * normals).sum(axis=1) > offsets).all()

@@ -76,6 +76,10 @@ BODIES = {
     r"tetrahedra: the face 0-\d+-\d+ belongs to 3 tetrahedra, not 1 or 2; some overlap": {
         "tetrahedra": np.vstack((T, T[:1]))
     },
+    r"tetrahedra: tetrahedra 0 and 1 lie on the same side of their face 0-1-2, so they overlap .*move a vertex": {
+        "vertices": [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0.1, 0.1, 1.0), (0.3, 0.3, 0.5)],
+        "tetrahedra": [(0, 1, 2, 3), (0, 1, 2, 4)],
+    },
     r"vertices: the body is smaller than 1e-06 m; lengths are in metres": {"vertices": V * 1e-9},
     r"primitive, plane, vertices: .* this one has plane and vertices": {"plane": (0, 0, 1, 0), "is_static": True},
     r"primitive.dimensions: 2 numbers, not 3, the lengths of the edges": {

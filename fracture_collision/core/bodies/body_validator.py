@@ -140,7 +140,7 @@ def _validate_polygons(pools: Pools, rows: Sequence[int], tets: np.ndarray) -> N
     for t in tets.tolist():
         begin, count = int(body.regions[t + shift, ROW]), int(body.cut_count[t + shift])
         part = slice(begin, begin + count)
-        fronts, backs, kinds = body.sides[part].T
+        fronts, backs, kinds, _ = body.sides[part].T
         assert (np.diff(kinds) >= 0).all(), f"tetrahedron {t}: kinds do not ascend"
         assert np.isin(fronts, living[:-1]).all() and np.isin(backs, living).all(), f"tetrahedron {t}: a retired owner"
         assert (fronts != backs).all(), f"tetrahedron {t}: a polygon between a fragment and itself"

@@ -46,7 +46,7 @@ class PoolTables:
         self.body = self._table(
             node_fragment=(0, i4), edge_plane=(0, i4), edge_event=(0, i4), edge_share=(0, f8), regions=(REGION, i4),
             cut_count=(0, i4), planes=(4, f8), triangles=(9, f8), faces=(4, f8),
-            sides=(3, i4), node_field=(7, f8),
+            sides=(4, i4), node_field=(7, f8),
         )  # fmt: skip
         self.fragment = self._table(
             kind=(0, i4), mesh=(0, i4), node_shift=(0, i4), tet_shift=(0, i4), edge_shift=(0, i4), box=(6, f8),

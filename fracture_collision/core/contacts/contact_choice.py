@@ -14,16 +14,13 @@ import numpy as np
 from fracture_collision.core.contacts.deepest_contacts import sort_by_sample
 from fracture_collision.core.contacts.known_samples import (
     ask_sample,
-    home_tetrahedron,
-    moved_since,
+    placed,
     put_contact,
     share_a_body,
     side_of,
 )
 from fracture_collision.core.field.elementary_queries import INSIDE, NEAR
 from fracture_collision.core.memory.compiled import inlined_kernel
-from fracture_collision.core.memory.pools import SAMPLE
-from fracture_collision.core.memory.rotations import to_other
 
 # Columns of scratch.node_int, node_float and spread, for candidate samples.
 ENTRY, SIDE, NUMBER, ANSWER = 0, 1, 2, 3
@@ -46,27 +43,6 @@ class Rule(NamedTuple):
     epsilon: float  # [m]
     near: float  # [m] the detection tolerance
     limit: int  # most contacts kept of a pair, the deepest
-
-
-class Placed(NamedTuple):
-    """A sample in the frame of the fragment that it is queried in."""
-
-    number: int
-    x: float  # [m]
-    y: float
-    z: float
-    start: int  # a tetrahedron to start the search from, -1: none is known
-    deep: float  # [m] bound on its depth: how far it has moved since the body broke
-
-
-@inlined_kernel
-def placed(pools, side, entry):
-    """The Placed sample of row `entry` of TreePool, a sample of this Side."""
-    c, sample = pools.tree.spheres[entry], pools.tree.entries[entry, SAMPLE]
-    x, y, z = to_other(side.rotation, side.translation, c[0], c[1], c[2])
-    start = home_tetrahedron(pools, side.other, sample) if side.one_body else -1
-    deep = moved_since(c, x, y, z) + side.slack if side.one_body else math.inf
-    return Placed(np.int64(sample), x, y, z, np.int64(start), deep)
 
 
 @inlined_kernel
@@ -208,6 +184,6 @@ def put_chosen(pools, pair, near, slack, sink, count, scratch):
         side = side_of(pair, np.int64(scratch.node_int[k, SIDE]), one_body, slack)
         sample = placed(pools, side, scratch.node_int[k, ENTRY])
         point = sample.x, sample.y, sample.z
-        answer = ask_sample(pools, side.other, point, near, sample.deep, sample.start, True, scratch)
+        answer = ask_sample(pools, side.other, sample, near, math.inf, True, scratch)
         put_contact(sink, k, side.number, sample.number, point, answer)
     sort_by_sample(contacts, ids, count)

@@ -21,11 +21,10 @@ from fracture_collision.core.contacts.contact_choice import (
     UNASKED,
     is_before,
     keep_answer,
-    placed,
     swap,
 )
-from fracture_collision.core.contacts.known_samples import ask_sample, share_a_body, side_of
-from fracture_collision.core.field.elementary_queries import INSIDE, bounded_probe
+from fracture_collision.core.contacts.known_samples import ask_sample, placed, share_a_body, side_of
+from fracture_collision.core.field.elementary_queries import INSIDE
 from fracture_collision.core.field.flood import EVERYTHING, nearest_in_tetrahedron, nothing_within
 from fracture_collision.core.memory.compiled import inlined_kernel
 from fracture_collision.core.memory.heap import pop, push
@@ -155,8 +154,7 @@ def _is_deep(pools, pair, rule, slack, k, scratch):
     """Whether the k-th sample is deeper than epsilon."""
     side = side_of(pair, np.int64(scratch.node_int[k, SIDE]), share_a_body(pools, pair.a, pair.b), slack)
     sample = placed(pools, side, scratch.node_int[k, ENTRY])
-    point, deep = (sample.x, sample.y, sample.z), min(sample.deep, rule.epsilon)
-    answer = bounded_probe(pools, side.other, point, 0.0, deep, sample.start, True, scratch)
+    answer = ask_sample(pools, side.other, sample, 0.0, rule.epsilon, True, scratch)
     return answer.status == INSIDE and answer.distance < -rule.epsilon
 
 
@@ -205,15 +203,14 @@ def _find_deepest(pools, pair, slack, count, scratch):
                     waiting += 1
                 continue
         # a probe down to `deepest` is faster than one for the exact depth
-        deep = min(sample.deep, deepest)
-        answer = bounded_probe(pools, other, (x, y, z), 0.0, deep, sample.start, True, scratch)
+        answer = ask_sample(pools, other, sample, 0.0, deepest, True, scratch)
         if answer.status != INSIDE:
             point[k, DISTANCE] = 0.0
             continue
         if answer.distance == -math.inf:
-            answer = ask_sample(pools, other, (x, y, z), 0.0, sample.deep, sample.start, True, scratch)
+            answer = ask_sample(pools, other, sample, 0.0, math.inf, True, scratch)
             keep_answer(answer, k, sample, scratch)
-        point[k, DISTANCE], spread[MOST_DEPTH, k] = answer.distance, answer.most_depth
+        point[k, DISTANCE], spread[MOST_DEPTH, k] = answer.distance, min(answer.most_depth, sample.deep)
         deepest = max(deepest, -answer.distance)
         if known < MOST_WAYS:
             n, way = (answer.nx, answer.ny, answer.nz), ways[known]

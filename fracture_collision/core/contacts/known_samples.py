@@ -7,11 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.core.field.elementary_queries import INSIDE, OUTSIDE, bounded_probe
+from fracture_collision.core.field.elementary_queries import INSIDE, OUTSIDE, Probe, bounded_probe
+from fracture_collision.core.field.flood import NO_SOURCE
 from fracture_collision.core.fracture.crack_seeds import find_seeds
 from fracture_collision.core.memory.compiled import inlined_kernel, query_kernel
 from fracture_collision.core.memory.kinds import TETRAHEDRA, is_bounded
-from fracture_collision.core.memory.pools import NEVER_BROKEN
+from fracture_collision.core.memory.pools import NEVER_BROKEN, SAMPLE
 from fracture_collision.core.memory.rotations import to_other
 from fracture_collision.core.mesh.cut_tetrahedron import point_on_edge
 from fracture_collision.core.mesh.sample_numbers import (
@@ -71,6 +72,28 @@ def side_of(pair, number, one_body, slack):
     return Side(number, own, other, pair.rotation[number], pair.translation[number], one_body, slack)
 
 
+class Placed(NamedTuple):
+    """A sample in the frame of the fragment that it is queried in."""
+
+    number: int
+    x: float  # [m]
+    y: float
+    z: float
+    start: int  # a tetrahedron to start the search from, -1: none is known
+    moved: float  # [m] how far it has moved since the body broke; infinity: the two are not of one body
+    deep: float  # [m] bound on its depth: `moved` and the rounding
+
+
+@inlined_kernel
+def placed(pools, side, entry):
+    """The Placed sample of row `entry` of TreePool, a sample of this Side."""
+    sphere, sample = pools.tree.spheres[entry], pools.tree.entries[entry, SAMPLE]
+    x, y, z = to_other(side.rotation, side.translation, sphere[0], sphere[1], sphere[2])
+    start = home_tetrahedron(pools, side.other, sample) if side.one_body else -1
+    moved = moved_since(sphere, x, y, z) if side.one_body else math.inf
+    return Placed(np.int64(sample), x, y, z, np.int64(start), moved, moved + side.slack)
+
+
 @inlined_kernel
 def home_tetrahedron(pools, f, sample):
     """A tetrahedron of fragment f's mesh that holds the sample, or has it on a node or edge."""
@@ -119,12 +142,25 @@ def put_contact(sink, row, side, sample, point, answer):
 
 
 @inlined_kernel
-def ask_sample(pools, other, point, near, deep, start, reached, scratch):
-    """bounded_probe, repeated without a limit if a point inside has no surface within `deep` [m]."""
-    answer = bounded_probe(pools, other, point, near, deep, start, reached, scratch)
-    if answer.status == INSIDE and answer.distance == -math.inf:
-        answer = bounded_probe(pools, other, point, near, math.inf, start, True, scratch)
-    return answer
+def ask_sample(pools, other, sample, near, deep, reached, scratch):
+    """bounded_probe of a Placed sample, searched to `deep` [m].
+
+    In place no sample is inside another fragment of its body, so none is deeper than it has moved. The search finds a
+    farther surface where cracks through nodes leave the sample's own fragment neither volume nor area about it, and
+    with the averaged field. Such a sample is as deep as it has moved, along the normal found; most_depth stays that of
+    the point.
+    """
+    point, searched = (sample.x, sample.y, sample.z), min(deep, sample.deep)
+    answer = bounded_probe(pools, other, point, near, searched, sample.start, reached, scratch)
+    if answer.status != INSIDE or -answer.distance <= sample.deep:
+        return answer
+    if answer.distance == -math.inf:
+        if searched < sample.deep:
+            return answer
+        answer = bounded_probe(pools, other, point, near, math.inf, sample.start, True, scratch)
+    nx, ny, nz, moved = answer.nx, answer.ny, answer.nz, sample.moved
+    x, y, z = sample.x + moved * nx, sample.y + moved * ny, sample.z + moved * nz
+    return Probe(INSIDE, -moved, nx, ny, nz, x, y, z, answer.most_depth, NO_SOURCE, -1, answer.tetrahedron)
 
 
 @query_kernel
@@ -153,13 +189,13 @@ def query_seeds(pools, pair, wanted, near, most, sink, scratch):
         share = body.edge_share[e + fragment.edge_shift[a]]
         point_on_edge(mesh.nodes, mesh.edges[e, 0], mesh.edges[e, 1], share, point)
         x, y, z = to_other(rotation[side], translation[side], point[0], point[1], point[2])
-        deep = moved_since(point, x, y, z) + slack
-        start = np.int64(mesh.edge_tets[e])
-        answer = ask_sample(pools, other, (x, y, z), near, deep, start, False, scratch)
+        moved = moved_since(point, x, y, z)
+        number = np.int64(crossing_number(mesh.first[fragment.mesh[a]], e, end_of_own))
+        sample = Placed(number, x, y, z, np.int64(mesh.edge_tets[e]), moved, moved + slack)
+        answer = ask_sample(pools, other, sample, near, math.inf, False, scratch)
         if answer.status == OUTSIDE:
             continue
         if count < len(sink.contacts):
-            sample = crossing_number(mesh.first[fragment.mesh[a]], e, end_of_own)
-            put_contact(sink, count, side, np.int64(sample), (x, y, z), answer)
+            put_contact(sink, count, side, number, (x, y, z), answer)
         count += 1
     return count, asked

@@ -87,29 +87,29 @@ def sphere_contacts(pools, pair, number, rule, most_within, sink, scratch):
     d = answer.distance
     if answer.status == OUTSIDE or d - radius > rule.near:
         return 0, 0.0, False
-    within, touching, places = scratch.within, scratch.touching, scratch.places
+    within, places = scratch.within, scratch.places
     kind, sample = pools.fragment.kind[other], NO_TRIANGLE
     if is_mesh(kind):
-        sample = _first_at(pools, other, (answer.x, answer.y, answer.z), touching, scratch)
+        sample = _first_at(pools, other, (answer.x, answer.y, answer.z), scratch)
     nearest = Place(True, d, answer.nx, answer.ny, answer.nz, answer.x, answer.y, answer.z)
     _put(places, 0, number, sample, center, radius, nearest)
     found, kept, bound, cut = 1, 1, 0.0, False
     if sample != NO_TRIANGLE and answer.status != INSIDE:
         reach, room = radius + rule.near, min(most_within, len(within))
-        count = _triangles_within(pools, other, center, reach, within[:room], scratch)
+        count, _, _ = _triangles_within(pools, other, center, reach, center, within[:room], scratch)
         for _ in range(HALVINGS):
             if count <= room:
                 break
             cut = True
             reach = d + 0.5 * (reach - d)
-            count = _triangles_within(pools, other, center, reach, within[:room], scratch)
+            count, _, _ = _triangles_within(pools, other, center, reach, center, within[:room], scratch)
         if count > room:
             reach, count = d, 0
         if cut:
             bound = max(radius - reach, 0.0)
             cut = bound > rule.epsilon
         for k in range(count):
-            place = _place_of(pools, other, within[k], center, touching, scratch)
+            place = _place_of(pools, other, within[k], center, scratch)
             if not place.is_place or _is_listed(places.contacts, found, place, ONE_PLACE * size):
                 continue
             if found == len(places.contacts):
@@ -181,7 +181,7 @@ def _choose(contacts, ids, wanted, epsilon, most):
 
 
 @query_kernel
-def _place_of(pools, f, code, center, touching, scratch):
+def _place_of(pools, f, code, center, scratch):
     """The point of f's triangle `code` nearest to a sphere's centre outside f: a Place."""
     x, y, z = center
     c, nx, ny, nz = _triangle(pools, f, code)
@@ -195,10 +195,9 @@ def _place_of(pools, f, code, center, touching, scratch):
     elif not d > TOUCHES * size:
         return nothing
     nearer = d - DISTANCE_ROUNDING * (d + size)
-    count = _triangles_within(pools, f, (qx, qy, qz), TOUCHES * size, touching, scratch)
-    for k in range(min(count, len(touching))):
-        if touching[k] < code or (touching[k] != code and _distance(pools, f, touching[k], x, y, z) < nearer):
-            return nothing
+    _, first, least = _triangles_within(pools, f, (qx, qy, qz), TOUCHES * size, center, scratch.within[:0], scratch)
+    if first < code or least < nearer:
+        return nothing
     if feature != ON_FACE:
         nx, ny, nz = (x - qx) / d, (y - qy) / d, (z - qz) / d
         step = min(BEFORE * size, 0.5 * d)
@@ -216,13 +215,10 @@ def _holds(pools, f, x, y, z, scratch):
 
 
 @inlined_kernel
-def _first_at(pools, f, point, touching, scratch):
+def _first_at(pools, f, point, scratch):
     """Number of the first triangle of f at a point of its surface; NO_TRIANGLE if the point is on none."""
     touches = TOUCHES * pools.fragment.radius[f]
-    count = _triangles_within(pools, f, point, touches, touching, scratch)
-    first = NO_SOURCE
-    for k in range(min(count, len(touching))):
-        first = min(first, touching[k])
+    _, first, _ = _triangles_within(pools, f, point, touches, point, scratch.within[:0], scratch)
     return NO_TRIANGLE if first == NO_SOURCE else _number(pools, f, first)
 
 
@@ -261,10 +257,13 @@ def _distance(pools, f, code, x, y, z):
 
 
 @query_kernel
-def _triangles_within(pools, f, point, r, found, scratch):
-    """Triangles of f's surface within `r` [m] of a point, as many as `found` has room for; returns their number."""
+def _triangles_within(pools, f, point, r, center, found, scratch):
+    """Triangles of f's surface within `r` [m] of a point, as many as `found` has room for.
+
+    Returns (their number, the first of them or NO_SOURCE, the least of their distances from `center` [m]).
+    """
     x, y, z = point
-    count, r2 = 0, r * r
+    seen, r2 = (0, NO_SOURCE, math.inf), r * r
     if pools.fragment.kind[f] == TRIANGLES:
         meshes = pools.triangles
         node, end = meshes.node_range[pools.fragment.mesh[f]]
@@ -274,36 +273,37 @@ def _triangles_within(pools, f, point, r, found, scratch):
                 continue
             begin = meshes.node_first[node]
             for t in range(begin, begin + meshes.node_count[node]):
-                count = _note(pools, f, t, point, r, found, count)
+                seen = _note(pools, f, t, point, r, center, found, seen)
             node += 1
-        return count
+        return seen
     for k in range(tetrahedra_near(pools, f, x, y, z, r, scratch)):
         t = scratch.heap_tet[k]
         if box_distance_squared(x, y, z, pools.mesh.boxes[t]) <= r2:
-            count = _note_tetrahedron(pools, f, t, point, r, found, count)
-    return count
+            seen = _note_tetrahedron(pools, f, t, point, r, center, found, seen)
+    return seen
 
 
 @inlined_kernel
-def _note(pools, f, code, point, r, found, count):
+def _note(pools, f, code, point, r, center, found, seen):
     if not _distance(pools, f, code, point[0], point[1], point[2]) <= r:
-        return count
+        return seen
+    count, first, least = seen
     if count < len(found):
         found[count] = code
-    return count + 1
+    return count + 1, min(first, code), min(least, _distance(pools, f, code, center[0], center[1], center[2]))
 
 
 @inlined_kernel
-def _note_tetrahedron(pools, f, t, point, r, found, count):
+def _note_tetrahedron(pools, f, t, point, r, center, found, seen):
     mesh, body, shift = pools.mesh, pools.body, pools.fragment.tet_shift[f]
     if shift == NEVER_BROKEN or body.regions[t + shift, OWNER] >= 0:
         for face in range(4):
             if mesh.neighbours[t, face] < 0:
-                count = _note(pools, f, ROWS_EACH * t + face, point, r, found, count)
+                seen = _note(pools, f, ROWS_EACH * t + face, point, r, center, found, seen)
     if shift == NEVER_BROKEN:
-        return count
+        return seen
     begin = body.regions[t + shift, ROW]
     for i in range(begin, begin + body.cut_count[t + shift]):
         if body.sides[i, FRONT_SIDE] == f or body.sides[i, BACK_SIDE] == f:
-            count = _note(pools, f, ROWS_EACH * t + 4 + i - begin, point, r, found, count)
-    return count
+            seen = _note(pools, f, ROWS_EACH * t + 4 + i - begin, point, r, center, found, seen)
+    return seen

@@ -81,7 +81,7 @@ def bounded_probe(pools, f, point, near, deep, start, reached, scratch):
     kind = pools.fragment.kind[f]
     if not is_mesh(kind):
         d, nx, ny, nz = primitive_distance(kind, pools.fragment.shape[f], x, y, z)
-        status = INSIDE if d <= 0.0 else NEAR if d <= near else OUTSIDE
+        status = INSIDE if d <= 0.0 else NEAR if d < near else OUTSIDE
         return Probe(status, d, nx, ny, nz, x - d * nx, y - d * ny, z - d * nz, -d, NO_SOURCE, -1, -1)
     reach = math.sqrt(box_distance_squared(x, y, z, pools.fragment.box[f]))
     if reach > near:
@@ -98,7 +98,7 @@ def _probe_mesh(pools, f, point, near, deep, start, reached, scratch):
         d, nx, ny, nz, qx, qy, qz = triangle_distance(
             pools.triangles, pools.fragment.mesh[f], pools.fragment.radius[f], x, y, z, scratch.stack
         )
-        status = INSIDE if d <= 0.0 else NEAR if d <= near else OUTSIDE
+        status = INSIDE if d <= 0.0 else NEAR if d < near else OUTSIDE
         return Probe(status, d, nx, ny, nz, qx, qy, qz, -d, NO_SOURCE, -1, -1)
     # saves most points the search for their tetrahedron
     if not reached and not sphere_may_touch(pools, f, x, y, z, near):

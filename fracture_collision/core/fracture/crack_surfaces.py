@@ -94,7 +94,11 @@ def _rebuild_parted(mesh, body, broken, touched, out, update, work):
         _grow_reach(mesh, t, second, broken, update.reaches)
         begin = written
         written = write_section(work, side, (first, second), plane, out, written, update)
-        smaller = add_sides(mesh, t, work, side, (first, second), broken, update.moments)
+        smaller = add_sides(mesh, t, work, side, (first, second), broken, update.moments, written > begin)
+        if smaller < 0:
+            # its plane is that of a face, and does not divide the face
+            touched.kinds[t - touched.first], written = DIVIDED, begin
+            continue
         # a section that is only rounding leaves nothing to the smaller part
         body.regions[t + tet_shift, OWNER] = PARTED if written > begin else second if smaller == 0 else first
         if written > begin:

@@ -5,14 +5,16 @@ from __future__ import annotations
 from fracture_collision.core.fracture.cut_patterns import PART_COUNT, PART_OF_SIDE, PARTS, SOLID_COUNT, SOLIDS
 from fracture_collision.core.fracture.surface_rows import measure_triangle
 from fracture_collision.core.memory.compiled import inlined_kernel
+from fracture_collision.core.mesh.cut_tetrahedron import NO_VOLUME
 from fracture_collision.core.mesh.moments import add_row, tetrahedron_terms
 
 
 @inlined_kernel
-def add_sides(mesh, t, work, side, pair, broken, moments):
+def add_sides(mesh, t, work, side, pair, broken, moments, has_section):
     """Add the moments of both parts of a tetrahedron to those of its two fragments, a `pair`, that are new.
 
-    Returns which fragment has the smaller part, 0 or 1.
+    Returns which fragment has the smaller part, 0 or 1. -1, and nothing added: there is a section, but the part that it
+    cuts off has no volume.
     """
     points = work.points
     s0 = s1 = s2 = s3 = s4 = s5 = s6 = s7 = s8 = s9 = 0.0
@@ -25,9 +27,13 @@ def add_sides(mesh, t, work, side, pair, broken, moments):
         m = _terms(mesh.grid[broken.mesh], a, b, c, d)
         s0, s1, s2, s3, s4 = s0 + m[0], s1 + m[1], s2 + m[2], s3 + m[3], s4 + m[4]
         s5, s6, s7, s8, s9 = s5 + m[5], s6 + m[6], s7 + m[7], s8 + m[8], s9 + m[9]
+    w = mesh.moments[t]
+    # a lone node's part is the one cut off; the rest without volume means that the section is a whole face
+    smaller = s0 if SOLID_COUNT[side] == 1 else min(s0, w[0] - s0)
+    if has_section and smaller <= NO_VOLUME * w[0]:
+        return -1
     part = PART_OF_SIDE[side]
     own, rest = (pair[0], pair[1]) if part == 0 else (pair[1], pair[0])
-    w = mesh.moments[t]
     if broken.first <= own < broken.end:
         add_row(moments[own], s0, s1, s2, s3, s4, s5, s6, s7, s8, s9)
     if broken.first <= rest < broken.end:

@@ -21,13 +21,14 @@ from fracture_collision.core.fracture.cut_patterns import (
 from fracture_collision.core.fracture.surface_rows import (
     gap_of_triangle,
     grow_by_box,
+    has_no_area,
     is_residue,
     measure_triangle,
     write_fan_row,
     write_row,
 )
 from fracture_collision.core.memory.compiled import inlined_kernel
-from fracture_collision.core.memory.pools import OLD_FACE
+from fracture_collision.core.memory.pools import BACK_VOID, FRONT_VOID, OLD_FACE
 from fracture_collision.core.mesh.closest_point import triangle_normal
 from fracture_collision.core.mesh.cut_tetrahedron import FACE_VERTICES, SINGULAR
 
@@ -53,7 +54,7 @@ def write_section(work, side, pair, plane, out, written, sums):
         if not is_residue(mx, my, mz, ab, ac):
             if PART_OF_SIDE[side] == 1:
                 b, c = c, b
-            write_row((a, b, c), its_plane, (first, second, 0), out, written)
+            write_row((a, b, c), its_plane, (first, second, 0, 0), out, written)
             written += 1
     p = work.crossings[CUT_EDGES[pattern, 0]]
     lx, ly, lz = p[0], p[1], p[2]
@@ -103,7 +104,8 @@ def write_fan(work, pattern, out, written, sums):
         grow_by_box(boxes[front], low, high)
         grow_by_box(boxes[back], low, high)
         gaps[front], gaps[back] = max(gaps[front], gap), max(gaps[back], gap)
-        write_fan_row((a, b, c), measures, (front, back, row[5]), out, written + k)
+        void = FRONT_VOID * has_no_area(points[row[3]], b, c) + BACK_VOID * has_no_area(points[row[4]], b, c)
+        write_fan_row((a, b, c), measures, (front, back, row[5], void), out, written + k)
     return written + FAN_COUNT[pattern]
 
 
@@ -124,6 +126,6 @@ def write_old_faces(mesh, t, work, pattern, out, written, gaps):
             mx, my, mz, ab, ac, bc = measure_triangle(a, b, c)
             gaps[label] = max(gaps[label], gap_of_triangle(ab, ac, bc, row[3]))
             if not is_residue(mx, my, mz, ab, ac):
-                write_row((a, b, c), (nx, ny, nz, offset), (label, -1, OLD_FACE + face), out, written)
+                write_row((a, b, c), (nx, ny, nz, offset), (label, -1, OLD_FACE + face, 0), out, written)
                 written += 1
     return written

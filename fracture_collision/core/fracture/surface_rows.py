@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.core.memory.compiled import inlined_kernel
-from fracture_collision.core.memory.pools import BACK_SIDE, FRONT_SIDE, KIND
+from fracture_collision.core.memory.pools import BACK_SIDE, FRONT_SIDE, KIND, VOID
 
 # A triangle thinner than this (area against its longest side squared) is rounding; other triangles contain its rim.
 RESIDUE = 1e-13
@@ -75,6 +75,13 @@ def is_residue(nx, ny, nz, ab, ac):
 
 
 @inlined_kernel
+def has_no_area(a, b, c):
+    """Whether the triangle of three points is only rounding."""
+    nx, ny, nz, ab, ac, _ = measure_triangle(a, b, c)
+    return is_residue(nx, ny, nz, ab, ac)
+
+
+@inlined_kernel
 def grow(box, x, y, z):
     """Grow a box (6,) [m] so that it holds the point (x, y, z)."""
     box[0], box[1], box[2] = min(box[0], x), min(box[1], y), min(box[2], z)
@@ -93,7 +100,7 @@ def write_row(corners, plane_of_it, owners, out, at):
     """Write a triangle to row `at` of SurfaceRows.
 
     corners: three points; plane_of_it: (nx, ny, nz, offset), out of the front; owners: the fragment in front, the
-    fragment behind, and the kind, see BodyPool.sides.
+    fragment behind, and kind and void, see BodyPool.sides.
     """
     a, b, c = corners
     triangle, plane = out.triangles[at], out.faces[at]
@@ -102,7 +109,7 @@ def write_row(corners, plane_of_it, owners, out, at):
     triangle[6], triangle[7], triangle[8] = c[0], c[1], c[2]
     plane[0], plane[1], plane[2], plane[3] = plane_of_it
     sides = out.sides[at]
-    sides[FRONT_SIDE], sides[BACK_SIDE], sides[KIND] = owners
+    sides[FRONT_SIDE], sides[BACK_SIDE], sides[KIND], sides[VOID] = owners
 
 
 @inlined_kernel

@@ -132,7 +132,7 @@ class BodyPool(NamedTuple):
     planes: np.ndarray  # (P, 4) float64, unit normal from the edge's first node to its second, offset [m]
     triangles: np.ndarray  # (T, 9) float64 [m] corners, right-handed about the outward normal of `front`
     faces: np.ndarray  # (T, 4) float64 their planes: that unit normal and the offset [m]
-    sides: np.ndarray  # (T, 3) int32 FRONT_SIDE, BACK_SIDE, KIND
+    sides: np.ndarray  # (T, 4) int32 FRONT_SIDE, BACK_SIDE, KIND, VOID
     # the averaged field, rows as node_fragment; no rows under the exact field
     node_field: np.ndarray  # (., 7) float64: d [m] and unit n of Glondu 2014, eq. 1-2; a point [m] certainly not inside
 
@@ -255,7 +255,10 @@ REGION = 8
 PARTED = -1
 FANNED = -2
 # Columns of BodyPool.sides: fragment rows, BACK_SIDE -1 outside the body; KIND is OLD_FACE + k for a piece of face k of
-# a tetrahedron; for a triangle between two fragments it is the face it lies behind.
-FRONT_SIDE, BACK_SIDE, KIND = 0, 1, 2
+# a tetrahedron; for a triangle between two fragments it is the face it lies behind. VOID, of triangles about a hub: the
+# part from the triangle to the node of its face in front has no volume (FRONT_VOID), or that to the node behind it
+# (BACK_VOID).
+FRONT_SIDE, BACK_SIDE, KIND, VOID = 0, 1, 2, 3
+FRONT_VOID, BACK_VOID = 1, 2
 OLD_FACE = 4
 NEVER_BROKEN = np.iinfo(np.int32).min

@@ -32,6 +32,8 @@ LONE, CUT, DIVIDED = 1, 2, 3
 SINGULAR = 1e-6
 # A hub with no more than this barycentric weight off a face is on it.
 ON_FACE = 1e-9
+# A part with no more than this share of a tetrahedron's volume has none.
+NO_VOLUME = 1e-13
 
 # The points of a tetrahedron, numbered: its corners, the crossings of its edges, the points of its faces, its hub.
 CROSSING, FACE_POINT, HUB, POINTS = 4, 10, 14, 15

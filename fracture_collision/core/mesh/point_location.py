@@ -13,14 +13,17 @@ from fracture_collision.core.memory.compiled import inlined_kernel
 from fracture_collision.core.memory.pools import (
     BACK,
     BACK_SIDE,
+    BACK_VOID,
     FRONT,
     FRONT_SIDE,
+    FRONT_VOID,
     KIND,
     LABELS,
     NEVER_BROKEN,
     OWNER,
     PARTED,
     ROW,
+    VOID,
 )
 from fracture_collision.core.mesh.cut_tetrahedron import ON_FACE
 from fracture_collision.core.mesh.occupancy import part_at
@@ -120,7 +123,9 @@ def height(body, row, x, y, z):
 
 @inlined_kernel
 def _side(body, row, x, y, z):
-    return body.sides[row, FRONT_SIDE] if height(body, row, x, y, z) <= 0.0 else body.sides[row, BACK_SIDE]
+    """The owner in a sector of two fragments; its triangle cuts off a corner of the face, in front."""
+    in_front = height(body, row, x, y, z) <= 0.0 and not body.sides[row, VOID] & FRONT_VOID
+    return body.sides[row, FRONT_SIDE] if in_front else body.sides[row, BACK_SIDE]
 
 
 @inlined_kernel
@@ -150,12 +155,21 @@ def _owner_about_hub(pools, f, t, first, x, y, z):
     if row + 1 == last or body.sides[row + 1, KIND] != face:
         return _side(body, row, x, y, z)
     # three fragments about the face point, none over more than half a turn: each owns the wedge behind the half-plane
-    # at its end and beyond the one at its start; on a border, where rounding decides, the least violated wedge wins
+    # at its end and beyond the one at its start; on a border, where rounding decides, the least violated wedge wins.
+    # A wedge without volume owns nothing: all of the plane of its half-planes would be its border.
     first, second, third = height(body, row, x, y, z), height(body, row + 1, x, y, z), height(body, row + 2, x, y, z)
-    lacks, of_second, of_third = _larger(first, -third), _larger(second, -first), _larger(third, -second)
+    lacks = math.inf if _is_void(body, row, row + 2) else _larger(first, -third)
+    of_second = math.inf if _is_void(body, row + 1, row) else _larger(second, -first)
+    of_third = math.inf if _is_void(body, row + 2, row + 1) else _larger(third, -second)
     if of_third < lacks and of_third < of_second:
         return body.sides[row + 2, FRONT_SIDE]
     return body.sides[row, FRONT_SIDE] if lacks <= of_second else body.sides[row + 1, FRONT_SIDE]
+
+
+@inlined_kernel
+def _is_void(body, row, other):
+    """Whether the part between two triangles, in front of `row` and behind `other`, has no volume."""
+    return body.sides[row, VOID] & FRONT_VOID != 0 and body.sides[other, VOID] & BACK_VOID != 0
 
 
 @inlined_kernel

@@ -21,6 +21,7 @@ from fracture_collision.core.memory.pools import FACING
 from fracture_collision.core.mesh.surface_elements import ElementTable
 from fracture_collision.core.pair.crowds import UNSEARCHED, UNSHARED, Overlaps, most_visits, visit_shares
 from fracture_collision.core.pair.pair_search import Geometry, Slot, look_ahead, search_pair
+from fracture_collision.core.search.depth_limits import depth_limit_of_pair
 from fracture_collision.core.search.kept_answer import (
     NOTHING_KEPT,
     KeptAnswer,
@@ -32,7 +33,7 @@ from fracture_collision.core.search.kept_answer import (
 )
 from fracture_collision.core.search.neighbour_lists import NO_LISTS, NeighbourLists, fetch_slot, pair_keys, with_pairs
 from fracture_collision.core.search.scratch import Scratch
-from fracture_collision.core.search.traversal import BY_FURTHER, BY_LIMIT, VisitLimits, depth_limit
+from fracture_collision.core.search.traversal import BY_FURTHER, BY_LIMIT, VisitLimits
 from fracture_collision.core.surfaces.surface_pass import judge_pairs
 from fracture_collision.grouping import begins_of
 
@@ -133,7 +134,7 @@ def _query_share(geometry, step, motion, rule, work, out, own, part):
         pair = put_pair(step, p, scratch.rotation, scratch.translation)
         out.is_ahead[p] = False
         if work.shares[p] == UNSEARCHED:
-            out.bounds[p] = max(depth_limit(pools, pair.a), depth_limit(pools, pair.b))
+            out.bounds[p] = depth_limit_of_pair(pools, pair)
             out.begin[p], out.counts[p], out.visits[p], out.exhausted[p] = used, 0, 0, BY_LIMIT
             continue
         radius = min(pools.fragment.radius[pair.a], pools.fragment.radius[pair.b])

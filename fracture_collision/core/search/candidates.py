@@ -12,19 +12,18 @@ from fracture_collision.core.contacts.contact_choice import (
     is_final,
     keep,
     keep_answer,
-    placed,
     put_chosen,
     way_out_of_box,
 )
 from fracture_collision.core.contacts.deep_choice import choose_deep
-from fracture_collision.core.contacts.known_samples import ask_sample, home_tetrahedron
+from fracture_collision.core.contacts.known_samples import ask_sample, home_tetrahedron, placed
 from fracture_collision.core.field.clearance import DEEP
-from fracture_collision.core.field.elementary_queries import INSIDE, OUTSIDE, bounded_probe, sphere_test
+from fracture_collision.core.field.elementary_queries import INSIDE, OUTSIDE, sphere_test
 from fracture_collision.core.memory.compiled import spliced_kernel
 from fracture_collision.core.memory.pools import LEAF, SAMPLE
 from fracture_collision.core.memory.prefetch import fetch
 from fracture_collision.core.memory.rotations import to_other
-from fracture_collision.core.search.traversal import most_depth
+from fracture_collision.core.search.depth_limits import most_depth
 from fracture_collision.core.separation.leaf_separation import half_spaces
 from fracture_collision.core.tree.sample_leaves import sample_about_middle, worst_of_leaves, worst_of_samples
 
@@ -89,13 +88,9 @@ def ask(pools, side, rule, entry, looked, reached, count, scratch):
     depth is computed later: minus infinity.
     """
     other, sample = side.other, placed(pools, side, entry)
-    point = sample.x, sample.y, sample.z
-    if rule.most > 0:
-        deep = min(sample.deep, rule.epsilon)
-        answer = bounded_probe(pools, other, point, looked, deep, sample.start, reached, scratch)
-    else:
-        answer = ask_sample(pools, other, point, looked, sample.deep, sample.start, reached, scratch)
-    if answer.status != INSIDE and (answer.status == OUTSIDE or answer.distance > rule.near):
+    deep = rule.epsilon if rule.most > 0 else math.inf
+    answer = ask_sample(pools, other, sample, looked, deep, reached, scratch)
+    if answer.status != INSIDE and (answer.status == OUTSIDE or answer.distance >= rule.near):
         return answer.distance, False
     out = way_out_of_box(pools.fragment.box[other], sample.x, sample.y, sample.z)
     most = min(answer.most_depth, sample.deep, out + side.slack)

@@ -48,6 +48,9 @@ NEAR_LAST = -1.0
 PLACE_ROUNDING = 1e-6
 # Initial capacity, in pairs.
 LEAST_ROOM = 64
+UNTURNED = np.eye(3).ravel()
+# Poses, as of keep_pose, of two fragments of one body in their places in the unbroken body.
+IN_PLACE = np.tile(np.append(UNTURNED, np.zeros(3)), (2, 1))
 
 
 class Listing(NamedTuple):

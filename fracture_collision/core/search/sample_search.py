@@ -27,6 +27,7 @@ from fracture_collision.core.search.candidates import (
     keep_for_later,
 )
 from fracture_collision.core.search.neighbour_lists import (
+    IN_PLACE,
     NEAR_LAST,
     OWN,
     UNTIL,
@@ -37,7 +38,7 @@ from fracture_collision.core.search.neighbour_lists import (
     may_be_near,
     see,
 )
-from fracture_collision.core.search.traversal import IN_PLACE, NO_PLANE
+from fracture_collision.core.search.traversal import NO_PLANE
 from fracture_collision.core.separation.leaf_separation import Approach, parting_plane_of_leaves
 from fracture_collision.core.separation.oriented_boxes import box_clearance
 from fracture_collision.core.tree.sample_leaves import leaves_of, sample_about_middle

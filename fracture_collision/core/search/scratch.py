@@ -17,11 +17,9 @@ from fracture_collision.core.mesh.triangle_field import STACK
 from fracture_collision.core.search.neighbour_lists import MOST_AHEAD, PLACE
 from fracture_collision.core.separation.approach import ANY_WAY, WAY
 
-# Limits for spheres: triangles of the other's surface within a sphere's reach, places among them where it touches, and
-# triangles at one point.
+# Limits for spheres: triangles of the other's surface within a sphere's reach, places among them where it touches.
 MOST_WITHIN = 8192
 MOST_PLACES = 1024
-MOST_TOUCHING = 256
 # Capacity of the stack of triangles in a search between samples: one for each halving of the first. After this many
 # halvings no side is as long as a millionth of the first's.
 DEPTH_OF_STACK = 64
@@ -76,7 +74,6 @@ class Scratch(NamedTuple):
     ahead_ridges: np.ndarray  # (MOST_AHEAD, 2) int32: its pairs of ridges, likewise
     stack: np.ndarray  # (STACK,) int32: a descent through a triangle hierarchy
     within: np.ndarray  # (MOST_WITHIN,) int64: triangles within a sphere's reach (sphere_contacts.py)
-    touching: np.ndarray  # (MOST_TOUCHING,) int64: those at one point
     places: Sink  # MOST_PLACES rows: contacts of a sphere that are not chosen yet; row 0: of traversal.query_pair
     kept: Sink  # `nodes` rows: contacts of candidate samples, contact_choice.keep_answer
     ridge_work: RidgeWork
@@ -147,7 +144,6 @@ def make_scratch(tetrahedra: int, nodes: int, ridges: int = 0) -> Scratch:
         ahead_ridges=np.zeros((MOST_AHEAD, 2), dtype=np.int32),
         stack=np.zeros(STACK, dtype=np.int32),
         within=np.zeros(MOST_WITHIN, dtype=np.int64),
-        touching=np.zeros(MOST_TOUCHING, dtype=np.int64),
         places=make_sink(MOST_PLACES),
         kept=make_sink(nodes),
         ridge_work=make_ridge_work(ridges),

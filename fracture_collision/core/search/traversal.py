@@ -19,6 +19,7 @@ import numpy as np
 
 from fracture_collision.core.contacts.deepest_contacts import keep_if_deeper, make_heap, sort_by_sample, sort_heap
 from fracture_collision.core.contacts.known_samples import (
+    Placed,
     ask_sample,
     home_tetrahedron,
     moved_since,
@@ -28,12 +29,13 @@ from fracture_collision.core.contacts.known_samples import (
     share_a_body,
 )
 from fracture_collision.core.contacts.sphere_contacts import sphere_contacts
-from fracture_collision.core.field.elementary_queries import INSIDE, OUTSIDE, least_distance, sphere_test
+from fracture_collision.core.field.elementary_queries import INSIDE, OUTSIDE, sphere_test
 from fracture_collision.core.memory.compiled import inlined_kernel, query_kernel
 from fracture_collision.core.memory.kinds import SPHERE, TRIANGLES, has_faces, is_bounded
 from fracture_collision.core.memory.pools import NONE_BELOW, OWN_SAMPLE, QUEUE, SAMPLE, SIZE, SURFACE
 from fracture_collision.core.memory.rotations import rotated, to_other
-from fracture_collision.core.search.neighbour_lists import displacement, spin
+from fracture_collision.core.search.depth_limits import depth_limit, most_depth
+from fracture_collision.core.search.neighbour_lists import IN_PLACE, UNTURNED, displacement, spin
 from fracture_collision.core.separation.hull_separation import hull_of, parting_plane
 from fracture_collision.core.separation.oriented_boxes import box_clearance, way_between
 
@@ -42,7 +44,6 @@ ENTRY, SIDE, NEXT_CHILD, STATUS = 0, 1, 2, 3
 # columns of scratch.node_float: the node's point in the other's frame, then an upper bound of its depth
 DEPTH = 3
 UNTESTED = -1
-UNTURNED = np.eye(3).ravel()
 NO_PLANE = (0.0, 0.0, 0.0, 0.0)
 # How a search ended: complete; cut short by a limit on visits or contacts; cut short by the limit on further visits,
 # those after a pair has the contacts wanted.
@@ -50,26 +51,6 @@ COMPLETE, BY_LIMIT, BY_FURTHER = 0, 1, 2
 # Minimum number of triangles searched for a sphere's contacts, even if fewer further visits are left.
 LEAST_WITHIN = 32
 UNKNOWN = 3  # in addition to INSIDE, NEAR, OUTSIDE: not tested, because no depth it can have would count
-# Poses, as of neighbour_lists.keep_pose, of two fragments of one body in their places in the unbroken body.
-IN_PLACE = np.tile(np.append(UNTURNED, np.zeros(3)), (2, 1))
-
-
-@inlined_kernel
-def depth_limit(pools, f):
-    """No point of fragment f is deeper than half its box's shortest side [m]."""
-    b = pools.fragment.box[f]
-    return 0.5 * min(b[3] - b[0], b[4] - b[1], b[5] - b[2])
-
-
-@inlined_kernel
-def most_depth(pools, other, x, y, z, plane):
-    """A cheap upper bound [m] of the depth of a point in `other`, which lies behind `plane`.
-
-    plane: unit normal and offset [m], see Approach.
-    """
-    least = least_distance(pools, other, x, y, z)
-    beyond = plane[0] * x + plane[1] * y + plane[2] * z - plane[3]
-    return -max(least, beyond) if beyond > 0.0 else -least
 
 
 class VisitLimits(NamedTuple):
@@ -183,29 +164,31 @@ def query_pair(pools, pair, rule, limits, sink, scratch):
                         bound = max(bound, node_point[k, DEPTH])
                     elif -node_point[k, DEPTH] <= near:
                         full, leaf = count < m, end == entry + 1
-                        sample = tree.entries[entry, SAMPLE]
-                        start = np.int64(home_tetrahedron(pools, other, sample) if one_body else -1)
-                        # one body: searching as far as it has moved is enough, and fast
-                        deep = moved + slack if one_body else math.inf if full else epsilon
+                        number = np.int64(tree.entries[entry, SAMPLE])
+                        start = np.int64(home_tetrahedron(pools, other, number) if one_body else -1)
+                        sample = Placed(number, x, y, z, start, moved, moved + slack)
+                        deep = math.inf if full or one_body else epsilon
                         # with m contacts, a sample outside counts only for the branch below it, however near
                         outside = 0.0 if leaf and not full else near
-                        answer = ask_sample(pools, other, (x, y, z), outside, deep, start, leaf, scratch)
+                        answer = ask_sample(pools, other, sample, outside, deep, leaf, scratch)
+                        if answer.distance == -math.inf:
+                            answer = ask_sample(pools, other, sample, outside, math.inf, True, scratch)
                         status, most = answer.status, answer.most_depth
                         if status != OUTSIDE:
                             if full or -answer.distance > epsilon:
                                 if count < min(capacity, limit):
-                                    put_contact(sink, count, np.int64(side), np.int64(sample), (x, y, z), answer)
+                                    put_contact(sink, count, np.int64(side), number, (x, y, z), answer)
                                 elif capacity >= limit:
                                     if count == limit:
                                         make_heap(contacts, ids, limit)
-                                    put_contact(spare, 0, np.int64(side), np.int64(sample), (x, y, z), answer)
+                                    put_contact(spare, 0, np.int64(side), number, (x, y, z), answer)
                                     lost = keep_if_deeper(contacts, ids, limit, spare.contacts[0], spare.ids[0])
                                     dropped = max(dropped, lost)
-                                deeper_by = max(deeper_by, most + answer.distance)
+                                deeper_by = max(deeper_by, min(most, sample.deep) + answer.distance)
                                 count += 1
                                 m = max(m, count)
                             else:
-                                bound = max(bound, most)
+                                bound = max(bound, min(most, sample.deep))
                         node_point[k, DEPTH] = min(most, depth_limit(pools, other))
                     node[k, STATUS] = status
                 head += 1

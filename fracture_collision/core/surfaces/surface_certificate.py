@@ -21,8 +21,7 @@ from fracture_collision.core.memory.kinds import TETRAHEDRA
 from fracture_collision.core.memory.rotations import rotated, to_other
 from fracture_collision.core.mesh.occupancy import sphere_may_touch
 from fracture_collision.core.mesh.surface_elements import count_triangles, put_triangle
-from fracture_collision.core.search.neighbour_lists import displacement
-from fracture_collision.core.search.traversal import IN_PLACE
+from fracture_collision.core.search.neighbour_lists import IN_PLACE, displacement
 from fracture_collision.core.separation.leaf_separation import parting_plane_of_leaves
 from fracture_collision.core.surfaces.surface_avoidance import (
     gather_near,

@@ -9,16 +9,17 @@ import numpy as np
 
 from fracture_collision.core.contacts.contact_choice import Rule
 from fracture_collision.core.contacts.contact_places import make_world_contacts, put_in_world
-from fracture_collision.core.memory.compiled import kernel, threaded_kernel
+from fracture_collision.core.memory.compiled import kernel, query_kernel, threaded_kernel
 from fracture_collision.core.memory.crew import Crew
 from fracture_collision.core.memory.kinds import WITH_FACES
 from fracture_collision.core.memory.pair import Sink, Step, put_pair
 from fracture_collision.core.memory.pools import Pools
 from fracture_collision.core.memory.rotations import turned_back
 from fracture_collision.core.mesh.surface_elements import ElementTable
+from fracture_collision.core.search.depth_limits import depth_limit_of_pair
 from fracture_collision.core.search.kept_answer import PairContacts
 from fracture_collision.core.search.scratch import Scratch
-from fracture_collision.core.search.traversal import BY_LIMIT, COMPLETE, depth_limit
+from fracture_collision.core.search.traversal import BY_LIMIT, COMPLETE
 from fracture_collision.core.surfaces.surface_certificate import NOBODY, judge_surfaces
 from fracture_collision.core.surfaces.surface_contact import put_surface_contact
 from fracture_collision.grouping import begins_of
@@ -58,7 +59,7 @@ def judge_pairs(
     bounds, exhausted = found.bounds.copy(), found.exhausted.copy()
     between = Between(np.zeros(p, np.bool_), Sink(np.empty((p, 10)), np.empty((p, 5), np.int64)), np.zeros(p, np.int64))
     is_open = is_free[todo] & (found.exhausted[todo] == COMPLETE)
-    _bound_by_thickness(pools, rows, pairs, todo[~is_open], bounds)
+    _bound_by_thickness(pools, step, todo[~is_open], bounds, scratch[0])
     todo = todo[is_open]
     if len(todo):
         table = elements.of(pools, np.unique(rows[pairs[todo]]))
@@ -66,7 +67,7 @@ def judge_pairs(
         crew.share(_judge_share, (pools, table), step, todo, rule, known, judged, own=scratch)
     cut = np.flatnonzero(bounds == np.inf)
     bounds[cut] = found.bounds[cut]
-    _bound_by_thickness(pools, rows, pairs, cut, bounds)
+    _bound_by_thickness(pools, step, cut, bounds, scratch[0])
     visits = found.visits + between.asked
     if not between.has_contact.any():
         return found._replace(bounds=bounds, visits=visits, exhausted=exhausted)
@@ -77,12 +78,12 @@ def judge_pairs(
     return PairContacts(counts, bounds, visits, exhausted, *columns)
 
 
-@kernel
-def _bound_by_thickness(pools, rows, pairs, todo, bounds):
+@query_kernel
+def _bound_by_thickness(pools, step, todo, bounds, scratch):
     """Set bounds for the surfaces of pairs that are not searched."""
     for p in todo:
-        a, b = rows[pairs[p, 0]], rows[pairs[p, 1]]
-        bounds[p] = max(bounds[p], depth_limit(pools, a), depth_limit(pools, b))
+        pair = put_pair(step, p, scratch.rotation, scratch.translation)
+        bounds[p] = max(bounds[p], depth_limit_of_pair(pools, pair))
 
 
 @threaded_kernel

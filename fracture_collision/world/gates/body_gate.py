@@ -17,6 +17,7 @@ from fracture_collision.core.bodies.prepared import (
 from fracture_collision.core.mesh.connected_pieces import connected_pieces
 from fracture_collision.core.mesh.tet_mesh import build_tet_mesh
 from fracture_collision.geometry.tetrahedra import (
+    FACE_VERTICES,
     boundary_triangles,
     tetrahedron_volumes,
     unique_edges,
@@ -209,6 +210,27 @@ def _primitive(kind: int, dimensions: np.ndarray) -> tuple[float, np.ndarray | N
     return (float(dimensions[0]), None) if kind == SPHERE else (0.0, dimensions / 2.0)
 
 
+def _check_faces(tetrahedra: np.ndarray) -> None:
+    """Raise InvalidMessage unless each face belongs to one tetrahedron, or to two on either side; volumes > 0."""
+    faces = tetrahedra[:, FACE_VERTICES].reshape(-1, 3)  # counter-clockwise from outside
+    kinds, place, uses = np.unique(np.sort(faces, axis=1), axis=0, return_inverse=True, return_counts=True)
+    place = place.ravel()
+    if uses.max() > 2:
+        face = "-".join(map(str, kinds[uses.argmax()]))
+        refuse("bad_mesh", f"tetrahedra: the face {face} belongs to {uses.max()} tetrahedra, not 1 or 2; some overlap")
+    first, second, third = faces.T
+    turn = np.where((first < second) ^ (second < third) ^ (third < first), 1, -1)
+    folded = np.flatnonzero(np.abs(np.bincount(place, turn)) > 1)
+    if len(folded):
+        face = "-".join(map(str, kinds[folded[0]]))
+        one, other = np.flatnonzero(place == folded[0]) // 4
+        refuse(
+            "bad_mesh",
+            f"tetrahedra: tetrahedra {one} and {other} lie on the same side of their face {face}, so they overlap "
+            f"({len(folded)} of {len(kinds)} faces are folded); move a vertex across, or mesh the body again",
+        )
+
+
 def _check_tetrahedra(vertices: np.ndarray, tetrahedra: np.ndarray, triangles: np.ndarray) -> None:
     unused = np.flatnonzero(np.bincount(tetrahedra.ravel(), minlength=len(vertices)) == 0)
     if len(unused):
@@ -228,11 +250,7 @@ def _check_tetrahedra(vertices: np.ndarray, tetrahedra: np.ndarray, triangles: n
         else:
             what, advice = "flat", "leave it out, or mesh the body again"
         refuse("bad_mesh", f"tetrahedra: tetrahedron {bad[0]} is {what} (volume {volumes[bad[0]]:.3g} m3); {advice}")
-    faces = np.sort(tetrahedra[:, [[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]]].reshape(-1, 3), axis=1)
-    kinds, uses = np.unique(faces, axis=0, return_counts=True)
-    if uses.max() > 2:
-        face = "-".join(map(str, kinds[uses.argmax()]))
-        refuse("bad_mesh", f"tetrahedra: the face {face} belongs to {uses.max()} tetrahedra, not 1 or 2; some overlap")
+    _check_faces(tetrahedra)
     pieces = connected_pieces(unique_edges(tetrahedra), np.zeros(len(vertices), np.int64))
     if pieces.max() > 0:
         refuse("bad_mesh", f"tetrahedra: the mesh falls into {pieces.max() + 1} pieces; each needs a body of its own")
