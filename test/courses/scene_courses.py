@@ -27,7 +27,7 @@ def digests(names: list[str]) -> Iterator[tuple[str, str]]:
         what = load_scene(scene)
         if curvature:
             what = with_curvature(what, float(curvature))
-        with SceneRun(what, Settings(threads=1), None, False) as run:
+        with SceneRun(what, Settings(threads=1, lookahead=what.time_step), None, False) as run:
             for _ in run:
                 pass
         yield name, run.report()["digest"]

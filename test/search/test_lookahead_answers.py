@@ -11,7 +11,9 @@ from worlds.thrown_fragments import AHEAD, CASES, SETTINGS, later, rows_of, thro
 
 from fracture_collision.core.pair import narrow_phase
 from fracture_collision.geometry.generators import brick
-from fracture_collision.records import SPHERE, CollisionBody, FragmentStates, SolidPrimitive
+from fracture_collision.lockstep import Lockstep
+from fracture_collision.records import SPHERE, CollisionBody, FractureEvent, FragmentStates, SolidPrimitive
+from fracture_collision.simulation.scene.scene import load_scene
 from fracture_collision.world import CollisionWorld, InvalidMessage, Settings
 
 
@@ -73,6 +75,27 @@ def test_the_answer_does_not_depend_on_neighbour_lists_or_threads(case: Fracture
         for other in answers[1:]:
             for name, x, y in zip(other._fields, answers[0], other, strict=True):
                 assert np.asarray(x).tobytes() == np.asarray(y).tobytes(), (k, name)
+
+
+@pytest.mark.parametrize(("name", "first", "last"), [("vase", 430, 470), ("bricks", 60, 100)])
+def test_each_answer_of_a_course_is_that_of_a_world_without_memory(name: str, first: int, last: int) -> None:
+    """Pairs that come near within the step, but no deeper than epsilon, were listed or not by what was remembered."""
+    scene = load_scene(name)
+    settings = Settings(threads=1, lookahead=scene.time_step)
+    slow = CollisionWorld(settings._replace(neighbour_lists=False))
+    events: list[FractureEvent] = []
+    with Lockstep(scene, settings) as run:
+        for body in run.simulation.start_bodies():
+            slow.add_body(body)
+        for _ in range(last):
+            states, contacts, _, report, _ = run.step()
+            if states.step >= first:
+                for event in events:
+                    slow.add_fracture(event)
+                events.clear()
+                for field, x, y in zip(contacts._fields, contacts, slow.contacts(states), strict=True):
+                    assert np.asarray(x).tobytes() == np.asarray(y).tobytes(), (states.step, field)
+            events += report.events
 
 
 def test_a_brick_rotating_above_a_floor_gets_contacts() -> None:

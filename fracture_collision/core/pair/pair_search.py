@@ -176,8 +176,11 @@ def _left_of(geometry, pair, rule, listing, count, scratch):
 def look_ahead(geometry, pair, moving, rule, found, slot, sink, scratch):
     """Search the time ahead for contacts of the two fragments of a Moving, after the `found` of now.
 
-    The contacts are written to the Sink after those found now. Returns (the Found of both, whether any was added). It
-    runs its own searches: remembered state cannot change its result.
+    The contacts are written to the Sink after those found now. Returns (the Found of both, whether any was added).
+
+    It runs its own searches. What is remembered (the clearance of lists, a separating direction) may only prove that a
+    pair never comes near: that is true whatever proved it. That a pair comes near but no deeper than epsilon must be
+    proved from this step alone: the search lists such a pair where its own proof fails.
     """
     pools, edges = geometry.pools, geometry.edges
     i, j, _, _, motion = moving
@@ -186,8 +189,12 @@ def look_ahead(geometry, pair, moving, rule, found, slot, sink, scratch):
     # where contacts have to be chosen, our rule does it
     ahead = Rule(rule.wanted, max(rule.most, rule.wanted), rule.epsilon, rule.near, rule.limit)
     toward = scratch.toward
+    is_settled = False
     if count == 0:
-        clear = max(clear, between_balls(motion, i, j) - rule.near)
+        closes = closing_speed(motion, i, j, 0.0, motion.time) * motion.time
+        between = between_balls(motion, i, j)
+        is_settled = closes <= clear or closes <= between + rule.epsilon
+        clear = max(clear, between - rule.near)
         if slot.row >= 0:
             toward = slot.lists.toward[slot.row]
         else:
@@ -195,9 +202,9 @@ def look_ahead(geometry, pair, moving, rule, found, slot, sink, scratch):
     is_ahead = False
     if not (
         count != 0
-        or closing_speed(motion, i, j, 0.0, motion.time) * motion.time <= clear + rule.near + rule.epsilon
+        or is_settled
         or boxes_stay_apart(pools, pair, moving, -rule.epsilon)
-        or hulls_stay_apart(pools, pair, moving, -rule.epsilon, toward, scratch)
+        or hulls_stay_apart(pools, pair, moving, rule.near, toward, scratch)
     ):
         count, moment, more, unseen = first_touch(pools, edges, pair, moving, (0.0, 0), ahead, sink, scratch)
         visits += more
