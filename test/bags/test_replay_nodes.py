@@ -82,12 +82,10 @@ class Recording:
 
 
 def test_nodes_record_the_same_as_the_library(tmp_path: Path) -> None:
-    """Bodies, events, states and contacts byte for byte, and the settings given to the service.
-
-    The simulator sets the lookahead, before the first states: to a recording that is no change.
-    """
+    """Bodies, events, states and contacts byte for byte, and the settings given to the service."""
     settings = Settings(contacts_per_pair=6, penetration_tolerance=0.003, threads=1, lookahead=0.0025)
-    recording = Recording(tmp_path, "pane", {"contacts_per_pair": 6, "penetration_tolerance": 0.003, "threads": 1})
+    given = {"contacts_per_pair": 6, "penetration_tolerance": 0.003, "threads": 1, "lookahead": 0.0025}
+    recording = Recording(tmp_path, "pane", given)
     try:
         assert recording.simulator.wait(PATIENCE) == 0
         await_(lambda: recorded_settings(recording.bag) is not None, "the settings")
@@ -125,7 +123,9 @@ def test_a_killed_recorder_leaves_a_readable_bag(tmp_path: Path) -> None:
     metadata = yaml.safe_load((bag / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
     assert 0 < metadata["message_count"] <= sum(counts.values())
     assert json.loads(metadata["custom_data"]["collision_settings"])["threads"] == 1
-    steps = replayed(read_runs(bag), Order(end=60), **settings_of(bag, {"threads": 1}).settings._asdict())
+    settings = settings_of(bag, {"threads": 1}).settings
+    assert settings.lookahead == 0.0025
+    steps = replayed(read_runs(bag), Order(end=60), **settings._asdict())
     assert steps.exact and steps.steps > 30
 
     command = [sys.executable, "-m", "fracture_collision.cli"]
@@ -141,7 +141,7 @@ def test_a_killed_recorder_leaves_a_readable_bag(tmp_path: Path) -> None:
     data = file.read_bytes()
     (half / file.name).write_bytes(data[: len(data) - 1000])
     assert "bytes cannot be read" in " ".join(missing_words(half))
-    assert replayed(read_runs(half), Order(end=20)).exact
+    assert replayed(read_runs(half), Order(end=20), **settings._asdict()).exact
 
     for damaged in (bag, half):
         before = list(read_messages(damaged))
