@@ -24,8 +24,6 @@ KERNELS: dict[str, frozenset[str]] = {
         "fracture_collision/core/mesh/closest_point.py: closest_on_triangle",
         "fracture_collision/core/mesh/closest_point.py: triangle_normal",
         "fracture_collision/core/mesh/moments.py: add_row",
-        "fracture_collision/core/mesh/moments.py: add_tetrahedron",
-        "fracture_collision/core/mesh/moments.py: tetrahedron_terms",
     }),
     "one loop whose state is a dozen numbers that each iteration changes": frozenset({
         "fracture_collision/core/lookahead/first_touch.py: first_touch",

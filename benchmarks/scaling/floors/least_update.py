@@ -255,11 +255,12 @@ def _sums(tetrahedra, edges, moments, nodes, shares, parts, sums):
         o, a, b, c = nodes[v[0]], nodes[v[1]], nodes[v[2]], nodes[v[3]]
         p, q, r = abs(shares[edges[t, 0]]), abs(shares[edges[t, 1]]), abs(shares[edges[t, 2]])
         m = tetrahedron_terms(
-            o[0], o[1], o[2],
-            o[0] + p * (a[0] - o[0]), o[1] + p * (a[1] - o[1]), o[2] + p * (a[2] - o[2]),
-            o[0] + q * (b[0] - o[0]), o[1] + q * (b[1] - o[1]), o[2] + q * (b[2] - o[2]),
-            o[0] + r * (c[0] - o[0]), o[1] + r * (c[1] - o[1]), o[2] + r * (c[2] - o[2]),
-        )  # fmt: skip
+            o,
+            (o[0] + p * (a[0] - o[0]), o[1] + p * (a[1] - o[1]), o[2] + p * (a[2] - o[2])),
+            (o[0] + q * (b[0] - o[0]), o[1] + q * (b[1] - o[1]), o[2] + q * (b[2] - o[2])),
+            (o[0] + r * (c[0] - o[0]), o[1] + r * (c[1] - o[1]), o[2] + r * (c[2] - o[2])),
+            (0.0, 0.0, 0.0),
+        )
         rest = sums[parts[v[3]]]
         w = moments[t]
         add_row(row, m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8], m[9])

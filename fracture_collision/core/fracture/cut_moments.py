@@ -24,7 +24,7 @@ def add_sides(mesh, t, work, side, pair, broken, moments, has_section):
         nx, ny, nz, _, _, _ = measure_triangle(a, b, c)
         if not nx * (d[0] - a[0]) + ny * (d[1] - a[1]) + nz * (d[2] - a[2]) > 0.0:
             b, c = c, b
-        m = _terms(mesh.grid[broken.mesh], a, b, c, d)
+        m = tetrahedron_terms(a, b, c, d, mesh.grid[broken.mesh])
         s0, s1, s2, s3, s4 = s0 + m[0], s1 + m[1], s2 + m[2], s3 + m[3], s4 + m[4]
         s5, s6, s7, s8, s9 = s5 + m[5], s6 + m[6], s7 + m[7], s8 + m[8], s9 + m[9]
     w = mesh.moments[t]
@@ -53,15 +53,5 @@ def add_parts(mesh, work, pattern, broken, moments):
         label = work.labels[row[3]]
         if broken.first <= label < broken.end:
             a, b, c = points[row[0]], points[row[1]], points[row[2]]
-            m = _terms(mesh.grid[broken.mesh], o, a, b, c)
+            m = tetrahedron_terms(o, a, b, c, mesh.grid[broken.mesh])
             add_row(moments[label], m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8], m[9])
-
-
-@inlined_kernel
-def _terms(grid, o, a, b, c):
-    """tetrahedron_terms of four points about the origin of a mesh's grid, a row of MeshPool.grid."""
-    x, y, z = grid[0], grid[1], grid[2]
-    return tetrahedron_terms(
-        o[0] - x, o[1] - y, o[2] - z, a[0] - x, a[1] - y, a[2] - z, b[0] - x, b[1] - y, b[2] - z, c[0] - x, c[1] - y,
-        c[2] - z,
-    )  # fmt: skip

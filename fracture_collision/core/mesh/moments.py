@@ -18,27 +18,32 @@ from fracture_collision.core.memory.compiled import inlined_kernel, kernel, quer
 def tetrahedron_moments(corners: np.ndarray, origin: np.ndarray) -> np.ndarray:
     """Moment rows (m, 10) about `origin` (3,) [m] of tetrahedra given by `corners` (m, 4, 3) [m]."""
     rows = np.zeros((len(corners), 10))
-    _tetrahedra_moments(np.ascontiguousarray(corners - origin), rows)
+    _tetrahedra_moments(np.ascontiguousarray(corners), np.ascontiguousarray(origin), rows)
     return rows
 
 
 @kernel
-def _tetrahedra_moments(corners, rows):
+def _tetrahedra_moments(corners, origin, rows):
     for t in range(len(corners)):
         c = corners[t]
-        add_tetrahedron(
-            c[0, 0], c[0, 1], c[0, 2], c[1, 0], c[1, 1], c[1, 2],
-            c[2, 0], c[2, 1], c[2, 2], c[3, 0], c[3, 1], c[3, 2], rows[t],
-        )  # fmt: skip
+        add_tetrahedron(c[0], c[1], c[2], c[3], origin, rows[t])
 
 
 @inlined_kernel
-def tetrahedron_terms(ox, oy, oz, ax, ay, az, bx, by, bz, cx, cy, cz):
-    """The signed moment row of the tetrahedron (o, a, b, c), ten numbers, about the origin of these coordinates."""
-    ux, uy, uz = ax - ox, ay - oy, az - oz
-    vx, vy, vz = bx - ox, by - oy, bz - oz
-    wx, wy, wz = cx - ox, cy - oy, cz - oz
+def tetrahedron_terms(o, a, b, c, origin):
+    """The signed moment row about `origin` of the tetrahedron (o, a, b, c), ten numbers; all are points (3,) [m].
+
+    The volume is that of the points as they are: relative to an origin they would be rounded by its distance, which is
+    not small beside the thickness of a thin body.
+    """
+    ux, uy, uz = a[0] - o[0], a[1] - o[1], a[2] - o[2]
+    vx, vy, vz = b[0] - o[0], b[1] - o[1], b[2] - o[2]
+    wx, wy, wz = c[0] - o[0], c[1] - o[1], c[2] - o[2]
     volume = (ux * (vy * wz - vz * wy) + uy * (vz * wx - vx * wz) + uz * (vx * wy - vy * wx)) / 6.0
+    ox, oy, oz = o[0] - origin[0], o[1] - origin[1], o[2] - origin[2]
+    ax, ay, az = a[0] - origin[0], a[1] - origin[1], a[2] - origin[2]
+    bx, by, bz = b[0] - origin[0], b[1] - origin[1], b[2] - origin[2]
+    cx, cy, cz = c[0] - origin[0], c[1] - origin[1], c[2] - origin[2]
     sx, sy, sz = ox + ax + bx + cx, oy + ay + by + cy, oz + az + bz + cz
     k = volume / 20.0
     return (
@@ -65,9 +70,9 @@ def add_row(row, s0, s1, s2, s3, s4, s5, s6, s7, s8, s9):
 
 
 @query_kernel
-def add_tetrahedron(ox, oy, oz, ax, ay, az, bx, by, bz, cx, cy, cz, row):
-    """Add the signed moments of the tetrahedron (o, a, b, c) to `row` (10,)."""
-    m = tetrahedron_terms(ox, oy, oz, ax, ay, az, bx, by, bz, cx, cy, cz)
+def add_tetrahedron(o, a, b, c, origin, row):
+    """Add the signed moments about `origin` of the tetrahedron (o, a, b, c) to `row` (10,)."""
+    m = tetrahedron_terms(o, a, b, c, origin)
     add_row(row, m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8], m[9])
 
 
@@ -76,16 +81,16 @@ def surface_moments(corners: np.ndarray, origin: np.ndarray) -> np.ndarray:
 
     The divergence theorem: the tetrahedra over all triangles with one common apex add up to the solid.
     """
-    row, corners = np.zeros(10), corners - origin
+    row = np.zeros(10)
     apex = 0.5 * (corners.min(axis=(0, 1)) + corners.max(axis=(0, 1)))
-    _pyramid_moments(apex, np.ascontiguousarray(corners).reshape(-1, 9), row)
+    _pyramid_moments(apex, np.ascontiguousarray(corners), np.ascontiguousarray(origin), row)
     return row
 
 
 @kernel
-def _pyramid_moments(o, triangles, row):
+def _pyramid_moments(apex, triangles, origin, row):
     for p in triangles:
-        add_tetrahedron(o[0], o[1], o[2], p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8], row)
+        add_tetrahedron(apex, p[0], p[1], p[2], origin, row)
 
 
 def mass_properties(
