@@ -207,10 +207,16 @@ class CollisionWorld:
         return self._registry.record()
 
     def fragment_mesh(self, fragment_id: int) -> FragmentMesh:
-        """Surface of a fragment that `fragments` lists, for viewers. Raises InvalidMessage for any other id."""
+        """Surface of a fragment for viewers: one that lives at the last states, or that `fragments` lists.
+
+        Raises InvalidMessage for any other id.
+        """
         number = identifier("fragment_id", fragment_id)
-        self._advance_to_news()
+        self._advance(self._registry.sequence)
         row = self._registry.row_of(number)
+        if row is None:
+            self._advance_to_news()
+            row = self._registry.row_of(number)
         if row is None:
             refuse("unknown_id", f"fragment_id: no living fragment {number}")
         return fragment_mesh(number, self._registry.geometry, row)

@@ -43,6 +43,10 @@ def test_new_fragments_are_there_right_after_their_event() -> None:
     world.add_fracture(SECOND)
     assert world.fragments().fragment_ids.tolist() == [2, 3, 4, 10, 12, 13]
     assert len(world.fragment_mesh(12).vertices) > 0
+    world = made_world()
+    world.add_fracture(SECOND)
+    assert len(world.fragment_mesh(11).vertices) > 0, "it lives at the last states, until something newer is wanted"
+    assert len(world.fragment_mesh(12).vertices) > 0
     world.contacts(EARLIER)
     assert world.fragments().fragment_ids.tolist() == [1, 2, 3, 4], "those of the states, once there were any"
 
