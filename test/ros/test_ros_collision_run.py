@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from fracture_collision.msg import CollisionBody as CollisionBodyMessage
 from fracture_collision.msg import FractureEvent as FractureEventMessage
 
 from fracture_collision.geometry.generators import brick
@@ -199,6 +200,10 @@ def test_an_undecodable_event_is_known_by_its_sequence() -> None:
         place = place_in_log(bytes(damaged), FractureEventMessage)
         assert (place.run_id, place.record.sequence) == (7, 2)
     assert place_in_log(bytes(data[:20]), FractureEventMessage) is None
+    body = serialize_record(ground()._replace(sequence=9), heading(1.5), 7)
+    place = place_in_log(body[:200], CollisionBodyMessage)
+    assert (place.run_id, place.record.sequence) == (7, 9)
+    assert place_in_log(b"not plain CDR at all", CollisionBodyMessage) is None
     run = ready_run()
     run.reject_fracture(2, "too long")
     assert run.rejected_event == "" and run.answer(STATES) is None  # event 1 may still arrive

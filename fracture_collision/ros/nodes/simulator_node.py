@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
+from rcl_interfaces.srv import SetParameters
 from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.parameter_client import AsyncParameterClient
 from rclpy.publisher import Publisher
 from rclpy.task import Future
 
@@ -92,8 +92,8 @@ class SimulatorNode(Node):
             if given["publish_clock"]
             else None
         )
-        self._service = AsyncParameterClient(self, COLLISION_NODE)
-        self._lookahead = RepeatedRequest(self._service.services_are_ready)
+        self._service = self.create_client(SetParameters, f"{COLLISION_NODE}/set_parameters")
+        self._lookahead = RepeatedRequest(self._service.service_is_ready)
         self._contacts_topic = self.resolve_topic_name(qos.CONTACT_CONSTRAINTS.name)  # it may be remapped
         for topic, callback, raw in (
             (qos.CONTACT_CONSTRAINTS, self._on_contacts, True),
@@ -180,9 +180,10 @@ class SimulatorNode(Node):
         """Sets the service's lookahead to the time step, before states that count on it."""
         if not self._looks_ahead or not self._states.subscriber_count:
             return
-        wanted = [Parameter("lookahead", value=self._simulation.time_step)]
+        lookahead = Parameter("lookahead", value=self._simulation.time_step).to_parameter_msg()
+        wanted = SetParameters.Request(parameters=[lookahead])
         answers: list[Future] = []
-        self._lookahead.begin(lambda: self._service.set_parameters(wanted), answers.append)
+        self._lookahead.begin(lambda: self._service.call_async(wanted), answers.append)
         deadline = time.monotonic() + PARAMETER_PATIENCE
         while not answers and time.monotonic() < deadline:
             executor.spin_once(timeout_sec=LOOK_INTERVAL)

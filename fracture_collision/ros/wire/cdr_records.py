@@ -7,6 +7,7 @@ creates a Python object of some hundred bytes for each point of a primitive's po
 from __future__ import annotations
 
 import importlib
+from collections import namedtuple
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -29,24 +30,24 @@ def deserialize_record(data: bytes, message_class: Any) -> Received:
     return _codec(message_class).read(data)
 
 
-class Place(NamedTuple):
-    """The place of a message of the log, a CollisionBody or FractureEvent, among those of its topic."""
-
-    sequence: int
-
-
 def place_in_log(data: bytes, message_class: Any) -> Received | None:
-    """The run and Place of a serialized message of the log; None if these cannot be read.
+    """The run and `sequence` of a serialized CollisionBody or FractureEvent; None if these cannot be read.
 
-    For messages that are too long or damaged farther on.
+    For messages that are too long or damaged farther on: the record has the fields up to `sequence` alone.
     """
-    layout = layout_of(message_class)
-    first = layout[: 1 + [name for name, _ in layout].index("sequence")]
-    codec = Codec(Place, first, lambda kind: layout_of(nested_class(kind)))
     try:
-        return codec.read(data[:_LEADING_BYTES])
+        return _beginning(message_class).read(data[:_LEADING_BYTES])
     except ValueError:
         return None
+
+
+@cache
+def _beginning(message_class: Any) -> Codec:
+    layout = layout_of(message_class)
+    first = layout[: 1 + [name for name, _ in layout].index("sequence")]
+    fields = [name for name, _ in first if name not in ("header", "run_id")]
+    record_class = namedtuple("Beginning", fields)  # type: ignore[misc]
+    return Codec(record_class, first, lambda kind: layout_of(nested_class(kind)))
 
 
 def layout_of(message_class: Any) -> Layout:
