@@ -79,6 +79,23 @@ def test_states_are_held_until_their_bodies_and_events_arrive(service: NodeProce
     assert client.answers[0].step == STATES.step and len(client.answers[0].gaps) > 0
 
 
+def test_states_that_do_not_say_which_bodies_precede_them_are_answered_with_one_warning(
+    service: NodeProcess, client: ServiceClient
+) -> None:
+    client.await_service()
+    client.publish("bodies", ground()._replace(sequence=1), RUN)
+    client.publish("bodies", breakable_body()._replace(sequence=2), RUN)
+    early = STATES._replace(fracture_sequence=0, fragment_ids=np.array([1]), positions=np.array([0.0, 0.0, 0.24]))
+    early = early._replace(orientations=np.array([0.0, 0.0, 0.0, 1.0]))
+    assert len(client.ask(early._replace(body_sequence=2), RUN)) > 0
+    assert len(client.ask(early._replace(step=6), RUN)) > 0
+    answers = "fracture_collision: answers"
+    client.spin_until(lambda: "have no body_sequence" in client.diagnostics.get(answers, ""), "a warning")
+    client.spin_until(lambda: client.diagnostics[answers] == "ready", "only once")
+    assert client.details[answers]["states name the bodies before them"] == "False"
+    assert service.log_text().count("have no body_sequence") == 1
+
+
 @pytest.mark.parametrize("how", ["a field", "its size", "its bytes"])
 def test_a_rejected_event_blocks_nothing_for_ever(how: str, service: NodeProcess, client: ServiceClient) -> None:
     """States that need it are rejected at once; the corrected event also applies the events that arrived meanwhile."""

@@ -125,7 +125,7 @@ def test_the_search_finds_the_contacts_of_the_tree(shape, jitter) -> None:
 def test_listed_contacts_follow_the_selection_rule(shape, jitter, wanted, most, monkeypatch) -> None:
     body, curved = SHAPES[shape]
     case = fractured_world(body, 7, curved=curved)
-    settings = Settings(threads=1, normals="nearest")
+    settings = Settings(threads=1, surfaces="sampled", normals="nearest")
     radius = float(case.geometry.pools.fragment.radius[0])
     some = with_settings(case, settings._replace(contacts_per_pair=wanted, deep_contacts_per_pair=most))
     all_of_them = with_settings(case, settings._replace(contacts_per_pair=EVERY, selection="complete"))

@@ -62,6 +62,7 @@ class CollisionNode(Node):
         self._replaced_states = 0  # held ones that newer ones replaced
         self._refusals = RefusalCounts()
         self._settings_since = "the start"
+        self._warning = ""  # for the next message on /diagnostics
         self._without_effect: list[str] = []  # parameters, described
 
         self._neighbours = make_neighbours(self)
@@ -221,9 +222,10 @@ class CollisionNode(Node):
             return
         if contacts is not None:
             self._held = None
-            if not states.body_sequence and not self._run.warned:
-                self._run.warned = True
-                self._note(Refusal(qos.FRAGMENT_STATES.name, "no_body_sequence", NO_BODY_SEQUENCE))
+            if not states.body_sequence and not self._run.lacks_body_sequence:
+                self._run.lacks_body_sequence = True
+                self._warning = NO_BODY_SEQUENCE
+                self.get_logger().warning(NO_BODY_SEQUENCE)
             self._answers.publish(self._run, heading, states, contacts, time.perf_counter() - started)
 
     # --- diagnostics -----------------------------------------------------------------------------------------------
@@ -261,6 +263,7 @@ class CollisionNode(Node):
                 "run_id": run.run_id,
                 "bodies": len(run.body_ids),
                 "fracture_sequence": run.event_count,
+                "states name the bodies before them": not run.lacks_body_sequence,
             }
         message = self._phase
         if self._neighbours.slow:
@@ -270,8 +273,10 @@ class CollisionNode(Node):
             message = rejected
         if self._held is not None:
             message = self._said_of(self._held)
-        is_fine = self._held is None and not self._neighbours.slow and not rejected
+        message = self._warning or message
+        is_fine = self._held is None and not self._neighbours.slow and not rejected and not self._warning
         level = DiagnosticStatus.OK if is_fine else DiagnosticStatus.WARN
+        self._warning = ""
         self._diagnostics.publish(
             diagnostic_array(
                 self,

@@ -40,7 +40,7 @@ class CollisionRun:
         self._known_bodies: set[int] = set()  # removed ones too: an event of theirs may still be on its way
         self.event_count = 0
         self.removals = 0
-        self.warned = False  # that its states do not say which bodies precede them
+        self.lacks_body_sequence = False  # whether states came that do not say which bodies precede them
         self._held_events: dict[int, FractureEvent] = {}  # by sequence
         self._held_bytes = 0
         self._unreadable: dict[int, str] = {}  # sequences of events that could not be read, with the reason
