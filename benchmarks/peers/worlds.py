@@ -168,8 +168,7 @@ def _fragment(case: FracturedWorld, fragment_id: int, mesh: tuple[np.ndarray, np
 def published_surface(service: CollisionWorld, fragment_id: int) -> Surface:
     """The surface that viewers get, less triangles whose corners coincide in single precision.
 
-    Closed as a chain (each edge occurs equally often in both directions), but some pieces may end at the middle of a
-    neighbour's edge; this does not affect winding numbers or distances.
+    It differs from the fragment by up to fragment_mesh.THIN of its size.
     """
     published = service.fragment_mesh(fragment_id)
     triangles = published.triangles.reshape(-1, 3).astype(np.int64)

@@ -60,12 +60,16 @@ def run(
 ) -> Track:  # fmt: skip
     """Simulates a scene for `duration` [s], and asserts what holds for its energy.
 
+    The default settings are those of a service that does not look ahead: a body that is held back before a touch keeps
+    the velocity that gravity gave it in that step, without the way.
+
     With `struck` body 2 is broken after `settle`, by a blow without a push, and the rest counts from there. At each
     step energy may not rise, and over the run drift correction may not put it in.
     """
     meshes = {i: body.shape.mesh for i, body in enumerate(scene.bodies, start=1)}
     nodes = {i: mesh.vertices for i, mesh in meshes.items() if mesh is not None}
-    with Lockstep(scene._replace(duration=duration + (settle if struck else 0.0)), settings) as lockstep:
+    scene = scene._replace(duration=duration + (settle if struck else 0.0))
+    with Lockstep(scene, Settings() if settings is None else settings) as lockstep:
         if struck:
             for _ in range(round(settle / scene.time_step)):
                 lockstep.step()

@@ -27,7 +27,7 @@ def test_answers_of_a_whole_run(scene: str) -> None:
     assert len(remembered.query) == len(recording.steps) and (remembered.query > 0.0).all()
     assert np.array_equal(remembered.update > 0.0, [bool(step.events) for step in recording.steps])
     assert not np.isnan(remembered.again).any() and np.isnan(searched.again).all()
-    assert is_busy(recording).any() or scene == "pane"  # the pane falls apart slowly
+    assert is_busy(recording).any() or scene.startswith("pane")  # it falls apart slowly
 
 
 def test_errors_at_steps_of_a_run() -> None:
@@ -36,5 +36,7 @@ def test_errors_at_steps_of_a_run() -> None:
     assert (own.scene, own.method, own.steps) == ("pane@0.25", "ours", 2)
     assert own.pairs >= own.penetrating + own.apart and own.apart > 0
     assert own.missed <= own.penetrating and own.false == 0
-    assert 0.0 <= own.remaining_mean <= own.remaining_worst < 1.0 and 0.0 <= own.unnecessary_mean < 1.0
+    # the worst pair: an edge through a piece of the thin pane
+    assert 0.0 <= own.remaining_mean <= own.remaining_worst and own.remaining_mean < 0.1
+    assert 0.0 <= own.unnecessary_mean < 1.0
     assert own == errors_of(recording, SEARCHED, {}, count=2)[0]

@@ -20,6 +20,7 @@ from benchmarks.peers.report import ratios, write_csv
 from benchmarks.peers.worlds import EDGES, Frame, Surface, World, break_body, volume
 from fracture_collision.geometry.generators import ball, brick
 from fracture_collision.geometry.tetrahedra import boundary_triangles, tetrahedron_volumes
+from fracture_collision.world.fragment_mesh import THIN
 
 OVERLAP = 0.01  # [m]
 TIP = np.array([0.5, 0.2, 0.1])  # a point of the first block's face towards the second
@@ -143,7 +144,7 @@ def test_ours_and_exact_vertices_in_one_run(world: World, tmp_path: Path) -> Non
         assert exact.score[kind].missed == exact.score[kind].false == 0
     jitter = ours.score["jitter"]
     assert jitter.samples_penetrating > 5 and jitter.samples_missed == 0
-    assert jitter.witness_max < 1e-6
+    assert jitter.witness_max < THIN * 2.0  # of the ball; the surfaces that are the truth may differ by as much
     assert ours.score["touch"].deepest < 1e-6
     assert exact.score["jitter"].error_max < 1e-9
     assert exact.score["jitter"].nearest_median < 1e-3

@@ -21,7 +21,8 @@ from fracture_collision.world.inspection import (
     spheres_of_level,
 )
 
-TRUE = Settings(threads=1, normals="nearest", detection_tolerance=0.0)
+SAMPLED = Settings(threads=1, surfaces="sampled")  # as the oracle, which knows no edges
+TRUE = SAMPLED._replace(normals="nearest", detection_tolerance=0.0)
 
 
 @pytest.fixture(scope="module", params=["flat", "curved"])
@@ -142,9 +143,9 @@ def test_shapes_without_a_mesh_are_on_the_plane_and_the_ground_is_not() -> None:
 @pytest.mark.parametrize(
     "settings",
     [
-        Settings(threads=1), Settings(threads=1, contacts_per_pair=1, penetration_tolerance=0.02),
-        Settings(threads=1, visit_budget=2_000), Settings(threads=1, field="averaged", normals="nearest"),
-        Settings(threads=1, contacts_per_pair=4, penetration_tolerance=0.0, detection_tolerance=0.0),
+        SAMPLED, SAMPLED._replace(contacts_per_pair=1, penetration_tolerance=0.02),
+        SAMPLED._replace(visit_budget=2_000), SAMPLED._replace(field="averaged", normals="nearest"),
+        SAMPLED._replace(contacts_per_pair=4, penetration_tolerance=0.0, detection_tolerance=0.0),
     ],
     ids=["defaults", "few", "budget", "averaged", "all that penetrate"],
 )  # fmt: skip

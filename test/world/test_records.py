@@ -7,6 +7,7 @@ import pickle
 import signal
 import threading
 import time
+from functools import partial
 
 import numpy as np
 import pytest
@@ -51,8 +52,11 @@ def test_new_fragments_are_there_right_after_their_event() -> None:
     assert world.fragments().fragment_ids.tolist() == [1, 2, 3, 4], "those of the states, once there were any"
 
 
-def test_workers_have_ended_when_an_interrupt_reaches_the_caller() -> None:
+def test_workers_have_ended_when_an_interrupt_reaches_the_caller(request: pytest.FixtureRequest) -> None:
     """They write to memory that the next call uses."""
+    # an rclpy context of another test in this process would handle the signal itself
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    request.addfinalizer(partial(signal.signal, signal.SIGINT, before))
     running = threading.Semaphore(0)
     ended: list[int] = []
 

@@ -119,6 +119,11 @@ BODIES = {
     "tetrahedron twice": (
         TET._replace(tetrahedra=np.append(TET.tetrahedra, [TET.tetrahedra[:4]] * 2)), "bad_mesh", "tetrahedra: the face"
     ),
+    "tetrahedra folded over a face": (
+        CollisionBody(20, 20, vertices=np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [0.2, 0.2, 0.5]]),
+                      tetrahedra=np.array([[0, 1, 2, 3], [0, 1, 2, 4]])),
+        "bad_mesh", "tetrahedra 0 and 1 lie on the same side of their face 0-1-2",
+    ),
     "tetrahedra in two pieces": (TWO_BRICKS, "bad_mesh", "tetrahedra: the mesh falls into 2"),
     "triangles of another mesh": (TET._replace(triangles=np.array([0, 1, 2])), "bad_mesh", "triangles"),
     "triangles out of range": (TRI._replace(triangles=with_entry(TRI.triangles, 0, 8)), "out_of_range", "triangles"),

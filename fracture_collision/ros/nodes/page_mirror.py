@@ -210,7 +210,7 @@ class Mirror:
         """With the job's bodies and events applied."""
         # contacts of a time to come collide with nothing now
         truth = job.settings._replace(
-            field="exact", normals="nearest", lookahead=0.0, threads=1, neighbour_lists=False
+            field="exact", normals="nearest", lookahead=0.0, visit_budget=0, threads=1, neighbour_lists=False
         )
         if self._run is None or self._run.run_id != job.run_id:
             self._run, self._fed = CollisionRun(job.run_id, truth), 0
