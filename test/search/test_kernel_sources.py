@@ -178,6 +178,8 @@ def test_a_function_of_the_user_calls_kernels_that_were_compiled_for_others(tmp_
         assert said(USER, tmp_path) == [31.0, 46.0 + 31.0, 6.0]
 
 
+NEARER = "feature, source, where = e2,"  # where flood.py takes a squared distance
+
 DEPTH = """
 import json
 import numpy as np
@@ -200,6 +202,6 @@ def test_an_edit_of_the_exact_field_changes_the_next_answer(tmp_path: Path) -> N
     assert abs(before + 0.02) < 1e-12
     flood = tmp_path / "fracture_collision" / "core" / "field" / "flood.py"
     text = flood.read_text()
-    assert text.count(" d = math.sqrt(d2)") == 1
-    flood.write_text(text.replace(" d = math.sqrt(d2)", " d = 4.0 * math.sqrt(d2)"))
+    assert text.count(NEARER) == 2
+    flood.write_text(text.replace(NEARER, NEARER.replace("e2", "16.0 * e2")))
     assert said(DEPTH, tmp_path) != before
