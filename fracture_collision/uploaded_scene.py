@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import resource
+import signal
 import subprocess
 import sys
 import tempfile
@@ -18,8 +19,8 @@ from pathlib import Path
 from fracture_collision.geometry.surface_files import SUFFIXES as SURFACES
 
 SUFFIXES = (*SURFACES, ".npz")
-SECONDS = 60.0  # for reading and filling
-ORPHANED = 90  # [s] of a processor, if nobody is left who waits for the outcome
+SECONDS = 60  # of a processor, for reading and filling: the same files are accepted on a busy machine
+PATIENCE = 10.0  # times SECONDS: a process that gets no time, or sleeps, is ended
 MEMORY = 4 << 30  # [bytes] of addresses
 MOST_TETRAHEDRA = 60_000  # a live scene must keep up with the clock
 LONGEST_SIDE = 0.3  # [m]
@@ -42,10 +43,10 @@ class SceneMaker:
         self._process: subprocess.Popen | None = None
         self._stopped = False
 
-    def make(self, content: bytes, suffix: str, scene: Path, seconds: float = SECONDS) -> None:
+    def make(self, content: bytes, suffix: str, scene: Path, seconds: int = SECONDS) -> None:
         """Write the scene file `scene` (.yaml), and its mesh beside it as .npz. Raises UploadRejected, OSError.
 
-        content: of a file whose name ends in `suffix`, one of SUFFIXES.
+        content: of a file whose name ends in `suffix`, one of SUFFIXES. `seconds` of a processor are granted.
         """
         if suffix not in SUFFIXES:
             raise UploadRejected(f"{suffix or 'no suffix'} is none of {', '.join(SUFFIXES)}")
@@ -64,8 +65,8 @@ class SceneMaker:
             if self._process is not None:
                 self._process.kill()
 
-    def _run(self, file: Path, scene_name: str, seconds: float) -> None:
-        command = [sys.executable, "-m", MODULE, str(file), scene_name]
+    def _run(self, file: Path, scene_name: str, seconds: int) -> None:
+        command = [sys.executable, "-m", MODULE, str(file), scene_name, str(seconds)]
         with self._lock:
             if self._stopped:
                 raise UploadRejected(STOPPED)
@@ -73,9 +74,9 @@ class SceneMaker:
                 command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, env=os.environ | ONE_THREAD
             )
         try:
-            status = process.wait(seconds)
+            status = process.wait(PATIENCE * seconds)
         except subprocess.TimeoutExpired:
-            raise UploadRejected(f"reading it takes more than {seconds:g} s") from None
+            raise UploadRejected(f"reading it takes more than {PATIENCE * seconds:g} s") from None
         finally:
             process.kill()
             process.wait()
@@ -83,6 +84,8 @@ class SceneMaker:
         if self._stopped:
             raise UploadRejected(STOPPED)
         outcome = file.with_name(OUTCOME)
+        if status == -signal.SIGXCPU:
+            raise UploadRejected(f"reading it takes more than {seconds} s of a processor")
         if not outcome.exists():
             raise UploadRejected(f"the process that read it ended with status {status}")
         if reason := json.loads(outcome.read_text(encoding="utf-8")):
@@ -112,11 +115,11 @@ def _write_scene(file: Path, scene: Path) -> str:
 
 def main() -> None:
     """Writes the outcome beside the file, then ends."""
-    file, scene_name = Path(sys.argv[1]), sys.argv[2]
+    file, scene_name, seconds = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])
     outcome, scene = file.with_name(OUTCOME), file.with_name(scene_name)
     os.nice(LATER)
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
-    resource.setrlimit(resource.RLIMIT_CPU, (ORPHANED, ORPHANED))
+    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 1))
     outcome.write_text(json.dumps(_write_scene(file, scene)), encoding="utf-8")
 
 

@@ -14,14 +14,15 @@ from matplotlib.patheffects import withStroke
 from matplotlib.text import Annotation, Text
 from matplotlib.transforms import Bbox
 
-# Candidate places, relative to the point, in points of type: next to it, then in rings of increasing radius.
+# Candidate places, relative to the point, in points of type: next to it, clear of it, then in rings around it.
 BESIDE = ((5.0, 0.0), (-5.0, 0.0), (5.0, 6.0), (5.0, -6.0), (-5.0, 6.0), (-5.0, -6.0), (0.0, 8.0), (0.0, -8.0))
-RINGS, DIRECTIONS = (16.0, 24.0, 34.0, 46.0), 16
+RINGS, DIRECTIONS = (16.0, 24.0, 34.0, 46.0, 58.0), 16
 TURNS = np.linspace(0.0, 2.0 * np.pi, DIRECTIONS, endpoint=False) + np.pi / DIRECTIONS
-PLACES = (*BESIDE, *((r * np.cos(a), 0.8 * r * np.sin(a)) for r in RINGS for a in TURNS))
+CLEAR = ((0.0, 20.0), (0.0, -20.0), (0.0, 28.0), (0.0, -28.0))  # words of several lines, straight above and below
+PLACES = (*BESIDE, *CLEAR, *((r * np.cos(a), 0.8 * r * np.sin(a)) for r in RINGS for a in TURNS))
 STEP = 0.05  # cost per rank in PLACES
 # Costs of covering words, a marker's edge and its middle, of a line per SPACING, and of lying outside.
-OVER_WORDS, OVER_POINT, OVER_MIDDLE, OVER_LINE, OUTSIDE = 30.0, 3.0, 10.0, 0.3, 100.0
+OVER_WORDS, OVER_POINT, OVER_MIDDLE, OVER_LINE, OUTSIDE = 30.0, 3.0, 20.0, 0.3, 100.0
 SPACING = 4.0  # [pixels]
 
 
@@ -47,7 +48,7 @@ def place_labels(figure: Figure, labels: Sequence[Label], size: float, radius: f
         taken += [text.get_window_extent(renderer) for text in axes.texts]
     points = np.array([label.axes.transData.transform((label.x, label.y)) for label in labels]).reshape(-1, 2)
     lines = np.concatenate([np.zeros((0, 2)), *(_along(line) for axes in figure.axes for line in axes.lines)])
-    for label in sorted(labels, key=lambda label: not label.needed):
+    for label in sorted(labels, key=lambda label: (not label.needed, -len(label.words))):  # large ones first
         if not label.words:
             continue
         best, least = None, np.inf

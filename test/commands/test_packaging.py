@@ -89,11 +89,21 @@ def environment_copy(workplace: Path) -> Path:
     return copy
 
 
-def test_pip_installs_the_package(workplace: Path, sources: Path, environment_copy: Path) -> None:
+@pytest.fixture(scope="module")
+def wheels(workplace: Path, sources: Path) -> Path:
+    """The folder with what `make wheel` makes."""
+    stamp = sources / "build" / "stamps" / "environment"
+    stamp.parent.mkdir(parents=True)
+    stamp.touch()
+    run("make", "wheel", f"BIN={Path(sys.prefix, 'bin')}", cwd=sources, environment=clean_environment())
+    return sources / "dist"
+
+
+def test_pip_installs_the_package(workplace: Path, wheels: Path, environment_copy: Path) -> None:
     environment = clean_environment()
     python = environment_copy / "bin" / "python"
-    run(python, "-m", "pip", "install", "--no-deps", "--no-build-isolation", "--no-index", sources,
-        sources / "messages", cwd=workplace, environment=environment)  # fmt: skip
+    run(python, "-m", "pip", "install", "--no-deps", "--no-index", *wheels.iterdir(),
+        cwd=workplace, environment=environment)  # fmt: skip
     imported_from = run(python, "-c", USE_MESSAGES, cwd=workplace, environment=environment).strip()
     run(python, "-c", USE_TRANSFORMS, cwd=workplace, environment=environment)
     assert environment_copy.resolve() in Path(imported_from).parents
@@ -108,16 +118,6 @@ def test_pip_installs_the_package(workplace: Path, sources: Path, environment_co
     ours = (*environment_copy.rglob("*fracture_collision*"), *environment_copy.rglob("*tf2_msgs*"))
     left = [path for path in ours if path.is_file()]
     assert not left, left
-
-
-@pytest.fixture(scope="module")
-def wheels(workplace: Path, sources: Path) -> Path:
-    """The folder with what `make wheel` makes."""
-    stamp = sources / "build" / "stamps" / "environment"
-    stamp.parent.mkdir(parents=True)
-    stamp.touch()
-    run("make", "wheel", f"BIN={Path(sys.prefix, 'bin')}", cwd=sources, environment=clean_environment())
-    return sources / "dist"
 
 
 def requirements_for(extra: str, lines: Iterable[str]) -> list[Requirement]:

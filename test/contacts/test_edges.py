@@ -196,7 +196,7 @@ def test_edges_find_most_penetrations_that_samples_miss() -> None:
     sampled, edges = (
         counts(
             it
-            for it in campaign(240, 3, shapes, generations=1, settings=Settings(threads=1, surfaces=surfaces))
+            for it in campaign(120, 3, shapes, generations=1, settings=Settings(threads=1, surfaces=surfaces))
             if it.truth < SHALLOW
         )
         for surfaces in ("sampled", "edges")

@@ -72,6 +72,7 @@ def test_a_rewound_scene_has_the_same_states_and_contacts(stage: StageWithClient
     events: list[Any] = []
     for topic, heard in ((qos.BODIES, bodies), (qos.FRACTURE_EVENTS, events)):
         joined.node.create_subscription(topic.message_class, topic.name, heard.append, topic.qos)
+    player.until(lambda: any(message.run_id == third for message in states), "states of the run")
     sequence = next(message.fracture_sequence for message in states if message.run_id == third)
     assert sequence > 0
     joined.spin_until(lambda: len(bodies) >= 9 and len(events) >= sequence, "bodies and events of the run")

@@ -122,16 +122,16 @@ def test_files_that_a_mesh_names_are_not_read(tmp_path: Path, monkeypatch: pytes
 
 
 def test_reading_is_limited_in_time_and_can_be_ended(tmp_path: Path) -> None:
-    with pytest.raises(UploadRejected, match=r"takes more than 0\.1 s"):
-        SceneMaker().make(TORUS, ".obj", tmp_path / "upload_1.yaml", seconds=0.1)
+    with pytest.raises(UploadRejected, match="takes more than 1 s of a processor"):
+        SceneMaker().make(TORUS, ".obj", tmp_path / "upload_1.yaml", seconds=1)
     told: Queue[str] = Queue()
     uploads = UploadedScenes(tmp_path, lambda name, _upload: told.put(name))
     upload = Upload("torus.obj", TORUS, told.put)
     uploads.add(upload)
     uploads.add(upload)
-    assert told.get(timeout=60.0) == "torus.obj: another mesh is being read; try again"
+    assert told.get(timeout=600.0) == "torus.obj: another mesh is being read; try again"
     uploads.close()
-    assert "torus.obj: the page is ending" in told.get(timeout=60.0) and told.empty()
+    assert "torus.obj: the page is ending" in told.get(timeout=600.0) and told.empty()
     assert not list(tmp_path.iterdir()) and threading.active_count() < 10
 
 
@@ -140,7 +140,7 @@ def test_scenes_are_numbered_and_found_by_name_only(tmp_path: Path) -> None:
     uploads = UploadedScenes(tmp_path / "uploads", lambda name, _upload: made.put(name))
     for name in ("upload_1", "upload_2"):
         uploads.add(Upload("my torus.OBJ", TORUS, made.put))
-        assert made.get(timeout=60.0) == name
+        assert made.get(timeout=600.0) == name
         uploads._thread.join()
     (tmp_path / "upload_7.yaml").write_text("")
     (tmp_path / "uploads" / "other.yaml").write_text("")

@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 
 
 class Face(NamedTuple):
@@ -122,20 +123,49 @@ def nearest_on_triangles(points: np.ndarray, triangles: np.ndarray) -> tuple[np.
 
 def distances_to_triangles(x: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Of one point (3,): its distance (t,) from, and the nearest point (t, 3) of, each triangle (t, 3, 3)."""
-    a, b, c = (triangles[:, i] for i in range(3))
-    normal = np.cross(b - a, c - a)
-    squared = np.einsum("ij,ij->i", normal, normal)
-    foot = x - (np.einsum("ij,ij->i", x - a, normal) / squared)[:, None] * normal
-    inside = np.ones(len(a), dtype=bool)
-    for p, q in ((a, b), (b, c), (c, a)):
-        inside &= np.einsum("ij,ij->i", np.cross(q - p, foot - p), normal) >= 0.0
-    candidates = [np.where(inside[:, None], foot, a)]
-    for p, q in ((a, b), (b, c), (c, a)):
-        along = q - p
-        t = np.clip(np.einsum("ij,ij->i", x - p, along) / np.einsum("ij,ij->i", along, along), 0.0, 1.0)
-        candidates.append(p + t[:, None] * along)
-    stacked = np.array(candidates)
-    distance = np.linalg.norm(stacked - x, axis=2)
-    k = np.argmin(distance, axis=0)
-    every = np.arange(len(triangles))
-    return distance[k, every], stacked[k, every]
+    return _distances(*(np.ascontiguousarray(part, dtype=np.float64) for part in (x, triangles)))
+
+
+@njit(cache=True)
+def _less(p, q):
+    return p[0] - q[0], p[1] - q[1], p[2] - q[2]
+
+
+@njit(cache=True)
+def _plus(p, share, along):
+    return p[0] + share * along[0], p[1] + share * along[1], p[2] + share * along[2]
+
+
+@njit(cache=True)
+def _dot(u, v):
+    return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
+
+
+@njit(cache=True)
+def _cross(u, v):
+    return u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
+
+
+@njit(cache=True, error_model="numpy")
+def _distances(point, triangles):
+    distance, nearest = np.full(len(triangles), np.inf), np.empty((len(triangles), 3))
+    x = point[0], point[1], point[2]
+    for t in range(len(triangles)):
+        (a0, a1, a2), (b0, b1, b2), (c0, c1, c2) = triangles[t]
+        a, b, c = (a0, a1, a2), (b0, b1, b2), (c0, c1, c2)
+        normal = _cross(_less(b, a), _less(c, a))
+        foot = _plus(x, -_dot(_less(x, a), normal) / _dot(normal, normal), normal)
+        is_within = True
+        for p, q in ((a, b), (b, c), (c, a)):
+            is_within &= _dot(_cross(_less(q, p), _less(foot, p)), normal) >= 0.0
+        if is_within:
+            distance[t] = np.sqrt(_dot(_less(foot, x), _less(foot, x)))
+            nearest[t, 0], nearest[t, 1], nearest[t, 2] = foot
+        for p, q in ((a, b), (b, c), (c, a)):
+            along = _less(q, p)
+            foot = _plus(p, min(max(_dot(_less(x, p), along) / _dot(along, along), 0.0), 1.0), along)
+            away = np.sqrt(_dot(_less(foot, x), _less(foot, x)))
+            if away < distance[t]:
+                distance[t] = away
+                nearest[t, 0], nearest[t, 1], nearest[t, 2] = foot
+    return distance, nearest

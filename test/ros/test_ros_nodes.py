@@ -193,7 +193,7 @@ def test_a_restarted_service_continues_the_run(
     successor = NodeProcess("collision_node", {"threads": 1}, domain_id, tmp_path / "successor.log")
     try:
         client.spin_until(lambda: client.diagnostics.get("fracture_collision: answers") == "ready", "a new service")
-        after = client.ask(STATES, RUN)
+        after = client.ask_until_answered(STATES, RUN)
         assert field_bytes(after) == field_bytes(before)
         assert client.await_registry(RUN, 2).digest == digest
     finally:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
-import sys
 from pathlib import Path
+
+from own_process import said
 
 LOAD_THEN_COMPILE = """
 import json, sys
@@ -36,18 +34,6 @@ announced = sorted({"numba", "scipy"} & sys.modules.keys())
 warm_up.compile_kernels(lambda what: None)
 print(json.dumps([announced, "numba" in sys.modules]))
 """
-
-
-def said(script: str, folder: Path | None = None) -> object:
-    """What a process prints; `folder`: it runs there, and imports from there."""
-    environment = dict(os.environ)
-    if folder is not None:
-        environment["PYTHONPATH"] = os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")])
-    done = subprocess.run(
-        [sys.executable, "-c", script], cwd=folder, env=environment, capture_output=True, text=True, timeout=240
-    )
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout)
 
 
 def test_cached_kernels_load_without_preparing_to_compile() -> None:

@@ -3,31 +3,17 @@
 from __future__ import annotations
 
 import ast
-import json
-import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
+from own_process import said
 
 import fracture_collision
 from fracture_collision import kernel_sources
 from fracture_collision.kernel_sources import _imports, _source, source_digest, sources_of
 
 PACKAGE = Path(fracture_collision.__file__).resolve().parent
-
-
-def said(script: str, folder: Path) -> Any:
-    """What a process prints that imports from `folder` first."""
-    environment = os.environ | {"PYTHONPATH": str(folder)}
-    done = subprocess.run(
-        [sys.executable, "-c", script], cwd=folder, env=environment, capture_output=True, text=True, timeout=800
-    )
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout)
 
 
 def imported_by(tree: ast.AST) -> set[Path]:

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.executors import SingleThreadedExecutor
@@ -83,6 +84,21 @@ class ServiceClient:
         self.publish("fragment_states", states, run_id)
         self.spin_until(lambda: len(self.answers) > before, f"an answer to step {states.step}")
         assert len(self.answers) == before + 1 and self.answers[-1].run_id == run_id
+        return to_record(self.answers[-1])
+
+    def ask_until_answered(self, states: Any, run_id: int) -> ContactConstraintArray:
+        """Publishes states again and again: a service that has just started does not hear the first ones."""
+        before, asked = len(self.answers), -np.inf
+
+        def answered() -> bool:
+            nonlocal asked
+            if time.monotonic() > asked + ASK_AGAIN:
+                asked = time.monotonic()
+                self.publish("fragment_states", states, run_id)
+            return len(self.answers) > before
+
+        self.spin_until(answered, f"an answer to step {states.step}")
+        assert self.answers[-1].run_id == run_id
         return to_record(self.answers[-1])
 
     def await_registry(self, run_id: int, fracture_sequence: int) -> FragmentRegistry:
