@@ -13,7 +13,7 @@ import numpy as np
 from benchmarks.peers.boxes import local_boxes, near_pairs
 from benchmarks.peers.judging.score import FrameTruth, Score, score
 from benchmarks.peers.judging.truth import Solids
-from benchmarks.peers.method import EXACT, Contacts, Method
+from benchmarks.peers.method import EXACT, Contacts, Method, usable
 from benchmarks.peers.worlds import World, make_world
 
 KINDS = ("touch", "jitter", "pile")
@@ -116,8 +116,9 @@ def _one_round(world: World, method: Method, times: _Times) -> float:
             method.query(world, state, jittered)
             times.first.append(perf_counter() - started)
         started = perf_counter()
-        answers.append(method.query(world, state, frame))
+        answer = method.query(world, state, frame)
         times.query[frame.kind].append(perf_counter() - started)
+        answers.append(usable(answer))
         times.native[frame.kind].append(answers[-1].native)
     times.answers = times.answers or answers
     seconds = perf_counter() - began

@@ -63,6 +63,12 @@ def contacts_of(first, second, points_first, points_second, normals, depths, nat
     return Contacts(np.asarray(first, int), np.asarray(second, int), *vectors, np.asarray(depths, float), native)
 
 
+def usable(contacts: Contacts) -> Contacts:
+    """Without those that have no direction or depth: coal's hulls report NaN in some pairs that barely touch."""
+    fine = np.isfinite(contacts.depths) & np.isfinite(contacts.normals).all(axis=1)
+    return contacts if fine.all() else Contacts(*(column[fine] for column in contacts[:-1]), contacts.native)
+
+
 def about_middle(first, second, middles, normals, depths, native: float = np.nan) -> Contacts:
     """From points (n, 3) halfway between the witnesses."""
     if not len(depths):

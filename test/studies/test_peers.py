@@ -173,6 +173,19 @@ def test_a_failing_method_is_reported_and_the_others_continue(world: World) -> N
     assert not field.failure and field.rounds == 2
 
 
+def test_contacts_without_a_direction_are_left_out(world: World) -> None:
+    class Blind(Exact):
+        name = "blind"
+
+        def query(self, world: World, state, frame: Frame) -> Contacts:
+            found = super().query(world, state, frame)
+            return found._replace(normals=np.full_like(found.normals, np.nan))
+
+    blind, exact = measure([world], [Blind(), Exact()], repeats=1)
+    assert not blind.failure and blind.score["jitter"].contacts == 0.0
+    assert blind.score["jitter"].missed == exact.score["jitter"].penetrating > 0
+
+
 def test_a_library_that_cannot_be_imported_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     real = registry.import_module
 

@@ -130,8 +130,8 @@ def section(tables: Mapping[str, Table]) -> str:
     ]  # fmt: skip
     return f"""\
 New: trees restructured at fractures (6.2), children of different parents visited first (5.3). Old: the paper's earlier
-version [27] (`tree: plain`, `traversal: queue`). Fixed: 8 contacts per pair, however deep the others are. Each method
-runs its own simulation, as in the paper. {in_words(tables[""].rows[0]["repeats"])}
+version [27] (`tree: plain`, `traversal: queue`). Fixed: 8 contacts per pair, however deep the others are. Contacts are
+of samples only, and each method runs its own simulation, as in the paper. {in_words(tables[""].rows[0]["repeats"])}
 Average / worst per step; depths are those of the listed contacts:
 
 {markdown_table(("method; cracks", "contacts", "paper's contacts", "visited nodes", "collision, ms", "whole step, ms",
