@@ -146,6 +146,6 @@ of each step's shortest time in {tables["replay"].rows[0]["repeats"]} interleave
 
 STUDY = Study(
     "fig17", "Old and new restructuring and traversal (Fig. 17)",
-    Size((NEW, OLD, FIXED), ("flat",), None, 0.5, 3), Size(tuple(METHODS), ("flat", "curved"), None, None, 3, 3),
+    Size((NEW, OLD, FIXED), ("flat",), None, 0.5, 3), Size(tuple(METHODS), ("flat", "curved"), None, None, 3),
     trials, tables, {"": draw}, section,
 )  # fmt: skip

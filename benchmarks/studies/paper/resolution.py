@@ -121,5 +121,5 @@ The reference sphere falls and breaks, in {runs} runs with different cracks. Que
 
 STUDY = Study(
     "resolution", "Surface and interior resolution (section 7.2)", Size(2, ("flat",), 0.6),
-    Size(10, ("flat", "curved"), None, repeats=3), trials, tables, {"": draw}, section,
+    Size(5, ("flat", "curved"), None, repeats=3), trials, tables, {"": draw}, section,
 )  # fmt: skip
