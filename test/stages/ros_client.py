@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.executors import SingleThreadedExecutor
@@ -88,7 +88,7 @@ class ServiceClient:
 
     def ask_until_answered(self, states: Any, run_id: int) -> ContactConstraintArray:
         """Publishes states again and again: a service that has just started does not hear the first ones."""
-        before, asked = len(self.answers), -np.inf
+        before, asked = len(self.answers), -math.inf
 
         def answered() -> bool:
             nonlocal asked
