@@ -95,8 +95,8 @@ def test_a_camera_stays_above_the_floor(browser: Any) -> None:
             until(lambda: page.browsers, lambda count: count == 1)
             reported = reports_of(page)
             orbit(seen, 0.0, -200.0)
-            until(lambda: bool(reported) and min(p[2] for p in reported), lambda height: height < ABOVE_FLOOR)
-            until(lambda: reported[-1][2], lambda height: height == pytest.approx(ABOVE_FLOOR, abs=1e-3))
+            until(lambda: bool(reported) and reported[-1][2], lambda height: height == pytest.approx(ABOVE_FLOOR))
+            assert min(position[2] for position in reported) == pytest.approx(ABOVE_FLOOR)
             seen.get_by_role("button", name="reset view").click()
             until(lambda: reported[-1][2], lambda height: height > 0.6)
 
