@@ -1,8 +1,8 @@
 """The convex hull of points: corners, faces, and the ridges between faces.
 
 Quickhull (Barber, Dobkin, Huhdanpaa, "The Quickhull Algorithm for Convex Hulls", 1996) makes triangles. Those that lie
-flat beside a larger one become one face with it. Points outside by less than ROUNDING are left out, so that most
-coplanar ones make no slivers; a face's offset is that of the outermost corner, so all corners lie behind it.
+flat beside a larger one become one face with it. Points outside by less than ROUNDING are no corners, so that coplanar
+ones make no slivers; but a face's offset is that of the outermost of all points.
 """
 
 from __future__ import annotations
@@ -14,11 +14,12 @@ import numpy as np
 
 from fracture_collision.core.memory.compiled import inlined_kernel, kernel
 
-# Share of the longest side of the points' box.
-ROUNDING = 1e-9
+# Share of the longest side of the points' box. The plane of a sliver as thin as this is wrong by the rounding of doubles
+# over it, far less than this: with a smaller share, planes of slivers would make holes.
+ROUNDING = 1e-7
 # Triangles whose corners lie this near to the plane of a larger one, in the same unit, are part of its face: the single
-# precision of mesh files moves the corners of flat faces by a third of this.
-FLAT = 3e-7
+# precision of mesh files moves corners by 1e-7, which a plane through three of them exaggerates.
+FLAT = 1e-6
 # Triangles, and free rows for new ones, for each point; the rest is room for small sets.
 _EACH, _MORE = 6, 64
 _FREE, _LIVE, _VISIBLE = 0, 1, 2
@@ -31,7 +32,7 @@ class ConvexHull(NamedTuple):
     corners: np.ndarray  # (c,) int64 rows of the points, ascending; some may lie within a face or a ridge
     faces: np.ndarray  # (f, 4) float64: unit outward normal, offset [m]
     ridges: np.ndarray  # (r, 4) int64: rows of both ends; faces to the left and to the right, seen from outside
-    outside: float  # [m] no point is farther outside than this
+    outside: float  # [m] no point is farther outside of the corners' hull than this
 
 
 class _Triangles(NamedTuple):
@@ -321,7 +322,7 @@ def _merged(points, its, outside, flat):
         length = math.sqrt(x * x + y * y + z * z)
         x, y, z = x / length, y / length, z / length
         offset = -math.inf
-        for p in corners:
+        for p in range(n):
             offset = max(offset, x * points[p, 0] + y * points[p, 1] + z * points[p, 2])
         normals[f, 0], normals[f, 1], normals[f, 2], normals[f, 3] = x, y, z, offset
     return ConvexHull(corners, normals[:faces].copy(), ridges[:count].copy(), outside)

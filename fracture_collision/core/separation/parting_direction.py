@@ -2,7 +2,7 @@
 
 Candidates are the normals of both hulls' faces, and the directions across two of their ridges that the difference of
 the hulls has a face for (Gregorius, "The Separating Axis Test between Convex Polyhedra", 2013). Directions from corner
-to corner separate hulls that are apart, but no face lies across them: contacts along them stop a body that passes a rim.
+to corner separate hulls that are apart, but no face lies across them: contacts along them stop what passes a rim.
 
 Each is measured now and at the end of the step, if both move on as they do, with the direction fixed. Of those that
 separate now, or overlap no more than the least by a tolerance, that is taken which overlaps least at the end: so a body
@@ -31,12 +31,14 @@ LEAST_BLEND = 0.1
 _NOT_APART, _APART = 0, 1
 
 
-class Corners(NamedTuple):
-    """A fragment's ConvexHull with its corners' places, all about its own origin."""
+class Hull(NamedTuple):
+    """A fragment's ConvexHull, about its own origin."""
 
-    places: np.ndarray  # (3, c) float64 [m]
+    x: np.ndarray  # (c,) float64 [m] of its corners
+    y: np.ndarray  # (c,) float64 [m]
+    z: np.ndarray  # (c,) float64 [m]
     faces: np.ndarray  # (f, 4) float64: unit outward normal, offset [m]
-    ridges: np.ndarray  # (r, 4) int64: columns of `places` of both ends; its faces
+    ridges: np.ndarray  # (r, 4) int64: corners at both ends; its faces
 
 
 class Relative(NamedTuple):
@@ -60,7 +62,7 @@ class Parting(NamedTuple):
 
 @kernel
 def parting_direction(a, b, relative, tolerance, b_first):
-    """The Parting of two fragments by their Corners, as they move by `relative`.
+    """The Parting of two fragments by their Hulls, as they move by `relative`.
 
     tolerance [m]: overlaps that differ by no more are alike; apart by more, now and at the end, is apart. b_first: of
     directions alike, faces of b go before those of a.
@@ -73,11 +75,11 @@ def parting_direction(a, b, relative, tolerance, b_first):
         n = _face_direction(a, b, relative, k)
         ways[k, 0], ways[k, 1], ways[k, 2] = n
         if k < faces_a:
-            lowest, across[k] = _lowest(b.places, n)
+            lowest, across[k] = _lowest(b, n)
             apart[k] = lowest - a.faces[k, 3] + _along(n, relative.between[0])
         else:
             own = rotated(relative.to_a[0], -n[0], -n[1], -n[2])
-            lowest, across[k] = _lowest(a.places, own)
+            lowest, across[k] = _lowest(a, own)
             apart[k] = lowest - b.faces[k - faces_a, 3] + _along(n, relative.between[0])
         if apart[k] > tolerance and _apart_at(a, b, relative, 1, n) > tolerance:
             return Parting(True, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -102,7 +104,7 @@ def _choose(a, b, relative, tolerance, b_first, ways, now, best):
         if min(now[k], 0.0) >= best - tolerance:
             end[k] = _apart_at(a, b, relative, 1, (ways[k, 0], ways[k, 1], ways[k, 2]))
             top = max(top, end[k])
-    if _pass_each_other(a, b, relative, ways, now, end):
+    if top < 0.0 and _pass_each_other(a, b, relative, ways, now):
         return Parting(True, 0.0, 0.0, 0.0, 0.0, 0.0)
     for turn in range(3):
         low, high = (0, faces_a) if turn == (1 if b_first else 0) else (faces_a, faces)
@@ -120,16 +122,22 @@ def _choose(a, b, relative, tolerance, b_first, ways, now, best):
 
 
 @inlined_kernel
-def _pass_each_other(a, b, relative, ways, now, end):
-    """Whether a direction between the best of now and the best of the end separates the two at both times."""
-    i, j, most = 0, 0, 0.0
+def _pass_each_other(a, b, relative, ways, now):
+    """Whether a direction between the best of now and the best of the end separates the two at both times.
+
+    Those that separate the two now do not at the end.
+    """
+    i, j, most = 0, 0, -math.inf
     for k in range(len(ways)):
         if now[k] > now[i]:
             i = k
-        if end[k] > end[j]:
-            j = k
-        most = max(most, min(now[k], end[k]))
-    if i == j or not (now[i] > 0.0 > end[i] and end[j] > 0.0):
+    if not now[i] > 0.0:
+        return False
+    for k in range(len(ways)):
+        end = _apart_at(a, b, relative, 1, (ways[k, 0], ways[k, 1], ways[k, 2]))
+        if end > most:
+            most, j = end, k
+    if not most > 0.0:
         return False
     for step in range(1, BLENDS + 1):
         share = step / (BLENDS + 1)
@@ -139,7 +147,7 @@ def _pass_each_other(a, b, relative, ways, now, end):
         length = math.sqrt(x * x + y * y + z * z)
         if length > LEAST_BLEND:
             n = x / length, y / length, z / length
-            if min(_apart_at(a, b, relative, 0, n), _apart_at(a, b, relative, 1, n)) > most:
+            if min(_apart_at(a, b, relative, 0, n), _apart_at(a, b, relative, 1, n)) > 0.0:
                 return True
     return False
 
@@ -168,11 +176,11 @@ def _along(n, p):
 
 
 @inlined_kernel
-def _lowest(places, n):
-    """(least, column): how far the lowest corner along n is from the origin, and which it is."""
+def _lowest(hull, n):
+    """(least, corner): how far the lowest corner along n is from the origin, and which it is."""
     least, at = math.inf, 0
-    for k in range(places.shape[1]):
-        along = n[0] * places[0, k] + n[1] * places[1, k] + n[2] * places[2, k]
+    for k in range(len(hull.x)):
+        along = n[0] * hull.x[k] + n[1] * hull.y[k] + n[2] * hull.z[k]
         if along < least:
             least, at = along, k
     return least, at
@@ -183,7 +191,7 @@ def _apart_at(a, b, relative, when, n):
     """How far the two are apart along n, now (when = 0) or at the end (1)."""
     own = rotated(relative.to_a[when], -n[0], -n[1], -n[2])
     of_b = rotated(relative.to_b[when], n[0], n[1], n[2])
-    return _lowest(a.places, own)[0] + _lowest(b.places, of_b)[0] + _along(n, relative.between[when])
+    return _lowest(a, own)[0] + _lowest(b, of_b)[0] + _along(n, relative.between[when])
 
 
 @inlined_kernel
@@ -198,7 +206,7 @@ def _ridges_that_may(own, other, relative, side, apart, across, least):
     first = 0 if side == 0 else len(apart) - len(own.faces)
     for r in range(len(own.ridges)):
         end = own.ridges[r, 0]
-        p = own.places[0, end], own.places[1, end], own.places[2, end]
+        p = own.x[end], own.y[end], own.z[end]
         m = own.faces[own.ridges[r, 2]]
         n = own.faces[own.ridges[r, 3]]
         most = math.inf
@@ -215,7 +223,7 @@ def _ridges_that_may(own, other, relative, side, apart, across, least):
 @inlined_kernel
 def _corner_in(other, relative, side, k):
     """Corner k of the other fragment in the frame of the one on `side`."""
-    x, y, z = other.places[0, k], other.places[1, k], other.places[2, k]
+    x, y, z = other.x[k], other.y[k], other.z[k]
     t = relative.between[0]
     if side == 0:  # of b, in a's frame
         return rotated(relative.to_a[0], x + t[0], y + t[1], z + t[2])
@@ -246,14 +254,14 @@ def _across_ridges(a, b, relative, of_a, of_b):
     edges, normals = np.empty((len(of_b), 3)), np.empty((len(of_b), 6))
     for j in range(len(of_b)):
         r = b.ridges[of_b[j]]
+        edges[j, 0], edges[j, 1], edges[j, 2] = b.x[r[1]] - b.x[r[0]], b.y[r[1]] - b.y[r[0]], b.z[r[1]] - b.z[r[0]]
         for d in range(3):
-            edges[j, d] = b.places[d, r[1]] - b.places[d, r[0]]
             normals[j, d], normals[j, 3 + d] = b.faces[r[2], d], b.faces[r[3], d]
     t = relative.between[0]
     for i in range(len(of_a)):
         r = a.ridges[of_a[i]]
-        p = a.places[0, r[0]], a.places[1, r[0]], a.places[2, r[0]]
-        q = a.places[0, r[1]], a.places[1, r[1]], a.places[2, r[1]]
+        p = a.x[r[0]], a.y[r[0]], a.z[r[0]]
+        q = a.x[r[1]], a.y[r[1]], a.z[r[1]]
         ux, uy, uz = _turned_back(relative.to_a[0], (q[0] - p[0], q[1] - p[1], q[2] - p[2]))
         start = _turned_back(relative.to_a[0], p)
         f, g = a.faces[r[2]], a.faces[r[3]]
@@ -287,7 +295,7 @@ def _across_ridges(a, b, relative, of_a, of_b):
                 ways, apart, room = np.vstack((ways, np.empty((room, 3)))), np.append(apart, np.empty(room)), 2 * room
             e = b.ridges[of_b[j], 0]
             ways[count, 0], ways[count, 1], ways[count, 2] = x, y, z
-            apart[count] = x * (b.places[0, e] + t[0] - start[0]) + y * (b.places[1, e] + t[1] - start[1])
-            apart[count] += z * (b.places[2, e] + t[2] - start[2])
+            apart[count] = x * (b.x[e] + t[0] - start[0]) + y * (b.y[e] + t[1] - start[1])
+            apart[count] += z * (b.z[e] + t[2] - start[2])
             count += 1
     return ways[:count], apart[:count]
