@@ -47,6 +47,7 @@ def test_a_hull_is_that_of_qhull(name: str) -> None:
     hull, truth = convex_hull(points), Qhull(points)
     size = np.ptp(points, axis=0).max()
     beyond = points @ hull.faces[:, :3].T - hull.faces[:, 3]
+    assert hull.volume == pytest.approx(truth.volume, rel=1e-3 if name == "needle" else 1e-6)
     assert beyond.max() <= 1e-12 * size and hull.outside < 2e-7 * size
     # its corners reach as far in the directions of qhull's faces
     assert (points[hull.corners] @ truth.equations[:, :3].T + truth.equations[:, 3]).max(axis=0).min() >= -hull.outside

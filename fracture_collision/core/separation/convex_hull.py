@@ -14,8 +14,8 @@ import numpy as np
 
 from fracture_collision.core.memory.compiled import inlined_kernel, kernel
 
-# Share of the longest side of the points' box. The plane of a sliver as thin as this is wrong by the rounding of doubles
-# over it, far less than this: with a smaller share, planes of slivers would make holes.
+# Share of the longest side of the points' box. The plane of a sliver as thin as this is wrong by the rounding of
+# doubles over it, far less than this: with a smaller share, planes of slivers would make holes.
 ROUNDING = 1e-7
 # Triangles whose corners lie this near to the plane of a larger one, in the same unit, are part of its face: the single
 # precision of mesh files moves corners by 1e-7, which a plane through three of them exaggerates.
@@ -32,6 +32,7 @@ class ConvexHull(NamedTuple):
     corners: np.ndarray  # (c,) int64 rows of the points, ascending; some may lie within a face or a ridge
     faces: np.ndarray  # (f, 4) float64: unit outward normal, offset [m]
     ridges: np.ndarray  # (r, 4) int64: rows of both ends; faces to the left and to the right, seen from outside
+    volume: float  # [m3]
     outside: float  # [m] no point is farther outside of the corners' hull than this
 
 
@@ -51,7 +52,7 @@ class _Triangles(NamedTuple):
 def convex_hull(points):
     """The ConvexHull of points (n, 3) [m]."""
     n = len(points)
-    nothing = ConvexHull(np.zeros(0, np.int64), np.zeros((0, 4)), np.zeros((0, 4), np.int64), 0.0)
+    nothing = ConvexHull(np.zeros(0, np.int64), np.zeros((0, 4)), np.zeros((0, 4), np.int64), 0.0, 0.0)
     if n < 4:
         return nothing
     size = 0.0
@@ -274,11 +275,16 @@ def _merged(points, its, outside, flat):
     """The ConvexHull of the triangles; flat [m]: see FLAT."""
     m, n = len(its.state), len(points)
     face_of, stack = np.full(m, _NONE), np.empty(m, np.int64)
-    area, normals, faces = np.zeros(m), np.zeros((m, 4)), 0
+    area, normals, faces, volume = np.zeros(m), np.zeros((m, 4)), 0, 0.0
+    origin = _NONE
     for t in range(m):
         if its.state[t] == _LIVE:
             x, y, z = _twice_area(points, its.corners[t])
             area[t] = math.sqrt(x * x + y * y + z * z)
+            if origin == _NONE:
+                origin = its.corners[t, 0]
+            p, q = points[its.corners[t, 0]], points[origin]
+            volume += (x * (p[0] - q[0]) + y * (p[1] - q[1]) + z * (p[2] - q[2])) / 6.0
     for start in np.argsort(-area, kind="mergesort"):
         if its.state[start] != _LIVE or face_of[start] != _NONE:
             continue
@@ -325,7 +331,7 @@ def _merged(points, its, outside, flat):
         for p in range(n):
             offset = max(offset, x * points[p, 0] + y * points[p, 1] + z * points[p, 2])
         normals[f, 0], normals[f, 1], normals[f, 2], normals[f, 3] = x, y, z, offset
-    return ConvexHull(corners, normals[:faces].copy(), ridges[:count].copy(), outside)
+    return ConvexHull(corners, normals[:faces].copy(), ridges[:count].copy(), volume, outside)
 
 
 @inlined_kernel
