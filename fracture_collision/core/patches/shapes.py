@@ -56,19 +56,23 @@ class ShapeTable:
     def append(self, pools: Pools, first: int, end: int) -> None:
         """Add the shapes of the fragments first .. end - 1, which were made last."""
         for f in range(first, end):
-            hull, surface, size, is_convex = shape_of(pools, f)
-            for column, rows in zip((*self._hull, *self._surface), (*hull, *surface), strict=True):
-                column.append(rows)
-            counts = len(hull.x), len(hull.faces), len(hull.ridges), *map(len, (surface[0], surface[1], surface[3]))
-            self._first.append(self._first.view[-1:] + counts)
-            self._size.append(np.array([size]))
-            self._is_convex.append(np.array([is_convex]))
+            self.add(triangles_of(pools, f))
+
+    def add(self, triangles: np.ndarray) -> None:
+        """Add the shape of the next fragment: corners (n, 9) [m] of its surface."""
+        hull, surface, size, is_convex = shape_of(triangles)
+        for column, rows in zip((*self._hull, *self._surface), (*hull, *surface), strict=True):
+            column.append(rows)
+        counts = len(hull.x), len(hull.faces), len(hull.ridges), *map(len, (surface[0], surface[1], surface[3]))
+        self._first.append(self._first.view[-1:] + counts)
+        self._size.append(np.array([size]))
+        self._is_convex.append(np.array([is_convex]))
 
 
 @kernel
-def shape_of(pools, f):
-    """Hull, Surface, longest side of its box [m], and whether fragment f is convex; empty for planes and spheres."""
-    surface = make_surface(_triangles_of(pools, f))
+def shape_of(triangles):
+    """Hull, Surface, longest side of its box [m], and whether it is convex, of a closed surface (n, 9) [m]."""
+    surface = make_surface(triangles)
     corners = surface.corners
     points = convex_hull(corners)
     row = np.full(len(corners), -1)
@@ -109,8 +113,8 @@ def surface_of(shapes, f):
     )  # fmt: skip
 
 
-@inlined_kernel
-def _triangles_of(pools, f):
+@kernel
+def triangles_of(pools, f):
     """Corners (n, 9) [m] in the body frame of the triangles of fragment f's surface, counter-clockwise from outside."""
     pieces = _pieces_of(pools, f)
     most = 0
