@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from fracture_collision.core.memory.compiled import inlined_kernel, kernel
-from fracture_collision.core.memory.kinds import BOX, TRIANGLES, WITH_FACES
-from fracture_collision.core.memory.pools import GrowableArray, Pools
-from fracture_collision.core.mesh.point_location import holds_fragment
+from fracture_collision.core.memory.kinds import BOX, TETRAHEDRA, TRIANGLES
+from fracture_collision.core.memory.pools import BACK_SIDE, FRONT_SIDE, NEVER_BROKEN, OWNER, ROW, GrowableArray, Pools
+from fracture_collision.core.mesh.cut_tetrahedron import FACE_VERTICES
 from fracture_collision.core.mesh.sample_numbers import FIRST_TETRAHEDRON
 from fracture_collision.core.mesh.surface_elements import count_triangles, put_triangle
 from fracture_collision.core.patches.surface import Surface, make_surface
@@ -54,9 +55,10 @@ class ShapeTable:
         )  # fmt: skip
 
     def append(self, pools: Pools, first: int, end: int) -> None:
-        """Add the shapes of the fragments first .. end - 1, which were made last."""
-        for f in range(first, end):
-            self.add(triangles_of(pools, f))
+        """Add the shapes of the fragments first .. end - 1, which were made last; several are pieces of one body."""
+        triangles, begin = triangles_of(pools, first, end)
+        for k in range(end - first):
+            self.add(triangles[begin[k] : begin[k + 1]])
 
     def add(self, triangles: np.ndarray) -> None:
         """Add the shape of the next fragment: corners (n, 9) [m] of its surface."""
@@ -114,37 +116,75 @@ def surface_of(shapes, f):
 
 
 @kernel
-def triangles_of(pools, f):
-    """Corners (n, 9) [m] in the body frame of the triangles of fragment f's surface, counter-clockwise from outside."""
-    pieces = _pieces_of(pools, f)
-    most = 0
-    for piece in pieces:
-        most += count_triangles(pools, f, piece)
-    out, used, still, here = np.empty((most, 9)), 0, np.eye(3), np.zeros(3)
-    for piece in pieces:
-        for k in range(count_triangles(pools, f, piece)):
-            if put_triangle(pools, f, piece, k, still, here, out[used]):
-                used += 1
-    return out[:used]
+def triangles_of(pools, first, end):
+    """Triangles of the surfaces of fragments first .. end - 1, of one body if they are several.
+
+    Returns (corners (n, 9) [m] in the body frame, counter-clockwise from outside; first row of each fragment, and the
+    total (end - first + 1,)). Triangles without a plane are degenerate by rounding and left out.
+    """
+    begin = np.zeros(end - first + 1, np.int64)
+    kind = pools.fragment.kind[first]
+    if kind in (BOX, TRIANGLES):
+        return _rigid_triangles(pools, first, begin)
+    if kind != TETRAHEDRA:
+        return np.empty((0, 9)), begin
+    mesh, body = pools.mesh, pools.body
+    k, shift = pools.fragment.mesh[first], pools.fragment.tet_shift[first]
+    low, high = mesh.first[k, FIRST_TETRAHEDRON], len(mesh.tetrahedra)
+    if k + 1 < len(mesh.first):
+        high = mesh.first[k + 1, FIRST_TETRAHEDRON]
+    out = np.empty((0, 9))
+    for turn in range(2):
+        if turn == 1:
+            total = 0
+            for f in range(end - first + 1):
+                total, begin[f] = total + begin[f], total
+            out = np.empty((total, 9))
+        for t in range(low, high):
+            alone = first if shift == NEVER_BROKEN else body.regions[t + shift, OWNER]
+            if first <= alone < end:
+                for face in range(4):
+                    if mesh.neighbours[t, face] < 0:
+                        if turn == 1:
+                            v, w = mesh.tetrahedra[t], FACE_VERTICES[face]
+                            for i in range(3):
+                                for d in range(3):
+                                    out[begin[alone - first], 3 * i + d] = mesh.nodes[v[w[i]], d]
+                        begin[alone - first] += 1
+            if shift == NEVER_BROKEN or body.cut_count[t + shift] == 0:
+                continue
+            row = body.regions[t + shift, ROW]
+            for i in range(row, row + body.cut_count[t + shift]):
+                if math.isnan(body.faces[i, 3]):
+                    continue
+                for side in (FRONT_SIDE, BACK_SIDE):
+                    f = body.sides[i, side] - first
+                    if not 0 <= f < end - first:
+                        continue
+                    if turn == 1:
+                        q, r = (3, 6) if side == FRONT_SIDE else (6, 3)
+                        for d in range(3):
+                            out[begin[f], d] = body.triangles[i, d]
+                            out[begin[f], 3 + d] = body.triangles[i, q + d]
+                            out[begin[f], 6 + d] = body.triangles[i, r + d]
+                    begin[f] += 1
+    for f in range(end - first, 0, -1):
+        begin[f] = begin[f - 1]
+    begin[0] = 0
+    return out, begin
 
 
 @inlined_kernel
-def _pieces_of(pools, f):
-    """Pieces that may hold triangles of fragment f's surface, for put_triangle."""
-    kind, k = pools.fragment.kind[f], pools.fragment.mesh[f]
-    if kind not in WITH_FACES:
-        return np.arange(0)
-    if kind == BOX:
-        return np.arange(6)
-    if kind == TRIANGLES:
-        return np.arange(pools.triangles.triangle_range[k, 0], pools.triangles.triangle_range[k, 1])
-    first = pools.mesh.first[k, FIRST_TETRAHEDRON]
-    end = len(pools.mesh.tetrahedra)
-    if k + 1 < len(pools.mesh.first):
-        end = pools.mesh.first[k + 1, FIRST_TETRAHEDRON]
-    pieces, used = np.empty(end - first, np.int64), 0
-    for t in range(first, end):
-        if holds_fragment(pools, f, t):
-            pieces[used] = t
-            used += 1
-    return pieces[:used]
+def _rigid_triangles(pools, f, begin):
+    """triangles_of for one box or rigid triangle mesh."""
+    pieces = np.arange(6)
+    if pools.fragment.kind[f] == TRIANGLES:
+        k = pools.fragment.mesh[f]
+        pieces = np.arange(pools.triangles.triangle_range[k, 0], pools.triangles.triangle_range[k, 1])
+    each = count_triangles(pools, f, 0)
+    out, still, here = np.empty((each * len(pieces), 9)), np.eye(3), np.zeros(3)
+    for i in range(len(pieces)):
+        for k in range(each):
+            put_triangle(pools, f, pieces[i], k, still, here, out[each * i + k])
+    begin[1] = len(out)
+    return out, begin
