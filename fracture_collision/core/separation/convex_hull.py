@@ -68,7 +68,7 @@ def convex_hull(points):
         np.full(m, _NONE), np.full(m, _NONE), np.zeros(m),
     )  # fmt: skip
     after = np.full(n, _NONE)  # the next point of a chain
-    free = np.arange(m)[::-1].copy()
+    free = np.arange(m - 1, -1, -1)
     free_count = m
     starts_at = np.full(n, _NONE)  # by its first corner, a new triangle
     visible, borders = np.empty(m, np.int64), np.empty((m, 2), np.int64)
