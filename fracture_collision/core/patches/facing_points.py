@@ -97,7 +97,7 @@ def facing_points(a, b, n, limit, size):
     return FacingPoints(points[:count].copy(), gaps[:count].copy(), features[:count].copy())
 
 
-@inlined_kernel
+@kernel
 def _axes(n):
     """Rows: two unit vectors across n, and n."""
     axes, least = np.zeros((3, 3)), 0
@@ -115,7 +115,7 @@ def _axes(n):
     return axes
 
 
-@inlined_kernel
+@kernel
 def _seen_along(corners, axes):
     seen = np.empty((len(corners), 3))
     for k in range(len(corners)):
@@ -124,7 +124,7 @@ def _seen_along(corners, axes):
     return seen
 
 
-@inlined_kernel
+@kernel
 def _near(posed, places, n, sign, window, limit):
     """The _Seen of a fragment; sign: 1 for a, whose faces point along n, -1 for b.
 
@@ -187,7 +187,7 @@ def _box(places, rows, k, corners, rim, box):
         box[2], box[3] = min(box[2], p[1] - rim), max(box[3], p[1] + rim)
 
 
-@inlined_kernel
+@kernel
 def _grid_of(places, rows, chosen, corners, window, rim):
     """The _Grid of features `chosen` (k,) of `rows`, which have so many corners each."""
     wide, high = window[1] - window[0], window[3] - window[2]
@@ -269,7 +269,7 @@ def _height_at(a, b, c, p, rim):
     return True, min(max(height, min(a[2], b[2], c[2])), max(a[2], b[2], c[2]))
 
 
-@inlined_kernel
+@kernel
 def _crossings(of_a, edges_a, of_b, edges_b, window, limit, rim, found, count):
     """Add the crossings of edges of both; returns as _add."""
     if len(of_a.edges) == 0 or len(of_b.edges) == 0:
@@ -316,7 +316,7 @@ def _crossing(p, q, r, s, rim):
     return True, p[0] + on_a * au, p[1] + on_a * av, height, r[2] + on_b * (s[2] - r[2]) - height
 
 
-@inlined_kernel
+@kernel
 def _add(found, count, point, feature):
     """Write a point; returns (the FacingPoints, which may be larger ones, number of points)."""
     points, gaps, features = found

@@ -67,7 +67,7 @@ def mesh_patch(shapes, rows, placings, tolerance, b_first, moved, most):
     return _listed(found, placings, share, parting, n, tolerance, size, moved, most)
 
 
-@inlined_kernel
+@kernel
 def _listed(found, placings, share, parting, n, tolerance, size, moved, most):
     """The Patch of the best of FacingPoints."""
     count, least = len(found.gaps), math.inf
@@ -118,7 +118,7 @@ def _one_per_place(points, order, apart):
     return kept
 
 
-@inlined_kernel
+@kernel
 def _spread(points, gaps, order, tolerance, most):
     """Rows of up to `most` points: the deepest, then always that which is farthest from those before, if it is near.
 
@@ -159,7 +159,7 @@ def _nearness(gap, deepest, tolerance):
     return min(max((deepest + 2.0 * tolerance - gap) / tolerance, 0.0), 1.0)
 
 
-@inlined_kernel
+@kernel
 def _relative(placings):
     """The Relative of two Placings."""
     to_a, to_b, between = np.empty((2, 3, 3)), np.empty((2, 3, 3)), np.empty((2, 3))
@@ -182,7 +182,7 @@ def _turn(placing):
     return math.sqrt(most)
 
 
-@inlined_kernel
+@kernel
 def _mixed(placing, share):
     """(matrix (3, 3), offset (3,)) of the affine map at a share of the step, straight from its beginning to its end."""
     rotation, position = placing.rotations[0].copy(), placing.positions[0].copy()
@@ -193,7 +193,7 @@ def _mixed(placing, share):
     return rotation, position
 
 
-@inlined_kernel
+@kernel
 def _posed(surface, placing, share):
     """The Posed surface at a share of the step."""
     rotation, position = _mixed(placing, share)
@@ -203,7 +203,7 @@ def _posed(surface, placing, share):
     )  # fmt: skip
 
 
-@inlined_kernel
+@kernel
 def _mapped(points, rotation, position):
     out = np.empty((len(points), 3))
     for k in range(len(points)):
@@ -213,7 +213,7 @@ def _mapped(points, rotation, position):
     return out
 
 
-@inlined_kernel
+@kernel
 def _carried(placing, p, before, after):
     """Where a point p (3,), fixed to a fragment, that is there at share `before` of the step is at `after`."""
     m, t = _mixed(placing, before)

@@ -174,7 +174,7 @@ def triangles_of(pools, first, end):
     return out, begin
 
 
-@inlined_kernel
+@kernel
 def _rigid_triangles(pools, f, begin):
     """triangles_of for one box or rigid triangle mesh."""
     pieces = np.arange(6)

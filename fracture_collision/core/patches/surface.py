@@ -75,7 +75,7 @@ def make_surface(given):
     return Surface(corners[:used].copy(), triangles[:kept].copy(), normals[:kept].copy(), edges, beside, is_sharp)
 
 
-@inlined_kernel
+@kernel
 def _convex_edges(corners, triangles, normals):
     """Convex edges (e, 2) and the triangles (e, 2) beside them.
 

@@ -65,12 +65,12 @@ def convex_hull(points):
     m = _EACH * n + _MORE
     its = _Triangles(
         np.zeros(m, np.uint8), np.empty((m, 3), np.int64), np.empty((m, 3), np.int64), np.empty((m, 4)),
-        np.full(m, _NONE), np.full(m, _NONE), np.zeros(m),
+        np.full(m, -1), np.full(m, -1), np.zeros(m),
     )  # fmt: skip
-    after = np.full(n, _NONE)  # the next point of a chain
+    after = np.full(n, -1)  # the next point of a chain
     free = np.arange(m - 1, -1, -1)
     free_count = m
-    starts_at = np.full(n, _NONE)  # by its first corner, a new triangle
+    starts_at = np.full(n, -1)  # by its first corner, a new triangle
     visible, borders = np.empty(m, np.int64), np.empty((m, 2), np.int64)
     waiting, waits = np.empty(m, np.int64), 0
     outside = enough
@@ -115,7 +115,7 @@ def convex_hull(points):
             p, q = its.corners[old, side], its.corners[old, (side + 1) % 3]
             its.state[new] = _LIVE
             its.corners[new, 0], its.corners[new, 1], its.corners[new, 2] = p, q, top
-            its.first[new] = its.farthest[new] = _NONE
+            its.first[new], its.farthest[new] = np.int64(_NONE), np.int64(_NONE)
             its.height[new] = 0.0
             its.beyond[new, 0] = its.beyond[old, side]
             _put_plane(points, its, new)
@@ -220,7 +220,7 @@ def _keep_outside(points, its, t, p, enough, after):
 def _drop(points, its, t, dropped, after):
     """Take a point out of the chain of triangle t."""
     p = its.first[t]
-    its.first[t], its.farthest[t], its.height[t] = _NONE, _NONE, 0.0
+    its.first[t], its.farthest[t], its.height[t] = np.int64(_NONE), np.int64(_NONE), 0.0
     while p != _NONE:
         following = after[p]
         if p != dropped:
@@ -270,13 +270,13 @@ def _see(points, its, t, top, enough, starts_at, out):
     return seen, edges, is_simple
 
 
-@inlined_kernel
+@kernel
 def _merged(points, its, outside, flat):
     """The ConvexHull of the triangles; flat [m]: see FLAT."""
     m, n = len(its.state), len(points)
-    face_of, stack = np.full(m, _NONE), np.empty(m, np.int64)
+    face_of, stack = np.full(m, -1), np.empty(m, np.int64)
     area, normals, faces, volume = np.zeros(m), np.zeros((m, 4)), 0, 0.0
-    origin = _NONE
+    origin = np.int64(_NONE)
     for t in range(m):
         if its.state[t] == _LIVE:
             x, y, z = _twice_area(points, its.corners[t])

@@ -95,7 +95,7 @@ def parting_direction(a, b, relative, tolerance, b_first):
     return _choose(a, b, relative, tolerance, b_first, np.vstack((ways, more)), np.append(apart, apart_across), best)
 
 
-@inlined_kernel
+@kernel
 def _choose(a, b, relative, tolerance, b_first, ways, now, best):
     """The Parting among directions `ways` (n, 3) that are apart by `now` (n,); best: the greatest of these below 0."""
     faces_a, faces = len(a.faces), len(a.faces) + len(b.faces)
@@ -194,7 +194,7 @@ def _apart_at(a, b, relative, when, n):
     return _lowest(a, own)[0] + _lowest(b, of_b)[0] + _along(n, relative.between[when])
 
 
-@inlined_kernel
+@kernel
 def _ridges_that_may(own, other, relative, side, apart, across, least):
     """Rows of the ridges of one (side 0: a, the first) across which the two may be apart by `least` [m] or more.
 
@@ -243,7 +243,7 @@ def _most_between(m, n, w):
     return max(along_m, along_n)
 
 
-@inlined_kernel
+@kernel
 def _across_ridges(a, b, relative, of_a, of_b):
     """Directions across ridges of both, rows `of_a` and `of_b`, that the difference of the hulls has a face for.
 
