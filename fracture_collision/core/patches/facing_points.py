@@ -228,7 +228,7 @@ def _cell(grid, d, x):
     return min(max(int((x - grid.low[d]) * grid.per_cell[d]), 0), grid.cells[d] - 1)
 
 
-@inlined_kernel
+@kernel
 def _corners_over(of, over, triangles, sign, kind, window, limit, rim, found, count):
     """Add the corners of one _Seen that are over faces of the other, sign: 1 for corners of b; returns as _add."""
     if len(of.corners) == 0 or len(over.faces) == 0:
