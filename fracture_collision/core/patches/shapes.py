@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.core.memory.compiled import inlined_kernel, kernel
+from fracture_collision.core.memory.compiled import kernel
 from fracture_collision.core.memory.kinds import BOX, TETRAHEDRA, TRIANGLES
 from fracture_collision.core.memory.pools import BACK_SIDE, FRONT_SIDE, NEVER_BROKEN, OWNER, ROW, GrowableArray, Pools
 from fracture_collision.core.mesh.cut_tetrahedron import FACE_VERTICES
@@ -96,7 +96,7 @@ def shape_of(triangles):
     return hull, surface, size, len(corners) > 0 and volume / 6.0 >= (1.0 - CONVEX) * points.volume
 
 
-@inlined_kernel
+@kernel
 def hull_of(shapes, f):
     """The Hull of fragment f: views."""
     c, d = shapes.first[f], shapes.first[f + 1]
@@ -104,7 +104,7 @@ def hull_of(shapes, f):
     return Hull(h.x[c[0] : d[0]], h.y[c[0] : d[0]], h.z[c[0] : d[0]], h.faces[c[1] : d[1]], h.ridges[c[2] : d[2]])
 
 
-@inlined_kernel
+@kernel
 def surface_of(shapes, f):
     """The Surface of fragment f: views."""
     c, d = shapes.first[f], shapes.first[f + 1]
