@@ -101,11 +101,11 @@ def scene_of(name: str, elementary: Elementary, setting: Setting) -> Scene:
     )  # fmt: skip
 
 
-def run(scene: Scene, scale: float = 1.0, lockstep: Any = Lockstep) -> Trace:
+def run(scene: Scene, scale: float = 1.0) -> Trace:
     """Run a scene to its end."""
     root = math.sqrt(scale)
     rows: list[tuple[Any, ...]] = []
-    with lockstep(scene, Settings(threads=1, lookahead=scene.time_step)) as running:
+    with Lockstep(scene, Settings(threads=1, lookahead=scene.time_step)) as running:
         for exchange in running:
             states, report = running.simulation._engine.states(), exchange.report
             rows.append((
@@ -288,12 +288,8 @@ SCENES: dict[str, Elementary] = {
 @click.option("--kinds", default="box,brick1,brick2", show_default=True)
 @click.option("--scales", default="1", show_default=True)
 @click.option("--steps", default="2.5", show_default=True, help="[ms] at scale 1.")
-@click.option("--patched", is_flag=True)
-def main(only: str, kinds: str, scales: str, steps: str, patched: bool) -> None:
+def main(only: str, kinds: str, scales: str, steps: str) -> None:
     """Runs the elementary scenes and says which end as they should."""
-    lockstep: Any = Lockstep
-    if patched:
-        from campaigns.patches import Patched as lockstep
     total = wrong = 0
     for name, elementary in SCENES.items():
         if only not in name:
@@ -303,7 +299,7 @@ def main(only: str, kinds: str, scales: str, steps: str, patched: bool) -> None:
                 for step in map(float, steps.split(",")):
                     setting = Setting(kind, scale, 1e-3 * step)
                     try:
-                        trace = run(scene_of(name, elementary, setting), scale, lockstep)
+                        trace = run(scene_of(name, elementary, setting), scale)
                         said = ", ".join(elementary.faults(trace))
                     except ArithmeticError as error:
                         said = repr(error)

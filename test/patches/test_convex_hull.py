@@ -108,7 +108,7 @@ def test_the_direction_is_that_of_least_overlap() -> None:
             b = (grid(3) - 1.0) * random.uniform(0.3, 1.0, 3)
         poses = [(Rotation.random(random_state=random).as_matrix(), random.normal(size=3)) for _ in range(2)]
         parting: Parting = parting_direction(
-            hull_of(a), hull_of(b), relative((poses[0],) * 2, (poses[1],) * 2), 1e-9, False
+            hull_of(a), hull_of(b), relative((poses[0],) * 2, (poses[1],) * 2), 1e-9, np.zeros(3)
         )
         of_a, of_b = placed(a, poses[0]), placed(b, poses[1])
         facets = Qhull((of_b[None] - of_a[:, None]).reshape(-1, 3)).equations
@@ -128,7 +128,7 @@ def of_cubes(now: list[float], end: list[float]) -> Parting:
     cube = hull_of(0.1 * (grid(2) - 0.5))
     eye = np.eye(3)
     return parting_direction(
-        cube, cube, relative((STILL, STILL), ((eye, np.array(now)), (eye, np.array(end)))), 1e-4, False
+        cube, cube, relative((STILL, STILL), ((eye, np.array(now)), (eye, np.array(end)))), 1e-4, np.zeros(3)
     )
 
 

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from fracture_collision.core.patches.pair_contacts import Patch, Placing, mesh_patch
-from fracture_collision.core.patches.shapes import Shapes, ShapeTable
+from fracture_collision.core.patches.shapes import Shapes, ShapeTable, hull_of
 
 UP = (0.0, 0.0, 1.0)
 
@@ -24,7 +24,7 @@ def box(*sides: float) -> trimesh.Trimesh:
 
 
 def patch(
-    shapes: Shapes, now, end=None, tolerance: float = 1e-4, b_first: bool = False, moved: float = np.inf,
+    shapes: Shapes, now, end=None, tolerance: float = 1e-4, moved: float = np.inf,
     turn: np.ndarray | None = None, most: int = 8,
 ) -> Patch:  # fmt: skip
     """The second at `now`, and at `end` after the step, turned by `turn`; the first does not move."""
@@ -33,7 +33,8 @@ def patch(
     # the frame of the query is b's of now
     b = Placing(np.array([eye, eye]), np.array([rest, turned.T @ np.subtract(now if end is None else end, now)]))
     a = Placing(np.array([turned.T] * 2), np.array([turned.T @ -np.asarray(now, float)] * 2))
-    return mesh_patch(shapes, (0, 1), (a, b), tolerance, b_first, moved, most)
+    hulls = hull_of(shapes, 0), hull_of(shapes, 1)
+    return mesh_patch(shapes, (0, 1), hulls, (a, b), tolerance, moved, most, np.zeros(3))
 
 
 @pytest.mark.parametrize("gap", [0.0, 5e-5, -1e-3, -0.04])

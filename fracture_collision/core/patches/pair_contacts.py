@@ -7,7 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fracture_collision.core.contacts.known_samples import ID_AT, ID_SAMPLE, ID_SIDE, ID_SOURCE, ID_TETRAHEDRON
+from fracture_collision.core.field.flood import NO_SOURCE
+from fracture_collision.core.lookahead.motion import put_pose
 from fracture_collision.core.memory.compiled import inlined_kernel, kernel
+from fracture_collision.core.memory.rotations import relative_pose, rotated, turned_back
+from fracture_collision.core.mesh.sample_numbers import FIRST_OF_PATCHES
 from fracture_collision.core.patches.facing_points import CROSSING, Posed, facing_points
 from fracture_collision.core.patches.shapes import hull_of, surface_of
 from fracture_collision.core.separation.parting_direction import Relative, parting_direction
@@ -19,41 +24,106 @@ ONE_PLACE = 1e-6
 MOVED = 1.5
 # The deepest contact comes first; depths within this share of the tolerance are alike. So are scores within the other.
 ALIKE, EQUAL = 1e-3, 0.999
+# A step is divided so that neither body turns by more than this [rad] in a part: each is looked at as if straight.
+MOST_TURN = 0.12
+MOST_PARTS = 64
 _CROSSING_STRIDE = 1 << 24
 
 
 class Placing(NamedTuple):
-    """Poses of one fragment in the frame of the query, b's of now: at the beginning and at the end of the step."""
+    """Poses of one fragment at the beginning and at the end of a part of the step, in b's frame of the beginning."""
 
     rotations: np.ndarray  # (2, 3, 3)
     positions: np.ndarray  # (2, 3) [m]
 
 
 class Patch(NamedTuple):
-    """Contacts of one direction, in the frame of the query."""
+    """Contacts of one direction, in b's frame at the beginning; gaps are positive where the two touch later."""
 
     normal: np.ndarray  # (3,) unit, from a to b
-    points: np.ndarray  # (k, 3) [m] on a; those on b are `gaps` farther along the normal
-    gaps: np.ndarray  # (k,) [m] now
-    numbers: np.ndarray  # (k,) int64: which feature it is of: positive corners of b, negative of a, or crossings
-    now: float  # [m] how far the hulls are apart along it
-    end: float  # [m]
+    points: np.ndarray  # (k, 3) [m] on a
+    others: np.ndarray  # (k, 3) [m] on b
+    gaps: np.ndarray  # (k,) [m] along the normal
+    numbers: np.ndarray  # (k,) int64: which feature it is of: a corner of b, of a, or a crossing
 
 
 @kernel
-def mesh_patch(shapes, rows, placings, tolerance, b_first, moved, most):
+def put_patch(shapes, pair, moving, near, one_body, most, remembered, sink):
+    """Write the contacts of a Pair of convex fragments, now or within the time of a Moving, to a Sink, if it has room.
+
+    near [m]: the detection tolerance; one_body [m]: how far the two moved since they were one, infinity: never; most:
+    contacts listed; remembered (3,): what kept the two apart before, which is tried first and has no influence on what
+    is listed. Returns (contacts, whether they depend on the motion).
+    """
+    i, j, rotations, positions, motion = moving
+    hulls = hull_of(shapes, pair.a), hull_of(shapes, pair.b)
+    parts = _parts(motion, i, j)
+    turns, places = np.empty((4, 3, 3)), np.empty((4, 3))
+    for part in range(max(parts, 1)):
+        for end in range(2):
+            t = motion.time * (part + end) / parts if parts > 0 else 0.0
+            for side in range(2):
+                k, row = (i, end) if side == 0 else (j, 2 + end)
+                if t > 0.0:
+                    put_pose(motion, rotations, positions, k, t, turns[row], places[row])
+                else:
+                    turns[row], places[row] = rotations[k], positions[k]
+        placings = _seen_from(turns, places, 0), _seen_from(turns, places, 2)
+        patch = mesh_patch(shapes, (pair.a, pair.b), hulls, placings, near, one_body, most, remembered)
+        count = len(patch.gaps)
+        if count > 0 and count <= len(sink.contacts):
+            n = _turned(turns[2], patch.normal)
+            n = _turned_back(rotations[j], n)
+            for k in range(count):
+                p, q = patch.points[k], patch.others[k]
+                if part > 0:
+                    p = _turned_back(placings[0].rotations[0], p - placings[0].positions[0])
+                    p = _turned(pair.rotation[0], p) + pair.translation[0]
+                _put(sink, k, p, q, n if part > 0 else patch.normal, patch.numbers[k])
+        if count > 0:
+            return count, parts > 0
+    return 0, parts > 0
+
+
+@inlined_kernel
+def _parts(motion, i, j):
+    """Number of parts that a step is divided into; 0: the two do not move against each other."""
+    if not motion.time > 0.0:
+        return 0
+    turn, differs = 0.0, False
+    for k in (i, j):
+        w = motion.angular[k]
+        turn += math.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
+    for d in range(3):
+        differs = differs or motion.linear[i, d] != motion.linear[j, d]
+    if not (turn > 0.0 or differs):
+        return 0
+    return min(max(int(math.ceil(motion.time * turn / MOST_TURN)), 1), MOST_PARTS)
+
+
+@kernel
+def _put(sink, k, p, q, n, number):
+    """Write a contact to row k of a Sink, as a sample of a that meets b."""
+    row, ids = sink.contacts[k], sink.ids[k]
+    for d in range(3):
+        row[d], row[3 + d], row[6 + d] = p[d], q[d], -n[d]
+    row[9] = (q[0] - p[0]) * n[0] + (q[1] - p[1]) * n[1] + (q[2] - p[2]) * n[2]
+    ids[ID_SIDE], ids[ID_SAMPLE] = 0, FIRST_OF_PATCHES + number
+    ids[ID_SOURCE], ids[ID_TETRAHEDRON], ids[ID_AT] = NO_SOURCE, -1, -1
+
+
+@kernel
+def mesh_patch(shapes, rows, hulls, placings, tolerance, moved, most, remembered):
     """The Patch of two fragments with surfaces, by rows (a, b) of Shapes; without contacts where they stay apart.
 
-    placings: of a and of b; tolerance [m]; moved [m]: how far they moved since they were one, infinity: never; most:
-    contacts wanted.
+    hulls, placings: of both; tolerance [m]; moved [m]: how far they moved since they were one, infinity: never; most:
+    contacts wanted; remembered: see put_patch.
     """
     a, b = rows
-    hull_a, hull_b = hull_of(shapes, a), hull_of(shapes, b)
-    parting = parting_direction(hull_a, hull_b, _relative(placings), tolerance, b_first)
+    parting = parting_direction(hulls[0], hulls[1], _relative(placings), tolerance, remembered)
     n = np.array([parting.x, parting.y, parting.z])
-    nothing = Patch(n, np.zeros((0, 3)), np.zeros(0), np.zeros(0, np.int64), parting.now, parting.end)
     if parting.is_apart:
-        return nothing
+        return Patch(n, np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0, np.int64))
     size = min(shapes.size[a], shapes.size[b])
     closing = max(parting.now - parting.end, 0.0)
     share = 0.0
@@ -63,17 +133,17 @@ def mesh_patch(shapes, rows, placings, tolerance, b_first, moved, most):
     first, last = _posed(surface_a, placings[0], share), _posed(surface_b, placings[1], share)
     spread = _turn(placings[0]) * shapes.size[a] + _turn(placings[1]) * shapes.size[b]
     limit = tolerance if share > 0.0 else tolerance + closing + spread
-    found = facing_points(first, last, n, max(limit, tolerance), size)
-    return _listed(found, placings, share, parting, n, tolerance, size, moved, most)
+    found = facing_points(first, last, n, limit, size)
+    return _listed(found, placings, share, n, tolerance, size, moved, most)
 
 
 @kernel
-def _listed(found, placings, share, parting, n, tolerance, size, moved, most):
+def _listed(found, placings, share, n, tolerance, size, moved, most):
     """The Patch of the best of FacingPoints."""
     count, least = len(found.gaps), math.inf
     for k in range(count):
         least = min(least, found.gaps[k])
-    points, gaps = np.empty((count, 3)), np.empty(count)
+    points, others, gaps = np.empty((count, 3)), np.empty((count, 3)), np.empty(count)
     order, numbers = np.empty(count, np.int64), np.empty(count, np.int64)
     used = 0
     for k in range(count):
@@ -90,7 +160,7 @@ def _listed(found, placings, share, parting, n, tolerance, size, moved, most):
             s, t = _carried(placings[0], p, 0.0, 1.0), _carried(placings[1], q, 0.0, 1.0)
             if (t[0] - s[0]) * n[0] + (t[1] - s[1]) * n[1] + (t[2] - s[2]) * n[2] > tolerance:
                 continue
-        points[used], gaps[used] = p, gap
+        points[used], others[used], gaps[used] = p, q, gap
         kind, i, j = found.features[k]
         # crossings after corners, those of b before those of a
         numbers[used] = (np.int64(kind) << 56) + (_CROSSING_STRIDE * i + j if kind == CROSSING else i)
@@ -98,7 +168,7 @@ def _listed(found, placings, share, parting, n, tolerance, size, moved, most):
     order = np.argsort(numbers[:used], kind="mergesort")
     order = order[: _one_per_place(points, order, ONE_PLACE * size)]
     chosen = _spread(points, gaps, order, tolerance, most)
-    return Patch(n, points[chosen], gaps[chosen], numbers[chosen], parting.now, parting.end)
+    return Patch(n, points[chosen], others[chosen], gaps[chosen], numbers[chosen])
 
 
 @inlined_kernel
@@ -157,6 +227,34 @@ def _spread(points, gaps, order, tolerance, most):
 @inlined_kernel
 def _nearness(gap, deepest, tolerance):
     return min(max((deepest + 2.0 * tolerance - gap) / tolerance, 0.0), 1.0)
+
+
+@kernel
+def _seen_from(turns, places, first):
+    """The Placing of the fragment with world poses turns (4, 3, 3), places (4, 3) in rows first and first + 1.
+
+    b's, in whose frame they are seen, are in rows 2 and 3.
+    """
+    out = Placing(np.empty((2, 3, 3)), np.empty((2, 3)))
+    for end in range(2):
+        if first == 2 and end == 0:
+            out.rotations[0], out.positions[0] = np.eye(3), np.zeros(3)
+        else:
+            row = first + end
+            relative_pose(turns[row], places[row], turns[2], places[2], out.rotations[end], out.positions[end])
+    return out
+
+
+@kernel
+def _turned(rotation, p):
+    x, y, z = rotated(rotation, p[0], p[1], p[2])
+    return np.array([x, y, z])
+
+
+@kernel
+def _turned_back(rotation, p):
+    x, y, z = turned_back(rotation, p[0], p[1], p[2])
+    return np.array([x, y, z])
 
 
 @kernel

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.core.memory.compiled import kernel
+from fracture_collision.core.memory.compiled import inlined_kernel, kernel
 from fracture_collision.core.memory.kinds import BOX, TETRAHEDRA, TRIANGLES
 from fracture_collision.core.memory.pools import BACK_SIDE, FRONT_SIDE, NEVER_BROKEN, OWNER, ROW, GrowableArray, Pools
 from fracture_collision.core.mesh.cut_tetrahedron import FACE_VERTICES
@@ -54,6 +54,16 @@ class ShapeTable:
             Surface(*(column.view for column in self._surface)),
         )  # fmt: skip
 
+    def keep(self, stays: np.ndarray) -> None:
+        """Keep only the shapes of fragments where the mask `stays` (F,) is true."""
+        counts = np.diff(self._first.view, axis=0)
+        of = [np.repeat(stays, counts[:, k]) for k in range(6)]
+        for column, k in zip((*self._hull, *self._surface), (0, 0, 0, 1, 2, 3, 4, 4, 5, 5, 3), strict=True):
+            column.keep(of[k])
+        self._size.keep(stays)
+        self._is_convex.keep(stays)
+        self._first.replace(np.vstack((np.zeros((1, 6), np.int64), np.cumsum(counts[stays], axis=0))))
+
     def append(self, pools: Pools, first: int, end: int) -> None:
         """Add the shapes of the fragments first .. end - 1, which were made last; several are pieces of one body."""
         triangles, begin = triangles_of(pools, first, end)
@@ -69,6 +79,15 @@ class ShapeTable:
         self._first.append(self._first.view[-1:] + counts)
         self._size.append(np.array([size]))
         self._is_convex.append(np.array([is_convex]))
+
+
+NO_SHAPES = ShapeTable().view
+
+
+@inlined_kernel
+def have_patches(shapes, a, b):
+    """Whether contacts of fragments a and b are patches (NO_SHAPES: none are)."""
+    return len(shapes.size) > 0 and shapes.is_convex[a] and shapes.is_convex[b]
 
 
 @kernel

@@ -61,27 +61,29 @@ class Parting(NamedTuple):
 
 
 @kernel
-def parting_direction(a, b, relative, tolerance, b_first):
+def parting_direction(a, b, relative, tolerance, remembered):
     """The Parting of two fragments by their Hulls, as they move by `relative`.
 
-    tolerance [m]: overlaps that differ by no more are alike; apart by more, now and at the end, is apart. b_first: of
-    directions alike, faces of b go before those of a.
+    tolerance [m]: overlaps that differ by no more are alike; apart by more, now and at the end, is apart. remembered
+    (3,): holds the number of the face along whose normal they were apart before, and gets that of now; 0: none. It is
+    measured first, and the result does not depend on it.
     """
     faces_a, faces_b = len(a.faces), len(b.faces)
     most = faces_a + faces_b
+    known = int(remembered[0]) - 1
+    if 0 <= known < most:
+        n = _face_direction(a, b, relative, known)
+        if _apart_at_face(a, b, relative, known, n)[0] > tolerance and _apart_at(a, b, relative, 1, n) > tolerance:
+            return Parting(True, 0.0, 0.0, 0.0, 0.0, 0.0)
+    remembered[0] = 0.0
     ways, apart, across = np.empty((most, 3)), np.empty(most), np.empty(most, np.int64)
     best = -math.inf
     for k in range(most):
         n = _face_direction(a, b, relative, k)
         ways[k, 0], ways[k, 1], ways[k, 2] = n
-        if k < faces_a:
-            lowest, across[k] = _lowest(b, n)
-            apart[k] = lowest - a.faces[k, 3] + _along(n, relative.between[0])
-        else:
-            own = rotated(relative.to_a[0], -n[0], -n[1], -n[2])
-            lowest, across[k] = _lowest(a, own)
-            apart[k] = lowest - b.faces[k - faces_a, 3] + _along(n, relative.between[0])
+        apart[k], across[k] = _apart_at_face(a, b, relative, k, n)
         if apart[k] > tolerance and _apart_at(a, b, relative, 1, n) > tolerance:
+            remembered[0] = k + 1.0
             return Parting(True, 0.0, 0.0, 0.0, 0.0, 0.0)
         best = max(best, min(apart[k], 0.0))
     of_a, many_a = _ridges_that_may(a, b, relative, 0, apart, across, best - tolerance)
@@ -92,11 +94,11 @@ def parting_direction(a, b, relative, tolerance, b_first):
         if apart_across[k] > tolerance and _apart_at(a, b, relative, 1, n) > tolerance:
             return Parting(True, 0.0, 0.0, 0.0, 0.0, 0.0)
         best = max(best, min(apart_across[k], 0.0))
-    return _choose(a, b, relative, tolerance, b_first, np.vstack((ways, more)), np.append(apart, apart_across), best)
+    return _choose(a, b, relative, tolerance, np.vstack((ways, more)), np.append(apart, apart_across), best)
 
 
 @kernel
-def _choose(a, b, relative, tolerance, b_first, ways, now, best):
+def _choose(a, b, relative, tolerance, ways, now, best):
     """The Parting among directions `ways` (n, 3) that are apart by `now` (n,); best: the greatest of these below 0."""
     faces_a, faces = len(a.faces), len(a.faces) + len(b.faces)
     end, top = np.full(len(ways), -math.inf), -math.inf
@@ -107,7 +109,7 @@ def _choose(a, b, relative, tolerance, b_first, ways, now, best):
     if top < 0.0 and _pass_each_other(a, b, relative, ways, now):
         return Parting(True, 0.0, 0.0, 0.0, 0.0, 0.0)
     for turn in range(3):
-        low, high = (0, faces_a) if turn == (1 if b_first else 0) else (faces_a, faces)
+        low, high = (0, faces_a) if turn == 0 else (faces_a, faces)
         if turn == 2:
             low, high = faces, len(ways)
         of_class = -math.inf
@@ -159,6 +161,16 @@ def _face_direction(a, b, relative, k):
         return _turned_back(relative.to_a[0], (a.faces[k, 0], a.faces[k, 1], a.faces[k, 2]))
     k -= len(a.faces)
     return -b.faces[k, 0], -b.faces[k, 1], -b.faces[k, 2]
+
+
+@inlined_kernel
+def _apart_at_face(a, b, relative, k, n):
+    """(how far the two are apart now along direction k of _face_direction, n; the corner across from the face)."""
+    if k < len(a.faces):
+        lowest, corner = _lowest(b, n)
+        return lowest - a.faces[k, 3] + _along(n, relative.between[0]), corner
+    lowest, corner = _lowest(a, rotated(relative.to_a[0], -n[0], -n[1], -n[2]))
+    return lowest - b.faces[k - len(a.faces), 3] + _along(n, relative.between[0]), corner
 
 
 @inlined_kernel
