@@ -10,7 +10,7 @@ import numpy as np
 from fracture_collision.core.contacts.known_samples import ID_AT, ID_SAMPLE, ID_SIDE, ID_SOURCE, ID_TETRAHEDRON
 from fracture_collision.core.field.flood import NO_SOURCE
 from fracture_collision.core.lookahead.motion import put_pose
-from fracture_collision.core.memory.compiled import inlined_kernel, kernel
+from fracture_collision.core.memory.compiled import _cached, inlined_kernel, kernel
 from fracture_collision.core.memory.rotations import relative_pose, rotated, turned_back
 from fracture_collision.core.mesh.sample_numbers import FIRST_OF_PATCHES
 from fracture_collision.core.patches.facing_points import CROSSING, Posed, facing_points
@@ -47,7 +47,10 @@ class Patch(NamedTuple):
     numbers: np.ndarray  # (k,) int64: which feature it is of: a corner of b, of a, or a crossing
 
 
-@kernel
+allocating_kernel = _cached(_nrt=True, forceinline=False)
+
+
+@allocating_kernel
 def put_patch(shapes, pair, moving, near, one_body, most, remembered, sink):
     """Write the contacts of a Pair of convex fragments, now or within the time of a Moving, to a Sink, if it has room.
 
