@@ -49,7 +49,6 @@ from fracture_collision.simulation.solver.rest_gaps import rest_gaps_of
 from fracture_collision.simulation.solver.touch_ahead import StepContacts, held_back, split_by_gap
 from fracture_collision.simulation.step_records import StepReport, StepRequest, fragment_states
 
-_NO_GRAVITY = np.zeros(3)
 
 
 class _Solved(NamedTuple):
@@ -277,16 +276,19 @@ class Simulation:
         return pushes_of(self._pushers, states, self.time, self._scene.time_step, self._scene.gravity)
 
     def _to_search(self, states: BodyStates) -> BodyStates:
-        """`states` with the velocities of the coming step before contacts and gravity.
+        """`states` with the velocities of the coming step before contacts.
 
-        Otherwise the look-ahead would miss what a hand adds, and the gyroscopic torque, which turns the axis of a fast
-        shard by a radian.
+        Otherwise the look-ahead would miss what a hand adds, the gyroscopic torque, which turns the axis of a fast
+        shard by a radian, and gravity, by which a body at rest beside a seam would fall into it. Bodies asleep do not
+        fall.
         """
         velocities = _velocities(states)
         if self._planned is not None:
             velocities = velocities + self._planned.expected.of(states.fragment_ids)
-        free = free_velocities(velocities, states.inertias, _NO_GRAVITY, self._scene.time_step)
-        return states._replace(linear=velocities[:, :3].copy(), angular=free[:, 3:].copy())
+        free = free_velocities(velocities, states.inertias, self._scene.gravity, self._scene.time_step)
+        asleep = np.isin(states.fragment_ids, self._rest.fragment_ids[self._rest.asleep])
+        linear = np.where(asleep[:, None], velocities[:, :3], free[:, :3])
+        return states._replace(linear=linear, angular=free[:, 3:].copy())
 
     def _rigid_bodies(self, states: BodyStates, pushes: np.ndarray) -> RigidBodies:
         velocities = _velocities(states) + pushes

@@ -15,7 +15,8 @@ UP = (0.0, 0.0, 1.0)
 def shapes_of(*meshes: trimesh.Trimesh) -> Shapes:
     table = ShapeTable()
     for mesh in meshes:
-        table.add(mesh.triangles.reshape(-1, 9).copy())
+        triangles = mesh.triangles.reshape(-1, 9).copy()
+        table.append(triangles, np.array([0, len(triangles)]))
     return table.view
 
 

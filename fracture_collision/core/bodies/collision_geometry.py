@@ -44,7 +44,7 @@ from fracture_collision.core.mesh.occupancy import cells_of_boxes, mark_all, mar
 from fracture_collision.core.mesh.primitives import box_edge_points, box_sampling_gap
 from fracture_collision.core.mesh.sample_numbers import NewSamples
 from fracture_collision.core.mesh.triangle_field import append_triangle_mesh
-from fracture_collision.core.patches.shapes import NO_SHAPES, Shapes, ShapeTable
+from fracture_collision.core.patches.shapes import NO_SHAPES, Shapes, ShapeTable, triangles_of
 from fracture_collision.core.tree.sphere_tree import SphereTree, build_sphere_tree
 
 # [bytes] Less garbage is not worth a compaction.
@@ -343,8 +343,9 @@ class CollisionGeometry:
 
     def _find_ridges(self, first: int, end: int) -> None:
         if self._ridges is not None and self._shapes is not None:
-            self._ridges.append(self.pools, first, end)
-            self._shapes.append(self.pools, first, end)
+            triangles, begin = triangles_of(self.pools, first, end)
+            self._ridges.append(self.pools, first, triangles, begin)
+            self._shapes.append(triangles, begin)
 
     def _mesh_rows(self, prepared: PreparedMesh) -> MeshRows:
         for known, rows in self._meshes:

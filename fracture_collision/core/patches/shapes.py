@@ -9,7 +9,7 @@ import numpy as np
 
 from fracture_collision.core.memory.compiled import inlined_kernel, kernel
 from fracture_collision.core.memory.kinds import BOX, TETRAHEDRA, TRIANGLES
-from fracture_collision.core.memory.pools import BACK_SIDE, FRONT_SIDE, NEVER_BROKEN, OWNER, ROW, GrowableArray, Pools
+from fracture_collision.core.memory.pools import BACK_SIDE, FRONT_SIDE, NEVER_BROKEN, OWNER, ROW, GrowableArray
 from fracture_collision.core.mesh.cut_tetrahedron import FACE_VERTICES
 from fracture_collision.core.mesh.sample_numbers import FIRST_TETRAHEDRON
 from fracture_collision.core.mesh.surface_elements import count_triangles, put_triangle
@@ -64,21 +64,14 @@ class ShapeTable:
         self._is_convex.keep(stays)
         self._first.replace(np.vstack((np.zeros((1, 6), np.int64), np.cumsum(counts[stays], axis=0))))
 
-    def append(self, pools: Pools, first: int, end: int) -> None:
-        """Add the shapes of the fragments first .. end - 1, which were made last; several are pieces of one body."""
-        triangles, begin = triangles_of(pools, first, end)
-        for k in range(end - first):
-            self.add(triangles[begin[k] : begin[k + 1]])
-
-    def add(self, triangles: np.ndarray) -> None:
-        """Add the shape of the next fragment: corners (n, 9) [m] of its surface."""
-        hull, surface, size, is_convex = shape_of(triangles)
+    def append(self, triangles: np.ndarray, begin: np.ndarray) -> None:
+        """Add the shapes of the next fragments, by their triangles_of."""
+        first, size, is_convex, hull, surface = shapes_of(triangles, begin)
         for column, rows in zip((*self._hull, *self._surface), (*hull, *surface), strict=True):
             column.append(rows)
-        counts = len(hull.x), len(hull.faces), len(hull.ridges), *map(len, (surface[0], surface[1], surface[3]))
-        self._first.append(self._first.view[-1:] + counts)
-        self._size.append(np.array([size]))
-        self._is_convex.append(np.array([is_convex]))
+        self._first.append(self._first.view[-1:] + first)
+        self._size.append(size)
+        self._is_convex.append(is_convex)
 
 
 NO_SHAPES = ShapeTable().view
@@ -88,6 +81,41 @@ NO_SHAPES = ShapeTable().view
 def have_patches(shapes, a, b):
     """Whether contacts of fragments a and b are patches (NO_SHAPES: none are)."""
     return len(shapes.size) > 0 and shapes.is_convex[a] and shapes.is_convex[b]
+
+
+@kernel
+def shapes_of(triangles, begin):
+    """Of fragments with triangles begin[k] .. begin[k + 1]: first (k, 6), size, is_convex, hull and surface of Shapes.
+
+    Rows of `first` are the ends of each one's rows.
+    """
+    n, count = len(triangles), len(begin) - 1
+    first, size, is_convex = np.zeros((count, 6), np.int64), np.empty(count), np.empty(count, np.bool_)
+    hull = Hull(
+        np.empty(3 * n), np.empty(3 * n), np.empty(3 * n), np.empty((6 * n, 4)), np.empty((9 * n, 4), np.int64)
+    )  # fmt: skip
+    surface = Surface(
+        np.empty((3 * n, 3)), np.empty((n, 3), np.int32), np.empty((n, 3)), np.empty((3 * n, 2), np.int32),
+        np.empty((3 * n, 2), np.int32), np.empty(3 * n, np.bool_),
+    )  # fmt: skip
+    at = np.zeros(6, np.int64)
+    for k in range(count):
+        h, s, size[k], is_convex[k] = shape_of(triangles[begin[k] : begin[k + 1]])
+        end = at + np.array(
+            [len(h.x), len(h.faces), len(h.ridges), len(s.corners), len(s.triangles), len(s.edges)]
+        )  # fmt: skip
+        hull.x[at[0] : end[0]], hull.y[at[0] : end[0]], hull.z[at[0] : end[0]] = h.x, h.y, h.z
+        hull.faces[at[1] : end[1]], hull.ridges[at[2] : end[2]] = h.faces, h.ridges
+        surface.corners[at[3] : end[3]], surface.is_sharp[at[3] : end[3]] = s.corners, s.is_sharp
+        surface.triangles[at[4] : end[4]], surface.normals[at[4] : end[4]] = s.triangles, s.normals
+        surface.edges[at[5] : end[5]], surface.beside[at[5] : end[5]] = s.edges, s.beside
+        first[k] = at = end
+    hull = Hull(hull.x[: at[0]], hull.y[: at[0]], hull.z[: at[0]], hull.faces[: at[1]], hull.ridges[: at[2]])
+    surface = Surface(
+        surface.corners[: at[3]], surface.triangles[: at[4]], surface.normals[: at[4]], surface.edges[: at[5]],
+        surface.beside[: at[5]], surface.is_sharp[: at[3]],
+    )  # fmt: skip
+    return first, size, is_convex, hull, surface
 
 
 @kernel
