@@ -82,8 +82,8 @@ def patch_pair(geometry, pair, moving, rule, slot, sink, scratch):
     else:
         remembered[0] = 0.0
     most = min(rule.wanted, rule.limit)
-    count, is_ahead = put_patch(geometry.shapes, pair, moving, rule.near, moved, most, remembered, sink)
-    return True, Found(count, 0.0, 0, COMPLETE, 0.0), is_ahead
+    count, bound, is_ahead = put_patch(geometry.shapes, pair, moving, rule.near, moved, most, remembered, sink)
+    return True, Found(count, bound, 0, COMPLETE, 0.0), is_ahead
 
 
 @spliced_kernel

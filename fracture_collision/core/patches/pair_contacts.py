@@ -45,6 +45,7 @@ class Patch(NamedTuple):
     others: np.ndarray  # (k, 3) [m] on b
     gaps: np.ndarray  # (k,) [m] along the normal
     numbers: np.ndarray  # (k,) int64: which feature it is of: a corner of b, of a, or a crossing
+    overlap: float  # [m] at the beginning: no point of either is deeper in the other
 
 
 allocating_kernel = _cached(_nrt=True, forceinline=False)
@@ -56,12 +57,12 @@ def put_patch(shapes, pair, moving, near, one_body, most, remembered, sink):
 
     near [m]: the detection tolerance; one_body [m]: how far the two moved since they were one, infinity: never; most:
     contacts listed; remembered (3,): what kept the two apart before, which is tried first and has no influence on what
-    is listed. Returns (contacts, whether they depend on the motion).
+    is listed. Returns (contacts, missed depth bound [m], whether they depend on the motion).
     """
     i, j, rotations, positions, motion = moving
     hulls = hull_of(shapes, pair.a), hull_of(shapes, pair.b)
     parts = _parts(motion, i, j)
-    turns, places = np.empty((4, 3, 3)), np.empty((4, 3))
+    turns, places, bound = np.empty((4, 3, 3)), np.empty((4, 3)), 0.0
     for part in range(max(parts, 1)):
         for end in range(2):
             t = motion.time * (part + end) / parts if parts > 0 else 0.0
@@ -74,6 +75,8 @@ def put_patch(shapes, pair, moving, near, one_body, most, remembered, sink):
         placings = _seen_from(turns, places, 0), _seen_from(turns, places, 2)
         patch = mesh_patch(shapes, (pair.a, pair.b), hulls, placings, near, one_body, most, remembered)
         count = len(patch.gaps)
+        if part == 0:
+            bound = patch.overlap
         if count > 0 and count <= len(sink.contacts):
             n = _turned(turns[2], patch.normal)
             n = _turned_back(rotations[j], n)
@@ -84,8 +87,8 @@ def put_patch(shapes, pair, moving, near, one_body, most, remembered, sink):
                     p = _turned(pair.rotation[0], p) + pair.translation[0]
                 _put(sink, k, p, q, n if part > 0 else patch.normal, patch.numbers[k])
         if count > 0:
-            return count, parts > 0
-    return 0, parts > 0
+            return count, bound, parts > 0
+    return 0, bound, parts > 0
 
 
 @inlined_kernel
@@ -126,7 +129,7 @@ def mesh_patch(shapes, rows, hulls, placings, tolerance, moved, most, remembered
     parting = parting_direction(hulls[0], hulls[1], _relative(placings), tolerance, remembered)
     n = np.array([parting.x, parting.y, parting.z])
     if parting.is_apart:
-        return Patch(n, np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0, np.int64))
+        return Patch(n, np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0, np.int64), 0.0)
     size = min(shapes.size[a], shapes.size[b])
     closing = max(parting.now - parting.end, 0.0)
     share = 0.0
@@ -137,12 +140,15 @@ def mesh_patch(shapes, rows, hulls, placings, tolerance, moved, most, remembered
     spread = _turn(placings[0]) * shapes.size[a] + _turn(placings[1]) * shapes.size[b]
     limit = tolerance if share > 0.0 else tolerance + closing + spread
     found = facing_points(first, last, n, limit, size)
-    return _listed(found, placings, share, n, tolerance, size, moved, most)
+    # a point inside is no farther from the surface than both are moved to be apart, or were moved to get there
+    overlap = min(max(-parting.now, 0.0), moved)
+    return _listed(found, placings, (share, overlap), n, tolerance, size, moved, most)
 
 
 @kernel
-def _listed(found, placings, share, n, tolerance, size, moved, most):
-    """The Patch of the best of FacingPoints."""
+def _listed(found, placings, at, n, tolerance, size, moved, most):
+    """The Patch of the best of FacingPoints; at: share of the part of the step at which they are, the Patch's overlap."""
+    share, overlap = at
     count, least = len(found.gaps), math.inf
     for k in range(count):
         least = min(least, found.gaps[k])
@@ -171,7 +177,7 @@ def _listed(found, placings, share, n, tolerance, size, moved, most):
     order = np.argsort(numbers[:used], kind="mergesort")
     order = order[: _one_per_place(points, order, ONE_PLACE * size)]
     chosen = _spread(points, gaps, order, tolerance, most)
-    return Patch(n, points[chosen], others[chosen], gaps[chosen], numbers[chosen])
+    return Patch(n, points[chosen], others[chosen], gaps[chosen], numbers[chosen], overlap)
 
 
 @inlined_kernel
