@@ -73,7 +73,7 @@ def ground() -> dict[str, Any]:
     return body("ground", PLANE, static=True)
 
 
-LENGTHS = {"size", "size_xyz", "edge_length", "radius", "diameter", "thickness", "rim_height", "position"}
+LENGTHS = "size", "size_xyz", "notch_xy", "edge_length", "radius", "diameter", "thickness", "rim_height", "position"
 
 
 def scaled(content: Any, scale: float) -> Any:
@@ -82,11 +82,12 @@ def scaled(content: Any, scale: float) -> Any:
         return [scaled(item, scale) for item in content]
     if not isinstance(content, dict):
         return content
-    root, out = math.sqrt(scale), {}
-    for key, value in content.items():
-        factor = scale if key in LENGTHS else root if key == "linear_velocity" else 1 / root if key == "angular_velocity" else None
-        out[key] = scaled(value, scale) if factor is None else (np.asarray(value, float) * factor).tolist()
-    return out
+    root = math.sqrt(scale)
+    factors = dict.fromkeys(LENGTHS, scale) | {"linear_velocity": root, "angular_velocity": 1.0 / root}
+    return {
+        key: (factors[key] * np.asarray(value, float)).tolist() if key in factors else scaled(value, scale)
+        for key, value in content.items()
+    }
 
 
 def scene_of(name: str, elementary: Elementary, setting: Setting) -> Scene:
@@ -160,10 +161,11 @@ def stack(count: int, gap: float) -> Elementary:
     return Elementary(bodies, 2.0, faults)
 
 
-SLIDERS = {
+PUCK = {"plate": {"diameter": 0.1, "thickness": 0.02, "edge_length": 0.02, "rim_height": 0.0}}
+SLIDERS: dict[str, Callable[[str], tuple[dict[str, Any], float]]] = {
     "box": lambda kind: (flat(kind, 0.1, 0.1, 0.1), 0.0501),
     "plate": lambda kind: (flat(kind, 0.3, 0.2, 0.02), 0.0101),
-    "puck": lambda kind: ({"plate": {"diameter": 0.1, "thickness": 0.02, "edge_length": 0.02, "rim_height": 0.0}}, 0.0105),
+    "puck": lambda kind: (PUCK, 0.0105),
     "sphere": lambda kind: ({"sphere": {"radius": 0.05}}, 0.0501),
 }
 
@@ -172,7 +174,8 @@ def slide(what: str, speed: float) -> Elementary:
     def bodies(setting: Setting) -> list[dict[str, Any]]:
         shape, height = SLIDERS[what](setting.kind)
         tiles = [
-            body(f"t{k}", flat(setting.kind, 0.25, 1.0, 0.2), (-1.875 + 0.25 * k, 0, -0.1), static=True) for k in range(16)
+            body(f"t{k}", flat(setting.kind, 0.25, 1.0, 0.2), (-1.875 + 0.25 * k, 0, -0.1), static=True)
+            for k in range(16)
         ]
         velocity = [speed, 0.1 * speed, 0.0]
         return [*tiles, body("slider", shape, (-1.5, 0.03, height), ICE, linear_velocity=velocity)]
@@ -192,7 +195,8 @@ def overhang(share: float) -> Elementary:
     def bodies(setting: Setting) -> list[dict[str, Any]]:
         table = flat(setting.kind, 1.0, 1.0, 0.2)
         at = (-0.1 + 0.2 * share, 0.03, 0.1 + 2e-5)
-        return [body("table", table, (-0.5, 0, -0.1), static=True), body("block", flat(setting.kind, 0.2, 0.2, 0.2), at)]
+        block = flat(setting.kind, 0.2, 0.2, 0.2)
+        return [body("table", table, (-0.5, 0, -0.1), static=True), body("block", block, at)]
 
     def faults(trace: Trace) -> Iterator[str]:
         fell = trace.places[-1, 0, 2] < 0.05

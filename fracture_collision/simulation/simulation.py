@@ -50,7 +50,6 @@ from fracture_collision.simulation.solver.touch_ahead import StepContacts, held_
 from fracture_collision.simulation.step_records import StepReport, StepRequest, fragment_states
 
 
-
 class _Solved(NamedTuple):
     """The solved contacts of a step, before the bodies move."""
 

@@ -1,0 +1,14 @@
+"""The scenes that everybody tries first, of benchmarks.elementary, end as they should."""
+
+from __future__ import annotations
+
+import pytest
+
+from benchmarks.elementary import SCENES, Setting, run, scene_of
+
+
+@pytest.mark.parametrize("kind", ["box", "brick1", "brick2"])
+@pytest.mark.parametrize("name", SCENES)
+def test_an_elementary_scene_ends_as_it_should(name: str, kind: str) -> None:
+    trace = run(scene_of(name, SCENES[name], Setting(kind)))
+    assert not list(SCENES[name].faults(trace))
