@@ -17,6 +17,7 @@ import numpy as np
 
 from fracture_collision.lockstep import Lockstep
 from fracture_collision.simulation.scene.scene import Scene, parse_scene
+from fracture_collision.simulation.solver.contact_solver import SolverSettings
 from fracture_collision.world import Settings
 
 KINDS = ("box", "brick1", "brick2", "brick8")
@@ -97,6 +98,7 @@ def scene_of(name: str, elementary: Elementary, setting: Setting) -> Scene:
         {
             "gravity": [0.0, 0.0, -elementary.gravity], "time_step": setting.step * root,
             "duration": elementary.duration * root, "materials": MATERIALS,
+            "solver": {"sleep_time": SolverSettings().sleep_time * root},
             "bodies": scaled(elementary.bodies(setting), setting.scale),
         }, name,
     )  # fmt: skip
