@@ -173,8 +173,8 @@ class CollisionWorld:
         pairs_found = perf_counter()
         remembered = self._take_remembered() if self.settings.neighbour_lists else None
         scene = Scene(
-            Geometry(pools, edges, self._shapes_to_search()), Step(rows, rotations, positions, pairs), motion, paired.overlaps,
-            self._surfaces_to_search(), self._registry.changes,
+            Geometry(pools, edges, self._shapes_to_search()), Step(rows, rotations, positions, pairs), motion,
+            paired.overlaps, self._surfaces_to_search(), self._registry.changes,
         )  # fmt: skip
         found, now_remembered = query_pairs(
             scene, _rule(self.settings), self._scratch, self._crew, remembered, _work_limits(self.settings, len(pairs))

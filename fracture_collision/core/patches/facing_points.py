@@ -56,6 +56,14 @@ class _Seen(NamedTuple):
     edges: np.ndarray  # (e,) int64
 
 
+class _View(NamedTuple):
+    """What of both is looked at."""
+
+    window: np.ndarray  # (6,) [m] of both: least and most along u, along v; then the lowest of b, the highest of a
+    limit: float  # [m] of gaps
+    rim: float  # [m] see ON_RIM
+
+
 class _Grid(NamedTuple):
     """Features by the cells that their boxes seen along n touch."""
 
@@ -72,10 +80,10 @@ def facing_points(a, b, n, limit, size):
 
     size [m]: of the smaller fragment.
     """
-    rim = ON_RIM * size
     axes = _axes(n)
     of_a, of_b = _seen_along(a.corners, axes), _seen_along(b.corners, axes)
-    window = np.empty(6)  # u and v: low, high; then the lowest of b, and the highest of a
+    view = _View(np.empty(6), limit, ON_RIM * size)
+    window, _, rim = view
     for d in range(2):
         window[2 * d] = max(of_a[:, d].min(), of_b[:, d].min()) - rim
         window[2 * d + 1] = min(of_a[:, d].max(), of_b[:, d].max()) + rim
@@ -85,10 +93,10 @@ def facing_points(a, b, n, limit, size):
     found = FacingPoints(points, gaps, features)
     if window[0] > window[1] or window[2] > window[3]:
         return FacingPoints(points[:0], gaps[:0], features[:0])
-    seen_a, seen_b = _near(a, of_a, n, 1.0, window, limit), _near(b, of_b, n, -1.0, window, limit)
-    found, count = _corners_over(seen_b, seen_a, a.triangles, 1.0, OF_B, window, limit, rim, found, count)
-    found, count = _corners_over(seen_a, seen_b, b.triangles, -1.0, OF_A, window, limit, rim, found, count)
-    found, count = _crossings(seen_a, a.edges, seen_b, b.edges, window, limit, rim, found, count)
+    seen_a, seen_b = _near(a, of_a, n, 1.0, view), _near(b, of_b, n, -1.0, view)
+    found, count = _corners_over(seen_b, seen_a, a.triangles, OF_B, view, found, count)
+    found, count = _corners_over(seen_a, seen_b, b.triangles, OF_A, view, found, count)
+    found, count = _crossings(seen_a, a.edges, seen_b, b.edges, view, found, count)
     points, gaps, features = found
     for k in range(count):
         u, v, h = points[k, 0], points[k, 1], points[k, 2]
@@ -125,12 +133,13 @@ def _seen_along(corners, axes):
 
 
 @kernel
-def _near(posed, places, n, sign, window, limit):
+def _near(posed, places, n, sign, view):
     """The _Seen of a fragment; sign: 1 for a, whose faces point along n, -1 for b.
 
     A feature of a can be within `limit` of b only if it is no more than that below the lowest of b, and conversely.
     """
     triangles, normals = posed.triangles, posed.normals
+    window, limit, _ = view
     faces, faces_used = np.empty(len(triangles), np.int64), 0
     towards, touches = np.empty(len(triangles)), np.zeros(len(places), np.bool_)
     least = sign * window[4 if sign > 0.0 else 5] - limit
@@ -229,8 +238,10 @@ def _cell(grid, d, x):
 
 
 @kernel
-def _corners_over(of, over, triangles, sign, kind, window, limit, rim, found, count):
-    """Add the corners of one _Seen that are over faces of the other, sign: 1 for corners of b; returns as _add."""
+def _corners_over(of, over, triangles, kind, view, found, count):
+    """Add the corners of one _Seen, of a `kind`, that are over faces of the other; returns as _add."""
+    window, limit, rim = view
+    sign = 1.0 if kind == OF_B else -1.0
     if len(of.corners) == 0 or len(over.faces) == 0:
         return found, count
     grid = _grid_of(over.places, triangles, over.faces, 3, window, rim)
@@ -250,6 +261,11 @@ def _corners_over(of, over, triangles, sign, kind, window, limit, rim, found, co
 
 
 @inlined_kernel
+def _length(u, v):
+    return math.sqrt(u * u + v * v)
+
+
+@inlined_kernel
 def _height_at(a, b, c, p, rim):
     """(whether p is over the triangle a, b, c, or beyond a side by no more than `rim`; the triangle's height there)."""
     abu, abv, acu, acv = b[0] - a[0], b[1] - a[1], c[0] - a[0], c[1] - a[1]
@@ -260,9 +276,9 @@ def _height_at(a, b, c, p, rim):
     pu, pv = p[0] - a[0], p[1] - a[1]
     of_b, of_c = (pu * acv - acu * pv) / area, (abu * pv - pu * abv) / area
     of_a = 1.0 - of_b - of_c
-    if of_b * size < -rim * math.hypot(acu, acv) or of_c * size < -rim * math.hypot(abu, abv):
+    if of_b * size < -rim * _length(acu, acv) or of_c * size < -rim * _length(abu, abv):
         return False, 0.0
-    if of_a * size < -rim * math.hypot(b[0] - c[0], b[1] - c[1]):
+    if of_a * size < -rim * _length(b[0] - c[0], b[1] - c[1]):
         return False, 0.0
     of_b, of_c = min(max(of_b, 0.0), 1.0), min(max(of_c, 0.0), 1.0)
     height = a[2] + of_b * (b[2] - a[2]) + of_c * (c[2] - a[2])
@@ -270,8 +286,9 @@ def _height_at(a, b, c, p, rim):
 
 
 @kernel
-def _crossings(of_a, edges_a, of_b, edges_b, window, limit, rim, found, count):
+def _crossings(of_a, edges_a, of_b, edges_b, view, found, count):
     """Add the crossings of edges of both; returns as _add."""
+    window, limit, rim = view
     if len(of_a.edges) == 0 or len(of_b.edges) == 0:
         return found, count
     grid = _grid_of(of_b.places, edges_b, of_b.edges, 2, window, rim)
@@ -305,7 +322,7 @@ def _crossing(p, q, r, s, rim):
     """Whether segments p q and r s cross as seen, where (u, v), the first's height there, and the other's above it."""
     au, av, bu, bv = q[0] - p[0], q[1] - p[1], s[0] - r[0], s[1] - r[1]
     area = au * bv - av * bu
-    length_a, length_b = math.hypot(au, av), math.hypot(bu, bv)
+    length_a, length_b = _length(au, av), _length(bu, bv)
     if abs(area) <= LEAST_CROSSING * length_a * length_b:
         return False, 0.0, 0.0, 0.0, 0.0
     wu, wv = r[0] - p[0], r[1] - p[1]

@@ -10,7 +10,7 @@ import numpy as np
 from fracture_collision.core.contacts.known_samples import ID_AT, ID_SAMPLE, ID_SIDE, ID_SOURCE, ID_TETRAHEDRON
 from fracture_collision.core.field.flood import NO_SOURCE
 from fracture_collision.core.lookahead.motion import put_pose
-from fracture_collision.core.memory.compiled import _cached, inlined_kernel, kernel
+from fracture_collision.core.memory.compiled import allocating_kernel, inlined_kernel, kernel
 from fracture_collision.core.memory.rotations import relative_pose, rotated, turned_back
 from fracture_collision.core.mesh.sample_numbers import FIRST_OF_PATCHES
 from fracture_collision.core.patches.facing_points import CROSSING, Posed, facing_points
@@ -46,9 +46,6 @@ class Patch(NamedTuple):
     gaps: np.ndarray  # (k,) [m] along the normal
     numbers: np.ndarray  # (k,) int64: which feature it is of: a corner of b, of a, or a crossing
     overlap: float  # [m] at the beginning: no point of either is deeper in the other
-
-
-allocating_kernel = _cached(_nrt=True, forceinline=False)
 
 
 @allocating_kernel
@@ -147,7 +144,7 @@ def mesh_patch(shapes, rows, hulls, placings, tolerance, moved, most, remembered
 
 @kernel
 def _listed(found, placings, at, n, tolerance, size, moved, most):
-    """The Patch of the best of FacingPoints; at: share of the part of the step at which they are, the Patch's overlap."""
+    """The Patch of the best of FacingPoints; at: share of the part of the step at which they are, the overlap."""
     share, overlap = at
     count, least = len(found.gaps), math.inf
     for k in range(count):

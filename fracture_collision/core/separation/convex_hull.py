@@ -74,20 +74,8 @@ def convex_hull(points):
     visible, borders = np.empty(m, np.int64), np.empty((m, 2), np.int64)
     waiting, waits = np.empty(m, np.int64), 0
     outside = enough
-    # a first tetrahedron: e is below the triangle a, b, c
+    _begin(points, its, (a, b, c, e), enough, after)
     free_count -= 4
-    for t, (p, q, r), (u, v, w) in (
-        (0, (a, b, c), (1, 2, 3)), (1, (b, a, e), (0, 3, 2)), (2, (c, b, e), (0, 1, 3)), (3, (a, c, e), (0, 2, 1)),
-    ):  # fmt: skip
-        its.state[t] = _LIVE
-        its.corners[t, 0], its.corners[t, 1], its.corners[t, 2] = p, q, r
-        its.beyond[t, 0], its.beyond[t, 1], its.beyond[t, 2] = u, v, w
-        _put_plane(points, its, t)
-    for p in range(n):
-        if p != a and p != b and p != c and p != e:
-            for t in range(4):
-                if _keep_outside(points, its, t, p, enough, after):
-                    break
     for t in range(4):
         if its.first[t] != _NONE:
             waiting[waits] = t
@@ -109,36 +97,8 @@ def convex_hull(points):
                 waiting[waits] = t
                 waits += 1
             continue
-        for k in range(edges):
-            free_count -= 1
-            new, old, side = free[free_count], borders[k, 0], borders[k, 1]
-            p, q = its.corners[old, side], its.corners[old, (side + 1) % 3]
-            its.state[new] = _LIVE
-            its.corners[new, 0], its.corners[new, 1], its.corners[new, 2] = p, q, top
-            its.first[new], its.farthest[new] = np.int64(_NONE), np.int64(_NONE)
-            its.height[new] = 0.0
-            its.beyond[new, 0] = its.beyond[old, side]
-            _put_plane(points, its, new)
-            starts_at[p] = new
-        for k in range(edges):
-            old, side = borders[k, 0], borders[k, 1]
-            p, q = its.corners[old, side], its.corners[old, (side + 1) % 3]
-            new, other = starts_at[p], its.beyond[old, side]
-            its.beyond[new, 1] = starts_at[q]
-            its.beyond[starts_at[q], 2] = new
-            for i in range(3):
-                if its.corners[other, i] == q and its.corners[other, (i + 1) % 3] == p:
-                    its.beyond[other, i] = new
-        for k in range(seen):
-            p = its.first[visible[k]]
-            while p != _NONE:
-                following = after[p]
-                if p != top:
-                    for i in range(edges):
-                        new = starts_at[its.corners[borders[i, 0], borders[i, 1]]]
-                        if _keep_outside(points, its, new, p, enough, after):
-                            break
-                p = following
+        free_count = _raise_cone(points, its, top, borders[:edges], free, free_count, starts_at)
+        _hand_over(points, its, (visible[:seen], borders[:edges]), top, enough, after, starts_at)
         for k in range(edges):
             p = its.corners[borders[k, 0], borders[k, 1]]
             if its.first[starts_at[p]] != _NONE:
@@ -151,6 +111,73 @@ def convex_hull(points):
             free[free_count] = visible[k]
             free_count += 1
     return _merged(points, its, outside, FLAT * size)
+
+
+@inlined_kernel
+def _begin(points, its, first, enough, after):
+    """Write the triangles of a first tetrahedron, four rows of points, to rows 0 .. 3; the others wait outside them.
+
+    The last of the four is below the triangle of the others.
+    """
+    a, b, c, e = first
+    for t, (p, q, r), (u, v, w) in (
+        (0, (a, b, c), (1, 2, 3)), (1, (b, a, e), (0, 3, 2)), (2, (c, b, e), (0, 1, 3)), (3, (a, c, e), (0, 2, 1)),
+    ):  # fmt: skip
+        its.state[t] = _LIVE
+        its.corners[t, 0], its.corners[t, 1], its.corners[t, 2] = p, q, r
+        its.beyond[t, 0], its.beyond[t, 1], its.beyond[t, 2] = u, v, w
+        _put_plane(points, its, t)
+    for p in range(len(points)):
+        if p != a and p != b and p != c and p != e:
+            for t in range(4):
+                if _keep_outside(points, its, t, p, enough, after):
+                    break
+
+
+@inlined_kernel
+def _raise_cone(points, its, top, borders, free, free_count, starts_at):
+    """Add the triangles between `borders` (k, 2), see _see, and the point `top`, in free rows.
+
+    Returns how many free rows are left.
+    starts_at (n,): gets the new triangle of each corner of the borders.
+    """
+    for k in range(len(borders)):
+        free_count -= 1
+        new, old, side = free[free_count], borders[k, 0], borders[k, 1]
+        p, q = its.corners[old, side], its.corners[old, (side + 1) % 3]
+        its.state[new] = _LIVE
+        its.corners[new, 0], its.corners[new, 1], its.corners[new, 2] = p, q, top
+        its.first[new], its.farthest[new] = np.int64(_NONE), np.int64(_NONE)
+        its.height[new] = 0.0
+        its.beyond[new, 0] = its.beyond[old, side]
+        _put_plane(points, its, new)
+        starts_at[p] = new
+    for k in range(len(borders)):
+        old, side = borders[k, 0], borders[k, 1]
+        p, q = its.corners[old, side], its.corners[old, (side + 1) % 3]
+        new, other = starts_at[p], its.beyond[old, side]
+        its.beyond[new, 1] = starts_at[q]
+        its.beyond[starts_at[q], 2] = new
+        for i in range(3):
+            if its.corners[other, i] == q and its.corners[other, (i + 1) % 3] == p:
+                its.beyond[other, i] = new
+    return free_count
+
+
+@inlined_kernel
+def _hand_over(points, its, seen, top, enough, after, starts_at):
+    """Let the points outside of triangles that `top` sees wait outside the new ones; seen: as _see wrote them."""
+    visible, borders = seen
+    for k in range(len(visible)):
+        p = its.first[visible[k]]
+        while p != _NONE:
+            following = after[p]
+            if p != top:
+                for i in range(len(borders)):
+                    new = starts_at[its.corners[borders[i, 0], borders[i, 1]]]
+                    if _keep_outside(points, its, new, p, enough, after):
+                        break
+            p = following
 
 
 @inlined_kernel
