@@ -268,15 +268,15 @@ def _length(u, v):
 @inlined_kernel
 def _height_at(a, b, c, p, rim):
     """(whether p is over the triangle a, b, c, or beyond a side by no more than `rim`; the triangle's height there)."""
-    abu, abv, acu, acv = b[0] - a[0], b[1] - a[1], c[0] - a[0], c[1] - a[1]
-    area = abu * acv - acu * abv
+    ub, vb, uc, vc = b[0] - a[0], b[1] - a[1], c[0] - a[0], c[1] - a[1]
+    area = ub * vc - uc * vb
     if area == 0.0:
         return False, 0.0
     size = abs(area)
     pu, pv = p[0] - a[0], p[1] - a[1]
-    of_b, of_c = (pu * acv - acu * pv) / area, (abu * pv - pu * abv) / area
+    of_b, of_c = (pu * vc - uc * pv) / area, (ub * pv - pu * vb) / area
     of_a = 1.0 - of_b - of_c
-    if of_b * size < -rim * _length(acu, acv) or of_c * size < -rim * _length(abu, abv):
+    if of_b * size < -rim * _length(uc, vc) or of_c * size < -rim * _length(ub, vb):
         return False, 0.0
     if of_a * size < -rim * _length(b[0] - c[0], b[1] - c[1]):
         return False, 0.0
@@ -320,17 +320,17 @@ def _crossings(of_a, edges_a, of_b, edges_b, view, found, count):
 @inlined_kernel
 def _crossing(p, q, r, s, rim):
     """Whether segments p q and r s cross as seen, where (u, v), the first's height there, and the other's above it."""
-    au, av, bu, bv = q[0] - p[0], q[1] - p[1], s[0] - r[0], s[1] - r[1]
-    area = au * bv - av * bu
-    length_a, length_b = _length(au, av), _length(bu, bv)
+    ua, va, ub, vb = q[0] - p[0], q[1] - p[1], s[0] - r[0], s[1] - r[1]
+    area = ua * vb - va * ub
+    length_a, length_b = _length(ua, va), _length(ub, vb)
     if abs(area) <= LEAST_CROSSING * length_a * length_b:
         return False, 0.0, 0.0, 0.0, 0.0
     wu, wv = r[0] - p[0], r[1] - p[1]
-    on_a, on_b = (wu * bv - wv * bu) / area, (wu * av - wv * au) / area
+    on_a, on_b = (wu * vb - wv * ub) / area, (wu * va - wv * ua) / area
     if min(on_a, 1.0 - on_a) * length_a < -rim or min(on_b, 1.0 - on_b) * length_b < -rim:
         return False, 0.0, 0.0, 0.0, 0.0
     height = p[2] + on_a * (q[2] - p[2])
-    return True, p[0] + on_a * au, p[1] + on_a * av, height, r[2] + on_b * (s[2] - r[2]) - height
+    return True, p[0] + on_a * ua, p[1] + on_a * va, height, r[2] + on_b * (s[2] - r[2]) - height
 
 
 @kernel

@@ -138,8 +138,7 @@ def _begin(points, its, first, enough, after):
 def _raise_cone(points, its, top, borders, free, free_count, starts_at):
     """Add the triangles between `borders` (k, 2), see _see, and the point `top`, in free rows.
 
-    Returns how many free rows are left.
-    starts_at (n,): gets the new triangle of each corner of the borders.
+    starts_at (n,): gets the new triangle of each corner of the borders. Returns how many free rows are left.
     """
     for k in range(len(borders)):
         free_count -= 1
