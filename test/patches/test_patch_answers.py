@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import igl
 import numpy as np
 import pytest
 import trimesh
@@ -67,8 +68,9 @@ def test_the_least_translation_by_the_contacts_separates_two_convex_bodies() -> 
         points = answer.points_a.reshape(-1, 3), answer.points_b.reshape(-1, 3)
         assert np.allclose(((points[1] - points[0]) * normals).sum(axis=1), answer.gaps, atol=1e-12)
         for mesh, place, turn, own in zip(meshes, places, turns, points, strict=True):
-            surface = trimesh.Trimesh(turn.apply(mesh.vertices) + place, mesh.faces, process=False)
-            assert np.abs(trimesh.proximity.closest_point(surface, own)[1]).max() < 1e-7 * size
+            corners, faces = turn.apply(mesh.vertices) + place, mesh.faces.astype(np.int64)
+            squared = igl.point_mesh_squared_distance(np.ascontiguousarray(own), corners, faces)[0]
+            assert np.sqrt(squared.max()) < 1e-7 * size
     assert touching > 60
 
 
@@ -98,7 +100,7 @@ def test_answers_do_not_depend_on_earlier_ones_nor_on_threads() -> None:
     assert listed > 400
 
 
-@pytest.mark.parametrize("spin", [0.0, 40.0, 300.0])
+@pytest.mark.parametrize("spin", [0.0, -40.0, 300.0])
 def test_a_thin_spinning_bar_does_not_pass_a_thin_wall(spin: float) -> None:
     """It meets the wall with its end, in the middle of the step."""
     world = CollisionWorld(SETTINGS)
