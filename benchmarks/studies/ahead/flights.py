@@ -304,5 +304,5 @@ number of ghosts.
 
 STUDY = Study(
     "flights", "Lookahead: contacts within a step", Size(2, tuple(THROWN), TARGETS),
-    Size(60, tuple(THROWN), TARGETS), trials, tables, {"": draw}, section,
+    Size(2 * TOGETHER, tuple(THROWN), TARGETS), trials, tables, {"": draw}, section,
 )  # fmt: skip
