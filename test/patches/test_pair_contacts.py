@@ -32,10 +32,10 @@ def patch(
     eye, rest = np.eye(3), np.zeros(3)
     turned = eye if turn is None else turn
     # the frame of the query is b's of now
-    b = Placing(np.array([eye, eye]), np.array([rest, turned.T @ np.subtract(now if end is None else end, now)]))
-    a = Placing(np.array([turned.T] * 2), np.array([turned.T @ -np.asarray(now, float)] * 2))
+    b = Placing(np.array([eye] * 3), np.array([rest, *[turned.T @ np.subtract(now if end is None else end, now)] * 2]))
+    a = Placing(np.array([turned.T] * 3), np.array([turned.T @ -np.asarray(now, float)] * 3))
     hulls = hull_of(shapes, 0), hull_of(shapes, 1)
-    return mesh_patch(shapes, (0, 1), hulls, (a, b), tolerance, moved, most, np.zeros(3))
+    return mesh_patch(shapes, (0, 1), hulls, (a, b), 0, tolerance, moved, most, np.zeros(3))
 
 
 @pytest.mark.parametrize("gap", [0.0, 5e-5, -1e-3, -0.04])

@@ -92,7 +92,7 @@ def test_a_stack_at_rest_keeps_its_poses_to_the_last_bit(run_of) -> None:
     for name in ("positions", "orientations"):
         assert getattr(run.states[-1], name).tobytes() == getattr(kept, name).tobytes()
     assert not run.states[-1].linear_velocities.any() and not run.states[-1].angular_velocities.any()
-    assert report.kinetic_energy == 0.0 and report.contacts == 16
+    assert report.kinetic_energy == 0.0 and report.contacts == 12
 
 
 def test_a_sleep_time_of_zero_disables_sleeping(run_of) -> None:

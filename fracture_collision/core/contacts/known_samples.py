@@ -24,9 +24,8 @@ from fracture_collision.core.mesh.sample_numbers import (
     tetrahedron_of,
 )
 
-# Allowance that keeps bounds valid under rounding: share of the smaller R, and of all coordinates behind a depth. Hubs,
-# where planes meet, solve normal equations: in place some lie 2e-12 R inside a neighbour.
-BOUND_SLACK = 1e-11
+# Allowance that keeps bounds valid under rounding: share of the smaller R, and of all coordinates behind a depth.
+BOUND_SLACK = 1e-12
 COORDINATE_SLACK = 8.0 * np.finfo(np.float64).eps
 
 # columns of ids

@@ -83,7 +83,8 @@ def patch_pair(geometry, pair, moving, rule, slot, sink, scratch):
         remembered[0] = 0.0
     most = min(rule.wanted, rule.limit)
     count, bound, is_ahead = put_patch(geometry.shapes, pair, moving, rule.near, moved, most, remembered, sink)
-    return True, Found(count, bound, 0, COMPLETE, 0.0), is_ahead
+    ended = BY_LIMIT if count == rule.limit < rule.wanted else COMPLETE
+    return True, Found(count, bound, 0, ended, 0.0), is_ahead
 
 
 @spliced_kernel

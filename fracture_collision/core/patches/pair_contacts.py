@@ -31,10 +31,13 @@ _CROSSING_STRIDE = 1 << 24
 
 
 class Placing(NamedTuple):
-    """Poses of one fragment at the beginning and at the end of a part of the step, in b's frame of the beginning."""
+    """Poses of one fragment at the beginning and end of a part of the step, then at the step's end.
 
-    rotations: np.ndarray  # (2, 3, 3)
-    positions: np.ndarray  # (2, 3) [m]
+    All from b's frame of the part's beginning.
+    """
+
+    rotations: np.ndarray  # (3, 3, 3)
+    positions: np.ndarray  # (3, 3) [m]
 
 
 class Patch(NamedTuple):
@@ -59,23 +62,24 @@ def put_patch(shapes, pair, moving, near, one_body, most, remembered, sink):
     i, j, rotations, positions, motion = moving
     hulls = hull_of(shapes, pair.a), hull_of(shapes, pair.b)
     parts = _parts(motion, i, j)
-    turns, places, bound = np.empty((4, 3, 3)), np.empty((4, 3)), 0.0
+    turns, places, bound = np.empty((6, 3, 3)), np.empty((6, 3)), 0.0
     for part in range(max(parts, 1)):
-        for end in range(2):
-            t = motion.time * (part + end) / parts if parts > 0 else 0.0
+        for end in range(3):
+            t = motion.time * (part + end if end < 2 else parts) / parts if parts > 0 else 0.0
             for side in range(2):
-                k, row = (i, end) if side == 0 else (j, 2 + end)
+                k, row = (i, end) if side == 0 else (j, 3 + end)
                 if t > 0.0:
                     put_pose(motion, rotations, positions, k, t, turns[row], places[row])
                 else:
                     turns[row], places[row] = rotations[k], positions[k]
-        placings = _seen_from(turns, places, 0), _seen_from(turns, places, 2)
-        patch = mesh_patch(shapes, (pair.a, pair.b), hulls, placings, near, one_body, most, remembered)
+        placings = _seen_from(turns, places, 0), _seen_from(turns, places, 3)
+        more = max(parts - 1 - part, 0)
+        patch = mesh_patch(shapes, (pair.a, pair.b), hulls, placings, more, near, one_body, most, remembered)
         count = len(patch.gaps)
         if part == 0:
             bound = patch.overlap
         if count > 0 and count <= len(sink.contacts):
-            n = _turned(turns[2], patch.normal)
+            n = _turned(turns[3], patch.normal)
             n = _turned_back(rotations[j], n)
             for k in range(count):
                 p, q = patch.points[k], patch.others[k]
@@ -116,11 +120,11 @@ def _put(sink, k, p, q, n, number):
 
 
 @kernel
-def mesh_patch(shapes, rows, hulls, placings, tolerance, moved, most, remembered):
+def mesh_patch(shapes, rows, hulls, placings, more, tolerance, moved, most, remembered):
     """The Patch of two fragments with surfaces, by rows (a, b) of Shapes; without contacts where they stay apart.
 
-    hulls, placings: of both; tolerance [m]; moved [m]: how far they moved since they were one, infinity: never; most:
-    contacts wanted; remembered: see put_patch.
+    hulls, placings: of both; more: further parts of the step; tolerance [m]; moved [m]: how far they moved since they
+    were one, infinity: never; most: contacts wanted; remembered: see put_patch.
     """
     a, b = rows
     parting = parting_direction(hulls[0], hulls[1], _relative(placings), tolerance, remembered)
@@ -134,46 +138,48 @@ def mesh_patch(shapes, rows, hulls, placings, tolerance, moved, most, remembered
         share = min(parting.now / closing, 1.0)
     surface_a, surface_b = surface_of(shapes, a), surface_of(shapes, b)
     first, last = _posed(surface_a, placings[0], share), _posed(surface_b, placings[1], share)
-    spread = _turn(placings[0]) * shapes.size[a] + _turn(placings[1]) * shapes.size[b]
-    limit = tolerance if share > 0.0 else tolerance + closing + spread
-    found = facing_points(first, last, n, limit, size)
+    # where the two are stopped at one place, others may yet meet
+    moves = _moves(placings, hulls[0])
+    found = facing_points(first, last, n, tolerance + (1.0 - share + more) * moves, size)
     # a point inside is no farther from the surface than both are moved to be apart, or were moved to get there
     overlap = min(max(-parting.now, 0.0), moved)
-    return _listed(found, placings, (share, overlap), n, tolerance, size, moved, most)
+    return _listed(found, placings, (share, overlap), n, more, tolerance, size, moved, most)
 
 
 @kernel
-def _listed(found, placings, at, n, tolerance, size, moved, most):
-    """The Patch of the best of FacingPoints; at: share of the part of the step at which they are, the overlap."""
+def _listed(found, placings, at, n, more, tolerance, size, moved, most):
+    """The Patch of the best of FacingPoints, none where none is within the tolerance now or at the end.
+
+    at: share of the part of the step at which they are, the overlap. A point is listed if it is within the tolerance
+    then or at the end of the step.
+    """
     share, overlap = at
-    count, least = len(found.gaps), math.inf
-    for k in range(count):
-        least = min(least, found.gaps[k])
+    count, touches = len(found.gaps), False
     points, others, gaps = np.empty((count, 3)), np.empty((count, 3)), np.empty(count)
+    least = np.empty(count)
     order, numbers = np.empty(count, np.int64), np.empty(count, np.int64)
     used = 0
     for k in range(count):
         p, gap = found.points[k], found.gaps[k]
         if gap < -(MOVED * moved + ONE_PLACE * size):
             continue
-        q = np.array([p[0] + gap * n[0], p[1] + gap * n[1], p[2] + gap * n[2]])
+        of_a, of_b = _local(placings[0], p, share), _local(placings[1], p + gap * n, share)
+        least[used] = min(gap, _gap_at_end(placings, of_a, of_b, n))
+        if least[used] > tolerance:
+            continue
+        touches = touches or gap <= tolerance or more == 0
+        q = p + gap * n
         if share > 0.0:
-            if gap > least + tolerance:
-                continue
-            p, q = _carried(placings[0], p, share, 0.0), _carried(placings[1], q, share, 0.0)
+            p, q = _placed(placings[0], 0, of_a), _placed(placings[1], 0, of_b)
             gap = (q[0] - p[0]) * n[0] + (q[1] - p[1]) * n[1] + (q[2] - p[2]) * n[2]
-        elif gap > tolerance:
-            s, t = _carried(placings[0], p, 0.0, 1.0), _carried(placings[1], q, 0.0, 1.0)
-            if (t[0] - s[0]) * n[0] + (t[1] - s[1]) * n[1] + (t[2] - s[2]) * n[2] > tolerance:
-                continue
         points[used], others[used], gaps[used] = p, q, gap
         kind, i, j = found.features[k]
         # crossings after corners, those of b before those of a
         numbers[used] = (np.int64(kind) << 56) + (_CROSSING_STRIDE * i + j if kind == CROSSING else i)
         used += 1
-    order = np.argsort(numbers[:used], kind="mergesort")
+    order = np.argsort(numbers[: used if touches else 0], kind="mergesort")
     order = order[: _one_per_place(points, order, ONE_PLACE * size)]
-    chosen = _spread(points, gaps, order, tolerance, most)
+    chosen = _spread(points, (gaps, least), order, tolerance, most)
     return Patch(n, points[chosen], others[chosen], gaps[chosen], numbers[chosen], overlap)
 
 
@@ -195,21 +201,24 @@ def _one_per_place(points, order, apart):
 
 
 @kernel
-def _spread(points, gaps, order, tolerance, most):
-    """Rows of up to `most` points: the deepest, then always that which is farthest from those before, if it is near.
+def _spread(points, depths, order, tolerance, most):
+    """Rows of up to `most` points: the deepest now, then always that which is farthest from those before.
 
-    The distance is weighted by how near the two surfaces are there, from 1 at the deepest to 0 at two tolerances more.
+    depths: gaps now, and the least of now and the end. The distance is weighted by how deep it is there, from 1 at the
+    deepest to 0 at a tolerance above the highest, by either gap.
     """
     count = len(order)
     chosen, used = np.empty(min(most, count), np.int64), 0
-    far, taken, deepest = np.full(count, math.inf), np.zeros(count, np.bool_), math.inf
-    for k in range(count):
-        deepest = min(deepest, gaps[order[k]])
+    far, taken, weight = np.full(count, math.inf), np.zeros(count, np.bool_), np.zeros(count)
     pick = -1
-    for k in range(count):
-        if gaps[order[k]] <= deepest + ALIKE * tolerance:
-            pick = k
-            break
+    for gaps in depths:
+        deepest, highest = math.inf, -math.inf
+        for k in range(count):
+            deepest, highest = min(deepest, gaps[order[k]]), max(highest, gaps[order[k]])
+        for k in range(count):
+            weight[k] = max(weight[k], 1.0 - (gaps[order[k]] - deepest) / (highest - deepest + tolerance))
+            if pick < 0 and gaps[order[k]] <= deepest + ALIKE * tolerance:
+                pick = k
     while pick >= 0 and used < len(chosen):
         chosen[used], taken[pick] = order[pick], True
         used += 1
@@ -219,35 +228,30 @@ def _spread(points, gaps, order, tolerance, most):
             away = math.sqrt((q[0] - p[0]) ** 2 + (q[1] - p[1]) ** 2 + (q[2] - p[2]) ** 2)
             far[k] = min(far[k], away)
             if not taken[k]:
-                best = max(best, far[k] * _nearness(gaps[order[k]], deepest, tolerance))
+                best = max(best, far[k] * weight[k])
         pick = -1
         if not best > 0.0:
             break
         for k in range(count):
-            if not taken[k] and far[k] * _nearness(gaps[order[k]], deepest, tolerance) >= EQUAL * best:
+            if not taken[k] and far[k] * weight[k] >= EQUAL * best:
                 pick = k
                 break
     return chosen[:used]
 
 
-@inlined_kernel
-def _nearness(gap, deepest, tolerance):
-    return min(max((deepest + 2.0 * tolerance - gap) / tolerance, 0.0), 1.0)
-
-
 @kernel
 def _seen_from(turns, places, first):
-    """The Placing of the fragment with world poses turns (4, 3, 3), places (4, 3) in rows first and first + 1.
+    """The Placing of the fragment with world poses turns (6, 3, 3), places (6, 3) in the rows from `first` on.
 
-    b's, in whose frame they are seen, are in rows 2 and 3.
+    b's, in whose frame they are seen, are in the last three.
     """
-    out = Placing(np.empty((2, 3, 3)), np.empty((2, 3)))
-    for end in range(2):
-        if first == 2 and end == 0:
+    out = Placing(np.empty((3, 3, 3)), np.empty((3, 3)))
+    for end in range(3):
+        if first == 3 and end == 0:
             out.rotations[0], out.positions[0] = np.eye(3), np.zeros(3)
         else:
             row = first + end
-            relative_pose(turns[row], places[row], turns[2], places[2], out.rotations[end], out.positions[end])
+            relative_pose(turns[row], places[row], turns[3], places[3], out.rotations[end], out.positions[end])
     return out
 
 
@@ -276,13 +280,23 @@ def _relative(placings):
     return Relative(to_a, to_b, between)
 
 
-@inlined_kernel
-def _turn(placing):
-    """Upper bound of how far a point at distance 1 is turned in the step."""
-    most = 0.0
+@kernel
+def _moves(placings, hull):
+    """How far [m] a point of a, whose Hull is given, moves at most as seen from b."""
+    a, b = placings
+    turn, shift = np.empty((3, 3)), np.empty(3)
     for d in range(3):
+        shift[d] = -a.positions[0, d]  # b is at the origin of its frame of the beginning
         for e in range(3):
-            most += (placing.rotations[1, d, e] - placing.rotations[0, d, e]) ** 2
+            shift[d] += b.rotations[1, e, d] * (a.positions[1, e] - b.positions[1, e])
+            turn[d, e] = -a.rotations[0, d, e]
+            for k in range(3):
+                turn[d, e] += b.rotations[1, k, d] * a.rotations[1, k, e]
+    most = 0.0
+    for k in range(len(hull.x)):
+        x, y, z = rotated(turn, hull.x[k], hull.y[k], hull.z[k])
+        x, y, z = x + shift[0], y + shift[1], z + shift[2]
+        most = max(most, x * x + y * y + z * z)
     return math.sqrt(most)
 
 
@@ -318,9 +332,9 @@ def _mapped(points, rotation, position):
 
 
 @kernel
-def _carried(placing, p, before, after):
-    """Where a point p (3,), fixed to a fragment, that is there at share `before` of the step is at `after`."""
-    m, t = _mixed(placing, before)
+def _local(placing, p, share):
+    """Point p (3,) in the frame of a fragment, to which it is fixed when it is there, at a share of the part."""
+    m, t = _mixed(placing, share)
     x, y, z = p[0] - t[0], p[1] - t[1], p[2] - t[2]
     # by Cramer's rule: the mixed matrix is near a rotation
     c = np.empty((3, 3))
@@ -333,8 +347,21 @@ def _carried(placing, p, before, after):
     local = np.empty(3)
     for e in range(3):
         local[e] = (c[0, e] * x + c[1, e] * y + c[2, e] * z) / det
-    m, t = _mixed(placing, after)
-    out = np.empty(3)
-    for d in range(3):
-        out[d] = m[d, 0] * local[0] + m[d, 1] * local[1] + m[d, 2] * local[2] + t[d]
-    return out
+    return local
+
+
+@kernel
+def _placed(placing, row, local):
+    """Where a point fixed to a fragment is at one of the poses of its Placing."""
+    return _turned(placing.rotations[row], local) + placing.positions[row]
+
+
+@kernel
+def _gap_at_end(placings, of_a, of_b, n):
+    """Gap [m] of two points at the end of the step along n, turned with a or with b: whichever gives the smaller."""
+    p, q = _placed(placings[0], 2, of_a), _placed(placings[1], 2, of_b)
+    least = math.inf
+    for side in range(2):
+        way = _turned(placings[side].rotations[2], _turned_back(placings[side].rotations[0], n))
+        least = min(least, (q[0] - p[0]) * way[0] + (q[1] - p[1]) * way[1] + (q[2] - p[2]) * way[2])
+    return least

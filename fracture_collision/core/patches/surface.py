@@ -18,6 +18,8 @@ from fracture_collision.core.memory.compiled import inlined_kernel, kernel
 LEAST_TURN = 1e-4
 # A triangle whose height is below this share of the longest edge of the surface is a sliver without a direction.
 SLIVER = 1e-14
+# Sine of the least turn of a line of edges at a corner.
+STRAIGHT = 1e-7
 _PLACES_EACH = 2  # of a hash table, for each entry
 _NONE = -1
 
@@ -30,7 +32,7 @@ class Surface(NamedTuple):
     normals: np.ndarray  # (t, 3) float64, unit, outward
     edges: np.ndarray  # (e, 2) int32 ends of the convex ones
     beside: np.ndarray  # (e, 2) int32 the triangles at either side of these
-    is_sharp: np.ndarray  # (c,) bool: ends of convex edges, without which a corner is nowhere outermost
+    is_sharp: np.ndarray  # (c,) bool: those that may be outermost alone
 
 
 @kernel
@@ -69,10 +71,36 @@ def make_surface(given):
         normals[kept, 0], normals[kept, 1], normals[kept, 2] = x / length, y / length, z / length
         kept += 1
     edges, beside = _convex_edges(corners, triangles[:kept], normals)
-    is_sharp = np.zeros(used, np.bool_)
+    corners = corners[:used].copy()
+    return Surface(
+        corners, triangles[:kept].copy(), normals[:kept].copy(), edges, beside, _sharp_corners(corners, edges)
+    )
+
+
+@kernel
+def _sharp_corners(corners, edges):
+    """Ends of convex edges, but for those (c,) within a straight line of two: its ends are as near to anything."""
+    many, beyond = np.zeros(len(corners), np.int64), np.empty(len(corners), np.int64)
+    is_sharp = np.zeros(len(corners), np.bool_)
     for e in range(len(edges)):
-        is_sharp[edges[e, 0]] = is_sharp[edges[e, 1]] = True
-    return Surface(corners[:used].copy(), triangles[:kept].copy(), normals[:kept].copy(), edges, beside, is_sharp)
+        for end in range(2):
+            at, other = edges[e, end], edges[e, 1 - end]
+            is_sharp[at] = many[at] != 1 or not _is_between(corners[at], corners[beyond[at]], corners[other])
+            many[at] += 1
+            beyond[at] = other
+    return is_sharp
+
+
+@inlined_kernel
+def _is_between(p, a, b):
+    """Whether p is on the straight line between a and b."""
+    ux, uy, uz = a[0] - p[0], a[1] - p[1], a[2] - p[2]
+    vx, vy, vz = b[0] - p[0], b[1] - p[1], b[2] - p[2]
+    x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    square = (ux * ux + uy * uy + uz * uz) * (vx * vx + vy * vy + vz * vz)
+    return ux * vx + uy * vy + uz * vz < 0.0 and x * x + y * y + z * z < STRAIGHT * STRAIGHT * square
+
+
 
 
 @kernel
