@@ -19,13 +19,16 @@ from fracture_collision.core.separation.parting_direction import Hull
 
 # A fragment is convex if its hull's volume exceeds its own by no more than this share.
 CONVEX = 1e-6
+# It is surely not where a corner is above the plane of a triangle by this share of its size. So many triangles are
+# looked at for that first: curved fragments need no hull.
+CONCAVE, LOOKED_AT = 1e-3, 16
 
 
 class Shapes(NamedTuple):
     """Rows of each fragment are together; indices within them count from its first."""
 
     first: np.ndarray  # (F + 1, 6) int64 first row of: hull corners, faces, ridges; surface corners, triangles, edges
-    size: np.ndarray  # (F,) float64 [m] longest side of its box; 0: it has no surface
+    size: np.ndarray  # (F,) float64 [m] longest side of its box; 0: it has no hull and surface here
     is_convex: np.ndarray  # (F,) bool
     hull: Hull
     surface: Surface
@@ -87,7 +90,7 @@ def have_patches(shapes, a, b):
 def shapes_of(triangles, begin):
     """Of fragments with triangles begin[k] .. begin[k + 1]: first (k, 6), size, is_convex, hull and surface of Shapes.
 
-    Rows of `first` are the ends of each one's rows.
+    Rows of `first` are the ends of each one's rows. Fragments that are surely concave get none, and size 0.
     """
     n, count = len(triangles), len(begin) - 1
     first, size, is_convex = np.zeros((count, 6), np.int64), np.empty(count), np.empty(count, np.bool_)
@@ -100,7 +103,8 @@ def shapes_of(triangles, begin):
     )  # fmt: skip
     at = np.zeros(6, np.int64)
     for k in range(count):
-        h, s, size[k], is_convex[k] = shape_of(triangles[begin[k] : begin[k + 1]])
+        own = triangles[begin[k] : begin[k + 1]]
+        h, s, size[k], is_convex[k] = shape_of(own[: 0 if _is_surely_concave(own) else len(own)])
         end = at + np.array(
             [len(h.x), len(h.faces), len(h.ridges), len(s.corners), len(s.triangles), len(s.edges)]
         )  # fmt: skip
@@ -116,6 +120,30 @@ def shapes_of(triangles, begin):
         surface.beside[: at[5]], surface.is_sharp[: at[3]],
     )  # fmt: skip
     return first, size, is_convex, hull, surface
+
+
+@kernel
+def _is_surely_concave(triangles):
+    low, high = np.full(3, math.inf), np.full(3, -math.inf)
+    for t in range(len(triangles)):
+        for k in range(9):
+            low[k % 3], high[k % 3] = min(low[k % 3], triangles[t, k]), max(high[k % 3], triangles[t, k])
+    size = max(high[0] - low[0], high[1] - low[1], high[2] - low[2])
+    for turn in range(min(LOOKED_AT, len(triangles))):
+        c = triangles[turn * len(triangles) // LOOKED_AT if len(triangles) > LOOKED_AT else turn]
+        ux, uy, uz = c[3] - c[0], c[4] - c[1], c[5] - c[2]
+        vx, vy, vz = c[6] - c[0], c[7] - c[1], c[8] - c[2]
+        x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        area = math.sqrt(x * x + y * y + z * z)
+        if not area > CONCAVE * size * size:
+            continue  # the plane of a sliver is uncertain
+        for t in range(len(triangles)):
+            for k in range(0, 9, 3):
+                p = triangles[t]
+                above = x * (p[k] - c[0]) + y * (p[k + 1] - c[1]) + z * (p[k + 2] - c[2])
+                if above > CONCAVE * size * area:
+                    return True
+    return False
 
 
 @kernel

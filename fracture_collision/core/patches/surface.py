@@ -101,8 +101,6 @@ def _is_between(p, a, b):
     return ux * vx + uy * vy + uz * vz < 0.0 and x * x + y * y + z * z < STRAIGHT * STRAIGHT * square
 
 
-
-
 @kernel
 def _convex_edges(corners, triangles, normals):
     """Convex edges (e, 2) and the triangles (e, 2) beside them.
